@@ -1,0 +1,1 @@
+"""Cloud extractors, one file a method."""

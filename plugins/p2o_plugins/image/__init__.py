@@ -1,0 +1,1 @@
+"""Image extractors, one file a method."""

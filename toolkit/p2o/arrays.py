@@ -1,0 +1,44 @@
+"""Checks that every array between stages passes once, when a dataclass is made."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from p2o.errors import InputError
+
+Float = NDArray[np.float64]
+Int = NDArray[np.int64]
+Bool = NDArray[np.bool_]
+UInt8 = NDArray[np.uint8]
+Int8 = NDArray[np.int8]
+
+
+def checked(name: str, value: Any, shape: tuple[int | None, ...], dtype: Any, *, finite: bool = True) -> Any:
+    """Return `value` as a read-only, C-contiguous array of `dtype` after checking its shape.
+
+    `shape` has one entry an axis; None allows any length. Memory is shared where no conversion is needed.
+
+    Raises InputError if the value is not numeric, has another shape, or (with `finite`) holds NaN or infinity.
+    """
+    try:
+        array = np.ascontiguousarray(value, dtype=dtype)
+    except (TypeError, ValueError) as problem:
+        raise InputError(
+            f"{name} is not an array of numbers", expected=np.dtype(dtype).name, got=type(value).__name__
+        ) from problem
+    if np.ndim(value) != len(shape) or any(
+        want is not None and want != have for want, have in zip(shape, array.shape, strict=True)
+    ):
+        wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
+        raise InputError(f"{name} has the wrong shape", expected=wanted, got=np.shape(value))
+    if finite and array.dtype.kind == "f" and not np.isfinite(array).all():
+        bad = int(array.size - np.isfinite(array).sum())
+        raise InputError(
+            f"{name} holds values that are not finite", expected="finite numbers", got=f"{bad} NaN or infinite"
+        )
+    view = array.view()
+    view.flags.writeable = False
+    return view

@@ -1,0 +1,74 @@
+"""What the LiDAR gives: one sweep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from p2o.arrays import Bool, Float, Int, checked
+from p2o.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """One sweep; `xyz` (N, 3) in metres, LiDAR frame, in the order the sensor or file gives.
+
+    Optional per point: `ring` (N,) beam index, any order; `intensity` (N,) as given; `time_s` (N,) seconds relative
+    to the image; `column` (N,) firing index. Use `Cloud.from_raw` for data that may hold missing returns.
+
+    Raises InputError for wrong shapes, no points at all, or points that are not finite.
+    """
+
+    xyz: Float
+    ring: Int | None = None
+    intensity: Float | None = None
+    time_s: Float | None = None
+    column: Int | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "xyz", checked("xyz", self.xyz, (None, 3), np.float64))
+        count = len(self.xyz)
+        if count == 0:
+            raise InputError("the cloud has no points", expected="at least one point")
+        for name, dtype in (
+            ("ring", np.int64),
+            ("intensity", np.float64),
+            ("time_s", np.float64),
+            ("column", np.int64),
+        ):
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, checked(name, value, (count,), dtype))
+
+    @classmethod
+    def from_raw(cls, xyz: Any, **per_point: Any) -> tuple[Cloud, tuple[str, ...]]:
+        """Return the cloud without NaN, infinite and all-zero points (missing returns), and warnings that count them.
+
+        Raises InputError if no point is left.
+        """
+        xyz = checked("xyz", xyz, (None, 3), np.float64, finite=False)
+        finite = np.isfinite(xyz).all(axis=1)
+        zero = finite & ~xyz.any(axis=1)
+        keep = finite & ~zero
+        if len(xyz) and not keep.any():
+            kind = "all-zero" if zero.any() else "NaN or infinite"
+            raise InputError(
+                "no point of the cloud can be used", expected="finite points", got=f"{len(xyz)} {kind} points"
+            )
+        warnings = [
+            f"{n} of {len(xyz)} points dropped: {why}"
+            for n, why in ((int((~finite).sum()), "NaN or infinite"), (int(zero.sum()), "all zero"))
+            if n
+        ]
+        kept: dict[str, Any] = {k: None if v is None else np.asarray(v)[keep] for k, v in per_point.items()}
+        return cls(xyz[keep], **kept), tuple(warnings)
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+    def select(self, index: Int | Bool) -> Cloud:
+        """Return the points of an index or mask (any length), all fields alike."""
+        values: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
+        return Cloud(**{name: None if value is None else value[index] for name, value in values.items()})

@@ -1,0 +1,82 @@
+"""What comes out: one round, one solver call, one calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+from p2o.arrays import Float
+
+
+class Status(StrEnum):
+    """How a calibration ended; only CONVERGED and ROUNDS_SPENT carry a new pose, all others return the start."""
+
+    CONVERGED = "converged"
+    ROUNDS_SPENT = "rounds-spent"
+    NO_IMPROVEMENT = "no-improvement"
+    TOO_FEW_MATCHES = "too-few-matches"
+    NOT_OBSERVABLE = "not-observable"
+    NO_EDGES = "no-edges"
+    STAGE_FAILED = "stage-failed"
+
+    @property
+    def solved(self) -> bool:
+        """True where the returned pose is an estimate and not the start."""
+        return self in (Status.CONVERGED, Status.ROUNDS_SPENT)
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """What a solver returns: the pose (4, 4), its cost, and how it got there.
+
+    `covariance` (6, 6) of a left update in the camera frame (rad, m), scaled by the residuals, or None where the
+    solver has none or the system is singular; `status` says "converged", "iterations-spent" or "singular".
+    """
+
+    camera_from_lidar: Float
+    cost: float
+    iterations: int
+    status: str = "converged"
+    covariance: Float | None = None
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Round:
+    """One turn of Algorithm 1, as the paper's convergence figure needs it."""
+
+    stage: str
+    reach_px: float
+    matches: Mapping[str, int]
+    mean_residual_px: float
+    directed_cost_px: float
+    step_deg: float
+    step_m: float
+    accepted: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """One calibration, of one frame or of several jointly.
+
+    `camera_from_lidar` (4, 4) is the estimate, or the start where `status.solved` is False; `reason` says why in one
+    sentence. `covariance` (6, 6) as in `Solution`. `seconds` by stage. `recipe` holds every resolved option.
+    """
+
+    frames: tuple[str, ...]
+    start: Float
+    camera_from_lidar: Float
+    status: Status
+    reason: str
+    rounds: tuple[Round, ...] = ()
+    covariance: Float | None = None
+    matches: Mapping[str, int] = field(default_factory=dict)
+    residual_px: Mapping[str, float] = field(default_factory=dict)
+    directed_cost_px: tuple[float, float] | None = None
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    recipe: Mapping[str, Any] = field(default_factory=dict)
+    seed: int | None = None
+    versions: Mapping[str, str] = field(default_factory=dict)

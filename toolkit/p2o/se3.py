@@ -1,0 +1,139 @@
+"""Rigid transforms as (4, 4) float64 matrices: exponential, logarithm, inverse, distance.
+
+A transform is named b_from_a, so that chains cancel by eye: camera_from_lidar @ lidar_from_world. Tangent
+vectors are (6,): rotation vector in radians first, then the translational part in metres. Radians live here only.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from p2o.arrays import Float, checked
+from p2o.errors import InputError
+
+
+def skew(vectors: Float) -> Float:
+    """Return the cross-product matrices (..., 3, 3) of vectors (..., 3): skew(a) @ b == cross(a, b)."""
+    x, y, z = np.moveaxis(np.asarray(vectors, dtype=np.float64), -1, 0)
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
+
+
+def exp(tangent: Float) -> Float:
+    """Return the transforms (..., 4, 4) of tangent vectors (..., 6); exact at zero, no small-angle seam.
+
+    The translation is V @ tangent[3:] (left Jacobian of SO(3)), the full exponential of se(3).
+    """
+    tangent = np.asarray(tangent, dtype=np.float64)
+    omega, rho = tangent[..., :3], tangent[..., 3:]
+    angle = np.linalg.norm(omega, axis=-1)[..., None, None]
+    cross = skew(omega)
+    square = cross @ cross
+    # sinc forms stay accurate down to angle zero: sin(t)/t, (1-cos t)/t^2 = sinc(t/2)^2/2, (t-sin t)/t^3 by series.
+    a = np.sinc(angle / np.pi)
+    b = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
+    small = angle < 1e-2
+    safe = np.where(small, 1.0, angle)
+    c = np.where(small, 1 / 6 - angle**2 / 120 + angle**4 / 5040, (safe - np.sin(safe)) / safe**3)
+    out = np.zeros((*tangent.shape[:-1], 4, 4))
+    out[..., :3, :3] = np.eye(3) + a * cross + b * square
+    out[..., :3, 3] = ((np.eye(3) + b * cross + c * square) @ rho[..., None])[..., 0]
+    out[..., 3, 3] = 1.0
+    return out
+
+
+def log(transform: Float) -> Float:
+    """Return the tangent vector (6,) of one transform (4, 4); the inverse of `exp` for angles below pi."""
+    rotation = np.asarray(transform, dtype=np.float64)[:3, :3]
+    omega = rotation_vector(rotation)
+    angle = float(np.linalg.norm(omega))
+    cross = skew(omega)
+    c = 1 / 12 + angle**2 / 720 if angle < 1e-3 else 1 / angle**2 - 1 / (2 * angle * np.tan(angle / 2))
+    inverse_v = np.eye(3) - 0.5 * cross + c * cross @ cross
+    return np.concatenate([omega, inverse_v @ transform[:3, 3]])
+
+
+def rotation_vector(rotation: Float) -> Float:
+    """Return the rotation vector (3,) in radians of a rotation matrix (3, 3), angle in [0, pi]."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(rotation).as_rotvec(), dtype=np.float64)
+
+
+def inverse(transform: Float) -> Float:
+    """Return a_from_b of b_from_a, shapes (..., 4, 4), using the transpose of the rotation."""
+    transform = np.asarray(transform, dtype=np.float64)
+    out = np.zeros_like(transform)
+    transposed = np.swapaxes(transform[..., :3, :3], -1, -2)
+    out[..., :3, :3] = transposed
+    out[..., :3, 3] = -(transposed @ transform[..., :3, 3:])[..., 0]
+    out[..., 3, 3] = 1.0
+    return out
+
+
+def apply(b_from_a: Float, xyz_a: Float) -> Float:
+    """Return points (..., N, 3) in frame b of points (N, 3) in frame a, for transforms (..., 4, 4), in metres."""
+    b_from_a = np.asarray(b_from_a, dtype=np.float64)
+    return xyz_a @ np.swapaxes(b_from_a[..., :3, :3], -1, -2) + b_from_a[..., None, :3, 3]
+
+
+def make(rotation: Any = None, translation: Any = None) -> Float:
+    """Return a transform (4, 4) from a rotation (3, 3) and a translation (3,) in metres; identity by default."""
+    out = np.eye(4)
+    if rotation is not None:
+        out[:3, :3] = rotation
+    if translation is not None:
+        out[:3, 3] = translation
+    return out
+
+
+def angle_deg(transform: Float) -> float:
+    """Return the rotation angle of a transform (4, 4) in degrees, in [0, 180]."""
+    return float(np.degrees(np.linalg.norm(rotation_vector(transform[:3, :3]))))
+
+
+def distance_m(transform: Float) -> float:
+    """Return the norm of the translation of a transform (4, 4) in metres."""
+    return float(np.linalg.norm(transform[:3, 3]))
+
+
+def check_rigid(name: str, value: Any, *, where: object = None, tolerance: float = 1e-4) -> Float:
+    """Return `value` as a read-only (4, 4) rigid transform, its rotation projected onto SO(3).
+
+    Raises InputError if the shape is wrong, the last row is not 0 0 0 1, the rotation is not orthonormal within
+    `tolerance`, or its determinant is -1 (a mirror image).
+    """
+    try:
+        matrix = checked(name, value, (4, 4), np.float64)
+    except InputError as problem:
+        raise InputError(problem.what, where=where, expected=problem.expected, got=problem.got) from problem
+    if not np.allclose(matrix[3], [0, 0, 0, 1], atol=1e-9):
+        raise InputError(
+            f"the last row of {name} is wrong",
+            where=where,
+            expected="0 0 0 1",
+            got=" ".join(f"{v:g}" for v in matrix[3]),
+        )
+    rotation = matrix[:3, :3]
+    if np.linalg.det(rotation) < 0:
+        raise InputError(
+            f"the rotation of {name} mirrors space",
+            where=where,
+            expected="determinant +1",
+            got=f"{np.linalg.det(rotation):.3f}",
+            hint="check for a swapped or negated axis",
+        )
+    deviation = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
+    if deviation > tolerance:
+        raise InputError(
+            f"the rotation of {name} is not orthonormal",
+            where=where,
+            expected=f"|R^T R - I| <= {tolerance:g}",
+            got=f"{deviation:.3g}",
+        )
+    u, _, vt = np.linalg.svd(rotation)
+    clean = make(u @ vt, matrix[:3, 3])
+    clean.flags.writeable = False
+    return clean
