@@ -1,0 +1,28 @@
+"""Fixtures of all tests: where the real frames are."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+DATA = Path(os.environ.get("P2O_DATA", Path(__file__).parents[1] / "build" / "data"))
+
+
+@pytest.fixture(scope="session")
+def kitti_raw() -> Path:
+    """The root of the KITTI raw layout, or a skip that says how to get it."""
+    root = DATA / "kitti_raw"
+    if not root.is_dir():
+        pytest.skip(f"no real frames in {root}: set P2O_DATA (see docs/datasets.md)")
+    return root
+
+
+@pytest.fixture(scope="session")
+def kitti_object() -> Path:
+    """The root of the KITTI object layout, or a skip that says how to get it."""
+    root = DATA / "kitti_object"
+    if not root.is_dir():
+        pytest.skip(f"no real frames in {root}: set P2O_DATA (see docs/datasets.md)")
+    return root
