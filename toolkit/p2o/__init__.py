@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from p2o import se3 as se3
     from p2o.camera import Camera as Camera
     from p2o.cloud import Cloud as Cloud
+    from p2o.directed_cost import DirectedCost as DirectedCost
     from p2o.errors import InputError as InputError
     from p2o.errors import MethodUnavailable as MethodUnavailable
     from p2o.errors import P2OError as P2OError
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
 _HOME = {
     "camera": ["Camera"],
     "cloud": ["Cloud"],
+    "directed_cost": ["DirectedCost"],
     "errors": ["InputError", "MethodUnavailable", "P2OError", "PluginError", "UnknownNameError"],
     "features": ["CloudEdges", "CloudFeatures", "ImageEdges", "ImageFeatures"],
     "frame": ["Dataset", "Frame"],

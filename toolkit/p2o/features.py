@@ -85,13 +85,16 @@ class CloudEdges:
     """Occlusion edges of one sweep: `xyz` (M, 3) m in the LiDAR frame, on the nearer surface, `side` (M,) int8.
 
     `sigma_m` (M,) is the standard deviation in metres of the edge's place across its direction (half the gap to the
-    next beam, uniform: gap / sqrt(12)); `weight` (M,) >= 0 the confidence that it is an edge at all.
+    next beam, uniform: gap / sqrt(12)); `weight` (M,) >= 0 the confidence that it is an edge at all. `background`
+    (M, 3) are unit directions in the LiDAR frame from the edge towards its background, zero where unknown: with them
+    the side can be told for any way the two sensors are mounted (`View.as_seen_from`).
     """
 
     xyz: Float
     side: Int8
     weight: Float = field(default=None)  # type: ignore[arg-type]  # filled in below
     sigma_m: Float = field(default=None)  # type: ignore[arg-type]
+    background: Float = field(default=None)  # type: ignore[arg-type]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "xyz", checked("xyz of the cloud edges", self.xyz, (None, 3), np.float64))
@@ -100,6 +103,9 @@ class CloudEdges:
         object.__setattr__(self, "weight", _check_weight("weight of the cloud edges", self.weight, count))
         sigma = np.zeros(count) if self.sigma_m is None else self.sigma_m
         object.__setattr__(self, "sigma_m", _check_weight("sigma_m of the cloud edges", sigma, count))
+        background = np.zeros((count, 3)) if self.background is None else self.background
+        background = checked("background of the cloud edges", background, (count, 3), np.float64)
+        object.__setattr__(self, "background", background)
 
     def __len__(self) -> int:
         return len(self.xyz)
@@ -115,11 +121,13 @@ class CloudEdges:
 
     def select(self, keep: Any) -> CloudEdges:
         """Return the edges of a mask or index."""
-        return CloudEdges(self.xyz[keep], self.side[keep], self.weight[keep], self.sigma_m[keep])
+        rows = (self.xyz, self.side, self.weight, self.sigma_m, self.background)
+        return CloudEdges(*(values[keep] for values in rows))
 
     def moved(self, b_from_lidar: Float) -> CloudEdges:
         """Return the edges in another frame b: xyz transformed by a (4, 4) rigid transform."""
-        return replace(self, xyz=se3.apply(b_from_lidar, self.xyz))
+        turned = self.background @ b_from_lidar[:3, :3].T
+        return replace(self, xyz=se3.apply(b_from_lidar, self.xyz), background=turned)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,31 @@
+"""Initializer `given`: start where the user says."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from p2o import Initializer, Method, Options, View
+from p2o.arrays import Float
+
+
+class GivenOptions(Options):
+    """No options: the start is taken as it is."""
+
+
+def build(options: GivenOptions) -> Initializer:
+    """Return an initializer that proposes only the given pose."""
+
+    def initialize(views: Sequence[View], camera_from_lidar: Float) -> list[Float]:
+        return [camera_from_lidar]
+
+    return initialize
+
+
+METHOD = Method(
+    name="given",
+    build=build,
+    options=GivenOptions,
+    summary="Starts at the given pose (the paper's own procedure).",
+    needs=frozenset(),
+    cite="P2O-Calib, Sec. III-D",
+)

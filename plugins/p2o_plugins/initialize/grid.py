@@ -1,0 +1,78 @@
+"""Initializer `grid`: a grid of rotations, then all six parameters in the best basins (the paper's MBS start)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from p2o import DirectedCost, Initializer, Method, View, field, se3
+from p2o.arrays import Float
+
+from p2o_plugins.initialize.search import SearchOptions, narrow
+
+
+class GridOptions(SearchOptions):
+    """Options of the grid; those of `search` rule how each basin is narrowed."""
+
+    sigma_deg: float = field(1.0, gt=0, le=60, help="Standard deviation about each axis when a basin is narrowed.")
+    max_angle_deg: float = field(12.0, gt=0, le=45, help="Half width of the grid about each axis.")
+    step_deg: float = field(1.5, gt=0.05, le=10, help="Step of the grid about each axis (the paper: 1 deg).")
+    grid_px: float = field(40.0, gt=1, le=500, help="Truncation of the distances on the grid.")
+    grid_points: int = field(1500, ge=50, help="LiDAR edge points used on the grid, evenly thinned over all frames.")
+    basins: int = field(5, ge=1, le=50, help="Best separate cells of the grid that are narrowed.")
+
+
+def build(options: GridOptions) -> Initializer:
+    """Return an initializer that gives the narrowed basins, best first."""
+
+    def initialize(views: Sequence[View], camera_from_lidar: Float) -> list[Float]:
+        rng = np.random.default_rng(options.seed)
+        # Wide turns bring in points that the start does not see: keep those within reach of the largest turn.
+        margin = max(view.camera.focal_px for view in views) * np.tan(np.radians(options.max_angle_deg))
+        coarse = DirectedCost.of(
+            views,
+            camera_from_lidar,
+            options.grid_px,
+            scale=max(1, int(options.grid_px // 10)),
+            margin_px=float(margin),
+            max_points=options.grid_points,
+        )
+        if not coarse.points:
+            return [camera_from_lidar]
+        starts = [se3.exp(t) @ camera_from_lidar for t in _basins(coarse, camera_from_lidar, options)]
+        narrowed = [narrow(views, start, options, rng) for start in starts]
+        judge = DirectedCost.of(
+            views, camera_from_lidar, options.narrowest_px, margin_px=float(margin), max_points=options.max_points
+        )
+        order = np.argsort(judge(np.stack(narrowed)), kind="stable")
+        return [narrowed[i] for i in order]
+
+    return initialize
+
+
+def _basins(cost: DirectedCost, start: Float, options: GridOptions) -> list[Float]:
+    """Return tangent vectors (6,) of the best grid cells, no two within two steps of each other."""
+    axis = np.arange(-options.max_angle_deg, options.max_angle_deg + 1e-9, options.step_deg)
+    turns = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    turns = turns[np.linalg.norm(turns, axis=1) <= options.max_angle_deg + options.step_deg]
+    tangents = np.concatenate([np.radians(turns), np.zeros_like(turns)], axis=1)
+    values = np.concatenate(
+        [cost(se3.exp(part) @ start) for part in np.array_split(tangents, len(tangents) // 300 + 1)]
+    )
+    chosen: list[int] = []
+    for i in np.argsort(values, kind="stable"):
+        if all(np.linalg.norm(turns[i] - turns[j]) > 2 * options.step_deg for j in chosen):
+            chosen.append(int(i))
+        if len(chosen) == options.basins:
+            break
+    return [tangents[i] for i in chosen]
+
+
+METHOD = Method(
+    name="grid",
+    build=build,
+    options=GridOptions,
+    summary="Grid of rotations, then all six parameters in the best basins (wide starts; the paper's MBS).",
+    needs={"image-edges", "cloud-edges"},
+    cite="P2O-Calib, Sec. IV-C (MBS)",
+)

@@ -1,0 +1,242 @@
+"""Algorithm 1 of the paper: extract, initialize, then match and solve in rounds with a shrinking cutting distance."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from p2o import se3
+from p2o.arrays import Float
+from p2o.directed_cost import DirectedCost
+from p2o.frame import Frame
+from p2o.options import Options
+from p2o.options import field as option
+from p2o.problem import PointToLine, Problem
+from p2o.result import Result, Round, Solution, Status
+from p2o.side import Side
+from p2o.stages import CloudExtractor, ImageExtractor, Initializer, Matcher, Solver
+from p2o.view import View
+from p2o.visibility import hidden
+
+
+class PipelineOptions(Options):
+    """Options of Algorithm 1 itself."""
+
+    rounds: int = option(10, ge=1, le=100, help="Largest number of match-and-solve rounds (paper: n_opt = 10).")
+    reach_px: float = option(50.0, gt=1, le=500, help="First cutting distance d_c from the given start (paper: 50).")
+    reach_after_search_px: float = option(
+        12.0, gt=1, le=500, help="First cutting distance from a pose that an initializer has found."
+    )
+    shrink: float = option(0.7, gt=0.1, lt=1, help="Factor on the cutting distance from round to round.")
+    min_reach_px: float = option(5.0, gt=0.5, le=100, help="Smallest cutting distance.")
+    min_matches: int = option(30, ge=6, help="Fewer pairs than this end a calibration as too-few-matches.")
+    judge_px: float = option(10.0, gt=1, le=100, help="Truncation of the directed distance that poses are judged by.")
+    tolerance_deg: float = option(1e-3, ge=0, help="A smaller turn (and shift) in the last round means converged.")
+    tolerance_m: float = option(1e-3, ge=0, help="A smaller shift (and turn) in the last round means converged.")
+
+
+@dataclass
+class _Clock:
+    """Seconds by stage."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def of(self, stage: str) -> Iterator[None]:
+        began = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - began
+
+
+@dataclass(frozen=True)
+class _Refined:
+    """Where the rounds from one start ended."""
+
+    pose: Float
+    cost_px: float
+    status: Status
+    reason: str
+    rounds: tuple[Round, ...]
+    problem: PointToLine | None = None
+    solution: Solution | None = None
+
+
+@dataclass(frozen=True)
+class Pipeline:
+    """The staged calibrator: the paper's method with every part replaceable.
+
+    Calling it with frames and a start camera_from_lidar (4, 4) gives a Result. With `directed` False every direction
+    is forgotten right after extraction, so that no stage of an ablation without directions can profit from them.
+    """
+
+    image_extractor: ImageExtractor
+    cloud_extractor: CloudExtractor
+    matcher: Matcher
+    solver: Solver
+    initializer: Initializer
+    options: PipelineOptions = field(default_factory=PipelineOptions)
+    directed: bool = True
+
+    def __call__(self, frames: Sequence[Frame], camera_from_lidar: Float, /) -> Result:
+        """Calibrate the frames jointly; one frame is the ordinary case."""
+        clock = _Clock()
+        with clock.of("extract"):
+            views = [self.extract(frame) for frame in frames]
+        result = self.solve(views, camera_from_lidar)
+        warnings = tuple(f"{frame.name}: {text}" for frame in frames for text in frame.warnings)
+        return replace(result, seconds={**clock.seconds, **result.seconds}, warnings=warnings)
+
+    def extract(self, frame: Frame) -> View:
+        """Return the features of one frame; the truth is not looked at."""
+        frame = frame.without_truth()
+        view = View(frame.name, frame.camera, self.image_extractor(frame.image), self.cloud_extractor(frame.cloud))
+        return view if self.directed else view.without_sides()
+
+    def solve(self, views: Sequence[View], camera_from_lidar: Float) -> Result:
+        """Return the joint calibration of extracted views from a start (4, 4)."""
+        start = se3.check_rigid("start", camera_from_lidar)
+        names = tuple(view.name for view in views)
+        clock = _Clock()
+
+        def refused(status: Status, reason: str, rounds: tuple[Round, ...] = ()) -> Result:
+            return Result(names, start, start, status, reason, rounds, seconds=clock.seconds)
+
+        missing = _missing_edges(views, start)
+        if missing:
+            return refused(Status.NO_EDGES, missing)
+        with clock.of("initialize"):
+            seen = [self._seen(view, start) for view in views]
+            poses = self.initializer(seen, start) or [start]
+        with clock.of("refine"):
+            judge = DirectedCost.of(seen, start, self.options.judge_px, margin_px=_margin_px(seen, start, poses))
+            at_start = judge.at(start)
+            # Basins come best first; the given start among them is only tried when nothing else was proposed.
+            moved = [pose for pose in poses if not np.allclose(pose, start, atol=1e-12)] or [start]
+            tried = [self._refine(seen, start, pose, judge) for pose in moved]
+        best = min(tried, key=lambda r: (not r.status.solved, r.cost_px))
+        if not best.status.solved:
+            return refused(best.status, best.reason, best.rounds)
+        costs = (at_start, best.cost_px)
+        if not best.cost_px < at_start:
+            reason = (
+                f"the directed edge distance did not fall below that of the start "
+                f"({best.cost_px:.3f} px against {at_start:.3f} px): the start is returned"
+            )
+            return replace(refused(Status.NO_IMPROVEMENT, reason, best.rounds), directed_cost_px=costs)
+        return Result(
+            frames=names,
+            start=start,
+            camera_from_lidar=best.pose,
+            status=best.status,
+            reason=best.reason,
+            rounds=best.rounds,
+            covariance=None if best.solution is None else best.solution.covariance,
+            matches={} if best.problem is None else _counts(best.problem),
+            residual_px={} if best.problem is None else _mean_residuals(best.problem, best.pose),
+            directed_cost_px=costs,
+            seconds=clock.seconds,
+        )
+
+    def _seen(self, view: View, start: Float) -> View:
+        """Return the view without edges that the camera cannot see, sides told in image axes."""
+        if self.directed:
+            view = view.as_seen_from(start)
+        edges, surface = view.cloud.edges, view.cloud.points
+        if edges is None or surface is None or not len(edges):
+            return view
+        keep = ~hidden(edges.xyz, surface, view.camera, start)
+        return replace(view, cloud=replace(view.cloud, edges=edges.select(keep)))
+
+    def _refine(self, views: Sequence[View], start: Float, pose: Float, judge: DirectedCost) -> _Refined:
+        """Return the end of the match-and-solve rounds from `pose`; a pose is kept only where its cost falls."""
+        options = self.options
+        searched = pose is not start
+        rounds: list[Round] = []
+        best_pose, best_cost = pose, judge.at(pose)
+        entered = best_cost
+        if searched:
+            step = pose @ se3.inverse(start)
+            rounds.append(
+                Round("initialize", 0.0, {}, float("nan"), best_cost, se3.angle_deg(step), se3.distance_m(step), True)
+            )
+        reach = options.reach_after_search_px if searched else options.reach_px
+        status, reason = Status.ROUNDS_SPENT, f"all {options.rounds} rounds were used"
+        kept: tuple[PointToLine | None, Solution | None] = (None, None)
+        for _ in range(options.rounds):
+            problem = self.matcher(views, pose, reach)
+            if isinstance(problem, PointToLine) and len(problem) < options.min_matches:
+                reason = f"{len(problem)} pairs within {reach:.0f} px, at least {options.min_matches} are needed"
+                return _Refined(start, np.inf, Status.TOO_FEW_MATCHES, reason, tuple(rounds))
+            solution = self.solver(problem, pose)
+            if solution.status == "singular":
+                return _Refined(start, np.inf, Status.NOT_OBSERVABLE, solution.reason, tuple(rounds))
+            step = solution.camera_from_lidar @ se3.inverse(pose)
+            pose = solution.camera_from_lidar
+            cost = judge.at(pose)
+            better = cost < best_cost
+            if better:
+                best_pose, best_cost = pose, cost
+                kept = (problem if isinstance(problem, PointToLine) else None, solution)
+            rounds.append(
+                Round(
+                    stage="refine",
+                    reach_px=reach,
+                    matches=_counts(problem),
+                    mean_residual_px=_mean_residual(problem, pose),
+                    directed_cost_px=cost,
+                    step_deg=se3.angle_deg(step),
+                    step_m=se3.distance_m(step),
+                    accepted=better,
+                )
+            )
+            still = se3.angle_deg(step) < options.tolerance_deg and se3.distance_m(step) < options.tolerance_m
+            if still and reach <= options.min_reach_px:
+                status, reason = Status.CONVERGED, "the last round moved the pose by less than the tolerance"
+                break
+            reach = max(options.min_reach_px, reach * options.shrink)
+        if searched and best_cost >= entered:
+            reason += "; no round improved on the search"
+        return _Refined(best_pose, best_cost, status, reason, tuple(rounds), *kept)
+
+
+def _missing_edges(views: Sequence[View], start: Float) -> str:
+    """Return why there is nothing to match, or an empty string."""
+    if not any(len(view.image_edges) for view in views):
+        return "no edges were found in the image"
+    if not any(len(view.cloud_edges) for view in views):
+        return "no edges were found in the sweep"
+    projected = [view.camera.project(se3.apply(start, view.cloud_edges.xyz)) for view in views]
+    if not any(np.isfinite(uv).any() for uv in projected):
+        return "every LiDAR edge lies behind the camera: is the start the transform lidar_from_camera?"
+    return ""
+
+
+def _margin_px(views: Sequence[View], start: Float, poses: Sequence[Float]) -> float:
+    """Return how far outside the image a point may start and still be brought in by one of the poses."""
+    widest = max((se3.angle_deg(pose @ se3.inverse(start)) for pose in poses), default=0.0)
+    return float(max(view.camera.focal_px for view in views) * np.tan(np.radians(min(widest, 60.0))))
+
+
+def _counts(problem: Problem) -> dict[str, int]:
+    if not isinstance(problem, PointToLine):
+        return {}
+    return {Side(int(s)).letter: int(n) for s, n in zip(*np.unique(problem.side, return_counts=True), strict=True)}
+
+
+def _mean_residuals(problem: PointToLine, pose: Float) -> dict[str, float]:
+    residuals = np.abs(problem.residuals(pose))
+    return {
+        Side(int(s)).letter: float(np.nanmean(residuals[problem.side == s])) for s in np.unique(problem.side).tolist()
+    }
+
+
+def _mean_residual(problem: Problem, pose: Float) -> float:
+    if not isinstance(problem, PointToLine) or not len(problem):
+        return float("nan")
+    return float(np.nanmean(np.abs(problem.residuals(pose))))

@@ -1,0 +1,156 @@
+"""How badly projected LiDAR edges miss the image edges of their own direction: what poses are judged by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from p2o import se3
+from p2o.arrays import Bool, Float, Int
+from p2o.camera import Camera
+from p2o.side import Side
+from p2o.view import View
+
+Float32 = np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """One view: the points that take part, each with the number of its direction's map."""
+
+    camera: Camera
+    xyz: Float
+    weight: Float
+    side_index: Int
+    maps: Float32
+    neutral: Float
+
+
+def distance_maps(view: View, sides: Sequence[Side], truncate_px: float, scale: int) -> Float32:
+    """Return truncated distances in px (len(sides), H', W') to the nearest image edge of each direction.
+
+    One value every `scale` pixels. A direction without edges is `truncate_px` everywhere.
+    """
+    import cv2
+
+    height, width = -(-view.camera.height // scale), -(-view.camera.width // scale)
+    maps = np.full((len(sides), height, width), truncate_px, np.float32)
+    edges = view.image_edges
+    for number, side in enumerate(sides):
+        rows = edges.index.get(side)
+        if rows is None:
+            continue
+        cells = np.rint(edges.uv[rows] / scale).astype(np.int64)
+        inside = ((cells >= 0) & (cells < [width, height])).all(axis=1)
+        free = np.ones((height, width), np.uint8)
+        free[cells[inside, 1], cells[inside, 0]] = 0
+        if free.all():
+            continue
+        distance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        maps[number] = np.minimum(distance * scale, truncate_px)
+    return maps
+
+
+@dataclass(frozen=True, eq=False)
+class DirectedCost:
+    """Mean truncated distance in pixels from projected LiDAR edges to image edges of their direction.
+
+    Made by `DirectedCost.of`; calling it with camera_from_lidar (B, 4, 4) gives (B,). The set of points is fixed (those
+    that the pose `around` brings into the image or near it), so costs of different poses compare. A point that leaves
+    the image costs what a point at a random place would cost: leaving is neither punished nor rewarded by itself.
+    """
+
+    parts: tuple[_Part, ...]
+    truncate_px: float
+    scale: int
+
+    @classmethod
+    def of(
+        cls,
+        views: Sequence[View],
+        around: Float,
+        truncate_px: float,
+        *,
+        scale: int = 1,
+        margin_px: float = 0.0,
+        max_points: int | None = None,
+    ) -> DirectedCost:
+        """Return the cost of these views; `max_points` keeps an even subset over all views together."""
+        masks = [_near_image(view, around, margin_px) for view in views]
+        total = int(sum(m.sum() for m in masks))
+        step = 1 if max_points is None else max(1, -(-total // max_points))
+        parts = []
+        for view, mask in zip(views, masks, strict=True):
+            keep = np.flatnonzero(mask)[::step]
+            if not len(keep):
+                continue
+            edges = view.cloud_edges.select(keep)
+            sides = [Side(int(s)) for s in np.unique(edges.side)]
+            number = np.zeros(len(Side), np.int64)
+            for i, side in enumerate(sides):
+                number[side] = i
+            maps = distance_maps(view, sides, truncate_px, scale)
+            neutral = maps.reshape(len(sides), -1).mean(axis=1).astype(np.float64)
+            parts.append(_Part(view.camera, edges.xyz, edges.weight, number[edges.side], maps, neutral))
+        return cls(tuple(parts), truncate_px, scale)
+
+    @cached_property
+    def points(self) -> int:
+        """How many LiDAR edge points take part."""
+        return sum(len(p.xyz) for p in self.parts)
+
+    def __call__(self, poses: Float) -> Float:
+        """Return the cost (B,) in pixels of poses (B, 4, 4); infinite where there are no points."""
+        poses = np.asarray(poses, dtype=np.float64)
+        total, weight = np.zeros(len(poses)), 0.0
+        for part in self.parts:
+            total += _part_cost(part, poses, self.scale)
+            weight += float(part.weight.sum())
+        return total / weight if weight > 0 else np.full(len(poses), np.inf)
+
+    def at(self, pose: Float) -> float:
+        """Return the cost in pixels of one pose (4, 4)."""
+        return float(self(pose[None])[0])
+
+
+def _near_image(view: View, around: Float, margin_px: float) -> Bool:
+    edges = view.cloud_edges
+    if not len(edges):
+        return np.zeros(0, np.bool_)
+    return view.camera.in_image(view.camera.project(se3.apply(around, edges.xyz)), margin_px)
+
+
+def _part_cost(part: _Part, poses: Float, scale: int) -> Float:
+    """Weighted sum of looked-up distances of one view, (B,); bilinear, in single precision for speed."""
+    camera = part.camera
+    _, height, width = part.maps.shape
+    if camera.is_pinhole:
+        fx, fy, cx, cy = camera.params
+        intrinsic = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+        matrix = (intrinsic @ poses[:, :3]).astype(np.float32)
+        homogeneous = np.concatenate([part.xyz.T, np.ones((1, len(part.xyz)))]).astype(np.float32)
+        u, v, w = np.moveaxis((matrix.reshape(-1, 4) @ homogeneous).reshape(len(poses), 3, -1), 1, 0)
+        behind = w < 1e-3
+        inverse = 1.0 / np.where(behind, np.float32(1), w)
+        u, v = u * inverse, v * inverse
+        outside = behind
+    else:
+        uv = camera.project(se3.apply(poses, part.xyz)).astype(np.float32)
+        u, v = uv[..., 0], uv[..., 1]
+        outside = np.isnan(u)
+        u, v = np.where(outside, np.float32(-9), u), np.where(outside, np.float32(-9), v)
+    u, v = u / scale, v / scale
+    outside = outside | (u < 0) | (v < 0) | (u > width - 1.001) | (v > height - 1.001)
+    u, v = np.where(outside, np.float32(0), u), np.where(outside, np.float32(0), v)
+    column, row = u.astype(np.int32), v.astype(np.int32)
+    fu, fv = u - column, v - row
+    flat = part.maps.reshape(-1)
+    index = (part.side_index * (height * width)).astype(np.int64) + row * np.int64(width) + column
+    right, below = (1 if width > 1 else 0), (width if height > 1 else 0)
+    top = flat[index] * (1 - fu) + flat[index + right] * fu
+    bottom = flat[index + below] * (1 - fu) + flat[index + below + right] * fu
+    value = np.where(outside, part.neutral[part.side_index].astype(np.float32), top * (1 - fv) + bottom * fv)
+    return np.asarray(value @ part.weight.astype(np.float32), dtype=np.float64)
