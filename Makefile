@@ -1,0 +1,34 @@
+# make run: sets up a fresh machine and calibrates the built-in scene.   make test: the same set-up, then the tests.
+VENV ?= .venv
+PYTHON ?= python3
+SOURCES := $(shell find toolkit plugins baselines -name '*.py' -o -name '*.toml' -o -name '*.safetensors') pyproject.toml README.md
+
+.PHONY: run test dev lint wheel clean
+
+# torch==2.13.0 of the default index brings CUDA on Linux; where disk is short: make PIP_ARGS="--extra-index-url CPU_INDEX"
+$(VENV)/.locked: requirements.lock
+	$(PYTHON) -m venv $(VENV)
+	$(VENV)/bin/python -m pip install -q --disable-pip-version-check $(PIP_ARGS) -r requirements.lock
+	touch $@
+
+# The wheel is what is run and tested, not the source tree.
+$(VENV)/.installed: $(VENV)/.locked $(SOURCES)
+	rm -rf build/wheel && $(VENV)/bin/python -m build -q --no-isolation --wheel --outdir build/wheel
+	$(VENV)/bin/python -m pip install -q --disable-pip-version-check --no-deps --force-reinstall build/wheel/*.whl
+	touch $@
+
+run: $(VENV)/.installed
+	$(VENV)/bin/p2o run --out p2o-out
+
+test: $(VENV)/.installed
+	P2O_STRICT=1 $(VENV)/bin/python -m pytest -q
+
+lint: $(VENV)/.locked
+	$(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check . && $(VENV)/bin/mypy
+
+dev: $(VENV)/.locked
+	$(VENV)/bin/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .
+	rm -f $(VENV)/.installed
+
+clean:
+	rm -rf $(VENV) build/wheel p2o-out

@@ -1,0 +1,177 @@
+"""Algorithm 1 finds exact truth, is never worse than its start, and says why when it stops."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from p2o import CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, Side, Solution, Status, View, se3
+from p2o.calibrate import Pipeline, PipelineOptions
+from p2o.metrics import pose_error
+from p2o.perturb import wrong_start
+from p2o_plugins.initialize import given, grid, search
+from p2o_plugins.match import nearest, ogm
+from p2o_plugins.solve import lm, nelder_mead
+from tests import edge_scene
+from tests.edge_scene import TRUTH
+
+
+def built(method, **options):
+    return method.METHOD.build(method.METHOD.options(**options))
+
+
+def pipeline(matcher=ogm, solver=lm, initializer=search, directed=True, **options) -> Pipeline:
+    """The pipeline on views made elsewhere: its extractors are never called."""
+    return Pipeline(
+        image_extractor=lambda image: ImageFeatures(),
+        cloud_extractor=lambda cloud: CloudFeatures(),
+        matcher=built(matcher),
+        solver=built(solver),
+        initializer=built(initializer),
+        options=PipelineOptions(**options),
+        directed=directed,
+    )
+
+
+def start(seed: int = 0, angle_deg: float = 2.0) -> np.ndarray:
+    return wrong_start(TRUTH, angle_deg, 0.15, np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize(
+    "camera", [edge_scene.PINHOLE, edge_scene.FISHEYE, edge_scene.DISTORTED], ids=lambda c: c.model
+)
+def test_exact_edges_give_the_exact_pose_with_every_camera_model(camera) -> None:
+    result = pipeline().solve([edge_scene.view(camera)], start())
+    error = pose_error(result.camera_from_lidar, TRUTH)
+    assert result.status.solved
+    # The eight pixels of a line are spaced 0.3 px and straight within the distortion: hundredths of a pixel remain.
+    assert error.rotation_deg < 0.01
+    assert error.translation_m < 0.01
+
+
+def test_several_frames_are_solved_jointly_and_better_than_one() -> None:
+    views = [edge_scene.view(seed=i, noise_px=1.0, boxes=8) for i in range(6)]
+    one = pose_error(pipeline().solve(views[:1], start()).camera_from_lidar, TRUTH)
+    all_ = pose_error(pipeline().solve(views, start()).camera_from_lidar, TRUTH)
+    assert all_.translation_m < one.translation_m
+    assert all_.rotation_deg < 0.05
+
+
+def test_a_wide_start_needs_the_grid_and_the_grid_finds_it() -> None:
+    result = pipeline(initializer=grid).solve([edge_scene.view(seed=i) for i in range(2)], start(3, 10.0))
+    assert pose_error(result.camera_from_lidar, TRUTH).rotation_deg < 0.02
+
+
+@pytest.mark.parametrize("initializer", [given, search])
+def test_moving_the_lidar_frame_moves_the_answer_by_exactly_that(initializer) -> None:
+    view, begin = edge_scene.view(noise_px=0.5), start()
+    move = se3.exp(np.array([0.4, -0.9, 1.2, 1.0, 2.0, -3.0]))
+    here = pipeline(initializer=initializer).solve([view], begin)
+    there = pipeline(initializer=initializer).solve([view.moved(move)], begin @ se3.inverse(move))
+    difference = se3.inverse(there.camera_from_lidar @ move) @ here.camera_from_lidar
+    assert se3.angle_deg(difference) < 1e-3
+    assert se3.distance_m(difference) < 1e-3
+
+
+def test_the_same_seed_gives_the_same_bytes() -> None:
+    poses = [pipeline().solve([edge_scene.view()], start()).camera_from_lidar for _ in range(2)]
+    assert poses[0].tobytes() == poses[1].tobytes()
+
+
+def test_a_scalar_solver_takes_the_pairs_of_a_matcher() -> None:
+    result = pipeline(solver=nelder_mead, rounds=4).solve([edge_scene.view()], start())
+    assert pose_error(result.camera_from_lidar, TRUTH).rotation_deg < 0.1
+
+
+def test_every_round_is_recorded_with_a_shrinking_reach() -> None:
+    result = pipeline(initializer=given).solve([edge_scene.view()], start())
+    reaches = [r.reach_px for r in result.rounds]
+    assert reaches[0] == 50.0
+    assert all(b < a or b == 5.0 for a, b in zip(reaches, reaches[1:], strict=False))
+    assert result.rounds[-1].mean_residual_px < result.rounds[0].mean_residual_px
+    assert set(result.matches) == {"L", "R", "U", "B"}
+
+
+def test_a_solver_that_walks_away_is_not_believed() -> None:
+    def away(problem, pose):
+        return Solution(se3.exp(np.full(6, 0.05)) @ pose, 0.0, 1)
+
+    begin = start()
+    result = replace(pipeline(initializer=given), solver=away).solve([edge_scene.view()], begin)
+    assert result.status is Status.NO_IMPROVEMENT
+    assert "start is returned" in result.reason
+    np.testing.assert_array_equal(result.camera_from_lidar, result.start)
+    np.testing.assert_allclose(result.start, begin, atol=1e-12)
+
+
+def test_started_at_the_truth_it_stays_there() -> None:
+    result = pipeline().solve([edge_scene.view()], TRUTH)
+    assert pose_error(result.camera_from_lidar, TRUTH).translation_m < 0.01
+
+
+def test_no_edges_in_the_image_is_a_status_with_a_reason() -> None:
+    view = replace(edge_scene.view(), image=ImageFeatures(ImageEdges.empty()))
+    result = pipeline().solve([view], start())
+    assert (result.status, result.reason) == (Status.NO_EDGES, "no edges were found in the image")
+
+
+def test_no_edges_in_the_sweep_is_a_status_with_a_reason() -> None:
+    view = replace(edge_scene.view(), cloud=CloudFeatures(CloudEdges.empty()))
+    result = pipeline().solve([view], start())
+    assert (result.status, result.reason) == (Status.NO_EDGES, "no edges were found in the sweep")
+
+
+def test_a_start_in_the_wrong_direction_is_named_as_such() -> None:
+    result = pipeline().solve([edge_scene.view()], se3.inverse(TRUTH) @ se3.exp(np.array([0, np.pi, 0, 0, 0, 0])))
+    assert result.status in (Status.NO_EDGES, Status.TOO_FEW_MATCHES)
+    assert not result.status.solved
+
+
+def test_points_behind_the_camera_only_are_refused_with_a_hint() -> None:
+    view = edge_scene.view()
+    behind = view.moved(se3.inverse(TRUTH) @ se3.make(translation=[0, 0, -100.0]) @ TRUTH)
+    result = pipeline().solve([behind], TRUTH)
+    assert result.status is Status.NO_EDGES
+    assert "behind the camera" in result.reason
+
+
+def test_too_few_pairs_is_a_status_that_counts_them() -> None:
+    view = edge_scene.view()
+    few = replace(view, cloud=CloudFeatures(view.cloud_edges.select(np.arange(10))))
+    result = pipeline(initializer=given).solve([few], start())
+    assert result.status is Status.TOO_FEW_MATCHES
+    assert "at least 30 are needed" in result.reason
+    np.testing.assert_array_equal(result.camera_from_lidar, result.start)
+
+
+def test_edges_of_one_direction_at_one_depth_are_not_observable() -> None:
+    depth = 10.0
+    v = np.linspace(-1.5, 1.5, 200)
+    points = np.column_stack([np.zeros(200), v, np.full(200, depth)])
+    uv = edge_scene.PINHOLE.project(np.column_stack([np.zeros(2000), np.linspace(-1.6, 1.6, 2000), np.full(2000, depth)]))
+    sides = np.full(200, Side.LEFT)
+    view = View(
+        "pole",
+        edge_scene.PINHOLE,
+        ImageFeatures(ImageEdges(uv, np.full(2000, Side.LEFT))),
+        CloudFeatures(CloudEdges(points, sides)),
+    )
+    result = pipeline(initializer=given).solve([view], se3.make(translation=[0.1, 0, 0]))
+    assert result.status is Status.NOT_OBSERVABLE
+    assert result.reason
+
+
+def test_without_directions_no_stage_profits_from_them() -> None:
+    """The initializer, the matcher and the judge of an undirected run must not change when labels are scrambled."""
+    view = edge_scene.view(noise_px=0.5)
+    rng = np.random.default_rng(1)
+    scrambled = replace(
+        view,
+        image=ImageFeatures(replace(view.image_edges, side=rng.permutation(view.image_edges.side))),
+        cloud=CloudFeatures(replace(view.cloud_edges, side=rng.permutation(view.cloud_edges.side))),
+    )
+    undirected = pipeline(matcher=nearest, directed=False)
+    poses = [undirected.solve([v.without_sides()], start()).camera_from_lidar for v in (view, scrambled)]
+    np.testing.assert_allclose(poses[0], poses[1], atol=1e-9)

@@ -1,0 +1,74 @@
+"""The directed distance is zero at the truth, counts pixels, and asks for the right direction."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from p2o import CloudEdges, CloudFeatures, DirectedCost, ImageEdges, ImageFeatures, Side, View, se3
+from tests import edge_scene
+
+CAMERAS = [edge_scene.PINHOLE, edge_scene.FISHEYE, edge_scene.DISTORTED]
+
+
+@pytest.mark.parametrize("camera", CAMERAS, ids=lambda c: c.model)
+def test_the_truth_costs_under_a_pixel_and_a_turn_costs_more(camera) -> None:
+    view = edge_scene.view(camera)
+    cost = DirectedCost.of([view], edge_scene.TRUTH, 20.0)
+    turned = se3.exp(np.array([0.01, 0.01, 0.0, 0, 0, 0])) @ edge_scene.TRUTH
+    values = cost(np.stack([edge_scene.TRUTH, turned]))
+    # Image edges are rounded to whole pixels in the map: at most 0.7 px, plus points that leave the image.
+    assert values[0] < 1.0
+    assert values[1] > values[0] + 2.0
+
+
+def one_edge(side_image: Side, side_cloud: Side) -> View:
+    image = ImageEdges(np.array([[600.0, v] for v in range(100, 200)]), np.full(100, side_image))
+    cloud = CloudEdges(np.array([[0.0, 0.0, 10.0]]), np.array([side_cloud]))
+    return View("one", edge_scene.PINHOLE, ImageFeatures(image), CloudFeatures(cloud))
+
+
+def test_the_cost_is_the_distance_in_pixels_up_to_the_truncation() -> None:
+    cost = DirectedCost.of([one_edge(Side.LEFT, Side.LEFT)], np.eye(4), 20.0)
+    shifts = np.array([0.0, 0.1, 0.2, 1.0])  # 7 px a decimetre at 10 m
+    poses = np.stack([se3.make(translation=[s, 0, 0]) for s in shifts])
+    np.testing.assert_allclose(cost(poses), [0, 7, 14, 20], atol=1e-3)
+
+
+def test_an_edge_of_another_direction_does_not_count() -> None:
+    cost = DirectedCost.of([one_edge(Side.RIGHT, Side.LEFT)], np.eye(4), 20.0)
+    assert cost.at(np.eye(4)) == pytest.approx(20.0)
+
+
+def test_a_point_outside_the_image_costs_what_a_random_place_costs() -> None:
+    view = one_edge(Side.LEFT, Side.LEFT)
+    cost = DirectedCost.of([view], np.eye(4), 20.0)
+    outside = se3.make(translation=[100.0, 0, 0])
+    behind = se3.make(translation=[0, 0, -20.0])
+    random = float(cost.parts[0].maps.mean())
+    np.testing.assert_allclose(cost(np.stack([outside, behind])), random, rtol=1e-5)
+
+
+def test_the_coarse_map_agrees_with_the_fine_one() -> None:
+    view = edge_scene.view()
+    poses = np.stack([se3.exp(t) @ edge_scene.TRUTH for t in np.random.default_rng(0).normal(0, 0.02, (20, 6))])
+    fine = DirectedCost.of([view], edge_scene.TRUTH, 40.0, scale=1)(poses)
+    coarse = DirectedCost.of([view], edge_scene.TRUTH, 40.0, scale=4)(poses)
+    np.testing.assert_allclose(coarse, fine, atol=2.0)
+
+
+def test_weights_count_and_views_add_up() -> None:
+    view = edge_scene.view()
+    edges = view.cloud_edges
+    doubled = replace(view, cloud=CloudFeatures(replace(edges, weight=np.full(len(edges), 2.0))))
+    pose = se3.exp(np.array([0.01, 0, 0, 0, 0, 0])) @ edge_scene.TRUTH
+    single = DirectedCost.of([view], edge_scene.TRUTH, 20.0).at(pose)
+    assert DirectedCost.of([doubled], edge_scene.TRUTH, 20.0).at(pose) == pytest.approx(single, rel=1e-5)
+    assert DirectedCost.of([view, doubled], edge_scene.TRUTH, 20.0).at(pose) == pytest.approx(single, rel=1e-5)
+
+
+def test_without_points_every_pose_is_infinitely_bad() -> None:
+    view = View("empty", edge_scene.PINHOLE, ImageFeatures(ImageEdges.empty()), CloudFeatures(CloudEdges.empty()))
+    assert DirectedCost.of([view], np.eye(4), 20.0).at(np.eye(4)) == np.inf
