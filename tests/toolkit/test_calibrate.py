@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from p2o import CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, Side, Solution, Status, View, se3
 from p2o.calibrate import Pipeline, PipelineOptions
 from p2o.metrics import pose_error
@@ -14,6 +13,7 @@ from p2o.perturb import wrong_start
 from p2o_plugins.initialize import given, grid, search
 from p2o_plugins.match import nearest, ogm
 from p2o_plugins.solve import lm, nelder_mead
+
 from tests import edge_scene
 from tests.edge_scene import TRUTH
 
@@ -95,10 +95,11 @@ def test_every_round_is_recorded_with_a_shrinking_reach() -> None:
 
 
 def test_a_solver_that_walks_away_is_not_believed() -> None:
-    def away(problem, pose):
-        return Solution(se3.exp(np.full(6, 0.05)) @ pose, 0.0, 1)
+    begin = se3.exp(np.array([0.002, 0.002, 0, 0, 0, 0])) @ TRUTH
 
-    begin = start()
+    def away(problem, pose):
+        return Solution(se3.exp(np.array([0.01, 0.01, 0, 0, 0, 0])) @ TRUTH, 0.0, 1)
+
     result = replace(pipeline(initializer=given), solver=away).solve([edge_scene.view()], begin)
     assert result.status is Status.NO_IMPROVEMENT
     assert "start is returned" in result.reason
@@ -150,7 +151,9 @@ def test_edges_of_one_direction_at_one_depth_are_not_observable() -> None:
     depth = 10.0
     v = np.linspace(-1.5, 1.5, 200)
     points = np.column_stack([np.zeros(200), v, np.full(200, depth)])
-    uv = edge_scene.PINHOLE.project(np.column_stack([np.zeros(2000), np.linspace(-1.6, 1.6, 2000), np.full(2000, depth)]))
+    uv = edge_scene.PINHOLE.project(
+        np.column_stack([np.zeros(2000), np.linspace(-1.6, 1.6, 2000), np.full(2000, depth)])
+    )
     sides = np.full(200, Side.LEFT)
     view = View(
         "pole",

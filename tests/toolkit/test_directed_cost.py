@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from p2o import CloudEdges, CloudFeatures, DirectedCost, ImageEdges, ImageFeatures, Side, View, se3
+
 from tests import edge_scene
 
 CAMERAS = [edge_scene.PINHOLE, edge_scene.FISHEYE, edge_scene.DISTORTED]

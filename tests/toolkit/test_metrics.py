@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from p2o import se3
 from p2o.metrics import pose_error, summarise
+
 from tests.edge_scene import TRUTH
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from p2o import InputError, se3
 from p2o.perturb import Perturbation, parse_perturbation, wrong_start
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from p2o import CloudFeatures, Side, se3
+
 from tests import edge_scene
 
 

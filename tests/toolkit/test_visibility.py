@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-
 from p2o import se3
 from p2o.visibility import hidden
+
 from tests.edge_scene import PINHOLE
 
 

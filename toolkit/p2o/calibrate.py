@@ -168,14 +168,17 @@ class Pipeline:
         reach = options.reach_after_search_px if searched else options.reach_px
         status, reason = Status.ROUNDS_SPENT, f"all {options.rounds} rounds were used"
         kept: tuple[PointToLine | None, Solution | None] = (None, None)
+        stopped: Status | None = None
         for _ in range(options.rounds):
             problem = self.matcher(views, pose, reach)
             if isinstance(problem, PointToLine) and len(problem) < options.min_matches:
                 reason = f"{len(problem)} pairs within {reach:.0f} px, at least {options.min_matches} are needed"
-                return _Refined(start, np.inf, Status.TOO_FEW_MATCHES, reason, tuple(rounds))
+                stopped = Status.TOO_FEW_MATCHES
+                break
             solution = self.solver(problem, pose)
             if solution.status == "singular":
-                return _Refined(start, np.inf, Status.NOT_OBSERVABLE, solution.reason, tuple(rounds))
+                stopped, reason = Status.NOT_OBSERVABLE, solution.reason
+                break
             step = solution.camera_from_lidar @ se3.inverse(pose)
             pose = solution.camera_from_lidar
             cost = judge.at(pose)
@@ -200,8 +203,11 @@ class Pipeline:
                 status, reason = Status.CONVERGED, "the last round moved the pose by less than the tolerance"
                 break
             reach = max(options.min_reach_px, reach * options.shrink)
+        if stopped is not None and kept[1] is None:
+            return _Refined(start, np.inf, stopped, reason, tuple(rounds))
         if searched and best_cost >= entered:
             reason += "; no round improved on the search"
+        # A later round that has too little to go on does not take back what an earlier one found.
         return _Refined(best_pose, best_cost, status, reason, tuple(rounds), *kept)
 
 
