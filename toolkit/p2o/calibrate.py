@@ -159,7 +159,6 @@ class Pipeline:
         searched = pose is not start
         rounds: list[Round] = []
         best_pose, best_cost = pose, judge.at(pose)
-        entered = best_cost
         if searched:
             step = pose @ se3.inverse(start)
             rounds.append(
@@ -167,7 +166,8 @@ class Pipeline:
             )
         reach = options.reach_after_search_px if searched else options.reach_px
         status, reason = Status.ROUNDS_SPENT, f"all {options.rounds} rounds were used"
-        kept: tuple[PointToLine | None, Solution | None] = (None, None)
+        solution: Solution | None = None
+        improved = False
         stopped: Status | None = None
         for _ in range(options.rounds):
             problem = self.matcher(views, pose, reach)
@@ -184,8 +184,7 @@ class Pipeline:
             cost = judge.at(pose)
             better = cost < best_cost
             if better:
-                best_pose, best_cost = pose, cost
-                kept = (problem if isinstance(problem, PointToLine) else None, solution)
+                best_pose, best_cost, improved = pose, cost, True
             rounds.append(
                 Round(
                     stage="refine",
@@ -203,12 +202,14 @@ class Pipeline:
                 status, reason = Status.CONVERGED, "the last round moved the pose by less than the tolerance"
                 break
             reach = max(options.min_reach_px, reach * options.shrink)
-        if stopped is not None and kept[1] is None:
+        if stopped is not None and not improved:
             return _Refined(start, np.inf, stopped, reason, tuple(rounds))
-        if searched and best_cost >= entered:
-            reason += "; no round improved on the search"
+        if searched and not improved:
+            reason += "; no round improved on the initializer's pose"
         # A later round that has too little to go on does not take back what an earlier one found.
-        return _Refined(best_pose, best_cost, status, reason, tuple(rounds), *kept)
+        last = self.matcher(views, best_pose, options.min_reach_px)
+        final = last if isinstance(last, PointToLine) and len(last) else None
+        return _Refined(best_pose, best_cost, status, reason, tuple(rounds), final, solution)
 
 
 def _missing_edges(views: Sequence[View], start: Float) -> str:
