@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-
 from p2o import Camera, CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, Side, View, se3
 
 PINHOLE = Camera.pinhole(700.0, 700.0, 600.0, 180.0, 1242, 375)

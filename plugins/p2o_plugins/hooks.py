@@ -1,1 +1,65 @@
 """Offers every method of this package; each lives in the file of its name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from p2o import Method, hookimpl
+
+# Files are imported inside of the hooks, so that nothing is read for `p2o --help`.
+
+
+@hookimpl
+def p2o_image_extractors() -> Iterator[Method]:
+    """Offer the image sides."""
+    from p2o_plugins.image import canny, depth, stereo
+
+    yield from (canny.METHOD, depth.METHOD, stereo.METHOD)
+
+
+@hookimpl
+def p2o_cloud_extractors() -> Iterator[Method]:
+    """Offer the LiDAR sides."""
+    from p2o_plugins.cloud import rings
+
+    yield rings.METHOD
+
+
+@hookimpl
+def p2o_matchers() -> Iterator[Method]:
+    """Offer the matchers."""
+    from p2o_plugins.match import nearest, ogm
+
+    yield from (nearest.METHOD, ogm.METHOD)
+
+
+@hookimpl
+def p2o_solvers() -> Iterator[Method]:
+    """Offer the solvers."""
+    from p2o_plugins.solve import ceres, lm, nelder_mead, scipy_least_squares
+
+    yield from (ceres.METHOD, lm.METHOD, nelder_mead.METHOD, scipy_least_squares.METHOD)
+
+
+@hookimpl
+def p2o_initializers() -> Iterator[Method]:
+    """Offer the ways to find a start."""
+    from p2o_plugins.initialize import given, grid, search
+
+    yield from (given.METHOD, grid.METHOD, search.METHOD)
+
+
+@hookimpl
+def p2o_datasets() -> Iterator[Method]:
+    """Offer the datasets."""
+    from p2o_plugins.data import folder, kitti_object, kitti_odometry, kitti_raw, synthetic
+
+    yield from (folder.METHOD, kitti_object.METHOD, kitti_odometry.METHOD, kitti_raw.METHOD, synthetic.METHOD)
+
+
+@hookimpl
+def p2o_exporters() -> Iterator[Method]:
+    """Offer the formats of results."""
+    from p2o_plugins.export import json_file, kitti_calib
+
+    yield from (json_file.METHOD, kitti_calib.METHOD)

@@ -6,10 +6,14 @@ Names are imported when they are first used, so that `import p2o` and `p2o --hel
 from __future__ import annotations
 
 import importlib
+import sys
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from p2o import occlusion as occlusion
     from p2o import se3 as se3
+    from p2o.calibrate import Pipeline as Pipeline
     from p2o.camera import Camera as Camera
     from p2o.cloud import Cloud as Cloud
     from p2o.directed_cost import DirectedCost as DirectedCost
@@ -28,15 +32,22 @@ if TYPE_CHECKING:
     from p2o.image import Image as Image
     from p2o.method import Kind as Kind
     from p2o.method import Method as Method
+    from p2o.metrics import PoseError as PoseError
+    from p2o.metrics import pose_error as pose_error
     from p2o.options import Options as Options
     from p2o.options import field as field
     from p2o.problem import Objective as Objective
     from p2o.problem import PointToLine as PointToLine
     from p2o.problem import Problem as Problem
+    from p2o.recipe import Recipe as Recipe
+    from p2o.registry import Registry as Registry
     from p2o.result import Result as Result
     from p2o.result import Round as Round
     from p2o.result import Solution as Solution
     from p2o.result import Status as Status
+    from p2o.run import Row as Row
+    from p2o.run import Run as Run
+    from p2o.run import calibrate as calibrate
     from p2o.side import SIDES as SIDES
     from p2o.side import Side as Side
     from p2o.stages import Calibrator as Calibrator
@@ -49,6 +60,7 @@ if TYPE_CHECKING:
     from p2o.view import View as View
 
 _HOME = {
+    "calibrate": ["Pipeline"],
     "camera": ["Camera"],
     "cloud": ["Cloud"],
     "directed_cost": ["DirectedCost"],
@@ -58,9 +70,13 @@ _HOME = {
     "hookspecs": ["hookimpl"],
     "image": ["Image"],
     "method": ["Kind", "Method"],
+    "metrics": ["PoseError", "pose_error"],
     "options": ["Options", "field"],
     "problem": ["Objective", "PointToLine", "Problem"],
+    "recipe": ["Recipe"],
+    "registry": ["Registry"],
     "result": ["Result", "Round", "Solution", "Status"],
+    "run": ["Row", "Run", "calibrate"],
     "side": ["SIDES", "Side"],
     "stages": [
         "Calibrator",
@@ -75,12 +91,14 @@ _HOME = {
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 
-__all__ = sorted([*_MODULE_OF, "se3"])
+_MODULES = ["occlusion", "se3"]
+
+__all__ = sorted([*_MODULE_OF, *_MODULES])
 
 
 def __getattr__(name: str) -> Any:
-    if name == "se3":
-        return importlib.import_module("p2o.se3")
+    if name in _MODULES:
+        return importlib.import_module(f"p2o.{name}")
     if name not in _MODULE_OF:
         raise AttributeError(f"module 'p2o' has no attribute {name!r}")
     value = getattr(importlib.import_module(f"p2o.{_MODULE_OF[name]}"), name)
@@ -90,3 +108,18 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return __all__
+
+
+class _Package(ModuleType):
+    """The package as a module: `p2o.calibrate` is the function, though importing the module p2o.calibrate sets it."""
+
+    @property
+    def calibrate(self) -> Any:
+        return importlib.import_module("p2o.run").calibrate
+
+    @calibrate.setter
+    def calibrate(self, module: Any) -> None:
+        """Leave the name to the function; `from p2o.calibrate import ...` works all the same."""
+
+
+sys.modules[__name__].__class__ = _Package

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     import pycolmap
 
 _PINHOLE = "PINHOLE"
+_MIN_DEPTH_M = 1e-6
+_MAX_ROUND_TRIP_PX = 0.01
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,7 @@ class Camera:
     `height` the image size in pixels. Equal cameras compare and hash equal.
 
     Raises UnknownNameError for an unknown model and InputError for a wrong number of parameters, a size or focal
-    length that is not positive, or values that are not finite.
+    length that is not positive, values that are not finite, or a panorama, which has no image plane.
     """
 
     model: str
@@ -35,11 +37,19 @@ class Camera:
     params: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "params", tuple(float(p) for p in self.params))
-        if self.width <= 0 or self.height <= 0:
+        try:
+            object.__setattr__(self, "params", tuple(float(p) for p in self.params))
+            size = (int(self.width), int(self.height))
+        except (TypeError, ValueError) as problem:
+            raise InputError("the camera is not described by numbers", expected="numbers", got=problem) from problem
+        if size != (self.width, self.height) or min(size) <= 0:
             raise InputError(
-                "the camera has no pixels", expected="positive width and height", got=f"{self.width}x{self.height}"
+                "the camera has no pixels",
+                expected="positive whole width and height",
+                got=f"{self.width}x{self.height}",
             )
+        object.__setattr__(self, "width", size[0])
+        object.__setattr__(self, "height", size[1])
         if not np.isfinite(self.params).all():
             raise InputError("camera parameters are not finite", expected="finite numbers", got=self.params)
         if self.model == _PINHOLE:
@@ -51,6 +61,12 @@ class Camera:
             if self.model not in names:
                 raise UnknownNameError("camera model", self.model, names)
             blank = pycolmap.Camera.create_from_model_name(0, self.model, 1.0, self.width, self.height)
+            if blank.is_spherical():
+                raise InputError(
+                    f"camera model {self.model} has no image plane",
+                    expected="a perspective or fisheye model",
+                    hint="cut a perspective picture out of the panorama",
+                )
             count_ok = len(self.params) == len(blank.params)
             focal = tuple(self.params[i] for i in blank.focal_length_idxs()) if count_ok else ()
         if not count_ok:
@@ -87,36 +103,38 @@ class Camera:
 
     @cached_property
     def _max_tangent(self) -> float:
-        """Largest distance from the axis, on the plane z = 1, that the image (plus a fifth) can show.
+        """Largest tangent of the angle from the axis up to which the projection is one-to-one in every direction.
 
-        Distortion polynomials fold far outside the image and would bring points there back into it.
+        Distortion polynomials fold somewhere, often not far outside the image, and would bring what lies beyond the
+        fold back into the image. At the fold the determinant of the projection's derivative changes its sign.
         """
-        step = np.linspace(-0.2, 1.2, 57)
-        border = np.concatenate(
-            [np.stack([step, np.full_like(step, e)], 1) for e in (-0.2, 0.0, 1.0, 1.2)]
-            + [np.stack([np.full_like(step, e), step], 1) for e in (-0.2, 0.0, 1.0, 1.2)]
-        ) * [self.width, self.height]
-        plane = np.asarray(self._colmap.cam_from_img(border))
-        plane = plane[np.isfinite(plane).all(1)]
-        # Where the inverse does not exist (outside of a fisheye's circle) it returns anything: keep what round-trips.
-        again = np.asarray(self._colmap.img_from_cam(np.column_stack([plane, np.ones(len(plane))])))
-        radius = np.linalg.norm(plane, axis=1)
-        inside = (again >= -0.21 * np.array([self.width, self.height])).all(1) & (
-            again <= 1.21 * np.array([self.width, self.height])
-        ).all(1)
-        return float(radius[inside].max()) if inside.any() else np.inf
+        angle = np.radians(np.linspace(0.0, 89.95, 512))[:, None]
+        azimuth = np.linspace(-np.pi, np.pi, 64, endpoint=False)
+        sine, cosine, one = np.sin(angle), np.cos(angle), np.ones_like(azimuth)
+        ray = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), cosine * one], axis=-1)
+        outward = np.stack([cosine * np.cos(azimuth), cosine * np.sin(azimuth), -sine * one], axis=-1)
+        around = np.broadcast_to(np.stack([-np.sin(azimuth), np.cos(azimuth), 0 * azimuth], axis=-1), ray.shape)
+        step = 1e-5
+        at = np.stack([ray + step * outward, ray - step * outward, ray + step * around, ray - step * around])
+        uv = np.asarray(self._colmap.img_from_cam(at.reshape(-1, 3))).reshape(*at.shape[:-1], 2)
+        a, b = uv[0] - uv[1], uv[2] - uv[3]
+        with np.errstate(invalid="ignore"):
+            one_to_one = (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0] > 0).all(axis=1)
+        if one_to_one.all():
+            return np.inf
+        return float(np.tan(angle[max(int(np.argmin(one_to_one)) - 1, 0), 0]))
 
     def project(self, xyz: Float) -> Float:
         """Return pixels (..., 2) of points (..., 3) in the camera frame in metres; NaN where nothing is seen.
 
-        Not seen: points at or behind the image plane, and points beyond the field of view of a distorted model.
-        Pixels outside the image are returned as they are; `in_image` tells them.
+        Not seen: points at or behind the image plane, and points so far from the axis that the polynomial of a
+        distorted model folds back. Pixels outside the image are returned as they are; `in_image` tells them.
         """
         xyz = np.asarray(xyz, dtype=np.float64)
         if self.is_pinhole:
             fx, fy, cx, cy = self.params
             depth = xyz[..., 2]
-            scale = 1.0 / np.where(depth > 1e-6, depth, np.nan)
+            scale = 1.0 / np.where(depth > _MIN_DEPTH_M, depth, np.nan)
             uv = np.empty((*xyz.shape[:-1], 2))
             np.multiply(xyz[..., 0], scale, out=uv[..., 0])
             np.multiply(xyz[..., 1], scale, out=uv[..., 1])
@@ -126,32 +144,36 @@ class Camera:
         flat = np.ascontiguousarray(xyz.reshape(-1, 3))
         uv = np.array(self._colmap.img_from_cam(flat), dtype=np.float64)
         with np.errstate(invalid="ignore"):
-            seen = (flat[:, 2] > 1e-6) & (np.hypot(flat[:, 0], flat[:, 1]) <= self._max_tangent * flat[:, 2])
+            seen = (flat[:, 2] > _MIN_DEPTH_M) & (np.hypot(flat[:, 0], flat[:, 1]) <= self._max_tangent * flat[:, 2])
         uv[~seen] = np.nan
         return uv.reshape(*xyz.shape[:-1], 2)
 
     def project_with_jacobian(self, xyz: Float) -> tuple[Float, Float]:
         """Return pixels (N, 2) and their derivatives (N, 2, 3) in px/m with respect to points (N, 3).
 
-        Analytic for the pinhole; central differences of pycolmap's projection for every other model.
+        Both are NaN for points that are not seen. Analytic for the pinhole; central differences of pycolmap's
+        projection, with steps of a millionth of the distance, for every other model.
         """
         xyz = np.asarray(xyz, dtype=np.float64)
         uv = self.project(xyz)
         jacobian = np.zeros((len(xyz), 2, 3))
         if self.is_pinhole:
             fx, fy, cx, cy = self.params
-            inverse_depth = 1.0 / xyz[:, 2]
+            inverse_depth = 1.0 / np.where(xyz[:, 2] > _MIN_DEPTH_M, xyz[:, 2], np.nan)
             jacobian[:, 0, 0] = fx * inverse_depth
             jacobian[:, 1, 1] = fy * inverse_depth
             jacobian[:, 0, 2] = -(uv[:, 0] - cx) * inverse_depth
             jacobian[:, 1, 2] = -(uv[:, 1] - cy) * inverse_depth
+            jacobian[np.isnan(inverse_depth)] = np.nan
             return uv, jacobian
-        step = 1e-6 * np.maximum(1.0, np.abs(xyz).max(axis=1, initial=0.0))
+        step = 1e-6 * np.linalg.norm(xyz, axis=1)
         for axis in range(3):
             offset = np.zeros_like(xyz)
             offset[:, axis] = step
             ahead, behind = (np.asarray(self._colmap.img_from_cam(xyz + s * offset)) for s in (1, -1))
-            jacobian[:, :, axis] = (ahead - behind) / (2 * step[:, None])
+            with np.errstate(divide="ignore", invalid="ignore"):  # the camera centre itself is not seen
+                jacobian[:, :, axis] = (ahead - behind) / (2 * step[:, None])
+        jacobian[np.isnan(uv[:, 0])] = np.nan
         return uv, jacobian
 
     def in_image(self, uv: Float, margin_px: float = 0.0) -> Bool:
@@ -167,12 +189,23 @@ class Camera:
         return inside
 
     def rays(self, uv: Float) -> Float:
-        """Return unit viewing directions (..., 3) in the camera frame of pixels (..., 2)."""
+        """Return unit viewing directions (..., 3) in the camera frame of pixels (..., 2); z > 0.
+
+        NaN where no point in front of the camera is seen at the pixel: outside the circle of a fisheye, or where the
+        polynomial of a distorted model does not reach.
+        """
         uv = np.asarray(uv, dtype=np.float64)
         if self.is_pinhole:
             fx, fy, cx, cy = self.params
-            plane = (uv - (cx, cy)) / (fx, fy)
+            rays = np.ones((*uv.shape[:-1], 3))
+            np.divide(uv[..., 0] - cx, fx, out=rays[..., 0])
+            np.divide(uv[..., 1] - cy, fy, out=rays[..., 1])
         else:
             plane = np.asarray(self._colmap.cam_from_img(np.ascontiguousarray(uv.reshape(-1, 2)))).reshape(uv.shape)
-        rays = np.concatenate([plane, np.ones((*plane.shape[:-1], 1))], axis=-1)
-        return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+            rays = np.concatenate([plane, np.ones((*plane.shape[:-1], 1))], axis=-1)
+            # Where no inverse exists pycolmap returns anything: only what leads back to the pixel is one.
+            with np.errstate(invalid="ignore"):
+                found = np.abs(self.project(rays) - uv).max(axis=-1) < _MAX_ROUND_TRIP_PX
+            rays[~found] = np.nan
+        rays /= np.sqrt(np.einsum("...i,...i->...", rays, rays))[..., None]
+        return rays

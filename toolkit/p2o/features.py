@@ -14,13 +14,20 @@ from p2o.arrays import Bool, Float, Int8, checked
 from p2o.errors import InputError
 from p2o.side import Side
 
+_SIDE_NUMBERS = [int(side) for side in Side]
+
 
 def _check_side(name: str, side: Any, count: int) -> Int8:
-    array: Int8 = checked(name, side, (count,), np.int8)
-    if len(array) and (array.min() < Side.NONE or array.max() > Side.BOTTOM):
+    # Checked before the cast, which would wrap 256 to L and cut 0.7 down to it.
+    raw: Float = checked(name, side, (count,), np.float64)
+    unknown = raw[~np.isin(raw, _SIDE_NUMBERS)]
+    if len(unknown):
         raise InputError(
-            f"{name} holds an unknown direction", expected="-1 (none), 0 L, 1 R, 2 U, 3 B", got=np.unique(array)
+            f"{name} holds an unknown direction",
+            expected="-1 (none), 0 L, 1 R, 2 U, 3 B",
+            got=" ".join(f"{v:g}" for v in np.unique(unknown)[:5]),
         )
+    array: Int8 = checked(name, side, (count,), np.int8)
     return array
 
 

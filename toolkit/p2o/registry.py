@@ -155,13 +155,16 @@ class Registry:
         host.add_hookspecs(hookspecs)
         good: list[Plugin] = []
         bad: list[Broken] = []
+        seen: set[str] = set()
         for source in sources:
             try:
+                if source.name in seen:
+                    raise PluginError(f"two plugins are called {source.name}", expected="one entry point of a name")
                 good.append(_register(host, source))
             # A plugin that calls sys.exit() on import must not end the program that only lists it.
             except (Exception, SystemExit) as problem:
                 # pluggy keeps a plugin that fails validation half registered: its other hooks would still answer.
-                if host.has_plugin(source.name):
+                if source.name not in seen and host.has_plugin(source.name):
                     host.unregister(name=source.name)
                 reason = _one_line(problem)
                 if strict or source.forced:
@@ -170,6 +173,7 @@ class Registry:
                     ) from problem
                 bad.append(Broken(source.dist, source.version, source.entry, reason))
                 print(f"p2o: warning: plugin {source.name} left out: {reason}", file=sys.stderr)
+            seen.add(source.name)
         return cls(tuple(good), tuple(bad), tuple(blocked))
 
     @cached_property
@@ -204,8 +208,9 @@ class Registry:
             known = {o.full_name if "@" in name else o.name for o in self.of_kind(kind)}
             raise UnknownNameError(kind.value, name, known, hint=self._broken_hint())
         if len(found) > 1:
+            givers = " and ".join(f"{o.dist}:{o.entry}" for o in found)
             raise PluginError(
-                f"{kind.value} '{name}' is offered by two plugins: " + " and ".join(f"{o.dist}:{o.entry}" for o in found),
+                f"{kind.value} '{name}' is offered by two plugins: {givers}",
                 hint="write " + " or ".join(sorted({o.full_name for o in found})) + ", or leave one out with --block",
             )
         return found[0]
@@ -288,9 +293,6 @@ def _module_of(path: Path) -> Any:
 
 def _register(host: pluggy.PluginManager, source: _Source) -> Plugin:
     """Register one plugin and list its methods while we still know whose they are."""
-    if host.has_plugin(source.name):
-        # Unregistering by name on failure would hit the first one, so this one must not reach the host at all.
-        raise _Duplicate(f"two entry points are called {source.name}")
     module = source.load()
     host.register(module, name=source.name)
     host.check_pending()

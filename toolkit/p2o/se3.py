@@ -15,7 +15,7 @@ from p2o.errors import InputError
 
 
 def skew(vectors: Float) -> Float:
-    """Return the cross-product matrices (..., 3, 3) of vectors (..., 3): skew(a) @ b == cross(a, b)."""
+    """Return the matrices (..., 3, 3) that take b to the cross product a x b, for vectors a (..., 3)."""
     x, y, z = np.moveaxis(np.asarray(vectors, dtype=np.float64), -1, 0)
     zero = np.zeros_like(x)
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
@@ -109,7 +109,7 @@ def check_rigid(name: str, value: Any, *, where: object = None, tolerance: float
         matrix = checked(name, value, (4, 4), np.float64)
     except InputError as problem:
         raise InputError(problem.what, where=where, expected=problem.expected, got=problem.got) from problem
-    if not np.allclose(matrix[3], [0, 0, 0, 1], atol=1e-9):
+    if not np.allclose(matrix[3], [0, 0, 0, 1], rtol=0, atol=1e-9):
         raise InputError(
             f"the last row of {name} is wrong",
             where=where,

@@ -1,1 +1,100 @@
-"""The command line."""
+"""The command line. Commands are imported when they are called, and heavy packages inside them."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+import click
+
+from p2o.errors import P2OError
+
+_COMMANDS = {
+    "run": "Calibrate frames and show, write and judge the result.",
+    "methods": "List the methods that are installed, or explain one.",
+    "plugins": "List the plugins that are installed, as JSON.",
+    "check-plugin": "Check that methods keep the contracts of their slots.",
+    "data": "List or check the frames of a dataset.",
+}
+"""Name and one-line help of every command; the code of `a-b` is in the module `p2o.cli.a_b`, as `command`."""
+
+INTERRUPTED = 130
+CRASHED = 70
+
+
+class _Commands(click.Group):
+    """A group that imports a command's module when the command is called, not to list it."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(_COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in _COMMANDS:
+            return None
+        module = importlib.import_module(f"p2o.cli.{cmd_name.replace('-', '_')}")
+        command: click.Command = module.command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(_COMMANDS.items()))
+
+
+def _show_version(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
+    if wanted and not ctx.resilient_parsing:
+        from importlib.metadata import version
+
+        click.echo(f"p2o {version('p2o-calib')}")
+        ctx.exit()
+
+
+@click.command(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.option("--version", is_flag=True, is_eager=True, expose_value=False, callback=_show_version, help="Show it.")
+def group() -> None:
+    """Find the rigid transform between a camera and a LiDAR from ordinary scenes, and compare methods that do.
+
+    `p2o run` alone calibrates a made-up scene. Exit status: 0 solved, 1 some calibration was refused or failed,
+    2 wrong usage or input, 70 a defect, 130 interrupted.
+    """
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit status; errors are one line on stderr (P2O_DEBUG=1: a traceback)."""
+    debug = os.environ.get("P2O_DEBUG", "") not in ("", "0")
+    try:
+        status = group.main(None if argv is None else list(argv), prog_name="p2o", standalone_mode=False)
+        sys.stdout.flush()
+    except click.Abort:
+        return INTERRUPTED
+    except click.exceptions.NoArgsIsHelpError as problem:
+        problem.show()
+        return 2
+    except BrokenPipeError:
+        # The reader (head, less) has seen enough. Python would complain again when it closes stdout.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except Exception as problem:
+        if debug:
+            raise
+        return _tell(problem)
+    return status if isinstance(status, int) else 0
+
+
+def _tell(problem: Exception) -> int:
+    """Say in one line what went wrong and return the exit status."""
+    if isinstance(problem, P2OError):
+        text, status = str(problem), problem.exit_code
+    elif isinstance(problem, click.UsageError):
+        command = problem.ctx.command_path if problem.ctx is not None else "p2o"
+        text, status = f"{problem.format_message()}; see {command} --help", problem.exit_code
+    elif isinstance(problem, click.ClickException):
+        text, status = problem.format_message(), problem.exit_code
+    elif isinstance(problem, OSError):
+        text, status = f"{problem.filename or 'system'}: {problem.strerror or problem}", 2
+    else:
+        text = f"unexpected {type(problem).__name__}: {problem}; set P2O_DEBUG=1 to see where, and report it"
+        status = CRASHED
+    click.echo("p2o: error: " + " ".join(text.split()), err=True)
+    return status

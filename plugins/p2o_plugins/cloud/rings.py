@@ -1,0 +1,178 @@
+"""Directed occlusion edges of a spinning LiDAR's sweep (paper Sec. III-C)."""
+
+from __future__ import annotations
+
+import numpy as np
+from p2o import Cloud, CloudEdges, CloudExtractor, CloudFeatures, Method, Options, Side, field
+from p2o.arrays import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+from p2o_plugins.cloud.ground_plane import ground_plane
+from p2o_plugins.cloud.sweep import Neighbours, Sweep, across_rings, along_ring, order_sweep
+
+
+class RingsOptions(Options):
+    """What counts as an occlusion edge of a sweep."""
+
+    min_jump_m: float = field(0.4, gt=0, help="Smallest step in range between neighbouring beams, in metres.")
+    min_jump_share: float = field(0.02, ge=0, help="Added to that step: this share of the nearer range.")
+    max_gap_deg: float = field(0.6, gt=0, lt=90, help="Widest azimuth gap on a ring that is not a missing return.")
+    max_step_deg: float = field(3.0, gt=0, lt=90, help="Widest elevation gap between rings that are neighbours.")
+    slant_ratio: float = field(
+        3.0,
+        ge=0,
+        help="The jump exceeds this many times the one of a plane that goes on from the nearer surface; 0: off.",
+    )
+    grazing_share: float = field(
+        0.6, ge=0, help="The background falls away by at most this share of the jump after it; 0: off."
+    )
+    ground_height_m: float = field(0.25, ge=0, help="Edges lower than this over the ground plane are dropped; 0: off.")
+    min_support: float = field(
+        0.4, ge=0, le=1, help="Share of the seven signs of a clean outline that an edge shows at least (leaves: few)."
+    )
+    weigh: bool = field(True, help="Weigh edges by that share; otherwise all edges weigh 1.")
+    min_neighbours: int = field(2, ge=0, help="Other edges of the same direction that an edge has around it; 0: off.")
+    neighbour_m: float = field(0.8, gt=0, help="Radius in which they are counted, in metres.")
+    neighbour_share: float = field(0.02, ge=0, help="The radius is at least this share of the range.")
+    shift_beams: float = field(
+        0.5, ge=0, le=1, help="Move edges by this share of the gap to the passing beam; the outline lies halfway."
+    )
+    max_points: int = field(40_000, ge=0, help="Surface points kept for hidden-surface tests, at most.")
+    seed: int = field(0, ge=0, help="Seed of the ground plane's random samples.")
+
+
+def build(options: RingsOptions) -> CloudExtractor:
+    """Return the extractor."""
+
+    def extract(cloud: Cloud) -> CloudFeatures:
+        return ring_edges(cloud, options)
+
+    return extract
+
+
+def ring_edges(cloud: Cloud, options: RingsOptions) -> CloudFeatures:
+    """Return the occlusion edges and thinned surface points of one sweep, LiDAR frame, metres.
+
+    Sides are named as a viewer at the sensor with its +z axis up would name them: left is rising azimuth, upper is
+    rising elevation. The edge point is the nearer return, moved half a gap towards the background beam; a return may
+    carry several sides and then gives several rows. Missing returns make no edge. Raises InputError where the rings
+    cannot be told (see `order_sweep`).
+    """
+    sweep = order_sweep(cloud)
+    left, right = along_ring(sweep, options.max_gap_deg)
+    upper, lower = (across_rings(sweep, s, 0.5 * options.max_gap_deg, options.max_step_deg) for s in (-1, 1))
+    neighbours = {Side.LEFT: left, Side.RIGHT: right, Side.UPPER: upper, Side.BOTTOM: lower}
+    jumps = {side: _jumps(sweep, neighbours, side, options) for side in neighbours}
+    plane = ground_plane(sweep, options.seed) if options.ground_height_m > 0 else None
+    beam = float(np.median(left.gap[left.known][::8])) if left.known.any() else 0.0
+    parts = []
+    for side, rows in jumps.items():
+        support = _support(sweep, neighbours, side, rows, options)
+        keep = support >= options.min_support
+        if plane is not None:
+            keep &= sweep.xyz[rows] @ plane[:3] + plane[3] > options.ground_height_m
+        rows, support = rows[keep], support[keep]
+        keep = _in_company(sweep, rows, options)
+        rows, support = rows[keep], support[keep]
+        xyz, sigma = _outline(sweep, neighbours[side], side, rows, beam, options)
+        parts.append((xyz, np.full(len(rows), side), support if options.weigh else np.ones(len(rows)), sigma))
+    edges = CloudEdges(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    if options.max_points == 0:
+        return CloudFeatures(edges, np.zeros((0, 3)))
+    return CloudFeatures(edges, sweep.xyz[:: -(-len(sweep) // options.max_points)])
+
+
+_OPPOSITE = {Side.LEFT: Side.RIGHT, Side.RIGHT: Side.LEFT, Side.UPPER: Side.BOTTOM, Side.BOTTOM: Side.UPPER}
+_SIGNS = 7
+
+
+def _jumps(sweep: Sweep, neighbours: dict[Side, Neighbours], side: Side, options: RingsOptions) -> Int:
+    """Return the rows whose neighbour on `side` lies further away by a step that no single surface explains."""
+    behind, own, r = neighbours[side], neighbours[_OPPOSITE[side]], sweep.range_m
+    jump = r[behind.row] - r
+    rows = np.flatnonzero(behind.known & (jump > options.min_jump_m + options.min_jump_share * r))
+    jump, back, near = jump[rows], behind.row[rows], r[rows]
+    if options.slant_ratio > 0:
+        # On a plane the inverse range is linear in the angle (to second order): continue it past the edge.
+        inverse = 1 / near.astype(np.float64)
+        before = 1 / r[own.row[rows]]
+        inverse += (inverse - before) * behind.gap[rows] / np.maximum(own.gap[rows], 1e-6)
+        predicted = np.where(inverse > 1e-6, 1 / np.maximum(inverse, 1e-6), 1e6) - near
+        keep = ~own.known[rows] | (jump > options.slant_ratio * predicted)
+        rows, jump, back = rows[keep], jump[keep], back[keep]
+    if options.grazing_share > 0:
+        fall = np.where(behind.known[back], r[behind.row[back]] - r[back], 0)
+        rows = rows[fall <= options.grazing_share * jump]
+    return rows
+
+
+def _support(sweep: Sweep, neighbours: dict[Side, Neighbours], side: Side, rows: Int, options: RingsOptions) -> Float:
+    """Return the share of seven signs of a clean outline that each edge shows, in [0, 1].
+
+    Foreground, background and the jump between them each go on both ways along the outline (six), and the background
+    goes on behind it. Leaves and grass, whose edges have no counterpart in the picture, show few.
+    """
+    behind, r = neighbours[side], sweep.range_m
+    back = behind.row[rows]
+    along = (Side.UPPER, Side.BOTTOM) if side in (Side.LEFT, Side.RIGHT) else (Side.LEFT, Side.RIGHT)
+
+    def goes_on(start: Int, step: Neighbours) -> Bool:
+        reach = 0.5 * (options.min_jump_m + options.min_jump_share * r[start])
+        return step.known[start] & (np.abs(r[step.row[start]] - r[start]) < reach)
+
+    marked = np.zeros(len(sweep), bool)
+    marked[rows] = True
+    if along[0] is Side.UPPER:
+        # The next ring meets a leaning outline one beam to the side.
+        marked[neighbours[Side.LEFT].row[rows]] = marked[neighbours[Side.RIGHT].row[rows]] = True
+    signs = goes_on(back, behind).astype(np.int64)
+    for way in along:
+        step = neighbours[way]
+        signs += goes_on(rows, step)
+        signs += goes_on(back, step)
+        signs += step.known[rows] & marked[step.row[rows]]
+    return signs / _SIGNS
+
+
+def _in_company(sweep: Sweep, rows: Int, options: RingsOptions) -> Bool:
+    """Return which edges have enough others of their direction around them (the paper's radius filter)."""
+    others = options.min_neighbours
+    if others == 0 or len(rows) <= others:
+        return np.full(len(rows), others == 0)
+    xyz = sweep.xyz[rows]
+    radius = np.maximum(options.neighbour_m, options.neighbour_share * sweep.range_m[rows])
+    tree = cKDTree(xyz, balanced_tree=False, compact_nodes=False)
+    distance = tree.query(xyz, k=[others + 1], distance_upper_bound=float(radius.max()) * 1.001)[0]
+    keep: Bool = distance[:, 0] <= radius
+    return keep
+
+
+def _outline(
+    sweep: Sweep, behind: Neighbours, side: Side, rows: Int, beam: float, options: RingsOptions
+) -> tuple[Float, Float]:
+    """Return xyz (M, 3) m moved towards the passing beam, at the point's own distance, and sigma_m (M,)."""
+    xyz, flat = sweep.xyz[rows].copy(), sweep.flat_m[rows].astype(np.float64)
+    share = options.shift_beams
+    if side in (Side.LEFT, Side.RIGHT):
+        # Lasers beside the axis see near and far under slightly different azimuths (HDL-64E: 0.05 degrees between
+        # 5 m and 6 m), so the gap is counted in whole beams.
+        turn = np.maximum(np.rint(behind.gap[rows] / beam), 1) * beam
+        angle = share * turn if side is Side.LEFT else -share * turn
+        cos, sin = np.cos(angle), np.sin(angle)
+        xyz[:, 0], xyz[:, 1] = cos * xyz[:, 0] - sin * xyz[:, 1], sin * xyz[:, 0] + cos * xyz[:, 1]
+        return xyz, turn * flat / np.sqrt(12)
+    # The passing beam at this distance, from its cone: its elevation seen from the origin changes with range.
+    beyond = sweep.ring[behind.row[rows]]
+    lift = sweep.slope[beyond] * flat + sweep.offset[beyond] - xyz[:, 2]
+    xyz[:, 2] += share * lift
+    return xyz, np.abs(lift) * flat / sweep.range_m[rows] / np.sqrt(12)
+
+
+METHOD = Method(
+    name="rings",
+    build=build,
+    options=RingsOptions,
+    summary="Occlusion edges with direction from range jumps along rings and columns of a spinning LiDAR.",
+    gives={"cloud-edges", "side", "cloud-points"},
+    cite="Wang et al., P2O-Calib, 2023, Sec. III-C",
+)

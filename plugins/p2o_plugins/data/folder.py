@@ -1,0 +1,239 @@
+"""Your own data: a folder with one image, one sweep and one frame.yaml, or a folder of such folders."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from p2o import Camera, Dataset, Frame, Image, InputError, Method, Options, field, se3
+from p2o.arrays import Float
+from pydantic import ValidationError
+
+from p2o_plugins.data.cloud_file import SUFFIXES as CLOUD_SUFFIXES
+from p2o_plugins.data.cloud_file import read_cloud
+from p2o_plugins.data.direction import check_direction
+from p2o_plugins.data.image_file import read_rgb, read_uint16
+from p2o_plugins.data.input_file import existing_folder, naming, read_bytes, read_text
+from p2o_plugins.data.lazy_frames import LazyFrames
+
+FRAME_FILE = "frame.yaml"
+_IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+
+
+class FolderOptions(Options):
+    """Options of a folder of your own frames."""
+
+    root: Path = field(Path("."), help="Folder with an image, a sweep and frame.yaml, or a folder of such folders.")
+
+
+class CameraEntry(Options):
+    """The camera in frame.yaml."""
+
+    model: str = field("PINHOLE", help="Name of a pycolmap camera model.")
+    width: int = field(..., gt=0, help="Image width in pixels.")
+    height: int = field(..., gt=0, help="Image height in pixels.")
+    params: tuple[float, ...] = field(..., help="Parameters in pycolmap's order, pixel centres at integers.")
+
+
+class PoseEntry(Options):
+    """A pose in frame.yaml given as quaternion and translation."""
+
+    rotation_xyzw: tuple[float, float, float, float] = field(..., help="Quaternion of the rotation, x y z w.")
+    translation_m: tuple[float, float, float] = field(..., help="Translation in metres.")
+
+
+Row = tuple[float, float, float, float]
+Pose = PoseEntry | tuple[Row, Row, Row, Row]
+
+
+class FrameEntry(Options):
+    """What frame.yaml holds; file names are relative to its folder."""
+
+    camera: CameraEntry = field(..., help="The camera that took the image.")
+    image: str | None = field(None, help="File of the image; default: image.*, or the only picture of the folder.")
+    cloud: str | None = field(None, help="File of the sweep; default: cloud.*, or the only point cloud of the folder.")
+    start: Pose | None = field(None, help="First guess of camera_from_lidar, 4x4 or quaternion and translation.")
+    truth: Pose | None = field(None, help="True camera_from_lidar where it is known.")
+    right: str | None = field(None, help="File of the right picture of a rectified pair.")
+    baseline_m: float | None = field(None, gt=0, help="Distance in metres from the image's camera to the right one.")
+    depth: str | None = field(None, help="File of depth along the axis: 16 bit PNG (m x 256, 0 unknown) or .npy (m).")
+    image_time_s: float | None = field(None, help="Time of the image in seconds on the clock of the sweep's times.")
+
+
+def build(options: FolderOptions) -> Dataset:
+    """Return the one frame of a folder, or one for each of its sub-folders that holds a frame.yaml.
+
+    Names are folder names. Sub-folders without a frame.yaml are listed in `skipped`.
+
+    Raises InputError if the folder is missing or holds no frame.yaml.
+    """
+    root = existing_folder(options.root, "frames").resolve()
+    if (root / FRAME_FILE).exists():
+        entries = {root.name: root}
+        skipped = {}
+    else:
+        folders = sorted(path for path in root.iterdir() if path.is_dir() and not path.name.startswith("."))
+        entries = {folder.name: folder for folder in folders if (folder / FRAME_FILE).exists()}
+        skipped = {folder.name: f"{folder / FRAME_FILE} is missing" for folder in folders if folder.name not in entries}
+    if not entries:
+        raise InputError("no frames", where=root, expected=f"{FRAME_FILE} in it or in its sub-folders")
+    return LazyFrames(entries, partial(_read, root), skipped)
+
+
+def read_frame_file(path: Path) -> FrameEntry:
+    """Return what a frame.yaml says.
+
+    Raises InputError if it is missing, not YAML, holds Python objects (never built), or lacks or misspells a key.
+    """
+    import yaml
+
+    text = read_text(path, "frame file")
+    try:
+        content = yaml.safe_load(text)
+    except yaml.constructor.ConstructorError as problem:
+        raise InputError(
+            "the frame file holds objects, which are never built",
+            where=path,
+            expected="plain numbers, lists and names",
+            got=problem.problem,
+        ) from problem
+    except (yaml.YAMLError, RecursionError, ValueError) as problem:
+        raise InputError("the frame file is not YAML", where=path, got=str(problem)[:200]) from problem
+    if not isinstance(content, dict):
+        raise InputError("the frame file has no keys", where=path, expected="camera: ...", got=type(content).__name__)
+    try:
+        return FrameEntry.model_validate(content)
+    except ValidationError as problem:
+        first = problem.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise InputError(
+            f"{key}: {first['msg']}",
+            where=path,
+            expected=f"keys {', '.join(FrameEntry.model_fields)}" if first["type"] == "extra_forbidden" else None,
+            got=None if first["type"] in ("missing", "extra_forbidden") else str(first["input"])[:80],
+        ) from problem
+
+
+def _read(root: Path, folder: Path) -> Frame:
+    path = folder / FRAME_FILE
+    entry = read_frame_file(path)
+    with naming(path):
+        camera = Camera(entry.camera.model, entry.camera.width, entry.camera.height, entry.camera.params)
+        if (entry.right is None) != (entry.baseline_m is None):
+            raise InputError(
+                "a rectified pair needs its right picture and its baseline", expected="right, baseline_m"
+            )
+        poses = {name: pose_matrix(name, getattr(entry, name), path) for name in ("start", "truth")}
+    image, warnings = _image(root, folder, entry, camera)
+    cloud_path = _file(root, folder, entry.cloud, "cloud", CLOUD_SUFFIXES)
+    cloud, cloud_warnings = read_cloud(cloud_path, entry.image_time_s)
+    warnings += cloud_warnings
+    for name, pose in poses.items():
+        if pose is not None:
+            warnings += check_direction(cloud, camera, pose, name=name, where=path)
+    return Frame(folder.name, image, cloud, camera_from_lidar=poses["truth"], start=poses["start"], warnings=warnings)
+
+
+def _image(root: Path, folder: Path, entry: FrameEntry, camera: Camera) -> tuple[Image, tuple[str, ...]]:
+    others = {name for name in (entry.right, entry.depth) if name is not None}
+    path = _file(root, folder, entry.image, "image", _IMAGE_SUFFIXES, others)
+    rgb, warnings = read_rgb(path)
+    with naming(path):
+        image = Image(rgb, camera)
+    right = depth_m = None
+    if entry.right is not None:
+        right_path = _inside(root, folder, entry.right)
+        right, more = read_rgb(right_path)
+        warnings += more
+        with naming(right_path):
+            Image(rgb, camera, right=right, baseline_m=entry.baseline_m)
+    if entry.depth is not None:
+        depth_path = _inside(root, folder, entry.depth)
+        depth_m = _read_depth(depth_path)
+        with naming(depth_path):
+            Image(rgb, camera, depth_m=depth_m)
+    if right is None and depth_m is None:
+        return image, warnings
+    return Image(rgb, camera, right=right, baseline_m=entry.baseline_m, depth_m=depth_m), warnings
+
+
+def pose_matrix(name: str, pose: Pose | None, path: Path) -> Float | None:
+    """Return a pose of frame.yaml as (4, 4), or None; raises InputError if it is no rigid transform."""
+    if pose is None:
+        return None
+    if not isinstance(pose, PoseEntry):
+        return se3.check_rigid(name, pose, where=path)
+    from scipy.spatial.transform import Rotation
+
+    norm = float(np.linalg.norm(pose.rotation_xyzw))
+    if not abs(norm - 1) < 1e-3:
+        raise InputError(
+            f"the quaternion of {name} is not a rotation", where=path, expected="length 1", got=f"{norm:g}"
+        )
+    return se3.check_rigid(
+        name, se3.make(Rotation.from_quat(pose.rotation_xyzw).as_matrix(), pose.translation_m), where=path
+    )
+
+
+def _read_depth(path: Path) -> Float:
+    if path.suffix.lower() != ".npy":
+        return read_uint16(path, "depth")
+    import io
+
+    data = read_bytes(path, "depth")
+    try:
+        values: Any = np.load(io.BytesIO(data), allow_pickle=False)
+        depth = np.array(values, dtype=np.float64)
+    except (ValueError, TypeError, EOFError, OSError) as problem:
+        raise InputError("this is not an .npy file of numbers", where=path, expected="(H, W) float") from problem
+    depth[depth == 0] = np.nan
+    return depth
+
+
+def _file(
+    root: Path, folder: Path, name: str | None, default: str, suffixes: Iterable[str], others: Iterable[str] = ()
+) -> Path:
+    """Return the named file, else default.*, else the only file of the folder with one of the suffixes."""
+    if name is not None:
+        return _inside(root, folder, name)
+    found = sorted(p.name for p in folder.iterdir() if p.suffix.lower() in suffixes and p.name not in set(others))
+    found = [n for n in found if Path(n).stem == default] or found
+    if len(found) != 1:
+        raise InputError(
+            f"no single file can be the {default}",
+            where=folder,
+            expected=f"{default} with one of {' '.join(suffixes)}",
+            got=", ".join(found[:5]) or "none",
+            hint=f"name it in {FRAME_FILE}: '{default}: FILE'",
+        )
+    return _inside(root, folder, found[0])
+
+
+def _inside(root: Path, folder: Path, name: str) -> Path:
+    """Return the path of a file name of frame.yaml; raises InputError if it, links followed, leaves the root."""
+    path = folder / name
+    try:
+        inside = path.resolve().is_relative_to(root)
+    except (OSError, RuntimeError, ValueError) as problem:
+        raise InputError(f"bad file name {name!r}", where=folder / FRAME_FILE) from problem
+    if not inside:
+        raise InputError(
+            f"the path '{name}' leaves the folder of the dataset",
+            where=folder / FRAME_FILE,
+            expected=f"a file below {root}",
+            got=path.resolve(),
+            hint="copy the file into the folder",
+        )
+    return path
+
+
+METHOD = Method(
+    name="folder",
+    build=build,
+    options=FolderOptions,
+    summary="Your own frames: an image, a sweep and a frame.yaml in one folder each.",
+    gives=frozenset({"rings", "intensity", "time"}),
+)

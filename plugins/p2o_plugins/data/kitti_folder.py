@@ -1,0 +1,60 @@
+"""Listing the numbered files of KITTI folders and pairing pictures with sweeps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+_PICTURES = (".jpg", ".jpeg", ".png")
+
+
+def pictures(folder: Path) -> Mapping[str, Path]:
+    """Return the pictures of a folder by frame id, sorted; a PNG wins over a JPEG of the same id."""
+    return _by_id(folder, _PICTURES)
+
+
+def picture(folder: Path, frame: str) -> Path | None:
+    """Return the picture of one frame id, or None where the folder has none."""
+    return next((path for suffix in reversed(_PICTURES) if (path := folder / (frame + suffix)).exists()), None)
+
+
+def sweeps(folder: Path) -> Mapping[str, Path]:
+    """Return the sweeps (.bin) of a folder by frame id, sorted."""
+    return _by_id(folder, (".bin",))
+
+
+def paired(
+    images: Mapping[str, Path],
+    clouds: Mapping[str, Path],
+    folder: Path,
+    image_folder: str,
+    cloud_folder: str,
+    prefix: str = "",
+) -> tuple[dict[str, tuple[str, Path, Path]], dict[str, str]]:
+    """Return (name, image, sweep) by name for ids that have both, and what is missing by name for the others.
+
+    Names are the ids with `prefix` in front. `folder`, `image_folder`, `cloud_folder` only say what is missing.
+    """
+    entries: dict[str, tuple[str, Path, Path]] = {}
+    skipped: dict[str, str] = {}
+    for frame in sorted({*images, *clouds}):
+        name = prefix + frame
+        if frame not in clouds:
+            skipped[name] = f"{folder / cloud_folder / frame}.bin is missing"
+        elif frame not in images:
+            skipped[name] = f"{folder / image_folder / frame}.png is missing"
+        else:
+            entries[name] = (name, images[frame], clouds[frame])
+    return entries, skipped
+
+
+def _by_id(folder: Path, suffixes: tuple[str, ...]) -> Mapping[str, Path]:
+    if not folder.is_dir():
+        return {}
+    # Sorted by suffix order last, so that later suffixes win.
+    found = [
+        (path.stem, suffixes.index(path.suffix.lower()), path)
+        for path in folder.iterdir()
+        if path.suffix.lower() in suffixes
+    ]
+    return {stem: path for stem, _, path in sorted(found)}

@@ -1,0 +1,53 @@
+"""Reading a rectified KITTI picture with what stands beside it: the right picture and a disparity file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from p2o import Image
+from p2o.arrays import Float
+
+from p2o_plugins.data.image_file import read_rgb, read_uint16
+from p2o_plugins.data.input_file import naming
+from p2o_plugins.data.kitti_calibration import baseline_m, rectified_camera
+
+
+def read_rectified(
+    path: Path,
+    projection: Float,
+    *,
+    size: tuple[int, int] | None = None,
+    right_projection: Float | None = None,
+    right_path: Path | None = None,
+    disparity_path: Path | None = None,
+) -> tuple[Image, tuple[str, ...]]:
+    """Return the picture of a rectified camera with projection (3, 4), and warnings.
+
+    `size` is (width, height) in pixels where the calibration knows it. The right picture and the disparity (uint16 /
+    256 px, 0 where unknown; becomes depth_m with NaN) are read where a path is given; they need `right_projection`.
+
+    Raises InputError, naming the file, for pictures that are missing, damaged, or do not fit the camera.
+    """
+    rgb, warnings = read_rgb(path)
+    right = depth_m = baseline = None
+    if right_projection is not None and (right_path is not None or disparity_path is not None):
+        baseline = baseline_m(projection, right_projection)
+    if right_path is not None:
+        right, more = read_rgb(right_path)
+        warnings += more
+    if disparity_path is not None and baseline is not None:
+        depth_m = projection[0, 0] * baseline / read_uint16(disparity_path, "disparity")
+    with naming(path):
+        width, height = size or (rgb.shape[1], rgb.shape[0])
+        camera = rectified_camera(projection, width, height)
+        image = Image(rgb, camera)
+    for beside, values in (
+        (right_path, {"right": right, "baseline_m": baseline}),
+        (disparity_path, {"depth_m": depth_m}),
+    ):
+        if beside is not None:
+            with naming(beside):
+                Image(rgb, camera, **values)
+    if right_path is not None or disparity_path is not None:
+        image = Image(rgb, camera, right, baseline if right is not None else None, depth_m)
+    return image, warnings

@@ -1,0 +1,92 @@
+"""The KITTI odometry layout: sequences/NN/{image_2, velodyne, calib.txt}; its sweeps are already untwisted."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+from p2o import Dataset, Frame, InputError, Method, Options, field
+
+from p2o_plugins.data.input_file import existing_folder
+from p2o_plugins.data.kitti_calibration import read_calibration, rectified_extrinsic
+from p2o_plugins.data.kitti_folder import paired, picture, pictures, sweeps
+from p2o_plugins.data.kitti_image import read_rectified
+from p2o_plugins.data.lazy_frames import LazyFrames
+from p2o_plugins.data.velodyne_file import read_sweep
+
+
+class KittiOdometryOptions(Options):
+    """Options of the KITTI odometry layout."""
+
+    root: Path = field(Path("."), help="Folder that holds sequences/, or sequences/ itself, or one sequence.")
+    camera: int = field(2, ge=0, le=3, help="Camera: 0 and 1 are grey, 2 and 3 colour; 0 and 2 are left.")
+    right: bool = field(True, help="Read the right picture of the pair (0 with 1, 2 with 3) where it is present.")
+    pykitti_compat: bool = field(False, help="Shorten the camera offset to P[0,3]/P[0,0] as pykitti does (mm off).")
+    elevation_fix_deg: float = field(0.0, ge=-1, le=1, help="Angle in degrees added to the elevation of every point.")
+
+
+def build(options: KittiOdometryOptions) -> Dataset:
+    """Return the frames of one or all sequences; names are "NN/FRAME".
+
+    Raises InputError if the folder is missing or holds no frame with both image and sweep.
+    """
+    root = existing_folder(options.root, "KITTI odometry sequences")
+    folder = root / "sequences" if (root / "sequences").is_dir() else root
+    sequences = [folder] if (folder / "velodyne").is_dir() else sorted(p.parent for p in folder.glob("*/velodyne"))
+    entries: dict[str, tuple[str, Path, Path]] = {}
+    skipped: dict[str, str] = {}
+    image_folder = f"image_{options.camera}"
+    for sequence in sequences:
+        more, without = paired(
+            pictures(sequence / image_folder),
+            sweeps(sequence / "velodyne"),
+            sequence,
+            image_folder,
+            "velodyne",
+            prefix=f"{sequence.resolve().name}/",
+        )
+        entries.update(more)
+        skipped.update(without)
+    if not entries:
+        raise InputError(
+            "no KITTI odometry frames",
+            where=folder,
+            expected=f"frames with NN/{image_folder}/ID.png and NN/velodyne/ID.bin",
+        )
+    return LazyFrames(entries, partial(_read, options), skipped)
+
+
+def _read(options: KittiOdometryOptions, entry: tuple[str, Path, Path]) -> Frame:
+    name, image_path, sweep_path = entry
+    sequence = sweep_path.parents[1]
+    calibration = read_calibration(sequence / "calib.txt")
+    projection = calibration.projection(f"P{options.camera}")
+    has_right = options.right and options.camera in (0, 2)
+    other = options.camera + 1
+    image, warnings = read_rectified(
+        image_path,
+        projection,
+        right_projection=calibration.projection(f"P{other}") if has_right else None,
+        right_path=picture(sequence / f"image_{other}", image_path.stem) if has_right else None,
+    )
+    # Untwisted points no longer tell when they were measured.
+    cloud, cloud_warnings = read_sweep(sweep_path, sweep_s=None, elevation_fix_deg=options.elevation_fix_deg)
+    return Frame(
+        name,
+        image,
+        cloud,
+        camera_from_lidar=rectified_extrinsic(
+            projection, calibration.rigid_12("Tr"), pykitti_compat=options.pykitti_compat
+        ),
+        warnings=(*warnings, *cloud_warnings),
+    )
+
+
+METHOD = Method(
+    name="kitti-odometry",
+    build=build,
+    options=KittiOdometryOptions,
+    summary="KITTI odometry sequences, sweeps already corrected for ego-motion.",
+    gives=frozenset({"rings", "intensity"}),
+    cite="Geiger, Lenz, Urtasun: Are we ready for autonomous driving? The KITTI vision benchmark suite. CVPR 2012",
+)

@@ -1,0 +1,216 @@
+"""The KITTI raw layout: DATE/DATE_drive_NNNN_sync/{image_02, velodyne_points, oxts}, calibration files by day."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from p2o import Camera, Dataset, Frame, Image, InputError, Method, Options, field
+from p2o.arrays import Float
+
+from p2o_plugins.data.image_file import read_rgb
+from p2o_plugins.data.input_file import existing_folder, naming, read_text
+from p2o_plugins.data.kitti_calibration import KittiCalibration, read_calibration, rectified_extrinsic
+from p2o_plugins.data.kitti_folder import paired, picture, pictures, sweeps
+from p2o_plugins.data.kitti_image import read_rectified
+from p2o_plugins.data.kitti_oxts import read_twist
+from p2o_plugins.data.lazy_frames import LazyFrames
+from p2o_plugins.data.velodyne_file import NOT_UNTWISTED, SWEEP_S, read_sweep, untwisted
+
+_DRIVE = re.compile(r"(\d{4}_\d\d_\d\d)_drive_(\d{4})_(sync|extract)")
+# Half a turn apart a sweep belongs to another image; KITTI's cameras are stamped 10 ms after straight ahead.
+_SAME_MOMENT_S = 0.03
+
+
+class KittiRawOptions(Options):
+    """Options of the KITTI raw layout."""
+
+    root: Path = field(Path("."), help="Folder that holds the days, or one day, or one drive.")
+    camera: int = field(2, ge=0, le=3, help="Camera: 0 and 1 are grey, 2 and 3 colour; 0 and 2 are left.")
+    right: bool = field(True, help="Read the right picture of the pair (0 with 1, 2 with 3) where it is present.")
+    depth: bool = field(True, help="Read depth of camera 2 from disparity/data/FRAME.png where it is present.")
+    deskew: bool = field(True, help="Correct the sweep for the car's motion where oxts data are present.")
+    pykitti_compat: bool = field(False, help="Shorten the camera offset to P[0,3]/P[0,0] as pykitti does (mm off).")
+    elevation_fix_deg: float = field(0.0, ge=-1, le=1, help="Angle in degrees added to the elevation of every point.")
+
+
+@dataclass(frozen=True)
+class _Drive:
+    """One drive: its folder, "date/number", and whether its images are rectified and its streams synchronised."""
+
+    folder: Path
+    name: str
+    synchronised: bool
+
+
+def build(options: KittiRawOptions) -> Dataset:
+    """Return the frames of all drives below the root; names are "date/drive/frame".
+
+    A drive present both synchronised and as `_extract` is read synchronised.
+
+    Raises InputError if the folder is missing or holds no frame with both image and sweep.
+    """
+    root = existing_folder(options.root, "KITTI raw drives")
+    drives: dict[str, _Drive] = {}
+    for folder in sorted([root.resolve(), *root.glob("*_drive_*"), *root.glob("*/*_drive_*")]):
+        if (match := _DRIVE.fullmatch(folder.name)) and folder.is_dir():
+            date, number, kind = match.groups()
+            # "_extract" sorts before "_sync", which so wins.
+            drives[f"{date}/{number}"] = _Drive(folder, f"{date}/{number}", kind == "sync")
+    entries: dict[str, tuple[_Drive, Path, Path]] = {}
+    skipped: dict[str, str] = {}
+    image_folder = f"image_{options.camera:02d}"
+    for drive in sorted(drives.values(), key=lambda drive: drive.name):
+        images = pictures(drive.folder / image_folder / "data")
+        clouds = sweeps(drive.folder / "velodyne_points/data")
+        if not drive.synchronised:
+            clouds = _nearest_in_time(drive.folder, image_folder, images, clouds)
+        both, without = paired(
+            images, clouds, drive.folder, f"{image_folder}/data", "velodyne_points/data", prefix=f"{drive.name}/"
+        )
+        entries.update({name: (drive, image, sweep) for name, (_, image, sweep) in both.items()})
+        skipped.update(without)
+    if not entries:
+        raise InputError(
+            "no KITTI raw frames",
+            where=root,
+            expected=f"DATE/DATE_drive_NNNN_sync with {image_folder}/data and velodyne_points/data",
+            got=f"{len(drives)} drives" if drives else "no drive",
+        )
+    return LazyFrames(entries, partial(_read, options), skipped)
+
+
+def _read(options: KittiRawOptions, entry: tuple[_Drive, Path, Path]) -> Frame:
+    drive, image_path, sweep_path = entry
+    day = drive.folder.parent
+    cameras = read_calibration(day / "calib_cam_to_cam.txt")
+    cam0_from_lidar = read_calibration(day / "calib_velo_to_cam.txt").rigid("R", "T")
+    if drive.synchronised:
+        image, warnings, extrinsic = _rectified(options, drive, image_path, cameras, cam0_from_lidar)
+    else:
+        image, warnings, extrinsic = _unrectified(options, image_path, cameras, cam0_from_lidar)
+    cloud, cloud_warnings = read_sweep(
+        sweep_path, sweep_s=_turn_s(sweep_path), elevation_fix_deg=options.elevation_fix_deg
+    )
+    warnings += cloud_warnings
+    twist = None
+    packet = _oxts_path(drive, image_path)
+    if packet is not None:
+        twist = read_twist(packet, read_calibration(day / "calib_imu_to_velo.txt").rigid("R", "T"))
+    if options.deskew and twist is not None:
+        cloud = untwisted(cloud, twist)
+    else:
+        warnings += (NOT_UNTWISTED + (": no oxts data" if options.deskew else ""),)
+    return Frame(
+        f"{drive.name}/{image_path.stem}", image, cloud, camera_from_lidar=extrinsic, twist=twist, warnings=warnings
+    )
+
+
+def _rectified(
+    options: KittiRawOptions, drive: _Drive, path: Path, cameras: KittiCalibration, cam0_from_lidar: Float
+) -> tuple[Image, tuple[str, ...], Float]:
+    """Return image, warnings and camera_from_lidar of a synchronised drive."""
+    projection = cameras.projection(f"P_rect_{options.camera:02d}")
+    width, height = cameras.numbers(f"S_rect_{options.camera:02d}", (2,)).astype(int).tolist()
+    is_left, other = options.camera in (0, 2), options.camera + 1
+    disparity = drive.folder / "disparity/data" / f"{path.stem}.png"
+    image, warnings = read_rectified(
+        path,
+        projection,
+        size=(width, height),
+        right_projection=cameras.projection(f"P_rect_{other:02d}") if is_left else None,
+        right_path=picture(drive.folder / f"image_{other:02d}/data", path.stem) if options.right and is_left else None,
+        disparity_path=disparity if options.depth and options.camera == 2 and disparity.exists() else None,
+    )
+    rectified_from_lidar = cameras.rigid("R_rect_00") @ cam0_from_lidar
+    return image, warnings, rectified_extrinsic(projection, rectified_from_lidar, pykitti_compat=options.pykitti_compat)
+
+
+def _unrectified(
+    options: KittiRawOptions, path: Path, cameras: KittiCalibration, cam0_from_lidar: Float
+) -> tuple[Image, tuple[str, ...], Float]:
+    """Return image, warnings and camera_from_lidar of an `_extract` drive: lens distortion and no rectification."""
+    number = f"{options.camera:02d}"
+    (fx, _, cx), (_, fy, cy), _ = cameras.numbers(f"K_{number}", (3, 3)).tolist()
+    k1, k2, p1, p2, k3 = cameras.numbers(f"D_{number}", (5,)).tolist()
+    width, height = cameras.numbers(f"S_{number}", (2,)).astype(int).tolist()
+    rgb, warnings = read_rgb(path)
+    with naming(path):
+        camera = Camera("FULL_OPENCV", width, height, (fx, fy, cx, cy, k1, k2, p1, p2, k3, 0, 0, 0))
+        image = Image(rgb, camera)
+    return image, warnings, cameras.rigid(f"R_{number}", f"T_{number}") @ cam0_from_lidar
+
+
+def _turn_s(sweep_path: Path) -> float:
+    """Return how long the sweep took by its start and end stamps, or the nominal time where there are none."""
+    folder = sweep_path.parents[1]
+    start, end = (_stamp(folder / f"timestamps_{which}.txt", int(sweep_path.stem)) for which in ("start", "end"))
+    if start is None or end is None:
+        return SWEEP_S
+    seconds = float((end - start) / np.timedelta64(1, "s"))
+    return seconds if 0.5 * SWEEP_S < seconds < 2 * SWEEP_S else SWEEP_S
+
+
+def _oxts_path(drive: _Drive, image_path: Path) -> Path | None:
+    """Return the oxts packet of an image: the same number, or the nearest in time where nothing is synchronised."""
+    number = image_path.stem
+    if not drive.synchronised:
+        stamp = _stamp(image_path.parents[1] / "timestamps.txt", int(number))
+        stamps = _stamps(drive.folder / "oxts/timestamps.txt")
+        if stamp is None or not len(stamps):
+            return None
+        number = f"{int(np.argmin(np.abs(stamps - stamp))):010d}"
+    path = drive.folder / "oxts/data" / f"{number}.txt"
+    return path if path.exists() else None
+
+
+def _nearest_in_time(
+    drive: Path, image_folder: str, images: Mapping[str, Path], clouds: Mapping[str, Path]
+) -> Mapping[str, Path]:
+    """Return the sweep of each image id of an unsynchronised drive by the nearest time stamp."""
+    image_stamps = _stamps(drive / image_folder / "timestamps.txt")
+    cloud_stamps = _stamps(drive / "velodyne_points/timestamps.txt")
+    pairs: dict[str, Path] = {}
+    for name in images:
+        if int(name) < len(image_stamps) and len(cloud_stamps):
+            gaps = np.abs(cloud_stamps - image_stamps[int(name)]) / np.timedelta64(1, "s")
+            nearest = int(np.nanargmin(gaps))
+            sweep = clouds.get(f"{nearest:010d}")
+            if sweep is not None and gaps[nearest] < _SAME_MOMENT_S:
+                pairs[name] = sweep
+    return pairs
+
+
+def _stamp(path: Path, line: int) -> np.datetime64 | None:
+    """Return one time stamp, or None where the file or its line is absent or blank."""
+    stamps = _stamps(path)
+    return stamps[line] if line < len(stamps) and not np.isnat(stamps[line]) else None
+
+
+def _stamps(path: Path) -> NDArray[np.datetime64]:
+    """Return the time stamps of a file (N,), NaT for blank lines (sweeps the sensor lost); empty without the file.
+
+    Raises InputError for lines that are no time.
+    """
+    if not path.exists():
+        return np.array([], dtype="datetime64[ns]")
+    lines = [line.strip() or "NaT" for line in read_text(path, "file of time stamps").splitlines()]
+    try:
+        return np.array(lines, dtype="datetime64[ns]")
+    except ValueError as problem:
+        raise InputError("a line is not a time", where=path, expected="YYYY-MM-DD HH:MM:SS.nnnnnnnnn") from problem
+
+
+METHOD = Method(
+    name="kitti-raw",
+    build=build,
+    options=KittiRawOptions,
+    summary="KITTI raw recordings, any day and drive, synchronised or extracted.",
+    gives=frozenset({"rings", "intensity", "time"}),
+    cite="Geiger, Lenz, Stiller, Urtasun: Vision meets robotics: the KITTI dataset. IJRR 2013",
+)

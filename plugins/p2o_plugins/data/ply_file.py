@@ -1,0 +1,82 @@
+"""Reading the vertices of .ply files: ascii and binary of both byte orders."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from p2o import InputError
+
+_TYPES = {
+    **dict.fromkeys(("char", "int8"), "i1"),
+    **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "i2"),
+    **dict.fromkeys(("ushort", "uint16"), "u2"),
+    **dict.fromkeys(("int", "int32"), "i4"),
+    **dict.fromkeys(("uint", "uint32"), "u4"),
+    **dict.fromkeys(("float", "float32"), "f4"),
+    **dict.fromkeys(("double", "float64"), "f8"),
+}
+_ORDER = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
+
+
+def read_ply(data: bytes, path: Path) -> Mapping[str, Any]:
+    """Return the vertex properties of a .ply file by name, each (N,); what follows the vertices is not read.
+
+    Raises InputError if the header is wrong, vertices do not come first, or the body is too short or not numbers.
+    """
+    end = data.find(b"end_header")
+    body_start = data.find(b"\n", end) + 1
+    if not data.startswith(b"ply") or end < 0 or body_start == 0:
+        raise InputError("this is not a .ply file", where=path, expected="a header from ply to end_header")
+    encoding, points, properties = _header(data[:end].decode("latin-1"), path)
+    body = data[body_start:]
+    if encoding != "ascii":
+        record = np.dtype([(f"{i} {name}", _ORDER[encoding] + code) for i, (name, code) in enumerate(properties)])
+        if len(body) < points * record.itemsize:
+            raise InputError(
+                "the .ply file is truncated", where=path, expected=f"{points * record.itemsize} bytes", got=len(body)
+            )
+        table = np.frombuffer(body, record, points)
+        return {name: table[f"{i} {name}"] for i, (name, _) in enumerate(properties)}
+    lines = body.split(b"\n", points)[:points]
+    try:
+        values = np.array(b" ".join(lines).split(), dtype=np.float64)
+    except ValueError as problem:
+        raise InputError("the points of the .ply file are not numbers", where=path, got=problem) from problem
+    if values.size != points * len(properties):
+        raise InputError(
+            "the .ply file is truncated or has other columns than its header says",
+            where=path,
+            expected=f"{points * len(properties)} numbers",
+            got=values.size,
+        )
+    columns = values.reshape(points, len(properties)).T
+    return {
+        name: column.astype(np.int64) if code[0] in "iu" and np.isfinite(column).all() else column
+        for (name, code), column in zip(properties, columns, strict=True)
+    }
+
+
+def _header(text: str, path: Path) -> tuple[str, int, list[tuple[str, str]]]:
+    """Return the encoding, the number of vertices and their properties (name, type code)."""
+    lines = [words for line in text.splitlines() if (words := line.split()) and words[0] not in ("comment", "obj_info")]
+    elements = [i for i, words in enumerate(lines) if words[0] == "element"]
+    try:
+        encoding = next(words[1] for words in lines if words[0] == "format")
+        first, last = elements[0], [*elements, len(lines)][1]
+        if encoding not in _ORDER or lines[first][1] != "vertex":
+            raise ValueError
+        points = int(lines[first][2])
+        properties = [(words[-1].lower(), _TYPES[words[1]]) for words in lines[first + 1 : last]]
+        if points < 0 or not properties:
+            raise ValueError
+    except (StopIteration, IndexError, ValueError, KeyError) as problem:
+        raise InputError(
+            "the header of the .ply file is wrong",
+            where=path,
+            expected="a format, then element vertex first, with scalar properties",
+        ) from problem
+    return encoding, points, properties

@@ -1,0 +1,70 @@
+"""The oracle: directed occlusion edges from the depth map that comes with the image, `--extractor depth`."""
+
+from __future__ import annotations
+
+import numpy as np
+from p2o import Image, ImageEdges, ImageExtractor, ImageFeatures, InputError, Method, Options, Side, field, occlusion
+
+
+class DepthOptions(Options):
+    """What counts as an occlusion edge of a depth map."""
+
+    min_jump_m: float = field(0.4, gt=0, help="Smallest step in distance from foreground to background, in metres.")
+    relative_jump: float = field(
+        0.0, ge=0, lt=1, help="Smallest such step as a fraction of the foreground's distance, for noisy depth."
+    )
+    planes: bool = field(
+        True, help="Ask that the step remains where the tangent planes are continued; off floods roads with edges."
+    )
+    min_length_px: int = field(5, ge=1, help="Connected edges of fewer pixels than this are dropped, side by side.")
+    subpixel: bool = field(
+        True, help="Put an edge between foreground and background pixel instead of on the foreground pixel."
+    )
+
+
+def build(options: DepthOptions) -> ImageExtractor:
+    """Return the extractor; raises InputError for an image without depth.
+
+    The labels are those of the paper's training data (Sec. III-B, IV-A). Pairs whose hiding pixel is masked give no
+    edge. Depth must be dense: the rule looks at four pixels in a row, and unknown ones never make an edge, so sparse
+    truth (KITTI's disparity maps, one pixel in four) gives next to nothing.
+    """
+    background = np.array([Side(s).background for s in range(4)], dtype=np.float64)
+
+    def extract(image: Image) -> ImageFeatures:
+        if image.depth_m is None:
+            raise InputError(
+                "the image has no depth",
+                where="depth",
+                expected="depth_m beside the picture",
+                got="a picture alone",
+                hint="use rendered data such as --data synthetic, or another extractor such as --extractor canny/rings",
+            )
+        orders = occlusion.occlusion_orders(
+            image.depth_m,
+            image.camera,
+            min_jump_m=options.min_jump_m,
+            relative_jump=options.relative_jump,
+            planes=options.planes,
+            masked=image.masked,
+        )
+        maps = occlusion.without_short(occlusion.side_maps(orders), options.min_length_px)
+        uv, side = occlusion.edges_from_maps(maps)
+        if options.subpixel:
+            # The silhouette lies somewhere between the centres of the two pixels: half-way is right on average,
+            # while the foreground pixel is always inside, which makes every object a pixel too narrow.
+            uv = uv + 0.5 * background[side]
+        return ImageFeatures(ImageEdges(uv, side))
+
+    return extract
+
+
+METHOD = Method(
+    name="depth",
+    build=build,
+    options=DepthOptions,
+    summary="Directed occlusion edges at the steps of a known depth map: the oracle of the image side.",
+    needs={"depth"},
+    gives={"image-edges", "side"},
+    cite="Qiu, Xiao, Wang, Marlet, Pixel-Pair Occlusion Relationship Map (P2ORM), ECCV 2020",
+)

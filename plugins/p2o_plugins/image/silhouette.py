@@ -1,0 +1,297 @@
+"""Where exactly a silhouette lies: the image gradient at which foreground and background disparity change places.
+
+Windows of stereo matchers carry the foreground's disparity a pixel or two over its outline. Here the step in the
+disparity only tells that there is an edge and which two disparities meet. Pixel by pixel, without a window across the
+edge, each of the two is then tried on the other picture; along the axis of the edge the sum of both costs has its
+minimum where the foreground ends. Only places where the colour changes are candidates, which gives sub-pixel places.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from p2o.arrays import Bool, Float, Int
+
+from p2o_plugins.image.disparity import Map, PairView
+
+REACH = 5
+"""How far from the step in the disparity a silhouette is looked for, in px."""
+WINDOW = 5
+"""How deep into foreground and background the two disparities are compared, in px."""
+BREADTH = 4
+"""How far along the edge, to both sides, pixels vote on the two disparities."""
+SPAN = REACH + WINDOW
+
+FEATURES = (
+    "contrast",
+    "lead",
+    "shift",
+    "jump",
+    "ratio",
+    "votes_inside",
+    "votes_outside",
+    "near_votes_inside",
+    "near_votes_outside",
+    "misfit_inside",
+    "misfit_outside",
+    "known_inside",
+    "known_outside",
+)
+"""What the confidence of a silhouette is judged by, see `locate`."""
+
+JUDGEMENT = {
+    0: (
+        (5.63, 1.11, 0.42, 0.08, -0.59, 2.04, 0.88, 1.93, 0.82, -2.01, -2.90, 1.25, 0.36, -4.04),
+        (0.68, 2.59, -1.01),
+    ),
+    1: (
+        (4.12, 0.85, -1.11, -0.02, 0.40, 2.42, 1.65, 0.35, -0.17, -0.66, 0.24, 2.99, -0.79, -6.05),
+        (0.64, 2.92, -1.19),
+    ),
+}
+"""Coefficients of `confidence` for edges across columns (0: L, R) and across rows (1: U, B).
+
+Those of FEATURES and a constant; then those of the first judgement, of its neighbours', and a constant. Logistic
+regression on layered pairs made of pictures of the `train` split: `python benchmarks/stereo_bias.py --fit`.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Silhouettes:
+    """Silhouette points of one direction: `uv` (N, 2) px, `disparity` (N,) px of the foreground.
+
+    `features` (N, 13) as named in FEATURES, each of order one.
+    """
+
+    uv: Float
+    disparity: Float
+    features: Float
+
+    def select(self, keep: Bool) -> Silhouettes:
+        """Return the silhouettes of a mask (N,)."""
+        return Silhouettes(self.uv[keep], self.disparity[keep], self.features[keep])
+
+
+def steps(disparity: Map, towards: tuple[int, int], min_jump_px: float, min_jump_ratio: float) -> tuple[Int, Int]:
+    """Return rows and columns of the last foreground pixels before the disparity falls `towards` (du, dv).
+
+    The fall over 3 px must exceed `min_jump_px` and the given part of the foreground's disparity; it must be the
+    steepest place within 3 px; the foreground must not still be rising, nor the background go on falling (a slanted
+    surface).
+    """
+    axis, sign = (1, towards[0]) if towards[0] else (0, towards[1])
+
+    def at(array: Map, k: int) -> Map:
+        return np.roll(array, -k * sign, axis)
+
+    jump = at(disparity, -1) - at(disparity, 2)
+    fall = disparity - at(disparity, 1)
+    found = (jump > min_jump_px) & (jump > min_jump_ratio * at(disparity, -1)) & (fall > 0)
+    for k in (1, 2, 3):
+        found &= (fall > at(fall, -k)) & (fall >= at(fall, k))
+    found &= (at(disparity, -5) - at(disparity, -1) < 0.3 * jump) & (at(disparity, 2) - at(disparity, 6) < 0.6 * jump)
+    # np.roll wraps around: nothing is measured so close to the border.
+    found[:8], found[-8:], found[:, :8], found[:, -8:] = False, False, False, False
+    v, u = np.nonzero(found)
+    return v, u
+
+
+def locate(view: PairView, v: Int, u: Int, towards: tuple[int, int]) -> Silhouettes:
+    """Return the silhouettes near the last foreground pixels (v, u), whose background lies `towards` (du, dv).
+
+    Points without any change of colour within REACH are left out. Features: `contrast` of the colours; `lead` over
+    the second best place; `shift` from the step in the disparity; `jump` and its `ratio` to the foreground's
+    disparity; on either side, in a window and close to the edge, how many more pixels prefer the disparity of their
+    side than the other one (`votes`), the mean cost of the right disparity (`misfit`), and the part of pixels at
+    which both views agree (`known`).
+    """
+    height, width = view.disparity.shape
+    du, dv = towards
+    k, t = np.arange(-SPAN, SPAN + 1), np.arange(-BREADTH, BREADTH + 1)
+    columns = np.clip(u[:, None, None] + du * k[:, None] + abs(dv) * t, 0, width - 1)
+    rows = np.clip(v[:, None, None] + dv * k[:, None] + abs(du) * t, 0, height - 1)
+    own = view.own[rows, columns]
+    profile = view.disparity[rows[:, :, BREADTH], columns[:, :, BREADTH]]
+    front = _extended(profile[:, SPAN - 4 : SPAN + 1], -2, k)
+    back = _extended(profile[:, SPAN + 1 : SPAN + 6], 3, k)
+    cost_front = _cost(view, own, rows, columns - front[:, :, None])
+    cost_back = _cost(view, own, rows, columns - back[:, :, None])
+
+    change = np.abs(np.diff(own[:, :, BREADTH - 1 : BREADTH + 2, :3].mean(2), axis=1))
+    contrast = np.sqrt((change**2).sum(2))
+    place, best, lead = _split(cost_front - cost_back, contrast, k)
+    keep = np.isfinite(place)
+    index = np.arange(len(place))
+
+    def window(array: Map, first: int, depth: int, breadth: int) -> Map:
+        across = best[:, None] + first + np.arange(depth)
+        return array[index[:, None], across][:, :, BREADTH - breadth : BREADTH + breadth + 1]
+
+    prefer_back = _votes(cost_front - cost_back)
+    known = view.known[rows, columns].astype(np.float32)
+    jump = profile[:, SPAN - 1] - profile[:, SPAN + 2]
+
+    def mean(array: Map, inside: bool, depth: int = WINDOW, breadth: int = BREADTH) -> Map:
+        return window(array, 1 - depth if inside else 1, depth, breadth).mean((1, 2))
+
+    strength = contrast[index, best]
+    features = np.stack(
+        [
+            strength / (strength + 30),
+            np.minimum(lead, 5) / 5,
+            np.abs(np.where(keep, place, 0) + 0.7) / REACH,
+            np.log(np.maximum(jump, 1)) / 3,
+            np.clip(jump / np.maximum(profile[:, SPAN - 1], 1), 0, 1),
+            -mean(prefer_back, True),
+            mean(prefer_back, False),
+            -mean(prefer_back, True, 3, 2),
+            mean(prefer_back, False, 3, 2),
+            mean(np.minimum(cost_front, 20), True) / 20,
+            mean(np.minimum(cost_back, 20), False) / 20,
+            mean(known, True),
+            mean(known, False),
+        ],
+        axis=1,
+    )
+    uv = np.stack([u + du * place, v + dv * place], axis=1)
+    return Silhouettes(uv[keep], front[index, best][keep].astype(np.float64), features[keep].astype(np.float64))
+
+
+def confidence(found: Silhouettes, axis: int, size: tuple[int, int]) -> Float:
+    """Return how certain (N,), 0 to 1, silhouettes are true and within 1 px of their place, in a picture (H, W).
+
+    `axis` 0 for L and R, 1 for U and B. Each point is judged by its features, then again together with the points
+    that continue its line over 3 px to both sides.
+    """
+    own, joint = (np.array(c) for c in JUDGEMENT[axis])
+    first = found.features @ own[:-1] + own[-1]
+    both = np.stack([first, support(found.uv, _logistic(first), axis, size)], axis=1)
+    return _logistic(both @ joint[:-1] + joint[-1])
+
+
+def support(uv: Float, belief: Float, axis: int, size: tuple[int, int]) -> Float:
+    """Return the mean belief (N,) in the points beside each of uv (N, 2), over 3 px along the edge to both sides.
+
+    The line may lean by up to 2 px to either side; a missing neighbour counts 0.
+    """
+    import cv2
+
+    height, width = size
+    u, v = np.clip(uv.round(), 0, (width - 1, height - 1)).astype(np.int64).T
+    drawn = np.zeros(size, np.float32)
+    np.maximum.at(drawn, (v, u), belief.astype(np.float32))
+    across, along = ((1, 5), (1, 7)) if axis == 0 else ((5, 1), (7, 1))
+    drawn = cv2.dilate(drawn, np.ones(across, np.uint8))
+    total = cv2.boxFilter(drawn, -1, along, normalize=False, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray((total[v, u] - drawn[v, u]) / 6, dtype=np.float64)
+
+
+def _logistic(value: Float) -> Float:
+    return np.asarray(1 / (1 + np.exp(-np.clip(value, -30, 30))))
+
+
+def votes_against(view: PairView, found: Silhouettes, towards: tuple[int, int], plane: tuple[float, float, float]) -> Float:
+    """Return how many more pixels (N,) inside of silhouettes prefer the foreground's disparity to that of a plane.
+
+    Between -1 and 1, in a window inside the edge whose background lies `towards` (du, dv); `plane` (a, b, c) has
+    disparity a + b u + c v px at pixel (u, v).
+    """
+    height, width = view.disparity.shape
+    step = np.array(towards)
+    # The last pixel on the foreground's side of a sub-pixel place: 0.5 px back, then to the nearest centre.
+    u, v = (found.uv - 0.5 * step).round().astype(np.int64).T
+    k, t = np.arange(1 - WINDOW, 1), np.arange(-BREADTH, BREADTH + 1)
+    columns = np.clip(u[:, None, None] + step[0] * k[:, None] + abs(step[1]) * t, 0, width - 1)
+    rows = np.clip(v[:, None, None] + step[1] * k[:, None] + abs(step[0]) * t, 0, height - 1)
+    own = view.own[rows, columns]
+    on_plane = np.maximum(plane[0] + plane[1] * columns + plane[2] * rows, 0)
+    cost_plane = _cost(view, own, rows, (columns - on_plane).astype(np.float32))
+    cost_front = _cost(view, own, rows, (columns - found.disparity[:, None, None]).astype(np.float32))
+    return np.asarray(_votes(cost_plane - cost_front).mean((1, 2)), dtype=np.float64)
+
+
+def _votes(difference: Map) -> Map:
+    """Return the sign of cost differences, 0 where they are within the noise of one grey level."""
+    return np.asarray(np.sign(difference) * (np.abs(difference) > 1))
+
+
+def snap(own: Map, uv: Float, reach_px: float) -> Float:
+    """Return the columns (N,) of the strongest change of colour along the row within `reach_px` of uv (N, 2) px.
+
+    Distance counts against strength; NaN where the colour does not change.
+    """
+    height, width = own.shape[:2]
+    reach = int(np.ceil(reach_px)) + 1
+    k = np.arange(-reach - 1, reach + 2)
+    u, v = np.floor(uv[:, 0]).astype(np.int64), uv[:, 1].round().astype(np.int64)
+    columns = np.clip(u[:, None, None] + k[:, None], 0, width - 1)
+    rows = np.clip(v[:, None, None] + np.arange(-1, 2), 0, height - 1)
+    change = np.diff(own[rows, columns, :3].mean(2), axis=1)
+    peak, place, strength = _peaks(np.sqrt((change**2).sum(2)))
+    place = place + k[1:-2] + 0.5
+    far = np.abs(u[:, None] + place - uv[:, :1])
+    score = np.where(peak & (far <= reach_px), strength / (1 + far**2), -np.inf)
+    best = score.argmax(1)
+    index = np.arange(len(best))
+    return np.where(np.isfinite(score[index, best]), u + place[index, best], np.nan)
+
+
+def _extended(profile: Map, middle: int, k: Int) -> Map:
+    """Return the disparity (N, K) at offsets k of a surface seen at five pixels (N, 5) around offset `middle`."""
+    slope = (profile[:, -1] - profile[:, 0]) / 4
+    slope = np.where(np.abs(slope) < 0.5, slope, 0)
+    return (np.median(profile, axis=1)[:, None] + slope[:, None] * (k - middle)).astype(np.float32)
+
+
+def _cost(view: PairView, own: Map, rows: Int, columns: Map) -> Map:
+    """Return how badly pixels fit the other picture at (rows, columns), in grey levels, the best within +-0.5 px."""
+    cost = np.full(rows.shape, np.inf, np.float32)
+    for shift in (-0.5, 0.0, 0.5):
+        difference = np.abs(own - _sampled(view.other, rows, columns + shift))
+        colour = np.minimum(difference[..., :3].mean(-1), 25)
+        np.minimum(cost, colour + np.minimum(difference[..., 3], 25), out=cost)
+    return cost
+
+
+def _sampled(picture: Map, rows: Int, columns: Map) -> Map:
+    """Return picture (H, W, C) at integer rows and fractional columns of any shape, linear, the border repeated."""
+    import cv2
+
+    size = rows.size
+    strip = (-(-max(size, 1) // 2048), 2048)
+    u, v = np.zeros(strip, np.float32), np.zeros(strip, np.float32)
+    u.reshape(-1)[:size], v.reshape(-1)[:size] = columns.reshape(-1), rows.reshape(-1)
+    sampled = cv2.remap(picture, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(sampled.reshape(-1, picture.shape[2])[:size].reshape(*rows.shape, -1))
+
+
+def _peaks(strength: Map) -> tuple[NDArray[np.bool_], Map, Map]:
+    """Return, for all but the first and last of strengths (N, K): is it a peak, its sub-pixel offset, its strength."""
+    before, here, after = strength[:, :-2], strength[:, 1:-1], strength[:, 2:]
+    peak = (here >= before) & (here > after) & (here > 3)
+    offset = 0.5 * (before - after) / np.minimum(before - 2 * here + after, -1e-3)
+    return peak, np.clip(offset, -0.5, 0.5), here
+
+
+def _split(preference: Map, contrast: Map, k: Int) -> tuple[Map, Int, Map]:
+    """Return where (N,) the foreground ends, the index of its last pixel, and the lead over the second best place.
+
+    `preference` (N, K, T) is the cost of the foreground's disparity less that of the background's, `contrast`
+    (N, K - 1) the change of colour to the next pixel. Of all peaks of the contrast within REACH the one wins whose
+    pixels inside prefer the foreground and outside the background; blurred borders and plain backgrounds fit the
+    foreground as well, so the inner of two equals is taken; strong changes of colour and places near the step are
+    favoured. NaN where there is no peak.
+    """
+    vote = np.clip(preference[:, :, BREADTH - 2 : BREADTH + 3].mean(2), -10, 10)
+    near = np.arange(SPAN - REACH, SPAN + REACH + 1)
+    total = np.cumsum(vote, axis=1)[:, near] / 20
+    peak, offset, strength = _peaks(contrast[:, near[0] - 1 : near[-1] + 2])
+    score = total + 0.15 * k[near] - 5 * strength / (strength + 25) + 0.03 * (k[near] + 1) ** 2
+    score = np.where(peak, score, np.inf)
+    order = np.sort(np.where(peak, score, 50), axis=1)
+    best = score.argmin(1)
+    index = np.arange(len(best))
+    place = np.where(peak.any(1), k[near][best] + 0.5 + offset[index, best], np.nan)
+    return place, near[best], order[:, 1] - order[:, 0]

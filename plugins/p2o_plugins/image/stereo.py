@@ -1,0 +1,106 @@
+"""Directed occlusion edges from a rectified pair, without training: `--extractor stereo`."""
+
+from __future__ import annotations
+
+import numpy as np
+from p2o import SIDES, Image, ImageEdges, ImageExtractor, ImageFeatures, InputError, Method, Options, Side, field
+from p2o.arrays import Float, UInt8
+
+from p2o_plugins.image.disparity import both_views, ground
+from p2o_plugins.image.silhouette import SPAN, Silhouettes, confidence, locate, snap, steps, votes_against
+
+
+MIN_VOTES = 0.2
+"""Lane markings and shadows fit the ground, and sky fits infinity, as well as any other disparity: they stay below."""
+INFINITY = (0.0, 0.0, 0.0)
+"""The plane of disparity 0."""
+
+
+class StereoOptions(Options):
+    """What counts as an occlusion edge in the disparity of a rectified pair."""
+
+    max_disparity_px: int = field(128, ge=16, le=512, help="Largest disparity searched, rounded up to a multiple of 16.")
+    block_px: int = field(3, ge=1, le=11, multiple_of=1, help="Window of the matcher in pixels, made odd by rounding up.")
+    min_jump_px: float = field(2.0, gt=0, help="Smallest disparity step from background to foreground, in pixels.")
+    min_jump_ratio: float = field(0.12, ge=0, lt=1, help="Smallest such step as a fraction of the foreground disparity.")
+    min_height_m: float = field(0.25, ge=0, help="Smallest height of the foreground above the ground, in metres.")
+    min_confidence: float = field(0.5, ge=0, le=1, help="Edges less certain than this are dropped.")
+
+
+def silhouettes(left: UInt8, right: UInt8, baseline_m: float, options: StereoOptions) -> dict[Side, Silhouettes]:
+    """Return the silhouettes of all four directions of a rectified pair (H, W, 3), certain or not.
+
+    R, U and B edges come from the left view, where the background beside them is seen by both cameras. The strip left
+    of an object is hidden from the right camera; so L edges are found in the right view, where nothing beside them is
+    hidden, and carried over by the disparity of the foreground.
+    """
+    if min(left.shape[:2]) < 2 * SPAN + 1:
+        nothing = Silhouettes(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 13)))
+        return dict.fromkeys(SIDES, nothing)
+    count = -(-options.max_disparity_px // 16) * 16
+    left_view, right_view = both_views(left, right, count, options.block_px | 1)
+    found = {}
+    for side in SIDES:
+        view, towards = (right_view, (1, 0)) if side is Side.LEFT else (left_view, side.background)
+        v, u = steps(view.disparity, towards, options.min_jump_px, options.min_jump_ratio)
+        found[side] = locate(view, v, u, towards)
+    mirrored = found[Side.LEFT]
+    uv = np.stack([left.shape[1] - 1 - mirrored.uv[:, 0] + mirrored.disparity, mirrored.uv[:, 1]], axis=1)
+    uv[:, 0] = snap(left_view.own, uv, reach_px=1.5)
+    found[Side.LEFT] = Silhouettes(uv, mirrored.disparity, mirrored.features).select(np.isfinite(uv[:, 0]))
+    plane = ground(left_view)
+    for side, candidates in found.items():
+        sure = candidates
+        if plane is not None:
+            sure = sure.select(height_m(sure, plane, baseline_m) > options.min_height_m)
+            sure = sure.select(votes_against(left_view, sure, side.background, plane) > MIN_VOTES)
+        found[side] = sure.select(votes_against(left_view, sure, side.background, INFINITY) > MIN_VOTES)
+    return found
+
+
+def height_m(found: Silhouettes, plane: tuple[float, float, float], baseline_m: float) -> Float:
+    """Return how high (N,) in metres the foreground of silhouettes lies above the ground, whose disparity `plane` gives.
+
+    At a pixel v px below the horizon a camera h metres above the ground sees it at disparity c v, c = baseline / h
+    (square pixels), and a point of disparity d at the height h (1 - c v / d). Lane markings have height 0.
+    """
+    a, b, c = plane
+    below = a + b * found.uv[:, 0] + c * found.uv[:, 1]
+    return np.asarray(baseline_m / c * (1 - below / np.maximum(found.disparity, 0.1)))
+
+
+def build(options: StereoOptions) -> ImageExtractor:
+    """Return the extractor; raises InputError for an image without its right picture."""
+    import cv2  # noqa: F401  (a missing package shows here, before data are read)
+
+    def extract(image: Image) -> ImageFeatures:
+        if image.right is None:
+            raise InputError(
+                "the image has no right picture",
+                where="stereo",
+                expected="a rectified pair",
+                got="one picture",
+                hint="use a dataset with pairs, or an extractor for single pictures such as --extractor canny/rings",
+            )
+        found = silhouettes(image.rgb, image.right, image.baseline_m or 0.0, options)
+        size = image.rgb.shape[:2]
+        certain = [confidence(found[s], 0 if s.background[0] else 1, size) for s in SIDES]
+        edges = ImageEdges(
+            np.concatenate([found[s].uv for s in SIDES]),
+            np.concatenate([np.full(len(found[s].uv), s, np.int8) for s in SIDES]),
+            np.concatenate(certain),
+        )
+        return ImageFeatures(edges.select(edges.weight >= options.min_confidence))
+
+    return extract
+
+
+METHOD = Method(
+    name="stereo",
+    build=build,
+    options=StereoOptions,
+    summary="Directed occlusion edges at the disparity jumps of a rectified pair; needs no training.",
+    needs={"right"},
+    gives={"image-edges", "side"},
+    cite="Hirschmueller, Stereo Processing by Semiglobal Matching and Mutual Information, TPAMI 2008",
+)

@@ -1,0 +1,1 @@
+"""A plugin of p2o as a third party would write it."""

@@ -1,0 +1,338 @@
+"""The LiDAR side against sweeps whose outlines are known in closed form, and against real sweeps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from p2o import Cloud, InputError, Side
+from p2o_plugins.cloud.rings import METHOD, RingsOptions
+from p2o_plugins.cloud.sweep import order_sweep
+from tests.plugins.cloud.casting import GROUND, HDL32, HDL64, OS128, VLP16, Box, Lidar, Plane, Pole
+
+WALL = Box((20, 0, 0), (0.2, 60, 60))
+POLE = Pole(10, 0.7, 0.15)
+# Floats 8 m ahead, a little to the left, in front of WALL: y from -0.6 to 1.4, z from -1.0 to -0.4, front at x = 7.9.
+SIGN = Box((8, 0.4, -0.7), (0.2, 2.0, 0.6))
+
+
+def edges_of(cloud: Cloud, **options):
+    return METHOD.build(RingsOptions(**options))(cloud).edges
+
+
+def azimuth_deg(edges, side):
+    xyz = edges.xyz[edges.side == side]
+    return np.degrees(np.arctan2(xyz[:, 1], xyz[:, 0]))
+
+
+def as_rows(edges):
+    """Rows of side, xyz, weight and sigma in an order that does not depend on how they came."""
+    rows = np.column_stack([edges.side, edges.xyz, edges.weight, edges.sigma_m])
+    return rows[np.lexsort(np.round(rows.T, 4))]
+
+
+def turned(xyz, degrees):
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return xyz @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1.0]])
+
+
+def random_scene(seed: int) -> list:
+    rng = np.random.default_rng(seed)
+    around = rng.uniform(0, 2 * np.pi, 12)
+    far = rng.uniform(6, 25, 12)
+    boxes = [
+        Box((r * np.cos(a), r * np.sin(a), -1), (1.8, 4.2, 1.5), yaw)
+        for a, r, yaw in zip(around[:8], far[:8], rng.uniform(0, 180, 8), strict=True)
+    ]
+    poles = [Pole(r * np.cos(a), r * np.sin(a), 0.15) for a, r in zip(around[8:], far[8:], strict=True)]
+    return [*boxes, *poles, Box((40, 0, 3), (1, 200, 12)), Box((-40, 0, 3), (1, 200, 12)), GROUND]
+
+
+def test_each_direction_lies_on_its_own_side_of_an_object():
+    edges = edges_of(Lidar().scan(SIGN, WALL))
+    place = {side: edges.xyz[edges.side == side] for side in Side if side != Side.NONE}
+    np.testing.assert_allclose(place[Side.LEFT][:, 1], 1.4, atol=0.03)
+    np.testing.assert_allclose(place[Side.RIGHT][:, 1], -0.6, atol=0.03)
+    np.testing.assert_allclose(place[Side.UPPER][:, 2], -0.4, atol=0.04)
+    np.testing.assert_allclose(place[Side.BOTTOM][:, 2], -1.0, atol=0.04)
+    assert min(map(len, place.values())) >= 8
+    np.testing.assert_allclose(edges.xyz[:, 0], 7.9, atol=0.02)
+
+
+@pytest.mark.parametrize("elevations", [VLP16, HDL32, HDL64, OS128], ids=["16", "32", "64", "128"])
+def test_sensors_of_16_to_128_rings_see_all_four_sides(elevations):
+    tall = Box((8, 0.4, 0), (0.2, 2.0, 2.0))
+    edges = edges_of(Lidar(elevations, step_deg=0.2).scan(tall, WALL))
+    assert np.unique(edges.side).tolist() == ([0, 1, 3] if elevations is HDL64 else [0, 1, 2, 3])
+
+
+def test_the_outline_of_a_pole_is_met_within_half_a_beam_and_without_bias():
+    step, half_width = 0.18, np.degrees(np.arcsin(0.15 / np.hypot(10, 0.7)))
+    centre = np.degrees(np.arctan2(0.7, 10))
+    errors = []
+    for phase in np.arange(25) / 25:
+        edges = edges_of(Lidar(phase=phase, step_deg=step).scan(POLE, WALL))
+        left, right = azimuth_deg(edges, Side.LEFT), azimuth_deg(edges, Side.RIGHT)
+        assert len(left) == len(right) == 64
+        errors.append([(left - centre - half_width).mean(), (right - centre + half_width).mean()])
+        assert np.abs(left - centre - half_width).max() < 0.51 * step
+        assert np.abs(right - centre + half_width).max() < 0.51 * step
+    np.testing.assert_allclose(np.mean(errors, axis=0), 0, atol=0.02 * step)
+
+
+def test_sigma_is_the_spread_of_the_outline_over_the_gap():
+    """Over all phases of the beams the error is uniform in the gap: its standard deviation is gap / sqrt(12)."""
+    errors, sigma = [], []
+    for phase in np.arange(40) / 40:
+        edges = edges_of(Lidar(np.array([-1.0, 0.0, 1.0]), 0.18, phase).scan(POLE, WALL))
+        middle = (edges.side == Side.LEFT) & (np.abs(edges.xyz[:, 2]) < 0.05)
+        azimuth = np.arctan2(edges.xyz[middle, 1], edges.xyz[middle, 0])
+        errors.append((azimuth[0] - np.arctan2(0.7, 10) - np.arcsin(0.15 / np.hypot(10, 0.7))) * np.hypot(10, 0.7))
+        sigma.append(edges.sigma_m[middle][0])
+    np.testing.assert_allclose(np.mean(sigma), np.std(errors), rtol=0.05)
+
+
+@pytest.mark.parametrize("lift_m", [0.0, 0.2], ids=["beams from the origin", "beams from 0.2 m above it"])
+def test_the_upper_outline_has_no_bias_wherever_the_beams_cross_the_axis(lift_m):
+    """On the HDL-64E a ring's elevation seen from the origin changes with range by more than the gap of two rings."""
+    errors = []
+    for phase in np.arange(20) / 20:
+        low = Box((5, 0, -1.2), (0.002, 3.0, 1.2))  # a thin board, top at -0.6
+        lidar = Lidar(np.arange(4, -22, -0.5) + 0.5 * phase, step_deg=0.4, lift_m=lift_m)
+        edges = edges_of(lidar.scan(low, WALL))
+        upper = edges.xyz[edges.side == Side.UPPER]
+        assert len(upper) > 50
+        errors.append(np.mean(upper[:, 2] + 0.6))
+    assert abs(np.mean(errors)) < 0.05 * 5 * np.radians(0.5)
+
+
+def test_without_shift_edges_are_returns_of_the_sweep():
+    cloud = Lidar().scan(SIGN, WALL)
+    edges = edges_of(cloud, shift_beams=0)
+    stored = {tuple(row) for row in cloud.xyz}
+    assert len(edges) > 0
+    assert all(tuple(row) in stored for row in edges.xyz)
+
+
+@pytest.mark.parametrize("yaw_deg", [0, 20, 40, 60, 75, 85, 88])
+@pytest.mark.parametrize("elevations", [VLP16, HDL64], ids=["16", "64"])
+def test_a_slanted_wall_alone_has_no_edges(yaw_deg, elevations):
+    n = np.radians(yaw_deg)
+    cloud = Lidar(elevations).scan(Plane((np.cos(n), np.sin(n), 0), 4.0))
+    assert len(edges_of(cloud, ground_height_m=0, min_neighbours=0)) == 0
+
+
+@pytest.mark.parametrize("elevations", [VLP16, HDL32, HDL64, OS128], ids=["16", "32", "64", "128"])
+def test_flat_ground_has_no_edges_even_without_ground_removal(elevations):
+    assert len(edges_of(Lidar(elevations).scan(GROUND), ground_height_m=0, min_neighbours=0)) == 0
+
+
+def test_edges_near_the_ground_are_dropped_and_the_height_says_how_near():
+    cloud = Lidar().scan(Box((9, 0, -1.43), (1, 3, 0.6)), GROUND, WALL)
+    assert edges_of(cloud, ground_height_m=0.25).xyz[:, 2].min() > -1.73 + 0.2
+    assert edges_of(cloud, ground_height_m=0).xyz[:, 2].min() < -1.6
+    assert len(edges_of(cloud, ground_height_m=1.0)) == 0
+
+
+def test_an_object_across_the_seam_is_seen_like_any_other():
+    """A pole straight ahead lies on the first and last columns of each ring."""
+    edges = edges_of(Lidar(phase=0.5).scan(Pole(10, 0, 0.15), WALL, GROUND, Box((-20, 0, 0), (1, 30, 9))))
+    half_width = np.degrees(np.arcsin(0.015))
+    edges = edges.select(np.hypot(*edges.xyz[:, :2].T) < 11)
+    left, right = azimuth_deg(edges, Side.LEFT), azimuth_deg(edges, Side.RIGHT)
+    assert len(left) == len(right) == len(edges) / 2 > 30
+    np.testing.assert_allclose(left, half_width, atol=0.1)
+    np.testing.assert_allclose(right, -half_width, atol=0.1)
+
+
+@pytest.mark.parametrize("degrees", [37.0, 90.0, 180.0, 271.3])
+def test_a_turned_sweep_has_the_same_edges_turned(degrees):
+    cloud = Lidar(step_deg=0.36, phase=0.3).scan(*random_scene(1))
+    moved = edges_of(Cloud(turned(cloud.xyz, degrees), cloud.ring))
+    still = edges_of(cloud)
+    assert len(still) > 300
+    back = np.column_stack([moved.side, turned(moved.xyz, -degrees), moved.weight, moved.sigma_m])
+    back = back[np.lexsort(np.round(back.T, 4))]
+    np.testing.assert_allclose(back[:, 0], as_rows(still)[:, 0])
+    np.testing.assert_allclose(back, as_rows(still), atol=2e-3)
+
+
+def test_with_a_ring_per_point_the_order_of_points_and_the_numbering_of_rings_do_not_matter():
+    cloud = Lidar(step_deg=0.36).scan(*random_scene(2))
+    wanted = as_rows(edges_of(cloud))
+    shuffled = cloud.select(np.random.default_rng(0).permutation(len(cloud)))
+    np.testing.assert_allclose(as_rows(edges_of(shuffled)), wanted, atol=1e-6)
+    scattered = np.random.default_rng(1).permutation(64) * 1000 - 7
+    for ring in (63 - cloud.ring, cloud.ring + 500, scattered[cloud.ring]):
+        np.testing.assert_allclose(as_rows(edges_of(Cloud(cloud.xyz, ring))), wanted, atol=1e-6)
+
+
+@pytest.mark.parametrize("degrees", [0.0, 90.0, 123.0, 180.0])
+@pytest.mark.parametrize("clockwise", [False, True])
+def test_points_in_file_order_need_no_ring(degrees, clockwise):
+    """Whichever way the sensor turns and wherever it starts a ring."""
+    cloud = Lidar(step_deg=0.36, phase=0.4).scan(*random_scene(3))
+    mirror = [1, -1 if clockwise else 1, 1]
+    cloud = Cloud(turned(cloud.xyz * mirror, degrees), cloud.ring)
+    wanted = as_rows(edges_of(cloud))
+    np.testing.assert_allclose(as_rows(edges_of(Cloud(cloud.xyz))), wanted, atol=1e-6)
+
+
+def test_a_sweep_cut_to_the_view_ahead_still_tells_its_rings():
+    cloud = Lidar(step_deg=0.36, phase=0.4).scan(*random_scene(3))
+    ahead = cloud.select(np.abs(cloud.xyz[:, 1]) < cloud.xyz[:, 0])
+    np.testing.assert_allclose(as_rows(edges_of(Cloud(ahead.xyz))), as_rows(edges_of(ahead)), atol=1e-6)
+
+
+def test_mirroring_left_and_right_swaps_l_and_r_and_leaves_u_and_b():
+    cloud = Lidar(step_deg=0.36, phase=0.5).scan(*random_scene(4))
+    plain, mirrored = edges_of(cloud), edges_of(Cloud(cloud.xyz * [1, -1, 1], cloud.ring))
+    for side in (Side.LEFT, Side.RIGHT):
+        ours = plain.xyz[plain.side == side] * [1, -1, 1]
+        theirs = mirrored.xyz[mirrored.side == side.mirrored]
+        assert len(ours) > 100
+        np.testing.assert_allclose(np.sort(ours, axis=0), np.sort(theirs, axis=0), atol=1e-3)
+    for side in (Side.UPPER, Side.BOTTOM):
+        assert np.count_nonzero(plain.side == side) == np.count_nonzero(mirrored.side == side)
+
+
+def test_an_object_before_the_open_sky_has_no_edges():
+    assert len(edges_of(Lidar().scan(SIGN, Pole(10, -3, 0.15)), ground_height_m=0, min_neighbours=0)) == 0
+
+
+def test_a_missing_return_makes_no_edge_but_one_lost_beam_does_not_hide_one():
+    cloud = Lidar().scan(POLE, WALL)
+    azimuth = np.degrees(np.arctan2(cloud.xyz[:, 1], cloud.xyz[:, 0]))
+    edge = np.degrees(np.arctan2(0.7, 10)) + np.degrees(np.arcsin(0.15 / np.hypot(10, 0.7)))
+    gone = (azimuth > edge) & (azimuth < edge + 0.7)
+    assert np.unique(edges_of(cloud.select(~gone)).side).tolist() == [Side.RIGHT]
+    gone = (azimuth > edge) & (azimuth < edge + 0.18)
+    assert np.unique(edges_of(cloud.select(~gone)).side).tolist() == [Side.LEFT, Side.RIGHT]
+
+
+def test_points_in_no_order_without_rings_are_refused_with_the_way_out():
+    cloud = Lidar(step_deg=0.72).scan(*random_scene(5), ring=False)
+    shuffled = cloud.select(np.random.default_rng(0).permutation(len(cloud)))
+    with pytest.raises(InputError, match=r"which beam.*ring.*Cloud\.ring"):
+        edges_of(shuffled)
+
+
+def test_points_firing_by_firing_without_rings_are_refused():
+    """Velodyne packets hold column after column: azimuth hardly ever falls, and no ring can be told."""
+    cloud = Lidar(step_deg=0.72).scan(*random_scene(5))
+    azimuth = np.arctan2(cloud.xyz[:, 1], cloud.xyz[:, 0]) % (2 * np.pi)
+    by_column = np.lexsort((cloud.ring, np.round(azimuth, 6)))
+    with pytest.raises(InputError, match="which beam"):
+        edges_of(Cloud(cloud.xyz[by_column]))
+
+
+def test_two_rings_are_enough_for_left_and_right():
+    cloud = Lidar(np.array([0.5, -0.5])).scan(POLE, WALL)
+    edges = edges_of(cloud, min_neighbours=1)
+    assert np.bincount(edges.side, minlength=4).tolist() == [2, 2, 0, 0]
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_handful_of_points_has_no_edges(count):
+    xyz = np.array([[10.0, 0, 0], [4.0, 3, 0], [0, 0, 1.0]])[:count]
+    features = METHOD.build(RingsOptions())(Cloud(xyz, ring=np.arange(count)))
+    assert len(features.edges) == 0
+    assert features.edges.sigma_m.shape == (0,)
+
+
+def test_one_point_without_ring_is_refused():
+    with pytest.raises(InputError, match="which beam"):
+        edges_of(Cloud([[1.0, 2, 3]]))
+
+
+def test_double_points_and_second_returns_change_nothing():
+    """Of two returns of one ray the nearer is the surface; the farther one is not beside it but behind it."""
+    cloud = Lidar(step_deg=0.36).scan(*random_scene(6))
+    wanted = as_rows(edges_of(cloud))
+    for behind in (1.0, 1.5):
+        twice = Cloud(np.concatenate([cloud.xyz, cloud.xyz * behind]), np.concatenate([cloud.ring, cloud.ring]))
+        np.testing.assert_allclose(as_rows(edges_of(twice)), wanted, atol=1e-5)
+
+
+def test_leaves_weigh_less_than_a_wall_edge_and_go_first():
+    """A ball of scattered returns before a wall has edges everywhere; few of them go on like an outline."""
+    cloud = Lidar().scan(SIGN, WALL)
+    xyz, azimuth = cloud.xyz.copy(), np.degrees(np.arctan2(cloud.xyz[:, 1], cloud.xyz[:, 0]))
+    bush = (azimuth > -40) & (azimuth < -25)
+    leaf = bush & (np.random.default_rng(0).random(len(xyz)) < 0.5)
+    xyz[leaf] *= np.random.default_rng(1).uniform(0.3, 0.7, (leaf.sum(), 1))
+    edges = edges_of(Cloud(xyz, cloud.ring), min_support=0)
+    in_bush = edges.xyz[:, 1] < -1
+    assert in_bush.sum() > 500
+    assert edges.weight[~in_bush].mean() > 0.9
+    assert edges.weight[in_bush].mean() < 0.4
+    kept = edges_of(Cloud(xyz, cloud.ring), min_support=0.6)
+    assert np.count_nonzero(kept.xyz[:, 1] < -1) < 0.05 * in_bush.sum()
+    assert np.count_nonzero(kept.xyz[:, 1] > -1) > 0.9 * np.count_nonzero(~in_bush)
+
+
+def test_every_option_changes_the_outcome():
+    """On one rich sweep, so that no option is only there to be read."""
+    rng = np.random.default_rng(7)
+    cloud = Lidar(step_deg=0.36).scan(*random_scene(7))
+    rough = Cloud(cloud.xyz * (1 + 0.01 * rng.standard_normal((len(cloud), 1))), cloud.ring)
+    changes = {
+        "min_jump_m": 2.0,
+        "min_jump_share": 0.2,
+        "max_gap_deg": 0.3,
+        "max_step_deg": 0.4,
+        "slant_ratio": 0.0,
+        "grazing_share": 0.01,
+        "ground_height_m": 1.0,
+        "min_support": 0.9,
+        "weigh": False,
+        "min_neighbours": 6,
+        "neighbour_m": 0.05,
+        "neighbour_share": 0.2,
+        "shift_beams": 0.0,
+        "max_points": 100,
+        "seed": 3,
+    }
+    assert set(changes) == set(RingsOptions.model_fields)
+    base = {"neighbour_m": 0.3, "min_neighbours": 4}
+
+    def outcome(**options):
+        features = METHOD.build(RingsOptions(**(base | options)))(rough)
+        return as_rows(features.edges).tobytes() + features.points.tobytes()
+
+    plain = outcome()
+    assert outcome() == plain
+    same = [name for name, value in changes.items() if outcome(**{name: value}) == plain]
+    assert same in ([], ["seed"])  # another seed may find the same ground
+
+
+def test_surface_points_are_returns_of_the_sweep_and_no_more_than_asked_for():
+    cloud = Lidar(step_deg=0.36).scan(*random_scene(8))
+    for most in (0, 1, 1000, 10**6):
+        points = METHOD.build(RingsOptions(max_points=most))(cloud).points
+        assert points.shape[1] == 3
+        assert min(most, 1) <= len(points) <= most
+        assert {tuple(p) for p in points} <= {tuple(p) for p in cloud.xyz}
+    assert len(points) == len(cloud)
+
+
+@pytest.mark.real
+def test_real_sweeps_have_64_rings_and_edges_in_all_four_directions(kitti_raw):
+    whole = 0
+    for path in sorted(kitti_raw.glob("*/*/velodyne_points/data/*.bin")):
+        xyz = np.fromfile(path, np.float32).reshape(-1, 4)[:, :3]
+        if len(xyz) < 100_000:
+            continue
+        whole += 1
+        cloud = Cloud(xyz)
+        sweep = order_sweep(cloud)
+        assert len(sweep.slope) == 64, path
+        # The upper beams cross the axis 0.20 m, the lower ones 0.12 m above the origin, half a degree apart at most.
+        assert sweep.offset[0] == pytest.approx(0.209, abs=0.01), path
+        elevation = np.degrees(np.arctan(sweep.slope))
+        assert elevation[0] == pytest.approx(1.94, abs=0.05), path
+        assert elevation[-1] == pytest.approx(-25.0, abs=0.3), path
+        features = METHOD.build(RingsOptions())(cloud)
+        assert (np.bincount(features.edges.side, minlength=4) >= 100).all(), path
+        assert 20_000 < len(features.points) <= 40_000
+    assert whole >= 24

@@ -1,0 +1,223 @@
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from scipy.spatial.transform import Rotation
+
+from p2o import InputError, se3
+from p2o_plugins.data.folder import FolderOptions, build
+from p2o_plugins.data.lazy_frames import LazyFrames
+
+from .kitti_files import HEIGHT, VELO_TO_CAM, WIDTH, sweep, write_image, write_sweep
+
+CAMERA = {"model": "PINHOLE", "width": WIDTH, "height": HEIGHT, "params": [50.0, 50.0, 31.0, 15.5]}
+
+
+def write_frame(folder: Path, **content: Any) -> Path:
+    write_image(folder / "image.png")
+    write_sweep(folder / "cloud.bin")
+    (folder / "frame.yaml").write_text(yaml.safe_dump({"camera": CAMERA, **content}))
+    return folder
+
+
+def dataset(root: Path) -> LazyFrames:
+    found = build(FolderOptions(root=root))
+    assert isinstance(found, LazyFrames)
+    return found
+
+
+def test_the_smallest_folder_is_an_image_a_sweep_and_a_camera(tmp_path: Path) -> None:
+    pixels = write_image(write_frame(tmp_path / "mine") / "image.png", seed=3)
+    found = dataset(tmp_path / "mine")
+    assert found.names == ("mine",)
+    frame = found[0]
+    assert np.array_equal(frame.image.rgb, pixels)
+    assert np.array_equal(frame.cloud.xyz, sweep()[:, :3])
+    assert frame.camera.params == (50, 50, 31, 15.5)
+    assert (frame.start, frame.camera_from_lidar, frame.warnings) == (None, None, ())
+
+
+def test_a_folder_of_folders_is_a_dataset_of_frames(tmp_path: Path) -> None:
+    for name in ("b", "a"):
+        write_frame(tmp_path / name)
+    (tmp_path / "notes").mkdir()
+    found = dataset(tmp_path)
+    assert found.names == ("a", "b")
+    assert found[1].name == "b"
+    with pytest.raises(InputError, match=r"frame 'notes' is left out; .*frame\.yaml is missing"):
+        found.frame("notes")
+
+
+def test_poses_come_as_matrix_or_as_quaternion_and_translation(tmp_path: Path) -> None:
+    quaternion = Rotation.from_matrix(VELO_TO_CAM[:3, :3]).as_quat().tolist()
+    write_frame(
+        tmp_path,
+        start=VELO_TO_CAM.tolist(),
+        truth={"rotation_xyzw": quaternion, "translation_m": VELO_TO_CAM[:3, 3].tolist()},
+    )
+    frame = dataset(tmp_path)[0]
+    assert np.allclose(frame.start, VELO_TO_CAM, atol=1e-12)
+    assert np.allclose(frame.camera_from_lidar, VELO_TO_CAM, atol=1e-12)
+
+
+def test_files_may_be_named_and_have_any_kind(tmp_path: Path) -> None:
+    write_frame(tmp_path, image="pictures/left.jpg", cloud="scan.npz")
+    write_image(tmp_path / "pictures/left.jpg", seed=8)
+    np.savez(tmp_path / "scan.npz", xyz=np.ones((3, 3)))
+    frame = dataset(tmp_path)[0]
+    assert len(frame.cloud) == 3
+    assert np.array_equal(frame.image.rgb, cv2.imread(str(tmp_path / "pictures/left.jpg"))[:, :, ::-1])
+
+
+def test_the_only_picture_is_taken_and_of_several_none(tmp_path: Path) -> None:
+    write_frame(tmp_path)
+    (tmp_path / "image.png").rename(tmp_path / "IMG_1.png")
+    assert len(dataset(tmp_path)[0].image.rgb) == HEIGHT
+    write_image(tmp_path / "IMG_2.png")
+    with pytest.raises(InputError, match=r"no single file can be the image; .*got IMG_1\.png, IMG_2\.png; name it in"):
+        dataset(tmp_path)[0]
+
+
+def test_right_picture_and_depth_come_along(tmp_path: Path) -> None:
+    write_frame(tmp_path, right="right.png", baseline_m=0.3, depth="depth.npy")
+    right = write_image(tmp_path / "right.png", seed=2)
+    depth = np.full((HEIGHT, WIDTH), 7.0)
+    depth[0, 0], depth[0, 1] = 0.0, np.inf
+    np.save(tmp_path / "depth.npy", depth)
+    image = dataset(tmp_path)[0].image
+    assert np.array_equal(image.right, right)
+    assert image.baseline_m == 0.3
+    assert np.isnan(image.depth_m[0, 0])
+    assert image.depth_m[0, 1] == np.inf
+    assert image.depth_m[5, 5] == 7.0
+
+
+def test_depth_as_a_16_bit_picture_is_metres_times_256(tmp_path: Path) -> None:
+    write_frame(tmp_path, depth="depth.png")
+    cv2.imwrite(str(tmp_path / "depth.png"), np.full((HEIGHT, WIDTH), 12 * 256 + 64, np.uint16))
+    assert (dataset(tmp_path)[0].image.depth_m == 12.25).all()
+
+
+def test_any_camera_model_is_welcome_and_an_unknown_one_named(tmp_path: Path) -> None:
+    fisheye = {**CAMERA, "model": "OPENCV_FISHEYE", "params": [50, 50, 31, 15, 0.01, 0, 0, 0]}
+    write_frame(tmp_path, camera=fisheye)
+    assert dataset(tmp_path)[0].camera.model == "OPENCV_FISHEYE"
+    write_frame(tmp_path, camera={**CAMERA, "model": "OPENCW"})
+    with pytest.raises(InputError, match=r"frame\.yaml: unknown camera model 'OPENCW'"):
+        dataset(tmp_path)[0]
+
+
+def test_an_image_that_does_not_fit_the_camera_is_refused_by_name(tmp_path: Path) -> None:
+    write_frame(tmp_path)
+    write_image(tmp_path / "image.png", size=(WIDTH, HEIGHT + 3))
+    with pytest.raises(InputError, match=r"image\.png: the image size \(rgb\) does not fit the camera"):
+        dataset(tmp_path)[0]
+
+
+def test_a_depth_map_that_does_not_fit_is_refused_by_name(tmp_path: Path) -> None:
+    write_frame(tmp_path, depth="depth.npy")
+    np.save(tmp_path / "depth.npy", np.ones((3, 3)))
+    with pytest.raises(InputError, match=r"depth\.npy: the image size \(depth_m\) does not fit the camera"):
+        dataset(tmp_path)[0]
+    np.save(tmp_path / "depth.npy", np.array([{}], dtype=object))
+    with pytest.raises(InputError, match=r"depth\.npy: this is not an \.npy file of numbers"):
+        dataset(tmp_path)[0]
+
+
+@pytest.mark.parametrize("name", ["../outside.png", "/etc/hostname", "a/../../outside.png"])
+def test_paths_that_leave_the_folder_are_refused(tmp_path: Path, name: str) -> None:
+    write_image(tmp_path / "outside.png")
+    write_frame(tmp_path / "data", image=name)
+    with pytest.raises(InputError, match=r"frame\.yaml: the path '.*' leaves the folder of the dataset"):
+        dataset(tmp_path / "data")[0]
+
+
+def test_links_that_leave_the_folder_are_refused_and_links_inside_are_not(tmp_path: Path) -> None:
+    write_sweep(tmp_path / "outside.bin")
+    folder = write_frame(tmp_path / "data")
+    (folder / "cloud.bin").rename(folder / "sweep.dat")
+    (folder / "cloud.bin").symlink_to(folder / "sweep.dat")
+    assert len(dataset(folder)[0].cloud) == len(sweep())
+    (folder / "cloud.bin").unlink()
+    (folder / "cloud.bin").symlink_to(tmp_path / "outside.bin")
+    with pytest.raises(InputError, match=r"the path 'cloud\.bin' leaves the folder of the dataset"):
+        dataset(folder)[0]
+
+
+def test_frames_may_share_a_file_of_their_dataset(tmp_path: Path) -> None:
+    write_frame(tmp_path / "a", cloud="../shared.bin")
+    write_sweep(tmp_path / "shared.bin")
+    assert len(dataset(tmp_path)[0].cloud) == len(sweep())
+
+
+@pytest.mark.parametrize("text", ["!!python/object/apply:os.getcwd []", "camera: !!python/name:os.system ''"])
+def test_python_objects_in_yaml_are_refused_and_never_built(tmp_path: Path, text: str) -> None:
+    write_frame(tmp_path)
+    (tmp_path / "frame.yaml").write_text(text)
+    with pytest.raises(InputError, match=r"frame\.yaml: the frame file holds objects, which are never built"):
+        dataset(tmp_path)[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("camera: [1, 2", "the frame file is not YAML"),
+        ("just words", "the frame file has no keys"),
+        ("", "the frame file is empty"),
+        ("image: a.png", "camera: Field required"),
+        ("camera: {model: PINHOLE, width: wide, height: 3, params: [1]}", r"camera\.width: .*got wide"),
+        ("camera: {width: 64, height: 32, params: [50, 50, 31]}", "another number of parameters"),
+        ("camera: {width: 64, height: 32, params: [50, 50, 31, 15]}\nstrat: 3", "strat: .*keys camera, image"),
+    ],
+)
+def test_a_wrong_frame_file_says_which_key(tmp_path: Path, text: str, message: str) -> None:
+    write_frame(tmp_path)
+    (tmp_path / "frame.yaml").write_text(text)
+    with pytest.raises(InputError, match=rf"frame\.yaml: {message}|frame\.yaml: .*{message}"):
+        dataset(tmp_path)[0]
+
+
+@pytest.mark.parametrize(
+    ("pose", "message"),
+    [
+        (np.diag([1.0, 1, -1, 1]).tolist(), "start mirrors space"),
+        (np.diag([1.0, 2, 1, 1]).tolist(), "start is not orthonormal"),
+        ({"rotation_xyzw": [0, 0, 0, 2], "translation_m": [0, 0, 0]}, "the quaternion of start is not a rotation"),
+        ([[1, 0], [0, 1]], "start"),
+    ],
+)
+def test_a_start_that_is_no_pose_is_refused_by_name(tmp_path: Path, pose: Any, message: str) -> None:
+    write_frame(tmp_path, start=pose)
+    with pytest.raises(InputError, match=rf"frame\.yaml: .*{message}"):
+        dataset(tmp_path)[0]
+
+
+@pytest.mark.parametrize("key", ["start", "truth"])
+def test_a_pose_in_the_wrong_direction_is_refused_by_name(tmp_path: Path, key: str) -> None:
+    write_frame(tmp_path, **{key: se3.inverse(VELO_TO_CAM).tolist()})
+    points = sweep()
+    write_sweep(tmp_path / "cloud.bin", points[np.abs(np.arctan2(points[:, 1], points[:, 0])) < 0.7])
+    with pytest.raises(InputError, match=rf"frame\.yaml: {key} looks like lidar_from_camera"):
+        dataset(tmp_path)[0]
+
+
+def test_a_right_picture_needs_its_baseline(tmp_path: Path) -> None:
+    write_frame(tmp_path, right="image.png")
+    with pytest.raises(InputError, match=r"frame\.yaml: a rectified pair needs its right picture and its baseline"):
+        dataset(tmp_path)[0]
+
+
+def test_times_of_the_sweep_are_made_relative_to_the_image(tmp_path: Path) -> None:
+    write_frame(tmp_path, cloud="scan.npz", image_time_s=1.6e9)
+    np.savez(tmp_path / "scan.npz", xyz=np.ones((3, 3)), time_s=1.6e9 + np.array([-0.5, 0.0, 0.25]))
+    assert np.array_equal(dataset(tmp_path)[0].cloud.time_s, [-0.5, 0, 0.25])
+
+
+def test_a_folder_without_frames_says_what_it_should_hold(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no frames; expected frame\.yaml in it or in its sub-folders"):
+        dataset(tmp_path)

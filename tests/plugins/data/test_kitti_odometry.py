@@ -1,0 +1,75 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from p2o import InputError, UnknownNameError, se3
+from p2o_plugins.data.kitti_odometry import KittiOdometryOptions, build
+from p2o_plugins.data.lazy_frames import LazyFrames
+
+from .kitti_files import PROJECTIONS, R_RECT, VELO_TO_CAM, numbers, write_image, write_lines, write_sweep
+
+
+def write_frame(root: Path, sequence: str, frame: int, camera: int = 2) -> Path:
+    folder = root / "sequences" / sequence
+    lines = {f"P{number}": numbers(projection) for number, projection in PROJECTIONS.items()}
+    write_lines(folder / "calib.txt", {**lines, "Tr": numbers((R_RECT @ VELO_TO_CAM)[:3])})
+    write_sweep(folder / f"velodyne/{frame:06d}.bin")
+    write_image(folder / f"image_{camera}/{frame:06d}.png", grey=camera < 2, seed=frame)
+    return folder
+
+
+def dataset(root: Path, **options: object) -> LazyFrames:
+    found = build(KittiOdometryOptions(root=root, **options))
+    assert isinstance(found, LazyFrames)
+    return found
+
+
+def test_frames_are_named_by_sequence_and_number(tmp_path: Path) -> None:
+    for sequence, frame in (("01", 0), ("00", 1), ("00", 0)):
+        folder = write_frame(tmp_path, sequence, frame)
+    assert dataset(tmp_path).names == dataset(tmp_path / "sequences").names == ("00/000000", "00/000001", "01/000000")
+    assert dataset(folder).names == ("00/000000", "00/000001")
+
+
+@pytest.mark.parametrize("camera", range(4))
+def test_every_camera_has_its_own_exact_extrinsic(tmp_path: Path, camera: int) -> None:
+    write_frame(tmp_path, "00", 0, camera)
+    frame = dataset(tmp_path, camera=camera)[0]
+    offset = np.linalg.solve(PROJECTIONS[camera][:, :3], PROJECTIONS[camera][:, 3])
+    assert np.allclose(frame.camera_from_lidar, se3.make(translation=offset) @ R_RECT @ VELO_TO_CAM, atol=1e-11)
+    assert len(frame.warnings) == (1 if camera < 2 else 0)
+
+
+def test_the_sweep_has_rings_but_no_times_since_it_is_untwisted_already(tmp_path: Path) -> None:
+    write_frame(tmp_path, "00", 0)
+    cloud = dataset(tmp_path)[0].cloud
+    assert cloud.ring.max() == 63
+    assert cloud.time_s is None
+
+
+def test_the_right_picture_comes_with_its_baseline(tmp_path: Path) -> None:
+    folder = write_frame(tmp_path, "00", 0)
+    right = write_image(folder / "image_3/000000.png", seed=4)
+    image = dataset(tmp_path)[0].image
+    assert np.array_equal(image.right, right)
+    assert image.baseline_m == pytest.approx(0.54)
+    assert dataset(tmp_path, right=False)[0].image.right is None
+
+
+def test_a_calibration_without_tr_is_named(tmp_path: Path) -> None:
+    folder = write_frame(tmp_path, "00", 0)
+    write_lines(folder / "calib.txt", {"P2": numbers(PROJECTIONS[2]), "P3": numbers(PROJECTIONS[3])})
+    with pytest.raises(UnknownNameError, match=r"00/calib\.txt: unknown key 'Tr'"):
+        dataset(tmp_path)[0]
+
+
+def test_missing_sweeps_are_named_and_an_empty_folder_says_what_it_should_hold(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no KITTI odometry frames"):
+        dataset(tmp_path)
+    folder = write_frame(tmp_path, "00", 0)
+    write_image(folder / "image_2/000001.png")
+    with pytest.raises(InputError, match=r"velodyne/000001\.bin is missing"):
+        dataset(tmp_path).frame("00/000001")

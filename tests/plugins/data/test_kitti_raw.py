@@ -1,0 +1,275 @@
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from p2o import Dataset, InputError, se3
+from p2o_plugins.data.kitti_raw import METHOD, KittiRawOptions, build
+from p2o_plugins.data.lazy_frames import LazyFrames
+
+from .kitti_files import (
+    BASELINE_M,
+    DAY,
+    HEIGHT,
+    IMU_TO_VELO,
+    PROJECTIONS,
+    R_RECT,
+    VELO_TO_CAM,
+    WIDTH,
+    numbers,
+    stamps,
+    sweep,
+    write_day,
+    write_image,
+    write_lines,
+    write_oxts,
+    write_raw_frame,
+    write_sweep,
+)
+
+STILL = "the sweep is not corrected for the motion of the car"
+
+
+def dataset(root: Path, **options: object) -> LazyFrames:
+    found = build(KittiRawOptions(root=root, **options))
+    assert isinstance(found, LazyFrames)
+    return found
+
+
+def test_frames_of_all_days_and_drives_are_named_and_sorted(tmp_path: Path) -> None:
+    day = write_day(tmp_path)
+    for drive, frame in (("0011", 3), ("0002", 10), ("0002", 9)):
+        write_raw_frame(day, drive, frame)
+    found = dataset(tmp_path)
+    assert isinstance(found, Dataset)
+    assert found.names == (f"{DAY}/0002/0000000009", f"{DAY}/0002/0000000010", f"{DAY}/0011/0000000003")
+    assert found[2].name == found.names[2]
+    assert found.skipped == {}
+
+
+def test_the_root_may_be_one_day_or_one_drive(tmp_path: Path) -> None:
+    folder = write_raw_frame(write_day(tmp_path))
+    assert dataset(tmp_path).names == dataset(folder.parent).names == dataset(folder).names
+
+
+def test_a_frame_holds_pixels_points_camera_and_exact_extrinsic(tmp_path: Path) -> None:
+    folder = write_raw_frame(write_day(tmp_path))
+    pixels = write_image(folder / "image_02/data/0000000000.png", seed=7)
+    frame = dataset(tmp_path)[0]
+    assert np.array_equal(frame.image.rgb, pixels)
+    assert np.array_equal(frame.cloud.xyz, sweep()[:, :3])
+    assert np.array_equal(frame.cloud.intensity, sweep()[:, 3])
+    assert frame.cloud.ring.max() == 63
+    assert frame.camera.params == (50, 50, 31, 15.5)
+    assert (frame.camera.width, frame.camera.height) == (WIDTH, HEIGHT)
+    offset = np.linalg.solve(PROJECTIONS[2][:, :3], PROJECTIONS[2][:, 3])
+    assert np.allclose(frame.camera_from_lidar, se3.make(translation=offset) @ R_RECT @ VELO_TO_CAM, atol=1e-11)
+    assert frame.start is None
+
+
+def test_pykitti_compat_shortens_the_offset(tmp_path: Path) -> None:
+    write_raw_frame(write_day(tmp_path))
+    frame = dataset(tmp_path, pykitti_compat=True)[0]
+    assert np.allclose(
+        frame.camera_from_lidar, se3.make(translation=[3 / 50, 0, 0]) @ R_RECT @ VELO_TO_CAM, atol=1e-11
+    )
+
+
+def test_a_grey_camera_has_three_channels_and_a_warning(tmp_path: Path) -> None:
+    write_raw_frame(write_day(tmp_path), camera=0)
+    frame = dataset(tmp_path, camera=0)[0]
+    assert (frame.image.rgb == frame.image.rgb[:, :, :1]).all()
+    assert "0000000000.png: grey image, repeated on three channels" in frame.warnings
+
+
+@pytest.mark.parametrize(("camera", "baseline_m"), [(0, BASELINE_M), (2, 0.54)])
+def test_the_right_picture_comes_with_the_baseline_of_its_pair(tmp_path: Path, camera: int, baseline_m: float) -> None:
+    folder = write_raw_frame(write_day(tmp_path), camera=camera)
+    assert dataset(tmp_path, camera=camera)[0].image.right is None
+    right = write_image(folder / f"image_{camera + 1:02d}/data/0000000000.png", seed=5)
+    image = dataset(tmp_path, camera=camera)[0].image
+    assert np.array_equal(image.right, right)
+    assert image.baseline_m == pytest.approx(baseline_m)
+    assert dataset(tmp_path, camera=camera, right=False)[0].image.right is None
+
+
+def test_a_right_camera_has_no_right_picture(tmp_path: Path) -> None:
+    write_raw_frame(write_day(tmp_path), camera=3)
+    image = dataset(tmp_path, camera=3)[0].image
+    assert (image.right, image.baseline_m) == (None, None)
+
+
+def test_disparity_becomes_depth_with_nan_where_unknown(tmp_path: Path) -> None:
+    folder = write_raw_frame(write_day(tmp_path))
+    stored = np.zeros((HEIGHT, WIDTH), np.uint16)
+    stored[4, 5] = 3 * 256
+    path = folder / "disparity/data/0000000000.png"
+    path.parent.mkdir(parents=True)
+    cv2.imwrite(str(path), stored)
+    image = dataset(tmp_path)[0].image
+    # Depth is f B / d: 50 px x 0.54 m / 3 px = 9 m.
+    assert image.depth_m[4, 5] == pytest.approx(9.0)
+    assert np.isnan(image.depth_m).sum() == HEIGHT * WIDTH - 1
+    assert image.right is None
+    assert dataset(tmp_path, depth=False)[0].image.depth_m is None
+    write_raw_frame(tmp_path / DAY, camera=0)
+    assert dataset(tmp_path, camera=0)[0].image.depth_m is None
+
+
+def test_a_png_wins_over_a_jpeg_of_the_same_frame(tmp_path: Path) -> None:
+    folder = write_raw_frame(write_day(tmp_path))
+    pixels = write_image(folder / "image_02/data/0000000000.png", seed=1)
+    write_image(folder / "image_02/data/0000000000.jpg", seed=2)
+    assert np.array_equal(dataset(tmp_path)[0].image.rgb, pixels)
+
+
+def test_frames_without_sweep_or_image_are_left_out_and_say_which_file(tmp_path: Path) -> None:
+    day = write_day(tmp_path)
+    folder = write_raw_frame(day, frame=0)
+    write_image(folder / "image_02/data/0000000001.png")
+    write_sweep(folder / "velodyne_points/data/0000000002.bin")
+    found = dataset(tmp_path)
+    assert found.names == (f"{DAY}/0001/0000000000",)
+    with pytest.raises(InputError, match=r"velodyne_points/data/0000000001\.bin is missing"):
+        found.frame(f"{DAY}/0001/0000000001")
+    with pytest.raises(InputError, match=r"image_02/data/0000000002\.png is missing"):
+        found.frame(f"{DAY}/0001/0000000002")
+
+
+def test_without_oxts_the_sweep_stays_and_says_so(tmp_path: Path) -> None:
+    write_raw_frame(write_day(tmp_path))
+    frame = dataset(tmp_path)[0]
+    assert frame.twist is None
+    assert frame.warnings == (f"{STILL}: no oxts data",)
+
+
+def test_with_oxts_the_sweep_is_untwisted_about_straight_ahead(tmp_path: Path) -> None:
+    folder = write_raw_frame(write_day(tmp_path))
+    write_oxts(folder, 0, ve=10.0, wu=0.2)
+    still, moved = (dataset(tmp_path, deskew=deskew)[0] for deskew in (False, True))
+    assert (still.warnings, moved.warnings) == ((STILL,), ())
+    # The unit heads east and turns left; the LiDAR stands away from it by IMU_TO_VELO.
+    swing = np.cross([0, 0, 0.2], se3.inverse(IMU_TO_VELO)[:3, 3])
+    assert np.allclose(moved.twist, [0, 0, 0.2, 10 + swing[0], swing[1], 0])
+    assert np.array_equal(still.twist, moved.twist)
+    azimuth = np.arctan2(still.cloud.xyz[:, 1], still.cloud.xyz[:, 0])
+    assert np.allclose(moved.cloud.time_s, -azimuth / (2 * np.pi) * 0.1)
+    shift = np.linalg.norm(moved.cloud.xyz - still.cloud.xyz, axis=1)
+    assert shift[np.abs(azimuth) < 2e-3].max() < 1e-3
+    left = np.argmin(np.abs(azimuth - np.pi / 2))
+    assert (moved.cloud.xyz - still.cloud.xyz)[left, 0] == pytest.approx(-0.25 + 0.2 * 0.025 * 10, abs=0.01)
+
+
+def test_the_time_of_a_turn_comes_from_the_stamps_of_the_sweep(tmp_path: Path) -> None:
+    folder = write_raw_frame(write_day(tmp_path), frame=1)
+    velodyne = folder / "velodyne_points"
+    (velodyne / "timestamps_start.txt").write_text(stamps([1.0, 1.1]))
+    (velodyne / "timestamps_end.txt").write_text(stamps([1.1, 1.204]))
+    time_s = dataset(tmp_path)[0].cloud.time_s
+    assert np.abs(time_s).max() == pytest.approx(0.052, abs=1e-3)
+    # A blank line is a sweep that the sensor lost: nominal 0.1 s.
+    (velodyne / "timestamps_start.txt").write_text(stamps([1.0]) + "\n")
+    assert np.abs(dataset(tmp_path)[0].cloud.time_s).max() == pytest.approx(0.05, abs=1e-3)
+    (velodyne / "timestamps_end.txt").write_text("noon\n")
+    with pytest.raises(InputError, match=r"timestamps_end\.txt: a line is not a time"):
+        dataset(tmp_path)[0]
+
+
+def test_an_image_of_another_size_is_refused_by_name(tmp_path: Path) -> None:
+    folder = write_raw_frame(write_day(tmp_path))
+    write_image(folder / "image_02/data/0000000000.png", size=(WIDTH + 2, HEIGHT))
+    with pytest.raises(InputError, match=r"0000000000\.png: the image size \(rgb\) does not fit .*64x32 px; got 66x32 px"):
+        dataset(tmp_path)[0]
+
+
+def test_a_right_picture_of_another_size_is_refused_by_its_own_name(tmp_path: Path) -> None:
+    folder = write_raw_frame(write_day(tmp_path))
+    write_image(folder / "image_03/data/0000000000.png", size=(WIDTH, HEIGHT + 1))
+    with pytest.raises(InputError, match=r"image_03/data/0000000000\.png: the image size \(right\) does not fit"):
+        dataset(tmp_path)[0]
+
+
+@pytest.mark.parametrize("name", ["calib_cam_to_cam.txt", "calib_velo_to_cam.txt"])
+def test_a_missing_calibration_file_is_named(tmp_path: Path, name: str) -> None:
+    write_raw_frame(write_day(tmp_path))
+    (tmp_path / DAY / name).unlink()
+    with pytest.raises(InputError, match=rf"{name}: the calibration file is missing"):
+        dataset(tmp_path)[0]
+
+
+def test_a_calibration_that_mirrors_space_is_refused_by_name(tmp_path: Path) -> None:
+    write_raw_frame(write_day(tmp_path))
+    write_lines(tmp_path / DAY / "calib_velo_to_cam.txt", {"R": numbers(-np.eye(3)), "T": "0 0 0"})
+    with pytest.raises(InputError, match=r"calib_velo_to_cam\.txt: the rotation of R mirrors space"):
+        dataset(tmp_path)[0]
+
+
+def test_a_damaged_frame_does_not_hinder_the_others(tmp_path: Path) -> None:
+    day = write_day(tmp_path)
+    for frame in range(2):
+        folder = write_raw_frame(day, frame=frame)
+    (folder / "velodyne_points/data/0000000001.bin").write_bytes(b"123")
+    found = dataset(tmp_path)
+    assert found[0].name.endswith("0")
+    with pytest.raises(InputError, match=r"0000000001\.bin: the point cloud is truncated"):
+        found[1]
+
+
+def test_an_extracted_drive_has_the_distorted_camera_and_no_rectification(tmp_path: Path) -> None:
+    folder = write_raw_frame(write_day(tmp_path), kind="extract")
+    write_image(folder / "image_02/data/0000000000.png", size=(WIDTH + 6, HEIGHT + 4))
+    (folder / "image_02/timestamps.txt").write_text(stamps([1.01]))
+    (folder / "velodyne_points/timestamps.txt").write_text(stamps([1.0]))
+    frame = dataset(tmp_path)[0]
+    assert frame.camera.model == "FULL_OPENCV"
+    assert frame.camera.params == (60, 61, 34, 17, -0.3, 0.1, 0.001, -0.002, -0.01, 0, 0, 0)
+    camera2 = se3.make(se3.exp(np.array([0.02, 0, 0, 0, 0, 0]))[:3, :3], [-0.2, 0.01, 0.02])
+    assert np.allclose(frame.camera_from_lidar, camera2 @ VELO_TO_CAM, atol=1e-11)
+
+
+def test_an_extracted_drive_is_paired_by_time(tmp_path: Path) -> None:
+    day = write_day(tmp_path)
+    for number in range(3):
+        folder = write_raw_frame(day, frame=number, kind="extract")
+        write_image(folder / f"image_02/data/{number:010d}.png", size=(WIDTH + 6, HEIGHT + 4))
+        write_sweep(folder / f"velodyne_points/data/{number:010d}.bin", sweep() * (1 + number))
+    # The sensor started one turn late: image 1 belongs to sweep 0; image 0 to none; sweep 2 to none.
+    (folder / "image_02/timestamps.txt").write_text(stamps([1.01, 1.11, 1.21]))
+    (folder / "velodyne_points/timestamps.txt").write_text(stamps([1.1, 1.2, 1.3]))
+    for number in range(30):
+        write_oxts(folder, number, ve=float(number))
+    (folder / "oxts/timestamps.txt").write_text(stamps(1 + np.arange(30) / 100))
+    found = dataset(tmp_path, deskew=False)
+    assert found.names == (f"{DAY}/0001/0000000001", f"{DAY}/0001/0000000002")
+    assert [np.linalg.norm(frame.cloud.xyz[0, :2]) for frame in found] == pytest.approx([10, 20])
+    assert [frame.twist[3] for frame in found] == pytest.approx([11, 21])
+    assert list(found.skipped) == [f"{DAY}/0001/0000000000"]
+
+
+def test_a_synchronised_drive_wins_over_its_extract(tmp_path: Path) -> None:
+    day = write_day(tmp_path)
+    write_raw_frame(day, frame=4)
+    write_raw_frame(day, frame=5, kind="extract")
+    assert dataset(tmp_path).names == (f"{DAY}/0001/0000000004",)
+
+
+def test_a_folder_without_frames_says_what_it_should_hold(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no KITTI raw frames; expected DATE/DATE_drive_NNNN_sync .*; got no drive"):
+        dataset(tmp_path)
+    with pytest.raises(InputError, match="nowhere: the folder of KITTI raw drives is missing"):
+        dataset(tmp_path / "nowhere")
+
+
+def test_a_dataset_travels_to_other_processes(tmp_path: Path) -> None:
+    write_raw_frame(write_day(tmp_path))
+    again = pickle.loads(pickle.dumps(dataset(tmp_path)))
+    assert np.array_equal(again[0].image.rgb, dataset(tmp_path)[0].image.rgb)
+
+
+def test_the_method_is_built_from_its_options() -> None:
+    assert METHOD.name == "kitti-raw"
+    assert METHOD.options(root="x", camera="2").root == Path("x")

@@ -1,0 +1,49 @@
+"""The exporter `kitti` writes what readers of KITTI's calibration files read, digit by digit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from p2o import InputError, Result, Status, se3
+from p2o_plugins.data.kitti_calibration import read_calibration
+from p2o_plugins.export.kitti_calib import METHOD
+
+POSE = se3.exp(np.array([0.1, 0.2, 0.3, 1 / 3, -2 / 7, 1e-9]))
+RESULT = Result(("scene-0000",), np.eye(4), POSE, Status.CONVERGED, "done")
+
+
+def _exported(tmp_path: Path, layout: str):
+    path = tmp_path / "calib.txt"
+    METHOD.build(METHOD.options(layout=layout))(RESULT, path)
+    return read_calibration(path)
+
+
+def test_object_has_the_transform_and_an_identity_rectification(tmp_path: Path) -> None:
+    calibration = _exported(tmp_path, "object")
+    np.testing.assert_array_equal(calibration.numbers("Tr_velo_to_cam", (3, 4)), POSE[:3])
+    np.testing.assert_array_equal(calibration.numbers("R0_rect", (3, 3)), np.eye(3))
+
+
+def test_raw_has_rotation_and_translation_apart(tmp_path: Path) -> None:
+    calibration = _exported(tmp_path, "raw")
+    np.testing.assert_array_equal(calibration.numbers("R", (3, 3)), POSE[:3, :3])
+    np.testing.assert_array_equal(calibration.numbers("T", (3,)), POSE[:3, 3])
+
+
+def test_odometry_has_the_transform_as_tr(tmp_path: Path) -> None:
+    np.testing.assert_array_equal(_exported(tmp_path, "odometry").numbers("Tr", (3, 4)), POSE[:3])
+
+
+def test_a_result_without_a_new_pose_is_refused_and_nothing_is_written(tmp_path: Path) -> None:
+    refused = replace(RESULT, status=Status.TOO_FEW_MATCHES, reason="3 pairs")
+    with pytest.raises(InputError, match=r"no new pose.*too-few-matches \(3 pairs\)"):
+        METHOD.build(METHOD.options())(refused, tmp_path / "calib.txt")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_missing_folder_is_an_error_of_ours(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot write the file"):
+        METHOD.build(METHOD.options())(RESULT, tmp_path / "nowhere" / "calib.txt")

@@ -1,0 +1,89 @@
+"""A third party's package is built, installed, used and uninstalled, without a network."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import site
+import subprocess
+import sys
+import venv
+from pathlib import Path
+
+import pytest
+
+SOURCE = Path(__file__).parent / "example_plugin"
+
+
+class Machine:
+    """A virtual environment that sees the packages of this one, and into which wheels are installed."""
+
+    def __init__(self, root: Path) -> None:
+        venv.create(root, with_pip=False, symlinks=True)
+        self.python = root / ("Scripts" if os.name == "nt" else "bin") / "python"
+        [packages] = root.glob("[Ll]ib/**/site-packages")
+        ours = [path for path in [*site.getsitepackages(), *sys.path] if path.endswith("site-packages")]
+        lines = [f"import site; site.addsitedir({path!r})" for path in dict.fromkeys(ours)]
+        (packages / "parent.pth").write_text("\n".join(lines) + "\n")
+
+    def pip(self, *words: str) -> None:
+        command = [sys.executable, "-m", "pip", "--python", str(self.python), "--disable-pip-version-check", *words]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+
+    def p2o(self, *words: str) -> subprocess.CompletedProcess[str]:
+        command = [str(self.python), "-m", "p2o", *words]
+        return subprocess.run(command, capture_output=True, text=True, check=False, cwd=self.python.parent)
+
+    def methods(self) -> set[str]:
+        listed = json.loads(self.p2o("plugins").stdout)
+        return {method["name"] for plugin in listed["plugins"] for method in plugin["methods"]}
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel of the example, built from a copy of its source."""
+    folder = tmp_path_factory.mktemp("wheel")
+    source = shutil.copytree(SOURCE, folder / "source", ignore=shutil.ignore_patterns("__pycache__"))
+    words = ["wheel", "--no-index", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), str(source)]
+    done = subprocess.run([sys.executable, "-m", "pip", *words], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    [built] = folder.glob("*.whl")
+    return built
+
+
+def test_a_third_partys_plugin_is_there_when_installed_and_gone_when_not(wheel: Path, tmp_path: Path) -> None:
+    machine = Machine(tmp_path / "machine")
+    theirs = {"grey-steps", "gauss-newton"}
+    assert not theirs & machine.methods()
+
+    machine.pip("install", "--no-index", "--no-deps", str(wheel))
+    assert theirs <= machine.methods()
+    assert "p2o-example 0.3.1" in machine.p2o("methods", "grey-steps").stdout
+
+    words = ["--extractor", "grey-steps/rings", "--matcher", "nearest", "--solver", "gauss-newton", "--init", "given"]
+    done = machine.p2o("run", *words, "--set", "extractor.threshold=25", "--perturb", "0.3deg 0.02m", "--json")
+    assert done.returncode in (0, 1), done.stderr
+    [result] = json.loads(done.stdout)["results"]
+    assert result["recipe"]["options"]["extractor"] == {"threshold": 25.0, "sigma_px": 1.0}
+    assert result["versions"]["p2o-example"] == "0.3.1"
+    assert any(turn["stage"] == "refine" and sum(turn["matches"].values()) > 100 for turn in result["rounds"])
+
+    blocked = machine.p2o("methods", "grey-steps", "--block", "p2o-example")
+    assert blocked.returncode == 2
+    assert "left out on request: p2o-example:example" in blocked.stderr
+
+    machine.pip("uninstall", "--yes", "p2o-example")
+    assert not theirs & machine.methods()
+
+
+def test_the_example_keeps_every_contract(wheel: Path, tmp_path: Path) -> None:
+    machine = Machine(tmp_path / "machine")
+    machine.pip("install", "--no-index", "--no-deps", str(wheel))
+    done = machine.p2o("check-plugin", "p2o-example")
+    assert done.returncode == 0, done.stdout + done.stderr
+    lines = done.stdout.splitlines()
+    assert lines[-1] == "every check passed"
+    assert all(line.startswith("ok ") for line in lines[:-1])
+    assert any("gauss-newton: solver_returns_to_the_truth" in line for line in lines)

@@ -1,0 +1,78 @@
+"""`p2o check-plugin`: the conformance checks from the shell."""
+
+from __future__ import annotations
+
+import os
+import traceback
+from typing import TYPE_CHECKING
+
+import click
+
+from p2o.cli.plugin_options import load, plugin_options
+from p2o.errors import P2OError, UnknownNameError
+
+if TYPE_CHECKING:
+    from p2o.registry import Offer, Registry
+    from p2o.testing import Case
+
+
+@click.command("check-plugin")
+@click.argument("name")
+@click.option("--set", "settings", multiple=True, metavar="STAGE.FIELD=VALUE", help="An option of the method.")
+@plugin_options
+def command(name: str, settings: tuple[str, ...], plugin: tuple[str, ...], block: tuple[str, ...]) -> int:
+    """Check that methods keep the contracts of their slots.
+
+    NAME is a plugin (distribution, entry point, or a file given with --plugin), or one method. A dataset that needs a
+    path takes it with --set data.root=PATH. Exit status 1 where a check fails.
+    """
+    from p2o.recipe import STAGE_OF, parse_settings
+    from p2o.testing import checks_for, reads_files
+
+    options = parse_settings(settings)
+    failed = 0
+    for offer in _meant(load(plugin, block), name):
+        said = options.get(STAGE_OF.get(offer.kind, ""), {})
+        if reads_files(offer) and "root" not in said:
+            click.echo(f"skip  {offer.kind} {offer.name}: set data.root to check it")
+            continue
+        for case in checks_for(offer, options=said):
+            failed += not _ran(case)
+    click.echo("every check passed" if not failed else f"{failed} checks failed")
+    return 1 if failed else 0
+
+
+def _ran(case: Case) -> bool:
+    """Run one check, say how it went, and return whether that is as it should be."""
+    offer, reason = case.subject.offer, case.expected_failure
+    title = f"{offer.kind} {offer.name}: {case.check.name}"
+    try:
+        case()
+    except Exception as problem:
+        if reason:
+            click.echo(f"known {title} ({reason})")
+            return True
+        text = (
+            str(problem) if isinstance(problem, P2OError | AssertionError) else f"{type(problem).__name__}: {problem}"
+        )
+        click.echo(f"FAIL  {title}\n      promised: {case.check.promise}\n      but: {text}")
+        if os.environ.get("P2O_DEBUG", "") not in ("", "0"):
+            click.echo(traceback.format_exc())
+        return False
+    if reason:
+        click.echo(f"FAIL  {title}\n      passes, though expected_failures says: {reason}")
+        return False
+    click.echo(f"ok    {title}")
+    return True
+
+
+def _meant(registry: Registry, name: str) -> tuple[Offer, ...]:
+    """Return the offers of the plugin `name`, else those of methods of this name."""
+    found = tuple(o for o in registry.offers if name in (o.dist, o.entry, f"{o.dist}:{o.entry}"))
+    if found:
+        return found
+    try:
+        return registry.named(name)
+    except UnknownNameError as problem:
+        plugins = {o.dist for o in registry.offers}
+        raise UnknownNameError("plugin or method", name, {*plugins, *problem.known}, hint=problem.hint or "") from None

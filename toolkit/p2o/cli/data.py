@@ -1,0 +1,80 @@
+"""`p2o data`: what a dataset holds, and whether every frame of it can be used."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from p2o.cli.plugin_options import load, plugin_options
+from p2o.errors import InputError
+
+if TYPE_CHECKING:
+    from p2o.frame import Frame
+    from p2o.guard import GuardedDataset
+
+
+def _dataset_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    command = click.option("--set", "settings", multiple=True, metavar="data.FIELD=VALUE", help="An option.")(command)
+    command = click.option("--frames", default=None, metavar="SPEC", help="Which frames, as in `p2o run`.")(command)
+    return click.argument("data", metavar="DATASET:PATH")(plugin_options(command))
+
+
+@click.group("data")
+def command() -> None:
+    """List or check the frames of a dataset."""
+
+
+@command.command("list")
+@_dataset_options
+def list_frames(
+    data: str, frames: str | None, settings: tuple[str, ...], plugin: tuple[str, ...], block: tuple[str, ...]
+) -> int:
+    """Print the names of the frames, one a line; no frame is read."""
+    dataset, indices = _opened(data, frames, settings, plugin, block)
+    for index in indices:
+        click.echo(dataset.names[index])
+    return 0
+
+
+@command.command("check")
+@_dataset_options
+def check_frames(
+    data: str, frames: str | None, settings: tuple[str, ...], plugin: tuple[str, ...], block: tuple[str, ...]
+) -> int:
+    """Read every frame and say what it holds, or what is wrong with it; exit status 1 where any is bad."""
+    dataset, indices = _opened(data, frames, settings, plugin, block)
+    bad = 0
+    for index in indices:
+        try:
+            click.echo(described(dataset[index]))
+        except InputError as problem:
+            bad += 1
+            click.echo(f"{dataset.names[index]}: BAD: {problem}")
+    click.echo(f"{len(indices) - bad} of {len(indices)} frames are good")
+    return 1 if bad else 0
+
+
+def described(frame: Frame) -> str:
+    """Return in one line what a frame holds, and its warnings in further ones."""
+    image, cloud = frame.image, frame.cloud
+    parts = [
+        f"{frame.camera.width}x{frame.camera.height} px {frame.camera.model}",
+        f"{len(cloud)} points",
+        *(name for name in ("ring", "column", "intensity", "time_s") if getattr(cloud, name) is not None),
+        *(name for name in ("right", "depth_m", "masked") if getattr(image, name) is not None),
+        "truth" if frame.camera_from_lidar is not None else "no truth",
+        *(name for name in ("start", "twist") if getattr(frame, name) is not None),
+    ]
+    return "\n".join([f"{frame.name}: {', '.join(parts)}", *(f"  warning: {text}" for text in frame.warnings)])
+
+
+def _opened(
+    data: str, frames: str | None, settings: tuple[str, ...], plugin: tuple[str, ...], block: tuple[str, ...]
+) -> tuple[GuardedDataset, list[int]]:
+    from p2o.recipe import open_dataset, parse_settings
+    from p2o.selection import select
+
+    dataset = open_dataset(data, load(plugin, block), parse_settings(settings).get("data", {}))
+    return dataset, select(dataset.names, frames or "all", where="--frames", skipped=dataset.skipped)

@@ -1,0 +1,139 @@
+"""`p2o run`: words to a recipe, a recipe to a run, a run to text, JSON and files."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from p2o.cli.plugin_options import load, plugin_options
+from p2o.errors import InputError
+
+if TYPE_CHECKING:
+    from p2o.run import Progress, Row
+
+_PLACE = "{frame}"
+
+
+@click.command("run")
+@click.option("--data", metavar="DATASET:PATH", help="What to calibrate (default: a made-up scene, synthetic:).")
+@click.option(
+    "--frames", metavar="SPEC", help="all, indices and ranges (0,4-7), @splits.json#test, or names (default: all)."
+)
+@click.option("--extractor", metavar="IMAGE/CLOUD", help="The two extractors (default: stereo/rings).")
+@click.option("--matcher", metavar="NAME", help="How points and lines are paired (default: ogm).")
+@click.option("--solver", metavar="NAME", help="How the pose is improved (default: lm).")
+@click.option("--init", metavar="NAME", help="How starting poses are found (default: search).")
+@click.option("--calibrator", metavar="NAME", help="A whole method instead of extractor, matcher, solver and init.")
+@click.option(
+    "--set", "settings", multiple=True, metavar="STAGE.FIELD=VALUE", help="An option (`p2o methods NAME` lists them)."
+)
+@click.option("--perturb", metavar='"2deg 0.15m"', help="Begin this far from the truth, in a random direction.")
+@click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Seed of everything random (default: 0).")
+@click.option("--joint", is_flag=True, default=None, help="One result for all frames together.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else on stdout.")
+@click.option("--out", type=click.Path(), metavar="DIR", help="Write result JSON, overlays and convergence plots here.")
+@click.option("--export", "exports", multiple=True, metavar="NAME:PATH", help="Write the result in another format.")
+@plugin_options
+def command(
+    settings: tuple[str, ...],
+    as_json: bool,
+    out: str | None,
+    exports: tuple[str, ...],
+    plugin: tuple[str, ...],
+    block: tuple[str, ...],
+    **words: Any,
+) -> int:
+    r"""Calibrate frames: find the transform from the LiDAR to the camera, starting from a rough one.
+
+    \b
+    p2o run                                            a made-up scene
+    p2o run --data kitti-raw:PATH --perturb "2deg 0.15m" --seed 1
+    p2o run --data kitti-raw:PATH --frames @splits.json#test --joint --out out
+
+    Where there are several results, PATH of --export holds {frame}. Exit status 1 where any calibration was refused
+    (its status says why).
+    """
+    with _stdout_kept_for_json(as_json) as stdout:
+        from p2o.cli.out_dir import OutDir, folder_name
+        from p2o.cli.summary import describe, describe_run
+        from p2o.recipe import Recipe, open_exporter, parse_settings
+        from p2o.run import Run, run
+
+        registry = load(plugin, block)
+        words = {name: value for name, value in words.items() if value is not None}
+        if settings:
+            words["options"] = parse_settings(settings)
+        plan = Recipe.of(**words).resolve(registry)
+        folder = None if out is None else OutDir.prepared(out)
+        writers = [open_exporter(text, registry) for text in exports]
+        rows: list[Row] = []
+
+        def noted(progress: Progress) -> None:
+            if progress.row is None:
+                shown(progress)
+                if progress.total > 1:
+                    _require_places(exports)
+                return
+            rows.append(progress.row)
+            if folder is not None:
+                folder.write(progress)
+            for writer, path in writers:
+                writer(progress.row.result, Path(str(path).replace(_PLACE, folder_name(progress.frames[0].name))))
+            if not as_json:
+                stdout.write(describe(progress.row) + "\n")
+
+        interrupted = False
+        with _progress() as shown:
+            try:
+                run(plan, on_progress=noted)
+            except KeyboardInterrupt:
+                interrupted = True
+                click.echo(f"p2o: interrupted; {len(rows)} finished calibrations are kept", err=True)
+        done = Run(tuple(rows), joint=plan.recipe.joint, interrupted=interrupted)
+        if folder is not None:
+            folder.finish(done)
+    if as_json:
+        stdout.write(json.dumps(done.as_dict(), allow_nan=False) + "\n")
+    elif len(rows) > 1:
+        stdout.write(describe_run(done) + "\n")
+    if interrupted:
+        return 130
+    return 0 if done.solved else 1
+
+
+def _require_places(exports: Sequence[str]) -> None:
+    """Raise InputError where several results would be written to one file."""
+    for text in exports:
+        if _PLACE not in text:
+            raise InputError(
+                "several results do not fit in one file",
+                where="--export",
+                expected=f"a path with {_PLACE} in it, or --joint",
+                got=text,
+            )
+
+
+@contextlib.contextmanager
+def _stdout_kept_for_json(wanted: bool) -> Iterator[Any]:
+    """Yield stdout; while it is kept for JSON, whatever a plugin prints goes to stderr."""
+    stdout = sys.stdout
+    with contextlib.redirect_stdout(sys.stderr) if wanted else contextlib.nullcontext():
+        yield stdout
+
+
+@contextlib.contextmanager
+def _progress() -> Iterator[Any]:
+    """Yield what shows progress: a line on stderr when it is a terminal, nothing otherwise."""
+    if not sys.stderr.isatty():
+        yield lambda progress: None
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status("starting") as status:
+        yield lambda p: status.update(f"{p.done + 1} of {p.total}: {p.name}")

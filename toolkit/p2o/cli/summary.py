@@ -1,0 +1,85 @@
+"""What `p2o run` says about results to a reader."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from p2o import se3
+
+if TYPE_CHECKING:
+    from p2o.arrays import Float
+    from p2o.metrics import PoseError
+    from p2o.result import Result
+    from p2o.run import Row, Run
+
+_AXES = (("roll", "deg"), ("pitch", "deg"), ("yaw", "deg"), ("x", "m"), ("y", "m"), ("z", "m"))
+
+
+def describe(row: Row) -> str:
+    """Return the readable account of one result: poses, errors, matches and residuals by direction, status."""
+    result = row.result
+    name = result.frames[0] if len(result.frames) == 1 else f"{len(result.frames)} frames jointly"
+    lines = [name, f"  {'status':<9} {result.status.value}: {result.reason}"]
+    lines += _pose("start", result.start) + _pose("result", result.camera_from_lidar)
+    lines.append(f"  {'moved':<9} {_distance(result.camera_from_lidar @ se3.inverse(result.start))}")
+    if row.start_error is not None and row.error is not None:
+        lines += _errors(row.start_error, row.error)
+    if result.matches:
+        parts = [f"{side} {count}" for side, count in result.matches.items()]
+        lines.append(f"  {'matches':<9} {sum(result.matches.values())}: " + ", ".join(parts))
+    if result.residual_px:
+        lines.append(f"  {'residual':<9} " + ", ".join(f"{k} {v:.2f} px" for k, v in result.residual_px.items()))
+    if result.directed_cost_px is not None:
+        before, after = result.directed_cost_px
+        lines.append(f"  {'edge gap':<9} {before:.2f} px at the start, {after:.2f} px at the result")
+    if result.seconds:
+        lines.append(f"  {'seconds':<9} " + ", ".join(f"{stage} {took:.2f}" for stage, took in result.seconds.items()))
+    lines += [f"  {'warning':<9} {text}" for text in _warnings(result)]
+    return "\n".join(lines)
+
+
+def describe_run(run: Run) -> str:
+    """Return the summary of many results: counts by status, then means and medians of the errors."""
+    summary = run.summary
+    counts = ", ".join(f"{count} {status}" for status, count in summary["status"].items())
+    lines = [f"{summary['count']} calibrations: {counts}"]
+    for label in ("start", "error"):
+        values = summary[label]
+        if values.get("count"):
+            lines.append(
+                f"  {label:<6} mean {values['rotation_deg_mean']:.3f} deg {values['translation_m_mean']:.3f} m, "
+                f"median {values['rotation_deg_median']:.3f} deg {values['translation_m_median']:.3f} m"
+                f" ({values['count']} solved)"
+            )
+    return "\n".join(lines)
+
+
+def _warnings(result: Result) -> list[str]:
+    """Return the warnings, each text once: the same one of many frames is told with their number."""
+    by_text: dict[str, list[str]] = {}
+    for warning in result.warnings:
+        name, colon, text = warning.partition(": ")
+        frame = name if colon and name in result.frames else ""
+        by_text.setdefault(text if frame else warning, []).append(frame)
+    return [
+        text if not names[0] else f"{names[0]}: {text}" if len(names) == 1 else f"{len(names)} frames: {text}"
+        for text, names in by_text.items()
+    ]
+
+
+def _pose(label: str, pose: Float) -> list[str]:
+    rows = [" ".join(f"{value: .6f}" for value in row) for row in pose[:3]]
+    return [f"  {label:<9} {rows[0]}", *(f"  {'':<9} {row}" for row in rows[1:])]
+
+
+def _distance(step: Float) -> str:
+    return f"{se3.angle_deg(step):.3f} deg, {se3.distance_m(step):.3f} m"
+
+
+def _errors(before: PoseError, after: PoseError) -> list[str]:
+    head = "  ".join(f"{axis:>7}" for axis, _ in _AXES)
+    lines = [f"  {'error':<9} {'deg':>7}  {'m':>7}  {head}"]
+    for label, error in (("before", before), ("after", after)):
+        axes = "  ".join(f"{error.per_axis[f'{axis}_{unit}']:>7.3f}" for axis, unit in _AXES)
+        lines.append(f"    {label:<7} {error.rotation_deg:>7.3f}  {error.translation_m:>7.3f}  {axes}")
+    return lines

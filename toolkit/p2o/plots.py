@@ -1,0 +1,73 @@
+"""Figures of a result, written as files; no global state of matplotlib is touched."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+from p2o.overlay import COLOURS
+from p2o.result import Result
+from p2o.side import SIDES
+from p2o.whole_file import write_whole
+
+
+def convergence(result: Result, path: Path | str) -> None:
+    """Write a PNG of a result's rounds, as the paper's convergence figure: matches, residual and directed cost.
+
+    Matches are stacked by direction; rounds that were not kept are hollow. A result without rounds says so.
+    Raises InputError if the file cannot be written.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
+
+    figure = Figure(figsize=(7.0, 4.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(1, 1.2))
+    rounds = result.rounds
+    numbers = list(range(1, len(rounds) + 1))
+    top.set_title(f"{_named(result)}: {result.status.value}", fontsize=10)
+
+    floor = [0] * len(rounds)
+    for side in SIDES:
+        counts = [r.matches.get(side.letter, 0) for r in rounds]
+        if any(counts):
+            top.bar(numbers, counts, 0.7, floor, color=_face(side.letter), label=side.letter)
+            floor = [a + b for a, b in zip(floor, counts, strict=True)]
+    rest = [sum(r.matches.values()) - below for r, below in zip(rounds, floor, strict=True)]
+    if any(rest):
+        top.bar(numbers, rest, 0.7, floor, color="0.75", label="no direction")
+    top.set_ylabel("matches")
+
+    for values, colour, label in (
+        ([r.mean_residual_px for r in rounds], "black", "mean residual"),
+        ([r.directed_cost_px for r in rounds], "tab:purple", "directed cost"),
+    ):
+        bottom.plot(numbers, values, color=colour, lw=1.3, label=label)
+        for kept in (True, False):
+            at = [(n, v) for n, v, r in zip(numbers, values, rounds, strict=True) if r.accepted is kept]
+            bottom.plot(
+                *zip(*at, strict=True) if at else ([], []), "o", ms=5, color=colour, mfc=colour if kept else "w"
+            )
+    bottom.set_ylabel("pixels")
+    bottom.set_xlabel("round" if all(r.accepted for r in rounds) else "round (hollow: not kept)")
+    bottom.xaxis.set_major_locator(MaxNLocator(integer=True))
+    for axis in (top, bottom):
+        axis.grid(axis="y", alpha=0.3)
+        axis.spines[["top", "right"]].set_visible(False)
+        if rounds:
+            axis.set_ylim(0, 1.25 * axis.get_ylim()[1])  # room for the legend
+            axis.legend(fontsize=8, frameon=False, ncols=4, loc="upper right")
+        else:
+            axis.text(0.5, 0.5, "no rounds", ha="center", va="center", transform=axis.transAxes, color="0.5")
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=130, metadata={"Software": None})
+    write_whole(path, picture.getvalue())
+
+
+def _named(result: Result) -> str:
+    return result.frames[0] if len(result.frames) == 1 else f"{len(result.frames)} frames jointly"
+
+
+def _face(letter: str) -> tuple[float, ...]:
+    return tuple(c / 255 for c in COLOURS[letter])

@@ -1,0 +1,135 @@
+"""Choosing frames of a dataset by words such as `0,3,5-9`, `10:20:2`, names, or a split of a JSON file."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from p2o.errors import InputError, UnknownNameError
+
+_INDEX = re.compile(r"-?\d+")
+_RANGE = re.compile(r"(\d+)-(\d+)")
+_SLICE = re.compile(r"(-?\d+)?:(-?\d+)?(?::(-?\d+)?)?")
+_SYNTAX = "all, indices (0,3,-1), ranges (5-9, ends included), slices (10:20:2), names, or @splits.json#SPLIT"
+
+
+def select(
+    names: Sequence[str], spec: str, where: object = None, skipped: Mapping[str, str] | None = None
+) -> list[int]:
+    """Return the indices of the chosen frames, in the order they are named, each once.
+
+    `spec` joins any of these by commas: `all`; an index, negative from the end; a range `5-9` with both ends; a
+    Python slice `10:20:2`; a name or the unique end of one after a `/`; `@FILE.json#SPLIT`, a list of names in a
+    JSON file (`#SPLIT` may be left out where the file is a list or has one split). What is a name is never taken for
+    an index, and numbers with a leading zero are names. `where` leads the text of errors; `skipped` maps names of
+    frames that a dataset left out to the reason.
+
+    Raises UnknownNameError for an unknown frame or split, InputError for indices out of range, wrong syntax, an
+    ambiguous name, a JSON file that is missing or invalid, and split entries that the dataset lacks.
+    """
+    index_of = {name: index for index, name in enumerate(names)}
+    chosen: dict[int, None] = {}
+    for word in (part.strip() for part in spec.split(",")):
+        chosen.update(dict.fromkeys(_chosen(names, index_of, word, where, skipped or {})))
+    if not chosen:
+        raise InputError("no frame is chosen", where=where, expected=_SYNTAX, got=f"'{spec}' of {len(names)} frames")
+    return list(chosen)
+
+
+def _chosen(
+    names: Sequence[str], index_of: Mapping[str, int], word: str, where: object, skipped: Mapping[str, str]
+) -> Sequence[int]:
+    if word in index_of:
+        return [index_of[word]]
+    if not word:
+        raise InputError("an empty word in the choice of frames", where=where, expected=_SYNTAX)
+    if word == "all":
+        return range(len(names))
+    if word.startswith("@"):
+        return _split(index_of, word[1:], where)
+    leading_zero = len(word.lstrip("-")) > 1 and word.lstrip("-").startswith("0")
+    if _INDEX.fullmatch(word) and not leading_zero:
+        return [_checked(int(word), names, where)]
+    if (match := _RANGE.fullmatch(word)) and not leading_zero:
+        first, last = (_checked(int(end), names, where) for end in match.groups())
+        if last < first:
+            raise InputError(
+                f"the range '{word}' runs backwards", where=where, expected=f"{last}-{first}", got=f"'{word}'"
+            )
+        return range(first, last + 1)
+    if match := _SLICE.fullmatch(word):
+        start, stop, step = (int(part) if part else None for part in match.groups())
+        if step == 0:
+            raise InputError(f"the slice '{word}' has step 0", where=where, expected=_SYNTAX)
+        return range(len(names))[slice(start, stop, step)]
+    return [_named(names, word, where, skipped)]
+
+
+def _checked(index: int, names: Sequence[str], where: object) -> int:
+    if not -len(names) <= index < len(names):
+        raise InputError(
+            f"frame index {index} is out of range",
+            where=where,
+            expected=f"0 to {len(names) - 1}" if names else "a dataset with frames",
+        )
+    return index % len(names)
+
+
+def _named(names: Sequence[str], word: str, where: object, skipped: Mapping[str, str]) -> int:
+    tails = [index for index, name in enumerate(names) if name.endswith(f"/{word}")]
+    if len(tails) == 1:
+        return tails[0]
+    if tails:
+        raise InputError(
+            f"'{word}' is the end of {len(tails)} names",
+            where=where,
+            expected="a name",
+            got=" or ".join(names[index] for index in tails[:3]),
+        )
+    for name, reason in skipped.items():
+        if name == word or name.endswith(f"/{word}"):
+            raise InputError(f"frame '{name}' is left out of the dataset", where=where, got=reason)
+    raise UnknownNameError("frame", word, names, where=where, hint=f"frames are chosen by {_SYNTAX}")
+
+
+def _split(index_of: Mapping[str, int], word: str, where: object) -> list[int]:
+    file, hash_sign, split = word.partition("#")
+    path = Path(file).expanduser()
+    splits = _read_splits(path)
+    if not hash_sign:
+        if len(splits) != 1:
+            raise InputError("which split?", where=path, expected=f"@{file}#SPLIT with one of: {', '.join(splits)}")
+        split = next(iter(splits))
+    if split not in splits:
+        raise UnknownNameError("split", split, splits, where=path)
+    entries = splits[split]
+    absent = [name for name in entries if name not in index_of]
+    if absent:
+        raise InputError(
+            f"{len(absent)} of the {len(entries)} frames of split '{split}' are not in the dataset",
+            where=path,
+            expected=f"names such as {next(iter(index_of))}" if index_of else "a dataset with frames",
+            got=absent[0],
+            hint=None if where is None else f"asked by {where}",
+        )
+    return [index_of[name] for name in entries]
+
+
+def _read_splits(path: Path) -> Mapping[str, list[str]]:
+    """Return the lists of names of a JSON file by split; a bare list is one split without a name."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as problem:
+        raise InputError("the file of splits is missing", where=path, expected="a JSON file") from problem
+    except OSError as problem:
+        raise InputError("the file of splits cannot be read", where=path, got=problem.strerror) from problem
+    except (ValueError, RecursionError) as problem:
+        raise InputError("the file of splits is not JSON", where=path, got=str(problem)[:120]) from problem
+    splits = {"": content} if isinstance(content, list) else content
+    if not isinstance(splits, dict) or not all(
+        isinstance(entries, list) and all(isinstance(name, str) for name in entries) for entries in splits.values()
+    ):
+        raise InputError("the file of splits has another form", where=path, expected='{"SPLIT": ["NAME", ...], ...}')
+    return splits

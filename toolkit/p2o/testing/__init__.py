@@ -1,0 +1,103 @@
+"""The conformance kit: checks that any method of a slot has to pass, for our own plugins and everyone's.
+
+In the tests of a plugin:
+
+    import pytest
+    from p2o.testing import conformance_cases
+
+    @pytest.mark.parametrize("check", conformance_cases("my-distribution"))
+    def test_conformance(check):
+        check()
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from p2o.errors import UnknownNameError
+from p2o.method import Kind, Method
+from p2o.registry import Offer, Registry
+from p2o.testing.checks import CHECKS as CHECKS
+from p2o.testing.checks import Check as Check
+from p2o.testing.checks import CheckFailed as CheckFailed
+from p2o.testing.checks import Subject as Subject
+
+
+@dataclass(frozen=True)
+class Case:
+    """One check of one method; call it, and it raises where the promise is broken.
+
+    `expected_failure` is the reason why the method is known to break it, or empty.
+    """
+
+    check: Check
+    subject: Subject
+    expected_failure: str = ""
+
+    @property
+    def name(self) -> str:
+        """A name such as solver-lm-solutions_repeat."""
+        offer = self.subject.offer
+        return f"{offer.kind.value.replace(' ', '-')}-{offer.name}-{self.check.name}"
+
+    def __call__(self) -> None:
+        self.check.function(self.subject)
+
+
+def checks_for(
+    method: Offer | Method, kind: Kind | None = None, options: Mapping[str, Any] | None = None
+) -> list[Case]:
+    """Return every check of a method; `kind` is needed for a bare Method, `options` for a dataset that reads files.
+
+    Raises TypeError where the kind is missing, UnknownNameError where the method expects failures of checks that do
+    not exist, and InputError for bad options.
+    """
+    from p2o.recipe import validated
+
+    if isinstance(method, Method):
+        if kind is None:
+            raise TypeError("a bare Method does not know its kind: checks_for(method, Kind.SOLVER)")
+        method = Offer(kind, method, "under-test", "", "plugin")
+    known = {check.name for check in CHECKS}
+    reasons = dict(method.method.expected_failures)
+    for name in reasons:
+        if name not in known:
+            raise UnknownNameError("conformance check", name, known, where=f"expected_failures of {method.name}")
+    subject = Subject(method, validated(method.method.options, options or {}, method.name))
+    return [Case(check, subject, reasons.get(check.name, "")) for check in CHECKS if method.kind in check.kinds]
+
+
+def conformance_cases(plugin: str | Registry | Sequence[Offer], options: Mapping[str, Any] | None = None) -> list[Any]:
+    """Return a pytest parameter for every check of every method of a plugin, a registry or a list of offers.
+
+    `plugin` is the name of an installed distribution. Expected failures are strict: a check that passes after all is
+    reported. `options` maps method names to options; datasets that read files are left out without their `root`.
+    """
+    import pytest
+
+    offers: Sequence[Offer]
+    if isinstance(plugin, str):
+        registry = Registry.load()
+        offers = [offer for offer in registry.offers if plugin in (offer.dist, offer.entry)]
+        if not offers:
+            raise UnknownNameError("plugin", plugin, {offer.dist for offer in registry.offers})
+    else:
+        offers = plugin.offers if isinstance(plugin, Registry) else plugin
+    said = options or {}
+    return [
+        pytest.param(
+            case,
+            id=case.name,
+            marks=[pytest.mark.xfail(reason=case.expected_failure, strict=True)] if case.expected_failure else [],
+        )
+        for offer in offers
+        if offer.name in said or not reads_files(offer)
+        for case in checks_for(offer, options=said.get(offer.name))
+    ]
+
+
+def reads_files(offer: Offer) -> bool:
+    """Return whether a dataset reads a folder of files, and cannot be checked without being told which."""
+    return offer.kind == Kind.DATASET and "root" in offer.method.options.model_fields

@@ -1,0 +1,187 @@
+"""A bare stage with exact truth, made of numpy alone: upright plates in a room, seen by a camera and a LiDAR.
+
+LiDAR frame: x forward, y left, z up. Plates are rectangles across x, so their outlines are known in closed form.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from p2o import se3
+from p2o.arrays import Float, Int
+from p2o.camera import Camera
+from p2o.cloud import Cloud
+from p2o.features import CloudEdges, CloudFeatures, ImageEdges, ImageFeatures
+from p2o.frame import Frame
+from p2o.image import Image
+from p2o.side import Side
+from p2o.view import View
+
+BASELINE_M = 0.54
+FLOOR_M = -1.7
+# Distance, then left, right, top and bottom border of each plate; none hides another, in either sensor.
+_PLATES = np.array(
+    [
+        [7.0, 3.4, 2.2, 0.6, -0.8],
+        [8.0, 1.2, 0.1, 0.9, -0.5],
+        [9.5, -0.9, -2.2, 0.3, -0.9],
+        [11.0, -3.6, -5.0, 1.2, -0.2],
+        [12.0, 8.6, 7.0, 1.0, -0.6],
+    ]
+)
+_GREYS = np.array([40.0, 215.0, 45.0, 210.0, 50.0, 125.0, 125.0, 105.0, 140.0, 115.0, 150.0])
+_FRONT_M, _BACK_M, _SIDE_M = 22.0, -15.0, 12.0
+_BEAMS, _COLUMNS = 64, 1500
+
+
+@lru_cache(maxsize=1)
+def camera() -> Camera:
+    """Return the camera of the stage: a pinhole of 480x240 px with a horizontal view of 80 degrees."""
+    return Camera.pinhole(286.0, 286.0, 240.3, 118.6, 480, 240)
+
+
+@lru_cache(maxsize=1)
+def camera_from_lidar() -> Float:
+    """Return the true extrinsic (4, 4): the camera 0.2 m ahead, 0.1 m left and 0.1 m below, turned by 1.2 deg."""
+    axes = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    turn = se3.exp(np.array([0.012, -0.015, 0.009, 0.0, 0.0, 0.0]))[:3, :3]
+    truth = se3.make(turn @ axes, -turn @ axes @ np.array([0.2, 0.1, -0.1]))
+    truth.flags.writeable = False
+    return truth
+
+
+@lru_cache(maxsize=1)
+def frame() -> Frame:
+    """Return the stage as a frame: image, right image, exact depth, and a sweep with ring, column, time, intensity."""
+    lidar_from_camera = se3.inverse(camera_from_lidar())
+    rgb, depth = _picture(lidar_from_camera)
+    right, _ = _picture(lidar_from_camera @ se3.make(translation=(BASELINE_M, 0.0, 0.0)))
+    image = Image(rgb, camera(), right=right, baseline_m=BASELINE_M, depth_m=depth)
+    return Frame("stage", image, _sweep(), camera_from_lidar=camera_from_lidar())
+
+
+def featureless_image() -> Image:
+    """Return an image in which nothing can be found: one grey, one depth."""
+    grey = np.full((240, 480, 3), 128, np.uint8)
+    return Image(grey, camera(), right=grey, baseline_m=BASELINE_M, depth_m=np.full((240, 480), 10.0))
+
+
+def featureless_cloud() -> Cloud:
+    """Return a sweep in which nothing can be found: the inside of a ball of 15 m radius around the LiDAR."""
+    ring, column, directions = _beams()
+    return Cloud(
+        15.0 * directions,
+        ring=ring,
+        column=column,
+        intensity=np.full(len(ring), 0.4),
+        time_s=column / _COLUMNS * 0.1 - 0.05,
+    )
+
+
+@lru_cache(maxsize=1)
+def view() -> View:
+    """Return exact features: the outlines of all plates as image edges and as cloud edges, with their sides."""
+    xyz, side, background = _outlines(0.05)
+    fine, fine_side, _ = _outlines(0.01)
+    uv = camera().project(se3.apply(camera_from_lidar(), fine))
+    shown = camera().in_image(uv)
+    edges = CloudEdges(xyz, side, sigma_m=np.full(len(xyz), 0.01), background=background)
+    return View(
+        "stage",
+        camera(),
+        ImageFeatures(edges=ImageEdges(uv[shown], fine_side[shown])),
+        CloudFeatures(edges=edges, points=frame().cloud.xyz),
+    )
+
+
+def bare_view() -> View:
+    """Return a view in which both extractors have found nothing."""
+    return View("bare", camera(), ImageFeatures(edges=ImageEdges.empty()), CloudFeatures(edges=CloudEdges.empty()))
+
+
+def _outlines(step_m: float) -> tuple[Float, Any, Float]:
+    """Return points (N, 3) along the borders of all plates, their sides (N,) and background directions (N, 3)."""
+    points, sides, backgrounds = [], [], []
+    for x, left, right, top, bottom in _PLATES:
+        across = np.linspace(right, left, round((left - right) / step_m))
+        down = np.linspace(bottom, top, round((top - bottom) / step_m))
+        for side, y, z, background in (
+            (Side.LEFT, np.full_like(down, left), down, (0.0, 1.0, 0.0)),
+            (Side.RIGHT, np.full_like(down, right), down, (0.0, -1.0, 0.0)),
+            (Side.UPPER, across, np.full_like(across, top), (0.0, 0.0, 1.0)),
+            (Side.BOTTOM, across, np.full_like(across, bottom), (0.0, 0.0, -1.0)),
+        ):
+            points.append(np.column_stack([np.full_like(y, x), y, z]))
+            sides.append(np.full(len(y), side, np.int8))
+            backgrounds.append(np.tile(background, (len(y), 1)))
+    return np.concatenate(points), np.concatenate(sides), np.concatenate(backgrounds)
+
+
+@dataclass(frozen=True, eq=False)
+class _Hits:
+    """What rays meet first: `distance_m` (N,) and the number of the surface (N,)."""
+
+    distance_m: Float
+    surface: Int
+
+
+def _cast(origin: Float, directions: Float) -> _Hits:
+    """Return the first surface along each ray (N, 3) from `origin` (3,): plates, then walls, floor and ceiling."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x = (_PLATES[:, 0, None] - origin[0]) / directions[:, 0]
+        y, z = origin[1] + x * directions[:, 1], origin[2] + x * directions[:, 2]
+        _, left, right, top, bottom = _PLATES.T[:, :, None]
+        inside = (y <= left) & (y >= right) & (z <= top) & (z >= bottom)
+        walls = np.stack(
+            [
+                (limit - origin[axis]) / directions[:, axis]
+                for axis, limit in ((0, _FRONT_M), (0, _BACK_M), (1, _SIDE_M), (1, -_SIDE_M), (2, FLOOR_M), (2, 8.0))
+            ]
+        )
+    distance = np.concatenate([np.where(inside, x, np.inf), walls])
+    distance = np.where(np.isfinite(distance) & (distance > 1e-6), distance, np.inf)
+    surface = np.argmin(distance, axis=0)
+    return _Hits(distance[surface, np.arange(len(surface))], surface)
+
+
+def _picture(lidar_from_camera: Float) -> tuple[Any, Float]:
+    """Return rgb (H, W, 3) uint8 and depth (H, W) in metres along the optical axis."""
+    height, width = camera().height, camera().width
+    uv = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1).reshape(-1, 2)
+    rays = camera().rays(uv.astype(np.float64))
+    directions = rays @ lidar_from_camera[:3, :3].T
+    hits = _cast(lidar_from_camera[:3, 3], directions)
+    points = lidar_from_camera[:3, 3] + hits.distance_m[:, None] * directions
+    # Each surface has a grey of its own and a texture fixed to it, so that block matching has something to match.
+    waves = np.random.default_rng(0).normal(scale=9.0, size=(3, 12))
+    grain = np.sin(points @ waves + hits.surface[:, None]).sum(axis=1)
+    grey = np.clip(_GREYS[hits.surface] + 7.0 * grain, 0, 255).astype(np.uint8).reshape(height, width)
+    depth = (hits.distance_m * rays[:, 2]).reshape(height, width)
+    return np.repeat(grey[:, :, None], 3, axis=2), depth
+
+
+def _beams() -> tuple[Int, Int, Float]:
+    """Return ring (N,), column (N,) and unit direction (N, 3) of every firing, ring by ring, highest first."""
+    ring, column = (a.ravel() for a in np.mgrid[0:_BEAMS, 0:_COLUMNS])
+    elevation = np.radians(8.0 - 28.0 * ring / (_BEAMS - 1))
+    azimuth = 2 * np.pi * column / _COLUMNS
+    directions = np.column_stack(
+        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
+    )
+    return ring, column, directions
+
+
+def _sweep() -> Cloud:
+    ring, column, directions = _beams()
+    hits = _cast(np.zeros(3), directions)
+    return Cloud(
+        hits.distance_m[:, None] * directions,
+        ring=ring,
+        column=column,
+        intensity=np.asarray(0.1 + 0.08 * (hits.surface % 10), np.float64),
+        time_s=column / _COLUMNS * 0.1 - 0.05,
+    )
