@@ -1,7 +1,8 @@
-"""Time the LiDAR side on whole sweeps: `python benchmarks/rings.py PATH_TO_KITTI_RAW [FRAMES.json]`.
+"""Time the LiDAR side on whole sweeps: `python benchmarks/rings.py PATH_TO_KITTI_RAW`.
 
-Prints milliseconds a sweep and their ratio to one numpy argsort of the same points in random order, which makes
-figures of different machines comparable. One core: set OMP_NUM_THREADS=1.
+Prints milliseconds a sweep and their ratio to one numpy argsort of as many numbers in random order, which makes
+figures of different machines comparable. Time is that of one core (set OMP_NUM_THREADS=1), without what other
+programs use of it.
 """
 
 from __future__ import annotations
@@ -15,30 +16,41 @@ import numpy as np
 from p2o import Cloud
 from p2o_plugins.cloud.rings import METHOD
 
-TEST_DRIVES = ("0005", "0011", "0019", "0027", "0036", "0046", "0070", "0084", "0096")
+TEST_FRAMES = {
+    "0005": (10, 59),
+    "0011": (111, 127, 147, 157, 167),
+    "0019": (30, 87, 97),
+    "0027": (53, 103),
+    "0036": (54, 402),
+    "0046": (52, 62),
+    "0070": (69, 224),
+    "0084": (84, 179, 238),
+    "0096": (20, 278, 381),
+}
 REPEATS = 9
 
 
 def best_ms(call: Callable[[], object]) -> float:
-    """Return the shortest of several runs: what the code needs when nothing else uses the core."""
+    """Return the shortest of several runs."""
     times = []
     for _ in range(REPEATS):
-        begin = time.perf_counter()
+        begin = time.process_time()
         call()
-        times.append(time.perf_counter() - begin)
+        times.append(time.process_time() - begin)
     return 1e3 * min(times)
 
 
 def main() -> None:
     if len(sys.argv) < 2:
         raise SystemExit(__doc__)
-    files = sorted(
-        path
-        for drive in TEST_DRIVES
-        for path in Path(sys.argv[1]).glob(f"*/*_drive_{drive}_sync/velodyne_points/data/*.bin")
-    )
-    if not files:
-        raise SystemExit(f"{sys.argv[1]}: no velodyne_points/data/*.bin of drives {', '.join(TEST_DRIVES)}")
+    files = [
+        Path(sys.argv[1]) / f"2011_09_26/2011_09_26_drive_{drive}_sync/velodyne_points/data/{frame:010}.bin"
+        for drive, frames in TEST_FRAMES.items()
+        for frame in frames
+    ]
+    missing = [path for path in files if not path.is_file()]
+    if missing:
+        raise SystemExit(f"{missing[0]}: no such sweep ({len(missing)} of {len(files)} missing)")
     extract = METHOD.build(METHOD.options())
     rng = np.random.default_rng(0)
     rows = []

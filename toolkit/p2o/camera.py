@@ -96,10 +96,9 @@ class Camera:
 
     @cached_property
     def focal_px(self) -> float:
-        """Mean focal length in pixels: the size in pixels of one radian near the image centre."""
-        if self.is_pinhole:
-            return 0.5 * (self.params[0] + self.params[1])
-        return float(self._colmap.mean_focal_length())
+        """Size in pixels of one radian on the optical axis, the mean of right and down."""
+        _, jacobian = self.project_with_jacobian(np.array([[0.0, 0.0, 1.0]]))
+        return float(0.5 * (jacobian[0, 0, 0] + jacobian[0, 1, 1]))
 
     @cached_property
     def _max_tangent(self) -> float:

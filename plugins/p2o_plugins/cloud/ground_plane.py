@@ -23,7 +23,7 @@ def ground_plane(sweep: Sweep, seed: int, max_tilt_deg: float = 30.0, min_share:
     rows = np.flatnonzero(sweep.flat_m < _REACH_M)
     if len(rows) < 10:
         return None
-    picked = sweep.xyz[rows[rng.integers(len(rows), size=_SAMPLE)] if len(rows) > _SAMPLE else rows]
+    picked = sweep.xyz(rows[rng.integers(len(rows), size=_SAMPLE)] if len(rows) > _SAMPLE else rows)
     upright = np.cos(np.radians(max_tilt_deg))
     a, b, c = picked[rng.integers(len(picked), size=(3, _TRIALS))]
     normal = np.cross(b - a, c - a)

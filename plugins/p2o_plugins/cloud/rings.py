@@ -70,7 +70,7 @@ def ring_edges(cloud: Cloud, options: RingsOptions) -> CloudFeatures:
         support = _support(sweep, neighbours, side, rows, options)
         keep = support >= options.min_support
         if plane is not None:
-            keep &= sweep.xyz[rows] @ plane[:3] + plane[3] > options.ground_height_m
+            keep &= sweep.xyz(rows) @ plane[:3] + plane[3] > options.ground_height_m
         rows, support = rows[keep], support[keep]
         keep = _in_company(sweep, rows, options)
         rows, support = rows[keep], support[keep]
@@ -79,7 +79,7 @@ def ring_edges(cloud: Cloud, options: RingsOptions) -> CloudFeatures:
     edges = CloudEdges(*(np.concatenate(column) for column in zip(*parts, strict=True)))
     if options.max_points == 0:
         return CloudFeatures(edges, np.zeros((0, 3)))
-    return CloudFeatures(edges, sweep.xyz[:: -(-len(sweep) // options.max_points)])
+    return CloudFeatures(edges, sweep.xyz(slice(None, None, -(-len(sweep) // options.max_points))))
 
 
 _OPPOSITE = {Side.LEFT: Side.RIGHT, Side.RIGHT: Side.LEFT, Side.UPPER: Side.BOTTOM, Side.BOTTOM: Side.UPPER}
@@ -139,7 +139,7 @@ def _in_company(sweep: Sweep, rows: Int, options: RingsOptions) -> Bool:
     others = options.min_neighbours
     if others == 0 or len(rows) <= others:
         return np.full(len(rows), others == 0)
-    xyz = sweep.xyz[rows]
+    xyz = sweep.xyz(rows)
     radius = np.maximum(options.neighbour_m, options.neighbour_share * sweep.range_m[rows])
     tree = cKDTree(xyz, balanced_tree=False, compact_nodes=False)
     distance = tree.query(xyz, k=[others + 1], distance_upper_bound=float(radius.max()) * 1.001)[0]
@@ -151,7 +151,7 @@ def _outline(
     sweep: Sweep, behind: Neighbours, side: Side, rows: Int, beam: float, options: RingsOptions
 ) -> tuple[Float, Float]:
     """Return xyz (M, 3) m moved towards the passing beam, at the point's own distance, and sigma_m (M,)."""
-    xyz, flat = sweep.xyz[rows].copy(), sweep.flat_m[rows].astype(np.float64)
+    xyz, flat = sweep.xyz(rows), sweep.flat_m[rows].astype(np.float64)
     share = options.shift_beams
     if side in (Side.LEFT, Side.RIGHT):
         # Lasers beside the axis see near and far under slightly different azimuths (HDL-64E: 0.05 degrees between

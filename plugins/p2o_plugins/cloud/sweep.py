@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from p2o import Cloud, InputError
@@ -19,13 +20,14 @@ _MOST_SCATTER = 0.25
 class Sweep:
     """The returns of one sweep, ring by ring from the highest to the lowest, each ring by rising azimuth.
 
-    `xyz` (N, 3) m in the LiDAR frame; `range_m` (N,) from the origin, `flat_m` (N,) from the z axis; `azimuth` (N,) rad
-    in [0, 2 pi), rising counter-clockwise seen from +z; `ring` (N,) 0 is the highest; `start` (R + 1,) first row of
-    each ring. `slope` and `offset` (R,): each ring lies on the cone z = slope * flat_m + offset. Range, flat distance
-    and azimuth are single precision: 4 micrometres at 80 m.
+    `point` (N,) is each return's row in the cloud; `range_m` (N,) from the origin, `flat_m` (N,) from the z axis;
+    `azimuth` (N,) rad in [0, 2 pi), rising counter-clockwise seen from +z; `ring` (N,) 0 is the highest; `start`
+    (R + 1,) first row of each ring. `slope` and `offset` (R,): each ring lies on the cone z = slope * flat_m + offset.
+    Range, flat distance and azimuth are single precision: 4 micrometres at 80 m.
     """
 
-    xyz: Float
+    cloud: Cloud
+    point: Int
     range_m: Float
     flat_m: Float
     azimuth: Float
@@ -35,7 +37,11 @@ class Sweep:
     offset: Float
 
     def __len__(self) -> int:
-        return len(self.xyz)
+        return len(self.point)
+
+    def xyz(self, rows: Any) -> Float:
+        """Return the points (M, 3) m in the LiDAR frame of rows (M,) or a slice."""
+        return np.take(self.cloud.xyz, self.point[rows], axis=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,16 +75,14 @@ def order_sweep(cloud: Cloud) -> Sweep:
     rank = np.empty(count, np.int64)
     rank[top_down] = np.arange(count)
     ring = rank[label]
-    columns = [cloud.xyz, np.sqrt(flat * flat + z * z), flat, azimuth, ring]
+    range_m = np.sqrt(flat * flat + z * z)
     key = ring * _TURN + azimuth
-    if not (key[1:] >= key[:-1]).all():
-        order = np.argsort(key, kind="stable")
-        columns = [column[order] for column in columns]
-    keep = _nearest_of_ray(*columns[1:])
-    if not keep.all():
-        columns = [column[keep] for column in columns]
-    start = np.searchsorted(columns[4], np.arange(count + 1))
-    return Sweep(*columns, start, slope[top_down], offset[top_down])
+    # Stable sorting merges runs: next to nothing for points that come in order.
+    point = np.argsort(key, kind="stable")
+    point = point[_nearest_of_ray(range_m[point], flat[point], azimuth[point], ring[point])]
+    range_m, flat, azimuth, ring = range_m[point], flat[point], azimuth[point], ring[point]
+    start = np.searchsorted(ring, np.arange(count + 1))
+    return Sweep(cloud, point, range_m, flat, azimuth, ring, start, slope[top_down], offset[top_down])
 
 
 def _compact(label: Int) -> Int:

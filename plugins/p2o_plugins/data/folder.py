@@ -123,9 +123,7 @@ def _read(root: Path, folder: Path) -> Frame:
     with naming(path):
         camera = Camera(entry.camera.model, entry.camera.width, entry.camera.height, entry.camera.params)
         if (entry.right is None) != (entry.baseline_m is None):
-            raise InputError(
-                "a rectified pair needs its right picture and its baseline", expected="right, baseline_m"
-            )
+            raise InputError("a rectified pair needs its right picture and its baseline", expected="right, baseline_m")
         poses = {name: pose_matrix(name, getattr(entry, name), path) for name in ("start", "truth")}
     image, warnings = _image(root, folder, entry, camera)
     cloud_path = _file(root, folder, entry.cloud, "cloud", CLOUD_SUFFIXES)

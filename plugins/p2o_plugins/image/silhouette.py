@@ -43,12 +43,12 @@ FEATURES = (
 
 JUDGEMENT = {
     0: (
-        (5.63, 1.11, 0.42, 0.08, -0.59, 2.04, 0.88, 1.93, 0.82, -2.01, -2.90, 1.25, 0.36, -4.04),
-        (0.68, 2.59, -1.01),
+        (6.01, 1.26, 0.41, -0.03, -0.58, 2.01, 0.88, 1.75, 0.85, -2.04, -3.26, 0.87, 0.21, -3.29),
+        (0.69, 2.55, -0.97),
     ),
     1: (
-        (4.12, 0.85, -1.11, -0.02, 0.40, 2.42, 1.65, 0.35, -0.17, -0.66, 0.24, 2.99, -0.79, -6.05),
-        (0.64, 2.92, -1.19),
+        (4.51, 0.88, -0.13, 0.26, 0.71, 1.19, 1.36, 0.65, 0.19, -1.83, 0.05, 3.64, -0.35, -6.62),
+        (0.65, 2.64, -1.04),
     ),
 }
 """Coefficients of `confidence` for edges across columns (0: L, R) and across rows (1: U, B).
@@ -200,8 +200,9 @@ def votes_against(view: PairView, found: Silhouettes, towards: tuple[int, int], 
     """
     height, width = view.disparity.shape
     step = np.array(towards)
-    # The last pixel on the foreground's side of a sub-pixel place: 0.5 px back, then to the nearest centre.
-    u, v = (found.uv - 0.5 * step).round().astype(np.int64).T
+    # The last pixel on the foreground's side of a sub-pixel place is 0.5 px back, at the nearest centre. Rows at the
+    # edge mix both colours and would vote for any disparity by the edge itself; across columns poles are too thin.
+    u, v = (found.uv - (1.5 if step[1] else 0.5) * step).round().astype(np.int64).T
     k, t = np.arange(1 - WINDOW, 1), np.arange(-BREADTH, BREADTH + 1)
     columns = np.clip(u[:, None, None] + step[0] * k[:, None] + abs(step[1]) * t, 0, width - 1)
     rows = np.clip(v[:, None, None] + step[1] * k[:, None] + abs(step[0]) * t, 0, height - 1)

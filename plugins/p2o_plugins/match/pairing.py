@@ -23,13 +23,13 @@ class PairingOptions(p2o.Options):
         2.0, ge=0, help="Points this near to the centre of their line skip the angle test; 0 as in the paper."
     )
     min_straightness: float = p2o.field(
-        10.0, ge=1, help="Least ratio of the variances along and across a line (lambda_c); 1 accepts every curve."
+        5.0, ge=1, help="Least ratio of the variances along and across a line (lambda_c); a right angle has 4.4."
     )
     margin_px: float = p2o.field(0.0, ge=0, help="How far outside the image a projected point still takes part.")
     weigh_by_sigma: bool = p2o.field(True, help="Weigh pairs by the inverse of their variance in the image.")
     image_sigma_px: float = p2o.field(1.0, gt=0, help="Standard deviation of an image edge across its direction.")
     thin_px: float = p2o.field(0.0, ge=0, help="Keep one pair per direction and image cell of this size; 0 keeps all.")
-    huber_px: float = p2o.field(1.0, gt=0, help="Residual from which a pair counts linearly and no longer squared.")
+    huber_px: float = p2o.field(2.0, gt=0, help="Residual from which a pair counts linearly and no longer squared.")
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-
 from p2o import se3
 
 WIDTH, HEIGHT = 64, 32
@@ -36,7 +35,9 @@ def write_lines(path: Path, lines: Mapping[str, object]) -> None:
     path.write_text("".join(f"{key}: {value}\n" for key, value in lines.items()))
 
 
-def write_image(path: Path, *, grey: bool = False, size: tuple[int, int] = (WIDTH, HEIGHT), seed: int = 0) -> np.ndarray:
+def write_image(
+    path: Path, *, grey: bool = False, size: tuple[int, int] = (WIDTH, HEIGHT), seed: int = 0
+) -> np.ndarray:
     """Write random pixels and return them as RGB (or grey)."""
     path.parent.mkdir(parents=True, exist_ok=True)
     shape = (size[1], size[0]) if grey else (size[1], size[0], 3)
@@ -92,7 +93,31 @@ def write_raw_frame(day: Path, drive: str = "0001", frame: int = 0, camera: int 
 
 def write_oxts(folder: Path, frame: int, **values: float) -> None:
     """Write one packet; values by the names of KITTI's dataformat.txt, all others 0."""
-    order = "lat lon alt roll pitch yaw vn ve vf vl vu ax ay az af al au wx wy wz wf wl wu".split()
+    order = [
+        "lat",
+        "lon",
+        "alt",
+        "roll",
+        "pitch",
+        "yaw",
+        "vn",
+        "ve",
+        "vf",
+        "vl",
+        "vu",
+        "ax",
+        "ay",
+        "az",
+        "af",
+        "al",
+        "au",
+        "wx",
+        "wy",
+        "wz",
+        "wf",
+        "wl",
+        "wu",
+    ]
     path = folder / f"oxts/data/{frame:010d}.txt"
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(" ".join(str(values.get(name, 0.0)) for name in order) + " 0.05 0.01 4 10 4 4 0\n")

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from p2o import InputError
 from p2o_plugins.data.cloud_file import cloud_from_fields, read_cloud
 

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from p2o import Camera, Cloud, InputError, se3
 from p2o_plugins.data.direction import check_direction
 
@@ -23,7 +22,9 @@ def test_a_right_pose_passes_without_a_word() -> None:
 
 
 def test_the_inverse_is_refused_where_the_sweep_looks_ahead_only() -> None:
-    with pytest.raises(InputError, match=r"frame\.yaml: start looks like lidar_from_camera; expected camera_from_lidar"):
+    with pytest.raises(
+        InputError, match=r"frame\.yaml: start looks like lidar_from_camera; expected camera_from_lidar"
+    ):
         check_direction(cloud(45), CAMERA, se3.inverse(VELO_TO_CAM), where="frame.yaml")
 
 

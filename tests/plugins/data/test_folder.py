@@ -7,11 +7,10 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from scipy.spatial.transform import Rotation
-
 from p2o import InputError, se3
 from p2o_plugins.data.folder import FolderOptions, build
 from p2o_plugins.data.lazy_frames import LazyFrames
+from scipy.spatial.transform import Rotation
 
 from .kitti_files import HEIGHT, VELO_TO_CAM, WIDTH, sweep, write_image, write_sweep
 

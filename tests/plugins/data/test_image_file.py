@@ -5,7 +5,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-
 from p2o import InputError
 from p2o_plugins.data.image_file import read_rgb, read_uint16
 

@@ -3,7 +3,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-
 from p2o import InputError
 from p2o_plugins.data.input_file import existing_folder, naming, read_bytes, read_text
 

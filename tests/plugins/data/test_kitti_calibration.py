@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from p2o import InputError, UnknownNameError, se3
 from p2o_plugins.data.kitti_calibration import (
     KittiCalibration,

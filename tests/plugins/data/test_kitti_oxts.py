@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from p2o import InputError, se3
 from p2o_plugins.data.kitti_oxts import read_twist
 

@@ -6,7 +6,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-
 from p2o import Dataset, InputError, se3
 from p2o_plugins.data.kitti_raw import METHOD, KittiRawOptions, build
 from p2o_plugins.data.lazy_frames import LazyFrames
@@ -74,9 +73,7 @@ def test_a_frame_holds_pixels_points_camera_and_exact_extrinsic(tmp_path: Path) 
 def test_pykitti_compat_shortens_the_offset(tmp_path: Path) -> None:
     write_raw_frame(write_day(tmp_path))
     frame = dataset(tmp_path, pykitti_compat=True)[0]
-    assert np.allclose(
-        frame.camera_from_lidar, se3.make(translation=[3 / 50, 0, 0]) @ R_RECT @ VELO_TO_CAM, atol=1e-11
-    )
+    assert np.allclose(frame.camera_from_lidar, se3.make(translation=[3 / 50, 0, 0]) @ R_RECT @ VELO_TO_CAM, atol=1e-11)
 
 
 def test_a_grey_camera_has_three_channels_and_a_warning(tmp_path: Path) -> None:
@@ -182,7 +179,9 @@ def test_the_time_of_a_turn_comes_from_the_stamps_of_the_sweep(tmp_path: Path) -
 def test_an_image_of_another_size_is_refused_by_name(tmp_path: Path) -> None:
     folder = write_raw_frame(write_day(tmp_path))
     write_image(folder / "image_02/data/0000000000.png", size=(WIDTH + 2, HEIGHT))
-    with pytest.raises(InputError, match=r"0000000000\.png: the image size \(rgb\) does not fit .*64x32 px; got 66x32 px"):
+    with pytest.raises(
+        InputError, match=r"0000000000\.png: the image size \(rgb\) does not fit .*64x32 px; got 66x32 px"
+    ):
         dataset(tmp_path)[0]
 
 

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from p2o import Camera, Cloud, Dataset, Frame, Image, InputError, UnknownNameError
 from p2o_plugins.data.lazy_frames import LazyFrames
 

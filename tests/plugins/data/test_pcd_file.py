@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from p2o import InputError
 from p2o_plugins.data.cloud_file import read_cloud
 from p2o_plugins.data.pcd_file import read_pcd, unpack_lzf

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from p2o import InputError
 from p2o_plugins.data.cloud_file import read_cloud
 from p2o_plugins.data.ply_file import read_ply
@@ -34,7 +33,9 @@ def body(encoding: str) -> bytes:
     rows = table(">" if "big" in encoding else "<")
     if encoding != "ascii":
         return rows.tobytes() + b"\x03" + b"\0" * 12
-    lines = [" ".join(str(float(v)) if n != "channel" else str(int(v)) for n, v in zip(TYPES, r, strict=True)) for r in rows]
+    lines = [
+        " ".join(str(float(v)) if n != "channel" else str(int(v)) for n, v in zip(TYPES, r, strict=True)) for r in rows
+    ]
     return ("\n".join(lines) + "\n3 0 1 2\n").encode()
 
 

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from p2o import Cloud, InputError, se3
 from p2o_plugins.data.velodyne_file import (
     raise_elevation,
@@ -80,7 +79,9 @@ def test_a_static_world_seen_while_driving_is_put_together_again() -> None:
     world = rng.uniform(-30, 30, (200, 3))
     time_s = rng.uniform(-0.05, 0.05, 200)
     twist = np.array([0.01, 0.02, 0.4, 15.0, 0.3, 0.1])
-    measured = np.stack([se3.apply(se3.inverse(se3.exp(twist * t)), p[None])[0] for t, p in zip(time_s, world, strict=True)])
+    measured = np.stack(
+        [se3.apply(se3.inverse(se3.exp(twist * t)), p[None])[0] for t, p in zip(time_s, world, strict=True)]
+    )
     assert np.allclose(untwisted(Cloud(measured, time_s=time_s), twist).xyz, world, atol=1e-10)
 
 

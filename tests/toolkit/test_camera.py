@@ -1,0 +1,277 @@
+"""Every camera model projects, unprojects and differentiates; what it cannot see it says."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+from p2o import Camera, InputError, UnknownNameError
+
+WIDTH, HEIGHT = 1242, 375
+PARAMS: dict[str, tuple[float, ...]] = {
+    "PINHOLE": (700, 710, 620, 187),
+    "SIMPLE_PINHOLE": (700, 620, 187),
+    "SIMPLE_RADIAL": (700, 620, 187, -0.1),
+    "RADIAL": (700, 620, 187, -0.2, 0.03),
+    "OPENCV": (700, 705, 620, 187, -0.3, 0.1, 0.001, -0.002),
+    "FULL_OPENCV": (700, 705, 620, 187, -0.3, 0.1, 0.001, -0.002, 0.01, 0.02, 0.01, 0.001),
+    "OPENCV_FISHEYE": (480, 480, 620, 187, 0.02, -0.006, 0.001, -0.0002),
+    "SIMPLE_RADIAL_FISHEYE": (480, 620, 187, 0.02),
+    "RADIAL_FISHEYE": (480, 620, 187, 0.02, -0.005),
+    "FOV": (600, 600, 620, 187, 0.9),
+    "THIN_PRISM_FISHEYE": (480, 480, 620, 187, 0.02, -0.006, 0.0005, -0.0003, 0.001, -0.0002, 0.0004, -0.0002),
+    "RAD_TAN_THIN_PRISM_FISHEYE": (
+        *(480, 480, 620, 187),
+        *(0.02, -0.006, 0.001, 0, 0, 0),
+        *(0.0005, -0.0003),
+        *(0.0004, 0, -0.0002, 0),
+    ),
+    "SIMPLE_DIVISION": (700, 620, 187, -0.1),
+    "DIVISION": (700, 705, 620, 187, -0.1),
+    "SIMPLE_FISHEYE": (480, 620, 187),
+    "FISHEYE": (480, 485, 620, 187),
+    "EUCM": (600, 605, 620, 187, 0.6, 1.1),
+}
+MODELS = {name: Camera(name, WIDTH, HEIGHT, params) for name, params in PARAMS.items()}
+each_model = pytest.mark.parametrize("camera", MODELS.values(), ids=MODELS)
+
+
+def pixels(camera: Camera, count: int = 300, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform((-0.5, -0.5), (camera.width - 0.5, camera.height - 0.5), (count, 2))
+
+
+def test_every_model_of_pycolmap_is_tried_here() -> None:
+    import pycolmap
+
+    assert set(PARAMS) == set(pycolmap.CameraModelId.__members__) - {"INVALID", "EQUIRECTANGULAR"}
+
+
+def test_the_numbers_of_the_page() -> None:
+    camera = Camera.pinhole(700, 700, 600, 180, 1242, 375)
+    xyz = np.array([-2, 1, 10.0])
+    np.testing.assert_allclose(camera.project(xyz), [460, 250], atol=1e-12)
+    np.testing.assert_allclose(camera.rays(np.array([460.0, 250])) * np.linalg.norm(xyz), xyz, atol=1e-12)
+    assert np.linalg.norm(xyz) == pytest.approx(10.247, abs=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("uv", "inside"),
+    [
+        ((0, 0), True),
+        ((-0.5, -0.5), True),
+        ((1241.5, 374.5), True),
+        ((-0.51, 100), False),
+        ((1241.51, 100), False),
+        ((100, -0.51), False),
+        ((100, 374.51), False),
+        ((np.nan, 100), False),
+        ((100, np.nan), False),
+    ],
+)
+def test_the_image_reaches_half_a_pixel_beyond_the_outer_centres(uv: tuple[float, float], inside: bool) -> None:
+    camera = MODELS["PINHOLE"]
+    assert camera.in_image(np.array(uv, dtype=float)) == inside
+
+
+def test_a_margin_grows_the_image_on_all_sides() -> None:
+    camera = MODELS["PINHOLE"]
+    outside = np.array([[-5.0, 100], [1246, 100], [600, -5], [600, 379]])
+    assert not camera.in_image(outside).any()
+    assert not camera.in_image(outside, margin_px=4).any()
+    assert camera.in_image(outside, margin_px=5).all()
+
+
+@each_model
+def test_the_ray_of_a_pixel_leads_back_to_it_from_any_distance(camera: Camera) -> None:
+    uv = pixels(camera)
+    rays = camera.rays(uv)
+    np.testing.assert_allclose(np.linalg.norm(rays, axis=1), 1, atol=1e-12)
+    assert (rays[:, 2] > 0).all()
+    distance = np.random.default_rng(1).uniform(0.3, 90, (len(uv), 1))
+    np.testing.assert_allclose(camera.project(rays * distance), uv, atol=1e-6)
+
+
+@each_model
+def test_the_axis_meets_the_principal_point_and_right_is_right_and_down_is_down(camera: Camera) -> None:
+    np.testing.assert_allclose(camera.project(np.array([0, 0, 5.0])), [620, 187], atol=1e-9)
+    right, down = camera.project(np.array([[0.5, 0, 5], [0, 0.5, 5]]))
+    assert right[0] > 640
+    assert right[1] == pytest.approx(187, abs=0.5)
+    assert down[1] > 200
+    assert down[0] == pytest.approx(620, abs=0.5)
+
+
+@each_model
+def test_the_jacobian_is_the_slope_of_the_projection(camera: Camera) -> None:
+    xyz = camera.rays(pixels(camera, 100)) * np.random.default_rng(2).uniform(0.5, 80, (100, 1))
+    uv, jacobian = camera.project_with_jacobian(xyz)
+    np.testing.assert_allclose(uv, camera.project(xyz), atol=1e-12)
+    distance = np.linalg.norm(xyz, axis=1)[:, None]
+    for axis in range(3):
+        offset = 1e-4 * distance * np.eye(3)[axis]  # not the step of the code
+        slope = (camera.project(xyz + offset) - camera.project(xyz - offset)) / (2e-4 * distance)
+        # Both times the distance: pixels per radian, some hundreds; truncation is 1e-8 of that.
+        np.testing.assert_allclose(jacobian[:, :, axis] * distance, slope * distance, atol=1e-3)
+
+
+@each_model
+def test_a_point_that_moves_along_its_ray_keeps_its_pixel(camera: Camera) -> None:
+    xyz = 7 * camera.rays(pixels(camera, 100))
+    _, jacobian = camera.project_with_jacobian(xyz)
+    np.testing.assert_allclose(np.einsum("kij,kj->ki", jacobian, xyz), 0, atol=1e-5)
+
+
+@each_model
+def test_what_lies_behind_is_not_seen(camera: Camera) -> None:
+    xyz = np.array([[0, 0, -5.0], [1, 1, -5], [1, 0, 0], [0, 0, 0], [0.1, 0.1, 5]])
+    uv, jacobian = camera.project_with_jacobian(xyz)
+    for values in (camera.project(xyz), uv, jacobian):
+        assert np.isnan(values[:4]).all()
+        assert np.isfinite(values[4]).all()
+    assert not camera.in_image(uv[:4]).any()
+
+
+@each_model
+def test_points_come_in_stacks_of_any_shape(camera: Camera) -> None:
+    uv = pixels(camera, 6).reshape(2, 3, 2)
+    rays = camera.rays(uv)
+    assert rays.shape == (2, 3, 3)
+    np.testing.assert_allclose(camera.project(rays), uv, atol=1e-6)
+    np.testing.assert_allclose(camera.project(rays[1, 2]), uv[1, 2], atol=1e-6)
+    assert camera.project(np.zeros((0, 3))).shape == (0, 2)
+    assert camera.rays(np.zeros((0, 2))).shape == (0, 3)
+    assert camera.project_with_jacobian(np.zeros((0, 3)))[1].shape == (0, 2, 3)
+
+
+@each_model
+def test_the_input_is_left_as_it_was(camera: Camera) -> None:
+    uv = pixels(camera, 5)
+    xyz = 3 * camera.rays(uv)
+    before = uv.copy(), xyz.copy()
+    camera.rays(uv)
+    camera.project(xyz)
+    camera.project_with_jacobian(xyz)
+    np.testing.assert_array_equal(uv, before[0])
+    np.testing.assert_array_equal(xyz, before[1])
+
+
+FOLDING = {
+    # Inside the image, far inside it, and with tangential terms.
+    "corner": Camera("OPENCV", 1000, 800, (500, 500, 499.5, 399.5, -0.35, 0, 0, 0)),
+    "middle": Camera("OPENCV", 1000, 800, (300, 300, 499.5, 399.5, -0.3, 0, 0, 0)),
+    "tangential": Camera("OPENCV", 1242, 375, (700, 700, 620, 187, -0.37, 0.02, 0.004, -0.003)),
+    "radial": Camera("SIMPLE_RADIAL", 1242, 375, (700, 620, 187, -0.35)),
+    "fisheye": Camera("OPENCV_FISHEYE", 1000, 1000, (400, 400, 499.5, 499.5, -0.2, 0, 0, 0)),
+    "rational": Camera("FULL_OPENCV", 1000, 800, (500, 500, 499.5, 399.5, 0.1, 0, 0, 0, 0, -0.2, 0, 0)),
+}
+each_folding = pytest.mark.parametrize("camera", FOLDING.values(), ids=FOLDING)
+
+
+@each_folding
+def test_what_lies_far_outside_does_not_come_back_into_the_image(camera: Camera) -> None:
+    """Along every way out from the axis pixels move outwards, and once they are gone they stay away."""
+    tangent = np.linspace(0.01, 60, 3000)[:, None]
+    for azimuth in np.radians(np.arange(0, 360, 15)):
+        out = np.array([np.cos(azimuth), np.sin(azimuth)])
+        uv = camera.project(np.concatenate([tangent * out, np.ones_like(tangent)], axis=1))
+        seen = np.isfinite(uv).all(axis=1)
+        assert seen[0]
+        assert not seen[np.argmin(seen) :].any()  # never again
+        centre = camera.project(np.array([0, 0, 1.0]))
+        radius = np.linalg.norm(uv[seen] - centre, axis=1)
+        assert (np.diff(radius) > 0).all()
+
+
+@each_folding
+def test_folding_cameras_do_fold(camera: Camera) -> None:
+    """Otherwise the test above says nothing: some way out ends before the image plane does."""
+    far = camera.project(np.array([[50.0, 0, 1], [0, 50, 1], [-50, 0, 1]]))
+    assert np.isnan(far).all()
+
+
+@pytest.mark.parametrize(("name", "k"), [("corner", -0.35), ("middle", -0.3), ("radial", -0.35)])
+def test_the_fold_is_where_the_slope_ends_and_not_before(name: str, k: float) -> None:
+    """Closed form for one radial coefficient: r (1 + k r^2) turns at r = 1 / sqrt(-3 k)."""
+    turn = 1 / np.sqrt(-3 * k)
+    before, after = FOLDING[name].project(np.array([[0.99 * turn, 0, 1], [1.01 * turn, 0, 1]]))
+    assert np.isfinite(before).all()
+    assert np.isnan(after).all()
+
+
+@each_folding
+def test_every_pixel_has_a_true_ray_or_none(camera: Camera) -> None:
+    uv = pixels(camera, 3000)
+    rays = camera.rays(uv)
+    seen = np.isfinite(rays).all(axis=1)
+    assert np.isnan(rays[~seen]).all()
+    np.testing.assert_allclose(camera.project(rays[seen]), uv[seen], atol=0.01)
+    near = np.linalg.norm(uv - uv.mean(axis=0), axis=1) < 0.3 * min(camera.width, camera.height) / 2
+    assert seen[near].all()
+
+
+def test_a_fisheye_of_half_the_sphere_sees_up_to_the_image_plane() -> None:
+    camera = Camera("OPENCV_FISHEYE", 1000, 1000, (300, 300, 499.5, 499.5, 0, 0, 0, 0))
+    angle = np.radians([60, 85, 89, 89.9, 90.1, 95])
+    uv = np.stack([499.5 + 300 * angle, np.full(6, 499.5)], axis=1)  # equidistant: 300 px a radian
+    rays = camera.rays(uv)
+    np.testing.assert_allclose(rays[:4], np.stack([np.sin(angle), 0 * angle, np.cos(angle)], axis=1)[:4], atol=1e-9)
+    assert np.isnan(rays[4:]).all()
+    np.testing.assert_allclose(camera.project(5 * rays[:4]), uv[:4], atol=1e-6)
+    _, jacobian = camera.project_with_jacobian(5 * rays[:4])
+    # 300 px a radian: along the image 60 px/m across the ray at 5 m, whatever the angle.
+    across = np.stack([np.cos(angle), 0 * angle, -np.sin(angle)], axis=1)[:4]
+    np.testing.assert_allclose(np.einsum("kij,kj->ki", jacobian, across), [[60, 0]] * 4, atol=1e-4)
+
+
+@each_model
+def test_the_focal_length_is_the_size_of_a_radian_at_the_centre(camera: Camera) -> None:
+    uv = camera.project(np.array([[-1e-4, 0, 1], [1e-4, 0, 1], [0, -1e-4, 1], [0, 1e-4, 1]]))
+    sizes = np.linalg.norm(uv[1::2] - uv[::2], axis=1) / 2e-4
+    assert camera.focal_px == pytest.approx(sizes.mean(), rel=1e-5)
+
+
+def test_equal_cameras_are_equal_and_can_be_keys() -> None:
+    one, two = Camera.pinhole(700, 700, 600, 180, 1242, 375), Camera("PINHOLE", 1242, 375, [700, 700, 600, 180])
+    assert one == two
+    assert len({one, two, Camera.pinhole(701, 700, 600, 180, 1242, 375)}) == 2
+
+
+@each_model
+def test_a_used_camera_can_be_copied_and_sent_to_another_process(camera: Camera) -> None:
+    camera.project(np.array([1, 1, 5.0]))
+    for again in (pickle.loads(pickle.dumps(camera)), copy.deepcopy(camera)):  # noqa: S301  (our own bytes)
+        assert again == camera
+        np.testing.assert_array_equal(again.project(np.array([1, 1, 5.0])), camera.project(np.array([1, 1, 5.0])))
+
+
+@pytest.mark.parametrize(
+    ("model", "width", "height", "params", "text"),
+    [
+        ("PINHOLE", 10, 10, (1, 1, 5), "PINHOLE has another number of parameters; expected fx fy cx cy; got 3"),
+        ("OPENCV", 10, 10, (1, 1, 5, 5), "OPENCV has another number of parameters; expected fx, fy, cx, cy, k1"),
+        ("PINHOLE", 0, 10, (1, 1, 5, 5), "no pixels; expected positive whole width and height; got 0x10"),
+        ("PINHOLE", 10, -3, (1, 1, 5, 5), "no pixels.*10x-3"),
+        ("PINHOLE", 10.5, 10, (1, 1, 5, 5), "no pixels.*10.5x10"),
+        ("PINHOLE", 10, 10, (-1, 1, 5, 5), "focal length is not positive; expected > 0 px"),
+        ("PINHOLE", 10, 10, (1, 0, 5, 5), "focal length is not positive"),
+        ("FOV", 10, 10, (1, -1, 5, 5, 0.5), "focal length is not positive"),
+        ("SIMPLE_RADIAL", 10, 10, (-1, 5, 5, 0.5), "focal length is not positive"),
+        ("PINHOLE", 10, 10, (1, np.nan, 5, 5), "not finite"),
+        ("OPENCV", 10, 10, (1, 1, 5, 5, np.inf, 0, 0, 0), "not finite"),
+        ("PINHOLE", 10, 10, ("a", 1, 5, 5), "not described by numbers"),
+        ("PINHOLE", 10, 10, None, "not described by numbers"),
+        ("EQUIRECTANGULAR", 10, 10, (10, 10), "no image plane.*panorama"),
+    ],
+)
+def test_what_is_no_camera_is_refused(model: str, width: int, height: int, params: object, text: str) -> None:
+    with pytest.raises(InputError, match=text):
+        Camera(model, width, height, params)
+
+
+def test_an_unknown_model_is_refused_with_the_nearest_name() -> None:
+    with pytest.raises(UnknownNameError, match=r"unknown camera model 'OPENCV_FISHYEYE'.*did you mean OPENCV_FISHEYE"):
+        Camera("OPENCV_FISHYEYE", 10, 10, (1, 1, 5, 5, 0, 0, 0, 0))
+    with pytest.raises(UnknownNameError, match="INVALID"):
+        Camera("INVALID", 10, 10, (1,))

@@ -1,0 +1,87 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from p2o import Cloud, InputError
+
+XYZ = np.arange(12.0).reshape(4, 3) + 1
+
+
+def test_points_are_kept_in_order_and_cannot_be_changed() -> None:
+    cloud = Cloud(XYZ.astype(np.float32), ring=[3, 2, 1, 0], intensity=np.ones(4, np.float32))
+    assert np.array_equal(cloud.xyz, XYZ)
+    assert (cloud.xyz.dtype, cloud.ring.dtype, cloud.intensity.dtype) == (np.float64, np.int64, np.float64)
+    assert len(cloud) == 4
+    with pytest.raises(ValueError, match="read-only"):
+        cloud.xyz[0] = 0
+    with pytest.raises(ValueError, match="read-only"):
+        cloud.ring[0] = 0
+
+
+def test_the_array_given_stays_writable() -> None:
+    mine = XYZ.copy()
+    Cloud(mine)
+    mine[0] = 0
+    assert mine.flags.writeable
+
+
+@pytest.mark.parametrize(
+    ("xyz", "message"),
+    [
+        (np.zeros((0, 3)), "the cloud has no points"),
+        (np.ones((4, 2)), r"xyz has the wrong shape; expected \(any, 3\); got \(4, 2\)"),
+        (np.ones(3), "xyz has the wrong shape"),
+        ("points", "xyz is not an array of numbers"),
+        (np.array([[1, 2, np.nan]]), "xyz holds values that are not finite; .*1 NaN or infinite"),
+        (np.array([[1, np.inf, 3]]), "xyz holds values that are not finite"),
+    ],
+)
+def test_what_is_no_cloud_is_refused(xyz: object, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Cloud(xyz)
+
+
+@pytest.mark.parametrize("field", ["ring", "intensity", "time_s", "column"])
+def test_every_field_has_one_value_a_point(field: str) -> None:
+    with pytest.raises(InputError, match=rf"{field} has the wrong shape; expected \(4\); got \(3,\)"):
+        Cloud(XYZ, **{field: np.zeros(3)})
+
+
+@pytest.mark.parametrize("field", ["intensity", "time_s"])
+def test_fields_must_be_finite(field: str) -> None:
+    with pytest.raises(InputError, match=rf"{field} holds values that are not finite"):
+        Cloud(XYZ, **{field: np.array([0, 1, np.nan, 2])})
+
+
+def test_missing_returns_are_dropped_from_every_field_and_counted() -> None:
+    raw = np.array([[1.0, 2, 3], [np.nan, 0, 0], [0, 0, 0], [0, 0, 5], [np.inf, 1, 1]])
+    cloud, warnings = Cloud.from_raw(raw, ring=np.arange(5), time_s=None)
+    assert np.array_equal(cloud.xyz, [[1, 2, 3], [0, 0, 5]])
+    assert np.array_equal(cloud.ring, [0, 3])
+    assert cloud.time_s is None
+    assert warnings == ("2 of 5 points dropped: NaN or infinite", "1 of 5 points dropped: all zero")
+
+
+def test_a_clean_cloud_gives_no_warnings() -> None:
+    assert Cloud.from_raw(XYZ)[1] == ()
+
+
+@pytest.mark.parametrize(("value", "kind"), [(0.0, "3 all-zero"), (np.nan, "3 NaN or infinite")])
+def test_a_cloud_without_one_good_point_is_refused(value: float, kind: str) -> None:
+    with pytest.raises(InputError, match=f"no point of the cloud can be used; .*{kind} points"):
+        Cloud.from_raw(np.full((3, 3), value))
+
+
+def test_a_cloud_of_nothing_is_refused() -> None:
+    with pytest.raises(InputError, match="the cloud has no points"):
+        Cloud.from_raw(np.zeros((0, 3)))
+
+
+def test_selecting_takes_all_fields_alike() -> None:
+    cloud = Cloud(XYZ, ring=[0, 1, 2, 3], column=[9, 8, 7, 6])
+    for index in (np.array([2, 0]), np.array([True, False, True, False])):
+        part = cloud.select(index)
+        assert np.array_equal(part.xyz, XYZ[index])
+        assert np.array_equal(part.ring, np.arange(4)[index])
+        assert np.array_equal(part.column, np.array([9, 8, 7, 6])[index])
+        assert part.intensity is None
