@@ -55,7 +55,7 @@ def test_depth_may_be_unknown_or_sky_but_not_zero() -> None:
     image = Image(RGB, CAMERA, depth_m=depth)
     assert np.array_equal(image.depth_m, depth, equal_nan=True)
     depth[1, 1] = 0
-    with pytest.raises(InputError, match="depth is not positive; .*got 0"):
+    with pytest.raises(InputError, match=r"depth is not positive; .*got 0"):
         Image(RGB, CAMERA, depth_m=depth)
 
 

@@ -71,4 +71,5 @@ class Cloud:
     def select(self, index: Int | Bool) -> Cloud:
         """Return the points of an index or mask (any length), all fields alike."""
         values: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
-        return Cloud(**{name: None if value is None else value[index] for name, value in values.items()})
+        picked: dict[str, Any] = {name: None if value is None else value[index] for name, value in values.items()}
+        return Cloud(**picked)

@@ -93,34 +93,10 @@ def write_raw_frame(day: Path, drive: str = "0001", frame: int = 0, camera: int 
 
 def write_oxts(folder: Path, frame: int, **values: float) -> None:
     """Write one packet; values by the names of KITTI's dataformat.txt, all others 0."""
-    order = [
-        "lat",
-        "lon",
-        "alt",
-        "roll",
-        "pitch",
-        "yaw",
-        "vn",
-        "ve",
-        "vf",
-        "vl",
-        "vu",
-        "ax",
-        "ay",
-        "az",
-        "af",
-        "al",
-        "au",
-        "wx",
-        "wy",
-        "wz",
-        "wf",
-        "wl",
-        "wu",
-    ]
+    order = "lat lon alt roll pitch yaw vn ve vf vl vu ax ay az af al au wx wy wz wf wl wu"
     path = folder / f"oxts/data/{frame:010d}.txt"
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(" ".join(str(values.get(name, 0.0)) for name in order) + " 0.05 0.01 4 10 4 4 0\n")
+    path.write_text(" ".join(str(values.get(name, 0.0)) for name in order.split()) + " 0.05 0.01 4 10 4 4 0\n")
 
 
 def stamps(seconds: np.ndarray | list[float]) -> str:

@@ -77,7 +77,7 @@ def test_a_matrix_that_is_no_projection_is_refused_by_name(tmp_path: Path) -> No
 
 
 def test_an_image_that_does_not_hold_the_principal_point_is_refused() -> None:
-    with pytest.raises(InputError, match="the image size does not fit the camera; .*got 20x32 px"):
+    with pytest.raises(InputError, match=r"the image size does not fit the camera; .*got 20x32 px"):
         rectified_camera(PROJECTIONS[2], 20, 32)
 
 

@@ -102,8 +102,8 @@ def test_the_sweep_agrees_with_the_disparity_truth(kitti_raw: Path) -> None:
     for name in NAMES:
         frame = dataset.frame(name)
         medians.append(float(np.median(disparity_errors(frame, frame.camera_from_lidar))))
-    assert np.median(medians) < 0.15
-    assert max(medians) < 0.6
+    assert np.median(medians) < 0.1
+    assert max(medians) < 0.3
 
 
 def test_wrong_poses_disagree_with_the_disparity_truth(kitti_raw: Path) -> None:
