@@ -9,9 +9,8 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import numpy as np
-import pytest
-
 import p2o
+import pytest
 from p2o import InputError, Kind, Method, MethodUnavailable, PluginError, UnknownNameError
 from p2o.guard import build, requirement
 from p2o.registry import Offer, Registry
@@ -93,7 +92,7 @@ BROKEN = {
         "@p2o.hookimpl\ndef p2o_matchers():\n    return p2o.Method(name='a', build=lambda o: o, summary='A test.')"
     ),
     "not-a-method": "@p2o.hookimpl\ndef p2o_matchers():\n    yield 'ogm'",
-    "bad-slug": "@p2o.hookimpl\ndef p2o_matchers():\n    yield p2o.Method(name='O GM', build=lambda o: o, summary='A.')",
+    "bad-slug": "@p2o.hookimpl\ndef p2o_matchers():\n    yield p2o.Method(name='O GM', build=lambda o: o, summary='A')",
     "twice": "@p2o.hookimpl\ndef p2o_matchers():\n    for _ in 'ab':\n"
     "        yield p2o.Method(name='a', build=lambda o: o, summary='A test.')",
     "unknown-hook": "@p2o.hookimpl\ndef p2o_martians():\n    yield from ()",
@@ -196,7 +195,7 @@ def test_what_is_left_out_is_not_even_imported(install: Install) -> None:
 
 def test_unknown_plugins_to_load_or_block_are_errors_that_name_the_nearest(install: Install) -> None:
     install("one", hooks=offers("a"))
-    with pytest.raises(UnknownNameError, match="P2O_PLUGINS 'onee'.*did you mean one"):
+    with pytest.raises(UnknownNameError, match=r"P2O_PLUGINS 'onee'.*did you mean one"):
         Registry.load(environ={"P2O_PLUGINS": "onee"})
     with pytest.raises(UnknownNameError, match="plugin to block 'tow'"):
         Registry.load(block=["tow"], environ={})
@@ -257,10 +256,6 @@ def test_our_own_methods_enter_by_the_same_entry_points() -> None:
 
 
 # ---- guarded stages
-
-
-class _Options(p2o.Options):
-    """None."""
 
 
 def offer_of(kind: Kind, stage: object, **more: object) -> Offer:
@@ -338,7 +333,7 @@ def test_a_missing_package_is_told_with_the_pip_command() -> None:
         import no_such_solver_package  # noqa: F401
 
     method = Method(name="fake", build=build_ceres, summary="A test.", extra="no-such-solver")
-    with pytest.raises(MethodUnavailable, match="no_such_solver_package.*pip install no-such-solver"):
+    with pytest.raises(MethodUnavailable, match=r"no_such_solver_package.*pip install no-such-solver"):
         build(Offer(Kind.SOLVER, method, "acme-p2o", "1.0", "hooks"), p2o.Options())
 
 

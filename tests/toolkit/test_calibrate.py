@@ -53,10 +53,11 @@ def test_exact_edges_give_the_exact_pose_with_every_camera_model(camera) -> None
 
 def test_several_frames_are_solved_jointly_and_better_than_one() -> None:
     views = [edge_scene.view(seed=i, noise_px=1.0, boxes=8) for i in range(6)]
-    one = pose_error(pipeline().solve(views[:1], start()).camera_from_lidar, TRUTH)
-    all_ = pose_error(pipeline().solve(views, start()).camera_from_lidar, TRUTH)
-    assert all_.translation_m < one.translation_m
-    assert all_.rotation_deg < 0.05
+    singles = [pose_error(pipeline().solve([view], start()).camera_from_lidar, TRUTH) for view in views]
+    joint = pose_error(pipeline().solve(views, start()).camera_from_lidar, TRUTH)
+    # One frame may be lucky; the mean of all may not.
+    assert joint.translation_m < np.mean([error.translation_m for error in singles])
+    assert joint.rotation_deg < 0.05
 
 
 def test_a_wide_start_needs_the_grid_and_the_grid_finds_it() -> None:

@@ -233,12 +233,14 @@ def test_without_planes_a_flat_road_beyond_22_m_is_all_edges() -> None:
     assert upper.sum() > 40
 
 
-def test_a_road_that_reaches_the_horizon_has_no_edge_against_the_sky() -> None:
+@pytest.mark.parametrize("known_normals", [False, True])
+def test_a_road_that_reaches_the_horizon_has_no_edge_against_the_sky(known_normals: bool) -> None:
     camera = Camera.pinhole(725, 725, 10, 19.4, 21, 60)
     below = (np.arange(60) - 19.4)[:, None] * np.ones(21)
     with np.errstate(divide="ignore"):
         z = np.where(below > 0, 1.65 * 725 / np.maximum(below, 0), INF)
-    assert len(edges_from_orders(occlusion_orders(z, camera))[0]) == 0
+    upwards = np.broadcast_to([0.0, -1.0, 0.0], (*z.shape, 3)) if known_normals else None
+    assert len(edges_from_orders(occlusion_orders(z, camera, normals=upwards))[0]) == 0
 
 
 CAMERAS = {
@@ -354,6 +356,13 @@ def test_sky_is_never_in_front_and_never_against_sky() -> None:
     maps = side_maps(occlusion_orders(z, CAMERAS["PINHOLE"], planes=False)).any(axis=0)
     assert np.isinf(z).any()
     assert not maps[np.isinf(z)].any()
+
+
+def test_sky_needs_no_neighbour_to_be_known_as_flat() -> None:
+    """At the image border and beside unknown pixels a surface cannot be told; sky can."""
+    z = np.array([[INF, 30, 30, 30, INF, np.nan]])
+    assert occlusion_orders(z, ROW).east[0, :5].tolist() == [-1, 0, 0, 1, 0]
+    assert not occlusion_orders(np.where(np.isinf(z), 60.0, z), ROW).east.any()
 
 
 def test_edges_of_masked_foreground_go_and_edges_in_front_of_it_stay() -> None:

@@ -118,7 +118,8 @@ def _support(sweep: Sweep, neighbours: dict[Side, Neighbours], side: Side, rows:
 
     def goes_on(start: Int, step: Neighbours) -> Bool:
         reach = 0.5 * (options.min_jump_m + options.min_jump_share * r[start])
-        return step.known[start] & (np.abs(r[step.row[start]] - r[start]) < reach)
+        on: Bool = step.known[start] & (np.abs(r[step.row[start]] - r[start]) < reach)
+        return on
 
     marked = np.zeros(len(sweep), bool)
     marked[rows] = True
@@ -142,7 +143,7 @@ def _in_company(sweep: Sweep, rows: Int, options: RingsOptions) -> Bool:
     xyz = sweep.xyz(rows)
     radius = np.maximum(options.neighbour_m, options.neighbour_share * sweep.range_m[rows])
     tree = cKDTree(xyz, balanced_tree=False, compact_nodes=False)
-    distance = tree.query(xyz, k=[others + 1], distance_upper_bound=float(radius.max()) * 1.001)[0]
+    distance = np.asarray(tree.query(xyz, k=[others + 1], distance_upper_bound=float(radius.max()) * 1.001)[0])
     keep: Bool = distance[:, 0] <= radius
     return keep
 
@@ -173,6 +174,6 @@ METHOD = Method(
     build=build,
     options=RingsOptions,
     summary="Occlusion edges with direction from range jumps along rings and columns of a spinning LiDAR.",
-    gives={"cloud-edges", "side", "cloud-points"},
+    gives=frozenset({"cloud-edges", "side", "cloud-points"}),
     cite="Wang et al., P2O-Calib, 2023, Sec. III-C",
 )

@@ -6,8 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from p2o import Cloud, InputError
 from p2o.arrays import Bool, Float, Int
+
+Single = NDArray[np.float32]
 
 _TURN = 2 * np.pi
 # Two returns of one ring closer than this are one ray seen twice (dual return, double point).
@@ -28,9 +31,9 @@ class Sweep:
 
     cloud: Cloud
     point: Int
-    range_m: Float
-    flat_m: Float
-    azimuth: Float
+    range_m: Single
+    flat_m: Single
+    azimuth: Single
     ring: Int
     start: Int
     slope: Float
@@ -41,7 +44,8 @@ class Sweep:
 
     def xyz(self, rows: Any) -> Float:
         """Return the points (M, 3) m in the LiDAR frame of rows (M,) or a slice."""
-        return np.take(self.cloud.xyz, self.point[rows], axis=0)
+        taken: Float = np.take(self.cloud.xyz, self.point[rows], axis=0)
+        return taken
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +58,7 @@ class Neighbours:
 
     row: Int
     known: Bool
-    gap: Float
+    gap: Single
 
 
 def order_sweep(cloud: Cloud) -> Sweep:
@@ -95,7 +99,7 @@ def _compact(label: Int) -> Int:
     return number[label - low]
 
 
-def ring_by_order(azimuth: Float, rise: Float) -> Int:
+def ring_by_order(azimuth: Single, rise: Single) -> Int:
     """Return the ring (N,) of points that come ring by ring, from azimuth (N,) rad in [0, 2 pi) and `rise` (N,).
 
     `rise` is the tangent of the elevation. A new ring starts where the azimuth jumps back by more than half the angle
@@ -137,14 +141,14 @@ def ring_by_order(azimuth: Float, rise: Float) -> Int:
     )
 
 
-def _cones(label: Int, flat: Float, z: Float, count: int) -> tuple[Float, Float]:
+def _cones(label: Int, flat: Single, z: Single, count: int) -> tuple[Float, Float]:
     """Return slope and offset (R,) of z = slope * flat + offset for each ring, the offset drawn to zero.
 
     Sensors whose lasers do not meet in the origin (HDL-64E: 0.12 to 0.2 m above it) need the offset; where all
     returns of a ring have about one distance it cannot be told from the slope, and zero is the better guess.
     """
-    flat, z = flat.astype(np.float64), z.astype(np.float64)
-    n, sd, sz, sdd, sdz = (np.bincount(label, w, minlength=count) for w in (None, flat, z, flat * flat, flat * z))
+    d, h = flat.astype(np.float64), z.astype(np.float64)
+    n, sd, sz, sdd, sdz = (np.bincount(label, w, minlength=count) for w in (None, d, h, d * d, d * h))
     prior = (0.05 / 0.3) ** 2  # 5 cm of scatter about the cone, offsets of 0.3 m
     det = np.maximum(sdd * (n + prior) - sd * sd, 1e-12)
     return (sdz * (n + prior) - sd * sz) / det, (sdd * sz - sd * sdz) / det
@@ -165,18 +169,18 @@ def _from_top(slope: Float) -> Int:
     return np.argsort(-slope, kind="stable")
 
 
-def _nearest_of_ray(range_m: Float, flat_m: Float, azimuth: Float, ring: Int) -> Bool:
-    """Return which of the ordered returns are the nearest of their ray; returns on the z axis have no azimuth."""
-    keep = flat_m > 1e-3
+def _nearest_of_ray(range_m: Single, flat_m: Single, azimuth: Single, ring: Int) -> Bool:
+    """Return which of the ordered returns are the nearest of their ray; those on the z axis have no azimuth."""
+    beside: Bool = flat_m > 1e-3
     same = (np.diff(azimuth) < np.radians(_SAME_RAY_DEG)) & (ring[1:] == ring[:-1])
+    keep = np.ones(len(ring), bool)
     if same.any():
         touched = np.flatnonzero(np.append(same, False) | np.append(False, same))
         first = np.append(True, ~same)[touched]
-        ray = np.cumsum(first)
-        by_range = np.lexsort((range_m[touched], ray))
+        by_range = np.lexsort((np.where(beside, range_m, np.inf)[touched], np.cumsum(first)))
         keep[touched] = False
         keep[touched[by_range[first]]] = True
-    return keep
+    return keep & beside
 
 
 def along_ring(sweep: Sweep, max_gap_deg: float) -> tuple[Neighbours, Neighbours]:

@@ -240,6 +240,11 @@ def test_a_handful_of_points_has_no_edges(count):
     assert features.edges.sigma_m.shape == (0,)
 
 
+def test_returns_on_the_axis_alone_give_nothing():
+    features = METHOD.build(RingsOptions())(Cloud([[0.0, 0, 3], [0, 0, -2]], ring=[0, 1]))
+    assert (len(features.edges), len(features.points)) == (0, 0)
+
+
 def test_one_point_without_ring_is_refused():
     with pytest.raises(InputError, match="which beam"):
         edges_of(Cloud([[1.0, 2, 3]]))

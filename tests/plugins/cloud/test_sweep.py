@@ -1,0 +1,98 @@
+"""Rings, their order and their neighbours, against the sensor that made the sweep."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from p2o import Cloud
+from p2o_plugins.cloud.sweep import across_rings, along_ring, order_sweep
+
+from tests.plugins.cloud.casting import HDL64, Box, Lidar
+
+
+def room(lidar: Lidar) -> Cloud:
+    """The inside of a closed room, seen from within: every beam comes back."""
+    return lidar.scan(*(Box(c, s) for c, s in WALLS))
+
+
+WALLS = [
+    ((32, 0, 0), (1, 90, 90)),
+    ((-29, 0, 0), (1, 90, 90)),
+    ((0, 21, 0), (90, 1, 90)),
+    ((0, -19, 0), (90, 1, 90)),
+    ((0, 0, -12), (90, 90, 1)),
+]
+
+
+def test_rings_come_from_the_highest_to_the_lowest_and_each_turns_once():
+    lidar = Lidar(HDL64, step_deg=0.6)
+    cloud = room(lidar)
+    shuffled = cloud.select(np.random.default_rng(0).permutation(len(cloud)))
+    for sweep in (order_sweep(cloud), order_sweep(shuffled), order_sweep(Cloud(cloud.xyz))):
+        np.testing.assert_array_equal(np.diff(sweep.start), 600)
+        np.testing.assert_allclose(np.degrees(np.arctan(sweep.slope)), HDL64, atol=1e-3)
+        assert (np.diff(sweep.azimuth.reshape(64, 600), axis=1) > 0).all()
+        np.testing.assert_allclose(sweep.range_m, np.linalg.norm(sweep.xyz(slice(None)), axis=1), rtol=1e-6)
+
+
+def test_the_height_at_which_the_beams_cross_the_axis_is_found():
+    sweep = order_sweep(room(Lidar(HDL64, step_deg=0.6, lift_m=0.2)))
+    np.testing.assert_allclose(sweep.offset, 0.2, atol=0.01)
+    np.testing.assert_allclose(np.degrees(np.arctan(sweep.slope)), HDL64, atol=0.02)
+
+
+def test_a_ring_at_one_distance_is_given_no_height():
+    """Slope and offset cannot be told apart on a circle; an offset far from zero would be a guess."""
+    azimuth = np.radians(np.arange(360))
+    xyz = np.column_stack([10 * np.cos(azimuth), 10 * np.sin(azimuth), np.ones(360)])
+    sweep = order_sweep(Cloud(xyz, ring=np.zeros(360, int)))
+    assert abs(sweep.offset[0]) < 0.05
+    assert sweep.slope[0] == pytest.approx(0.1, abs=0.005)
+
+
+def test_neighbours_on_the_ring_undo_each_other_and_close_the_seam():
+    sweep = order_sweep(room(Lidar(HDL64, step_deg=0.5)))
+    left, right = along_ring(sweep, 0.6)
+    assert left.known.all()
+    assert right.known.all()
+    np.testing.assert_array_equal(right.row[left.row], np.arange(len(sweep)))
+    np.testing.assert_allclose(np.degrees(left.gap), 0.5, atol=1e-3)
+    np.testing.assert_array_equal(left.row[sweep.start[1:] - 1], sweep.start[:-1])
+    assert not along_ring(sweep, 0.4)[0].known.any()
+
+
+@pytest.mark.parametrize("step", [1, -1])
+def test_neighbours_across_rings_are_those_of_a_search_over_all_pairs(step):
+    """Rings of different phase with gaps, so that nearest is not the same column, at the seam as well."""
+    rng = np.random.default_rng(3)
+    ring = np.repeat(np.arange(6), 300)
+    azimuth = rng.uniform(-np.pi, np.pi, len(ring))
+    azimuth[ring == 4] = np.abs(azimuth[ring == 4]) * 0.2
+    elevation = np.radians(-0.7 * ring)
+    xyz = 10 * np.column_stack([np.cos(azimuth), np.sin(azimuth), np.tan(elevation)])
+    sweep = order_sweep(Cloud(xyz, ring=ring))
+    found = across_rings(sweep, step, 1.0, 3.0)
+    apart = np.abs(sweep.azimuth[:, None].astype(float) - sweep.azimuth[None])
+    apart = np.minimum(apart, 2 * np.pi - apart)
+    apart[sweep.ring[None] != sweep.ring[:, None] + step] = np.inf
+    best = apart.min(axis=1)
+    np.testing.assert_array_equal(found.known, best <= np.radians(1.0))
+    rows = np.flatnonzero(found.known)
+    assert 0.3 * len(sweep) < len(rows) < len(sweep)
+    np.testing.assert_allclose(apart[rows, found.row[rows]], best[rows], atol=1e-6)
+    np.testing.assert_allclose(np.degrees(found.gap[rows]), 0.7, atol=1e-3)
+    assert not across_rings(sweep, step, 1.0, 0.5).known.any()
+
+
+def test_a_ring_without_returns_leaves_its_neighbours_without_neighbour():
+    cloud = Cloud([[10.0, 0, 1], [10, 0.1, -1]], ring=[0, 7])
+    sweep = order_sweep(cloud)
+    assert across_rings(sweep, 1, 1.0, 45.0).known.tolist() == [True, False]
+    assert across_rings(sweep, -1, 1.0, 45.0).known.tolist() == [False, True]
+    assert not across_rings(sweep, 1, 1.0, 3.0).known.any()
+
+
+def test_of_returns_of_one_ray_only_the_nearest_stays():
+    xyz = np.array([[10.0, 0, 0], [5, 0, 0], [20, 0, 0], [9, 1, 0], [0, 0, 3]])
+    sweep = order_sweep(Cloud(xyz, ring=[0, 0, 0, 0, 0]))
+    np.testing.assert_allclose(sweep.xyz(slice(None)), [[5, 0, 0], [9, 1, 0]])
