@@ -84,7 +84,9 @@ def everywhere(x, y):
 
 
 def sample(texture: Float, x: Float, y: Float) -> Float:
-    return cv2.remap(texture, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REFLECT)
+    return cv2.remap(
+        texture, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REFLECT
+    )
 
 
 def render(layers: list[Layer], right: bool, blur: float, tilt: tuple[float, float] = (0.0, 0.0)) -> Float:
@@ -250,7 +252,9 @@ def compare(edges: ImageEdges, truth: Truth) -> dict[Side, dict[str, Float]]:
         # Offsets along the axis of the direction only: stretch the other axis, so that only the same line pairs.
         axis = 0 if s.background[0] else 1
         scale = np.where(np.arange(2) == axis, 1.0, 20.0)
-        gap, row = cKDTree(real * scale).query(mine * scale) if len(real) and len(mine) else (np.zeros(0), np.zeros(0, int))
+        gap, row = (
+            cKDTree(real * scale).query(mine * scale) if len(real) and len(mine) else (np.zeros(0), np.zeros(0, int))
+        )
         offset = (mine - real[row])[:, axis] if len(row) else np.zeros(0)
         hit = cKDTree(real).query(mine)[0] <= 3 if len(real) and len(mine) else np.zeros(len(mine), bool)
         strong = real[jump > 3]
@@ -274,23 +278,18 @@ def fit(pairs: list[tuple[Image, Truth, Float]], options: stereo.StereoOptions) 
     from scipy.spatial import cKDTree
 
     found = [stereo.silhouettes(image.rgb, image.right, image.baseline_m, options) for image, _, _ in pairs]
-    print("JUDGEMENT = {")
-    for axis, sides in enumerate([SIDES[:2], SIDES[2:]]):
-        parts = [(f[s], cKDTree(t.uv[t.side == s])) for f, (_, t, _) in zip(found, pairs, strict=True) for s in sides]
-        x = np.concatenate([np.column_stack([p.features, np.ones(len(p.uv))]) for p, _ in parts])
-        y = np.concatenate([tree.query(p.uv)[0] < 1 for p, tree in parts]).astype(float)
+    for sides in (SIDES[:2], SIDES[2:3], SIDES[3:]):
+        parts = [
+            (f[s], s, cKDTree(t.uv[t.side == s])) for f, (_, t, _) in zip(found, pairs, strict=True) for s in sides
+        ]
+        x = np.concatenate([np.column_stack([p.features, np.ones(len(p.uv))]) for p, _, _ in parts])
+        y = np.concatenate([tree.query(p.uv)[0] < 1 for p, _, tree in parts]).astype(float)
         own = logistic(x, y)
         first = x @ own
-        belief = np.split(1 / (1 + np.exp(-first)), np.cumsum([len(p.uv) for p, _ in parts])[:-1])
-        beside = np.concatenate(
-            [silhouette.support(p.uv, b, axis, (HEIGHT, WIDTH)) for (p, _), b in zip(parts, belief, strict=True)]
-        )
-        joint = logistic(np.column_stack([first, beside, np.ones(len(y))]), y)
-        print(f"    {axis}: (")
-        for beta in (own, joint):
-            print("        (" + ", ".join(f"{b:.2f}" for b in beta) + "),")
-        print("    ),")
-    print("}")
+        belief = np.split(1 / (1 + np.exp(-first)), np.cumsum([len(p.uv) for p, _, _ in parts])[:-1])
+        beside = [silhouette.support(p.uv, b, s, (HEIGHT, WIDTH)) for (p, s, _), b in zip(parts, belief, strict=True)]
+        joint = logistic(np.column_stack([first, np.concatenate(beside), np.ones(len(y))]), y)
+        print("".join(s.letter for s in sides), *("(" + ", ".join(f"{b:.2f}" for b in c) + ")," for c in (own, joint)))
 
 
 def table(name: str, rows: list[dict[Side, dict[str, Float]]], seconds: float) -> None:
@@ -319,9 +318,7 @@ def main() -> None:
     parser.add_argument("--draw", type=Path, help="write overlays of the pairs into this folder")
     arguments = parser.parse_args()
     rng = np.random.default_rng(arguments.seed)
-    textures = (
-        street_textures(arguments.data, arguments.drives.split()) if arguments.data else procedural_textures(rng)
-    )
+    textures = street_textures(arguments.data, arguments.drives.split()) if arguments.data else procedural_textures(rng)
     options = stereo.StereoOptions(**dict(item.split("=", 1) for item in arguments.set))
     ours = stereo.build(options)
     methods = {"plain": plain_sgbm, "ours": lambda image: ours(image).edges}

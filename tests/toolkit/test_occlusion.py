@@ -365,6 +365,15 @@ def test_sky_needs_no_neighbour_to_be_known_as_flat() -> None:
     assert not occlusion_orders(np.where(np.isinf(z), 60.0, z), ROW).east.any()
 
 
+def test_a_plane_that_a_ray_leaves_behind_is_infinitely_far() -> None:
+    """Pixel 2 lies on 1/z = 0.1 - 0.3 (u - 2): gone before pixel 3, so what is seen there need not be hidden by it."""
+    z = np.array([[10.0, 10, 10, 30, 30, 30]])
+    facing = np.broadcast_to([0.0, 0.0, 1.0], (1, 6, 3)).copy()
+    assert occlusion_orders(z, ROW, normals=facing).east[0, 2] == 1
+    facing[0, 2] = (-30.0, 0.0, 0.7 - 2.5 * 0.3)
+    assert occlusion_orders(z, ROW, normals=facing).east[0, 2] == 0
+
+
 def test_edges_of_masked_foreground_go_and_edges_in_front_of_it_stay() -> None:
     """A pole (6 m) stands before a tree (12 m) before a wall (20 m)."""
     z = np.array([[20.0, 20, 12, 12, 6, 6, 12, 12, 20, 20]])

@@ -12,7 +12,9 @@ import numpy as np
 from p2o import se3
 from p2o.arrays import Float
 from p2o.directed_cost import DirectedCost
+from p2o.features import ImageFeatures
 from p2o.frame import Frame
+from p2o.missing import RADIUS_PX, frame_rng, without_patches
 from p2o.options import Options
 from p2o.options import field as option
 from p2o.problem import PointToLine, Problem
@@ -37,6 +39,11 @@ class PipelineOptions(Options):
     judge_px: float = option(10.0, gt=1, le=100, help="Truncation of the directed distance that poses are judged by.")
     tolerance_deg: float = option(1e-3, ge=0, help="A smaller turn (and shift) in the last round means converged.")
     tolerance_m: float = option(1e-3, ge=0, help="A smaller shift (and turn) in the last round means converged.")
+    missing_edges: float = option(
+        0.0, ge=0, le=0.95, help="Share of the image edges that random circle patches take away (paper Sec. IV-B)."
+    )
+    missing_radius_px: float = option(RADIUS_PX, gt=0, le=1000, help="Radius of such a patch.")
+    seed: int = option(0, ge=0, help="Seed of the patches.")
 
 
 @dataclass
@@ -95,8 +102,20 @@ class Pipeline:
     def extract(self, frame: Frame) -> View:
         """Return the features of one frame; the truth is not looked at."""
         frame = frame.without_truth()
-        view = View(frame.name, frame.camera, self.image_extractor(frame.image), self.cloud_extractor(frame.cloud))
+        image = self._patched(self.image_extractor(frame.image), frame)
+        view = View(frame.name, frame.camera, image, self.cloud_extractor(frame.cloud))
         return view if self.directed else view.without_sides()
+
+    def _patched(self, image: ImageFeatures, frame: Frame) -> ImageFeatures:
+        """Return the image features without the edges that the options take away."""
+        options, camera = self.options, frame.camera
+        if options.missing_edges == 0 or image.edges is None:
+            return image
+        rng, radius_px = frame_rng(options.seed, frame.name), options.missing_radius_px
+        edges = without_patches(
+            image.edges, camera.width, camera.height, options.missing_edges, rng, radius_px=radius_px
+        )
+        return replace(image, edges=edges)
 
     def solve(self, views: Sequence[View], camera_from_lidar: Float) -> Result:
         """Return the joint calibration of extracted views from a start (4, 4)."""

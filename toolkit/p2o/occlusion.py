@@ -79,10 +79,10 @@ def occlusion_orders(
 
     `normals` (H, W, 3, camera frame, any length or sign) give the tangent planes. Without them they are estimated:
     inverse depth is affine over the image plane on anything flat, so a pixel and its neighbour on the side away from
-    the pair give it at the pair. An estimated plane may pass exactly through the other pixel's point, so condition 3
-    then asks for half the threshold instead of zero; where the neighbour away from the pair is unknown, or outside
-    the image, there is no label, except that sky needs none. (For a pinhole this is exact on planes; the bend of a pixel row over three pixels
-    of a distorted camera is neglected.) With `planes` off, condition 1 decides alone.
+    the pair give it at the pair. (Exact on planes for a pinhole; for a distorted camera the bend of a pixel row over
+    three pixels is neglected.) An estimated plane may pass exactly through the other pixel's point, so condition 3
+    then asks for half the threshold instead of zero. Where the neighbour away from the pair is unknown, or outside
+    the image, there is no label, except that sky needs none. With `planes` off, condition 1 decides alone.
 
     Pairs whose hiding pixel is `masked` (H, W) (foliage) become 0, and so do all pairs of a lone spike: a pixel in
     front of all its neighbours, or behind all of them.

@@ -97,7 +97,7 @@ class Recipe(BaseModel):
             values = {**said.get(stage, {}), **self.options.get(stage, {})}
             parts[stage] = _part(registry.find(_KIND_OF[stage], name), stage, values, self.seed)
         if self.calibrator is None:
-            pipeline = validated(PipelineOptions, self.options.get("pipeline", {}), "pipeline")
+            pipeline = validated(PipelineOptions, {"seed": self.seed, **self.options.get("pipeline", {})}, "pipeline")
         elif "pipeline" in self.options:
             raise InputError(f"options for the pipeline, which calibrator '{self.calibrator}' does not use")
         else:

@@ -75,9 +75,10 @@ def ring_edges(cloud: Cloud, options: RingsOptions) -> CloudFeatures:
         keep = _in_company(sweep, rows, options)
         rows, support = rows[keep], support[keep]
         xyz, sigma = _outline(sweep, neighbours[side], side, rows, beam, options)
-        parts.append((xyz, np.full(len(rows), side), support if options.weigh else np.ones(len(rows)), sigma))
+        weight = support if options.weigh else np.ones(len(rows))
+        parts.append((xyz, np.full(len(rows), side), weight, sigma, _towards_background(xyz, side)))
     edges = CloudEdges(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-    if options.max_points == 0:
+    if options.max_points == 0 or len(sweep) == 0:
         return CloudFeatures(edges, np.zeros((0, 3)))
     return CloudFeatures(edges, sweep.xyz(slice(None, None, -(-len(sweep) // options.max_points))))
 
@@ -167,6 +168,18 @@ def _outline(
     lift = sweep.slope[beyond] * flat + sweep.offset[beyond] - xyz[:, 2]
     xyz[:, 2] += share * lift
     return xyz, np.abs(lift) * flat / sweep.range_m[rows] / np.sqrt(12)
+
+
+def _towards_background(xyz: Float, side: Side) -> Float:
+    """Return unit directions (M, 3) across the view of the sensor, from edges at `xyz` (M, 3) to their background."""
+    flat = np.maximum(np.hypot(xyz[:, 0], xyz[:, 1]), 1e-9)
+    zero = np.zeros(len(xyz))
+    if side in (Side.LEFT, Side.RIGHT):
+        rising = np.column_stack([-xyz[:, 1] / flat, xyz[:, 0] / flat, zero])
+        return rising if side is Side.LEFT else -rising
+    far = np.maximum(np.linalg.norm(xyz, axis=1), 1e-9)
+    rising = np.column_stack([-xyz[:, 0] * xyz[:, 2] / flat, -xyz[:, 1] * xyz[:, 2] / flat, flat]) / far[:, None]
+    return rising if side is Side.UPPER else -rising
 
 
 METHOD = Method(

@@ -1,8 +1,9 @@
-"""Reading a sweep from a file: .bin (KITTI), .pcd, .ply and .npz."""
+"""Reading a sweep from a file: .bin and .txt (KITTI), .pcd, .ply and .npz."""
 
 from __future__ import annotations
 
 import io
+import struct
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
@@ -21,7 +22,13 @@ RING = ("ring", "channel")
 TIME = ("time_s", "time", "t", "timestamp")
 # No LiDAR for cars reaches 10 km: numbers beyond are bytes of something else.
 _FAR_M = 1e4
+_MAX_RING = 1e6
 _MAX_NPZ_BYTES = 4 << 30
+# What zipfile and NumPy raise for archives that are damaged, encrypted or of a kind they do not know.
+_NPZ_FAILURES = (
+    *(ValueError, TypeError, KeyError, EOFError, OSError, RuntimeError, NotImplementedError, MemoryError),
+    *(struct.error, zlib.error, zipfile.BadZipFile),
+)
 
 
 def read_cloud(path: Path, image_time_s: float | None = None) -> tuple[Cloud, tuple[str, ...]]:
@@ -53,6 +60,19 @@ def read_bin(data: bytes, path: Path) -> Mapping[str, Any]:
     return dict(zip(("x", "y", "z", "intensity"), np.frombuffer(data, "<f4").reshape(-1, 4).T, strict=True))
 
 
+def read_txt(data: bytes, path: Path) -> Mapping[str, Any]:
+    """Return x y z intensity, each (N,), of text with four numbers a point; raises InputError if it holds others."""
+    try:
+        values = np.array(data.split(), dtype=np.float64)
+    except ValueError as problem:
+        raise InputError("the points are not numbers", where=path, expected="x y z intensity a line") from problem
+    if values.size % 4:
+        raise InputError(
+            "the point cloud is truncated", where=path, expected="x y z intensity a line", got=f"{values.size} numbers"
+        )
+    return dict(zip(("x", "y", "z", "intensity"), values.reshape(-1, 4).T, strict=True))
+
+
 def read_npz(data: bytes, path: Path) -> Mapping[str, Any]:
     """Return the fields of an .npz archive with `xyz` (N, 3) and optional (N,) fields; pickled objects are refused."""
     try:
@@ -62,7 +82,7 @@ def read_npz(data: bytes, path: Path) -> Mapping[str, Any]:
                 raise InputError("the .npz archive unpacks to more than 4 GiB", where=path)
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
-    except (ValueError, TypeError, KeyError, EOFError, OSError, zlib.error, zipfile.BadZipFile) as problem:
+    except _NPZ_FAILURES as problem:
         refused = "Object arrays" in str(problem)
         raise InputError(
             "the .npz archive holds pickled objects, which are never loaded"
@@ -87,9 +107,10 @@ _READERS: Mapping[str, Callable[[bytes, Path], Mapping[str, Any]]] = {
     ".pcd": read_pcd,
     ".ply": read_ply,
     ".npz": read_npz,
+    ".txt": read_txt,
 }
-SUFFIXES = tuple(_READERS)
-"""Suffixes of the files that `read_cloud` reads."""
+SUFFIXES = tuple(suffix for suffix in _READERS if suffix != ".txt")
+"""Suffixes of files that are sweeps for sure; a .txt file may be anything."""
 
 
 def cloud_from_fields(
@@ -101,7 +122,9 @@ def cloud_from_fields(
         raise InputError("the points have no coordinates", where=path, expected="fields x y z", got=" ".join(fields))
     try:
         columns = {name: np.asarray(value) for name, value in fields.items()}
-        xyz = np.stack([columns[axis].astype(np.float64) for axis in "xyz"], axis=1)
+        # Signalling NaN among the bytes would warn; they are dropped below.
+        with np.errstate(invalid="ignore"):
+            xyz = np.stack([columns[axis].astype(np.float64) for axis in "xyz"], axis=1)
     except (TypeError, ValueError) as problem:
         raise InputError("the points are not numbers", where=path, expected="numeric x y z") from problem
     with np.errstate(invalid="ignore"):
@@ -120,8 +143,17 @@ def cloud_from_fields(
         if name is None:
             continue
         value = columns[name]
+        if value.shape != (len(xyz),):
+            raise InputError(
+                f"field {name} has another length than the points",
+                where=path,
+                expected=f"({len(xyz)},)",
+                got=value.shape,
+            )
         if value.dtype.kind not in "iuf" or not np.isfinite(value).all():
             warnings.append(f"{path.name}: field {name} ignored: not finite numbers")
+        elif target == "ring" and np.abs(value, dtype=np.float64).max(initial=0) > _MAX_RING:
+            warnings.append(f"{path.name}: field {name} ignored: numbers up to {np.abs(value).max():.3g} are no rings")
         elif target == "time_s":
             time_s = value * 1e-9 if value.dtype.kind in "iu" else value.astype(np.float64)
             time_s = time_s - (image_time_s or 0.0)

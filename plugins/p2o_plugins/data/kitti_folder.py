@@ -19,8 +19,8 @@ def picture(folder: Path, frame: str) -> Path | None:
 
 
 def sweeps(folder: Path) -> Mapping[str, Path]:
-    """Return the sweeps (.bin) of a folder by frame id, sorted."""
-    return _by_id(folder, (".bin",))
+    """Return the sweeps of a folder by frame id, sorted: .bin, or .txt in unsynchronised recordings."""
+    return _by_id(folder, (".txt", ".bin"))
 
 
 def paired(

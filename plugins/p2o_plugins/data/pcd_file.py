@@ -31,7 +31,7 @@ def read_pcd(data: bytes, path: Path) -> Mapping[str, Any]:
         raise InputError(
             "the header of the .pcd file is wrong", where=path, expected="FIELDS SIZE TYPE COUNT POINTS DATA"
         ) from problem
-    if points < 0 or not layout or min(repeats) < 0:
+    if points < 0 or not layout or not all(0 <= n <= 65536 for n in repeats):
         raise InputError("the header of the .pcd file is wrong", where=path, expected="counts >= 0")
     if encoding == "ascii":
         return _ascii_fields(body, layout, points, path)

@@ -26,7 +26,9 @@ class PairView:
     known: Bool
 
 
-def both_views(left: UInt8, right: UInt8, count: int, block: int, tolerance_px: float = 1.0) -> tuple[PairView, PairView]:
+def both_views(
+    left: UInt8, right: UInt8, count: int, block: int, tolerance_px: float = 1.0
+) -> tuple[PairView, PairView]:
     """Return the left view of pictures (H, W, 3) and the mirrored right view, for which left and right change places.
 
     A pixel is `known` where its match leads back to it within `tolerance_px`; `count` and `block` as in `match`.

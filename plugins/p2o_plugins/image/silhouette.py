@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from p2o import Side
 from p2o.arrays import Bool, Float, Int
 
 from p2o_plugins.image.disparity import Map, PairView
@@ -22,6 +23,8 @@ WINDOW = 5
 """How deep into foreground and background the two disparities are compared, in px."""
 BREADTH = 4
 """How far along the edge, to both sides, pixels vote on the two disparities."""
+MIN_KNOWN = 0.5
+"""Part of the pixels in the window inside an edge at which both views must agree on the disparity."""
 SPAN = REACH + WINDOW
 
 FEATURES = (
@@ -41,17 +44,23 @@ FEATURES = (
 )
 """What the confidence of a silhouette is judged by, see `locate`."""
 
+_ACROSS = (
+    (5.93, 1.38, 0.27, -0.15, -0.49, 1.90, 0.63, 1.83, 1.05, -2.26, -3.13, 0.62, 0.12, -2.82),
+    (0.71, 2.41, -0.91),
+)
 JUDGEMENT = {
-    0: (
-        (6.01, 1.26, 0.41, -0.03, -0.58, 2.01, 0.88, 1.75, 0.85, -2.04, -3.26, 0.87, 0.21, -3.29),
-        (0.69, 2.55, -0.97),
+    Side.LEFT: _ACROSS,
+    Side.RIGHT: _ACROSS,
+    Side.UPPER: (
+        (5.97, 1.45, 0.05, 0.32, 0.87, 1.27, 0.55, 0.84, 1.19, -2.97, -0.14, 1.90, -0.99, -5.30),
+        (0.67, 2.49, -0.94),
     ),
-    1: (
-        (4.48, 0.87, -0.21, 0.30, 0.62, 1.22, 1.41, 0.71, 0.13, -1.93, 0.04, 3.42, -0.33, -6.43),
-        (0.64, 2.62, -1.04),
+    Side.BOTTOM: (
+        (3.25, 0.59, 0.14, 0.30, -0.76, 0.58, 1.75, 1.46, -0.29, -2.73, 1.29, 4.32, 0.57, -7.19),
+        (0.62, 2.66, -0.98),
     ),
 }
-"""Coefficients of `confidence` for edges across columns (0: L, R) and across rows (1: U, B).
+"""Coefficients of `confidence` for the directions; L and R are mirror images and share theirs.
 
 Those of FEATURES and a constant; then those of the first judgement, of its neighbours', and a constant. Logistic
 regression on layered pairs made of pictures of the `train` split: `python benchmarks/stereo_bias.py --fit`.
@@ -101,7 +110,7 @@ def steps(disparity: Map, towards: tuple[int, int], min_jump_px: float, min_jump
 def locate(view: PairView, v: Int, u: Int, towards: tuple[int, int]) -> Silhouettes:
     """Return the silhouettes near the last foreground pixels (v, u), whose background lies `towards` (du, dv).
 
-    Points without any change of colour within REACH are left out. Features: `contrast` of the colours; `lead` over
+    Points without any change of colour within REACH, or whose foreground the two views do not agree on, are left out. Features: `contrast` of the colours; `lead` over
     the second best place; `shift` from the step in the disparity; `jump` and its `ratio` to the foreground's
     disparity; on either side, in a window and close to the edge, how many more pixels prefer the disparity of their
     side than the other one (`votes`), the mean cost of the right disparity (`misfit`), and the part of pixels at
@@ -122,7 +131,7 @@ def locate(view: PairView, v: Int, u: Int, towards: tuple[int, int]) -> Silhouet
     change = np.abs(np.diff(own[:, :, BREADTH - 1 : BREADTH + 2, :3].mean(2), axis=1))
     contrast = np.sqrt((change**2).sum(2))
     place, best, lead = _split(cost_front - cost_back, contrast, k)
-    keep = np.isfinite(place)
+    known = view.known[rows, columns].astype(np.float32)
     index = np.arange(len(place))
 
     def window(array: Map, first: int, depth: int, breadth: int) -> Map:
@@ -130,18 +139,18 @@ def locate(view: PairView, v: Int, u: Int, towards: tuple[int, int]) -> Silhouet
         return array[index[:, None], across][:, :, BREADTH - breadth : BREADTH + breadth + 1]
 
     prefer_back = _votes(cost_front - cost_back)
-    known = view.known[rows, columns].astype(np.float32)
     jump = profile[:, SPAN - 1] - profile[:, SPAN + 2]
 
     def mean(array: Map, inside: bool, depth: int = WINDOW, breadth: int = BREADTH) -> Map:
         return window(array, 1 - depth if inside else 1, depth, breadth).mean((1, 2))
 
+    keep = np.isfinite(place) & (mean(known, True) >= MIN_KNOWN)
     strength = contrast[index, best]
     features = np.stack(
         [
             strength / (strength + 30),
             np.minimum(lead, 5) / 5,
-            np.abs(np.where(keep, place, 0) + 0.7) / REACH,
+            np.abs(np.nan_to_num(place) + 0.7) / REACH,
             np.log(np.maximum(jump, 1)) / 3,
             np.clip(jump / np.maximum(profile[:, SPAN - 1], 1), 0, 1),
             -mean(prefer_back, True),
@@ -159,19 +168,19 @@ def locate(view: PairView, v: Int, u: Int, towards: tuple[int, int]) -> Silhouet
     return Silhouettes(uv[keep], front[index, best][keep].astype(np.float64), features[keep].astype(np.float64))
 
 
-def confidence(found: Silhouettes, axis: int, size: tuple[int, int]) -> Float:
+def confidence(found: Silhouettes, side: Side, size: tuple[int, int]) -> Float:
     """Return how certain (N,), 0 to 1, silhouettes are true and within 1 px of their place, in a picture (H, W).
 
-    `axis` 0 for L and R, 1 for U and B. Each point is judged by its features, then again together with the points
-    that continue its line over 3 px to both sides.
+    Each point is judged by its features, then again together with the points that continue its line over 3 px to
+    both sides.
     """
-    own, joint = (np.array(c) for c in JUDGEMENT[axis])
+    own, joint = (np.array(c) for c in JUDGEMENT[side])
     first = found.features @ own[:-1] + own[-1]
-    both = np.stack([first, support(found.uv, _logistic(first), axis, size)], axis=1)
+    both = np.stack([first, support(found.uv, _logistic(first), side, size)], axis=1)
     return _logistic(both @ joint[:-1] + joint[-1])
 
 
-def support(uv: Float, belief: Float, axis: int, size: tuple[int, int]) -> Float:
+def support(uv: Float, belief: Float, side: Side, size: tuple[int, int]) -> Float:
     """Return the mean belief (N,) in the points beside each of uv (N, 2), over 3 px along the edge to both sides.
 
     The line may lean by up to 2 px to either side; a missing neighbour counts 0.
@@ -182,7 +191,7 @@ def support(uv: Float, belief: Float, axis: int, size: tuple[int, int]) -> Float
     u, v = np.clip(uv.round(), 0, (width - 1, height - 1)).astype(np.int64).T
     drawn = np.zeros(size, np.float32)
     np.maximum.at(drawn, (v, u), belief.astype(np.float32))
-    across, along = ((1, 5), (1, 7)) if axis == 0 else ((5, 1), (7, 1))
+    across, along = ((1, 5), (1, 7)) if side.background[0] else ((5, 1), (7, 1))
     drawn = cv2.dilate(drawn, np.ones(across, np.uint8))
     total = cv2.boxFilter(drawn, -1, along, normalize=False, borderType=cv2.BORDER_CONSTANT)
     return np.asarray((total[v, u] - drawn[v, u]) / 6, dtype=np.float64)
@@ -192,7 +201,9 @@ def _logistic(value: Float) -> Float:
     return np.asarray(1 / (1 + np.exp(-np.clip(value, -30, 30))))
 
 
-def votes_against(view: PairView, found: Silhouettes, towards: tuple[int, int], plane: tuple[float, float, float]) -> Float:
+def votes_against(
+    view: PairView, found: Silhouettes, towards: tuple[int, int], plane: tuple[float, float, float]
+) -> Float:
     """Return how many more pixels (N,) inside of silhouettes prefer the foreground's disparity to that of a plane.
 
     Between -1 and 1, in a window inside the edge whose background lies `towards` (du, dv); `plane` (a, b, c) has
@@ -265,7 +276,7 @@ def _sampled(picture: Map, rows: Int, columns: Map) -> Map:
     u, v = np.zeros(strip, np.float32), np.zeros(strip, np.float32)
     u.reshape(-1)[:size], v.reshape(-1)[:size] = columns.reshape(-1), rows.reshape(-1)
     sampled = cv2.remap(picture, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(sampled.reshape(-1, picture.shape[2])[:size].reshape(*rows.shape, -1))
+    return np.asarray(sampled.reshape(-1, picture.shape[2])[:size].reshape(*rows.shape, picture.shape[2]))
 
 
 def _peaks(strength: Map) -> tuple[NDArray[np.bool_], Map, Map]:

@@ -19,10 +19,16 @@ INFINITY = (0.0, 0.0, 0.0)
 class StereoOptions(Options):
     """What counts as an occlusion edge in the disparity of a rectified pair."""
 
-    max_disparity_px: int = field(128, ge=16, le=512, help="Largest disparity searched, rounded up to a multiple of 16.")
-    block_px: int = field(3, ge=1, le=11, multiple_of=1, help="Window of the matcher in pixels, made odd by rounding up.")
+    max_disparity_px: int = field(
+        128, ge=16, le=512, help="Largest disparity searched, rounded up to a multiple of 16."
+    )
+    block_px: int = field(
+        3, ge=1, le=11, multiple_of=1, help="Window of the matcher in pixels, made odd by rounding up."
+    )
     min_jump_px: float = field(2.0, gt=0, help="Smallest disparity step from background to foreground, in pixels.")
-    min_jump_ratio: float = field(0.12, ge=0, lt=1, help="Smallest such step as a fraction of the foreground disparity.")
+    min_jump_ratio: float = field(
+        0.12, ge=0, lt=1, help="Smallest such step as a fraction of the foreground disparity."
+    )
     min_height_m: float = field(0.25, ge=0, help="Smallest height of the foreground above the ground, in metres.")
     min_confidence: float = field(0.5, ge=0, le=1, help="Edges less certain than this are dropped.")
 
@@ -84,7 +90,7 @@ def build(options: StereoOptions) -> ImageExtractor:
             )
         found = silhouettes(image.rgb, image.right, image.baseline_m or 0.0, options)
         size = image.rgb.shape[:2]
-        certain = [confidence(found[s], 0 if s.background[0] else 1, size) for s in SIDES]
+        certain = [confidence(found[s], s, size) for s in SIDES]
         edges = ImageEdges(
             np.concatenate([found[s].uv for s in SIDES]),
             np.concatenate([np.full(len(found[s].uv), s, np.int8) for s in SIDES]),

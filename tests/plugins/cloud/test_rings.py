@@ -341,3 +341,20 @@ def test_real_sweeps_have_64_rings_and_edges_in_all_four_directions(kitti_raw):
         assert (np.bincount(features.edges.side, minlength=4) >= 100).all(), path
         assert 20_000 < len(features.points) <= 40_000
     assert whole >= 24
+
+
+@pytest.mark.parametrize(
+    ("xyz", "side", "expected"),
+    [
+        ([10.0, 0.0, 0.0], Side.LEFT, [0, 1, 0]),
+        ([10.0, 0.0, 0.0], Side.RIGHT, [0, -1, 0]),
+        ([0.0, 10.0, 0.0], Side.LEFT, [-1, 0, 0]),
+        ([10.0, 0.0, 0.0], Side.UPPER, [0, 0, 1]),
+        ([3.0, 0.0, -4.0], Side.UPPER, [0.8, 0, 0.6]),
+        ([3.0, 0.0, -4.0], Side.BOTTOM, [-0.8, 0, -0.6]),
+    ],
+)
+def test_the_background_direction_lies_across_the_view(xyz: list[float], side: Side, expected: list[float]) -> None:
+    from p2o_plugins.cloud.rings import _towards_background
+
+    np.testing.assert_allclose(_towards_background(np.array([xyz]), side), [expected], atol=1e-12)

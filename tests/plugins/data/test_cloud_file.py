@@ -37,7 +37,7 @@ def test_a_bin_file_of_another_format_is_refused(tmp_path: Path, content: bytes)
         read_cloud(tmp_path / "a.bin")
 
 
-@pytest.mark.parametrize("suffix", ["bin", "pcd", "ply", "npz"])
+@pytest.mark.parametrize("suffix", ["bin", "pcd", "ply", "npz", "txt"])
 def test_missing_empty_and_folder_are_refused_by_name_for_every_kind(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"a.{suffix}"
     with pytest.raises(InputError, match=rf"a\.{suffix}: the point cloud is missing"):
@@ -58,8 +58,22 @@ def test_a_file_of_another_format_is_refused_by_name_for_every_kind(tmp_path: Pa
         read_cloud(tmp_path / f"a.{suffix}")
 
 
+def test_text_gives_the_same_points_as_bin_and_refuses_words_and_cuts(tmp_path: Path) -> None:
+    written = points()
+    np.savetxt(tmp_path / "a.txt", written, fmt="%.9g")
+    cloud, _ = read_cloud(tmp_path / "a.txt")
+    assert np.array_equal(cloud.xyz.astype("<f4"), written[:, :3])
+    assert np.array_equal(cloud.intensity.astype("<f4"), written[:, 3])
+    (tmp_path / "a.txt").write_text("1 2 3 0.5\n4 5 6")
+    with pytest.raises(InputError, match=r"a\.txt: the point cloud is truncated; .*got 7 numbers"):
+        read_cloud(tmp_path / "a.txt")
+    (tmp_path / "a.txt").write_text("see the other folder")
+    with pytest.raises(InputError, match=r"a\.txt: the points are not numbers"):
+        read_cloud(tmp_path / "a.txt")
+
+
 def test_an_unknown_suffix_lists_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"a\.las: unknown kind .* \.bin \.pcd \.ply \.npz"):
+    with pytest.raises(InputError, match=r"a\.las: unknown kind .* \.bin \.pcd \.ply \.npz \.txt"):
         read_cloud(tmp_path / "a.las")
 
 
@@ -148,6 +162,26 @@ def test_a_field_that_is_not_finite_is_left_out_with_a_warning() -> None:
     cloud, warnings = cloud_from_fields({**axes, "ring": np.full(50, np.nan)}, Path("a.pcd"))
     assert cloud.ring is None
     assert warnings == ("a.pcd: field ring ignored: not finite numbers",)
+
+
+def test_a_ring_that_is_no_ring_is_left_out_with_a_warning() -> None:
+    axes = dict(zip("xyz", points()[:, :3].T, strict=True))
+    cloud, warnings = cloud_from_fields({**axes, "ring": np.full(50, 1e300)}, Path("a.pcd"))
+    assert cloud.ring is None
+    assert warnings == ("a.pcd: field ring ignored: numbers up to 1e+300 are no rings",)
+
+
+def test_a_field_of_another_length_is_refused_by_name(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", xyz=np.ones((4, 3)), ring=np.arange(5))
+    with pytest.raises(InputError, match=r"a\.npz: field ring has another length .*\(4,\); got \(5,\)"):
+        read_cloud(tmp_path / "a.npz")
+
+
+def test_bytes_that_are_signalling_nan_are_dropped_without_a_stir(tmp_path: Path) -> None:
+    written = points()
+    written.view("<u4")[7, 0] = 0x7F800001
+    written.tofile(tmp_path / "a.bin")
+    assert len(read_cloud(tmp_path / "a.bin")[0]) == 49
 
 
 def test_missing_coordinates_are_named() -> None:

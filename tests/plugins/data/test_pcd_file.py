@@ -107,6 +107,8 @@ def test_a_cut_or_wrong_header_is_refused_by_name() -> None:
         read_pcd(header("ascii").replace(b"SIZE 4 4 4 1 4 2", b"SIZE 4 4 4"), Path("a.pcd"))
     with pytest.raises(InputError, match=r"a\.pcd: the header of the \.pcd file is wrong"):
         read_pcd(header("ascii").replace(b"POINTS 40", b"POINTS many"), Path("a.pcd"))
+    with pytest.raises(InputError, match=r"a\.pcd: the header of the \.pcd file is wrong"):
+        read_pcd(header("binary").replace(b"COUNT 1", b"COUNT 99999999999"), Path("a.pcd"))
     with pytest.raises(InputError, match=r"a\.pcd: unknown DATA"):
         read_pcd(header("zipped"), Path("a.pcd"))
 

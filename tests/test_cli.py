@@ -1,0 +1,523 @@
+"""The command line: what it prints where, and with which exit status."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import p2o
+import pytest
+from p2o.cli import main
+
+SMALL = ["--data", "synthetic:?width_px=414&height_px=125&seed=1"]
+# Quick and sure: the oracle of the image side.
+QUICK = [*SMALL, "--extractor", "depth/rings", "--init", "given", "--set", "pipeline.min_matches=6"]
+
+FAKE = """
+import p2o
+
+class Options(p2o.Options):
+    frames: int = p2o.field(2, help="How many.")
+    fail_at: int = p2o.field(-1, help="Raise on this one.")
+    interrupt_at: int = p2o.field(-1, help="Press Ctrl-C on this one.")
+    status: str = p2o.field("converged", help="How it ends.")
+
+def opened(options):
+    from p2o.testing import stage
+
+    class Listed(list):
+        names = [f"drive/{i:04d}" for i in range(options.frames)]
+
+    frame = stage.frame()
+    make = lambda name: p2o.Frame(name, frame.image, frame.cloud, camera_from_lidar=frame.camera_from_lidar)
+    return Listed([make(name) for name in Listed.names])
+
+@p2o.hookimpl
+def p2o_datasets():
+    yield p2o.Method(name="fake", build=opened, options=Options, summary="Frames of the test stage.")
+
+def build(options):
+    calls = []
+
+    def calibrate(frames, start):
+        print("a plugin that prints")
+        calls.append(frames)
+        if len(calls) - 1 == options.fail_at:
+            raise ValueError("no such luck")
+        if len(calls) - 1 == options.interrupt_at:
+            raise KeyboardInterrupt
+        names = tuple(frame.name for frame in frames)
+        return p2o.Result(names, start, start, p2o.Status(options.status), "because it is a test")
+
+    return calibrate
+
+@p2o.hookimpl
+def p2o_calibrators():
+    yield p2o.Method(name="spy", build=build, options=Options, summary="Answers with its start.")
+"""
+
+
+@pytest.fixture
+def fake(tmp_path: Path) -> list[str]:
+    """Words that run a made-up method on made-up frames."""
+    file = tmp_path / "fake_plugin.py"
+    file.write_text(FAKE)
+    return ["run", "--plugin", str(file), "--data", "fake:", "--calibrator", "spy", "--perturb", "2deg 0.1m"]
+
+
+@pytest.fixture(autouse=True)
+def _plain_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("P2O_PLUGINS", "P2O_DEBUG", "P2O_STRICT"):
+        monkeypatch.delenv(name, raising=False)
+
+
+def in_a_shell(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "p2o", *words]
+    return subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, **environment})
+
+
+# ---- what it costs to ask
+
+
+HEAVY = (
+    "torch",
+    "cv2",
+    "kornia",
+    "pycolmap",
+    "pyceres",
+    "scipy",
+    "numpy",
+    "matplotlib",
+    "pydantic",
+    "pluggy",
+    "trimesh",
+)
+
+
+def test_help_imports_nothing_heavy() -> None:
+    code = "import sys; from p2o.cli import main; main(['--help']); print(*sys.modules, file=sys.stderr)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "Commands:" in done.stdout
+    assert not {name.partition(".")[0] for name in done.stderr.split()} & set(HEAVY)
+
+
+@pytest.mark.parametrize("words", [["methods"], ["plugins"], ["methods", "ogm"], ["data", "list", "synthetic:"]])
+def test_listing_imports_no_package_that_methods_need(words: list[str]) -> None:
+    code = f"import sys; from p2o.cli import main; main({words!r}); print(*sys.modules, file=sys.stderr)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = {name.partition(".")[0] for name in done.stderr.split()}
+    assert not loaded & {"torch", "cv2", "kornia", "pycolmap", "pyceres", "matplotlib", "trimesh"}
+
+
+@pytest.mark.parametrize(
+    "command", ["", "run", "methods", "plugins", "check-plugin", "data", "data list", "data check"]
+)
+def test_every_command_explains_itself(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*command.split(), "--help"]) == 0
+    assert capsys.readouterr().out.startswith(f"Usage: p2o {command}".rstrip())
+
+
+def test_the_list_of_commands_says_what_their_own_help_says(capsys: pytest.CaptureFixture[str]) -> None:
+    import importlib
+
+    from p2o.cli import _COMMANDS
+
+    for name, summary in _COMMANDS.items():
+        command = importlib.import_module(f"p2o.cli.{name.replace('-', '_')}").command
+        assert command.name == name
+        assert summary.endswith(".")
+
+
+# ---- p2o run
+
+
+def test_without_any_words_a_made_up_scene_is_calibrated(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", *SMALL, "--perturb", "1deg 0.05m"]) in (0, 1)
+    out = capsys.readouterr().out
+    assert out.startswith("scene-0000\n  status ")
+    for label in ("start", "result", "moved", "error", "before", "after", "seconds"):
+        assert f"  {label} " in out
+
+
+def test_a_solved_run_reports_errors_matches_and_residuals_by_direction(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", *QUICK, "--perturb", "0.5deg 0.02m"]) == 0
+    out = capsys.readouterr().out
+    [matches] = [line for line in out.splitlines() if line.startswith("  matches")]
+    total, _, parts = matches.removeprefix("  matches").strip().partition(": ")
+    assert int(total) == sum(int(part.split()[1]) for part in parts.split(", "))
+    assert {part.split()[0] for part in parts.split(", ")} <= set("LRUB")
+    [residual] = [line for line in out.splitlines() if line.startswith("  residual")]
+    assert residual.count(" px") == parts.count(",") + 1
+
+
+FIELDS = {
+    "camera_from_lidar",
+    "start",
+    "status",
+    "reason",
+    "error",
+    "start_error",
+    "frames",
+    "rounds",
+    "seconds",
+    "recipe",
+    "seed",
+    "versions",
+}
+
+
+def test_json_is_one_object_for_each_frame_and_a_summary(fake: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*fake, "--json", "--seed", "3"]) == 0
+    captured = capsys.readouterr()
+    run = json.loads(captured.out)
+    assert captured.out.count("\n") == 1
+    assert "a plugin that prints" in captured.err
+    assert set(run) == {"results", "summary"}
+    assert [row["frames"] for row in run["results"]] == [["drive/0000"], ["drive/0001"]]
+    for row in run["results"]:
+        assert set(row) >= FIELDS
+        assert np.shape(row["camera_from_lidar"]) == np.shape(row["start"]) == (4, 4)
+        assert set(row["error"]) == {"rotation_deg", "translation_m", "per_axis"}
+        assert row["start_error"]["rotation_deg"] == pytest.approx(2.0)
+        assert row["seed"] == 3
+    assert run["summary"]["status"] == {"converged": 2}
+    assert run["summary"]["error"]["rotation_deg_mean"] == pytest.approx(2.0)
+
+
+def test_json_of_a_joint_run_is_the_one_result(fake: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*fake, "--json", "--joint"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert set(result) >= FIELDS
+    assert result["frames"] == ["drive/0000", "drive/0001"]
+    assert result["recipe"]["joint"] is True
+
+
+def test_errors_are_null_where_the_truth_is_not_known() -> None:
+    from p2o.testing import stage
+
+    frame = stage.frame()
+    told = p2o.Frame("a", frame.image, frame.cloud, start=frame.camera_from_lidar)
+    row = p2o.calibrate(told, extractor="depth/rings", init="given").rows[0].as_dict()
+    assert row["error"] is None
+    assert row["start_error"] is None
+
+
+def test_a_recipe_from_json_repeats_the_run_to_the_last_bit(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", *QUICK, "--perturb", "0.5deg 0.02m", "--seed", "2", "--json"]) == 0
+    [row] = json.loads(capsys.readouterr().out)["results"]
+    run = p2o.calibrate(**row["recipe"])
+    assert run.result.camera_from_lidar.tolist() == row["camera_from_lidar"]
+    assert run.rows[0].as_dict()["recipe"] == row["recipe"]
+
+
+def test_python_and_the_command_line_give_the_same_bytes(capsys: pytest.CaptureFixture[str]) -> None:
+    words = {
+        "data": SMALL[1],
+        "extractor": "depth/rings",
+        "perturb": "0.5deg 0.02m",
+        "options": ["solver.tolerance=1e-8"],
+    }
+    here = p2o.calibrate(**words).result  # type: ignore[arg-type]
+    assert main(["run", *SMALL, "--extractor", "depth/rings", "--perturb", "0.5deg 0.02m"] +
+                ["--set", "solver.tolerance=1e-8", "--json"]) == (0 if here.status.solved else 1)  # fmt: skip
+    [row] = json.loads(capsys.readouterr().out)["results"]
+    assert row["camera_from_lidar"] == here.camera_from_lidar.tolist()
+    assert row["recipe"]["options"]["solver"]["tolerance"] == 1e-8
+
+
+def test_a_refused_calibration_is_exit_status_1(fake: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*fake, "--set", "calibrator.status=too-few-matches"]) == 1
+    out = capsys.readouterr().out
+    assert "too-few-matches: because it is a test" in out
+    assert "2 calibrations: 2 too-few-matches" in out
+
+
+def test_a_failing_plugin_is_a_status_and_the_other_frames_go_on(
+    fake: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*fake, "--set", "calibrator.fail_at=0", "--json"]) == 1
+    rows = json.loads(capsys.readouterr().out)["results"]
+    assert [row["status"] for row in rows] == ["stage-failed", "converged"]
+    assert "plugin fake_plugin.py: calibrator 'spy' raised ValueError" in rows[0]["reason"]
+
+
+def test_an_interrupt_keeps_what_is_finished(
+    fake: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert main([*fake, "--set", "calibrator.interrupt_at=1", "--json", "--out", str(out)]) == 130
+    captured = capsys.readouterr()
+    assert "interrupted; 1 finished calibrations are kept" in captured.err
+    run = json.loads(captured.out)
+    assert [row["frames"] for row in run["results"]] == [["drive/0000"]]
+    assert run["summary"]["interrupted"] is True
+    assert json.loads((out / "run.json").read_text()) == run
+    assert json.loads((out / "drive_0000" / "result.json").read_text()) == run["results"][0]
+    assert not (out / "drive_0001").exists()
+
+
+def png_size(path: Path) -> tuple[int, int]:
+    head = path.read_bytes()[:24]
+    assert head[:8] == b"\x89PNG\r\n\x1a\n"
+    return int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
+
+
+def test_out_holds_result_overlays_and_convergence_of_every_frame(tmp_path: Path) -> None:
+    out = tmp_path / "new" / "out"
+    assert main(["run", *QUICK, "--perturb", "0.5deg 0.02m", "--out", str(out)]) == 0
+    home = out / "scene-0000"
+    assert sorted(path.name for path in home.iterdir()) == [
+        "after.png",
+        "before.png",
+        "convergence.png",
+        "result.json",
+    ]
+    assert png_size(home / "before.png") == png_size(home / "after.png") == (414, 125)
+    assert (home / "before.png").read_bytes() != (home / "after.png").read_bytes()
+    result = json.loads((home / "result.json").read_text())
+    assert result == json.loads((out / "run.json").read_text())["results"][0]
+
+
+def test_a_joint_result_lies_in_the_folder_itself(fake: list[str], tmp_path: Path) -> None:
+    assert main([*fake, "--joint", "--out", str(tmp_path / "out")]) == 0
+    files = sorted(str(p.relative_to(tmp_path / "out")) for p in (tmp_path / "out").rglob("*") if p.is_file())
+    assert files == [
+        "convergence.png",
+        "drive_0000/after.png",
+        "drive_0000/before.png",
+        "drive_0001/after.png",
+        "drive_0001/before.png",
+        "result.json",
+        "run.json",
+    ]
+
+
+def test_a_folder_that_cannot_be_written_is_told_before_any_work(
+    fake: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    assert main([*fake, "--out", str(tmp_path / "file" / "out")]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith(f"p2o: error: {tmp_path / 'file'}")
+    assert "cannot write the results" in captured.err
+
+
+def test_a_full_disk_is_one_clear_line(
+    fake: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = Path.write_bytes
+
+    def full(self: Path, data: Any) -> int:
+        if len(data) > 100:
+            raise OSError(28, "No space left on device", str(self))
+        return real(self, data)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    assert main([*fake, "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error.startswith("p2o: error: ")
+    assert "No space left on device" in error
+    assert "free space" in error
+
+
+def test_results_are_exported_beside(fake: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    one = tmp_path / "one.json"
+    assert main([*fake, "--joint", "--export", f"json:{one}"]) == 0
+    assert json.loads(one.read_text())["frames"] == ["drive/0000", "drive/0001"]
+    many = tmp_path / "{frame}.txt"
+    assert main([*fake, "--export", f"kitti:{many}?layout=raw"]) == 0
+    assert (tmp_path / "drive_0001.txt").read_text().startswith("R: ")
+    assert main([*fake, "--export", f"json:{one}"]) == 2
+    assert "several results do not fit in one file; expected a path with {frame}" in capsys.readouterr().err
+
+
+# ---- errors
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["run", "--matcher", "ogmm"], "unknown matcher 'ogmm'; expected one of: nearest, ogm; did you mean ogm?"),
+        (["run", "--extractor", "canny/rings"], "canny gives no side; ogm needs it; try --matcher nearest"),
+        (
+            ["run", "--set", "matcher.neighbours=0"],
+            "matcher.neighbours is out of bounds; expected greater than or equal",
+        ),
+        (["run", "--perturb", "2 degrees"], "--perturb: cannot read the perturbation"),
+        (["run", "--frames", "7"], "--frames: frame index 7 is out of range; expected 0 to 0"),
+        (["run", "--frames", "@absent.json#test"], "absent.json: the file of splits is missing"),
+        (["run", "--data", "kitti-raw:/no/such/folder"], "/no/such/folder"),
+        (["run", "--data", "/no/such/folder"], "data need a dataset name; expected DATASET:PATH"),
+        (["run", "--seed", "-1"], "Invalid value for '--seed'"),
+        (["run", "--block", "p2o-calibb"], "unknown plugin to block 'p2o-calibb'"),
+        (["run", "--plugin", "absent.py"], "absent.py: no such plugin file"),
+        (["run", "--frobnicate"], "No such option '--frobnicate'"),
+        (["rum"], "No such command 'rum'"),
+        (["methods", "ogmm"], "unknown method 'ogmm'"),
+        (["check-plugin", "p2o-cali"], "unknown plugin or method 'p2o-cali'"),
+        (["data", "list", "kitti-raw:/no/such/folder"], "/no/such/folder"),
+    ],
+)
+def test_wrong_usage_and_input_are_one_line_on_stderr_and_status_2(
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    assert captured.err.startswith("p2o: error: ")
+    assert message in captured.err
+
+
+def test_a_defect_is_one_line_too_with_a_hint(
+    fake: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import p2o.run as home
+
+    def crash(*_: Any) -> None:
+        raise RuntimeError("the sky\nis falling")
+
+    monkeypatch.setattr(home, "pose_error", crash)
+    assert main(fake) == 70
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error == (
+        "p2o: error: unexpected RuntimeError: the sky is falling; set P2O_DEBUG=1 to see where, and report it"
+    )
+    monkeypatch.setenv("P2O_DEBUG", "1")
+    with pytest.raises(RuntimeError, match="the sky"):
+        main(fake)
+
+
+def test_stderr_is_silent_where_it_is_no_terminal() -> None:
+    done = in_a_shell("run", *QUICK, "--perturb", "0.5deg 0.02m", "--json")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert len(json.loads(done.stdout)["results"]) == 1
+
+
+def test_a_closed_pipe_is_no_error() -> None:
+    command = f"{sys.executable} -m p2o methods | head -n 1"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert done.stdout == "image extractors\n"
+    assert done.stderr == ""
+
+
+# ---- the other commands
+
+
+def test_methods_lists_every_method_by_kind_with_its_summary(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["methods"]) == 0
+    out = capsys.readouterr().out
+    for offer in p2o.Registry.load().offers:
+        assert f"{offer.kind}s\n" in out
+        assert f"  {offer.name}" in out
+        assert offer.method.summary in out
+
+
+def test_methods_explains_every_option_of_one(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["methods", "ogm"]) == 0
+    out = capsys.readouterr().out
+    [ogm] = p2o.Registry.load().named("ogm")
+    assert out.startswith("matcher ogm\n")
+    assert "needs    cloud-edges, image-edges, side" in out
+    assert "--set matcher.NAME=VALUE" in out
+    for name, field in ogm.method.options.model_fields.items():
+        [line] = [row for row in out.splitlines() if row.startswith(f"    {name} ")]
+        assert f"  {field.default} " in line
+        assert field.description in line
+    assert "int >= 2" in out
+
+
+def test_the_matrix_says_what_fits(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["methods", "--matrix"]) == 0
+    rows = {line.split()[0]: line.split()[1:] for line in capsys.readouterr().out.splitlines() if line}
+    heads = rows["extractor"][2:]  # after "\ matcher"
+    assert dict(zip(heads, rows["canny/rings"], strict=True)) == {"nearest": "yes", "ogm": "-"}
+    assert dict(zip(heads, rows["stereo/rings"], strict=True)) == {"nearest": "yes", "ogm": "yes"}
+
+
+def test_plugins_are_json_with_the_broken_ones_and_those_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    info = tmp_path / "bad_one-0.9.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: bad-one\nVersion: 0.9\n")
+    (info / "entry_points.txt").write_text("[p2o]\nhooks = no_such_module_at_all\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert main(["plugins", "--block", "p2o-calib:baselines"]) == 0
+    captured = capsys.readouterr()
+    shown = json.loads(captured.out)
+    [ours] = [plugin for plugin in shown["plugins"] if plugin["name"] == "p2o-calib:plugins"]
+    assert {"kind": "matcher", "name": "ogm"} in ours["methods"]
+    assert ours["version"]
+    [broken] = shown["broken"]
+    assert (broken["name"], broken["version"]) == ("bad-one:hooks", "0.9")
+    assert "no_such_module_at_all" in broken["error"]
+    assert shown["left_out"] == ["p2o-calib:baselines"]
+    assert captured.err.count("\n") == 1
+    # The tool goes on without it, and says so where a name is missing.
+    assert main(["run", "--matcher", "theirs"]) == 2
+    assert "plugin bad-one:hooks is broken" in capsys.readouterr().err
+    monkeypatch.setenv("P2O_STRICT", "1")
+    assert main(["plugins"]) == 2
+
+
+def test_check_plugin_says_what_is_promised_and_broken(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check-plugin", "lm"]) == 0
+    out = capsys.readouterr().out
+    assert "ok    solver lm: solver_returns_to_the_truth" in out
+    assert out.endswith("every check passed\n")
+    file = tmp_path / "lazy.py"
+    file.write_text(
+        "import p2o\n@p2o.hookimpl\ndef p2o_solvers():\n"
+        "    yield p2o.Method(name='lazy', build=lambda o: lambda problem, pose: p2o.Solution(pose, 0.0, 1),\n"
+        "        summary='Stays.', needs={'pairs'}, expected_failures=(('solver_returns_to_the_truth', 'it is lazy'),))\n"
+    )
+    assert main(["check-plugin", "lazy", "--plugin", str(file)]) == 1
+    out = capsys.readouterr().out
+    assert "known solver lazy: solver_returns_to_the_truth (it is lazy)" in out
+    assert "FAIL  solver lazy: solver_says_when_nothing_is_determined\n      promised: Without any pairs" in out
+    assert out.endswith("1 checks failed\n")
+
+
+def test_data_list_and_check_name_every_frame(fake: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    plugin = fake[1:3]
+    assert main(["data", "list", "fake:?frames=3", *plugin, "--frames", "1-2"]) == 0
+    assert capsys.readouterr().out == "drive/0001\ndrive/0002\n"
+    assert main(["data", "check", "fake:", *plugin, "--set", "data.frames=1"]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith(
+        "drive/0000: 480x240 px PINHOLE, 96000 points, ring, column, intensity, time_s, right, depth_m"
+    )
+    assert out.endswith("1 of 1 frames are good\n")
+
+
+def test_data_check_goes_on_after_a_bad_frame(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "holes.py"
+    file.write_text(
+        FAKE.replace("return Listed([make(name) for name in Listed.names])", "return Holes(make)") + "\nclass Holes:\n"
+        "    names = ['a', 'b']\n"
+        "    def __init__(self, make): self.make = make\n"
+        "    def __len__(self): return 2\n"
+        "    def __getitem__(self, i):\n"
+        "        if i == 0: raise p2o.InputError('the image is cut short', where='a.png')\n"
+        "        return self.make('b')\n"
+    )
+    assert main(["data", "check", "fake:", "--plugin", str(file)]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "a: BAD: a.png: the image is cut short"
+    assert lines[1].startswith("b: 480x240 px")
+    assert lines[2] == "1 of 2 frames are good"
+
+
+def test_the_version_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    from importlib.metadata import version
+
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"p2o {version('p2o-calib')}\n"
