@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -21,7 +21,8 @@ from p2o import SIDES, Camera, Image, ImageEdges, Side
 from p2o.arrays import Float, UInt8
 from p2o_plugins.image import silhouette, stereo
 
-TUNING_DRIVES = "0009 0014 0015 0017 0018 0028 0032 0051 0056 0059"
+FITTING_DRIVES = "0009 0014 0015 0017 0018 0028"
+CHECKING_DRIVES = "0032 0051 0056 0059"
 WIDTH, HEIGHT, HORIZON = 1242, 375, 172.0
 
 
@@ -309,7 +310,9 @@ def table(name: str, rows: list[dict[Side, dict[str, Float]]], seconds: float) -
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, help="root of KITTI raw; procedural textures without it")
-    parser.add_argument("--drives", default=TUNING_DRIVES, help="drives whose left pictures are cut up")
+    parser.add_argument(
+        "--drives", help=f"drives whose left pictures are cut up ({CHECKING_DRIVES}; to fit {FITTING_DRIVES})"
+    )
     parser.add_argument("--pairs", type=int, default=24)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="options of the extractor")
@@ -318,7 +321,8 @@ def main() -> None:
     parser.add_argument("--draw", type=Path, help="write overlays of the pairs into this folder")
     arguments = parser.parse_args()
     rng = np.random.default_rng(arguments.seed)
-    textures = street_textures(arguments.data, arguments.drives.split()) if arguments.data else procedural_textures(rng)
+    drives = arguments.drives or (FITTING_DRIVES if arguments.fit else CHECKING_DRIVES)
+    textures = street_textures(arguments.data, drives.split()) if arguments.data else procedural_textures(rng)
     options = stereo.StereoOptions(**dict(item.split("=", 1) for item in arguments.set))
     ours = stereo.build(options)
     methods = {"plain": plain_sgbm, "ours": lambda image: ours(image).edges}
@@ -346,7 +350,7 @@ def draw(image: Image, edges: ImageEdges, truth: Truth, path: Path) -> None:
     """Write the picture at twice its size, silhouettes white, edges in the colours of their directions."""
     colours = {Side.LEFT: (0, 255, 0), Side.RIGHT: (0, 0, 255), Side.UPPER: (0, 255, 255), Side.BOTTOM: (255, 0, 0)}
     canvas = cv2.resize(image.rgb[..., ::-1], None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST) // 2 + 50
-    for uv, colour in [(truth.uv, {s: (255, 255, 255) for s in SIDES}), (edges.uv, colours)]:
+    for uv, colour in [(truth.uv, dict.fromkeys(SIDES, (255, 255, 255))), (edges.uv, colours)]:
         sides = truth.side if uv is truth.uv else edges.side
         place = np.round(2 * uv + 0.5).astype(int)
         inside = ((place >= 0) & (place < [2 * WIDTH, 2 * HEIGHT])).all(1)

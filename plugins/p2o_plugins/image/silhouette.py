@@ -82,6 +82,10 @@ class Silhouettes:
         """Return the silhouettes of a mask (N,)."""
         return Silhouettes(self.uv[keep], self.disparity[keep], self.features[keep])
 
+    def pixels(self, towards: tuple[int, int], inside_px: float = 0.5) -> Int:
+        """Return pixels (N, 2) of the foreground, `inside_px` away from a background that lies `towards` (du, dv)."""
+        return (self.uv - inside_px * np.array(towards)).round().astype(np.int64)
+
 
 def steps(disparity: Map, towards: tuple[int, int], min_jump_px: float, min_jump_ratio: float) -> tuple[Int, Int]:
     """Return rows and columns of the last foreground pixels before the disparity falls `towards` (du, dv).
@@ -110,11 +114,11 @@ def steps(disparity: Map, towards: tuple[int, int], min_jump_px: float, min_jump
 def locate(view: PairView, v: Int, u: Int, towards: tuple[int, int]) -> Silhouettes:
     """Return the silhouettes near the last foreground pixels (v, u), whose background lies `towards` (du, dv).
 
-    Points without any change of colour within REACH, or whose foreground the two views do not agree on, are left out. Features: `contrast` of the colours; `lead` over
-    the second best place; `shift` from the step in the disparity; `jump` and its `ratio` to the foreground's
-    disparity; on either side, in a window and close to the edge, how many more pixels prefer the disparity of their
-    side than the other one (`votes`), the mean cost of the right disparity (`misfit`), and the part of pixels at
-    which both views agree (`known`).
+    Points without any change of colour within REACH, or whose foreground the two views do not agree on, are left out.
+    Features: `contrast` of the colours; `lead` over the second best place; `shift` from the step in the disparity;
+    `jump` and its `ratio` to the foreground's disparity; on either side, in a window and close to the edge, how many
+    more pixels prefer the disparity of their side than the other one (`votes`), the mean cost of the right disparity
+    (`misfit`), and the part of pixels at which both views agree (`known`).
     """
     height, width = view.disparity.shape
     du, dv = towards
@@ -197,6 +201,20 @@ def support(uv: Float, belief: Float, side: Side, size: tuple[int, int]) -> Floa
     return np.asarray((total[v, u] - drawn[v, u]) / 6, dtype=np.float64)
 
 
+def line_lengths(uv: Float, size: tuple[int, int]) -> Int:
+    """Return, for points (N, 2) of one direction in a picture (H, W), how many points (N,) make up their line.
+
+    Points belong to one line where at most one pixel lies between them.
+    """
+    import cv2
+
+    u, v = np.clip(uv.round(), 0, (size[1] - 1, size[0] - 1)).astype(np.int64).T
+    drawn = np.zeros(size, np.uint8)
+    drawn[v, u] = 1
+    number = cv2.connectedComponents(cv2.dilate(drawn, np.ones((2, 2), np.uint8)), connectivity=8)[1][v, u]
+    return np.bincount(number, minlength=1)[number]
+
+
 def _logistic(value: Float) -> Float:
     return np.asarray(1 / (1 + np.exp(-np.clip(value, -30, 30))))
 
@@ -211,9 +229,9 @@ def votes_against(
     """
     height, width = view.disparity.shape
     step = np.array(towards)
-    # The last pixel on the foreground's side of a sub-pixel place is 0.5 px back, at the nearest centre. Rows at the
-    # edge mix both colours and would vote for any disparity by the edge itself; across columns poles are too thin.
-    u, v = (found.uv - (1.5 if step[1] else 0.5) * step).round().astype(np.int64).T
+    # The row at an edge mixes both colours and would vote for any disparity by the edge itself; across columns too,
+    # but there poles are too thin to leave a pixel out.
+    u, v = found.pixels(towards, inside_px=1.5 if step[1] else 0.5).T
     k, t = np.arange(1 - WINDOW, 1), np.arange(-BREADTH, BREADTH + 1)
     columns = np.clip(u[:, None, None] + step[0] * k[:, None] + abs(step[1]) * t, 0, width - 1)
     rows = np.clip(v[:, None, None] + step[1] * k[:, None] + abs(step[0]) * t, 0, height - 1)

@@ -7,8 +7,7 @@ from p2o import SIDES, Image, ImageEdges, ImageExtractor, ImageFeatures, InputEr
 from p2o.arrays import Float, UInt8
 
 from p2o_plugins.image.disparity import both_views, ground
-from p2o_plugins.image.silhouette import SPAN, Silhouettes, confidence, locate, snap, steps, votes_against
-
+from p2o_plugins.image.silhouette import SPAN, Silhouettes, confidence, line_lengths, locate, snap, steps, votes_against
 
 MIN_VOTES = 0.2
 """Lane markings and shadows fit the ground, and sky fits infinity, as well as any other disparity: they stay below."""
@@ -22,15 +21,14 @@ class StereoOptions(Options):
     max_disparity_px: int = field(
         128, ge=16, le=512, help="Largest disparity searched, rounded up to a multiple of 16."
     )
-    block_px: int = field(
-        3, ge=1, le=11, multiple_of=1, help="Window of the matcher in pixels, made odd by rounding up."
-    )
+    block_px: int = field(3, ge=1, le=11, help="Window of the matcher in pixels, made odd by rounding up.")
     min_jump_px: float = field(2.0, gt=0, help="Smallest disparity step from background to foreground, in pixels.")
     min_jump_ratio: float = field(
         0.12, ge=0, lt=1, help="Smallest such step as a fraction of the foreground disparity."
     )
     min_height_m: float = field(0.25, ge=0, help="Smallest height of the foreground above the ground, in metres.")
-    min_confidence: float = field(0.5, ge=0, le=1, help="Edges less certain than this are dropped.")
+    min_line_px: int = field(5, ge=1, help="Lines of fewer edge points than this are dropped.")
+    min_confidence: float = field(0.6, ge=0, le=1, help="Edges less certain than this are dropped.")
 
 
 def silhouettes(left: UInt8, right: UInt8, baseline_m: float, options: StereoOptions) -> dict[Side, Silhouettes]:
@@ -65,7 +63,7 @@ def silhouettes(left: UInt8, right: UInt8, baseline_m: float, options: StereoOpt
 
 
 def height_m(found: Silhouettes, plane: tuple[float, float, float], baseline_m: float) -> Float:
-    """Return how high (N,) in metres the foreground of silhouettes lies above the ground, whose disparity `plane` gives.
+    """Return how high (N,) in metres silhouettes lie above the ground, whose disparity `plane` gives.
 
     At a pixel v px below the horizon a camera h metres above the ground sees it at disparity c v, c = baseline / h
     (square pixels), and a point of disparity d at the height h (1 - c v / d). Lane markings have height 0.
@@ -80,7 +78,7 @@ def build(options: StereoOptions) -> ImageExtractor:
     import cv2  # noqa: F401  (a missing package shows here, before data are read)
 
     def extract(image: Image) -> ImageFeatures:
-        if image.right is None:
+        if image.right is None or image.baseline_m is None:
             raise InputError(
                 "the image has no right picture",
                 where="stereo",
@@ -88,15 +86,19 @@ def build(options: StereoOptions) -> ImageExtractor:
                 got="one picture",
                 hint="use a dataset with pairs, or an extractor for single pictures such as --extractor canny/rings",
             )
-        found = silhouettes(image.rgb, image.right, image.baseline_m or 0.0, options)
+        found = silhouettes(image.rgb, image.right, image.baseline_m, options)
         size = image.rgb.shape[:2]
-        certain = [confidence(found[s], s, size) for s in SIDES]
-        edges = ImageEdges(
-            np.concatenate([found[s].uv for s in SIDES]),
-            np.concatenate([np.full(len(found[s].uv), s, np.int8) for s in SIDES]),
-            np.concatenate(certain),
-        )
-        return ImageFeatures(edges.select(edges.weight >= options.min_confidence))
+        parts = []
+        for side, candidates in found.items():
+            certain = confidence(candidates, side, size)
+            keep = certain >= options.min_confidence
+            if image.masked is not None:
+                u, v = np.clip(candidates.pixels(side.background), 0, (size[1] - 1, size[0] - 1)).T
+                keep &= ~image.masked[v, u]
+            keep[keep] = line_lengths(candidates.uv[keep], size) >= options.min_line_px
+            parts.append((candidates.uv[keep], np.full(keep.sum(), side, np.int8), certain[keep]))
+        uv, sides, weight = (np.concatenate(column) for column in zip(*parts, strict=True))
+        return ImageFeatures(ImageEdges(uv, sides, weight))
 
     return extract
 

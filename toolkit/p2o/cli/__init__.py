@@ -12,9 +12,9 @@ import click
 from p2o.errors import P2OError
 
 _COMMANDS = {
-    "run": "Calibrate frames and show, write and judge the result.",
-    "methods": "List the methods that are installed, or explain one.",
-    "plugins": "List the plugins that are installed, as JSON.",
+    "run": "Calibrate frames: find the transform from the LiDAR to the camera.",
+    "methods": "List the methods that are installed, or explain one with all its options.",
+    "plugins": "List the plugins as JSON: name, version, methods; the broken ones with reasons.",
     "check-plugin": "Check that methods keep the contracts of their slots.",
     "data": "List or check the frames of a dataset.",
 }

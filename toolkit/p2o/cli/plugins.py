@@ -12,7 +12,7 @@ from p2o.cli.plugin_options import load, plugin_options
 @click.command("plugins")
 @plugin_options
 def command(plugin: tuple[str, ...], block: tuple[str, ...]) -> int:
-    """List the plugins as JSON: name, version, methods; the broken ones with reasons; those left out.
+    """List the plugins as JSON: name, version, methods; the broken ones with reasons.
 
     P2O_PLUGINS="a,b" loads only these (empty: none), --block leaves one out. P2O_STRICT=1 makes a broken one an error.
     """

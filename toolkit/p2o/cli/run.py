@@ -49,7 +49,7 @@ def command(
     block: tuple[str, ...],
     **words: Any,
 ) -> int:
-    r"""Calibrate frames: find the transform from the LiDAR to the camera, starting from a rough one.
+    r"""Calibrate frames: find the transform from the LiDAR to the camera.
 
     \b
     p2o run                                            a made-up scene

@@ -8,17 +8,23 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from p2o.arrays import Float, Int
+from p2o import se3
+from p2o.arrays import Bool, Float, Int
 from p2o.errors import InputError, MethodUnavailable
+from p2o.simulate.classes import Class
 from p2o.simulate.mesh import Mesh, join
+from p2o.simulate.motion import moved, pose_at
 
 
 @dataclass(frozen=True)
 class Material:
     """How a surface looks: `colour` linear RGB in 0..1, `contrast` of its texture, `reflectance` for the LiDAR.
 
-    `gloss` in 0..1 mixes in the sky that a smooth surface (glass, lacquer) mirrors.
+    `gloss` in 0..1 is the share of light that a smooth surface (glass, lacquer) mirrors instead of scattering, for the
+    camera and the LiDAR alike. `pattern` names the texture (see texture.PATTERNS). A `thin` surface (a leaf, cloth)
+    is lit from both sides.
     """
 
     name: str
@@ -26,82 +32,212 @@ class Material:
     contrast: float = 0.35
     reflectance: float = 0.4
     gloss: float = 0.0
+    pattern: str = "rough"
+    thin: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One mesh of one material. Parts of one thing share their `thing` number, which picks the texture."""
+    """One mesh of one material and class. Parts of one thing share their `thing` number, the instance.
+
+    `openness` is the share of the sky that each face sees, one number or one a face (F,): 1 in the open, less inside
+    of a crown.
+    """
 
     mesh: Mesh
     material: Material
     thing: int = 0
+    kind: Class = Class.FURNITURE
+    openness: float | Float = 1.0
+
+    def moved(self, x: float = 0.0, y: float = 0.0, z: float = 0.0, *, yaw_deg: float = 0.0) -> Part:
+        """Return the part turned about z by `yaw_deg` degrees, then shifted by (x, y, z) metres."""
+        mesh = self.mesh.moved(x, y, z, yaw_deg=yaw_deg)
+        return Part(mesh, self.material, self.thing, self.kind, self.openness)
+
+
+@dataclass(frozen=True, eq=False)
+class Mover:
+    """Parts that move together at constant `twist` (6,), rad/s and m/s in the world frame; in place at time 0."""
+
+    parts: tuple[Part, ...]
+    twist: Float
 
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """First surfaces along rays: `distance_m` (N,), +inf where there is nothing, and `face` (N,), -1 there."""
+    """First surfaces along rays: `distance_m` (N,), +inf where there is nothing, and `face` (N,), -1 there.
+
+    `normal` (N, 3) is the unit outward normal of the surface in the world frame, zero where there is nothing; `body`
+    (N,) is 0 for what stands still, i for mover i - 1.
+    """
 
     distance_m: Float
     face: Int
+    normal: Float
+    body: Int
+
+    def take(self, rows: Int) -> Hits:
+        """Return the hits of some rays."""
+        return Hits(self.distance_m[rows], self.face[rows], self.normal[rows], self.body[rows])
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
     """Parts in the world frame (x forward, y left, z up, metres) under a sun that shines from `to_sun` (3,).
 
+    `movers` move through the parts that stand still; faces, parts and things are numbered through all of them.
+    `cloudiness` in 0..1 is how much of the sky is covered; it also softens the sun.
+
     Raises InputError for a scene without parts.
     """
 
     parts: tuple[Part, ...]
     to_sun: tuple[float, float, float] = (0.3, 0.5, 0.8)
+    movers: tuple[Mover, ...] = ()
+    cloudiness: float = 0.4
 
     def __post_init__(self) -> None:
         if not self.parts:
             raise InputError("the scene is empty", expected="at least one part")
 
     @cached_property
+    def all_parts(self) -> tuple[Part, ...]:
+        """The parts that stand still, then those of each mover."""
+        return self.parts + tuple(part for mover in self.movers for part in mover.parts)
+
+    @cached_property
     def mesh(self) -> Mesh:
-        """All parts as one mesh."""
-        return join([part.mesh for part in self.parts])
+        """All parts as one mesh, as they are at time 0."""
+        return join([part.mesh for part in self.all_parts])
 
     @cached_property
-    def part_of_face(self) -> Int:
-        """Index into `parts` of each face (F,)."""
-        return np.repeat(np.arange(len(self.parts)), [len(part.mesh.faces) for part in self.parts])
+    def part_of_face(self) -> NDArray[np.int32]:
+        """Index into `all_parts` of each face (F,)."""
+        faces = [len(part.mesh.faces) for part in self.all_parts]
+        return np.repeat(np.arange(len(self.all_parts), dtype=np.int32), faces)
 
     @cached_property
-    def face_normals(self) -> Float:
-        """Outward unit normals (F, 3)."""
-        a, b, c = np.moveaxis(self.mesh.vertices[self.mesh.faces], 1, 0)
+    def planes(self) -> Float:
+        """Plane (F, 4) of each face at time 0: outward unit normal n and offset n . x; zero for an empty triangle."""
+        a, b, c = (self.mesh.vertices[self.mesh.faces[:, i]] for i in range(3))
         normals = np.cross(b - a, c - a)
-        return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+        return np.column_stack([normals, np.einsum("ni,ni->n", normals, a)])
+
+    @property
+    def face_normals(self) -> Float:
+        """Outward unit normals (F, 3) at time 0."""
+        return self.planes[:, :3]
 
     @cached_property
-    def _intersector(self) -> Any:
-        try:
-            import trimesh
-            from trimesh.ray.ray_pyembree import RayMeshIntersector
-        except ImportError as problem:
-            raise MethodUnavailable(
-                "the simulator casts rays with trimesh and embreex", hint="pip install trimesh embreex"
-            ) from problem
-        mesh = trimesh.Trimesh(self.mesh.vertices, self.mesh.faces, process=False)
-        return RayMeshIntersector(mesh, scale_to_box=False)
+    def openness(self) -> NDArray[np.float32]:
+        """Share of the sky that each face (F,) sees."""
+        return np.concatenate(
+            [np.broadcast_to(np.asarray(p.openness, np.float32), len(p.mesh.faces)) for p in self.all_parts]
+        )
 
-    def cast(self, origins: Float, directions: Float) -> Hits:
-        """Return what rays from origins (N, 3) along unit directions (N, 3) meet first.
+    @cached_property
+    def _trees(self) -> tuple[tuple[Any, int], ...]:
+        """Ray trees of the parts that stand still and of each mover, with the number of their first face."""
+        groups = [self.parts, *(mover.parts for mover in self.movers)]
+        trees, first = [], 0
+        for parts in groups:
+            mesh = join([part.mesh for part in parts])
+            trees.append((_ray_tree(mesh), first))
+            first += len(mesh.faces)
+        return tuple(trees)
+
+    def prepare(self) -> Scene:
+        """Build what rays need, once, and return the scene; threads that cast afterwards share it."""
+        for name in ("_trees", "planes", "part_of_face", "openness", "all_parts"):
+            getattr(self, name)
+        return self
+
+    def cast(self, origins: Float, directions: Float, time_s: float | Float = 0.0) -> Hits:
+        """Return what rays from origins (N, 3) or (3,) along unit directions (N, 3) meet first at a time, or (N,) each.
 
         Embree finds the triangle in single precision; the distance is to the triangle's plane in double precision.
         """
-        origins = np.broadcast_to(origins, directions.shape)
-        face = np.asarray(self._intersector.intersects_first(origins, directions), np.int64)
-        normal = self.face_normals[face]
+        distance, face, normal = self._cast_body(0, origins, directions)
+        body = np.zeros(len(directions), np.int64)
+        for number, mover in enumerate(self.movers, start=1):
+            local_origins, local_directions, back = _seen_from(mover.twist, origins, directions, time_s)
+            near, its_face, its_normal = self._cast_body(number, local_origins, local_directions)
+            rows = np.flatnonzero(near < distance)
+            distance[rows], face[rows], body[rows] = near[rows], its_face[rows], number
+            normal[rows] = back(its_normal[rows], rows)
+        return Hits(distance, face, normal, body)
+
+    def blocked(self, origins: Float, direction: Float, time_s: float = 0.0) -> Bool:
+        """Return which rays (N,) from origins (N, 3) along one unit direction (3,) meet anything."""
+        out = self._any(0, origins, direction)
+        for number, mover in enumerate(self.movers, start=1):
+            here = pose_at(mover.twist, -time_s)
+            out |= self._any(number, se3.apply(here, origins), here[:3, :3] @ direction)
+        return out
+
+    def _any(self, body: int, origins: Float, direction: Float) -> Bool:
+        tree, _ = self._trees[body]
+        single = np.ascontiguousarray(origins, np.float32)
+        one = np.ascontiguousarray(direction[None], np.float32)
+        return np.asarray(tree.run(single, one, query="OCCLUDED") != -1)
+
+    def _cast_body(self, body: int, origins: Float, directions: Float) -> tuple[Float, Int, Float]:
+        """Return distance (N,), face (N,) and normal (N, 3) of the first face of one body."""
+        tree, first = self._trees[body]
+        single = np.ascontiguousarray(directions, np.float32)
+        start = np.ascontiguousarray(np.broadcast_to(origins, directions.shape), np.float32)
+        face = tree.run(start, single).astype(np.int64)
+        face[face >= 0] += first
+        plane = self.planes.take(np.maximum(face, 0), axis=0)
+        normal = plane[:, :3]
         with np.errstate(divide="ignore", invalid="ignore"):
-            distance = np.einsum("ni,ni->n", normal, self.mesh.vertices[self.mesh.faces[face, 0]] - origins)
+            distance = plane[:, 3] - np.einsum("ni,ni->n", normal, np.broadcast_to(origins, directions.shape))
             distance /= np.einsum("ni,ni->n", normal, directions)
-        missed = (face < 0) | ~(distance > 0)
-        return Hits(np.where(missed, np.inf, distance), np.where(missed, -1, face))
+        missed = (face < 0) | ~(distance > 0) | ~np.isfinite(distance)
+        distance[missed], face[missed], normal[missed] = np.inf, -1, 0.0
+        return distance, face, normal
 
     def material_table(self, names: Sequence[str]) -> tuple[Float, ...]:
         """Return one array a name of Material, a row a part: how renderers look materials up."""
-        return tuple(np.array([getattr(part.material, name) for part in self.parts], np.float64) for name in names)
+        return tuple(np.array([getattr(part.material, name) for part in self.all_parts], np.float64) for name in names)
+
+    @cached_property
+    def thing_of_part(self) -> NDArray[np.int32]:
+        """Instance number of each part (P,)."""
+        return np.array([part.thing for part in self.all_parts], np.int32)
+
+    @cached_property
+    def class_of_part(self) -> NDArray[np.uint8]:
+        """Class of each part (P,)."""
+        return np.array([part.kind for part in self.all_parts], np.uint8)
+
+
+def _seen_from(twist: Float, origins: Float, directions: Float, time_s: float | Float) -> tuple[Float, Float, Any]:
+    """Return rays in the frame of a mover at their times, and the function that turns normals of rows back."""
+    if np.ndim(time_s) == 0:
+        here = pose_at(twist, -float(time_s))
+        local = directions if not np.any(twist[:3]) else directions @ here[:3, :3].T
+        return se3.apply(here, np.atleast_2d(origins)), local, lambda normal, _: normal @ here[:3, :3]
+    back = -np.asarray(time_s, np.float64)
+    start = np.broadcast_to(origins, directions.shape)
+    return (
+        moved(twist, back, start),
+        moved(twist, back, directions, directions=True),
+        lambda normal, rows: moved(twist, -back[rows], normal, directions=True),
+    )
+
+
+def _ray_tree(mesh: Mesh) -> Any:
+    try:
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+    except ImportError as problem:
+        raise MethodUnavailable("the simulator casts rays with embreex", hint="pip install embreex") from problem
+    tree = EmbreeScene(robust=True)
+    TriangleMesh(tree, np.ascontiguousarray(mesh.vertices, np.float32), np.ascontiguousarray(mesh.faces, np.int32))
+    # The first ray builds the tree.
+    tree.run(np.zeros((1, 3), np.float32), np.array([[1.0, 0.0, 0.0]], np.float32))
+    return tree

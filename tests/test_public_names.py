@@ -1,0 +1,60 @@
+"""The public names are guarded: nothing is lost or renamed by accident."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import p2o
+from p2o import Kind, hookspecs
+from p2o.recipe import STAGES
+
+KNOWN = Path(__file__).with_name("public_names.json")
+
+
+def current() -> dict[str, list[str]]:
+    """Return every name that users and plugin authors rely on; `python -m tests.test_public_names` writes them."""
+    testing = importlib.import_module("p2o.testing")
+    return {
+        "names": sorted(p2o.__all__),
+        "hooks": sorted(name for name in vars(hookspecs) if name.startswith("p2o_")),
+        "stages": sorted(STAGES),
+        "recipe": sorted(p2o.Recipe.model_fields),
+        "method": sorted(p2o.Method.__dataclass_fields__),
+        "testing": sorted(name for name, value in vars(testing).items() if value and not name.startswith("_")),
+        "checks": sorted(check.name for check in testing.CHECKS),
+        "statuses": sorted(status.value for status in p2o.Status),
+    }
+
+
+def test_no_public_name_is_lost_and_new_ones_are_written_down() -> None:
+    known = json.loads(KNOWN.read_text())
+    for group, names in current().items():
+        lost = set(known[group]) - set(names)
+        assert not lost, f"{group} lost {sorted(lost)}: keep the name, or raise the major version"
+        assert not set(names) - set(known[group]), f"new {group}: run `python -m tests.test_public_names`"
+
+
+def test_every_public_name_can_be_used() -> None:
+    for name in p2o.__all__:
+        assert getattr(p2o, name).__class__ is not None
+        assert name in dir(p2o)
+
+
+def test_calibrate_is_the_function_whatever_was_imported_first() -> None:
+    for first in ("import p2o.calibrate", "from p2o.calibrate import Pipeline", "import p2o.run", "import p2o"):
+        code = (
+            f"{first}\nimport p2o\nfrom p2o import calibrate\nassert p2o.calibrate is calibrate and callable(calibrate)"
+        )
+        subprocess.run([sys.executable, "-W", "error", "-c", code], check=True)
+
+
+def test_there_is_a_hook_for_every_kind() -> None:
+    assert sorted(kind.hook for kind in Kind) == current()["hooks"]
+
+
+if __name__ == "__main__":
+    KNOWN.write_text(json.dumps(current(), indent=1) + "\n")

@@ -1,0 +1,44 @@
+"""The truth never reaches a stage: a dataset that lies about it gives the same estimate."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from p2o import Frame, se3
+from p2o.perturb import wrong_start
+from p2o.registry import Registry
+from p2o.run import calibrate
+
+
+@pytest.fixture(scope="module")
+def frame() -> Frame:
+    dataset = Registry.load().find(_dataset_kind(), "synthetic").method
+    return dataset.build(dataset.options(scenes=1, seed=3))[0]
+
+
+def _dataset_kind():
+    from p2o import Kind
+
+    return Kind.DATASET
+
+
+LIES = {
+    "turned": se3.exp(np.array([0.5, -0.4, 1.0, 3.0, 2.0, 1.0])),
+    "slightly off": se3.exp(np.array([0.01, 0, 0, 0, 0, 0.1])),
+}
+
+
+@pytest.mark.parametrize("init", ["given", "search"])
+@pytest.mark.parametrize("lie", [*LIES, "unknown"])
+def test_a_wrong_or_unknown_truth_changes_no_bit_of_the_estimate(frame: Frame, init: str, lie: str) -> None:
+    start = wrong_start(frame.camera_from_lidar, 1.0, 0.05, np.random.default_rng(0))
+    wrong = None if lie == "unknown" else LIES[lie] @ frame.camera_from_lidar
+    honest, lying = (
+        calibrate(replace(frame, camera_from_lidar=truth), start=start, init=init).result
+        for truth in (frame.camera_from_lidar, wrong)
+    )
+    assert honest.status.solved
+    assert honest.camera_from_lidar.tobytes() == lying.camera_from_lidar.tobytes()
+    assert repr(honest.rounds) == repr(lying.rounds)
