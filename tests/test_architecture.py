@@ -134,4 +134,4 @@ def test_a_method_is_found_by_its_file(path: Path) -> None:
 @pytest.mark.parametrize("path", sources(), ids=named)
 def test_nothing_is_left_undone(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
-    assert not re.search(r"\b(TODO|FIXME|XXX|HACK|TEMPORARY)\b|NotImplementedError", text)
+    assert not re.search(r"\b(TODO|FIXME|XXX|HACK|TEMPORARY)\b|raise NotImplementedError", text)

@@ -12,7 +12,6 @@ import pytest
 from p2o import Kind, Method, UnknownNameError
 from p2o.testing import CHECKS, Case, CheckFailed, checks_for, conformance_cases, reads_files, stage
 
-
 SMALL = {"synthetic": {"width_px": 310, "height_px": 94}}
 
 

@@ -24,7 +24,7 @@ def current() -> dict[str, list[str]]:
         "stages": sorted(STAGES),
         "recipe": sorted(p2o.Recipe.model_fields),
         "method": sorted(p2o.Method.__dataclass_fields__),
-        "testing": sorted(name for name, value in vars(testing).items() if value and not name.startswith("_")),
+        "testing": sorted(testing.__all__),
         "checks": sorted(check.name for check in testing.CHECKS),
         "statuses": sorted(status.value for status in p2o.Status),
     }

@@ -19,10 +19,23 @@ from typing import Any
 from p2o.errors import UnknownNameError
 from p2o.method import Kind, Method
 from p2o.registry import Offer, Registry
+from p2o.testing import stage as stage
 from p2o.testing.checks import CHECKS as CHECKS
 from p2o.testing.checks import Check as Check
 from p2o.testing.checks import CheckFailed as CheckFailed
 from p2o.testing.checks import Subject as Subject
+
+__all__ = [
+    "CHECKS",
+    "Case",
+    "Check",
+    "CheckFailed",
+    "Subject",
+    "checks_for",
+    "conformance_cases",
+    "reads_files",
+    "stage",
+]
 
 
 @dataclass(frozen=True)
