@@ -80,6 +80,53 @@ def blob(cx: float, cy: float, half_width: float, half_height: float, waves: Flo
     return inside
 
 
+def car(rng: np.random.Generator, texture: Float, cx: float, foot: float, d: float):
+    """A car from the side or from behind, its paint (H, W, 3) in left pixels and its outline.
+
+    Roof, belt line and bumper run along the outline a few pixels inside of it, with more contrast than the outline
+    itself, and plain paint looks the same at any disparity: what makes U edges hard.
+    """
+    width, height, belt = d * rng.uniform(1.5, 4), d * rng.uniform(2.2, 3), rng.uniform(0.4, 0.55)
+    top, middle, low = foot - height, foot - height * belt, foot - height * 0.12
+    roof, arch, slant = rng.uniform(0.5, 0.85), rng.uniform(0, 0.12) * height, rng.uniform(-0.3, 0.3) * width
+
+    def cabin(x, y, inset=0.0):
+        part = np.clip((y - top) / (middle - top), 0, 1)
+        middle_x = cx + slant * 0.5 * (1 - part)
+        half = width * (roof + (0.95 - roof) * part) - 1.2 * inset
+        crown = top + arch * ((x - middle_x) / width) ** 2
+        return np.minimum(np.minimum(y - crown - inset, middle - y + 0.5 * inset), 0.8 * (half - np.abs(x - middle_x)))
+
+    body = rectangle(cx, 0.5 * (middle + low), width, 0.5 * (low - middle) + 1)
+
+    def inside(x, y):
+        return np.maximum(cabin(x, y), body(x, y))
+
+    x, y = np.meshgrid(np.arange(WIDTH, dtype=float), np.arange(HEIGHT, dtype=float))
+    paint = rng.choice([30, 60, 120, 190, 235]) + rng.uniform(-20, 20, 3)
+    picture = (
+        np.tile(paint, (HEIGHT, WIDTH, 1)) * (1 + 0.15 * np.sin((y - top) / height * 5 + rng.uniform(0, 6)))[..., None]
+    )
+
+    def lay(f: Float, colour: Float) -> None:
+        alpha = np.clip(0.5 + f, 0, 1)[..., None]
+        picture[...] += alpha * (colour - picture)
+
+    glass = rng.uniform(20, 70) + rng.uniform(0.1, 0.4) * (np.roll(texture, rng.integers(0, WIDTH), 1) - 128)
+    lay(cabin(x, y, max(1.5, height * rng.uniform(0.03, 0.09))), glass)
+    for pillar in rng.uniform(-0.7, 0.7, rng.integers(0, 3)):
+        lay(np.minimum(max(0.7, 0.03 * width) - np.abs(x - cx - pillar * width), cabin(x, y)), paint)
+    lay(rectangle(cx, middle, width, max(0.4, 0.01 * height))(x, y), 0.6 * paint)
+    lay(rectangle(cx, low - 0.1 * height, width, max(0.5, 0.03 * height))(x, y), 0.5 * paint)
+    for wheel in (-0.6, 0.6):
+        lay(0.17 * height - np.hypot(x - cx - wheel * width, y - low + 0.06 * height), np.full(3, 25.0))
+        lay(
+            rectangle(cx + 1.5 * wheel * width, middle + 0.1 * height, 0.08 * width, 0.04 * height)(x, y),
+            rng.uniform(0, 255, 3),
+        )
+    return np.clip(picture, 0, 255).astype(np.float32), inside
+
+
 def everywhere(x, y):
     return np.full(np.broadcast(x, y).shape, 1e3)
 
@@ -177,8 +224,12 @@ def scene(rng: np.random.Generator, textures: list[Float]) -> list[Layer]:
     for d in np.sort(np.exp(rng.uniform(np.log(5), np.log(70), rng.integers(9, 15)))):
         texture = textures[rng.integers(len(textures))]
         cx, foot = rng.uniform(0, WIDTH), horizon + d / slope
-        kind = rng.choice(["pole", "box", "sign", "blob"])
+        kind = rng.choice(["pole", "box", "sign", "blob", "car", "car"])
         tilt = rng.uniform(-0.08, 0.08) * (rng.random() < 0.5)
+        if kind == "car":
+            paint, inside = car(rng, texture, cx, foot, d)
+            layers.append(Layer(paint, tuple(rng.uniform(0, 1, 2)), (d, 0.0, 0.0), inside))
+            continue
         if kind == "pole":
             w, h = max(1.5, d * rng.uniform(0.1, 0.4)), d * rng.uniform(4, 10)
             inside, tilt = rectangle(cx, foot - h / 2, w, h / 2, rng.normal() * 0.02), 0.0

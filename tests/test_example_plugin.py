@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import site
 import subprocess
@@ -11,7 +12,10 @@ import sys
 import venv
 from pathlib import Path
 
+import p2o
 import pytest
+from p2o import hookspecs
+from p2o.cli import main
 
 SOURCE = Path(__file__).parent / "example_plugin"
 
@@ -87,3 +91,24 @@ def test_the_example_keeps_every_contract(wheel: Path, tmp_path: Path) -> None:
     assert lines[-1] == "every check passed"
     assert all(line.startswith("ok ") for line in lines[:-1])
     assert any("gauss-newton: solver_returns_to_the_truth" in line for line in lines)
+
+
+def test_the_smallest_plugin_of_the_docs_works(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = (Path(__file__).parents[1] / "docs" / "plugins.md").read_text(encoding="utf-8")
+    [code] = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    file = tmp_path / "hello.py"
+    file.write_text(code)
+    assert main(["methods", "hello", "--plugin", str(file)]) == 0
+    assert "threshold  30.0  float > 0, <= 255" in capsys.readouterr().out
+    assert main(["check-plugin", "hello", "--plugin", str(file)]) == 0
+    assert "ok    image extractor hello: image_edges_lie_on_outlines" in capsys.readouterr().out
+
+
+def test_the_page_on_plugins_names_every_hook_with_its_signature() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "plugins.md").read_text(encoding="utf-8")
+    for kind in p2o.Kind:
+        hook = getattr(hookspecs, kind.hook)
+        signature = re.search(r"`(.+?)`", hook.__doc__)
+        assert f"| `{kind.hook}` |" in page
+        if signature is not None:
+            assert signature[1].split(" -> ")[0] in page

@@ -52,9 +52,10 @@ def p2o_initializers() -> Iterator[Method]:
 @hookimpl
 def p2o_datasets() -> Iterator[Method]:
     """Offer the datasets."""
-    from p2o_plugins.data import folder, kitti_object, kitti_odometry, kitti_raw, synthetic
+    from p2o_plugins.data import folder, kitti_object, kitti_odometry, kitti_raw, synthetic, vkitti2
 
-    yield from (folder.METHOD, kitti_object.METHOD, kitti_odometry.METHOD, kitti_raw.METHOD, synthetic.METHOD)
+    kitti = (kitti_object.METHOD, kitti_odometry.METHOD, kitti_raw.METHOD, vkitti2.METHOD)
+    yield from (folder.METHOD, *kitti, synthetic.METHOD)
 
 
 @hookimpl

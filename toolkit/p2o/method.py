@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
@@ -45,8 +45,8 @@ class Method:
     build: Callable[[Any], Any]
     summary: str
     options: type[Options] = Options
-    needs: frozenset[str] = frozenset()
-    gives: frozenset[str] = frozenset()
+    needs: Set[str] = frozenset()
+    gives: Set[str] = frozenset()
     cite: str = ""
     extra: str = ""
     expected_failures: tuple[tuple[str, str], ...] = ()

@@ -44,7 +44,9 @@ def without_patches(
         gone = len(edges) - len(left) + np.cumsum(np.bincount(first, minlength=_BATCH + 1)[:_BATCH])
         used = min(int(np.searchsorted(gone, wanted)) + 1, _BATCH)
         left = left[first >= used]
-    return edges.select(left)
+    keep = np.zeros(len(edges), bool)
+    keep[left] = True
+    return edges.select(keep)
 
 
 def frame_rng(seed: int, name: str) -> np.random.Generator:

@@ -420,7 +420,7 @@ def _misfit(offers: Mapping[str, Offer], held: frozenset[str] | None = None) -> 
         for word, giver in missing_words(needs, before):
             return word, giver, offers[stage]
         if held is not None and before is data:
-            for word in sorted(needs.intersection(_HELD) - held - data[0].method.gives):
+            for word in sorted((needs & _HELD.keys()) - held - data[0].method.gives):
                 return word, data[0], offers[stage]
     return None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -78,7 +79,7 @@ def made_up(options: SyntheticOptions, number: int) -> Frame:
         depth_m=left.depth_m,
         masked=None if left.seen.all() else ~left.seen,
     )
-    cloud = simulate.sweep(scene, simulate.HDL64E, world_from_lidar, range_noise, noise_m=options.noise_m)
+    cloud = simulate.sweep(scene, replace(simulate.LIDARS["hdl-64e"], range_noise_m=options.noise_m), world_from_lidar, range_noise)
     return Frame(f"scene-{number:04d}", image, cloud, camera_from_lidar=truth)
 
 

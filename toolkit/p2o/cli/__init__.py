@@ -17,6 +17,7 @@ _COMMANDS = {
     "plugins": "List the plugins as JSON: name, version, methods; the broken ones with reasons.",
     "check-plugin": "Check that methods keep the contracts of their slots.",
     "data": "List or check the frames of a dataset.",
+    "simulate": "Write made-up streets in the layout of a real dataset.",
 }
 """Name and one-line help of every command; the code of `a-b` is in the module `p2o.cli.a_b`, as `command`."""
 

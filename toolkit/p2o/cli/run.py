@@ -49,7 +49,7 @@ def command(
     block: tuple[str, ...],
     **words: Any,
 ) -> int:
-    r"""Calibrate frames: find the transform from the LiDAR to the camera.
+    """Calibrate frames: find the transform from the LiDAR to the camera.
 
     \b
     p2o run                                            a made-up scene
@@ -58,7 +58,7 @@ def command(
 
     Where there are several results, PATH of --export holds {frame}. Exit status 1 where any calibration was refused
     (its status says why).
-    """
+    """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     with _stdout_kept_for_json(as_json) as stdout:
         from p2o.cli.out_dir import OutDir, folder_name
         from p2o.cli.summary import describe, describe_run

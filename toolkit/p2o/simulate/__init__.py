@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from p2o.simulate.lidar import HDL64E as HDL64E
-from p2o.simulate.lidar import SpinningLidar as SpinningLidar
-from p2o.simulate.lidar import sweep as sweep
+from p2o.simulate.classes import Class as Class
 from p2o.simulate.mesh import Mesh as Mesh
+from p2o.simulate.photo import Photo as Photo
+from p2o.simulate.photo import develop as develop
+from p2o.simulate.photo import metered_gain as metered_gain
 from p2o.simulate.render import Picture as Picture
 from p2o.simulate.render import render as render
 from p2o.simulate.scene import Hits as Hits
 from p2o.simulate.scene import Material as Material
+from p2o.simulate.scene import Mover as Mover
 from p2o.simulate.scene import Part as Part
 from p2o.simulate.scene import Scene as Scene
+from p2o.simulate.lidar import Beams as Beams
+from p2o.simulate.lidar import Lidar as Lidar
+from p2o.simulate.lidar import Rosette as Rosette
+from p2o.simulate.sensors import LIDARS as LIDARS
+from p2o.simulate.sweep import sweep as sweep
 from p2o.simulate.street import street as street

@@ -1,104 +1,158 @@
-"""A spinning LiDAR: beams as data, and the sweep they take of a scene."""
+"""LiDARs as data: where their beams go and when, and how well they measure."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 
-from p2o import se3
-from p2o.arrays import Float
-from p2o.cloud import Cloud
+from p2o.arrays import Float, Int
 from p2o.errors import InputError
-from p2o.simulate.scene import Scene
 
 
-@dataclass(frozen=True)
-class SpinningLidar:
-    """Beams that turn about z, counter-clockwise seen from above; LiDAR frame x forward, y left, z up.
+@dataclass(frozen=True, eq=False)
+class Beams:
+    """The pulses of one sweep in the LiDAR frame (x forward, y left, z up), in the order of its points.
 
-    Beam i leaves the axis at height `height_m[i]` with `elevation_deg[i]`, highest ring first; `columns` firings a
-    turn, one turn in `turn_s` seconds with time 0 straight ahead; nothing is returned beyond `max_range_m`.
+    `origins` and unit `directions` (N, 3) m; `time_s` (N,) relative to the middle of the sweep; `ring` (N,) or None,
+    `column` (N,); `grid` (rings, columns) where pulses come row by row, so that neighbours in it are neighbours in
+    space.
+    """
 
-    Raises InputError if there are no beams, or not one height a beam.
+    origins: Float
+    directions: Float
+    time_s: Float
+    ring: Int | None
+    column: Int
+    grid: tuple[int, int] | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ranging:
+    """What all LiDARs have in common: how far and how well they measure. Angles are one sigma or, divergence, full.
+
+    A pulse returns if its reflectance and incidence leave at least the energy of a surface of 10 % at `dark_range_m`;
+    returns closer than `pulse_m` melt into one, and of several the `strongest` or the `first` is kept.
+
+    Raises InputError for ranges that are not in rising order.
     """
 
     name: str
-    elevation_deg: tuple[float, ...]
-    height_m: tuple[float, ...]
-    columns: int
-    turn_s: float = 0.1
-    max_range_m: float = 80.0
+    min_range_m: float = 0.9
+    max_range_m: float = 120.0
+    dark_range_m: float = 50.0
+    range_noise_m: float = 0.02
+    angle_noise_deg: float = 0.0
+    divergence_mrad: float = 2.0
+    pulse_m: float = 0.5
+    keeps: Literal["strongest", "first"] = "strongest"
 
     def __post_init__(self) -> None:
-        if not self.elevation_deg or len(self.elevation_deg) != len(self.height_m):
+        if not 0 <= self.min_range_m < self.max_range_m:
             raise InputError(
-                "a LiDAR needs one height for each of its beams",
+                "the ranges of the LiDAR are empty",
                 where=self.name,
-                expected=f"{len(self.elevation_deg) or 'some'} heights",
-                got=len(self.height_m),
+                expected="0 <= min_range_m < max_range_m",
+                got=f"{self.min_range_m:g}, {self.max_range_m:g}",
             )
 
 
-# fmt: off
-_KITTI_ELEVATION_DEG = (
-    1.937, 1.574, 1.305, 0.872, 0.579, 0.181, -0.089, -0.452, -0.803, -1.201, -1.494, -1.833, -2.208, -2.547, -2.874,
-    -3.236, -3.539, -3.936, -4.216, -4.588, -4.914, -5.251, -5.611, -5.958, -6.329, -6.676, -6.999, -7.287, -7.679,
-    -8.058, -8.310, -8.711, -9.026, -9.574, -10.062, -10.471, -10.957, -11.599, -12.115, -12.562, -13.041, -13.485,
-    -14.048, -14.598, -15.189, -15.657, -16.177, -16.554, -17.187, -17.730, -18.323, -18.797, -19.320, -19.736,
-    -20.223, -20.788, -21.318, -21.936, -22.438, -22.856, -23.322, -23.970, -24.506, -24.999,
-)
-# fmt: on
+@dataclass(frozen=True, kw_only=True)
+class Lidar(Ranging):
+    """Beams that turn about z.
 
-HDL64E = SpinningLidar(
-    name="HDL-64E of KITTI",
-    elevation_deg=_KITTI_ELEVATION_DEG,
-    height_m=tuple(np.concatenate([np.linspace(0.209, 0.198, 32), np.linspace(0.126, 0.116, 32)]).tolist()),
-    columns=2000,
-)
-"""KITTI's own Velodyne, fitted to its raw sweeps: z = d tan(elevation) + height for every ring, to 0.5 mm."""
+    Beam i, highest first, leaves the axis at height `height_m[i]` with `elevation_deg[i]`, `azimuth_deg[i]` ahead of
+    the head counter-clockwise (empty: all 0): its points obey z = d tan(elevation) + height. The head stops at
+    `columns` places a turn, `turn_s` seconds each, seen from above `clockwise` or not, and looks along x at time 0.
 
-
-def sweep(
-    scene: Scene, lidar: SpinningLidar, world_from_lidar: Float, rng: np.random.Generator, *, noise_m: float = 0.0
-) -> Cloud:
-    """Return what a LiDAR at world_from_lidar (4, 4) measures in one turn, standing still.
-
-    Points come as KITTI writes them: ring by ring, highest first, each from straight ahead counter-clockwise; missing
-    returns are absent. `noise_m` is the standard deviation of the range. Gives `ring`, `column`, `time_s` relative to
-    straight ahead (-turn/2 to turn/2) and `intensity`, reflectance times the cosine of incidence.
-
-    Raises InputError where no beam meets anything.
+    Raises InputError if there are no beams, or not one height and offset a beam, or no columns.
     """
-    beams = len(lidar.elevation_deg)
-    azimuth = 2 * np.pi * np.arange(lidar.columns) / lidar.columns
-    elevation = np.radians(lidar.elevation_deg)[:, None]
-    directions = np.stack(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.broadcast_to(np.sin(elevation), (beams, lidar.columns)),
-        ],
-        axis=-1,
-    ).reshape(-1, 3)
-    origins = np.zeros_like(directions)
-    origins[:, 2] = np.repeat(lidar.height_m, lidar.columns)
 
-    world_directions = directions @ world_from_lidar[:3, :3].T
-    hits = scene.cast(se3.apply(world_from_lidar, origins), world_directions)
-    # Drawn for every ray, so that the noise of one point does not depend on what the others meet.
-    noise = noise_m * rng.standard_normal(len(directions))
-    rows = np.flatnonzero(hits.distance_m <= lidar.max_range_m)
-    if not len(rows):
-        raise InputError("the LiDAR meets nothing", where=lidar.name, hint="is it inside of a solid, or far away?")
-    facing = np.abs(np.einsum("ni,ni->n", scene.face_normals[hits.face[rows]], world_directions[rows]))
-    (reflectance,) = scene.material_table(("reflectance",))
-    column = rows % lidar.columns
-    turned = (column + lidar.columns // 2) % lidar.columns - lidar.columns // 2
-    return Cloud(
-        origins[rows] + (hits.distance_m[rows] + noise[rows])[:, None] * directions[rows],
-        ring=rows // lidar.columns,
-        column=column,
-        time_s=turned / lidar.columns * lidar.turn_s,
-        intensity=np.clip(reflectance[scene.part_of_face[hits.face[rows]]] * facing, 0.0, 1.0),
+    elevation_deg: tuple[float, ...]
+    height_m: tuple[float, ...] = ()
+    azimuth_deg: tuple[float, ...] = ()
+    columns: int
+    turn_s: float = 0.1
+    clockwise: bool = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        count = len(self.elevation_deg)
+        for word, field in (("height", "height_m"), ("azimuth offset", "azimuth_deg")):
+            values = getattr(self, field)
+            if count == 0 or len(values) not in (0, count):
+                raise InputError(
+                    f"a LiDAR needs one {word} for each of its beams",
+                    where=self.name,
+                    expected=f"{count or 'some'} values",
+                    got=len(values),
+                )
+            object.__setattr__(self, field, values or (0.0,) * count)
+        if self.columns < 1:
+            raise InputError("a LiDAR fires at least once a turn", where=self.name, got=f"{self.columns} columns")
+
+    @property
+    def points_per_s(self) -> float:
+        """Pulses a second."""
+        return len(self.elevation_deg) * self.columns / self.turn_s
+
+    @property
+    def beams(self) -> Beams:
+        """Pulses ring by ring, highest first, each from straight ahead counter-clockwise, as KITTI writes them.
+
+        `column` numbers the places of the head counter-clockwise from straight ahead, whatever way it turns.
+        """
+        return _turned(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rosette(Ranging):
+    """A beam behind two turning wedge prisms, small-angle Risley model (METHODS 10.1: Livox).
+
+    Azimuth = sum d_k cos(w_k t), elevation = sum d_k sin(w_k t), for deflections d = `deflection_deg` and speeds w =
+    `rpm`, negative backwards; `points_per_s` pulses a second for `sweep_s` seconds around time 0.
+    """
+
+    deflection_deg: tuple[float, float]
+    rpm: tuple[float, float]
+    points_per_s: float
+    sweep_s: float = 0.1
+
+    @property
+    def beams(self) -> Beams:
+        """Pulses in the order of time; there are no rings, and `column` counts them."""
+        return _flower(self)
+
+
+@lru_cache(maxsize=4)
+def _turned(lidar: Lidar) -> Beams:
+    rings, columns = len(lidar.elevation_deg), lidar.columns
+    head = 2 * np.pi * np.arange(columns) / columns
+    azimuth = head + np.radians(lidar.azimuth_deg)[:, None]
+    elevation = np.broadcast_to(np.radians(lidar.elevation_deg)[:, None], azimuth.shape)
+    directions = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], -1)
+    origins = np.zeros((rings, columns, 3))
+    origins[..., 2] = np.array(lidar.height_m)[:, None]
+    column = np.tile(np.arange(columns), rings)
+    share = ((column + columns // 2) % columns - columns // 2) / columns
+    return Beams(
+        origins.reshape(-1, 3),
+        directions.reshape(-1, 3),
+        (-share if lidar.clockwise else share) * lidar.turn_s,
+        np.repeat(np.arange(rings), columns),
+        column,
+        (rings, columns),
     )
+
+
+@lru_cache(maxsize=4)
+def _flower(lidar: Rosette) -> Beams:
+    count = round(lidar.points_per_s * lidar.sweep_s)
+    time_s = (np.arange(count) + 0.5) / lidar.points_per_s - lidar.sweep_s / 2
+    phase = 2 * np.pi / 60 * np.array(lidar.rpm)[:, None] * time_s
+    deflection = np.radians(lidar.deflection_deg)[:, None]
+    across, up = (deflection * np.cos(phase)).sum(axis=0), (deflection * np.sin(phase)).sum(axis=0)
+    directions = np.column_stack([np.cos(up) * np.cos(across), np.cos(up) * np.sin(across), np.sin(up)])
+    return Beams(np.zeros((count, 3)), directions, time_s, None, np.arange(count), None)

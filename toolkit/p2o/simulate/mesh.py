@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from p2o import se3
 from p2o.arrays import Float, Int
 
 
@@ -20,9 +19,18 @@ class Mesh:
 
     def moved(self, x: float = 0.0, y: float = 0.0, z: float = 0.0, *, yaw_deg: float = 0.0) -> Mesh:
         """Return the mesh turned about z by `yaw_deg` degrees, then shifted by (x, y, z) metres."""
-        turn = se3.exp(np.array([0.0, 0.0, np.radians(yaw_deg), 0.0, 0.0, 0.0]))
-        turn[:3, 3] = (x, y, z)
-        return Mesh(se3.apply(turn, self.vertices), self.faces)
+        cos, sin = np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))
+        turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        return Mesh(self.vertices @ turn.T + np.array([x, y, z]), self.faces)
+
+    def bent(self, curvature: float) -> Mesh:
+        """Return the mesh in a world whose x axis is bent to the left by `curvature` in 1/m, in the x-y plane."""
+        if curvature == 0.0:
+            return self
+        x, y, z = self.vertices.T
+        angle = curvature * x
+        out = np.column_stack([np.sin(angle) * (1 / curvature - y), 1 / curvature - np.cos(angle) * (1 / curvature - y), z])
+        return Mesh(out, self.faces)
 
 
 def join(meshes: Sequence[Mesh]) -> Mesh:
@@ -61,6 +69,84 @@ def rectangle(length: float, width: float, z: float, *, x: float = 0.0, y: float
 def box(length: float, width: float, low: float, high: float) -> Mesh:
     """Return a box centred on the z axis from height `low` to `high`."""
     return loft([rectangle(length, width, low), rectangle(length, width, high)])
+
+
+def boxes(low: Float, high: Float) -> Mesh:
+    """Return axis-parallel boxes between corners `low` and `high` (N, 3)."""
+    low, high = np.atleast_2d(low).astype(np.float64), np.atleast_2d(high).astype(np.float64)
+    pick = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
+    vertices = np.where(pick[None].astype(bool), high[:, None], low[:, None])
+    return _copies(vertices, _BOX_FACES)
+
+
+def tubes(start: Float, end: Float, radius: Float, sides: int = 6) -> Mesh:
+    """Return closed tubes from `start` to `end` (N, 3) with `radius` (N,) or (N, 2), that at the end last."""
+    start, end = np.atleast_2d(start).astype(np.float64), np.atleast_2d(end).astype(np.float64)
+    width = np.asarray(radius, np.float64)
+    if width.ndim < 2:
+        width = np.repeat(np.broadcast_to(width, len(start))[:, None], 2, axis=1)
+    along = end - start
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+    helper = np.where(np.abs(along[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    side = np.cross(along, helper)
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    other = np.cross(along, side)
+    turn = 2 * np.pi * np.arange(sides) / sides
+    ring = np.cos(turn)[:, None] * side[:, None] + np.sin(turn)[:, None] * other[:, None]
+    vertices = np.concatenate([start[:, None] + width[:, :1, None] * ring, end[:, None] + width[:, 1:, None] * ring], 1)
+    return _copies(vertices, _prism_faces(sides))
+
+
+def quads(corners: Float) -> Mesh:
+    """Return four-sided sheets with corners (N, 4, 3)."""
+    return _copies(np.asarray(corners, np.float64), np.array([[0, 1, 2], [0, 2, 3]]))
+
+
+def leaves(centre: Float, size: Float, rng: np.random.Generator, *, upright: float = 0.0) -> Mesh:
+    """Return lozenges about `centre` (N, 3), `size` (N,) m long, turned at random; `upright` 0..1 stands them up."""
+    long, across = rng.normal(size=(2, len(centre), 3))
+    long[:, 2] += 4.0 * upright
+    long /= np.linalg.norm(long, axis=1, keepdims=True)
+    across -= (across * long).sum(axis=1, keepdims=True) * long
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-6)
+    long *= 0.5 * np.broadcast_to(size, len(centre))[:, None]
+    across *= (0.28 - 0.16 * upright) * np.broadcast_to(size, len(centre))[:, None]
+    return quads(np.stack([centre - long, centre + across, centre + long, centre - across], axis=1))
+
+
+def swept(profile: Float, x: Float) -> Mesh:
+    """Return the sheet that a line `profile` (P, 2) of y, z leaves when drawn along x (S,), or (S, P, 2) of it each.
+
+    Its outer side is up where y falls along the profile.
+    """
+    line = np.broadcast_to(profile, (len(x), *np.shape(profile)[-2:]))
+    stations, points = line.shape[:2]
+    vertices = np.concatenate([np.broadcast_to(x[:, None, None], (stations, points, 1)), line], axis=2).reshape(-1, 3)
+    first = (np.arange(stations - 1)[:, None] * points + np.arange(points - 1)).ravel()
+    a, b, c, d = first, first + 1, first + points + 1, first + points
+    return Mesh(vertices, np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])]))
+
+
+def _copies(vertices: Float, faces: Int) -> Mesh:
+    """Return solids (N, V, 3) that share a table of faces (F, 3) of one of them."""
+    count, corners = vertices.shape[:2]
+    return Mesh(vertices.reshape(-1, 3), (faces + corners * np.arange(count)[:, None, None]).reshape(-1, 3))
+
+
+def _prism_faces(sides: int) -> Int:
+    """Return the faces of a prism whose corners are its start ring, then its end ring, clockwise seen from the start."""
+    this = np.arange(sides)
+    after = (this + 1) % sides
+    fan = this[1:-1]
+    walls = [np.column_stack([this, this + sides, after + sides]), np.column_stack([this, after + sides, after])]
+    zero = np.zeros_like(fan)
+    caps = [np.column_stack([zero, fan, fan + 1]), np.column_stack([zero + sides, sides + fan + 1, sides + fan])]
+    return np.concatenate(walls + caps)
+
+
+_BOX_FACES = np.array(
+    [[0, 2, 1], [0, 3, 2], [4, 5, 6], [4, 6, 7], [0, 1, 5], [0, 5, 4], [1, 2, 6], [1, 6, 5], [2, 3, 7], [2, 7, 6], [3, 0, 4], [3, 4, 7]]
+)
 
 
 def circle(radius: float, z: float, sides: int = 16) -> Float:

@@ -1,132 +1,161 @@
-"""A picture of a scene through any camera: colour with sun, shadows and texture, and exact depth."""
+"""A picture of a scene through any camera: light, exact depth and normals, instances and classes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from p2o.arrays import Bool, Float, UInt8
 from p2o.camera import Camera
+from p2o.simulate.classes import Class
+from p2o.simulate.light import shade, sky
+from p2o.simulate.photo import Photo, develop
 from p2o.simulate.scene import Hits, Scene
-from p2o.simulate.texture import texture, value_noise
+from p2o.simulate.threads import in_slices
 
-_SUN = np.array([1.0, 0.91, 0.76]) * 2.6
-_SKY_HIGH = np.array([0.11, 0.29, 0.72])
-_SKY_LOW = np.array([0.62, 0.76, 0.92])
-_HAZE_M = 900.0
+Single = NDArray[np.float32]
+
 # Four places in a pixel, all on different rows and columns: near-vertical and near-horizontal outlines get four steps.
 _SUBPIXELS = np.array([[-0.125, -0.375], [0.375, -0.125], [0.125, 0.375], [-0.375, 0.125]])
+# Leaves are too many for four; two places on a diagonal are enough for what the lens blurs anyway.
+_LEAFY_SUBPIXELS = np.array([[-0.25, -0.25], [0.25, 0.25]])
+_PIXELS_A_SLICE = 16_384
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """`rgb` (H, W, 3) uint8, `depth_m` (H, W) along the optical axis at the pixel centres: +inf sky, NaN unseen.
+    """What a camera sees, before its electronics.
 
+    `light` (H, W, 3) linear RGB, box averages of a pixel; everything else is that of the ray through the pixel centre:
+    `depth_m` (H, W) along the optical axis, +inf sky, NaN unseen; `normals` (H, W, 3) outward unit normals in the
+    camera frame, zero for sky; `instance` (H, W) numbers of things from 1, 0 for sky; `classes` (H, W) Class numbers;
     `seen` (H, W) is False where the camera model maps no ray to the pixel (outside of a fisheye's circle).
     """
 
-    rgb: UInt8
+    light: Single
     depth_m: Float
+    normals: Float
+    instance: NDArray[np.int32]
+    classes: UInt8
     seen: Bool
 
+    @cached_property
+    def rgb(self) -> UInt8:
+        """The picture (H, W, 3) that a noiseless camera makes of the light."""
+        return develop(self.light, Photo(), np.random.default_rng(0))
 
-def render(scene: Scene, camera: Camera, world_from_camera: Float) -> Picture:
-    """Return the picture that a camera at world_from_camera (4, 4) takes.
+    @cached_property
+    def foliage(self) -> Bool:
+        """Which pixels (H, W) show leaves."""
+        return np.asarray(self.classes == Class.FOLIAGE)
 
-    One ray a pixel; four where neighbours show different surfaces, so that outlines are smooth. Colours are box
-    averages of a pixel, depth is that of its centre ray.
+
+def render(scene: Scene, camera: Camera, world_from_camera: Float, time_s: float = 0.0) -> Picture:
+    """Return what a camera at world_from_camera (4, 4) sees at a time.
+
+    One ray a pixel; more where neighbours show different surfaces, so that outlines are smooth.
     """
     height, width = camera.height, camera.width
-    uv = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1).reshape(-1, 2).astype(np.float64)
-    rays = camera.rays(uv)
-    seen = np.isfinite(rays).all(axis=1)
-    rays[~seen] = (0.0, 0.0, 1.0)
-    hits, colour = _look(scene, rays, world_from_camera, camera.focal_px)
+    rays, seen = _pixel_rays(camera)
+    scene.prepare()
+    count = len(rays)
+    light, distance = np.empty((count, 3), np.float32), np.empty(count)
+    face, normal = np.empty(count, np.int64), np.empty((count, 3))
 
-    edges = np.flatnonzero(_differs(scene, hits, height, width).ravel() & seen)
-    fine = camera.rays(uv[edges, None] + _SUBPIXELS)
-    fine = np.where(np.isfinite(fine), fine, rays[edges, None])  # at the rim of a fisheye's circle
-    _, fine_colour = _look(scene, fine.reshape(-1, 3), world_from_camera, camera.focal_px)
-    colour[edges] = fine_colour.reshape(len(edges), len(_SUBPIXELS), 3).mean(axis=1)
+    def look(part: slice) -> None:
+        hits, light[part] = _look(scene, rays[part], world_from_camera, camera.focal_px, time_s)
+        distance[part], face[part], normal[part] = hits.distance_m, hits.face, hits.normal
 
-    colour[~seen] = 0.0
-    depth = np.where(seen, hits.distance_m * rays[:, 2], np.nan)
+    in_slices(look, count, _PIXELS_A_SLICE)
+
+    of_face = np.where(face < 0, -1, scene.part_of_face[face])
+    classes = np.where(of_face < 0, np.uint8(Class.SKY), scene.class_of_part[of_face]).astype(np.uint8)
+    hard, leafy = _outlines(of_face, normal, classes, height, width)
+    for chosen, places in ((hard, _SUBPIXELS), (leafy, _LEAFY_SUBPIXELS)):
+        _refine(scene, camera, world_from_camera, time_s, rays, np.flatnonzero(chosen.ravel() & seen), places, light)
+
+    light[~seen] = 0.0
+    size = (height, width)
     return Picture(
-        _to_srgb(colour).reshape(height, width, 3), depth.reshape(height, width), seen.reshape(height, width)
+        light.reshape(*size, 3),
+        np.where(seen, distance * rays[:, 2], np.nan).reshape(size),
+        (normal @ world_from_camera[:3, :3]).reshape(*size, 3),
+        np.where(of_face < 0, 0, scene.thing_of_part[of_face] + 1).reshape(size).astype(np.int32),
+        classes.reshape(size),
+        seen.reshape(size),
     )
 
 
-def _look(scene: Scene, rays: Float, world_from_camera: Float, focal_px: float) -> tuple[Hits, Float]:
+def _refine(
+    scene: Scene,
+    camera: Camera,
+    world_from_camera: Float,
+    time_s: float,
+    rays: Float,
+    pixels: NDArray[np.int64],
+    places: Float,
+    light: Single,
+) -> None:
+    """Replace, in place, the light (N, 3) of pixels by the mean over places (K, 2) inside of them."""
+
+    def look(part: slice) -> None:
+        chosen = pixels[part]
+        uv = np.stack([chosen % camera.width, chosen // camera.width], axis=1).astype(np.float64)
+        fine = camera.rays(uv[:, None] + places)
+        fine = np.where(np.isfinite(fine), fine, rays[chosen, None])  # at the rim of a fisheye's circle
+        _, colour = _look(scene, fine.reshape(-1, 3), world_from_camera, camera.focal_px, time_s)
+        light[chosen] = colour.reshape(len(chosen), len(places), 3).mean(axis=1)
+
+    in_slices(look, len(pixels), _PIXELS_A_SLICE // len(places))
+
+
+@lru_cache(maxsize=2)
+def _pixel_rays(camera: Camera) -> tuple[Float, Bool]:
+    """Return unit rays (H * W, 3) of all pixels, row by row, and which of them exist; the others look straight ahead."""
+    uv = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), -1).reshape(-1, 2)
+    rays = camera.rays(uv.astype(np.float64))
+    seen = np.isfinite(rays).all(axis=1)
+    rays[~seen] = (0.0, 0.0, 1.0)
+    rays.flags.writeable = seen.flags.writeable = False
+    return rays, seen
+
+
+def _look(
+    scene: Scene, rays: Float, world_from_camera: Float, focal_px: float, time_s: float
+) -> tuple[Hits, Single]:
     """Cast camera rays (N, 3) and return their hits with linear colours (N, 3)."""
     directions = rays @ world_from_camera[:3, :3].T
-    hits = scene.cast(world_from_camera[:3, 3], directions)
-    colour = np.empty_like(directions)
+    origin = world_from_camera[:3, 3]
+    hits = scene.cast(origin, directions, time_s)
+    colour = np.empty((len(rays), 3), np.float32)
     away, met = np.flatnonzero(hits.face < 0), np.flatnonzero(hits.face >= 0)
-    colour[away] = _sky(directions[away])
-    picked = Hits(hits.distance_m[met], hits.face[met])
-    colour[met] = _shade(scene, world_from_camera[:3, 3], directions[met], picked, focal_px)
+    if len(away):
+        colour[away] = sky(scene, directions[away])
+    if len(met):
+        colour[met] = shade(scene, origin, directions[met], hits.take(met), focal_px, time_s)
     return hits, colour
 
 
-def _sky(directions: Float) -> Float:
-    """Return the colour (N, 3) of the sky: deep above, pale at the horizon, with clouds."""
-    height = np.clip(directions[:, 2:], 0.0, 1.0)
-    colour = _SKY_LOW + (_SKY_HIGH - _SKY_LOW) * np.clip(2.2 * height, 0.0, 1.0) ** 0.7
-    layer = directions / np.maximum(directions[:, 2:], 0.05)
-    cloud = sum(w * value_noise(layer + 7.3 * w, s) for s, w in ((3.1, 0.5), (1.3, 0.3), (0.6, 0.2), (0.27, 0.1)))
-    return np.asarray(colour + (0.96 - colour) * np.clip(1.6 * np.asarray(cloud) + 0.1, 0.0, 0.85)[:, None])
+def _outlines(
+    part: NDArray[np.int64], normal: Float, classes: UInt8, height: int, width: int
+) -> tuple[Bool, Bool]:
+    """Return which pixels (H, W) have a neighbour on another part or on a face of another direction: hard, leafy ones.
 
-
-def _shade(scene: Scene, origin: Float, directions: Float, hits: Hits, focal_px: float) -> Float:
-    """Return linear colours (N, 3) of hits: texture, sun with cast shadows, sky light, mirrored sky, haze."""
-    colour, contrast, gloss = scene.material_table(("colour", "contrast", "gloss"))
-    part = scene.part_of_face[hits.face]
-    points = origin + hits.distance_m[:, None] * directions
-    normal = scene.face_normals[hits.face]
-    facing = np.abs(np.einsum("ni,ni->n", normal, directions))
-    normal = normal * np.where(np.einsum("ni,ni->n", normal, directions) > 0, -1.0, 1.0)[:, None]
-
-    # A pixel seen at a slant covers more of the surface one way only: the geometric mean of both ways.
-    footprint = hits.distance_m / focal_px / np.sqrt(np.maximum(facing, 0.02))
-    thing = np.array([p.thing for p in scene.parts])[part]
-    shift = np.column_stack([(thing * step) % 61.0 for step in (7.31, 3.17, 11.9)])
-    albedo = colour[part] * np.exp(contrast[part] * texture(points + shift, footprint))[:, None]
-
-    to_sun = np.array(scene.to_sun) / np.linalg.norm(scene.to_sun)
-    sunlit = np.clip(normal @ to_sun, 0.0, None)
-    lit = np.flatnonzero(sunlit > 0)
-    blocked = scene.cast(points[lit] + 2e-3 * normal[lit], np.tile(to_sun, (len(lit), 1))).face >= 0
-    sunlit[lit[blocked]] = 0.0
-    ambient = 0.42 + 0.18 * normal[:, 2] + 0.06 * normal[:, 1]
-    light = ambient[:, None] * (0.6 * _SKY_LOW + 0.4 * _SKY_HIGH) + sunlit[:, None] * _SUN
-
-    shown = albedo * light
-    shiny = np.flatnonzero(gloss[part] > 0)
-    share = (gloss[part] * (0.25 + 0.75 * (1 - facing) ** 3))[shiny, None]
-    mirrored = directions[shiny] + 2 * facing[shiny, None] * normal[shiny]
-    shown[shiny] += share * (0.8 * _sky(mirrored) - shown[shiny])
-    haze = 1 - np.exp(-hits.distance_m / _HAZE_M)
-    return np.asarray(shown + haze[:, None] * (_SKY_LOW - shown))
-
-
-def _differs(scene: Scene, hits: Hits, height: int, width: int) -> Bool:
-    """Return which pixels (H, W) have a neighbour on another part or on a face of another direction."""
-    face = hits.face.reshape(height, width)
-    part = np.where(face < 0, -1, scene.part_of_face[face])
-    normal = scene.face_normals[face]
-    across, down = (np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])
-    out = np.zeros((height, width), bool)
-    for a, b in (across, down):
-        turns = (part[a] >= 0) & ((normal[a] * normal[b]).sum(axis=-1) < 0.99)
-        change = (part[a] != part[b]) | turns
-        out[a] |= change
-        out[b] |= change
-    return out
-
-
-def _to_srgb(linear: Float) -> UInt8:
-    """Return 8-bit sRGB of linear light, rolled off softly above one half."""
-    shown = 1 - np.exp(-1.15 * np.clip(linear, 0.0, None))
-    curve = np.where(shown <= 0.0031308, 12.92 * shown, 1.055 * shown ** (1 / 2.4) - 0.055)
-    return np.asarray(np.clip(255 * curve + 0.5, 0, 255), np.uint8)
+    Leafy are those with leaves on either side; inside of a crown there is no outline.
+    """
+    size = (height, width)
+    part, classes, leaf = part.reshape(size), classes.reshape(size), (classes == Class.FOLIAGE).reshape(size)
+    normal = normal.astype(np.float32).reshape(*size, 3)
+    hard, leafy = np.zeros(size, bool), np.zeros(size, bool)
+    for a, b in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        other = part[a] != part[b]
+        either = leaf[a] | leaf[b]
+        turns = (part[a] >= 0) & (np.einsum("hwi,hwi->hw", normal[a], normal[b]) < 0.99)
+        sharp, soft = (other | turns) & ~either, either & (classes[a] != classes[b])
+        for outline, change in ((hard, sharp), (leafy, soft)):
+            outline[a] |= change
+            outline[b] |= change
+    return hard, leafy & ~hard

@@ -50,12 +50,12 @@ class Subject:
     @property
     def gives(self) -> frozenset[str]:
         """The words that the method gives."""
-        return self.offer.method.gives
+        return frozenset(self.offer.method.gives)
 
     @property
     def needs(self) -> frozenset[str]:
         """The words that the method needs."""
-        return self.offer.method.needs
+        return frozenset(self.offer.method.needs)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,211 @@
+"""Virtual KITTI 2: SCENE/VARIATION/frames/{rgb,depth,classSegmentation}/Camera_N, with a LiDAR made from the depth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from p2o import Camera, Dataset, Frame, Image, InputError, Method, Options, field, se3
+from p2o.arrays import Bool, Float
+
+from p2o_plugins.data.depth_lidar import depth_sweep
+from p2o_plugins.data.image_file import read_rgb, read_uint16
+from p2o_plugins.data.input_file import existing_folder, naming, read_text
+from p2o_plugins.data.lazy_frames import LazyFrames
+
+_FOLIAGE = ((0, 199, 0), (90, 240, 0))
+_SKY_CM = 65535
+_CAMERA_IN_LIDAR = (0.27, 0.06, -0.08)
+_AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+
+
+class VirtualKitti2Options(Options):
+    """Options of Virtual KITTI 2 and of the LiDAR that is made for it."""
+
+    root: Path = field(Path("."), help="Folder that holds the scenes (Scene01, ...), or one scene.")
+    scenes: tuple[int, ...] = field((), help="Numbers of the scenes, such as [1,2,6,20]; none: all that are there.")
+    variation: Literal[
+        "clone",
+        "fog",
+        "morning",
+        "overcast",
+        "rain",
+        "sunset",
+        "15-deg-left",
+        "15-deg-right",
+        "30-deg-left",
+        "30-deg-right",
+    ] = field("clone", help="Weather, light or view.")
+    camera: int = field(0, ge=0, le=1, help="Camera: 0 is left (its right picture is camera 1), 1 is right.")
+    lidar: Literal["hdl-64e", "hdl-32e", "vlp-16", "os1-64", "os1-128", "pandar64"] = field(
+        "hdl-64e", help="Beams of the LiDAR that is made from the depth."
+    )
+    mount: Literal["kitti", "camera"] = field(
+        "kitti", help="Where the LiDAR is: as in KITTI's rig, or in the camera itself, where it sees all that it sees."
+    )
+    noise_m: float = field(0.02, ge=0, le=1, help="Standard deviation of the LiDAR's range in metres.")
+    angle_noise_deg: float = field(0.0, ge=0, le=1, help="Standard deviation of its azimuth and elevation in degrees.")
+    mask_foliage: bool = field(True, help="Mask the pixels of the classes Tree and Vegetation (paper Sec. IV-A).")
+    seed: int = field(0, ge=0, help="Seed of the LiDAR's noise.")
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """One frame: the folder of its scene and variation, its number, and its name."""
+
+    folder: Path
+    number: int
+    name: str
+
+    def file(self, kind: str, camera: int) -> Path | None:
+        """Return the file rgb, depth or classgt of a camera, or None; a PNG wins over a JPEG."""
+        folder = {"classgt": "classSegmentation"}.get(kind, kind)
+        stem = self.folder / f"frames/{folder}/Camera_{camera}/{kind}_{self.number:05d}"
+        return next((path for suffix in (".png", ".jpg") if (path := stem.with_suffix(suffix)).exists()), None)
+
+
+def build(options: VirtualKitti2Options) -> Dataset:
+    """Return the frames of the scenes; names are "Scene01/clone/00000".
+
+    Raises InputError if the folder or a scene is missing or holds no frame with both picture and depth.
+    """
+    root = existing_folder(options.root, "Virtual KITTI 2")
+    inside = root.resolve().name.startswith("Scene")
+    scenes = [root.resolve()] if inside else sorted(p for p in root.glob("Scene*") if p.is_dir())
+    if options.scenes:
+        wanted = [f"Scene{number:02d}" for number in options.scenes]
+        absent = [name for name in wanted if name not in {scene.name for scene in scenes}]
+        if absent:
+            raise InputError(
+                f"{absent[0]} is missing", where=root, got=", ".join(scene.name for scene in scenes) or "no scene"
+            )
+        scenes = [scene for scene in scenes if scene.name in wanted]
+    entries: dict[str, _Entry] = {}
+    skipped: dict[str, str] = {}
+    for scene in scenes:
+        folder = scene / options.variation
+        for number in _numbers(folder / f"frames/rgb/Camera_{options.camera}"):
+            entry = _Entry(folder, number, f"{scene.name}/{options.variation}/{number:05d}")
+            if entry.file("depth", options.camera) is None:
+                depth = folder / f"frames/depth/Camera_{options.camera}/depth_{number:05d}.png"
+                skipped[entry.name] = f"{depth} is missing"
+            else:
+                entries[entry.name] = entry
+    if not entries:
+        where = f"frames/{{rgb,depth}}/Camera_{options.camera}"
+        raise InputError(
+            "no Virtual KITTI 2 frames",
+            where=root,
+            expected=f"Scene01/{options.variation}/{where}",
+            got=next(iter(skipped.values()), f"{len(scenes)} scenes without pictures" if scenes else "no scene"),
+        )
+    return LazyFrames(entries, partial(_read, options), skipped)
+
+
+def camera_from_lidar(options: VirtualKitti2Options) -> Float:
+    """Return the extrinsic (4, 4) of the LiDAR that is made: KITTI's lever arm (0.27, 0.06, -0.08) m, or none."""
+    place = _CAMERA_IN_LIDAR if options.mount == "kitti" else (0.0, 0.0, 0.0)
+    return se3.make(_AXES, -_AXES @ np.array(place))
+
+
+def _read(options: VirtualKitti2Options, entry: _Entry) -> Frame:
+    from p2o.simulate import LIDARS, Lidar
+
+    image, warnings = _image(options, entry)
+    lidar = LIDARS[options.lidar]
+    if not isinstance(lidar, Lidar):
+        raise TypeError("only LiDARs that turn are offered")
+    lidar = replace(lidar, range_noise_m=options.noise_m, angle_noise_deg=options.angle_noise_deg)
+    if options.mount == "camera":
+        # From the camera's own centre nothing is hidden; heights of single beams over it would hide again.
+        lidar = replace(lidar, height_m=())
+    truth = camera_from_lidar(options)
+    # One stream a frame, camera and name, so that the noise of one does not depend on which others are read.
+    rng = np.random.default_rng([options.seed, options.camera, *entry.name.encode()])
+    with naming(entry.folder):
+        cloud = depth_sweep(np.asarray(image.depth_m), image.camera, truth, lidar, rng)
+    return Frame(entry.name, image, cloud, camera_from_lidar=truth, warnings=warnings)
+
+
+def _image(options: VirtualKitti2Options, entry: _Entry) -> tuple[Image, tuple[str, ...]]:
+    number = options.camera
+    path, depth_path = entry.file("rgb", number), entry.file("depth", number)
+    if path is None or depth_path is None:
+        raise InputError("the picture or its depth has gone", where=entry.folder)
+    rgb, warnings = read_rgb(path)
+    fx, fy, cx, cy = _row(entry.folder / "intrinsic.txt", 4, entry.number, number)
+    raw = 256 * read_uint16(depth_path, "depth")
+    right_path = entry.file("rgb", 1) if number == 0 else None
+    right = baseline_m = masked = None
+    if right_path is not None:
+        right, more = read_rgb(right_path)
+        warnings += more
+        baseline_m = _baseline_m(entry)
+    class_path = entry.file("classgt", number) if options.mask_foliage else None
+    if class_path is not None:
+        masked = _foliage(class_path)
+    elif options.mask_foliage:
+        warnings += ("foliage is not masked: no class segmentation",)
+    with naming(path):
+        camera = Camera.pinhole(fx, fy, cx, cy, rgb.shape[1], rgb.shape[0])
+        image = Image(rgb, camera, right, baseline_m, np.where(raw == _SKY_CM, np.inf, raw / 100), masked)
+    return image, warnings
+
+
+def _foliage(path: Path) -> Bool:
+    classes, _ = read_rgb(path)
+    out: Bool = np.any([(classes == colour).all(axis=2) for colour in _FOLIAGE], axis=0)
+    return out
+
+
+def _baseline_m(entry: _Entry) -> float:
+    """Return the distance of the right camera from the left one; InputError unless it lies to the right of it."""
+    path = entry.folder / "extrinsic.txt"
+    left, right = (_row(path, 16, entry.number, camera).reshape(4, 4) for camera in (0, 1))
+    with naming(path):
+        left, right = (se3.check_rigid("an extrinsic", pose, tolerance=1e-3) for pose in (left, right))
+    right_from_left = right @ se3.inverse(left)
+    if se3.angle_deg(right_from_left) > 0.1 or np.abs(right_from_left[1:3, 3]).max() > 0.01:
+        raise InputError("cameras 0 and 1 are no rectified pair", where=path, expected="a shift along x alone")
+    return float(-right_from_left[0, 3])
+
+
+def _row(path: Path, count: int, frame: int, camera: int) -> Float:
+    """Return the numbers of a frame and camera in intrinsic.txt or extrinsic.txt; InputError where they are absent."""
+    _, _, text = read_text(path, "calibration file").partition("\n")
+    try:
+        table = np.array(text.split(), dtype=np.float64).reshape(-1, count + 2)
+    except ValueError as problem:
+        raise InputError(
+            "this is not a calibration file of Virtual KITTI 2",
+            where=path,
+            expected=f"a header, then rows of frame, camera and {count} numbers",
+        ) from problem
+    rows = table[(table[:, 0] == frame) & (table[:, 1] == camera), 2:]
+    if len(rows) != 1 or not np.isfinite(rows).all():
+        raise InputError(
+            f"frame {frame} of camera {camera} is not calibrated",
+            where=path,
+            expected=f"one row of {count} finite numbers",
+            got=f"{len(rows)} rows",
+        )
+    return np.asarray(rows[0])
+
+
+def _numbers(folder: Path) -> list[int]:
+    """Return the numbers of the pictures rgb_00000 of a folder, sorted; none where it does not exist."""
+    stems = {path.stem for path in folder.glob("rgb_*") if path.suffix in (".png", ".jpg")}
+    return sorted(int(stem[4:]) for stem in stems if stem[4:].isdigit())
+
+
+METHOD = Method(
+    name="vkitti2",
+    build=build,
+    options=VirtualKitti2Options,
+    summary="Virtual KITTI 2 with a LiDAR made from its depth, as in the paper's Table 1.",
+    gives=frozenset({"depth", "truth", "rings"}),
+    cite="Cabon, Murray, Humenberger: Virtual KITTI 2. arXiv 2001.10773, 2020",
+)

@@ -1,0 +1,69 @@
+"""A plugin of the tests: frames of the conformance stage, and a method that answers with its start."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import p2o
+
+
+class FakeOptions(p2o.Options):
+    """How many frames there are, and which of them cannot be read."""
+
+    frames: int = p2o.field(2, ge=1, help="How many.")
+    bad: int = p2o.field(-1, help="This one cannot be read.")
+
+
+class SpyOptions(p2o.Options):
+    """How the method ends."""
+
+    fail_at: int = p2o.field(-1, help="Raise on this frame.")
+    interrupt_at: int = p2o.field(-1, help="Press Ctrl-C on this frame.")
+    status: str = p2o.field("converged", help="How it ends.")
+
+
+class Frames(Sequence[p2o.Frame]):
+    """The conformance stage under many names."""
+
+    def __init__(self, options: FakeOptions) -> None:
+        self.options = options
+        self.names = tuple(f"drive/{i:04d}" for i in range(options.frames))
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __getitem__(self, index: Any) -> Any:
+        from p2o.testing import stage
+
+        if index == self.options.bad:
+            raise p2o.InputError("the image is cut short", where="a.png")
+        frame = stage.frame()
+        return p2o.Frame(self.names[index], frame.image, frame.cloud, camera_from_lidar=frame.camera_from_lidar)
+
+
+def build(options: SpyOptions) -> p2o.Calibrator:
+    """Return a method that prints, counts its calls, and answers with its start."""
+    calls = []
+
+    def calibrate(frames: Any, start: Any) -> p2o.Result:
+        print("a plugin that prints")
+        calls.append(frames)
+        if len(calls) - 1 == options.fail_at:
+            raise ValueError("no such luck")
+        if len(calls) - 1 == options.interrupt_at:
+            raise KeyboardInterrupt
+        names = tuple(frame.name for frame in frames)
+        return p2o.Result(names, start, start, p2o.Status(options.status), "because it is a test")
+
+    return calibrate
+
+
+@p2o.hookimpl
+def p2o_datasets():
+    """Offer the frames."""
+    yield p2o.Method(name="fake", build=Frames, options=FakeOptions, summary="Frames of the test stage.")
+
+
+@p2o.hookimpl
+def p2o_calibrators():
+    """Offer the method."""
+    yield p2o.Method(name="spy", build=build, options=SpyOptions, summary="Answers with its start.")

@@ -1,0 +1,100 @@
+"""`p2o simulate`: made-up streets written to disk in the layout of a real dataset."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from p2o.cli.plugin_options import load, plugin_options
+from p2o.errors import InputError
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+LAYOUTS = ("kitti-raw", "vkitti2", "folder")
+
+
+@click.command("simulate")
+@click.argument("out", type=click.Path())
+@click.option("--layout", required=True, type=click.Choice(LAYOUTS), help="The dataset that shall read it.")
+@click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="FIELD=VALUE",
+    help="An option of the made-up streets (`p2o methods synthetic` lists them).",
+)
+@click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Seed of the streets and of all noise.")
+@click.option("--force", is_flag=True, help="Write into a folder that is not empty; other files in it stay.")
+@plugin_options
+def command(
+    out: str,
+    layout: str,
+    settings: tuple[str, ...],
+    seed: int | None,
+    force: bool,
+    plugin: tuple[str, ...],
+    block: tuple[str, ...],
+) -> int:
+    r"""Write made-up streets to the folder OUT, frame by frame, and print the names of the frames.
+
+    \b
+    p2o simulate out --layout kitti-raw --set scenes=20 --seed 1
+    p2o run --data kitti-raw:out --perturb "2deg 0.15m"
+
+    They are the frames of the dataset `synthetic`; what a layout has no place for is lost (docs/datasets.md).
+    """
+    from p2o.recipe import open_dataset
+
+    options = {**({} if seed is None else {"seed": seed}), **_parsed(settings)}
+    dataset = open_dataset("synthetic:", load(plugin, block), options)
+    root = _prepared(Path(out).expanduser(), force)
+    for name in _writer(layout).write((dataset[index] for index in range(len(dataset))), root):
+        click.echo(name)
+    click.echo(f"{len(dataset)} frames written; read them with --data {layout}:{out}", err=True)
+    return 0
+
+
+def _writer(layout: str) -> ModuleType:
+    return importlib.import_module(f"p2o.simulate.write_{layout.replace('-', '_')}")
+
+
+def _parsed(settings: tuple[str, ...]) -> dict[str, Any]:
+    from p2o.recipe import value_of
+
+    options: dict[str, Any] = {}
+    for text in settings:
+        match = re.fullmatch(r"(?:data\.)?([A-Za-z0-9_]+)=(.*)", text.strip(), re.DOTALL)
+        if match is None:
+            raise InputError("cannot read the setting", where="--set", expected="FIELD=VALUE: scenes=40", got=text)
+        options[match[1]] = value_of(match[2])
+    return options
+
+
+def _prepared(root: Path, force: bool) -> Path:
+    """Return the folder, made if need be; InputError at once where it is in use or cannot be written."""
+    try:
+        if not force and root.is_dir() and any(root.iterdir()):
+            raise InputError(
+                "the folder is not empty",
+                where=root,
+                expected="a new or an empty folder",
+                hint="add --force to write into it",
+            )
+        root.mkdir(parents=True, exist_ok=True)
+        probe = root / f".p2o-{os.getpid()}"
+        probe.write_bytes(b"")
+        probe.unlink()
+    except OSError as problem:
+        raise InputError(
+            "cannot write the dataset",
+            where=problem.filename or root,
+            got=problem.strerror or str(problem),
+            hint="choose another folder",
+        ) from problem
+    return root

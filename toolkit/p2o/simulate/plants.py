@@ -1,0 +1,139 @@
+"""Trees, hedges, bushes and grass: many small leaves, so that their outlines are as ragged as real ones."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from p2o.arrays import Float
+from p2o.simulate.classes import Class
+from p2o.simulate.mesh import Mesh, boxes, join, leaves, tubes
+from p2o.simulate.palette import BARK
+from p2o.simulate.scene import Material, Part
+
+_GREENS = ((0.05, 0.085, 0.016), (0.075, 0.11, 0.02), (0.035, 0.06, 0.018), (0.1, 0.11, 0.025), (0.055, 0.07, 0.03))
+
+
+def leaf(rng: np.random.Generator) -> Material:
+    """Return the material of the leaves of one plant; one in eight is turning brown."""
+    colour = np.array(_GREENS[rng.integers(len(_GREENS))]) * rng.uniform(0.75, 1.35)
+    if rng.random() < 0.12:
+        colour = colour * np.array([2.0, 1.0, 0.6])
+    rgb = (float(colour[0]), float(colour[1]), float(colour[2]))
+    return Material("leaves", rgb, contrast=0.9, reflectance=float(rng.uniform(0.35, 0.6)), thin=True)
+
+
+def tree(rng: np.random.Generator, distance_m: float, *, height: float = 0.0, forest: bool = False) -> list[Part]:
+    """Return a tree about the z axis; the nearer it is to the road's viewer, the smaller and more its leaves."""
+    high = height or rng.uniform(5.0, 11.0)
+    slim = rng.uniform(0.22, 0.4) if not forest else rng.uniform(0.16, 0.26)
+    stem = high * (rng.uniform(0.22, 0.35) if not forest else rng.uniform(0.3, 0.55))
+    spread, tall = slim * high, (high - stem) / 2
+    centre = np.array([0.0, 0.0, high - tall])
+    # Crowns are clumps of leaves on twigs, with gaps between them.
+    clumps = int(np.clip(26 * spread * tall / 6, 14, 60))
+    direction = rng.normal(size=(clumps, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    reach = rng.uniform(0.25, 1.0, clumps) ** 0.5
+    middle = centre + direction * reach[:, None] * np.array([spread, spread, tall])
+    size = float(np.clip(0.012 * distance_m, 0.11, 0.7))
+    area = 3.2 * 4 * np.pi * spread * (spread + 2 * tall) / 3
+    count = int(np.clip(area / (0.28 * size**2), 150, 9000 if distance_m < 14 else 4500))
+    owner = rng.integers(clumps, size=count)
+    width = 0.3 * (spread * spread * tall) ** (1 / 3)
+    place = middle[owner] + rng.normal(size=(count, 3)) * width * rng.uniform(0.5, 1.2, (count, 1)) * [1, 1, 0.7]
+    place[:, 2] = np.maximum(place[:, 2], 0.55 * stem)
+    out = [_crown(rng, place, size, centre, np.array([spread, spread, tall]))]
+
+    thick = 0.02 * high + rng.uniform(0.03, 0.1)
+    lean = rng.normal(size=2) * 0.02 * high
+    knots = np.array([[0, 0, -0.3], [0.3 * lean[0], 0.3 * lean[1], 0.5 * stem], [*lean, stem], [*lean * 1.5, high * 0.85]])
+    twigs = middle[: min(clumps, 10)]
+    forks = np.column_stack([np.tile(lean, (len(twigs), 1)), rng.uniform(stem * 0.8, high * 0.7, len(twigs))])
+    trunk = join(
+        [
+            tubes(knots[:-1], knots[1:], np.array([[1.25, 1.0], [1.0, 0.75], [0.75, 0.2]]) * thick, sides=8),
+            tubes(forks, twigs, np.array([[0.35, 0.1]]) * thick, sides=4),
+        ]
+    )
+    return [Part(trunk, BARK, kind=Class.TRUNK), *out]
+
+
+def bush(rng: np.random.Generator, distance_m: float, *, radius: float = 0.0) -> list[Part]:
+    """Return a bush about the z axis."""
+    wide = radius or rng.uniform(0.5, 1.4)
+    half = np.array([wide, wide, wide * rng.uniform(0.7, 1.3)])
+    size = float(np.clip(0.011 * distance_m, 0.07, 0.4))
+    count = int(np.clip(26 * wide**2 / (0.28 * size**2), 120, 3500))
+    direction = rng.normal(size=(count, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    bumps = 1 + 0.3 * np.sin(direction @ rng.normal(size=(3, 5)) * 3 + rng.uniform(0, 6, 5)).mean(axis=1)
+    place = direction * (rng.uniform(0.5, 1.0, count) ** 0.4 * bumps)[:, None] * half + [0, 0, 0.75 * half[2]]
+    place = place[place[:, 2] > 0.05]
+    return [_crown(rng, place, size, np.array([0, 0, 0.6 * half[2]]), half)]
+
+
+def hedge(rng: np.random.Generator, length: float, distance_m: float, *, height: float = 0.0) -> list[Part]:
+    """Return a hedge along x from 0 to `length`, about y = 0: leaves around a dark core that lets nothing through."""
+    high, wide = height or rng.uniform(1.0, 2.4), rng.uniform(0.6, 1.1)
+    size = float(np.clip(0.011 * distance_m, 0.07, 0.35))
+    surface = length * (2 * high + wide)
+    count = int(np.clip(2.0 * surface / (0.28 * size**2), 150, 5000))
+    around = rng.uniform(0, 2 * high + wide, count)
+    x = rng.uniform(0, length, count)
+    y = np.clip(around - high, 0, wide) - wide / 2
+    z = np.minimum(np.minimum(around, 2 * high + wide - around), high)
+    bumps = 0.16 * np.sin(2.1 * x + rng.uniform(0, 6)) + 0.1 * np.sin(5.3 * x + rng.uniform(0, 6))
+    place = np.column_stack([x, y, z]) + rng.normal(size=(count, 3)) * [0.1, 0.09, 0.1]
+    place[:, 2] *= 1 + bumps * (z > 0.6 * high)
+    place[:, 2] = np.maximum(place[:, 2], 0.03)
+    core = boxes([[0.1, -0.36 * wide, -0.2]], [[length - 0.1, 0.36 * wide, 0.82 * high]])
+    material = leaf(rng)
+    green = Part(leaves(place, np.full(count, size), rng), material, kind=Class.FOLIAGE, openness=_shades(rng, count))
+    return [green, Part(core, _shadow(material), kind=Class.FOLIAGE, openness=0.5)]
+
+
+def tufts(rng: np.random.Generator, place: Float, height_m: float) -> list[Part]:
+    """Return blades of long grass at places (N, 3) of the ground."""
+    size = height_m * rng.uniform(0.5, 1.3, len(place))
+    centre = place + np.column_stack([np.zeros((len(place), 2)), 0.42 * size])
+    blades = leaves(centre, size, rng, upright=0.8)
+    colour = np.array([0.11, 0.13, 0.035]) * rng.uniform(0.8, 1.3)
+    material = Material("long grass", tuple(float(c) for c in colour), 0.6, reflectance=0.45, thin=True)  # type: ignore[arg-type]
+    return [Part(blades, material, kind=Class.FOLIAGE, openness=_shades(rng, len(place)))]
+
+
+def thicket(rng: np.random.Generator, length: float, depth: float, height: float, distance_m: float) -> list[Part]:
+    """Return the edge of a wood along x from 0 to `length`, towards +y: a dark mass behind rugged leaves."""
+    size = float(np.clip(0.013 * distance_m, 0.2, 0.8))
+    count = int(np.clip(3.0 * length * height / (0.28 * size**2), 300, 6000))
+    x, share = rng.uniform(0, length, count), rng.uniform(0, 1, count)
+    top = height * (0.72 + 0.16 * np.sin(0.55 * x + rng.uniform(0, 6)) + 0.12 * np.sin(1.7 * x + rng.uniform(0, 6)))
+    y = depth * (0.25 + 0.2 * np.sin(0.8 * x + 6 * share) + 0.5 * share**2) + rng.normal(size=count) * 0.3
+    place = np.column_stack([x, y, np.maximum(top * share, 0.1)]) + rng.normal(size=(count, 3)) * 0.25
+    material = leaf(rng)
+    green = Part(leaves(place, np.full(count, size), rng), material, kind=Class.FOLIAGE, openness=_shades(rng, count))
+    steps = np.linspace(0, length, max(2, int(length / 3)) + 1)
+    tops = height * rng.uniform(0.42, 0.7, len(steps) - 1)
+    low = np.column_stack([steps[:-1], np.full(len(tops), 0.62 * depth), np.full(len(tops), -1.5)])
+    high = np.column_stack([steps[1:], np.full(len(tops), depth), tops])
+    return [green, Part(boxes(low, high), _shadow(material), kind=Class.FOLIAGE, openness=0.35)]
+
+
+def _crown(rng: np.random.Generator, place: Float, size: float, centre: Float, half: Float) -> Part:
+    """Return leaves at places (N, 3); those deep inside of the ellipsoid, and low ones, see less sky."""
+    inside = (place - centre) / half
+    depth = np.clip(1.1 - np.linalg.norm(inside, axis=1), 0, 1)
+    openness = np.clip(0.95 - 0.8 * depth + 0.2 * inside[:, 2], 0.12, 1.0) * rng.uniform(0.6, 1.1, len(place))
+    mesh: Mesh = leaves(place, size * rng.uniform(0.7, 1.3, len(place)), rng)
+    return Part(mesh, leaf(rng), kind=Class.FOLIAGE, openness=np.repeat(openness, 2))
+
+
+def _shades(rng: np.random.Generator, count: int) -> Float:
+    """Return the openness of leaves, two faces each."""
+    return np.repeat(rng.uniform(0.35, 1.0, count), 2)
+
+
+def _shadow(material: Material) -> Material:
+    """Return what the inside of a plant looks like."""
+    red, green, blue = material.colour
+    return Material("undergrowth", (0.4 * red, 0.4 * green, 0.4 * blue), 0.9, reflectance=0.3, pattern="grass")

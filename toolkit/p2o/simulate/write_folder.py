@@ -1,0 +1,72 @@
+"""Frames as the dataset `folder` reads them: a folder each with image.png, cloud.npz and frame.yaml."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from p2o.cloud import Cloud
+from p2o.frame import Frame
+from p2o.simulate.write_file import png, write_file
+
+
+def write(frames: Iterable[Frame], root: Path) -> Iterator[str]:
+    """Write frames below `root` one by one and yield the name under which `folder` reads each.
+
+    Kept are the picture, the right one, depth (float32 metres, sky included), the sweep (coordinates and intensity
+    as float32) with rings and times, truth and start. The twist and masked pixels have no place in this layout.
+    """
+    for frame in frames:
+        name = re.sub(r"[^A-Za-z0-9._-]+", "_", frame.name).strip("._") or "frame"
+        folder, image = root / name, frame.image
+        entry: dict[str, Any] = {
+            "camera": {
+                "model": frame.camera.model,
+                "width": frame.camera.width,
+                "height": frame.camera.height,
+                "params": list(frame.camera.params),
+            },
+            "image": "image.png",
+            "cloud": "cloud.npz",
+        }
+        write_file(folder / "image.png", png(image.rgb))
+        write_file(folder / "cloud.npz", _npz(frame.cloud))
+        if image.right is not None:
+            entry |= {"right": "right.png", "baseline_m": float(image.baseline_m or 0.0)}
+            write_file(folder / "right.png", png(image.right))
+        if image.depth_m is not None:
+            entry["depth"] = "depth.npy"
+            buffer = io.BytesIO()
+            np.save(buffer, image.depth_m.astype(np.float32))
+            write_file(folder / "depth.npy", buffer.getvalue())
+        for key, pose in (("truth", frame.camera_from_lidar), ("start", frame.start)):
+            if pose is not None:
+                entry[key] = pose.tolist()
+        # Last: without it the folder is no frame, so an interrupted one is left out by the reader.
+        write_file(folder / "frame.yaml", _yaml(entry))
+        yield name
+
+
+def _npz(cloud: Cloud) -> bytes:
+    arrays: dict[str, Any] = {"xyz": cloud.xyz.astype(np.float32)}
+    if cloud.ring is not None:
+        arrays["ring"] = cloud.ring.astype(np.int32)
+    if cloud.intensity is not None:
+        arrays["intensity"] = cloud.intensity.astype(np.float32)
+    if cloud.time_s is not None:
+        arrays["time_s"] = cloud.time_s
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    return buffer.getvalue()
+
+
+def _yaml(entry: dict[str, Any]) -> str:
+    import yaml
+
+    text: str = yaml.safe_dump(entry, sort_keys=False, default_flow_style=None, width=120)
+    return text
