@@ -57,7 +57,10 @@ ROWS = {
         Row("canny/rings", "nearest", "given", PAPER, False),
     ],
 }
-COLUMNS = "| extractor | matcher | init | start | rotation deg, median / mean | translation cm, median / mean | within {} | status | s |"
+COLUMNS = (
+    "| extractor | matcher | init | start | rotation deg, median / mean | translation cm, median / mean "
+    "| within {} | status | s |"
+)
 
 
 def main() -> None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import importlib
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import p2o
@@ -42,14 +40,6 @@ def test_every_public_name_can_be_used() -> None:
     for name in p2o.__all__:
         assert getattr(p2o, name).__class__ is not None
         assert name in dir(p2o)
-
-
-def test_calibrate_is_the_function_whatever_was_imported_first() -> None:
-    for first in ("import p2o.calibrate", "from p2o.calibrate import Pipeline", "import p2o.run", "import p2o"):
-        code = (
-            f"{first}\nimport p2o\nfrom p2o import calibrate\nassert p2o.calibrate is calibrate and callable(calibrate)"
-        )
-        subprocess.run([sys.executable, "-W", "error", "-c", code], check=True)
 
 
 def test_there_is_a_hook_for_every_kind() -> None:

@@ -6,14 +6,11 @@ Names are imported when they are first used, so that `import p2o` and `p2o --hel
 from __future__ import annotations
 
 import importlib
-import sys
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from p2o import occlusion as occlusion
     from p2o import se3 as se3
-    from p2o.calibrate import Pipeline as Pipeline
     from p2o.camera import Camera as Camera
     from p2o.cloud import Cloud as Cloud
     from p2o.directed_cost import DirectedCost as DirectedCost
@@ -36,6 +33,7 @@ if TYPE_CHECKING:
     from p2o.metrics import pose_error as pose_error
     from p2o.options import Options as Options
     from p2o.options import field as field
+    from p2o.pipeline import Pipeline as Pipeline
     from p2o.problem import Objective as Objective
     from p2o.problem import PointToLine as PointToLine
     from p2o.problem import Problem as Problem
@@ -60,7 +58,6 @@ if TYPE_CHECKING:
     from p2o.view import View as View
 
 _HOME = {
-    "calibrate": ["Pipeline"],
     "camera": ["Camera"],
     "cloud": ["Cloud"],
     "directed_cost": ["DirectedCost"],
@@ -72,6 +69,7 @@ _HOME = {
     "method": ["Kind", "Method"],
     "metrics": ["PoseError", "pose_error"],
     "options": ["Options", "field"],
+    "pipeline": ["Pipeline"],
     "problem": ["Objective", "PointToLine", "Problem"],
     "recipe": ["Recipe"],
     "registry": ["Registry"],
@@ -108,18 +106,3 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return __all__
-
-
-class _Package(ModuleType):
-    """The package as a module: `p2o.calibrate` is the function, though importing the module p2o.calibrate sets it."""
-
-    @property
-    def calibrate(self) -> Any:
-        return importlib.import_module("p2o.run").calibrate
-
-    @calibrate.setter
-    def calibrate(self, module: Any) -> None:
-        """Leave the name to the function; `from p2o.calibrate import ...` works all the same."""
-
-
-sys.modules[__name__].__class__ = _Package

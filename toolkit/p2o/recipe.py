@@ -81,8 +81,8 @@ class Recipe(BaseModel):
         Raises UnknownNameError for unknown names and stages, InputError for bad options and for stages that do not
         fit, PluginError where a name is offered twice.
         """
-        from p2o.calibrate import PipelineOptions
         from p2o.perturb import parse_perturbation
+        from p2o.pipeline import PipelineOptions
 
         if self.perturb is not None:
             parse_perturbation(self.perturb)
@@ -164,7 +164,7 @@ class Plan:
 
     def calibrator(self) -> Calibrator:
         """Return what makes a result of frames: the `Pipeline` of the stages, or the whole method."""
-        from p2o.calibrate import Pipeline, PipelineOptions
+        from p2o.pipeline import Pipeline, PipelineOptions
 
         calibrator: Calibrator
         if "calibrator" in self.parts:

@@ -81,7 +81,7 @@ def _write_json(path: Path, value: Any) -> None:
 def _draw(root: Path, home: Path, progress: Progress) -> None:
     """Write the convergence plot, and before.png and after.png of every frame."""
     from p2o import overlay, plots
-    from p2o.calibrate import Pipeline
+    from p2o.pipeline import Pipeline
 
     if progress.row is None:
         return

@@ -138,9 +138,9 @@ def _prism_faces(sides: int) -> Int:
     this = np.arange(sides)
     after = (this + 1) % sides
     fan = this[1:-1]
-    walls = [np.column_stack([this, this + sides, after + sides]), np.column_stack([this, after + sides, after])]
+    walls = [np.column_stack([this, after + sides, this + sides]), np.column_stack([this, after, after + sides])]
     zero = np.zeros_like(fan)
-    caps = [np.column_stack([zero, fan, fan + 1]), np.column_stack([zero + sides, sides + fan + 1, sides + fan])]
+    caps = [np.column_stack([zero, fan + 1, fan]), np.column_stack([zero + sides, sides + fan, sides + fan + 1])]
     return np.concatenate(walls + caps)
 
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from p2o import CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, Side, Solution, Status, View, se3
-from p2o.calibrate import Pipeline, PipelineOptions
 from p2o.metrics import pose_error
 from p2o.perturb import wrong_start
+from p2o.pipeline import Pipeline, PipelineOptions
 from p2o_plugins.initialize import given, grid, search
 from p2o_plugins.match import nearest, ogm
 from p2o_plugins.solve import lm, nelder_mead
@@ -90,7 +91,7 @@ def test_every_round_is_recorded_with_a_shrinking_reach() -> None:
     result = pipeline(initializer=given).solve([edge_scene.view()], start())
     reaches = [r.reach_px for r in result.rounds]
     assert reaches[0] == 50.0
-    assert all(b < a or b == 5.0 for a, b in zip(reaches, reaches[1:], strict=False))
+    assert all(b < a or b == 5.0 for a, b in itertools.pairwise(reaches))
     assert result.rounds[-1].mean_residual_px < result.rounds[0].mean_residual_px
     assert set(result.matches) == {"L", "R", "U", "B"}
 
