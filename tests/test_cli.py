@@ -13,6 +13,7 @@ import numpy as np
 import p2o
 import pytest
 from p2o.cli import main
+from p2o.result_json import result_from_json
 
 PLUGIN = Path(__file__).with_name("stage_plugin.py")
 STAGE = ["--plugin", str(PLUGIN), "--data", "fake:?frames=1"]
@@ -217,6 +218,8 @@ def test_an_interrupt_keeps_what_is_finished(
     assert run["summary"]["interrupted"] is True
     assert json.loads((out / "run.json").read_text()) == run
     assert json.loads((out / "drive_0000" / "result.json").read_text()) == run["results"][0]
+    again = result_from_json((out / "drive_0000" / "result.json").read_text())
+    assert again.camera_from_lidar.tolist() == run["results"][0]["camera_from_lidar"]
     assert not (out / "drive_0001").exists()
 
 

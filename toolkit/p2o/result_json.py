@@ -32,9 +32,12 @@ def result_to_dict(result: Result) -> dict[str, Any]:
 def result_from_dict(value: Any) -> Result:
     """Return the result of what `result_to_dict` gave; every number is the same to the last bit.
 
+    An object of `p2o run` is taken too; its errors against the truth, which are no part of a Result, are left out.
     Tuples within the recipe come back as lists. Raises InputError for a missing or unknown field, a value of another
     kind, or a pose that is not rigid; the text names the field.
     """
+    if isinstance(value, Mapping):
+        value = {key: part for key, part in value.items() if key not in ("error", "start_error")}
     return Result(**_fields("the result", value, _RESULT))
 
 

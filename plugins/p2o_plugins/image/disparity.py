@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from p2o.arrays import Bool, UInt8
 
 Map = NDArray[np.float32]
+_T = TypeVar("_T", bound=np.generic)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +139,7 @@ def ground(view: PairView, tolerance_px: float = 0.7) -> tuple[float, float, flo
     return float(a), float(b), float(c)
 
 
-def _mirror(array: NDArray[np.generic]) -> NDArray[np.generic]:
+def _mirror(array: NDArray[_T]) -> NDArray[_T]:
     return np.ascontiguousarray(array[:, ::-1])
 
 

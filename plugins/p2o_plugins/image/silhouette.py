@@ -152,13 +152,13 @@ def locate(view: PairView, v: Int, u: Int, towards: tuple[int, int]) -> Silhouet
 
     def window(array: Map, first: int, depth: int, breadth: int) -> Map:
         across = best[:, None] + first + np.arange(depth)
-        return array[index[:, None], across][:, :, BREADTH - breadth : BREADTH + breadth + 1]
+        return np.asarray(array[index[:, None], across][:, :, BREADTH - breadth : BREADTH + breadth + 1])
 
     prefer_back = _votes(cost_front - cost_back)
     jump = profile[:, SPAN - 1] - profile[:, SPAN + 2]
 
     def mean(array: Map, inside: bool, depth: int = WINDOW, breadth: int = BREADTH) -> Map:
-        return window(array, 1 - depth if inside else 1, depth, breadth).mean((1, 2))
+        return np.asarray(window(array, 1 - depth if inside else 1, depth, breadth).mean((1, 2)))
 
     keep = np.isfinite(place) & (mean(known, True) >= MIN_KNOWN)
     strength = contrast[index, best]
@@ -224,7 +224,7 @@ def line_lengths(uv: Float, size: tuple[int, int]) -> Int:
     drawn = np.zeros(size, np.uint8)
     drawn[v, u] = 1
     number = cv2.connectedComponents(cv2.dilate(drawn, np.ones((2, 2), np.uint8)), connectivity=8)[1][v, u]
-    return np.bincount(number, minlength=1)[number]
+    return np.asarray(np.bincount(number, minlength=1)[number])
 
 
 def _logistic(value: Float) -> Float:
@@ -292,8 +292,8 @@ def _cost(view: PairView, own: Map, rows: Int, columns: Map) -> Map:
     cost = np.full(rows.shape, np.inf, np.float32)
     for shift in (-0.5, 0.0, 0.5):
         difference = np.abs(own - _sampled(view.other, rows, columns + shift))
-        colour = np.minimum(difference[..., :3].mean(-1), 25)
-        np.minimum(cost, colour + np.minimum(difference[..., 3], 25), out=cost)
+        colour = (difference[..., 0] + difference[..., 1] + difference[..., 2]) / 3
+        np.minimum(cost, np.minimum(colour, 25) + np.minimum(difference[..., 3], 25), out=cost)
     return cost
 
 

@@ -19,4 +19,9 @@ from p2o.simulate.lidar import Lidar as Lidar
 from p2o.simulate.lidar import Rosette as Rosette
 from p2o.simulate.sensors import LIDARS as LIDARS
 from p2o.simulate.sweep import sweep as sweep
-from p2o.simulate.street import street as street
+from p2o.simulate.town import street as street
+from p2o.simulate.place import PLACES as PLACES
+from p2o.simulate.place import scene_of as scene_of
+from p2o.simulate.labels import labels as labels
+from p2o.simulate.trajectory import Moment as Moment
+from p2o.simulate.trajectory import drive as drive

@@ -17,6 +17,7 @@ Single = NDArray[np.float32]
 _SUN = np.array([1.0, 0.93, 0.8], np.float32) * 3.0
 _SKY_HIGH = np.array([0.16, 0.36, 0.8], np.float32)
 _SKY_LOW = np.array([0.7, 0.85, 1.0], np.float32)
+_AMBIENT = np.array([0.68, 0.78, 0.92], np.float32)
 _WHITE = np.array([1.0, 1.0, 1.0], np.float32)
 _HAZE_M = np.float32(1500.0)
 _SHADOW_BIAS_M = 2e-3
@@ -56,7 +57,7 @@ def shade(scene: Scene, origin: Float, directions: Float, hits: Hits, focal_px: 
 
     to_sun, leafy = _to_sun(scene), thin[part]
     towards = normal @ to_sun
-    sunlit = np.where(leafy, np.float32(0.25) + np.float32(0.55) * np.abs(towards), np.maximum(towards, 0.0))
+    sunlit = np.where(leafy, np.float32(0.15) + np.float32(0.6) * np.abs(towards), np.maximum(towards, 0.0))
     lit = np.flatnonzero(sunlit > 0)
     side = np.where(towards[lit] < 0, -_SHADOW_BIAS_M, _SHADOW_BIAS_M)[:, None]
     blocked = scene.blocked(points[lit] + side * normal[lit], np.asarray(to_sun, np.float64), time_s)
@@ -64,17 +65,17 @@ def shade(scene: Scene, origin: Float, directions: Float, hits: Hits, focal_px: 
 
     open_sky = scene.openness[hits.face]
     veil = np.float32(scene.cloudiness)
-    ambient = (np.float32(0.34) + np.float32(0.22) * normal[:, 2]) * open_sky * (1 + veil)
-    light = ambient[:, None] * (np.float32(0.6) * _SKY_LOW + np.float32(0.4) * _SKY_HIGH)
+    ambient = (np.float32(0.25) + np.float32(0.17) * normal[:, 2]) * open_sky * (1 + veil)
+    light = ambient[:, None] * _AMBIENT
     light += (sunlit * (1 - np.float32(0.75) * veil**2))[:, None] * _SUN
     shown = albedo * light
 
     shiny = np.flatnonzero(gloss[part] > 0)
     if len(shiny):
-        share = (gloss[part[shiny]] * (np.float32(0.3) + np.float32(0.7) * (1 - facing[shiny]) ** 3))[:, None]
+        share = (gloss[part[shiny]] * (np.float32(0.12) + np.float32(0.88) * (1 - facing[shiny]) ** 3))[:, None]
         mirrored = d[shiny] + 2 * facing[shiny, None] * normal[shiny]
         # Below the horizon a mirror shows the street: dark, without detail.
-        reflection = np.where(mirrored[:, 2:] > 0.02, sky(scene, mirrored), np.float32(0.16))
+        reflection = np.where(mirrored[:, 2:] > 0.02, sky(scene, mirrored), np.float32(0.08))
         shown[shiny] += share * (np.float32(0.8) * reflection - shown[shiny])
     haze = 1 - np.exp(-distance / _HAZE_M)
     return np.asarray(shown + haze[:, None] * (_SKY_LOW - shown), np.float32)

@@ -102,16 +102,22 @@ def quads(corners: Float) -> Mesh:
     return _copies(np.asarray(corners, np.float64), np.array([[0, 1, 2], [0, 2, 3]]))
 
 
-def leaves(centre: Float, size: Float, rng: np.random.Generator, *, upright: float = 0.0) -> Mesh:
-    """Return lozenges about `centre` (N, 3), `size` (N,) m long, turned at random; `upright` 0..1 stands them up."""
+def leaves(centre: Float, size: Float, rng: np.random.Generator, *, corners: int = 4, upright: float = 0.0) -> Mesh:
+    """Return leaves about `centre` (N, 3), `size` (N,) m long, turned at random; `upright` 0..1 stands them up.
+
+    With four corners they are lozenges of two faces, with three triangles of one: for leaves of a few pixels.
+    """
     long, across = rng.normal(size=(2, len(centre), 3))
     long[:, 2] += 4.0 * upright
     long /= np.linalg.norm(long, axis=1, keepdims=True)
     across -= (across * long).sum(axis=1, keepdims=True) * long
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-6)
     long *= 0.5 * np.broadcast_to(size, len(centre))[:, None]
-    across *= (0.28 - 0.16 * upright) * np.broadcast_to(size, len(centre))[:, None]
-    return quads(np.stack([centre - long, centre + across, centre + long, centre - across], axis=1))
+    across *= (0.28 - 0.24 * upright) * np.broadcast_to(size, len(centre))[:, None]
+    if corners == 4:
+        return quads(np.stack([centre - long, centre + across, centre + long, centre - across], axis=1))
+    wide = 1.4 * across
+    return _copies(np.stack([centre + long, centre - 0.7 * long + wide, centre - 0.7 * long - wide], 1), np.array([[0, 1, 2]]))
 
 
 def swept(profile: Float, x: Float) -> Mesh:

@@ -24,15 +24,14 @@ def moved(twist: Float, time_s: Float, xyz: Float, *, directions: bool = False) 
     speed = float(np.linalg.norm(omega))
     if speed == 0.0:
         return xyz.copy() if directions else np.asarray(xyz + t * velocity)
-    axis = omega / speed
+    cross = se3.skew(omega / speed)
     angle = speed * t
     sine, versine = np.sin(angle), 1 - np.cos(angle)
-    once = np.cross(axis, xyz)
-    out = xyz + sine * once + versine * np.cross(axis, once)
+    out = xyz + sine * (xyz @ cross.T) + versine * (xyz @ (cross @ cross).T)
     if directions:
         return np.asarray(out)
-    push = np.cross(axis, velocity)
-    return np.asarray(out + t * velocity + versine / speed * push + (t - sine / speed) * np.cross(axis, push))
+    push, twice = cross @ velocity, cross @ cross @ velocity
+    return np.asarray(out + t * velocity + versine / speed * push + (t - sine / speed) * twice)
 
 
 def adjoint(transform: Float, twist: Float) -> Float:

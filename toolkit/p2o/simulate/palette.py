@@ -6,7 +6,7 @@ import numpy as np
 
 from p2o.simulate.scene import Material
 
-ASPHALT = Material("asphalt", (0.11, 0.11, 0.115), contrast=0.8, reflectance=0.2, pattern="asphalt")
+ASPHALT = Material("asphalt", (0.12, 0.12, 0.122), contrast=0.6, reflectance=0.2, pattern="asphalt")
 PAVING = Material("paving", (0.22, 0.21, 0.19), contrast=0.5, reflectance=0.3, pattern="slabs")
 PAINT = Material("road paint", (0.6, 0.6, 0.57), contrast=0.7, reflectance=0.8, pattern="asphalt")
 KERB = Material("kerb", (0.27, 0.26, 0.24), contrast=0.5, reflectance=0.4)
@@ -17,7 +17,7 @@ FRAME = Material("window frame", (0.62, 0.61, 0.57), contrast=0.2, reflectance=0
 STONE = Material("stone", (0.34, 0.32, 0.29), contrast=0.5, reflectance=0.45)
 CONCRETE = Material("concrete", (0.36, 0.35, 0.33), contrast=0.5, reflectance=0.4)
 TYRE = Material("tyre", (0.015, 0.015, 0.016), contrast=0.3, reflectance=0.04, pattern="plain")
-RIM = Material("rim", (0.38, 0.39, 0.4), contrast=0.4, reflectance=0.6, gloss=0.2)
+RIM = Material("rim", (0.2, 0.205, 0.21), contrast=0.4, reflectance=0.6, gloss=0.2)
 TRIM = Material("trim", (0.02, 0.02, 0.022), contrast=0.3, reflectance=0.06, pattern="plain")
 HEADLIGHT = Material("headlight", (0.6, 0.6, 0.6), contrast=0.3, reflectance=0.8, gloss=0.4, pattern="plain")
 TAIL_LIGHT = Material("tail light", (0.35, 0.01, 0.01), contrast=0.3, reflectance=0.7, gloss=0.2, pattern="plain")
@@ -48,7 +48,11 @@ LACQUER = (
     (0.012, 0.013, 0.015),
     (0.1, 0.1, 0.11),
     (0.05, 0.12, 0.1),
-    (0.55, 0.45, 0.08),
+    (0.5, 0.4, 0.1),
+    (0.22, 0.23, 0.25),
+    (0.08, 0.085, 0.09),
+    (0.03, 0.035, 0.06),
+    (0.6, 0.6, 0.58),
 )
 SIGNS = ((0.5, 0.03, 0.03), (0.03, 0.12, 0.42), (0.75, 0.74, 0.7), (0.68, 0.5, 0.04))
 CLOTH = ((0.06, 0.07, 0.12), (0.4, 0.1, 0.08), (0.5, 0.47, 0.4), (0.05, 0.12, 0.1), (0.02, 0.02, 0.025), (0.2, 0.22, 0.3))

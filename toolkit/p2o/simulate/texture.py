@@ -29,7 +29,7 @@ def texture(pattern: Int, uv_m: Single, footprint_m: Single) -> Single:
     fine = _sample(pattern, uv_m * (_SIZE / PERIOD_M), footprint_m * (_SIZE / PERIOD_M))
     broad = np.zeros(len(uv_m), np.int64)
     coarse = _sample(broad, uv_m[:, ::-1] * (_SIZE / _COARSE_PERIOD_M), footprint_m * (_SIZE / _COARSE_PERIOD_M))
-    return np.asarray(fine + np.float32(0.7) * coarse, np.float32)
+    return np.asarray(fine + np.float32(0.45) * coarse, np.float32)
 
 
 def clouds(layer: Single) -> Single:

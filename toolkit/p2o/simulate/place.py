@@ -1,0 +1,126 @@
+"""Kinds of places, and the seeded drawing of one: `scene_of`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+
+from p2o.arrays import Float
+from p2o.errors import UnknownNameError
+from p2o.simulate.classes import Class
+from p2o.simulate.mesh import swept
+from p2o.simulate.scene import Material, Mover, Part, Scene
+
+Thing = list[Part]
+BEHIND_M = -40.0
+"""Where scenes begin; the rig starts at x = 0."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What a place is drawn with: randomness, and how far the rig will drive, `travel_m`, along y = 0."""
+
+    rng: np.random.Generator
+    travel_m: float = 0.0
+
+    @property
+    def far_m(self) -> float:
+        """Where the ground ends."""
+        return self.travel_m + 230.0
+
+    def sight_m(self, x: float, y: float) -> float:
+        """Return from how near the camera may see a thing at (x, y): it looks ahead, over 41 degrees to each side."""
+        return max(1.3 * abs(y), x - self.travel_m, 4.0)
+
+    def along(self, start: float, stop: float, gap: tuple[float, float]) -> Iterator[float]:
+        """Yield rising places between start and stop, metres apart within `gap`."""
+        place = start + self.rng.uniform(0.0, gap[0])
+        while place < stop:
+            yield place
+            place += self.rng.uniform(*gap)
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """A place on a straight road: things that stand, and things that drive towards us or with us."""
+
+    things: list[Thing]
+    oncoming: list[Thing]
+    ahead: list[Thing]
+    curvature: tuple[float, float] = (-0.004, 0.004)
+
+
+def placed(thing: Thing, x: float, y: float, z: float = 0.0, *, yaw_deg: float = 0.0) -> Thing:
+    """Return the parts of a thing, turned about z and shifted."""
+    return [part.moved(x, y, z, yaw_deg=yaw_deg) for part in thing]
+
+
+def treeline(rng: np.random.Generator, length: float, height: float) -> Thing:
+    """Return the silhouette of a far wood along x from 0 to `length`, ragged on top."""
+    x = np.arange(0.0, length, 0.7)
+    steps = rng.normal(size=len(x)).cumsum()
+    broad = np.interp(x, x[::12], rng.uniform(0.6, 1.0, len(x[::12])))
+    top = height * (broad + 0.02 * (steps - np.interp(x, x[::6], steps[::6])) + 0.03 * rng.normal(size=len(x)))
+    line = np.stack(
+        [np.column_stack([np.full(len(x), 0.0), np.full(len(x), -3.0)]), np.column_stack([np.full(len(x), 1.0), top])], 1
+    )
+    green = rng.uniform(0.7, 1.3)
+    leaves = Material("far wood", (0.04 * green, 0.06 * green, 0.02), 0.9, 0.4, pattern="grass", thin=True)
+    return [Part(swept(line, x), leaves, kind=Class.FOLIAGE, openness=0.7)]
+
+
+def backdrop(plan: Plan, *, high: tuple[float, float] = (5.0, 14.0), sides_m: float = 100.0) -> list[Thing]:
+    """Return far woods around a place, so that land does not end in the sky."""
+    rng, far = plan.rng, plan.far_m
+    out = [placed(treeline(rng, far + 60.0, rng.uniform(*high)), BEHIND_M, side * sides_m) for side in (-1, 1)]
+    out.append(placed(treeline(rng, 2 * sides_m + 20, rng.uniform(*high)), far - 8.0, -sides_m - 10, yaw_deg=90.0))
+    return out
+
+
+def scene_of(place: str, rng: np.random.Generator, *, speed_m_s: float = 0.0, travel_m: float = 0.0) -> tuple[Scene, Float]:
+    """Return a scene of a kind of place and the velocity (6,) in rad/s and m/s of a rig that follows its road.
+
+    `place` is one of PLACES or `mixed`, which draws one. The rig starts at the origin, along x, and keeps on the road
+    for `travel_m` metres; the road may bend. Other traffic drives too, unless the rig stands still.
+
+    Raises UnknownNameError for another kind of place.
+    """
+    from p2o.simulate import highway, suburb, town, woods
+
+    makers: Mapping[str, Callable[[Plan], Layout]] = {
+        "street": town.layout, "suburb": suburb.layout, "highway": highway.layout, "trees": woods.layout
+    }  # fmt: skip
+    if place != "mixed" and place not in makers:
+        raise UnknownNameError("place", place, ["mixed", *makers])
+    drawn = rng.choice(list(makers), p=list(SHARES.values())) if place == "mixed" else place
+    plan = Plan(rng, travel_m)
+    layout = makers[str(drawn)](plan)
+    curvature = float(rng.uniform(*layout.curvature)) if rng.random() < 0.6 else 0.0
+    elevation, turn = np.radians(rng.uniform(16.0, 62.0)), rng.uniform(0, 2 * np.pi)
+    to_sun = (float(np.cos(elevation) * np.cos(turn)), float(np.cos(elevation) * np.sin(turn)), float(np.sin(elevation)))
+
+    numbers = iter(range(10_000_000))
+
+    def numbered(things: list[Thing]) -> tuple[Part, ...]:
+        out = []
+        for thing in things:
+            number = next(numbers)
+            out += [replace(part, mesh=part.mesh.bent(curvature), thing=number) for part in thing]
+        return tuple(out)
+
+    unit = np.array([0.0, 0.0, curvature, 1.0, 0.0, 0.0])
+    still, movers = numbered(layout.things), []
+    for things, factor in ((layout.oncoming, -rng.uniform(0.8, 1.2)), (layout.ahead, rng.uniform(0.9, 1.1))):
+        if things:
+            movers.append(Mover(numbered(things), unit * factor * speed_m_s))
+    scene = Scene(still, to_sun, tuple(movers), cloudiness=float(rng.choice([0.15, 0.35, 0.5, 0.75])))
+    return scene, unit * speed_m_s
+
+
+SHARES: Mapping[str, float] = MappingProxyType({"street": 0.27, "suburb": 0.23, "highway": 0.17, "trees": 0.33})
+"""How often `mixed` draws each kind: a third are trees and banks, as on real drives."""
+PLACES = tuple(SHARES)
+"""Names of the kinds of places."""
