@@ -1,6 +1,6 @@
 """Where do stereo edges lie? Bias, spread, precision and recall of every direction on pairs with exact truth.
 
-    python benchmarks/stereo_bias.py [--data KITTI_RAW] [--pairs 24] [--seed 1] [--set search_px=3 ...]
+    python benchmarks/stereo_bias.py [--data KITTI_RAW] [--pairs 24] [--seed 1] [--fit] [--set min_confidence=0.3 ...]
 
 The pairs are layered: pieces cut from left pictures (or from procedural textures without --data) stand before a
 background, each on its own disparity plane, and both views are sampled from the same continuous layers, with soft
@@ -45,12 +45,11 @@ class Layer:
 
 @dataclass(frozen=True)
 class Truth:
-    """Every silhouette point of a pair: `uv` (N, 2) px, `side` (N,), `jump` (N,) px, `sky` (N,) background at zero."""
+    """Every silhouette point of a pair: `uv` (N, 2) px, `side` (N,), the fall of the disparity `jump` (N,) px."""
 
     uv: Float
     side: np.ndarray
     jump: Float
-    sky: np.ndarray
 
 
 def rectangle(cx: float, cy: float, half_width: float, half_height: float, turn: float = 0.0):
@@ -169,7 +168,7 @@ def truth_of(layers: list[Layer]) -> tuple[Truth, Float]:
     for number, layer in enumerate(layers[1:], 1):
         shown = field[number] > 0
         top[shown], depth[shown] = number, layer.disparity(x, y)[shown]
-    uv, side, jump, sky = [], [], [], []
+    uv, side, jump = [], [], []
     for s in SIDES:
         du, dv = s.background
         v, u = np.nonzero(np.ones_like(top, bool))
@@ -184,8 +183,7 @@ def truth_of(layers: list[Layer]) -> tuple[Truth, Float]:
         uv.append(np.stack([u + part * du, v + part * dv], 1))
         side.append(np.full(len(u), s, np.int8))
         jump.append(step)
-        sky.append(depth[v + dv, u + du] < 0.5)
-    return Truth(np.concatenate(uv), np.concatenate(side), np.concatenate(jump), np.concatenate(sky)), depth
+    return Truth(np.concatenate(uv), np.concatenate(side), np.concatenate(jump)), depth
 
 
 def procedural_textures(rng: np.random.Generator) -> list[Float]:

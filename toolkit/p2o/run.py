@@ -15,7 +15,7 @@ from p2o.arrays import Float
 from p2o.errors import InputError, PluginError
 from p2o.frame import Dataset, Frame
 from p2o.metrics import PoseError, pose_error, summarise
-from p2o.perturb import parse_perturbation, wrong_start
+from p2o.perturb import parse_perturbation
 from p2o.recipe import Plan, Recipe, parse_settings
 from p2o.registry import Registry
 from p2o.result import Result, Status
@@ -227,7 +227,7 @@ def _start_of(
         size = parse_perturbation(recipe.perturb)
         # Seeded by the frame's own number, so that a frame starts alike whichever others are run with it.
         rng = np.random.default_rng([recipe.seed] if recipe.joint else [recipe.seed, index])
-        return wrong_start(truth, size.angle_deg, size.distance_m, rng), ()
+        return size.start(truth, rng), ()
     offered = _common(frames, "start")
     if offered is not None:
         return offered, ()

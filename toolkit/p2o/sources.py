@@ -72,8 +72,8 @@ def _imports(name: str, path: Path, content: bytes) -> Iterator[str]:
     for node in ast.walk(ast.parse(content)):
         if isinstance(node, ast.Import):
             for alias in node.names:
-                yield alias.name
-                yield from _attributes(alias.name, alias.asname or alias.name, content)
+                # p2o imports a module of its own when a name of it is first used.
+                yield from _used_of_p2o(alias.asname or "p2o", content) if alias.name == "p2o" else [alias.name]
         elif isinstance(node, ast.ImportFrom):
             base = node.module or ""
             if node.level:
@@ -82,15 +82,14 @@ def _imports(name: str, path: Path, content: bytes) -> Iterator[str]:
             yield from _named(base, (alias.name for alias in node.names))
 
 
-def _attributes(module: str, used_as: str, content: bytes) -> Iterator[str]:
-    """Return the modules behind `p2o.Name`, which are imported when the name is first used."""
-    if module == "p2o":
-        tree = ast.walk(ast.parse(content))
-        names = (n.attr for n in tree if isinstance(n, ast.Attribute) and ast.unparse(n.value) == used_as)
-        yield from _named("p2o", names)
+def _used_of_p2o(called: str, content: bytes) -> Iterator[str]:
+    """Return the modules behind the names that a file uses as `p2o.Name`."""
+    nodes = ast.walk(ast.parse(content))
+    yield from _named("p2o", (n.attr for n in nodes if isinstance(n, ast.Attribute) and ast.unparse(n.value) == called))
 
 
 def _named(base: str, names: Iterable[str]) -> Iterator[str]:
+    """Return the modules that `from base import names` may mean; a name that is none has no file."""
     if base != "p2o":
         yield base
     for name in names:

@@ -1,41 +1,92 @@
-"""A made-up street with exact truth: camera, right camera and LiDAR look at the same triangles."""
+"""Made-up roads with exact truth: camera, right camera and LiDAR look at the same triangles."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Literal
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from p2o import Camera, Frame, Image, Method, Options, field, se3
-from p2o.arrays import Float, UInt8
+from p2o import Camera, Frame, Image, InputError, Method, Options, field, se3
+from p2o.arrays import Float
+from p2o.perturb import parse_perturbation, wrong_start
 
 from p2o_plugins.data.lazy_frames import LazyFrames
+from p2o_plugins.data.velodyne_file import untwisted
+
+if TYPE_CHECKING:
+    from p2o.simulate import Moment, Picture, Scene
 
 BASELINE_M = 0.54
-LIDAR_HEIGHT_M = 1.73
-_CAMERA_IN_LIDAR = (0.27, 0.06, -0.08)
+FRAME_S = 0.1
+"""Time from one frame of a drive to the next in seconds."""
+_KITTI_MOUNT = (0.27, 0.06, -0.08, 0.458, -0.63, 0.344)
 _AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-_TILT = (0.008, -0.011, 0.006)
+# One stream of random numbers for each of these, so that more noise or another camera leaves the place as it was.
+_PLACE, _DRIVE, _LIDAR, _CAMERA, _GRAIN, _START, _DRIFT = range(7)
 
 
 class SyntheticOptions(Options):
     """What the dataset `synthetic` shows."""
 
-    scenes: int = field(1, ge=1, le=100_000, help="Number of streets; each gives one frame.")
-    seed: int = field(0, ge=0, help="Seed of the streets and of all noise.")
+    scenes: int = field(1, ge=1, le=100_000, help="Number of places; each gives one frame, or a drive.")
+    frames_per_scene: int = field(1, ge=1, le=1000, help="Frames of the drive through each place, 0.1 s apart.")
+    seed: int = field(0, ge=0, help="Seed of the places, of all noise and of the wrong start.")
+    place: Literal["mixed", "street", "suburb", "highway", "trees"] = field(
+        "mixed", help="Kind of place; mixed draws one for each scene, a third of them trees and banks."
+    )
+    speed_m_s: float = field(8.0, ge=0, le=60, help="Speed of the car in metres a second; other traffic has about the same.")
     camera: Literal["pinhole", "opencv-distorted", "fisheye"] = field(
         "pinhole", help="Camera model: KITTI-like pinhole with a right picture, distorted OPENCV, or OPENCV_FISHEYE."
     )
     width_px: int = field(1242, ge=64, le=8192, help="Width of the image; the focal length scales with it.")
     height_px: int = field(375, ge=64, le=8192, help="Height of the image; its field of view follows.")
-    noise_m: float = field(0.02, ge=0, le=1, help="Standard deviation of the LiDAR's range in metres.")
-    grain: float = field(1.5, ge=0, le=64, help="Standard deviation of the image noise in grey levels of 255.")
+    exposure_ev: float | None = field(
+        None, ge=-8, le=8, help="Stops that the picture is too bright (+) or too dark (-); null draws -1.2 to 1.5."
+    )
+    grain: float = field(2.0, ge=0, le=64, help="Read noise of the image in grey levels of 255; shot noise grows with it.")
+    blur_px: float = field(0.5, ge=0, le=20, help="Deviation of the lens's spot in pixels.")
+    vignetting: float = field(0.3, ge=0, le=1, help="Share of light that the corners of the image lose.")
+    jpeg_quality: int = field(95, ge=0, le=100, help="Quality of JPEG compression, 0 for none.")
+    right: bool = field(True, help="Whether a pinhole camera has a right picture.")
+    lidar: Literal["hdl-64e", "hdl-32e", "vlp-16", "os1-64", "os1-128", "pandar64", "mid-40"] = field(
+        "hdl-64e", help="The LiDAR; mid-40 is a rosette without rings, all others turn."
+    )
+    noise_m: float | None = field(None, ge=0, le=1, help="Deviation of the range in metres; null is the sensor's own.")
+    angle_noise_deg: float = field(0.02, ge=0, le=5, help="Deviation of the angles of each beam in degrees.")
+    max_range_m: float | None = field(None, gt=1, le=1000, help="Farthest return in metres; null is the sensor's own.")
+    divergence_mrad: float | None = field(
+        None, ge=0, le=50, help="Full divergence of a beam in mrad; null is the sensor's own, 0 a thin ray."
+    )
+    keeps: Literal["strongest", "first"] = field("strongest", help="Which return of a pulse that meets several surfaces.")
+    deskew: bool = field(True, help="Correct the sweep for the motion of the car, which is known exactly.")
+    mount: tuple[float, float, float, float, float, float] = field(
+        _KITTI_MOUNT,
+        help="Camera in the LiDAR frame: x, y, z in metres, then its pitch, yaw, roll in degrees from straight ahead.",
+    )
+    drift: str = field("0.5deg 0.03m", help="How far the camera's mounting slips, as for --perturb.")
+    drift_at_frame: int | None = field(None, ge=0, help="Frame of each drive from which on it has slipped; null is never.")
+    start_error: str = field(
+        "2deg 0.15m", help="How wrong the start is that frames offer, the same for all; --perturb draws one for each."
+    )
+    mask_foliage: bool = field(False, help="Mask pixels that show leaves, so that extractors leave their edges out.")
 
 
-def camera_from_lidar() -> Float:
-    """Return the true extrinsic (4, 4), like KITTI's: the camera 0.27 m ahead, 0.08 m below, tilted by 0.85 degrees."""
-    rotation = se3.exp(np.array([*_TILT, 0.0, 0.0, 0.0]))[:3, :3] @ _AXES
-    return se3.make(rotation, -rotation @ np.array(_CAMERA_IN_LIDAR))
+@dataclass(frozen=True, eq=False)
+class View:
+    """Everything there is to know about one frame: `frame`, the `scene`, the `moment` and the `picture` with its truth."""
+
+    frame: Frame
+    scene: Scene
+    moment: Moment
+    picture: Picture
+
+
+def camera_from_lidar(mount: tuple[float, ...] = _KITTI_MOUNT) -> Float:
+    """Return the extrinsic (4, 4) of a mounting: x, y, z in metres, pitch, yaw, roll in degrees about the camera's axes."""
+    turn = np.radians([mount[3], mount[4], mount[5]])
+    rotation = se3.exp(np.concatenate([turn, np.zeros(3)]))[:3, :3] @ _AXES
+    return se3.make(rotation, -rotation @ np.array(mount[:3]))
 
 
 def camera_of(options: SyntheticOptions) -> Camera:
@@ -54,50 +105,139 @@ def camera_of(options: SyntheticOptions) -> Camera:
             return Camera("OPENCV_FISHEYE", width, height, (480.0 * scale, 480.0 * scale, cx, cy, *distortion))
 
 
-def made_up(options: SyntheticOptions, number: int) -> Frame:
-    """Return frame `scene-<number>` of the options: the same bytes for the same options."""
+def truth_at(options: SyntheticOptions, scene: int, number: int) -> Float:
+    """Return the true extrinsic (4, 4) of frame `number` of a scene: that of the mounting, until it slips."""
+    truth = camera_from_lidar(options.mount)
+    if options.drift_at_frame is None or number < options.drift_at_frame:
+        return truth
+    size = parse_perturbation(options.drift)
+    return wrong_start(truth, size.angle_deg, size.distance_m, _stream(options, _DRIFT, scene))
+
+
+def view(options: SyntheticOptions, scene_number: int, number: int = 0) -> View:
+    """Return frame `number` of a scene with all its truth: the same bytes for the same options."""
     from p2o import simulate
 
-    # One stream each, so that more noise or another camera leaves the street as it was.
-    layout, range_noise, grain = (np.random.default_rng([options.seed, number, stream]) for stream in range(3))
-    scene = simulate.street(layout)
-    world_from_lidar = se3.make(translation=(0.0, 0.0, LIDAR_HEIGHT_M))
-    truth = camera_from_lidar()
-    world_from_camera = world_from_lidar @ se3.inverse(truth)
-    camera = camera_of(options)
+    place = {name: getattr(options, name) for name in ("seed", "place", "speed_m_s", "frames_per_scene")}
+    scene, moments = _drive(scene_number, **place)
+    moment = moments[number]
+    truth = truth_at(options, scene_number, number)
+    camera, world_from_camera = camera_of(options), moment.world_from_lidar @ se3.inverse(truth)
+    picture = simulate.render(scene, camera, world_from_camera, moment.time_s)
 
-    left = simulate.render(scene, camera, world_from_camera)
-    rgb, right = _grainy(left.rgb, options.grain, grain), None
-    if camera.is_pinhole:
+    grain = _stream(options, _GRAIN, scene_number, number)
+    photo, right_photo = _photos(options, scene_number, picture)
+    rgb, right = simulate.develop(picture.light, photo, grain), None
+    if camera.is_pinhole and options.right:
         shifted = world_from_camera @ se3.make(translation=(BASELINE_M, 0.0, 0.0))
-        right = _grainy(simulate.render(scene, camera, shifted).rgb, options.grain, grain)
+        light = simulate.render(scene, camera, shifted, moment.time_s).light
+        right = simulate.develop(light, right_photo, grain)
+    masked = ~picture.seen | picture.foliage if options.mask_foliage else ~picture.seen
     image = Image(
         rgb,
         camera,
         right=right,
         baseline_m=None if right is None else BASELINE_M,
-        depth_m=left.depth_m,
-        masked=None if left.seen.all() else ~left.seen,
+        depth_m=picture.depth_m,
+        masked=masked if masked.any() else None,
     )
-    cloud = simulate.sweep(scene, replace(simulate.LIDARS["hdl-64e"], range_noise_m=options.noise_m), world_from_lidar, range_noise)
-    return Frame(f"scene-{number:04d}", image, cloud, camera_from_lidar=truth)
+
+    noise = _stream(options, _LIDAR, scene_number, number)
+    cloud = simulate.sweep(
+        scene, _lidar(options), moment.world_from_lidar, noise, twist=moment.twist, time_s=moment.time_s
+    )
+    size = parse_perturbation(options.start_error)
+    frame = Frame(
+        _name(options, scene_number, number),
+        image,
+        untwisted(cloud, moment.twist) if options.deskew else cloud,
+        camera_from_lidar=truth,
+        start=wrong_start(truth, size.angle_deg, size.distance_m, _stream(options, _START)),
+        twist=moment.twist,
+    )
+    return View(frame, scene, moment, picture)
 
 
-def _grainy(rgb: UInt8, sigma: float, rng: np.random.Generator) -> UInt8:
-    """Return the picture with Gaussian noise of `sigma` grey levels on every value."""
-    noisy = rgb + sigma * rng.standard_normal(rgb.shape, np.float32)
-    return np.clip(noisy + 0.5, 0, 255).astype(np.uint8)
+@lru_cache(maxsize=2)
+def _drive(
+    scene_number: int, *, seed: int, place: str, speed_m_s: float, frames_per_scene: int
+) -> tuple[Scene, tuple[Moment, ...]]:
+    """Return a scene and the drive through it; kept, because the frames of a drive share them."""
+    from p2o import simulate
+
+    layout, sway = (np.random.default_rng([seed, stream, scene_number]) for stream in (_PLACE, _DRIVE))
+    # The length of the drive is part of the layout; all drives of up to 10 frames pass through the same place.
+    travel = speed_m_s * FRAME_S * (10 * -(-frames_per_scene // 10))
+    scene, twist = simulate.scene_of(place, layout, speed_m_s=speed_m_s, travel_m=travel)
+    return scene.prepare(), simulate.drive(twist, frames_per_scene, sway, period_s=FRAME_S)
+
+
+def _photos(options: SyntheticOptions, scene_number: int, picture: Picture) -> tuple[Any, Any]:
+    """Return how the left and the right camera take pictures; the right one is a little brighter or darker."""
+    from p2o import simulate
+
+    drawn = _stream(options, _CAMERA, scene_number)
+    exposure_ev, mismatch = drawn.uniform(-1.2, 1.5), 1 + 0.05 * drawn.normal()
+    if options.exposure_ev is not None:
+        exposure_ev = options.exposure_ev
+    photo = simulate.Photo(
+        gain=simulate.metered_gain(picture.light, exposure_ev),
+        blur_px=options.blur_px,
+        vignetting=options.vignetting,
+        grain=options.grain,
+        jpeg_quality=options.jpeg_quality,
+    )
+    return photo, photo.brighter(mismatch)
+
+
+def _lidar(options: SyntheticOptions) -> Any:
+    """Return the LiDAR of the options, with what they change about it."""
+    from p2o import simulate
+
+    given = {"range_noise_m": options.noise_m, "max_range_m": options.max_range_m, "divergence_mrad": options.divergence_mrad}
+    changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+    return replace(
+        simulate.LIDARS[options.lidar], angle_noise_deg=options.angle_noise_deg, keeps=options.keeps, **changes
+    )
+
+
+def _stream(options: SyntheticOptions, purpose: int, *numbers: int) -> np.random.Generator:
+    return np.random.default_rng([options.seed, purpose, *numbers])
+
+
+def _name(options: SyntheticOptions, scene_number: int, number: int) -> str:
+    return f"scene-{scene_number:04d}" + (f"/{number:04d}" if options.frames_per_scene > 1 else "")
 
 
 def build(options: SyntheticOptions) -> LazyFrames:
-    """Return the frames scene-0000, scene-0001, ...; each is made when it is asked for, from its own seed."""
-    return LazyFrames({f"scene-{i:04d}": i for i in range(options.scenes)}, lambda number: made_up(options, number))
+    """Return the frames scene-0000, scene-0001, ... or, for drives, scene-0000/0000, scene-0000/0001, ...
+
+    Each is made when it is asked for, from its own seed.
+
+    Raises InputError if drift or start_error cannot be read, or a drive is over before its mounting slips.
+    """
+    for text in (options.drift, options.start_error):
+        parse_perturbation(text)
+    if options.drift_at_frame is not None and options.drift_at_frame >= options.frames_per_scene:
+        raise InputError(
+            "the mounting slips after the drive is over",
+            where="drift_at_frame",
+            expected=f"0 to {options.frames_per_scene - 1}",
+            got=options.drift_at_frame,
+            hint="raise frames_per_scene",
+        )
+    entries = {
+        _name(options, scene, number): (scene, number)
+        for scene in range(options.scenes)
+        for number in range(options.frames_per_scene)
+    }
+    return LazyFrames(entries, lambda entry: view(options, *entry).frame)
 
 
 METHOD = Method(
     name="synthetic",
     build=build,
     options=SyntheticOptions,
-    summary="Made-up streets with exact truth: image, right image, depth and a sweep of KITTI's HDL-64E.",
-    gives=frozenset({"right", "depth", "truth", "rings", "intensity"}),
+    summary="Made-up roads with exact truth: image, right image, depth and a sweep of any of seven LiDARs.",
+    gives=frozenset({"right", "depth", "truth", "rings", "intensity", "time", "twist"}),
 )

@@ -32,8 +32,11 @@ class Plan:
         return self.travel_m + 230.0
 
     def sight_m(self, x: float, y: float) -> float:
-        """Return from how near the camera may see a thing at (x, y): it looks ahead, over 41 degrees to each side."""
-        return max(1.3 * abs(y), x - self.travel_m, 4.0)
+        """Return from how near the camera may see a thing at (x, y): it looks ahead, over 41 degrees to each side.
+
+        What it never sees is for the LiDAR alone, which does not mind coarse leaves.
+        """
+        return 40.0 if x < 0.8 * abs(y) else max(1.3 * abs(y), x - self.travel_m, 4.0)
 
     def along(self, start: float, stop: float, gap: tuple[float, float]) -> Iterator[float]:
         """Yield rising places between start and stop, metres apart within `gap`."""

@@ -38,7 +38,7 @@ def tree(rng: np.random.Generator, distance_m: float, *, height: float = 0.0, fo
     reach = rng.uniform(0.25, 1.0, clumps) ** 0.5
     middle = centre + direction * reach[:, None] * np.array([spread, spread, tall])
     area = 3.0 * 4 * np.pi * spread * (spread + 2 * tall) / 3
-    count, size = _detail(area, distance_m, 5000 if distance_m < _NEAR_M else 2500)
+    count, size = _detail(area, distance_m, 9000 if distance_m < _NEAR_M else 3000)
     owner = rng.integers(clumps, size=count)
     width = 0.3 * (spread * spread * tall) ** (1 / 3)
     place = middle[owner] + rng.normal(size=(count, 3)) * width * rng.uniform(0.5, 1.2, (count, 1)) * [1, 1, 0.7]
@@ -120,7 +120,7 @@ def _detail(area_m2: float, distance_m: float, most: int) -> tuple[int, float]:
     """Return how many leaves of which size cover an area: about 8 pixels each, larger ones rather than more than `most`."""
     size = float(np.clip(0.011 * distance_m, 0.08, 0.8))
     count = int(np.clip(area_m2 / (0.28 * size**2), 120, most))
-    return count, float(np.clip(np.sqrt(area_m2 / (0.28 * count)), size, 2.2 * size))
+    return count, float(np.clip(np.sqrt(area_m2 / (0.28 * count)), size, 1.5 * size))
 
 
 def _crown(rng: np.random.Generator, place: Float, size: float, centre: Float, half: Float, distance_m: float) -> Part:
