@@ -5,7 +5,7 @@
 
 The study file says what is run (p2o_baselines/studies/table1.toml); each row is what `p2o run` with its words gives.
 A frame is read once for all rows with the same LiDAR. Refused frames count with the error of their start, which is what
-the user is left with. The joint line solves 10 frames at once, from as many starts as there are single ones.
+the user is left with. The joint line solves 10 frames at once, from three starts each.
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ from p2o.metrics import AXES
 from p2o.perturb import parse_perturbation, wrong_start
 from p2o.recipe import Plan, open_dataset, split_data
 
+JOINT_STARTS = 3
+"""Starts of each joint calibration."""
 WORDS = ("data", "seed", "extractor", "matcher", "solver", "init", "perturb")
 
 
@@ -80,7 +82,7 @@ def main() -> None:
         for row in rows:
             own, size = seen[row.name], study["joint_frames"]
             batches = [own[i : i + size] for i in range(0, len(own) - size + 1, size)]
-            jobs = (delayed(jointly)(words, row, b, n, s) for n, b in enumerate(batches) for s in range(size))
+            jobs = (delayed(jointly)(words, row, b, n, s) for n, b in enumerate(batches) for s in range(JOINT_STARTS))
             tables[row.name] = list(pool(jobs))
     print(f"{words['data']} {words['extractor']} {words['matcher']} {words['solver']} {words['init']}, ", end="")
     print(f"{count} frames x {arguments.starts} starts, {time.perf_counter() - began:.0f} s\n")
@@ -94,9 +96,10 @@ def plan_of(words: Mapping[str, Any], row: Row, count: int) -> Plan:
 
 
 def data_options(words: Mapping[str, Any], row: Row, count: int) -> dict[str, Any]:
-    """Return the options of the row's data; of made-up data as many scenes as there are frames."""
-    name, _ = split_data(words["data"])
-    return {**row.data, **({"scenes": count} if name == "synthetic" else {})}
+    """Return the options of the row's data; of made-up data as many scenes as frames, right pictures only for stereo."""
+    name, said = split_data(words["data"])
+    made_up = {"scenes": count, "right": not words["extractor"].startswith("depth/")}
+    return {**row.data, **(made_up if name == "synthetic" else {}), **said}
 
 
 def grouped(rows: Sequence[Row]) -> list[list[Row]]:

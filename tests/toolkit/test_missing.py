@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import Camera, CloudFeatures, ImageEdges, ImageFeatures, InputError, Recipe
-from p2o.pipeline import Pipeline, PipelineOptions
 from p2o.missing import frame_rng, without_patches
+from p2o.pipeline import Pipeline, PipelineOptions
 from p2o.recipe import open_dataset
 from p2o.registry import Registry
 from pydantic import ValidationError

@@ -180,3 +180,14 @@ def test_without_directions_no_stage_profits_from_them() -> None:
     undirected = pipeline(matcher=nearest, directed=False)
     poses = [undirected.solve([v.without_sides()], start()).camera_from_lidar for v in (view, scrambled)]
     np.testing.assert_allclose(poses[0], poses[1], atol=1e-9)
+
+
+def test_an_image_and_a_sweep_of_different_moments_are_called_doubtful_and_a_right_pair_is_not() -> None:
+    """The edges of one place are matched with those of another: whatever pose comes out is flagged."""
+    for seed in range(4):
+        right, other = edge_scene.view(seed=seed), edge_scene.view(seed=seed + 10)
+        good = pipeline().solve([right], start(seed))
+        assert not good.warnings
+        assert good.agreement["odds_ratio"] > 100
+        bad = pipeline().solve([replace(right, cloud=other.cloud)], start(seed))
+        assert not bad.status.solved or any("doubtful" in warning for warning in bad.warnings)

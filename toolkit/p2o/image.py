@@ -20,7 +20,8 @@ class Image:
     stands `baseline_m` metres along +x; `depth_m` (H, W) float, depth along the optical axis in metres, +inf for sky,
     NaN where unknown; `masked` (H, W) bool, pixels whose edges are meaningless (foliage, the own car).
 
-    Raises InputError for wrong shapes, a grey image, a size that does not fit the camera, or depth that is not positive.
+    Raises InputError for wrong shapes, a grey image, a size that does not fit the camera, or depth that is not
+    positive.
     """
 
     rgb: UInt8

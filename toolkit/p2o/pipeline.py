@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from p2o import se3
+from p2o.agreement import Agreement, agreement
 from p2o.arrays import Float
 from p2o.directed_cost import DirectedCost
 from p2o.features import ImageFeatures
@@ -37,6 +38,7 @@ class PipelineOptions(Options):
     min_reach_px: float = option(5.0, gt=0.5, le=100, help="Smallest cutting distance.")
     min_matches: int = option(30, ge=6, help="Fewer pairs than this end a calibration as too-few-matches.")
     judge_px: float = option(10.0, gt=1, le=100, help="Truncation of the directed distance that poses are judged by.")
+    min_odds_ratio: float = option(6.0, ge=0, help="A lower agreement of both sensors' edges is called doubtful.")
     tolerance_deg: float = option(1e-3, ge=0, help="A smaller turn (and shift) in the last round means converged.")
     tolerance_m: float = option(1e-3, ge=0, help="A smaller shift (and turn) in the last round means converged.")
     missing_edges: float = option(
@@ -97,7 +99,7 @@ class Pipeline:
             views = [self.extract(frame) for frame in frames]
         result = self.solve(views, camera_from_lidar)
         warnings = tuple(f"{frame.name}: {text}" for frame in frames for text in frame.warnings)
-        return replace(result, seconds={**clock.seconds, **result.seconds}, warnings=warnings)
+        return replace(result, seconds={**clock.seconds, **result.seconds}, warnings=(*warnings, *result.warnings))
 
     def extract(self, frame: Frame) -> View:
         """Return the features of one frame; the truth is not looked at."""
@@ -148,6 +150,8 @@ class Pipeline:
                 f"({best.cost_px:.3f} px against {at_start:.3f} px): the start is returned"
             )
             return replace(refused(Status.NO_IMPROVEMENT, reason, best.rounds), directed_cost_px=costs)
+        with clock.of("agree"):
+            agreed = agreement(seen, best.pose)
         return Result(
             frames=names,
             start=start,
@@ -159,7 +163,19 @@ class Pipeline:
             matches={} if best.problem is None else _counts(best.problem),
             residual_px={} if best.problem is None else _mean_residuals(best.problem, best.pose),
             directed_cost_px=costs,
+            agreement={"near": agreed.near, "chance": agreed.chance, "odds_ratio": agreed.odds_ratio},
             seconds=clock.seconds,
+            warnings=self._doubts(agreed),
+        )
+
+    def _doubts(self, agreed: Agreement) -> tuple[str, ...]:
+        """Return a warning where the edges of both sensors do not seem to belong together."""
+        if agreed.odds_ratio >= self.options.min_odds_ratio:
+            return ()
+        return (
+            "doubtful: image and LiDAR edges meet little more often than by chance "
+            f"(odds ratio {agreed.odds_ratio:.1f}, {self.options.min_odds_ratio:g} or more is usual at a right pose); "
+            "look at the overlay, and check that image and sweep belong to the same moment",
         )
 
     def _seen(self, view: View, start: Float) -> View:

@@ -62,7 +62,9 @@ class Result:
     """One calibration, of one frame or of several jointly.
 
     `camera_from_lidar` (4, 4) is the estimate, or the start where `status.solved` is False; `reason` says why in one
-    sentence. `covariance` (6, 6) as in `Solution`. `seconds` by stage. `recipe` holds every resolved option.
+    sentence. `covariance` (6, 6) as in `Solution`. `directed_cost_px` is the directed edge distance at the start and at
+    the estimate; `agreement` holds the shares `near` and `chance`, and the `odds_ratio`, of `p2o.agreement`.
+    `seconds` by stage. `recipe` holds every resolved option.
     """
 
     frames: tuple[str, ...]
@@ -75,6 +77,7 @@ class Result:
     matches: Mapping[str, int] = field(default_factory=dict)
     residual_px: Mapping[str, float] = field(default_factory=dict)
     directed_cost_px: tuple[float, float] | None = None
+    agreement: Mapping[str, float] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     recipe: Mapping[str, Any] = field(default_factory=dict)

@@ -191,6 +191,7 @@ _RESULT: dict[str, Reader] = {
     "matches": _mapping(_integer),
     "residual_px": _mapping(_number),
     "directed_cost_px": _optional(_tuple(_number, 2)),
+    "agreement": _mapping(_number),
     "seconds": _mapping(_number),
     "warnings": _tuple(_text),
     "recipe": _mapping(_as_is),

@@ -197,8 +197,8 @@ def _calibrate_one(
     index: int,
     stamp: Mapping[str, Any],
 ) -> Row:
-    truth = _common(frames, "camera_from_lidar")
-    begin, warnings = _start_of(frames, truth, recipe, start, index)
+    truth = common_pose(frames, "camera_from_lidar")
+    begin, warnings = start_of(frames, truth, recipe, start, index)
     try:
         result = calibrator([frame.without_truth() for frame in frames], begin)
     except PluginError as problem:
@@ -211,7 +211,7 @@ def _calibrate_one(
     return Row(result, truth, pose_error(begin, truth), pose_error(result.camera_from_lidar, truth))
 
 
-def _start_of(
+def start_of(
     frames: tuple[Frame, ...], truth: Float | None, recipe: Recipe, start: Float | None, index: int
 ) -> tuple[Float, tuple[str, ...]]:
     """Return the start and what has to be said about it."""
@@ -228,7 +228,7 @@ def _start_of(
         # Seeded by the frame's own number, so that a frame starts alike whichever others are run with it.
         rng = np.random.default_rng([recipe.seed] if recipe.joint else [recipe.seed, index])
         return size.start(truth, rng), ()
-    offered = _common(frames, "start")
+    offered = common_pose(frames, "start")
     if offered is not None:
         return offered, ()
     if truth is not None:
@@ -241,7 +241,7 @@ def _start_of(
     )
 
 
-def _common(frames: Sequence[Frame], name: str) -> Float | None:
+def common_pose(frames: Sequence[Frame], name: str) -> Float | None:
     """Return the one pose `name` of all frames that know it, or None; InputError where two differ."""
     known = [frame for frame in frames if getattr(frame, name) is not None]
     for frame in known[1:]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -156,6 +157,8 @@ class Store:
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
         self.path = path
         self._connection = connection
+        # A backend may ask from a thread of its own whether a row is still to be computed.
+        self._alone = threading.RLock()
 
     @classmethod
     def open(cls, folder: str | Path, *, create: bool = True) -> Store:
@@ -168,7 +171,7 @@ class Store:
             raise InputError("there is no study", where=path, expected="a folder that `p2o ablate --out` wrote")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            connection = sqlite3.connect(path, timeout=_BUSY_S, isolation_level=None)
+            connection = sqlite3.connect(path, timeout=_BUSY_S, isolation_level=None, check_same_thread=False)
         except (OSError, sqlite3.Error) as problem:
             raise InputError("the results cannot be kept here", where=path, got=problem) from problem
         try:
@@ -257,17 +260,19 @@ class Store:
         ]
 
     def _all(self, query: str, values: Sequence[Any]) -> list[tuple[Any, ...]]:
-        return _patiently(lambda: self._connection.execute(query, values).fetchall())
+        with self._alone:
+            return _patiently(lambda: self._connection.execute(query, values).fetchall())
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:
-        _patiently(lambda: self._connection.execute("BEGIN IMMEDIATE"))
-        try:
-            yield
-        except BaseException:
-            self._connection.execute("ROLLBACK")
-            raise
-        self._connection.execute("COMMIT")
+        with self._alone:
+            _patiently(lambda: self._connection.execute("BEGIN IMMEDIATE"))
+            try:
+                yield
+            except BaseException:
+                self._connection.execute("ROLLBACK")
+                raise
+            self._connection.execute("COMMIT")
 
     def _prepare(self) -> None:
         """Make the tables of a new file."""

@@ -1,92 +1,92 @@
-"""The simulated LiDAR: points on surfaces, KITTI's beam table and order, noise along the beam."""
+"""LiDARs as data: beam tables, spin, times, and the sensors by name."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from p2o import InputError, se3
-from p2o.simulate import HDL64E, SpinningLidar, sweep
+from p2o import InputError
+from p2o.simulate import LIDARS, Lidar, Rosette
 
-from tests.toolkit.simulate.walls import FLOOR_Z, WALL_X, walls
-
-POSE = se3.exp(np.array([0.02, -0.03, 0.4, 0.0, 0.0, 0.0]))
+TURNING = [slug for slug, lidar in LIDARS.items() if isinstance(lidar, Lidar)]
 
 
-def _sweep(noise_m: float = 0.0, seed: int = 0, pose: np.ndarray = POSE):
-    return sweep(walls(), HDL64E, pose, np.random.default_rng(seed), noise_m=noise_m)
+@pytest.mark.parametrize("slug", TURNING)
+def test_beams_leave_the_axis_as_their_table_says(slug: str) -> None:
+    lidar = LIDARS[slug]
+    beams = lidar.beams
+    assert len(beams.directions) == len(lidar.elevation_deg) * lidar.columns
+    np.testing.assert_allclose(np.linalg.norm(beams.directions, axis=1), 1.0, atol=1e-12)
+    slope = beams.directions[:, 2] / np.hypot(*beams.directions[:, :2].T)
+    np.testing.assert_allclose(slope, np.tan(np.radians(lidar.elevation_deg))[beams.ring], atol=1e-12)
+    np.testing.assert_array_equal(beams.origins[:, 2], np.array(lidar.height_m)[beams.ring])
+    assert (np.diff(lidar.elevation_deg) < 0).all()
+    ahead = beams.column == 0
+    azimuth = np.degrees(np.arctan2(beams.directions[ahead, 1], beams.directions[ahead, 0]))
+    np.testing.assert_allclose(azimuth, lidar.azimuth_deg, atol=1e-9)
 
 
-def test_points_without_noise_lie_on_the_surfaces() -> None:
-    x, y, z = se3.apply(POSE, _sweep().xyz).T
-    in_box = (abs(x - 6) < 1 + 1e-6) & (abs(y) < 1 + 1e-6) & (abs(z) < 1 + 1e-6)
-    to_box = np.where(in_box, np.abs(np.abs(np.stack([x - 6, y, z])) - 1).min(axis=0), np.inf)
-    away = np.min([abs(x - WALL_X), abs(z - FLOOR_Z), to_box], axis=0)
-    assert away.max() < 1e-9
-    assert (to_box < 1e-9).sum() > 1000
+def test_kittis_velodyne_has_the_table_that_was_fitted_to_its_files() -> None:
+    lidar = LIDARS["hdl-64e"]
+    assert len(lidar.elevation_deg) == 64
+    assert (lidar.elevation_deg[0], lidar.elevation_deg[31], lidar.elevation_deg[32]) == (1.937, -8.711, -9.026)
+    np.testing.assert_allclose([lidar.height_m[i] for i in (0, 31, 32, 63)], [0.209, 0.198, 0.126, 0.116])
 
 
-def test_every_ring_obeys_kittis_law_with_its_own_origin() -> None:
-    cloud = _sweep()
-    distance = np.hypot(*cloud.xyz[:, :2].T)
-    elevation, height = (np.array(v)[cloud.ring] for v in (HDL64E.elevation_deg, HDL64E.height_m))
-    np.testing.assert_allclose(cloud.xyz[:, 2], distance * np.tan(np.radians(elevation)) + height, atol=1e-9)
-    assert len(HDL64E.elevation_deg) == 64
-    assert (np.diff(HDL64E.elevation_deg) < 0).all()
+@pytest.mark.parametrize(
+    ("slug", "rings", "top", "bottom"),
+    [("hdl-32e", 32, 10.67, -30.67), ("vlp-16", 16, 15, -15), ("os1-64", 64, 17.042, -16.3), ("os1-128", 128, 22.5, -22.5),
+     ("pandar64", 64, 14.882, -24.897)],
+)  # fmt: skip
+def test_named_lidars_have_their_fields_of_view(slug: str, rings: int, top: float, bottom: float) -> None:
+    elevation = LIDARS[slug].elevation_deg
+    assert (len(elevation), elevation[0], elevation[-1]) == (rings, top, bottom)
 
 
-def test_points_come_as_kitti_writes_them_ring_by_ring_counter_clockwise_from_straight_ahead() -> None:
-    cloud = _sweep(pose=np.eye(4))
-    azimuth = np.degrees(np.arctan2(cloud.xyz[:, 1], cloud.xyz[:, 0])) % 360
-    azimuth[azimuth > 360 - 1e-6] = 0.0
-    assert (np.diff(cloud.ring) >= 0).all()
-    same = np.diff(cloud.ring) == 0
-    assert (np.diff(azimuth)[same] > 0).all()
-    assert ((np.diff(azimuth) < -180) == ~same).all()
+def test_pulses_come_ring_by_ring_counter_clockwise_and_a_velodyne_takes_them_clockwise() -> None:
+    lidar = LIDARS["hdl-64e"]
+    beams = lidar.beams
+    azimuth = np.arctan2(beams.directions[:, 1], beams.directions[:, 0])
+    rising = np.mod(azimuth, 2 * np.pi)
+    rising[rising > 2 * np.pi - 1e-9] = 0.0
+    same = np.diff(beams.ring) == 0
+    assert (np.diff(rising)[same] > 0).all()
+    behind = np.abs(azimuth) > np.pi - 0.01
+    np.testing.assert_allclose(beams.time_s[~behind], -azimuth[~behind] / (2 * np.pi) * 0.1, atol=1e-12)
+    other_way = replace(lidar, clockwise=False).beams
+    np.testing.assert_array_equal(other_way.time_s, -beams.time_s)
 
 
-def test_time_is_zero_straight_ahead_and_rises_with_the_turn() -> None:
-    cloud = _sweep(pose=np.eye(4))
-    azimuth = np.arctan2(cloud.xyz[:, 1], cloud.xyz[:, 0])
-    behind = np.abs(azimuth) > np.pi - 1e-6
-    np.testing.assert_allclose(cloud.time_s[~behind], azimuth[~behind] / (2 * np.pi) * 0.1, atol=1e-12)
+def test_a_beam_with_an_azimuth_offset_fires_with_its_column() -> None:
+    beams = LIDARS["pandar64"].beams
+    assert np.ptp(beams.time_s.reshape(64, -1), axis=0).max() == 0.0
 
 
-def test_noise_moves_points_along_their_beams_only_with_the_given_deviation() -> None:
-    clean, noisy = _sweep(), _sweep(noise_m=0.02)
-    np.testing.assert_array_equal(clean.ring, noisy.ring)
-    step = noisy.xyz - clean.xyz
-    origin = np.column_stack([np.zeros((len(clean), 2)), np.array(HDL64E.height_m)[clean.ring]])
-    beam = clean.xyz - origin
-    beam /= np.linalg.norm(beam, axis=1, keepdims=True)
-    along = (step * beam).sum(axis=1)
-    assert np.abs(step - along[:, None] * beam).max() < 1e-9
-    # 60 000 samples: the deviation is known to 0.3 %, the mean to 0.1 mm; five sigma either way.
-    assert along.std() == pytest.approx(0.02, rel=0.015)
-    assert abs(along.mean()) < 5e-4
+def test_the_rosette_fills_a_round_field_of_38_degrees_and_never_repeats_within_a_sweep() -> None:
+    lidar = LIDARS["mid-40"]
+    assert isinstance(lidar, Rosette)
+    beams = lidar.beams
+    off_axis = np.degrees(np.arccos(beams.directions[:, 0]))
+    assert beams.ring is None
+    assert len(off_axis) == 10_000
+    # d1 + d2 = 19.2 degrees; azimuth and elevation add up to a little less as an angle on the sphere.
+    assert off_axis.max() == pytest.approx(19.2, abs=0.3)
+    assert off_axis.min() < 0.5
+    np.testing.assert_allclose(np.diff(beams.time_s), 1e-5)
+    assert len(np.unique(np.round(beams.directions, 6), axis=0)) > 9_900
 
 
-def test_intensity_is_reflectance_times_the_cosine_of_incidence() -> None:
-    cloud = _sweep(pose=np.eye(4))
-    beam = cloud.xyz - np.column_stack([np.zeros((len(cloud), 2)), np.array(HDL64E.height_m)[cloud.ring]])
-    beam /= np.linalg.norm(beam, axis=1, keepdims=True)
-    on_wall = abs(cloud.xyz[:, 0] - WALL_X) < 1e-6
-    assert on_wall.any()
-    np.testing.assert_allclose(cloud.intensity[on_wall], 0.5 * beam[on_wall, 0], atol=1e-9)
-
-
-def test_nothing_is_returned_beyond_the_largest_range() -> None:
-    short = SpinningLidar("short", HDL64E.elevation_deg, HDL64E.height_m, columns=500, max_range_m=6.0)
-    cloud = sweep(walls(), short, np.eye(4), np.random.default_rng(0))
-    origin = np.column_stack([np.zeros((len(cloud), 2)), np.array(HDL64E.height_m)[cloud.ring]])
-    assert np.linalg.norm(cloud.xyz - origin, axis=1).max() <= 6.0 + 1e-9
-
-
-def test_a_lidar_that_meets_nothing_says_so() -> None:
-    up = SpinningLidar("looks up", (60.0,), (0.0,), columns=100)
-    with pytest.raises(InputError, match=r"looks up: the LiDAR meets nothing"):
-        sweep(walls(), up, se3.make(translation=(-50.0, 0.0, 0.0)), np.random.default_rng(0))
-
-
-def test_beams_without_heights_are_refused() -> None:
-    with pytest.raises(InputError, match="one height for each"):
-        SpinningLidar("half", (1.0, 2.0), (0.1,), columns=100)
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"height_m": (0.1,)}, "one height for each"),
+        ({"azimuth_deg": (0.1,)}, "one azimuth offset for each"),
+        ({"elevation_deg": ()}, "one height for each"),
+        ({"columns": 0}, "at least once a turn"),
+        ({"min_range_m": 200.0}, "ranges of the LiDAR are empty"),
+    ],
+)
+def test_lidars_that_cannot_be_are_refused(wrong: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Lidar(**{"name": "half", "elevation_deg": (1.0, 2.0), "columns": 100, **wrong})

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from p2o import InputError
-from p2o.simulate import Material, Mesh, Part, Scene, street
-from p2o.simulate.mesh import blob, box, circle, cylinder, join, loft, wheel
+from p2o.simulate import Material, Mesh, Part, Scene
+from p2o.simulate.mesh import box, boxes, circle, cylinder, join, leaves, loft, swept, tubes, wheel
 
 GREY = Material("grey", (0.5, 0.5, 0.5))
 
@@ -37,6 +37,9 @@ POLYGON = 8 * np.sin(2 * np.pi / 16)
         (loft([circle(1.0, 0.0), circle(2.0, 1.0), circle(1.0, 2.0)]), POLYGON * 2 * (1 + 2 + 4) / 3),
         (box(1.0, 1.0, 0.0, 1.0).moved(5.0, -3.0, 2.0, yaw_deg=33.0), 1.0),
         (join([box(1.0, 1.0, 0.0, 1.0), box(1.0, 1.0, 2.0, 3.0)]), 2.0),
+        (boxes([[0, 0, 0], [5, 5, 5]], [[1, 2, 3], [6, 6, 6]]), 7.0),
+        (tubes([[0, 0, 0], [1, 1, 1]], [[0, 0, 2], [4, 5, 1]], 0.5, sides=16), POLYGON * 0.25 * 7),
+        (tubes([[0, 0, 0]], [[3, 0, 0]], [[1.0, 0.5]], sides=16), POLYGON * 3 * (1 + 0.5 + 0.25) / 3),
     ],
 )
 def test_solids_are_closed_and_have_the_volume_of_their_formula(mesh: Mesh, volume: float) -> None:
@@ -44,10 +47,29 @@ def test_solids_are_closed_and_have_the_volume_of_their_formula(mesh: Mesh, volu
     assert _volume(mesh) == pytest.approx(volume, rel=1e-12)
 
 
-def test_a_smooth_blob_is_nearly_a_ball() -> None:
-    ball = blob(2.0, np.random.default_rng(0), roughness=0.0)
-    assert _is_closed(ball)
-    assert _volume(ball) == pytest.approx(4 / 3 * np.pi * 8, rel=0.02)
+def test_leaves_have_their_size_and_lie_about_their_places() -> None:
+    places = np.random.default_rng(0).uniform(-5, 5, (50, 3))
+    for corners in (3, 4):
+        mesh = leaves(places, np.full(50, 0.2), np.random.default_rng(1), corners=corners)
+        tips = mesh.vertices.reshape(50, corners, 3)
+        assert len(mesh.faces) == 50 * (corners - 2)
+        assert np.linalg.norm(tips - places[:, None], axis=2).max() <= 0.55 * 0.2
+
+
+def test_a_drawn_line_is_a_sheet_that_looks_up() -> None:
+    mesh = swept(np.array([[3.0, 1.0], [-3.0, 1.0]]), np.array([0.0, 2.0, 5.0]))
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
+    area = np.cross(b - a, c - a) / 2
+    assert (area[:, 2] > 0).all()
+    assert area[:, 2].sum() == pytest.approx(6 * 5)
+
+
+def test_a_bend_keeps_lengths_along_the_middle_and_heights() -> None:
+    line = Mesh(np.column_stack([np.linspace(0, 50, 501), np.zeros(501), np.full(501, 3.0)]), np.array([[0, 1, 2]]))
+    bent = line.bent(0.01).vertices
+    assert np.linalg.norm(np.diff(bent, axis=0), axis=1).sum() == pytest.approx(50, rel=1e-5)
+    np.testing.assert_allclose(bent[-1], [100 * np.sin(0.5), 100 * (1 - np.cos(0.5)), 3.0], atol=1e-12)
+    assert line.bent(0.0) is line
 
 
 def test_yaw_turns_counter_clockwise_seen_from_above() -> None:
@@ -68,27 +90,12 @@ def test_rays_tell_distance_and_part_or_nothing() -> None:
     assert hits.face[2] == -1
 
 
+def test_cast_normals_are_those_of_the_faces_and_zero_where_nothing_is_met() -> None:
+    scene = Scene((Part(box(1.0, 1.0, -1.0, 1.0).moved(4.5), GREY),))
+    hits = scene.cast(np.zeros(3), np.array([[1.0, 0, 0], [-1.0, 0, 0]]))
+    np.testing.assert_allclose(hits.normal, [[-1, 0, 0], [0, 0, 0]], atol=1e-12)
+
+
 def test_an_empty_scene_is_refused() -> None:
     with pytest.raises(InputError, match="the scene is empty"):
         Scene(())
-
-
-def test_the_same_seed_gives_the_same_street_and_another_seed_another() -> None:
-    first, again, other = (street(np.random.default_rng(seed)) for seed in (5, 5, 6))
-    assert first.mesh.vertices.tobytes() == again.mesh.vertices.tobytes()
-    assert first.parts[-1].material == again.parts[-1].material
-    assert first.mesh.vertices.tobytes() != other.mesh.vertices.tobytes()
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_street_has_ground_everywhere_and_room_for_the_rig(seed: int) -> None:
-    scene = street(np.random.default_rng(seed))
-    rng = np.random.default_rng(1)
-    from_above = np.column_stack([rng.uniform([-30, -30], [110, 30], (20_000, 2)), np.full(20_000, 60.0)])
-    down = scene.cast(from_above, np.tile([0.0, 0.0, -1.0], (20_000, 1)))
-    assert (down.face >= 0).all()
-    assert (from_above[:, 2] - down.distance_m).min() >= 0.0
-    turn = np.linspace(0, 2 * np.pi, 720, endpoint=False)
-    around = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(720)])
-    for height in (0.3, 1.0, 1.65, 2.5):
-        assert scene.cast(np.array([0.0, 0.0, height]), around).distance_m.min() > 1.2

@@ -52,6 +52,11 @@ def command(
     from p2o.recipe import open_dataset
 
     options = {**({} if seed is None else {"seed": seed}), **_parsed(settings)}
+    if layout == "kitti-raw" and "deskew" in options:
+        # The writer undoes the correction of the sweep, so it has to know that there is one.
+        raise InputError(
+            "kitti-raw sweeps are written as measured in any case", where="--set", expected="no deskew", got="deskew"
+        )
     dataset = open_dataset("synthetic:", load(plugin, block), options)
     root = _prepared(Path(out).expanduser(), force)
     for name in _writer(layout).write((dataset[index] for index in range(len(dataset))), root):

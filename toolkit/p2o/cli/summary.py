@@ -32,6 +32,10 @@ def describe(row: Row) -> str:
     if result.directed_cost_px is not None:
         before, after = result.directed_cost_px
         lines.append(f"  {'edge gap':<9} {before:.2f} px at the start, {after:.2f} px at the result")
+    if result.agreement:
+        near, chance, odds = (result.agreement[name] for name in ("near", "chance", "odds_ratio"))
+        share = f"{100 * near:.0f} % of the LiDAR edges meet an image edge, {100 * chance:.0f} % by chance"
+        lines.append(f"  {'agreement':<9} {share} (odds ratio {odds:.1f})")
     if result.seconds:
         lines.append(f"  {'seconds':<9} " + ", ".join(f"{stage} {took:.2f}" for stage, took in result.seconds.items()))
     lines += [f"  {'warning':<9} {text}" for text in _warnings(result)]

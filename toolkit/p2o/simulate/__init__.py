@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 from p2o.simulate.classes import Class as Class
+from p2o.simulate.labels import labels as labels
+from p2o.simulate.lidar import Beams as Beams
+from p2o.simulate.lidar import Lidar as Lidar
+from p2o.simulate.lidar import Rosette as Rosette
 from p2o.simulate.mesh import Mesh as Mesh
 from p2o.simulate.photo import Photo as Photo
 from p2o.simulate.photo import develop as develop
 from p2o.simulate.photo import metered_gain as metered_gain
+from p2o.simulate.place import PLACES as PLACES
+from p2o.simulate.place import scene_of as scene_of
 from p2o.simulate.render import Picture as Picture
 from p2o.simulate.render import render as render
 from p2o.simulate.scene import Hits as Hits
@@ -14,14 +20,8 @@ from p2o.simulate.scene import Material as Material
 from p2o.simulate.scene import Mover as Mover
 from p2o.simulate.scene import Part as Part
 from p2o.simulate.scene import Scene as Scene
-from p2o.simulate.lidar import Beams as Beams
-from p2o.simulate.lidar import Lidar as Lidar
-from p2o.simulate.lidar import Rosette as Rosette
 from p2o.simulate.sensors import LIDARS as LIDARS
 from p2o.simulate.sweep import sweep as sweep
 from p2o.simulate.town import street as street
-from p2o.simulate.place import PLACES as PLACES
-from p2o.simulate.place import scene_of as scene_of
-from p2o.simulate.labels import labels as labels
 from p2o.simulate.trajectory import Moment as Moment
 from p2o.simulate.trajectory import drive as drive

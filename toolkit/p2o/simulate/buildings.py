@@ -20,7 +20,9 @@ def town_house(rng: np.random.Generator, length: float) -> list[Part]:
         sheet = quads(np.array([[[a, -1.3, 2.35], [b, -1.3, 2.35], [b, 0.0, 2.95], [a, 0.0, 2.95]]]))
         parts.append(Part(sheet, cloth, kind=Class.BUILDING))
         board = boxes([[x - wide / 2, -0.2, 2.95]], [[x + wide / 2, 0.0, 3.5]])
-        parts.append(Part(board, Material("shop sign", pick(rng, SIGNS), 0.2, 0.6, pattern="plain"), kind=Class.BUILDING))
+        parts.append(
+            Part(board, Material("shop sign", pick(rng, SIGNS), 0.2, 0.6, pattern="plain"), kind=Class.BUILDING)
+        )
     return parts
 
 
@@ -41,7 +43,9 @@ def block(rng: np.random.Generator, length: float) -> list[Part]:
 
 def _house(rng: np.random.Generator, length: float, *, depth: float, height: float, flat: bool = False) -> list[Part]:
     pattern = ("plain", "brick", "plain", "rough")[rng.integers(4)]
-    wall = Material("wall", pick(rng, WALLS), 0.3 if pattern != "brick" else 0.6, rng.uniform(0.3, 0.6), pattern=pattern)
+    wall = Material(
+        "wall", pick(rng, WALLS), 0.3 if pattern != "brick" else 0.6, rng.uniform(0.3, 0.6), pattern=pattern
+    )
     tiles = Material("roof", pick(rng, ((0.22, 0.09, 0.06), (0.1, 0.09, 0.09))), 0.6, 0.3, pattern="tiles")
     middle = length / 2
     parts = [Part(boxes([[0, 0, -0.5]], [[length, depth, height]]), wall, kind=Class.BUILDING)]
@@ -95,7 +99,9 @@ def _openings(rng: np.random.Generator, length: float, height: float) -> list[Pa
         parts.append(Part(boxes(sill, sill + [wide + 0.3, 0.2, 0.07]), STONE, kind=Class.BUILDING))
         shut = np.flatnonzero(rng.random(len(x)) < 0.2)
         if len(shut):  # lowered blinds
-            a = np.column_stack([x[shut] - wide / 2, np.full(len(shut), -0.062), z[shut] + tall * rng.uniform(0.1, 0.7)])
+            a = np.column_stack(
+                [x[shut] - wide / 2, np.full(len(shut), -0.062), z[shut] + tall * rng.uniform(0.1, 0.7)]
+            )
             b = np.column_stack([x[shut] + wide / 2, np.full(len(shut), 0.0), z[shut] + tall])
             blind = Material("blind", pick(rng, WALLS), 0.3, 0.5, pattern="tiles")
             parts.append(Part(boxes(a, b), blind, kind=Class.BUILDING))
@@ -108,5 +114,8 @@ def _openings(rng: np.random.Generator, length: float, height: float) -> list[Pa
         rail = a + [0.0, -0.01, 0.98]
         parts.append(Part(boxes(rail, rail + [wide + 1.0, 0.05, 0.05]), DARK_STEEL, kind=Class.BUILDING))
     leaf = boxes([[x_door - 0.5, -0.07, 0.0]], [[x_door + 0.5, 0.05, 2.15]])
-    case = boxes([[x_door - 0.62, -0.05, 0.0], [x_door - 0.9, -0.6, -0.3]], [[x_door + 0.62, 0.05, 2.28], [x_door + 0.9, 0.0, 0.16]])
+    case = boxes(
+        [[x_door - 0.62, -0.05, 0.0], [x_door - 0.9, -0.6, -0.3]],
+        [[x_door + 0.62, 0.05, 2.28], [x_door + 0.9, 0.0, 0.16]],
+    )
     return [*parts, Part(case, STONE, kind=Class.BUILDING), Part(leaf, WOOD, kind=Class.BUILDING)]

@@ -25,7 +25,10 @@ def lamp(rng: np.random.Generator, *, high: float = 0.0) -> list[Part]:
     """Return a street lamp whose arm reaches along +y, over the road."""
     tall, arm = high or rng.uniform(5.0, 9.0), rng.uniform(0.8, 2.0)
     mast = tubes(
-        [[0, 0, -0.2], [0, 0, tall * 0.95]], [[0, 0, tall], [0, arm, tall + 0.15]], [[0.09, 0.06], [0.05, 0.04]], sides=10
+        [[0, 0, -0.2], [0, 0, tall * 0.95]],
+        [[0, 0, tall], [0, arm, tall + 0.15]],
+        [[0.09, 0.06], [0.05, 0.04]],
+        sides=10,
     )
     head = boxes([[-0.12, arm - 0.1, tall + 0.05]], [[0.12, arm + 0.6, tall + 0.2]])
     return [Part(mast, STEEL, kind=Class.POLE), Part(head, SIGN_BACK, kind=Class.POLE)]
@@ -47,7 +50,9 @@ def sign(rng: np.random.Generator) -> list[Part]:
         rim, face = (Material("sign", pick(rng, SIGNS), 0.15, 0.97, pattern="plain") for _ in range(2))
         if rng.random() < 0.5:
             parts.append(Part(wheel(half, 0.02, 24).moved(yaw_deg=90.0).moved(-0.05, 0, z), rim, kind=Class.SIGN))
-            parts.append(Part(wheel(0.72 * half, 0.03, 20).moved(yaw_deg=90.0).moved(-0.05, 0, z), face, kind=Class.SIGN))
+            parts.append(
+                Part(wheel(0.72 * half, 0.03, 20).moved(yaw_deg=90.0).moved(-0.05, 0, z), face, kind=Class.SIGN)
+            )
         else:
             board = boxes([[-0.06, -half, z - half]], [[-0.04, half, z + half]])
             inner = boxes([[-0.066, -0.7 * half, z - 0.7 * half]], [[-0.045, 0.7 * half, z + 0.7 * half]])
@@ -108,7 +113,8 @@ def guard_rail(length: float) -> list[Part]:
     low = np.column_stack([posts, np.zeros(len(posts)), np.full(len(posts), -0.2)])
     stakes = boxes(low, low + [0.06, 0.1, 0.92])
     beam = boxes(
-        [[0, -0.06, 0.46], [0, -0.03, 0.55], [0, -0.06, 0.63]], [[length, -0.02, 0.55], [length, -0.01, 0.63], [length, -0.02, 0.74]]
+        [[0, -0.06, 0.46], [0, -0.03, 0.55], [0, -0.06, 0.63]],
+        [[length, -0.02, 0.55], [length, -0.01, 0.63], [length, -0.02, 0.74]],
     )
     return [Part(join([stakes, beam]), STEEL, kind=Class.GUARD_RAIL)]
 
@@ -135,7 +141,9 @@ def noise_wall(rng: np.random.Generator, length: float) -> list[Part]:
     high = rng.uniform(2.4, 4.0)
     posts = np.arange(0.0, length, 4.0)
     low = np.column_stack([posts, np.full(len(posts), -0.14), np.full(len(posts), -0.5)])
-    panel = Material("panel", pick(rng, ((0.3, 0.33, 0.26), (0.36, 0.34, 0.3), (0.2, 0.26, 0.2))), 0.4, 0.4, pattern="tiles")
+    panel = Material(
+        "panel", pick(rng, ((0.3, 0.33, 0.26), (0.36, 0.34, 0.3), (0.2, 0.26, 0.2))), 0.4, 0.4, pattern="tiles"
+    )
     return [
         Part(boxes([[0, -0.08, -0.5]], [[length, 0.08, high]]), panel, kind=Class.WALL),
         Part(boxes(low, low + [0.2, 0.28, high + 0.6]), DARK_STEEL, kind=Class.WALL),
@@ -146,11 +154,24 @@ def shelter(rng: np.random.Generator) -> list[Part]:
     """Return a bus shelter open towards -y: glass walls between posts under a flat roof, with a bench."""
     wide = rng.uniform(3.0, 4.5)
     frame = boxes(
-        [[-wide / 2, -0.7, 2.3], [-wide / 2, 0.62, 0], [wide / 2 - 0.08, 0.62, 0], [-wide / 2, -0.7, 0], [wide / 2 - 0.08, -0.7, 0]],
-        [[wide / 2, 0.7, 2.45], [-wide / 2 + 0.08, 0.7, 2.3], [wide / 2, 0.7, 2.3], [-wide / 2 + 0.08, -0.62, 2.3], [wide / 2, -0.62, 2.3]],
+        [
+            [-wide / 2, -0.7, 2.3],
+            [-wide / 2, 0.62, 0],
+            [wide / 2 - 0.08, 0.62, 0],
+            [-wide / 2, -0.7, 0],
+            [wide / 2 - 0.08, -0.7, 0],
+        ],
+        [
+            [wide / 2, 0.7, 2.45],
+            [-wide / 2 + 0.08, 0.7, 2.3],
+            [wide / 2, 0.7, 2.3],
+            [-wide / 2 + 0.08, -0.62, 2.3],
+            [wide / 2, -0.62, 2.3],
+        ],
     )
     panes = boxes(
-        [[-wide / 2 + 0.1, 0.64, 0.2], [-wide / 2 + 0.02, -0.6, 0.2]], [[wide / 2 - 0.1, 0.67, 2.25], [-wide / 2 + 0.05, 0.6, 2.25]]
+        [[-wide / 2 + 0.1, 0.64, 0.2], [-wide / 2 + 0.02, -0.6, 0.2]],
+        [[wide / 2 - 0.1, 0.67, 2.25], [-wide / 2 + 0.05, 0.6, 2.25]],
     )
     seat = boxes([[-0.3 * wide, 0.2, 0.42]], [[0.3 * wide, 0.55, 0.48]])
     return [
@@ -189,7 +210,9 @@ def clutter(rng: np.random.Generator) -> list[Part]:
         return [Part(bins, paint, kind=Class.FURNITURE)]
     if kind == 2:
         wide = rng.uniform(1.4, 2.0)
-        seat = boxes([[-wide / 2, -0.22, 0.42], [-wide / 2, 0.2, 0.58]], [[wide / 2, 0.22, 0.48], [wide / 2, 0.24, 0.92]])
+        seat = boxes(
+            [[-wide / 2, -0.22, 0.42], [-wide / 2, 0.2, 0.58]], [[wide / 2, 0.22, 0.48], [wide / 2, 0.24, 0.92]]
+        )
         feet = [[x - 0.04, -0.2, 0.0] for x in (-0.4 * wide, 0.4 * wide)]
         return [
             Part(seat, WOOD, kind=Class.FURNITURE),

@@ -20,9 +20,7 @@ def stations(start: float, stop: float, step: float = _STEP_M) -> Float:
     return np.linspace(start, stop, max(2, int(np.ceil((stop - start) / step)) + 1))
 
 
-def strips(
-    points: Sequence[tuple[float, float]], surfaces: Sequence[tuple[Material, Class]], x: Float
-) -> list[Part]:
+def strips(points: Sequence[tuple[float, float]], surfaces: Sequence[tuple[Material, Class]], x: Float) -> list[Part]:
     """Return one sheet a surface between neighbouring points (y, z), which run from left to right."""
     return [
         Part(swept(np.array([a, b]), x), material, kind=kind)
@@ -57,7 +55,9 @@ def land(
     return Part(swept(line, x), material, kind=Class.TERRAIN)
 
 
-def dashes(start: float, stop: float, y: float, *, length: float = 3.0, period: float = 9.0, width: float = 0.13) -> Part:
+def dashes(
+    start: float, stop: float, y: float, *, length: float = 3.0, period: float = 9.0, width: float = 0.13
+) -> Part:
     """Return a dashed line at y; `period` equal to `length` makes it solid."""
     x = np.arange(start, stop, period)
     low = np.column_stack([x, np.full(len(x), y - width / 2), np.full(len(x), -0.02)])

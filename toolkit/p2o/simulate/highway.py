@@ -27,7 +27,13 @@ def layout(plan: Plan) -> Layout:
     x = stations(BEHIND_M, plan.far_m)
     ground = strips(
         [(other_left, 0.0), (other_right, 0.0), (other_right - 0.2, 0.1), (left + 0.2, 0.1), (left, 0.0), (right, 0.0)],
-        [(ASPHALT, Class.ROAD), (KERB, Class.TERRAIN), (GRASS, Class.TERRAIN), (KERB, Class.TERRAIN), (ASPHALT, Class.ROAD)],
+        [
+            (ASPHALT, Class.ROAD),
+            (KERB, Class.TERRAIN),
+            (GRASS, Class.TERRAIN),
+            (KERB, Class.TERRAIN),
+            (ASPHALT, Class.ROAD),
+        ],
         x,
     )
     rises = rng.choice([0.0, 0.0, 2.5, 5.0], size=2) * rng.uniform(0.6, 1.3, 2)
@@ -40,7 +46,9 @@ def layout(plan: Plan) -> Layout:
     first = -_LANE_M / 2 - lane * _LANE_M
     marks = [first, first + 2 * _LANE_M, other_right + 1.0, other_right + 1.0 + 2 * _LANE_M]
     ground += [dashes(BEHIND_M, end, y, length=4.0, period=4.0) for y in marks]
-    ground += [dashes(BEHIND_M, end, y, length=6.0, period=18.0) for y in (first + _LANE_M, other_right + 1.0 + _LANE_M)]
+    ground += [
+        dashes(BEHIND_M, end, y, length=6.0, period=18.0) for y in (first + _LANE_M, other_right + 1.0 + _LANE_M)
+    ]
     things: list[Thing] = [ground, *backdrop(plan, high=(5.0, 11.0))]
     things += _rails(plan, right - 0.6, left + 0.4 * gap, left + 0.6 * gap, other_left + 0.6)
     things += _bank(plan, -1, right, rises[0], bank) + _bank(plan, 1, other_left, rises[1], bank)
@@ -81,7 +89,11 @@ def _rails(plan: Plan, *lines: float) -> list[Thing]:
             continue
         # The beam looks at the traffic: -y of the rail's own frame.
         facing = 180.0 if number in (0, 2) else 0.0
-        rail = [p for at in pieces for p in placed(guard_rail(_PIECE_M), at + (_PIECE_M if facing else 0.0), y, yaw_deg=facing)]
+        rail = [
+            p
+            for at in pieces
+            for p in placed(guard_rail(_PIECE_M), at + (_PIECE_M if facing else 0.0), y, yaw_deg=facing)
+        ]
         out.append(rail)
     return out
 

@@ -7,7 +7,9 @@ from p2o.occlusion import Orders, occlusion_orders
 from p2o.simulate.render import Picture
 
 
-def labels(picture: Picture, camera: Camera, *, mask_foliage: bool = False, min_jump_m: float = 0.4, relative_jump: float = 0.0) -> Orders:
+def labels(
+    picture: Picture, camera: Camera, *, mask_foliage: bool = False, min_jump_m: float = 0.4, relative_jump: float = 0.0
+) -> Orders:
     """Return which pixels hide which of their neighbours (connectivity 8); edges of leaves are left out on request.
 
     `p2o.occlusion.edges_from_orders` turns the orders into directed edge pixels.

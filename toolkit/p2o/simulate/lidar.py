@@ -132,7 +132,9 @@ def _turned(lidar: Lidar) -> Beams:
     head = 2 * np.pi * np.arange(columns) / columns
     azimuth = head + np.radians(lidar.azimuth_deg)[:, None]
     elevation = np.broadcast_to(np.radians(lidar.elevation_deg)[:, None], azimuth.shape)
-    directions = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], -1)
+    directions = np.stack(
+        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], -1
+    )
     origins = np.zeros((rings, columns, 3))
     origins[..., 2] = np.array(lidar.height_m)[:, None]
     column = np.tile(np.arange(columns), rings)

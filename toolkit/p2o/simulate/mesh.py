@@ -29,7 +29,9 @@ class Mesh:
             return self
         x, y, z = self.vertices.T
         angle = curvature * x
-        out = np.column_stack([np.sin(angle) * (1 / curvature - y), 1 / curvature - np.cos(angle) * (1 / curvature - y), z])
+        out = np.column_stack(
+            [np.sin(angle) * (1 / curvature - y), 1 / curvature - np.cos(angle) * (1 / curvature - y), z]
+        )
         return Mesh(out, self.faces)
 
 
@@ -117,7 +119,9 @@ def leaves(centre: Float, size: Float, rng: np.random.Generator, *, corners: int
     if corners == 4:
         return quads(np.stack([centre - long, centre + across, centre + long, centre - across], axis=1))
     wide = 1.4 * across
-    return _copies(np.stack([centre + long, centre - 0.7 * long + wide, centre - 0.7 * long - wide], 1), np.array([[0, 1, 2]]))
+    return _copies(
+        np.stack([centre + long, centre - 0.7 * long + wide, centre - 0.7 * long - wide], 1), np.array([[0, 1, 2]])
+    )
 
 
 def swept(profile: Float, x: Float) -> Mesh:
@@ -151,7 +155,20 @@ def _prism_faces(sides: int) -> Int:
 
 
 _BOX_FACES = np.array(
-    [[0, 2, 1], [0, 3, 2], [4, 5, 6], [4, 6, 7], [0, 1, 5], [0, 5, 4], [1, 2, 6], [1, 6, 5], [2, 3, 7], [2, 7, 6], [3, 0, 4], [3, 4, 7]]
+    [
+        [0, 2, 1],
+        [0, 3, 2],
+        [4, 5, 6],
+        [4, 6, 7],
+        [0, 1, 5],
+        [0, 5, 4],
+        [1, 2, 6],
+        [1, 6, 5],
+        [2, 3, 7],
+        [2, 7, 6],
+        [3, 0, 4],
+        [3, 4, 7],
+    ]
 )
 
 

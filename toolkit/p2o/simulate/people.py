@@ -16,9 +16,14 @@ def pedestrian(rng: np.random.Generator) -> list[Part]:
     tall, stride = rng.uniform(1.55, 1.9), rng.uniform(0.0, 0.28)
     hip, neck = 0.5 * tall, 0.83 * tall
     legs = tubes(
-        [[0, 0.09, hip], [0, -0.09, hip]], [[stride, 0.1, 0.0], [-stride, -0.1, 0.0]], [[0.1, 0.06], [0.1, 0.06]], sides=8
+        [[0, 0.09, hip], [0, -0.09, hip]],
+        [[stride, 0.1, 0.0], [-stride, -0.1, 0.0]],
+        [[0.1, 0.06], [0.1, 0.06]],
+        sides=8,
     )
-    parts = _upper_body(rng, np.array([0.0, 0.0, hip]), np.array([0.0, 0.0, neck]), tall, reach=(0.5 * stride, -0.28 * tall))
+    parts = _upper_body(
+        rng, np.array([0.0, 0.0, hip]), np.array([0.0, 0.0, neck]), tall, reach=(0.5 * stride, -0.28 * tall)
+    )
     trousers = Material("trousers", pick(rng, CLOTH), 0.3, 0.35)
     out = [Part(legs, trousers, kind=Class.PERSON), *parts]
     if rng.random() < 0.4:
@@ -56,7 +61,13 @@ def cyclist(rng: np.random.Generator) -> list[Part]:
 
 
 def _upper_body(
-    rng: np.random.Generator, hip: Float, neck: Float, tall: float, *, reach: tuple[float, float], kind: Class = Class.PERSON
+    rng: np.random.Generator,
+    hip: Float,
+    neck: Float,
+    tall: float,
+    *,
+    reach: tuple[float, float],
+    kind: Class = Class.PERSON,
 ) -> list[Part]:
     """Return trunk, arms and head between hip and neck (3,); hands `reach` ahead of and below the shoulders."""
     coat = Material("coat", pick(rng, CLOTH), 0.35, 0.4)

@@ -68,7 +68,8 @@ def treeline(rng: np.random.Generator, length: float, height: float) -> Thing:
     broad = np.interp(x, x[::12], rng.uniform(0.6, 1.0, len(x[::12])))
     top = height * (broad + 0.02 * (steps - np.interp(x, x[::6], steps[::6])) + 0.03 * rng.normal(size=len(x)))
     line = np.stack(
-        [np.column_stack([np.full(len(x), 0.0), np.full(len(x), -3.0)]), np.column_stack([np.full(len(x), 1.0), top])], 1
+        [np.column_stack([np.full(len(x), 0.0), np.full(len(x), -3.0)]), np.column_stack([np.full(len(x), 1.0), top])],
+        1,
     )
     green = rng.uniform(0.7, 1.3)
     leaves = Material("far wood", (0.04 * green, 0.06 * green, 0.02), 0.9, 0.4, pattern="grass", thin=True)
@@ -83,7 +84,9 @@ def backdrop(plan: Plan, *, high: tuple[float, float] = (5.0, 14.0), sides_m: fl
     return out
 
 
-def scene_of(place: str, rng: np.random.Generator, *, speed_m_s: float = 0.0, travel_m: float = 0.0) -> tuple[Scene, Float]:
+def scene_of(
+    place: str, rng: np.random.Generator, *, speed_m_s: float = 0.0, travel_m: float = 0.0
+) -> tuple[Scene, Float]:
     """Return a scene of a kind of place and the velocity (6,) in rad/s and m/s of a rig that follows its road.
 
     `place` is one of PLACES or `mixed`, which draws one. The rig starts at the origin, along x, and keeps on the road
@@ -103,7 +106,11 @@ def scene_of(place: str, rng: np.random.Generator, *, speed_m_s: float = 0.0, tr
     layout = makers[str(drawn)](plan)
     curvature = float(rng.uniform(*layout.curvature)) if rng.random() < 0.6 else 0.0
     elevation, turn = np.radians(rng.uniform(16.0, 62.0)), rng.uniform(0, 2 * np.pi)
-    to_sun = (float(np.cos(elevation) * np.cos(turn)), float(np.cos(elevation) * np.sin(turn)), float(np.sin(elevation)))
+    to_sun = (
+        float(np.cos(elevation) * np.cos(turn)),
+        float(np.cos(elevation) * np.sin(turn)),
+        float(np.sin(elevation)),
+    )
 
     numbers = iter(range(10_000_000))
 

@@ -47,7 +47,9 @@ def tree(rng: np.random.Generator, distance_m: float, *, height: float = 0.0, fo
 
     thick = 0.02 * high + rng.uniform(0.03, 0.1)
     lean = rng.normal(size=2) * 0.02 * high
-    knots = np.array([[0, 0, -0.3], [0.3 * lean[0], 0.3 * lean[1], 0.5 * stem], [*lean, stem], [*lean * 1.5, high * 0.85]])
+    knots = np.array(
+        [[0, 0, -0.3], [0.3 * lean[0], 0.3 * lean[1], 0.5 * stem], [*lean, stem], [*lean * 1.5, high * 0.85]]
+    )
     twigs = middle[: min(clumps, 10)]
     forks = np.column_stack([np.tile(lean, (len(twigs), 1)), rng.uniform(stem * 0.8, high * 0.7, len(twigs))])
     trunk = join(
@@ -127,11 +129,18 @@ def _crown(rng: np.random.Generator, place: Float, size: float, centre: Float, h
     """Return leaves at places (N, 3); those deep inside of the ellipsoid, and low ones, see less sky."""
     inside = (place - centre) / half
     depth = np.clip(1.1 - np.linalg.norm(inside, axis=1), 0, 1)
-    return _foliage(rng, place, size, leaf(rng), distance_m, np.clip(0.95 - 0.8 * depth + 0.2 * inside[:, 2], 0.12, 1.0))
+    return _foliage(
+        rng, place, size, leaf(rng), distance_m, np.clip(0.95 - 0.8 * depth + 0.2 * inside[:, 2], 0.12, 1.0)
+    )
 
 
 def _foliage(
-    rng: np.random.Generator, place: Float, size: float, material: Material, distance_m: float, openness: Float | float = 1.0
+    rng: np.random.Generator,
+    place: Float,
+    size: float,
+    material: Material,
+    distance_m: float,
+    openness: Float | float = 1.0,
 ) -> Part:
     """Return leaves at places (N, 3), each a little larger or smaller, and in more or less shade."""
     corners = 4 if distance_m < _NEAR_M else 3

@@ -123,9 +123,7 @@ def _pixel_rays(camera: Camera) -> tuple[Float, Bool]:
     return rays, seen
 
 
-def _look(
-    scene: Scene, rays: Float, world_from_camera: Float, focal_px: float, time_s: float
-) -> tuple[Hits, Single]:
+def _look(scene: Scene, rays: Float, world_from_camera: Float, focal_px: float, time_s: float) -> tuple[Hits, Single]:
     """Cast camera rays (N, 3) and return their hits with linear colours (N, 3)."""
     directions = rays @ world_from_camera[:3, :3].T
     origin = world_from_camera[:3, 3]
@@ -139,9 +137,7 @@ def _look(
     return hits, colour
 
 
-def _outlines(
-    part: NDArray[np.int64], normal: Float, classes: UInt8, height: int, width: int
-) -> tuple[Bool, Bool]:
+def _outlines(part: NDArray[np.int64], normal: Float, classes: UInt8, height: int, width: int) -> tuple[Bool, Bool]:
     """Return which pixels (H, W) have a neighbour on another part or on a face of another direction: hard, leafy ones.
 
     Leafy are those with leaves on either side; inside of a crown there is no outline.

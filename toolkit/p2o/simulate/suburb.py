@@ -37,12 +37,17 @@ def layout(plan: Plan) -> Layout:
         for at in plan.along(-20.0, plan.travel_m + 110.0, (9.0, 24.0)):
             if not -6.0 < at < 6.0:
                 yaw = (0.0 if side < 0 else 180.0) + rng.uniform(-2, 2)
-                things.append(placed(any_vehicle(rng, 0.02), at, kerb - side * 0.5 if side > 0 else kerb - 0.9, 0.05, yaw_deg=yaw))
+                things.append(
+                    placed(any_vehicle(rng, 0.02), at, kerb - side * 0.5 if side > 0 else kerb - 0.9, 0.05, yaw_deg=yaw)
+                )
         for at in plan.along(-15.0, plan.travel_m + 90.0, (7.0, 16.0)):
             things.append(_roadside(plan, side, kerb, line, at))
     if rng.random() < 0.5:
         things.append(placed(wires(plan.far_m, edge[1] + 0.3, 6.0), 0.0, 0.0))
-    oncoming = [placed(any_vehicle(rng, 0.05), at, 3.0, yaw_deg=180.0) for at in plan.along(25.0, 90.0 + plan.travel_m, (30.0, 80.0))]
+    oncoming = [
+        placed(any_vehicle(rng, 0.05), at, 3.0, yaw_deg=180.0)
+        for at in plan.along(25.0, 90.0 + plan.travel_m, (30.0, 80.0))
+    ]
     ahead = [placed(any_vehicle(rng, 0.05), at, 0.0) for at in plan.along(rng.uniform(14.0, 45.0), 60.0, (30.0, 60.0))]
     return Layout(things, oncoming, ahead, (-0.008, 0.008))
 
@@ -69,7 +74,9 @@ def _gardens(plan: Plan, side: int, line: float) -> list[Thing]:
             plant = tree(rng, seen, height=rng.uniform(4.0, 9.0)) if rng.random() < 0.6 else bush(rng, seen)
             out.append(placed(plant, at, line + side * off, 0.1))
         if rng.random() < 0.4:
-            out.append(placed(tree(rng, 40.0, height=rng.uniform(8.0, 14.0)), x + rng.uniform(0, plot), line + side * 20.0))
+            out.append(
+                placed(tree(rng, 40.0, height=rng.uniform(8.0, 14.0)), x + rng.uniform(0, plot), line + side * 20.0)
+            )
         x += plot
     blades = np.column_stack(
         [rng.uniform(0, plan.travel_m + 30, 500), line + side * rng.uniform(0.05, 0.5, 500), np.full(500, 0.1)]

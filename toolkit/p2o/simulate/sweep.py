@@ -154,7 +154,10 @@ def _melted(
     strength = np.empty_like(distance)
     distance[:, 0], strength[:, 0] = middle.distance_m[rows], middle_strength
     one_plane = middle.face[rows] >= 0
-    normal, at = middle.normal[rows], pulses.world(aimed[rows], rows) * np.where(one_plane, distance[:, 0], 0.0)[:, None]
+    normal, at = (
+        middle.normal[rows],
+        pulses.world(aimed[rows], rows) * np.where(one_plane, distance[:, 0], 0.0)[:, None],
+    )
     for column, offset in enumerate(_AROUND, start=1):
         directions = _tilted(aimed[rows], np.broadcast_to(radius * offset, (len(rows), 2)))
         hits = pulses.cast(directions, rows)

@@ -17,7 +17,7 @@ PERIOD_M = 4.0
 """After this length a pattern repeats; a coarse pattern with another period keeps it from being seen."""
 _COARSE_PERIOD_M = 38.7
 _SIZE = 512
-_LEVELS = 9
+_LEVELS = 10
 
 
 def texture(pattern: Int, uv_m: Single, footprint_m: Single) -> Single:
@@ -71,7 +71,8 @@ def _tables() -> tuple[Single, NDArray[np.int32]]:
             pieces.append(level_table.ravel())
             start[row, level] = place
             place += level_table.size
-            level_table = level_table.reshape(len(level_table) // 2, 2, -1, 2).mean(axis=(1, 3))
+            if len(level_table) > 1:
+                level_table = level_table.reshape(len(level_table) // 2, 2, -1, 2).mean(axis=(1, 3))
     return np.concatenate(pieces).astype(np.float32), start
 
 
@@ -111,5 +112,7 @@ def _pattern(name: str, rng: np.random.Generator) -> Float:
     elif name == "streaks":
         table = 0.4 * _spectrum(rng, 0.9, stretch=7.0)
     else:  # tiles: rows of roof tiles
-        table = 0.5 * ((v * 16 / _SIZE) % 1 - 0.5) + 0.25 * np.cos(2 * np.pi * u * 20 / _SIZE) + 0.12 * _spectrum(rng, 0.6)
+        table = (
+            0.5 * ((v * 16 / _SIZE) % 1 - 0.5) + 0.25 * np.cos(2 * np.pi * u * 20 / _SIZE) + 0.12 * _spectrum(rng, 0.6)
+        )
     return np.asarray(table - table.mean())

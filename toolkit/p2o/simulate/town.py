@@ -51,7 +51,10 @@ def layout(plan: Plan) -> Layout:
         things.append(placed(traffic_light(rng), at + 16, left + 0.6, 0.1, yaw_deg=180.0))
     if rng.random() < 0.3:
         things.append(placed(wires(close, 0.5, 6.4), 0.0, 0.0))
-    oncoming = [placed(any_vehicle(rng), at, 3.3, yaw_deg=180.0) for at in plan.along(18.0, close - 10 + plan.travel_m, (16.0, 50.0))]
+    oncoming = [
+        placed(any_vehicle(rng), at, 3.3, yaw_deg=180.0)
+        for at in plan.along(18.0, close - 10 + plan.travel_m, (16.0, 50.0))
+    ]
     ahead = [placed(any_vehicle(rng), at, 0.0) for at in plan.along(rng.uniform(12.0, 24.0), 60.0, (15.0, 40.0))]
     return Layout(things, oncoming, ahead, (-0.005, 0.005))
 
@@ -132,5 +135,3 @@ def _pavement(plan: Plan, side: int, kerb: float, front: float, close: float) ->
             thing = placed(clutter(rng), x, inside, 0.13, yaw_deg=90.0)
         out.append(thing)
     return out
-
-

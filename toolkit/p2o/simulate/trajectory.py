@@ -27,7 +27,13 @@ class Moment:
 
 
 def drive(
-    twist: Float, frames: int, rng: np.random.Generator, *, period_s: float = 0.1, height_m: float = LIDAR_HEIGHT_M, sway: float = 1.0
+    twist: Float,
+    frames: int,
+    rng: np.random.Generator,
+    *,
+    period_s: float = 0.1,
+    height_m: float = LIDAR_HEIGHT_M,
+    sway: float = 1.0,
 ) -> tuple[Moment, ...]:
     """Return the moments of a drive of `frames` frames at constant velocity `twist` (6,) of the car from the origin.
 

@@ -70,7 +70,17 @@ def van(rng: np.random.Generator) -> list[Part]:
     until = 0.5 if rng.random() < 0.7 else 0.9
     paint = None if rng.random() < 0.5 else Material("white lacquer", (0.68, 0.68, 0.67), 0.15, 0.6, 0.2, "plain")
     return _vehicle(
-        rng, _VAN, Class.VAN, long, wide, high, 1.2 * high, pillars=(0.45, 0.68), wheel_m=0.35, windows_to=until, paint=paint
+        rng,
+        _VAN,
+        Class.VAN,
+        long,
+        wide,
+        high,
+        1.2 * high,
+        pillars=(0.45, 0.68),
+        wheel_m=0.35,
+        windows_to=until,
+        paint=paint,
     )
 
 
@@ -104,7 +114,9 @@ def truck(rng: np.random.Generator) -> list[Part]:
     places = [-0.2 + 0.6, -1.9, back + 1.2, back + 2.5]
     parts = cab + [Part(cargo, paint, kind=Class.TRUCK), Part(chassis, DARK_STEEL, kind=Class.TRUCK, openness=0.5)]
     parts += _wheels(Class.TRUCK, places, 2.4, 0.48)
-    lights = boxes([[back - 0.02, s * 1.0 - 0.15, 0.8] for s in (-1, 1)], [[back + 0.1, s * 1.0 + 0.15, 1.0] for s in (-1, 1)])
+    lights = boxes(
+        [[back - 0.02, s * 1.0 - 0.15, 0.8] for s in (-1, 1)], [[back + 0.1, s * 1.0 + 0.15, 1.0] for s in (-1, 1)]
+    )
     return [*parts, Part(lights, TAIL_LIGHT, kind=Class.TRUCK)]
 
 

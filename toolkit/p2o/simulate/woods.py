@@ -47,7 +47,9 @@ def layout(plan: Plan) -> Layout:
         things.append(placed(make(rng), at, y, 0.05, yaw_deg=turn))
     for at in plan.along(10.0, plan.travel_m + 60.0, (25.0, 60.0)):
         walker = cyclist(rng) if rng.random() < 0.5 else pedestrian(rng)
-        things.append(placed(walker, at, right + 0.1 if rng.random() < 0.5 else right - 0.8, 0.03, yaw_deg=rng.choice([0, 180])))
+        things.append(
+            placed(walker, at, right + 0.1 if rng.random() < 0.5 else right - 0.8, 0.03, yaw_deg=rng.choice([0, 180]))
+        )
     if rng.random() < 0.5:
         for at in plan.along(10.0, plan.travel_m + 50.0, (12.0, 30.0)):  # parked on the verge
             things.append(placed(any_vehicle(rng, 0.1), at, right - 1.3, 0.03, yaw_deg=rng.uniform(-3, 3)))

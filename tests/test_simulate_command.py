@@ -1,0 +1,320 @@
+"""`p2o simulate`: what is written to disk is what the ordinary loaders read back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from p2o import Camera, Cloud, Frame, Image, InputError, se3
+from p2o.cli import main
+from p2o.recipe import open_dataset
+from p2o.registry import Registry
+from p2o.simulate import write_folder, write_kitti_raw, write_vkitti2
+from p2o.simulate.write_file import write_file
+from p2o.testing import stage
+from p2o_plugins.data.velodyne_file import untwisted
+
+SMALL = ["--set", "width_px=160", "--set", "height_px=64"]
+WRITERS = {"kitti-raw": write_kitti_raw, "vkitti2": write_vkitti2, "folder": write_folder}
+START = se3.exp(np.array([0.01, 0.02, -0.01, 0.05, -0.02, 0.1])) @ stage.camera_from_lidar()
+
+
+@cache
+def staged() -> Frame:
+    """The bare stage with a start, and with sky and unknown pixels in its depth."""
+    frame = stage.frame()
+    depth = np.array(frame.image.depth_m)
+    depth[:10], depth[10:20, :30] = np.inf, np.nan
+    masked = np.zeros(depth.shape, bool)
+    masked[30:40, 50:90] = True
+    image = replace(frame.image, depth_m=depth, masked=masked)
+    return replace(frame, image=image, start=START)
+
+
+def written(layout: str, root: Path, *frames: Frame) -> list[str]:
+    return list(WRITERS[layout].write(iter(frames), root))
+
+
+def read(layout: str, root: Path, **options: Any) -> Any:
+    return open_dataset(f"{layout}:{root}", Registry.load(), options)
+
+
+def in_order(cloud: Cloud) -> np.ndarray:
+    """Return the rows of a sweep by ring (highest first) and azimuth counter-clockwise from straight ahead."""
+    x, y = cloud.xyz.astype(np.float32).astype(np.float64).T[:2]
+    return np.lexsort((np.mod(np.arctan2(y, x), 2 * np.pi), cloud.ring))
+
+
+@pytest.mark.parametrize("layout", ["kitti-raw", "folder"])
+def test_pictures_sweep_and_truth_come_back(tmp_path: Path, layout: str) -> None:
+    frame = staged()
+    names = written(layout, tmp_path, frame)
+    back = read(layout, tmp_path)
+    assert list(back.names) == names
+    again = back[0]
+    np.testing.assert_array_equal(again.image.rgb, frame.image.rgb)
+    np.testing.assert_array_equal(again.image.right, frame.image.right)
+    assert again.camera == frame.camera
+    assert again.image.baseline_m == pytest.approx(frame.image.baseline_m, abs=1e-12)
+    np.testing.assert_allclose(again.camera_from_lidar, frame.camera_from_lidar, atol=1e-12)
+    rows = in_order(frame.cloud) if layout == "kitti-raw" else slice(None)
+    assert again.cloud.xyz.astype(np.float32).tobytes() == frame.cloud.xyz[rows].astype(np.float32).tobytes()
+    np.testing.assert_array_equal(again.cloud.ring, np.unique(frame.cloud.ring[rows], return_inverse=True)[1])
+    np.testing.assert_allclose(again.cloud.intensity, frame.cloud.intensity[rows], atol=1e-7)
+
+
+def test_the_folder_layout_keeps_start_times_sky_and_unknown_depth(tmp_path: Path) -> None:
+    frame = staged()
+    written("folder", tmp_path, frame)
+    again = read("folder", tmp_path)[0]
+    np.testing.assert_allclose(again.start, START, atol=1e-12)
+    np.testing.assert_array_equal(again.cloud.time_s, frame.cloud.time_s)
+    np.testing.assert_allclose(again.image.depth_m, frame.image.depth_m, rtol=1e-7)
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        Camera("OPENCV", 480, 240, (286.0, 287.0, 240.3, 118.6, -0.2, 0.05, 0.001, -0.0015)),
+        Camera("OPENCV_FISHEYE", 480, 240, (200.0, 201.0, 240.3, 118.6, 0.02, -0.006, 0.001, -0.0002)),
+    ],
+    ids=lambda camera: camera.model,
+)
+def test_the_folder_layout_keeps_any_camera(tmp_path: Path, camera: Camera) -> None:
+    frame = replace(staged(), image=Image(staged().image.rgb, camera))
+    written("folder", tmp_path, frame)
+    again = read("folder", tmp_path)[0]
+    assert again.camera == camera
+    assert again.image.right is None
+    assert again.image.depth_m is None
+
+
+def test_a_frame_with_nothing_but_picture_and_points_comes_back_from_a_folder(tmp_path: Path) -> None:
+    frame = Frame("bare", Image(staged().image.rgb, staged().camera), Cloud(staged().cloud.xyz), start=START)
+    written("folder", tmp_path, frame)
+    again = read("folder", tmp_path)[0]
+    assert (again.cloud.ring, again.cloud.intensity, again.cloud.time_s, again.camera_from_lidar) == (None,) * 4
+
+
+def test_kitti_depth_comes_back_to_half_a_step_of_disparity_and_sky_is_unknown(tmp_path: Path) -> None:
+    frame = staged()
+    written("kitti-raw", tmp_path, frame)
+    depth = read("kitti-raw", tmp_path)[0].image.depth_m
+    scale = frame.camera.params[0] * frame.image.baseline_m
+    known = np.isfinite(frame.image.depth_m)
+    np.testing.assert_array_equal(np.isfinite(depth), known)
+    assert np.abs(scale / depth - scale / frame.image.depth_m)[known].max() <= 0.5 / 256 + 1e-9
+
+
+def test_disparity_beyond_16_bits_is_unknown(tmp_path: Path) -> None:
+    frame = staged()
+    depth = np.full(frame.image.rgb.shape[:2], 5.0)
+    depth[0, 0] = 0.9 * frame.camera.params[0] * frame.image.baseline_m / 256
+    written("kitti-raw", tmp_path, replace(frame, image=replace(frame.image, depth_m=depth)))
+    back = read("kitti-raw", tmp_path)[0].image.depth_m
+    assert np.isnan(back[0, 0])
+    assert np.isfinite(back).sum() == depth.size - 1
+
+
+def moving(twist: np.ndarray) -> Frame:
+    """The stage seen by a LiDAR that turns clockwise, as KITTI's, and moves; its sweep is corrected for it.
+
+    A point's time is that of the azimuth at which it was measured, before the correction.
+    """
+    frame = staged()
+    azimuth = np.arctan2(frame.cloud.xyz[:, 1], frame.cloud.xyz[:, 0])
+    measured = replace(frame.cloud, time_s=-azimuth / (2 * np.pi) * 0.1)
+    return replace(frame, cloud=untwisted(measured, twist), twist=twist)
+
+
+def test_a_moving_sweep_is_written_as_measured_and_read_corrected_with_its_velocity(tmp_path: Path) -> None:
+    twist = np.array([0.02, -0.03, 0.4, 14.0, 0.3, -0.1])
+    frame = moving(twist)
+    written("kitti-raw", tmp_path, frame)
+    again = read("kitti-raw", tmp_path)[0]
+    np.testing.assert_allclose(again.twist, twist, atol=1e-9)
+    assert again.warnings == ()
+    # The moved points keep the order in which they were measured.
+    rows = in_order(staged().cloud)
+    np.testing.assert_allclose(again.cloud.time_s, frame.cloud.time_s[rows], atol=1e-6)
+    np.testing.assert_allclose(again.cloud.xyz, frame.cloud.xyz[rows], atol=2e-5)
+    raw = read("kitti-raw", tmp_path, deskew=False)[0]
+    np.testing.assert_allclose(raw.cloud.xyz, staged().cloud.xyz[rows], atol=2e-5)
+    assert np.abs(raw.cloud.xyz - again.cloud.xyz).max() > 0.3
+
+
+def test_a_moving_lidar_that_turns_the_other_way_does_not_fit_kitti(tmp_path: Path) -> None:
+    frame = moving(np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0]))
+    other = replace(frame, cloud=replace(frame.cloud, time_s=-frame.cloud.time_s))
+    with pytest.raises(InputError, match="turns clockwise"):
+        written("kitti-raw", tmp_path, other)
+
+
+def test_kitti_sweeps_come_ring_by_ring_from_the_top_whatever_order_the_sensor_has(tmp_path: Path) -> None:
+    frame = staged()
+    shuffled = frame.cloud.select(np.random.default_rng(0).permutation(len(frame.cloud)))
+    upwards = replace(shuffled, ring=63 - shuffled.ring)
+    for name, cloud in (("a", frame.cloud), ("b", upwards)):
+        written("kitti-raw", tmp_path / name, replace(frame, cloud=cloud))
+    first, second = (next((tmp_path / name).rglob("*.bin")).read_bytes() for name in "ab")
+    assert first == second
+    x, y, z, _ = np.frombuffer(first, "<f4").reshape(-1, 4).T.astype(float)
+    turn = np.mod(np.arctan2(y, x), 2 * np.pi)
+    starts = np.append(0, np.flatnonzero(np.diff(turn) < -np.pi) + 1)
+    assert len(starts) == 64
+    assert (np.diff(turn)[np.setdiff1d(np.arange(len(turn) - 1), starts[1:] - 1)] >= 0).all()
+    slope = [np.mean(part) for part in np.split(z / np.hypot(x, y), starts[1:])]
+    assert (np.diff(slope) < 0).all()
+
+
+def test_another_rig_is_another_day_and_another_drive_a_drive(tmp_path: Path) -> None:
+    frame = staged()
+    drift = replace(frame, camera_from_lidar=START)
+    frames = [replace(f, name=n) for f, n in ((frame, "a/0"), (frame, "a/1"), (frame, "b/0"), (drift, "b/1"))]
+    names = written("kitti-raw", tmp_path, *frames)
+    assert names == [
+        "2026_01_01/0001/0000000000",
+        "2026_01_01/0001/0000000001",
+        "2026_01_01/0002/0000000000",
+        "2026_01_02/0001/0000000000",
+    ]
+    back = read("kitti-raw", tmp_path)
+    assert list(back.names) == names
+    for again, own in zip(back, frames, strict=True):
+        np.testing.assert_allclose(again.camera_from_lidar, own.camera_from_lidar, atol=1e-12)
+
+
+def test_the_vkitti2_layout_keeps_pictures_camera_depth_in_centimetres_and_masked_pixels(tmp_path: Path) -> None:
+    frame = staged()
+    assert written("vkitti2", tmp_path, frame, frame) == ["Scene01/clone/00000", "Scene01/clone/00001"]
+    again = read("vkitti2", tmp_path)[1]
+    np.testing.assert_array_equal(again.image.rgb, frame.image.rgb)
+    np.testing.assert_array_equal(again.image.right, frame.image.right)
+    np.testing.assert_array_equal(again.image.masked, frame.image.masked)
+    assert again.camera == frame.camera
+    assert again.image.baseline_m == pytest.approx(frame.image.baseline_m, abs=1e-9)
+    for values in (np.isinf, np.isnan):
+        np.testing.assert_array_equal(values(again.image.depth_m), values(frame.image.depth_m))
+    known = np.isfinite(frame.image.depth_m)
+    assert np.abs(again.image.depth_m[known] - frame.image.depth_m[known]).max() <= 0.005 + 1e-9
+    assert (tmp_path / "Scene01/clone/colors.txt").read_text().startswith("Category r g b\nTerrain 210 0 200\n")
+
+
+@pytest.mark.parametrize(
+    ("layout", "change", "text"),
+    [
+        ("kitti-raw", {"camera_from_lidar": None}, "needs the true extrinsic"),
+        ("kitti-raw", {"cloud": Cloud(stage.frame().cloud.xyz)}, "needs a ring for every point"),
+        ("kitti-raw", {"cloud": stage.frame().cloud.select(stage.frame().cloud.ring < 16)}, "32 to 64 rings"),
+        (
+            "kitti-raw",
+            {"image": Image(stage.frame().image.rgb, Camera("SIMPLE_RADIAL", 480, 240, (286, 240, 119, 0.1)))},
+            "needs a pinhole camera",
+        ),
+        ("vkitti2", {"image": Image(stage.frame().image.rgb, stage.camera())}, "needs depth"),
+    ],
+)
+def test_frames_that_a_layout_cannot_hold_are_refused_with_the_one_that_can(
+    tmp_path: Path, layout: str, change: dict[str, Any], text: str
+) -> None:
+    with pytest.raises(InputError, match=text) as caught:
+        written(layout, tmp_path, replace(staged(), **change))
+    assert "folder" in str(caught.value)
+
+
+def test_an_interrupted_frame_is_left_out_by_every_reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for layout, last in (("kitti-raw", ".bin"), ("vkitti2", "clone/frames/depth"), ("folder", ".yaml")):
+        root = tmp_path / layout
+        module = WRITERS[layout]
+        seen: list[Path] = []
+
+        def stopping(path: Path, data: Any, last: str = last, seen: list[Path] = seen) -> None:
+            if last in path.as_posix():
+                seen.append(path)
+            if len(seen) == 2:
+                raise KeyboardInterrupt
+            write_file(path, data)
+
+        monkeypatch.setattr(module, "write_file", stopping)
+        with pytest.raises(KeyboardInterrupt):
+            written(layout, root, replace(staged(), name="first"), replace(staged(), name="second"))
+        assert len(read(layout, root)) == 1
+
+
+@pytest.mark.parametrize("layout", list(WRITERS))
+def test_the_command_writes_what_the_synthetic_dataset_shows(
+    tmp_path: Path, layout: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "made"
+    assert main(["simulate", str(out), "--layout", layout, *SMALL, "--set", "scenes=2", "--seed", "4"]) == 0
+    said = capsys.readouterr()
+    back = read(layout, out)
+    assert said.out.splitlines() == list(back.names)
+    assert "2 frames written" in said.err
+    shown = open_dataset("synthetic:?width_px=160&height_px=64&scenes=2&seed=4", Registry.load())
+    for again, frame in zip(back, shown, strict=True):
+        np.testing.assert_array_equal(again.image.rgb, frame.image.rgb)
+        np.testing.assert_array_equal(again.image.right, frame.image.right)
+        if layout == "vkitti2":
+            continue
+        np.testing.assert_allclose(again.camera_from_lidar, frame.camera_from_lidar, atol=1e-6)
+        assert len(again.cloud) == len(frame.cloud)
+        # Frames of `synthetic` come as KITTI writes them, and move: each is twisted for the file and corrected again.
+        np.testing.assert_allclose(again.cloud.xyz, frame.cloud.xyz, atol=1e-4)
+        np.testing.assert_array_equal(again.cloud.ring, np.unique(frame.cloud.ring, return_inverse=True)[1])
+        np.testing.assert_allclose(again.cloud.time_s, frame.cloud.time_s, atol=1e-5)
+        if layout == "kitti-raw":
+            np.testing.assert_allclose(again.twist, frame.twist, atol=1e-9)
+        else:
+            np.testing.assert_allclose(again.start, frame.start, atol=1e-9)
+
+
+def test_the_same_seed_gives_the_same_files(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        assert main(["simulate", str(tmp_path / name), "--layout", "folder", *SMALL, "--seed", "4"]) == 0
+    first, second = (sorted(p for p in (tmp_path / name).rglob("*") if p.is_file()) for name in ("a", "b"))
+    assert [p.name for p in first] == [p.name for p in second]
+    assert [p.read_bytes() for p in first] == [p.read_bytes() for p in second]
+
+
+def test_a_folder_in_use_is_left_alone_unless_forced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "mine.txt").write_text("keep")
+    words = ["simulate", str(tmp_path), "--layout", "folder", *SMALL]
+    assert main(words) == 2
+    assert "not empty" in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]
+    assert main([*words, "--force"]) == 0
+    assert (tmp_path / "mine.txt").read_text() == "keep"
+    assert len(read("folder", tmp_path)) == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["--layout", "kitti-raw", "--set", "colour=red"], "unknown data option 'colour'"),
+        (["--layout", "kitti-raw", "--set", "scenes=0"], "scenes is out of bounds"),
+        (["--layout", "kitti-raw", "--set", "scenes"], "FIELD=VALUE"),
+        (["--layout", "kitti-raw", "--set", "deskew=false"], "as measured in any case"),
+        (["--layout", "nuscenes"], "kitti-raw"),
+        ([], "--layout"),
+    ],
+)
+def test_wrong_words_are_refused_before_anything_is_written(
+    tmp_path: Path, words: list[str], text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["simulate", str(tmp_path / "out"), *words]) == 2
+    assert text in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_place_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("")
+    for out in (tmp_path / "file", tmp_path / "file" / "below"):
+        assert main(["simulate", str(out), "--layout", "folder", *SMALL]) == 2
+        error = capsys.readouterr().err
+        assert "cannot write the dataset" in error
+        assert str(tmp_path / "file") in error

@@ -1,0 +1,71 @@
+"""Places: ground without holes, room for the rig, edges in all directions, the same for the same seed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from p2o import SIDES, Camera, UnknownNameError, occlusion, se3
+from p2o.simulate import PLACES, Class, labels, render, scene_of
+
+CAMERA = Camera.pinhole(360.0, 360.0, 310.0, 93.0, 621, 188)
+WORLD_FROM_CAMERA = se3.make([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]], (0.0, 0.0, 1.65))
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("place", PLACES)
+def test_every_frame_has_tens_of_hard_edges_in_all_four_directions(place: str, seed: int) -> None:
+    scene, _ = scene_of(place, np.random.default_rng(seed), speed_m_s=8.0)
+    picture = render(scene, CAMERA, WORLD_FROM_CAMERA)
+    _, side = occlusion.edges_from_orders(labels(picture, CAMERA, mask_foliage=True))
+    for direction in SIDES:
+        assert (side == direction).sum() >= 30, direction.name
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_a_place_has_ground_everywhere_and_room_for_the_rig(place: str) -> None:
+    scene, _ = scene_of(place, np.random.default_rng(1), speed_m_s=8.0, travel_m=20.0)
+    rng = np.random.default_rng(1)
+    from_above = np.column_stack([rng.uniform([-20, -30], [100, 30], (20_000, 2)), np.full(20_000, 60.0)])
+    down = scene.cast(from_above, np.tile([0.0, 0.0, -1.0], (20_000, 1)))
+    assert (down.face >= 0).all()
+    assert (from_above[:, 2] - down.distance_m).min() >= -0.05
+    turn = np.linspace(0, 2 * np.pi, 720, endpoint=False)
+    around = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(720)])
+    for height in (0.5, 1.0, 1.65, 1.9):
+        assert scene.cast(np.array([0.0, 0.0, height]), around).distance_m.min() > 0.8
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_the_same_seed_gives_the_same_place_and_another_seed_another(place: str) -> None:
+    first, again, other = (scene_of(place, np.random.default_rng(seed))[0] for seed in (5, 5, 6))
+    assert first.mesh.vertices.tobytes() == again.mesh.vertices.tobytes()
+    assert first.all_parts[-1].material == again.all_parts[-1].material
+    assert first.to_sun == again.to_sun
+    assert first.mesh.vertices.tobytes() != other.mesh.vertices.tobytes()
+
+
+def test_a_third_of_mixed_places_are_trees() -> None:
+    from p2o.simulate.place import SHARES
+
+    assert 0.3 <= SHARES["trees"] <= 0.4
+    assert sum(SHARES.values()) == pytest.approx(1.0)
+
+
+def test_trees_and_streets_show_what_their_names_say() -> None:
+    def shares(place: str) -> dict[Class, float]:
+        pictures = [
+            render(scene_of(place, np.random.default_rng(s))[0], CAMERA, WORLD_FROM_CAMERA).classes for s in range(3)
+        ]
+        return {kind: float((np.stack(pictures) == kind).mean()) for kind in Class}
+
+    trees, street = shares("trees"), shares("street")
+    assert trees[Class.FOLIAGE] > 0.25
+    assert trees[Class.TRUNK] > 0
+    assert street[Class.BUILDING] > 0.1 > trees[Class.BUILDING]
+    assert street[Class.CAR] > 0.02
+    assert min(trees[Class.ROAD], street[Class.ROAD]) > 0.1
+
+
+def test_an_unknown_place_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(UnknownNameError, match="highway"):
+        scene_of("moon", np.random.default_rng(0))

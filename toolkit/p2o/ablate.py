@@ -1,0 +1,447 @@
+"""Runs a study: plans every row, computes those that are not there yet, and keeps each as soon as it is finished.
+
+Started again after anything, it computes only what is missing. `p2o ablate` and Python both come through `ablate`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from p2o import worker
+from p2o.arrays import Float
+from p2o.cache import FeatureCache, content_hash
+from p2o.errors import InputError
+from p2o.guard import GuardedDataset
+from p2o.metrics import pose_error
+from p2o.parallel import Workers
+from p2o.recipe import Plan, open_dataset
+from p2o.registry import Registry
+from p2o.run import common_pose, start_of
+from p2o.selection import select
+from p2o.sources import code_hash
+from p2o.store import Planned, Store, StoredRow, StoredStudy
+from p2o.study import ALL_JOINT, StudyFile, StudyRow, check_study
+from p2o.worker import Calibration, Extraction, Facts, Plugins, Source
+
+Phase = Literal["read", "extract", "calibrate"]
+_CORE = ("p2o.pipeline", "p2o.run", "p2o.metrics", "p2o.perturb")
+"""Modules that every row goes through, besides those of its methods."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a study is: `done` of `total` in a phase, `failed` rows that raised so far, `name` of the last one.
+
+    `kept` of the done rows were there before. `seconds_left` is None until it can be told.
+    """
+
+    phase: Phase
+    done: int
+    total: int
+    kept: int = 0
+    failed: int = 0
+    name: str = ""
+    seconds_left: float | None = None
+
+
+OnProgress = Callable[[Progress], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Ablation:
+    """What a study came to: `rows` finished, `missing` planned but not computed; `computed` were computed just now."""
+
+    study: StudyFile
+    rows: tuple[StoredRow, ...]
+    missing: tuple[Planned, ...]
+    computed: int
+    interrupted: bool = False
+
+
+def ablate(
+    study: StudyFile,
+    folder: str | Path,
+    *,
+    plugins: Plugins | None = None,
+    workers: Workers | None = None,
+    cache: FeatureCache | None = None,
+    overrides: Mapping[str, Any] | None = None,
+    on_progress: OnProgress | None = None,
+) -> Ablation:
+    """Run a study and return what it came to; the rows are in the store of `folder`, this time's and earlier ones.
+
+    `plugins` are those of this process by default, `workers` one job in this process, `cache` the user's cache of
+    features. `overrides` are noted in the store as the words that differ from the study's file. Ctrl-C ends it with
+    `interrupted`; every finished row is kept.
+
+    Raises a P2OError before any work for whatever is wrong with the study, its data or the plugins. A row that
+    raises is a row with status stage-failed; it is tried again the next time.
+    """
+    plugins = Plugins.of() if plugins is None else plugins
+    workers = Workers() if workers is None else workers
+    cache = FeatureCache.of_user() if cache is None else cache
+    say = on_progress or (lambda progress: None)
+    rows = check_study(study.study, plugins.registry())
+    opened = _opened(rows, plugins)
+    with Store.open(folder) as store, _turn(store.path.parent) as forward:
+        done = 0
+        interrupted = False
+        try:
+            facts = _read(workers, opened, say)
+            cells = list(_cells(rows, opened, facts))
+            store.begin(_noted(study, overrides), [cell.planned for cell in cells])
+            for done in _computed(workers, store, cells if forward else cells[::-1], cache, say):
+                pass
+        except KeyboardInterrupt:
+            interrupted = True
+        name = study.study.name
+        return Ablation(study, tuple(store.rows(name)), tuple(store.missing(name)), done, interrupted)
+
+
+def _noted(study: StudyFile, overrides: Mapping[str, Any] | None) -> StoredStudy:
+    published = [table.model_dump(mode="json", exclude_none=True) for table in study.study.published]
+    return StoredStudy(study.study.name, study.text, dict(overrides or {}), tuple(published))
+
+
+@dataclass(frozen=True, eq=False)
+class _Opened:
+    """The frames of one row: a dataset with these options, and the choice of frames."""
+
+    data: str
+    options: str
+    indices: tuple[int, ...]
+    sources: tuple[Source, ...]
+
+
+def _opened(rows: Sequence[StudyRow], plugins: Plugins) -> list[_Opened]:
+    """Return the frames of each row; a first frame that lacks what a row needs is refused here."""
+    registry = plugins.registry()
+    datasets: dict[tuple[str, str], GuardedDataset] = {}
+    chosen: dict[tuple[str, str, str], tuple[int, ...]] = {}
+    first: dict[tuple[str, str, int], Any] = {}
+    built: set[str] = set()
+    out = []
+    for row in rows:
+        plan = row.resolve(registry, row.seeds[0])
+        data, options = row.dataset.data, _data_options(row, registry)
+        if (data, options) not in datasets:
+            datasets[data, options] = open_dataset(data, registry, json.loads(options))
+        dataset = datasets[data, options]
+        spec = row.dataset.frames
+        if (data, options, spec) not in chosen:
+            where = f"{row.where}, dataset '{row.dataset.name}'"
+            chosen[data, options, spec] = tuple(select(dataset.names, spec, where=where, skipped=dataset.skipped))
+        indices = chosen[data, options, spec]
+        at = (data, options, indices[0])
+        if at not in first:
+            # A frame that cannot be read becomes a row that says so.
+            try:
+                first[at] = dataset[indices[0]]
+            except Exception:
+                first[at] = None
+        if first[at] is not None:
+            plan.check_frame(first[at])
+        for stage, part in plan.parts.items():
+            # A package that is missing is told before any work.
+            name = f"{stage} {part.offer.full_name}"
+            if stage != "data" and name not in built:
+                worker.built(part)
+                built.add(name)
+        sources = tuple(Source(plugins, data, options, index, dataset.names[index]) for index in indices)
+        out.append(_Opened(data, options, indices, sources))
+    return out
+
+
+def _data_options(row: StudyRow, registry: Registry) -> str:
+    """Return the dataset's options as JSON; its seed is its own, so that all seeds of a row see the same frames."""
+    options = {**row.dataset.options, **row.words["options"].get("data", {})}
+    fields = row.resolve(registry, row.seeds[0]).parts["data"].options.model_fields
+    if "seed" in fields and "seed" not in row.dataset.data.partition("?")[2]:
+        options.setdefault("seed", 0)
+    return json.dumps(options, sort_keys=True)
+
+
+def _read(workers: Workers, opened: Sequence[_Opened], say: OnProgress) -> dict[Source, Facts]:
+    """Return what planning has to know about every frame, each read once."""
+    sources = list(dict.fromkeys(source for frames in opened for source in frames.sources))
+    facts: dict[Source, Facts] = {}
+    with contextlib.closing(workers.run(worker.read, sources)) as finished:
+        for fact in finished:
+            facts[fact.source] = fact
+            say(Progress("read", len(facts), len(sources), name=fact.name))
+    return facts
+
+
+@dataclass(frozen=True, eq=False)
+class _Method:
+    """The methods of one row and seed: `recipe` (JSON) for workers, `key` the hash of all that acts on a result."""
+
+    recipe: str
+    plan: Plan
+    described: Mapping[str, Any]
+    versions: Mapping[str, str]
+    key: str
+
+    @classmethod
+    def of(cls, row: StudyRow, seed: int, data_options: str, registry: Registry) -> _Method:
+        recipe = row.recipe(seed)
+        options = {**recipe.options, "data": json.loads(data_options)}
+        if not options["data"]:
+            del options["data"]
+        recipe = recipe.model_copy(update={"options": options})
+        plan = recipe.resolve(registry)
+        described, versions = plan.described(), plan.versions()
+        builds = [part.offer.method.build for stage, part in plan.parts.items() if stage != "data"]
+        # Where the frames come from does not act on the result: their content does.
+        acting = {
+            "methods": {stage: p.offer.full_name for stage, p in sorted(plan.parts.items()) if stage != "data"},
+            "options": {stage: values for stage, values in described["options"].items() if stage != "data"},
+            "seed": seed,
+            "perturb": recipe.perturb,
+            "versions": versions,
+            "code": code_hash(*builds, *_CORE),
+        }
+        words = recipe.model_dump(mode="json", exclude_unset=True)
+        return cls(json.dumps(words, sort_keys=True), plan, described, versions, content_hash(acting))
+
+
+@dataclass(frozen=True, eq=False)
+class _Cell:
+    """One calibration to be had: a row of the table, a seed, and the frames."""
+
+    planned: Planned
+    row: StudyRow
+    seed: int
+    joint: int
+    method: _Method
+    facts: tuple[Facts, ...]
+    truth: Float | None
+    start: Float | None
+
+    @property
+    def name(self) -> str:
+        """What a reader sees while it is computed."""
+        return f"{self.planned.row}, {self.stored.place}, seed {self.seed}"
+
+    @property
+    def failure(self) -> tuple[str, str] | None:
+        """Reason and traceback of the first frame that cannot be read."""
+        return next(((f.reason, f.failure) for f in self.facts if f.failure is not None), None)
+
+    @property
+    def stored(self) -> StoredRow:
+        """The row with all that is known before it is computed."""
+        names = tuple(fact.name for fact in self.facts)
+        before: dict[str, Any] = {}
+        if self.truth is not None and self.start is not None:
+            error = pose_error(self.start, self.truth)
+            before = {"start_rotation_deg": error.rotation_deg, "start_translation_m": error.translation_m}
+        return StoredRow(
+            **{name: getattr(self.planned, name) for name in Planned.__dataclass_fields__},
+            frames=names,
+            joint=self.joint,
+            seed=self.seed,
+            perturb=self.method.described["perturb"],
+            start=self.start,
+            truth=self.truth,
+            recipe={**self.method.described, "frames": ",".join(names), "joint": bool(self.joint)},
+            versions=self.method.versions,
+            inputs={fact.name: dict(fact.inputs) for fact in self.facts},
+            **before,
+        )
+
+
+def _cells(rows: Sequence[StudyRow], opened: Sequence[_Opened], facts: Mapping[Source, Facts]) -> Iterator[_Cell]:
+    """Return every calibration of the study: by row, then frames, then seed."""
+    for row, frames in zip(rows, opened, strict=True):
+        registry = frames.sources[0].plugins.registry()
+        methods = {seed: _Method.of(row, seed, frames.options, registry) for seed in row.seeds}
+        size = {0: 1, ALL_JOINT: len(frames.sources)}.get(row.joint, row.joint)
+        for first in range(0, len(frames.sources), size):
+            group = tuple(facts[source] for source in frames.sources[first : first + size])
+            joint = len(group) if row.joint else 0
+            for seed, method in methods.items():
+                yield _cell(row, seed, joint, method, group)
+
+
+def _cell(row: StudyRow, seed: int, joint: int, method: _Method, group: tuple[Facts, ...]) -> _Cell:
+    truth = start = None
+    if all(fact.failure is None for fact in group):
+        # Facts know the poses of a frame by the same names as the frame.
+        poses: Any = group
+        truth = common_pose(poses, "camera_from_lidar")
+        start, _ = start_of(poses, truth, method.plan.recipe, None, group[0].source.index)
+    key = content_hash(
+        {
+            "method": method.key,
+            "joint": bool(joint),
+            "frames": [{"name": fact.name, **fact.inputs} for fact in group],
+            "start": start,
+            "truth": truth,
+        }
+    )
+    planned = Planned(
+        key=key,
+        study=row.where.removeprefix("study "),
+        row=row.label,
+        section=row.section,
+        dataset=row.dataset.name,
+        **row.said,
+    )
+    return _Cell(planned, row, seed, joint, method, group, truth, start)
+
+
+def _computed(
+    workers: Workers, store: Store, cells: Sequence[_Cell], cache: FeatureCache, say: OnProgress
+) -> Iterator[int]:
+    """Compute what is missing and keep it; yield how many rows that were so far."""
+    finished = store.finished(cell.planned.key for cell in cells)
+    # Two rows of the table may be one and the same calibration.
+    pending = list({c.planned.key: c for c in cells if c.planned.key not in finished}.values())
+    pace = _Pace(say, total=len({c.planned.key for c in cells}), kept=len(finished))
+    pace.tell()
+    keys = _feature_keys(pending)
+    failures = _extracted(workers, pending, keys, cache, say) if pending else {}
+
+    def jobs() -> Iterator[Calibration]:
+        for cell in pending:
+            failure = cell.failure or _failed_features(keys.get(cell.planned.key), failures)
+            if failure is not None:
+                raised = replace(cell.stored, reason=failure[0], exception=failure[1], finished=worker.now())
+                refused.append(raised)
+            # Another process that works on the same study may have been faster.
+            elif not store.finished([cell.planned.key]):
+                yield Calibration(cell.stored, cell.method.recipe, cell.facts, cache.root, keys.get(cell.planned.key))
+
+    refused: list[StoredRow] = []
+    computed = 0
+    with contextlib.closing(workers.run(worker.calibrate, jobs())) as rows:
+        for row in _with_refused(rows, refused):
+            store.put(row)
+            computed += 1
+            pace.one(row)
+            yield computed
+    pace.finish()
+
+
+def _with_refused(rows: Iterable[StoredRow], refused: list[StoredRow]) -> Iterator[StoredRow]:
+    """Yield the rows of workers, and between them those that were refused without work."""
+    for row in rows:
+        yield row
+        while refused:
+            yield refused.pop(0)
+    yield from refused
+
+
+FeatureKeys = Mapping[str, tuple[Mapping[str, str], ...]]
+
+
+def _feature_keys(cells: Sequence[_Cell]) -> FeatureKeys:
+    """Return the keys of the features of each frame, by the key of the cell; whole methods have none."""
+    known: dict[tuple[str, Source], dict[str, str]] = {}
+    out = {}
+    for cell in cells:
+        if "calibrator" in cell.method.plan.parts or cell.failure is not None:
+            continue
+        for fact in cell.facts:
+            if (cell.method.key, fact.source) not in known:
+                known[cell.method.key, fact.source] = worker.features_keys(cell.method.plan, fact)
+        out[cell.planned.key] = tuple(known[cell.method.key, fact.source] for fact in cell.facts)
+    return out
+
+
+def _extracted(
+    workers: Workers, cells: Sequence[_Cell], keys: FeatureKeys, cache: FeatureCache, say: OnProgress
+) -> dict[str, tuple[str, str]]:
+    """Extract the features that are not kept yet, once each; return reason and traceback of those that failed."""
+    wanted: dict[Source, dict[str, tuple[str, str, str]]] = {}
+    for cell in cells:
+        for fact, stages in zip(cell.facts, keys.get(cell.planned.key, ()), strict=False):
+            for stage, key in stages.items():
+                if not cache.has(key):
+                    wanted.setdefault(fact.source, {}).setdefault(key, (key, cell.method.recipe, stage))
+    jobs = [Extraction(source, cache.root, tuple(tasks.values())) for source, tasks in wanted.items()]
+    failures: dict[str, tuple[str, str]] = {}
+    with contextlib.closing(workers.run(worker.extract, jobs)) as finished:
+        for done, failed in enumerate(finished, start=1):
+            failures |= failed
+            say(Progress("extract", done, len(jobs)))
+    return failures
+
+
+def _failed_features(
+    keys: Sequence[Mapping[str, str]] | None, failures: Mapping[str, tuple[str, str]]
+) -> tuple[str, str] | None:
+    return next((failures[key] for stages in keys or () for key in stages.values() if key in failures), None)
+
+
+@dataclass
+class _Pace:
+    """Counts rows and tells how long the rest will take."""
+
+    say: OnProgress
+    total: int
+    kept: int
+    computed: int = 0
+    failed: int = 0
+    name: str = ""
+    began: float = field(default_factory=time.monotonic)
+
+    def one(self, row: StoredRow) -> None:
+        self.computed += 1
+        self.failed += row.crashed
+        self.name = f"{row.row}, {row.place}, seed {row.seed}"
+        self.tell()
+
+    def tell(self) -> None:
+        left = self.total - self.kept - self.computed
+        rate = (time.monotonic() - self.began) / self.computed if self.computed else None
+        seconds = None if rate is None else rate * left
+        self.say(Progress("calibrate", self.total - left, self.total, self.kept, self.failed, self.name, seconds))
+
+    def finish(self) -> None:
+        """Count what another process computed meanwhile."""
+        if self.kept + self.computed < self.total:
+            self.kept = self.total - self.computed
+            self.tell()
+
+
+@contextlib.contextmanager
+def _turn(folder: Path) -> Iterator[bool]:
+    """Yield True for the first process on a folder, False for others: they begin at the other end and meet it."""
+    try:
+        import fcntl
+    except ImportError:  # Windows: both begin at the front, and the slower one's rows are replaced by equal ones
+        yield True
+        return
+    # The lock goes with the process, however it ends.
+    handle = os.open(folder / ".running", os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            first = True
+        except BlockingIOError:
+            first = False
+        except OSError:  # a file system without locks
+            first = True
+        yield first
+    finally:
+        os.close(handle)
+
+
+def chosen_seeds(text: str) -> int | tuple[int, ...]:
+    """Return the seeds that a text states: a number of them, or a list such as 3,5,8.
+
+    Raises InputError for anything else.
+    """
+    words = [word.strip() for word in text.split(",")]
+    if not all(word.isdecimal() for word in words) or (len(words) == 1 and int(words[0]) < 1):
+        raise InputError("cannot read the seeds", where="--seeds", expected="a number such as 10, or 3,5,8", got=text)
+    return int(words[0]) if len(words) == 1 else tuple(int(word) for word in words)
