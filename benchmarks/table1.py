@@ -96,10 +96,10 @@ def plan_of(words: Mapping[str, Any], row: Row, count: int) -> Plan:
 
 
 def data_options(words: Mapping[str, Any], row: Row, count: int) -> dict[str, Any]:
-    """Return the options of the row's data; of made-up data as many scenes as frames, right pictures only for stereo."""
-    name, said = split_data(words["data"])
+    """Return the options of the row's data; made-up data have as many scenes as frames, and no unused right picture."""
+    name, _ = split_data(words["data"])
     made_up = {"scenes": count, "right": not words["extractor"].startswith("depth/")}
-    return {**row.data, **(made_up if name == "synthetic" else {}), **said}
+    return {**row.data, **(made_up if name == "synthetic" else {})}
 
 
 def grouped(rows: Sequence[Row]) -> list[list[Row]]:

@@ -10,7 +10,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -91,18 +91,17 @@ def ablate(
     rows = check_study(study.study, plugins.registry())
     opened = _opened(rows, plugins)
     with Store.open(folder) as store, _turn(store.path.parent) as forward:
-        done = 0
+        pace = _Pace(say)
         interrupted = False
         try:
             facts = _read(workers, opened, say)
             cells = list(_cells(rows, opened, facts))
             store.begin(_noted(study, overrides), [cell.planned for cell in cells])
-            for done in _computed(workers, store, cells if forward else cells[::-1], cache, say):
-                pass
+            _compute(workers, store, cells if forward else cells[::-1], cache, pace)
         except KeyboardInterrupt:
             interrupted = True
         name = study.study.name
-        return Ablation(study, tuple(store.rows(name)), tuple(store.missing(name)), done, interrupted)
+        return Ablation(study, tuple(store.rows(name)), tuple(store.missing(name)), pace.computed, interrupted)
 
 
 def _noted(study: StudyFile, overrides: Mapping[str, Any] | None) -> StoredStudy:
@@ -126,7 +125,6 @@ def _opened(rows: Sequence[StudyRow], plugins: Plugins) -> list[_Opened]:
     datasets: dict[tuple[str, str], GuardedDataset] = {}
     chosen: dict[tuple[str, str, str], tuple[int, ...]] = {}
     first: dict[tuple[str, str, int], Any] = {}
-    built: set[str] = set()
     out = []
     for row in rows:
         plan = row.resolve(registry, row.seeds[0])
@@ -148,12 +146,6 @@ def _opened(rows: Sequence[StudyRow], plugins: Plugins) -> list[_Opened]:
                 first[at] = None
         if first[at] is not None:
             plan.check_frame(first[at])
-        for stage, part in plan.parts.items():
-            # A package that is missing is told before any work.
-            name = f"{stage} {part.offer.full_name}"
-            if stage != "data" and name not in built:
-                worker.built(part)
-                built.add(name)
         sources = tuple(Source(plugins, data, options, index, dataset.names[index]) for index in indices)
         out.append(_Opened(data, options, indices, sources))
     return out
@@ -226,11 +218,6 @@ class _Cell:
     start: Float | None
 
     @property
-    def name(self) -> str:
-        """What a reader sees while it is computed."""
-        return f"{self.planned.row}, {self.stored.place}, seed {self.seed}"
-
-    @property
     def failure(self) -> tuple[str, str] | None:
         """Reason and traceback of the first frame that cannot be read."""
         return next(((f.reason, f.failure) for f in self.facts if f.failure is not None), None)
@@ -298,36 +285,35 @@ def _cell(row: StudyRow, seed: int, joint: int, method: _Method, group: tuple[Fa
     return _Cell(planned, row, seed, joint, method, group, truth, start)
 
 
-def _computed(
-    workers: Workers, store: Store, cells: Sequence[_Cell], cache: FeatureCache, say: OnProgress
-) -> Iterator[int]:
-    """Compute what is missing and keep it; yield how many rows that were so far."""
+def _compute(workers: Workers, store: Store, cells: Sequence[_Cell], cache: FeatureCache, pace: _Pace) -> None:
+    """Compute what is missing, and keep each row as soon as it is there."""
     finished = store.finished(cell.planned.key for cell in cells)
     # Two rows of the table may be one and the same calibration.
     pending = list({c.planned.key: c for c in cells if c.planned.key not in finished}.values())
-    pace = _Pace(say, total=len({c.planned.key for c in cells}), kept=len(finished))
-    pace.tell()
+    pace.begin(kept=len(finished), total=len(finished) + len(pending))
+    if not pending:
+        return
+    for part in {f"{s} {p}": p for c in pending for s, p in c.method.plan.parts.items() if s != "data"}.values():
+        worker.built(part)  # a package that is missing is told before any work
     keys = _feature_keys(pending)
-    failures = _extracted(workers, pending, keys, cache, say) if pending else {}
+    failures = _extracted(workers, pending, keys, cache, pace.say)
+    refused: list[StoredRow] = []
 
     def jobs() -> Iterator[Calibration]:
         for cell in pending:
-            failure = cell.failure or _failed_features(keys.get(cell.planned.key), failures)
+            key = cell.planned.key
+            failure = cell.failure or _failed_features(keys.get(key), failures)
             if failure is not None:
-                raised = replace(cell.stored, reason=failure[0], exception=failure[1], finished=worker.now())
-                refused.append(raised)
+                refused.append(replace(cell.stored, reason=failure[0], exception=failure[1], finished=worker.now()))
             # Another process that works on the same study may have been faster.
-            elif not store.finished([cell.planned.key]):
-                yield Calibration(cell.stored, cell.method.recipe, cell.facts, cache.root, keys.get(cell.planned.key))
+            elif not store.finished([key]):
+                yield Calibration(cell.stored, cell.method.recipe, cell.facts, cache.root, keys.get(key))
 
-    refused: list[StoredRow] = []
-    computed = 0
+    pace.begin(kept=len(finished), total=len(finished) + len(pending))
     with contextlib.closing(workers.run(worker.calibrate, jobs())) as rows:
         for row in _with_refused(rows, refused):
             store.put(row)
-            computed += 1
             pace.one(row)
-            yield computed
     pace.finish()
 
 
@@ -387,12 +373,16 @@ class _Pace:
     """Counts rows and tells how long the rest will take."""
 
     say: OnProgress
-    total: int
-    kept: int
+    total: int = 0
+    kept: int = 0
     computed: int = 0
     failed: int = 0
     name: str = ""
-    began: float = field(default_factory=time.monotonic)
+    began: float = 0.0
+
+    def begin(self, kept: int, total: int) -> None:
+        self.kept, self.total, self.began = kept, total, time.monotonic()
+        self.tell()
 
     def one(self, row: StoredRow) -> None:
         self.computed += 1

@@ -13,7 +13,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cache, partial
 from typing import Any, Literal, TypeVar
@@ -56,7 +56,7 @@ class Workers:
                     hint=f'run: pip install "p2o-calib[{self.backend}]"',
                 ) from problem
 
-    def run(self, work: Callable[[_T], _R], jobs: Iterable[_T]) -> Iterator[_R]:
+    def run(self, work: Callable[[_T], _R], jobs: Iterable[_T]) -> Generator[_R, None, None]:
         """Yield what `work` returns for each job, in the order in which they finish.
 
         Jobs are taken from the iterable as workers become free. Closing the iterator gives up what is not finished.
@@ -69,7 +69,7 @@ class Workers:
             return
         import joblib
 
-        done: Iterator[_R] | None = None
+        done: Any = None
         try:
             with self._cluster(), joblib.parallel_config(backend=self.backend):
                 tasks = (joblib.delayed(_alone)(work, job) for job in jobs)
@@ -90,21 +90,18 @@ class Workers:
         finally:
             if done is not None:
                 with contextlib.suppress(Exception):
-                    done.close()  # type: ignore[attr-defined]
+                    done.close()
 
     @contextlib.contextmanager
     def _cluster(self) -> Iterator[None]:
         """Connect to the cluster, or start one on this machine."""
         if self.backend == "dask":
-            from distributed import Client
+            import distributed
 
-            def connected() -> Any:
-                if self.address is not None:
-                    return Client(self.address, timeout=20)
-                return Client(n_workers=self.jobs, threads_per_worker=1, dashboard_address=None)
-
+            connect: Any = distributed.Client
+            here = {"n_workers": self.jobs, "threads_per_worker": 1, "dashboard_address": None}
             try:
-                client = connected()
+                client = connect(**here) if self.address is None else connect(self.address, timeout=20)
             except (OSError, ValueError, TimeoutError) as problem:
                 raise InputError(
                     "the dask scheduler does not answer",
@@ -115,10 +112,8 @@ class Workers:
             with client:
                 yield
         elif self.backend == "ray":
-            import ray
-            from ray.util.joblib import register_ray
-
-            register_ray()
+            ray = importlib.import_module("ray")
+            importlib.import_module("ray.util.joblib").register_ray()
             if not ray.is_initialized():
                 ray.init(address=self.address, num_cpus=None if self.address else self.jobs, log_to_driver=False)
             yield

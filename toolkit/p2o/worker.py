@@ -179,11 +179,10 @@ def _filled(row: StoredRow, result: Result) -> StoredRow:
         matches=plain["matches"],
         seconds=plain["seconds"],
     )
-    # What a stage refuses by raising is told like what a method reports: its estimate is no estimate.
     if row.truth is None or result.status is Status.STAGE_FAILED:
         return row
     error = pose_error(result.camera_from_lidar, row.truth)
-    axes = {axis: error.per_axis[axis] for axis in AXES}
+    axes: dict[str, Any] = {axis: error.per_axis[axis] for axis in AXES}
     return replace(row, rotation_deg=error.rotation_deg, translation_m=error.translation_m, **axes)
 
 

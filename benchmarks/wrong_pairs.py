@@ -1,0 +1,61 @@
+"""Does the agreement tell right pairs of image and sweep from wrong ones?
+
+    python benchmarks/wrong_pairs.py --data kitti-raw:build/data/kitti_raw --frames @splits.json#test
+
+Every frame is calibrated from 2 deg / 0.15 m, then again with the sweep of another frame (the one seven further on).
+Prints how many of each are called doubtful or refused, and the errors of the right pairs that are and are not.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+
+import numpy as np
+from p2o.metrics import pose_error
+from p2o.perturb import wrong_start
+from p2o.recipe import Recipe
+from p2o.registry import Registry
+from p2o.selection import select
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", required=True, help="DATASET:PATH as for p2o run")
+    parser.add_argument("--frames", default="all", help="as for p2o run")
+    parser.add_argument("--extractor", default="stereo/rings", help="as for p2o run")
+    arguments = parser.parse_args()
+    plan = Recipe.of(data=arguments.data, frames=arguments.frames, extractor=arguments.extractor).resolve(
+        Registry.load()
+    )
+    dataset, pipeline = plan.dataset(), plan.calibrator()
+    frames = [dataset[index] for index in select(dataset.names, arguments.frames)]
+    views = [pipeline.extract(frame) for frame in frames]
+    print(
+        "| pair | flagged (doubtful or refused) | odds ratio, median | flagged: median error | not flagged: median error |"
+    )
+    print("|---|---|---|---|---|")
+    for kind, shift in (("right", 0), ("wrong", 7)):
+        odds, flags, errors = [], [], []
+        for number, (view, frame) in enumerate(zip(views, frames, strict=True)):
+            other = views[(number + shift) % len(views)]
+            start = wrong_start(frame.camera_from_lidar, 2.0, 0.15, np.random.default_rng([0, number]))
+            result = pipeline.solve([replace(view, cloud=other.cloud)], start)
+            odds.append(result.agreement.get("odds_ratio", np.nan))
+            flags.append(not result.status.solved or any(w.startswith("doubtful") for w in result.warnings))
+            errors.append(pose_error(result.camera_from_lidar, frame.camera_from_lidar))
+        cells = []
+        for wanted in (True, False):
+            picked = [e for e, flag in zip(errors, flags, strict=True) if flag == wanted]
+            turn, shift_m = (
+                np.median([getattr(e, a) for e in picked] or [0]) for a in ("rotation_deg", "translation_m")
+            )
+            cells.append(f"{turn:.2f} deg {100 * shift_m:.0f} cm" if picked else "none")
+        print(
+            f"| {kind} | {sum(flags)} of {len(flags)} | {np.nanmedian(odds):.1f} | {cells[0]} | {cells[1]} |",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()

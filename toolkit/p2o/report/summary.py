@@ -1,0 +1,249 @@
+"""What a study came to, from its single runs: rows with means, medians and intervals, and rows compared in pairs."""
+
+from __future__ import annotations
+
+import itertools
+import tomllib
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from p2o.metrics import AXES
+from p2o.report.bootstrap import Interval, interval
+from p2o.store import METRICS, Planned, StoredRow, StoredStudy
+
+NORMS = ("rotation_deg", "translation_m")
+NOT_RUN = "not run"
+"""Counted among the failures: what a study asks for and has not computed yet."""
+
+# So many rows are compared each with each; of more, each with the best one.
+_ALL_PAIRS = 6
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One row of a table, from all its runs.
+
+    `mean` and `median` are of the errors by metric (of absolute values along and about axes), in degrees and metres;
+    a refused run counts with the error of its start, a run that raised has none. `failures` counts runs by status,
+    solved ones left out. `complete` is True where every run of the row has an error. `perturb` are the sizes of the
+    starts, `places` the frames (or groups of frames that were solved jointly).
+    """
+
+    label: str
+    runs: int
+    places: tuple[str, ...]
+    seeds: int
+    perturb: tuple[str, ...]
+    failures: Mapping[str, int]
+    mean: Mapping[str, Interval]
+    median: Mapping[str, Interval]
+    complete: bool
+
+
+@dataclass(frozen=True)
+class Published:
+    """A row of a publication: values by metric as printed there, in degrees and metres; `start` as it says."""
+
+    label: str
+    source: str
+    values: Mapping[str, float]
+    start: str = ""
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How far a row is from another on the same frames and seeds, in one metric: negative is better.
+
+    `better` and `tied` are shares of the pairs.
+    """
+
+    median: Interval
+    better: float
+    tied: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two rows on the frames and seeds that both have: `pairs` of them. `other_start`: their starts differ in size."""
+
+    row: str
+    against: str
+    pairs: int
+    differences: Mapping[str, Difference]
+    other_start: bool
+
+
+@dataclass(frozen=True)
+class Group:
+    """Rows that may be compared: one section, one dataset, alone or jointly solved frames. `runs` by label."""
+
+    heading: str
+    rows: tuple[Measured | Published, ...]
+    comparisons: tuple[Comparison, ...]
+    runs: Mapping[str, tuple[StoredRow, ...]]
+
+    @property
+    def measured(self) -> tuple[Measured, ...]:
+        """The rows that were measured here."""
+        return tuple(row for row in self.rows if isinstance(row, Measured))
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A study with its rows. `norms` and `axes` are the metrics to show, as the study file says."""
+
+    name: str
+    title: str
+    note: str
+    norms: tuple[str, ...]
+    axes: tuple[str, ...]
+    groups: tuple[Group, ...]
+
+
+def error_of(run: StoredRow, metric: str) -> float | None:
+    """Return the size of a run's error in a metric, or None where it has none."""
+    value = getattr(run, metric)
+    return None if value is None else abs(value)
+
+
+def summarise_study(study: StoredStudy, runs: Sequence[StoredRow], missing: Sequence[Planned] = ()) -> Summary:
+    """Return the summary of a study from its runs, in the order of its table; `missing` are those not there yet."""
+    said = _said(study)
+    metrics = [metric for metric in said.get("metrics", ()) if metric in METRICS]
+    norms = tuple(metric for metric in NORMS if metric in metrics) or NORMS
+    axes = tuple(metric for metric in AXES if metric in metrics) or AXES
+    kinds = {run.row: "jointly solved frames" if run.joint else "each frame alone" for run in runs}
+    waiting = Counter(planned.row for planned in missing)
+    members: dict[tuple[str, str, str], list[str]] = {}
+    for planned in (*runs, *missing):
+        # A row of which nothing is there yet is put beside those that are solved alone.
+        key = (planned.section, planned.dataset, kinds.setdefault(planned.row, "each frame alone"))
+        if planned.row not in members.setdefault(key, []):
+            members[key].append(planned.row)
+    by_label: dict[str, list[StoredRow]] = {label: [] for labels in members.values() for label in labels}
+    for run in runs:
+        by_label[run.row].append(run)
+    headings = _headings(list(members))
+    published = [_published(entry) for entry in study.published]
+    places = _places(study.published, list(members.values()))
+    groups = []
+    for number, (heading, labels) in enumerate(zip(headings, members.values(), strict=True)):
+        measured = [_measured(label, by_label[label], waiting[label]) for label in labels]
+        rows: list[Measured | Published] = []
+        for row in measured:
+            rows.append(row)
+            rows += [p for p, place in zip(published, places, strict=True) if (number, row.label) in place]
+        rows += [p for p, place in zip(published, places, strict=True) if not place and number == 0]
+        own = {label: tuple(by_label[label]) for label in labels}
+        groups.append(Group(heading, tuple(rows), _comparisons(measured, own), own))
+    title, note = (str(said.get(word, "")) for word in ("title", "note"))
+    return Summary(study.name, title or study.name, " ".join(note.split()), norms, axes, tuple(groups))
+
+
+def best(rows: Iterable[Measured], metric: str, statistic: str, digits: int) -> float | None:
+    """Return the smallest value among complete rows, rounded as it is printed; None where there is no choice."""
+    values = [getattr(row, statistic)[metric].value for row in rows if row.complete and metric in row.mean]
+    return round(min(values), digits) if len(values) > 1 else None
+
+
+def _said(study: StoredStudy) -> Mapping[str, Any]:
+    try:
+        return tomllib.loads(study.toml)
+    except tomllib.TOMLDecodeError:
+        return {}
+
+
+def _headings(keys: Sequence[tuple[str, str, str]]) -> list[str]:
+    """Return what tells each group from the others: its section, and dataset and kind where those differ."""
+    shown = [(0, True), (1, len({key[1] for key in keys}) > 1), (2, len({key[2] for key in keys}) > 1)]
+    return [", ".join(key[i] for i, wanted in shown if wanted and key[i]) for key in keys]
+
+
+def _published(entry: Mapping[str, Any]) -> Published:
+    values = {metric: float(value) for metric, value in (entry.get("values") or {}).items() if metric in METRICS}
+    texts = {word: str(entry.get(word) or "") for word in ("label", "source", "start", "note")}
+    return Published(values=values, **texts)
+
+
+def _places(entries: Iterable[Mapping[str, Any]], groups: Sequence[Sequence[str]]) -> list[set[tuple[int, str]]]:
+    """Return for each published row the rows (number of the group, label) that it stands below.
+
+    A row on several datasets is called "LABEL @ DATASET".
+    """
+    return [
+        {
+            (number, label)
+            for number, labels in enumerate(groups)
+            for label in labels
+            if entry.get("beside") is not None and entry["beside"] in (label, label.rpartition(" @ ")[0])
+        }
+        for entry in entries
+    ]
+
+
+def _measured(label: str, runs: Sequence[StoredRow], waiting: int) -> Measured:
+    failures = Counter(run.status for run in runs if not run.solved)
+    means, medians = {}, {}
+    complete = bool(runs) and not waiting
+    for metric in METRICS:
+        known = [(value, run.place) for run in runs if (value := error_of(run, metric)) is not None]
+        values, places = [value for value, _ in known], [place for _, place in known]
+        mean, median = (interval(values, places, statistic) for statistic in ("mean", "median"))
+        if mean is not None and median is not None:
+            means[metric], medians[metric] = mean, median
+        complete &= len(known) == len(runs)
+    return Measured(
+        label=label,
+        runs=len(runs),
+        places=tuple(dict.fromkeys(run.place for run in runs)),
+        seeds=len({run.seed for run in runs}),
+        perturb=tuple(dict.fromkeys(run.perturb or "" for run in runs)),
+        failures={**dict(sorted(failures.items())), **({NOT_RUN: waiting} if waiting else {})},
+        mean=means,
+        median=medians,
+        complete=complete,
+    )
+
+
+def _comparisons(rows: Sequence[Measured], runs: Mapping[str, Sequence[StoredRow]]) -> tuple[Comparison, ...]:
+    known = [row for row in rows if "rotation_deg" in row.mean]
+    if len(known) < 2:
+        return ()
+    if len(known) <= _ALL_PAIRS:
+        pairs = [(b, a) for a, b in itertools.combinations(known, 2)]
+    else:
+        first = min((row for row in known if row.complete), key=_mean_rotation, default=min(known, key=_mean_rotation))
+        pairs = [(row, first) for row in known if row is not first]
+    found = [_comparison(row, against, runs[row.label], runs[against.label]) for row, against in pairs]
+    return tuple(comparison for comparison in found if comparison is not None)
+
+
+def _mean_rotation(row: Measured) -> float:
+    return row.mean["rotation_deg"].value
+
+
+def _comparison(
+    row: Measured, against: Measured, runs: Sequence[StoredRow], others: Sequence[StoredRow]
+) -> Comparison | None:
+    """Return the comparison of two rows, or None where they have no frame and seed in common."""
+    there = {(run.frames, run.seed): run for run in others if run.rotation_deg is not None}
+    pairs = [
+        (run, there[run.frames, run.seed])
+        for run in runs
+        if run.rotation_deg is not None and (run.frames, run.seed) in there
+    ]
+    if not pairs:
+        return None
+    places = [run.place for run, _ in pairs]
+    differences = {}
+    for metric in NORMS:
+        steps = np.array([(error_of(a, metric) or 0.0) - (error_of(b, metric) or 0.0) for a, b in pairs])
+        median = interval(steps, places, "median")
+        if median is not None:
+            differences[metric] = Difference(median, float((steps < 0).mean()), float((steps == 0).mean()))
+    return Comparison(row.label, against.label, len(pairs), differences, row.perturb != against.perturb)
