@@ -1,4 +1,4 @@
-"""Time the simulator: `python benchmarks/simulate.py [--frames 6]`.
+"""Time the simulator, or draw the gallery of docs/simulator.md: `python benchmarks/simulate.py [--gallery FOLDER]`.
 
 Frames a second at 1242x375 with a sweep of the HDL-64E, by kind of place: on a drive (the place is built once), and
 with a new place for each frame; both with and without the right picture. Wall time on the cores this process may use,
@@ -10,9 +10,16 @@ from __future__ import annotations
 import argparse
 import os
 import time
+from pathlib import Path
 
+import numpy as np
+from p2o import SIDES, occlusion
+from p2o.overlay import COLOURS, draw_cloud
+from p2o.simulate import labels
 from p2o_plugins.data.synthetic import SyntheticOptions, _drive, build, view
 
+GALLERY = {"street": 0, "suburb": 2, "highway": 3, "trees": 1}
+"""Seeds of the pictures."""
 PLACES = ("street", "suburb", "highway", "trees")
 
 
@@ -24,13 +31,49 @@ def timed(options: SyntheticOptions, frames: list[tuple[int, int]]) -> tuple[flo
     return (time.perf_counter() - wall) / len(frames), (time.process_time() - busy) / len(frames)
 
 
+def gallery(folder: Path) -> None:
+    """Write one picture of each kind of place, and of one the depth, the sweep and the labels, as JPEG."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for place, seed in GALLERY.items():
+        options = SyntheticOptions(place=place, seed=seed, right=False)
+        seen = view(options, 0)
+        save(folder / f"{place}.jpg", seen.frame.image.rgb)
+        if place == "street":
+            frame, picture = seen.frame, seen.picture
+            sweep = draw_cloud(frame.image.rgb, frame.cloud, frame.camera, frame.camera_from_lidar)
+            save(folder / "sweep.jpg", sweep)
+            orders = labels(picture, frame.camera, mask_foliage=True)
+            uv, side = occlusion.edges_from_orders(orders)
+            canvas = (0.35 * frame.image.rgb).astype(np.uint8)
+            colours = np.array([COLOURS[s.letter] for s in SIDES], np.uint8)
+            canvas[uv[:, 1].astype(int), uv[:, 0].astype(int)] = colours[side]
+            save(folder / "labels.jpg", canvas)
+            close = np.clip(3.0 / picture.depth_m, 0, 1) ** 0.5
+            save(folder / "depth.jpg", np.repeat((255 * close).astype(np.uint8)[..., None], 3, axis=2))
+            save(folder / "normals.jpg", (127.5 * (1 - picture.normals)).astype(np.uint8))
+
+
+def save(path: Path, rgb: np.ndarray) -> None:
+    import cv2
+
+    cv2.imwrite(str(path), rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 70])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--frames", type=int, default=6, help="frames of each figure")
-    frames = parser.parse_args().frames
+    parser.add_argument("--gallery", type=Path, help="write pictures to this folder instead")
+    arguments = parser.parse_args()
+    frames = arguments.frames
+    if arguments.gallery is not None:
+        gallery(arguments.gallery)
+        return
     build(SyntheticOptions())[0]  # imports and tables
     print(f"{len(os.sched_getaffinity(0))} cores; frames a second, wall (CPU seconds a frame)\n")
-    print("| place | drive | drive, with right picture | new places | new places, with right picture |\n|---|---|---|---|---|")
+    print(
+        "| place | drive | drive, right picture too | new places | new places, right picture too |\n"
+        "|---|---|---|---|---|"
+    )
     for place in PLACES:
         cells = []
         for new in (False, True):

@@ -1,7 +1,7 @@
 """Table 1 of the paper: mean absolute errors of each axis under LiDAR noise and missing edges, beside the published.
 
     python benchmarks/table1.py --jobs 2
-    python benchmarks/table1.py --data vkitti2:PATH --scenes 200
+    python benchmarks/table1.py --data "vkitti2:PATH?mount=camera" --scenes 200
 
 The study file says what is run (p2o_baselines/studies/table1.toml); each row is what `p2o run` with its words gives.
 A frame is read once for all rows with the same LiDAR. Refused frames count with the error of their start, which is what

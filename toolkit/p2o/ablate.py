@@ -17,18 +17,18 @@ from typing import Any, Literal
 from p2o import worker
 from p2o.arrays import Float
 from p2o.cache import FeatureCache, content_hash
-from p2o.errors import InputError
+from p2o.errors import InputError, P2OError
 from p2o.guard import GuardedDataset
 from p2o.metrics import pose_error
-from p2o.parallel import Workers
+from p2o.parallel import Run, Workers
 from p2o.recipe import Plan, open_dataset
 from p2o.registry import Registry
 from p2o.run import common_pose, start_of
 from p2o.selection import select
 from p2o.sources import code_hash
 from p2o.store import Planned, Store, StoredRow, StoredStudy
-from p2o.study import ALL_JOINT, StudyFile, StudyRow, check_study
-from p2o.worker import Calibration, Extraction, Facts, Plugins, Source
+from p2o.study import ALL_JOINT, StudyFile, StudyRow, check_study, retold
+from p2o.worker import Calibration, Extraction, Facts, Plugins, Reading, Source
 
 Phase = Literal["read", "extract", "calibrate"]
 _CORE = ("p2o.pipeline", "p2o.run", "p2o.metrics", "p2o.perturb")
@@ -90,14 +90,15 @@ def ablate(
     say = on_progress or (lambda progress: None)
     rows = check_study(study.study, plugins.registry())
     opened = _opened(rows, plugins)
-    with Store.open(folder) as store, _turn(store.path.parent) as forward:
+    with Store.open(folder) as store, _turn(store.path.parent) as forward, workers.hired() as run:
         pace = _Pace(say)
         interrupted = False
         try:
-            facts = _read(workers, opened, say)
-            cells = list(_cells(rows, opened, facts))
+            # Where rows are there already, what is missing may need no features.
+            facts = _read(run, opened, cache, say, extract=not store.rows(study.study.name))
+            cells = list(_cells(opened, facts))
             store.begin(_noted(study, overrides), [cell.planned for cell in cells])
-            _compute(workers, store, cells if forward else cells[::-1], cache, pace)
+            _compute(run, store, cells if forward else cells[::-1], cache, pace)
         except KeyboardInterrupt:
             interrupted = True
         name = study.study.name
@@ -107,68 +108,6 @@ def ablate(
 def _noted(study: StudyFile, overrides: Mapping[str, Any] | None) -> StoredStudy:
     published = [table.model_dump(mode="json", exclude_none=True) for table in study.study.published]
     return StoredStudy(study.study.name, study.text, dict(overrides or {}), tuple(published))
-
-
-@dataclass(frozen=True, eq=False)
-class _Opened:
-    """The frames of one row: a dataset with these options, and the choice of frames."""
-
-    data: str
-    options: str
-    indices: tuple[int, ...]
-    sources: tuple[Source, ...]
-
-
-def _opened(rows: Sequence[StudyRow], plugins: Plugins) -> list[_Opened]:
-    """Return the frames of each row; a first frame that lacks what a row needs is refused here."""
-    registry = plugins.registry()
-    datasets: dict[tuple[str, str], GuardedDataset] = {}
-    chosen: dict[tuple[str, str, str], tuple[int, ...]] = {}
-    first: dict[tuple[str, str, int], Any] = {}
-    out = []
-    for row in rows:
-        plan = row.resolve(registry, row.seeds[0])
-        data, options = row.dataset.data, _data_options(row, registry)
-        if (data, options) not in datasets:
-            datasets[data, options] = open_dataset(data, registry, json.loads(options))
-        dataset = datasets[data, options]
-        spec = row.dataset.frames
-        if (data, options, spec) not in chosen:
-            where = f"{row.where}, dataset '{row.dataset.name}'"
-            chosen[data, options, spec] = tuple(select(dataset.names, spec, where=where, skipped=dataset.skipped))
-        indices = chosen[data, options, spec]
-        at = (data, options, indices[0])
-        if at not in first:
-            # A frame that cannot be read becomes a row that says so.
-            try:
-                first[at] = dataset[indices[0]]
-            except Exception:
-                first[at] = None
-        if first[at] is not None:
-            plan.check_frame(first[at])
-        sources = tuple(Source(plugins, data, options, index, dataset.names[index]) for index in indices)
-        out.append(_Opened(data, options, indices, sources))
-    return out
-
-
-def _data_options(row: StudyRow, registry: Registry) -> str:
-    """Return the dataset's options as JSON; its seed is its own, so that all seeds of a row see the same frames."""
-    options = {**row.dataset.options, **row.words["options"].get("data", {})}
-    fields = row.resolve(registry, row.seeds[0]).parts["data"].options.model_fields
-    if "seed" in fields and "seed" not in row.dataset.data.partition("?")[2]:
-        options.setdefault("seed", 0)
-    return json.dumps(options, sort_keys=True)
-
-
-def _read(workers: Workers, opened: Sequence[_Opened], say: OnProgress) -> dict[Source, Facts]:
-    """Return what planning has to know about every frame, each read once."""
-    sources = list(dict.fromkeys(source for frames in opened for source in frames.sources))
-    facts: dict[Source, Facts] = {}
-    with contextlib.closing(workers.run(worker.read, sources)) as finished:
-        for fact in finished:
-            facts[fact.source] = fact
-            say(Progress("read", len(facts), len(sources), name=fact.name))
-    return facts
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,6 +141,86 @@ class _Method:
         }
         words = recipe.model_dump(mode="json", exclude_unset=True)
         return cls(json.dumps(words, sort_keys=True), plan, described, versions, content_hash(acting))
+
+    @property
+    def extractors(self) -> dict[str, tuple[str, str]]:
+        """By a name of method and options: recipe and stage that say how to extract; none for a whole method."""
+        parts = {stage: part for stage, part in self.plan.parts.items() if stage in worker.SENSORS}
+        return {worker.part_name(part): (self.recipe, stage) for stage, part in parts.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class _Opened:
+    """One row with its frames and, by seed, its methods."""
+
+    row: StudyRow
+    sources: tuple[Source, ...]
+    methods: Mapping[int, _Method]
+
+    @property
+    def first(self) -> _Method:
+        """The methods of the first seed."""
+        return next(iter(self.methods.values()))
+
+
+def _opened(rows: Sequence[StudyRow], plugins: Plugins) -> list[_Opened]:
+    """Return each row with its frames, none of which is read yet."""
+    registry = plugins.registry()
+    datasets: dict[tuple[str, str], GuardedDataset] = {}
+    out = []
+    for row in rows:
+        data, options = row.dataset.data, _data_options(row, registry)
+        where = f"{row.where}, dataset '{row.dataset.name}'"
+        if (data, options) not in datasets:
+            try:
+                datasets[data, options] = open_dataset(data, registry, json.loads(options))
+            except P2OError as problem:
+                raise retold(problem, where, f"say where they are: --data {data.partition(':')[0]}:PATH") from problem
+        dataset = datasets[data, options]
+        indices = select(dataset.names, row.dataset.frames, where=where, skipped=dataset.skipped)
+        sources = tuple(Source(plugins, data, options, index, dataset.names[index]) for index in indices)
+        out.append(_Opened(row, sources, {seed: _Method.of(row, seed, options, registry) for seed in row.seeds}))
+    return out
+
+
+def _data_options(row: StudyRow, registry: Registry) -> str:
+    """Return the dataset's options as JSON; its seed is its own, so that all seeds of a row see the same frames."""
+    options = {**row.dataset.options, **row.words["options"].get("data", {})}
+    fields = row.resolve(registry, row.seeds[0]).parts["data"].options.model_fields
+    if "seed" in fields and "seed" not in row.dataset.data.partition("?")[2]:
+        options.setdefault("seed", 0)
+    return json.dumps(options, sort_keys=True)
+
+
+def _read(
+    run: Run, opened: Sequence[_Opened], cache: FeatureCache, say: OnProgress, *, extract: bool
+) -> dict[Source, Facts]:
+    """Return what planning has to know about every frame, each read once; `extract` its features at once, too.
+
+    Raises InputError where the first frame of a row lacks what the row needs.
+    """
+    checks: dict[Source, list[_Opened]] = {}
+    extractors: dict[Source, dict[str, tuple[str, str]]] = {}
+    for entry in opened:
+        checks.setdefault(entry.sources[0], []).append(entry)
+        for source in entry.sources:
+            wanted = extractors.setdefault(source, {})
+            if extract:
+                wanted.update({name: w for m in entry.methods.values() for name, w in m.extractors.items()})
+    jobs = [
+        Reading(source, cache.root, tuple(e.first.recipe for e in checks.get(source, ())), tuple(wanted.values()))
+        # Those that may refuse the study come first.
+        for source, wanted in sorted(extractors.items(), key=lambda item: item[0] not in checks)
+    ]
+    facts: dict[Source, Facts] = {}
+    with contextlib.closing(run(worker.read, jobs)) as finished:
+        for fact in finished:
+            for entry, misfit in zip(checks.get(fact.source, ()), fact.misfits, strict=False):
+                if misfit:
+                    raise InputError(misfit, where=f"{entry.row.where}, row '{entry.row.label}'")
+            facts[fact.source] = fact
+            say(Progress("read", len(facts), len(jobs), name=fact.name))
+    return facts
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,17 +264,15 @@ class _Cell:
         )
 
 
-def _cells(rows: Sequence[StudyRow], opened: Sequence[_Opened], facts: Mapping[Source, Facts]) -> Iterator[_Cell]:
+def _cells(opened: Sequence[_Opened], facts: Mapping[Source, Facts]) -> Iterator[_Cell]:
     """Return every calibration of the study: by row, then frames, then seed."""
-    for row, frames in zip(rows, opened, strict=True):
-        registry = frames.sources[0].plugins.registry()
-        methods = {seed: _Method.of(row, seed, frames.options, registry) for seed in row.seeds}
-        size = {0: 1, ALL_JOINT: len(frames.sources)}.get(row.joint, row.joint)
-        for first in range(0, len(frames.sources), size):
-            group = tuple(facts[source] for source in frames.sources[first : first + size])
-            joint = len(group) if row.joint else 0
-            for seed, method in methods.items():
-                yield _cell(row, seed, joint, method, group)
+    for entry in opened:
+        row, sources = entry.row, entry.sources
+        size = {0: 1, ALL_JOINT: len(sources)}.get(row.joint, row.joint)
+        for first in range(0, len(sources), size):
+            group = tuple(facts[source] for source in sources[first : first + size])
+            for seed, method in entry.methods.items():
+                yield _cell(row, seed, len(group) if row.joint else 0, method, group)
 
 
 def _cell(row: StudyRow, seed: int, joint: int, method: _Method, group: tuple[Facts, ...]) -> _Cell:
@@ -285,7 +302,7 @@ def _cell(row: StudyRow, seed: int, joint: int, method: _Method, group: tuple[Fa
     return _Cell(planned, row, seed, joint, method, group, truth, start)
 
 
-def _compute(workers: Workers, store: Store, cells: Sequence[_Cell], cache: FeatureCache, pace: _Pace) -> None:
+def _compute(run: Run, store: Store, cells: Sequence[_Cell], cache: FeatureCache, pace: _Pace) -> None:
     """Compute what is missing, and keep each row as soon as it is there."""
     finished = store.finished(cell.planned.key for cell in cells)
     # Two rows of the table may be one and the same calibration.
@@ -296,7 +313,7 @@ def _compute(workers: Workers, store: Store, cells: Sequence[_Cell], cache: Feat
     for part in {f"{s} {p}": p for c in pending for s, p in c.method.plan.parts.items() if s != "data"}.values():
         worker.built(part)  # a package that is missing is told before any work
     keys = _feature_keys(pending)
-    failures = _extracted(workers, pending, keys, cache, pace.say)
+    failures = _extracted(run, pending, keys, cache, pace.say)
     refused: list[StoredRow] = []
 
     def jobs() -> Iterator[Calibration]:
@@ -310,7 +327,7 @@ def _compute(workers: Workers, store: Store, cells: Sequence[_Cell], cache: Feat
                 yield Calibration(cell.stored, cell.method.recipe, cell.facts, cache.root, keys.get(key))
 
     pace.begin(kept=len(finished), total=len(finished) + len(pending))
-    with contextlib.closing(workers.run(worker.calibrate, jobs())) as rows:
+    with contextlib.closing(run(worker.calibrate, jobs())) as rows:
         for row in _with_refused(rows, refused):
             store.put(row)
             pace.one(row)
@@ -344,7 +361,7 @@ def _feature_keys(cells: Sequence[_Cell]) -> FeatureKeys:
 
 
 def _extracted(
-    workers: Workers, cells: Sequence[_Cell], keys: FeatureKeys, cache: FeatureCache, say: OnProgress
+    run: Run, cells: Sequence[_Cell], keys: FeatureKeys, cache: FeatureCache, say: OnProgress
 ) -> dict[str, tuple[str, str]]:
     """Extract the features that are not kept yet, once each; return reason and traceback of those that failed."""
     wanted: dict[Source, dict[str, tuple[str, str, str]]] = {}
@@ -355,7 +372,7 @@ def _extracted(
                     wanted.setdefault(fact.source, {}).setdefault(key, (key, cell.method.recipe, stage))
     jobs = [Extraction(source, cache.root, tuple(tasks.values())) for source, tasks in wanted.items()]
     failures: dict[str, tuple[str, str]] = {}
-    with contextlib.closing(workers.run(worker.extract, jobs)) as finished:
+    with contextlib.closing(run(worker.extract, jobs)) as finished:
         for done, failed in enumerate(finished, start=1):
             failures |= failed
             say(Progress("extract", done, len(jobs)))

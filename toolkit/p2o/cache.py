@@ -130,8 +130,8 @@ class FeatureCache:
     def get(self, key: str) -> Kept | None:
         """Return what is kept, or None where there is nothing, or nothing that can be read."""
         try:
-            with np.load(self.path(key), allow_pickle=False) as file:
-                arrays = {name: file[name] for name in file.files}
+            with self.path(key).open("rb") as file, np.load(file, allow_pickle=False) as content:
+                arrays = {name: content[name] for name in content.files}
             head = json.loads(arrays.pop("head").tobytes())
             return Kept(_unpacked(head["features"], arrays), float(head["seconds"]))
         # Whatever a cut-off or foreign file is like, the features can be extracted again.

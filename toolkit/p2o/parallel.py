@@ -16,7 +16,7 @@ import threading
 from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cache, partial
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 from p2o.errors import InputError, MethodUnavailable, P2OError
 
@@ -25,8 +25,7 @@ BACKENDS: tuple[Backend, ...] = ("loky", "dask", "ray")
 
 _EXTRAS = {"dask": "distributed", "ray": "ray"}
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
-_T = TypeVar("_T")
-_R = TypeVar("_R")
+Run = Callable[[Callable[[Any], Any], Iterable[Any]], Generator[Any, None, None]]
 
 
 @dataclass(frozen=True)
@@ -56,32 +55,35 @@ class Workers:
                     hint=f'run: pip install "p2o-calib[{self.backend}]"',
                 ) from problem
 
-    def run(self, work: Callable[[_T], _R], jobs: Iterable[_T]) -> Generator[_R, None, None]:
-        """Yield what `work` returns for each job, in the order in which they finish.
+    @contextlib.contextmanager
+    def hired(self) -> Iterator[Run]:
+        """Yield `run(work, jobs)`, which yields what `work` returns for each job, in the order in which they finish.
 
-        Jobs are taken from the iterable as workers become free. Closing the iterator gives up what is not finished.
-
-        Raises P2OError where workers die of themselves (out of memory) or the cluster is lost.
+        Jobs are taken from the iterable as workers become free; it may be asked from another thread. Closing what
+        `run` returns gives up what is not finished. Raises P2OError where workers die of themselves (out of memory)
+        or the cluster is lost.
         """
         if self.backend == "loky" and self.jobs == 1:
             with _one_thread_for_now():
-                yield from map(work, jobs)
-            return
+                yield _in_turn
+        else:
+            with self._cluster():
+                yield self._run
+
+    def _run(self, work: Callable[[Any], Any], jobs: Iterable[Any]) -> Generator[Any, None, None]:
         import joblib
 
         done: Any = None
         try:
-            with self._cluster(), joblib.parallel_config(backend=self.backend):
+            with joblib.parallel_config(backend=self.backend):
                 tasks = (joblib.delayed(_alone)(work, job) for job in jobs)
                 if self.backend == "ray":
                     # Its joblib backend hands results back only when a batch is complete.
                     while batch := list(itertools.islice(tasks, 4 * self.jobs)):
                         yield from joblib.Parallel(n_jobs=self.jobs, batch_size=1)(batch)
                     return
-                n_jobs = self.jobs if self.backend == "loky" else -1
-                done = joblib.Parallel(
-                    n_jobs=n_jobs, batch_size=1, pre_dispatch="2*n_jobs", return_as="generator_unordered"
-                )(tasks)
+                jobs_at_once = self.jobs if self.backend == "loky" else -1
+                done = joblib.Parallel(n_jobs=jobs_at_once, batch_size=1, return_as="generator_unordered")(tasks)
                 yield from done
         except (P2OError, GeneratorExit, KeyboardInterrupt):
             raise
@@ -89,8 +91,7 @@ class Workers:
             raise _lost(self, problem) from problem
         finally:
             if done is not None:
-                with contextlib.suppress(Exception):
-                    done.close()
+                done.close()
 
     @contextlib.contextmanager
     def _cluster(self) -> Iterator[None]:
@@ -121,6 +122,10 @@ class Workers:
             yield
 
 
+def _in_turn(work: Callable[[Any], Any], jobs: Iterable[Any]) -> Generator[Any, None, None]:
+    yield from map(work, jobs)
+
+
 def _lost(workers: Workers, problem: Exception) -> P2OError:
     return P2OError(
         f"the workers of --backend {workers.backend} were lost",
@@ -129,7 +134,7 @@ def _lost(workers: Workers, problem: Exception) -> P2OError:
     )
 
 
-def _alone(work: Callable[[_T], _R], job: _T) -> _R:
+def _alone(work: Callable[[Any], Any], job: Any) -> Any:
     """Do one job in a worker."""
     _set_up_worker()
     return work(job)

@@ -249,7 +249,9 @@ def _installed() -> list[_Source]:
     sources = []
     for entry in entry_points(group=GROUP):
         dist = entry.dist.name if entry.dist is not None else "unknown"
-        sources.append(_Source(_slug(dist), entry.dist.version if entry.dist is not None else "", entry.name, entry))
+        # Where the package importlib_metadata is imported, it gives entry points of a class of its own.
+        plain = EntryPoint(entry.name, entry.value, entry.group)
+        sources.append(_Source(_slug(dist), entry.dist.version if entry.dist is not None else "", entry.name, plain))
     return sorted(sources, key=lambda s: (s.name, s.value.value))
 
 

@@ -22,7 +22,7 @@ from pydantic import BaseModel, ConfigDict, Field, StrictBool, StringConstraints
 from p2o.errors import InputError, P2OError, UnknownNameError
 from p2o.method import Kind
 from p2o.perturb import parse_perturbation
-from p2o.recipe import STAGES, Plan, Recipe, split_data
+from p2o.recipe import STAGES, Plan, Recipe
 from p2o.registry import GROUP, Registry
 
 FOLDER = "studies"
@@ -219,19 +219,14 @@ class StudyRow:
         try:
             return self.recipe(seed).resolve(registry)
         except P2OError as problem:
-            hint = problem.hint
-            if "needs a path" in problem.what:
-                hint = f"say --data {split_data(self.dataset.data)[0]}:PATH"
-            raise _retold(problem, f"{self.where}, row '{self.label}'", hint) from problem
+            raise retold(problem, f"{self.where}, row '{self.label}'") from problem
 
 
-def _retold(problem: P2OError, where: str, hint: str | None) -> P2OError:
-    """Return the error with a place to look at; the kind of error stays."""
+def retold(problem: P2OError, where: str, hint: str | None = None) -> P2OError:
+    """Return an error with the place in the study that it comes from, and a hint where it has none."""
+    kind = InputError if isinstance(problem, UnknownNameError) else type(problem)
     what = problem.what if problem.where is None else f"{problem.where}: {problem.what}"
-    if isinstance(problem, UnknownNameError):
-        near = UnknownNameError(problem.kind, problem.name, problem.known, where=where)
-        return near if hint is None or near.hint is not None else InputError(what, where=where, hint=hint)
-    return type(problem)(what, where=where, expected=problem.expected, got=problem.got, hint=hint)
+    return kind(what, where=where, expected=problem.expected, got=problem.got, hint=problem.hint or hint)
 
 
 class _Expansion:

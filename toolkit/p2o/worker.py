@@ -5,6 +5,7 @@ A worker keeps what several jobs share (plugins, datasets, stages, features) for
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import threading
@@ -21,7 +22,7 @@ from typing import Any, cast
 from p2o.arrays import Float
 from p2o.cache import FeatureCache, content_hash, features_key
 from p2o.camera import Camera
-from p2o.errors import P2OError
+from p2o.errors import InputError, P2OError
 from p2o.frame import Frame
 from p2o.guard import GuardedDataset
 from p2o.metrics import AXES, pose_error
@@ -74,11 +75,25 @@ class Source:
     name: str
 
 
+@dataclass(frozen=True)
+class Reading:
+    """A frame to be read: `checks` are recipes (JSON) that it has to fit, `wanted` recipe and stage of extractors.
+
+    The features of these are kept, so that the frame need not be read again.
+    """
+
+    source: Source
+    cache: Path
+    checks: tuple[str, ...] = ()
+    wanted: tuple[tuple[str, str], ...] = ()
+
+
 @dataclass(frozen=True, eq=False)
 class Facts:
     """What planning has to know about a frame; `inputs` are content hashes of its parts.
 
-    `failure` is the traceback and `reason` one line where it cannot be read.
+    `misfits` say for each of the `checks` what the frame lacks, or are empty. `failure` is the traceback and `reason`
+    one line where it cannot be read.
     """
 
     source: Source
@@ -87,6 +102,7 @@ class Facts:
     camera_from_lidar: Float | None = None
     start: Float | None = None
     warnings: tuple[str, ...] = ()
+    misfits: tuple[str, ...] = ()
     reason: str = ""
     failure: str | None = None
 
@@ -119,8 +135,9 @@ class Calibration:
     keys: tuple[Mapping[str, str], ...] | None
 
 
-def read(source: Source) -> Facts:
+def read(job: Reading) -> Facts:
     """Return the facts of a frame; a frame that cannot be read has a `failure`."""
+    source = job.source
     try:
         frame = _frame(source)
     except (Exception, SystemExit) as problem:
@@ -131,7 +148,23 @@ def read(source: Source) -> Facts:
         "cloud": content_hash(frame.cloud),
         "twist": content_hash(frame.twist),
     }
-    return Facts(source, hashes, frame.camera, frame.camera_from_lidar, frame.start, frame.warnings)
+    misfits = tuple(_misfit(_plan(source.plugins, recipe), frame) for recipe in job.checks)
+    if not any(misfits):
+        for recipe, stage in job.wanted:
+            part = _plan(source.plugins, recipe).parts[stage]
+            key = features_key(part, hashes[SENSORS[stage]])
+            # What fails here fails again where a row needs it, and is told there.
+            with contextlib.suppress(Exception, SystemExit):
+                _features(FeatureCache(job.cache), key, source, part, stage)
+    return Facts(source, hashes, frame.camera, frame.camera_from_lidar, frame.start, frame.warnings, misfits=misfits)
+
+
+def _misfit(plan: Plan, frame: Frame) -> str:
+    try:
+        plan.check_frame(frame)
+    except InputError as problem:
+        return str(problem)
+    return ""
 
 
 def extract(job: Extraction) -> dict[str, tuple[str, str]]:
@@ -278,11 +311,17 @@ def _dataset(plugins: Plugins, data: str, options: str) -> GuardedDataset:
     return open_dataset(data, _registry(plugins), json.loads(options))
 
 
-@lru_cache(maxsize=2)
+# One row runs through its frames seed by seed: a few frames in memory spare reading them again.
+@lru_cache(maxsize=8)
 def _frame(source: Source) -> Frame:
     frame: Frame = _dataset(source.plugins, source.data, source.options)[source.index]
     limit_threads()
     return frame
+
+
+def part_name(part: Part) -> str:
+    """Return a name that two parts share exactly if they are the same method with the same options."""
+    return f"{part.offer.kind} {part.offer.full_name} {part.options.model_dump_json()}"
 
 
 _stages: dict[str, Any] = {}
@@ -290,7 +329,7 @@ _stages: dict[str, Any] = {}
 
 def built(part: Part) -> Any:
     """Return the stage of a part; one of the same method and options is built once."""
-    name = f"{part.offer.kind} {part.offer.full_name} {part.options.model_dump_json()}"
+    name = part_name(part)
     if name not in _stages:
         _stages[name] = part.build()
         limit_threads()

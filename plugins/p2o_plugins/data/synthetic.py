@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from p2o import Camera, Frame, Image, InputError, Method, Options, field, se3
 from p2o.arrays import Float
-from p2o.perturb import parse_perturbation, wrong_start
 
 from p2o_plugins.data.lazy_frames import LazyFrames
 from p2o_plugins.data.velodyne_file import untwisted
@@ -23,7 +22,8 @@ FRAME_S = 0.1
 _KITTI_MOUNT = (0.27, 0.06, -0.08, 0.458, -0.63, 0.344)
 _AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 # One stream of random numbers for each of these, so that more noise or another camera leaves the place as it was.
-_PLACE, _DRIVE, _LIDAR, _CAMERA, _GRAIN, _START, _DRIFT = range(7)
+# The number of the places is one with which the very first of them is a street.
+_PLACE, _DRIVE, _LIDAR, _CAMERA, _GRAIN, _START, _DRIFT = 31, 1, 2, 3, 4, 5, 6
 
 
 class SyntheticOptions(Options):
@@ -35,7 +35,9 @@ class SyntheticOptions(Options):
     place: Literal["mixed", "street", "suburb", "highway", "trees"] = field(
         "mixed", help="Kind of place; mixed draws one for each scene, a third of them trees and banks."
     )
-    speed_m_s: float = field(8.0, ge=0, le=60, help="Speed of the car in metres a second; other traffic has about the same.")
+    speed_m_s: float = field(
+        8.0, ge=0, le=60, help="Speed of the car in metres a second; other traffic has about the same."
+    )
     camera: Literal["pinhole", "opencv-distorted", "fisheye"] = field(
         "pinhole", help="Camera model: KITTI-like pinhole with a right picture, distorted OPENCV, or OPENCV_FISHEYE."
     )
@@ -44,7 +46,9 @@ class SyntheticOptions(Options):
     exposure_ev: float | None = field(
         None, ge=-8, le=8, help="Stops that the picture is too bright (+) or too dark (-); null draws -1.2 to 1.5."
     )
-    grain: float = field(2.0, ge=0, le=64, help="Read noise of the image in grey levels of 255; shot noise grows with it.")
+    grain: float = field(
+        2.0, ge=0, le=64, help="Read noise of the image in grey levels of 255; shot noise grows with it."
+    )
     blur_px: float = field(0.5, ge=0, le=20, help="Deviation of the lens's spot in pixels.")
     vignetting: float = field(0.3, ge=0, le=1, help="Share of light that the corners of the image lose.")
     jpeg_quality: int = field(95, ge=0, le=100, help="Quality of JPEG compression, 0 for none.")
@@ -58,14 +62,18 @@ class SyntheticOptions(Options):
     divergence_mrad: float | None = field(
         None, ge=0, le=50, help="Full divergence of a beam in mrad; null is the sensor's own, 0 a thin ray."
     )
-    keeps: Literal["strongest", "first"] = field("strongest", help="Which return of a pulse that meets several surfaces.")
+    keeps: Literal["strongest", "first"] = field(
+        "strongest", help="Which return of a pulse that meets several surfaces."
+    )
     deskew: bool = field(True, help="Correct the sweep for the motion of the car, which is known exactly.")
     mount: tuple[float, float, float, float, float, float] = field(
         _KITTI_MOUNT,
         help="Camera in the LiDAR frame: x, y, z in metres, then its pitch, yaw, roll in degrees from straight ahead.",
     )
     drift: str = field("0.5deg 0.03m", help="How far the camera's mounting slips, as for --perturb.")
-    drift_at_frame: int | None = field(None, ge=0, help="Frame of each drive from which on it has slipped; null is never.")
+    drift_at_frame: int | None = field(
+        None, ge=0, help="Frame of each drive from which on it has slipped; null is never."
+    )
     start_error: str = field(
         "2deg 0.15m", help="How wrong the start is that frames offer, the same for all; --perturb draws one for each."
     )
@@ -74,7 +82,7 @@ class SyntheticOptions(Options):
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Everything there is to know about one frame: `frame`, the `scene`, the `moment` and the `picture` with its truth."""
+    """Everything there is to know about one frame: its `scene`, `moment` and `picture` with all truth."""
 
     frame: Frame
     scene: Scene
@@ -83,7 +91,7 @@ class View:
 
 
 def camera_from_lidar(mount: tuple[float, ...] = _KITTI_MOUNT) -> Float:
-    """Return the extrinsic (4, 4) of a mounting: x, y, z in metres, pitch, yaw, roll in degrees about the camera's axes."""
+    """Return the extrinsic (4, 4) of a mounting: x, y, z in metres; pitch, yaw, roll in degrees in camera axes."""
     turn = np.radians([mount[3], mount[4], mount[5]])
     rotation = se3.exp(np.concatenate([turn, np.zeros(3)]))[:3, :3] @ _AXES
     return se3.make(rotation, -rotation @ np.array(mount[:3]))
@@ -110,8 +118,15 @@ def truth_at(options: SyntheticOptions, scene: int, number: int) -> Float:
     truth = camera_from_lidar(options.mount)
     if options.drift_at_frame is None or number < options.drift_at_frame:
         return truth
-    size = parse_perturbation(options.drift)
-    return wrong_start(truth, size.angle_deg, size.distance_m, _stream(options, _DRIFT, scene))
+    return _displaced(truth, options.drift, _stream(options, _DRIFT, scene))
+
+
+def _displaced(truth: Float, size: str, rng: np.random.Generator) -> Float:
+    """Return the pose (4, 4) displaced by a size such as "2deg 0.15m" in a random direction."""
+    from p2o.simulate import parse_perturbation, wrong_start
+
+    wanted = parse_perturbation(size)
+    return wrong_start(truth, wanted.angle_deg, wanted.distance_m, rng)
 
 
 def view(options: SyntheticOptions, scene_number: int, number: int = 0) -> View:
@@ -146,13 +161,12 @@ def view(options: SyntheticOptions, scene_number: int, number: int = 0) -> View:
     cloud = simulate.sweep(
         scene, _lidar(options), moment.world_from_lidar, noise, twist=moment.twist, time_s=moment.time_s
     )
-    size = parse_perturbation(options.start_error)
     frame = Frame(
         _name(options, scene_number, number),
         image,
         untwisted(cloud, moment.twist) if options.deskew else cloud,
         camera_from_lidar=truth,
-        start=wrong_start(truth, size.angle_deg, size.distance_m, _stream(options, _START)),
+        start=_displaced(truth, options.start_error, _stream(options, _START)),
         twist=moment.twist,
     )
     return View(frame, scene, moment, picture)
@@ -194,7 +208,11 @@ def _lidar(options: SyntheticOptions) -> Any:
     """Return the LiDAR of the options, with what they change about it."""
     from p2o import simulate
 
-    given = {"range_noise_m": options.noise_m, "max_range_m": options.max_range_m, "divergence_mrad": options.divergence_mrad}
+    given = {
+        "range_noise_m": options.noise_m,
+        "max_range_m": options.max_range_m,
+        "divergence_mrad": options.divergence_mrad,
+    }
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     return replace(
         simulate.LIDARS[options.lidar], angle_noise_deg=options.angle_noise_deg, keeps=options.keeps, **changes
@@ -216,6 +234,8 @@ def build(options: SyntheticOptions) -> LazyFrames:
 
     Raises InputError if drift or start_error cannot be read, or a drive is over before its mounting slips.
     """
+    from p2o.simulate import parse_perturbation
+
     for text in (options.drift, options.start_error):
         parse_perturbation(text)
     if options.drift_at_frame is not None and options.drift_at_frame >= options.frames_per_scene:

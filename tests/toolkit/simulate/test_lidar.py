@@ -36,7 +36,8 @@ def test_kittis_velodyne_has_the_table_that_was_fitted_to_its_files() -> None:
 
 @pytest.mark.parametrize(
     ("slug", "rings", "top", "bottom"),
-    [("hdl-32e", 32, 10.67, -30.67), ("vlp-16", 16, 15, -15), ("os1-64", 64, 17.042, -16.3), ("os1-128", 128, 22.5, -22.5),
+    [("hdl-32e", 32, 10.67, -30.67), ("vlp-16", 16, 15, -15), ("os1-64", 64, 17.042, -16.3),
+     ("os1-128", 128, 22.5, -22.5),
      ("pandar64", 64, 14.882, -24.897)],
 )  # fmt: skip
 def test_named_lidars_have_their_fields_of_view(slug: str, rings: int, top: float, bottom: float) -> None:

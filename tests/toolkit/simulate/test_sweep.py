@@ -65,7 +65,7 @@ def test_angular_noise_is_unknown_to_the_sensor_and_shows_as_range_on_a_slanted_
     beam = cloud.xyz[floor] / np.linalg.norm(cloud.xyz[floor], axis=1, keepdims=True)
     steep = beam[:, 2] < -0.3
     assert steep.sum() > 500
-    # The floor at depression a is at h / sin(a): an error e of a moves the point by h cos(a) / sin(a)^2 e along the beam.
+    # At depression a the floor is at h / sin(a): an error e of a moves the point by h cos(a) / sin(a)^2 e.
     sine = -beam[steep, 2]
     error = np.linalg.norm(cloud.xyz[floor][steep], axis=1) - 1.5 / sine
     scaled = error * sine**2 / (1.5 * np.sqrt(1 - sine**2))
@@ -95,7 +95,7 @@ def test_dark_paint_is_seen_to_its_range_and_no_farther() -> None:
             return 0.0
         return (np.abs(cloud.xyz[:, 1]) < 0.05 * x).sum() / (3 * 2 * np.arctan(0.05) / (2 * np.pi) * 7200)
 
-    # Energy scatters by a quarter and falls with the square: at 0.7 of the range it has twice the threshold, at 1.4 half.
+    # Energy scatters by a quarter and falls with the square: twice the threshold at 0.7 of the range, half at 1.4.
     assert share(35.0) > 0.98
     assert 0.25 < share(50.0) < 0.75
     assert share(70.0) < 0.02

@@ -17,6 +17,8 @@ _COMMANDS = {
     "plugins": "List the plugins as JSON: name, version, methods; the broken ones with reasons.",
     "check-plugin": "Check that methods keep the contracts of their slots.",
     "data": "List or check the frames of a dataset.",
+    "ablate": "Run a study: methods x frames x starts, resumable, with its table and a gate.",
+    "report": "Write tables, figures and one page about the studies in a folder.",
     "simulate": "Write made-up streets in the layout of a real dataset.",
 }
 """Name and one-line help of every command; the code of `a-b` is in the module `p2o.cli.a_b`, as `command`."""

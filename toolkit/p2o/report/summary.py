@@ -159,9 +159,13 @@ def _said(study: StoredStudy) -> Mapping[str, Any]:
 
 
 def _headings(keys: Sequence[tuple[str, str, str]]) -> list[str]:
-    """Return what tells each group from the others: its section, and dataset and kind where those differ."""
-    shown = [(0, True), (1, len({key[1] for key in keys}) > 1), (2, len({key[2] for key in keys}) > 1)]
-    return [", ".join(key[i] for i, wanted in shown if wanted and key[i]) for key in keys]
+    """Return what tells each group from the others: its section, its dataset where there are several, its kind where
+    the rest does not tell.
+    """
+    several = len({dataset for _, dataset, _ in keys}) > 1
+    places = Counter((section, dataset) for section, dataset, _ in keys)
+    parts = [(s, d if several else "", kind if places[s, d] > 1 else "") for s, d, kind in keys]
+    return [", ".join(filter(None, part)) for part in parts]
 
 
 def _published(entry: Mapping[str, Any]) -> Published:

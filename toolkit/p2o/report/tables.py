@@ -11,7 +11,7 @@ from p2o.report.summary import Group, Measured, Published, Summary, best
 
 DIGITS = 3
 """Decimals of degrees and metres; centimetres have two less."""
-NONE = "–"
+NONE = "-"
 
 _NAME = {"rotation_deg": "rotation", "translation_m": "translation"}
 
@@ -63,8 +63,7 @@ def markdown(summaries: Sequence[Summary], figures: Callable[[Summary], Sequence
         if summary.note:
             parts.append(f"{_md(summary.note)}\n")
         for group in summary.groups:
-            for table in tables_of(group, summary):
-                parts.append(_markdown_table(table))
+            parts += [_markdown_table(table) for table in tables_of(group, summary)]
         parts += [f"![{_md(title)}]({file})\n" for title, file in figures(summary)]
     parts += ["## How to read it\n", *(f"{note}\n" for note in NOTES)]
     return "\n".join(parts)
@@ -221,11 +220,13 @@ _TEX = {
     "<": r"\textless{}",
     ">": r"\textgreater{}",
     "|": r"\textbar{}",
-    "–": "--",
     **{mark: f"\\{mark}" for mark in "&%$#_{}"},
 }
 
 
 def _tex(text: str) -> str:
-    """Return a text that LaTeX shows as it is."""
-    return "".join(_TEX.get(letter, letter) for letter in " ".join(text.split()))
+    """Return a text that LaTeX shows as it is, also behind a line break, where a bracket would be a length."""
+    if text == NONE:
+        return "--"
+    plain = "".join(_TEX.get(letter, letter) for letter in " ".join(text.split()))
+    return f"{{}}{plain}" if plain.startswith(("[", "*")) else plain

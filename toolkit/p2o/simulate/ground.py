@@ -41,7 +41,7 @@ def land(
     rough: float = 0.15,
     material: Material = GRASS,
 ) -> Part:
-    """Return open land from the line (y, z) to `outwards` +1 left or -1 right: a bank that rises over `over` metres, then waves."""
+    """Return open land from the line (y, z) `outwards`, +1 left, -1 right: a bank of `over` metres, then waves."""
     away = np.array([0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0]) * over
     away = np.concatenate([away, over + np.geomspace(3.0, width - over, 9)])
     bank = rise * (0.5 - 0.5 * np.cos(np.pi * np.clip(away / over, 0, 1)))

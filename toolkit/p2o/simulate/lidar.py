@@ -129,7 +129,7 @@ class Rosette(Ranging):
 @lru_cache(maxsize=4)
 def _turned(lidar: Lidar) -> Beams:
     rings, columns = len(lidar.elevation_deg), lidar.columns
-    head = 2 * np.pi * np.arange(columns) / columns
+    head: Float = 2 * np.pi * np.arange(columns, dtype=np.float64) / columns
     azimuth = head + np.radians(lidar.azimuth_deg)[:, None]
     elevation = np.broadcast_to(np.radians(lidar.elevation_deg)[:, None], azimuth.shape)
     directions = np.stack(
@@ -142,7 +142,7 @@ def _turned(lidar: Lidar) -> Beams:
     return Beams(
         origins.reshape(-1, 3),
         directions.reshape(-1, 3),
-        (-share if lidar.clockwise else share) * lidar.turn_s,
+        np.asarray((-share if lidar.clockwise else share) * lidar.turn_s, np.float64),
         np.repeat(np.arange(rings), columns),
         column,
         (rings, columns),
@@ -152,7 +152,7 @@ def _turned(lidar: Lidar) -> Beams:
 @lru_cache(maxsize=4)
 def _flower(lidar: Rosette) -> Beams:
     count = round(lidar.points_per_s * lidar.sweep_s)
-    time_s = (np.arange(count) + 0.5) / lidar.points_per_s - lidar.sweep_s / 2
+    time_s: Float = (np.arange(count, dtype=np.float64) + 0.5) / lidar.points_per_s - lidar.sweep_s / 2
     phase = 2 * np.pi / 60 * np.array(lidar.rpm)[:, None] * time_s
     deflection = np.radians(lidar.deflection_deg)[:, None]
     across, up = (deflection * np.cos(phase)).sum(axis=0), (deflection * np.sin(phase)).sum(axis=0)

@@ -28,7 +28,7 @@ def sky(scene: Scene, directions: Float) -> Single:
     d = np.asarray(directions, np.float32)
     height = np.clip(d[:, 2], 0.0, 1.0)
     blue = _SKY_LOW + (_SKY_HIGH - _SKY_LOW) * np.sqrt(np.clip(2.0 * height, 0.0, 1.0))[:, None]
-    layer = d[:, :2] / np.maximum(height, 0.03)[:, None]
+    layer = np.asarray(d[:, :2] / np.maximum(height, np.float32(0.03))[:, None], np.float32)
     cover = np.clip(1.4 * clouds(layer) + 2.6 * np.float32(scene.cloudiness) - 1.3, 0.0, 1.0)
     blue += (_WHITE * 1.15 - blue) * (cover * np.clip(12 * height, 0.0, 1.0))[:, None]
     glow = np.clip(d @ _to_sun(scene), 0.0, 1.0) ** 8

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from p2o.arrays import Float, Int
 
@@ -73,21 +74,21 @@ def box(length: float, width: float, low: float, high: float) -> Mesh:
     return loft([rectangle(length, width, low), rectangle(length, width, high)])
 
 
-def boxes(low: Float, high: Float) -> Mesh:
+def boxes(low: ArrayLike, high: ArrayLike) -> Mesh:
     """Return axis-parallel boxes between corners `low` and `high` (N, 3)."""
-    low, high = np.atleast_2d(low).astype(np.float64), np.atleast_2d(high).astype(np.float64)
+    lower, upper = np.atleast_2d(np.asarray(low, np.float64)), np.atleast_2d(np.asarray(high, np.float64))
     pick = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
-    vertices = np.where(pick[None].astype(bool), high[:, None], low[:, None])
+    vertices = np.where(pick[None].astype(bool), upper[:, None], lower[:, None])
     return _copies(vertices, _BOX_FACES)
 
 
-def tubes(start: Float, end: Float, radius: Float, sides: int = 6) -> Mesh:
+def tubes(start: ArrayLike, end: ArrayLike, radius: ArrayLike, sides: int = 6) -> Mesh:
     """Return closed tubes from `start` to `end` (N, 3) with `radius` (N,) or (N, 2), that at the end last."""
-    start, end = np.atleast_2d(start).astype(np.float64), np.atleast_2d(end).astype(np.float64)
+    begin, stop = np.atleast_2d(np.asarray(start, np.float64)), np.atleast_2d(np.asarray(end, np.float64))
     width = np.asarray(radius, np.float64)
     if width.ndim < 2:
-        width = np.repeat(np.broadcast_to(width, len(start))[:, None], 2, axis=1)
-    along = end - start
+        width = np.repeat(np.broadcast_to(width, len(begin))[:, None], 2, axis=1)
+    along = stop - begin
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
     helper = np.where(np.abs(along[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     side = np.cross(along, helper)
@@ -95,7 +96,9 @@ def tubes(start: Float, end: Float, radius: Float, sides: int = 6) -> Mesh:
     other = np.cross(along, side)
     turn = 2 * np.pi * np.arange(sides) / sides
     ring = np.cos(turn)[:, None] * side[:, None] + np.sin(turn)[:, None] * other[:, None]
-    vertices = np.concatenate([start[:, None] + width[:, :1, None] * ring, end[:, None] + width[:, 1:, None] * ring], 1)
+    vertices = np.concatenate(
+        [begin[:, None] + width[:, :1, None] * ring, stop[:, None] + width[:, 1:, None] * ring], 1
+    )
     return _copies(vertices, _prism_faces(sides))
 
 
@@ -144,7 +147,7 @@ def _copies(vertices: Float, faces: Int) -> Mesh:
 
 
 def _prism_faces(sides: int) -> Int:
-    """Return the faces of a prism whose corners are its start ring, then its end ring, clockwise seen from the start."""
+    """Return the faces of a prism: its corners are the start ring, then the end ring, clockwise from the start."""
     this = np.arange(sides)
     after = (this + 1) % sides
     fan = this[1:-1]
@@ -188,16 +191,3 @@ def wheel(radius: float, width: float, sides: int = 20) -> Mesh:
     upright = cylinder(radius, -0.5 * width, 0.5 * width, sides=sides)
     x, y, z = upright.vertices.T
     return Mesh(np.column_stack([x, -z, y]), upright.faces)
-
-
-def blob(radius: float, rng: np.random.Generator, *, roughness: float = 0.25) -> Mesh:
-    """Return a lumpy ball about the origin (a crown, a bush): radius varies by `roughness` of itself."""
-    import trimesh
-
-    ball = trimesh.creation.icosphere(subdivisions=3)
-    unit = np.asarray(ball.vertices, np.float64)
-    bumps = np.zeros(len(unit))
-    for frequency in (2.0, 4.0, 7.0):
-        direction = rng.normal(size=(3, 4))
-        bumps += np.sin(frequency * unit @ direction + rng.uniform(0, 2 * np.pi, 4)).sum(axis=1) / (4 * frequency**0.5)
-    return Mesh(unit * (radius * (1 + roughness * bumps))[:, None], np.asarray(ball.faces, np.int64))

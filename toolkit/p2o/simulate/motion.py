@@ -14,7 +14,7 @@ def pose_at(twist: Float, time_s: float) -> Float:
 
 
 def moved(twist: Float, time_s: Float, xyz: Float, *, directions: bool = False) -> Float:
-    """Return points (N, 3) after exp(twist * time), each at its own time (N,) in seconds; no translation for directions.
+    """Return points (N, 3) after exp(twist * time), each at its own time (N,) in seconds; `directions` only turn.
 
     Rodrigues' formula and the left Jacobian, written out because all share one axis.
     """

@@ -55,7 +55,7 @@ def develop(light: Single, photo: Photo, rng: np.random.Generator) -> UInt8:
         y = (np.arange(height, dtype=np.float32) * 2 - height + 1) / np.float32(np.hypot(height, width))
         x = (np.arange(width, dtype=np.float32) * 2 - width + 1) / np.float32(np.hypot(height, width))
         scale *= 1 - np.float32(photo.vignetting) * (x**2 + y[:, None] ** 2)
-    shown = shown * scale[..., None]
+    shown = np.asarray(shown * scale[..., None], np.float32)
     if photo.grain > 0:
         noise = rng.standard_normal(shown.shape, np.float32)
         # A grey level near middle grey is 1/255 of white times the slope of the curve there, about one half.
@@ -65,7 +65,7 @@ def develop(light: Single, photo: Photo, rng: np.random.Generator) -> UInt8:
     rgb = _curve()[np.clip(shown * np.float32(_STEPS) + np.float32(0.5), 0, _STEPS).astype(np.uint16)]
     if photo.jpeg_quality > 0:
         _, data = cv2.imencode(".jpg", rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, photo.jpeg_quality])
-        rgb = np.ascontiguousarray(cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1])
+        rgb = np.ascontiguousarray(np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR))[..., ::-1])
     return np.asarray(rgb, np.uint8)
 
 

@@ -20,8 +20,7 @@ def leaf(rng: np.random.Generator) -> Material:
     colour = np.array(_GREENS[rng.integers(len(_GREENS))]) * rng.uniform(0.75, 1.35)
     if rng.random() < 0.12:
         colour = colour * np.array([2.0, 1.0, 0.6])
-    rgb = (float(colour[0]), float(colour[1]), float(colour[2]))
-    return Material("leaves", rgb, contrast=0.9, reflectance=float(rng.uniform(0.35, 0.6)), thin=True)
+    return Material("leaves", _rgb(colour), contrast=0.9, reflectance=float(rng.uniform(0.35, 0.6)), thin=True)
 
 
 def tree(rng: np.random.Generator, distance_m: float, *, height: float = 0.0, forest: bool = False) -> list[Part]:
@@ -98,7 +97,7 @@ def tufts(rng: np.random.Generator, place: Float, height_m: float) -> list[Part]
     centre = place + np.column_stack([np.zeros((len(place), 2)), 0.25 * size])
     blades = leaves(centre, size, rng, corners=3, upright=0.85)
     colour = np.array([0.11, 0.13, 0.035]) * rng.uniform(0.8, 1.3)
-    material = Material("long grass", tuple(float(c) for c in colour), 0.6, reflectance=0.45, thin=True)  # type: ignore[arg-type]
+    material = Material("long grass", _rgb(colour), 0.6, reflectance=0.45, thin=True)
     return [Part(blades, material, kind=Class.FOLIAGE, openness=rng.uniform(0.5, 1.0, len(place)))]
 
 
@@ -119,7 +118,7 @@ def thicket(rng: np.random.Generator, length: float, depth: float, height: float
 
 
 def _detail(area_m2: float, distance_m: float, most: int) -> tuple[int, float]:
-    """Return how many leaves of which size cover an area: about 8 pixels each, larger ones rather than more than `most`."""
+    """Return how many leaves of which size cover an area: of some 8 pixels each, or larger if `most` are not enough."""
     size = float(np.clip(0.011 * distance_m, 0.08, 0.8))
     count = int(np.clip(area_m2 / (0.28 * size**2), 120, most))
     return count, float(np.clip(np.sqrt(area_m2 / (0.28 * count)), size, 1.5 * size))
@@ -147,6 +146,10 @@ def _foliage(
     mesh: Mesh = leaves(place, size * rng.uniform(0.7, 1.3, len(place)), rng, corners=corners)
     shade = openness * rng.uniform(0.45, 1.05, len(place))
     return Part(mesh, material, kind=Class.FOLIAGE, openness=np.repeat(shade, corners - 2))
+
+
+def _rgb(colour: Float) -> tuple[float, float, float]:
+    return (float(colour[0]), float(colour[1]), float(colour[2]))
 
 
 def _shadow(material: Material) -> Material:

@@ -114,10 +114,10 @@ def _refine(
 
 @lru_cache(maxsize=2)
 def _pixel_rays(camera: Camera) -> tuple[Float, Bool]:
-    """Return unit rays (H * W, 3) of all pixels, row by row, and which of them exist; the others look straight ahead."""
+    """Return unit rays (H * W, 3) of all pixels, row by row, and which exist; the others look straight ahead."""
     uv = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), -1).reshape(-1, 2)
     rays = camera.rays(uv.astype(np.float64))
-    seen = np.isfinite(rays).all(axis=1)
+    seen: Bool = np.asarray(np.isfinite(rays).all(axis=1))
     rays[~seen] = (0.0, 0.0, 1.0)
     rays.flags.writeable = seen.flags.writeable = False
     return rays, seen
@@ -132,7 +132,9 @@ def _look(scene: Scene, rays: Float, world_from_camera: Float, focal_px: float, 
     away, met = np.flatnonzero(hits.face < 0), np.flatnonzero(hits.face >= 0)
     if len(away):
         colour[away] = sky(scene, directions[away])
-    if len(met):
+    if not len(away):
+        colour = shade(scene, origin, directions, hits, focal_px, time_s)
+    elif len(met):
         colour[met] = shade(scene, origin, directions[met], hits.take(met), focal_px, time_s)
     return hits, colour
 
@@ -144,12 +146,12 @@ def _outlines(part: NDArray[np.int64], normal: Float, classes: UInt8, height: in
     """
     size = (height, width)
     part, classes, leaf = part.reshape(size), classes.reshape(size), (classes == Class.FOLIAGE).reshape(size)
-    normal = normal.astype(np.float32).reshape(*size, 3)
+    facing: Single = normal.astype(np.float32).reshape(*size, 3)
     hard, leafy = np.zeros(size, bool), np.zeros(size, bool)
     for a, b in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
         other = part[a] != part[b]
         either = leaf[a] | leaf[b]
-        turns = (part[a] >= 0) & (np.einsum("hwi,hwi->hw", normal[a], normal[b]) < 0.99)
+        turns = (part[a] >= 0) & (np.einsum("hwi,hwi->hw", facing[a], facing[b]) < 0.99)
         sharp, soft = (other | turns) & ~either, either & (classes[a] != classes[b])
         for outline, change in ((hard, sharp), (leafy, soft)):
             outline[a] |= change

@@ -160,14 +160,18 @@ class Scene:
 
         Embree finds the triangle in single precision; the distance is to the triangle's plane in double precision.
         """
-        distance, face, normal = self._cast_body(0, origins, directions)
-        body = np.zeros(len(directions), np.int64)
+        count = len(directions)
+        distance, face = np.full(count, np.inf), np.full(count, -1, np.int64)
+        normal, body = np.zeros((count, 3)), np.zeros(count, np.int64)
+        rows, *found = self._cast_body(0, origins, directions)
+        distance[rows], face[rows], normal[rows] = found
         for number, mover in enumerate(self.movers, start=1):
             local_origins, local_directions, back = _seen_from(mover.twist, origins, directions, time_s)
-            near, its_face, its_normal = self._cast_body(number, local_origins, local_directions)
-            rows = np.flatnonzero(near < distance)
-            distance[rows], face[rows], body[rows] = near[rows], its_face[rows], number
-            normal[rows] = back(its_normal[rows], rows)
+            rows, near, its_face, its_normal = self._cast_body(number, local_origins, local_directions)
+            first = np.flatnonzero(near < distance[rows])
+            rows = rows[first]
+            distance[rows], face[rows], body[rows] = near[first], its_face[first], number
+            normal[rows] = back(its_normal[first], rows)
         return Hits(distance, face, normal, body)
 
     def blocked(self, origins: Float, direction: Float, time_s: float = 0.0) -> Bool:
@@ -175,7 +179,8 @@ class Scene:
         out = self._any(0, origins, direction)
         for number, mover in enumerate(self.movers, start=1):
             here = pose_at(mover.twist, -time_s)
-            out |= self._any(number, se3.apply(here, origins), here[:3, :3] @ direction)
+            rows = np.flatnonzero(~out)
+            out[rows] = self._any(number, se3.apply(here, origins[rows]), here[:3, :3] @ direction)
         return out
 
     def _any(self, body: int, origins: Float, direction: Float) -> Bool:
@@ -184,21 +189,26 @@ class Scene:
         one = np.ascontiguousarray(direction[None], np.float32)
         return np.asarray(tree.run(single, one, query="OCCLUDED") != -1)
 
-    def _cast_body(self, body: int, origins: Float, directions: Float) -> tuple[Float, Int, Float]:
-        """Return distance (N,), face (N,) and normal (N, 3) of the first face of one body."""
+    def _cast_body(self, body: int, origins: Float, directions: Float) -> tuple[Int, Float, Int, Float]:
+        """Return which rays meet one body (M,), and distance (M,), face (M,) and normal (M, 3) of its first face."""
         tree, first = self._trees[body]
         single = np.ascontiguousarray(directions, np.float32)
         start = np.ascontiguousarray(np.broadcast_to(origins, directions.shape), np.float32)
-        face = tree.run(start, single).astype(np.int64)
-        face[face >= 0] += first
-        plane = self.planes.take(np.maximum(face, 0), axis=0)
+        found = tree.run(start, single)
+        rows = np.flatnonzero(found >= 0)
+        face = found[rows].astype(np.int64) + first
+        plane = self.planes.take(face, axis=0)
         normal = plane[:, :3]
+        begin = np.ravel(origins) if np.size(origins) == 3 else origins[rows]
+        height = plane[:, 3] - (
+            normal @ np.ravel(begin) if np.size(begin) == 3 else np.einsum("ni,ni->n", normal, begin)
+        )
         with np.errstate(divide="ignore", invalid="ignore"):
-            distance = plane[:, 3] - np.einsum("ni,ni->n", normal, np.broadcast_to(origins, directions.shape))
-            distance /= np.einsum("ni,ni->n", normal, directions)
-        missed = (face < 0) | ~(distance > 0) | ~np.isfinite(distance)
-        distance[missed], face[missed], normal[missed] = np.inf, -1, 0.0
-        return distance, face, normal
+            distance = height / np.einsum("ni,ni->n", normal, directions[rows])
+        met = (distance > 0) & np.isfinite(distance)
+        if met.all():
+            return rows, distance, face, normal
+        return rows[met], distance[met], face[met], normal[met]
 
     def material_table(self, names: Sequence[str]) -> tuple[Float, ...]:
         """Return one array a name of Material, a row a part: how renderers look materials up."""

@@ -22,7 +22,8 @@ def layout(plan: Plan) -> Layout:
     edge = (right - rng.uniform(1.6, 2.6), left + rng.uniform(1.6, 2.6))
     x = stations(BEHIND_M, plan.far_m)
     ground = strips(
-        [(edge[1], 0.12), (left + 0.12, 0.12), (left, 0.11), (left, 0.0), (right, 0.0), (right, 0.11), (right - 0.12, 0.12), (edge[0], 0.12)],
+        [(edge[1], 0.12), (left + 0.12, 0.12), (left, 0.11), (left, 0.0), (right, 0.0), (right, 0.11),
+         (right - 0.12, 0.12), (edge[0], 0.12)],
         [(PAVING, Class.PAVEMENT), (KERB, Class.PAVEMENT), (KERB, Class.PAVEMENT), (ASPHALT, Class.ROAD),
          (KERB, Class.PAVEMENT), (KERB, Class.PAVEMENT), (PAVING, Class.PAVEMENT)],
         x,

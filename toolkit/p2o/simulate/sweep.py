@@ -70,7 +70,7 @@ def sweep(
         ring=None if beams.ring is None else beams.ring[rows],
         column=beams.column[rows],
         time_s=beams.time_s[rows],
-        intensity=np.round(np.clip(strength[rows], 0.0, 0.99), 2),
+        intensity=np.asarray(np.round(np.clip(strength[rows], 0.0, 0.99), 2), np.float64),
     )
 
 
@@ -108,7 +108,7 @@ class _Pulses:
 
 
 def _strength(scene: Scene, hits: Hits, world_directions: Float) -> Float:
-    """Return how much of a pulse comes back (N,) at 1 m: reflectance with incidence, less what a smooth surface mirrors."""
+    """Return the share of a pulse that comes back (N,) from 1 m: reflectance with incidence, less what is mirrored."""
     reflectance, gloss = scene.material_table(("reflectance", "gloss"))
     part = scene.part_of_face[hits.face]
     facing = np.abs(np.einsum("ni,ni->n", hits.normal, world_directions))
@@ -167,8 +167,17 @@ def _melted(
             away = np.einsum("ni,ni->n", normal, world * hits.distance_m[:, None] - at)
             one_plane &= np.abs(away) < _SAME_PLANE_M
 
-    # Which sub-rays melt with which: echoes closer than a pulse. Energy falls with the square of the distance.
-    far = np.where(np.isfinite(distance), distance, 1e9)
+    # On one plane the middle ray is exact; the mean would be too far by the square of the divergence.
+    out, power = distance[:, 0].copy(), strength[:, 0].copy()
+    split = np.flatnonzero(~one_plane)
+    mean, total = _echo(distance[split], strength[split], lidar)
+    out[split], power[split] = np.where(total > 0, mean, np.inf), total * mean**2
+    return out, power
+
+
+def _echo(distance: Float, strength: Float, lidar: Lidar | Rosette) -> tuple[Float, Float]:
+    """Return distance and energy (N,) of the kept echo of sub-rays (N, K); echoes closer than a pulse melt."""
+    far = np.where(np.isfinite(distance), distance, 1e6)
     energy = _WEIGHTS * strength / far**2
     together = np.abs(far[:, :, None] - far[:, None, :]) < lidar.pulse_m
     group = np.einsum("nij,nj->ni", together, energy)
@@ -179,10 +188,7 @@ def _melted(
         chosen = np.argmin(np.where(enough, far, np.inf), axis=1)
     members = np.take_along_axis(together, chosen[:, None, None], axis=1)[:, 0] * energy
     total = members.sum(axis=1)
-    mean = (members * far).sum(axis=1) / np.where(total > 0, total, 1.0)
-    # On one plane the middle ray is exact; the mean would be too far by the square of the divergence.
-    exact = one_plane | (total == 0)
-    return np.where(exact, distance[:, 0], mean), np.where(exact, strength[:, 0], total * mean**2)
+    return (members * far).sum(axis=1) / np.where(total > 0, total, 1.0), total
 
 
 def _tilted(directions: Float, angles: Float) -> Float:

@@ -77,7 +77,7 @@ def _tables() -> tuple[Single, NDArray[np.int32]]:
 
 
 def _spectrum(rng: np.random.Generator, slope: float, stretch: float = 1.0) -> Float:
-    """Return periodic noise of unit deviation whose amplitude falls as frequency^-slope; `stretch` > 1 draws it out along v."""
+    """Return periodic noise of deviation 1, amplitude falling as frequency^-slope, drawn out along v by `stretch`."""
     fx, fy = np.meshgrid(np.fft.fftfreq(_SIZE) * _SIZE, np.fft.fftfreq(_SIZE) * _SIZE)
     frequency = np.hypot(fx, fy * stretch)
     frequency[0, 0] = np.inf

@@ -30,8 +30,8 @@ def layout(plan: Plan) -> Layout:
     close = plan.travel_m + rng.uniform(70.0, 140.0)
     x = stations(BEHIND_M, plan.far_m)
     ground = strips(
-        [(fronts[1] + 1, 0.13), (left + 0.15, 0.13), (left, 0.12), (left, 0.0), (right, 0.0), (right, 0.12), (right - 0.15, 0.13),
-         (fronts[0] - 1, 0.13)],
+        [(fronts[1] + 1, 0.13), (left + 0.15, 0.13), (left, 0.12), (left, 0.0), (right, 0.0), (right, 0.12),
+         (right - 0.15, 0.13), (fronts[0] - 1, 0.13)],
         [(PAVING, Class.PAVEMENT), (KERB, Class.PAVEMENT), (KERB, Class.PAVEMENT), (ASPHALT, Class.ROAD),
          (KERB, Class.PAVEMENT), (KERB, Class.PAVEMENT), (PAVING, Class.PAVEMENT)],
         x,

@@ -1,0 +1,116 @@
+"""A store of made-up runs, written through the store's own functions: what reports are made of in the tests."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from p2o import se3
+from p2o.metrics import pose_error
+from p2o.store import Planned, Store, StoredRow, StoredStudy
+
+TRUTH = se3.make(np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]), [0.0, -0.1, -0.3])
+AXIS = np.array([2.0, 1.0, -2.0]) / 3
+
+TOML = """
+name = "table2"
+title = "Table 2: KITTI & <others>"
+note = "Starts are 2 deg and 0.15 m wrong."
+"""
+
+PUBLISHED = (
+    {"label": "RGGNet", "source": "Yuan et al. 2020", "values": {"rotation_deg": 1.18, "translation_m": 0.088}},
+    {
+        "label": "ours",
+        "source": "P2O-Calib, Table 2",
+        "values": {"rotation_deg": 0.001, "translation_m": 0.001},
+        "beside": "ours",
+        "start": "2 deg, 0.15 m",
+    },
+)
+
+
+def planned(run: StoredRow) -> Planned:
+    """Return what the study asked for."""
+    return Planned(**{name: getattr(run, name) for name in Planned.__dataclass_fields__})
+
+
+def run_of(
+    row: str, frame: str, seed: int, rotation_deg: float, shift_m: float, *, study: str = "table2", **values: Any
+) -> StoredRow:
+    """Return a run whose estimate is off by this turn and shift, each along an axis of its own."""
+    turn = se3.exp(np.array([*(np.radians(rotation_deg) * AXIS), 0, 0, 0]))
+    estimate = TRUTH @ se3.make(turn[:3, :3], shift_m * AXIS[::-1])
+    error = pose_error(estimate, TRUTH)
+    start = TRUTH @ se3.exp(np.array([0, np.radians(2), 0, 0, 0.15, 0]))
+    common: dict[str, Any] = {
+        "dataset": "kitti",
+        "frames": (frame,),
+        "seed": seed,
+        "perturb": "2deg 0.15m",
+        "status": "converged",
+        "reason": "the last round moved the pose by less than the tolerance",
+        "rotation_deg": error.rotation_deg,
+        "translation_m": error.translation_m,
+        **error.per_axis,
+        "start_rotation_deg": 2.0,
+        "start_translation_m": 0.15,
+        "estimate": estimate,
+        "start": start,
+        "truth": TRUTH,
+        "rounds": rounds((900, 18.0), (400, 4.0), (380, 2.0)),
+        "matches": {"L": 200, "R": 180},
+        "seconds": {"extract": 0.5, "refine": 0.25},
+        "recipe": {"matcher": "ogm", "seed": seed},
+        "versions": {"numpy": "2"},
+        "finished": "2026-01-01T00:00:00+00:00",
+    }
+    return StoredRow(f"{study} {row} {frame} {seed}", study, row, **{**common, **values})
+
+
+def rounds(*history: tuple[int, float]) -> tuple[Mapping[str, Any], ...]:
+    """Return rounds with these numbers of matches and mean residuals, behind one of an initializer."""
+    blank = {"reach_px": 5.0, "directed_cost_px": 3.0, "step_deg": 0.1, "step_m": 0.01, "accepted": True}
+    first = {**blank, "stage": "initialize", "matches": {}, "mean_residual_px": None}
+    return (
+        first,
+        *({**blank, "stage": "refine", "matches": {"L": n}, "mean_residual_px": px} for n, px in history),
+    )
+
+
+def table2(frames: int = 12, seeds: int = 3) -> list[StoredRow]:
+    """Return the runs of a study of three rows and a joint one; errors are of a seeded generator."""
+    rng = np.random.default_rng(5)
+    runs = []
+    for row, scale in (("ours w/o OGM", 2.0), ("ours w/o UB", 0.35), ("ours", 0.3)):
+        for frame in range(frames):
+            hard = rng.gamma(2.0, 0.5)
+            for seed in range(seeds):
+                turn, shift = scale * hard * rng.normal(), 0.4 * scale * hard * rng.normal()
+                refused = {"status": "too-few-matches", "reason": "12 pairs within 50 px, at least 30 are needed"}
+                more = refused if abs(turn) > 4 else {}
+                runs.append(run_of(row, f"2011_09_26/drive_0005/{frame:010d}", seed, turn, shift, **more))
+    for seed in range(seeds):
+        names = tuple(f"2011_09_26/drive_0005/{frame:010d}" for frame in range(frames))
+        runs.append(run_of("ours, jointly", names[0], seed, 0.05 + 0.01 * seed, 0.01, frames=names, joint=frames))
+    return runs
+
+
+def write_store(
+    folder: Path,
+    runs: Sequence[StoredRow],
+    *,
+    missing: Sequence[Planned] = (),
+    toml: str = TOML,
+    published: Sequence[Mapping[str, Any]] = PUBLISHED,
+) -> Path:
+    """Write runs as one study, and return the folder."""
+    name = (*runs, *missing)[0].study
+    study = StoredStudy(name, toml, {}, tuple(published))
+    with Store.open(folder) as store:
+        store.begin(study, [*map(planned, runs), *missing])
+        for run in runs:
+            store.put(run)
+    return folder

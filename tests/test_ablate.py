@@ -1,0 +1,410 @@
+"""A study computes each row once, whatever happens to it on the way, and the same bits wherever it runs."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import random
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import p2o
+import pytest
+from p2o import InputError, MethodUnavailable, P2OError, worker
+from p2o.ablate import Ablation, ablate, chosen_seeds
+from p2o.cache import FeatureCache
+from p2o.cli import main
+from p2o.parallel import Workers
+from p2o.store import Store, StoredRow
+from p2o.study import StudyFile, parse_study
+from p2o.worker import Plugins
+
+PLUGIN = Path(__file__).with_name("study_plugin.py")
+HEAD = """name = "tiny"
+title = "Tiny"
+perturb = "1deg 0.05m"
+seeds = 2
+[[dataset]]
+name = "tiny"
+data = "tiny:"
+options = { frames = 3 }
+[defaults]
+extractor = "tiny/tiny"
+init = "given"
+"""
+STAGED = HEAD + '[[product]]\nmatcher = ["ogm", "nearest"]\nsolver = ["lm", "scipy"]\n'
+QUICK = HEAD + '[[row]]\nlabel = "quick"\ncalibrator = "quick"\n'
+
+
+class Bench:
+    """A folder with a store, a cache and a count of calls."""
+
+    def __init__(self, root: Path) -> None:
+        self.root, self.calls_file = root, root / "calls"
+        self.plugins = Plugins(files=(str(PLUGIN),))
+
+    def run(self, text: str, out: str = "out", jobs: int = 1, **words: object) -> Ablation:
+        cache = FeatureCache(self.root / "cache")
+        file = StudyFile(parse_study(text), text, "test")
+        return ablate(file, self.root / out, plugins=self.plugins, workers=Workers(jobs), cache=cache, **words)
+
+    def calls(self) -> Counter[str]:
+        """Return how often each was called since the last time: image, cloud, quick, frame."""
+        lines = self.calls_file.read_text().splitlines() if self.calls_file.exists() else []
+        self.calls_file.unlink(missing_ok=True)
+        return Counter(line.split()[0] for line in lines)
+
+    def cli(self, text: str, *words: str, out: str = "out") -> subprocess.CompletedProcess[str]:
+        file = self.root / "study.toml"
+        file.write_text(text)
+        command = [
+            sys.executable,
+            "-m",
+            "p2o",
+            "ablate",
+            str(file),
+            "--plugin",
+            str(PLUGIN),
+            "--out",
+            str(self.root / out),
+        ]
+        environ = {**os.environ, "P2O_CACHE": str(self.root)}
+        return subprocess.run([*command, *words], capture_output=True, text=True, check=False, env=environ)
+
+
+@pytest.fixture
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Bench:
+    monkeypatch.setenv("TINY_CALLS", str(tmp_path / "calls"))
+    monkeypatch.delenv("P2O_PLUGINS", raising=False)
+    # What another test has left in this process would hide calls.
+    worker._memory.clear()
+    worker._frame.cache_clear()
+    return Bench(tmp_path)
+
+
+def bits(rows: Sequence[StoredRow]) -> list[tuple[object, ...]]:
+    """Return all that a row says, except for the time it took."""
+    return [
+        (r.key, r.row, r.seed, r.frames, r.status, r.reason, r.rounds, r.matches, json.dumps(r.recipe), r.rotation_deg)
+        + tuple(None if pose is None else pose.tobytes() for pose in (r.estimate, r.start, r.truth))
+        for r in rows
+    ]
+
+
+def test_features_are_extracted_once_for_all_seeds_matchers_solvers_and_studies(bench: Bench) -> None:
+    done = bench.run(STAGED)
+    assert (done.computed, len(done.rows), done.missing) == (24, 24, ())
+    assert all(row.solved for row in done.rows)
+    assert bench.calls() == {"frame": 3, "image": 3, "cloud": 3}
+
+    worker._memory.clear()
+    other = STAGED.replace('name = "tiny"', 'name = "other"', 1).replace('init = "given"', 'init = "search"')
+    assert bench.run(other, out="elsewhere").computed == 24
+    assert bench.calls() == {"frame": 3}
+
+
+def test_changing_an_option_extracts_again_only_what_it_acts_on(bench: Bench) -> None:
+    text = HEAD + '[[row]]\nlabel = "a"\n'
+    bench.run(text)
+    bench.calls()
+    for change, expected in (
+        ("options.solver.max_iterations = 7\n", {}),
+        ("options.matcher.neighbours = 6\n", {}),
+        ("options.pipeline.missing_edges = 0.1\n", {}),
+        ("options.extractor.step = 0.04\n", {"image": 3}),
+        ("options.cloud.step = 0.3\n", {"cloud": 3}),
+        ("options.data.salt = 1\n", {"image": 3}),
+    ):
+        worker._memory.clear()
+        done = bench.run(text + change)
+        assert done.computed == 6, change
+        calls = bench.calls()
+        del calls["frame"]
+        assert calls == expected, change
+
+
+def test_a_study_that_is_finished_computes_nothing_and_an_edited_one_what_is_new(bench: Bench) -> None:
+    first = bench.run(STAGED)
+    assert bench.run(STAGED).computed == 0
+    assert bits(bench.run(STAGED).rows) == bits(first.rows)
+    more = bench.run(STAGED.replace("seeds = 2", "seeds = 3").replace("frames = 3", "frames = 4"))
+    assert (more.computed, len(more.rows)) == (4 * 12 - 24, 48)
+    fewer = bench.run(STAGED.replace('["lm", "scipy"]', '["lm"]'))
+    assert (fewer.computed, len(fewer.rows)) == (0, 12), "rows that are no longer asked for are not shown"
+    renamed = bench.run(STAGED.replace("[[product]]", '[[product]]\nlabel = "{matcher} and {solver}"'))
+    assert renamed.computed == 0
+    assert {row.row for row in renamed.rows} >= {"ogm and lm", "nearest and scipy"}
+
+
+def test_a_row_is_what_p2o_run_gives_for_the_same_words(bench: Bench) -> None:
+    text = STAGED + '[[row]]\nlabel = "joint"\njoint = true\n'
+    registry = bench.plugins.registry()
+    rows = [row for row in bench.run(text).rows if row.matcher == "ogm"]
+    assert len(rows) == 12 + 2
+    for row in rows[::3]:
+        words = {name: value for name, value in row.recipe.items() if name != "calibrator"}
+        again = p2o.calibrate(registry=registry, **words).rows[0]
+        assert again.result.camera_from_lidar.tobytes() == row.estimate.tobytes()
+        assert again.result.start.tobytes() == row.start.tobytes()
+        assert again.result.status == row.status
+        assert again.error.rotation_deg == row.rotation_deg
+        assert again.start_error.translation_m == row.start_translation_m
+
+
+def test_groups_of_frames_are_solved_together_each_from_a_start_of_its_own(bench: Bench) -> None:
+    rows = bench.run(QUICK.replace("frames = 3", "frames = 5") + "joint = 2\n").rows
+    groups = [("tiny/000", "tiny/001"), ("tiny/002", "tiny/003"), ("tiny/004",)]
+    assert [(row.frames, row.joint) for row in rows[::2]] == [(group, len(group)) for group in groups]
+    assert len({row.start.tobytes() for row in rows}) == len(rows)
+    assert [round(row.start_rotation_deg, 6) for row in rows] == [1.0] * 6
+
+
+def test_a_run_that_raises_is_a_row_that_says_why_and_is_tried_again(bench: Bench) -> None:
+    text = QUICK + 'options.calibrator.fail_on = "tiny/001"\n'
+    done = bench.run(text)
+    crashed = [row for row in done.rows if row.crashed]
+    assert [(row.frames, row.status) for row in crashed] == [(("tiny/001",), "stage-failed")] * 2
+    assert "raised ValueError while calibrating; got no such luck" in crashed[0].reason
+    assert "in calibrate" in crashed[0].exception
+    assert crashed[0].estimate is None
+    assert crashed[0].start is not None
+    assert len(done.rows) == 6
+    assert bench.run(text).computed == 2
+
+
+def test_a_frame_that_cannot_be_read_and_features_that_cannot_be_had_are_rows_too(bench: Bench) -> None:
+    text = HEAD.replace("frames = 3", "frames = 3, bad = 1") + '[[row]]\nlabel = "a"\noptions.extractor.fail_on = 2\n'
+    good, unread, unliked = bench.run(text).rows[::2]
+    assert good.solved
+    assert (unread.frames, unread.crashed, unread.start) == (("tiny/001",), True, None)
+    assert "the image is cut short" in unread.reason
+    assert "this picture is not liked" in unliked.reason
+    assert "ValueError" in unliked.exception
+
+
+def test_what_is_wrong_is_told_before_any_work(bench: Bench) -> None:
+    with pytest.raises(InputError, match=r"row 'b'.*try --matcher"):
+        bench.run(STAGED + '[[row]]\nlabel = "b"\nextractor = "tiny-plain/tiny"\n')
+    with pytest.raises(InputError, match=r"row 'b'.*the frame has no right; stereo needs it"):
+        bench.run(HEAD + '[[row]]\nlabel = "a"\n[[row]]\nlabel = "b"\nextractor = "stereo/tiny"\n')
+    with pytest.raises(InputError, match=r"dataset 'tiny': frame index 7"):
+        bench.run(QUICK.replace("frames = 3 }", 'frames = 3 }\nframes = "7"'))
+    assert bench.calls()["quick"] == 0
+    assert bench.run(QUICK).computed == 6
+
+
+def test_ctrl_c_keeps_the_rows_that_are_finished(bench: Bench) -> None:
+    text = QUICK + "options.calibrator.interrupt_after = 4\n"
+    done = bench.run(text)
+    assert done.interrupted
+    assert (done.computed, len(done.rows), len(done.missing)) == (3, 3, 3)
+
+
+def test_progress_tells_rows_failures_and_the_time_that_is_left(bench: Bench) -> None:
+    told = []
+    bench.run(QUICK + 'options.calibrator.fail_on = "tiny/001"\n', on_progress=told.append)
+    rows = [p for p in told if p.phase == "calibrate"]
+    assert [p.done for p in rows][-7:] == [0, 1, 2, 3, 4, 5, 6]
+    assert (rows[-1].total, rows[-1].failed, rows[-1].seconds_left) == (6, 2, 0)
+    assert rows[-3].seconds_left > 0
+    assert rows[-1].name == "quick, tiny/002, seed 1"
+    again = []
+    bench.run(QUICK, on_progress=again.append)
+    bench.run(QUICK, on_progress=again.append)
+    assert (again[-1].done, again[-1].kept) == (6, 6)
+
+
+def test_two_processes_of_one_machine_give_the_same_bits_as_one(bench: Bench) -> None:
+    text = STAGED + '[[row]]\nlabel = "quick"\ncalibrator = "quick"\n[[row]]\nlabel = "all"\njoint = true\n'
+    alone = bench.run(text)
+    both = bench.run(text, out="both", jobs=2)
+    assert both.computed == alone.computed
+    assert bits(both.rows) == bits(alone.rows)
+
+
+def test_a_worker_that_is_killed_loses_no_finished_row(bench: Bench) -> None:
+    text = QUICK + f'options.calibrator.die_once = "{bench.root / "died"}"\n'
+    with pytest.raises(P2OError, match=r"workers of --backend loky were lost.*start the study again"):
+        bench.run(text, jobs=2)
+    done = bench.run(text, jobs=2)
+    assert len(done.rows) == 6
+    assert all(row.solved for row in done.rows)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason='needs pip install "p2o-calib[dask]"')
+def test_a_dask_cluster_gives_the_same_bits_though_a_worker_is_killed(bench: Bench) -> None:
+    text = (
+        STAGED
+        + f'[[row]]\nlabel = "quick"\ncalibrator = "quick"\noptions.calibrator.die_once = "{bench.root / "died"}"\n'
+    )
+    done = bench.cli(text, "--backend", "dask", "--jobs", "3", "--quiet")
+    assert done.returncode == 0, done.stderr
+    assert (bench.root / "died").exists(), "a worker was killed"
+    alone = bench.run(text, out="alone")
+    with Store.open(bench.root / "out") as store:
+        assert bits(store.rows("tiny")) == bits(alone.rows)
+
+
+@pytest.mark.parametrize("backend", ["dask", "ray"])
+def test_a_backend_that_is_not_installed_tells_the_extra(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("distributed", "ray"):
+        monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(MethodUnavailable, match=rf'pip install "p2o-calib\[{backend}\]"'):
+        Workers(2, backend)
+
+
+def test_threads_of_this_process_are_left_as_they_were() -> None:
+    import cv2
+
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(3)
+    try:
+        with Workers(1).hired() as run:
+            assert list(run(lambda _: cv2.getNumThreads(), [0, 0])) == [1, 1]
+        assert cv2.getNumThreads() == 3
+    finally:
+        cv2.setNumThreads(before)
+
+
+def _in_child(act: Callable[[], object]) -> int:
+    """Run `act` in a forked process, which has all modules loaded, and return its id."""
+    child = os.fork()
+    if child == 0:
+        try:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+            act()
+            os._exit(0)
+        except BaseException:
+            os._exit(1)
+    return child
+
+
+KILLS = 56
+LONG = QUICK.replace("seeds = 2", "seeds = 60").replace("frames = 3", "frames = 5")
+
+
+def _keys(folder: Path) -> set[str]:
+    if not (folder / "study.sqlite").exists():
+        return set()
+    with sqlite3.connect(folder / "study.sqlite") as connection:
+        try:
+            found = connection.execute("select frames, start from runs").fetchall()
+        except sqlite3.OperationalError:  # killed before the tables were made
+            found = []
+        assert connection.execute("pragma integrity_check").fetchall() == [("ok",)]
+    connection.close()
+    return {f"{json.loads(frames)[0]} {np.abs(json.loads(start)).sum():.17g}" for frames, start in found}
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="kills forked processes")
+def test_a_study_that_is_killed_at_any_moment_goes_on_and_computes_no_finished_row_again(bench: Bench) -> None:
+    bench.plugins.registry()
+    rng = random.Random(0)
+    text = LONG + "options.calibrator.sleep_s = 0.001\n"
+    folder = bench.root / "out"
+    computed: Counter[str] = Counter()
+    finished: set[str] = set()
+    for kill in range(KILLS):
+        child = _in_child(lambda: bench.run(text))
+        # Half of the kills fall into reading, planning and making the store, the others among the rows.
+        if kill % 2:
+            until = time.monotonic() + 10
+            while not bench.calls_file.exists() or "quick" not in bench.calls_file.read_text():
+                if time.monotonic() > until or os.waitpid(child, os.WNOHANG) != (0, 0):
+                    break
+                time.sleep(0.001)
+        time.sleep(rng.uniform(0, 0.03))
+        with_kill = os.waitpid(child, os.WNOHANG) == (0, 0) if _alive(child) else False
+        if with_kill:
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+        lines = bench.calls_file.read_text().splitlines() if bench.calls_file.exists() else []
+        bench.calls_file.unlink(missing_ok=True)
+        calls = [line.removeprefix("quick ") for line in lines if line.startswith("quick ")]
+        assert not finished & set(calls), "a row that was finished before was computed again"
+        computed.update(calls)
+        now = _keys(folder)
+        assert now >= finished, "a finished row was lost"
+        assert len(set(calls) - now) <= 1, "at most the row under way is lost with the process"
+        finished = now
+    assert len(finished) > 5
+    done = bench.run(text)
+    assert len(done.rows) == 300
+    assert done.missing == ()
+    alone = bench.run(text, out="alone")
+    assert bits(done.rows) == bits(alone.rows)
+
+
+def _alive(child: int) -> bool:
+    try:
+        os.kill(child, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
+def test_two_processes_share_one_study_without_harm(bench: Bench) -> None:
+    bench.plugins.registry()
+    text = LONG + "options.calibrator.sleep_s = 0.004\n"
+    children = [_in_child(lambda: bench.run(text)) for _ in range(2)]
+    assert [os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in children] == [0, 0]
+    # They begin at opposite ends; only where they meet may both compute a row.
+    assert 300 <= bench.calls()["quick"] <= 304
+    done = bench.run(text)
+    assert done.computed == 0
+    assert bits(done.rows) == bits(bench.run(text, out="alone").rows)
+
+
+def test_the_command_prints_what_is_measured_beside_what_is_published(bench: Bench, capsys, monkeypatch) -> None:
+    monkeypatch.setenv("P2O_CACHE", str(bench.root))
+    file = bench.root / "s.toml"
+    published = '[[published]]\nlabel = "RGGNet"\nsource = "2020"\nbeside = "quick"\nvalues = { rotation_deg = 1.18 }\n'
+    file.write_text(QUICK + published)
+    words = ["ablate", str(file), "--plugin", str(PLUGIN), "--out", str(bench.root / "out"), "--jobs", "1"]
+    assert main([*words, "--frames", "0,1", "--seeds", "3"]) == 0
+    out, err = capsys.readouterr()
+    lines = out.splitlines()
+    assert lines[0] == "Tiny"
+    assert lines[2].split() == ["quick", "6", "0", "0.500", "0.500", "0.025", "0.025", "measured"]
+    assert lines[3].split() == ["RGGNet", "1.180", "-", "published"]
+    assert "p2o: calibrating: 6 of 6 (quick, tiny/001, seed 2)" in err
+    assert "6 rows computed" in err
+    assert main([*words, "--quiet", "--frames", "0,1", "--seeds", "3"]) == 0
+    assert capsys.readouterr().err == ""
+    file.write_text(QUICK + 'options.calibrator.fail_on = "tiny/001"\n')
+    assert main(words) == 1
+    assert "2 (2 crashed)" in capsys.readouterr().out
+    file.write_text(QUICK + "options.calibrator.interrupt_after = 2\n")
+    assert main(words) == 130
+    assert "the same command goes on from here" in capsys.readouterr().err
+
+
+def test_the_command_lists_studies_and_refuses_what_it_cannot_do(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["ablate", "--list"]) == 0
+    assert "smoke " in capsys.readouterr().out
+    for words, told in (
+        ([], "which study?"),
+        (["smok"], "did you mean smoke"),
+        (["smoke", "--seeds", "none"], "cannot read the seeds"),
+        (["smoke", "--update"], "--gate FILE"),
+        (["smoke", "--address", "tcp://x:1"], "have no address"),
+    ):
+        assert main(["ablate", *words]) == 2
+        assert told in capsys.readouterr().err
+
+
+def test_seeds_are_a_number_or_a_list() -> None:
+    assert chosen_seeds("10") == 10
+    assert chosen_seeds("3, 5") == (3, 5)
+    for text in ("0", "", "-1", "1,", "a"):
+        with pytest.raises(InputError, match="--seeds"):
+            chosen_seeds(text)

@@ -1,0 +1,538 @@
+"""What a report says follows from the single runs in the store, and the same store gives the same report."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from p2o import InputError, MethodUnavailable, UnknownNameError
+from p2o.cli import main
+from p2o.report import write_report
+from p2o.report.bootstrap import MIN_FRAMES, interval
+from p2o.report.figures import figures_of
+from p2o.report.rounds import convergence
+from p2o.report.summary import Measured, Published, summarise_study
+from p2o.report.tables import latex, markdown
+from p2o.store import Planned, Store, StoredRow, StoredStudy
+
+from tests.fake_study import PUBLISHED, planned, rounds, run_of, table2, write_store
+
+STUDY = StoredStudy("table2", 'title = "T"', {}, ())
+
+
+def frames(count: int, row: str, errors: list[float], **values: object) -> list[StoredRow]:
+    """Return runs of `count` frames, with one seed for each error."""
+    return [run_of(row, f"f{i}", seed, e, 0.1, **values) for i in range(count) for seed, e in enumerate(errors)]
+
+
+# ---- intervals
+
+
+def test_the_value_of_an_interval_is_the_mean_or_median_of_all_runs() -> None:
+    values, names = [1.0, 2.0, 3.0, 10.0], ["a", "b", "c", "d"]
+    assert interval(values, names, "mean").value == 4.0
+    assert interval(values, names, "median").value == 2.5
+    assert interval(values[:3], names[:3], "median").value == 2.0
+
+
+def test_a_median_of_weighted_values_is_that_of_the_values_repeated() -> None:
+    """An odd and an even number of runs a frame, drawn several times: numpy's median of the written-out sample."""
+    from p2o.report.bootstrap import _statistics
+
+    rng = np.random.default_rng(0)
+    values = np.sort(rng.normal(size=9))
+    weights = rng.integers(0, 4, (50, 9))
+    weights[:, 3] += 1
+    for statistic, of in (("mean", np.mean), ("median", np.median)):
+        expected = [of(np.repeat(values, w)) for w in weights]
+        assert np.allclose(_statistics(values, weights, statistic), expected, rtol=1e-12)
+
+
+def test_frames_that_all_say_the_same_leave_no_doubt() -> None:
+    """Seeds differ and frames do not: whichever frames are drawn, the mean stays."""
+    names = [f"f{i}" for i in range(8) for _ in range(2)]
+    found = interval([1.0, 3.0] * 8, names, "mean")
+    assert (found.low, found.value, found.high) == (2.0, 2.0, 2.0)
+
+
+def test_more_seeds_of_the_same_frames_do_not_narrow_an_interval() -> None:
+    """A frame's error twice is no second frame; drawn as runs, the interval would shrink by sqrt(4)."""
+    errors = np.random.default_rng(1).gamma(2.0, size=20)
+    names = [f"f{i}" for i in range(20)]
+    once = interval(errors, names, "mean")
+    fourfold = interval(np.repeat(errors, 4), np.repeat(names, 4).tolist(), "mean")
+    assert np.isclose(fourfold.low, once.low, rtol=1e-12)
+    assert np.isclose(fourfold.high, once.high, rtol=1e-12)
+
+
+def test_the_interval_of_a_mean_is_as_wide_as_normal_theory_says() -> None:
+    """Half a width of 1.96 sigma / sqrt(n), n = 400; 2000 draws of a quantile and sigma are good for a tenth."""
+    sample = np.random.default_rng(2).normal(5.0, 2.0, 400)
+    found = interval(sample, [str(i) for i in range(400)], "mean")
+    expected = 1.96 * sample.std() / 20
+    assert np.isclose(found.high - found.value, expected, rtol=0.1)
+    assert np.isclose(found.value - found.low, expected, rtol=0.1)
+
+
+def test_intervals_do_not_depend_on_the_order_of_runs() -> None:
+    rng = np.random.default_rng(3)
+    values, names = rng.normal(size=60), np.repeat([f"f{i}" for i in range(12)], 5)
+    order = rng.permutation(60)
+    for statistic in ("mean", "median"):
+        assert interval(values, names.tolist(), statistic) == interval(values[order], names[order].tolist(), statistic)
+
+
+def test_few_frames_have_no_interval_and_no_runs_no_value() -> None:
+    few = [f"f{i % (MIN_FRAMES - 1)}" for i in range(40)]
+    assert interval(np.arange(40.0), few, "mean").low is None
+    assert interval([], [], "mean") is None
+    with pytest.raises(ValueError, match="frames"):
+        interval([1.0], ["a", "b"], "mean")
+
+
+# ---- rows
+
+
+def test_a_row_has_the_figures_of_its_runs() -> None:
+    runs = frames(6, "ours", [0.5, 1.5])
+    [group] = summarise_study(STUDY, runs).groups
+    [row] = group.rows
+    assert isinstance(row, Measured)
+    assert (row.runs, len(row.places), row.seeds, row.failures) == (12, 6, 2, {})
+    assert np.isclose(row.mean["rotation_deg"].value, 1.0)
+    assert np.isclose(row.mean["translation_m"].value, 0.1)
+    # The axis of `run_of`, (2, 1, -2) / 3 in the LiDAR frame: roll about its x, pitch about its -y, yaw about its -z.
+    assert np.isclose(row.mean["roll_deg"].value, 2 / 3)
+    assert np.isclose(row.mean["pitch_deg"].value, 1 / 3)
+
+
+def test_errors_by_axis_are_absolute_in_tables() -> None:
+    """Turns of 1 and -1 degree cancel in the signed mean, not in the absolute one."""
+    [group] = summarise_study(STUDY, frames(6, "ours", [1.0, -1.0])).groups
+    assert np.isclose(group.measured[0].mean["roll_deg"].value, 2 / 3)
+
+
+def test_a_refused_run_counts_with_its_error_and_among_the_failures() -> None:
+    runs = frames(5, "ours", [1.0])
+    runs[0] = replace(runs[0], status="too-few-matches", rotation_deg=2.0)
+    [row] = summarise_study(STUDY, runs).groups[0].measured
+    assert row.failures == {"too-few-matches": 1}
+    assert np.isclose(row.mean["rotation_deg"].value, (4 * 1.0 + 2.0) / 5)
+    assert row.complete
+
+
+def test_a_run_that_raised_or_is_not_there_makes_a_row_incomplete_and_never_bold() -> None:
+    good = frames(6, "good", [1.0])
+    nothing = {"rotation_deg": None, "translation_m": None, "status": "stage-failed", "exception": "Traceback"}
+    raised = [*frames(6, "raised", [0.1])[1:], replace(frames(6, "raised", [0.1])[0], **nothing)]
+    behind = frames(6, "behind", [0.1])
+    missing = [Planned("k", "table2", "behind", dataset="kitti")] * 2
+    summary = summarise_study(STUDY, [*good, *raised, *behind, *frames(6, "worst", [3.0])], missing)
+    rows = {row.label: row for row in summary.groups[0].measured}
+    assert rows["raised"].failures == {"stage-failed": 1}
+    assert rows["behind"].failures == {"not run": 2}
+    assert [label for label, row in rows.items() if row.complete] == ["good", "worst"]
+    text = markdown([summary], lambda _: ())
+    assert "| good | 2deg 0.15m | 6 | 6 | 0 | **1.000" in text
+    assert "| raised | 2deg 0.15m | 6 | 6 | 1 stage-failed | 0.100" in text
+
+
+def test_a_row_without_truth_is_there_without_figures() -> None:
+    runs = [replace(r, rotation_deg=None, translation_m=None, roll_deg=None) for r in frames(6, "ours", [1.0])]
+    summary = summarise_study(STUDY, runs)
+    assert "rotation_deg" not in summary.groups[0].measured[0].mean
+    assert "| ours | 2deg 0.15m | 6 | 6 | 0 | - | - | - | - |" in markdown([summary], lambda _: ())
+
+
+def test_rows_are_compared_only_within_section_dataset_and_kind() -> None:
+    runs = [
+        *frames(5, "a", [1.0], section="single"),
+        *frames(5, "b", [1.0], section="single"),
+        *frames(5, "c", [1.0], section="wide", dataset="kitti"),
+        *frames(5, "d", [1.0], section="wide", dataset="streets"),
+        run_of("e", "f0", 0, 1.0, 0.1, section="single", joint=5, frames=tuple(f"f{i}" for i in range(5))),
+    ]
+    groups = summarise_study(STUDY, runs).groups
+    assert [(g.heading, list(g.runs)) for g in groups] == [
+        ("single, kitti, each frame alone", ["a", "b"]),
+        ("wide, kitti", ["c"]),
+        ("wide, streets", ["d"]),
+        ("single, kitti, jointly solved frames", ["e"]),
+    ]
+    assert [len(g.comparisons) for g in groups] == [1, 0, 0, 0]
+
+
+def test_metrics_of_the_study_file_choose_the_columns() -> None:
+    summary = summarise_study(replace(STUDY, toml='metrics = ["translation_m", "yaw_deg"]'), frames(5, "a", [1.0]))
+    assert (summary.norms, summary.axes) == (("translation_m",), ("yaw_deg",))
+    text = markdown([summary], lambda _: ())
+    assert "rotation mean" not in text
+    assert "| row | yaw [deg] |" in text
+
+
+# ---- pairs
+
+
+def test_pairs_are_runs_on_the_same_frame_and_seed() -> None:
+    """The second row is 0.5 deg better on each frame, but has seed 0 alone, and a frame of its own."""
+    first = frames(6, "first", [1.0, 9.0])
+    second = [*frames(6, "second", [0.5]), run_of("second", "other", 0, 7.0, 0.1)]
+    [pair] = summarise_study(STUDY, [*first, *second]).groups[0].comparisons
+    assert (pair.row, pair.against, pair.pairs) == ("second", "first", 6)
+    rotation = pair.differences["rotation_deg"]
+    assert np.allclose([rotation.median.value, rotation.median.low, rotation.median.high], -0.5)
+    assert (rotation.better, rotation.tied) == (1.0, 0.0)
+    assert pair.differences["translation_m"].tied > 0.9
+    assert not pair.other_start
+
+
+def test_equal_runs_are_tied_and_other_starts_are_told() -> None:
+    runs = [*frames(6, "a", [1.0]), *frames(6, "b", [1.0], perturb="10deg 0.15m")]
+    summary = summarise_study(STUDY, runs)
+    [pair] = summary.groups[0].comparisons
+    assert pair.other_start
+    assert (pair.differences["rotation_deg"].better, pair.differences["rotation_deg"].tied) == (0.0, 1.0)
+    assert "| b | a (other start) | 6 | +0.000 [+0.000, +0.000] | 0 % (100 % tied) |" in markdown(
+        [summary], lambda _: ()
+    )
+
+
+def test_many_rows_are_compared_with_the_best_alone() -> None:
+    runs = [run for i in range(8) for run in frames(5, f"row{i}", [abs(i - 3) + 1.0])]
+    pairs = summarise_study(STUDY, runs).groups[0].comparisons
+    assert {pair.against for pair in pairs} == {"row3"}
+    assert len(pairs) == 7
+
+
+# ---- tables
+
+
+def test_published_rows_stand_beside_ours_and_are_never_bold() -> None:
+    runs = [*frames(6, "ours", [1.0]), *frames(6, "others", [2.0])]
+    summary = summarise_study(replace(STUDY, published=PUBLISHED), runs)
+    rows = summary.groups[0].rows
+    assert [(r.label, isinstance(r, Published)) for r in rows] == [
+        ("ours", False),
+        ("ours", True),
+        ("others", False),
+        ("RGGNet", True),
+    ]
+    lines = [line for line in markdown([summary], lambda _: ()).splitlines() if "published:" in line]
+    assert len(lines) == 4
+    assert not any("**" in line for line in lines)
+    assert lines[0].startswith("| *ours (published: P2O-Calib, Table 2)* | 2 deg, 0.15 m | - | - | - | *0.001* | - |")
+    assert "**1.000 [1.000, 1.000]**" in markdown([summary], lambda _: ()), "ours is the best measured row"
+
+
+def test_a_published_row_stands_below_its_row_on_every_dataset() -> None:
+    runs = [*frames(5, "ours @ a", [1.0], dataset="a"), *frames(5, "ours @ b", [1.0], dataset="b")]
+    groups = summarise_study(replace(STUDY, published=PUBLISHED[1:]), runs).groups
+    assert [[type(row).__name__ for row in g.rows] for g in groups] == [["Measured", "Published"]] * 2
+
+
+def test_markdown_rows_have_as_many_cells_as_their_head_whatever_they_are_called() -> None:
+    hostile = "a|b *c* `d` <script> \\ _e_"
+    summary = summarise_study(STUDY, [*frames(5, hostile, [1.0]), *frames(5, "plain", [2.0])])
+    lines = [line for line in markdown([summary], lambda _: ()).splitlines() if line.startswith("|")]
+    counts = [len(re.findall(r"(?<!\\)\|", line)) - 1 for line in lines]
+    assert counts == [9] * 4 + [7] * 4 + [7] * 3
+    assert "<script>" not in "".join(lines).replace("\\<script\\>", "")
+
+
+def test_latex_rows_have_as_many_cells_as_columns_and_every_special_letter_is_escaped() -> None:
+    hostile = r"[x] 5 % & $k_1$ #{~^\}"
+    summary = summarise_study(STUDY, [*frames(5, hostile, [1.0]), *frames(5, "plain", [2.0])])
+    text = latex([summary])
+    assert text.count(r"\begin{tabular}") == text.count(r"\end{tabular}") == 3
+    columns = [len(spec) for spec in re.findall(r"\\begin\{tabular\}\{(\w+)\}", text)]
+    for count, body in zip(columns, re.findall(r"\\toprule\n(.*?)\\bottomrule", text, re.DOTALL), strict=True):
+        rows = [line for line in body.splitlines() if line.endswith(r"\\")]
+        assert [len(re.findall(r"(?<!\\)&", row)) + 1 for row in rows] == [count] * len(rows)
+        assert not any(row.startswith("[") for row in rows), "a length of the line break before it"
+    assert r"{}[x] 5 \% \& \$k\_1\$ \#\{\textasciitilde{}\textasciicircum{}\textbackslash{}\}" in text
+    assert r"\textbf{1.000 [1.000, 1.000]}" in text
+
+
+# ---- figures
+
+
+def test_a_run_that_has_ended_keeps_its_last_round() -> None:
+    """Three runs of 3, 2 and 1 rounds: in the third round the medians are over all three."""
+    histories = [[(900, 18.0), (400, 4.0), (300, 1.0)], [(800, 16.0), (500, 3.0)], [(700, 14.0)]]
+    runs = [run_of("a", f"f{i}", 0, 1.0, 0.1, rounds=rounds(*h)) for i, h in enumerate(histories)]
+    found = convergence(runs)
+    assert found.runs == 3
+    assert found.matches[1].tolist() == [800, 500, 500]
+    assert found.residual_px[1].tolist() == [16, 4, 3]
+    assert convergence([run_of("a", "f", 0, 1.0, 0.1, rounds=rounds())]) is None
+
+
+def test_a_box_shows_the_quartiles_of_the_signed_errors() -> None:
+    turns = [-3.0, -1.5, 0.0, 1.5, 3.0]
+    runs = [run_of("a", f"f{i}", 0, turn, 0.1) for i, turn in enumerate(turns)]
+    [figure] = [f for name, _, f in figures_of(summarise_study(STUDY, runs)) if name == "table2-boxplot"]
+    roll = figure.axes[0]
+    assert roll.get_xlabel() == "roll [deg]"
+    [box] = roll.patches
+    ends = box.get_path().vertices[:, 0]
+    assert np.allclose(sorted({round(x, 9) for x in ends}), [-1.0, 1.0]), "2/3 of the turns, their quartiles -1.5, 1.5"
+    assert [text.get_text() for text in roll.get_yticklabels()] == ["a"]
+
+
+def test_points_beyond_the_axes_are_counted_at_the_rim() -> None:
+    runs = [run_of("a", f"f{i}", 0, 0.1 * (i % 5), 0.1) for i in range(20)] + [run_of("a", "x", 0, 90.0, 0.1)]
+    [figure] = [f for name, _, f in figures_of(summarise_study(STUDY, runs)) if name == "table2-boxplot"]
+    assert [text.get_text() for text in figure.axes[0].texts] == ["1 >"]
+
+
+def test_frames_are_shown_with_the_median_and_range_of_their_seeds() -> None:
+    [figure] = [
+        f
+        for name, _, f in figures_of(summarise_study(STUDY, frames(3, "a", [1.0, 2.0, 4.0])))
+        if name == "table2-frames"
+    ]
+    panel = figure.axes[0]
+    assert np.allclose(panel.lines[0].get_xdata(), [2, 2, 2])
+    assert np.allclose([segment[:, 0] for segment in panel.collections[0].get_segments()], [[1, 4]] * 3)
+
+
+def test_hundreds_of_frames_are_ranked() -> None:
+    runs = [run_of("a", f"f{i}", 0, 0.5 + i / 2, 0.1) for i in range(200)]
+    [figure] = [f for name, _, f in figures_of(summarise_study(STUDY, runs)) if name == "table2-frames"]
+    line = figure.axes[0].lines[0]
+    assert np.allclose(line.get_xdata(), 0.5 + np.arange(200) / 2)
+    assert np.allclose(line.get_ydata(), 1 + np.arange(200))
+
+
+def test_names_are_no_formulas() -> None:
+    """matplotlib reads $...$ as mathematics and refuses what is none."""
+    pytest.importorskip("matplotlib")
+    runs = frames(5, r"$\nonsense{$", [1.0])
+    from p2o.report.figures import rendered
+
+    for _, _, figure in figures_of(summarise_study(replace(STUDY, toml="title = '$x$ $\\frac$'"), runs)):
+        assert rendered(figure, "png").startswith(b"\x89PNG")
+
+
+# ---- the whole report
+
+
+def test_a_report_has_tables_figures_and_a_page(tmp_path: Path) -> None:
+    pytest.importorskip("plotly")
+    paths = write_report(write_store(tmp_path, table2(6, 2)))
+    names = {path.name for path in paths}
+    assert {path.parent for path in paths} == {tmp_path / "report"}
+    assert {p.name for p in (tmp_path / "report").iterdir()} == names
+    figures = {f"table2-{g}-{kind}" for g in (1, 2) for kind in ("boxplot", "convergence", "frames")}
+    assert names == {"report.html", "report.md", "report.tex"} | {f"{f}.{e}" for f in figures for e in ("png", "svg")}
+    text = (tmp_path / "report" / "report.md").read_text()
+    assert set(re.findall(r"\]\(([^)]*)\)", text)) == {f"{f}.png" for f in figures}
+    for figure in figures:
+        ElementTree.parse(tmp_path / "report" / f"{figure}.svg")
+
+
+def test_the_same_store_gives_the_same_bytes_in_any_process(tmp_path: Path) -> None:
+    pytest.importorskip("plotly")
+    write_store(tmp_path, table2(6, 2))
+    here = write_report(tmp_path, tmp_path / "here")
+    command = [sys.executable, "-m", "p2o", "report", str(tmp_path), "--out", str(tmp_path / "there")]
+    subprocess.run(command, check=True, capture_output=True)
+    for path in here:
+        assert path.read_bytes() == (tmp_path / "there" / path.name).read_bytes(), path.name
+
+
+def test_the_command_names_what_it_wrote(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("plotly")
+    write_store(tmp_path, table2(3, 1))
+    assert main(["report", str(tmp_path), "--out", str(tmp_path / "x"), "--study", "table2"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == str(tmp_path / "x" / "report.html")
+    assert all(Path(line).is_file() for line in lines)
+
+
+def test_only_the_studies_that_are_named_are_reported(tmp_path: Path) -> None:
+    pytest.importorskip("plotly")
+    write_store(tmp_path, table2(3, 1))
+    write_store(tmp_path, [run_of("a", "f", 0, 1.0, 0.1, study="other")], toml='title = "The other"')
+    write_report(tmp_path, tmp_path / "one", studies=["other"])
+    write_report(tmp_path, tmp_path / "both")
+    assert "Table 2: KITTI" not in (tmp_path / "one" / "report.md").read_text()
+    both = (tmp_path / "both" / "report.md").read_text()
+    assert both.index("The other") < both.index("Table 2: KITTI"), "by name"
+
+
+# ---- pictures
+
+
+PLUGIN = str(Path(__file__).with_name("stage_plugin.py"))
+
+
+def drawn(folder: Path, *words: str) -> int:
+    return main(["report", str(folder), "--plugin", PLUGIN, "--data", *words])
+
+
+def staged(**values: object) -> list[StoredRow]:
+    """Return runs on the frames of the stage that tests draw, by the staged pipeline and by a whole method."""
+    import p2o
+    from p2o.cache import content_hash
+    from p2o.testing import stage
+
+    frame = stage.frame()
+    truth = frame.camera_from_lidar
+    registry = p2o.Registry.load(extra_files=[PLUGIN], environ={})
+    words = {"data": "fake:?frames=3"}
+    recipes = {
+        "edges": p2o.Recipe.of(**words, extractor="depth/rings").resolve(registry).described(),
+        "whole": p2o.Recipe.of(**words, calibrator="spy").resolve(registry).described(),
+    }
+    inputs = {"image": content_hash(frame.image), "cloud": content_hash(frame.cloud)}
+    start = truth @ np.array([[1.0, 0, 0, 0.3], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    common = {"truth": truth, "start": start, "estimate": truth, "dataset": "fake", **values}
+    return [
+        run_of(row, name, 0, 1.0 + i, 0.1, recipe=recipe, inputs={name: inputs}, **common)
+        for row, recipe in recipes.items()
+        for i, name in enumerate(("drive/0000", "drive/0001", "drive/0002"))
+    ]
+
+
+def pictures_in(folder: Path) -> tuple[list[str], list[list[dict[str, object]]]]:
+    """Return the pictures of a page, and which of them each run shows."""
+    import json
+
+    html = (folder / "report" / "report.html").read_text()
+    data = json.loads(re.search(r'id="data">(.*?)</script>', html, re.DOTALL)[1])
+    return data["pictures"], [run["pictures"] for run in data["studies"][0]["groups"][0]["runs"]]
+
+
+def test_pictures_are_drawn_from_the_users_data_worst_frames_first(tmp_path: Path) -> None:
+    pytest.importorskip("plotly")
+    import base64
+
+    import cv2
+
+    write_store(tmp_path, staged())
+    assert drawn(tmp_path, "fake:?frames=3", "--overlays", "2") == 0
+    uris, shown = pictures_in(tmp_path)
+    assert [len(p) for p in shown] == [0, 1, 1, 0, 1, 1], "the two worst of three frames, in each row"
+    assert shown[1][0]["frame"] == "drive/0001"
+    assert len(uris) == 4, "equal pictures are there once: two of the edges, two of the sweep"
+    head, _, body = uris[0].partition(",")
+    assert head == "data:image/jpeg;base64"
+    before, after = (
+        cv2.imdecode(np.frombuffer(base64.b64decode(uris[shown[1][0][k]].partition(",")[2]), np.uint8), 1)
+        for k in ("before", "after")
+    )
+    assert body
+    assert before.shape == after.shape
+    assert (np.abs(before.astype(int) - after) > 40).any(), "0.3 m aside moves the edges"
+
+
+def test_without_data_there_are_numbers_and_no_pictures(tmp_path: Path) -> None:
+    pytest.importorskip("plotly")
+    write_report(write_store(tmp_path, staged()))
+    uris, shown = pictures_in(tmp_path)
+    assert uris == []
+    assert shown == [[]] * 6
+
+
+def test_joint_runs_show_each_of_their_frames(tmp_path: Path) -> None:
+    pytest.importorskip("plotly")
+    names = ("drive/0000", "drive/0001")
+    one = replace(staged()[0], frames=names, joint=2)
+    write_store(tmp_path, [one])
+    assert drawn(tmp_path, "fake:") == 0
+    assert [[p["frame"] for p in shown] for shown in pictures_in(tmp_path)[1]] == [list(names)]
+
+
+# ---- what can be wrong
+
+
+def refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """Return the one line that a command is refused with."""
+    assert main(words) == 2
+    captured = capsys.readouterr()
+    [line] = captured.err.splitlines()
+    assert captured.out == ""
+    return line
+
+
+def test_a_folder_without_a_store_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("plotly")
+    assert "there is no study" in refused(["report", str(tmp_path / "nothing")], capsys)
+    assert not (tmp_path / "nothing").exists()
+
+
+def test_an_empty_store_and_a_study_without_runs_are_told(tmp_path: Path) -> None:
+    pytest.importorskip("plotly")
+    Store.open(tmp_path).close()
+    with pytest.raises(InputError, match=r"there is no study in the store.*p2o ablate STUDY"):
+        write_report(tmp_path)
+    write_store(tmp_path, [], missing=[planned(table2(1, 1)[0])])
+    with pytest.raises(InputError, match=r"study 'table2' has no finished run yet.*p2o ablate table2"):
+        write_report(tmp_path)
+    assert not (tmp_path / "report").exists()
+
+
+def test_an_unknown_study_is_told_with_the_nearest(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("plotly")
+    write_store(tmp_path, table2(1, 1))
+    line = refused(["report", str(tmp_path), "--study", "tabel2"], capsys)
+    assert "unknown study 'tabel2'" in line
+    assert "did you mean table2?" in line
+
+
+def test_a_folder_that_cannot_be_written_is_told_before_any_work(tmp_path: Path) -> None:
+    pytest.importorskip("plotly")
+    write_store(tmp_path, table2(1, 1))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot write the report"):
+        write_report(tmp_path, tmp_path / "file" / "out")
+
+
+def test_frames_that_the_data_lack_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("plotly")
+    write_store(tmp_path, staged())
+    line = refused(["report", str(tmp_path), "--plugin", PLUGIN, "--data", "fake:?frames=1"], capsys)
+    assert "2 of 3 frames of dataset 'fake' are not in these data; expected drive/0002, ...; got 1 frames" in line
+    assert not (tmp_path / "report" / "report.html").exists()
+
+
+def test_frames_with_other_content_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("plotly")
+    runs = [replace(run, inputs={run.frames[0]: {"image": "0" * 64}}) for run in staged()]
+    write_store(tmp_path, runs)
+    line = refused(["report", str(tmp_path), "--plugin", PLUGIN, "--data", "fake:?frames=3"], capsys)
+    assert "the image of this frame is not the one that the study saw" in line
+
+
+@pytest.mark.parametrize("text", ["streets=fake:", "fak=fake:"])
+def test_a_dataset_that_no_study_has_is_told(text: str, tmp_path: Path) -> None:
+    pytest.importorskip("plotly")
+    write_store(tmp_path, staged())
+    with pytest.raises(UnknownNameError, match="expected one of: fake"):
+        write_report(tmp_path, data=[text])
+
+
+def test_of_several_datasets_one_has_to_be_named(tmp_path: Path) -> None:
+    pytest.importorskip("plotly")
+    other = run_of("other", "f", 0, 1.0, 0.1, dataset="streets")
+    write_store(tmp_path, [*staged(), other])
+    with pytest.raises(InputError, match="NAME=DATASET:PATH with a NAME of fake, streets"):
+        write_report(tmp_path, data=["fake:"])
+
+
+def test_a_missing_package_is_told_with_the_command_that_installs_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_store(tmp_path, table2(1, 1))
+    monkeypatch.setitem(sys.modules, "plotly.offline", None)
+    monkeypatch.setitem(sys.modules, "plotly", None)
+    with pytest.raises(MethodUnavailable, match=r'needs the package plotly.*pip install "p2o-calib\[report\]"'):
+        write_report(tmp_path)
+    assert not (tmp_path / "report").exists()

@@ -1,0 +1,271 @@
+"""The page of a report in a real browser, headless: it renders, reacts, asks for nothing and complains of nothing."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.fake_study import run_of, table2, write_store
+from tests.test_report import PLUGIN, staged
+
+pytest.importorskip("plotly", reason="the extra `report` is not installed")
+pytest.importorskip("selenium", reason="selenium is not installed")
+
+from p2o.cli import main
+from p2o.report import write_report
+from p2o.store import METRICS
+from selenium import webdriver
+from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.ui import Select, WebDriverWait
+
+SWITCHES = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--window-size=1400,1000",
+)
+
+
+class Page:
+    """A page in a browser, with what a reader does on it."""
+
+    def __init__(self, driver: Any, path: Path) -> None:
+        self.driver, self.url = driver, path.as_uri()
+        driver.get_log("browser")
+        driver.get_log("performance")
+        driver.get(self.url)
+
+    def find(self, css: str) -> Any:
+        return self.driver.find_element(By.CSS_SELECTOR, css)
+
+    def texts(self, css: str) -> list[str]:
+        return [e.get_property("textContent") for e in self.driver.find_elements(By.CSS_SELECTOR, css)]
+
+    def column(self, table: str, title: str) -> list[str]:
+        """Return the texts of one column of a table, from top to bottom."""
+        place = self.texts(f"#{table} thead th").index(title) + 1
+        return self.texts(f"#{table} tbody td:nth-child({place})")
+
+    def sort(self, table: str, title: str) -> None:
+        place = self.texts(f"#{table} thead th").index(title) + 1
+        self.click(f"#{table} thead th:nth-child({place}) button")
+
+    def click(self, css: str) -> None:
+        element = self.find(css)
+        self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", element)
+        element.click()
+
+    def run(self, script: str) -> Any:
+        return self.driver.execute_script(script)
+
+    def complaints(self) -> list[str]:
+        return [entry["message"] for entry in self.driver.get_log("browser")]
+
+    def requests(self) -> list[str]:
+        """Return the addresses that were asked for, besides the page itself and what stands in it."""
+        events = [json.loads(entry["message"])["message"] for entry in self.driver.get_log("performance")]
+        sent = [e["params"]["request"]["url"] for e in events if e["method"] == "Network.requestWillBeSent"]
+        sockets = [e["params"]["url"] for e in events if e["method"] == "Network.webSocketCreated"]
+        return [url for url in sent + sockets if url != self.url and not url.startswith(("data:", "blob:"))]
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """A headless Chromium, or a skip that says how to get one."""
+    chromium, chromedriver = shutil.which("chromium"), shutil.which("chromedriver")
+    if chromium is None or chromedriver is None:
+        pytest.skip("no Chromium: apt-get install chromium chromium-driver")
+    options = webdriver.ChromeOptions()
+    options.binary_location = chromium
+    for switch in (*SWITCHES, f"--user-data-dir={tmp_path_factory.mktemp('chromium')}"):
+        options.add_argument(switch)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver = webdriver.Chrome(options=options, service=Service(chromedriver))
+    yield driver
+    driver.quit()
+
+
+@pytest.fixture(scope="module")
+def table2_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of a study of four rows in two groups, beside that of another study."""
+    folder = write_store(tmp_path_factory.mktemp("table2"), table2(12, 3))
+    hostile = "</script><script>window.stolen = 1</script> <b>$x$</b> {{data}}"
+    nothing: Any = {**dict.fromkeys(METRICS), "estimate": None, "rounds": ()}
+    others = [run_of(name, "f0", 0, 1.0, 0.1, study="zoo") for name in (hostile, "raised")]
+    others[1] = replace(others[1], status="stage-failed", exception="Traceback: no such luck", **nothing)
+    write_store(folder, others, toml='title = "A zoo of <i>names</i>"', published=())
+    return write_report(folder)[0]
+
+
+@pytest.fixture
+def page(browser: Any, table2_page: Path) -> Iterator[Page]:
+    """The page, freshly loaded; at the end nothing was complained of and nothing was asked for."""
+    page = Page(browser, table2_page)
+    yield page
+    assert page.complaints() == []
+    assert page.requests() == []
+
+
+def numbers(texts: list[str]) -> list[float]:
+    return [float(text) for text in texts]
+
+
+def test_the_page_shows_rows_runs_and_plots(page: Page) -> None:
+    assert page.find("h1").text == "Table 2: KITTI & <others>"
+    assert page.texts("#rows tbody td:first-child") == [
+        "ours w/o OGM",
+        "ours w/o UB",
+        "ours",
+        "ourspublished: P2O-Calib, Table 2",
+        "RGGNetpublished: Yuan et al. 2020",
+    ]
+    assert page.find("#count").text == "108 of 108 runs"
+    assert len(page.texts("#runs tbody tr")) == 108
+    assert len(page.driver.find_elements(By.CSS_SELECTOR, "#boxes .boxlayer .trace")) == 3
+    assert len(page.driver.find_elements(By.CSS_SELECTOR, "#frames .scatterlayer .trace")) == 3
+    assert len(page.driver.find_elements(By.CSS_SELECTOR, "#rounds .scatterlayer .trace")) == 6
+
+
+def test_published_figures_are_marked_and_not_bold(page: Page) -> None:
+    assert len(page.driver.find_elements(By.CSS_SELECTOR, "#rows tr.published")) == 2
+    assert page.texts("#rows tr.published td.best") == []
+    assert page.texts("#rows td.best")
+
+
+def test_nothing_is_wider_than_the_window(page: Page) -> None:
+    assert page.run("return document.documentElement.scrollWidth <= window.innerWidth")
+
+
+def test_a_click_on_a_column_sorts_and_another_turns_it_round(page: Page) -> None:
+    page.sort("runs", "rotation [deg]")
+    upwards = numbers(page.column("runs", "rotation [deg]"))
+    assert upwards == sorted(upwards)
+    assert len(set(upwards)) > 50
+    page.sort("runs", "rotation [deg]")
+    assert numbers(page.column("runs", "rotation [deg]")) == upwards[::-1]
+    assert page.find("#runs th[aria-sort]").get_attribute("aria-sort") == "descending"
+    page.sort("runs", "frame")
+    assert page.column("runs", "frame") == sorted(page.column("runs", "frame"))
+
+
+def test_rows_without_a_figure_are_sorted_last_either_way(page: Page) -> None:
+    for last in (["-"], ["-"]):
+        page.sort("rows", "rotation median [deg]")
+        assert [text.replace("\u2013", "-") for text in page.column("rows", "rotation median [deg]")[-1:]] == last
+
+
+def test_words_rows_and_status_filter_the_runs(page: Page) -> None:
+    page.find("#find").send_keys("0000000007 converged")
+    found = page.column("runs", "frame")
+    assert set(found) == {"2011_09_26/drive_0005/0000000007"}
+    assert page.find("#count").text == f"{len(found)} of 108 runs"
+    page.find("#find").send_keys(Keys.CONTROL, "a")
+    page.find("#find").send_keys(Keys.DELETE)
+    Select(page.find("#row")).select_by_visible_text("ours w/o UB")
+    assert page.column("runs", "row") == ["ours w/o UB"] * 36
+    Select(page.find("#row")).select_by_visible_text("all")
+    Select(page.find("#status")).select_by_visible_text("too-few-matches")
+    assert set(page.column("runs", "status")) == {"too-few-matches"}
+    page.find("#find").send_keys("no such frame")
+    assert page.find("#count").text == "0 of 108 runs"
+
+
+def test_a_click_on_a_row_shows_its_runs(page: Page) -> None:
+    page.click("#rows tbody tr:nth-child(3) td")
+    assert set(page.column("runs", "row")) == {"ours"}
+
+
+def test_a_run_opens_with_its_numbers_and_leads_to_the_next(page: Page) -> None:
+    page.sort("runs", "rotation [deg]")
+    turns = page.column("runs", "rotation [deg]")
+    page.click("#runs tbody tr:nth-child(1) td")
+    assert page.texts("#detail-body table tr:nth-child(2) td")[:3] == ["rotation [deg]", "2.000", turns[0]]
+    assert "converged" in page.find("#detail-body").text
+    assert not page.find("#previous").is_enabled()
+    page.click("#next")
+    assert page.texts("#detail-body table tr:nth-child(2) td")[2] == turns[1]
+    assert page.driver.find_elements(By.CSS_SELECTOR, "#detail-body img") == [], "there are no data, so no pictures"
+    page.click("#close")
+    assert not page.find("#detail").is_displayed()
+
+
+def test_a_click_on_a_point_opens_the_worst_run_of_its_frame(page: Page) -> None:
+    page.run("document.getElementById('frames').emit('plotly_click', {points: [{customdata: 5}]})")
+    assert page.find("#detail-title").text == "ours w/o OGM, 2011_09_26/drive_0005/0000000001, seed 2"
+
+
+def test_groups_studies_and_metrics_can_be_chosen(page: Page) -> None:
+    Select(page.find("#metric")).select_by_visible_text("yaw [deg]")
+    assert page.run("return document.getElementById('boxes').layout.xaxis.title.text") == "yaw error [deg]"
+    Select(page.find("#group")).select_by_visible_text("jointly solved frames")
+    assert page.find("#count").text == "3 of 3 runs"
+    assert not page.find("#pairs-section").is_displayed()
+    page.click("#axes")
+    assert "roll mean [deg]" in page.texts("#rows thead th")
+
+
+def test_names_that_look_like_code_are_shown_as_they_are(page: Page) -> None:
+    Select(page.find("#study")).select_by_index(1)
+    assert page.find("h1").text == "A zoo of <i>names</i>"
+    assert page.texts("#rows tbody td:first-child")[0].startswith("</script><script>window.stolen = 1</script> <b>")
+    assert page.run("return window.stolen") is None
+    page.click("#runs tbody tr:nth-child(2) td")
+    assert "no such luck" in page.find("#detail-body").text
+
+
+def test_light_and_dark_can_be_turned(page: Page) -> None:
+    def ground() -> str:
+        return str(page.run("return getComputedStyle(document.body).backgroundColor"))
+
+    before = ground()
+    page.click("#theme")
+    assert ground() != before
+    page.click("#theme")
+    assert ground() == before
+
+
+def test_nothing_can_be_asked_for_even_if_a_script_tried(browser: Any, table2_page: Path) -> None:
+    """The policy in the page refuses what is not in it; the browser says so."""
+    page = Page(browser, table2_page)
+    page.run("document.body.append(Object.assign(new Image(), {src: 'http://127.0.0.1:9/x.png'}))")
+    WebDriverWait(browser, 10).until(lambda _: any("Content Security Policy" in text for text in page.complaints()))
+
+
+def test_the_slider_uncovers_the_picture_after_the_calibration(browser: Any, tmp_path: Path) -> None:
+    write_store(tmp_path, staged())
+    assert main(["report", str(tmp_path), "--plugin", PLUGIN, "--data", "fake:?frames=3"]) == 0
+    page = Page(browser, tmp_path / "report" / "report.html")
+    page.click("#runs tbody tr:nth-child(1) td")
+    pictures = page.driver.find_elements(By.CSS_SELECTOR, "#detail .compare img")
+    assert [p.get_attribute("alt") for p in pictures] == [
+        "edges at the estimate, drive/0000",
+        "edges at the start, drive/0000",
+    ]
+    WebDriverWait(browser, 10).until(lambda _: all(p.get_property("naturalWidth") > 100 for p in pictures))
+    over, slider = pictures[1], page.find("#detail .slider")
+    assert over.value_of_css_property("clip-path") == "inset(0px 50% 0px 0px)"
+    slider.send_keys(Keys.HOME)
+    assert over.value_of_css_property("clip-path") == "inset(0px 100% 0px 0px)"
+    slider.send_keys(Keys.END)
+    assert over.value_of_css_property("clip-path") == "inset(0px 0% 0px 0px)"
+    # A press on the picture, a quarter of its width from the left.
+    box = page.find("#detail .compare")
+    width = box.size["width"]
+    webdriver.ActionChains(browser).move_to_element_with_offset(box, -width // 4, 0).click().perform()
+    assert np.isclose(float(slider.get_property("value")), 25, atol=1)
+    assert page.complaints() == []
+    assert page.requests() == []

@@ -1,0 +1,97 @@
+"""Reports of studies: tables, figures and one page, all made from the single runs in a store (docs/reports.md)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from p2o.errors import InputError, UnknownNameError
+from p2o.report.summary import Summary, summarise_study
+from p2o.store import Store
+from p2o.whole_file import write_whole
+
+if TYPE_CHECKING:
+    from p2o.registry import Registry
+
+
+def write_report(
+    folder: str | Path,
+    out: str | Path | None = None,
+    *,
+    studies: Sequence[str] = (),
+    data: Sequence[str] = (),
+    overlays: int = 12,
+    registry: Registry | None = None,
+) -> list[Path]:
+    """Write the report of the studies in a folder and return its files: report.html, report.md, report.tex, figures.
+
+    `out` is the folder to write to (default: `report` in the folder), `studies` the names of those to report (default:
+    all), `data` where their frames are, as DATASET:PATH or NAME=DATASET:PATH. With data, at most `overlays` frames of
+    each row are drawn, the worst first. The same store gives the same bytes.
+
+    Raises InputError where there is no store, no finished run, or `out` cannot be written; UnknownNameError for an
+    unknown study or dataset; MethodUnavailable where plotly is not installed; and as `p2o.report.overlays.draw_all`.
+    """
+    from p2o.report import figures, page, tables
+    from p2o.report.overlays import Pictures, draw_all
+
+    library = page.plot_library()
+    folder = Path(folder).expanduser()
+    summaries = _summaries(folder, studies)
+    home = _prepared(folder / "report" if out is None else Path(out).expanduser())
+    pictures = Pictures()
+    if data:
+        if registry is None:
+            from p2o.registry import Registry as Loaded
+
+            registry = Loaded.load()
+        pictures = draw_all(summaries, data, overlays, registry)
+    files: dict[str, bytes] = {}
+    drawn: dict[str, list[tuple[str, str]]] = {}
+    for summary in summaries:
+        for name, title, figure in figures.figures_of(summary):
+            drawn.setdefault(summary.name, []).append((title, f"{name}.png"))
+            for form in ("png", "svg"):
+                files[f"{name}.{form}"] = figures.rendered(figure, form)
+    files["report.md"] = tables.markdown(summaries, lambda summary: drawn.get(summary.name, ())).encode()
+    files["report.tex"] = tables.latex(summaries).encode()
+    files["report.html"] = page.page(summaries, pictures, library).encode()
+    for name, content in files.items():
+        write_whole(home / name, content)
+    return [home / name for name in reversed(files)]
+
+
+def _summaries(folder: Path, names: Sequence[str]) -> list[Summary]:
+    """Return the summaries of the studies, those without a single run left out unless asked for by name."""
+    with Store.open(folder, create=False) as store:
+        known = {study.name: study for study in store.studies()}
+        for name in names:
+            if name not in known:
+                raise UnknownNameError("study", name, known, where=store.path)
+        wanted = [known[name] for name in dict.fromkeys(names or known)]
+        parts = [(study, store.rows(study.name), store.missing(study.name)) for study in wanted]
+    finished = [summarise_study(study, runs, missing) for study, runs, missing in parts if runs]
+    if not finished or (names and len(finished) < len(wanted)):
+        empty = next((study.name for study, runs, _ in parts if not runs), None)
+        raise InputError(
+            f"study '{empty}' has no finished run yet" if empty else "there is no study in the store",
+            where=store.path,
+            hint=f"run: p2o ablate {empty or 'STUDY'} --out {folder}",
+        )
+    return finished
+
+
+def _prepared(home: Path) -> Path:
+    """Return the folder, made if need be; InputError at once where it cannot be written."""
+    try:
+        home.mkdir(parents=True, exist_ok=True)
+        probe = home / f".p2o-{os.getpid()}"
+        probe.write_bytes(b"")
+        probe.unlink()
+    except OSError as problem:
+        raise InputError(
+            "cannot write the report", where=home, got=problem.strerror or str(problem), hint="choose another --out"
+        ) from problem
+    return home

@@ -1,0 +1,228 @@
+"""The figures of a report, PNG and SVG: errors by axis, convergence, errors by frame."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from p2o.arrays import Float
+from p2o.report.rounds import convergence
+from p2o.report.summary import Group, Summary, error_of
+from p2o.report.tables import name_of, unit_of
+from p2o.store import StoredRow
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f")
+"""Colours that colour-blind readers can tell apart (Okabe and Ito); rows have markers of their own, too."""
+_MARKERS = "os^DvPX*"
+_DASHES = ("-", "--", ":", "-.")
+
+_MOST_NAMES = 80
+_LONGEST_NAME = 40
+
+
+def figures_of(summary: Summary) -> Iterator[tuple[str, str, Figure]]:
+    """Return (file name without ending, title, figure) of all figures of a study; what has no data has none."""
+    for number, group in enumerate(summary.groups):
+        name = summary.name if len(summary.groups) == 1 else f"{summary.name}-{number + 1}"
+        title = f"{summary.title}: {group.heading}" if group.heading else summary.title
+        for kind, what, draw in (
+            ("boxplot", "errors by axis", _boxes),
+            ("convergence", "convergence", _convergence),
+            ("frames", "errors by frame", _by_frame),
+        ):
+            figure = draw(group, summary)
+            if figure is not None:
+                figure.suptitle(_plain(f"{title}: {what}"), fontsize=11)
+                yield f"{name}-{kind}", f"{title}: {what}", figure
+
+
+def rendered(figure: Figure, form: str) -> bytes:
+    """Return a figure as "png" or "svg"; the same figure gives the same bytes."""
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    FigureCanvasAgg(figure)
+    file = io.BytesIO()
+    metadata: dict[str, Any] = {"Software": None} if form == "png" else {"Date": None, "Creator": None}
+    with matplotlib.rc_context({"svg.hashsalt": "p2o"}):
+        figure.savefig(file, format=form, dpi=130, metadata=metadata)
+    return file.getvalue()
+
+
+def _boxes(group: Group, summary: Summary) -> Figure | None:
+    """The paper's figure: signed errors by axis, one box a row."""
+    rows = [row for row in group.measured if any(axis in row.mean for axis in summary.axes)]
+    if not rows:
+        return None
+    angles = [axis for axis in summary.axes if axis.endswith("_deg")]
+    shifts = [axis for axis in summary.axes if axis.endswith("_m")]
+    panels = [axes for axes in (angles, shifts) if axes]
+    across = max(map(len, panels))
+    figure = _figure(2.0 + 2.6 * across, len(panels) * (0.9 + 0.32 * len(rows)) + 0.4)
+    grid = figure.subplots(len(panels), across, squeeze=False, sharey=True)
+    for line, axes in zip(grid, panels, strict=True):
+        factor = unit_of(axes[0])[1]
+        values = [[factor * _values(group.runs[row.label], axis) for row in rows] for axis in axes]
+        reach = _whisker_reach([v for boxes in values for v in boxes])
+        for panel, axis, boxes in zip(line, axes, values, strict=False):
+            _draw_boxes(panel, boxes, reach)
+            panel.set_xlabel(f"{name_of(axis)} [{unit_of(axis)[0]}]")
+        for panel in line[len(axes) :]:
+            panel.set_visible(False)
+        line[0].set_yticks(range(len(rows)), [_short(row.label) for row in rows])
+        line[0].set_ylim(len(rows) - 0.4, -0.6)
+    return figure
+
+
+def _draw_boxes(panel: Any, boxes: Sequence[Float], reach: float) -> None:
+    panel.axvline(0, color="0.6", lw=0.8, zorder=0)
+    drawn = panel.boxplot(
+        boxes,
+        positions=range(len(boxes)),
+        orientation="horizontal",
+        widths=0.6,
+        patch_artist=True,
+        manage_ticks=False,
+        medianprops={"color": "black", "lw": 1.4},
+        flierprops={"marker": ".", "ms": 3, "mfc": "0.35", "mec": "none"},
+    )
+    for number, box in enumerate(drawn["boxes"]):
+        box.set(facecolor=COLOURS[number % len(COLOURS)], alpha=0.75, lw=0.8)
+    panel.set_xlim(-reach, reach)
+    for number, values in enumerate(boxes):
+        for side, beyond in ((-1, (values < -reach).sum()), (1, (values > reach).sum())):
+            if beyond:
+                text, align = (f"{beyond} >", "right") if side > 0 else (f"< {beyond}", "left")
+                panel.text(0.98 * side * reach, number - 0.36, text, ha=align, va="center", fontsize=6, color="0.3")
+    panel.tick_params(axis="y", length=0)
+    _tidy(panel, "x")
+
+
+def _whisker_reach(boxes: Sequence[Float]) -> float:
+    """Return how far the axes go to show all whiskers; single points beyond are counted at the rim."""
+    ends = [0.0]
+    for values in boxes:
+        if len(values):
+            low, high = np.quantile(values, (0.25, 0.75))
+            length = 1.5 * (high - low)
+            inner = values[(values >= low - length) & (values <= high + length)]
+            ends.append(float(np.abs(inner).max(initial=0.0)))
+    return 1.12 * max(ends) or 1.0
+
+
+def _convergence(group: Group, _: Summary) -> Figure | None:
+    """The paper's figure of rounds, over all runs of a row: medians, and quartiles as bands."""
+    found = [(row.label, convergence(group.runs[row.label])) for row in group.measured]
+    if not any(history for _, history in found):
+        return None
+    from matplotlib.ticker import MaxNLocator
+
+    figure = _figure(7.6, 4.8 + 0.16 * len(found))
+    top, bottom = figure.subplots(2, 1, sharex=True)
+    for number, (label, history) in enumerate(found):
+        if history is None:
+            continue
+        rounds = np.arange(1, history.matches.shape[1] + 1)
+        look = _look(number)
+        for panel, (low, middle, high) in ((top, history.matches), (bottom, history.residual_px)):
+            panel.fill_between(rounds, low, high, color=look["color"], alpha=0.15, lw=0)
+            panel.plot(rounds, middle, ms=4, lw=1.4, label=f"{_short(label)} ({history.runs} runs)", **look)
+    top.set_ylabel("matches")
+    bottom.set_ylabel("mean residual [px]")
+    bottom.set_xlabel("round (median and quartiles; a run that has ended keeps its last value)")
+    bottom.xaxis.set_major_locator(MaxNLocator(integer=True))
+    for panel in (top, bottom):
+        panel.set_ylim(bottom=0)
+        _tidy(panel, "both")
+    _legend(figure, top, len(found))
+    return figure
+
+
+def _by_frame(group: Group, summary: Summary) -> Figure | None:
+    """Median error over the seeds of each frame, and their range; many frames are ranked without names."""
+    rows = [row for row in group.measured if any(metric in row.mean for metric in summary.norms)]
+    if not rows:
+        return None
+    places = list(dict.fromkeys(place for row in rows for place in row.places))
+    ranked = len(places) > _MOST_NAMES
+    height = 5.0 if ranked else 1.3 + (0.17 + 0.045 * len(rows)) * len(places)
+    figure = _figure(9.6, height + 0.16 * len(rows))
+    panels = figure.subplots(1, len(summary.norms), sharey=not ranked, squeeze=False)
+    for panel, metric in zip(panels[0], summary.norms, strict=True):
+        unit, factor, _ = unit_of(metric)
+        for number, row in enumerate(rows):
+            spread = factor * _spread(group.runs[row.label], places, metric)
+            if ranked:
+                middle = np.sort(spread[1][np.isfinite(spread[1])])
+                panel.plot(middle, np.arange(1, len(middle) + 1), lw=1.4, label=_short(row.label), **_look(number, ""))
+            else:
+                at = np.arange(len(places)) + 0.7 * ((number + 0.5) / len(rows) - 0.5)
+                look = {key: value for key, value in _look(number).items() if key != "linestyle"}
+                panel.hlines(at, spread[0], spread[2], color=look["color"], lw=1.1, alpha=0.6)
+                panel.plot(spread[1], at, ms=4, linestyle="none", label=_short(row.label), **look)
+        panel.set_xscale("log")
+        panel.xaxis.set_major_formatter("{x:g}")
+        panel.set_xlabel(f"{name_of(metric)} error [{unit}]: median of the seeds" + ("" if ranked else " and range"))
+        _tidy(panel, "both")
+    if ranked:
+        panels[0, 0].set_ylabel("frames with at most this error")
+    else:
+        panels[0, 0].set_yticks(range(len(places)), [_short(place, end=True) for place in places], fontsize=7)
+        panels[0, 0].set_ylim(len(places) - 0.4, -0.6)
+    _legend(figure, panels[0, 0], len(rows))
+    return figure
+
+
+def _spread(runs: Sequence[StoredRow], places: Sequence[str], metric: str) -> Float:
+    """Return smallest, median and largest error (3, places) over the seeds; NaN for a place without any."""
+    by_place: dict[str, list[float]] = {place: [] for place in places}
+    for run in runs:
+        value = error_of(run, metric)
+        if value is not None:
+            by_place[run.place].append(value)
+    none = (np.nan, np.nan, np.nan)
+    return np.array([np.quantile(v, (0, 0.5, 1)) if v else none for v in by_place.values()]).T
+
+
+def _values(runs: Sequence[StoredRow], axis: str) -> Float:
+    return np.array([v for run in runs if (v := getattr(run, axis)) is not None], dtype=np.float64)
+
+
+def _figure(width: float, height: float) -> Figure:
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def _look(number: int, markers: str = _MARKERS) -> dict[str, str]:
+    """Return colour, line and marker of the row with this number; 28 rows look different."""
+    look = {"color": COLOURS[number % len(COLOURS)], "linestyle": _DASHES[number // len(COLOURS) % len(_DASHES)]}
+    return {**look, "marker": markers[number % len(markers)]} if markers else look
+
+
+def _legend(figure: Figure, panel: Any, rows: int) -> None:
+    handles, labels = panel.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(3, rows), fontsize=8, frameon=False)
+
+
+def _tidy(panel: Any, grid: str) -> None:
+    panel.grid(axis=grid, alpha=0.3, lw=0.6)
+    panel.spines[["top", "right"]].set_visible(False)
+
+
+def _short(text: str, *, end: bool = False) -> str:
+    """Return a text that fits beside a figure: its begin, or its end, where names of frames differ."""
+    if len(text) > _LONGEST_NAME:
+        text = "..." + text[3 - _LONGEST_NAME :] if end else text[: _LONGEST_NAME - 3] + "..."
+    return _plain(text)
+
+
+def _plain(text: str) -> str:
+    """Return a text that matplotlib shows as it is: $ begins no formula, and _ hides no entry of a legend."""
+    return (" " + text if text.startswith("_") else text).replace("$", r"\$")

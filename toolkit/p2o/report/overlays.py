@@ -1,0 +1,219 @@
+"""Pictures of runs before and after calibration, drawn anew from the user's own data: no store keeps pictures."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import json
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from p2o.arrays import Float, UInt8
+from p2o.cache import content_hash
+from p2o.errors import InputError, P2OError, UnknownNameError
+from p2o.recipe import Recipe, open_dataset, split_data
+from p2o.report.summary import Summary, error_of
+from p2o.store import StoredRow
+
+if TYPE_CHECKING:
+    from p2o.frame import Frame
+    from p2o.guard import GuardedDataset
+    from p2o.pipeline import Pipeline
+    from p2o.registry import Registry
+
+_QUALITY = 78
+_WIDEST_PX = 1400
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """One frame of one run that is to be drawn."""
+
+    run: StoredRow
+    frame: str
+
+
+@dataclass
+class Pictures:
+    """JPEGs as data URIs, each once: `of` maps (key of the run, frame) to the numbers of before and after."""
+
+    uris: list[str] = field(default_factory=list)
+    of: dict[tuple[str, str], tuple[int, int]] = field(default_factory=dict)
+
+    def add(self, wanted: Wanted, before: UInt8, after: UInt8) -> None:
+        """Add the pictures of a run, (H, W, 3) each."""
+        self.of[wanted.run.key, wanted.frame] = (self._number(before), self._number(after))
+
+    def _number(self, picture: UInt8) -> int:
+        uri = _jpeg_uri(picture)
+        # Rows that share frame, start and extractor share the picture before.
+        if uri not in self._numbers:
+            self._numbers[uri] = len(self.uris)
+            self.uris.append(uri)
+        return self._numbers[uri]
+
+    _numbers: dict[str, int] = field(default_factory=dict, repr=False)
+
+
+def chosen(summary: Summary, most: int) -> list[Wanted]:
+    """Return what to draw: for each row at most `most` frames, the worst first, each with its worst seed."""
+    found = []
+    for group in summary.groups:
+        for runs in group.runs.values():
+            worst: dict[str, StoredRow] = {}
+            for run in runs:
+                for frame in run.frames:
+                    if run.estimate is not None and (frame not in worst or _badness(run) > _badness(worst[frame])):
+                        worst[frame] = run
+            ranked = sorted(worst.items(), key=lambda item: -_badness(item[1]))
+            found += [Wanted(run, frame) for frame, run in ranked[:most]]
+    return found
+
+
+def draw_all(summaries: Sequence[Summary], data: Sequence[str], most: int, registry: Registry) -> Pictures:
+    """Return the pictures of the chosen frames of all studies from data such as ["kitti-raw:PATH"].
+
+    With several datasets each text is NAME=DATASET:PATH, where NAME is what the studies call it. Raises
+    UnknownNameError for a dataset that no study has, InputError where it is not said which one is meant, where frames
+    are missing from the data, or are not those that the study saw.
+    """
+    runs = [run for s in summaries for group in s.groups for some in group.runs.values() for run in some]
+    text_of = _texts(data, {run.dataset for run in runs})
+    wanted = [w for summary in summaries for w in chosen(summary, most) if w.run.dataset in text_of]
+    for name, text in text_of.items():
+        own = [w for w in wanted if w.run.dataset == name]
+        if own:
+            _check_names(own, text, _opened(text, own[0].run, registry).dataset.names)
+    pictures = Pictures()
+    # One recipe after the other, frame by frame: a frame is read and its features are extracted once.
+    for own in _by_recipe(wanted):
+        text = text_of[own[0].run.dataset]
+        source = _opened(text, own[0].run, registry)
+        _check_names(own, text, source.dataset.names)
+        for name in dict.fromkeys(w.frame for w in own):
+            frame = source.frame(name)
+            for w in own:
+                if w.frame == name:
+                    _check_content(w, frame)
+                    pictures.add(w, *source.drawn(w.run, frame))
+    return pictures
+
+
+def _texts(data: Sequence[str], names: set[str]) -> dict[str, str]:
+    found = {}
+    for text in data:
+        match = re.fullmatch(r"([a-z0-9_.-]+)=(.+)", text, re.DOTALL)
+        if match is None and len(names) > 1:
+            raise InputError(
+                "the studies have several datasets",
+                where="--data",
+                expected="NAME=DATASET:PATH with a NAME of " + ", ".join(sorted(names)),
+                got=text,
+            )
+        name, value = match.groups() if match is not None else (next(iter(names), ""), text)
+        if name not in names:
+            raise UnknownNameError("dataset of the studies", name, names, where="--data")
+        found[name] = value
+    return found
+
+
+def _by_recipe(wanted: Sequence[Wanted]) -> Iterable[list[Wanted]]:
+    """Return those together that are drawn from the same dataset and recipe, whatever their frames and starts."""
+    found: dict[str, list[Wanted]] = {}
+    for w in wanted:
+        recipe = {key: value for key, value in w.run.recipe.items() if key not in ("seed", "perturb", "frames")}
+        found.setdefault(json.dumps([w.run.dataset, recipe], sort_keys=True), []).append(w)
+    return found.values()
+
+
+@dataclass(frozen=True)
+class _Source:
+    """The frames of one recipe, and its extractors; `pipeline` is None for a whole method, which has none."""
+
+    dataset: GuardedDataset
+    pipeline: Pipeline | None
+
+    def frame(self, name: str) -> Frame:
+        frame: Frame = self.dataset[self.dataset.names.index(name)]
+        return frame
+
+    def drawn(self, run: StoredRow, frame: Frame) -> tuple[UInt8, UInt8]:
+        """Return the pictures at the start and at the estimate of a run."""
+        before, after = run.start, run.estimate
+        assert after is not None
+        draw = partial(self._at, frame)
+        return draw(after if before is None else before), draw(after)
+
+    def _at(self, frame: Frame, camera_from_lidar: Float) -> UInt8:
+        """Return edges of both sensors at a pose; the sweep where there are none, or an extractor refuses."""
+        from p2o import overlay
+
+        with contextlib.suppress(P2OError):
+            if self.pipeline is not None:
+                view = self.pipeline.extract(frame).as_seen_from(camera_from_lidar)
+                if len(view.image_edges) or len(view.cloud_edges):
+                    return overlay.draw(
+                        frame.image.rgb, view.image_edges, view.cloud_edges, frame.camera, camera_from_lidar
+                    )
+        return overlay.draw_cloud(frame.image.rgb, frame.cloud, frame.camera, camera_from_lidar)
+
+
+def _opened(text: str, run: StoredRow, registry: Registry) -> _Source:
+    """Return where the frames of a run are, and what it extracts from them."""
+    from p2o.pipeline import Pipeline
+
+    recipe = dict(run.recipe)
+    name, said = split_data(text)
+    options = {stage: dict(values) for stage, values in recipe.get("options", {}).items()}
+    if name == split_data(recipe.get("data") or text)[0]:
+        # The frames of the study, wherever they lie by now.
+        said = {**options.get("data", {}), **said}
+    if "extractor" not in recipe:
+        return _Source(open_dataset(f"{name}:", registry, said), None)
+    options["data"] = said
+    plan = Recipe.of(**{**recipe, "data": f"{name}:", "options": options}).resolve(registry)
+    calibrator = plan.calibrator()
+    return _Source(plan.dataset(), calibrator if isinstance(calibrator, Pipeline) else None)
+
+
+def _check_names(wanted: Sequence[Wanted], text: str, there: Sequence[str]) -> None:
+    absent = list(dict.fromkeys(w.frame for w in wanted if w.frame not in there))
+    if absent:
+        frames, name = len({w.frame for w in wanted}), wanted[0].run.dataset
+        raise InputError(
+            f"{len(absent)} of {frames} frames of dataset '{name}' are not in these data",
+            where=f"--data {text}",
+            expected=f"{absent[0]}{', ...' if len(absent) > 1 else ''}",
+            got=f"{len(there)} frames such as {there[0]}" if there else "no frames",
+            hint="give the data that the study ran on, or leave out --data",
+        )
+
+
+def _check_content(wanted: Wanted, frame: Frame) -> None:
+    known: Any = wanted.run.inputs.get(wanted.frame, {})
+    for part, value in (("image", frame.image), ("cloud", frame.cloud)):
+        if part in known and known[part] != content_hash(value):
+            raise InputError(
+                f"the {part} of this frame is not the one that the study saw",
+                where=wanted.frame,
+                hint="give the data that the study ran on, run the study again, or leave out --data",
+            )
+
+
+def _badness(run: StoredRow) -> float:
+    error = error_of(run, "rotation_deg")
+    return -1.0 if error is None else error
+
+
+def _jpeg_uri(picture: UInt8) -> str:
+    import cv2
+
+    height, width = picture.shape[:2]
+    if width > _WIDEST_PX:
+        size = (_WIDEST_PX, round(height * _WIDEST_PX / width))
+        picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    _, data = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()

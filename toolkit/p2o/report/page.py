@@ -1,0 +1,216 @@
+"""One HTML file with everything in it: tables, plots and pictures work offline, and nothing is ever asked for."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import importlib
+import importlib.resources
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from p2o.errors import MethodUnavailable
+from p2o.metrics import AXES
+from p2o.report.bootstrap import Interval
+from p2o.report.figures import COLOURS
+from p2o.report.overlays import Pictures
+from p2o.report.rounds import Convergence, convergence
+from p2o.report.summary import NORMS, Difference, Group, Measured, Published, Summary, best
+from p2o.report.tables import DIGITS, NOTES, failures_of, starts_of
+from p2o.store import METRICS, StoredRow
+
+_SIGNIFICANT = 6
+
+
+def plot_library() -> str:
+    """Return the JavaScript of plotly as its Python package ships it; MethodUnavailable where it is not installed."""
+    try:
+        offline = importlib.import_module("plotly.offline")
+    except ModuleNotFoundError as problem:
+        raise MethodUnavailable(
+            "the page of a report needs the package plotly, which is not installed",
+            hint='run: pip install "p2o-calib[report]"',
+        ) from problem
+    return str(offline.get_plotlyjs())
+
+
+def page(summaries: Sequence[Summary], pictures: Pictures, library: str) -> str:
+    """Return the page of these studies; `library` is `plot_library()`.
+
+    Its content security policy lets it run its own three scripts and load nothing.
+    """
+    data = {
+        "studies": [_study(summary, pictures) for summary in summaries],
+        "pictures": pictures.uris,
+        "metrics": METRICS,
+        "norms": NORMS,
+        "axes": AXES,
+        "colours": COLOURS,
+        "notes": NOTES,
+    }
+    script = _part("page.js")
+    policy = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'; "
+    policy += "script-src " + " ".join(_source_hash(text) for text in (library, script))
+    parts = {"policy": policy, "style": _part("page.css"), "library": library, "script": script, "data": _json(data)}
+    # The places are found in the template alone: none of the parts is searched.
+    head, *rest = _part("page.html").split("{{")
+    return head + "".join(parts[name] + text for name, text in (piece.split("}}", 1) for piece in rest))
+
+
+def _part(name: str) -> str:
+    return importlib.resources.files("p2o.report").joinpath(name).read_text(encoding="utf-8")
+
+
+def _source_hash(script: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
+
+
+def _json(value: Any) -> str:
+    """Return JSON that may stand inside a script element: nothing in it can end the element."""
+    text = json.dumps(value, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+    return text.replace("<", "\\u003c")
+
+
+def _study(summary: Summary, pictures: Pictures) -> dict[str, Any]:
+    recipes = _Numbered()
+    return {
+        "name": summary.name,
+        "title": summary.title,
+        "note": summary.note,
+        "norms": summary.norms,
+        "axes": summary.axes,
+        "groups": [_group(group, recipes, pictures) for group in summary.groups],
+        "recipes": recipes.values,
+    }
+
+
+class _Numbered:
+    """Values that many runs share, each once."""
+
+    def __init__(self) -> None:
+        self.values: list[Any] = []
+        self._numbers: dict[str, int] = {}
+
+    def number(self, value: Any) -> int:
+        """Return the number of a value."""
+        key = json.dumps(value, sort_keys=True)
+        if key not in self._numbers:
+            self._numbers[key] = len(self.values)
+            self.values.append(value)
+        return self._numbers[key]
+
+
+def _group(group: Group, recipes: _Numbered, pictures: Pictures) -> dict[str, Any]:
+    labels = list(group.runs)
+    histories = [convergence(group.runs[label]) for label in labels]
+    return {
+        "heading": group.heading,
+        "rows": [_row(row, group) for row in group.rows],
+        "labels": labels,
+        "rounds": [None if history is None else _rounds(history) for history in histories],
+        "pairs": [
+            {
+                "row": pair.row,
+                "against": pair.against,
+                "pairs": pair.pairs,
+                "otherStart": pair.other_start,
+                "differences": {metric: _difference(value) for metric, value in pair.differences.items()},
+            }
+            for pair in group.comparisons
+        ],
+        "runs": [
+            _run(run, number, recipes, pictures) for number, label in enumerate(labels) for run in group.runs[label]
+        ],
+    }
+
+
+def _row(row: Measured | Published, group: Group) -> dict[str, Any]:
+    if isinstance(row, Published):
+        means = {metric: [_brief(value), None, None] for metric, value in row.values.items()}
+        return {
+            "label": row.label,
+            "published": row.source,
+            "note": row.note,
+            "start": starts_of(row),
+            "mean": means,
+            "median": {},
+        }
+    out: dict[str, Any] = {
+        "label": row.label,
+        "start": starts_of(row),
+        "runs": row.runs,
+        "frames": len(row.places),
+        "failures": failures_of(row),
+        "failed": sum(row.failures.values()),
+        "best": [],
+    }
+    for statistic in ("mean", "median"):
+        values: Mapping[str, Interval] = getattr(row, statistic)
+        out[statistic] = {metric: _interval(value) for metric, value in values.items()}
+        for metric, value in values.items():
+            first = best(group.measured, metric, statistic, DIGITS)
+            if row.complete and first is not None and round(value.value, DIGITS) == first:
+                out["best"].append(f"{metric} {statistic}")
+    return out
+
+
+def _run(run: StoredRow, row: int, recipes: _Numbered, pictures: Pictures) -> dict[str, Any]:
+    shown = [
+        {"frame": frame, "before": pictures.of[run.key, frame][0], "after": pictures.of[run.key, frame][1]}
+        for frame in run.frames
+        if (run.key, frame) in pictures.of
+    ]
+    unseeded = {key: value for key, value in run.recipe.items() if key != "seed"}
+    return {
+        "row": row,
+        "place": run.place,
+        "frames": run.frames if len(run.frames) > 1 else [],
+        "seed": run.seed,
+        "perturb": run.perturb or "",
+        "status": run.status,
+        "solved": run.solved,
+        "reason": run.reason,
+        "errors": [_brief(getattr(run, metric)) for metric in METRICS],
+        "start": [_brief(run.start_rotation_deg), _brief(run.start_translation_m)],
+        "matches": dict(run.matches),
+        "seconds": {stage: _brief(value) for stage, value in run.seconds.items()},
+        "rounds": [
+            [
+                r.get("stage", ""),
+                _brief(r.get("reach_px")),
+                sum((r.get("matches") or {}).values()),
+                _brief(r.get("mean_residual_px")),
+                _brief(r.get("directed_cost_px")),
+                _brief(r.get("step_deg")),
+                _brief(r.get("step_m")),
+                bool(r.get("accepted")),
+            ]
+            for r in run.rounds
+        ],
+        "estimate": None if run.estimate is None else np.round(run.estimate, 9).tolist(),
+        "recipe": recipes.number({"recipe": unseeded, "versions": dict(run.versions)}),
+        "exception": run.exception or "",
+        "finished": run.finished,
+        "pictures": shown,
+    }
+
+
+def _rounds(history: Convergence) -> dict[str, Any]:
+    quartiles = {"matches": history.matches, "residual": history.residual_px}
+    return {"runs": history.runs, **{k: [[_brief(x) for x in line] for line in v] for k, v in quartiles.items()}}
+
+
+def _difference(value: Difference) -> dict[str, Any]:
+    return {"median": _interval(value.median), "better": _brief(value.better), "tied": _brief(value.tied)}
+
+
+def _interval(value: Interval) -> list[float | None]:
+    return [_brief(value.value), _brief(value.low), _brief(value.high)]
+
+
+def _brief(value: float | None) -> float | None:
+    """Return a number with as many digits as anyone reads; None for what JSON cannot hold."""
+    return None if value is None or not np.isfinite(value) else float(f"{value:.{_SIGNIFICANT}g}")
