@@ -7,11 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import p2o
 from p2o import se3
+from p2o.cache import content_hash
 from p2o.metrics import pose_error
 from p2o.store import Planned, Store, StoredRow, StoredStudy
+from p2o.testing import stage
 
 TRUTH = se3.make(np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]), [0.0, -0.1, -0.3])
+PLUGIN = str(Path(__file__).with_name("stage_plugin.py"))
 AXIS = np.array([2.0, 1.0, -2.0]) / 3
 
 TOML = """
@@ -96,6 +100,26 @@ def table2(frames: int = 12, seeds: int = 3) -> list[StoredRow]:
         names = tuple(f"2011_09_26/drive_0005/{frame:010d}" for frame in range(frames))
         runs.append(run_of("ours, jointly", names[0], seed, 0.05 + 0.01 * seed, 0.01, frames=names, joint=frames))
     return runs
+
+
+def staged(**values: Any) -> list[StoredRow]:
+    """Return runs on the frames of the stage that tests draw, by the staged pipeline and by a whole method."""
+    frame = stage.frame()
+    truth = frame.camera_from_lidar
+    registry = p2o.Registry.load(extra_files=[PLUGIN], environ={})
+    words = {"data": "fake:?frames=3"}
+    recipes = {
+        "edges": p2o.Recipe.of(**words, extractor="depth/rings").resolve(registry).described(),
+        "whole": p2o.Recipe.of(**words, calibrator="spy").resolve(registry).described(),
+    }
+    inputs = {"image": content_hash(frame.image), "cloud": content_hash(frame.cloud)}
+    start = truth @ np.array([[1.0, 0, 0, 0.3], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    common = {"truth": truth, "start": start, "estimate": truth, "dataset": "fake", **values}
+    return [
+        run_of(row, name, 0, 1.0 + i, 0.1, recipe=recipe, inputs={name: inputs}, **common)
+        for row, recipe in recipes.items()
+        for i, name in enumerate(("drive/0000", "drive/0001", "drive/0002"))
+    ]
 
 
 def write_store(

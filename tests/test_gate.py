@@ -37,7 +37,7 @@ def rows(**changes: object) -> list[StoredRow]:
     found = [
         StoredRow(
             f"{label}{frame}", "s", label, frames=(f"f/{frame}",), status="converged",
-            rotation_deg=0.1 * (frame + 1), translation_m=0.02,
+            rotation_deg=0.1 * (frame + 1), translation_m=0.02, section={"b": "more"}.get(label, ""),
         )
         for label in "ab"
         for frame in (0, 1)

@@ -21,7 +21,7 @@ from p2o.report.summary import Measured, Published, summarise_study
 from p2o.report.tables import latex, markdown
 from p2o.store import Planned, Store, StoredRow, StoredStudy
 
-from tests.fake_study import PUBLISHED, planned, rounds, run_of, table2, write_store
+from tests.fake_study import PLUGIN, PUBLISHED, planned, rounds, run_of, staged, table2, write_store
 
 STUDY = StoredStudy("table2", 'title = "T"', {}, ())
 
@@ -356,6 +356,11 @@ def test_the_command_names_what_it_wrote(tmp_path: Path, capsys: pytest.CaptureF
     assert all(Path(line).is_file() for line in lines)
 
 
+def test_the_command_explains_itself(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["report", "--help"]) == 0
+    assert capsys.readouterr().out.startswith("Usage: p2o report")
+
+
 def test_only_the_studies_that_are_named_are_reported(tmp_path: Path) -> None:
     pytest.importorskip("plotly")
     write_store(tmp_path, table2(3, 1))
@@ -370,35 +375,8 @@ def test_only_the_studies_that_are_named_are_reported(tmp_path: Path) -> None:
 # ---- pictures
 
 
-PLUGIN = str(Path(__file__).with_name("stage_plugin.py"))
-
-
 def drawn(folder: Path, *words: str) -> int:
     return main(["report", str(folder), "--plugin", PLUGIN, "--data", *words])
-
-
-def staged(**values: object) -> list[StoredRow]:
-    """Return runs on the frames of the stage that tests draw, by the staged pipeline and by a whole method."""
-    import p2o
-    from p2o.cache import content_hash
-    from p2o.testing import stage
-
-    frame = stage.frame()
-    truth = frame.camera_from_lidar
-    registry = p2o.Registry.load(extra_files=[PLUGIN], environ={})
-    words = {"data": "fake:?frames=3"}
-    recipes = {
-        "edges": p2o.Recipe.of(**words, extractor="depth/rings").resolve(registry).described(),
-        "whole": p2o.Recipe.of(**words, calibrator="spy").resolve(registry).described(),
-    }
-    inputs = {"image": content_hash(frame.image), "cloud": content_hash(frame.cloud)}
-    start = truth @ np.array([[1.0, 0, 0, 0.3], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
-    common = {"truth": truth, "start": start, "estimate": truth, "dataset": "fake", **values}
-    return [
-        run_of(row, name, 0, 1.0 + i, 0.1, recipe=recipe, inputs={name: inputs}, **common)
-        for row, recipe in recipes.items()
-        for i, name in enumerate(("drive/0000", "drive/0001", "drive/0002"))
-    ]
 
 
 def pictures_in(folder: Path) -> tuple[list[str], list[list[dict[str, object]]]]:

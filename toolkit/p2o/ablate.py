@@ -121,14 +121,16 @@ class _Method:
     key: str
 
     @classmethod
-    def of(cls, row: StudyRow, seed: int, data_options: str, registry: Registry) -> _Method:
+    def of(
+        cls, row: StudyRow, seed: int, data_options: str, versions: Mapping[str, str], registry: Registry
+    ) -> _Method:
         recipe = row.recipe(seed)
         options = {**recipe.options, "data": json.loads(data_options)}
         if not options["data"]:
             del options["data"]
         recipe = recipe.model_copy(update={"options": options})
         plan = recipe.resolve(registry)
-        described, versions = plan.described(), plan.versions()
+        described = plan.described()
         builds = [part.offer.method.build for stage, part in plan.parts.items() if stage != "data"]
         # Where the frames come from does not act on the result: their content does.
         acting = {
@@ -179,7 +181,10 @@ def _opened(rows: Sequence[StudyRow], plugins: Plugins) -> list[_Opened]:
         dataset = datasets[data, options]
         indices = select(dataset.names, row.dataset.frames, where=where, skipped=dataset.skipped)
         sources = tuple(Source(plugins, data, options, index, dataset.names[index]) for index in indices)
-        out.append(_Opened(row, sources, {seed: _Method.of(row, seed, options, registry) for seed in row.seeds}))
+        # Looked up in the metadata of packages, which takes its time; no seed changes them.
+        versions = row.resolve(registry, row.seeds[0]).versions()
+        methods = {seed: _Method.of(row, seed, options, versions, registry) for seed in row.seeds}
+        out.append(_Opened(row, sources, methods))
     return out
 
 

@@ -17,7 +17,7 @@ _COMMANDS = {
     "plugins": "List the plugins as JSON: name, version, methods; the broken ones with reasons.",
     "check-plugin": "Check that methods keep the contracts of their slots.",
     "data": "List or check the frames of a dataset.",
-    "ablate": "Run a study: methods x frames x starts, resumable, with its table and a gate.",
+    "ablate": "Run a study: methods x frames x starts, as a table that can be resumed and gated.",
     "report": "Write tables, figures and one page about the studies in a folder.",
     "simulate": "Write made-up streets in the layout of a real dataset.",
 }

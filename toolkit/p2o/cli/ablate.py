@@ -58,7 +58,9 @@ def command(
     plugin: tuple[str, ...],
     block: tuple[str, ...],
 ) -> int:
-    """Run STUDY, a name (see --list) or a TOML file, and print its table; start it again to go on where it was.
+    """Run a study: methods x frames x starts. STUDY is a name (see --list) or a TOML file; its table is printed.
+
+    Started again, it goes on where it was.
 
     \b
     p2o ablate smoke

@@ -149,6 +149,8 @@ def _by_frame(group: Group, summary: Summary) -> Figure | None:
     rows = [row for row in group.measured if any(metric in row.mean for metric in summary.norms)]
     if not rows:
         return None
+    from matplotlib.ticker import LogLocator, NullFormatter
+
     places = list(dict.fromkeys(place for row in rows for place in row.places))
     ranked = len(places) > _MOST_NAMES
     height = 5.0 if ranked else 1.3 + (0.17 + 0.045 * len(rows)) * len(places)
@@ -167,7 +169,9 @@ def _by_frame(group: Group, summary: Summary) -> Figure | None:
                 panel.hlines(at, spread[0], spread[2], color=look["color"], lw=1.1, alpha=0.6)
                 panel.plot(spread[1], at, ms=4, linestyle="none", label=_short(row.label), **look)
         panel.set_xscale("log")
+        panel.xaxis.set_major_locator(LogLocator(subs=(1, 3)))
         panel.xaxis.set_major_formatter("{x:g}")
+        panel.xaxis.set_minor_formatter(NullFormatter())
         panel.set_xlabel(f"{name_of(metric)} error [{unit}]: median of the seeds" + ("" if ranked else " and range"))
         _tidy(panel, "both")
     if ranked:

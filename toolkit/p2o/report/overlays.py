@@ -6,15 +6,15 @@ import base64
 import contextlib
 import json
 import re
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
-from functools import partial
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 from p2o.arrays import Float, UInt8
-from p2o.cache import content_hash
+from p2o.cache import FeatureCache, content_hash, features_key
 from p2o.errors import InputError, P2OError, UnknownNameError
-from p2o.recipe import Recipe, open_dataset, split_data
+from p2o.recipe import Part, Recipe, open_dataset, split_data
 from p2o.report.summary import Summary, error_of
 from p2o.store import StoredRow
 
@@ -175,8 +175,25 @@ def _opened(text: str, run: StoredRow, registry: Registry) -> _Source:
         return _Source(open_dataset(f"{name}:", registry, said), None)
     options["data"] = said
     plan = Recipe.of(**{**recipe, "data": f"{name}:", "options": options}).resolve(registry)
-    calibrator = plan.calibrator()
+    kept = {stage: _KeptPart(plan.parts[stage].offer, plan.parts[stage].options) for stage in ("extractor", "cloud")}
+    calibrator = replace(plan, parts={**plan.parts, **kept}).calibrator()
     return _Source(plan.dataset(), calibrator if isinstance(calibrator, Pipeline) else None)
+
+
+@dataclass(frozen=True)
+class _KeptPart(Part):
+    """An extractor that first looks where studies keep their features, and is built only where they are not there."""
+
+    def build(self) -> Callable[[Any], Any]:
+        """Return what finds the features of an image or a sweep."""
+        features, part = FeatureCache.of_user(), Part(self.offer, self.options)
+        extractor = cache(part.build)
+
+        def find(data: Any, /) -> Any:
+            kept = features.get(features_key(part, content_hash(data)))
+            return extractor()(data) if kept is None else kept.features
+
+        return find
 
 
 def _check_names(wanted: Sequence[Wanted], text: str, there: Sequence[str]) -> None:

@@ -6,7 +6,7 @@ const PAGE = 200;
 const NAMES = { rotation_deg: "rotation", translation_m: "translation" };
 const SYMBOLS = ["circle", "square", "triangle-up", "diamond", "triangle-down", "cross", "x", "star"];
 const DASHES = ["solid", "dash", "dot", "dashdot"];
-const NONE = "–";
+const NONE = "-";
 const state = { study: 0, group: 0, shown: PAGE, list: [], open: null };
 
 // ---- words and numbers
@@ -82,7 +82,7 @@ class SortedTable {
       const line = make("tr", { class: [this.kind(row), this.click ? "live" : ""].join(" ").trim() },
         ...this.columns.map((column) => {
           const cell = column.cell(row);
-          const classes = [column.text && "text", column.long && "long", column.mark && column.mark(row)];
+          const classes = [column.text && "text", column.long && "long", column.wide && "wide", column.mark && column.mark(row)];
           return make("td", { class: classes.filter(Boolean).join(" ") }, ...(Array.isArray(cell) ? cell : [cell]));
         }));
       if (this.click) {
@@ -128,7 +128,7 @@ function showRows() {
     title, (row) => (row[kind][metric] ? row[kind][metric][0] : null), (row) => withRange(row[kind][metric], metric),
     { mark: (row) => (row.best && row.best.includes(`${metric} ${kind}`) ? "best" : "") });
   const columns = [
-    { title: "row", text: true, long: true, value: (row) => row.label,
+    { title: "row", text: true, wide: true, value: (row) => row.label,
       cell: (row) => (row.published ? [row.label, make("span", { class: "tag", title: row.note }, `published: ${row.published}`)] : row.label) },
     words("start", (row) => row.start),
     number("runs", (row) => row.runs ?? null, (row) => String(row.runs ?? NONE)),
