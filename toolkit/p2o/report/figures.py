@@ -24,6 +24,7 @@ _DASHES = ("-", "--", ":", "-.")
 
 _MOST_NAMES = 80
 _LONGEST_NAME = 40
+_LETTERS_PER_INCH = 15  # of a legend
 
 
 def figures_of(summary: Summary) -> Iterator[tuple[str, str, Figure]]:
@@ -140,7 +141,7 @@ def _convergence(group: Group, _: Summary) -> Figure | None:
     for panel in (top, bottom):
         panel.set_ylim(bottom=0)
         _tidy(panel, "both")
-    _legend(figure, top, len(found))
+    _legend(figure, top)
     return figure
 
 
@@ -179,7 +180,7 @@ def _by_frame(group: Group, summary: Summary) -> Figure | None:
     else:
         panels[0, 0].set_yticks(range(len(places)), [_short(place, end=True) for place in places], fontsize=7)
         panels[0, 0].set_ylim(len(places) - 0.4, -0.6)
-    _legend(figure, panels[0, 0], len(rows))
+    _legend(figure, panels[0, 0])
     return figure
 
 
@@ -210,9 +211,12 @@ def _look(number: int, markers: str = _MARKERS) -> dict[str, str]:
     return {**look, "marker": markers[number % len(markers)]} if markers else look
 
 
-def _legend(figure: Figure, panel: Any, rows: int) -> None:
+def _legend(figure: Figure, panel: Any) -> None:
+    """Put the legend below the figure, in as many columns as its entries leave room for."""
     handles, labels = panel.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(3, rows), fontsize=8, frameon=False)
+    room = _LETTERS_PER_INCH * figure.get_figwidth() / (max(map(len, labels)) + 8)
+    columns = max(1, min(3, int(room), len(labels)))
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=8, frameon=False)
 
 
 def _tidy(panel: Any, grid: str) -> None:

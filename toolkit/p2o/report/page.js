@@ -251,7 +251,7 @@ function showFrames() {
       hovertemplate: `%{text}<br>%{x:.3f} ${unit(metric)}<extra>${plain(row.label)}</extra>`,
     };
   });
-  Plotly.react("frames", traces, { ...layout, height: Math.max(130 + 46 * rows.length, 110 + 22 * places.length + 22 * rows.length),
+  Plotly.react("frames", traces, { ...layout, height: Math.max(130 + 46 * rows.length, 110 + Math.max(22, 6 * rows.length) * places.length + 22 * rows.length),
     xaxis: { ...axis, type: "log", title: title(metric), tickvals: LOG_TICKS, ticktext: LOG_TICKS.map((v) => String(Number(v.toPrecision(1)))) },
     yaxis: { ...axis, range: [places.length - 0.4, -0.6], tickvals: places.map((_, i) => i), ticktext: places.map(plain) } }, config);
 }
