@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,7 +19,7 @@ Float32 = np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """One view: the points that take part, each with the number of its direction's map."""
+    """One view: the points that take part, in the camera frame of `around`, each with the number of its map."""
 
     camera: Camera
     xyz: Float
@@ -61,11 +61,15 @@ class DirectedCost:
     Made by `DirectedCost.of`; calling it with camera_from_lidar (B, 4, 4) gives (B,). The set of points is fixed (those
     that the pose `around` brings into the image or near it), so costs of different poses compare. A point that leaves
     the image costs what a point at a random place would cost: leaving is neither punished nor rewarded by itself.
+    Points count with their weight over one plus their variance in px^2. `smooth` interpolates between the cells of the
+    maps; without it the nearest cell counts, which is quicker.
     """
 
     parts: tuple[_Part, ...]
     truncate_px: float
     scale: int
+    lidar_from_around: Float
+    smooth: bool = True
 
     @classmethod
     def of(
@@ -77,6 +81,7 @@ class DirectedCost:
         scale: int = 1,
         margin_px: float = 0.0,
         max_points: int | None = None,
+        smooth: bool = True,
     ) -> DirectedCost:
         """Return the cost of these views; `max_points` keeps an even subset over all views together."""
         masks = [_near_image(view, around, margin_px) for view in views]
@@ -94,8 +99,20 @@ class DirectedCost:
                 number[side] = i
             maps = distance_maps(view, sides, truncate_px, scale)
             neutral = maps.reshape(len(sides), -1).mean(axis=1).astype(np.float64)
-            parts.append(_Part(view.camera, edges.xyz, edges.weight, number[edges.side], maps, neutral))
-        return cls(tuple(parts), truncate_px, scale)
+            # An edge between far apart beams may lie pixels off: it counts by the inverse of its variance in pixels.
+            seen_from = se3.apply(around, edges.xyz)
+            distance = np.linalg.norm(seen_from, axis=1)
+            weight = edges.weight / (1.0 + (view.camera.focal_px * edges.sigma_m / distance) ** 2)
+            parts.append(_Part(view.camera, seen_from, weight, number[edges.side], maps, neutral))
+        return cls(tuple(parts), truncate_px, scale, se3.inverse(around), smooth)
+
+    def truncated(self, truncate_px: float) -> DirectedCost:
+        """Return the same cost with distances cut off earlier, at `truncate_px`."""
+        parts = []
+        for part in self.parts:
+            maps = np.minimum(part.maps, np.float32(truncate_px))
+            parts.append(replace(part, maps=maps, neutral=maps.reshape(len(maps), -1).mean(axis=1).astype(np.float64)))
+        return replace(self, parts=tuple(parts), truncate_px=min(truncate_px, self.truncate_px))
 
     @cached_property
     def points(self) -> int:
@@ -104,10 +121,11 @@ class DirectedCost:
 
     def __call__(self, poses: Float) -> Float:
         """Return the cost (B,) in pixels of poses (B, 4, 4); infinite where there are no points."""
-        poses = np.asarray(poses, dtype=np.float64)
+        # Relative to the pose `around`, so that the numbers do not depend on where the LiDAR frame is.
+        poses = np.asarray(poses, dtype=np.float64) @ self.lidar_from_around
         total, weight = np.zeros(len(poses)), 0.0
         for part in self.parts:
-            total += _part_cost(part, poses, self.scale)
+            total += _part_cost(part, poses, self.scale, self.smooth)
             weight += float(part.weight.sum())
         return total / weight if weight > 0 else np.full(len(poses), np.inf)
 
@@ -123,34 +141,39 @@ def _near_image(view: View, around: Float, margin_px: float) -> Bool:
     return view.camera.in_image(view.camera.project(se3.apply(around, edges.xyz)), margin_px)
 
 
-def _part_cost(part: _Part, poses: Float, scale: int) -> Float:
-    """Weighted sum of looked-up distances of one view, (B,); bilinear, in single precision for speed."""
+def _part_cost(part: _Part, poses: Float, scale: int, smooth: bool) -> Float:
+    """Weighted sum of looked-up distances of one view, (B,); in single precision for speed."""
     camera = part.camera
     _, height, width = part.maps.shape
     if camera.is_pinhole:
         fx, fy, cx, cy = camera.params
         intrinsic = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+        intrinsic[:2] /= scale
         matrix = (intrinsic @ poses[:, :3]).astype(np.float32)
         homogeneous = np.concatenate([part.xyz.T, np.ones((1, len(part.xyz)))]).astype(np.float32)
         u, v, w = np.moveaxis((matrix.reshape(-1, 4) @ homogeneous).reshape(len(poses), 3, -1), 1, 0)
-        behind = w < 1e-3
-        inverse = 1.0 / np.where(behind, np.float32(1), w)
-        u, v = u * inverse, v * inverse
-        outside = behind
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inverse = 1.0 / w
+            u, v = u * inverse, v * inverse
+        outside = w < 1e-3
     else:
-        uv = camera.project(se3.apply(poses, part.xyz)).astype(np.float32)
+        uv = camera.project(se3.apply(poses, part.xyz)).astype(np.float32) / np.float32(scale)
         u, v = uv[..., 0], uv[..., 1]
         outside = np.isnan(u)
-        u, v = np.where(outside, np.float32(-9), u), np.where(outside, np.float32(-9), v)
-    u, v = u / scale, v / scale
-    outside = outside | (u < 0) | (v < 0) | (u > width - 1.001) | (v > height - 1.001)
-    u, v = np.where(outside, np.float32(0), u), np.where(outside, np.float32(0), v)
-    column, row = u.astype(np.int32), v.astype(np.int32)
-    fu, fv = u - column, v - row
+    with np.errstate(invalid="ignore"):
+        outside |= (u < 0) | (v < 0) | (u > width - 1.001) | (v > height - 1.001)
+    u[outside], v[outside] = 0.0, 0.0
     flat = part.maps.reshape(-1)
-    index = (part.side_index * (height * width)).astype(np.int64) + row * np.int64(width) + column
-    right, below = (1 if width > 1 else 0), (width if height > 1 else 0)
-    top = flat[index] * (1 - fu) + flat[index + right] * fu
-    bottom = flat[index + below] * (1 - fu) + flat[index + below + right] * fu
-    value = np.where(outside, part.neutral[part.side_index].astype(np.float32), top * (1 - fv) + bottom * fv)
+    first = (part.side_index * (height * width)).astype(np.int32)
+    if not smooth:
+        value = flat[first + (v + 0.5).astype(np.int32) * np.int32(width) + (u + 0.5).astype(np.int32)]
+    else:
+        column, row = u.astype(np.int32), v.astype(np.int32)
+        fu, fv = u - column, v - row
+        index = first + row * np.int32(width) + column
+        right, below = (1 if width > 1 else 0), (width if height > 1 else 0)
+        top = flat[index] * (1 - fu) + flat[index + right] * fu
+        bottom = flat[index + below] * (1 - fu) + flat[index + below + right] * fu
+        value = top * (1 - fv) + bottom * fv
+    value = np.where(outside, part.neutral[part.side_index].astype(np.float32), value)
     return np.asarray(value @ part.weight.astype(np.float32), dtype=np.float64)

@@ -8,11 +8,11 @@ import numpy as np
 from p2o import DirectedCost, Initializer, Method, View, field, se3
 from p2o.arrays import Float
 
-from p2o_plugins.initialize.search import SearchOptions, narrow
+from p2o_plugins.initialize.search import NarrowOptions, coarse_maps, narrow
 
 
-class GridOptions(SearchOptions):
-    """Options of the grid; those of `search` rule how each basin is narrowed."""
+class GridOptions(NarrowOptions):
+    """Options of the grid; the inherited ones rule how each basin is narrowed."""
 
     sigma_deg: float = field(1.0, gt=0, le=60, help="Standard deviation about each axis when a basin is narrowed.")
     max_angle_deg: float = field(12.0, gt=0, le=45, help="Half width of the grid about each axis.")
@@ -40,7 +40,7 @@ def build(options: GridOptions) -> Initializer:
         if not coarse.points:
             return [camera_from_lidar]
         starts = [se3.exp(t) @ camera_from_lidar for t in _basins(coarse, camera_from_lidar, options)]
-        narrowed = [narrow(views, start, options, rng) for start in starts]
+        narrowed = [narrow(coarse_maps(views, s, options), s, options, rng, options.widest_px) for s in starts]
         judge = DirectedCost.of(
             views, camera_from_lidar, options.narrowest_px, margin_px=float(margin), max_points=options.max_points
         )

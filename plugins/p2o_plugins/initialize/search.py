@@ -1,4 +1,4 @@
-"""Initializer `search`: a population of poses on truncated directed distance maps, narrowed generation by generation."""
+"""Initializer `search`: populations of poses on truncated directed distance maps, narrowed step by step."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from p2o import DirectedCost, Initializer, Method, Options, View, field, se3
 from p2o.arrays import Float
 
 
-class SearchOptions(Options):
-    """Options of the population search."""
+class NarrowOptions(Options):
+    """How a population of poses is narrowed; shared with `grid`."""
 
     population: int = field(400, ge=20, le=100_000, help="Poses evaluated in each generation.")
     generations: int = field(12, ge=1, le=200, help="How often the population is drawn anew.")
@@ -23,36 +23,65 @@ class SearchOptions(Options):
     seed: int = field(0, ge=0, help="Seed of the random generator.")
 
 
+class SearchOptions(NarrowOptions):
+    """Options of the population search."""
+
+    restarts: int = field(3, ge=1, le=10, help="Searches from the start; each begins half as wide as the one before.")
+
+
 def build(options: SearchOptions) -> Initializer:
-    """Return an initializer that gives the best pose of a cross-entropy search, then the given one."""
+    """Return an initializer that gives the poses at which the searches end, best first, then the given one.
+
+    A wide truncation finds far starts but is blinded by clutter, a narrow one the other way round: so each restart
+    begins with half the width of the one before, and the caller may choose among the basins.
+    """
 
     def initialize(views: Sequence[View], camera_from_lidar: Float) -> list[Float]:
         rng = np.random.default_rng(options.seed)
-        return [narrow(views, camera_from_lidar, options, rng), camera_from_lidar]
+        widths = [max(options.narrowest_px, options.widest_px / 2**number) for number in range(options.restarts)]
+        maps = coarse_maps(views, camera_from_lidar, options)
+        found = [narrow(maps, camera_from_lidar, options, rng, width) for width in widths]
+        judge = DirectedCost.of(views, camera_from_lidar, options.narrowest_px, max_points=options.max_points)
+        order = np.argsort(judge(np.stack(found)), kind="stable")
+        return [*(found[i] for i in order), camera_from_lidar]
 
     return initialize
 
 
-def narrow(views: Sequence[View], start: Float, options: SearchOptions, rng: np.random.Generator) -> Float:
+def coarse_maps(views: Sequence[View], around: Float, options: NarrowOptions) -> dict[int, DirectedCost]:
+    """Return the directed cost at `widest_px` for every scale of maps that narrowing needs, by scale."""
+    scales = sorted(
+        {
+            _scale(options.narrowest_px),
+            *(2**n for n in range(8) if 2**n < _scale(options.widest_px)),
+            _scale(options.widest_px),
+        }
+    )
+    return {
+        scale: DirectedCost.of(
+            views, around, options.widest_px, scale=scale, max_points=options.max_points, smooth=False
+        )
+        for scale in scales
+    }
+
+
+def _scale(width_px: float) -> int:
+    """Return how many pixels a cell of the maps covers: a power of two up to a tenth of the truncation."""
+    return 2 ** int(np.log2(max(1.0, width_px / 10)))
+
+
+def narrow(
+    maps: dict[int, DirectedCost], start: Float, options: NarrowOptions, rng: np.random.Generator, widest_px: float
+) -> Float:
     """Return the pose (4, 4) at which a cross-entropy search around `start` ends.
 
     The tangent vector of a left update (rotation about the camera centre, then shift) is drawn from a Gaussian whose
     mean and covariance follow the best share of each generation, while the truncation of the distances shrinks from
-    `widest_px` to `narrowest_px`.
+    `widest_px` to the option `narrowest_px`. `maps` are those of `coarse_maps`.
     """
     unit = np.concatenate([np.full(3, np.radians(options.sigma_deg)), np.full(3, max(options.sigma_m, 1e-9))])
-    widths = np.geomspace(options.widest_px, min(options.narrowest_px, options.widest_px), 4)
-    costs = [
-        DirectedCost.of(
-            views,
-            start,
-            float(width),
-            scale=max(1, int(width // 10)),
-            margin_px=0.0,
-            max_points=options.max_points,
-        )
-        for width in widths
-    ]
+    widths = [float(w) for w in np.geomspace(widest_px, min(options.narrowest_px, widest_px), 4)]
+    costs = [maps[_scale(width)].truncated(width) for width in widths]
     if not costs[0].points:
         return start
     keep = max(8, int(options.elite * options.population))
