@@ -1,7 +1,7 @@
 # make run: sets up a fresh machine and calibrates the built-in scene.   make test: the same set-up, then the tests.
 VENV ?= .venv
 PYTHON ?= python3
-SOURCES := $(shell find toolkit plugins baselines -name '*.py' -o -name '*.toml' -o -name '*.safetensors') pyproject.toml README.md
+SOURCES := $(shell find toolkit plugins baselines -name '*.py' -o -name '*.toml' -o -name '*.html' -o -name '*.css' -o -name '*.js') pyproject.toml README.md
 
 .PHONY: run test dev lint wheel clean
 

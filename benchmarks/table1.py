@@ -3,7 +3,7 @@
     python benchmarks/table1.py --jobs 2
     python benchmarks/table1.py --data "vkitti2:PATH?mount=camera" --scenes 200
 
-The study file says what is run (p2o_baselines/studies/table1.toml); each row is what `p2o run` with its words gives.
+The study file says what is run (table1.toml beside this file); each row is what `p2o run` with its words gives.
 A frame is read once for all rows with the same LiDAR. Refused frames count with the error of their start, which is what
 the user is left with. The joint line solves 10 frames at once, from three starts each.
 """
@@ -16,7 +16,7 @@ import tomllib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -63,7 +63,7 @@ def main() -> None:
     parser.add_argument("--sides", default="LRUB", help="directions that are matched")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     arguments = parser.parse_args()
-    study = tomllib.loads((files("p2o_baselines") / "studies/table1.toml").read_text(encoding="utf-8"))
+    study = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
     rows = [Row(**row) for row in study["row"] if arguments.rows is None or row["name"] in arguments.rows.split(",")]
     words = {name: study[name] for name in WORDS}
     words |= {name: value for name in ("data", "extractor", "init") if (value := getattr(arguments, name)) is not None}

@@ -6,7 +6,6 @@ import re
 import subprocess
 import sys
 import tomllib
-from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -15,8 +14,8 @@ from p2o.metrics import AXES
 from p2o.simulate import write_vkitti2
 from p2o.testing import stage
 
-STUDY = tomllib.loads((files("p2o_baselines") / "studies/table1.toml").read_text(encoding="utf-8"))
 DRIVER = Path(__file__).parents[2] / "benchmarks/table1.py"
+STUDY = tomllib.loads(DRIVER.with_suffix(".toml").read_text(encoding="utf-8"))
 
 
 @pytest.mark.parametrize("row", STUDY["row"], ids=lambda row: row["name"])

@@ -29,10 +29,10 @@ class _Part:
     neutral: Float
 
 
-def distance_maps(view: View, sides: Sequence[Side], truncate_px: float, scale: int) -> Float32:
+def distance_maps(view: View, sides: Sequence[Side], truncate_px: float, scale: int, *, exact: bool = True) -> Float32:
     """Return truncated distances in px (len(sides), H', W') to the nearest image edge of each direction.
 
-    One value every `scale` pixels. A direction without edges is `truncate_px` everywhere.
+    One value every `scale` pixels; without `exact` up to 2 % off, and quicker. A direction without edges is `truncate_px` everywhere.
     """
     import cv2
 
@@ -49,7 +49,7 @@ def distance_maps(view: View, sides: Sequence[Side], truncate_px: float, scale: 
         free[cells[inside, 1], cells[inside, 0]] = 0
         if free.all():
             continue
-        distance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        distance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE if exact else cv2.DIST_MASK_5)
         maps[number] = np.minimum(distance * scale, truncate_px)
     return maps
 
@@ -97,8 +97,8 @@ class DirectedCost:
             number = np.zeros(len(Side), np.int64)
             for i, side in enumerate(sides):
                 number[side] = i
-            maps = distance_maps(view, sides, truncate_px, scale)
-            neutral = maps.reshape(len(sides), -1).mean(axis=1).astype(np.float64)
+            maps = distance_maps(view, sides, truncate_px, scale, exact=smooth)
+            neutral = _neutral(maps, truncate_px)
             # An edge between far apart beams may lie pixels off: it counts by the inverse of its variance in pixels.
             seen_from = se3.apply(around, edges.xyz)
             distance = np.linalg.norm(seen_from, axis=1)
@@ -107,12 +107,10 @@ class DirectedCost:
         return cls(tuple(parts), truncate_px, scale, se3.inverse(around), smooth)
 
     def truncated(self, truncate_px: float) -> DirectedCost:
-        """Return the same cost with distances cut off earlier, at `truncate_px`."""
-        parts = []
-        for part in self.parts:
-            maps = np.minimum(part.maps, np.float32(truncate_px))
-            parts.append(replace(part, maps=maps, neutral=maps.reshape(len(maps), -1).mean(axis=1).astype(np.float64)))
-        return replace(self, parts=tuple(parts), truncate_px=min(truncate_px, self.truncate_px))
+        """Return the same cost with distances cut off earlier, at `truncate_px`; the maps are shared."""
+        limit = min(truncate_px, self.truncate_px)
+        parts = tuple(replace(part, neutral=_neutral(part.maps, limit)) for part in self.parts)
+        return replace(self, parts=parts, truncate_px=limit)
 
     @cached_property
     def points(self) -> int:
@@ -125,13 +123,20 @@ class DirectedCost:
         poses = np.asarray(poses, dtype=np.float64) @ self.lidar_from_around
         total, weight = np.zeros(len(poses)), 0.0
         for part in self.parts:
-            total += _part_cost(part, poses, self.scale, self.smooth)
+            total += _part_cost(part, poses, self)
             weight += float(part.weight.sum())
         return total / weight if weight > 0 else np.full(len(poses), np.inf)
 
     def at(self, pose: Float) -> float:
         """Return the cost in pixels of one pose (4, 4)."""
         return float(self(pose[None])[0])
+
+
+def _neutral(maps: Float32, truncate_px: float) -> Float:
+    """Return the mean truncated distance of each map (sides,), from every fourth cell each way where it is large."""
+    thin = maps[:, ::4, ::4] if maps.shape[1] * maps.shape[2] > 10_000 else maps
+    cut = np.minimum(thin, np.float32(truncate_px)).reshape(len(maps), -1)
+    return np.asarray(cut.mean(axis=1), dtype=np.float64)
 
 
 def _near_image(view: View, around: Float, margin_px: float) -> Bool:
@@ -141,9 +146,9 @@ def _near_image(view: View, around: Float, margin_px: float) -> Bool:
     return view.camera.in_image(view.camera.project(se3.apply(around, edges.xyz)), margin_px)
 
 
-def _part_cost(part: _Part, poses: Float, scale: int, smooth: bool) -> Float:
+def _part_cost(part: _Part, poses: Float, cost: DirectedCost) -> Float:
     """Weighted sum of looked-up distances of one view, (B,); in single precision for speed."""
-    camera = part.camera
+    camera, scale = part.camera, cost.scale
     _, height, width = part.maps.shape
     if camera.is_pinhole:
         fx, fy, cx, cy = camera.params
@@ -165,7 +170,7 @@ def _part_cost(part: _Part, poses: Float, scale: int, smooth: bool) -> Float:
     u[outside], v[outside] = 0.0, 0.0
     flat = part.maps.reshape(-1)
     first = (part.side_index * (height * width)).astype(np.int32)
-    if not smooth:
+    if not cost.smooth:
         value = flat[first + (v + 0.5).astype(np.int32) * np.int32(width) + (u + 0.5).astype(np.int32)]
     else:
         column, row = u.astype(np.int32), v.astype(np.int32)
@@ -175,5 +180,6 @@ def _part_cost(part: _Part, poses: Float, scale: int, smooth: bool) -> Float:
         top = flat[index] * (1 - fu) + flat[index + right] * fu
         bottom = flat[index + below] * (1 - fu) + flat[index + below + right] * fu
         value = top * (1 - fv) + bottom * fv
+    value = np.minimum(value, np.float32(cost.truncate_px))
     value = np.where(outside, part.neutral[part.side_index].astype(np.float32), value)
     return np.asarray(value @ part.weight.astype(np.float32), dtype=np.float64)

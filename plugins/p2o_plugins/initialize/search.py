@@ -41,7 +41,7 @@ def build(options: SearchOptions) -> Initializer:
         widths = [max(options.narrowest_px, options.widest_px / 2**number) for number in range(options.restarts)]
         maps = coarse_maps(views, camera_from_lidar, options)
         found = [narrow(maps, camera_from_lidar, options, rng, width) for width in widths]
-        judge = DirectedCost.of(views, camera_from_lidar, options.narrowest_px, max_points=options.max_points)
+        judge = maps[_scale(options.narrowest_px)].truncated(options.narrowest_px)
         order = np.argsort(judge(np.stack(found)), kind="stable")
         return [*(found[i] for i in order), camera_from_lidar]
 
