@@ -32,7 +32,7 @@ def main() -> None:
     frames = [dataset[index] for index in select(dataset.names, arguments.frames)]
     views = [pipeline.extract(frame) for frame in frames]
     print(
-        "| pair | flagged (doubtful or refused) | odds ratio, median | flagged: median error | not flagged: median error |"
+        "| pair | flagged (doubtful or refused) | odds ratio, median | error of flagged | error of others (medians) |"
     )
     print("|---|---|---|---|---|")
     for kind, shift in (("right", 0), ("wrong", 7)):

@@ -1,4 +1,4 @@
-"""A scene made of edges only: upright boxes whose outlines both sensors see exactly, for tests of matching and search."""
+"""A scene made of edges only: upright boxes whose outlines both sensors see exactly."""
 
 from __future__ import annotations
 

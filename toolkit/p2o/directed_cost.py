@@ -32,7 +32,8 @@ class _Part:
 def distance_maps(view: View, sides: Sequence[Side], truncate_px: float, scale: int, *, exact: bool = True) -> Float32:
     """Return truncated distances in px (len(sides), H', W') to the nearest image edge of each direction.
 
-    One value every `scale` pixels; without `exact` up to 2 % off, and quicker. A direction without edges is `truncate_px` everywhere.
+    One value every `scale` pixels; without `exact` up to 2 % off, and quicker. A direction without edges is
+    `truncate_px` everywhere.
     """
     import cv2
 
