@@ -148,3 +148,11 @@ def test_a_dataset_without_frames_has_nothing_to_choose() -> None:
         select([], "0")
     with pytest.raises(InputError, match="no frame is chosen"):
         select([], "all")
+
+
+def test_ranges_and_slices_may_begin_at_zero_whatever_the_names_are() -> None:
+    names = [f"2011_09_26/0005/{number:010d}" for number in range(20)]
+    assert select(names, "0-3") == [0, 1, 2, 3]
+    assert select(names, "0:6:2") == [0, 2, 4]
+    assert select(names, "0") == [0]
+    assert select(names, "0000000003") == [3]

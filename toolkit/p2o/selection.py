@@ -49,7 +49,7 @@ def _chosen(
         return range(len(names))
     if word.startswith("@"):
         return _split(index_of, word[1:], where)
-    leading_zero = len(word.lstrip("-")) > 1 and word.lstrip("-").startswith("0")
+    leading_zero = re.search(r"(?<!\d)0\d", word) is not None
     if _INDEX.fullmatch(word) and not leading_zero:
         return [_checked(int(word), names, where)]
     if (match := _RANGE.fullmatch(word)) and not leading_zero:

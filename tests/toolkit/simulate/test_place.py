@@ -45,7 +45,7 @@ def test_the_same_seed_gives_the_same_place_and_another_seed_another(place: str)
 
 
 def test_a_third_of_mixed_places_are_trees() -> None:
-    from p2o.simulate.place import SHARES
+    from p2o.simulate.places import SHARES
 
     assert 0.3 <= SHARES["trees"] <= 0.4
     assert sum(SHARES.values()) == pytest.approx(1.0)

@@ -13,8 +13,9 @@ from p2o.simulate.mesh import Mesh as Mesh
 from p2o.simulate.photo import Photo as Photo
 from p2o.simulate.photo import develop as develop
 from p2o.simulate.photo import metered_gain as metered_gain
-from p2o.simulate.place import PLACES as PLACES
-from p2o.simulate.place import scene_of as scene_of
+from p2o.simulate.places import PLACES as PLACES
+from p2o.simulate.places import scene_of as scene_of
+from p2o.simulate.places import street as street
 from p2o.simulate.render import Picture as Picture
 from p2o.simulate.render import render as render
 from p2o.simulate.scene import Hits as Hits
@@ -24,6 +25,5 @@ from p2o.simulate.scene import Part as Part
 from p2o.simulate.scene import Scene as Scene
 from p2o.simulate.sensors import LIDARS as LIDARS
 from p2o.simulate.sweep import sweep as sweep
-from p2o.simulate.town import street as street
 from p2o.simulate.trajectory import Moment as Moment
 from p2o.simulate.trajectory import drive as drive

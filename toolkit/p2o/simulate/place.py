@@ -1,18 +1,15 @@
-"""Kinds of places, and the seeded drawing of one: `scene_of`."""
+"""What every kind of place is drawn with: a plan, a layout of things, and a backdrop."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
-from types import MappingProxyType
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
-from p2o.arrays import Float
-from p2o.errors import UnknownNameError
 from p2o.simulate.classes import Class
 from p2o.simulate.mesh import swept
-from p2o.simulate.scene import Material, Mover, Part, Scene
+from p2o.simulate.scene import Material, Part
 
 Thing = list[Part]
 BEHIND_M = -40.0
@@ -82,55 +79,3 @@ def backdrop(plan: Plan, *, high: tuple[float, float] = (5.0, 14.0), sides_m: fl
     out = [placed(treeline(rng, far + 60.0, rng.uniform(*high)), BEHIND_M, side * sides_m) for side in (-1, 1)]
     out.append(placed(treeline(rng, 2 * sides_m + 20, rng.uniform(*high)), far - 8.0, -sides_m - 10, yaw_deg=90.0))
     return out
-
-
-def scene_of(
-    place: str, rng: np.random.Generator, *, speed_m_s: float = 0.0, travel_m: float = 0.0
-) -> tuple[Scene, Float]:
-    """Return a scene of a kind of place and the velocity (6,) in rad/s and m/s of a rig that follows its road.
-
-    `place` is one of PLACES or `mixed`, which draws one. The rig starts at the origin, along x, and keeps on the road
-    for `travel_m` metres; the road may bend. Other traffic drives too, unless the rig stands still.
-
-    Raises UnknownNameError for another kind of place.
-    """
-    from p2o.simulate import highway, suburb, town, woods
-
-    makers: Mapping[str, Callable[[Plan], Layout]] = {
-        "street": town.layout, "suburb": suburb.layout, "highway": highway.layout, "trees": woods.layout
-    }  # fmt: skip
-    if place != "mixed" and place not in makers:
-        raise UnknownNameError("place", place, ["mixed", *makers])
-    drawn = rng.choice(list(makers), p=list(SHARES.values())) if place == "mixed" else place
-    plan = Plan(rng, travel_m)
-    layout = makers[str(drawn)](plan)
-    curvature = float(rng.uniform(*layout.curvature)) if rng.random() < 0.6 else 0.0
-    elevation, turn = np.radians(rng.uniform(16.0, 62.0)), rng.uniform(0, 2 * np.pi)
-    to_sun = (
-        float(np.cos(elevation) * np.cos(turn)),
-        float(np.cos(elevation) * np.sin(turn)),
-        float(np.sin(elevation)),
-    )
-
-    numbers = iter(range(10_000_000))
-
-    def numbered(things: list[Thing]) -> tuple[Part, ...]:
-        out = []
-        for thing in things:
-            number = next(numbers)
-            out += [replace(part, mesh=part.mesh.bent(curvature), thing=number) for part in thing]
-        return tuple(out)
-
-    unit = np.array([0.0, 0.0, curvature, 1.0, 0.0, 0.0])
-    still, movers = numbered(layout.things), []
-    for things, factor in ((layout.oncoming, -rng.uniform(0.8, 1.2)), (layout.ahead, rng.uniform(0.9, 1.1))):
-        if things:
-            movers.append(Mover(numbered(things), unit * factor * speed_m_s))
-    scene = Scene(still, to_sun, tuple(movers), cloudiness=float(rng.choice([0.15, 0.35, 0.5, 0.75])))
-    return scene, unit * speed_m_s
-
-
-SHARES: Mapping[str, float] = MappingProxyType({"street": 0.27, "suburb": 0.23, "highway": 0.17, "trees": 0.33})
-"""How often `mixed` draws each kind: a third are trees and banks, as on real drives."""
-PLACES = tuple(SHARES)
-"""Names of the kinds of places."""

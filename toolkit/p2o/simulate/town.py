@@ -2,23 +2,15 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from p2o.simulate.buildings import block, town_house
 from p2o.simulate.classes import Class
 from p2o.simulate.furniture import barrier, clutter, lamp, pole, shelter, sign, traffic_light, wires
 from p2o.simulate.ground import dashes, land, stations, stop_line, strips
 from p2o.simulate.palette import ASPHALT, KERB, PAVING
 from p2o.simulate.people import cyclist, pedestrian
-from p2o.simulate.place import BEHIND_M, Layout, Plan, Thing, backdrop, placed, scene_of
+from p2o.simulate.place import BEHIND_M, Layout, Plan, Thing, backdrop, placed
 from p2o.simulate.plants import bush, hedge, tree
-from p2o.simulate.scene import Scene
 from p2o.simulate.vehicles import any_vehicle, bus
-
-
-def street(rng: np.random.Generator) -> Scene:
-    """Return a street with a rig's place at the origin; the same generator state gives the same street."""
-    return scene_of("street", rng)[0]
 
 
 def layout(plan: Plan) -> Layout:

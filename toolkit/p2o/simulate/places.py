@@ -1,0 +1,69 @@
+"""Kinds of places, and the seeded drawing of one: `scene_of`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+
+from p2o.arrays import Float
+from p2o.errors import UnknownNameError
+from p2o.simulate import highway, suburb, town, woods
+from p2o.simulate.place import Layout, Plan, Thing
+from p2o.simulate.scene import Mover, Part, Scene
+
+SHARES: Mapping[str, float] = MappingProxyType({"street": 0.27, "suburb": 0.23, "highway": 0.17, "trees": 0.33})
+"""How often `mixed` draws each kind: a third are trees and banks, as on real drives."""
+PLACES = tuple(SHARES)
+"""Names of the kinds of places."""
+
+
+def scene_of(
+    place: str, rng: np.random.Generator, *, speed_m_s: float = 0.0, travel_m: float = 0.0
+) -> tuple[Scene, Float]:
+    """Return a scene of a kind of place and the velocity (6,) in rad/s and m/s of a rig that follows its road.
+
+    `place` is one of PLACES or `mixed`, which draws one. The rig starts at the origin, along x, and keeps on the road
+    for `travel_m` metres; the road may bend. Other traffic drives too, unless the rig stands still.
+
+    Raises UnknownNameError for another kind of place.
+    """
+    makers: Mapping[str, Callable[[Plan], Layout]] = {
+        "street": town.layout, "suburb": suburb.layout, "highway": highway.layout, "trees": woods.layout
+    }  # fmt: skip
+    if place != "mixed" and place not in makers:
+        raise UnknownNameError("place", place, ["mixed", *makers])
+    drawn = rng.choice(list(makers), p=list(SHARES.values())) if place == "mixed" else place
+    plan = Plan(rng, travel_m)
+    layout = makers[str(drawn)](plan)
+    curvature = float(rng.uniform(*layout.curvature)) if rng.random() < 0.6 else 0.0
+    elevation, turn = np.radians(rng.uniform(16.0, 62.0)), rng.uniform(0, 2 * np.pi)
+    to_sun = (
+        float(np.cos(elevation) * np.cos(turn)),
+        float(np.cos(elevation) * np.sin(turn)),
+        float(np.sin(elevation)),
+    )
+
+    numbers = iter(range(10_000_000))
+
+    def numbered(things: list[Thing]) -> tuple[Part, ...]:
+        out = []
+        for thing in things:
+            number = next(numbers)
+            out += [replace(part, mesh=part.mesh.bent(curvature), thing=number) for part in thing]
+        return tuple(out)
+
+    unit = np.array([0.0, 0.0, curvature, 1.0, 0.0, 0.0])
+    still, movers = numbered(layout.things), []
+    for things, factor in ((layout.oncoming, -rng.uniform(0.8, 1.2)), (layout.ahead, rng.uniform(0.9, 1.1))):
+        if things:
+            movers.append(Mover(numbered(things), unit * factor * speed_m_s))
+    scene = Scene(still, to_sun, tuple(movers), cloudiness=float(rng.choice([0.15, 0.35, 0.5, 0.75])))
+    return scene, unit * speed_m_s
+
+
+def street(rng: np.random.Generator) -> Scene:
+    """Return a street with a rig's place at the origin; the same generator state gives the same street."""
+    return scene_of("street", rng)[0]
