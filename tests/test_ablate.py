@@ -325,11 +325,12 @@ def test_a_study_that_is_killed_at_any_moment_goes_on_and_computes_no_finished_r
     folder = bench.root / "out"
     computed: Counter[str] = Counter()
     finished: set[str] = set()
+    window_s = 0.02
     for kill in range(KILLS):
         child = _in_child(lambda: bench.run(text))
         # Half of the kills fall into reading, planning and making the store, the others among the rows.
         if kill % 2:
-            until = time.monotonic() + 10
+            until = time.monotonic() + 60
             while not bench.calls_file.exists() or "quick" not in bench.calls_file.read_text():
                 if time.monotonic() > until or not _alive(child):
                     break
@@ -346,6 +347,8 @@ def test_a_study_that_is_killed_at_any_moment_goes_on_and_computes_no_finished_r
         now = _keys(folder)
         assert now >= finished, "a finished row was lost"
         assert len(set(calls) - now) <= 1, "at most the row under way is lost with the process"
+        # On a busy machine a row takes longer than the window: widen it until rows get through.
+        window_s = 0.02 if len(now) > len(finished) else min(2.0, 1.3 * window_s)
         finished = now
     assert len(finished) > 5
     done = bench.run(text)
