@@ -173,7 +173,7 @@ def test_metrics_of_the_study_file_choose_the_columns() -> None:
     assert (summary.norms, summary.axes) == (("translation_m",), ("yaw_deg",))
     text = markdown([summary], lambda _: ())
     assert "rotation mean" not in text
-    assert "| row | yaw [deg] |" in text
+    assert "| row |  | yaw [deg] |" in text
 
 
 # ---- pairs
@@ -224,10 +224,27 @@ def test_published_rows_stand_beside_ours_and_are_never_bold() -> None:
         ("RGGNet", True),
     ]
     lines = [line for line in markdown([summary], lambda _: ()).splitlines() if "published:" in line]
-    assert len(lines) == 4
+    assert len(lines) == 2, "they give no errors by axis"
     assert not any("**" in line for line in lines)
     assert lines[0].startswith("| *ours (published: P2O-Calib, Table 2)* | 2 deg, 0.15 m | - | - | - | *0.001* | - |")
     assert "**1.000 [1.000, 1.000]**" in markdown([summary], lambda _: ()), "ours is the best measured row"
+
+
+def test_errors_by_axis_have_a_mean_and_a_median_beside_what_is_published() -> None:
+    """Of five yaws of 1 deg and one of 7 the mean is 2, the median 1; the published 1.5 lies between them."""
+    runs = [
+        replace(r, yaw_deg=e, roll_deg=0.1) for r, e in zip(frames(6, "a", [1.0]), [-1, 1, 1, 1, -1, 7], strict=True)
+    ]
+    published = {"label": "theirs", "source": "x", "beside": "a", "values": {"roll_deg": 0.2, "yaw_deg": 1.5}}
+    toml = 'metrics = ["roll_deg", "pitch_deg", "yaw_deg"]'
+    text = markdown([summarise_study(replace(STUDY, toml=toml, published=(published,)), runs)], lambda _: ())
+    table = text.partition("**Absolute errors by axis")[2]
+    assert table.startswith(" (1 of 2 means at or under the published ones)**")
+    mean, median, theirs = [[c.strip() for c in line.split("|")[1:-1]] for line in table.splitlines()[4:7]]
+    assert [mean[0], mean[1], mean[4].split()[0]] == ["a", "mean", "2.000"]
+    assert [median[0], median[1], median[4].split()[0]] == ["", "median", "1.000"]
+    assert theirs[1:] == ["mean", "*0.200*", "-", "*1.500*"]
+    assert "theirs" not in text.partition("**Absolute errors by axis")[0], "it gives no norms"
 
 
 def test_a_published_row_stands_below_its_row_on_every_dataset() -> None:
@@ -241,7 +258,7 @@ def test_markdown_rows_have_as_many_cells_as_their_head_whatever_they_are_called
     summary = summarise_study(STUDY, [*frames(5, hostile, [1.0]), *frames(5, "plain", [2.0])])
     lines = [line for line in markdown([summary], lambda _: ()).splitlines() if line.startswith("|")]
     counts = [len(re.findall(r"(?<!\\)\|", line)) - 1 for line in lines]
-    assert counts == [9] * 4 + [7] * 4 + [7] * 3
+    assert counts == [9] * 4 + [8] * 6 + [7] * 3
     assert "<script>" not in "".join(lines).replace("\\<script\\>", "")
 
 

@@ -10,6 +10,9 @@ import numpy as np
 from p2o.store import StoredRow
 from p2o.study import Published, Study
 
+_BESIDE = 3
+"""Means and medians of so many metrics stand side by side; of more, each has a line of its own."""
+
 
 @dataclass(frozen=True)
 class Tally:
@@ -58,21 +61,31 @@ def tallies(rows: Iterable[StoredRow], metrics: Sequence[str]) -> list[Tally]:
 def table(study: Study, rows: Iterable[StoredRow]) -> str:
     """Return a table for the eye: what was measured, and beside it what was published."""
     found = tallies(rows, study.metrics)
-    head = ["", "runs", "failed", *(f"{_head(m)} {word}" for m in study.metrics for word in ("mean", "median")), ""]
+    stacked = len(study.metrics) > _BESIDE
+    if stacked:
+        head = ["", "runs", "failed", "", *map(_head, study.metrics), ""]
+    else:
+        head = ["", "runs", "failed", *(f"{_head(m)} {word}" for m in study.metrics for word in ("mean", "median")), ""]
     lines: list[list[str]] = []
     section = ""
     for tally in found:
         if tally.section != section:
             section = tally.section
             lines.append([f"[{section}]" if section else ""])
-        numbers = [_number(m, values[m]) for m in study.metrics for values in (tally.mean, tally.median)]
-        lines.append([tally.row, str(tally.count), _failed(tally), *numbers, "measured"])
+        counts = [tally.row, str(tally.count), _failed(tally)]
+        if stacked:
+            means, medians = ([_number(m, values[m]) for m in study.metrics] for values in (tally.mean, tally.median))
+            lines.append([*counts, "mean", *means, "measured"])
+            lines.append(["", "", "", "median", *medians, "measured"])
+        else:
+            numbers = [_number(m, values[m]) for m in study.metrics for values in (tally.mean, tally.median)]
+            lines.append([*counts, *numbers, "measured"])
         beside = [p for p in study.published if p.beside in (tally.row, tally.row.rpartition(" @ ")[0])]
-        lines += [_published(study, p) for p in beside]
+        lines += [_published(study, p, stacked) for p in beside]
     apart = [p for p in study.published if p.beside is None]
     if apart:
         lines.append(["[published]"])
-        lines += [_published(study, p) for p in apart]
+        lines += [_published(study, p, stacked) for p in apart]
     widths = [max((len(line[i]) for line in [head, *lines] if len(line) > i > 0), default=0) for i in range(len(head))]
     widths[0] = max((len(line[0]) for line in lines), default=0)
     return "\n".join(_line(cells, widths) for cells in (head, *lines))
@@ -83,8 +96,9 @@ def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
     return "  ".join([cells[0].ljust(widths[0]), *numbers]).rstrip()
 
 
-def _published(study: Study, row: Published) -> list[str]:
-    numbers = [cell for m in study.metrics for cell in (_number(m, row.values.get(m)), "")]
+def _published(study: Study, row: Published, stacked: bool) -> list[str]:
+    means = [_number(m, row.values.get(m)) for m in study.metrics]
+    numbers = ["mean", *means] if stacked else [cell for mean in means for cell in (mean, "")]
     return [f"  {row.label}", "", "", *numbers, "published"]
 
 

@@ -138,7 +138,8 @@ function showRows() {
   for (const metric of study().norms)
     for (const kind of ["mean", "median"]) columns.push(statistic(metric, kind, `${nameOf(metric)} ${kind} [${unit(metric)}]`));
   if (at("axes").checked)
-    for (const metric of study().axes) columns.push(statistic(metric, "mean", `${nameOf(metric)} mean [${unit(metric)}]`));
+    for (const metric of study().axes)
+      for (const kind of ["mean", "median"]) columns.push(statistic(metric, kind, `${nameOf(metric)} ${kind} [${unit(metric)}]`));
   rowsTable.show(columns, group().rows);
 }
 

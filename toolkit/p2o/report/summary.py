@@ -46,13 +46,21 @@ class Measured:
 
 @dataclass(frozen=True)
 class Published:
-    """A row of a publication: values by metric as printed there, in degrees and metres; `start` as it says."""
+    """A row of a publication: values by metric as printed there, in degrees and metres; `start` as it says.
+
+    `beside` is the label of the row that it compares with, or empty.
+    """
 
     label: str
     source: str
     values: Mapping[str, float]
     start: str = ""
     note: str = ""
+    beside: str = ""
+
+    def compares_with(self, label: str) -> bool:
+        """Return whether it stands beside the row of a label; one on several datasets is called "LABEL @ DATASET"."""
+        return self.beside != "" and self.beside in (label, label.rpartition(" @ ")[0])
 
 
 @dataclass(frozen=True)
@@ -130,7 +138,7 @@ def summarise_study(study: StoredStudy, runs: Sequence[StoredRow], missing: Sequ
         by_label[run.row].append(run)
     headings = _headings(list(members))
     published = [_published(entry) for entry in study.published]
-    places = _places(study.published, list(members.values()))
+    places = _places(published, list(members.values()))
     groups = []
     for number, (heading, labels) in enumerate(zip(headings, members.values(), strict=True)):
         measured = [_measured(label, by_label[label], waiting[label]) for label in labels]
@@ -170,23 +178,15 @@ def _headings(keys: Sequence[tuple[str, str, str]]) -> list[str]:
 
 def _published(entry: Mapping[str, Any]) -> Published:
     values = {metric: float(value) for metric, value in (entry.get("values") or {}).items() if metric in METRICS}
-    texts = {word: str(entry.get(word) or "") for word in ("label", "source", "start", "note")}
+    texts = {word: str(entry.get(word) or "") for word in ("label", "source", "start", "note", "beside")}
     return Published(values=values, **texts)
 
 
-def _places(entries: Iterable[Mapping[str, Any]], groups: Sequence[Sequence[str]]) -> list[set[tuple[int, str]]]:
-    """Return for each published row the rows (number of the group, label) that it stands below.
-
-    A row on several datasets is called "LABEL @ DATASET".
-    """
+def _places(published: Iterable[Published], groups: Sequence[Sequence[str]]) -> list[set[tuple[int, str]]]:
+    """Return for each published row the rows (number of the group, label) that it stands below."""
     return [
-        {
-            (number, label)
-            for number, labels in enumerate(groups)
-            for label in labels
-            if entry.get("beside") is not None and entry["beside"] in (label, label.rpartition(" @ ")[0])
-        }
-        for entry in entries
+        {(number, label) for number, labels in enumerate(groups) for label in labels if row.compares_with(label)}
+        for row in published
     ]
 
 

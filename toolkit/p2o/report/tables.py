@@ -48,7 +48,7 @@ def tables_of(group: Group, summary: Summary) -> list[Table]:
     named = f": {group.heading}" if group.heading else ""
     found = [
         Table(f"Errors{named}", *_errors(group, summary.norms)),
-        Table(f"Mean absolute errors by axis{named}", *_axes(group, summary.axes)),
+        Table(f"Absolute errors by axis{named}{_reached(group, summary.axes)}", *_axes(group, summary.axes)),
     ]
     if group.comparisons:
         found.append(Table(f"Rows compared in pairs{named}", *_pairs(group, summary.norms)))
@@ -117,7 +117,7 @@ def _errors(group: Group, norms: Sequence[str]) -> tuple[tuple[str, ...], tuple[
     header = ("row", "start", "runs", "frames", "not solved")
     titles = tuple(f"{name_of(metric)} {statistic} [{unit_of(metric)[0]}]" for metric, statistic in columns)
     rows = []
-    for row in group.rows:
+    for row in _with_figures(group, norms):
         if isinstance(row, Published):
             counts = [Cell(starts_of(row)), Cell(NONE), Cell(NONE), Cell(NONE)]
         else:
@@ -127,8 +127,34 @@ def _errors(group: Group, norms: Sequence[str]) -> tuple[tuple[str, ...], tuple[
 
 
 def _axes(group: Group, axes: Sequence[str]) -> tuple[tuple[str, ...], tuple[tuple[Cell, ...], ...]]:
-    header = ("row", *(f"{name_of(axis)} [{unit_of(axis)[0]}]" for axis in axes))
-    return header, tuple((_label(row), *(_figure(row, group, axis, "mean") for axis in axes)) for row in group.rows)
+    """Return header and rows: a line of means for each row, and one of medians where it was measured."""
+    header = ("row", "", *(f"{name_of(axis)} [{unit_of(axis)[0]}]" for axis in axes))
+    rows = []
+    for row in _with_figures(group, axes):
+        rows.append((_label(row), Cell("mean"), *(_figure(row, group, axis, "mean") for axis in axes)))
+        if isinstance(row, Measured):
+            rows.append((Cell(""), Cell("median"), *(_figure(row, group, axis, "median") for axis in axes)))
+    return header, tuple(rows)
+
+
+def _with_figures(group: Group, metrics: Sequence[str]) -> list[Measured | Published]:
+    """Return the rows without those published ones that say nothing about these metrics."""
+    return [row for row in group.rows if isinstance(row, Measured) or any(m in row.values for m in metrics)]
+
+
+def _reached(group: Group, metrics: Sequence[str]) -> str:
+    """Return how many means are not above the published ones beside them, or nothing where there are none."""
+    pairs = [
+        (row.mean[metric].value, published.values[metric])
+        for published in group.rows
+        if isinstance(published, Published)
+        for row in group.measured
+        if published.compares_with(row.label)
+        for metric in metrics
+        if metric in published.values and metric in row.mean
+    ]
+    reached = sum(ours <= theirs for ours, theirs in pairs)
+    return f" ({reached} of {len(pairs)} means at or under the published ones)" if pairs else ""
 
 
 def _pairs(group: Group, norms: Sequence[str]) -> tuple[tuple[str, ...], tuple[tuple[Cell, ...], ...]]:
