@@ -33,7 +33,9 @@ class TinyOptions(p2o.Options):
     root: str = p2o.field("", help="Unused, as a path would be.")
     frames: int = p2o.field(3, ge=1, help="How many frames there are.")
     bad: int = p2o.field(-1, help="This one cannot be read.")
+    deadly: int = p2o.field(-1, help="Whoever reads this one is killed.")
     seed: int = p2o.field(0, ge=0, help="Seed of the scenes.")
+    with_right: int = p2o.field(0, ge=0, help="So many frames, from the first on, have a right picture.")
     salt: int = p2o.field(0, ge=0, le=255, help="Changes a pixel of every image, and nothing else.")
 
 
@@ -51,11 +53,15 @@ class Frames(Sequence[p2o.Frame]):
         note("frame", index)
         if index == self.options.bad:
             raise p2o.InputError("the image is cut short", where="a.png")
+        if index == self.options.deadly:
+            os.kill(os.getpid(), signal.SIGKILL)
         rgb = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
         scene = self.options.seed * 100 + index
         rgb[0, 0] = divmod(scene, 256)[0], divmod(scene, 256)[1], self.options.salt
         xyz = np.array([[1.0, 0, 0], [scene, 1, 1]])
-        return p2o.Frame(self.names[index], p2o.Image(rgb, CAMERA), p2o.Cloud(xyz), camera_from_lidar=TRUTH)
+        has_right = index < self.options.with_right
+        image = p2o.Image(rgb, CAMERA, right=rgb if has_right else None, baseline_m=0.5 if has_right else None)
+        return p2o.Frame(self.names[index], image, p2o.Cloud(xyz), camera_from_lidar=TRUTH)
 
 
 def boxes(scene: int) -> tuple[np.ndarray, np.ndarray]:
@@ -115,6 +121,7 @@ class QuickOptions(p2o.Options):
     fail_on: str = p2o.field("", help="Raise on the frame of this name.")
     status: str = p2o.field("converged", help="How it ends.")
     interrupt_after: int = p2o.field(-1, help="Press Ctrl-C after so many calls.")
+    die_on: str = p2o.field("", help="Kill the own process on the frame of this name.")
     die_once: str = p2o.field("", help="A file that is made by the first call, which then kills its own process.")
 
 
@@ -134,6 +141,8 @@ def build_quick(options: QuickOptions) -> p2o.Calibrator:
                 pass
             else:
                 os.kill(os.getpid(), signal.SIGKILL)
+        if options.die_on in names:
+            os.kill(os.getpid(), signal.SIGKILL)
         time.sleep(options.sleep_s)
         if options.fail_on in names:
             raise ValueError("no such luck")
@@ -160,6 +169,9 @@ def p2o_image_extractors():
     yield p2o.Method(name="tiny", build=build_image, options=ImageOptions, summary="Knows the edges.", gives=gives)
     yield p2o.Method(
         name="tiny-plain", build=build_image, options=ImageOptions, summary="Without sides.", gives={"image-edges"}
+    )
+    yield p2o.Method(
+        name="tiny-right", build=build_image, options=ImageOptions, summary="Of two.", gives=gives, needs={"right"}
     )
 
 

@@ -14,6 +14,12 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = {"p2o": ROOT / "toolkit/p2o", "p2o_plugins": ROOT / "plugins/p2o_plugins"}
 PACKAGES["p2o_baselines"] = ROOT / "baselines/p2o_baselines"
 HEAVY = {"torch", "kornia", "cv2", "pycolmap", "pyceres", "trimesh", "matplotlib", "joblib", "safetensors"}
+NETWORK = "p2o_plugins.p2ornet"
+"""The one folder that may import heavy packages on import: methods import it when they need it."""
+LIGHT = f"{NETWORK}.options"
+"""The module of it that a method's declaration needs, so it must be light."""
+MAY_IMPORT = {"image": {"p2ornet"}, "p2ornet": {"cloud"}}
+"""Which folders of p2o_plugins use others: the network is of the image side, and learns from sweeps."""
 OPEN_MODULES = {"arrays", "result_json", "whole_file", "simulate", "testing"}
 """Modules of p2o, besides the names in `p2o.__all__`, that plugins may use."""
 
@@ -88,10 +94,36 @@ def test_plugins_use_public_names_of_p2o_only(path: Path) -> None:
     assert attributes <= public | OPEN_MODULES, f"p2o.{attributes - public} is not public"
 
 
-@pytest.mark.parametrize("path", sources(), ids=named)
+def of_the_network(path: Path) -> bool:
+    return path.parent == PACKAGES["p2o_plugins"] / "p2ornet"
+
+
+def light(path: Path) -> bool:
+    """Whether importing the file must not load heavy packages."""
+    return not of_the_network(path) or path.stem in (LIGHT.rpartition(".")[2], "__init__")
+
+
+@pytest.mark.parametrize("path", [p for p in sources() if light(p)], ids=named)
 def test_heavy_packages_are_imported_inside_functions(path: Path) -> None:
     loaded = {module.partition(".")[0] for module, _ in imports(path, top_level=True)}
     assert not loaded & HEAVY
+
+
+@pytest.mark.parametrize("path", [p for p in sources() if light(p)], ids=named)
+def test_the_network_is_imported_inside_functions(path: Path) -> None:
+    for module, name in imports(path, top_level=True):
+        for loaded in (module, f"{module}.{name}"):
+            inside = loaded == NETWORK or loaded.startswith(f"{NETWORK}.")
+            assert not inside or loaded == LIGHT or loaded.startswith(f"{LIGHT}."), f"{loaded} is heavy"
+
+
+def test_the_network_is_where_the_rules_look() -> None:
+    assert sum(of_the_network(path) for path in sources()) > 5
+    assert LIGHT in {
+        ".".join(p.relative_to(ROOT / "plugins").with_suffix("").parts)
+        for p in sources()
+        if light(p) and of_the_network(p)
+    }
 
 
 @pytest.mark.parametrize("path", [p for p in sources() if package_of(p) == "p2o_plugins"], ids=named)
@@ -102,7 +134,12 @@ def test_stage_folders_do_not_import_one_another(path: Path) -> None:
     for module, _ in imports(path):
         parts = module.split(".")
         if parts[0] == "p2o_plugins" and len(parts) > 1:
-            assert parts[1] == own, f"{own} imports {module}"
+            assert parts[1] in {own, *MAY_IMPORT.get(own, ())}, f"{own} imports {module}"
+
+
+def test_only_the_method_of_the_network_uses_it() -> None:
+    users = {p for p in sources() if any(m.startswith(NETWORK) for m, _ in imports(p)) and not of_the_network(p)}
+    assert users == {PACKAGES["p2o_plugins"] / "image/p2ornet.py"}
 
 
 @pytest.mark.parametrize("path", [p for p in sources() if package_of(p) == "p2o"], ids=named)

@@ -108,6 +108,27 @@ def test_a_reference_comes_back_and_an_update_keeps_the_tolerances_that_were_edi
     assert path.read_text().count("\n") > lines[1], "a line for each calibration, so that a diff can be read"
 
 
+def test_a_row_may_have_a_tolerance_of_its_own() -> None:
+    own = REFERENCE.tolerance.model_copy(update={"rows": {"a": {"rotation_deg": 0.2}}})
+    reference = REFERENCE.model_copy(update={"tolerance": own})
+    assert judge(STUDY, rows(rotation_deg=0.499), [], reference).open
+    assert not judge(STUDY, rows(rotation_deg=0.501), [], reference).open
+    assert not judge(STUDY, rows(rotation_deg=0.499, translation_m=0.041), [], reference).open, "others hold on"
+    assert not judge(STUDY, [replace(row, rotation_deg=0.21) for row in rows()], [], reference).open, "of row b, too"
+    again = make_reference(STUDY, rows(), reference)
+    assert again.tolerance.rows == own.rows
+    assert make_reference(STUDY, rows()[2:], reference).tolerance.rows == {}, "it goes with its row"
+
+
+@pytest.mark.parametrize("tolerance", ['{"c": {"rotation_deg": 1.0}}', '{"a": {"yaw_deg": 1.0}}'])
+def test_a_tolerance_of_what_is_not_there_is_told(tmp_path: Path, tolerance: str) -> None:
+    path = tmp_path / "reference.json"
+    write_reference(path, REFERENCE)
+    path.write_text(path.read_text().replace('"rows": {}', f'"rows": {tolerance}'))
+    with pytest.raises(InputError, match=r"tolerance of .*row '[ac]', which is not"):
+        read_reference(path)
+
+
 @pytest.mark.parametrize("content", ["", "{}", "[1]", '{"study": "s", "tolerance": {}, "rows": {}, "more": 1}'])
 def test_another_file_is_no_reference(tmp_path: Path, content: str) -> None:
     (tmp_path / "r.json").write_text(content)
@@ -167,3 +188,14 @@ def test_the_command_writes_the_reference_passes_it_and_fails_when_a_method_gets
     assert main([*words, "--gate", str(reference), "--update"]) == 2
     assert main([*words, "--gate", str(reference), "--frames", "0"]) == 1
     assert "2 calibrations of the reference are missing, such as tiny/001, seed 0" in capsys.readouterr().out
+
+
+def test_the_reference_of_the_small_study_fits_it_and_leaves_no_row_out() -> None:
+    path = Path(__file__).parents[1] / "baselines" / "p2o_baselines" / "studies" / "smoke-reference.json"
+    study = parse_study(path.with_name("smoke.toml").read_text(encoding="utf-8"))
+    reference = read_reference(path)
+    assert reference.study == study.name
+    assert set(reference.rows) == {row.label for row in study.rows()}
+    assert all(row.failures == 0 for row in reference.rows.values())
+    # The search is worth its row: without it the start of 4 deg is left as it is.
+    assert reference.rows["ogm, search"].mean["rotation_deg"] < 0.2

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import sqlite3
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -174,3 +178,40 @@ def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be kept here"):
         Store.open(tmp_path / "file")
+
+
+@contextmanager
+def _as_nobody() -> Iterator[None]:
+    """Act as a user without rights, where we have them all."""
+    root = os.geteuid() == 0
+    if root:
+        os.seteuid(65534)
+    try:
+        yield
+    finally:
+        if root:
+            os.seteuid(0)
+
+
+@pytest.mark.skipif(not hasattr(os, "seteuid"), reason="needs rights of files")
+@pytest.mark.parametrize("kept", [False, True], ids=["empty", "with a store"])
+def test_a_folder_that_is_read_only_is_told(kept: bool) -> None:
+    # The folders of pytest let nobody else in at all.
+    with tempfile.TemporaryDirectory() as folder:
+        if kept:
+            Store.open(folder).close()
+            os.chmod(Path(folder) / "study.sqlite", 0o444)
+        os.chmod(folder, 0o555)
+        try:
+            with _as_nobody(), pytest.raises(InputError, match="cannot be kept here; expected a folder that can"):
+                Store.open(folder)
+        finally:
+            os.chmod(folder, 0o755)
+
+
+def test_another_kind_of_database_is_no_store(tmp_path: Path) -> None:
+    with sqlite3.connect(tmp_path / "study.sqlite") as connection:
+        connection.execute("create table runs (x)")
+    connection.close()
+    with pytest.raises(InputError, match="not a store"):
+        Store.open(tmp_path)

@@ -12,9 +12,9 @@ from p2o import Method, hookimpl
 @hookimpl
 def p2o_image_extractors() -> Iterator[Method]:
     """Offer the image sides."""
-    from p2o_plugins.image import canny, depth, stereo
+    from p2o_plugins.image import canny, depth, p2ornet, stereo
 
-    yield from (canny.METHOD, depth.METHOD, stereo.METHOD)
+    yield from (canny.METHOD, depth.METHOD, p2ornet.METHOD, stereo.METHOD)
 
 
 @hookimpl

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from p2o import CloudEdges, CloudFeatures, DirectedCost, ImageEdges, ImageFeatures, Side, View, se3
+from p2o.directed_cost import distance_maps
 
 from tests import edge_scene
 
@@ -103,3 +105,16 @@ def test_points_with_a_large_variance_count_less() -> None:
     )
     costs = [DirectedCost.of([v], edge_scene.TRUTH, 20.0).at(edge_scene.TRUTH) for v in (certain, unsure)]
     assert costs[1] < 0.5 * costs[0]
+
+
+def test_exact_maps_are_the_same_bytes_wherever_they_lie_in_memory_and_on_any_number_of_threads() -> None:
+    view = edge_scene.view()
+    before, found, others = cv2.getNumThreads(), set(), []
+    try:
+        for turn in range(30):
+            cv2.setNumThreads(1 + turn % 2)
+            others.append(np.empty(1000 * turn + 16 * turn))
+            found.add(distance_maps(view, [Side.LEFT], 100.0, 1).tobytes())
+    finally:
+        cv2.setNumThreads(before)
+    assert len(found) == 1

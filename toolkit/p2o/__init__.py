@@ -55,7 +55,11 @@ if TYPE_CHECKING:
     from p2o.stages import Initializer as Initializer
     from p2o.stages import Matcher as Matcher
     from p2o.stages import Solver as Solver
+    from p2o.trainer import Trainer as Trainer
+    from p2o.trainer import TrainingGroup as TrainingGroup
+    from p2o.trainer import TrainingProgress as TrainingProgress
     from p2o.view import View as View
+    from p2o.visibility import hidden as hidden
 
 _HOME = {
     "camera": ["Camera"],
@@ -85,7 +89,9 @@ _HOME = {
         "Matcher",
         "Solver",
     ],
+    "trainer": ["Trainer", "TrainingGroup", "TrainingProgress"],
     "view": ["View"],
+    "visibility": ["hidden"],
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 

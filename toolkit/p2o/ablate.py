@@ -204,25 +204,28 @@ def _read(
 
     Raises InputError where the first frame of a row lacks what the row needs.
     """
-    checks: dict[Source, list[_Opened]] = {}
+    checks: dict[Source, set[str]] = {}
+    firsts: dict[Source, list[_Opened]] = {}
     extractors: dict[Source, dict[str, tuple[str, str]]] = {}
     for entry in opened:
-        checks.setdefault(entry.sources[0], []).append(entry)
+        firsts.setdefault(entry.sources[0], []).append(entry)
         for source in entry.sources:
+            checks.setdefault(source, set()).add(entry.first.recipe)
             wanted = extractors.setdefault(source, {})
             if extract:
                 wanted.update({name: w for m in entry.methods.values() for name, w in m.extractors.items()})
     jobs = [
-        Reading(source, cache.root, tuple(e.first.recipe for e in checks.get(source, ())), tuple(wanted.values()))
+        Reading(source, cache.root, tuple(sorted(checks[source])), tuple(wanted.values()))
         # Those that may refuse the study come first.
-        for source, wanted in sorted(extractors.items(), key=lambda item: item[0] not in checks)
+        for source, wanted in sorted(extractors.items(), key=lambda item: item[0] not in firsts)
     ]
     facts: dict[Source, Facts] = {}
-    with contextlib.closing(run(worker.read, jobs)) as finished:
+    with contextlib.closing(run(worker.read, jobs, worker.unread)) as finished:
         for fact in finished:
-            for entry, misfit in zip(checks.get(fact.source, ()), fact.misfits, strict=False):
-                if misfit:
-                    raise InputError(misfit, where=f"{entry.row.where}, row '{entry.row.label}'")
+            for entry in firsts.get(fact.source, ()):
+                if entry.first.recipe in fact.misfits:
+                    where = f"{entry.row.where}, row '{entry.row.label}'"
+                    raise InputError(fact.misfits[entry.first.recipe], where=where)
             facts[fact.source] = fact
             say(Progress("read", len(facts), len(jobs), name=fact.name))
     return facts
@@ -230,21 +233,27 @@ def _read(
 
 @dataclass(frozen=True, eq=False)
 class _Cell:
-    """One calibration to be had: a row of the table, a seed, and the frames."""
+    """One calibration to be had: a row of the table, a seed, and the frames; `check` is what frames are checked by."""
 
     planned: Planned
     row: StudyRow
     seed: int
     joint: int
     method: _Method
+    check: str
     facts: tuple[Facts, ...]
     truth: Float | None
     start: Float | None
 
     @property
     def failure(self) -> tuple[str, str] | None:
-        """Reason and traceback of the first frame that cannot be read."""
-        return next(((f.reason, f.failure) for f in self.facts if f.failure is not None), None)
+        """Reason and traceback of the first frame that cannot be read, or lacks what the row needs."""
+        for fact in self.facts:
+            if fact.failure is not None:
+                return fact.reason, fact.failure
+            if self.check in fact.misfits:
+                return fact.misfits[self.check], fact.misfits[self.check]
+        return None
 
     @property
     def stored(self) -> StoredRow:
@@ -276,11 +285,12 @@ def _cells(opened: Sequence[_Opened], facts: Mapping[Source, Facts]) -> Iterator
         size = {0: 1, ALL_JOINT: len(sources)}.get(row.joint, row.joint)
         for first in range(0, len(sources), size):
             group = tuple(facts[source] for source in sources[first : first + size])
-            for seed, method in entry.methods.items():
-                yield _cell(row, seed, len(group) if row.joint else 0, method, group)
+            for seed in entry.methods:
+                yield _cell(entry, seed, len(group) if row.joint else 0, group)
 
 
-def _cell(row: StudyRow, seed: int, joint: int, method: _Method, group: tuple[Facts, ...]) -> _Cell:
+def _cell(entry: _Opened, seed: int, joint: int, group: tuple[Facts, ...]) -> _Cell:
+    row, method = entry.row, entry.methods[seed]
     truth = start = None
     if all(fact.failure is None for fact in group):
         # Facts know the poses of a frame by the same names as the frame.
@@ -304,7 +314,7 @@ def _cell(row: StudyRow, seed: int, joint: int, method: _Method, group: tuple[Fa
         dataset=row.dataset.name,
         **row.said,
     )
-    return _Cell(planned, row, seed, joint, method, group, truth, start)
+    return _Cell(planned, row, seed, joint, method, entry.first.recipe, group, truth, start)
 
 
 def _compute(run: Run, store: Store, cells: Sequence[_Cell], cache: FeatureCache, pace: _Pace) -> None:
@@ -332,7 +342,7 @@ def _compute(run: Run, store: Store, cells: Sequence[_Cell], cache: FeatureCache
                 yield Calibration(cell.stored, cell.method.recipe, cell.facts, cache.root, keys.get(key))
 
     pace.begin(kept=len(finished), total=len(finished) + len(pending))
-    with contextlib.closing(run(worker.calibrate, jobs())) as rows:
+    with contextlib.closing(run(worker.calibrate, jobs(), worker.uncalibrated)) as rows:
         for row in _with_refused(rows, refused):
             store.put(row)
             pace.one(row)
@@ -377,7 +387,7 @@ def _extracted(
                     wanted.setdefault(fact.source, {}).setdefault(key, (key, cell.method.recipe, stage))
     jobs = [Extraction(source, cache.root, tuple(tasks.values())) for source, tasks in wanted.items()]
     failures: dict[str, tuple[str, str]] = {}
-    with contextlib.closing(run(worker.extract, jobs)) as finished:
+    with contextlib.closing(run(worker.extract, jobs, worker.unextracted)) as finished:
         for done, failed in enumerate(finished, start=1):
             failures |= failed
             say(Progress("extract", done, len(jobs)))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -50,9 +51,30 @@ def distance_maps(view: View, sides: Sequence[Side], truncate_px: float, scale: 
         free[cells[inside, 1], cells[inside, 0]] = 0
         if free.all():
             continue
-        distance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE if exact else cv2.DIST_MASK_5)
+        if exact:
+            with _opencv_alone():
+                distance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        else:
+            distance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_5)
         maps[number] = np.minimum(distance * scale, truncate_px)
     return maps
+
+
+@contextmanager
+def _opencv_alone() -> Iterator[None]:
+    """Keep OpenCV from handing work of this thread to Intel's IPP.
+
+    Its exact distances differ in their last bits with the address of the result in memory, and it is only used where
+    OpenCV has one thread: two runs would not give the same bytes.
+    """
+    import cv2
+
+    before = cv2.ipp.useIPP()
+    cv2.ipp.setUseIPP(False)
+    try:
+        yield
+    finally:
+        cv2.ipp.setUseIPP(before)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from p2o.errors import InputError
 from p2o.store import Planned, StoredRow
@@ -30,11 +30,13 @@ class _Part(BaseModel):
 class Tolerance(_Part):
     """How much worse than the reference a study may be; edit it in the file, `--update` keeps it.
 
-    `mean` is by metric, in its unit; `failures` is how many more calibrations of a row may be refused; `run` is how
-    far, in the same units, the error of one calibration moves before it is shown.
+    `mean` is by metric, in its unit; `rows` says by label where a row has another; `failures` is how many more
+    calibrations of a row may be refused; `run` is how far, in the same units, the error of one calibration moves
+    before it is shown.
     """
 
     mean: dict[str, Annotated[float, Field(ge=0)]]
+    rows: dict[str, dict[str, Annotated[float, Field(ge=0)]]] = Field(default_factory=dict)
     failures: Annotated[int, Field(ge=0)] = 0
     run: dict[str, Annotated[float, Field(ge=0)]]
 
@@ -54,6 +56,15 @@ class Reference(_Part):
     study: str
     tolerance: Tolerance
     rows: dict[str, RowReference]
+
+    @model_validator(mode="after")
+    def _known(self) -> Reference:
+        for label, values in self.tolerance.rows.items():
+            if label not in self.rows:
+                raise ValueError(f"tolerance of row '{label}', which is not in the reference")
+            for metric in values.keys() - self.rows[label].mean.keys():
+                raise ValueError(f"tolerance of {metric} of row '{label}', which is not measured")
+        return self
 
 
 @dataclass(frozen=True)
@@ -77,7 +88,6 @@ def make_reference(study: Study, rows: Sequence[StoredRow], old: Reference | Non
     """Return the reference of finished rows, with the tolerances of the old one where it has them."""
     tolerance = old.tolerance if old is not None else Tolerance(mean={}, run={})
     usual: dict[str, float] = {metric: TOLERANCE[metric.rpartition("_")[2]] for metric in study.metrics}
-    tolerance = Tolerance(mean={**usual, **tolerance.mean}, run={**usual, **tolerance.run}, failures=tolerance.failures)
     by_row = _by_row(rows)
     found = {
         tally.row: RowReference(
@@ -88,7 +98,13 @@ def make_reference(study: Study, rows: Sequence[StoredRow], old: Reference | Non
         )
         for tally in tallies(rows, study.metrics)
     }
-    return Reference(study=study.name, tolerance=tolerance, rows=found)
+    kept = Tolerance(
+        mean={**usual, **tolerance.mean},
+        rows={label: values for label, values in tolerance.rows.items() if label in found},
+        run={**usual, **tolerance.run},
+        failures=tolerance.failures,
+    )
+    return Reference(study=study.name, tolerance=kept, rows=found)
 
 
 def judge(study: Study, rows: Sequence[StoredRow], missing: Sequence[Planned], reference: Reference) -> Verdict:
@@ -127,7 +143,8 @@ def judge(study: Study, rows: Sequence[StoredRow], missing: Sequence[Planned], r
 def _worse(tally: Tally, expected: RowReference, tolerance: Tolerance) -> list[str]:
     out = []
     for metric, before in expected.mean.items():
-        now, allowed = tally.mean.get(metric), tolerance.mean.get(metric, 0.0)
+        now = tally.mean.get(metric)
+        allowed = tolerance.rows.get(tally.row, {}).get(metric, tolerance.mean.get(metric, 0.0))
         # Whatever is no number is not within the tolerance either.
         if before is not None and now is not None and not now <= before + allowed:
             out.append(f"{tally.row}: mean {metric} {now:.4f}, was {before:.4f} and may be {before + allowed:.4f}")
@@ -184,8 +201,9 @@ def read_reference(path: str | Path) -> Reference:
     except ValidationError as problem:
         first = problem.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
+        told = f"{place}: {first['msg']}" if place else first["msg"]
         raise InputError(
-            "this is no reference of a study", where=path, got=f"{place}: {first['msg']}", hint="write it with --update"
+            "this is no reference of a study", where=path, got=told, hint="write it with --update"
         ) from problem
 
 

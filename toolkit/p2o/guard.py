@@ -21,6 +21,7 @@ from p2o.options import Options
 from p2o.problem import Objective, PointToLine
 from p2o.registry import Offer
 from p2o.result import Result, Solution
+from p2o.trainer import Trainer
 
 
 def build(offer: Offer, options: Options) -> Any:
@@ -36,6 +37,36 @@ def build(offer: Offer, options: Options) -> Any:
     if not callable(stage):
         raise _fault(offer, f"build returned {type(stage).__name__}", "something to call")
     return _GUARDS[offer.kind](offer, stage)
+
+
+def trainer_of(offer: Offer) -> Trainer:
+    """Return the trainer of an offer, guarded as `build` guards a stage.
+
+    Raises InputError where the method does not learn.
+    """
+    trainer = offer.method.trainer
+    if trainer is None:
+        raise InputError(f"{offer.kind} '{offer.name}' cannot be trained", expected="a method that learns")
+
+    def label(frame: Frame) -> bytes:
+        with _watch(offer, f"labelling {frame.name}"):
+            content = trainer.label(frame)
+        if not isinstance(content, bytes):
+            raise _fault(offer, f"label returned {type(content).__name__}", "the bytes of a file")
+        return content
+
+    def draw(path: Path) -> Any:
+        with _watch(offer, f"drawing {path}"):
+            return trainer.draw(path)
+
+    def train(*arguments: Any) -> Path:
+        with _watch(offer, "training"):
+            weights = trainer.train(*arguments)
+        if not isinstance(weights, Path) or not weights.is_file():
+            raise _fault(offer, "train returned no file", "the path of the weights")
+        return weights
+
+    return replace(trainer, label=label, draw=draw, train=train)
 
 
 class GuardedDataset(Sequence[Frame]):

@@ -10,6 +10,7 @@ from typing import Any
 
 from p2o.errors import PluginError
 from p2o.options import Options
+from p2o.trainer import Trainer
 
 
 class Kind(StrEnum):
@@ -38,7 +39,7 @@ class Method:
     sentence; `needs` and `gives` are words: prefixed ones (image-edges, cloud-edges, pairs, objective) must be given
     by the side they name, unprefixed ones (side) by both sides. `cite` names the source. `extra` is the extra of
     p2o-calib, or the package, that has to be installed for it. `expected_failures` maps names of conformance checks
-    that the method is known to fail to the reason.
+    that the method is known to fail to the reason. `trainer` says how the method learns, where it does.
     """
 
     name: str
@@ -50,6 +51,7 @@ class Method:
     cite: str = ""
     extra: str = ""
     expected_failures: tuple[tuple[str, str], ...] = ()
+    trainer: Trainer | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "needs", frozenset(self.needs))
@@ -60,5 +62,7 @@ class Method:
             raise PluginError(f"method {self.name}: build cannot be called", expected="a function of the options")
         if not (isinstance(self.options, type) and issubclass(self.options, Options)):
             raise PluginError(f"method {self.name}: options are not options", expected="a subclass of p2o.Options")
+        if self.trainer is not None and not isinstance(self.trainer, Trainer):
+            raise PluginError(f"method {self.name}: its trainer is none", expected="p2o.Trainer")
         if not self.summary:
             raise PluginError(f"method {self.name} has no summary", expected="one sentence")

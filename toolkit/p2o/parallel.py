@@ -6,10 +6,12 @@ for the cores.
 
 from __future__ import annotations
 
+import concurrent.futures
 import contextlib
 import importlib
 import itertools
 import os
+import re
 import signal
 import sys
 import threading
@@ -25,7 +27,12 @@ BACKENDS: tuple[Backend, ...] = ("loky", "dask", "ray")
 
 _EXTRAS = {"dask": "distributed", "ray": "ray"}
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
-Run = Callable[[Callable[[Any], Any], Iterable[Any]], Generator[Any, None, None]]
+_TRIES_ALONE = 2
+"""How often a job whose worker died is tried again, with no other job beside it."""
+
+Work = Callable[[Any], Any]
+Lost = Callable[[Any, P2OError], Any]
+Run = Callable[[Work, Iterable[Any], Lost], Generator[Any, None, None]]
 
 
 @dataclass(frozen=True)
@@ -57,11 +64,12 @@ class Workers:
 
     @contextlib.contextmanager
     def hired(self) -> Iterator[Run]:
-        """Yield `run(work, jobs)`, which yields what `work` returns for each job, in the order in which they finish.
+        """Yield `run(work, jobs, lost)`, which yields what `work` returns for each job, as the jobs finish.
 
         Jobs are taken from the iterable as workers become free; it may be asked from another thread. Closing what
-        `run` returns gives up what is not finished. Raises P2OError where workers die of themselves (out of memory)
-        or the cluster is lost.
+        `run` returns gives up what is not finished. Where a worker dies (killed, out of memory, a crash in native
+        code), the jobs under way are tried again one by one in fresh workers; for one whose worker dies every time,
+        `lost(job, problem)` is yielded instead. Raises P2OError where the cluster itself is lost.
         """
         if self.backend == "loky" and self.jobs == 1:
             with _one_thread_for_now():
@@ -70,13 +78,54 @@ class Workers:
             with self._cluster():
                 yield self._run
 
-    def _run(self, work: Callable[[Any], Any], jobs: Iterable[Any]) -> Generator[Any, None, None]:
+    def _run(self, work: Work, jobs: Iterable[Any], lost: Lost) -> Generator[Any, None, None]:
+        waiting = _Waiting(jobs)
+        try:
+            while True:
+                try:
+                    for number, result in self._attempt(work, waiting):
+                        waiting.done(number)
+                        yield result
+                except _deaths(self.backend):
+                    # Nobody says which of the jobs under way was it: alone, each answers for itself.
+                    for number, job in waiting.under_way():
+                        result = self._alone(work, number, job, lost)
+                        waiting.done(number)
+                        yield result
+                if not waiting.under_way() and waiting.exhausted:
+                    return
+        except (P2OError, GeneratorExit, KeyboardInterrupt):
+            raise
+        except Exception as problem:
+            raise _cluster_lost(self, problem) from problem
+
+    def _alone(self, work: Work, number: int, job: Any, lost: Lost) -> Any:
+        """Return what a job gives that was under way when a worker died."""
+        death: BaseException | None = None
+        for _ in range(_TRIES_ALONE):
+            try:
+                [(_, result)] = self._attempt(work, [(number, job)])
+            except _deaths(self.backend) as problem:
+                death = problem
+            else:
+                return result
+        lost_with = P2OError(
+            f"the worker process died in each of {1 + _TRIES_ALONE} tries, {_TRIES_ALONE} of them with nothing else "
+            "to do",
+            expected="a job that ends",
+            got=_how(death),
+            hint="did memory run out? Fewer --jobs or smaller frames need less; native code may have crashed",
+        )
+        return lost(job, lost_with)
+
+    def _attempt(self, work: Work, jobs: Iterable[tuple[int, Any]]) -> Generator[tuple[int, Any], None, None]:
+        """Yield number and result of each numbered job, until a worker dies."""
         import joblib
 
         done: Any = None
         try:
             with joblib.parallel_config(backend=self.backend):
-                tasks = (joblib.delayed(_alone)(work, job) for job in jobs)
+                tasks = (joblib.delayed(_numbered)(work, number, job) for number, job in jobs)
                 if self.backend == "ray":
                     # Its joblib backend hands results back only when a batch is complete.
                     while batch := list(itertools.islice(tasks, 4 * self.jobs)):
@@ -85,10 +134,6 @@ class Workers:
                 jobs_at_once = self.jobs if self.backend == "loky" else -1
                 done = joblib.Parallel(n_jobs=jobs_at_once, batch_size=1, return_as="generator_unordered")(tasks)
                 yield from done
-        except (P2OError, GeneratorExit, KeyboardInterrupt):
-            raise
-        except Exception as problem:
-            raise _lost(self, problem) from problem
         finally:
             if done is not None:
                 done.close()
@@ -122,11 +167,58 @@ class Workers:
             yield
 
 
-def _in_turn(work: Callable[[Any], Any], jobs: Iterable[Any]) -> Generator[Any, None, None]:
+class _Waiting:
+    """Numbers jobs as they are taken, and knows those that were taken and are not done.
+
+    Iterating it again takes what is under way first. Backends take jobs from threads of their own.
+    """
+
+    def __init__(self, jobs: Iterable[Any]) -> None:
+        self.exhausted = False
+        self._jobs = enumerate(jobs)
+        self._taken: dict[int, Any] = {}
+        self._lock = threading.Lock()
+
+    def __iter__(self) -> Iterator[tuple[int, Any]]:
+        return itertools.chain(self.under_way(), iter(self._take, None))
+
+    def _take(self) -> tuple[int, Any] | None:
+        with self._lock:
+            for number, job in self._jobs:
+                self._taken[number] = job
+                return number, job
+            self.exhausted = True
+            return None
+
+    def under_way(self) -> list[tuple[int, Any]]:
+        with self._lock:
+            return list(self._taken.items())
+
+    def done(self, number: int) -> None:
+        with self._lock:
+            del self._taken[number]
+
+
+def _deaths(backend: Backend) -> tuple[type[BaseException], ...]:
+    """Return what a backend raises where a worker died, and not the work itself."""
+    if backend == "dask":
+        return (importlib.import_module("distributed").KilledWorker,)
+    if backend == "ray":
+        return (importlib.import_module("ray").exceptions.RayActorError,)
+    return (concurrent.futures.BrokenExecutor,)
+
+
+def _how(death: BaseException | None) -> str:
+    """Return how a worker ended, in few words: loky knows the signal."""
+    signals = sorted(set(re.findall(r"SIG[A-Z]+", str(death))))
+    return ", ".join(signals) or type(death).__name__
+
+
+def _in_turn(work: Work, jobs: Iterable[Any], lost: Lost) -> Generator[Any, None, None]:
     yield from map(work, jobs)
 
 
-def _lost(workers: Workers, problem: Exception) -> P2OError:
+def _cluster_lost(workers: Workers, problem: Exception) -> P2OError:
     return P2OError(
         f"the workers of --backend {workers.backend} were lost",
         got=f"{type(problem).__name__}: {problem}",
@@ -134,10 +226,10 @@ def _lost(workers: Workers, problem: Exception) -> P2OError:
     )
 
 
-def _alone(work: Callable[[Any], Any], job: Any) -> Any:
+def _numbered(work: Work, number: int, job: Any) -> tuple[int, Any]:
     """Do one job in a worker."""
     _set_up_worker()
-    return work(job)
+    return number, work(job)
 
 
 @cache

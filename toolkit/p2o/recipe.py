@@ -228,10 +228,17 @@ def open_dataset(data: str, registry: Registry, options: Mapping[str, Any] | Non
 
     Raises as `Recipe.resolve`.
     """
-    name, values = split_data(data)
-    part = _part(registry.find(Kind.DATASET, name), "data", {**values, **(options or {})}, Recipe().seed)
-    dataset: GuardedDataset = part.build()
+    dataset: GuardedDataset = dataset_part(data, registry, options).build()
     return dataset
+
+
+def dataset_part(data: str, registry: Registry, options: Mapping[str, Any] | None = None) -> Part:
+    """Return the method and the validated options of a text DATASET:PATH; nothing is opened.
+
+    Raises as `Recipe.resolve`.
+    """
+    name, values = split_data(data)
+    return _part(registry.find(Kind.DATASET, name), "data", {**values, **(options or {})}, Recipe().seed)
 
 
 def open_exporter(text: str, registry: Registry) -> tuple[Exporter, Path]:

@@ -28,6 +28,16 @@ METRICS = ("rotation_deg", "translation_m", *AXES)
 
 _VERSION = 1
 _BUSY_S = 60.0
+_OUTER_ERRORS = (
+    sqlite3.SQLITE_PERM,
+    sqlite3.SQLITE_BUSY,
+    sqlite3.SQLITE_READONLY,
+    sqlite3.SQLITE_IOERR,
+    sqlite3.SQLITE_FULL,
+    sqlite3.SQLITE_CANTOPEN,
+)
+"""Errors of SQLite that come from around the file, not from what is in it."""
+
 _T = TypeVar("_T")
 
 
@@ -173,7 +183,7 @@ class Store:
             path.parent.mkdir(parents=True, exist_ok=True)
             connection = sqlite3.connect(path, timeout=_BUSY_S, isolation_level=None, check_same_thread=False)
         except (OSError, sqlite3.Error) as problem:
-            raise InputError("the results cannot be kept here", where=path, got=problem) from problem
+            raise _unkept(path, problem) from problem
         try:
             _patiently(lambda: connection.execute("PRAGMA journal_mode=WAL"))
             # With a write-ahead log this loses no finished row when the process is killed.
@@ -182,6 +192,9 @@ class Store:
             store._prepare()
         except sqlite3.Error as problem:
             connection.close()
+            # The low byte is the kind of error, what is above it the details.
+            if getattr(problem, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF in _OUTER_ERRORS:
+                raise _unkept(path, problem) from problem
             raise InputError(
                 "this is not a store of studies", where=path, got=problem, hint="choose another folder"
             ) from problem
@@ -294,6 +307,16 @@ class Store:
 
     def _version(self) -> int:
         return int(self._all("PRAGMA user_version", ())[0][0])
+
+
+def _unkept(path: Path, problem: Exception) -> InputError:
+    return InputError(
+        "the results cannot be kept here",
+        where=path,
+        expected="a folder that can be written, with room in it",
+        got=problem,
+        hint="name another folder; a copy of this one does, too",
+    )
 
 
 def _patiently(act: Callable[[], _T]) -> _T:

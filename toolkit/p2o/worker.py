@@ -13,11 +13,13 @@ import time
 import traceback
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, cast
+
+import numpy as np
 
 from p2o.arrays import Float
 from p2o.cache import FeatureCache, content_hash, features_key
@@ -42,6 +44,9 @@ SENSORS = {"extractor": "image", "cloud": "cloud"}
 
 # A joint calibration of a few dozen frames finds all its features in memory; longer ones read the cache again.
 _FEATURES_IN_MEMORY = 128
+
+# Whole methods see frames, in joint rows all of them for every seed: this holds about 30 frames of KITTI.
+_FRAMES_BYTES = 256 * 2**20
 
 
 @dataclass(frozen=True)
@@ -92,8 +97,8 @@ class Reading:
 class Facts:
     """What planning has to know about a frame; `inputs` are content hashes of its parts.
 
-    `misfits` say for each of the `checks` what the frame lacks, or are empty. `failure` is the traceback and `reason`
-    one line where it cannot be read.
+    `misfits` say by recipe of the `checks` what the frame lacks. `failure` is the traceback and `reason` one line
+    where it cannot be read.
     """
 
     source: Source
@@ -102,7 +107,7 @@ class Facts:
     camera_from_lidar: Float | None = None
     start: Float | None = None
     warnings: tuple[str, ...] = ()
-    misfits: tuple[str, ...] = ()
+    misfits: Mapping[str, str] = field(default_factory=dict)
     reason: str = ""
     failure: str | None = None
 
@@ -141,15 +146,15 @@ def read(job: Reading) -> Facts:
     try:
         frame = _frame(source)
     except (Exception, SystemExit) as problem:
-        nothing = dict.fromkeys((*SENSORS.values(), "twist"), UNREADABLE)
-        return Facts(source, nothing, reason=_one_line(problem), failure=traceback.format_exc())
+        return _unread(source, _one_line(problem), traceback.format_exc())
     hashes = {
         "image": content_hash(frame.image),
         "cloud": content_hash(frame.cloud),
         "twist": content_hash(frame.twist),
     }
-    misfits = tuple(_misfit(_plan(source.plugins, recipe), frame) for recipe in job.checks)
-    if not any(misfits):
+    found = {recipe: _misfit(_plan(source.plugins, recipe), frame) for recipe in job.checks}
+    misfits = {recipe: misfit for recipe, misfit in found.items() if misfit}
+    if not misfits:
         for recipe, stage in job.wanted:
             part = _plan(source.plugins, recipe).parts[stage]
             key = features_key(part, hashes[SENSORS[stage]])
@@ -157,6 +162,15 @@ def read(job: Reading) -> Facts:
             with contextlib.suppress(Exception, SystemExit):
                 _features(FeatureCache(job.cache), key, source, part, stage)
     return Facts(source, hashes, frame.camera, frame.camera_from_lidar, frame.start, frame.warnings, misfits=misfits)
+
+
+def unread(job: Reading, problem: P2OError) -> Facts:
+    """Return the facts of a frame that no worker survived to read."""
+    return _unread(job.source, str(problem), str(problem))
+
+
+def _unread(source: Source, reason: str, failure: str) -> Facts:
+    return Facts(source, dict.fromkeys((*SENSORS.values(), "twist"), UNREADABLE), reason=reason, failure=failure)
 
 
 def _misfit(plan: Plan, frame: Frame) -> str:
@@ -180,6 +194,11 @@ def extract(job: Extraction) -> dict[str, tuple[str, str]]:
     return failed
 
 
+def unextracted(job: Extraction, problem: P2OError) -> dict[str, tuple[str, str]]:
+    """Return what `extract` does, where no worker survived it."""
+    return {key: (str(problem), str(problem)) for key, _, _ in job.wanted}
+
+
 def calibrate(job: Calibration) -> StoredRow:
     """Return the row with all that came out; what a method raises is in it, too."""
     try:
@@ -189,6 +208,11 @@ def calibrate(job: Calibration) -> StoredRow:
     else:
         row = _filled(job.row, result)
     return replace(row, finished=now())
+
+
+def uncalibrated(job: Calibration, problem: P2OError) -> StoredRow:
+    """Return the row that no worker survived to compute."""
+    return replace(job.row, reason=str(problem), exception=str(problem), finished=now())
 
 
 def now() -> str:
@@ -311,12 +335,34 @@ def _dataset(plugins: Plugins, data: str, options: str) -> GuardedDataset:
     return open_dataset(data, _registry(plugins), json.loads(options))
 
 
-# One row runs through its frames seed by seed: a few frames in memory spare reading them again.
-@lru_cache(maxsize=8)
+_frames: OrderedDict[Source, tuple[Frame, int]] = OrderedDict()
+_frames_lock = threading.Lock()
+
+
 def _frame(source: Source) -> Frame:
+    """Return a frame; the last ones stay in memory, as a row runs through its frames seed by seed."""
+    with _frames_lock:
+        if source in _frames:
+            _frames.move_to_end(source)
+            return _frames[source][0]
     frame: Frame = _dataset(source.plugins, source.data, source.options)[source.index]
     limit_threads()
+    with _frames_lock:
+        _frames[source] = frame, _size(frame)
+        while len(_frames) > 1 and sum(size for _, size in _frames.values()) > _FRAMES_BYTES:
+            _frames.popitem(last=False)
     return frame
+
+
+def _size(value: Any) -> int:
+    """Return the bytes of all arrays in a value made of dataclasses, lists and mappings."""
+    if isinstance(value, np.ndarray):
+        return value.nbytes
+    if is_dataclass(value):
+        return sum(_size(getattr(value, f.name)) for f in fields(value))
+    if isinstance(value, list | tuple):
+        return sum(map(_size, value))
+    return sum(map(_size, value.values())) if isinstance(value, Mapping) else 0
 
 
 def part_name(part: Part) -> str:

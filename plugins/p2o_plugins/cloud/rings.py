@@ -62,19 +62,19 @@ def ring_edges(cloud: Cloud, options: RingsOptions) -> CloudFeatures:
     left, right = along_ring(sweep, options.max_gap_deg)
     upper, lower = (across_rings(sweep, s, 0.5 * options.max_gap_deg, options.max_step_deg) for s in (-1, 1))
     neighbours = {Side.LEFT: left, Side.RIGHT: right, Side.UPPER: upper, Side.BOTTOM: lower}
-    jumps = {side: _jumps(sweep, neighbours, side, options) for side in neighbours}
+    jumps = {side: jumps_of(sweep, neighbours, side, options) for side in neighbours}
     plane = ground_plane(sweep, options.seed) if options.ground_height_m > 0 else None
     beam = float(np.median(left.gap[left.known][::8])) if left.known.any() else 0.0
     parts = []
     for side, rows in jumps.items():
-        support = _support(sweep, neighbours, side, rows, options)
+        support = support_of(sweep, neighbours, side, rows, options)
         keep = support >= options.min_support
         if plane is not None:
             keep &= sweep.xyz(rows) @ plane[:3] + plane[3] > options.ground_height_m
         rows, support = rows[keep], support[keep]
         keep = _in_company(sweep, rows, options)
         rows, support = rows[keep], support[keep]
-        xyz, sigma = _outline(sweep, neighbours[side], side, rows, beam, options)
+        xyz, sigma = outline(sweep, neighbours[side], side, rows, beam, options)
         weight = support if options.weigh else np.ones(len(rows))
         parts.append((xyz, np.full(len(rows), side), weight, sigma, _towards_background(xyz, side)))
     edges = CloudEdges(*(np.concatenate(column) for column in zip(*parts, strict=True)))
@@ -87,7 +87,7 @@ _OPPOSITE = {Side.LEFT: Side.RIGHT, Side.RIGHT: Side.LEFT, Side.UPPER: Side.BOTT
 _SIGNS = 7
 
 
-def _jumps(sweep: Sweep, neighbours: dict[Side, Neighbours], side: Side, options: RingsOptions) -> Int:
+def jumps_of(sweep: Sweep, neighbours: dict[Side, Neighbours], side: Side, options: RingsOptions) -> Int:
     """Return the rows whose neighbour on `side` lies further away by a step that no single surface explains."""
     behind, own, r = neighbours[side], neighbours[_OPPOSITE[side]], sweep.range_m
     jump = r[behind.row] - r
@@ -107,7 +107,7 @@ def _jumps(sweep: Sweep, neighbours: dict[Side, Neighbours], side: Side, options
     return rows
 
 
-def _support(sweep: Sweep, neighbours: dict[Side, Neighbours], side: Side, rows: Int, options: RingsOptions) -> Float:
+def support_of(sweep: Sweep, neighbours: dict[Side, Neighbours], side: Side, rows: Int, options: RingsOptions) -> Float:
     """Return the share of seven signs of a clean outline that each edge shows, in [0, 1].
 
     Foreground, background and the jump between them each go on both ways along the outline (six), and the background
@@ -149,7 +149,7 @@ def _in_company(sweep: Sweep, rows: Int, options: RingsOptions) -> Bool:
     return keep
 
 
-def _outline(
+def outline(
     sweep: Sweep, behind: Neighbours, side: Side, rows: Int, beam: float, options: RingsOptions
 ) -> tuple[Float, Float]:
     """Return xyz (M, 3) m moved towards the passing beam, at the point's own distance, and sigma_m (M,)."""

@@ -19,6 +19,8 @@ _COMMANDS = {
     "data": "List or check the frames of a dataset.",
     "ablate": "Run a study: methods x frames x starts, as a table that can be resumed and gated.",
     "report": "Write tables, figures and one page about the studies in a folder.",
+    "labels": "Write what frames teach a method that learns, one file a frame.",
+    "train": "Train a method on frames, or go on with a training.",
     "simulate": "Write made-up streets in the layout of a real dataset.",
 }
 """Name and one-line help of every command; the code of `a-b` is in the module `p2o.cli.a_b`, as `command`."""

@@ -9,6 +9,7 @@ import click
 from p2o.cli.plugin_options import load, plugin_options
 
 if TYPE_CHECKING:
+    from p2o.options import Options
     from p2o.registry import Offer, Registry
 
 
@@ -58,15 +59,24 @@ def explained(offer: Offer) -> str:
     }
     lines = [f"{offer.kind} {method.name}"]
     lines += [f"  {label:<8} {text}" for label, text in facts.items() if text]
-    rows = [option_row(name, field) for name, field in method.options.model_fields.items()]
-    if not rows:
-        return "\n".join([*lines, "  options  none"])
-    widths = [max(len(row[i]) for row in rows) for i in range(3)]
-    lines.append(f"  options  (--set {_stage_of(offer)}.NAME=VALUE)")
-    lines += [
+    table = _option_table(method.options)
+    lines += [f"  options  (--set {_stage_of(offer)}.NAME=VALUE)", *table] if table else ["  options  none"]
+    if method.trainer is not None:
+        presets = ", ".join(method.trainer.presets)
+        lines.append(
+            f"  training (p2o train {method.name} --set NAME=VALUE{f'; presets: {presets}' if presets else ''})"
+        )
+        lines += _option_table(method.trainer.options)
+    return "\n".join(lines)
+
+
+def _option_table(options: type[Options]) -> list[str]:
+    """Return the options of a model, one a line."""
+    rows = [option_row(name, field) for name, field in options.model_fields.items()]
+    widths = [max(len(row[i]) for row in rows) for i in range(3)] if rows else []
+    return [
         "    " + "  ".join(f"{cell:<{w}}" for cell, w in zip(row, widths, strict=False)) + f"  {row[3]}" for row in rows
     ]
-    return "\n".join(lines)
 
 
 def option_row(name: str, field: Any) -> tuple[str, str, str, str]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import os
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from p2o.errors import InputError
+from p2o.file_names import folder_name
 from p2o.result import Status
 from p2o.whole_file import write_whole
 
@@ -57,11 +57,6 @@ class OutDir:
             _write_json(self.root / "run.json", run.as_dict())
         except OSError as problem:
             raise _cannot_write(self.root, problem) from problem
-
-
-def folder_name(frame: str) -> str:
-    """Return a frame's name as one folder name: date/drive/frame becomes date_drive_frame."""
-    return re.sub(r"[^A-Za-z0-9.-]+", "_", frame).strip("._") or "frame"
 
 
 def _cannot_write(path: Path, problem: OSError) -> InputError:

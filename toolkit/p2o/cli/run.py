@@ -60,8 +60,9 @@ def command(
     (its status says why).
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     with _stdout_kept_for_json(as_json) as stdout:
-        from p2o.cli.out_dir import OutDir, folder_name
+        from p2o.cli.out_dir import OutDir
         from p2o.cli.summary import describe, describe_run
+        from p2o.file_names import folder_name
         from p2o.recipe import Recipe, open_exporter, parse_settings
         from p2o.run import Run, run
 

@@ -1,0 +1,208 @@
+"""Directed occlusion edges from one picture by a network (paper Sec. III-B): `--extractor p2ornet`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from p2o import (
+    Frame,
+    Image,
+    ImageEdges,
+    ImageExtractor,
+    ImageFeatures,
+    InputError,
+    Method,
+    Options,
+    Trainer,
+    TrainingGroup,
+    TrainingProgress,
+    UnknownNameError,
+    field,
+    occlusion,
+)
+from p2o.arrays import Float, UInt8
+
+from p2o_plugins.p2ornet.options import PRESETS, TrainingOptions
+
+if TYPE_CHECKING:
+    from p2o_plugins.p2ornet.network import P2ORNet
+
+WEIGHTS = Path(__file__).parents[1] / "weights"
+SHIPPED = {"kitti": "p2ornet-kitti.safetensors", "synthetic": "p2ornet-synthetic.safetensors"}
+"""By name, the weights that come with the package: see MODEL_CARD.md beside them."""
+
+
+class P2ORNetOptions(Options):
+    """Which network looks for occlusion edges, and how certain it has to be."""
+
+    weights: str = field(
+        "kitti", help="Weights: kitti (best on streets; for research only), synthetic (no such licence), or a file."
+    )
+    min_confidence: float = field(0.3, ge=0, le=1, help="Edges less certain than this are dropped.")
+    min_line_px: int = field(5, ge=1, help="Connected edges of fewer pixels than this are dropped, side by side.")
+    device: str = field("auto", pattern="^(auto|cpu|cuda(:[0-9]+)?)$", help="auto takes a GPU where there is one.")
+
+
+def build(options: P2ORNetOptions) -> ImageExtractor:
+    """Return the extractor; the weights are read here. Raises InputError if they cannot be."""
+    from p2o_plugins.p2ornet.weights import load_weights
+
+    path = path_of(options.weights)
+    network, shape = load_weights(path)
+    device = _device(options.device)
+    network = folded(network).to(device)
+    slope, offset = _calibration(shape.about.get("calibration", "1 0"), path)
+
+    def extract(image: Image) -> ImageFeatures:
+        from p2o_plugins.p2ornet.thinning import peaks, side_probabilities
+
+        maps = side_probabilities(probabilities(network, image.rgb))
+        # The threshold on confidence, undone through its calibration, keeps the lists short from the start.
+        found = peaks(maps, min_score=0.02)
+        confidence = calibrated(found.score, slope, offset)
+        keep = confidence >= options.min_confidence
+        if image.masked is not None:
+            u, v = found.pixel.T.astype(np.int64)
+            height, width = image.masked.shape
+            keep &= ~image.masked[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)]
+        found, confidence = found.select(keep), confidence[keep]
+        long = long_enough(found.pixel, found.side, image.rgb.shape[:2], options.min_line_px)
+        return ImageFeatures(ImageEdges(found.uv[long], found.side[long], confidence[long]))
+
+    return extract
+
+
+def path_of(weights: str) -> Path:
+    """Return the file of weights given by name or path; raises UnknownNameError if there is none."""
+    if weights in SHIPPED:
+        return WEIGHTS / SHIPPED[weights]
+    if not Path(weights).exists():
+        raise UnknownNameError("weights", weights, SHIPPED, hint="or the path of a .safetensors file")
+    return Path(weights)
+
+
+def _calibration(text: str, path: Path) -> tuple[float, float]:
+    """Return slope and offset of what a weights file says of its scores."""
+    try:
+        slope, offset = (float(x) for x in text.split())
+    except ValueError:
+        slope = offset = np.nan
+    if not (np.isfinite([slope, offset]).all() and slope > 0):
+        raise InputError("unknown calibration of the weights", where=path, expected="slope > 0, offset", got=text)
+    return slope, offset
+
+
+def calibrated(score: Float, slope: float, offset: float) -> Float:
+    """Return the share of edges of this score that are there: Platt scaling, fitted on validation drives."""
+    s = np.clip(score, 1e-4, 1 - 1e-4)
+    return np.asarray(1 / (1 + np.exp(-(slope * np.log(s / (1 - s)) + offset))))
+
+
+def long_enough(pixel: Float, side: Any, size: tuple[int, int], min_line_px: int) -> Any:
+    """Return which edge points (N,) belong to connected lines of enough foreground pixels (N, 2)."""
+    height, width = size
+    u, v = pixel.T.astype(np.int64)
+    inside = (u >= 0) & (v >= 0) & (u < width) & (v < height)
+    maps = np.zeros((4, height, width), bool)
+    maps[side[inside], v[inside], u[inside]] = True
+    kept = occlusion.without_short(maps, min_line_px)
+    out = np.zeros(len(pixel), bool)
+    out[inside] = kept[side[inside], v[inside], u[inside]]
+    return out
+
+
+def probabilities(network: P2ORNet, rgb: UInt8) -> Float:
+    """Return class probabilities (inclinations, 3, H, W) of every pair of pixels of a picture (H, W, 3)."""
+    import torch
+
+    device = next(network.parameters()).device
+    with torch.inference_mode():
+        x = torch.from_numpy(np.array(rgb, order="C")).to(device).permute(2, 0, 1)[None]
+        x = x.to(torch.float32).div_(255).contiguous(memory_format=torch.channels_last)
+        p = network(x).softmax(dim=2)[0]
+    return np.asarray(p.cpu().numpy(), dtype=np.float32)
+
+
+def folded(network: P2ORNet) -> P2ORNet:
+    """Return the network with its batch norms folded into the convolutions before them: the same, and quicker."""
+    import torch
+    from torch import nn
+    from torch.nn.utils.fusion import fuse_conv_bn_eval
+
+    def fold(module: nn.Module) -> None:
+        last: tuple[str, nn.Module] | None = None
+        for name, child in list(module.named_children()):
+            if isinstance(child, nn.BatchNorm2d) and last is not None and isinstance(last[1], nn.Conv2d):
+                module._modules[last[0]] = fuse_conv_bn_eval(last[1], child)
+                module._modules[name] = nn.Identity()
+            fold(child)
+            last = (name, child)
+
+    with torch.no_grad():
+        fold(network.eval())
+    return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
+
+
+def _device(name: str) -> Any:
+    import torch
+
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    if name != "cpu" and int(name.partition(":")[2] or 0) >= torch.cuda.device_count():
+        raise InputError(
+            "there is no such GPU",
+            where="device",
+            expected=f"cpu, or one of {torch.cuda.device_count()} GPUs",
+            got=name,
+        )
+    return torch.device(name)
+
+
+def label(frame: Frame) -> bytes:
+    """Return the content of a label file of a frame; raises InputError where the frame teaches nothing."""
+    from p2o_plugins.p2ornet.example import example_of
+
+    example = example_of(frame)
+    if not len(example.spans) and (example.classes is None or (example.classes < 0).all()):
+        raise InputError(
+            "the frame teaches nothing",
+            where=frame.name,
+            expected="depth, or points that the camera sees",
+            got="no pair of pixels of which anything is known",
+        )
+    return example.packed()
+
+
+def draw(path: Path) -> UInt8:
+    """Return the picture (H, W, 3) of a label file."""
+    from p2o_plugins.p2ornet.example import Example
+    from p2o_plugins.p2ornet.picture import drawn
+
+    return drawn(Example.load(path))
+
+
+def train(
+    options: TrainingOptions,
+    groups: Sequence[TrainingGroup],
+    validation: Sequence[Path],
+    out: Path,
+    report: Callable[[TrainingProgress], None],
+) -> Path:
+    """Train on label files and return the weights: see `p2o.Trainer`."""
+    from p2o_plugins.p2ornet import training
+
+    return training.train(options, groups, validation, out, report)
+
+
+METHOD = Method(
+    name="p2ornet",
+    build=build,
+    options=P2ORNetOptions,
+    summary="Directed occlusion edges of one picture, labelled by a network.",
+    gives={"image-edges", "side"},
+    trainer=Trainer(options=TrainingOptions, presets=PRESETS, label=label, draw=draw, train=train),
+    cite="Wang et al., P2O-Calib, 2023, Sec. III-B; Qiu, Xiao, Wang, Marlet, P2ORM, ECCV 2020",
+)

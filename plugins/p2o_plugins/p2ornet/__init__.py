@@ -1,0 +1,1 @@
+"""P2ORNet: the network that labels directed occlusion edges, its labels and its training."""

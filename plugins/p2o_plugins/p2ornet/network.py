@@ -1,0 +1,94 @@
+"""P2ORNet: pairwise occlusion orders of neighbouring pixels (P2ORM, ECCV 2020; P2O-Calib, Sec. III-B)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from p2o_plugins.p2ornet.encoders import EfficientNetLite0, ResNet50
+
+INCLINATIONS = {4: ("east", "south"), 8: ("east", "south", "south_east", "north_east")}
+"""By connectivity, the neighbours whose order against a pixel is told; the order of the heads."""
+CLASSES = 3
+"""Per pair: 0 its first pixel is occluded by the second, 1 neither, 2 the first pixel occludes the second."""
+
+
+class DoubleConv(nn.Sequential):
+    """Twice a 3x3 convolution with batch norm and ReLU."""
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        layers: list[nn.Module] = []
+        for c in (inputs, outputs):
+            layers += [nn.Conv2d(c, outputs, 3, padding=1), nn.BatchNorm2d(outputs), nn.ReLU(inplace=True)]
+        super().__init__(*layers)
+
+
+class Up(nn.Module):
+    """One step of the decoder: transposed convolution to the skip map's size, concatenation, double convolution."""
+
+    def __init__(self, inputs: int, skip: int, outputs: int, lifted: int | None = None) -> None:
+        super().__init__()
+        lifted = inputs if lifted is None else lifted
+        self.deconv = nn.ConvTranspose2d(inputs, lifted, 3, 2, 1)
+        self.conv = DoubleConv(skip + lifted, outputs)
+
+    def forward(self, x: Tensor, skip: Tensor) -> Tensor:
+        """Return features (N, outputs, h, w) of the size of `skip` (N, skip, h, w)."""
+        y: Tensor = self.conv(torch.cat([skip, self.deconv(x, output_size=skip.shape[2:])], dim=1))
+        return y
+
+
+class P2ORNet(nn.Module):
+    """A U-Net over an encoder, with one 3-class head per inclination.
+
+    `widths` are the channels of the decoder from fine to coarse, the middle last. `cell` is the side in pixels of the
+    finest map's cells: 1 works at full resolution as the paper does; 2 works at half and lets every cell answer for
+    its 2 x 2 pixels, which costs a quarter. The picture itself enters at that resolution too.
+    """
+
+    mean: Tensor
+    std: Tensor
+
+    def __init__(
+        self, encoder: ResNet50 | EfficientNetLite0, widths: tuple[int, ...], cell: int = 1, connectivity: int = 4
+    ) -> None:
+        super().__init__()
+        self.encoder, self.cell, self.inclinations = encoder, cell, INCLINATIONS[connectivity]
+        self.register_buffer("mean", torch.tensor(encoder.mean).view(1, 3, 1, 1), persistent=False)
+        self.register_buffer("std", torch.tensor(encoder.std).view(1, 3, 1, 1), persistent=False)
+        self.picture = DoubleConv(3 * cell * cell, widths[0])
+        skips = [widths[0], *encoder.channels[:-1]]
+        if encoder.strides[0] == cell:  # the encoder's own finest map has the resolution of the picture's
+            skips = [widths[0] + encoder.channels[0], *encoder.channels[1:-1]]
+        self.middle = DoubleConv(encoder.channels[-1], widths[-1])
+        below = (*widths[1:-1], widths[-1])
+        self.ups = nn.ModuleList(
+            Up(lower, skip, width) for lower, skip, width in zip(below, skips, widths[:-1], strict=True)
+        )
+        self.heads = nn.Conv2d(widths[0], CLASSES * len(self.inclinations) * cell * cell, 1)
+
+    def forward(self, rgb: Tensor) -> Tensor:
+        """Return logits (N, inclinations, 3, H, W) of pictures (N, 3, H, W) in 0..1, of any size."""
+        height, width = rgb.shape[2:]
+        x = (rgb - self.mean) / self.std
+        step = max(self.cell, self.encoder.multiple)
+        x = F.pad(x, (0, -width % step, 0, -height % step), mode="replicate")
+        maps = self.encoder(x)
+        finest = self.picture(F.pixel_unshuffle(x, self.cell))
+        if self.encoder.strides[0] == self.cell:
+            maps[0] = torch.cat([finest, maps[0]], dim=1)
+        else:
+            maps = [finest, *maps]
+        y = self.middle(maps[-1])
+        for up, skip in zip(reversed(self.ups), reversed(maps[:-1]), strict=True):
+            y = up(y, skip)
+        logits = F.pixel_shuffle(self.heads(y), self.cell)[..., :height, :width]
+        return logits.reshape(len(rgb), len(self.inclinations), CLASSES, height, width)
+
+
+def placed(network: P2ORNet, device: torch.device) -> P2ORNet:
+    """Return the network on a device, in place, its maps with channels last: quicker, the same numbers."""
+    # torch's stubs do not know this argument of Module.to.
+    moved: P2ORNet = network.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+    return moved

