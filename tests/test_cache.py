@@ -12,7 +12,7 @@ import numpy as np
 import p2o
 import pytest
 from p2o import Camera, CloudEdges, CloudFeatures, Image, ImageEdges, ImageFeatures, InputError, sources
-from p2o.cache import FeatureCache, cache_folder, content_hash, features_key
+from p2o.cache import FeatureCache, cache_folder, content_hash, features_key, named_files
 from p2o.recipe import Recipe
 from p2o.sources import code_hash
 
@@ -97,6 +97,17 @@ def test_the_key_changes_with_data_method_and_options() -> None:
     }
     assert len(keys) == 4
     assert features_key(part("matcher", sides="LRUB"), "data") in keys, "a default that is said is the default"
+
+
+def test_files_that_options_name_count_with_their_content(tmp_path: Path) -> None:
+    weights = tmp_path / "weights.bin"
+    options = {"weights": str(weights), "more": [{"table": str(tmp_path / "none")}, 3, "text", str(tmp_path)]}
+    assert named_files(options) == {}
+    weights.write_bytes(b"1")
+    first = named_files(options)
+    weights.write_bytes(b"2")
+    assert list(first) == [str(weights)]
+    assert named_files(options) != first
 
 
 CODE = {

@@ -277,7 +277,7 @@ def test_training_writes_weights_that_the_extractor_takes(trained: Path, capsys:
     assert shape.about["steps"] == "4"
     words = ["run", "--data", STREETS, "--frames", "0", "--extractor", "p2ornet/rings", "--init", "given", "--json"]
     assert main([*words, "--set", f"extractor.weights={weights}"]) in (0, 1)
-    [row] = json.loads(capsys.readouterr().out)["rows"]
+    [row] = json.loads(capsys.readouterr().out)["results"]
     assert row["status"] != "stage-failed", row["reason"]
 
 

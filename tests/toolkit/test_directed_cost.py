@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from p2o import CloudEdges, CloudFeatures, DirectedCost, ImageEdges, ImageFeatures, Side, View, se3
-from p2o.directed_cost import distance_maps
+from p2o.directed_cost import CONFIDENCES, distance_maps
 
 from tests import edge_scene
 
@@ -118,3 +118,39 @@ def test_exact_maps_are_the_same_bytes_wherever_they_lie_in_memory_and_on_any_nu
     finally:
         cv2.setNumThreads(before)
     assert len(found) == 1
+
+
+def test_without_levels_confidence_does_not_count() -> None:
+    view = one_edge(Side.LEFT, Side.LEFT)
+    edges = view.image_edges
+    poses = np.stack([se3.make(translation=[s, 0, 0]) for s in (0.0, 0.1, 0.2)])
+    sure = DirectedCost.of([view], np.eye(4), 20.0)(poses)
+    for weight in (0.01, 1.0):
+        image = ImageFeatures(replace(edges, weight=np.full(len(edges), weight)))
+        plain = distance_maps(replace(view, image=image), [Side.LEFT], 20.0, 1)
+        np.testing.assert_array_equal(plain, distance_maps(view, [Side.LEFT], 20.0, 1))
+    np.testing.assert_allclose(sure, [0, 7, 14], atol=1e-3)
+
+
+@pytest.mark.parametrize("confidence", [0.1, 0.4, 0.9])
+def test_an_edge_counts_at_every_level_below_its_confidence(confidence: float) -> None:
+    view = one_edge(Side.LEFT, Side.LEFT)
+    edges = view.image_edges
+    image = ImageFeatures(replace(edges, weight=np.full(len(edges), confidence)))
+    cost = DirectedCost.of([replace(view, image=image)], np.eye(4), 20.0).at(np.eye(4))
+    missed = np.mean([level > confidence for level in CONFIDENCES])
+    assert cost == pytest.approx(20.0 * missed, abs=1e-3)
+
+
+def test_a_sure_edge_outweighs_a_doubtful_one_that_lies_nearer() -> None:
+    near, far = np.full((50, 2), 600.0), np.full((50, 2), 610.0)
+    near[:, 1] = far[:, 1] = np.arange(150, 200)
+    both = ImageEdges(np.concatenate([near, far]), np.full(100, Side.LEFT), np.repeat([0.1, 0.9], 50))
+    maps = distance_maps(
+        replace(one_edge(Side.LEFT, Side.LEFT), image=ImageFeatures(both)),
+        [Side.LEFT],
+        20.0,
+        1,
+        confidences=CONFIDENCES,
+    )
+    assert maps[0, 175, 610] < maps[0, 175, 600]

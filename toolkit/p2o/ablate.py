@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 from p2o import worker
 from p2o.arrays import Float
-from p2o.cache import FeatureCache, content_hash
+from p2o.cache import FeatureCache, content_hash, named_files
 from p2o.errors import InputError, P2OError
 from p2o.guard import GuardedDataset
 from p2o.metrics import pose_error
@@ -140,6 +140,7 @@ class _Method:
             "perturb": recipe.perturb,
             "versions": versions,
             "code": code_hash(*builds, *_CORE),
+            "files": named_files({k: v for k, v in described["options"].items() if k != "data"}),
         }
         words = recipe.model_dump(mode="json", exclude_unset=True)
         return cls(json.dumps(words, sort_keys=True), plan, described, versions, content_hash(acting))

@@ -13,7 +13,7 @@ import os
 import sys
 import tempfile
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from pathlib import Path
@@ -95,9 +95,29 @@ def features_key(part: Part, data_hash: str) -> str:
             "method": offer.full_name,
             "version": offer.version,
             "code": code_hash(offer.method.build),
-            "options": part.options.model_dump(mode="json"),
+            "options": (options := part.options.model_dump(mode="json")),
+            "files": named_files(options),
         }
     )
+
+
+def named_files(options: Any) -> dict[str, str]:
+    """Return content hashes of the files that options (JSON) name, by what they say: weights change in place."""
+    found: dict[str, str] = {}
+    if isinstance(options, Mapping):
+        options = list(options.values())
+    if isinstance(options, str):
+        try:
+            if 0 < len(options) < 4096 and Path(options).is_file():
+                with Path(options).open("rb") as file:
+                    found[options] = hashlib.file_digest(file, "sha256").hexdigest()
+        except (OSError, ValueError):
+            # What cannot be read fails where it is used, with a better message.
+            pass
+    elif isinstance(options, Sequence):
+        for value in options:
+            found |= named_files(value)
+    return found
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ class P2ORNetOptions(Options):
     weights: str = field(
         "kitti", help="Weights: kitti (best on streets; for research only), synthetic (no such licence), or a file."
     )
-    min_confidence: float = field(0.3, ge=0, le=1, help="Edges less certain than this are dropped.")
+    min_confidence: float = field(0.05, ge=0, le=1, help="Edges less certain than this are dropped.")
     min_line_px: int = field(5, ge=1, help="Connected edges of fewer pixels than this are dropped, side by side.")
     device: str = field("auto", pattern="^(auto|cpu|cuda(:[0-9]+)?)$", help="auto takes a GPU where there is one.")
 

@@ -26,6 +26,11 @@ class NarrowOptions(Options):
 class SearchOptions(NarrowOptions):
     """Options of the population search."""
 
+    prior: float = field(
+        10.0,
+        ge=0,
+        help="One sigma away from the start costs as much as this many LiDAR edges without an image edge; 0: off.",
+    )
     restarts: int = field(3, ge=1, le=10, help="Searches from the start; each begins half as wide as the one before.")
 
 
@@ -40,7 +45,7 @@ def build(options: SearchOptions) -> Initializer:
         rng = np.random.default_rng(options.seed)
         widths = [max(options.narrowest_px, options.widest_px / 2**number) for number in range(options.restarts)]
         maps = coarse_maps(views, camera_from_lidar, options)
-        found = [narrow(maps, camera_from_lidar, options, rng, width) for width in widths]
+        found = [narrow(maps, camera_from_lidar, options, rng, width, options.prior) for width in widths]
         judge = maps[_scale(options.narrowest_px)].truncated(options.narrowest_px)
         order = np.argsort(judge(np.stack(found)), kind="stable")
         return [*(found[i] for i in order), camera_from_lidar]
@@ -71,13 +76,19 @@ def _scale(width_px: float) -> int:
 
 
 def narrow(
-    maps: dict[int, DirectedCost], start: Float, options: NarrowOptions, rng: np.random.Generator, widest_px: float
+    maps: dict[int, DirectedCost],
+    start: Float,
+    options: NarrowOptions,
+    rng: np.random.Generator,
+    widest_px: float,
+    prior: float = 0.0,
 ) -> Float:
     """Return the pose (4, 4) at which a cross-entropy search around `start` ends.
 
     The tangent vector of a left update (rotation about the camera centre, then shift) is drawn from a Gaussian whose
     mean and covariance follow the best share of each generation, while the truncation of the distances shrinks from
-    `widest_px` to the option `narrowest_px`. `maps` are those of `coarse_maps`.
+    `widest_px` to the option `narrowest_px`. `maps` are those of `coarse_maps`. Where few edges tell anything, the
+    lowest cost lies anywhere: `prior` edges missed for every squared deviation keep the pose near the start then.
     """
     unit = np.concatenate([np.full(3, np.radians(options.sigma_deg)), np.full(3, max(options.sigma_m, 1e-9))])
     widths = [float(w) for w in np.geomspace(widest_px, min(options.narrowest_px, widest_px), 4)]
@@ -91,6 +102,7 @@ def narrow(
         draws = rng.multivariate_normal(mean, spread, options.population, method="eigh")
         draws[0] = mean
         values = cost(se3.exp(draws * unit) @ start)
+        values = values + prior / cost.points * cost.truncate_px * np.square(draws).sum(axis=1)
         best = draws[np.argsort(values, kind="stable")[:keep]]
         mean = best.mean(axis=0)
         # A floor keeps the population from freezing before the truncation has become narrow.

@@ -110,8 +110,7 @@ def draw(spans: Spans, classes: Int8) -> tuple[Int, Int, Float]:
     line = np.rint(rows["line"]).astype(np.int64)
     first = np.ceil(rows["start"] - 0.5 - 1e-4).astype(np.int64)
     last = np.floor(rows["end"] - 0.5 + 1e-4).astype(np.int64)
-    lines: Int = np.where(axis == EAST, height, width)
-    places: Int = np.where(axis == EAST, width - 1, height - 1)
+    lines, places = np.array([height, width])[axis], np.array([width - 1, height - 1])[axis]
     keep = (line >= 0) & (line < lines) & (last >= first)
     smooth = keep & (order == 0)
     for a in (EAST, SOUTH):

@@ -14,17 +14,19 @@ from typing import Any
 import numpy as np
 import torch
 from p2o import InputError, TrainingGroup, TrainingProgress, UnknownNameError
-from p2o.arrays import Float
+from p2o.arrays import Bool, Float
 from p2o.whole_file import write_whole
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
+from p2o_plugins.p2ornet import calibration
 from p2o_plugins.p2ornet.augment import Crop, crop
 from p2o_plugins.p2ornet.example import UNKNOWN, Example
 from p2o_plugins.p2ornet.loss import order_loss
 from p2o_plugins.p2ornet.network import P2ORNet, placed
 from p2o_plugins.p2ornet.options import Augmentation, TrainingOptions
+from p2o_plugins.p2ornet.thinning import peaks, side_probabilities
 from p2o_plugins.p2ornet.weights import Shape, load_weights, save_weights
 
 Group = TrainingGroup
@@ -108,6 +110,8 @@ def train(
     judged = _with_state(shape, kept, device)
     if options.settle:
         settle(judged, settled_on, options, options.settle)
+    if checks:
+        finished["calibration"] = calibration_of(judged, checks)
     save_weights(judged, replace(shape, about=finished), weights)
     return weights
 
@@ -266,6 +270,31 @@ def settle(network: P2ORNet, groups: Sequence[Group], options: TrainingOptions, 
             rgb, *_ = collated(_batch(bank, share, options, 10**9 + number), device)
             network(rgb)
     network.eval()
+
+
+def calibration_of(network: P2ORNet, examples: Sequence[Example]) -> str:
+    """Return slope and offset of the confidence that follows from the scores of held-out examples, as text.
+
+    That of the score itself where these examples tell of too few edges.
+    """
+    score, right = reached(network, examples)
+    if right.sum() < 100 or (~right).sum() < 100:
+        return "1 0"
+    slope, offset = calibration.fit(score, right)
+    return f"{slope:.4f} {offset:.4f}"
+
+
+def reached(network: P2ORNet, examples: Sequence[Example]) -> tuple[Float, Bool]:
+    """Return the scores (M,) of the edges found in examples and whether they are right (M,), where that is known."""
+    device = next(network.parameters()).device
+    parts = []
+    for example in examples:
+        with torch.inference_mode():
+            rgb = torch.from_numpy(example.rgb.copy()).permute(2, 0, 1)[None].to(device).float() / 255
+            probability = network(rgb).softmax(dim=2)[0, :2].cpu().numpy()
+        found = peaks(side_probabilities(probability), min_score=0.02)
+        parts.append(calibration.verdicts(found, example))
+    return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
 
 
 def _fingerprint(options: TrainingOptions) -> dict[str, str]:

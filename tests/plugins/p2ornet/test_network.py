@@ -162,9 +162,10 @@ def test_a_picture_moved_by_the_coarsest_stride_moves_its_logits(encoder: str) -
     for up in network.ups:
         up.deconv.weight.data.mul_(8.0)  # type: ignore[union-attr, operator]  # what is coarse counts
     # Padding with zeros is felt far inside; the rest is exact.
-    by_stride = shifted_difference(network, network.encoder.strides[-1], 64)
-    assert by_stride < 0.02
-    assert shifted_difference(network, 1, 64) > 3 * by_stride
+    grid = 4 * network.encoder.strides[-1] if encoder == "resnet50" else 96
+    by_stride, by_one = (shifted_difference(network, by, grid) for by in (network.encoder.strides[-1], 1))
+    assert by_stride < 0.1
+    assert by_one > 3 * by_stride
 
 
 def test_cells_unfold_into_their_own_pixels() -> None:
@@ -326,16 +327,19 @@ def test_the_papers_network_learns_a_picture_from_random_weights() -> None:
     classes[0, 0, top:bottom, left - 1], classes[0, 0, top:bottom, right - 1] = 0, 2
     classes[0, 1, top - 1, left:right], classes[0, 1, bottom - 1, left:right] = 0, 2
     bags = (torch.zeros((0, 3), dtype=torch.int64), torch.zeros(0, dtype=torch.int64), torch.zeros(0))
+    # The best that a network which looks at nothing can say: 112 of 8064 pairs are occlusions, each weighs 10.
+    none = 0.9861 / (0.9861 + 0.139)
+    network.heads.bias.data.view(2, 3)[:, 1] = float(np.log(none / (0.5 - 0.5 * none)))
+    blind = -0.9861 * np.log(none) - 0.139 * np.log(0.5 - 0.5 * none)
     optimizer = torch.optim.Adam(network.parameters(), 5e-3)
     losses = []
-    for _ in range(30):
-        loss = order_loss(network(rgb), classes, *bags, 4.0)
+    for _ in range(20):
+        loss = order_loss(network(rgb), classes, *bags, 10.0)
         optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
         losses.append(float(loss.detach()))
-    print(losses)
-    assert losses[-1] < losses[0] / 2
+    assert losses[-1] < blind / 3
     touched = [p for p in network.encoder.parameters() if p.grad is not None and float(p.grad.abs().max()) > 0]
     assert len(touched) == len(list(network.encoder.parameters()))
 
