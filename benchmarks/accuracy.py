@@ -14,8 +14,10 @@ from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
+from p2o import PoseError, View, se3
+from p2o.arrays import Float
 from p2o.metrics import pose_error, summarise
-from p2o.perturb import parse_perturbation, wrong_start
+from p2o.perturb import Perturbation, parse_perturbation, wrong_start
 from p2o.recipe import Recipe
 from p2o.registry import Registry
 from p2o.selection import select
@@ -36,6 +38,10 @@ class Row:
 PAPER = "2deg 0.15m"
 ROWS = {
     "joint": [
+        Row("p2ornet/rings", "ogm", "search", PAPER, True),
+        Row("p2ornet/rings", "ogm", "given", PAPER, True),
+        Row("p2ornet/rings", "nearest", "search", PAPER, True),
+        Row("p2ornet/rings", "nearest", "given", PAPER, True),
         Row("stereo/rings", "ogm", "search", PAPER, True),
         Row("stereo/rings", "ogm", "given", PAPER, True),
         Row("stereo/rings", "nearest", "search", PAPER, True),
@@ -44,10 +50,21 @@ ROWS = {
         Row("canny/rings", "nearest", "given", PAPER, True),
     ],
     "wide": [
+        Row("p2ornet/rings", "ogm", "search", "5deg 0.15m", True),
+        Row("p2ornet/rings", "ogm", "grid", "10deg 0.15m", True),
         Row("stereo/rings", "ogm", "search", "5deg 0.15m", True),
         Row("stereo/rings", "ogm", "grid", "10deg 0.15m", True),
     ],
+    "ten": [
+        Row("p2ornet/rings", "ogm", "grid", "10deg 0.15m", True),
+        Row("stereo/rings", "ogm", "grid", "10deg 0.15m", True),
+    ],
     "single": [
+        Row("p2ornet/rings", "ogm", "search", PAPER, False),
+        Row("p2ornet/rings", "ogm", "given", PAPER, False),
+        Row("p2ornet/rings", "ogm", "search", PAPER, False, "LR"),
+        Row("p2ornet/rings", "nearest", "search", PAPER, False),
+        Row("p2ornet/rings", "nearest", "given", PAPER, False),
         Row("stereo/rings", "ogm", "search", PAPER, False),
         Row("stereo/rings", "ogm", "given", PAPER, False),
         Row("stereo/rings", "ogm", "search", PAPER, False, "LR"),
@@ -57,6 +74,8 @@ ROWS = {
         Row("canny/rings", "nearest", "given", PAPER, False),
     ],
 }
+MANY_EDGES = 1500
+"""Frames with more LiDAR edges in the image than this are full of leaves: trees, hedges, embankments."""
 COLUMNS = (
     "| extractor | matcher | init | start | rotation deg, median / mean | translation cm, median / mean "
     "| within {} | status | s |"
@@ -67,7 +86,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", required=True, help="DATASET:PATH as for p2o run")
     parser.add_argument("--frames", default="all", help="as for p2o run")
-    parser.add_argument("--groups", default="joint,wide,single", help=f"any of {','.join(ROWS)}")
+    parser.add_argument("--groups", default="joint,wide,ten,single", help=f"any of {','.join(ROWS)}")
+    parser.add_argument("--extractors", help="only rows with these image extractors, such as p2ornet,stereo")
+    parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE", help="option of the extractor")
+    parser.add_argument("--starts", help="only rows with these initializers, such as search")
     parser.add_argument("--seeds", type=int, default=10, help="starts per joint row")
     parser.add_argument("--single-seeds", type=int, default=3, help="starts per frame of the single-frame rows")
     parser.add_argument("--good", default="0.3deg 0.10m", help="what counts as a good result")
@@ -78,12 +100,18 @@ def main() -> None:
     truths: list = []
     for group in arguments.groups.split(","):
         print(f"\n{group}: {arguments.data}, {arguments.frames}\n\n" + COLUMNS.format(good))
-        print("|---|---|---|---|---|---|---|---|---|")
+        print("|---|---|---|---|---|---|---|---|---|", flush=True)
         for row in ROWS[group]:
+            wanted = (arguments.extractors or row.extractor.partition("/")[0]).split(",")
+            if row.extractor.partition("/")[0] not in wanted or row.init not in (arguments.starts or row.init).split(
+                ","
+            ):
+                continue
             words = {"data": arguments.data, "frames": arguments.frames, "joint": row.joint, "perturb": row.perturb}
             words |= {"extractor": row.extractor, "matcher": row.matcher, "init": row.init}
+            words["options"] = {"extractor": dict(text.split("=", 1) for text in arguments.set)}
             if row.matcher == "ogm":
-                words["options"] = {"matcher": {"sides": row.sides}}
+                words["options"]["matcher"] = {"sides": row.sides}
             if row.extractor not in views:
                 plan = Recipe.of(**words).resolve(registry)
                 dataset = plan.dataset()
@@ -102,6 +130,10 @@ def main() -> None:
                 own = views[row.extractor]
                 if not pipeline.directed:
                     own = [view.without_sides() for view in own]
+                if group == "ten":
+                    # Ten frames drawn anew for every seed.
+                    drawn = np.random.default_rng([seed, 10]).choice(len(own), 10, replace=False)
+                    own = [own[i] for i in sorted(drawn)]
                 jobs = (
                     [(own, truths[0][1], [seed])]
                     if row.joint
@@ -112,17 +144,33 @@ def main() -> None:
                     result = pipeline.solve(batch, start)
                     errors.append(pose_error(result.camera_from_lidar, truth))
                     statuses[result.status.value] += 1
-            s = summarise(errors, good.angle_deg, good.distance_m)
-            within = next(value for key, value in s.items() if key.startswith("within"))
+            seconds = (time.perf_counter() - began) / len(errors)
             matcher = row.matcher if row.sides == "LRUB" else f"{row.matcher} ({row.sides})"
-            print(
-                f"| {row.extractor} | {matcher} | {row.init} | {row.perturb} "
-                f"| {s['rotation_deg_median']:.3f} / {s['rotation_deg_mean']:.3f} "
-                f"| {100 * s['translation_m_median']:.1f} / {100 * s['translation_m_mean']:.1f} "
-                f"| {within} of {s['count']} | {', '.join(f'{n} {k}' for k, n in sorted(statuses.items()))} "
-                f"| {(time.perf_counter() - began) / len(errors):.1f} |",
-                flush=True,
-            )
+            ends = ", ".join(f"{n} {k}" for k, n in sorted(statuses.items()))
+            head = f"| {row.extractor} | {matcher} | {row.init} | {row.perturb} "
+            print(f"{head}{figures(errors, good)}| {ends} | {seconds:.1f} |", flush=True)
+            if not row.joint:
+                many = [leafy(view, truth) for view, (_, truth) in zip(own, truths, strict=True)]
+                for kind, wanted_kind in (("streets with objects", False), ("trees, embankments", True)):
+                    part = [e for i, e in enumerate(errors) if many[i % len(many)] == wanted_kind]
+                    if part:
+                        print(f"| | {kind} | | {figures(part, good)}| | |", flush=True)
+
+
+def leafy(view: View, truth: Float) -> bool:
+    """Return whether a frame shows mostly leaves, by the number of its LiDAR edges in the image."""
+    edges = view.cloud_edges
+    return int(view.camera.in_image(view.camera.project(se3.apply(truth, edges.xyz))).sum()) > MANY_EDGES
+
+
+def figures(errors: list[PoseError], good: Perturbation) -> str:
+    """Return the columns of medians, means and good results."""
+    s = summarise(errors, good.angle_deg, good.distance_m)
+    within = next(value for key, value in s.items() if key.startswith("within"))
+    return (
+        f"| {s['rotation_deg_median']:.3f} / {s['rotation_deg_mean']:.3f} "
+        f"| {100 * s['translation_m_median']:.1f} / {100 * s['translation_m_mean']:.1f} | {within} of {s['count']} "
+    )
 
 
 if __name__ == "__main__":

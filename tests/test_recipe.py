@@ -86,7 +86,12 @@ def test_resolving_builds_nothing_and_reads_nothing() -> None:
 
 def test_what_is_not_said_takes_the_default_of_the_recipe() -> None:
     recipe = Recipe.of(matcher=None, frames=None, seed=3)
-    assert (recipe.data, recipe.extractor, recipe.matcher, recipe.solver) == ("synthetic:", "stereo/rings", "ogm", "lm")
+    assert (recipe.data, recipe.extractor, recipe.matcher, recipe.solver) == (
+        "synthetic:",
+        "p2ornet/rings",
+        "ogm",
+        "lm",
+    )
     assert (recipe.init, recipe.seed, recipe.joint, recipe.perturb) == ("search", 3, False, None)
     with pytest.raises(UnknownNameError, match=r"unknown recipe option 'matchr'.*did you mean matcher"):
         Recipe.of(matchr="ogm")

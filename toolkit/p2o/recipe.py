@@ -53,7 +53,7 @@ class Recipe(BaseModel):
 
     data: str | None = "synthetic:"
     frames: str = "all"
-    extractor: str = "stereo/rings"
+    extractor: str = "p2ornet/rings"
     matcher: str = "ogm"
     solver: str = "lm"
     init: str = "search"
@@ -122,7 +122,7 @@ class Recipe(BaseModel):
         image, slash, cloud = self.extractor.partition("/")
         if not (slash and image and cloud) or "/" in cloud:
             raise InputError(
-                "an extractor is a pair of methods", expected="IMAGE/CLOUD, such as stereo/rings", got=self.extractor
+                "an extractor is a pair of methods", expected="IMAGE/CLOUD, such as p2ornet/rings", got=self.extractor
             )
         return {
             **names,

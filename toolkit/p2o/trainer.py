@@ -38,7 +38,7 @@ class TrainingProgress:
 Report = Callable[[TrainingProgress], None]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Trainer:
     """How a method is trained; its functions may import heavy packages when they are called.
 

@@ -35,7 +35,8 @@ def order_loss(
     known = classes >= 0
     picked = log_p.gather(2, torch.where(known, classes, 1).long().unsqueeze(2)).squeeze(2)
     weight = torch.where(known, torch.where(classes == 1, 1.0, occlusion_weight), unknown_weight)
-    count = known.flatten(1).sum(1).clamp(min=1)
+    # A crop that knows next to nothing must not count for more than one that is known all over.
+    count = known.flatten(1).sum(1).clamp(min=0.01 * classes[0].numel())
     total = -((weight * picked).flatten(1).sum(1) / count).sum()
     either = torch.logaddexp(log_p[:, :, 0], log_p[:, :, 2])
     occluded = (known & (classes != 1)) * direction_weight

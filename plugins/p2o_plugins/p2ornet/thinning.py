@@ -48,7 +48,8 @@ def peaks(maps: Float, min_score: float) -> Peaks:
     """
     parts = []
     for side in SIDES:
-        p = maps[side] if side in (Side.LEFT, Side.RIGHT) else maps[side].T
+        # The last pair of a line leaves the picture.
+        p = (maps[side] if side in (Side.LEFT, Side.RIGHT) else maps[side].T)[:, :-1]
         line, place, at, score = _line_peaks(p, min_score)
         ahead = 1 if side in (Side.LEFT, Side.UPPER) else 0  # the foreground is the pair's second pixel
         edge, inner = np.stack([at, line], 1), np.stack([place + ahead, line], 1)
@@ -60,7 +61,8 @@ def peaks(maps: Float, min_score: float) -> Peaks:
 
 def _line_peaks(p: Float, min_score: float) -> tuple[Float, Float, Float, Float]:
     """Return line, place of the peak, sub-pixel place and score of the maxima along the rows of p (lines, places)."""
-    padded = np.pad(p, ((1, 1), (REACH + 1, REACH + 1)))
+    margin = ((1, 1), (REACH + 1, REACH + 1))
+    padded = np.pad(p, margin)
     # Neighbouring lines vote on where the peak is, not on how high it is.
     smooth = 0.25 * padded[:-2] + 0.5 * padded[1:-1] + 0.25 * padded[2:]
     smooth[:, 1:-1] = 0.25 * smooth[:, :-2] + 0.5 * smooth[:, 1:-1] + 0.25 * smooth[:, 2:]
@@ -70,6 +72,9 @@ def _line_peaks(p: Float, min_score: float) -> tuple[Float, Float, Float, Float]
     for k in range(1, REACH + 1):
         highest &= centre > smooth[:, REACH + 1 - k : REACH + 1 - k + width]
         highest &= centre >= smooth[:, REACH + 1 + k : REACH + 1 + k + width]
+    for k in (-REACH, REACH):
+        # It falls to both sides: an even background has no peak, not even at the border of the picture.
+        highest &= centre > 1.001 * smooth[:, REACH + 1 + k : REACH + 1 + k + width]
     line, place = np.nonzero(highest)
     window = padded[line[:, None] + 1, place[:, None] + 1 + np.arange(2 * REACH + 1)]
     total = window.sum(axis=1)

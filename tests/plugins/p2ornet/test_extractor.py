@@ -45,7 +45,7 @@ def contrast_network() -> P2ORNet:
     heads, bias = network.heads.weight.data, network.heads.bias.data
     heads.mul_(faint)
     bias.zero_()
-    bias.view(2, 3, 4)[:, 1] = 3.0
+    bias.view(2, 3, 4)[:, 1] = 8.0
     weight = heads.view(2, 3, 4, -1)
     for plane, pixels in ((0, (1, 3)), (1, (2, 3))):
         for pixel in pixels:
@@ -114,7 +114,7 @@ def test_edges_lie_half_way_between_the_pixels_of_the_pairs_that_say_so(weights:
         own = found.uv[found.side == side]
         np.testing.assert_allclose(own[:, axis], place, atol=0.05)
         assert sorted(own[:, 1 - axis].tolist()) == list(range(low, high + 1))
-    assert found.weight.min() >= 0.3
+    assert found.weight.min() >= P2ORNetOptions().min_confidence
     assert found.weight.max() <= 1
 
 

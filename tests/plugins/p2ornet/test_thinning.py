@@ -167,3 +167,7 @@ def test_calibration_of_one_and_nothing_changes_nothing_and_others_keep_the_orde
     assert (np.diff(other) > 0).all()
     assert other.min() >= 0
     assert other.max() <= 1
+
+
+def test_an_even_background_has_no_edges_not_even_at_the_border() -> None:
+    assert len(peaks(np.full((4, 20, 30), 0.1), 0.05).uv) == 0

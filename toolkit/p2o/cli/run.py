@@ -25,7 +25,7 @@ _PLACE = "{frame}"
 @click.option(
     "--frames", metavar="SPEC", help="all, indices and ranges (0,4-7), @splits.json#test, or names (default: all)."
 )
-@click.option("--extractor", metavar="IMAGE/CLOUD", help="The two extractors (default: stereo/rings).")
+@click.option("--extractor", metavar="IMAGE/CLOUD", help="The two extractors (default: p2ornet/rings).")
 @click.option("--matcher", metavar="NAME", help="How points and lines are paired (default: ogm).")
 @click.option("--solver", metavar="NAME", help="How the pose is improved (default: lm).")
 @click.option("--init", metavar="NAME", help="How starting poses are found (default: search).")
