@@ -122,7 +122,7 @@ class QuickOptions(p2o.Options):
     status: str = p2o.field("converged", help="How it ends.")
     interrupt_after: int = p2o.field(-1, help="Press Ctrl-C after so many calls.")
     die_on: str = p2o.field("", help="Kill the own process on the frame of this name.")
-    die_once: str = p2o.field("", help="A file that is made by the first call, which then kills its own process.")
+    die_once: str = p2o.field("", help="A folder that the first call makes, which then kills its own process.")
 
 
 def build_quick(options: QuickOptions) -> p2o.Calibrator:
@@ -136,7 +136,8 @@ def build_quick(options: QuickOptions) -> p2o.Calibrator:
             raise KeyboardInterrupt
         if options.die_once:
             try:
-                Path(options.die_once).touch(exist_ok=False)
+                # A file that an option names would count with its content.
+                Path(options.die_once).mkdir()
             except FileExistsError:
                 pass
             else:

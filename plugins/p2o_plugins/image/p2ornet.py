@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from p2o_plugins.p2ornet.network import P2ORNet
 
 WEIGHTS = Path(__file__).parents[1] / "weights"
-SHIPPED = {"kitti": "p2ornet-kitti.safetensors", "synthetic": "p2ornet-synthetic.safetensors"}
+SHIPPED = {"kitti": "p2ornet-kitti.safetensors"}
 """By name, the weights that come with the package: see MODEL_CARD.md beside them."""
 
 
@@ -39,7 +39,7 @@ class P2ORNetOptions(Options):
     """Which network looks for occlusion edges, and how certain it has to be."""
 
     weights: str = field(
-        "kitti", help="Weights: kitti (best on streets; for research only), synthetic (no such licence), or a file."
+        "kitti", help="Weights: kitti (shipped; for research only), or a file that p2o train wrote."
     )
     min_confidence: float = field(0.05, ge=0, le=1, help="Edges less certain than this are dropped.")
     min_line_px: int = field(5, ge=1, help="Connected edges of fewer pixels than this are dropped, side by side.")

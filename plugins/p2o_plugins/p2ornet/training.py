@@ -56,7 +56,7 @@ def train(
     if not settled_on:
         raise UnknownNameError("data", options.settle_on, [g.name for g in groups], where="settle_on")
     torch.manual_seed(options.seed)
-    shape = Shape.of(options.encoder, options.connectivity)
+    shape = Shape.of(options.encoder)
     network = shape.network()
     imagenet = options.imagenet_file()
     if imagenet is not None:
@@ -110,7 +110,7 @@ def train(
     judged = _with_state(shape, kept, device)
     if options.settle:
         settle(judged, settled_on, options, options.settle)
-    if checks:
+    if checks and options.calibrate:
         finished["calibration"] = calibration_of(judged, checks)
     save_weights(judged, replace(shape, about=finished), weights)
     return weights
@@ -298,7 +298,7 @@ def reached(network: P2ORNet, examples: Sequence[Example]) -> tuple[Float, Bool]
 
 
 def _fingerprint(options: TrainingOptions) -> dict[str, str]:
-    same = {"encoder", "connectivity", "batch", "crop_px", "seed"}
+    same = {"encoder", "batch", "crop_px", "seed"}
     return {"options": json.dumps({k: v for k, v in options.model_dump(mode="json").items() if k in same})}
 
 

@@ -198,10 +198,10 @@ def test_probabilities_are_those_of_the_network_in_any_memory_layout() -> None:
 
 
 def test_unknown_weights_are_told_with_the_names_that_exist(tmp_path: Path) -> None:
-    with pytest.raises(UnknownNameError, match=r"^unknown weights 'kity'; expected one of: kitti, synthetic; did you"):
+    with pytest.raises(UnknownNameError, match=r"^unknown weights 'kity'; expected one of: kitti; did you"):
         build(P2ORNetOptions(weights="kity"))
     missing = str(tmp_path / "w.safetensors")
-    with pytest.raises(InputError, match=r"expected one of: kitti, synthetic.*path") as caught:
+    with pytest.raises(InputError, match=r"expected one of: kitti.*path") as caught:
         build(P2ORNetOptions(weights=missing))
     assert "\n" not in str(caught.value)
     assert path_of("kitti").name == SHIPPED["kitti"]
