@@ -49,3 +49,24 @@ def test_without_points_there_is_no_answer() -> None:
     view = View("empty", edge_scene.PINHOLE, ImageFeatures(ImageEdges.empty()), CloudFeatures(CloudEdges.empty()))
     assert np.isnan(agreement([view], TRUTH).odds_ratio)
     assert Agreement(1.0, 0.5, 10).odds_ratio > 1e5
+
+
+def with_clutter(confidence: float) -> View:
+    view, rng = edge_scene.view(), np.random.default_rng(0)
+    edges = view.image_edges
+    uv = np.concatenate([edges.uv, rng.uniform([0, 0], [1241, 374], (40_000, 2))])
+    side = np.concatenate([edges.side, rng.integers(0, 4, 40_000).astype(np.int8)])
+    weight = np.concatenate([np.full(len(edges), 0.9), np.full(40_000, confidence)])
+    return replace(view, image=ImageFeatures(ImageEdges(uv, side, weight)))
+
+
+def test_doubtful_edges_are_not_asked_while_there_are_sure_ones() -> None:
+    clean = agreement([edge_scene.view()], TRUTH)
+    assert agreement([with_clutter(0.1)], TRUTH) == clean
+    assert agreement([with_clutter(0.9)], TRUTH).odds_ratio < 0.5 * clean.odds_ratio
+
+
+def test_an_extractor_that_is_never_sure_is_asked_all_the_same() -> None:
+    view = edge_scene.view()
+    weak = replace(view.image_edges, weight=np.full(len(view.image_edges), 0.1))
+    assert agreement([replace(view, image=ImageFeatures(weak))], TRUTH) == agreement([view], TRUTH)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,13 +14,15 @@ from p2o.side import Side
 from p2o.view import View
 
 NEAR_PX = 3.0
+SURE = 0.5
+"""Image edges of at least this confidence are asked; weak ones are everywhere, and meet any edge by chance."""
 
 
 @dataclass(frozen=True)
 class Agreement:
     """How LiDAR edges and image edges of their direction meet at a pose.
 
-    `near` is the share of LiDAR edges in the image that have an image edge of their direction within `NEAR_PX` pixels,
+    `near` is the share of LiDAR edges in the image that have a sure image edge of their direction within `NEAR_PX` px,
     `chance` the share that points scattered over the same rows of the image would have, `points` how many there are.
     """
 
@@ -42,7 +44,7 @@ def agreement(views: Sequence[View], camera_from_lidar: Float) -> Agreement:
     (docs/benchmarks.md). It is a test of whether the edges belong together, not of how accurate the pose is.
     """
     near, chance, points = 0.0, 0.0, 0
-    for view in views:
+    for view in map(_surest, views):
         uv = view.camera.project(se3.apply(camera_from_lidar, view.cloud_edges.xyz))
         inside = view.camera.in_image(uv)
         uv, side = uv[inside], view.cloud_edges.side[inside]
@@ -55,3 +57,12 @@ def agreement(views: Sequence[View], camera_from_lidar: Float) -> Agreement:
             chance += float(meets[low : high + 1].mean()) * len(v)
             points += len(v)
     return Agreement(near / points, chance / points, points) if points else Agreement(0.0, 0.0, 0)
+
+
+def _surest(view: View) -> View:
+    """Return the view with its sure image edges alone, or with all where none is sure."""
+    edges = view.image_edges
+    sure = edges.weight >= SURE
+    if sure.all() or not sure.any():
+        return view
+    return replace(view, image=replace(view.image, edges=edges.select(sure)))
