@@ -314,6 +314,20 @@ def test_a_dask_cluster_gives_the_same_bits_though_a_worker_is_killed(bench: Ben
         assert bits(store.rows("tiny")) == bits(alone.rows)
 
 
+@pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason='needs pip install "p2o-calib[ray]"')
+def test_ray_gives_the_same_bits_and_tells_a_job_that_kills_its_worker(bench: Bench) -> None:
+    text = STAGED + '[[row]]\nlabel = "quick"\ncalibrator = "quick"\noptions.calibrator.die_on = "tiny/001"\n'
+    done = bench.cli(text, "--backend", "ray", "--jobs", "2", "--quiet")
+    assert done.returncode == 1, done.stderr
+    with Store.open(bench.root / "out") as store:
+        found = store.rows("tiny")
+    assert [row.frames for row in found if row.crashed] == [("tiny/001",)] * 2
+    assert all("the worker process died" in row.reason for row in found if row.crashed)
+    # The bits are compared where nobody dies.
+    alone = bench.run(STAGED, out="alone").rows
+    assert bits([row for row in found if row.row != "quick"]) == bits(alone)
+
+
 @pytest.mark.parametrize("backend", ["dask", "ray"])
 def test_a_backend_that_is_not_installed_tells_the_extra(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("distributed", "ray"):

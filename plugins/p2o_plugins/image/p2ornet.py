@@ -38,9 +38,7 @@ SHIPPED = {"kitti": "p2ornet-kitti.safetensors"}
 class P2ORNetOptions(Options):
     """Which network looks for occlusion edges, and how certain it has to be."""
 
-    weights: str = field(
-        "kitti", help="Weights: kitti (shipped; for research only), or a file that p2o train wrote."
-    )
+    weights: str = field("kitti", help="Weights: kitti (shipped; for research only), or a file that p2o train wrote.")
     min_confidence: float = field(0.05, ge=0, le=1, help="Edges less certain than this are dropped.")
     min_line_px: int = field(5, ge=1, help="Connected edges of fewer pixels than this are dropped, side by side.")
     device: str = field("auto", pattern="^(auto|cpu|cuda(:[0-9]+)?)$", help="auto takes a GPU where there is one.")

@@ -64,7 +64,7 @@ class TrainingOptions(Options):
     settle_on: str = field("", help="Measure them on the data of this name only; empty: on all of them.")
     calibrate: bool = field(
         False,
-        help="Fit confidence to held-out frames (Platt scaling). A sweep confirms two thirds of the surest edges at most.",
+        help="Fit confidence to held-out frames (Platt scaling). A sweep confirms few of the surest edges.",
     )
     seed: int = field(0, ge=0, help="Seed of the first weights, of the crops and of their order.")
     augmentation: Augmentation = field(Augmentation(), help="How much crops differ from the pictures.")

@@ -17,7 +17,6 @@ from p2o import InputError, TrainingGroup, TrainingProgress, UnknownNameError
 from p2o.arrays import Bool, Float
 from p2o.whole_file import write_whole
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from p2o_plugins.p2ornet import calibration
@@ -27,7 +26,7 @@ from p2o_plugins.p2ornet.loss import order_loss
 from p2o_plugins.p2ornet.network import P2ORNet, placed
 from p2o_plugins.p2ornet.options import Augmentation, TrainingOptions
 from p2o_plugins.p2ornet.thinning import peaks, side_probabilities
-from p2o_plugins.p2ornet.weights import Shape, load_weights, save_weights
+from p2o_plugins.p2ornet.weights import Shape, load_weights, save_weights, write_tensors
 
 Group = TrainingGroup
 Progress = TrainingProgress
@@ -316,9 +315,7 @@ def _save_state(
         tensors |= {f"optimizer.{number}.{name}": torch.as_tensor(value) for name, value in memory.items()}
     # Convolution weights live in channels_last; safetensors wants plain memory.
     plain = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
-    beside = path.with_suffix(".part")
-    save_file(plain, beside, metadata={"step": str(step), **_fingerprint(options)})
-    beside.replace(path)
+    write_tensors(path, plain, {"step": str(step), **_fingerprint(options)})
 
 
 def _resume(

@@ -10,8 +10,9 @@ from typing import Any
 
 import torch
 from p2o import InputError
+from p2o.whole_file import write_whole
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor
 
 from p2o_plugins.p2ornet.encoders import ENCODERS
@@ -53,9 +54,21 @@ def save_weights(network: P2ORNet, shape: Shape, path: Path, *, half: bool = Tru
         for name, value in network.state_dict().items()
     }
     header = {"kind": _KIND, "shape": json.dumps(asdict(shape))}
-    beside = path.with_suffix(".part")
-    save_file(state, beside, metadata=header)
-    beside.replace(path)
+    write_tensors(path, state, header)
+
+
+def write_tensors(path: Path, tensors: dict[str, Tensor], header: Mapping[str, str]) -> None:
+    """Write a safetensors file whole or not at all; the same content gives the same bytes.
+
+    safetensors itself writes the entries of the header in an order of chance.
+    """
+    raw = save(tensors, metadata=dict(header))
+    size = int.from_bytes(raw[:8], "little")
+    entries = json.loads(raw[8 : 8 + size])
+    entries["__metadata__"] = dict(sorted(entries["__metadata__"].items()))
+    text = json.dumps(entries, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 8)
+    write_whole(path, len(text).to_bytes(8, "little") + text + raw[8 + size :])
 
 
 def load_weights(path: Path) -> tuple[P2ORNet, Shape]:

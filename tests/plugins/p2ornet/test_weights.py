@@ -11,7 +11,8 @@ import pytest
 import torch
 from p2o import InputError
 from p2o_plugins.p2ornet.network import P2ORNet
-from p2o_plugins.p2ornet.weights import Shape, load_weights, save_weights
+from p2o_plugins.p2ornet.weights import Shape, load_weights, save_weights, write_tensors
+from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 THIN = Shape("efficientnet-lite0", (4, 4, 4, 4, 4), 2, 4, {"data": "made up", "steps": "7"})
@@ -192,3 +193,14 @@ def test_weights_that_are_not_finite_are_told(value: float, saved: Path, tmp_pat
     state["middle.0.weight"][0, 0, 0, 0] = value
     save_file(state, tmp_path / "w.safetensors", metadata={"kind": "p2ornet", "shape": json.dumps(_shape())})
     assert "not finite" in refusal(tmp_path / "w.safetensors")
+
+
+def test_the_same_weights_are_the_same_bytes(tmp_path: Path) -> None:
+    tensors = {"a": torch.ones(3), "b": torch.zeros(2, 2)}
+    header = {word: word for word in ("kind", "shape", "step", "options", "more")}
+    for number in range(4):
+        write_tensors(tmp_path / f"{number}", tensors, header)
+    assert len({(tmp_path / f"{number}").read_bytes() for number in range(4)}) == 1
+    with safe_open(tmp_path / "0", framework="pt") as file:
+        assert file.metadata() == header
+        assert torch.equal(file.get_tensor("a"), torch.ones(3))
