@@ -42,6 +42,14 @@ def test_image_edges_are_single_pixels_of_their_colour() -> None:
     assert (picture != ground).any(axis=2).sum() == 5
 
 
+def test_doubtful_edges_are_faint_and_the_surest_wins() -> None:
+    edges = ImageEdges(PLACES[[0, 1, 1, 1]], ALL[[0, 0, 1, 2]], np.array([0.5, 0.2, 0.9, 0.1]))
+    picture = draw(RGB, edges, NO_CLOUD, CAMERA, np.eye(4), legend=False).astype(int)
+    ground = picture[0, 0]
+    for u, side, weight in ((20, "L", 0.5), (60, "R", 0.9)):
+        np.testing.assert_allclose(picture[50, u], ground + weight * (np.array(COLOURS[side]) - ground), atol=1)
+
+
 def test_lidar_edges_are_rings_around_their_projection_at_the_pose() -> None:
     lidar_from_camera = se3.exp(np.array([0.1, -0.2, 1.0, 0.3, 0.2, -0.5]))
     edges = CloudEdges(se3.apply(lidar_from_camera, _lifted(PLACES)), ALL)

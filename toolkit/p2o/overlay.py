@@ -42,14 +42,14 @@ def draw(
 ) -> UInt8:
     """Return (H, W, 3): image edges as single pixels and LiDAR edges, projected at a pose (4, 4), as small rings.
 
-    The colour tells the direction (`COLOURS`). The centre of a ring shows what lies beneath it: where the pose is
-    right, rings have a line of their own colour through the middle. LiDAR edges outside of the image are left out.
+    Image edges fade into the picture with their confidence. The colour tells the direction (`COLOURS`). The centre of
+    a ring shows what lies beneath it: where the pose is right, rings have a line of their own colour through the
+    middle. LiDAR edges outside of the image are left out.
 
     Raises InputError if the image does not fit the camera.
     """
     canvas = _dimmed(rgb, camera)
-    pixel = np.rint(image_edges.uv).astype(np.int64)
-    _stamp(canvas, pixel, np.zeros((1, 2), np.int64), _colours(image_edges.side, IMAGE_NONE))
+    _stamp_faded(canvas, image_edges)
     uv = camera.project(se3.apply(camera_from_lidar, cloud_edges.xyz))
     seen = camera.in_image(uv)
     centre, colours = np.rint(uv[seen]).astype(np.int64), _colours(cloud_edges.side[seen], CLOUD_NONE)
@@ -139,6 +139,17 @@ def _stamp(canvas: UInt8, centre: Int, offsets: Int, colours: UInt8) -> None:
     inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
     rows = np.nonzero(inside)[0]
     canvas[v[inside], u[inside]] = colours[rows]
+
+
+def _stamp_faded(canvas: UInt8, edges: ImageEdges) -> None:
+    """Paint image edges as single pixels, each as strong as its confidence; of several at a pixel the surest wins."""
+    order = np.argsort(edges.weight, kind="stable")
+    u, v = np.rint(edges.uv[order]).astype(np.int64).T
+    inside = (u >= 0) & (v >= 0) & (u < canvas.shape[1]) & (v < canvas.shape[0])
+    u, v, order = u[inside], v[inside], order[inside]
+    strength = np.clip(edges.weight[order], 0, 1)[:, None]
+    ground = canvas[v, u]
+    canvas[v, u] = np.rint(ground + strength * (_colours(edges.side[order], IMAGE_NONE) - ground.astype(np.float64)))
 
 
 def _write(canvas: UInt8, text: str, place: tuple[int, int], colour: tuple[int, int, int] = (235, 235, 235)) -> None:
