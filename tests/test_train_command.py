@@ -329,6 +329,38 @@ def test_another_seed_in_the_folder_of_a_training_is_refused(
     assert (trained / "weights.safetensors").read_bytes() == before
 
 
+def test_a_training_begins_from_the_weights_it_is_told(trained: Path, made: Path, tmp_path: Path) -> None:
+    import torch
+    from p2o_plugins.p2ornet.weights import load_weights
+
+    weights = trained / "weights.safetensors"
+    still = ["--set", "learning_rate=1e-12", "--set", "average=0", "--quiet"]
+    assert learn(tmp_path / "on", made, "--set", f"from_weights={weights}", *still) == 0
+    assert learn(tmp_path / "anew", made, *still) == 0
+    first, on, anew = (
+        dict(load_weights(path)[0].named_parameters())
+        for path in (weights, *(tmp_path / name / "weights.safetensors" for name in ("on", "anew")))
+    )
+    assert all(torch.allclose(on[name], first[name], atol=1e-3) for name in first)
+    assert not all(torch.allclose(anew[name], first[name], atol=1e-3) for name in first)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["from_weights=kity"], "unknown weights 'kity'; expected one of: kitti, synthetic"),
+        (["from_weights=kitti", "encoder=resnet50"], "of another network"),
+    ],
+)
+def test_weights_to_begin_from_that_do_not_fit_are_refused(
+    words: list[str], message: str, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert learn(tmp_path, made, *(part for word in words for part in ("--set", word)), "--quiet") == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+
+
 def test_settling_on_data_of_an_unknown_name_is_refused_before_training(
     made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

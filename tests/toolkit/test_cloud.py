@@ -85,3 +85,19 @@ def test_selecting_takes_all_fields_alike() -> None:
         assert np.array_equal(part.ring, np.arange(4)[index])
         assert np.array_equal(part.column, np.array([9, 8, 7, 6])[index])
         assert part.intensity is None
+
+
+def test_a_corrected_sweep_tells_what_was_measured() -> None:
+    """Ten metres ahead of a sensor that drives 10 m/s: half a second before, the same point was 15 m away."""
+    cloud = Cloud([[10.0, 0, 0], [10, 0, 0]], time_s=[-0.5, 0.0], twist=[0, 0, 0, 10, 0, 0])
+    np.testing.assert_allclose(cloud.as_measured(), [[15, 0, 0], [10, 0, 0]])
+    np.testing.assert_allclose(cloud.select(np.array([1, 0])).as_measured(), [[10, 0, 0], [15, 0, 0]])
+    raw = Cloud([[10.0, 0, 0]], time_s=[0.1])
+    assert raw.as_measured() is raw.xyz
+
+
+def test_correction_for_motion_needs_times() -> None:
+    with pytest.raises(InputError, match="has no times"):
+        Cloud([[1.0, 0, 0]], twist=[0, 0, 0, 1, 0, 0])
+    with pytest.raises(InputError, match="twist"):
+        Cloud([[1.0, 0, 0]], time_s=[0.0], twist=[1, 2, 3])

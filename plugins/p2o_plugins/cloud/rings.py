@@ -28,12 +28,20 @@ class RingsOptions(Options):
     )
     ground_height_m: float = field(0.25, ge=0, help="Edges lower than this over the ground plane are dropped; 0: off.")
     min_support: float = field(
-        0.4, ge=0, le=1, help="Share of the seven signs of a clean outline that an edge shows at least (leaves: few)."
+        0.4,
+        ge=0,
+        le=1,
+        help="Share of the seven signs of a clean outline that an edge shows at least (leaves: few); upright edges "
+        "show less where rings are further apart than those of an HDL-64E, and are asked for less.",
     )
     weigh: bool = field(True, help="Weigh edges by that share; otherwise all edges weigh 1.")
-    min_neighbours: int = field(2, ge=0, help="Other edges of the same direction that an edge has around it; 0: off.")
+    min_neighbours: int = field(
+        2, ge=0, help="Other edges of the same direction that an edge has around it (upright ones as above); 0: off."
+    )
     neighbour_m: float = field(0.8, gt=0, help="Radius in which they are counted, in metres.")
-    neighbour_share: float = field(0.02, ge=0, help="The radius is at least this share of the range.")
+    neighbour_share: float = field(
+        0.02, ge=0, help="The radius is at least this share of the range, and reaches the second next ring."
+    )
     shift_beams: float = field(
         0.5, ge=0, le=1, help="Move edges by this share of the gap to the passing beam; the outline lies halfway."
     )
@@ -65,14 +73,18 @@ def ring_edges(cloud: Cloud, options: RingsOptions) -> CloudFeatures:
     jumps = {side: jumps_of(sweep, neighbours, side, options) for side in neighbours}
     plane = ground_plane(sweep, options.seed) if options.ground_height_m > 0 else None
     beam = float(np.median(left.gap[left.known][::8])) if left.known.any() else 0.0
+    step = float(np.median(lower.gap[lower.known][::8])) if lower.known.any() else 0.0
     parts = []
     for side, rows in jumps.items():
         support = support_of(sweep, neighbours, side, rows, options)
-        keep = support >= options.min_support
+        met = _met(side, step)
+        keep = support >= options.min_support * met
         if plane is not None:
             keep &= sweep.xyz(rows) @ plane[:3] + plane[3] > options.ground_height_m
         rows, support = rows[keep], support[keep]
-        keep = _in_company(sweep, rows, options)
+        # Even one upright edge needs another.
+        others = options.min_neighbours and max(1, round(options.min_neighbours * met))
+        keep = _in_company(sweep, rows, others, step, options)
         rows, support = rows[keep], support[keep]
         xyz, sigma = outline(sweep, neighbours[side], side, rows, beam, options)
         weight = support if options.weigh else np.ones(len(rows))
@@ -85,6 +97,8 @@ def ring_edges(cloud: Cloud, options: RingsOptions) -> CloudFeatures:
 
 _OPPOSITE = {Side.LEFT: Side.RIGHT, Side.RIGHT: Side.LEFT, Side.UPPER: Side.BOTTOM, Side.BOTTOM: Side.UPPER}
 _SIGNS = 7
+_USUAL_STEP = np.radians(0.45)
+"""Rings up to this far apart (those of an HDL-64E are) are what `min_support` and `min_neighbours` are meant for."""
 
 
 def jumps_of(sweep: Sweep, neighbours: dict[Side, Neighbours], side: Side, options: RingsOptions) -> Int:
@@ -136,13 +150,25 @@ def support_of(sweep: Sweep, neighbours: dict[Side, Neighbours], side: Side, row
     return signs / _SIGNS
 
 
-def _in_company(sweep: Sweep, rows: Int, options: RingsOptions) -> Bool:
-    """Return which edges have enough others of their direction around them (the paper's radius filter)."""
-    others = options.min_neighbours
+def _met(side: Side, step: float) -> float:
+    """Return the share of an upright outline's usual edges that rings `step` radians apart meet; 1 for the others.
+
+    A car that ten rings of an HDL-64E meet is met by three of an HDL-32E: what is asked of the rings above and below
+    has to be asked for less.
+    """
+    return min(1.0, _USUAL_STEP / max(step, 1e-9)) if side in (Side.LEFT, Side.RIGHT) else 1.0
+
+
+def _in_company(sweep: Sweep, rows: Int, others: int, step: float, options: RingsOptions) -> Bool:
+    """Return which edges have enough others of their direction around them (the paper's radius filter).
+
+    The radius reaches the second next ring, `step` radians being the way to the next.
+    """
     if others == 0 or len(rows) <= others:
         return np.full(len(rows), others == 0)
     xyz = sweep.xyz(rows)
-    radius = np.maximum(options.neighbour_m, options.neighbour_share * sweep.range_m[rows])
+    share = max(options.neighbour_share, 2.2 * step)
+    radius = np.maximum(options.neighbour_m, share * sweep.range_m[rows])
     tree = cKDTree(xyz, balanced_tree=False, compact_nodes=False)
     distance = np.asarray(tree.query(xyz, k=[others + 1], distance_upper_bound=float(radius.max()) * 1.001)[0])
     keep: Bool = distance[:, 0] <= radius

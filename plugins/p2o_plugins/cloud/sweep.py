@@ -17,6 +17,8 @@ _TURN = 2 * np.pi
 _SAME_RAY_DEG = 0.01
 # How far rings may scatter in elevation, of the variance of all returns, to be taken for rings.
 _MOST_SCATTER = 0.25
+# No sensor's lasers leave it further above or below its origin.
+_LARGEST_OFFSET_M = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +69,7 @@ def order_sweep(cloud: Cloud) -> Sweep:
     Rings come from `cloud.ring`, else from the order of the points (see `ring_by_order`). Raises InputError where
     neither tells them.
     """
-    x, y, z = np.ascontiguousarray(cloud.xyz.T, dtype=np.float32)
+    x, y, z = np.ascontiguousarray(cloud.as_measured().T, dtype=np.float32)
     azimuth = np.arctan2(y, x)
     azimuth[azimuth < 0] += np.float32(_TURN)
     azimuth[azimuth >= np.float32(_TURN)] = 0.0
@@ -75,7 +77,7 @@ def order_sweep(cloud: Cloud) -> Sweep:
     label = ring_by_order(azimuth, z / np.maximum(flat, 1e-6)) if cloud.ring is None else _compact(cloud.ring)
     count = int(label.max()) + 1
     slope, offset = _cones(label, flat, z, count)
-    top_down = _from_top(slope)
+    top_down = _from_top(slope, np.bincount(label, z / np.maximum(flat, 1e-3)) / np.bincount(label))
     rank = np.empty(count, np.int64)
     rank[top_down] = np.arange(count)
     ring = rank[label]
@@ -151,21 +153,26 @@ def _cones(label: Int, flat: Single, z: Single, count: int) -> tuple[Float, Floa
     n, sd, sz, sdd, sdz = (np.bincount(label, w, minlength=count) for w in (None, d, h, d * d, d * h))
     prior = (0.05 / 0.3) ** 2  # 5 cm of scatter about the cone, offsets of 0.3 m
     det = np.maximum(sdd * (n + prior) - sd * sd, 1e-12)
-    return (sdz * (n + prior) - sd * sz) / det, (sdd * sz - sd * sdz) / det
+    slope, offset = (sdz * (n + prior) - sd * sz) / det, (sdd * sz - sd * sdz) / det
+    # A sweep that was corrected for motion, by whom it does not say, meets flat ground in a plane, not in a cone.
+    plane = np.abs(offset) > _LARGEST_OFFSET_M
+    return np.where(plane, sdz / np.maximum(sdd, 1e-12), slope), np.where(plane, 0.0, offset)
 
 
-def _from_top(slope: Float) -> Int:
-    """Return the labels from the highest ring to the lowest.
+def _from_top(slope: Float, rise: Float) -> Int:
+    """Return the labels from the highest ring to the lowest, by the slopes of their cones or their mean rise (R,).
 
-    Labels that run up or down nearly everywhere are trusted over the fitted slopes, which few returns make unsure.
+    Labels that run up or down nearly everywhere by either are trusted over the fitted slopes, which few returns make
+    unsure, and so does motion that the sweep was corrected for.
     """
     count = len(slope)
     if count > 2:
-        falling = float(np.mean(np.diff(slope) < 0))
-        if falling >= 0.9:
-            return np.arange(count)
-        if falling <= 0.1:
-            return np.arange(count)[::-1]
+        for height in (slope, rise):
+            falling = float(np.mean(np.diff(height) < 0))
+            if falling >= 0.9:
+                return np.arange(count)
+            if falling <= 0.1:
+                return np.arange(count)[::-1]
     return np.argsort(-slope, kind="stable")
 
 
@@ -229,8 +236,11 @@ def across_rings(sweep: Sweep, step: int, max_azimuth_deg: float, max_step_deg: 
     best = away.argmin(axis=1)
     known[edge] = False
     row[at], known[at] = both[np.arange(len(at)), best], away.min(axis=1, initial=np.inf) <= reach
-    elevation = np.arctan(sweep.slope)
+    # At the distance at which both mostly meet something, where the cones are sure.
+    away_m = np.maximum(np.bincount(sweep.ring, sweep.flat_m, rings) / np.maximum(np.diff(sweep.start), 1), 1.0)
+    middle = np.sqrt(away_m[1:] * away_m[:-1])
+    above, below = (np.arctan(sweep.slope[part] + sweep.offset[part] / middle) for part in (np.s_[:-1], np.s_[1:]))
     between = np.full(rings, np.inf)
-    between[max(0, -step) : rings - max(0, step)] = np.abs(np.diff(elevation))
+    between[max(0, -step) : rings - max(0, step)] = np.abs(above - below)
     gap = between.astype(np.float32)[sweep.ring]
     return Neighbours(row, known & (gap <= np.radians(max_step_deg)), gap)

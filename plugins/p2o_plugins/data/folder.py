@@ -61,6 +61,11 @@ class FrameEntry(Options):
     baseline_m: float | None = field(None, gt=0, help="Distance in metres from the image's camera to the right one.")
     depth: str | None = field(None, help="File of depth along the axis: 16 bit PNG (m x 256, 0 unknown) or .npy (m).")
     image_time_s: float | None = field(None, help="Time of the image in seconds on the clock of the sweep's times.")
+    twist: tuple[float, float, float, float, float, float] | None = field(
+        None,
+        help="Velocity of the LiDAR in its own frame, about x y z in rad/s, then along x y z in m/s: the sweep, as "
+        "measured, is corrected by it.",
+    )
 
 
 def build(options: FolderOptions) -> Dataset:
@@ -129,10 +134,30 @@ def _read(root: Path, folder: Path) -> Frame:
     cloud_path = _file(root, folder, entry.cloud, "cloud", CLOUD_SUFFIXES)
     cloud, cloud_warnings = read_cloud(cloud_path, entry.image_time_s)
     warnings += cloud_warnings
+    twist = None if entry.twist is None else np.array(entry.twist)
+    if twist is not None:
+        if cloud.time_s is None:
+            raise InputError(
+                "a sweep without times cannot be corrected for motion",
+                where=cloud_path,
+                expected="a time per point",
+                got=f"twist in {FRAME_FILE}",
+                hint="leave twist out if the sweep is corrected already",
+            )
+        with naming(path):
+            cloud = cloud.untwisted(twist)
     for name, pose in poses.items():
         if pose is not None:
             warnings += check_direction(cloud, camera, pose, name=name, where=path)
-    return Frame(folder.name, image, cloud, camera_from_lidar=poses["truth"], start=poses["start"], warnings=warnings)
+    return Frame(
+        folder.name,
+        image,
+        cloud,
+        camera_from_lidar=poses["truth"],
+        start=poses["start"],
+        twist=twist,
+        warnings=warnings,
+    )
 
 
 def _image(root: Path, folder: Path, entry: FrameEntry, camera: Camera) -> tuple[Image, tuple[str, ...]]:

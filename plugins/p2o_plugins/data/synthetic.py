@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Literal
@@ -11,7 +12,6 @@ from p2o import Camera, Frame, Image, InputError, Method, Options, field, se3
 from p2o.arrays import Float
 
 from p2o_plugins.data.lazy_frames import LazyFrames
-from p2o_plugins.data.velodyne_file import untwisted
 
 if TYPE_CHECKING:
     from p2o.simulate import Moment, Picture, Scene
@@ -137,34 +137,24 @@ def view(options: SyntheticOptions, scene_number: int, number: int = 0) -> View:
     scene, moments = _drive(scene_number, **place)
     moment = moments[number]
     truth = truth_at(options, scene_number, number)
-    camera, world_from_camera = camera_of(options), moment.world_from_lidar @ se3.inverse(truth)
-    picture = simulate.render(scene, camera, world_from_camera, moment.time_s)
-
-    grain = _stream(options, _GRAIN, scene_number, number)
-    photo, right_photo = _photos(options, scene_number, picture)
-    rgb, right = simulate.develop(picture.light, photo, grain), None
-    if camera.is_pinhole and options.right:
-        shifted = world_from_camera @ se3.make(translation=(BASELINE_M, 0.0, 0.0))
-        light = simulate.render(scene, camera, shifted, moment.time_s).light
-        right = simulate.develop(light, right_photo, grain)
-    masked = ~picture.seen | picture.foliage if options.mask_foliage else ~picture.seen
-    image = Image(
-        rgb,
-        camera,
-        right=right,
-        baseline_m=None if right is None else BASELINE_M,
-        depth_m=picture.depth_m,
-        masked=masked if masked.any() else None,
-    )
-
-    noise = _stream(options, _LIDAR, scene_number, number)
-    cloud = simulate.sweep(
-        scene, _lidar(options), moment.world_from_lidar, noise, twist=moment.twist, time_s=moment.time_s
-    )
+    # Beside the picture: each of them has stretches that keep one core busy only.
+    with ThreadPoolExecutor(1) as beside:
+        noise = _stream(options, _LIDAR, scene_number, number)
+        swept = beside.submit(
+            simulate.sweep,
+            scene,
+            _lidar(options),
+            moment.world_from_lidar,
+            noise,
+            twist=moment.twist,
+            time_s=moment.time_s,
+        )
+        image, picture = _seen(options, scene, moment, truth, scene_number, number)
+        cloud = swept.result()
     frame = Frame(
         _name(options, scene_number, number),
         image,
-        untwisted(cloud, moment.twist) if options.deskew else cloud,
+        cloud.untwisted(moment.twist) if options.deskew else cloud,
         camera_from_lidar=truth,
         start=_displaced(truth, options.start_error, _stream(options, _START)),
         twist=moment.twist,
@@ -184,6 +174,34 @@ def _drive(
     travel = speed_m_s * FRAME_S * (10 * -(-frames_per_scene // 10))
     scene, twist = simulate.scene_of(place, layout, speed_m_s=speed_m_s, travel_m=travel)
     return scene.prepare(), simulate.drive(twist, frames_per_scene, sway, period_s=FRAME_S)
+
+
+def _seen(
+    options: SyntheticOptions, scene: Scene, moment: Moment, truth: Float, scene_number: int, number: int
+) -> tuple[Image, Picture]:
+    """Return what the camera sees, as it takes it and before its electronics."""
+    from p2o import simulate
+
+    camera, world_from_camera = camera_of(options), moment.world_from_lidar @ se3.inverse(truth)
+    picture = simulate.render(scene, camera, world_from_camera, moment.time_s)
+
+    grain = _stream(options, _GRAIN, scene_number, number)
+    photo, right_photo = _photos(options, scene_number, picture)
+    rgb, right = simulate.develop(picture.light, photo, grain), None
+    if camera.is_pinhole and options.right:
+        shifted = world_from_camera @ se3.make(translation=(BASELINE_M, 0.0, 0.0))
+        light = simulate.render(scene, camera, shifted, moment.time_s).light
+        right = simulate.develop(light, right_photo, grain)
+    masked = ~picture.seen | picture.foliage if options.mask_foliage else ~picture.seen
+    image = Image(
+        rgb,
+        camera,
+        right=right,
+        baseline_m=None if right is None else BASELINE_M,
+        depth_m=picture.depth_m,
+        masked=masked if masked.any() else None,
+    )
+    return image, picture
 
 
 def _photos(options: SyntheticOptions, scene_number: int, picture: Picture) -> tuple[Any, Any]:

@@ -55,27 +55,6 @@ def times_from_azimuth(azimuth: Float, sweep_s: float) -> Float:
     return np.asarray(-azimuth / (2 * np.pi) * sweep_s)
 
 
-def untwisted(cloud: Cloud, twist: Float) -> Cloud:
-    """Return the sweep as if it was measured at time 0 from a LiDAR that moves with constant `twist` (6,).
-
-    The twist is in the LiDAR frame (rad/s, m/s); points (N, 3) measured at t move by exp(twist t), here in closed
-    form since the axis is the same for all. Times are kept. A sweep without times is returned as it is.
-    """
-    if cloud.time_s is None:
-        return cloud
-    omega, velocity = twist[:3], twist[3:]
-    t = cloud.time_s[:, None]
-    angle = np.linalg.norm(omega) * t
-    # Rodrigues' formula and the left Jacobian; the last term by series, good to 1e-9 for turns of up to 0.5 rad.
-    a = np.sinc(angle / np.pi)
-    b = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
-    c = 1 / 6 - angle**2 / 120 + angle**4 / 5040
-    turned, twice = np.cross(omega, cloud.xyz), np.cross(omega, np.cross(omega, cloud.xyz))
-    pushed, pushed_twice = np.cross(omega, velocity), np.cross(omega, np.cross(omega, velocity))
-    xyz = cloud.xyz + t * (a * turned + velocity) + t**2 * b * (twice + pushed) + t**3 * c * pushed_twice
-    return replace(cloud, xyz=xyz)
-
-
 def raise_elevation(xyz: Float, angle_deg: float) -> Float:
     """Return points (N, 3) with every elevation raised by `angle_deg`, ranges and azimuths kept."""
     flat = np.hypot(xyz[:, 0], xyz[:, 1])

@@ -19,28 +19,34 @@ from p2o import (
     Trainer,
     TrainingGroup,
     TrainingProgress,
-    UnknownNameError,
     field,
     occlusion,
 )
 from p2o.arrays import Float, UInt8
 
 from p2o_plugins.p2ornet.options import PRESETS, TrainingOptions
+from p2o_plugins.p2ornet.shipped import path_of
 
 if TYPE_CHECKING:
     from p2o_plugins.p2ornet.network import P2ORNet
-
-WEIGHTS = Path(__file__).parents[1] / "weights"
-SHIPPED = {"kitti": "p2ornet-kitti.safetensors"}
-"""By name, the weights that come with the package: see MODEL_CARD.md beside them."""
 
 
 class P2ORNetOptions(Options):
     """Which network looks for occlusion edges, and how certain it has to be."""
 
-    weights: str = field("kitti", help="Weights: kitti (shipped; for research only), or a file that p2o train wrote.")
+    weights: str = field(
+        "kitti",
+        help="Weights: kitti (shipped; for research only), synthetic (shipped; have seen made-up streets only), or a "
+        "file that p2o train wrote.",
+    )
     min_confidence: float = field(0.05, ge=0, le=1, help="Edges less certain than this are dropped.")
     min_line_px: int = field(5, ge=1, help="Connected edges of fewer pixels than this are dropped, side by side.")
+    min_contrast: float = field(
+        2.0,
+        ge=0,
+        le=255,
+        help="Edges are dropped where the picture changes by less than this within 3 px, in grey levels; 0: off.",
+    )
     device: str = field("auto", pattern="^(auto|cpu|cuda(:[0-9]+)?)$", help="auto takes a GPU where there is one.")
 
 
@@ -62,24 +68,17 @@ def build(options: P2ORNetOptions) -> ImageExtractor:
         found = peaks(maps, min_score=0.02)
         confidence = calibrated(found.score, slope, offset)
         keep = confidence >= options.min_confidence
+        height, width = image.rgb.shape[:2]
+        u, v = np.clip(found.pixel.T.astype(np.int64), 0, [[width - 1], [height - 1]])
+        if options.min_contrast > 0:
+            keep &= contrast(image.rgb)[v, u] >= options.min_contrast
         if image.masked is not None:
-            u, v = found.pixel.T.astype(np.int64)
-            height, width = image.masked.shape
-            keep &= ~image.masked[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)]
+            keep &= ~image.masked[v, u]
         found, confidence = found.select(keep), confidence[keep]
         long = long_enough(found.pixel, found.side, image.rgb.shape[:2], options.min_line_px)
         return ImageFeatures(ImageEdges(found.uv[long], found.side[long], confidence[long]))
 
     return extract
-
-
-def path_of(weights: str) -> Path:
-    """Return the file of weights given by name or path; raises UnknownNameError if there is none."""
-    if weights in SHIPPED:
-        return WEIGHTS / SHIPPED[weights]
-    if not Path(weights).exists():
-        raise UnknownNameError("weights", weights, SHIPPED, hint="or the path of a .safetensors file")
-    return Path(weights)
 
 
 def _calibration(text: str, path: Path) -> tuple[float, float]:
@@ -91,6 +90,17 @@ def _calibration(text: str, path: Path) -> tuple[float, float]:
     if not (np.isfinite([slope, offset]).all() and slope > 0):
         raise InputError("unknown calibration of the weights", where=path, expected="slope > 0, offset", got=text)
     return slope, offset
+
+
+def contrast(rgb: UInt8) -> UInt8:
+    """Return how much any channel of a picture (H, W, 3) changes within 3 px of each pixel (H, W), in grey levels.
+
+    Where nothing changes (white on white, a lens cap), no outline can be seen, whatever a network makes of it.
+    """
+    import cv2
+
+    window = np.ones((7, 7), np.uint8)
+    return np.asarray((cv2.dilate(rgb, window) - cv2.erode(rgb, window)).max(axis=2))
 
 
 def calibrated(score: Float, slope: float, offset: float) -> Float:
@@ -201,6 +211,6 @@ METHOD = Method(
     options=P2ORNetOptions,
     summary="Directed occlusion edges of one picture, labelled by a network.",
     gives={"image-edges", "side"},
-    trainer=Trainer(options=TrainingOptions, presets=PRESETS, label=label, draw=draw, train=train),
+    trainer=Trainer(options=TrainingOptions, presets=PRESETS, label=label, draw=draw, train=train, label_version=2),
     cite="Wang et al., P2O-Calib, 2023, Sec. III-B; Qiu, Xiao, Wang, Marlet, P2ORM, ECCV 2020",
 )

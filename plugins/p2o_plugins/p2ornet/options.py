@@ -54,6 +54,11 @@ class TrainingOptions(Options):
     imagenet: str = field(
         "auto", help="ImageNet weights of the encoder: a file, none (from scratch), or auto: those installed, if any."
     )
+    from_weights: str = field(
+        "",
+        help="Begin from these weights instead: kitti (shipped; for research only), synthetic, "
+        "or a file that p2o train wrote. Empty: begin from ImageNet weights, or from scratch.",
+    )
     validate_every: int = field(250, ge=1, help="Steps from one validation (and checkpoint) to the next.")
     settle: int = field(
         0,
@@ -83,7 +88,7 @@ class TrainingOptions(Options):
 
     def imagenet_file(self) -> Path | None:
         """Return the file of ImageNet weights, or None for a training from scratch; nothing of a package is run."""
-        if self.imagenet == "none":
+        if self.from_weights or self.imagenet == "none":
             return None
         return installed_weights(self.encoder) if self.imagenet == "auto" else Path(self.imagenet).expanduser()
 

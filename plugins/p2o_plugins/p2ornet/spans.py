@@ -22,6 +22,8 @@ EAST, SOUTH = 0, 1
 ORDER = {Side.LEFT: -1, Side.RIGHT: 1, Side.UPPER: -1, Side.BOTTOM: 1}
 """Order of the pair across an edge: +1 where its first (left, upper) pixel hides the second."""
 AXIS = {Side.LEFT: EAST, Side.RIGHT: EAST, Side.UPPER: SOUTH, Side.BOTTOM: SOUTH}
+BEAM_PX = 1.0
+"""How far within its last return's beam the outline of a surface may lie, in pixels."""
 _SPAN = np.dtype([("axis", "i1"), ("order", "i1"), ("line", "f4"), ("start", "f4"), ("end", "f4"), ("weight", "f4")])
 
 
@@ -88,8 +90,8 @@ def lidar_spans(cloud: Cloud, camera: Camera, camera_from_lidar: Float, *, speed
     inside = np.flatnonzero(seen)
     seen[inside] = ~hidden(xyz[inside], xyz[inside], camera, camera_from_lidar)
     parts = [
-        _continuous(sweep, right, uv, seen, EAST),
-        _continuous(sweep, lower, uv, seen, SOUTH),
+        _continuous(sweep, right, uv, seen, EAST, _slip_px(xyz, camera, speed_m_s)),
+        _continuous(sweep, lower, uv, seen, SOUTH, _slip_px(xyz, camera, speed_m_s)),
     ]
     beam = float(np.median(left.gap[left.known][::8])) if left.known.any() else 0.0
     whole = RingsOptions(shift_beams=1.0)
@@ -111,14 +113,18 @@ def lidar_spans(cloud: Cloud, camera: Camera, camera_from_lidar: Float, *, speed
         a, b = uv[rows, along], passing[:, along]
         # Beams have a width: a return may come from the last of a surface whose outline its centre has passed.
         out = np.sign(b - a)
-        a, b = a - out * (1.0 + slip), b + out * (0.5 + slip)
+        a, b = a - out * (BEAM_PX + slip), b + out * (0.5 + slip)
         line = 0.5 * (uv[rows, across] + passing[:, across])
         parts.append(Spans.of(AXIS[side], ORDER[side], line, a, b, support))
     return Spans.joined(*parts)
 
 
-def _continuous(sweep: Sweep, step: Neighbours, uv: Float, seen: Bool, axis: int) -> Spans:
-    """Return stretches between neighbours that lie on one surface."""
+def _continuous(sweep: Sweep, step: Neighbours, uv: Float, seen: Bool, axis: int, slip: Float) -> Spans:
+    """Return stretches between neighbours that lie on one surface.
+
+    Where a surface ends, the end of its last stretch is cut by as much as its outline may lie within the last return's
+    beam, and by the `slip` (N,) in px of ego-motion: those pairs are in the stretch of the occlusion.
+    """
     r = sweep.range_m
     near = np.minimum(r, r[step.row])
     on = step.known & seen & seen[step.row] & (np.abs(r[step.row] - r) < 0.1 + 0.01 * near)
@@ -128,6 +134,11 @@ def _continuous(sweep: Sweep, step: Neighbours, uv: Float, seen: Bool, axis: int
     a, b, drift = uv[first, along], uv[second, along], np.abs(uv[first, across] - uv[second, across])
     keep = (np.abs(b - a) < 16) & (drift < 3)
     line = 0.5 * (uv[first, across] + uv[second, across])
+    goes_on, came_on = on[second], np.zeros(len(r), bool)
+    came_on[second] = True
+    out = np.sign(b - a)
+    a, b = a + out * (BEAM_PX + slip[first]) * ~came_on[first], b - out * (BEAM_PX + slip[second]) * ~goes_on
+    keep &= out * (b - a) > 0
     return Spans.of(axis, 0, line[keep], a[keep], b[keep])
 
 

@@ -25,6 +25,7 @@ from p2o_plugins.p2ornet.example import UNKNOWN, Example
 from p2o_plugins.p2ornet.loss import order_loss
 from p2o_plugins.p2ornet.network import P2ORNet, placed
 from p2o_plugins.p2ornet.options import Augmentation, TrainingOptions
+from p2o_plugins.p2ornet.shipped import path_of
 from p2o_plugins.p2ornet.thinning import peaks, side_probabilities
 from p2o_plugins.p2ornet.weights import Shape, load_weights, save_weights, write_tensors
 
@@ -46,7 +47,7 @@ def train(
     Writes `weights.safetensors` (half precision), `state.safetensors` (to go on from), `log.csv`, and TensorBoard
     events where tensorboard is installed. Crops depend on seed and step only, so a resumed training sees what an
     unbroken one would. Raises InputError where there is nothing to train on or `out` holds another training,
-    UnknownNameError where `settle_on` names no group.
+    UnknownNameError where `settle_on` names no group or `from_weights` nothing.
     """
     groups = [g for g in groups if len(g.paths) and g.share > 0]
     if not groups:
@@ -56,10 +57,7 @@ def train(
         raise UnknownNameError("data", options.settle_on, [g.name for g in groups], where="settle_on")
     torch.manual_seed(options.seed)
     shape = Shape.of(options.encoder)
-    network = shape.network()
-    imagenet = options.imagenet_file()
-    if imagenet is not None:
-        load_imagenet(network, imagenet)
+    network = _first(options, shape)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     placed(network, device)
     optimizer = _optimizer(options, network)
@@ -118,6 +116,27 @@ def train(
 def _shares(groups: Sequence[Group]) -> Float:
     """Return the part (N,) of every batch that each group makes up."""
     return np.array([group.share for group in groups]) / sum(group.share for group in groups)
+
+
+def _first(options: TrainingOptions, shape: Shape) -> P2ORNet:
+    """Return the network that a training begins with."""
+    if not options.from_weights:
+        network = shape.network()
+        imagenet = options.imagenet_file()
+        if imagenet is not None:
+            load_imagenet(network, imagenet)
+        return network
+    path = path_of(options.from_weights)
+    network, found = load_weights(path)
+    if replace(found, about={}) != replace(shape, about={}):
+        raise InputError(
+            "the weights to begin from are of another network",
+            where=path,
+            expected=f"{shape.encoder}, widths {shape.widths}, connectivity {shape.connectivity}",
+            got=f"{found.encoder}, widths {found.widths}, connectivity {found.connectivity}",
+            hint=f"--encoder {found.encoder}",
+        )
+    return network
 
 
 def load_imagenet(network: P2ORNet, path: Path) -> None:
@@ -208,7 +227,7 @@ def _step(
 
 def _frozen(options: TrainingOptions) -> bool:
     """Return whether the encoder keeps its batch-norm statistics: it has none of use before ImageNet or training."""
-    return options.freeze_norm and options.imagenet_file() is not None
+    return options.freeze_norm and (bool(options.from_weights) or options.imagenet_file() is not None)
 
 
 def weights_of(options: TrainingOptions) -> tuple[float, float, float]:
@@ -297,7 +316,7 @@ def reached(network: P2ORNet, examples: Sequence[Example]) -> tuple[Float, Bool]
 
 
 def _fingerprint(options: TrainingOptions) -> dict[str, str]:
-    same = {"encoder", "batch", "crop_px", "seed"}
+    same = {"encoder", "batch", "crop_px", "seed", "from_weights"}
     return {"options": json.dumps({k: v for k, v in options.model_dump(mode="json").items() if k in same})}
 
 

@@ -271,9 +271,18 @@ def test_leaves_weigh_less_than_a_wall_edge_and_go_first():
     assert in_bush.sum() > 500
     assert edges.weight[~in_bush].mean() > 0.9
     assert edges.weight[in_bush].mean() < 0.4
-    kept = edges_of(Cloud(xyz, cloud.ring), min_support=0.6)
+    kept = edges_of(Cloud(xyz, cloud.ring), min_support=0.65)
     assert np.count_nonzero(kept.xyz[:, 1] < -1) < 0.05 * in_bush.sum()
     assert np.count_nonzero(kept.xyz[:, 1] > -1) > 0.9 * np.count_nonzero(~in_bush)
+
+
+def test_an_outline_that_few_rings_meet_is_kept_where_rings_are_far_apart():
+    """A car's length of box, 25 m away: three rings of an HDL-32E meet its sides."""
+    box, wall = Box((25, 0, -1), (2, 4, 1.5)), Box((60, 0, 0), (1, 120, 30))
+    edges = edges_of(Lidar(HDL32, step_deg=0.17).scan(GROUND, box, wall))
+    for side, azimuth in ((Side.LEFT, np.degrees(np.arctan2(2, 24))), (Side.RIGHT, -np.degrees(np.arctan2(2, 24)))):
+        near = np.abs(azimuth_deg(edges, side) - azimuth) < 0.2
+        assert near.sum() >= 2
 
 
 def test_every_option_changes_the_outcome():

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from p2o import Cloud
+from p2o.motion import moved
 from p2o_plugins.cloud.sweep import across_rings, along_ring, order_sweep
 
-from tests.plugins.cloud.casting import HDL64, Box, Lidar
+from tests.plugins.cloud.casting import GROUND, HDL32, HDL64, Box, Lidar
 
 
 def room(lidar: Lidar) -> Cloud:
@@ -48,6 +49,24 @@ def test_a_ring_at_one_distance_is_given_no_height():
     sweep = order_sweep(Cloud(xyz, ring=np.zeros(360, int)))
     assert abs(sweep.offset[0]) < 0.05
     assert sweep.slope[0] == pytest.approx(0.1, abs=0.005)
+
+
+@pytest.mark.parametrize("elevations", [HDL32, HDL64])
+@pytest.mark.parametrize("told", [True, False])
+def test_correcting_a_sweep_for_motion_keeps_its_rings(elevations: np.ndarray, told: bool):
+    """On flat ground a corrected ring lies in a plane, not on its cone; the sweep may say what it was corrected for."""
+    cloud = Lidar(elevations, step_deg=0.6).scan(GROUND, Box((32, 0, 0), (1, 90, 90)), Box((0, 15, 0), (90, 1, 12)))
+    azimuth = np.arctan2(cloud.xyz[:, 1], cloud.xyz[:, 0])
+    time_s, twist = -azimuth / (2 * np.pi) * 0.1, np.array([0.0, 0.0, 0.1, 15.0, 0.0, 0.0])
+    corrected = Cloud(moved(twist, time_s, cloud.xyz), ring=cloud.ring, time_s=time_s, twist=twist if told else None)
+    measured, sweep = order_sweep(cloud), order_sweep(corrected)
+    rings = corrected.ring[sweep.point]
+    assert (np.diff(rings[sweep.start[:-1]]) > 0).all()
+    gap, wanted = (np.degrees(across_rings(s, 1, 0.3, 3.0).gap[s.start[:-2]]) for s in (sweep, measured))
+    np.testing.assert_allclose(gap, wanted, atol=1e-6 if told else 0.35)
+    if told:
+        np.testing.assert_allclose(sweep.range_m, measured.range_m, rtol=1e-5)
+        np.testing.assert_array_equal(sweep.xyz(slice(None)), corrected.xyz[sweep.point])
 
 
 def test_neighbours_on_the_ring_undo_each_other_and_close_the_seam():

@@ -217,6 +217,29 @@ def test_times_of_the_sweep_are_made_relative_to_the_image(tmp_path: Path) -> No
     assert np.array_equal(dataset(tmp_path)[0].cloud.time_s, [-0.5, 0, 0.25])
 
 
+def test_a_sweep_is_corrected_by_the_velocity_that_is_given(tmp_path: Path) -> None:
+    """At 10 m/s, what was seen half a second before and after at 10 m ahead is 5 m nearer and farther by now."""
+    write_frame(tmp_path, cloud="scan.npz", twist=[0, 0, 0, 10, 0, 0])
+    np.savez(tmp_path / "scan.npz", xyz=np.array([[10.0, 0, 0]] * 3), time_s=np.array([-0.5, 0.0, 0.5]))
+    frame = dataset(tmp_path)[0]
+    assert np.allclose(frame.cloud.xyz, [[5, 0, 0], [10, 0, 0], [15, 0, 0]])
+    assert np.allclose(frame.cloud.as_measured(), [[10, 0, 0]] * 3)
+    assert np.array_equal(frame.twist, [0, 0, 0, 10, 0, 0])
+
+
+def test_a_velocity_without_times_and_one_that_is_no_number_are_refused(tmp_path: Path) -> None:
+    write_frame(tmp_path, twist=[0, 0, 0, 10, 0, 0])
+    with pytest.raises(InputError, match=r"cloud\.bin: a sweep without times cannot be corrected for motion"):
+        dataset(tmp_path)[0]
+    write_frame(tmp_path, twist=[0, 0, 0, 10, 0])
+    with pytest.raises(InputError, match=r"frame\.yaml: twist"):
+        dataset(tmp_path)[0]
+    np.savez(tmp_path / "scan.npz", xyz=np.ones((3, 3)), time_s=np.zeros(3))
+    write_frame(tmp_path, cloud="scan.npz", twist=[0, 0, 0, float("nan"), 0, 0])
+    with pytest.raises(InputError, match=r"frame\.yaml.*twist"):
+        dataset(tmp_path)[0]
+
+
 def test_a_folder_without_frames_says_what_it_should_hold(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no frames; expected frame\.yaml in it or in its sub-folders"):
         dataset(tmp_path)

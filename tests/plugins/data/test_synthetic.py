@@ -12,7 +12,6 @@ import pytest
 from p2o import Dataset, Frame, InputError, se3
 from p2o.perturb import parse_perturbation
 from p2o_plugins.data.synthetic import BASELINE_M, METHOD, SyntheticOptions, build, camera_from_lidar, view
-from p2o_plugins.data.velodyne_file import untwisted
 from pydantic import ValidationError
 from scipy import ndimage
 
@@ -129,7 +128,7 @@ def test_every_lidar_gives_what_it_has(lidar: str) -> None:
 
 def test_a_raw_sweep_untwisted_by_the_frames_twist_is_the_deskewed_one() -> None:
     raw, straight = (build(SyntheticOptions(deskew=d, speed_m_s=20.0, **SMALL))[0] for d in (False, True))
-    np.testing.assert_array_equal(untwisted(raw.cloud, raw.twist).xyz, straight.cloud.xyz)
+    np.testing.assert_array_equal(raw.cloud.untwisted(raw.twist).xyz, straight.cloud.xyz)
     assert np.linalg.norm(raw.twist[3:]) == pytest.approx(20.0, rel=0.02)
     assert np.abs(raw.cloud.xyz - straight.cloud.xyz).max() > 0.5
 

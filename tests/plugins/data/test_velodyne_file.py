@@ -10,7 +10,6 @@ from p2o_plugins.data.velodyne_file import (
     read_sweep,
     rings_from_azimuth,
     times_from_azimuth,
-    untwisted,
 )
 
 from .kitti_files import sweep, write_sweep
@@ -54,14 +53,14 @@ def test_an_untwisted_sweep_has_times_only_if_asked(tmp_path: Path) -> None:
 def test_points_straight_ahead_do_not_move_when_a_sweep_is_untwisted() -> None:
     xyz = np.array([[10.0, 0, 0], [50.0, 0, -1], [3.0, 0, 1]])
     cloud = Cloud(xyz, time_s=times_from_azimuth(azimuths(xyz), 0.1))
-    assert np.array_equal(untwisted(cloud, np.array([0.1, 0.2, 0.3, 15.0, 1.0, 0.5])).xyz, xyz)
+    assert np.array_equal(cloud.untwisted(np.array([0.1, 0.2, 0.3, 15.0, 1.0, 0.5])).xyz, xyz)
 
 
 def test_driving_on_brings_points_seen_before_closer_and_points_seen_after_further() -> None:
     # At 20 m/s the left side was measured 25 ms early, 0.5 m behind: seen from "now" it lies 0.5 m further back.
     xyz = np.array([[0.0, 10.0, 0.0], [0.0, -10.0, 0.0]])
     cloud = Cloud(xyz, time_s=times_from_azimuth(azimuths(xyz), 0.1))
-    moved = untwisted(cloud, np.array([0.0, 0, 0, 20.0, 0, 0])).xyz
+    moved = cloud.untwisted(np.array([0.0, 0, 0, 20.0, 0, 0])).xyz
     assert np.allclose(moved, [[-0.5, 10, 0], [0.5, -10, 0]], atol=1e-12)
 
 
@@ -71,7 +70,7 @@ def test_untwisting_is_the_exponential_of_twist_times_time() -> None:
     twist = np.array([0.3, -0.5, 0.9, 20.0, -3.0, 1.0])
     each = se3.exp(twist * cloud.time_s[:, None])
     expected = np.einsum("nij,nj->ni", each[:, :3, :3], cloud.xyz) + each[:, :3, 3]
-    assert np.allclose(untwisted(cloud, twist).xyz, expected, atol=1e-11)
+    assert np.allclose(cloud.untwisted(twist).xyz, expected, atol=1e-11)
 
 
 def test_a_static_world_seen_while_driving_is_put_together_again() -> None:
@@ -82,12 +81,12 @@ def test_a_static_world_seen_while_driving_is_put_together_again() -> None:
     measured = np.stack(
         [se3.apply(se3.inverse(se3.exp(twist * t)), p[None])[0] for t, p in zip(time_s, world, strict=True)]
     )
-    assert np.allclose(untwisted(Cloud(measured, time_s=time_s), twist).xyz, world, atol=1e-10)
+    assert np.allclose(Cloud(measured, time_s=time_s).untwisted(twist).xyz, world, atol=1e-10)
 
 
 def test_without_times_nothing_is_untwisted() -> None:
     cloud = Cloud(np.ones((2, 3)))
-    assert untwisted(cloud, np.ones(6)) is cloud
+    assert cloud.untwisted(np.ones(6)) is cloud
 
 
 def test_raising_elevations_keeps_ranges_and_azimuths() -> None:

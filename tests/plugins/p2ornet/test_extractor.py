@@ -9,10 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from p2o import Camera, Image, ImageEdges, InputError, Kind, UnknownNameError
+from p2o import SIDES, Camera, Image, ImageEdges, InputError, Kind, Side, UnknownNameError
 from p2o.testing import checks_for, stage
-from p2o_plugins.image.p2ornet import METHOD, SHIPPED, P2ORNetOptions, build, folded, path_of, probabilities
+from p2o_plugins.data import synthetic
+from p2o_plugins.image import depth
+from p2o_plugins.image.p2ornet import METHOD, P2ORNetOptions, build, folded, probabilities
 from p2o_plugins.p2ornet.network import P2ORNet
+from p2o_plugins.p2ornet.shipped import SHIPPED, path_of
 from p2o_plugins.p2ornet.weights import Shape, save_weights
 from torch import nn
 
@@ -194,17 +197,51 @@ def test_probabilities_are_those_of_the_network_in_any_memory_layout() -> None:
     np.testing.assert_allclose(probabilities(folded(network), rgb), direct, atol=1e-4)
 
 
+@pytest.mark.parametrize("weights", sorted(SHIPPED))
+def test_shipped_weights_find_edges_of_a_street_they_have_not_seen_on_their_own_side(weights: str) -> None:
+    """Within 2 px of the surest edges there is far more often an exact edge of their side than one of the other."""
+    frame = synthetic.build(synthetic.SyntheticOptions(place="street", seed=206, right=False))[0]
+    found = build(P2ORNetOptions(weights=weights, min_confidence=0.7))(frame.image).edges
+    exact = depth.METHOD.build(depth.METHOD.options())(frame.image).edges
+    assert len(found) > 500
+
+    def share(side_of: dict[Side, Side]) -> float:
+        near = [
+            exact.trees[side_of[side]].query(found.uv[found.index[side]])[0] < 2.0
+            for side in SIDES
+            if side in found.index
+        ]
+        return float(np.concatenate(near).mean())
+
+    mirrored = {Side.LEFT: Side.RIGHT, Side.RIGHT: Side.LEFT, Side.UPPER: Side.BOTTOM, Side.BOTTOM: Side.UPPER}
+    own = share({side: side for side in SIDES})
+    assert own > 0.4
+    assert own > 2.5 * share(mirrored)
+
+
+@pytest.mark.parametrize("weights", sorted(SHIPPED))
+def test_there_is_no_edge_where_nothing_changes(weights: str) -> None:
+    """Half of the picture is black: the network invents edges there, the extractor drops them."""
+    rgb = np.zeros((96, 192, 3), np.uint8)
+    rgb[:, 96:] = np.random.default_rng(0).integers(0, 256, (96, 1, 3)).repeat(96, axis=1)
+    image = Image(rgb, Camera.pinhole(100, 100, 95.5, 47.5, 192, 96))
+    invented, found = (build(P2ORNetOptions(weights=weights, min_contrast=c))(image).edges for c in (0, 2))
+    assert (invented.uv[:, 0] < 96 - 5).any()
+    assert not (found.uv[:, 0] < 96 - 5).any()
+
+
 # ---- what goes wrong
 
 
 def test_unknown_weights_are_told_with_the_names_that_exist(tmp_path: Path) -> None:
-    with pytest.raises(UnknownNameError, match=r"^unknown weights 'kity'; expected one of: kitti; did you"):
+    with pytest.raises(UnknownNameError, match=r"^unknown weights 'kity'; expected one of: kitti, synthetic; did you"):
         build(P2ORNetOptions(weights="kity"))
     missing = str(tmp_path / "w.safetensors")
     with pytest.raises(InputError, match=r"expected one of: kitti.*path") as caught:
         build(P2ORNetOptions(weights=missing))
     assert "\n" not in str(caught.value)
-    assert path_of("kitti").name == SHIPPED["kitti"]
+    for name, file in SHIPPED.items():
+        assert path_of(name).name == file
 
 
 def test_a_folder_or_a_picture_is_no_weights_file(tmp_path: Path) -> None:

@@ -203,6 +203,19 @@ def test_where_the_sweep_goes_on_there_is_no_occlusion(axis: int) -> None:
     assert np.mean(orders[axis][told] == 0) >= 0.99
 
 
+def test_what_a_sweep_calls_an_occlusion_it_does_not_also_call_none() -> None:
+    """No stretch without an occlusion reaches into the near end of one with: the same picture cannot teach both."""
+    found = labels("street").rows
+    smooth, edges = found[found["order"] == 0], found[found["order"] != 0]
+    across = 0.0
+    for axis in (EAST, SOUTH):
+        none, one = smooth[smooth["axis"] == axis], edges[edges["axis"] == axis]
+        overlap = np.minimum(one["end"][:, None], none["end"]) - np.maximum(one["start"][:, None], none["start"])
+        same = np.abs(one["line"][:, None] - none["line"]) < 0.25
+        across = max(across, float((overlap * same).max(axis=1).clip(0).mean()))
+    assert across < 0.15  # px; what is left comes from neighbouring rings
+
+
 def test_the_sides_of_the_sweep_have_the_orders_of_the_picture() -> None:
     """A wall 8 m away with a plate 4 m away: the plate hides what is beside it, on every side of it."""
     camera = Camera.pinhole(300, 300, 199.5, 99.5, 400, 200)

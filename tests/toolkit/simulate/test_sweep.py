@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import InputError, se3
+from p2o.motion import moved, pose_at
 from p2o.simulate import LIDARS, Lidar, Material, Mover, Part, Rosette, Scene, sweep
 from p2o.simulate.mesh import box
-from p2o.simulate.motion import moved, pose_at
 
 from tests.toolkit.simulate.walls import FLOOR_Z, GREY, WALL_X, walls
 

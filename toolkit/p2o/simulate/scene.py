@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from p2o import se3
 from p2o.arrays import Bool, Float, Int
 from p2o.errors import InputError, MethodUnavailable
+from p2o.motion import moved, pose_at
 from p2o.simulate.classes import Class
 from p2o.simulate.mesh import Mesh, join
-from p2o.simulate.motion import moved, pose_at
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from p2o import se3
 from p2o.arrays import Float
-from p2o.simulate.motion import adjoint, pose_at
+from p2o.motion import adjoint, pose_at
 
 LIDAR_HEIGHT_M = 1.73
 """Height of KITTI's Velodyne above the road."""

@@ -19,7 +19,8 @@ def write(frames: Iterable[Frame], root: Path) -> Iterator[str]:
     """Write frames below `root` one by one and yield the name under which `folder` reads each.
 
     Kept are the picture, the right one, depth (float32 metres, sky included), the sweep (coordinates and intensity
-    as float32) with rings and times, truth and start. The twist and masked pixels have no place in this layout.
+    as float32) with rings and times, truth and start. A sweep that was corrected for motion is written as measured,
+    with the velocity that the reader corrects it by. Masked pixels have no place in this layout.
     """
     for frame in frames:
         name = re.sub(r"[^A-Za-z0-9._-]+", "_", frame.name).strip("._") or "frame"
@@ -47,13 +48,15 @@ def write(frames: Iterable[Frame], root: Path) -> Iterator[str]:
         for key, pose in (("truth", frame.camera_from_lidar), ("start", frame.start)):
             if pose is not None:
                 entry[key] = pose.tolist()
+        if frame.cloud.twist is not None:
+            entry["twist"] = frame.cloud.twist.tolist()
         # Last: without it the folder is no frame, so an interrupted one is left out by the reader.
         write_file(folder / "frame.yaml", _yaml(entry))
         yield name
 
 
 def _npz(cloud: Cloud) -> bytes:
-    arrays: dict[str, Any] = {"xyz": cloud.xyz.astype(np.float32)}
+    arrays: dict[str, Any] = {"xyz": cloud.as_measured().astype(np.float32)}
     if cloud.ring is not None:
         arrays["ring"] = cloud.ring.astype(np.int32)
     if cloud.intensity is not None:

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from p2o import se3
 from p2o.arrays import Float
 from p2o.cloud import Cloud
 from p2o.errors import InputError
 from p2o.frame import Frame
 from p2o.image import Image
+from p2o.motion import moved
 from p2o.simulate.write_file import numbers, png, require, write_file
 
 _FIRST_DAY = datetime(2026, 1, 1, 12, tzinfo=UTC)
@@ -153,14 +153,12 @@ def _as_measured(frame: Frame) -> tuple[Cloud, float]:
     cloud = frame.cloud
     if cloud.time_s is None:
         return cloud, _FRAME_S
-    xyz = cloud.xyz
     moving = frame.twist is not None and bool(frame.twist.any())
-    if moving:
-        back = se3.exp(-cloud.time_s[:, None] * np.asarray(frame.twist))
-        xyz = np.einsum("nij,nj->ni", back[:, :3, :3], xyz) + back[:, :3, 3]
+    xyz = moved(np.asarray(frame.twist), -cloud.time_s, cloud.xyz) if moving else cloud.xyz
     azimuth = np.arctan2(xyz[:, 1], xyz[:, 0])
     # Clockwise seen from above: the left side (positive azimuth) comes first.
-    turn_s = -2 * np.pi * float(azimuth @ cloud.time_s) / float(azimuth @ azimuth)
+    sideways = np.abs(azimuth) > 0.1
+    turn_s = -2 * np.pi * float(np.median(cloud.time_s[sideways] / azimuth[sideways])) if sideways.any() else _FRAME_S
     if turn_s <= 0 and moving:
         raise InputError(
             "the layout kitti-raw needs a LiDAR that turns clockwise, as KITTI's: its reader tells times from azimuth",
