@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import multiprocessing
 import os
 import random
 import re
@@ -14,6 +15,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import numpy as np
@@ -349,25 +351,35 @@ def test_threads_of_this_process_are_left_as_they_were() -> None:
         cv2.setNumThreads(before)
 
 
-def _in_child(act: Callable[[], object]) -> int:
-    """Run `act` in a forked process, which has all modules loaded, and return its id."""
-    child = os.fork()
-    if child == 0:
-        try:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-            act()
-            os._exit(0)
-        except BaseException:
-            os._exit(1)
+def _study_in_child(root: Path, text: str) -> None:
+    """Run a study in the process of a child."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+    os.environ["TINY_CALLS"] = str(root / "calls")
+    os.environ.pop("P2O_PLUGINS", None)
+    (root / "began").touch()
+    Bench(root).run(text)
+
+
+def _in_child(bench: Bench, text: str) -> BaseProcess:
+    """Start a study in a process that has most modules loaded already, and return once it begins.
+
+    It is forked off a server, not off this process: OpenCV's threads, which other tests have started here, do not
+    live on in a fork, and `cv2.setNumThreads` would wait for them without end.
+    """
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([__name__, "cv2", "scipy.linalg", "scipy.optimize", "threadpoolctl"])
+    child = context.Process(target=_study_in_child, args=(bench.root, text))
+    (bench.root / "began").unlink(missing_ok=True)
+    child.start()
+    _wait_for(lambda: (bench.root / "began").exists(), child)
     return child
 
 
-def _alive(child: int) -> bool:
-    """Return whether a child still runs; one that has ended is done with."""
-    try:
-        return os.waitpid(child, os.WNOHANG) == (0, 0)
-    except ChildProcessError:
-        return False
+def _wait_for(happened: Callable[[], bool], child: BaseProcess) -> None:
+    """Wait until something has happened, for as long as the child lives, a minute at most."""
+    until = time.monotonic() + 60
+    while not happened() and child.is_alive() and time.monotonic() < until:
+        time.sleep(0.001)
 
 
 KILLS = 56
@@ -389,7 +401,6 @@ def _keys(folder: Path) -> set[str]:
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="kills forked processes")
 def test_a_study_that_is_killed_at_any_moment_goes_on_and_computes_no_finished_row_again(bench: Bench) -> None:
-    bench.plugins.registry()
     rng = random.Random(0)
     text = LONG + "options.calibrator.sleep_s = 0.001\n"
     folder = bench.root / "out"
@@ -397,18 +408,13 @@ def test_a_study_that_is_killed_at_any_moment_goes_on_and_computes_no_finished_r
     finished: set[str] = set()
     window_s = 0.02
     for kill in range(KILLS):
-        child = _in_child(lambda: bench.run(text))
+        child = _in_child(bench, text)
         # Half of the kills fall into reading, planning and making the store, the others among the rows.
         if kill % 2:
-            until = time.monotonic() + 60
-            while not bench.calls_file.exists() or "quick" not in bench.calls_file.read_text():
-                if time.monotonic() > until or not _alive(child):
-                    break
-                time.sleep(0.001)
-        time.sleep(rng.uniform(0, 0.02))
-        if _alive(child):
-            os.kill(child, signal.SIGKILL)
-            os.waitpid(child, 0)
+            _wait_for(lambda: bench.calls_file.exists() and "quick" in bench.calls_file.read_text(), child)
+        time.sleep(rng.uniform(0, window_s))
+        child.kill()
+        child.join()
         lines = bench.calls_file.read_text().splitlines() if bench.calls_file.exists() else []
         bench.calls_file.unlink(missing_ok=True)
         calls = [line.removeprefix("quick ") for line in lines if line.startswith("quick ")]
@@ -430,10 +436,11 @@ def test_a_study_that_is_killed_at_any_moment_goes_on_and_computes_no_finished_r
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
 def test_two_processes_share_one_study_without_harm(bench: Bench) -> None:
-    bench.plugins.registry()
     text = LONG + "options.calibrator.sleep_s = 0.004\n"
-    children = [_in_child(lambda: bench.run(text)) for _ in range(2)]
-    assert [os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in children] == [0, 0]
+    children = [_in_child(bench, text) for _ in range(2)]
+    for child in children:
+        child.join(300)
+    assert [child.exitcode for child in children] == [0, 0]
     # They begin at opposite ends; only where they meet may both compute a row.
     assert 150 <= bench.calls()["quick"] <= 154
     done = bench.run(text)
