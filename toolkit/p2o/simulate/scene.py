@@ -17,7 +17,6 @@ from p2o.motion import moved, pose_at
 from p2o.simulate.classes import Class
 from p2o.simulate.mesh import Mesh, join
 
-
 _SLACK_M = 0.01
 """Rays that pass a mover by less than this are cast: more than single precision loses."""
 
