@@ -17,9 +17,6 @@ from p2o.motion import moved, pose_at
 from p2o.simulate.classes import Class
 from p2o.simulate.mesh import Mesh, join
 
-_SLACK_M = 0.01
-"""Rays that pass a mover by less than this are cast: more than single precision loses."""
-
 
 @dataclass(frozen=True)
 class Material:
@@ -152,19 +149,9 @@ class Scene:
             first += len(mesh.faces)
         return tuple(trees)
 
-    @cached_property
-    def _spheres(self) -> tuple[tuple[Float, float], ...]:
-        """Centre (3,) and radius of a ball around each mover at time 0."""
-        balls = []
-        for mover in self.movers:
-            vertices = np.concatenate([part.mesh.vertices for part in mover.parts])
-            centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-            balls.append((centre, float(np.linalg.norm(vertices - centre, axis=1).max())))
-        return tuple(balls)
-
     def prepare(self) -> Scene:
         """Build what rays need, once, and return the scene; threads that cast afterwards share it."""
-        for name in ("_trees", "_spheres", "planes", "part_of_face", "openness", "all_parts"):
+        for name in ("_trees", "planes", "part_of_face", "openness", "all_parts"):
             getattr(self, name)
         return self
 
@@ -179,18 +166,12 @@ class Scene:
         rows, *found = self._cast_body(0, origins, directions)
         distance[rows], face[rows], normal[rows] = found
         for number, mover in enumerate(self.movers, start=1):
-            # Most rays pass a mover by: they are spared the way into its frame and its tree.
-            chosen = np.flatnonzero(self._may_meet(number, origins, directions, time_s))
-            if not len(chosen):
-                continue
-            begin = origins if np.size(origins) == 3 else origins[chosen]
-            when = time_s if np.ndim(time_s) == 0 else np.asarray(time_s)[chosen]
-            local_origins, local_directions, back = _seen_from(mover.twist, begin, directions[chosen], when)
-            hit, near, its_face, its_normal = self._cast_body(number, local_origins, local_directions)
-            first = np.flatnonzero(near < distance[chosen[hit]])
-            rows = chosen[hit[first]]
+            local_origins, local_directions, back = _seen_from(mover.twist, origins, directions, time_s)
+            rows, near, its_face, its_normal = self._cast_body(number, local_origins, local_directions)
+            first = np.flatnonzero(near < distance[rows])
+            rows = rows[first]
             distance[rows], face[rows], body[rows] = near[first], its_face[first], number
-            normal[rows] = back(its_normal[first], hit[first])
+            normal[rows] = back(its_normal[first], rows)
         return Hits(distance, face, normal, body)
 
     def blocked(self, origins: Float, direction: Float, time_s: float = 0.0) -> Bool:
@@ -198,22 +179,9 @@ class Scene:
         out = self._any(0, origins, direction)
         for number, mover in enumerate(self.movers, start=1):
             here = pose_at(mover.twist, -time_s)
-            rows = np.flatnonzero(~out & self._may_meet(number, origins, direction, time_s))
-            if len(rows):
-                out[rows] = self._any(number, se3.apply(here, origins[rows]), here[:3, :3] @ direction)
+            rows = np.flatnonzero(~out)
+            out[rows] = self._any(number, se3.apply(here, origins[rows]), here[:3, :3] @ direction)
         return out
-
-    def _may_meet(self, number: int, origins: Float, directions: Float, time_s: float | Float) -> Bool:
-        """Return which rays (N,) come near enough to a mover to meet it; origins or directions may be one for all."""
-        twist, (centre, radius) = self.movers[number - 1].twist, self._spheres[number - 1]
-        first, last = float(np.min(time_s)), float(np.max(time_s))
-        centre = se3.apply(pose_at(twist, (first + last) / 2), centre)[0]
-        # A point of a screw motion keeps its speed, so this is how far it gets from where it is midway.
-        reach = radius + (last - first) / 2 * float(np.linalg.norm(np.cross(twist[:3], centre) + twist[3:])) + _SLACK_M
-        towards = centre - origins
-        along = np.einsum("...i,...i->...", towards, directions)
-        missed = np.einsum("...i,...i->...", towards, towards) - along * along
-        return np.asarray((missed <= reach * reach) & (along >= -reach))
 
     def _any(self, body: int, origins: Float, direction: Float) -> Bool:
         tree, _ = self._trees[body]
