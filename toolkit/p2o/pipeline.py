@@ -37,7 +37,7 @@ class PipelineOptions(Options):
     shrink: float = option(0.7, gt=0.1, lt=1, help="Factor on the cutting distance from round to round.")
     min_reach_px: float = option(5.0, gt=0.5, le=100, help="Smallest cutting distance.")
     min_matches: int = option(30, ge=6, help="Fewer pairs than this end a calibration as too-few-matches.")
-    judge_px: float = option(10.0, gt=1, le=100, help="Truncation of the directed distance that poses are judged by.")
+    judge_px: float = option(5.0, gt=1, le=100, help="Truncation of the directed distance that poses are judged by.")
     min_odds_ratio: float = option(6.0, ge=0, help="A lower agreement of both sensors' edges is called doubtful.")
     tolerance_deg: float = option(1e-3, ge=0, help="A smaller turn (and shift) in the last round means converged.")
     tolerance_m: float = option(1e-3, ge=0, help="A smaller shift (and turn) in the last round means converged.")

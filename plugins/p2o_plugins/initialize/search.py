@@ -1,4 +1,4 @@
-"""Initializer `search`: populations of poses on truncated directed distance maps, narrowed step by step."""
+"""Initializer `search`: populations of poses on truncated directed distance maps, narrowed basin by basin."""
 
 from __future__ import annotations
 
@@ -31,26 +31,65 @@ class SearchOptions(NarrowOptions):
         ge=0,
         help="One sigma away from the start costs as much as this many LiDAR edges without an image edge; 0: off.",
     )
-    restarts: int = field(3, ge=1, le=10, help="Searches from the start; each begins half as wide as the one before.")
+    scatter: int = field(3000, ge=100, le=1_000_000, help="Poses drawn around the start, to find further basins.")
+    basins: int = field(12, ge=1, le=1000, help="So many of them, the best and separate, are narrowed.")
+    finest_px: float = field(4.0, gt=1, le=500, help="Truncation of the distances at which basins end and are ranked.")
+    proposals: int = field(3, ge=1, le=100, help="Best basins that are handed on.")
+
+
+# A basin of its own is narrowed by small populations from about its own width, in units of sigma.
+_BASIN_SPREAD, _BASIN_POPULATION, _BASIN_GENERATIONS = 0.3, 80, 5
+# Beginnings closer than this, in units of sigma_deg, and ends closer than this, in degrees, are one basin.
+_SEPARATE_SIGMA, _SEPARATE_DEG = 0.5, 0.15
+_DRAWS_AT_ONCE = 500
 
 
 def build(options: SearchOptions) -> Initializer:
     """Return an initializer that gives the poses at which the searches end, best first, then the given one.
 
-    A wide truncation finds far starts but is blinded by clutter, a narrow one the other way round: so each restart
-    begins with half the width of the one before, and the caller may choose among the basins.
+    One search begins with distances cut off at `widest_px`: it finds far starts but is led astray by clutter, whose
+    edges lie within that distance of anything. Where the cut-off is a few pixels the cost is lowest at the right pose
+    far more often, but only from near by: so many poses are scattered around the start, and the best that lie apart
+    begin searches of their own, with narrow cut-offs. The caller chooses among the basins.
     """
 
     def initialize(views: Sequence[View], camera_from_lidar: Float) -> list[Float]:
         rng = np.random.default_rng(options.seed)
-        widths = [max(options.narrowest_px, options.widest_px / 2**number) for number in range(options.restarts)]
         maps = coarse_maps(views, camera_from_lidar, options)
-        found = [narrow(maps, camera_from_lidar, options, rng, width, options.prior) for width in widths]
-        judge = maps[_scale(options.narrowest_px)].truncated(options.narrowest_px)
-        order = np.argsort(judge(np.stack(found)), kind="stable")
-        return [*(found[i] for i in order), camera_from_lidar]
+        near = maps[_scale(options.narrowest_px)]
+        if not near.points:
+            return [camera_from_lidar]
+        found = [narrow(maps, camera_from_lidar, options, rng, options.widest_px, options.prior)]
+        found += _scattered(near, camera_from_lidar, options, rng)
+        order = np.argsort(near.truncated(options.finest_px)(np.stack(found)), kind="stable")
+        apart: list[Float] = []
+        for pose in (found[i] for i in order):
+            if all(se3.angle_deg(pose @ se3.inverse(other)) > _SEPARATE_DEG for other in apart):
+                apart.append(pose)
+        return [*apart[: options.proposals], camera_from_lidar]
 
     return initialize
+
+
+def _scattered(maps: DirectedCost, start: Float, options: SearchOptions, rng: np.random.Generator) -> list[Float]:
+    """Return the poses at which narrow searches end that begin at the best of many poses scattered around `start`."""
+    unit, coarse = _unit(options), maps.truncated(options.narrowest_px)
+    draws = rng.standard_normal((options.scatter, 6))
+    draws[0] = 0.0
+    parts = np.array_split(draws, -(-len(draws) // _DRAWS_AT_ONCE))
+    values = np.concatenate([_value(coarse, part, unit, start, options.prior) for part in parts])
+    chosen: list[int] = []
+    for i in np.argsort(values, kind="stable"):
+        if all(np.linalg.norm(draws[i, :3] - draws[j, :3]) > _SEPARATE_SIGMA for j in chosen):
+            chosen.append(int(i))
+        if len(chosen) == options.basins:
+            break
+    widths = np.geomspace(options.narrowest_px, min(options.finest_px, options.narrowest_px), _BASIN_GENERATIONS)
+    costs, keep = [maps.truncated(float(width)) for width in widths], _kept(options.elite, _BASIN_POPULATION)
+    spread = _BASIN_SPREAD**2 * np.eye(6)
+    return [
+        _narrowed(costs, start, unit, rng, draws[i], spread, _BASIN_POPULATION, keep, options.prior) for i in chosen
+    ]
 
 
 def coarse_maps(views: Sequence[View], around: Float, options: NarrowOptions) -> dict[int, DirectedCost]:
@@ -90,24 +129,50 @@ def narrow(
     `widest_px` to the option `narrowest_px`. `maps` are those of `coarse_maps`. Where few edges tell anything, the
     lowest cost lies anywhere: `prior` edges missed for every squared deviation keep the pose near the start then.
     """
-    unit = np.concatenate([np.full(3, np.radians(options.sigma_deg)), np.full(3, max(options.sigma_m, 1e-9))])
     widths = [float(w) for w in np.geomspace(widest_px, min(options.narrowest_px, widest_px), 4)]
     costs = [maps[_scale(width)].truncated(width) for width in widths]
     if not costs[0].points:
         return start
-    keep = max(8, int(options.elite * options.population))
-    mean, spread = np.zeros(6), np.eye(6)
-    for generation in range(options.generations):
-        cost = costs[min(len(costs) - 1, generation * len(costs) // options.generations)]
-        draws = rng.multivariate_normal(mean, spread, options.population, method="eigh")
+    costs = [costs[min(3, generation * 4 // options.generations)] for generation in range(options.generations)]
+    keep = _kept(options.elite, options.population)
+    return _narrowed(costs, start, _unit(options), rng, np.zeros(6), np.eye(6), options.population, keep, prior)
+
+
+def _narrowed(
+    costs: Sequence[DirectedCost],
+    start: Float,
+    unit: Float,
+    rng: np.random.Generator,
+    mean: Float,
+    spread: Float,
+    population: int,
+    keep: int,
+    prior: float,
+) -> Float:
+    """Return the pose at which a population ends after one generation for each cost; tangents in units of `unit`."""
+    for cost in costs:
+        draws = rng.multivariate_normal(mean, spread, population, method="eigh")
         draws[0] = mean
-        values = cost(se3.exp(draws * unit) @ start)
-        values = values + prior / cost.points * cost.truncate_px * np.square(draws).sum(axis=1)
-        best = draws[np.argsort(values, kind="stable")[:keep]]
+        best = draws[np.argsort(_value(cost, draws, unit, start, prior), kind="stable")[:keep]]
         mean = best.mean(axis=0)
         # A floor keeps the population from freezing before the truncation has become narrow.
         spread = np.cov(best.T) + 1e-6 * np.eye(6)
     return np.asarray(se3.exp(mean * unit) @ start)
+
+
+def _unit(options: NarrowOptions) -> Float:
+    """Return one sigma of each of the six parameters (6,), rad and m."""
+    return np.concatenate([np.full(3, np.radians(options.sigma_deg)), np.full(3, max(options.sigma_m, 1e-9))])
+
+
+def _kept(elite: float, population: int) -> int:
+    return max(8, int(elite * population))
+
+
+def _value(cost: DirectedCost, draws: Float, unit: Float, start: Float, prior: float) -> Float:
+    """Return the cost (N,) of tangents (N, 6) in units of `unit`, with what their distance from the start costs."""
+    missed = prior / cost.points * cost.truncate_px
+    return cost(se3.exp(draws * unit) @ start) + missed * np.square(draws).sum(axis=1)
 
 
 METHOD = Method(
