@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from p2o import ImageEdges, ImageFeatures, View, se3
+from p2o import DirectedCost, ImageEdges, ImageFeatures, Side, View, se3
 from p2o.perturb import wrong_start
 from p2o_plugins.initialize import search
 
@@ -43,3 +43,54 @@ def test_without_evidence_the_prior_keeps_the_pose_near_the_start() -> None:
         for prior in (0.0, 1000.0)
     }
     assert moved[1000.0] < 0.5 < moved[0.0]
+
+
+def haunted(seed: int) -> View:
+    """Return a view that lacks most image edges, but has those of a copy 3 deg aside whose outlines are 10 px too wide.
+
+    At a wide truncation the copy fits better, for something is near to all of it; at a narrow one nothing of it fits.
+    """
+    view, rng = edge_scene.view(seed=seed), np.random.default_rng(seed)
+    edges, camera = view.image_edges, view.camera
+    turned = se3.exp(np.array([0, np.radians(-3.0), 0, 0, 0, 0]))
+    outwards = np.array([edge_scene.STEP[Side(side)] for side in range(4)])
+    copy = camera.project(camera.rays(edges.uv) @ turned[:3, :3].T) + 10.0 * outwards[edges.side]
+    inside = camera.in_image(copy)
+    patch = (edges.uv[:, 0] // 70).astype(int) * 3 + (edges.uv[:, 1] // 130).astype(int)
+    there = (rng.random(60) > 0.6)[patch]
+    uv, side = np.concatenate([edges.uv[there], copy[inside]]), np.concatenate([edges.side[there], edges.side[inside]])
+    return replace(view, image=ImageFeatures(ImageEdges(uv, side)))
+
+
+def test_a_basin_that_only_narrow_truncation_tells_is_among_the_proposals() -> None:
+    start = se3.exp(np.array([0, np.radians(-1.5), 0, 0, 0, 0])) @ edge_scene.TRUTH
+    right = 0
+    for seed in range(8):
+        proposals = search.build(search.SearchOptions())([haunted(seed)], start)[:-1]
+        right += min(se3.angle_deg(pose @ se3.inverse(edge_scene.TRUTH)) for pose in proposals) < 0.5
+    assert right >= 5  # where the start alone began the searches: 2
+
+
+def test_proposals_lie_apart_the_best_first_and_the_given_start_last() -> None:
+    start = wrong_start(edge_scene.TRUTH, 2.0, 0.1, np.random.default_rng(0))
+    options = search.SearchOptions(proposals=5)
+    *proposals, last = search.build(options)([haunted(0)], start)
+    assert last is start
+    assert 1 < len(proposals) <= 5
+    cost = DirectedCost.of([haunted(0)], start, options.finest_px, max_points=options.max_points)
+    values = cost(np.stack(proposals))
+    assert (np.diff(values) > -0.05).all()
+    for number, pose in enumerate(proposals):
+        assert all(se3.angle_deg(pose @ se3.inverse(other)) > 0.1 for other in proposals[:number])
+
+
+def test_where_no_lidar_edge_is_in_sight_the_given_start_is_all_there_is() -> None:
+    view = edge_scene.view()
+    behind = se3.exp(np.array([0, np.pi, 0, 0, 0, 0])) @ edge_scene.TRUTH
+    assert search.build(search.SearchOptions())([view], behind) == [behind]
+
+
+def test_the_search_is_the_same_for_the_same_seed() -> None:
+    start = wrong_start(edge_scene.TRUTH, 2.0, 0.1, np.random.default_rng(1))
+    one, two = (search.build(search.SearchOptions(seed=3))([haunted(1)], start) for _ in range(2))
+    np.testing.assert_array_equal(np.stack(one), np.stack(two))
