@@ -78,12 +78,11 @@ def _scattered(maps: DirectedCost, start: Float, options: SearchOptions, rng: np
     draws[0] = 0.0
     parts = np.array_split(draws, -(-len(draws) // _DRAWS_AT_ONCE))
     values = np.concatenate([_value(coarse, part, unit, start, options.prior) for part in parts])
-    chosen: list[int] = []
-    for i in np.argsort(values, kind="stable"):
-        if all(np.linalg.norm(draws[i, :3] - draws[j, :3]) > _SEPARATE_SIGMA for j in chosen):
-            chosen.append(int(i))
-        if len(chosen) == options.basins:
-            break
+    rest, chosen = np.argsort(values, kind="stable"), []
+    while len(rest) and len(chosen) < options.basins:
+        chosen.append(rest[0])
+        turned_away = np.linalg.norm(draws[rest, :3] - draws[rest[0], :3], axis=1)
+        rest = rest[turned_away > _SEPARATE_SIGMA]
     widths = np.geomspace(options.narrowest_px, min(options.finest_px, options.narrowest_px), _BASIN_GENERATIONS)
     costs, keep = [maps.truncated(float(width)) for width in widths], _kept(options.elite, _BASIN_POPULATION)
     spread = _BASIN_SPREAD**2 * np.eye(6)
