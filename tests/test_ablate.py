@@ -368,7 +368,7 @@ def _in_child(bench: Bench, text: str) -> BaseProcess:
     """
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([__name__, "cv2", "scipy.linalg", "scipy.optimize", "threadpoolctl"])
-    child = context.Process(target=_study_in_child, args=(bench.root, text))
+    child = context.Process(target=_study_in_child, args=(bench.root, text), daemon=True)
     (bench.root / "began").unlink(missing_ok=True)
     child.start()
     _wait_for(lambda: (bench.root / "began").exists(), child)
