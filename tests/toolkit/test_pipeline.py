@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from p2o import CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, Side, Solution, Status, View, se3
+from p2o import CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, RadialError, Side, Solution, Status, View, se3
 from p2o.metrics import pose_error
 from p2o.perturb import wrong_start
 from p2o.pipeline import Pipeline, PipelineOptions
@@ -191,3 +191,71 @@ def test_an_image_and_a_sweep_of_different_moments_are_called_doubtful_and_a_rig
         assert good.agreement["odds_ratio"] > 100
         bad = pipeline().solve([replace(right, cloud=other.cloud)], start(seed))
         assert not bad.status.solved or any("doubtful" in warning for warning in bad.warnings)
+
+
+MISCALIBRATED = RadialError(-0.003, 0.02)
+
+
+def wrongly_calibrated(count: int = 4) -> list[View]:
+    """Views whose camera lacks the distortion that the picture has."""
+    true = MISCALIBRATED.corrected(edge_scene.PINHOLE)
+    views = [edge_scene.view(true, seed=i, boxes=60, noise_px=0.3) for i in range(count)]
+    return [replace(view, camera=edge_scene.PINHOLE) for view in views]
+
+
+def test_a_wrong_calibration_of_the_camera_is_told() -> None:
+    trusted = pipeline(camera="trust").solve(wrongly_calibrated(), start())
+    checked = pipeline().solve(wrongly_calibrated(), start())
+    assert trusted.cameras == ()
+    assert not any("calibration is in doubt" in text for text in trusted.warnings)
+    assert np.array_equal(checked.camera_from_lidar, trusted.camera_from_lidar)
+    (check,) = checked.cameras
+    assert check.frames == 4
+    assert not check.corrected
+    assert check.radial == pytest.approx(MISCALIBRATED.radial, rel=0.3)
+    assert any("calibration is in doubt" in text for text in checked.warnings)
+
+
+def test_a_right_calibration_is_not_doubted() -> None:
+    views = [edge_scene.view(seed=i, boxes=60, noise_px=0.3) for i in range(4)]
+    result = pipeline().solve(views, start())
+    assert result.cameras[0].shift_px < 0.3
+    assert not any("calibration is in doubt" in text for text in result.warnings)
+
+
+def test_refining_the_camera_finds_its_error_and_a_better_pose() -> None:
+    trusted = pipeline(camera="trust").solve(wrongly_calibrated(), start())
+    refined = pipeline(camera="refine").solve(wrongly_calibrated(), start())
+    (check,) = refined.cameras
+    assert check.corrected
+    assert (
+        refined.camera_of(edge_scene.PINHOLE)
+        == check.better
+        == RadialError(check.focal, check.radial).corrected(edge_scene.PINHOLE)
+    )
+    assert trusted.camera_of(edge_scene.PINHOLE) == edge_scene.PINHOLE
+    assert check.focal == pytest.approx(MISCALIBRATED.focal, abs=2e-4)
+    assert check.radial == pytest.approx(MISCALIBRATED.radial, abs=5e-4)
+    before, after = (pose_error(result.camera_from_lidar, TRUTH) for result in (trusted, refined))
+    assert after.rotation_deg < 0.02
+    assert after.translation_m < 0.005
+    assert after.translation_m < 0.5 * before.translation_m
+    assert refined.directed_cost_px[1] < trusted.directed_cost_px[1]
+    assert not any("calibration is in doubt" in text for text in refined.warnings)
+
+
+def test_refining_a_right_camera_leaves_it_and_the_pose() -> None:
+    views = [edge_scene.view(seed=i, boxes=60) for i in range(3)]
+    result = pipeline(camera="refine").solve(views, start())
+    assert result.cameras[0].shift_px < 0.1
+    assert pose_error(result.camera_from_lidar, TRUTH).translation_m < 0.005
+
+
+def test_a_matcher_without_pairs_tells_nothing_of_the_camera() -> None:
+    def match(views, pose, reach_px):
+        return built(ogm)(views, pose, reach_px).as_objective()
+
+    result = replace(pipeline(solver=nelder_mead, initializer=given, camera="refine"), matcher=match).solve(
+        [edge_scene.view()], start(0, 0.2)
+    )
+    assert result.cameras == ()

@@ -9,8 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from p2o import InputError, Result, Round, Status, se3
+from p2o import Camera, CameraCheck, InputError, RadialError, Result, Round, Status, se3
 from p2o.result_json import result_from_dict, result_from_json, result_to_dict, result_to_json
+
+PINHOLE = Camera.pinhole(700.0, 1e3 / 3, 600.0, 180.0, 1242, 375)
+BETTER = RadialError(0.1 / 3, 0.01).corrected(PINHOLE)
 
 
 def _result(seed: int = 0) -> Result:
@@ -30,6 +33,20 @@ def _result(seed: int = 0) -> Result:
         matches={"L": 3},
         residual_px={"L": 0.1, "U": math.nan},
         directed_cost_px=(4.0, -math.inf),
+        cameras=(
+            CameraCheck(
+                4,
+                PINHOLE,
+                RadialError(0.1 / 3, 0.01).corrected(PINHOLE),
+                -0.1 / 3,
+                1e-9,
+                0.01,
+                math.nan,
+                2.5,
+                math.inf,
+                False,
+            ),
+        ),
         seconds={"extract": 1.5},
         warnings=("three points dropped",),
         recipe={
@@ -51,8 +68,8 @@ def _bits(value: Any) -> Any:
         return {k: _bits(v) for k, v in value.items()}
     if isinstance(value, tuple | list):
         return type(value), [_bits(v) for v in value]
-    if isinstance(value, Round):
-        return [_bits(getattr(value, f.name)) for f in fields(Round)]
+    if isinstance(value, Round | CameraCheck | Camera):
+        return [_bits(getattr(value, f.name)) for f in fields(value)]
     return type(value), value
 
 

@@ -37,8 +37,10 @@ if TYPE_CHECKING:
     from p2o.problem import Objective as Objective
     from p2o.problem import PointToLine as PointToLine
     from p2o.problem import Problem as Problem
+    from p2o.radial_error import RadialError as RadialError
     from p2o.recipe import Recipe as Recipe
     from p2o.registry import Registry as Registry
+    from p2o.result import CameraCheck as CameraCheck
     from p2o.result import Result as Result
     from p2o.result import Round as Round
     from p2o.result import Solution as Solution
@@ -75,9 +77,10 @@ _HOME = {
     "options": ["Options", "field"],
     "pipeline": ["Pipeline"],
     "problem": ["Objective", "PointToLine", "Problem"],
+    "radial_error": ["RadialError"],
     "recipe": ["Recipe"],
     "registry": ["Registry"],
-    "result": ["Result", "Round", "Solution", "Status"],
+    "result": ["CameraCheck", "Result", "Round", "Solution", "Status"],
     "run": ["Row", "Run", "calibrate"],
     "side": ["SIDES", "Side"],
     "stages": [

@@ -6,12 +6,14 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from typing import Literal, TypeGuard
 
 import numpy as np
 
 from p2o import se3
 from p2o.agreement import Agreement, agreement
 from p2o.arrays import Float
+from p2o.camera import Camera
 from p2o.directed_cost import DirectedCost
 from p2o.features import ImageFeatures
 from p2o.frame import Frame
@@ -19,7 +21,8 @@ from p2o.missing import RADIUS_PX, frame_rng, without_patches
 from p2o.options import Options
 from p2o.options import field as option
 from p2o.problem import PointToLine, Problem
-from p2o.result import Result, Round, Solution, Status
+from p2o.radial_error import RadialError, RadialFit, fit_radial_errors
+from p2o.result import CameraCheck, Result, Round, Solution, Status
 from p2o.side import Side
 from p2o.stages import CloudExtractor, ImageExtractor, Initializer, Matcher, Solver
 from p2o.view import View
@@ -39,6 +42,11 @@ class PipelineOptions(Options):
     min_matches: int = option(30, ge=6, help="Fewer pairs than this end a calibration as too-few-matches.")
     judge_px: float = option(5.0, gt=1, le=100, help="Truncation of the directed distance that poses are judged by.")
     min_odds_ratio: float = option(6.0, ge=0, help="A lower agreement of both sensors' edges is called doubtful.")
+    camera: Literal["trust", "check", "refine"] = option(
+        "check",
+        help="The camera's calibration: trust it; check its focal length and radial distortion against the edges, and "
+        "warn; or refine: correct them along with the pose (with many frames together).",
+    )
     tolerance_deg: float = option(1e-3, ge=0, help="A smaller turn (and shift) in the last round means converged.")
     tolerance_m: float = option(1e-3, ge=0, help="A smaller shift (and turn) in the last round means converged.")
     missing_edges: float = option(
@@ -132,7 +140,7 @@ class Pipeline:
         if missing:
             return refused(Status.NO_EDGES, missing)
         with clock.of("initialize"):
-            seen = [self._seen(view, start) for view in views]
+            seen: Sequence[View] = [self._seen(view, start) for view in views]
             poses = self.initializer(seen, start) or [start]
         with clock.of("refine"):
             judge = DirectedCost.of(seen, start, self.options.judge_px, margin_px=_margin_px(seen, start, poses))
@@ -143,6 +151,8 @@ class Pipeline:
         best = min(tried, key=lambda r: (not r.status.solved, r.cost_px))
         if not best.status.solved:
             return refused(best.status, best.reason, best.rounds)
+        with clock.of("camera"):
+            best, at_start, seen, checks = self._with_cameras(seen, start, best, at_start)
         costs = (at_start, best.cost_px)
         if not best.cost_px < at_start:
             reason = (
@@ -164,9 +174,45 @@ class Pipeline:
             residual_px={} if best.problem is None else _mean_residuals(best.problem, best.pose),
             directed_cost_px=costs,
             agreement={"near": agreed.near, "chance": agreed.chance, "odds_ratio": agreed.odds_ratio},
+            cameras=checks,
             seconds=clock.seconds,
-            warnings=self._doubts(agreed),
+            warnings=(*self._doubts(agreed), *(_camera_doubt(check) for check in checks if _is_doubtful(check))),
         )
+
+    def _with_cameras(
+        self, views: Sequence[View], start: Float, found: _Refined, at_start: float
+    ) -> tuple[_Refined, float, Sequence[View], tuple[CameraCheck, ...]]:
+        """Return what was found, the cost of the start, the views and what they say about their cameras.
+
+        With the option `refine` all of it is for corrected cameras: pose and errors in turn, until no pixel moves.
+        """
+        if self.options.camera == "trust" or not _tells_cameras(found.problem):
+            return found, at_start, views, ()
+        given = [view.camera for view in views]
+        pose, fits = fit_radial_errors(found.problem, found.pose)
+        if self.options.camera == "check":
+            return found, at_start, views, _checks(fits, given, corrected=False)
+        reach = {"reach_after_search_px": self.options.min_reach_px}
+        done = False
+        near = replace(self, options=self.options.model_copy(update=reach))
+        for _ in range(_CAMERA_ROUNDS):
+            errors = {fit.camera: fit.error for fit in fits}
+            corrected = [
+                replace(view, camera=errors.get(camera, RadialError()).corrected(camera))
+                for view, camera in zip(views, given, strict=True)
+            ]
+            judge = DirectedCost.of(corrected, start, self.options.judge_px, margin_px=_margin_px(views, start, [pose]))
+            better = near._refine(corrected, start, pose, judge)
+            if not (better.status.solved and _tells_cameras(better.problem)):
+                break
+            found = replace(better, rounds=found.rounds + better.rounds)
+            at_start, views, done = judge.at(start), corrected, True
+            pose, again = fit_radial_errors(replace(better.problem, cameras=tuple(given)), found.pose, errors)
+            moved = max((_apart_px(a, b) for a, b in zip(fits, again, strict=True)), default=0.0)
+            fits = again
+            if moved < _STILL_PX:
+                break
+        return found, at_start, views, _checks(fits, given, corrected=done)
 
     def _doubts(self, agreed: Agreement) -> tuple[str, ...]:
         """Return a warning where the edges of both sensors do not seem to belong together."""
@@ -245,6 +291,53 @@ class Pipeline:
         last = self.matcher(views, best_pose, options.min_reach_px)
         final = last if isinstance(last, PointToLine) and len(last) else None
         return _Refined(best_pose, best_cost, status, reason, tuple(rounds), final, solution)
+
+
+_CAMERA_ROUNDS = 8
+_STILL_PX = 0.05
+_DOUBTFUL_PX = 1.5
+_DOUBTFUL_SIGMAS = 5.0
+_TELLING_PAIRS = 100
+
+
+def _tells_cameras(problem: PointToLine | None) -> TypeGuard[PointToLine]:
+    return problem is not None and len(problem) >= _TELLING_PAIRS
+
+
+def _apart_px(one: RadialFit, other: RadialFit) -> float:
+    """Return how far two errors of one camera put things apart, at most."""
+    return RadialError(one.error.focal - other.error.focal, one.error.radial - other.error.radial).shift_px(one.camera)
+
+
+def _checks(fits: Sequence[RadialFit], cameras: Sequence[Camera], *, corrected: bool) -> tuple[CameraCheck, ...]:
+    return tuple(
+        CameraCheck(
+            frames=cameras.count(fit.camera),
+            camera=fit.camera,
+            better=fit.error.corrected(fit.camera),
+            focal=fit.error.focal,
+            focal_sigma=float(np.sqrt(fit.covariance[0, 0])),
+            radial=fit.error.radial,
+            radial_sigma=float(np.sqrt(fit.covariance[1, 1])),
+            shift_px=fit.error.shift_px(fit.camera),
+            shift_sigma_px=fit.sigma_px,
+            corrected=corrected,
+        )
+        for fit in fits
+    )
+
+
+def _is_doubtful(check: CameraCheck) -> bool:
+    sure = check.shift_px > _DOUBTFUL_SIGMAS * check.shift_sigma_px
+    return not check.corrected and check.shift_px > _DOUBTFUL_PX and sure
+
+
+def _camera_doubt(check: CameraCheck) -> str:
+    return (
+        f"the camera's calibration is in doubt: edges are seen up to {check.shift_px:.1f} px from where it puts them "
+        f"(focal length {100 * check.focal:+.2f} %, radial distortion {check.radial:+.4f}); calibrate its lens anew, "
+        "or correct it here with --set pipeline.camera=refine"
+    )
 
 
 def _missing_edges(views: Sequence[View], start: Float) -> str:

@@ -8,6 +8,7 @@ from enum import StrEnum
 from typing import Any
 
 from p2o.arrays import Float
+from p2o.camera import Camera
 
 
 class Status(StrEnum):
@@ -57,6 +58,28 @@ class Round:
     accepted: bool
 
 
+@dataclass(frozen=True)
+class CameraCheck:
+    """What the edges of a calibration say about the calibration of one camera, that of `frames` of its frames.
+
+    `camera` is the one that was given, `better` the one without its error. `focal` and `radial` are the error
+    (`p2o.RadialError`), with their standard deviations; `shift_px` is how far, at most, things are seen from where the
+    calibration puts them, with its standard deviation; `corrected` tells whether the pose is the one for the better
+    camera.
+    """
+
+    frames: int
+    camera: Camera
+    better: Camera
+    focal: float
+    focal_sigma: float
+    radial: float
+    radial_sigma: float
+    shift_px: float
+    shift_sigma_px: float
+    corrected: bool
+
+
 @dataclass(frozen=True, eq=False)
 class Result:
     """One calibration, of one frame or of several jointly.
@@ -64,7 +87,8 @@ class Result:
     `camera_from_lidar` (4, 4) is the estimate, or the start where `status.solved` is False; `reason` says why in one
     sentence. `covariance` (6, 6) as in `Solution`. `directed_cost_px` is the directed edge distance at the start and at
     the estimate; `agreement` holds the shares `near` and `chance`, and the `odds_ratio`, of `p2o.agreement`.
-    `seconds` by stage. `recipe` holds every resolved option.
+    `cameras` says what the edges tell of each camera's calibration. `seconds` by stage. `recipe` holds every resolved
+    option.
     """
 
     frames: tuple[str, ...]
@@ -78,8 +102,13 @@ class Result:
     residual_px: Mapping[str, float] = field(default_factory=dict)
     directed_cost_px: tuple[float, float] | None = None
     agreement: Mapping[str, float] = field(default_factory=dict)
+    cameras: tuple[CameraCheck, ...] = ()
     seconds: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     recipe: Mapping[str, Any] = field(default_factory=dict)
     seed: int | None = None
     versions: Mapping[str, str] = field(default_factory=dict)
+
+    def camera_of(self, camera: Camera) -> Camera:
+        """Return the camera that the estimate is for, given that of a frame: another one where it was corrected."""
+        return next((c.better for c in self.cameras if c.corrected and c.camera == camera), camera)

@@ -15,8 +15,9 @@ import numpy as np
 
 from p2o import se3
 from p2o.arrays import Float, checked
+from p2o.camera import Camera
 from p2o.errors import InputError
-from p2o.result import Result, Round, Status
+from p2o.result import CameraCheck, Result, Round, Status
 
 Reader = Callable[[str, Any], Any]
 
@@ -56,8 +57,8 @@ def result_from_json(text: str) -> Result:
 
 
 def _plain(name: str, value: Any) -> Any:
-    if isinstance(value, Round):
-        return {f.name: _plain(f"{name}.{f.name}", getattr(value, f.name)) for f in fields(Round)}
+    if isinstance(value, Round | CameraCheck | Camera):
+        return {f.name: _plain(f"{name}.{f.name}", getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, Mapping):
@@ -180,6 +181,31 @@ def _round(name: str, value: Any) -> Round:
     return Round(**_fields(f"an entry of {name}", value, _ROUND))
 
 
+_CAMERA: dict[str, Reader] = {"model": _text, "width": _integer, "height": _integer, "params": _tuple(_number)}
+
+
+def _camera(name: str, value: Any) -> Camera:
+    return Camera(**_fields(name, value, _CAMERA))
+
+
+_CAMERA_CHECK: dict[str, Reader] = {
+    "frames": _integer,
+    "camera": _camera,
+    "better": _camera,
+    "focal": _number,
+    "focal_sigma": _number,
+    "radial": _number,
+    "radial_sigma": _number,
+    "shift_px": _number,
+    "shift_sigma_px": _number,
+    "corrected": _boolean,
+}
+
+
+def _camera_check(name: str, value: Any) -> CameraCheck:
+    return CameraCheck(**_fields(f"an entry of {name}", value, _CAMERA_CHECK))
+
+
 _RESULT: dict[str, Reader] = {
     "frames": _tuple(_text),
     "start": _pose,
@@ -192,6 +218,7 @@ _RESULT: dict[str, Reader] = {
     "residual_px": _mapping(_number),
     "directed_cost_px": _optional(_tuple(_number, 2)),
     "agreement": _mapping(_number),
+    "cameras": _tuple(_camera_check),
     "seconds": _mapping(_number),
     "warnings": _tuple(_text),
     "recipe": _mapping(_as_is),

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
-from p2o import Image
+import numpy as np
+from p2o import Image, RadialError
 from p2o.arrays import Float
 
 from p2o_plugins.data.image_file import read_rgb, read_uint16
@@ -51,3 +53,21 @@ def read_rectified(
     if right_path is not None or disparity_path is not None:
         image = Image(rgb, camera, right, baseline if right is not None else None, depth_m)
     return image, warnings
+
+
+def without_radial_error(image: Image, error: RadialError) -> Image:
+    """Return the picture with the camera that has taken it, once the radial `error` of its calibration is known.
+
+    A depth map holds projected returns, at the pixels that the wrong calibration gives: they move with it.
+    """
+    if not error:
+        return image
+    depth_m = image.depth_m
+    if depth_m is not None:
+        height, width = depth_m.shape
+        pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).astype(np.float64)
+        place = error.calibrated(image.camera, pixels)
+        inside = image.camera.in_image(place)
+        u, v = np.rint(np.where(inside[..., None], place, 0.0)).astype(np.int64).transpose(2, 0, 1)
+        depth_m = np.where(inside, depth_m[v, u], np.nan)
+    return replace(image, camera=error.corrected(image.camera), depth_m=depth_m)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from p2o import Camera, Dataset, Frame, Image, InputError, Method, Options, field
+from p2o import Camera, Dataset, Frame, Image, InputError, Method, Options, RadialError, field
 from p2o.arrays import Float
 
 from p2o_plugins.data.disparity_speed import forward_speed
@@ -18,7 +18,7 @@ from p2o_plugins.data.image_file import read_rgb
 from p2o_plugins.data.input_file import existing_folder, naming, read_text
 from p2o_plugins.data.kitti_calibration import KittiCalibration, read_calibration, rectified_extrinsic
 from p2o_plugins.data.kitti_folder import paired, picture, pictures, sweeps
-from p2o_plugins.data.kitti_image import read_rectified
+from p2o_plugins.data.kitti_image import read_rectified, without_radial_error
 from p2o_plugins.data.kitti_oxts import read_twist
 from p2o_plugins.data.lazy_frames import LazyFrames
 from p2o_plugins.data.velodyne_file import NOT_UNTWISTED, SWEEP_S, read_sweep
@@ -56,6 +56,11 @@ class KittiRawOptions(Options):
     )
     pykitti_compat: bool = field(False, help="Shorten the camera offset to P[0,3]/P[0,0] as pykitti does (mm off).")
     elevation_fix_deg: float = field(0.0, ge=-1, le=1, help="Angle in degrees added to the elevation of every point.")
+    radial_error: tuple[float, float] = field(
+        (0.0, 0.0),
+        help="Relative errors of focal length and radial distortion of the rectified camera, to be corrected (what "
+        "`--refine-camera` finds).",
+    )
 
 
 @dataclass(frozen=True)
@@ -124,6 +129,7 @@ def _read(options: KittiRawOptions, entry: tuple[_Drive, Path, Path]) -> Frame:
     if twist is None and options.speed_from_disparity and image.depth_m is not None:
         speed = forward_speed(cloud, image.depth_m, image.camera, extrinsic)
         twist = None if speed is None else np.array([0.0, 0.0, 0.0, speed, 0.0, 0.0])
+    image = without_radial_error(image, RadialError(*options.radial_error))
     if cloud.time_s is not None:
         cloud = replace(cloud, time_s=cloud.time_s - _image_delay_s(options, image_path, sweep_path))
     if options.deskew and twist is not None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from p2o import Dataset, InputError, se3
+from p2o import Dataset, InputError, RadialError, se3
 from p2o_plugins.data.kitti_raw import METHOD, KittiRawOptions, build
 from p2o_plugins.data.lazy_frames import LazyFrames
 
@@ -115,6 +115,28 @@ def test_disparity_becomes_depth_with_nan_where_unknown(tmp_path: Path) -> None:
     assert dataset(tmp_path, depth=False)[0].image.depth_m is None
     write_raw_frame(tmp_path / DAY, camera=0)
     assert dataset(tmp_path, camera=0)[0].image.depth_m is None
+
+
+def test_a_known_radial_error_is_corrected_in_camera_and_depth(tmp_path: Path) -> None:
+    folder = write_raw_frame(write_day(tmp_path))
+    stored = np.full((HEIGHT, WIDTH), 0, np.uint16)
+    stored[10, 8] = 3 * 256
+    path = folder / "disparity/data/0000000000.png"
+    path.parent.mkdir(parents=True)
+    cv2.imwrite(str(path), stored)
+    plain = dataset(tmp_path)[0]
+    frame = dataset(tmp_path, radial_error=(0.1, 0.05))[0]
+    error = RadialError(0.1, 0.05)
+    assert frame.camera == error.corrected(plain.camera)
+    assert frame.camera.params[0] == pytest.approx(1.1 * plain.camera.params[0])
+    # The return that the calibration puts at (8, 10) is seen further out, and so is its depth.
+    there = error.seen(plain.camera, np.array([8.0, 10.0]))
+    assert there[0] < 6
+    found = np.argwhere(np.isfinite(frame.image.depth_m))[:, ::-1]
+    assert len(found)
+    assert np.abs(found - there).max() < 1
+    assert np.array_equal(frame.camera_from_lidar, plain.camera_from_lidar)
+    assert np.array_equal(frame.image.rgb, plain.image.rgb)
 
 
 def test_a_png_wins_over_a_jpeg_of_the_same_frame(tmp_path: Path) -> None:

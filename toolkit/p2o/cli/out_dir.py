@@ -85,10 +85,13 @@ def _draw(root: Path, home: Path, progress: Progress) -> None:
     for frame in progress.frames:
         folder = root / folder_name(frame.name)
         folder.mkdir(parents=True, exist_ok=True)
-        for name, pose in (("before", result.start), ("after", result.camera_from_lidar)):
+        for name, pose, camera in (
+            ("before", result.start, frame.camera),
+            ("after", result.camera_from_lidar, result.camera_of(frame.camera)),
+        ):
             if isinstance(progress.calibrator, Pipeline) and result.status is not Status.STAGE_FAILED:
                 view = progress.calibrator.extract(frame).as_seen_from(pose)
-                picture = overlay.draw(frame.image.rgb, view.image_edges, view.cloud_edges, frame.camera, pose)
+                picture = overlay.draw(frame.image.rgb, view.image_edges, view.cloud_edges, camera, pose)
             else:
-                picture = overlay.draw_cloud(frame.image.rgb, frame.cloud, frame.camera, pose)
+                picture = overlay.draw_cloud(frame.image.rgb, frame.cloud, camera, pose)
             overlay.write_png(folder / f"{name}.png", picture)

@@ -9,7 +9,7 @@ from p2o import se3
 if TYPE_CHECKING:
     from p2o.arrays import Float
     from p2o.metrics import PoseError
-    from p2o.result import Result
+    from p2o.result import CameraCheck, Result
     from p2o.run import Row, Run
 
 _AXES = (("roll", "deg"), ("pitch", "deg"), ("yaw", "deg"), ("x", "m"), ("y", "m"), ("z", "m"))
@@ -36,6 +36,7 @@ def describe(row: Row) -> str:
         near, chance, odds = (result.agreement[name] for name in ("near", "chance", "odds_ratio"))
         share = f"{100 * near:.0f} % of the LiDAR edges meet an image edge, {100 * chance:.0f} % by chance"
         lines.append(f"  {'agreement':<9} {share} (odds ratio {odds:.1f})")
+    lines += [f"  {'camera':<9} {_camera(check)}" for check in result.cameras]
     if result.seconds:
         lines.append(f"  {'seconds':<9} " + ", ".join(f"{stage} {took:.2f}" for stage, took in result.seconds.items()))
     lines += [f"  {'warning':<9} {text}" for text in _warnings(result)]
@@ -69,6 +70,14 @@ def _warnings(result: Result) -> list[str]:
         text if not names[0] else f"{names[0]}: {text}" if len(names) == 1 else f"{len(names)} frames: {text}"
         for text, names in by_text.items()
     ]
+
+
+def _camera(check: CameraCheck) -> str:
+    """Return what the edges say about a camera's calibration."""
+    focal = f"focal length {100 * check.focal:+.2f} % (+-{100 * check.focal_sigma:.2f})"
+    radial = f"radial distortion {check.radial:+.4f} (+-{check.radial_sigma:.4f})"
+    shift = f"up to {check.shift_px:.1f} px (+-{check.shift_sigma_px:.1f})"
+    return f"{focal}, {radial}: {shift}" + (", corrected" if check.corrected else "")
 
 
 def _pose(label: str, pose: Float) -> list[str]:
