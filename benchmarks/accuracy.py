@@ -18,7 +18,7 @@ from p2o import PoseError, View, se3
 from p2o.arrays import Float
 from p2o.metrics import pose_error, summarise
 from p2o.perturb import Perturbation, parse_perturbation, wrong_start
-from p2o.recipe import Recipe
+from p2o.recipe import Recipe, parse_settings
 from p2o.registry import Registry
 from p2o.selection import select
 
@@ -74,6 +74,8 @@ ROWS = {
         Row("canny/rings", "nearest", "given", PAPER, False),
     ],
 }
+FLAGS = ("ambiguous", "doubtful")
+"""Warnings of a result that are counted, with the errors of the results that have them."""
 MANY_EDGES = 1500
 """Frames with more LiDAR edges in the image than this are full of leaves: trees, hedges, embankments."""
 COLUMNS = (
@@ -88,7 +90,9 @@ def main() -> None:
     parser.add_argument("--frames", default="all", help="as for p2o run")
     parser.add_argument("--groups", default="joint,wide,ten,single", help=f"any of {','.join(ROWS)}")
     parser.add_argument("--extractors", help="only rows with these image extractors, such as p2ornet,stereo")
-    parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE", help="option of the extractor")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="[STAGE.]FIELD=VALUE", help="option (default stage: extractor)"
+    )
     parser.add_argument("--starts", help="only rows with these initializers, such as search")
     parser.add_argument("--seeds", type=int, default=10, help="starts per joint row")
     parser.add_argument("--single-seeds", type=int, default=3, help="starts per frame of the single-frame rows")
@@ -109,9 +113,12 @@ def main() -> None:
                 continue
             words = {"data": arguments.data, "frames": arguments.frames, "joint": row.joint, "perturb": row.perturb}
             words |= {"extractor": row.extractor, "matcher": row.matcher, "init": row.init}
-            words["options"] = {"extractor": dict(text.split("=", 1) for text in arguments.set)}
+            options = parse_settings(
+                [text if "." in text.split("=")[0] else f"extractor.{text}" for text in arguments.set]
+            )
             if row.matcher == "ogm":
-                words["options"]["matcher"] = {"sides": row.sides}
+                options["matcher"] = {**options.get("matcher", {}), "sides": row.sides}
+            words["options"] = options
             if row.extractor not in views:
                 plan = Recipe.of(**words).resolve(registry)
                 dataset = plan.dataset()
@@ -124,6 +131,7 @@ def main() -> None:
                     type(pipeline)(**{**vars(pipeline), "directed": True}).extract(frame) for _, frame in loaded
                 ]
             errors, statuses, began = [], Counter(), time.perf_counter()
+            flagged: dict[str, list[bool]] = {word: [] for word in FLAGS}
             size = parse_perturbation(row.perturb)
             for seed in range(arguments.seeds if row.joint else arguments.single_seeds):
                 pipeline = Recipe.of(**words, seed=seed).resolve(registry).calibrator()
@@ -144,6 +152,8 @@ def main() -> None:
                     result = pipeline.solve(batch, start)
                     errors.append(pose_error(result.camera_from_lidar, truth))
                     statuses[result.status.value] += 1
+                    for word, flags in flagged.items():
+                        flags.append(any(text.startswith(word) for text in result.warnings))
             seconds = (time.perf_counter() - began) / len(errors)
             matcher = row.matcher if row.sides == "LRUB" else f"{row.matcher} ({row.sides})"
             ends = ", ".join(f"{n} {k}" for k, n in sorted(statuses.items()))
@@ -155,6 +165,13 @@ def main() -> None:
                     part = [e for i, e in enumerate(errors) if many[i % len(many)] == wanted_kind]
                     if part:
                         print(f"| | {kind} | | {figures(part, good)}| | |", flush=True)
+                for word, flags in [
+                    *flagged.items(),
+                    ("no warning", [not any(f) for f in zip(*flagged.values(), strict=True)]),
+                ]:
+                    part = [e for e, flag in zip(errors, flags, strict=True) if flag]
+                    if part:
+                        print(f"| | {word} | | {figures(part, good)}| | |", flush=True)
 
 
 def leafy(view: View, truth: Float) -> bool:

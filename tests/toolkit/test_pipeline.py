@@ -259,3 +259,33 @@ def test_a_matcher_without_pairs_tells_nothing_of_the_camera() -> None:
         [edge_scene.view()], start(0, 0.2)
     )
     assert result.cameras == ()
+
+
+def at_places(poses: list[np.ndarray]):
+    """An initializer that proposes these poses."""
+    return lambda views, start: poses
+
+
+def test_a_scene_that_fits_in_two_places_is_called_ambiguous() -> None:
+    # The same outlines twice, three degrees apart: which of the two the sweep belongs to cannot be told.
+    away = se3.exp(np.array([0.0, np.radians(3.0), 0.0, 0, 0, 0]))
+    view = edge_scene.view(boxes=12)
+    edges, camera = view.image_edges, view.camera
+    turned = camera.project(camera.rays(edges.uv) @ away[:3, :3].T)
+    twice = ImageEdges(np.vstack([edges.uv, turned]), np.concatenate([edges.side, edges.side]))
+    view = replace(view, image=ImageFeatures(twice))
+    plan = replace(pipeline(), initializer=at_places([TRUTH, away @ TRUTH]))
+    result = plan.solve([view], start(0, 1.0))
+    assert result.rival["edges"] < 1.5
+    assert result.rival["rotation_deg"] == pytest.approx(3.0, abs=0.1)
+    assert any(text.startswith("ambiguous") for text in result.warnings)
+
+
+def test_a_clear_scene_is_not_ambiguous() -> None:
+    away = se3.exp(np.array([0.0, np.radians(3.0), 0.0, 0, 0, 0]))
+    plan = replace(pipeline(), initializer=at_places([away @ TRUTH, TRUTH]))
+    result = plan.solve([edge_scene.view()], start(0, 1.0))
+    assert pose_error(result.camera_from_lidar, TRUTH).rotation_deg < 0.02
+    assert not any(text.startswith("ambiguous") for text in result.warnings)
+    if result.rival:
+        assert result.rival["edges"] > 10

@@ -33,6 +33,7 @@ def _result(seed: int = 0) -> Result:
         matches={"L": 3},
         residual_px={"L": 0.1, "U": math.nan},
         directed_cost_px=(4.0, -math.inf),
+        rival={"edges": 1.5, "rotation_deg": math.inf},
         cameras=(
             CameraCheck(
                 4,

@@ -170,15 +170,19 @@ class DirectedCost:
         """How many LiDAR edge points take part."""
         return sum(len(p.xyz) for p in self.parts)
 
+    @cached_property
+    def edges(self) -> float:
+        """How many edges of full weight the points amount to."""
+        return float(sum(part.weight.sum() for part in self.parts))
+
     def __call__(self, poses: Float) -> Float:
         """Return the cost (B,) in pixels of poses (B, 4, 4); infinite where there are no points."""
         # Relative to the pose `around`, so that the numbers do not depend on where the LiDAR frame is.
         poses = np.asarray(poses, dtype=np.float64) @ self.lidar_from_around
-        total, weight = np.zeros(len(poses)), 0.0
+        total = np.zeros(len(poses))
         for part in self.parts:
             total += _part_cost(part, poses, self)
-            weight += float(part.weight.sum())
-        return total / weight if weight > 0 else np.full(len(poses), np.inf)
+        return total / self.edges if self.edges > 0 else np.full(len(poses), np.inf)
 
     def at(self, pose: Float) -> float:
         """Return the cost in pixels of one pose (4, 4)."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Literal, TypeGuard
@@ -42,6 +42,9 @@ class PipelineOptions(Options):
     min_matches: int = option(30, ge=6, help="Fewer pairs than this end a calibration as too-few-matches.")
     judge_px: float = option(5.0, gt=1, le=100, help="Truncation of the directed distance that poses are judged by.")
     min_odds_ratio: float = option(6.0, ge=0, help="A lower agreement of both sensors' edges is called doubtful.")
+    min_lead_edges: float = option(
+        1.5, ge=0, help="A result that another pose comes nearer to than by this many edges is called ambiguous."
+    )
     camera: Literal["trust", "check", "refine"] = option(
         "check",
         help="The camera's calibration: trust it; check its focal length and radial distortion against the edges, and "
@@ -151,6 +154,7 @@ class Pipeline:
         best = min(tried, key=lambda r: (not r.status.solved, r.cost_px))
         if not best.status.solved:
             return refused(best.status, best.reason, best.rounds)
+        rival = _rival(tried, best, judge)
         with clock.of("camera"):
             best, at_start, seen, checks = self._with_cameras(seen, start, best, at_start)
         costs = (at_start, best.cost_px)
@@ -174,9 +178,10 @@ class Pipeline:
             residual_px={} if best.problem is None else _mean_residuals(best.problem, best.pose),
             directed_cost_px=costs,
             agreement={"near": agreed.near, "chance": agreed.chance, "odds_ratio": agreed.odds_ratio},
+            rival=rival,
             cameras=checks,
             seconds=clock.seconds,
-            warnings=(*self._doubts(agreed), *(_camera_doubt(check) for check in checks if _is_doubtful(check))),
+            warnings=(*self._doubts(agreed, rival), *(_camera_doubt(check) for check in checks if _is_doubtful(check))),
         )
 
     def _with_cameras(
@@ -214,11 +219,19 @@ class Pipeline:
                 break
         return found, at_start, views, _checks(fits, given, corrected=done)
 
-    def _doubts(self, agreed: Agreement) -> tuple[str, ...]:
-        """Return a warning where the edges of both sensors do not seem to belong together."""
+    def _doubts(self, agreed: Agreement, rival: Mapping[str, float]) -> tuple[str, ...]:
+        """Return warnings where the edges do not seem to belong together, or fit elsewhere as well."""
+        doubts: tuple[str, ...] = ()
+        if rival and rival["edges"] < self.options.min_lead_edges:
+            away = f"{rival['rotation_deg']:.2f} deg and {rival['translation_m']:.2f} m away"
+            doubts = (
+                f"ambiguous: another pose, {away}, fits as well but for {rival['edges']:.1f} edges; take more frames "
+                "together, or a nearer start",
+            )
         if agreed.odds_ratio >= self.options.min_odds_ratio:
-            return ()
+            return doubts
         return (
+            *doubts,
             "doubtful: image and LiDAR edges meet little more often than by chance "
             f"(odds ratio {agreed.odds_ratio:.1f}, {self.options.min_odds_ratio:g} or more is usual at a right pose); "
             "look at the overlay, and check that image and sweep belong to the same moment",
@@ -291,6 +304,23 @@ class Pipeline:
         last = self.matcher(views, best_pose, options.min_reach_px)
         final = last if isinstance(last, PointToLine) and len(last) else None
         return _Refined(best_pose, best_cost, status, reason, tuple(rounds), final, solution)
+
+
+_RIVAL_DEG, _RIVAL_M = 0.5, 0.3
+
+
+def _rival(tried: Sequence[_Refined], best: _Refined, judge: DirectedCost) -> dict[str, float]:
+    """Return how much worse the next best end is that is not the place of the best, and how far away; or nothing."""
+    ends = []
+    for end in tried:
+        step = se3.inverse(end.pose) @ best.pose
+        if end.status.solved and (se3.angle_deg(step) > _RIVAL_DEG or se3.distance_m(step) > _RIVAL_M):
+            ends.append((end.cost_px, step))
+    if not ends:
+        return {}
+    cost, step = min(ends, key=lambda end: end[0])
+    worse = (cost - best.cost_px) * judge.edges / judge.truncate_px
+    return {"edges": worse, "rotation_deg": se3.angle_deg(step), "translation_m": se3.distance_m(step)}
 
 
 _CAMERA_ROUNDS = 8

@@ -87,8 +87,9 @@ class Result:
     `camera_from_lidar` (4, 4) is the estimate, or the start where `status.solved` is False; `reason` says why in one
     sentence. `covariance` (6, 6) as in `Solution`. `directed_cost_px` is the directed edge distance at the start and at
     the estimate; `agreement` holds the shares `near` and `chance`, and the `odds_ratio`, of `p2o.agreement`.
-    `cameras` says what the edges tell of each camera's calibration. `seconds` by stage. `recipe` holds every resolved
-    option.
+    `rival` is the next best pose that is another one: by how many `edges` fewer it is met, and how far away it is
+    (`rotation_deg`, `translation_m`); empty where none was found. `cameras` says what the edges tell of each camera's
+    calibration. `seconds` by stage. `recipe` holds every resolved option.
     """
 
     frames: tuple[str, ...]
@@ -102,6 +103,7 @@ class Result:
     residual_px: Mapping[str, float] = field(default_factory=dict)
     directed_cost_px: tuple[float, float] | None = None
     agreement: Mapping[str, float] = field(default_factory=dict)
+    rival: Mapping[str, float] = field(default_factory=dict)
     cameras: tuple[CameraCheck, ...] = ()
     seconds: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()

@@ -218,6 +218,7 @@ _RESULT: dict[str, Reader] = {
     "residual_px": _mapping(_number),
     "directed_cost_px": _optional(_tuple(_number, 2)),
     "agreement": _mapping(_number),
+    "rival": _mapping(_number),
     "cameras": _tuple(_camera_check),
     "seconds": _mapping(_number),
     "warnings": _tuple(_text),

@@ -59,7 +59,7 @@ class KittiRawOptions(Options):
     radial_error: tuple[float, float] = field(
         (0.0, 0.0),
         help="Relative errors of focal length and radial distortion of the rectified camera, to be corrected (what "
-        "`--refine-camera` finds).",
+        "`pipeline.camera=refine` finds).",
     )
 
 

@@ -40,7 +40,7 @@ class SearchOptions(NarrowOptions):
 # A basin of its own is narrowed by small populations from about its own width, in units of sigma.
 _BASIN_SPREAD, _BASIN_POPULATION, _BASIN_GENERATIONS = 0.3, 80, 5
 # Beginnings closer than this, in units of sigma_deg, and ends closer than this, in degrees, are one basin.
-_SEPARATE_SIGMA, _SEPARATE_DEG = 0.5, 0.15
+_SEPARATE_SIGMA, _SEPARATE_DEG = 0.5, 0.6
 _DRAWS_AT_ONCE = 500
 
 

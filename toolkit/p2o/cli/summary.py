@@ -36,6 +36,9 @@ def describe(row: Row) -> str:
         near, chance, odds = (result.agreement[name] for name in ("near", "chance", "odds_ratio"))
         share = f"{100 * near:.0f} % of the LiDAR edges meet an image edge, {100 * chance:.0f} % by chance"
         lines.append(f"  {'agreement':<9} {share} (odds ratio {odds:.1f})")
+    if result.rival:
+        apart = f"{result.rival['rotation_deg']:.2f} deg and {result.rival['translation_m']:.2f} m away"
+        lines.append(f"  {'next best':<9} {apart}, {result.rival['edges']:.1f} edges worse")
     lines += [f"  {'camera':<9} {_camera(check)}" for check in result.cameras]
     if result.seconds:
         lines.append(f"  {'seconds':<9} " + ", ".join(f"{stage} {took:.2f}" for stage, took in result.seconds.items()))
