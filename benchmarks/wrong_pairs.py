@@ -3,7 +3,8 @@
     python benchmarks/wrong_pairs.py --data kitti-raw:build/data/kitti_raw --frames @splits.json#test
 
 Every frame is calibrated from 2 deg / 0.15 m, then again with the sweep of another frame (the one seven further on).
-Prints how many of each are called doubtful or refused, and the errors of the right pairs that are and are not.
+Prints how many of each are called doubtful or refused, how many ambiguous as well, and the errors of the right pairs
+that are and are not.
 """
 
 from __future__ import annotations
@@ -32,17 +33,19 @@ def main() -> None:
     frames = [dataset[index] for index in select(dataset.names, arguments.frames)]
     views = [pipeline.extract(frame) for frame in frames]
     print(
-        "| pair | flagged (doubtful or refused) | odds ratio, median | error of flagged | error of others (medians) |"
+        "| pair | flagged (doubtful or refused) | or ambiguous | odds ratio, median | error of flagged "
+        "| error of others (medians) |"
     )
-    print("|---|---|---|---|---|")
+    print("|---|---|---|---|---|---|")
     for kind, shift in (("right", 0), ("wrong", 7)):
-        odds, flags, errors = [], [], []
+        odds, flags, errors, any_flag = [], [], [], 0
         for number, (view, frame) in enumerate(zip(views, frames, strict=True)):
             other = views[(number + shift) % len(views)]
             start = wrong_start(frame.camera_from_lidar, 2.0, 0.15, np.random.default_rng([0, number]))
             result = pipeline.solve([replace(view, cloud=other.cloud)], start)
             odds.append(result.agreement.get("odds_ratio", np.nan))
             flags.append(not result.status.solved or any(w.startswith("doubtful") for w in result.warnings))
+            any_flag += flags[-1] or any(w.startswith("ambiguous") for w in result.warnings)
             errors.append(pose_error(result.camera_from_lidar, frame.camera_from_lidar))
         cells = []
         for wanted in (True, False):
@@ -52,7 +55,8 @@ def main() -> None:
             )
             cells.append(f"{turn:.2f} deg {100 * shift_m:.0f} cm" if picked else "none")
         print(
-            f"| {kind} | {sum(flags)} of {len(flags)} | {np.nanmedian(odds):.1f} | {cells[0]} | {cells[1]} |",
+            f"| {kind} | {sum(flags)} of {len(flags)} | {any_flag} | {np.nanmedian(odds):.1f} "
+            f"| {cells[0]} | {cells[1]} |",
             flush=True,
         )
 
