@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from p2o import Camera, Dataset, Frame, Image, InputError, Method, Options, RadialError, field
 from p2o.arrays import Float
+from pydantic import field_validator
 
 from p2o_plugins.data.disparity_speed import forward_speed
 from p2o_plugins.data.image_file import read_rgb
@@ -61,6 +62,15 @@ class KittiRawOptions(Options):
         help="Relative errors of focal length and radial distortion of the rectified camera, to be corrected (what "
         "`pipeline.camera=refine` finds).",
     )
+
+    @field_validator("radial_error")
+    @classmethod
+    def _possible(cls, value: tuple[float, float]) -> tuple[float, float]:
+        try:
+            RadialError(*value)
+        except InputError as problem:
+            raise ValueError("errors of at most 0.2") from problem
+        return value
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import pytest
 from p2o import Dataset, InputError, RadialError, se3
 from p2o_plugins.data.kitti_raw import METHOD, KittiRawOptions, build
 from p2o_plugins.data.lazy_frames import LazyFrames
+from pydantic import ValidationError
 
 from .kitti_files import (
     BASELINE_M,
@@ -310,3 +311,8 @@ def test_a_dataset_travels_to_other_processes(tmp_path: Path) -> None:
 def test_the_method_is_built_from_its_options() -> None:
     assert METHOD.name == "kitti-raw"
     assert METHOD.options(root="x", camera="2").root == Path("x")
+
+
+def test_a_radial_error_that_no_camera_has_is_refused_at_once() -> None:
+    with pytest.raises(ValidationError, match=r"at most 0\.2"):
+        KittiRawOptions(radial_error=(0.5, 0.0))
