@@ -6,14 +6,14 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Literal, TypeGuard
+from typing import Literal
 
 import numpy as np
 
 from p2o import se3
 from p2o.agreement import Agreement, agreement
 from p2o.arrays import Float
-from p2o.camera import Camera
+from p2o.camera_check import checks_of, doubt, tells_cameras
 from p2o.directed_cost import DirectedCost
 from p2o.features import ImageFeatures
 from p2o.frame import Frame
@@ -21,7 +21,7 @@ from p2o.missing import RADIUS_PX, frame_rng, without_patches
 from p2o.options import Options
 from p2o.options import field as option
 from p2o.problem import PointToLine, Problem
-from p2o.radial_error import RadialError, RadialFit, fit_radial_errors
+from p2o.radial_error import RadialError, fit_radial_errors
 from p2o.result import CameraCheck, Result, Round, Solution, Status
 from p2o.side import Side
 from p2o.stages import CloudExtractor, ImageExtractor, Initializer, Matcher, Solver
@@ -181,7 +181,7 @@ class Pipeline:
             rival=rival,
             cameras=checks,
             seconds=clock.seconds,
-            warnings=(*self._doubts(agreed, rival), *(_camera_doubt(check) for check in checks if _is_doubtful(check))),
+            warnings=(*self._doubts(agreed, rival), *filter(None, map(doubt, checks))),
         )
 
     def _with_cameras(
@@ -191,12 +191,12 @@ class Pipeline:
 
         With the option `refine` all of it is for corrected cameras: pose and errors in turn, until no pixel moves.
         """
-        if self.options.camera == "trust" or not _tells_cameras(found.problem):
+        if self.options.camera == "trust" or not tells_cameras(found.problem):
             return found, at_start, views, ()
         given = [view.camera for view in views]
         pose, fits = fit_radial_errors(found.problem, found.pose)
         if self.options.camera == "check":
-            return found, at_start, views, _checks(fits, given, corrected=False)
+            return found, at_start, views, checks_of(fits, given, corrected=False)
         reach = {"reach_after_search_px": self.options.min_reach_px}
         done = False
         near = replace(self, options=self.options.model_copy(update=reach))
@@ -208,16 +208,16 @@ class Pipeline:
             ]
             judge = DirectedCost.of(corrected, start, self.options.judge_px, margin_px=_margin_px(views, start, [pose]))
             better = near._refine(corrected, start, pose, judge)
-            if not (better.status.solved and _tells_cameras(better.problem)):
+            if not (better.status.solved and tells_cameras(better.problem)):
                 break
             found = replace(better, rounds=found.rounds + better.rounds)
             at_start, views, done = judge.at(start), corrected, True
             pose, again = fit_radial_errors(replace(better.problem, cameras=tuple(given)), found.pose, errors)
-            moved = max((_apart_px(a, b) for a, b in zip(fits, again, strict=True)), default=0.0)
+            moved = max((a.apart_px(b) for a, b in zip(fits, again, strict=True)), default=0.0)
             fits = again
             if moved < _STILL_PX:
                 break
-        return found, at_start, views, _checks(fits, given, corrected=done)
+        return found, at_start, views, checks_of(fits, given, corrected=done)
 
     def _doubts(self, agreed: Agreement, rival: Mapping[str, float]) -> tuple[str, ...]:
         """Return warnings where the edges do not seem to belong together, or fit elsewhere as well."""
@@ -325,49 +325,6 @@ def _rival(tried: Sequence[_Refined], best: _Refined, judge: DirectedCost) -> di
 
 _CAMERA_ROUNDS = 8
 _STILL_PX = 0.05
-_DOUBTFUL_PX = 1.5
-_DOUBTFUL_SIGMAS = 5.0
-_TELLING_PAIRS = 100
-
-
-def _tells_cameras(problem: PointToLine | None) -> TypeGuard[PointToLine]:
-    return problem is not None and len(problem) >= _TELLING_PAIRS
-
-
-def _apart_px(one: RadialFit, other: RadialFit) -> float:
-    """Return how far two errors of one camera put things apart, at most."""
-    return RadialError(one.error.focal - other.error.focal, one.error.radial - other.error.radial).shift_px(one.camera)
-
-
-def _checks(fits: Sequence[RadialFit], cameras: Sequence[Camera], *, corrected: bool) -> tuple[CameraCheck, ...]:
-    return tuple(
-        CameraCheck(
-            frames=cameras.count(fit.camera),
-            camera=fit.camera,
-            better=fit.error.corrected(fit.camera),
-            focal=fit.error.focal,
-            focal_sigma=float(np.sqrt(fit.covariance[0, 0])),
-            radial=fit.error.radial,
-            radial_sigma=float(np.sqrt(fit.covariance[1, 1])),
-            shift_px=fit.error.shift_px(fit.camera),
-            shift_sigma_px=fit.sigma_px,
-            corrected=corrected,
-        )
-        for fit in fits
-    )
-
-
-def _is_doubtful(check: CameraCheck) -> bool:
-    sure = check.shift_px > _DOUBTFUL_SIGMAS * check.shift_sigma_px
-    return not check.corrected and check.shift_px > _DOUBTFUL_PX and sure
-
-
-def _camera_doubt(check: CameraCheck) -> str:
-    return (
-        f"the camera's calibration is in doubt: edges are seen up to {check.shift_px:.1f} px from where it puts them "
-        f"(focal length {100 * check.focal:+.2f} %, radial distortion {check.radial:+.4f}); calibrate its lens anew, "
-        "or correct it here with --set pipeline.camera=refine"
-    )
 
 
 def _missing_edges(views: Sequence[View], start: Float) -> str:

@@ -121,6 +121,11 @@ class RadialFit:
     error: RadialError
     covariance: Float
 
+    def apart_px(self, other: RadialFit) -> float:
+        """Return how far in pixels, at most, this error and another one of the same camera put things apart."""
+        focal, radial = self.error.focal - other.error.focal, self.error.radial - other.error.radial
+        return RadialError(focal, radial).shift_px(self.camera)
+
     @property
     def sigma_px(self) -> float:
         """Standard deviation of where things are seen, in pixels, at the place in the picture where it is largest."""
