@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from p2o.result import Round as Round
     from p2o.result import Solution as Solution
     from p2o.result import Status as Status
+    from p2o.result import SweepMotion as SweepMotion
     from p2o.run import Row as Row
     from p2o.run import Run as Run
     from p2o.run import calibrate as calibrate
@@ -80,7 +81,7 @@ _HOME = {
     "radial_error": ["RadialError"],
     "recipe": ["Recipe"],
     "registry": ["Registry"],
-    "result": ["CameraCheck", "Result", "Round", "Solution", "Status"],
+    "result": ["CameraCheck", "Result", "Round", "Solution", "Status", "SweepMotion"],
     "run": ["Row", "Run", "calibrate"],
     "side": ["SIDES", "Side"],
     "stages": [

@@ -27,7 +27,7 @@ from p2o.sources import code_hash
 if TYPE_CHECKING:
     from p2o.recipe import Part
 
-_FORMAT = 1
+_FORMAT = 2
 
 
 def cache_folder(environ: Mapping[str, str] | None = None) -> Path:

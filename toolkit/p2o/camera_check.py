@@ -8,7 +8,7 @@ from typing import TypeGuard
 import numpy as np
 
 from p2o.camera import Camera
-from p2o.problem import PointToLine
+from p2o.problem import PointToLine, Problem
 from p2o.radial_error import RadialFit
 from p2o.result import CameraCheck
 
@@ -17,9 +17,9 @@ _DOUBTFUL_SIGMAS = 5.0
 _TELLING_PAIRS = 100
 
 
-def tells_cameras(problem: PointToLine | None) -> TypeGuard[PointToLine]:
-    """Return whether there are pairs enough to tell an error of a camera from."""
-    return problem is not None and len(problem) >= _TELLING_PAIRS
+def tells_more(problem: Problem | None) -> TypeGuard[PointToLine]:
+    """Return whether there are pairs, and enough of them to tell more than the pose from."""
+    return isinstance(problem, PointToLine) and len(problem) >= _TELLING_PAIRS
 
 
 def checks_of(fits: Sequence[RadialFit], cameras: Sequence[Camera], *, corrected: bool) -> tuple[CameraCheck, ...]:

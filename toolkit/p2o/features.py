@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from p2o import se3
 from p2o.arrays import Bool, Float, Int8, checked
 from p2o.errors import InputError
+from p2o.motion import moved
 from p2o.side import Side
 
 _SIDE_NUMBERS = [int(side) for side in Side]
@@ -94,7 +95,9 @@ class CloudEdges:
     `sigma_m` (M,) is the standard deviation in metres of the edge's place across its direction (half the gap to the
     next beam, uniform: gap / sqrt(12)); `weight` (M,) >= 0 the confidence that it is an edge at all. `background`
     (M, 3) are unit directions in the LiDAR frame from the edge towards its background, zero where unknown: with them
-    the side can be told for any way the two sensors are mounted (`View.as_seen_from`).
+    the side can be told for any way the two sensors are mounted (`View.as_seen_from`). `time_s` (M,) is when an edge of
+    a sweep as measured was seen, in seconds from the image; 0 where there are no times, and where the sweep was
+    corrected for motion: such edges are where they are.
     """
 
     xyz: Float
@@ -102,6 +105,7 @@ class CloudEdges:
     weight: Float = field(default=None)  # type: ignore[arg-type]  # filled in below
     sigma_m: Float = field(default=None)  # type: ignore[arg-type]
     background: Float = field(default=None)  # type: ignore[arg-type]
+    time_s: Float = field(default=None)  # type: ignore[arg-type]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "xyz", checked("xyz of the cloud edges", self.xyz, (None, 3), np.float64))
@@ -113,6 +117,8 @@ class CloudEdges:
         background = np.zeros((count, 3)) if self.background is None else self.background
         background = checked("background of the cloud edges", background, (count, 3), np.float64)
         object.__setattr__(self, "background", background)
+        time_s = np.zeros(count) if self.time_s is None else self.time_s
+        object.__setattr__(self, "time_s", checked("time_s of the cloud edges", time_s, (count,), np.float64))
 
     def __len__(self) -> int:
         return len(self.xyz)
@@ -128,13 +134,23 @@ class CloudEdges:
 
     def select(self, keep: Any) -> CloudEdges:
         """Return the edges of a mask or index."""
-        rows = (self.xyz, self.side, self.weight, self.sigma_m, self.background)
+        rows = (self.xyz, self.side, self.weight, self.sigma_m, self.background, self.time_s)
         return CloudEdges(*(values[keep] for values in rows))
 
     def moved(self, b_from_lidar: Float) -> CloudEdges:
         """Return the edges in another frame b: xyz transformed by a (4, 4) rigid transform."""
         turned = self.background @ b_from_lidar[:3, :3].T
         return replace(self, xyz=se3.apply(b_from_lidar, self.xyz), background=turned)
+
+    def untwisted(self, twist: Float) -> CloudEdges:
+        """Return the edges as if seen at time 0 from a LiDAR that moves with constant `twist` (6,), rad/s and m/s.
+
+        Times are kept: calling it twice adds both motions (their commutator is far below a millimetre).
+        """
+        if not self.time_s.any():
+            return self
+        background = moved(twist, self.time_s, self.background, directions=True)
+        return replace(self, xyz=moved(twist, self.time_s, self.xyz), background=background)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,18 +11,21 @@ from typing import Literal
 import numpy as np
 
 from p2o import se3
+from p2o.adjustment import Adjustment, MotionFit, adjust
 from p2o.agreement import Agreement, agreement
 from p2o.arrays import Float
-from p2o.camera_check import checks_of, doubt, tells_cameras
+from p2o.camera import Camera
+from p2o.camera_check import checks_of, doubt, tells_more
 from p2o.directed_cost import DirectedCost
+from p2o.ego_motion import EgoMotion, MotionPrior
 from p2o.features import ImageFeatures
 from p2o.frame import Frame
 from p2o.missing import RADIUS_PX, frame_rng, without_patches
 from p2o.options import Options
 from p2o.options import field as option
 from p2o.problem import PointToLine, Problem
-from p2o.radial_error import RadialError, fit_radial_errors
-from p2o.result import CameraCheck, Result, Round, Solution, Status
+from p2o.radial_error import RadialError
+from p2o.result import CameraCheck, Result, Round, Solution, Status, SweepMotion
 from p2o.side import Side
 from p2o.stages import CloudExtractor, ImageExtractor, Initializer, Matcher, Solver
 from p2o.view import View
@@ -50,6 +53,17 @@ class PipelineOptions(Options):
         help="The camera's calibration: trust it; check its focal length and radial distortion against the edges, and "
         "warn; or refine: correct them along with the pose (with many frames together).",
     )
+    motion: Literal["trust", "estimate"] = option(
+        "estimate",
+        help="Sweeps as measured, whose points have times: trust them, as of a car that stands; or estimate how the "
+        "car moves during each of them, along with the pose. Sweeps that were corrected for motion stay as they are.",
+    )
+    forward: tuple[float, float, float] = option(
+        (1.0, 0.0, 0.0), help="Direction of travel in the LiDAR frame, for `motion`; its z axis is up."
+    )
+    speed_m_s: float = option(8.0, ge=-60, le=60, help="Forward speed of the car that `motion` begins from.")
+    speed_sigma_m_s: float = option(8.0, gt=0, le=60, help="Standard deviation of the true speed from it.")
+    turn_sigma_deg_s: float = option(6.0, gt=0, le=90, help="Standard deviation of the car's turning rate from zero.")
     tolerance_deg: float = option(1e-3, ge=0, help="A smaller turn (and shift) in the last round means converged.")
     tolerance_m: float = option(1e-3, ge=0, help="A smaller shift (and turn) in the last round means converged.")
     missing_edges: float = option(
@@ -85,6 +99,44 @@ class _Refined:
     rounds: tuple[Round, ...]
     problem: PointToLine | None = None
     solution: Solution | None = None
+
+
+@dataclass(frozen=True)
+class _State:
+    """What is known of views beside the pose: errors of their cameras, and motions, one a view or none."""
+
+    errors: Mapping[Camera, RadialError] = field(default_factory=dict)
+    motions: tuple[MotionFit, ...] = ()
+
+    @classmethod
+    def expected(cls, views: Sequence[View], prior: MotionPrior | None) -> _State:
+        """Return what is known before the edges are asked."""
+        return cls() if prior is None else cls(motions=(MotionFit(prior.expected, prior.covariance),) * len(views))
+
+    def adjusted(
+        self,
+        problem: PointToLine,
+        cameras_given: tuple[Camera, ...],
+        pose: Float,
+        prior: MotionPrior | None,
+        *,
+        cameras: bool,
+    ) -> Adjustment:
+        """Return what pairs of `views` tell beside the pose, beginning from this state."""
+        motions = [fit.motion for fit in self.motions]
+        pairs = replace(problem, cameras=cameras_given)
+        return adjust(pairs, pose, cameras=cameras, known=self.errors, prior=prior, motions=motions)
+
+    def after(self, fit: Adjustment) -> _State:
+        """Return what an adjustment found."""
+        return _State(dict(self.errors) | {c.camera: c.error for c in fit.cameras}, fit.motions)
+
+    def views(self, measured: Sequence[View]) -> list[View]:
+        """Return views as measured with their cameras corrected and their edges as if seen at one time."""
+        if self.motions:
+            measured = [view.untwisted(fit.motion.twist) for view, fit in zip(measured, self.motions, strict=True)]
+        cameras = [self.errors.get(view.camera, RadialError()).corrected(view.camera) for view in measured]
+        return [replace(view, camera=camera) for view, camera in zip(measured, cameras, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -142,8 +194,11 @@ class Pipeline:
         missing = _missing_edges(views, start)
         if missing:
             return refused(Status.NO_EDGES, missing)
+        prior = self._motion_prior(views)
         with clock.of("initialize"):
-            seen: Sequence[View] = [self._seen(view, start) for view in views]
+            measured = [self._seen(view, start) for view in views]
+            state = _State.expected(measured, prior)
+            seen = state.views(measured)
             poses = self.initializer(seen, start) or [start]
         with clock.of("refine"):
             judge = DirectedCost.of(seen, start, self.options.judge_px, margin_px=_margin_px(seen, start, poses))
@@ -155,8 +210,9 @@ class Pipeline:
         if not best.status.solved:
             return refused(best.status, best.reason, best.rounds)
         rival = _rival(tried, best, judge)
-        with clock.of("camera"):
-            best, at_start, seen, checks = self._with_cameras(seen, start, best, at_start)
+        with clock.of("adjust"):
+            best, at_start, state, checks = self._adjusted(measured, start, best, at_start, state, prior)
+            seen = state.views(measured)
         costs = (at_start, best.cost_px)
         if not best.cost_px < at_start:
             reason = (
@@ -180,44 +236,64 @@ class Pipeline:
             agreement={"near": agreed.near, "chance": agreed.chance, "odds_ratio": agreed.odds_ratio},
             rival=rival,
             cameras=checks,
+            motions=_motions(views, state.motions),
             seconds=clock.seconds,
             warnings=(*self._doubts(agreed, rival), *filter(None, map(doubt, checks))),
         )
 
-    def _with_cameras(
-        self, views: Sequence[View], start: Float, found: _Refined, at_start: float
-    ) -> tuple[_Refined, float, Sequence[View], tuple[CameraCheck, ...]]:
-        """Return what was found, the cost of the start, the views and what they say about their cameras.
+    def _motion_prior(self, views: Sequence[View]) -> MotionPrior | None:
+        """Return what is expected of the car's motion, or None where it is not asked for or no sweep tells any."""
+        options = self.options
+        if options.motion == "trust" or not any(view.cloud_edges.time_s.any() for view in views):
+            return None
+        expected = EgoMotion(options.speed_m_s, 0.0, options.forward)
+        return MotionPrior(expected, options.speed_sigma_m_s, float(np.radians(options.turn_sigma_deg_s)))
 
-        With the option `refine` all of it is for corrected cameras: pose and errors in turn, until no pixel moves.
+    def _adjusted(
+        self,
+        measured: Sequence[View],
+        start: Float,
+        found: _Refined,
+        at_start: float,
+        state: _State,
+        prior: MotionPrior | None,
+    ) -> tuple[_Refined, float, _State, tuple[CameraCheck, ...]]:
+        """Return what was found, the cost of the start, the state of the views and what they say of their cameras.
+
+        Motion of the sweeps and, with the option `refine`, errors of the cameras are found along with the pose, with
+        new pairs in every round until these hardly move; then the pose is what matcher and solver make of it.
         """
-        if self.options.camera == "trust" or not tells_cameras(found.problem):
-            return found, at_start, views, ()
-        given = [view.camera for view in views]
-        pose, fits = fit_radial_errors(found.problem, found.pose)
-        if self.options.camera == "check":
-            return found, at_start, views, checks_of(fits, given, corrected=False)
-        reach = {"reach_after_search_px": self.options.min_reach_px}
-        done = False
-        near = replace(self, options=self.options.model_copy(update=reach))
-        for _ in range(_CAMERA_ROUNDS):
-            errors = {fit.camera: fit.error for fit in fits}
-            corrected = [
-                replace(view, camera=errors.get(camera, RadialError()).corrected(camera))
-                for view, camera in zip(views, given, strict=True)
-            ]
-            judge = DirectedCost.of(corrected, start, self.options.judge_px, margin_px=_margin_px(views, start, [pose]))
-            better = near._refine(corrected, start, pose, judge)
-            if not (better.status.solved and tells_cameras(better.problem)):
-                break
-            found = replace(better, rounds=found.rounds + better.rounds)
-            at_start, views, done = judge.at(start), corrected, True
-            pose, again = fit_radial_errors(replace(better.problem, cameras=tuple(given)), found.pose, errors)
-            moved = max((a.apart_px(b) for a, b in zip(fits, again, strict=True)), default=0.0)
-            fits = again
-            if moved < _STILL_PX:
-                break
-        return found, at_start, views, checks_of(fits, given, corrected=done)
+        options, given = self.options, tuple(view.camera for view in measured)
+        if not tells_more(found.problem):
+            return found, at_start, state, ()
+        refines, fit = options.camera == "refine", None
+        if refines or prior is not None:
+            pose, then, reach = found.pose, state, options.min_reach_px * _ADJUST_REACH
+            for _ in range(_ADJUST_ROUNDS):
+                problem = self.matcher(then.views(measured), pose, reach)
+                if not tells_more(problem):
+                    break
+                fit = then.adjusted(problem, given, pose, prior, cameras=refines)
+                pose, then = fit.camera_from_lidar, then.after(fit)
+                if fit.step_px < _STILL_PX and reach <= options.min_reach_px:
+                    break
+                reach = max(options.min_reach_px, reach * _ADJUST_SHRINK)
+            views = then.views(measured)
+            judge = DirectedCost.of(views, start, options.judge_px, margin_px=_margin_px(measured, start, [pose]))
+            near = replace(self, options=options.model_copy(update={"reach_after_search_px": options.min_reach_px}))
+            end = near._refine(views, start, pose, judge)
+            if fit is not None and end.status.solved and tells_more(end.problem):
+                solution = None if end.solution is None else replace(end.solution, covariance=fit.covariance)
+                found = replace(end, rounds=found.rounds + end.rounds, solution=solution)
+                at_start, state = judge.at(start), then
+            else:
+                fit = None
+        if options.camera == "trust" or not tells_more(found.problem):
+            return found, at_start, state, ()
+        if refines and fit is not None:
+            return found, at_start, state, checks_of(fit.cameras, given, corrected=True)
+        fit = state.adjusted(found.problem, given, found.pose, prior, cameras=True)
+        return found, at_start, state, checks_of(fit.cameras, given, corrected=False)
 
     def _doubts(self, agreed: Agreement, rival: Mapping[str, float]) -> tuple[str, ...]:
         """Return warnings where the edges do not seem to belong together, or fit elsewhere as well."""
@@ -323,7 +399,19 @@ def _rival(tried: Sequence[_Refined], best: _Refined, judge: DirectedCost) -> di
     return {"edges": worse, "rotation_deg": se3.angle_deg(step), "translation_m": se3.distance_m(step)}
 
 
-_CAMERA_ROUNDS = 8
+def _motions(views: Sequence[View], fits: Sequence[MotionFit]) -> tuple[SweepMotion, ...]:
+    """Return the motions of those views whose sweeps are as measured."""
+    found = []
+    for view, fit in zip(views, fits, strict=bool(fits)):
+        if view.cloud_edges.time_s.any():
+            motion, (speed_sigma, turn_sigma) = fit.motion, np.sqrt(np.diag(fit.covariance)).tolist()
+            turn = float(np.degrees(motion.turn_rad_s)), float(np.degrees(turn_sigma))
+            found.append(SweepMotion(view.name, motion.speed_m_s, speed_sigma, *turn, tuple(motion.twist.tolist())))
+    return tuple(found)
+
+
+_ADJUST_ROUNDS = 12
+_ADJUST_REACH, _ADJUST_SHRINK = 1.6, 0.85
 _STILL_PX = 0.05
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -31,6 +31,8 @@ class PointToLine:
     `xyz` (K, 3) m in the LiDAR frame; `centre` (K, 2) px; `normal` (K, 2) unit; `weight` (K,) >= 0; `side` (K,) int8;
     `frame` (K,) index into `cameras`, one camera a view; `huber_px` the width of the Huber kernel in pixels. The cost
     of all pairs is sum_k weight_k rho(r_k) with rho(r) = r^2 / 2 up to huber_px and linear beyond (paper Eq. 1).
+    `time_s` (K,) as in `CloudEdges`: when a point was measured, 0 where its sweep is corrected for motion or has no
+    times.
 
     Raises InputError for wrong shapes, values that are not finite, negative weights, normals that are not of length
     one, frames without a camera, or a Huber width that is not positive.
@@ -44,6 +46,7 @@ class PointToLine:
     frame: Int
     cameras: tuple[Camera, ...]
     huber_px: float = 1.0
+    time_s: Float = field(default=None)  # type: ignore[arg-type]  # zeros
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "xyz", checked("xyz of the pairs", self.xyz, (None, 3), np.float64))
@@ -53,6 +56,8 @@ class PointToLine:
         object.__setattr__(self, "weight", checked("weight of the pairs", self.weight, (count,), np.float64))
         object.__setattr__(self, "side", checked("side of the pairs", self.side, (count,), np.int8))
         object.__setattr__(self, "frame", checked("frame of the pairs", self.frame, (count,), np.int64))
+        time_s = np.zeros(count) if self.time_s is None else self.time_s
+        object.__setattr__(self, "time_s", checked("time_s of the pairs", time_s, (count,), np.float64))
         object.__setattr__(self, "cameras", tuple(self.cameras))
         if count and (self.frame.min() < 0 or self.frame.max() >= len(self.cameras)):
             raise InputError(

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
+import numpy as np
+
 from p2o.arrays import Float
 from p2o.camera import Camera
 
@@ -80,6 +82,22 @@ class CameraCheck:
     corrected: bool
 
 
+@dataclass(frozen=True)
+class SweepMotion:
+    """How the car moved during the sweep of one frame, as the edges tell it where nothing else does.
+
+    `speed_m_s` is forward and `turn_deg_s` to the left, with standard deviations; `twist` (6,) is the same as a
+    velocity in rad/s and m/s in the LiDAR frame, which the edges were corrected for (`Cloud.untwisted`).
+    """
+
+    frame: str
+    speed_m_s: float
+    speed_sigma: float
+    turn_deg_s: float
+    turn_sigma: float
+    twist: tuple[float, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class Result:
     """One calibration, of one frame or of several jointly.
@@ -89,7 +107,8 @@ class Result:
     the estimate; `agreement` holds the shares `near` and `chance`, and the `odds_ratio`, of `p2o.agreement`.
     `rival` is the next best pose that is another one: by how many `edges` fewer it is met, and how far away it is
     (`rotation_deg`, `translation_m`); empty where none was found. `cameras` says what the edges tell of each camera's
-    calibration. `seconds` by stage. `recipe` holds every resolved option.
+    calibration, `motions` how the car moved during sweeps that were as measured. `seconds` by stage. `recipe` holds every
+    resolved option.
     """
 
     frames: tuple[str, ...]
@@ -105,6 +124,7 @@ class Result:
     agreement: Mapping[str, float] = field(default_factory=dict)
     rival: Mapping[str, float] = field(default_factory=dict)
     cameras: tuple[CameraCheck, ...] = ()
+    motions: tuple[SweepMotion, ...] = ()
     seconds: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     recipe: Mapping[str, Any] = field(default_factory=dict)
@@ -114,3 +134,7 @@ class Result:
     def camera_of(self, camera: Camera) -> Camera:
         """Return the camera that the estimate is for, given that of a frame: another one where it was corrected."""
         return next((c.better for c in self.cameras if c.corrected and c.camera == camera), camera)
+
+    def twist_of(self, frame: str) -> Float | None:
+        """Return the velocity (6,) that the edges of a frame were corrected for, or None where they were not."""
+        return next((np.array(motion.twist) for motion in self.motions if motion.frame == frame), None)

@@ -17,7 +17,7 @@ from p2o import se3
 from p2o.arrays import Float, checked
 from p2o.camera import Camera
 from p2o.errors import InputError
-from p2o.result import CameraCheck, Result, Round, Status
+from p2o.result import CameraCheck, Result, Round, Status, SweepMotion
 
 Reader = Callable[[str, Any], Any]
 
@@ -57,7 +57,7 @@ def result_from_json(text: str) -> Result:
 
 
 def _plain(name: str, value: Any) -> Any:
-    if isinstance(value, Round | CameraCheck | Camera):
+    if isinstance(value, Round | CameraCheck | Camera | SweepMotion):
         return {f.name: _plain(f"{name}.{f.name}", getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
@@ -206,6 +206,20 @@ def _camera_check(name: str, value: Any) -> CameraCheck:
     return CameraCheck(**_fields(f"an entry of {name}", value, _CAMERA_CHECK))
 
 
+_MOTION: dict[str, Reader] = {
+    "frame": _text,
+    "speed_m_s": _number,
+    "speed_sigma": _number,
+    "turn_deg_s": _number,
+    "turn_sigma": _number,
+    "twist": _tuple(_number, 6),
+}
+
+
+def _motion(name: str, value: Any) -> SweepMotion:
+    return SweepMotion(**_fields(f"an entry of {name}", value, _MOTION))
+
+
 _RESULT: dict[str, Reader] = {
     "frames": _tuple(_text),
     "start": _pose,
@@ -220,6 +234,7 @@ _RESULT: dict[str, Reader] = {
     "agreement": _mapping(_number),
     "rival": _mapping(_number),
     "cameras": _tuple(_camera_check),
+    "motions": _tuple(_motion),
     "seconds": _mapping(_number),
     "warnings": _tuple(_text),
     "recipe": _mapping(_as_is),

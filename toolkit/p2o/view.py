@@ -59,3 +59,8 @@ class View:
     def moved(self, b_from_lidar: Float) -> View:
         """Return the view with the LiDAR frame replaced by b; the image side is untouched."""
         return replace(self, cloud=self.cloud.moved(b_from_lidar))
+
+    def untwisted(self, twist: Float) -> View:
+        """Return the view with its LiDAR edges as if seen at time 0 from a LiDAR that moves with `twist` (6,)."""
+        edges = self.cloud.edges
+        return self if edges is None else replace(self, cloud=replace(self.cloud, edges=edges.untwisted(twist)))

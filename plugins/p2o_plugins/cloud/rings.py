@@ -74,6 +74,8 @@ def ring_edges(cloud: Cloud, options: RingsOptions) -> CloudFeatures:
     plane = ground_plane(sweep, options.seed) if options.ground_height_m > 0 else None
     beam = float(np.median(left.gap[left.known][::8])) if left.known.any() else 0.0
     step = float(np.median(lower.gap[lower.known][::8])) if lower.known.any() else 0.0
+    # The edges of a sweep that was corrected for motion are where they are, whenever they were seen.
+    measured_s = cloud.time_s if cloud.twist is None else None
     parts = []
     for side, rows in jumps.items():
         support = support_of(sweep, neighbours, side, rows, options)
@@ -88,7 +90,8 @@ def ring_edges(cloud: Cloud, options: RingsOptions) -> CloudFeatures:
         rows, support = rows[keep], support[keep]
         xyz, sigma = outline(sweep, neighbours[side], side, rows, beam, options)
         weight = support if options.weigh else np.ones(len(rows))
-        parts.append((xyz, np.full(len(rows), side), weight, sigma, _towards_background(xyz, side)))
+        time_s = np.zeros(len(rows)) if measured_s is None else measured_s[sweep.point[rows]]
+        parts.append((xyz, np.full(len(rows), side), weight, sigma, _towards_background(xyz, side), time_s))
     edges = CloudEdges(*(np.concatenate(column) for column in zip(*parts, strict=True)))
     if options.max_points == 0 or len(sweep) == 0:
         return CloudFeatures(edges, np.zeros((0, 3)))

@@ -41,6 +41,7 @@ class Pairs:
     normal: Float
     weight: Float
     side: Int8
+    time_s: Float
 
 
 def pair(
@@ -81,7 +82,8 @@ def pair(
     if options.weigh_by_sigma:
         lidar_px = camera.focal_px * cloud.sigma_m[rows] / xyz_camera[rows, 2]
         weight = weight / (1.0 + (lidar_px / options.image_sigma_px) ** 2)
-    pairs = Pairs(cloud.xyz[rows], lines.centre[good], lines.normal[good], weight, cloud.side[rows])
+    lines_of = lines.centre[good], lines.normal[good]
+    pairs = Pairs(cloud.xyz[rows], *lines_of, weight, cloud.side[rows], cloud.time_s[rows])
     if options.thin_px > 0:
         keep = thinned(uv[rows], pairs.side, weight, options.thin_px)
         pairs = Pairs(*(getattr(pairs, name)[keep] for name in Pairs.__dataclass_fields__))
@@ -128,4 +130,5 @@ def assemble(views: Sequence[p2o.View], pairs: Sequence[Pairs], huber_px: float,
         np.repeat(np.arange(len(pairs)), [len(p.weight) for p in pairs]),
         cameras,
         huber_px,
+        np.concatenate([p.time_s for p in pairs]),
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -85,13 +85,15 @@ def _draw(root: Path, home: Path, progress: Progress) -> None:
     for frame in progress.frames:
         folder = root / folder_name(frame.name)
         folder.mkdir(parents=True, exist_ok=True)
-        for name, pose, camera in (
-            ("before", result.start, frame.camera),
-            ("after", result.camera_from_lidar, result.camera_of(frame.camera)),
+        twist = result.twist_of(frame.name)
+        corrected = frame if twist is None else replace(frame, cloud=frame.cloud.untwisted(twist))
+        for name, pose, camera, seen in (
+            ("before", result.start, frame.camera, frame),
+            ("after", result.camera_from_lidar, result.camera_of(frame.camera), corrected),
         ):
             if isinstance(progress.calibrator, Pipeline) and result.status is not Status.STAGE_FAILED:
-                view = progress.calibrator.extract(frame).as_seen_from(pose)
+                view = progress.calibrator.extract(seen).as_seen_from(pose)
                 picture = overlay.draw(frame.image.rgb, view.image_edges, view.cloud_edges, camera, pose)
             else:
-                picture = overlay.draw_cloud(frame.image.rgb, frame.cloud, camera, pose)
+                picture = overlay.draw_cloud(frame.image.rgb, seen.cloud, camera, pose)
             overlay.write_png(folder / f"{name}.png", picture)

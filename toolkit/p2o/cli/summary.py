@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING
 from p2o import se3
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from p2o.arrays import Float
     from p2o.metrics import PoseError
-    from p2o.result import CameraCheck, Result
+    from p2o.result import CameraCheck, Result, SweepMotion
     from p2o.run import Row, Run
 
 _AXES = (("roll", "deg"), ("pitch", "deg"), ("yaw", "deg"), ("x", "m"), ("y", "m"), ("z", "m"))
@@ -40,6 +42,8 @@ def describe(row: Row) -> str:
         apart = f"{result.rival['rotation_deg']:.2f} deg and {result.rival['translation_m']:.2f} m away"
         lines.append(f"  {'next best':<9} {apart}, {result.rival['edges']:.1f} edges worse")
     lines += [f"  {'camera':<9} {_camera(check)}" for check in result.cameras]
+    if result.motions:
+        lines.append(f"  {'motion':<9} {_motions(result.motions)}")
     if result.seconds:
         lines.append(f"  {'seconds':<9} " + ", ".join(f"{stage} {took:.2f}" for stage, took in result.seconds.items()))
     lines += [f"  {'warning':<9} {text}" for text in _warnings(result)]
@@ -81,6 +85,19 @@ def _camera(check: CameraCheck) -> str:
     radial = f"radial distortion {check.radial:+.4f} (+-{check.radial_sigma:.4f})"
     shift = f"up to {check.shift_px:.1f} px (+-{check.shift_sigma_px:.1f})"
     return f"{focal}, {radial}: {shift}" + (", corrected" if check.corrected else "")
+
+
+def _motions(motions: Sequence[SweepMotion]) -> str:
+    """Return how the car moved; of several frames the range."""
+    if len(motions) == 1:
+        (m,) = motions
+        speed = f"{m.speed_m_s:.1f} m/s (+-{m.speed_sigma:.1f})"
+        return (
+            f"{speed} forward, {m.turn_deg_s:.1f} deg/s (+-{m.turn_sigma:.1f}) to the left: the edges tell, corrected"
+        )
+    speeds, turns = [m.speed_m_s for m in motions], [m.turn_deg_s for m in motions]
+    speed, turn = (f"{min(values):.1f} to {max(values):.1f}" for values in (speeds, turns))
+    return f"{speed} m/s forward, {turn} deg/s to the left, by frame: the edges tell, corrected"
 
 
 def _pose(label: str, pose: Float) -> list[str]:
