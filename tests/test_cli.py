@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -243,6 +244,21 @@ def test_out_holds_result_overlays_and_convergence_of_every_frame(tmp_path: Path
     assert (home / "before.png").read_bytes() != (home / "after.png").read_bytes()
     result = json.loads((home / "result.json").read_text())
     assert result == json.loads((out / "run.json").read_text())["results"][0]
+
+
+def test_the_motion_that_the_edges_tell_is_said_and_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["run", "--data", "synthetic:?deskew=false&speed_m_s=16&right=false", "--extractor", "depth/rings"]
+    words += ["--init", "given", "--perturb", "0.5deg 0.02m"]
+    assert main([*words, "--out", str(tmp_path / "found")]) == 0
+    assert re.search(r"motion    \d+\.\d m/s \(\+-\d+\.\d\) forward, .* deg/s", capsys.readouterr().out)
+    assert main([*words, "--set", "pipeline.motion=trust", "--out", str(tmp_path / "trusted")]) == 0
+    assert "  motion " not in capsys.readouterr().out
+    found, trusted = (
+        json.loads((tmp_path / name / "run.json").read_text())["results"][0] for name in ("found", "trusted")
+    )
+    assert found["motions"][0]["speed_m_s"] == pytest.approx(16, abs=4)
+    assert trusted["motions"] == []
+    assert found["error"]["translation_m"] < 0.5 * trusted["error"]["translation_m"]
 
 
 def test_a_joint_result_lies_in_the_folder_itself(fake: list[str], tmp_path: Path) -> None:

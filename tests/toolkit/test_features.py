@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from p2o import CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, InputError, Side, se3
@@ -69,6 +71,8 @@ def test_wrong_image_edges_are_refused(uv: object, side: object, weight: object,
         ({"side": np.full(5, 7)}, "unknown direction"),
         ({"weight": -np.ones(5)}, "weight of the cloud edges is negative"),
         ({"sigma_m": -np.ones(5)}, "sigma_m of the cloud edges is negative"),
+        ({"time_s": np.zeros(4)}, "time_s of the cloud edges has the wrong shape"),
+        ({"time_s": np.full(5, np.nan)}, "time_s of the cloud edges .* not finite"),
         ({"background": np.zeros((5, 2))}, "background of the cloud edges has the wrong shape"),
     ],
 )
@@ -131,6 +135,20 @@ def test_moving_the_frame_moves_points_and_turns_directions() -> None:
     np.testing.assert_array_equal(moved.sigma_m, cloud_edges().sigma_m)
     back = moved.moved(se3.inverse(b_from_lidar))
     np.testing.assert_allclose(back.xyz, XYZ, atol=1e-12)
+
+
+def test_edges_of_a_moving_lidar_move_by_their_own_times() -> None:
+    time_s = np.array([-0.1, 0.0, 0.1, 0.2, 0.0])
+    edges = replace(cloud_edges(), time_s=time_s)
+    there = edges.untwisted(np.array([0, 0, 0, 10.0, 0, 0]))
+    np.testing.assert_allclose(there.xyz - XYZ, np.outer(time_s, [10, 0, 0]), atol=1e-12)
+    np.testing.assert_array_equal(there.background, edges.background)
+    turned = edges.untwisted(np.array([0, 0, np.pi, 0, 0, 0]))
+    np.testing.assert_allclose(turned.background[3], [-np.sin(0.2 * np.pi), np.cos(0.2 * np.pi), 0], atol=1e-12)
+    np.testing.assert_array_equal(turned.xyz[[1, 4]], XYZ[[1, 4]])
+    for both in (there, turned, edges.select(np.array([1, 2]))):
+        np.testing.assert_array_equal(both.time_s, time_s if len(both) == 5 else time_s[1:3])
+    np.testing.assert_array_equal(cloud_edges().untwisted(np.ones(6)).xyz, XYZ)
 
 
 def test_features_hand_on_to_what_they_hold() -> None:

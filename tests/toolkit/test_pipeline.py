@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, RadialError, Side, Solution, Status, View, se3
+from p2o.ego_motion import EgoMotion
 from p2o.metrics import pose_error
+from p2o.motion import moved
 from p2o.perturb import wrong_start
 from p2o.pipeline import Pipeline, PipelineOptions
 from p2o_plugins.initialize import given, grid, search
@@ -249,6 +251,72 @@ def test_refining_a_right_camera_leaves_it_and_the_pose() -> None:
     result = pipeline(camera="refine").solve(views, start())
     assert result.cameras[0].shift_px < 0.1
     assert pose_error(result.camera_from_lidar, TRUTH).translation_m < 0.005
+
+
+def as_measured(view: View, motion: EgoMotion) -> View:
+    """The view of a LiDAR that turns ten times a second and moves, the picture taken 4 ms after straight ahead."""
+    edges = view.cloud_edges
+    time_s = -np.arctan2(edges.xyz[:, 1], edges.xyz[:, 0]) / (2 * np.pi) * 0.1 - 0.004
+    xyz = moved(motion.twist, -time_s, edges.xyz)
+    return replace(view, cloud=CloudFeatures(replace(edges, xyz=xyz, time_s=time_s)))
+
+
+MOTIONS = [EgoMotion(speed, turn) for speed, turn in ((16.0, 0.0), (0.0, 0.0), (9.0, 0.15), (5.0, -0.1))]
+
+
+def driven() -> list[View]:
+    return [
+        as_measured(edge_scene.view(seed=i, boxes=60, name=f"at {m.speed_m_s:g}"), m) for i, m in enumerate(MOTIONS)
+    ]
+
+
+def test_the_motion_of_the_car_is_found_along_with_the_pose() -> None:
+    trusted = pipeline(motion="trust", camera="trust").solve(driven(), start())
+    found = pipeline().solve(driven(), start())
+    assert trusted.motions == ()
+    assert trusted.twist_of("at 16") is None
+    before, after = (pose_error(result.camera_from_lidar, TRUTH) for result in (trusted, found))
+    assert after.translation_m < 0.01
+    assert after.translation_m < 0.3 * before.translation_m
+    assert after.rotation_deg < 0.03
+    assert [motion.frame for motion in found.motions] == ["at 16", "at 0", "at 9", "at 5"]
+    for motion, true in zip(found.motions, MOTIONS, strict=True):
+        assert motion.speed_m_s == pytest.approx(true.speed_m_s, abs=1.0)
+        assert motion.turn_deg_s == pytest.approx(np.degrees(true.turn_rad_s), abs=1.0)
+        assert found.twist_of(motion.frame) == pytest.approx(motion.twist)
+    assert found.directed_cost_px[1] < trusted.directed_cost_px[1]
+
+
+def test_motion_of_the_car_does_not_look_like_a_wrong_camera() -> None:
+    checked = pipeline().solve(driven(), start())
+    refined = pipeline(camera="refine").solve(driven(), start())
+    for result in (checked, refined):
+        assert result.cameras[0].shift_px < 0.4
+        assert pose_error(result.camera_from_lidar, TRUTH).translation_m < 0.01
+
+
+def test_frames_that_were_corrected_have_no_motion_to_find() -> None:
+    views = [edge_scene.view(seed=9, boxes=60, name="corrected"), *driven()[:1]]
+    result = pipeline().solve(views, start())
+    assert [motion.frame for motion in result.motions] == ["at 16"]
+    assert pipeline().solve(views[:1], start()).motions == ()
+
+
+def test_too_few_pairs_leave_the_motion_as_it_is_expected() -> None:
+    rows = np.arange(0, len(driven()[1].cloud_edges), 60)
+    view = driven()[1]
+    few = replace(view, cloud=CloudFeatures(view.cloud_edges.select(rows)))
+    result = pipeline(speed_m_s=1.0, speed_sigma_m_s=2.0).solve([few], start(0, 0.5))
+    (motion,) = result.motions
+    assert (motion.speed_m_s, motion.speed_sigma, motion.turn_deg_s) == pytest.approx((1.0, 2.0, 0.0))
+
+
+def test_the_direction_of_travel_is_an_option() -> None:
+    sideways = EgoMotion(12.0, 0.0, (0.0, 1.0, 0.0))
+    views = [as_measured(edge_scene.view(seed=i, boxes=60), sideways) for i in range(2)]
+    result = pipeline(forward=(0, 1, 0)).solve(views, start())
+    assert [motion.speed_m_s for motion in result.motions] == pytest.approx([12.0, 12.0], abs=1.0)
+    assert result.motions[0].twist[4] == pytest.approx(12.0, abs=1.0)
 
 
 def test_a_matcher_without_pairs_tells_nothing_of_the_camera() -> None:

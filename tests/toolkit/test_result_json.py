@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from p2o import Camera, CameraCheck, InputError, RadialError, Result, Round, Status, se3
+from p2o import Camera, CameraCheck, InputError, RadialError, Result, Round, Status, SweepMotion, se3
 from p2o.result_json import result_from_dict, result_from_json, result_to_dict, result_to_json
 
 PINHOLE = Camera.pinhole(700.0, 1e3 / 3, 600.0, 180.0, 1242, 375)
@@ -48,6 +48,7 @@ def _result(seed: int = 0) -> Result:
                 False,
             ),
         ),
+        motions=(SweepMotion("drive/0000000005", 8.1, math.inf, 0.1 / 3, math.nan, (0.0, 0.0, 1e-3, 8.1, -0.0, 0.0)),),
         seconds={"extract": 1.5},
         warnings=("three points dropped",),
         recipe={
@@ -69,7 +70,7 @@ def _bits(value: Any) -> Any:
         return {k: _bits(v) for k, v in value.items()}
     if isinstance(value, tuple | list):
         return type(value), [_bits(v) for v in value]
-    if isinstance(value, Round | CameraCheck | Camera):
+    if isinstance(value, Round | CameraCheck | Camera | SweepMotion):
         return [_bits(getattr(value, f.name)) for f in fields(value)]
     return type(value), value
 

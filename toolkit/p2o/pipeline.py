@@ -281,7 +281,7 @@ class Pipeline:
             views = then.views(measured)
             judge = DirectedCost.of(views, start, options.judge_px, margin_px=_margin_px(measured, start, [pose]))
             near = replace(self, options=options.model_copy(update={"reach_after_search_px": options.min_reach_px}))
-            end = near._refine(views, start, pose, judge)
+            end = near._refine(views, start, pose, judge, "adjust")
             if fit is not None and end.status.solved and tells_more(end.problem):
                 solution = None if end.solution is None else replace(end.solution, covariance=fit.covariance)
                 found = replace(end, rounds=found.rounds + end.rounds, solution=solution)
@@ -323,7 +323,9 @@ class Pipeline:
         keep = ~hidden(edges.xyz, surface, view.camera, start)
         return replace(view, cloud=replace(view.cloud, edges=edges.select(keep)))
 
-    def _refine(self, views: Sequence[View], start: Float, pose: Float, judge: DirectedCost) -> _Refined:
+    def _refine(
+        self, views: Sequence[View], start: Float, pose: Float, judge: DirectedCost, found_by: str = "initialize"
+    ) -> _Refined:
         """Return the end of the match-and-solve rounds from `pose`; a pose is kept only where its cost falls."""
         options = self.options
         searched = pose is not start
@@ -332,7 +334,7 @@ class Pipeline:
         if searched:
             step = pose @ se3.inverse(start)
             rounds.append(
-                Round("initialize", 0.0, {}, float("nan"), best_cost, se3.angle_deg(step), se3.distance_m(step), True)
+                Round(found_by, 0.0, {}, float("nan"), best_cost, se3.angle_deg(step), se3.distance_m(step), True)
             )
         reach = options.reach_after_search_px if searched else options.reach_px
         status, reason = Status.ROUNDS_SPENT, f"all {options.rounds} rounds were used"
@@ -375,7 +377,7 @@ class Pipeline:
         if stopped is not None and not improved:
             return _Refined(start, np.inf, stopped, reason, tuple(rounds))
         if searched and not improved:
-            reason += "; no round improved on the initializer's pose"
+            reason += f"; no round improved on the pose of the stage {found_by}"
         # A later round that has too little to go on does not take back what an earlier one found.
         last = self.matcher(views, best_pose, options.min_reach_px)
         final = last if isinstance(last, PointToLine) and len(last) else None

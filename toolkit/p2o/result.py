@@ -107,7 +107,7 @@ class Result:
     the estimate; `agreement` holds the shares `near` and `chance`, and the `odds_ratio`, of `p2o.agreement`.
     `rival` is the next best pose that is another one: by how many `edges` fewer it is met, and how far away it is
     (`rotation_deg`, `translation_m`); empty where none was found. `cameras` says what the edges tell of each camera's
-    calibration, `motions` how the car moved during sweeps that were as measured. `seconds` by stage. `recipe` holds every
+    calibration, `motions` how the car moved during sweeps as measured. `seconds` by stage. `recipe` holds every
     resolved option.
     """
 

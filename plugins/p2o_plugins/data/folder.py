@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -146,6 +147,9 @@ def _read(root: Path, folder: Path) -> Frame:
             )
         with naming(path):
             cloud = cloud.untwisted(twist)
+    elif entry.image_time_s is None:
+        # Times that nobody placed on the image's clock say nothing, and sweeps that were corrected may keep theirs.
+        cloud = replace(cloud, time_s=None)
     for name, pose in poses.items():
         if pose is not None:
             warnings += check_direction(cloud, camera, pose, name=name, where=path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from p2o_plugins.data.kitti_calibration import read_calibration, rectified_extri
 from p2o_plugins.data.kitti_folder import paired, picture, pictures, sweeps
 from p2o_plugins.data.kitti_image import read_rectified
 from p2o_plugins.data.lazy_frames import LazyFrames
-from p2o_plugins.data.velodyne_file import NOT_UNTWISTED, SWEEP_S, read_sweep
+from p2o_plugins.data.velodyne_file import IMAGE_DELAY_S, NOT_UNTWISTED, SWEEP_S, read_sweep
 
 
 class KittiObjectOptions(Options):
@@ -51,6 +52,8 @@ def _read(folder: Path, options: KittiObjectOptions, entry: tuple[str, Path, Pat
         right_path=picture(folder / "image_3", name) if options.right else None,
     )
     cloud, cloud_warnings = read_sweep(sweep_path, sweep_s=SWEEP_S, elevation_fix_deg=options.elevation_fix_deg)
+    if cloud.time_s is not None:
+        cloud = replace(cloud, time_s=cloud.time_s - IMAGE_DELAY_S)
     return Frame(
         name,
         image,

@@ -22,17 +22,11 @@ from p2o_plugins.data.kitti_folder import paired, picture, pictures, sweeps
 from p2o_plugins.data.kitti_image import read_rectified, without_radial_error
 from p2o_plugins.data.kitti_oxts import read_twist
 from p2o_plugins.data.lazy_frames import LazyFrames
-from p2o_plugins.data.velodyne_file import NOT_UNTWISTED, SWEEP_S, read_sweep
+from p2o_plugins.data.velodyne_file import IMAGE_DELAY_S, NOT_UNTWISTED, SWEEP_S, read_sweep
 
 _DRIVE = re.compile(r"(\d{4}_\d\d_\d\d)_drive_(\d{4})_(sync|extract)")
 # Half a turn apart a sweep belongs to another image; KITTI's cameras are stamped 10 ms after straight ahead.
 _SAME_MOMENT_S = 0.03
-IMAGE_DELAY_S = 0.004
-"""When KITTI's cameras see the scene, after the LiDAR looks straight ahead.
-
-Measured: corrected sweeps of fast `train` drives (0028, 0015, 0032 with 0056) fit the edges of the images best 3.7, 3.8
-and 2.2 ms after, and calibrations of them are right along the road at 4.6, 4.6 and 2.3 ms (`docs/benchmarks.md`).
-"""
 
 
 class KittiRawOptions(Options):

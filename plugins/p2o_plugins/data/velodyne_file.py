@@ -13,6 +13,12 @@ from p2o_plugins.data.cloud_file import read_cloud
 
 SWEEP_S = 0.1
 """Nominal time of one turn; the unit spins at 9.68 to 10 Hz."""
+IMAGE_DELAY_S = 0.004
+"""When KITTI's cameras see the scene, after the LiDAR looks straight ahead.
+
+Measured: corrected sweeps of fast `train` drives (0028, 0015, 0032 with 0056) fit the edges of the images best 3.7, 3.8
+and 2.2 ms after, and calibrations of them are right along the road at 4.6, 4.6 and 2.3 ms (`docs/benchmarks.md`).
+"""
 NOT_UNTWISTED = "the sweep is not corrected for the motion of the car"
 """Remark on frames whose sweep is as measured."""
 # Sweeps cut to a sector may lack whole rings; more than 64 means that the order of the file is not the sensor's.

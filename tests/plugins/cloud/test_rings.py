@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from p2o import Cloud, InputError, Side
@@ -57,6 +59,20 @@ def test_each_direction_lies_on_its_own_side_of_an_object():
     np.testing.assert_allclose(place[Side.BOTTOM][:, 2], -1.0, atol=0.04)
     assert min(map(len, place.values())) >= 8
     np.testing.assert_allclose(edges.xyz[:, 0], 7.9, atol=0.02)
+
+
+def test_edges_of_a_sweep_as_measured_know_when_they_were_seen():
+    cloud = Lidar().scan(SIGN, WALL)
+    assert not edges_of(cloud).time_s.any()
+    time_s = -np.arctan2(cloud.xyz[:, 1], cloud.xyz[:, 0]) / (2 * np.pi) * 0.1
+    edges = edges_of(replace(cloud, time_s=time_s))
+    # Half a beam from the return that was timed.
+    there = -np.arctan2(edges.xyz[:, 1], edges.xyz[:, 0]) / (2 * np.pi) * 0.1
+    np.testing.assert_allclose(edges.time_s, there, atol=1e-4)
+    assert np.ptp(edges.time_s) > 2e-3
+    corrected = replace(cloud, time_s=time_s).untwisted(np.array([0, 0, 0, 1.0, 0, 0]))
+    assert len(edges_of(corrected)) == len(edges)
+    assert not edges_of(corrected).time_s.any()
 
 
 @pytest.mark.parametrize("elevations", [VLP16, HDL32, HDL64, OS128], ids=["16", "32", "64", "128"])

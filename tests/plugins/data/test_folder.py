@@ -217,6 +217,15 @@ def test_times_of_the_sweep_are_made_relative_to_the_image(tmp_path: Path) -> No
     assert np.array_equal(dataset(tmp_path)[0].cloud.time_s, [-0.5, 0, 0.25])
 
 
+def test_times_on_no_known_clock_are_left_out(tmp_path: Path) -> None:
+    """Or a sweep that some driver has corrected already would be corrected for a motion that is guessed."""
+    write_frame(tmp_path, cloud="scan.npz")
+    np.savez(tmp_path / "scan.npz", xyz=np.ones((3, 3)), time_s=np.array([0.0, 0.05, 0.1]))
+    assert dataset(tmp_path)[0].cloud.time_s is None
+    write_frame(tmp_path, cloud="scan.npz", image_time_s=0)
+    assert np.array_equal(dataset(tmp_path)[0].cloud.time_s, [0.0, 0.05, 0.1])
+
+
 def test_a_sweep_is_corrected_by_the_velocity_that_is_given(tmp_path: Path) -> None:
     """At 10 m/s, what was seen half a second before and after at 10 m ahead is 5 m nearer and farther by now."""
     write_frame(tmp_path, cloud="scan.npz", twist=[0, 0, 0, 10, 0, 0])
