@@ -48,6 +48,8 @@ def write(frames: Iterable[Frame], root: Path) -> Iterator[str]:
         for key, pose in (("truth", frame.camera_from_lidar), ("start", frame.start)):
             if pose is not None:
                 entry[key] = pose.tolist()
+        if frame.cloud.time_s is not None:
+            entry["image_time_s"] = 0.0
         if frame.cloud.twist is not None:
             entry["twist"] = frame.cloud.twist.tolist()
         # Last: without it the folder is no frame, so an interrupted one is left out by the reader.

@@ -378,9 +378,7 @@ def solver_says_when_nothing_is_determined(subject: Subject) -> None:
     if "pairs" not in subject.needs:
         return
     truth = stage.camera_from_lidar()
-    empty = replace(
-        _pairs(), **{n: getattr(_pairs(), n)[:0] for n in ("xyz", "centre", "normal", "weight", "side", "frame")}
-    )
+    empty = PointToLine.empty((stage.camera(),))
     solution = subject.built()(empty, truth)
     require(solution.status == "singular", f"status is {solution.status!r} without any pairs")
     _require_near(solution.camera_from_lidar, truth, 1e-6, 1e-6)
