@@ -261,7 +261,8 @@ class Pipeline:
         """Return what was found, the cost of the start, the state of the views and what they say of their cameras.
 
         Motion of the sweeps and, with the option `refine`, errors of the cameras are found along with the pose, with
-        new pairs in every round until these hardly move; then the pose is what matcher and solver make of it.
+        new pairs in every round until these hardly move; then the pose is what matcher and solver make of it. Where its
+        cost is not below that of what was found before, nothing is changed: few pairs fit any motion.
         """
         options, given = self.options, tuple(view.camera for view in measured)
         if not tells_more(found.problem):
@@ -282,7 +283,7 @@ class Pipeline:
             judge = DirectedCost.of(views, start, options.judge_px, margin_px=_margin_px(measured, start, [pose]))
             near = replace(self, options=options.model_copy(update={"reach_after_search_px": options.min_reach_px}))
             end = near._refine(views, start, pose, judge, "adjust")
-            if fit is not None and end.status.solved and tells_more(end.problem):
+            if fit is not None and end.status.solved and end.cost_px < found.cost_px and tells_more(end.problem):
                 solution = None if end.solution is None else replace(end.solution, covariance=fit.covariance)
                 found = replace(end, rounds=found.rounds + end.rounds, solution=solution)
                 at_start, state = judge.at(start), then
