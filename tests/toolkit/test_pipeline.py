@@ -302,6 +302,20 @@ def test_frames_that_were_corrected_have_no_motion_to_find() -> None:
     assert pipeline().solve(views[:1], start()).motions == ()
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_motion_is_taken_only_where_the_edges_fit_better_with_it(seed: int) -> None:
+    view = as_measured(edge_scene.view(seed=seed, boxes=8, noise_px=1.5), EgoMotion())
+    estimated, trusted = (
+        pipeline(motion=word, speed_m_s=0.0).solve([view], start(seed)) for word in ("estimate", "trust")
+    )
+    assert estimated.directed_cost_px[1] <= trusted.directed_cost_px[1]
+    if not np.array_equal(estimated.camera_from_lidar, trusted.camera_from_lidar):
+        assert estimated.directed_cost_px[1] < trusted.directed_cost_px[1]
+        assert estimated.rounds[len(trusted.rounds)].stage == "adjust"
+    else:
+        assert estimated.motions[0].speed_m_s == 0.0
+
+
 def test_too_few_pairs_leave_the_motion_as_it_is_expected() -> None:
     rows = np.arange(0, len(driven()[1].cloud_edges), 60)
     view = driven()[1]
