@@ -31,7 +31,7 @@ from .kitti_files import (
     write_sweep,
 )
 
-STILL = "the sweep is not corrected for the motion of the car"
+STILL = "the sweep is as measured, and nothing tells how the car moved"
 
 
 def dataset(root: Path, **options: object) -> LazyFrames:
