@@ -325,6 +325,12 @@ def test_too_few_pairs_leave_the_motion_as_it_is_expected() -> None:
     assert (motion.speed_m_s, motion.speed_sigma, motion.turn_deg_s) == pytest.approx((1.0, 2.0, 0.0))
 
 
+@pytest.mark.parametrize("way", [(0, 0, 0), (1, float("nan"), 0), (1, 0)])
+def test_a_direction_of_travel_that_is_none_is_refused(way: tuple[float, ...]) -> None:
+    with pytest.raises(ValueError, match="forward"):
+        PipelineOptions(forward=way)
+
+
 def test_the_direction_of_travel_is_an_option() -> None:
     sideways = EgoMotion(12.0, 0.0, (0.0, 1.0, 0.0))
     views = [as_measured(edge_scene.view(seed=i, boxes=60), sideways) for i in range(2)]

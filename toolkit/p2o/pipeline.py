@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
+from pydantic import field_validator
 
 from p2o import se3
 from p2o.adjustment import Adjustment, MotionFit, adjust
@@ -71,6 +72,13 @@ class PipelineOptions(Options):
     )
     missing_radius_px: float = option(RADIUS_PX, gt=0, le=1000, help="Radius of such a patch.")
     seed: int = option(0, ge=0, help="Seed of the patches.")
+
+    @field_validator("forward")
+    @classmethod
+    def _somewhere(cls, value: tuple[float, float, float]) -> tuple[float, float, float]:
+        if not (np.isfinite(value).all() and any(value)):
+            raise ValueError("a direction of three finite numbers, not all zero")
+        return value
 
 
 @dataclass

@@ -49,6 +49,9 @@ class PoseEntry(Options):
 Row = tuple[float, float, float, float]
 Pose = PoseEntry | tuple[Row, Row, Row, Row]
 
+_SAME_MOMENT_S = 1.0
+"""No sweep takes longer, so an image that is further away is not of its scene, or its clock is another."""
+
 
 class FrameEntry(Options):
     """What frame.yaml holds; file names are relative to its folder."""
@@ -147,7 +150,14 @@ def _read(root: Path, folder: Path) -> Frame:
             )
         with naming(path):
             cloud = cloud.untwisted(twist)
-    elif entry.image_time_s is None:
+    if entry.image_time_s is not None and cloud.time_s is not None and np.abs(cloud.time_s).min() > _SAME_MOMENT_S:
+        raise InputError(
+            "image and sweep are not of the same moment",
+            where=path,
+            expected=f"image_time_s within {_SAME_MOMENT_S:g} s of a time of {cloud_path.name}, on the same clock",
+            got=f"{np.abs(cloud.time_s).min():.3g} s apart",
+        )
+    if twist is None and entry.image_time_s is None:
         # Times that nobody placed on the image's clock say nothing, and sweeps that were corrected may keep theirs.
         cloud = replace(cloud, time_s=None)
     for name, pose in poses.items():

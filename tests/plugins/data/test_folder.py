@@ -217,6 +217,15 @@ def test_times_of_the_sweep_are_made_relative_to_the_image(tmp_path: Path) -> No
     assert np.array_equal(dataset(tmp_path)[0].cloud.time_s, [-0.5, 0, 0.25])
 
 
+def test_an_image_of_another_moment_than_the_sweep_is_refused(tmp_path: Path) -> None:
+    write_frame(tmp_path, cloud="scan.npz", image_time_s=12.5)
+    np.savez(tmp_path / "scan.npz", xyz=np.ones((3, 3)), time_s=np.array([10.0, 10.05, 10.1]))
+    with pytest.raises(
+        InputError, match=r"frame\.yaml: image and sweep are not of the same moment; .* got 2\.4 s apart"
+    ):
+        dataset(tmp_path)[0]
+
+
 def test_times_on_no_known_clock_are_left_out(tmp_path: Path) -> None:
     """Or a sweep that some driver has corrected already would be corrected for a motion that is guessed."""
     write_frame(tmp_path, cloud="scan.npz")
