@@ -191,6 +191,27 @@ def test_python_and_the_command_line_give_the_same_bytes(capsys: pytest.CaptureF
     assert row["recipe"]["options"]["solver"]["tolerance"] == 1e-8
 
 
+def test_the_likely_accuracy_is_said_and_may_be_required(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["run", *QUICK, "--perturb", "0.5deg 0.02m"]
+    assert main([*words, "--json", "--require", "2deg 50cm"]) == 0
+    captured = capsys.readouterr()
+    [row] = json.loads(captured.out)["results"]
+    accuracy = row["accuracy"]
+    assert captured.err == ""
+    assert 0.02 <= accuracy["rotation_deg"] < accuracy["rotation_deg_95"]
+    assert 0.02 <= accuracy["translation_m"] < accuracy["translation_m_95"]
+    assert main([*words, "--require", "2deg 1mm"]) == 1
+    captured = capsys.readouterr()
+    assert "accuracy  two of three such results are within " in captured.out
+    assert captured.err == "p2o: the result is not likely to be within 2deg 0.001m, as --require asks\n"
+
+
+def test_who_cannot_tell_an_accuracy_does_not_reach_it(fake: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(fake) == 0
+    assert main([*fake, "--require", "90deg 9m"]) == 1
+    assert "2 of 2 results are not likely to be within 90deg 9m" in capsys.readouterr().err
+
+
 def test_a_refused_calibration_is_exit_status_1(fake: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*fake, "--set", "calibrator.status=too-few-matches"]) == 1
     out = capsys.readouterr().out
@@ -327,7 +348,9 @@ def test_results_are_exported_beside(fake: list[str], tmp_path: Path, capsys: py
             ["run", "--set", "matcher.neighbours=0"],
             "matcher.neighbours is out of bounds; expected greater",
         ),
-        (["run", "--perturb", "2 degrees"], "--perturb: cannot read the perturbation"),
+        (["run", "--perturb", "2 degrees"], "--perturb: cannot read the size"),
+        (["run", "--require", "2 degrees"], "--require: cannot read the size"),
+        (["run", "--require", "0.3deg"], "--require: an accuracy has two parts; expected an angle and a length"),
         (["run", "--frames", "7"], "--frames: frame index 7 is out of range; expected 0 to 0"),
         (["run", "--frames", "@absent.json#test"], "absent.json: the file of splits is missing"),
         (["run", "--data", "kitti-raw:/no/such/folder"], "/no/such/folder"),

@@ -235,7 +235,7 @@ def test_a_dataset_with_and_without_a_path() -> None:
 
 
 def test_the_perturbation_is_read_before_the_data() -> None:
-    with pytest.raises(InputError, match="--perturb: cannot read the perturbation"):
+    with pytest.raises(InputError, match="--perturb: cannot read the size"):
         resolved(perturb="two degrees")
 
 

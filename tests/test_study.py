@@ -146,10 +146,10 @@ def test_names_that_clash_or_lead_nowhere_are_refused(text: str, message: str) -
             "row 'a': tiny-plain gives no side; ogm needs it; try --matcher",
         ),
         (HEAD + ROW + 'calibrator = "quick"\nsolver = "lm"\n', "row 'a': calibrator 'quick' is a whole method"),
-        (HEAD + ROW + 'perturb = "2 degrees"\n', "cannot read the perturbation"),
+        (HEAD + ROW + 'perturb = "2 degrees"\n', "cannot read the size"),
         (HEAD + '[[variant]]\nname = "nearest"\nmatcher = "ogm"\n' + ROW, "'nearest' is called like a matcher"),
         (HEAD.replace("tiny:", "kitty:") + ROW, "row 'a': unknown dataset 'kitty'.*did you mean"),
-        (HEAD + '[[variant]]\nname = "x"\nperturb = "far"\n' + ROW, "cannot read the perturbation"),
+        (HEAD + '[[variant]]\nname = "x"\nperturb = "far"\n' + ROW, "cannot read the size"),
     ],
 )
 def test_what_cannot_be_run_is_refused_with_its_row_and_what_would_fit(

@@ -100,13 +100,45 @@ def test_what_is_unknown_as_well_makes_the_pose_less_sure() -> None:
     assert more[5, 5] > 1.5 * alone[5, 5]  # along the road, the way it drives
 
 
-def test_the_covariance_of_the_pose_alone_is_that_of_the_solver() -> None:
+def test_with_nothing_else_unknown_the_pose_is_that_of_the_solver() -> None:
     problem = pairs(count=400, noise_px=0.7, outliers=0.05)
     solution = built(LM)(problem, NEAR)
     found = adjust(problem, solution.camera_from_lidar, cameras=False)
     assert pose_error(found.camera_from_lidar, solution.camera_from_lidar).translation_m < 1e-5
-    assert found.covariance == pytest.approx(solution.covariance, rel=1e-3, abs=1e-12)
+    assert found.covariance == pytest.approx(found.covariance.T)
+    # Its pairs err one by one, so that both take the same for noise.
+    ratio = np.diag(found.covariance) / np.diag(solution.covariance)
+    assert ((ratio > 0.5) & (ratio < 2.0)).all()
     assert found.step_px < 1e-3
+
+
+@pytest.mark.parametrize("together", [False, True])
+def test_the_covariance_foretells_the_scatter_also_of_pairs_that_err_together(together: bool) -> None:
+    # Pairs of one direction in one cell of 64 px have the same error, as those along one outline have.
+    squares, alone = [], []
+    for seed in range(40):
+        problem = pairs(count=500)
+        rng = np.random.default_rng(seed)
+        cell = np.floor(problem.centre / 64).astype(int)
+        _, place = np.unique(np.column_stack([problem.frame, problem.side, cell]), axis=0, return_inverse=True)
+        noise = rng.normal(0, 0.4, len(problem))
+        if together:
+            noise = rng.normal(0, 0.4, place.max() + 1)[place.reshape(-1)]
+        noisy = replace(problem, centre=problem.centre + noise[:, None] * problem.normal)
+        found = adjust(noisy, TRUTH, cameras=False)
+        error = se3.log(found.camera_from_lidar @ se3.inverse(TRUTH))
+        assert found.covariance is not None
+        squares.append(error @ np.linalg.solve(found.covariance, error))
+        alone.append(error @ np.linalg.solve(built(LM)(noisy, TRUTH).covariance, error))
+    # Chi-square of 6 has the mean 6; that of the solver takes pairs as independent.
+    assert 3.5 < np.mean(squares) < 9.0
+    assert (np.mean(alone) > 12.0) == together
+
+
+def test_pairs_from_few_places_have_no_covariance() -> None:
+    problem = pairs(count=400)
+    one = replace(problem, centre=np.tile([600.0, 180.0], (len(problem), 1)), frame=np.zeros(len(problem), np.int64))
+    assert adjust(one, TRUTH, cameras=False).covariance is None
 
 
 def test_the_stated_deviation_is_more_than_noise_causes_and_less_than_was_known() -> None:

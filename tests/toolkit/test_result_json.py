@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from p2o import Camera, CameraCheck, InputError, RadialError, Result, Round, Status, SweepMotion, se3
+from p2o import Accuracy, Camera, CameraCheck, InputError, RadialError, Result, Round, Status, SweepMotion, se3
 from p2o.result_json import result_from_dict, result_from_json, result_to_dict, result_to_json
 
 PINHOLE = Camera.pinhole(700.0, 1e3 / 3, 600.0, 180.0, 1242, 375)
@@ -30,6 +30,7 @@ def _result(seed: int = 0) -> Result:
         reason='all 10 rounds were used: "so\nbe it"',
         rounds=(*rounds, replace(rounds[0], mean_residual_px=math.nan, directed_cost_px=math.inf, step_m=-0.0)),
         covariance=rng.normal(size=(6, 6)),
+        accuracy=Accuracy(0.1 / 3, math.inf, 1e-300, math.nan),
         matches={"L": 3},
         residual_px={"L": 0.1, "U": math.nan},
         directed_cost_px=(4.0, -math.inf),
@@ -133,6 +134,7 @@ def test_a_recipe_that_json_cannot_hold_is_refused_with_its_place() -> None:
         (lambda d: d["rounds"][0].update(accepted=1), "accepted is not true or false"),
         (lambda d: d.update(directed_cost_px=[1.0]), "directed_cost_px is not a list of 2"),
         (lambda d: d.update(covariance=[[0.0] * 6] * 5), "covariance is not a list of 6"),
+        (lambda d: d["accuracy"].pop("translation_m_95"), "accuracy has other fields.*translation_m_95 missing"),
         (lambda d: d.update(recipe=None), "recipe is not an object"),
     ],
 )

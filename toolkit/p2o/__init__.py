@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from p2o import occlusion as occlusion
     from p2o import se3 as se3
+    from p2o.accuracy import Accuracy as Accuracy
     from p2o.camera import Camera as Camera
     from p2o.cloud import Cloud as Cloud
     from p2o.directed_cost import DirectedCost as DirectedCost
@@ -65,6 +66,7 @@ if TYPE_CHECKING:
     from p2o.visibility import hidden as hidden
 
 _HOME = {
+    "accuracy": ["Accuracy"],
     "camera": ["Camera"],
     "cloud": ["Cloud"],
     "directed_cost": ["DirectedCost"],

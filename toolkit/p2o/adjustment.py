@@ -42,13 +42,13 @@ class MotionFit:
 class Adjustment:
     """The pose (4, 4) that fits the pairs best, and what was found with it.
 
-    `covariance` (6, 6) is that of a left update in rad and m, scaled as a Solution's and with all else unknown as well;
-    `cameras` has an entry for every camera that was asked, `motions` one for every frame, or none. `step_px` is how far
-    all these together moved the residuals (root mean square).
+    `covariance` (6, 6) is that of a left update in rad and m with all else unknown as well, or None where the pairs
+    come from too few places to tell; `cameras` has an entry for every camera that was asked, `motions` one for every
+    frame, or none. `step_px` is how far all these together moved the residuals (root mean square).
     """
 
     camera_from_lidar: Float
-    covariance: Float
+    covariance: Float | None
     cameras: tuple[RadialFit, ...]
     motions: tuple[MotionFit, ...]
     step_px: float
@@ -71,8 +71,8 @@ def adjust(
 
     Beside cameras the widths of outlines are unknown: that both sensors see them a little too wide or too narrow must
     not look like another focal length. Errors of cameras are drawn to zero as by a measurement with standard deviations
-    of 1 % and 0.02, motions to what is expected as by one with those of the prior. Covariances of both take pairs of
-    one direction within 64 px as one measurement (cluster robust: Liang and Zeger, Longitudinal data analysis using
+    of 1 % and 0.02, motions to what is expected as by one with those of the prior. All covariances take pairs of one
+    direction within 64 px as one measurement (cluster robust: Liang and Zeger, Longitudinal data analysis using
     generalized linear models, 1986). Cameras whose model has no radial coefficient stay as they are and are not among
     the fits. Raises InputError for a problem without pairs, and for motions that are not one a frame.
     """
@@ -96,12 +96,15 @@ def adjust(
         if np.abs(step).max() < _STILL:
             break
     inverse = np.asarray(np.linalg.pinv(hessian))
-    clustered = _clustered(problem, rows, own, residuals)
+    clustered, places = _clustered(problem, rows, own, residuals)
     covariance = inverse @ clustered @ inverse
-    surely = inverse @ (_TOO_SURE**2 * clustered + np.diag(model.prior_score(precision))) @ inverse
+    expected = np.diag(model.prior_score(precision))
+    surely = inverse @ (_TOO_SURE**2 * clustered + expected) @ inverse
+    # As many places as unknowns fit any pose without a residual: with few of them, residuals understate the error.
+    spare = places / (places - 6) if places > 6 else None
     return Adjustment(
         pose,
-        _pose_covariance(problem, rows, own, residuals, precision),
+        None if spare is None else _symmetric((inverse @ (spare * clustered + expected) @ inverse)[:6, :6]),
         model.camera_fits(state, covariance),
         model.motion_fits(state, surely),
         float(np.sqrt(np.mean((residuals - began) ** 2))),
@@ -283,27 +286,19 @@ def _outward(problem: PointToLine) -> Float:
     return np.column_stack([out * upright, out * ~upright])
 
 
-def _clustered(problem: PointToLine, rows: Float, own: Any, residuals: Float) -> Float:
-    """Return the covariance (N, N) of the gradient, pairs of one view, direction and cell of the picture as one."""
-    cell = np.floor(problem.centre / _CELL_PX).astype(np.int64)
-    _, cluster = np.unique(np.column_stack([problem.frame, problem.side, cell]), axis=0, return_inverse=True)
-    psi = problem.weight * np.clip(residuals, -problem.huber_px, problem.huber_px)
-    count = len(problem)
-    members = sparse.csr_array((psi, (cluster.reshape(-1), np.arange(count))), shape=(int(cluster.max()) + 1, count))
-    score = np.hstack([np.asarray(members @ rows), (members @ own).toarray()])
-    return np.asarray(score.T @ score)
+def _clustered(problem: PointToLine, rows: Float, own: Any, residuals: Float) -> tuple[Float, int]:
+    """Return the covariance (N, N) of the gradient, and of how many places the pairs come.
 
-
-def _pose_covariance(problem: PointToLine, rows: Float, own: Any, residuals: Float, precision: Float) -> Float:
-    """Return the covariance (6, 6) of the pose with all else unknown: Huber's, as the solvers give it.
-
-    s^2 (A^T W A)^-1 with s^2 = sum w psi(r)^2 / (K - N) / m^2, m the share of pairs within the kernel (Huber and
-    Ronchetti, Robust Statistics, 2009, Sec. 7.6). What is known beforehand counts as it did in the fit.
+    Pairs of one view, direction and cell of the picture come from one place and count as one measurement.
     """
-    inside = np.abs(residuals) <= problem.huber_px
-    share = max(float(problem.weight @ inside) / max(float(problem.weight.sum()), 1e-300), 1e-3)
-    psi = np.clip(residuals, -problem.huber_px, problem.huber_px)
-    freedom = max(len(problem) - len(precision), 1)
-    scale = float(problem.weight @ psi**2) / freedom / share**2
-    inverse = np.linalg.pinv(_normal(rows, own, problem.weight) + np.diag(precision))[:6, :6]
-    return np.asarray(0.5 * scale * (inverse + inverse.T))
+    cell = np.floor(problem.centre / _CELL_PX).astype(np.int64)
+    _, place = np.unique(np.column_stack([problem.frame, problem.side, cell]), axis=0, return_inverse=True)
+    psi = problem.weight * np.clip(residuals, -problem.huber_px, problem.huber_px)
+    count, places = len(problem), int(place.max()) + 1
+    members = sparse.csr_array((psi, (place.reshape(-1), np.arange(count))), shape=(places, count))
+    score = np.hstack([np.asarray(members @ rows), (members @ own).toarray()])
+    return np.asarray(score.T @ score), places
+
+
+def _symmetric(matrix: Float) -> Float:
+    return np.asarray(0.5 * (matrix + matrix.T))

@@ -37,12 +37,12 @@ class Perturbation:
         return wrong(truth, self.angle_deg, self.distance_m, rng)
 
 
-def parse_perturbation(text: str) -> Perturbation:
+def parse_perturbation(text: str, where: str = "--perturb") -> Perturbation:
     """Return the perturbation that a text such as "2deg 0.15m" (or "2deg,15cm") states; a missing part is zero.
 
     "uniform 3deg 0.15m" states bounds for each axis instead of the size of the whole.
 
-    Raises InputError for anything else, for negative sizes and for angles above 180 degrees.
+    Raises InputError, naming `where`, for anything else, for negative sizes and for angles above 180 degrees.
     """
     amounts = {"deg": 0.0, "m": 0.0}
     parts = [p for p in re.split(r"[\s,;]+", text.strip()) if p]
@@ -51,11 +51,11 @@ def parse_perturbation(text: str) -> Perturbation:
     for part in parts:
         match = re.fullmatch(r"([0-9]*\.?[0-9]+(?:e-?[0-9]+)?)(deg|m|cm|mm)", part)
         if match is None:
-            raise InputError("cannot read the perturbation", where="--perturb", expected=_EXAMPLES, got=repr(text))
+            raise InputError("cannot read the size", where=where, expected=_EXAMPLES, got=repr(text))
         value, unit = float(match[1]), match[2]
         amounts["deg" if unit == "deg" else "m"] = value * {"deg": 1, "m": 1, "cm": 0.01, "mm": 0.001}[unit]
     if not parts or amounts["deg"] > 180:
-        raise InputError("the perturbation is out of bounds", where="--perturb", expected="0..180 deg", got=repr(text))
+        raise InputError("the size is out of bounds", where=where, expected="0..180 deg", got=repr(text))
     return Perturbation(amounts["deg"], amounts["m"], uniform)
 
 

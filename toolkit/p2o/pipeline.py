@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import field_validator
 
 from p2o import se3
+from p2o.accuracy import likely_accuracy
 from p2o.adjustment import Adjustment, MotionFit, adjust
 from p2o.agreement import Agreement, agreement
 from p2o.arrays import Float
@@ -107,6 +108,22 @@ class _Refined:
     rounds: tuple[Round, ...]
     problem: PointToLine | None = None
     solution: Solution | None = None
+
+    @property
+    def covariance(self) -> Float | None:
+        """The covariance (6, 6) that the solver gives."""
+        return None if self.solution is None else self.solution.covariance
+
+
+@dataclass(frozen=True, eq=False)
+class _Adjusted:
+    """What was found, with all that the edges tell beside the pose; `covariance` (6, 6) of it where they can tell."""
+
+    found: _Refined
+    at_start: float
+    state: _State
+    cameras: tuple[CameraCheck, ...] = ()
+    covariance: Float | None = None
 
 
 @dataclass(frozen=True)
@@ -219,7 +236,8 @@ class Pipeline:
             return refused(best.status, best.reason, best.rounds)
         rival = _rival(tried, best, judge)
         with clock.of("adjust"):
-            best, at_start, state, checks = self._adjusted(measured, start, best, at_start, state, prior)
+            adjusted = self._adjusted(measured, start, best, at_start, state, prior)
+            best, at_start, state = adjusted.found, adjusted.at_start, adjusted.state
             seen = state.views(measured)
         costs = (at_start, best.cost_px)
         if not best.cost_px < at_start:
@@ -237,16 +255,19 @@ class Pipeline:
             status=best.status,
             reason=best.reason,
             rounds=best.rounds,
-            covariance=None if best.solution is None else best.solution.covariance,
+            covariance=best.covariance if adjusted.covariance is None else adjusted.covariance,
+            accuracy=None
+            if adjusted.covariance is None
+            else likely_accuracy(adjusted.covariance, best.pose, agreed.odds_ratio),
             matches={} if best.problem is None else _counts(best.problem),
             residual_px={} if best.problem is None else _mean_residuals(best.problem, best.pose),
             directed_cost_px=costs,
             agreement={"near": agreed.near, "chance": agreed.chance, "odds_ratio": agreed.odds_ratio},
             rival=rival,
-            cameras=checks,
+            cameras=adjusted.cameras,
             motions=_motions(views, state.motions),
             seconds=clock.seconds,
-            warnings=(*self._doubts(agreed, rival), *filter(None, map(doubt, checks))),
+            warnings=(*self._doubts(agreed, rival), *filter(None, map(doubt, adjusted.cameras))),
         )
 
     def _motion_prior(self, views: Sequence[View]) -> MotionPrior | None:
@@ -265,8 +286,8 @@ class Pipeline:
         at_start: float,
         state: _State,
         prior: MotionPrior | None,
-    ) -> tuple[_Refined, float, _State, tuple[CameraCheck, ...]]:
-        """Return what was found, the cost of the start, the state of the views and what they say of their cameras.
+    ) -> _Adjusted:
+        """Return what was found with all that the edges say beside the pose.
 
         Motion of the sweeps and, with the option `refine`, errors of the cameras are found along with the pose, with
         new pairs in every round until these hardly move; then the pose is what matcher and solver make of it. Where its
@@ -274,7 +295,7 @@ class Pipeline:
         """
         options, given = self.options, tuple(view.camera for view in measured)
         if not tells_more(found.problem):
-            return found, at_start, state, ()
+            return _Adjusted(found, at_start, state)
         refines, fit = options.camera == "refine", None
         if refines or prior is not None:
             pose, then, reach = found.pose, state, options.min_reach_px * _ADJUST_REACH
@@ -292,17 +313,16 @@ class Pipeline:
             near = replace(self, options=options.model_copy(update={"reach_after_search_px": options.min_reach_px}))
             end = near._refine(views, start, pose, judge, "adjust")
             if fit is not None and end.status.solved and end.cost_px < found.cost_px and tells_more(end.problem):
-                solution = None if end.solution is None else replace(end.solution, covariance=fit.covariance)
-                found = replace(end, rounds=found.rounds + end.rounds, solution=solution)
+                found = replace(end, rounds=found.rounds + end.rounds)
                 at_start, state = judge.at(start), then
             else:
                 fit = None
-        if options.camera == "trust" or not tells_more(found.problem):
-            return found, at_start, state, ()
         if refines and fit is not None:
-            return found, at_start, state, checks_of(fit.cameras, given, corrected=True)
-        fit = state.adjusted(found.problem, given, found.pose, prior, cameras=True)
-        return found, at_start, state, checks_of(fit.cameras, given, corrected=False)
+            checks = checks_of(fit.cameras, given, corrected=True)
+            return _Adjusted(found, at_start, state, checks, fit.covariance)
+        assert found.problem is not None
+        fit = state.adjusted(found.problem, given, found.pose, prior, cameras=options.camera != "trust")
+        return _Adjusted(found, at_start, state, checks_of(fit.cameras, given, corrected=False), fit.covariance)
 
     def _doubts(self, agreed: Agreement, rival: Mapping[str, float]) -> tuple[str, ...]:
         """Return warnings where the edges do not seem to belong together, or fit elsewhere as well."""

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from p2o.accuracy import Accuracy
 from p2o.arrays import Float
 from p2o.camera import Camera
 
@@ -103,8 +104,11 @@ class Result:
     """One calibration, of one frame or of several jointly.
 
     `camera_from_lidar` (4, 4) is the estimate, or the start where `status.solved` is False; `reason` says why in one
-    sentence. `covariance` (6, 6) as in `Solution`. `directed_cost_px` is the directed edge distance at the start and at
-    the estimate; `agreement` holds the shares `near` and `chance`, and the `odds_ratio`, of `p2o.agreement`.
+    sentence. `covariance` (6, 6) is that of a left update in the camera frame (rad, m), neighbouring pairs taken as one
+    measurement and motions and errors of cameras as unknown, or that of the solver where pairs are too few or none;
+    `accuracy` says how wrong the pose is likely to be. Both are None where they cannot be told. `directed_cost_px` is
+    the directed edge distance at the start and at the estimate; `agreement` holds the shares `near` and `chance`, and
+    the `odds_ratio`, of `p2o.agreement`.
     `rival` is the next best pose that is another one: by how many `edges` fewer it is met, and how far away it is
     (`rotation_deg`, `translation_m`); empty where none was found. `cameras` says what the edges tell of each camera's
     calibration, `motions` how the car moved during sweeps as measured. `seconds` by stage. `recipe` holds every
@@ -118,6 +122,7 @@ class Result:
     reason: str
     rounds: tuple[Round, ...] = ()
     covariance: Float | None = None
+    accuracy: Accuracy | None = None
     matches: Mapping[str, int] = field(default_factory=dict)
     residual_px: Mapping[str, float] = field(default_factory=dict)
     directed_cost_px: tuple[float, float] | None = None

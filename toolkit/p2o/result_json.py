@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from p2o import se3
+from p2o.accuracy import Accuracy
 from p2o.arrays import Float, checked
 from p2o.camera import Camera
 from p2o.errors import InputError
@@ -57,7 +58,7 @@ def result_from_json(text: str) -> Result:
 
 
 def _plain(name: str, value: Any) -> Any:
-    if isinstance(value, Round | CameraCheck | Camera | SweepMotion):
+    if isinstance(value, Accuracy | Round | CameraCheck | Camera | SweepMotion):
         return {f.name: _plain(f"{name}.{f.name}", getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
@@ -206,6 +207,18 @@ def _camera_check(name: str, value: Any) -> CameraCheck:
     return CameraCheck(**_fields(f"an entry of {name}", value, _CAMERA_CHECK))
 
 
+_ACCURACY: dict[str, Reader] = {
+    "rotation_deg": _number,
+    "translation_m": _number,
+    "rotation_deg_95": _number,
+    "translation_m_95": _number,
+}
+
+
+def _accuracy(name: str, value: Any) -> Accuracy:
+    return Accuracy(**_fields(name, value, _ACCURACY))
+
+
 _MOTION: dict[str, Reader] = {
     "frame": _text,
     "speed_m_s": _number,
@@ -228,6 +241,7 @@ _RESULT: dict[str, Reader] = {
     "reason": _text,
     "rounds": _tuple(_round),
     "covariance": _optional(_matrix(6)),
+    "accuracy": _optional(_accuracy),
     "matches": _mapping(_integer),
     "residual_px": _mapping(_number),
     "directed_cost_px": _optional(_tuple(_number, 2)),

@@ -15,6 +15,7 @@ from p2o.cli.plugin_options import load, plugin_options
 from p2o.errors import InputError
 
 if TYPE_CHECKING:
+    from p2o.perturb import Perturbation
     from p2o.run import Progress, Row
 
 _PLACE = "{frame}"
@@ -36,12 +37,16 @@ _PLACE = "{frame}"
 @click.option("--perturb", metavar='"2deg 0.15m"', help="Begin this far from the truth, in a random direction.")
 @click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Seed of everything random (default: 0).")
 @click.option("--joint", is_flag=True, default=None, help="One result for all frames together.")
+@click.option(
+    "--require", metavar='"0.3deg 0.1m"', help="Exit status 1 unless two of three such results are this accurate."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else on stdout.")
 @click.option("--out", type=click.Path(), metavar="DIR", help="Write result JSON, overlays and convergence plots here.")
 @click.option("--export", "exports", multiple=True, metavar="NAME:PATH", help="Write the result in another format.")
 @plugin_options
 def command(
     settings: tuple[str, ...],
+    require: str | None,
     as_json: bool,
     out: str | None,
     exports: tuple[str, ...],
@@ -57,7 +62,7 @@ def command(
     p2o run --data kitti-raw:PATH --frames @splits.json#test --joint --out out
 
     Where there are several results, PATH of --export holds {frame}. Exit status 1 where any calibration was refused
-    (its status says why).
+    (its status says why) or is not as accurate as required.
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     with _stdout_kept_for_json(as_json) as stdout:
         from p2o.cli.out_dir import OutDir
@@ -67,6 +72,7 @@ def command(
         from p2o.run import Run, run
 
         registry = load(plugin, block)
+        bound = None if require is None else _bound(require)
         words = {name: value for name, value in words.items() if value is not None}
         if settings:
             words["options"] = parse_settings(settings)
@@ -105,7 +111,32 @@ def command(
         stdout.write(describe_run(done) + "\n")
     if interrupted:
         return 130
-    return 0 if done.solved else 1
+    short = [] if bound is None else [row for row in done.rows if not _reaches(row, bound)]
+    if short:
+        of = f"{len(short)} of {len(done.rows)} results are" if len(done.rows) > 1 else "the result is"
+        click.echo(f"p2o: {of} not likely to be within {bound}, as --require asks", err=True)
+    return 0 if done.solved and not short else 1
+
+
+def _bound(text: str) -> Perturbation:
+    """Return the error that a result may have; raises InputError unless both its parts are stated."""
+    from p2o.perturb import parse_perturbation
+
+    bound = parse_perturbation(text, "--require")
+    if bound.uniform or not (bound.angle_deg > 0 and bound.distance_m > 0):
+        raise InputError(
+            "an accuracy has two parts",
+            where="--require",
+            expected='an angle and a length, "0.3deg 0.1m"',
+            got=repr(text),
+        )
+    return bound
+
+
+def _reaches(row: Row, bound: Perturbation) -> bool:
+    """Return whether a result is likely to be within a bound; one that cannot tell its accuracy is not."""
+    accuracy = row.result.accuracy
+    return accuracy is not None and accuracy.reaches(bound.angle_deg, bound.distance_m)
 
 
 def _require_places(exports: Sequence[str]) -> None:

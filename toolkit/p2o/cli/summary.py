@@ -9,6 +9,7 @@ from p2o import se3
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from p2o.accuracy import Accuracy
     from p2o.arrays import Float
     from p2o.metrics import PoseError
     from p2o.result import CameraCheck, Result, SweepMotion
@@ -38,6 +39,8 @@ def describe(row: Row) -> str:
         near, chance, odds = (result.agreement[name] for name in ("near", "chance", "odds_ratio"))
         share = f"{100 * near:.0f} % of the LiDAR edges meet an image edge, {100 * chance:.0f} % by chance"
         lines.append(f"  {'agreement':<9} {share} (odds ratio {odds:.1f})")
+    if result.accuracy is not None:
+        lines.append(f"  {'accuracy':<9} {_accuracy(result.accuracy)}")
     if result.rival:
         apart = f"{result.rival['rotation_deg']:.2f} deg and {result.rival['translation_m']:.2f} m away"
         lines.append(f"  {'next best':<9} {apart}, {result.rival['edges']:.1f} edges worse")
@@ -77,6 +80,13 @@ def _warnings(result: Result) -> list[str]:
         text if not names[0] else f"{names[0]}: {text}" if len(names) == 1 else f"{len(names)} frames: {text}"
         for text, names in by_text.items()
     ]
+
+
+def _accuracy(accuracy: Accuracy) -> str:
+    """Return how wrong such results are."""
+    usual = f"{accuracy.rotation_deg:.2f} deg and {accuracy.translation_m:.3f} m"
+    rare = f"{accuracy.rotation_deg_95:.2f} deg and {accuracy.translation_m_95:.3f} m"
+    return f"two of three such results are within {usual}, 19 of 20 within {rare}"
 
 
 def _camera(check: CameraCheck) -> str:
