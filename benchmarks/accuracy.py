@@ -14,13 +14,14 @@ from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
-from p2o import PoseError, View, se3
+from p2o import Accuracy, PoseError, View, se3
 from p2o.arrays import Float
 from p2o.metrics import pose_error, summarise
 from p2o.perturb import Perturbation, parse_perturbation, wrong_start
 from p2o.recipe import Recipe, parse_settings
 from p2o.registry import Registry
 from p2o.selection import select
+from scipy import stats
 
 
 @dataclass(frozen=True)
@@ -131,6 +132,7 @@ def main() -> None:
                     type(pipeline)(**{**vars(pipeline), "directed": True}).extract(frame) for _, frame in loaded
                 ]
             errors, statuses, began = [], Counter(), time.perf_counter()
+            likely: list[Accuracy | None] = []
             flagged: dict[str, list[bool]] = {word: [] for word in FLAGS}
             size = parse_perturbation(row.perturb)
             for seed in range(arguments.seeds if row.joint else arguments.single_seeds):
@@ -152,6 +154,7 @@ def main() -> None:
                     result = pipeline.solve(batch, start)
                     errors.append(pose_error(result.camera_from_lidar, truth))
                     statuses[result.status.value] += 1
+                    likely.append(result.accuracy)
                     for word, flags in flagged.items():
                         flags.append(any(text.startswith(word) for text in result.warnings))
             seconds = (time.perf_counter() - began) / len(errors)
@@ -159,7 +162,10 @@ def main() -> None:
             ends = ", ".join(f"{n} {k}" for k, n in sorted(statuses.items()))
             head = f"| {row.extractor} | {matcher} | {row.init} | {row.perturb} "
             print(f"{head}{figures(errors, good)}| {ends} | {seconds:.1f} |", flush=True)
+            print(promises(errors, likely), flush=True)
             if not row.joint:
+                for third, part in thirds(errors, likely).items():
+                    print(f"| | {third} | | {figures(part, good)}| | |", flush=True)
                 many = [leafy(view, truth) for view, (_, truth) in zip(own, truths, strict=True)]
                 for kind, wanted_kind in (("streets with objects", False), ("trees, embankments", True)):
                     part = [e for i, e in enumerate(errors) if many[i % len(many)] == wanted_kind]
@@ -178,6 +184,31 @@ def leafy(view: View, truth: Float) -> bool:
     """Return whether a frame shows mostly leaves, by the number of its LiDAR edges in the image."""
     edges = view.cloud_edges
     return int(view.camera.in_image(view.camera.project(se3.apply(truth, edges.xyz))).sum()) > MANY_EDGES
+
+
+def promises(errors: list[PoseError], likely: list[Accuracy | None]) -> str:
+    """Return a row: how many errors are within what two of three and nineteen of twenty should be, rank correlation."""
+    told = [(e, a) for e, a in zip(errors, likely, strict=True) if a is not None]
+    columns = []
+    for name, wide, wider in (
+        ("rotation_deg", "rotation_deg", "rotation_deg_95"),
+        ("translation_m", "translation_m", "translation_m_95"),
+    ):
+        error = np.array([getattr(e, name) for e, _ in told])
+        first, second = (np.array([getattr(a, bound) for _, a in told]) for bound in (wide, wider))
+        rank = stats.spearmanr(first, error)[0] if len(told) > 2 else float("nan")
+        columns.append(f"{100 * np.mean(error <= first):.0f} % / {100 * np.mean(error <= second):.0f} % ({rank:.2f})")
+    return f"| | within the likely error | | | {columns[0]} | {columns[1]} | {len(told)} of {len(errors)} tell | | |"
+
+
+def thirds(errors: list[PoseError], likely: list[Accuracy | None]) -> dict[str, list[PoseError]]:
+    """Return the errors by thirds of the likely translation; those that do not tell are among the worst."""
+    order = np.argsort([np.inf if a is None else a.translation_m for a in likely], kind="stable")
+    parts = np.array_split(order, 3)
+    return {
+        f"{name} third by likely error": [errors[i] for i in p]
+        for name, p in zip(("best", "middle", "worst"), parts, strict=True)
+    }
 
 
 def figures(errors: list[PoseError], good: Perturbation) -> str:

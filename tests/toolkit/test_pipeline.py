@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, RadialError, Side, Solution, Status, View, se3
+from p2o.accuracy import deviations
 from p2o.ego_motion import EgoMotion
 from p2o.metrics import pose_error
 from p2o.motion import moved
@@ -347,6 +348,44 @@ def test_a_matcher_without_pairs_tells_nothing_of_the_camera() -> None:
         [edge_scene.view()], start(0, 0.2)
     )
     assert result.cameras == ()
+
+
+def test_a_result_says_how_wrong_it_may_be() -> None:
+    # Edges at random off their place: one frame, six of the same kind, and one that is sharper.
+    views = [edge_scene.view(seed=i, noise_px=1.5, boxes=25) for i in range(6)]
+    one, six = (pipeline().solve(chosen, start()) for chosen in (views[:1], views))
+    sharp = pipeline().solve([edge_scene.view(seed=0, noise_px=0.3, boxes=25)], start())
+    for better in (six, sharp):
+        for mine, other in zip(*(deviations(r.covariance, TRUTH) for r in (better, one)), strict=True):
+            assert mine < 0.7 * other
+        assert better.accuracy.rotation_deg < one.accuracy.rotation_deg
+        assert better.accuracy.translation_m < one.accuracy.translation_m
+    for result in (one, six, sharp):
+        error = pose_error(result.camera_from_lidar, TRUTH)
+        assert error.rotation_deg < result.accuracy.rotation_deg_95
+        assert error.translation_m < result.accuracy.translation_m_95
+        assert np.linalg.eigvalsh(result.covariance).min() > 0
+
+
+@pytest.mark.parametrize("camera", ["trust", "check", "refine"])
+def test_every_treatment_of_the_camera_tells_the_accuracy(camera: str) -> None:
+    result = pipeline(camera=camera).solve([edge_scene.view(seed=i, noise_px=0.5) for i in range(3)], start())
+    assert result.accuracy is not None
+    assert result.accuracy.rotation_deg >= 0.02
+
+
+def test_too_few_pairs_do_not_tell_the_accuracy() -> None:
+    view = edge_scene.view()
+    few = replace(view, cloud=CloudFeatures(view.cloud_edges.select(np.arange(0, len(view.cloud_edges), 60))))
+    result = pipeline().solve([few], start(0, 0.5))
+    assert result.accuracy is None
+
+
+def test_a_refused_calibration_has_no_accuracy() -> None:
+    view = edge_scene.view()
+    few = replace(view, cloud=CloudFeatures(view.cloud_edges.select(np.arange(10))))
+    result = pipeline(initializer=given).solve([few], start())
+    assert (result.accuracy, result.covariance) == (None, None)
 
 
 def at_places(poses: list[np.ndarray]):

@@ -39,7 +39,7 @@ def describe(row: Row) -> str:
         near, chance, odds = (result.agreement[name] for name in ("near", "chance", "odds_ratio"))
         share = f"{100 * near:.0f} % of the LiDAR edges meet an image edge, {100 * chance:.0f} % by chance"
         lines.append(f"  {'agreement':<9} {share} (odds ratio {odds:.1f})")
-    if result.accuracy is not None:
+    if result.matches and result.status.solved:
         lines.append(f"  {'accuracy':<9} {_accuracy(result.accuracy)}")
     if result.rival:
         apart = f"{result.rival['rotation_deg']:.2f} deg and {result.rival['translation_m']:.2f} m away"
@@ -82,8 +82,10 @@ def _warnings(result: Result) -> list[str]:
     ]
 
 
-def _accuracy(accuracy: Accuracy) -> str:
+def _accuracy(accuracy: Accuracy | None) -> str:
     """Return how wrong such results are."""
+    if accuracy is None:
+        return "so few pairs do not tell it"
     usual = f"{accuracy.rotation_deg:.2f} deg and {accuracy.translation_m:.3f} m"
     rare = f"{accuracy.rotation_deg_95:.2f} deg and {accuracy.translation_m_95:.3f} m"
     return f"two of three such results are within {usual}, 19 of 20 within {rare}"
