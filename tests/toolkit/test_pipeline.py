@@ -374,10 +374,21 @@ def test_every_treatment_of_the_camera_tells_the_accuracy(camera: str) -> None:
     assert result.accuracy.rotation_deg >= 0.02
 
 
-def test_too_few_pairs_do_not_tell_the_accuracy() -> None:
-    view = edge_scene.view()
-    few = replace(view, cloud=CloudFeatures(view.cloud_edges.select(np.arange(0, len(view.cloud_edges), 60))))
-    result = pipeline().solve([few], start(0, 0.5))
+def test_few_pairs_promise_less() -> None:
+    view = edge_scene.view(noise_px=1.0)
+    few = replace(view, cloud=CloudFeatures(view.cloud_edges.select(np.arange(0, len(view.cloud_edges), 20))))
+    all_pairs, some = (pipeline(min_matches=10).solve([v], start(0, 0.5)) for v in (view, few))
+    assert 10 <= sum(some.matches.values()) < 100 < sum(all_pairs.matches.values())
+    assert some.cameras == ()
+    assert some.accuracy.rotation_deg > 1.5 * all_pairs.accuracy.rotation_deg
+
+
+def test_pairs_from_a_handful_of_places_do_not_tell_the_accuracy() -> None:
+    # One box: four outlines, so that four places are all that there is.
+    view = edge_scene.view(boxes=1)
+    near = replace(pipeline(initializer=given, min_matches=6), solver=lambda problem, pose: Solution(TRUTH, 0.0, 1))
+    result = near.solve([view], start(0, 0.2))
+    assert result.status.solved
     assert result.accuracy is None
 
 

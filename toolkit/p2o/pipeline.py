@@ -295,7 +295,7 @@ class Pipeline:
         """
         options, given = self.options, tuple(view.camera for view in measured)
         if not tells_more(found.problem):
-            return _Adjusted(found, at_start, state)
+            return _Adjusted(found, at_start, state, (), self._covariance(found, given, state, prior))
         refines, fit = options.camera == "refine", None
         if refines or prior is not None:
             pose, then, reach = found.pose, state, options.min_reach_px * _ADJUST_REACH
@@ -323,6 +323,16 @@ class Pipeline:
         assert found.problem is not None
         fit = state.adjusted(found.problem, given, found.pose, prior, cameras=options.camera != "trust")
         return _Adjusted(found, at_start, state, checks_of(fit.cameras, given, corrected=False), fit.covariance)
+
+    def _covariance(
+        self, found: _Refined, given: tuple[Camera, ...], state: _State, prior: MotionPrior | None
+    ) -> Float | None:
+        """Return the covariance (6, 6) of what was found from so few pairs that nothing else is asked of them."""
+        if found.problem is None:
+            return None
+        return state.adjusted(
+            found.problem, given, found.pose, prior, cameras=self.options.camera != "trust"
+        ).covariance
 
     def _doubts(self, agreed: Agreement, rival: Mapping[str, float]) -> tuple[str, ...]:
         """Return warnings where the edges do not seem to belong together, or fit elsewhere as well."""
