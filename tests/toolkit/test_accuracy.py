@@ -52,7 +52,7 @@ def test_nineteen_of_twenty_lie_within_more_than_two_of_three() -> None:
 def test_no_number_of_frames_promises_what_the_sensors_calibrations_do_not_give() -> None:
     found = likely_accuracy(covariance(1e-9), TRUTH, 30.0)
     assert found.rotation_deg == pytest.approx(0.02, abs=1e-3)
-    assert found.translation_m == pytest.approx(0.02, abs=1e-3)
+    assert found.translation_m == pytest.approx(0.025, abs=1e-3)
 
 
 def test_an_odds_ratio_that_is_none_counts_as_the_worst() -> None:

@@ -42,9 +42,11 @@ class _Law(NamedTuple):
         return wide, wider
 
 
-_ROTATION_DEG = _Law(3.8, 9.7, 0.02)
-_TRANSLATION_M = _Law(2.3, 5.0, 0.02)
-"""Chosen on KITTI's `train` frames, one and up to 16 together, so that they hold there: see docs/benchmarks.md."""
+_ROTATION_DEG = _Law(4.2, 9.5, 0.02)
+_TRANSLATION_M = _Law(2.3, 5.0, 0.025)
+"""So that they hold on KITTI's `train` frames: the factors for one frame, the floor for 8 and 16 together, whose truth
+is the published extrinsic (docs/benchmarks.md, How wrong a result says it may be).
+"""
 _ODDS, _BY_ODDS = 10.0, 0.7
 _LEAST_ODDS, _MOST_ODDS = 2.0, 40.0
 
