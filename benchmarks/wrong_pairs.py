@@ -46,8 +46,8 @@ def main() -> None:
             odds.append(result.agreement.get("odds_ratio", np.nan))
             flags.append(not result.status.solved or any(w.startswith("doubtful") for w in result.warnings))
             any_flag += flags[-1] or any(w.startswith("ambiguous") for w in result.warnings)
+            passed += result.reaches(0.5, 0.15)
             if result.accuracy is not None:
-                passed += result.accuracy.reaches(0.5, 0.15)
                 likely.append((result.accuracy.rotation_deg, result.accuracy.translation_m))
             errors.append(pose_error(result.camera_from_lidar, frame.camera_from_lidar))
         cells = []

@@ -203,13 +203,13 @@ def test_the_likely_accuracy_is_said_and_may_be_required(capsys: pytest.CaptureF
     assert main([*words, "--require", "2deg 1mm"]) == 1
     captured = capsys.readouterr()
     assert "accuracy  two of three such results are within " in captured.out
-    assert captured.err == "p2o: the result is not likely to be within 2deg 0.001m, as --require asks\n"
+    assert captured.err == "p2o: the result does not reach 2deg 0.001m, as --require asks\n"
 
 
 def test_who_cannot_tell_an_accuracy_does_not_reach_it(fake: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(fake) == 0
     assert main([*fake, "--require", "90deg 9m"]) == 1
-    assert "2 of 2 results are not likely to be within 90deg 9m" in capsys.readouterr().err
+    assert "2 of 2 results do not reach 90deg 9m" in capsys.readouterr().err
 
 
 def test_a_refused_calibration_is_exit_status_1(fake: list[str], capsys: pytest.CaptureFixture[str]) -> None:

@@ -417,6 +417,9 @@ def test_a_scene_that_fits_in_two_places_is_called_ambiguous() -> None:
     assert result.rival["edges"] < 1.5
     assert result.rival["rotation_deg"] == pytest.approx(3.0, abs=0.1)
     assert any(text.startswith("ambiguous") for text in result.warnings)
+    # However sharp the edges: which place is right cannot be told.
+    assert result.accuracy.reaches(1.0, 1.0)
+    assert not result.reaches(1.0, 1.0)
 
 
 def test_a_clear_scene_is_not_ambiguous() -> None:

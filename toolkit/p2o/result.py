@@ -136,6 +136,11 @@ class Result:
     seed: int | None = None
     versions: Mapping[str, str] = field(default_factory=dict)
 
+    def reaches(self, rotation_deg: float, translation_m: float) -> bool:
+        """Return whether the result is likely to be this good, and neither doubtful nor ambiguous."""
+        unsure = any(text.startswith(("doubtful", "ambiguous")) for text in self.warnings)
+        return self.accuracy is not None and self.accuracy.reaches(rotation_deg, translation_m) and not unsure
+
     def camera_of(self, camera: Camera) -> Camera:
         """Return the camera that the estimate is for, given that of a frame: another one where it was corrected."""
         return next((c.better for c in self.cameras if c.corrected and c.camera == camera), camera)

@@ -38,7 +38,9 @@ _PLACE = "{frame}"
 @click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Seed of everything random (default: 0).")
 @click.option("--joint", is_flag=True, default=None, help="One result for all frames together.")
 @click.option(
-    "--require", metavar='"0.3deg 0.1m"', help="Exit status 1 unless two of three such results are this accurate."
+    "--require",
+    metavar='"0.3deg 0.1m"',
+    help="Exit status 1 unless results are likely to be this accurate, and not doubtful.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else on stdout.")
 @click.option("--out", type=click.Path(), metavar="DIR", help="Write result JSON, overlays and convergence plots here.")
@@ -111,10 +113,12 @@ def command(
         stdout.write(describe_run(done) + "\n")
     if interrupted:
         return 130
-    short = [] if bound is None else [row for row in done.rows if not _reaches(row, bound)]
+    short = (
+        [] if bound is None else [row for row in done.rows if not row.result.reaches(bound.angle_deg, bound.distance_m)]
+    )
     if short:
-        of = f"{len(short)} of {len(done.rows)} results are" if len(done.rows) > 1 else "the result is"
-        click.echo(f"p2o: {of} not likely to be within {bound}, as --require asks", err=True)
+        of = f"{len(short)} of {len(done.rows)} results do" if len(done.rows) > 1 else "the result does"
+        click.echo(f"p2o: {of} not reach {bound}, as --require asks", err=True)
     return 0 if done.solved and not short else 1
 
 
@@ -131,12 +135,6 @@ def _bound(text: str) -> Perturbation:
             got=repr(text),
         )
     return bound
-
-
-def _reaches(row: Row, bound: Perturbation) -> bool:
-    """Return whether a result is likely to be within a bound; one that cannot tell its accuracy is not."""
-    accuracy = row.result.accuracy
-    return accuracy is not None and accuracy.reaches(bound.angle_deg, bound.distance_m)
 
 
 def _require_places(exports: Sequence[str]) -> None:
