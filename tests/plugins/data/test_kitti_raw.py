@@ -31,7 +31,7 @@ from .kitti_files import (
     write_sweep,
 )
 
-STILL = "the sweep is as measured, and nothing tells how the car moved"
+STILL = "the sweep is as measured, and the velocity of the car is not given"
 
 
 def dataset(root: Path, **options: object) -> LazyFrames:
