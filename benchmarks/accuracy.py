@@ -16,11 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 from p2o import Accuracy, PoseError, View, se3
 from p2o.arrays import Float
-from p2o.metrics import pose_error, summarise
-from p2o.perturb import Perturbation, parse_perturbation, wrong_start
-from p2o.recipe import Recipe, parse_settings
-from p2o.registry import Registry
-from p2o.selection import select
+from p2o.frames.selection import select
+from p2o.geometry.perturb import Perturbation, parse_perturbation, wrong_start
+from p2o.geometry.pose_error import pose_error, summarise
+from p2o.host.registry import Registry
+from p2o.run.recipe import Recipe, parse_settings
 from scipy import stats
 
 

@@ -18,14 +18,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from joblib import Parallel, delayed
-from p2o.agreement import NEAR_PX, Agreement, agreement
-from p2o.metrics import PoseError, pose_error, summarise
-from p2o.parallel import limit_threads
-from p2o.perturb import parse_perturbation
-from p2o.recipe import Recipe, open_dataset
-from p2o.registry import Registry
-from p2o.selection import select
-from p2o.side import SIDES
+from p2o.calibration.agreement import NEAR_PX, Agreement, agreement
+from p2o.features.side import SIDES
+from p2o.frames.selection import select
+from p2o.geometry.perturb import parse_perturbation
+from p2o.geometry.pose_error import PoseError, pose_error, summarise
+from p2o.host.registry import Registry
+from p2o.run.recipe import Recipe, open_dataset
+from p2o.work.parallel import limit_threads
 
 MATCHERS = {"stereo": "ogm", "canny": "nearest"}
 """Image sides to look at, each with the matcher that can use it."""

@@ -18,10 +18,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from p2o import SIDES, CloudExtractor, Frame, ImageEdges, ImageExtractor, InputError, P2OError, Side, View
-from p2o.agreement import agreement
-from p2o.arrays import Bool, Float
-from p2o.edge_scores import (
+from edge_scores import (
     NEAR_PX,
     STRICT_PX,
     AgainstLidar,
@@ -37,12 +34,15 @@ from p2o.edge_scores import (
     together,
     within,
 )
-from p2o.method import Kind
-from p2o.recipe import Part, open_dataset, parse_settings, split_data, validated
-from p2o.registry import Registry
-from p2o.reliability import Reliability, draw_reliability, reliability
-from p2o.selection import select
+from p2o import SIDES, CloudExtractor, Frame, ImageEdges, ImageExtractor, InputError, P2OError, Side, View
+from p2o.arrays import Bool, Float
+from p2o.calibration.agreement import agreement
+from p2o.frames.selection import select
+from p2o.host.method import Kind
+from p2o.host.registry import Registry
+from p2o.run.recipe import Part, open_dataset, parse_settings, split_data, validated
 from p2o_plugins.data import synthetic
+from reliability import Reliability, draw_reliability, reliability
 
 BOUNDARY_SHARE = 0.0075
 """Reach of the papers' scores as a share of the image diagonal."""

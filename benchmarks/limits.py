@@ -15,10 +15,10 @@ from typing import Any
 
 import cv2
 import numpy as np
+from edge_scores import edge_truth, judge_sides, precision_recall, score, together
 from p2o import ImageEdges
-from p2o.edge_scores import edge_truth, judge_sides, precision_recall, score, together
-from p2o.overlay import COLOURS
-from p2o.side import SIDES
+from p2o.draw.overlay import COLOURS
+from p2o.features.side import SIDES
 from p2o_plugins.data.synthetic import SyntheticOptions, build
 from p2o_plugins.image.p2ornet import METHOD, P2ORNetOptions
 

@@ -14,11 +14,11 @@ import argparse
 from itertools import combinations
 
 import numpy as np
-from p2o.metrics import PoseError, pose_error
-from p2o.perturb import wrong_start
-from p2o.recipe import Recipe, parse_settings
-from p2o.registry import Registry
-from p2o.selection import select
+from p2o.frames.selection import select
+from p2o.geometry.perturb import wrong_start
+from p2o.geometry.pose_error import PoseError, pose_error
+from p2o.host.registry import Registry
+from p2o.run.recipe import Recipe, parse_settings
 
 
 def main() -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from p2o import SIDES, occlusion
-from p2o.overlay import COLOURS, draw_cloud
+from p2o.draw.overlay import COLOURS, draw_cloud
 from p2o.simulate import labels
 from p2o_plugins.data.synthetic import SyntheticOptions, _drive, build, view
 

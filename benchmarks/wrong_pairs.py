@@ -13,11 +13,11 @@ import argparse
 from dataclasses import replace
 
 import numpy as np
-from p2o.metrics import pose_error
-from p2o.perturb import wrong_start
-from p2o.recipe import Recipe
-from p2o.registry import Registry
-from p2o.selection import select
+from p2o.frames.selection import select
+from p2o.geometry.perturb import wrong_start
+from p2o.geometry.pose_error import pose_error
+from p2o.host.registry import Registry
+from p2o.run.recipe import Recipe
 
 
 def main() -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import p2o
 import pytest
 from p2o.cli import main
-from p2o.result_json import result_from_json
+from p2o.results.result_json import result_from_json
 
 PLUGIN = Path(__file__).with_name("stage_plugin.py")
 STAGE = ["--plugin", str(PLUGIN), "--data", "fake:?frames=1"]
@@ -379,7 +379,7 @@ def test_wrong_usage_and_input_are_one_line_on_stderr_and_status_2(
 def test_a_defect_is_one_line_too_with_a_hint(
     fake: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import p2o.run as home
+    import p2o.run.run as home
 
     def crash(*_: Any) -> None:
         raise RuntimeError("the sky\nis falling")

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import p2o
 import pytest
-from p2o import hookspecs
 from p2o.cli import main
+from p2o.host import hookspecs
 
 SOURCE = Path(__file__).parent / "example_plugin"
 

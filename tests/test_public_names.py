@@ -7,8 +7,9 @@ import json
 from pathlib import Path
 
 import p2o
-from p2o import Kind, hookspecs
-from p2o.recipe import STAGES
+from p2o import Kind
+from p2o.host import hookspecs
+from p2o.run.recipe import STAGES
 
 KNOWN = Path(__file__).with_name("public_names.json")
 

@@ -19,7 +19,7 @@ from p2o.report.figures import figures_of
 from p2o.report.rounds import convergence
 from p2o.report.summary import Measured, Published, summarise_study
 from p2o.report.tables import latex, markdown
-from p2o.store import Planned, Store, StoredRow, StoredStudy
+from p2o.study.store import Planned, Store, StoredRow, StoredStudy
 
 from tests.fake_study import PLUGIN, PUBLISHED, planned, rounds, run_of, staged, table2, write_store
 

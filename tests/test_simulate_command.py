@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from p2o import Camera, Cloud, Frame, Image, InputError, se3
 from p2o.cli import main
-from p2o.recipe import open_dataset
-from p2o.registry import Registry
+from p2o.host.registry import Registry
+from p2o.run.recipe import open_dataset
 from p2o.simulate import write_folder, write_kitti_raw, write_vkitti2
 from p2o.simulate.write_file import write_file
 from p2o.testing import stage

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import Frame, se3
-from p2o.perturb import wrong_start
-from p2o.registry import Registry
-from p2o.run import calibrate
+from p2o.geometry.perturb import wrong_start
+from p2o.host.registry import Registry
+from p2o.run.run import calibrate
 
 
 @pytest.fixture(scope="module")

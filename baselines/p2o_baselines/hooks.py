@@ -1,1 +1,25 @@
 """Offers every method of this package; each lives in the file of its name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from p2o import Method, hookimpl
+
+# Files are imported inside of the hooks, so that nothing is read for `p2o --help`.
+
+
+@hookimpl
+def p2o_image_extractors() -> Iterator[Method]:
+    """Offer the image sides."""
+    from p2o_baselines import canny
+
+    yield canny.METHOD
+
+
+@hookimpl
+def p2o_matchers() -> Iterator[Method]:
+    """Offer the matchers."""
+    from p2o_baselines import nearest
+
+    yield nearest.METHOD

@@ -12,9 +12,9 @@ from p2o import Method, hookimpl
 @hookimpl
 def p2o_image_extractors() -> Iterator[Method]:
     """Offer the image sides."""
-    from p2o_plugins.image import canny, depth, p2ornet, stereo
+    from p2o_plugins.image import depth, p2ornet, stereo
 
-    yield from (canny.METHOD, depth.METHOD, p2ornet.METHOD, stereo.METHOD)
+    yield from (depth.METHOD, p2ornet.METHOD, stereo.METHOD)
 
 
 @hookimpl
@@ -28,9 +28,9 @@ def p2o_cloud_extractors() -> Iterator[Method]:
 @hookimpl
 def p2o_matchers() -> Iterator[Method]:
     """Offer the matchers."""
-    from p2o_plugins.match import nearest, ogm
+    from p2o_plugins.match import ogm
 
-    yield from (nearest.METHOD, ogm.METHOD)
+    yield ogm.METHOD
 
 
 @hookimpl

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from p2o import Registry, pose_error
 from p2o.cli import main
-from p2o.metrics import AXES
+from p2o.geometry.pose_error import AXES
 from p2o.simulate import write_vkitti2
-from p2o.store import Store
-from p2o.study import check_study, find_study
+from p2o.study.store import Store
+from p2o.study.study import check_study, find_study
 from p2o.testing import stage
 
 STUDY = find_study("table1", Registry.load())

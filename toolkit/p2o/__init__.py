@@ -9,84 +9,84 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from p2o import occlusion as occlusion
-    from p2o import se3 as se3
-    from p2o.accuracy import Accuracy as Accuracy
-    from p2o.camera import Camera as Camera
-    from p2o.cloud import Cloud as Cloud
-    from p2o.directed_cost import DirectedCost as DirectedCost
+    from p2o.calibration.pipeline import Pipeline as Pipeline
     from p2o.errors import InputError as InputError
     from p2o.errors import MethodUnavailable as MethodUnavailable
     from p2o.errors import P2OError as P2OError
     from p2o.errors import PluginError as PluginError
     from p2o.errors import UnknownNameError as UnknownNameError
-    from p2o.features import CloudEdges as CloudEdges
-    from p2o.features import CloudFeatures as CloudFeatures
-    from p2o.features import ImageEdges as ImageEdges
-    from p2o.features import ImageFeatures as ImageFeatures
-    from p2o.frame import Dataset as Dataset
-    from p2o.frame import Frame as Frame
-    from p2o.hookspecs import hookimpl as hookimpl
-    from p2o.image import Image as Image
-    from p2o.method import Kind as Kind
-    from p2o.method import Method as Method
-    from p2o.metrics import PoseError as PoseError
-    from p2o.metrics import pose_error as pose_error
-    from p2o.options import Options as Options
-    from p2o.options import field as field
-    from p2o.pipeline import Pipeline as Pipeline
-    from p2o.problem import Objective as Objective
-    from p2o.problem import PointToLine as PointToLine
-    from p2o.problem import Problem as Problem
-    from p2o.radial_error import RadialError as RadialError
-    from p2o.recipe import Recipe as Recipe
-    from p2o.registry import Registry as Registry
-    from p2o.result import CameraCheck as CameraCheck
-    from p2o.result import Result as Result
-    from p2o.result import Round as Round
-    from p2o.result import Solution as Solution
-    from p2o.result import Status as Status
-    from p2o.result import SweepMotion as SweepMotion
-    from p2o.run import Row as Row
-    from p2o.run import Run as Run
-    from p2o.run import calibrate as calibrate
-    from p2o.side import SIDES as SIDES
-    from p2o.side import Side as Side
-    from p2o.stages import Calibrator as Calibrator
-    from p2o.stages import CloudExtractor as CloudExtractor
-    from p2o.stages import Exporter as Exporter
-    from p2o.stages import ImageExtractor as ImageExtractor
-    from p2o.stages import Initializer as Initializer
-    from p2o.stages import Matcher as Matcher
-    from p2o.stages import Solver as Solver
-    from p2o.trainer import Trainer as Trainer
-    from p2o.trainer import TrainingGroup as TrainingGroup
-    from p2o.trainer import TrainingProgress as TrainingProgress
-    from p2o.view import View as View
-    from p2o.visibility import hidden as hidden
+    from p2o.features import occlusion as occlusion
+    from p2o.features.edges import CloudEdges as CloudEdges
+    from p2o.features.edges import CloudFeatures as CloudFeatures
+    from p2o.features.edges import ImageEdges as ImageEdges
+    from p2o.features.edges import ImageFeatures as ImageFeatures
+    from p2o.features.side import SIDES as SIDES
+    from p2o.features.side import Side as Side
+    from p2o.features.view import View as View
+    from p2o.frames.cloud import Cloud as Cloud
+    from p2o.frames.frame import Dataset as Dataset
+    from p2o.frames.frame import Frame as Frame
+    from p2o.frames.image import Image as Image
+    from p2o.geometry import se3 as se3
+    from p2o.geometry.camera import Camera as Camera
+    from p2o.geometry.pose_error import PoseError as PoseError
+    from p2o.geometry.pose_error import pose_error as pose_error
+    from p2o.geometry.radial_error import RadialError as RadialError
+    from p2o.geometry.visibility import hidden as hidden
+    from p2o.host.hookspecs import hookimpl as hookimpl
+    from p2o.host.method import Kind as Kind
+    from p2o.host.method import Method as Method
+    from p2o.host.options import Options as Options
+    from p2o.host.options import field as field
+    from p2o.host.registry import Registry as Registry
+    from p2o.host.stages import Calibrator as Calibrator
+    from p2o.host.stages import CloudExtractor as CloudExtractor
+    from p2o.host.stages import Exporter as Exporter
+    from p2o.host.stages import ImageExtractor as ImageExtractor
+    from p2o.host.stages import Initializer as Initializer
+    from p2o.host.stages import Matcher as Matcher
+    from p2o.host.stages import Solver as Solver
+    from p2o.host.trainer import Trainer as Trainer
+    from p2o.host.trainer import TrainingGroup as TrainingGroup
+    from p2o.host.trainer import TrainingProgress as TrainingProgress
+    from p2o.problems.directed_cost import DirectedCost as DirectedCost
+    from p2o.problems.point_to_line import Objective as Objective
+    from p2o.problems.point_to_line import PointToLine as PointToLine
+    from p2o.problems.point_to_line import Problem as Problem
+    from p2o.results.accuracy import Accuracy as Accuracy
+    from p2o.results.result import CameraCheck as CameraCheck
+    from p2o.results.result import Result as Result
+    from p2o.results.result import Round as Round
+    from p2o.results.result import Solution as Solution
+    from p2o.results.result import Status as Status
+    from p2o.results.result import SweepMotion as SweepMotion
+    from p2o.run.recipe import Recipe as Recipe
+    from p2o.run.run import Row as Row
+    from p2o.run.run import Run as Run
+    from p2o.run.run import calibrate as calibrate
 
 _HOME = {
-    "accuracy": ["Accuracy"],
-    "camera": ["Camera"],
-    "cloud": ["Cloud"],
-    "directed_cost": ["DirectedCost"],
+    "results.accuracy": ["Accuracy"],
+    "geometry.camera": ["Camera"],
+    "frames.cloud": ["Cloud"],
+    "problems.directed_cost": ["DirectedCost"],
     "errors": ["InputError", "MethodUnavailable", "P2OError", "PluginError", "UnknownNameError"],
-    "features": ["CloudEdges", "CloudFeatures", "ImageEdges", "ImageFeatures"],
-    "frame": ["Dataset", "Frame"],
-    "hookspecs": ["hookimpl"],
-    "image": ["Image"],
-    "method": ["Kind", "Method"],
-    "metrics": ["PoseError", "pose_error"],
-    "options": ["Options", "field"],
-    "pipeline": ["Pipeline"],
-    "problem": ["Objective", "PointToLine", "Problem"],
-    "radial_error": ["RadialError"],
-    "recipe": ["Recipe"],
-    "registry": ["Registry"],
-    "result": ["CameraCheck", "Result", "Round", "Solution", "Status", "SweepMotion"],
-    "run": ["Row", "Run", "calibrate"],
-    "side": ["SIDES", "Side"],
-    "stages": [
+    "features.edges": ["CloudEdges", "CloudFeatures", "ImageEdges", "ImageFeatures"],
+    "frames.frame": ["Dataset", "Frame"],
+    "host.hookspecs": ["hookimpl"],
+    "frames.image": ["Image"],
+    "host.method": ["Kind", "Method"],
+    "geometry.pose_error": ["PoseError", "pose_error"],
+    "host.options": ["Options", "field"],
+    "calibration.pipeline": ["Pipeline"],
+    "problems.point_to_line": ["Objective", "PointToLine", "Problem"],
+    "geometry.radial_error": ["RadialError"],
+    "run.recipe": ["Recipe"],
+    "host.registry": ["Registry"],
+    "results.result": ["CameraCheck", "Result", "Round", "Solution", "Status", "SweepMotion"],
+    "run.run": ["Row", "Run", "calibrate"],
+    "features.side": ["SIDES", "Side"],
+    "host.stages": [
         "Calibrator",
         "CloudExtractor",
         "Exporter",
@@ -95,20 +95,20 @@ _HOME = {
         "Matcher",
         "Solver",
     ],
-    "trainer": ["Trainer", "TrainingGroup", "TrainingProgress"],
-    "view": ["View"],
-    "visibility": ["hidden"],
+    "host.trainer": ["Trainer", "TrainingGroup", "TrainingProgress"],
+    "features.view": ["View"],
+    "geometry.visibility": ["hidden"],
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 
-_MODULES = ["occlusion", "se3"]
+_MODULES = {"occlusion": "features.occlusion", "se3": "geometry.se3"}
 
 __all__ = sorted([*_MODULE_OF, *_MODULES])
 
 
 def __getattr__(name: str) -> Any:
     if name in _MODULES:
-        return importlib.import_module(f"p2o.{name}")
+        return importlib.import_module(f"p2o.{_MODULES[name]}")
     if name not in _MODULE_OF:
         raise AttributeError(f"module 'p2o' has no attribute {name!r}")
     value = getattr(importlib.import_module(f"p2o.{_MODULE_OF[name]}"), name)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from p2o import Exporter, Method, Options, Result
-from p2o.result_json import result_to_json
-from p2o.whole_file import write_whole
+from p2o.files.whole_file import write_whole
+from p2o.results.result_json import result_to_json
 
 
 def build(options: Options) -> Exporter:

@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 from p2o import Exporter, InputError, Method, Options, Result, field
 from p2o.arrays import Float
-from p2o.whole_file import write_whole
+from p2o.files.whole_file import write_whole
 
 
 class KittiCalibOptions(Options):

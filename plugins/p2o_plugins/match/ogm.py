@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import p2o
 from p2o.arrays import Float
-
-from p2o_plugins.match.pairing import PairingOptions, assemble, pair
+from p2o.problems.pairing import PairingOptions, assemble, pair
 
 
 class OgmOptions(PairingOptions):

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from p2o import Frame, InputError, occlusion
 from p2o.arrays import Int8, UInt8
-from p2o.whole_file import write_whole
+from p2o.files.whole_file import write_whole
 
 from p2o_plugins.p2ornet.spans import Spans, classes_of, depth_spans, lidar_spans
 

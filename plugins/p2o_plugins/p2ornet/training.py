@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from p2o import InputError, TrainingGroup, TrainingProgress, UnknownNameError
 from p2o.arrays import Bool, Float
-from p2o.whole_file import write_whole
+from p2o.files.whole_file import write_whole
 from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 

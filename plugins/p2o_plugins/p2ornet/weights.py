@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 from p2o import InputError
-from p2o.whole_file import write_whole
+from p2o.files.whole_file import write_whole
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import p2o
 from p2o.arrays import Float
-
-from p2o_plugins.solve.chart import left_from_chart, pose_at
-from p2o_plugins.solve.normal_equations import judged, linearise, require_pairs
+from p2o.problems.chart import left_from_chart, pose_at
+from p2o.problems.normal_equations import judged, linearise, require_pairs
 
 
 class CeresOptions(p2o.Options):

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import p2o
 from p2o.arrays import Float
-
-from p2o_plugins.solve.normal_equations import judged, linearise, normal_equations, require_pairs
+from p2o.problems.normal_equations import judged, linearise, normal_equations, require_pairs
 
 LONGEST_STEP = 100.0
 """A step of so many radians or metres is an accident of a nearly singular system and refused unseen."""

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 import p2o
 from p2o.arrays import Float
+from p2o.problems.chart import pose_at
 from scipy.optimize import minimize
-
-from p2o_plugins.solve.chart import pose_at
 
 
 class NelderMeadOptions(p2o.Options):

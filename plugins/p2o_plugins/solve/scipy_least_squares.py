@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 import p2o
 from p2o.arrays import Float
+from p2o.problems.chart import left_from_chart, pose_at
+from p2o.problems.normal_equations import judged, linearise, require_pairs
 from scipy.optimize import least_squares
-
-from p2o_plugins.solve.chart import left_from_chart, pose_at
-from p2o_plugins.solve.normal_equations import judged, linearise, require_pairs
 
 
 class ScipyOptions(p2o.Options):

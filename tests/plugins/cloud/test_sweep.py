@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from p2o import Cloud
-from p2o.motion import moved
+from p2o.geometry.motion import moved
 from p2o_plugins.cloud.sweep import across_rings, along_ring, order_sweep
 
 from tests.plugins.cloud.casting import GROUND, HDL32, HDL64, Box, Lidar

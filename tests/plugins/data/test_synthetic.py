@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from p2o import Dataset, Frame, InputError, se3
-from p2o.perturb import parse_perturbation
+from p2o.geometry.perturb import parse_perturbation
 from p2o_plugins.data.synthetic import BASELINE_M, METHOD, SyntheticOptions, build, camera_from_lidar, view
 from pydantic import ValidationError
 from scipy import ndimage

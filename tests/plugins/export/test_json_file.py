@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from p2o import InputError, Result, Status, se3
-from p2o.result_json import result_from_json, result_to_dict
+from p2o.results.result_json import result_from_json, result_to_dict
 from p2o_plugins.export.json_file import METHOD
 
 RESULT = Result(

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import DirectedCost, ImageEdges, ImageFeatures, Side, View, se3
-from p2o.perturb import wrong_start
+from p2o.geometry.perturb import wrong_start
 from p2o_plugins.initialize import search
 
 from tests import edge_scene

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from p2o import InputError, se3
-from p2o.motion import pose_at
+from p2o.geometry.motion import pose_at
 from p2o.simulate import Material, Mesh, Mover, Part, Scene
 from p2o.simulate.mesh import box, boxes, circle, cylinder, join, leaves, loft, swept, tubes, wheel
 

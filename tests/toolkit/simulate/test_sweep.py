@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import InputError, se3
-from p2o.motion import moved, pose_at
+from p2o.geometry.motion import moved, pose_at
 from p2o.simulate import LIDARS, Lidar, Material, Mover, Part, Rosette, Scene, sweep
 from p2o.simulate.mesh import box
 

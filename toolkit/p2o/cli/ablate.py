@@ -16,7 +16,7 @@ from p2o.cli.plugin_options import plugin_options
 from p2o.errors import InputError, P2OError
 
 if TYPE_CHECKING:
-    from p2o.ablate import Ablation, Progress
+    from p2o.study.ablate import Ablation, Progress
 
 _LINE_EVERY_S = 5.0
 """How often progress is a line where there is no terminal."""
@@ -69,7 +69,7 @@ def command(
 
     Exit status 1 where a row crashed or the gate is closed. docs/studies.md explains study files.
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
-    from p2o.worker import Plugins
+    from p2o.study.worker import Plugins
 
     plugins = Plugins.of(block, plugin)
     if listed:
@@ -80,11 +80,11 @@ def command(
     if update and gate is None:
         raise InputError("there is no reference to write", where="--update", expected="--gate FILE beside it")
 
-    from p2o import gate as gates
-    from p2o.ablate import ablate, chosen_seeds
-    from p2o.parallel import Workers
-    from p2o.study import StudyFile, find_study
-    from p2o.tally import table
+    from p2o.study import gate as gates
+    from p2o.study.ablate import ablate, chosen_seeds
+    from p2o.study.study import StudyFile, find_study
+    from p2o.study.tally import table
+    from p2o.work.parallel import Workers
 
     workers = Workers(_cores() if jobs is None else jobs, backend, address)
     found = find_study(study, plugins.registry())
@@ -122,7 +122,7 @@ def command(
 
 def _list(plugins: Any) -> str:
     """Return the studies that are installed, one a line; one that cannot be read says why."""
-    from p2o.study import find_study, shipped_studies
+    from p2o.study.study import find_study, shipped_studies
 
     registry = plugins.registry()
     titles = {}

@@ -12,7 +12,7 @@ from p2o.cli.plugin_options import load, plugin_options
 from p2o.errors import P2OError, UnknownNameError
 
 if TYPE_CHECKING:
-    from p2o.registry import Offer, Registry
+    from p2o.host.registry import Offer, Registry
     from p2o.testing import Case
 
 
@@ -26,7 +26,7 @@ def command(name: str, settings: tuple[str, ...], plugin: tuple[str, ...], block
     NAME is a plugin (distribution, entry point, or a file given with --plugin), or one method. A dataset that needs a
     path takes it with --set data.root=PATH. Exit status 1 where a check fails.
     """
-    from p2o.recipe import STAGE_OF, parse_settings
+    from p2o.run.recipe import STAGE_OF, parse_settings
     from p2o.testing import checks_for, reads_files
 
     options = parse_settings(settings)

@@ -11,8 +11,8 @@ from p2o.cli.plugin_options import load, plugin_options
 from p2o.errors import InputError
 
 if TYPE_CHECKING:
-    from p2o.frame import Frame
-    from p2o.guard import GuardedDataset
+    from p2o.frames.frame import Frame
+    from p2o.host.guard import GuardedDataset
 
 
 def _dataset_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -73,8 +73,8 @@ def described(frame: Frame) -> str:
 def _opened(
     data: str, frames: str | None, settings: tuple[str, ...], plugin: tuple[str, ...], block: tuple[str, ...]
 ) -> tuple[GuardedDataset, list[int]]:
-    from p2o.recipe import open_dataset, parse_settings
-    from p2o.selection import select
+    from p2o.frames.selection import select
+    from p2o.run.recipe import open_dataset, parse_settings
 
     dataset = open_dataset(data, load(plugin, block), parse_settings(settings).get("data", {}))
     return dataset, select(dataset.names, frames or "all", where="--frames", skipped=dataset.skipped)

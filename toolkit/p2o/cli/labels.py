@@ -30,8 +30,8 @@ def command(
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     from p2o.cli.out_dir import OutDir
     from p2o.cli.training_progress import shown
-    from p2o.guard import trainer_of
-    from p2o.label_files import sources_of, trainable, write_labels
+    from p2o.host.guard import trainer_of
+    from p2o.learn.label_files import sources_of, trainable, write_labels
 
     registry = load(plugin, block)
     offer = trainable(method, registry)

@@ -9,8 +9,8 @@ import click
 from p2o.cli.plugin_options import load, plugin_options
 
 if TYPE_CHECKING:
-    from p2o.options import Options
-    from p2o.registry import Offer, Registry
+    from p2o.host.options import Options
+    from p2o.host.registry import Offer, Registry
 
 
 @click.command("methods")
@@ -45,7 +45,7 @@ def listed(registry: Registry) -> str:
 
 def explained(offer: Offer) -> str:
     """Return everything that a method says about itself."""
-    from p2o.guard import requirement
+    from p2o.host.guard import requirement
 
     method = offer.method
     facts = {
@@ -96,8 +96,8 @@ def option_row(name: str, field: Any) -> tuple[str, str, str, str]:
 
 def fit_matrix(registry: Registry) -> str:
     """Return two tables: which matcher takes which pair of extractors, and which solver takes which matcher."""
-    from p2o.method import Kind
-    from p2o.recipe import missing_words
+    from p2o.host.method import Kind
+    from p2o.run.recipe import missing_words
 
     def table(title: str, heads: list[str], rows: list[tuple[str, list[bool]]]) -> str:
         first = max([len(name) for name, _ in rows] + [len(title)])
@@ -134,6 +134,6 @@ def _shown(offer: Offer) -> str:
 
 
 def _stage_of(offer: Offer) -> str:
-    from p2o.recipe import STAGE_OF
+    from p2o.run.recipe import STAGE_OF
 
     return STAGE_OF.get(offer.kind, offer.kind.value)

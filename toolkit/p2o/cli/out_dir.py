@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from p2o.errors import InputError
-from p2o.file_names import folder_name
-from p2o.result import Status
-from p2o.whole_file import write_whole
+from p2o.files.file_names import folder_name
+from p2o.files.whole_file import write_whole
+from p2o.results.result import Status
 
 if TYPE_CHECKING:
-    from p2o.run import Progress, Run
+    from p2o.run.run import Progress, Run
 
 
 @dataclass(frozen=True)
@@ -75,8 +75,8 @@ def _write_json(path: Path, value: Any) -> None:
 
 def _draw(root: Path, home: Path, progress: Progress) -> None:
     """Write the convergence plot, and before.png and after.png of every frame."""
-    from p2o import overlay, plots
-    from p2o.pipeline import Pipeline
+    from p2o.calibration.pipeline import Pipeline
+    from p2o.draw import overlay, plots
 
     if progress.row is None:
         return

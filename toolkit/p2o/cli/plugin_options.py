@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from p2o.registry import Registry
+    from p2o.host.registry import Registry
 
 
 def plugin_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -27,6 +27,6 @@ def plugin_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 def load(plugin: tuple[str, ...], block: tuple[str, ...]) -> Registry:
     """Return the registry as these options and P2O_PLUGINS want it."""
-    from p2o.registry import Registry
+    from p2o.host.registry import Registry
 
     return Registry.load(block=block, extra_files=plugin)

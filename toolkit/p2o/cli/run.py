@@ -15,8 +15,8 @@ from p2o.cli.plugin_options import load, plugin_options
 from p2o.errors import InputError
 
 if TYPE_CHECKING:
-    from p2o.perturb import Perturbation
-    from p2o.run import Progress, Row
+    from p2o.geometry.perturb import Perturbation
+    from p2o.run.run import Progress, Row
 
 _PLACE = "{frame}"
 
@@ -69,9 +69,9 @@ def command(
     with _stdout_kept_for_json(as_json) as stdout:
         from p2o.cli.out_dir import OutDir
         from p2o.cli.summary import describe, describe_run
-        from p2o.file_names import folder_name
-        from p2o.recipe import Recipe, open_exporter, parse_settings
-        from p2o.run import Run, run
+        from p2o.files.file_names import folder_name
+        from p2o.run.recipe import Recipe, open_exporter, parse_settings
+        from p2o.run.run import Run, run
 
         registry = load(plugin, block)
         bound = None if require is None else _bound(require)
@@ -124,7 +124,7 @@ def command(
 
 def _bound(text: str) -> Perturbation:
     """Return the error that a result may have; raises InputError unless both its parts are stated."""
-    from p2o.perturb import parse_perturbation
+    from p2o.geometry.perturb import parse_perturbation
 
     bound = parse_perturbation(text, "--require")
     if bound.uniform or not (bound.angle_deg > 0 and bound.distance_m > 0):

@@ -49,7 +49,7 @@ def command(
 
     They are the frames of the dataset `synthetic`; what a layout has no place for is lost (docs/datasets.md).
     """
-    from p2o.recipe import open_dataset
+    from p2o.run.recipe import open_dataset
 
     options = {**({} if seed is None else {"seed": seed}), **_parsed(settings)}
     if layout == "kitti-raw" and "deskew" in options:
@@ -70,7 +70,7 @@ def _writer(layout: str) -> ModuleType:
 
 
 def _parsed(settings: tuple[str, ...]) -> dict[str, Any]:
-    from p2o.recipe import value_of
+    from p2o.run.recipe import value_of
 
     options: dict[str, Any] = {}
     for text in settings:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from p2o import se3
+from p2o.geometry import se3
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from p2o.accuracy import Accuracy
     from p2o.arrays import Float
-    from p2o.metrics import PoseError
-    from p2o.result import CameraCheck, Result, SweepMotion
-    from p2o.run import Row, Run
+    from p2o.geometry.pose_error import PoseError
+    from p2o.results.accuracy import Accuracy
+    from p2o.results.result import CameraCheck, Result, SweepMotion
+    from p2o.run.run import Row, Run
 
 _AXES = (("roll", "deg"), ("pitch", "deg"), ("yaw", "deg"), ("x", "m"), ("y", "m"), ("z", "m"))
 

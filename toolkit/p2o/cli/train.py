@@ -13,8 +13,8 @@ from p2o.cli.training_data import training_data_options
 from p2o.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:
-    from p2o.options import Options
-    from p2o.trainer import Trainer
+    from p2o.host.options import Options
+    from p2o.host.trainer import Trainer
 
 
 @click.command("train")
@@ -64,9 +64,9 @@ def command(
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     from p2o.cli.out_dir import OutDir
     from p2o.cli.training_progress import shown
-    from p2o.guard import trainer_of
-    from p2o.label_files import sources_of, trainable
-    from p2o.train import train, usage
+    from p2o.host.guard import trainer_of
+    from p2o.learn.label_files import sources_of, trainable
+    from p2o.learn.train import train, usage
 
     registry = load(plugin, block)
     offer = trainable(method, registry)
@@ -88,7 +88,7 @@ def command(
 
 def _options(trainer: Trainer, preset: str | None, said: Mapping[str, Any], settings: tuple[str, ...]) -> Options:
     """Return the validated options: a preset's, then those that are said, then those that are set."""
-    from p2o.recipe import validated
+    from p2o.run.recipe import validated
 
     if preset is not None and preset not in trainer.presets:
         raise UnknownNameError("preset", preset, trainer.presets, where="--preset")
@@ -101,7 +101,7 @@ def _options(trainer: Trainer, preset: str | None, said: Mapping[str, Any], sett
 
 def _set(values: dict[str, Any], text: str) -> None:
     """Take FIELD=VALUE, or OUTER.FIELD=VALUE for an option of options."""
-    from p2o.recipe import value_of
+    from p2o.run.recipe import value_of
 
     match = re.fullmatch(r"([A-Za-z0-9_.]+)=(.*)", text.strip(), re.DOTALL)
     if match is None:

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from p2o.label_files import LabelProgress
-    from p2o.trainer import TrainingProgress
+    from p2o.host.trainer import TrainingProgress
+    from p2o.learn.label_files import LabelProgress
 
 _LINE_EVERY_S = 5.0
 """How often the progress of labels is a line where there is no terminal."""

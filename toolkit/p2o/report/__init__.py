@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from p2o.errors import InputError, UnknownNameError
+from p2o.files.whole_file import write_whole
 from p2o.report.summary import Summary, summarise_study
-from p2o.store import Store
-from p2o.whole_file import write_whole
+from p2o.study.store import Store
 
 if TYPE_CHECKING:
-    from p2o.registry import Registry
+    from p2o.host.registry import Registry
 
 
 def write_report(
@@ -44,7 +44,7 @@ def write_report(
     pictures = Pictures()
     if data:
         if registry is None:
-            from p2o.registry import Registry as Loaded
+            from p2o.host.registry import Registry as Loaded
 
             registry = Loaded.load()
         pictures = draw_all(summaries, data, overlays, registry)

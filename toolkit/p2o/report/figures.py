@@ -12,7 +12,7 @@ from p2o.arrays import Float
 from p2o.report.rounds import convergence
 from p2o.report.summary import Group, Summary, error_of
 from p2o.report.tables import name_of, unit_of
-from p2o.store import StoredRow
+from p2o.study.store import StoredRow
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

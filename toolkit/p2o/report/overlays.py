@@ -12,17 +12,17 @@ from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 from p2o.arrays import Float, UInt8
-from p2o.cache import FeatureCache, content_hash, features_key
 from p2o.errors import InputError, P2OError, UnknownNameError
-from p2o.recipe import Part, Recipe, open_dataset, split_data
 from p2o.report.summary import Summary, error_of
-from p2o.store import StoredRow
+from p2o.run.recipe import Part, Recipe, open_dataset, split_data
+from p2o.study.store import StoredRow
+from p2o.work.cache import FeatureCache, content_hash, features_key
 
 if TYPE_CHECKING:
-    from p2o.frame import Frame
-    from p2o.guard import GuardedDataset
-    from p2o.pipeline import Pipeline
-    from p2o.registry import Registry
+    from p2o.calibration.pipeline import Pipeline
+    from p2o.frames.frame import Frame
+    from p2o.host.guard import GuardedDataset
+    from p2o.host.registry import Registry
 
 _QUALITY = 78
 _WIDEST_PX = 1400
@@ -149,7 +149,7 @@ class _Source:
 
     def _at(self, frame: Frame, camera_from_lidar: Float) -> UInt8:
         """Return edges of both sensors at a pose; the sweep where there are none, or an extractor refuses."""
-        from p2o import overlay
+        from p2o.draw import overlay
 
         with contextlib.suppress(P2OError):
             if self.pipeline is not None:
@@ -163,7 +163,7 @@ class _Source:
 
 def _opened(text: str, run: StoredRow, registry: Registry) -> _Source:
     """Return where the frames of a run are, and what it extracts from them."""
-    from p2o.pipeline import Pipeline
+    from p2o.calibration.pipeline import Pipeline
 
     recipe = dict(run.recipe)
     name, said = split_data(text)

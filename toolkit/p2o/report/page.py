@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 
 from p2o.errors import MethodUnavailable
-from p2o.metrics import AXES
+from p2o.geometry.pose_error import AXES
 from p2o.report.bootstrap import Interval
 from p2o.report.figures import COLOURS
 from p2o.report.overlays import Pictures
 from p2o.report.rounds import Convergence, convergence
 from p2o.report.summary import NORMS, Difference, Group, Measured, Published, Summary, best
 from p2o.report.tables import DIGITS, NOTES, failures_of, starts_of
-from p2o.store import METRICS, StoredRow
+from p2o.study.store import METRICS, StoredRow
 
 _SIGNIFICANT = 6
 

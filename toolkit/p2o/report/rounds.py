@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from p2o.arrays import Float
-from p2o.store import StoredRow
+from p2o.study.store import StoredRow
 
 QUARTILES = (0.25, 0.5, 0.75)
 

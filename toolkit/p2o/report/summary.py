@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from p2o.metrics import AXES
+from p2o.geometry.pose_error import AXES
 from p2o.report.bootstrap import Interval, interval
-from p2o.store import METRICS, Planned, StoredRow, StoredStudy
+from p2o.study.store import METRICS, Planned, StoredRow, StoredStudy
 
 NORMS = ("rotation_deg", "translation_m")
 NOT_RUN = "not run"

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from p2o.perturb import parse_perturbation as parse_perturbation
-from p2o.perturb import wrong_start as wrong_start
+from p2o.geometry.perturb import parse_perturbation as parse_perturbation
+from p2o.geometry.perturb import wrong_start as wrong_start
 from p2o.simulate.classes import Class as Class
 from p2o.simulate.labels import labels as labels
 from p2o.simulate.lidar import Beams as Beams

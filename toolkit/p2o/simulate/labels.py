@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from p2o.camera import Camera
-from p2o.occlusion import Orders, occlusion_orders
+from p2o.features.occlusion import Orders, occlusion_orders
+from p2o.geometry.camera import Camera
 from p2o.simulate.render import Picture
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from p2o.arrays import Float, Int
-from p2o.motion import pose_at
+from p2o.geometry.motion import pose_at
 from p2o.simulate.scene import Hits, Scene
 from p2o.simulate.texture import PATTERNS, clouds, texture
 

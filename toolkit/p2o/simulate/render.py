@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from p2o.arrays import Bool, Float, UInt8
-from p2o.camera import Camera
+from p2o.geometry.camera import Camera
 from p2o.simulate.classes import Class
 from p2o.simulate.light import shade, sky
 from p2o.simulate.photo import Photo, develop

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from p2o import se3
 from p2o.arrays import Bool, Float, Int
 from p2o.errors import InputError, MethodUnavailable
-from p2o.motion import moved, pose_at
+from p2o.geometry import se3
+from p2o.geometry.motion import moved, pose_at
 from p2o.simulate.classes import Class
 from p2o.simulate.mesh import Mesh, join
 

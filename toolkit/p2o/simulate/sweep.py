@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from p2o import se3
 from p2o.arrays import Bool, Float, Int
-from p2o.cloud import Cloud
 from p2o.errors import InputError
-from p2o.motion import moved
+from p2o.frames.cloud import Cloud
+from p2o.geometry import se3
+from p2o.geometry.motion import moved
 from p2o.simulate.lidar import Beams, Lidar, Rosette
 from p2o.simulate.scene import Hits, Scene
 from p2o.simulate.threads import in_slices

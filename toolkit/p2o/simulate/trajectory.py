@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from p2o import se3
 from p2o.arrays import Float
-from p2o.motion import adjoint, pose_at
+from p2o.geometry import se3
+from p2o.geometry.motion import adjoint, pose_at
 
 LIDAR_HEIGHT_M = 1.73
 """Height of KITTI's Velodyne above the road."""

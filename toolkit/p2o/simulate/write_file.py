@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from p2o.errors import InputError
-from p2o.frame import Frame
-from p2o.whole_file import write_whole
+from p2o.files.whole_file import write_whole
+from p2o.frames.frame import Frame
 
 
 def write_file(path: Path, data: bytes | str) -> None:

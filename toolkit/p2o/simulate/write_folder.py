@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from p2o.cloud import Cloud
-from p2o.frame import Frame
+from p2o.frames.cloud import Cloud
+from p2o.frames.frame import Frame
 from p2o.simulate.write_file import png, write_file
 
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from p2o.arrays import Float
-from p2o.cloud import Cloud
 from p2o.errors import InputError
-from p2o.frame import Frame
-from p2o.image import Image
-from p2o.motion import moved
+from p2o.frames.cloud import Cloud
+from p2o.frames.frame import Frame
+from p2o.frames.image import Image
+from p2o.geometry.motion import moved
 from p2o.simulate.write_file import numbers, png, require, write_file
 
 _FIRST_DAY = datetime(2026, 1, 1, 12, tzinfo=UTC)

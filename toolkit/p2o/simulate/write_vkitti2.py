@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from p2o.frame import Frame
-from p2o.image import Image
+from p2o.frames.frame import Frame
+from p2o.frames.image import Image
 from p2o.simulate.write_file import numbers, png, require, write_file
 
 _VARIATION = "Scene01/clone"

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from p2o.errors import UnknownNameError
-from p2o.method import Kind, Method
-from p2o.registry import Offer, Registry
+from p2o.host.method import Kind, Method
+from p2o.host.registry import Offer, Registry
 from p2o.testing import stage as stage
 from p2o.testing.checks import CHECKS as CHECKS
 from p2o.testing.checks import Check as Check
@@ -67,7 +67,7 @@ def checks_for(
     Raises TypeError where the kind is missing, UnknownNameError where the method expects failures of checks that do
     not exist, and InputError for bad options.
     """
-    from p2o.recipe import validated
+    from p2o.run.recipe import validated
 
     if isinstance(method, Method):
         if kind is None:

@@ -16,19 +16,19 @@ from typing import Any
 
 import numpy as np
 
-from p2o import se3
 from p2o.arrays import Float
 from p2o.errors import P2OError
-from p2o.features import CloudEdges, ImageEdges
-from p2o.frame import Dataset
-from p2o.guard import build
-from p2o.method import Kind
-from p2o.metrics import pose_error
-from p2o.options import Options
-from p2o.problem import Objective, PointToLine
-from p2o.registry import Offer
-from p2o.result import Result, Round, Status
-from p2o.side import Side
+from p2o.features.edges import CloudEdges, ImageEdges
+from p2o.features.side import Side
+from p2o.frames.frame import Dataset
+from p2o.geometry import se3
+from p2o.geometry.pose_error import pose_error
+from p2o.host.guard import build
+from p2o.host.method import Kind
+from p2o.host.options import Options
+from p2o.host.registry import Offer
+from p2o.problems.point_to_line import Objective, PointToLine
+from p2o.results.result import Result, Round, Status
 from p2o.testing import stage
 
 

@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from p2o import se3
 from p2o.arrays import Float, Int
-from p2o.camera import Camera
-from p2o.cloud import Cloud
-from p2o.features import CloudEdges, CloudFeatures, ImageEdges, ImageFeatures
-from p2o.frame import Frame
-from p2o.image import Image
-from p2o.side import Side
-from p2o.view import View
+from p2o.features.edges import CloudEdges, CloudFeatures, ImageEdges, ImageFeatures
+from p2o.features.side import Side
+from p2o.features.view import View
+from p2o.frames.cloud import Cloud
+from p2o.frames.frame import Frame
+from p2o.frames.image import Image
+from p2o.geometry import se3
+from p2o.geometry.camera import Camera
 
 BASELINE_M = 0.54
 FLOOR_M = -1.7

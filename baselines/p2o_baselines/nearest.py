@@ -1,0 +1,79 @@
+"""Nearest-line matching without directions: the paper's ablation row without OGM, and the matcher for Canny."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import p2o
+from p2o.arrays import Bool, Float
+from p2o.problems.pairing import PairingOptions, assemble, pair
+
+Edges = TypeVar("Edges", p2o.ImageEdges, p2o.CloudEdges)
+
+
+class NearestOptions(PairingOptions):
+    """Options of `nearest`."""
+
+
+def undirected(edges: Edges) -> Edges:
+    """Return edges without directions, each place once: one that carries two directions is listed twice before."""
+    place = edges.uv if isinstance(edges, p2o.ImageEdges) else edges.xyz
+    return edges.select(_heaviest(place, edges.weight)).without_sides()
+
+
+def _heaviest(place: Float, weight: Float) -> Bool:
+    """Return a mask (N,) of the edge of largest `weight` (N,) at each distinct `place` (N, 2 or 3)."""
+    order = np.lexsort((-weight, *place.T))
+    ordered = place[order]
+    keep = np.ones(len(order), np.bool_)
+    keep[order[1:]] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    return keep
+
+
+def remembered(make: Callable[[Edges], Edges]) -> Callable[[Edges], Edges]:
+    """Return `make` with its results kept as long as its argument lives: search trees serve all rounds then."""
+    known: WeakKeyDictionary[Edges, Edges] = WeakKeyDictionary()
+
+    def look_up(edges: Edges) -> Edges:
+        if edges not in known:
+            known[edges] = make(edges)
+        return known[edges]
+
+    return look_up
+
+
+def build(options: NearestOptions) -> p2o.Matcher:
+    """Return the matcher `(views, camera_from_lidar (4, 4), reach_px) -> PointToLine`."""
+    image_edges: Callable[[p2o.ImageEdges], p2o.ImageEdges] = remembered(undirected)
+    cloud_edges: Callable[[p2o.CloudEdges], p2o.CloudEdges] = remembered(undirected)
+
+    def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> p2o.PointToLine:
+        pairs = [
+            pair(
+                view.camera,
+                image_edges(view.image_edges),
+                cloud_edges(view.cloud_edges),
+                [p2o.Side.NONE],
+                camera_from_lidar,
+                reach_px,
+                options,
+            )
+            for view in views
+        ]
+        return assemble(views, pairs, options.huber_px, balance=False)
+
+    return match
+
+
+METHOD = p2o.Method(
+    name="nearest",
+    build=build,
+    options=NearestOptions,
+    summary="Nearest image edges whatever their direction, as a line per cloud edge.",
+    needs={"image-edges", "cloud-edges"},
+    gives={"pairs"},
+    cite="Wang et al., P2O-Calib, IROS 2023, Table II, row without OGM",
+)

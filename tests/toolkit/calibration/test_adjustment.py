@@ -1,0 +1,180 @@
+"""The motion of the car during a sweep, told by the pairs of both sensors along with pose and cameras."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from p2o import InputError, PointToLine, RadialError, se3
+from p2o.calibration.adjustment import adjust
+from p2o.geometry.ego_motion import EgoMotion, MotionPrior
+from p2o.geometry.motion import moved
+from p2o.geometry.pose_error import pose_error
+from p2o_plugins.solve.lm import METHOD as LM
+
+from tests.edge_scene import PINHOLE, TRUTH
+from tests.plugins.solve.exact_pairs import NEAR, pairs
+from tests.plugins.solve.test_solvers import built
+
+PRIOR = MotionPrior(EgoMotion(8.0), 8.0, 0.1)
+MOTIONS = (EgoMotion(15.0, 0.08), EgoMotion(-1.0, -0.15))
+
+
+def as_measured(problem: PointToLine, motions: tuple[EgoMotion, ...] = MOTIONS) -> PointToLine:
+    """Return pairs with the points where a LiDAR that turns ten times a second and moves has measured them."""
+    xyz, time_s = np.array(problem.xyz), np.zeros(len(problem))
+    for number, motion in enumerate(motions):
+        rows = np.flatnonzero(problem.frame == number)
+        time_s[rows] = -np.arctan2(xyz[rows, 1], xyz[rows, 0]) / (2 * np.pi) * 0.1 - 0.004
+        xyz[rows] = moved(motion.twist, -time_s[rows], xyz[rows])
+    return replace(problem, xyz=xyz, time_s=time_s)
+
+
+def test_exact_pairs_tell_motions_and_pose() -> None:
+    found = adjust(as_measured(pairs(count=1500)), NEAR, cameras=False, prior=PRIOR)
+    for fit, true in zip(found.motions, MOTIONS, strict=True):
+        # Drawn to what is expected a little.
+        assert fit.motion.speed_m_s == pytest.approx(true.speed_m_s, abs=0.25)
+        assert fit.motion.turn_rad_s == pytest.approx(true.turn_rad_s, abs=0.005)
+    error = pose_error(found.camera_from_lidar, TRUTH)
+    assert error.rotation_deg < 0.01
+    assert error.translation_m < 0.002
+    assert found.cameras == ()
+
+
+def test_motion_that_nobody_asks_for_spoils_the_pose() -> None:
+    found = adjust(as_measured(pairs(count=1500)), NEAR, cameras=False)
+    assert found.motions == ()
+    assert pose_error(found.camera_from_lidar, TRUTH).translation_m > 0.01
+
+
+def test_points_that_are_corrected_already_give_the_same_motions() -> None:
+    problem = as_measured(pairs(count=1500))
+    known = (EgoMotion(12.0, 0.05), EgoMotion(3.0, -0.1))
+    xyz = np.array(problem.xyz)
+    for number, motion in enumerate(known):
+        rows = problem.frame == number
+        xyz[rows] = moved(motion.twist, problem.time_s[rows], xyz[rows])
+    once = adjust(problem, NEAR, prior=PRIOR)
+    again = adjust(replace(problem, xyz=xyz), NEAR, prior=PRIOR, motions=known)
+    for a, b in zip(once.motions, again.motions, strict=True):
+        assert a.motion.speed_m_s == pytest.approx(b.motion.speed_m_s, abs=0.05)
+        assert a.motion.turn_rad_s == pytest.approx(b.motion.turn_rad_s, abs=1e-3)
+    assert pose_error(once.camera_from_lidar, again.camera_from_lidar).translation_m < 5e-4
+
+
+def test_without_times_the_motion_stays_what_is_expected() -> None:
+    found = adjust(pairs(), NEAR, prior=PRIOR)
+    for fit in found.motions:
+        assert (fit.motion.speed_m_s, fit.motion.turn_rad_s) == pytest.approx((8.0, 0.0))
+        assert np.sqrt(np.diag(fit.covariance)) == pytest.approx([8.0, 0.1], rel=1e-6)
+
+
+def test_the_direction_of_travel_is_the_one_that_is_named() -> None:
+    sideways = EgoMotion(10.0, 0.0, (0.0, 2.0, 0.0))
+    assert sideways.twist == pytest.approx([0, 0, 0, 0, 10, 0])
+    prior = MotionPrior(EgoMotion(8.0, forward=sideways.forward), 8.0, 0.1)
+    problem = as_measured(pairs(count=1500), (sideways, sideways))
+    found = adjust(problem, NEAR, cameras=False, prior=prior)
+    assert [fit.motion.speed_m_s for fit in found.motions] == pytest.approx([10.0, 10.0], abs=0.3)
+    assert [fit.motion.forward for fit in found.motions] == [sideways.forward] * 2
+
+
+def test_motion_and_camera_are_told_apart() -> None:
+    error = RadialError(-0.004, 0.012)
+    exact = pairs(cameras=(error.corrected(PINHOLE),) * 2, count=3000)
+    found = adjust(as_measured(replace(exact, cameras=(PINHOLE,) * 2)), NEAR, prior=PRIOR)
+    (camera,) = found.cameras
+    assert camera.error.focal == pytest.approx(error.focal, abs=3e-4)
+    assert camera.error.radial == pytest.approx(error.radial, abs=5e-4)
+    assert [fit.motion.speed_m_s for fit in found.motions] == pytest.approx([15.0, -1.0], abs=0.4)
+
+
+def test_what_is_unknown_as_well_makes_the_pose_less_sure() -> None:
+    standing = EgoMotion()
+    problem = as_measured(pairs(count=400, noise_px=0.7), (standing, standing))
+    alone = adjust(problem, TRUTH, cameras=False).covariance
+    more = adjust(problem, TRUTH, cameras=False, prior=MotionPrior(standing, 8.0, 0.1)).covariance
+    assert np.linalg.eigvalsh(more - 0.95 * alone).min() > 0
+    assert more[5, 5] > 1.5 * alone[5, 5]  # along the road, the way it drives
+
+
+def test_with_nothing_else_unknown_the_pose_is_that_of_the_solver() -> None:
+    problem = pairs(count=400, noise_px=0.7, outliers=0.05)
+    solution = built(LM)(problem, NEAR)
+    found = adjust(problem, solution.camera_from_lidar, cameras=False)
+    assert pose_error(found.camera_from_lidar, solution.camera_from_lidar).translation_m < 1e-5
+    assert found.covariance == pytest.approx(found.covariance.T)
+    # Its pairs err one by one, so that both take the same for noise.
+    ratio = np.diag(found.covariance) / np.diag(solution.covariance)
+    assert ((ratio > 0.5) & (ratio < 2.0)).all()
+    assert found.step_px < 1e-3
+
+
+@pytest.mark.parametrize("together", [False, True])
+def test_the_covariance_foretells_the_scatter_also_of_pairs_that_err_together(together: bool) -> None:
+    # Pairs of one direction in one cell of 64 px have the same error, as those along one outline have.
+    squares, alone = [], []
+    for seed in range(40):
+        problem = pairs(count=500)
+        rng = np.random.default_rng(seed)
+        cell = np.floor(problem.centre / 64).astype(int)
+        _, place = np.unique(np.column_stack([problem.frame, problem.side, cell]), axis=0, return_inverse=True)
+        noise = rng.normal(0, 0.4, len(problem))
+        if together:
+            noise = rng.normal(0, 0.4, place.max() + 1)[place.reshape(-1)]
+        noisy = replace(problem, centre=problem.centre + noise[:, None] * problem.normal)
+        found = adjust(noisy, TRUTH, cameras=False)
+        error = se3.log(found.camera_from_lidar @ se3.inverse(TRUTH))
+        assert found.covariance is not None
+        squares.append(error @ np.linalg.solve(found.covariance, error))
+        alone.append(error @ np.linalg.solve(built(LM)(noisy, TRUTH).covariance, error))
+    # Chi-square of 6 has the mean 6; that of the solver takes pairs as independent.
+    assert 3.5 < np.mean(squares) < 9.0
+    assert (np.mean(alone) > 12.0) == together
+
+
+def test_pairs_from_few_places_have_no_covariance() -> None:
+    problem = pairs(count=400)
+    one = replace(problem, centre=np.tile([600.0, 180.0], (len(problem), 1)), frame=np.zeros(len(problem), np.int64))
+    assert adjust(one, TRUTH, cameras=False).covariance is None
+
+
+def test_the_stated_deviation_is_more_than_noise_causes_and_less_than_was_known() -> None:
+    found, stated = [], []
+    for seed in range(30):
+        problem = as_measured(pairs(count=300, noise_px=0.7, seed=seed))
+        fits = adjust(problem, TRUTH, cameras=False, prior=PRIOR).motions
+        found.append([[f.motion.speed_m_s, f.motion.turn_rad_s] for f in fits])
+        stated.append([np.sqrt(np.diag(f.covariance)) for f in fits])
+    truth = [[m.speed_m_s, m.turn_rad_s] for m in MOTIONS]
+    ratio = np.sqrt(np.mean((np.array(found) - truth) ** 2, axis=0)) / np.mean(stated, axis=0)
+    assert ((ratio > 0.1) & (ratio < 1.0)).all()
+    assert (np.mean(stated, axis=0) < [PRIOR.speed_sigma, PRIOR.turn_sigma]).all()
+
+
+def test_motions_have_to_be_one_a_frame() -> None:
+    with pytest.raises(InputError, match=r"not one a frame; expected 2; got 1"):
+        adjust(pairs(), NEAR, prior=PRIOR, motions=[EgoMotion()])
+
+
+@pytest.mark.parametrize(
+    "values", [(np.nan, 0.0), (0.0, np.inf), (1.0, 0.0, (0.0, 0.0, 0.0)), (1.0, 0.0, (np.nan, 1, 0))]
+)
+def test_a_motion_that_is_none_is_refused(values: tuple) -> None:
+    with pytest.raises(InputError, match="motion of the car is not one"):
+        EgoMotion(*values)
+
+
+@pytest.mark.parametrize("sigmas", [(0.0, 0.1), (8.0, -1.0)])
+def test_an_expected_motion_needs_deviations(sigmas: tuple[float, float]) -> None:
+    with pytest.raises(InputError, match="not positive"):
+        MotionPrior(EgoMotion(), *sigmas)
+
+
+def test_a_twist_turns_to_the_left_about_the_axis_of_the_sensor() -> None:
+    ahead = moved(EgoMotion(10.0, 0.5).twist, np.array([0.01]), np.array([[20.0, 0.0, 0.0]]))
+    # What stays put is behind by what the car went, seen from where it was: the sensor's frame moved on and turned.
+    assert ahead[0] == pytest.approx([20.1, 20 * 0.005, 0], abs=2e-3)
+    assert se3.distance_m(se3.exp(EgoMotion(10.0, 0.5).twist * 0.01)) == pytest.approx(0.1, abs=1e-3)

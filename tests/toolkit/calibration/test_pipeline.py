@@ -1,0 +1,433 @@
+"""Algorithm 1 finds exact truth, is never worse than its start, and says why when it stops."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from p2o import CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, RadialError, Side, Solution, Status, View, se3
+from p2o.calibration.accuracy import deviations
+from p2o.calibration.pipeline import Pipeline, PipelineOptions
+from p2o.geometry.ego_motion import EgoMotion
+from p2o.geometry.motion import moved
+from p2o.geometry.perturb import wrong_start
+from p2o.geometry.pose_error import pose_error
+from p2o_baselines import nearest
+from p2o_plugins.initialize import given, grid, search
+from p2o_plugins.match import ogm
+from p2o_plugins.solve import lm, nelder_mead
+
+from tests import edge_scene
+from tests.edge_scene import TRUTH
+
+
+def built(method, **options):
+    return method.METHOD.build(method.METHOD.options(**options))
+
+
+def pipeline(matcher=ogm, solver=lm, initializer=search, directed=True, **options) -> Pipeline:
+    """The pipeline on views made elsewhere: its extractors are never called."""
+    return Pipeline(
+        image_extractor=lambda image: ImageFeatures(),
+        cloud_extractor=lambda cloud: CloudFeatures(),
+        matcher=built(matcher),
+        solver=built(solver),
+        initializer=built(initializer),
+        options=PipelineOptions(**options),
+        directed=directed,
+    )
+
+
+def start(seed: int = 0, angle_deg: float = 2.0) -> np.ndarray:
+    return wrong_start(TRUTH, angle_deg, 0.15, np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize(
+    "camera", [edge_scene.PINHOLE, edge_scene.FISHEYE, edge_scene.DISTORTED], ids=lambda c: c.model
+)
+def test_exact_edges_give_the_exact_pose_with_every_camera_model(camera) -> None:
+    result = pipeline().solve([edge_scene.view(camera)], start())
+    error = pose_error(result.camera_from_lidar, TRUTH)
+    assert result.status.solved
+    # The eight pixels of a line are spaced 0.3 px and straight within the distortion: hundredths of a pixel remain.
+    assert error.rotation_deg < 0.01
+    assert error.translation_m < 0.01
+
+
+def test_several_frames_are_solved_jointly_and_better_than_one() -> None:
+    views = [edge_scene.view(seed=i, noise_px=1.0, boxes=8) for i in range(6)]
+    singles = [pose_error(pipeline().solve([view], start()).camera_from_lidar, TRUTH) for view in views]
+    joint = pose_error(pipeline().solve(views, start()).camera_from_lidar, TRUTH)
+    # One frame may be lucky; the mean of all may not.
+    assert joint.translation_m < np.mean([error.translation_m for error in singles])
+    assert joint.rotation_deg < 0.05
+
+
+def test_a_wide_start_needs_the_grid_and_the_grid_finds_it() -> None:
+    result = pipeline(initializer=grid).solve([edge_scene.view(seed=i) for i in range(2)], start(3, 10.0))
+    assert pose_error(result.camera_from_lidar, TRUTH).rotation_deg < 0.02
+
+
+@pytest.mark.parametrize("initializer", [given, search])
+def test_moving_the_lidar_frame_moves_the_answer_by_exactly_that(initializer) -> None:
+    view, begin = edge_scene.view(noise_px=0.5), start()
+    move = se3.exp(np.array([0.4, -0.9, 1.2, 1.0, 2.0, -3.0]))
+    here = pipeline(initializer=initializer).solve([view], begin)
+    there = pipeline(initializer=initializer).solve([view.moved(move)], begin @ se3.inverse(move))
+    difference = se3.inverse(there.camera_from_lidar @ move) @ here.camera_from_lidar
+    assert se3.angle_deg(difference) < 1e-3
+    assert se3.distance_m(difference) < 1e-3
+
+
+def test_the_same_seed_gives_the_same_bytes() -> None:
+    poses = [pipeline().solve([edge_scene.view()], start()).camera_from_lidar for _ in range(2)]
+    assert poses[0].tobytes() == poses[1].tobytes()
+
+
+def test_a_scalar_solver_takes_the_pairs_of_a_matcher() -> None:
+    result = pipeline(solver=nelder_mead, rounds=4).solve([edge_scene.view()], start())
+    assert pose_error(result.camera_from_lidar, TRUTH).rotation_deg < 0.1
+
+
+def test_every_round_is_recorded_with_a_shrinking_reach() -> None:
+    result = pipeline(initializer=given).solve([edge_scene.view()], start())
+    reaches = [r.reach_px for r in result.rounds]
+    assert reaches[0] == 50.0
+    assert all(b < a or b == 5.0 for a, b in itertools.pairwise(reaches))
+    assert result.rounds[-1].mean_residual_px < result.rounds[0].mean_residual_px
+    assert set(result.matches) == {"L", "R", "U", "B"}
+
+
+def test_a_solver_that_walks_away_is_not_believed() -> None:
+    begin = se3.exp(np.array([0.002, 0.002, 0, 0, 0, 0])) @ TRUTH
+
+    def away(problem, pose):
+        return Solution(se3.exp(np.array([0.01, 0.01, 0, 0, 0, 0])) @ TRUTH, 0.0, 1)
+
+    result = replace(pipeline(initializer=given), solver=away).solve([edge_scene.view()], begin)
+    assert result.status is Status.NO_IMPROVEMENT
+    assert "start is returned" in result.reason
+    np.testing.assert_array_equal(result.camera_from_lidar, result.start)
+    np.testing.assert_allclose(result.start, begin, atol=1e-12)
+
+
+def test_started_at_the_truth_it_stays_there() -> None:
+    result = pipeline().solve([edge_scene.view()], TRUTH)
+    assert pose_error(result.camera_from_lidar, TRUTH).translation_m < 0.01
+
+
+def test_no_edges_in_the_image_is_a_status_with_a_reason() -> None:
+    view = replace(edge_scene.view(), image=ImageFeatures(ImageEdges.empty()))
+    result = pipeline().solve([view], start())
+    assert (result.status, result.reason) == (Status.NO_EDGES, "no edges were found in the image")
+
+
+def test_no_edges_in_the_sweep_is_a_status_with_a_reason() -> None:
+    view = replace(edge_scene.view(), cloud=CloudFeatures(CloudEdges.empty()))
+    result = pipeline().solve([view], start())
+    assert (result.status, result.reason) == (Status.NO_EDGES, "no edges were found in the sweep")
+
+
+def test_a_start_in_the_wrong_direction_is_named_as_such() -> None:
+    result = pipeline().solve([edge_scene.view()], se3.inverse(TRUTH) @ se3.exp(np.array([0, np.pi, 0, 0, 0, 0])))
+    assert result.status in (Status.NO_EDGES, Status.TOO_FEW_MATCHES)
+    assert not result.status.solved
+
+
+def test_points_behind_the_camera_only_are_refused_with_a_hint() -> None:
+    view = edge_scene.view()
+    behind = view.moved(se3.inverse(TRUTH) @ se3.make(translation=[0, 0, -100.0]) @ TRUTH)
+    result = pipeline().solve([behind], TRUTH)
+    assert result.status is Status.NO_EDGES
+    assert "behind the camera" in result.reason
+
+
+def test_too_few_pairs_is_a_status_that_counts_them() -> None:
+    view = edge_scene.view()
+    few = replace(view, cloud=CloudFeatures(view.cloud_edges.select(np.arange(10))))
+    result = pipeline(initializer=given).solve([few], start())
+    assert result.status is Status.TOO_FEW_MATCHES
+    assert "at least 30 are needed" in result.reason
+    np.testing.assert_array_equal(result.camera_from_lidar, result.start)
+
+
+def test_edges_of_one_direction_at_one_depth_are_not_observable() -> None:
+    depth = 10.0
+    v = np.linspace(-1.5, 1.5, 200)
+    points = np.column_stack([np.zeros(200), v, np.full(200, depth)])
+    uv = edge_scene.PINHOLE.project(
+        np.column_stack([np.zeros(2000), np.linspace(-1.6, 1.6, 2000), np.full(2000, depth)])
+    )
+    sides = np.full(200, Side.LEFT)
+    view = View(
+        "pole",
+        edge_scene.PINHOLE,
+        ImageFeatures(ImageEdges(uv, np.full(2000, Side.LEFT))),
+        CloudFeatures(CloudEdges(points, sides)),
+    )
+    result = pipeline(initializer=given).solve([view], se3.make(translation=[0.1, 0, 0]))
+    assert result.status is Status.NOT_OBSERVABLE
+    assert result.reason
+
+
+def test_without_directions_no_stage_profits_from_them() -> None:
+    """The initializer, the matcher and the judge of an undirected run must not change when labels are scrambled."""
+    view = edge_scene.view(noise_px=0.5)
+    rng = np.random.default_rng(1)
+    scrambled = replace(
+        view,
+        image=ImageFeatures(replace(view.image_edges, side=rng.permutation(view.image_edges.side))),
+        cloud=CloudFeatures(replace(view.cloud_edges, side=rng.permutation(view.cloud_edges.side))),
+    )
+    undirected = pipeline(matcher=nearest, directed=False)
+    poses = [undirected.solve([v.without_sides()], start()).camera_from_lidar for v in (view, scrambled)]
+    np.testing.assert_allclose(poses[0], poses[1], atol=1e-9)
+
+
+def test_an_image_and_a_sweep_of_different_moments_are_called_doubtful_and_a_right_pair_is_not() -> None:
+    """The edges of one place are matched with those of another: whatever pose comes out is flagged."""
+    for seed in range(4):
+        right, other = edge_scene.view(seed=seed), edge_scene.view(seed=seed + 10)
+        good = pipeline().solve([right], start(seed))
+        assert not good.warnings
+        assert good.agreement["odds_ratio"] > 100
+        bad = pipeline().solve([replace(right, cloud=other.cloud)], start(seed))
+        assert not bad.status.solved or any("doubtful" in warning for warning in bad.warnings)
+
+
+MISCALIBRATED = RadialError(-0.003, 0.02)
+
+
+def wrongly_calibrated(count: int = 4) -> list[View]:
+    """Views whose camera lacks the distortion that the picture has."""
+    true = MISCALIBRATED.corrected(edge_scene.PINHOLE)
+    views = [edge_scene.view(true, seed=i, boxes=60, noise_px=0.3) for i in range(count)]
+    return [replace(view, camera=edge_scene.PINHOLE) for view in views]
+
+
+def test_a_wrong_calibration_of_the_camera_is_told() -> None:
+    trusted = pipeline(camera="trust").solve(wrongly_calibrated(), start())
+    checked = pipeline().solve(wrongly_calibrated(), start())
+    assert trusted.cameras == ()
+    assert not any("calibration is in doubt" in text for text in trusted.warnings)
+    assert np.array_equal(checked.camera_from_lidar, trusted.camera_from_lidar)
+    (check,) = checked.cameras
+    assert check.frames == 4
+    assert not check.corrected
+    assert check.radial == pytest.approx(MISCALIBRATED.radial, rel=0.3)
+    assert any("calibration is in doubt" in text for text in checked.warnings)
+
+
+def test_a_right_calibration_is_not_doubted() -> None:
+    views = [edge_scene.view(seed=i, boxes=60, noise_px=0.3) for i in range(4)]
+    result = pipeline().solve(views, start())
+    assert result.cameras[0].shift_px < 0.3
+    assert not any("calibration is in doubt" in text for text in result.warnings)
+
+
+def test_refining_the_camera_finds_its_error_and_a_better_pose() -> None:
+    trusted = pipeline(camera="trust").solve(wrongly_calibrated(), start())
+    refined = pipeline(camera="refine").solve(wrongly_calibrated(), start())
+    (check,) = refined.cameras
+    assert check.corrected
+    assert (
+        refined.camera_of(edge_scene.PINHOLE)
+        == check.better
+        == RadialError(check.focal, check.radial).corrected(edge_scene.PINHOLE)
+    )
+    assert trusted.camera_of(edge_scene.PINHOLE) == edge_scene.PINHOLE
+    assert check.focal == pytest.approx(MISCALIBRATED.focal, abs=2e-4)
+    assert check.radial == pytest.approx(MISCALIBRATED.radial, abs=5e-4)
+    before, after = (pose_error(result.camera_from_lidar, TRUTH) for result in (trusted, refined))
+    assert after.rotation_deg < 0.02
+    assert after.translation_m < 0.005
+    assert after.translation_m < 0.5 * before.translation_m
+    assert refined.directed_cost_px[1] < trusted.directed_cost_px[1]
+    assert not any("calibration is in doubt" in text for text in refined.warnings)
+
+
+def test_refining_a_right_camera_leaves_it_and_the_pose() -> None:
+    views = [edge_scene.view(seed=i, boxes=60) for i in range(3)]
+    result = pipeline(camera="refine").solve(views, start())
+    assert result.cameras[0].shift_px < 0.1
+    assert pose_error(result.camera_from_lidar, TRUTH).translation_m < 0.005
+
+
+def as_measured(view: View, motion: EgoMotion) -> View:
+    """The view of a LiDAR that turns ten times a second and moves, the picture taken 4 ms after straight ahead."""
+    edges = view.cloud_edges
+    time_s = -np.arctan2(edges.xyz[:, 1], edges.xyz[:, 0]) / (2 * np.pi) * 0.1 - 0.004
+    xyz = moved(motion.twist, -time_s, edges.xyz)
+    return replace(view, cloud=CloudFeatures(replace(edges, xyz=xyz, time_s=time_s)))
+
+
+MOTIONS = [EgoMotion(speed, turn) for speed, turn in ((16.0, 0.0), (0.0, 0.0), (9.0, 0.15), (5.0, -0.1))]
+
+
+def driven() -> list[View]:
+    return [
+        as_measured(edge_scene.view(seed=i, boxes=60, name=f"at {m.speed_m_s:g}"), m) for i, m in enumerate(MOTIONS)
+    ]
+
+
+def test_the_motion_of_the_car_is_found_along_with_the_pose() -> None:
+    trusted = pipeline(motion="trust", camera="trust").solve(driven(), start())
+    found = pipeline().solve(driven(), start())
+    assert trusted.motions == ()
+    assert trusted.twist_of("at 16") is None
+    before, after = (pose_error(result.camera_from_lidar, TRUTH) for result in (trusted, found))
+    assert after.translation_m < 0.01
+    assert after.translation_m < 0.3 * before.translation_m
+    assert after.rotation_deg < 0.03
+    assert [motion.frame for motion in found.motions] == ["at 16", "at 0", "at 9", "at 5"]
+    for motion, true in zip(found.motions, MOTIONS, strict=True):
+        assert motion.speed_m_s == pytest.approx(true.speed_m_s, abs=1.0)
+        assert motion.turn_deg_s == pytest.approx(np.degrees(true.turn_rad_s), abs=1.0)
+        assert found.twist_of(motion.frame) == pytest.approx(motion.twist)
+    assert found.directed_cost_px[1] < trusted.directed_cost_px[1]
+
+
+def test_motion_of_the_car_does_not_look_like_a_wrong_camera() -> None:
+    checked = pipeline().solve(driven(), start())
+    refined = pipeline(camera="refine").solve(driven(), start())
+    for result in (checked, refined):
+        assert result.cameras[0].shift_px < 0.4
+        assert pose_error(result.camera_from_lidar, TRUTH).translation_m < 0.01
+
+
+def test_frames_that_were_corrected_have_no_motion_to_find() -> None:
+    views = [edge_scene.view(seed=9, boxes=60, name="corrected"), *driven()[:1]]
+    result = pipeline().solve(views, start())
+    assert [motion.frame for motion in result.motions] == ["at 16"]
+    assert pipeline().solve(views[:1], start()).motions == ()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_motion_is_taken_only_where_the_edges_fit_better_with_it(seed: int) -> None:
+    view = as_measured(edge_scene.view(seed=seed, boxes=8, noise_px=1.5), EgoMotion())
+    estimated, trusted = (
+        pipeline(motion=word, speed_m_s=0.0).solve([view], start(seed)) for word in ("estimate", "trust")
+    )
+    assert estimated.directed_cost_px[1] <= trusted.directed_cost_px[1]
+    if not np.array_equal(estimated.camera_from_lidar, trusted.camera_from_lidar):
+        assert estimated.directed_cost_px[1] < trusted.directed_cost_px[1]
+        assert estimated.rounds[len(trusted.rounds)].stage == "adjust"
+    else:
+        assert estimated.motions[0].speed_m_s == 0.0
+
+
+def test_too_few_pairs_leave_the_motion_as_it_is_expected() -> None:
+    rows = np.arange(0, len(driven()[1].cloud_edges), 60)
+    view = driven()[1]
+    few = replace(view, cloud=CloudFeatures(view.cloud_edges.select(rows)))
+    result = pipeline(speed_m_s=1.0, speed_sigma_m_s=2.0).solve([few], start(0, 0.5))
+    (motion,) = result.motions
+    assert (motion.speed_m_s, motion.speed_sigma, motion.turn_deg_s) == pytest.approx((1.0, 2.0, 0.0))
+
+
+@pytest.mark.parametrize("way", [(0, 0, 0), (1, float("nan"), 0), (1, 0)])
+def test_a_direction_of_travel_that_is_none_is_refused(way: tuple[float, ...]) -> None:
+    with pytest.raises(ValueError, match="forward"):
+        PipelineOptions(forward=way)
+
+
+def test_the_direction_of_travel_is_an_option() -> None:
+    sideways = EgoMotion(12.0, 0.0, (0.0, 1.0, 0.0))
+    views = [as_measured(edge_scene.view(seed=i, boxes=60), sideways) for i in range(2)]
+    result = pipeline(forward=(0, 1, 0)).solve(views, start())
+    assert [motion.speed_m_s for motion in result.motions] == pytest.approx([12.0, 12.0], abs=1.0)
+    assert result.motions[0].twist[4] == pytest.approx(12.0, abs=1.0)
+
+
+def test_a_matcher_without_pairs_tells_nothing_of_the_camera() -> None:
+    def match(views, pose, reach_px):
+        return built(ogm)(views, pose, reach_px).as_objective()
+
+    result = replace(pipeline(solver=nelder_mead, initializer=given, camera="refine"), matcher=match).solve(
+        [edge_scene.view()], start(0, 0.2)
+    )
+    assert result.cameras == ()
+
+
+def test_a_result_says_how_wrong_it_may_be() -> None:
+    # Edges at random off their place: one frame, six of the same kind, and one that is sharper.
+    views = [edge_scene.view(seed=i, noise_px=1.5, boxes=25) for i in range(6)]
+    one, six = (pipeline().solve(chosen, start()) for chosen in (views[:1], views))
+    sharp = pipeline().solve([edge_scene.view(seed=0, noise_px=0.3, boxes=25)], start())
+    for better in (six, sharp):
+        for mine, other in zip(*(deviations(r.covariance, TRUTH) for r in (better, one)), strict=True):
+            assert mine < 0.7 * other
+        assert better.accuracy.rotation_deg < one.accuracy.rotation_deg
+        assert better.accuracy.translation_m < one.accuracy.translation_m
+    for result in (one, six, sharp):
+        error = pose_error(result.camera_from_lidar, TRUTH)
+        assert error.rotation_deg < result.accuracy.rotation_deg_95
+        assert error.translation_m < result.accuracy.translation_m_95
+        assert np.linalg.eigvalsh(result.covariance).min() > 0
+
+
+@pytest.mark.parametrize("camera", ["trust", "check", "refine"])
+def test_every_treatment_of_the_camera_tells_the_accuracy(camera: str) -> None:
+    result = pipeline(camera=camera).solve([edge_scene.view(seed=i, noise_px=0.5) for i in range(3)], start())
+    assert result.accuracy is not None
+    assert result.accuracy.rotation_deg >= 0.02
+
+
+def test_few_pairs_promise_less() -> None:
+    view = edge_scene.view(noise_px=1.0)
+    few = replace(view, cloud=CloudFeatures(view.cloud_edges.select(np.arange(0, len(view.cloud_edges), 20))))
+    all_pairs, some = (pipeline(min_matches=10).solve([v], start(0, 0.5)) for v in (view, few))
+    assert 10 <= sum(some.matches.values()) < 100 < sum(all_pairs.matches.values())
+    assert some.cameras == ()
+    assert some.accuracy.rotation_deg > 1.5 * all_pairs.accuracy.rotation_deg
+
+
+def test_pairs_from_a_handful_of_places_do_not_tell_the_accuracy() -> None:
+    # One box: four outlines, so that four places are all that there is.
+    view = edge_scene.view(boxes=1)
+    near = replace(pipeline(initializer=given, min_matches=6), solver=lambda problem, pose: Solution(TRUTH, 0.0, 1))
+    result = near.solve([view], start(0, 0.2))
+    assert result.status.solved
+    assert result.accuracy is None
+
+
+def test_a_refused_calibration_has_no_accuracy() -> None:
+    view = edge_scene.view()
+    few = replace(view, cloud=CloudFeatures(view.cloud_edges.select(np.arange(10))))
+    result = pipeline(initializer=given).solve([few], start())
+    assert (result.accuracy, result.covariance) == (None, None)
+
+
+def at_places(poses: list[np.ndarray]):
+    """An initializer that proposes these poses."""
+    return lambda views, start: poses
+
+
+def test_a_scene_that_fits_in_two_places_is_called_ambiguous() -> None:
+    # The same outlines twice, three degrees apart: which of the two the sweep belongs to cannot be told.
+    away = se3.exp(np.array([0.0, np.radians(3.0), 0.0, 0, 0, 0]))
+    view = edge_scene.view(boxes=12)
+    edges, camera = view.image_edges, view.camera
+    turned = camera.project(camera.rays(edges.uv) @ away[:3, :3].T)
+    twice = ImageEdges(np.vstack([edges.uv, turned]), np.concatenate([edges.side, edges.side]))
+    view = replace(view, image=ImageFeatures(twice))
+    plan = replace(pipeline(), initializer=at_places([TRUTH, away @ TRUTH]))
+    result = plan.solve([view], start(0, 1.0))
+    assert result.rival["edges"] < 1.5
+    assert result.rival["rotation_deg"] == pytest.approx(3.0, abs=0.1)
+    assert any(text.startswith("ambiguous") for text in result.warnings)
+    # However sharp the edges: which place is right cannot be told.
+    assert result.accuracy.reaches(1.0, 1.0)
+    assert not result.reaches(1.0, 1.0)
+
+
+def test_a_clear_scene_is_not_ambiguous() -> None:
+    away = se3.exp(np.array([0.0, np.radians(3.0), 0.0, 0, 0, 0]))
+    plan = replace(pipeline(), initializer=at_places([away @ TRUTH, TRUTH]))
+    result = plan.solve([edge_scene.view()], start(0, 1.0))
+    assert pose_error(result.camera_from_lidar, TRUTH).rotation_deg < 0.02
+    assert not any(text.startswith("ambiguous") for text in result.warnings)
+    if result.rival:
+        assert result.rival["edges"] > 10

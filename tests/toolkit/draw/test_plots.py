@@ -1,0 +1,54 @@
+"""The convergence figure is written, tells directions by colour, and leaves matplotlib's state alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from p2o import InputError, Result, Round, Status
+from p2o.draw.overlay import COLOURS
+from p2o.draw.plots import convergence
+
+
+def _result(rounds: tuple[Round, ...]) -> Result:
+    return Result(("scene-0000",), np.eye(4), np.eye(4), Status.CONVERGED, "", rounds)
+
+
+def _round(matches: dict[str, int], residual: float = 1.0, *, accepted: bool = True) -> Round:
+    return Round("refine", 20.0, matches, residual, 2.0, 0.1, 0.01, accepted)
+
+
+def _has(path: Path, letter: str) -> bool:
+    import cv2
+
+    rgb = cv2.imread(str(path))[..., ::-1].astype(int)
+    return bool((np.abs(rgb - COLOURS[letter]).max(axis=2) <= 2).sum() > 200)
+
+
+def test_matches_are_drawn_in_the_colours_of_their_directions(tmp_path: Path) -> None:
+    path = tmp_path / "convergence.png"
+    nan = float("nan")
+    convergence(
+        _result((_round({}, nan), _round({"L": 40, "U": 80}), _round({"L": 50, "U": 90}, accepted=False))), path
+    )
+    assert {letter: _has(path, letter) for letter in COLOURS} == {"L": True, "R": False, "U": True, "B": False}
+
+
+@pytest.mark.parametrize("rounds", [(), (_round({"-": 12}),)])
+def test_a_result_without_rounds_or_directions_can_be_drawn(tmp_path: Path, rounds: tuple[Round, ...]) -> None:
+    path = tmp_path / "convergence.png"
+    convergence(_result(rounds), path)
+    assert path.read_bytes().startswith(b"\x89PNG")
+    assert not any(_has(path, letter) for letter in COLOURS)
+
+
+def test_the_same_result_gives_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("a.png", "b.png"):
+        convergence(_result((_round({"L": 4}), _round({"L": 5}))), tmp_path / name)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_a_missing_folder_is_an_error_of_ours(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot write the file"):
+        convergence(_result(()), tmp_path / "nowhere" / "convergence.png")

@@ -1,0 +1,133 @@
+"""Errors of a camera's calibration: what they do to pixels, and that the pairs of both sensors tell them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from p2o import Camera, InputError, PointToLine, RadialError, Side, se3
+from p2o.calibration.adjustment import adjust
+from p2o.geometry.pose_error import pose_error
+
+from tests.edge_scene import DISTORTED, FISHEYE, PINHOLE, TRUTH
+from tests.plugins.solve.exact_pairs import NEAR, pairs
+
+ERROR = RadialError(-0.004, 0.012)
+cameras = pytest.mark.parametrize("camera", [PINHOLE, DISTORTED, FISHEYE], ids=lambda c: c.model)
+
+
+def test_a_pinhole_is_seen_larger_by_the_polynomial() -> None:
+    fx, _, cx, cy = PINHOLE.params
+    for rho in (0.1, 0.5, 0.8):
+        u = cx + fx * rho * (1 - 0.004) * (1 + 0.012 * rho**2)
+        assert ERROR.seen(PINHOLE, np.array([cx + fx * rho, cy])) == pytest.approx([u, cy], abs=1e-9)
+
+
+@cameras
+def test_calibrated_takes_back_what_seen_does(camera: Camera) -> None:
+    uv = np.random.default_rng(0).uniform([200, 100], [800, 300], size=(50, 2))
+    there = ERROR.seen(camera, uv)
+    assert np.abs(there - uv).max() > 0.3
+    assert ERROR.calibrated(camera, there) == pytest.approx(uv, abs=1e-6)
+
+
+@cameras
+def test_no_error_changes_nothing(camera: Camera) -> None:
+    assert RadialError().corrected(camera) is camera
+    assert RadialError().shift_px(camera) == pytest.approx(0, abs=0.01)
+
+
+def test_the_shift_is_that_of_the_farthest_corner() -> None:
+    fx, _, cx, cy = PINHOLE.params
+    corner = max(
+        ([u, v] for u in (-0.5, PINHOLE.width - 0.5) for v in (-0.5, PINHOLE.height - 0.5)),
+        key=lambda uv: np.hypot(uv[0] - cx, uv[1] - cy),
+    )
+    rho = np.hypot(corner[0] - cx, corner[1] - cy) / fx
+    assert RadialError(radial=0.01).shift_px(PINHOLE) == pytest.approx(fx * 0.01 * rho**3, rel=1e-9)
+
+
+@pytest.mark.parametrize("values", [(0.3, 0.0), (0.0, -0.21), (np.nan, 0.0), (0.0, np.inf)])
+def test_an_error_out_of_bounds_is_refused(values: tuple[float, float]) -> None:
+    with pytest.raises(InputError, match=r"at most 0\.2"):
+        RadialError(*values)
+
+
+def test_a_camera_without_a_radial_coefficient_is_refused() -> None:
+    with pytest.raises(InputError, match="no radial coefficient"):
+        ERROR.corrected(Camera("FOV", 1242, 375, (700.0, 700.0, 600.0, 180.0, 0.9)))
+
+
+def miscalibrated(camera: Camera, **options: object) -> PointToLine:
+    """Return pairs that are exact for `camera` corrected, with the camera as its calibration has it."""
+    exact = pairs(cameras=(ERROR.corrected(camera),), **options)
+    return replace(exact, cameras=(camera,))
+
+
+@cameras
+def test_exact_pairs_tell_error_and_pose(camera: Camera) -> None:
+    problem = miscalibrated(camera, count=4000)
+    found = adjust(problem, NEAR)
+    pose, (fit,) = found.camera_from_lidar, found.cameras
+    assert fit.camera == camera
+    # Errors are drawn to zero a little.
+    assert fit.error.focal == pytest.approx(ERROR.focal, abs=1e-4)
+    assert fit.error.radial == pytest.approx(ERROR.radial, abs=2e-4)
+    error = pose_error(pose, TRUTH)
+    assert error.rotation_deg < 0.002
+    assert error.translation_m < 0.002
+
+
+def test_a_right_calibration_has_no_error() -> None:
+    (fit,) = adjust(pairs(cameras=(PINHOLE,), count=2000), NEAR).cameras
+    assert abs(fit.error.focal) < 1e-6
+    assert abs(fit.error.radial) < 1e-6
+
+
+def test_every_camera_has_its_own_error_and_unknown_models_stay() -> None:
+    fov = Camera("FOV", 1242, 375, (700.0, 700.0, 600.0, 180.0, 0.9))
+    wide = Camera.pinhole(650.0, 655.0, 610.0, 190.0, 1242, 375)
+    other = RadialError(0.003, -0.008)
+    exact = pairs(cameras=(ERROR.corrected(PINHOLE), other.corrected(wide), fov), count=6000)
+    fits = adjust(replace(exact, cameras=(PINHOLE, wide, fov)), NEAR).cameras
+    assert [fit.camera for fit in fits] == [PINHOLE, wide]
+    assert fits[0].error.radial == pytest.approx(ERROR.radial, abs=1e-4)
+    assert fits[1].error.radial == pytest.approx(other.radial, abs=1e-4)
+
+
+def test_outlines_that_one_sensor_sees_wider_do_not_look_like_a_focal_length() -> None:
+    # Left outlines on the right of the picture and right ones on its left: wider by 1 px is as if all shrank inwards.
+    rng = np.random.default_rng(0)
+    uv = rng.uniform([0, 0], [1242, 375], size=(3000, 2))
+    depth = rng.uniform(5, 40, 3000)
+    xyz = PINHOLE.rays(uv)
+    xyz = se3.apply(se3.inverse(TRUTH), xyz / xyz[:, 2:] * depth[:, None])
+    side = np.where(uv[:, 0] > 600, Side.LEFT, Side.RIGHT).astype(np.int8)
+    upright = rng.random(3000) < 0.7
+    side = np.where(upright, side, rng.choice([Side.UPPER, Side.BOTTOM], 3000)).astype(np.int8)
+    normal = np.where(upright[:, None], [1.0, 0.0], [0.0, 1.0])
+    out = np.select([side == Side.LEFT, side == Side.RIGHT], [-1.0, 1.0], 0.0)
+    centre = uv - out[:, None] * normal
+    problem = PointToLine(xyz, centre, normal, np.ones(3000), side, np.zeros(3000, np.int64), (PINHOLE,), 2.0)
+    (fit,) = adjust(problem, TRUTH).cameras
+    assert abs(fit.error.focal) < 1e-5
+    (blind,) = adjust(replace(problem, side=np.full(3000, -1, np.int8)), TRUTH).cameras
+    assert blind.error.focal > 1e-3
+
+
+def test_the_stated_deviation_is_the_one_that_noise_causes() -> None:
+    found, stated = [], []
+    for seed in range(40):
+        problem = pairs(cameras=(PINHOLE,), count=300, noise_px=0.7, seed=seed)
+        (fit,) = adjust(problem, TRUTH).cameras
+        found.append([fit.error.focal, fit.error.radial])
+        stated.append(np.sqrt(np.diag(fit.covariance)))
+        assert fit.sigma_px > 0
+    ratio = np.std(found, axis=0) / np.mean(stated, axis=0)
+    assert ((ratio > 0.6) & (ratio < 1.7)).all()
+
+
+def test_no_pairs_tell_nothing() -> None:
+    with pytest.raises(InputError, match="no pairs"):
+        adjust(PointToLine.empty((PINHOLE,)), TRUTH)

@@ -1,0 +1,383 @@
+"""Plugins are found, selected and kept apart when broken; methods are found by name (STYLE section 3)."""
+
+from __future__ import annotations
+
+import sys
+import textwrap
+from collections.abc import Callable, Iterator
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import numpy as np
+import p2o
+import pytest
+from p2o import InputError, Kind, Method, MethodUnavailable, PluginError, UnknownNameError
+from p2o.host.guard import build, requirement
+from p2o.host.registry import Offer, Registry
+
+Install = Callable[..., None]
+
+
+@pytest.fixture
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
+    """Install a distribution whose entry points are modules with the given source; ours are hidden meanwhile."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    modules_before = set(sys.modules)
+    known: list[str] = []
+
+    def add(dist: str, version: str = "1.0", **sources: str) -> None:
+        info = tmp_path / f"{dist.replace('-', '_')}-{version}.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {dist}\nVersion: {version}\n")
+        lines = []
+        for entry, source in sources.items():
+            module = f"plug_{dist.replace('-', '_')}_{entry}"
+            (tmp_path / f"{module}.py").write_text("import p2o\n" + textwrap.dedent(source))
+            lines.append(f"{entry} = {module}")
+        (info / "entry_points.txt").write_text("[p2o]\n" + "\n".join(lines) + "\n")
+        known.append(dist)
+
+    import p2o.host.registry as home
+
+    real = home.entry_points
+    monkeypatch.setattr(home, "entry_points", lambda group: [e for e in real(group=group) if e.dist.name in known])
+    yield add
+    for name in set(sys.modules) - modules_before:
+        if name.startswith(("plug_", "p2o_plugin_file_")):
+            del sys.modules[name]
+
+
+def offers(name: str, hook: str = "p2o_matchers") -> str:
+    return f"""
+        @p2o.hookimpl
+        def {hook}():
+            yield p2o.Method(name="{name}", build=lambda options: (lambda *a: None), summary="A test.")
+    """
+
+
+def names(registry: Registry) -> list[str]:
+    return [offer.full_name for offer in registry.offers]
+
+
+def test_every_hook_offers_methods_of_its_kind(install: Install) -> None:
+    install("acme", **{f"e{i}": offers(f"m{i}", kind.hook) for i, kind in enumerate(Kind)})
+    registry = Registry.load(environ={})
+    assert {offer.kind: offer.name for offer in registry.offers} == {kind: f"m{i}" for i, kind in enumerate(Kind)}
+    assert len(Kind) == 8
+
+
+def test_offers_come_sorted_by_name_whatever_the_order_of_installation(install: Install) -> None:
+    # pluggy itself answers last-registered first.
+    install("zeta", a=offers("delta"), b=offers("alpha"))
+    install("alpha", z=offers("charlie"), a=offers("bravo"))
+    registry = Registry.load(environ={})
+    assert [plugin.name for plugin in registry.plugins] == ["alpha:a", "alpha:z", "zeta:a", "zeta:b"]
+    assert [offer.name for offer in registry.of_kind(Kind.MATCHER)] == ["alpha", "bravo", "charlie", "delta"]
+
+
+def test_an_offer_knows_who_offers_it(install: Install) -> None:
+    install("acme-p2o", "2.5", hooks=offers("ogm"))
+    [offer] = Registry.load(environ={}).offers
+    assert (offer.dist, offer.version, offer.entry, offer.full_name) == ("acme-p2o", "2.5", "hooks", "ogm@acme-p2o")
+
+
+BROKEN = {
+    "import": "raise RuntimeError('no such luck')",
+    "exit": "import sys\nsys.exit('no such luck')",
+    "hook": "@p2o.hookimpl\ndef p2o_matchers():\n    raise ValueError('no such luck')",
+    # A generator raises when it is iterated, outside of the hook call.
+    "generator": "@p2o.hookimpl\ndef p2o_matchers():\n    yield from ()\n    raise ValueError('no such luck')",
+    "not-iterable": "@p2o.hookimpl\ndef p2o_matchers():\n    return 3",
+    "bare-method": (
+        "@p2o.hookimpl\ndef p2o_matchers():\n    return p2o.Method(name='a', build=lambda o: o, summary='A test.')"
+    ),
+    "not-a-method": "@p2o.hookimpl\ndef p2o_matchers():\n    yield 'ogm'",
+    "bad-slug": "@p2o.hookimpl\ndef p2o_matchers():\n    yield p2o.Method(name='O GM', build=lambda o: o, summary='A')",
+    "twice": "@p2o.hookimpl\ndef p2o_matchers():\n    for _ in 'ab':\n"
+    "        yield p2o.Method(name='a', build=lambda o: o, summary='A test.')",
+    "unknown-hook": "@p2o.hookimpl\ndef p2o_martians():\n    yield from ()",
+    "bad-arguments": "@p2o.hookimpl\ndef p2o_matchers(frames):\n    yield from ()",
+}
+
+
+@pytest.mark.parametrize("source", BROKEN.values(), ids=BROKEN)
+def test_a_broken_plugin_costs_its_own_methods_only(
+    install: Install, capsys: pytest.CaptureFixture[str], source: str
+) -> None:
+    install("aa-good", hooks=offers("before"))
+    install("bad-one", "0.9", hooks=source)
+    install("zz-good", hooks=offers("after"))
+    registry = Registry.load(environ={})
+    assert names(registry) == ["after@zz-good", "before@aa-good"]
+    [broken] = registry.broken
+    assert (broken.dist, broken.version, broken.entry) == ("bad-one", "0.9", "hooks")
+    told = capsys.readouterr().err
+    assert told == f"p2o: warning: plugin bad-one:hooks left out: {broken.error}\n"
+    if "no such luck" in source:
+        assert "no such luck" in broken.error
+
+
+@pytest.mark.parametrize("source", BROKEN.values(), ids=BROKEN)
+def test_strict_loading_raises_and_names_the_plugin(install: Install, source: str) -> None:
+    install("bad-one", hooks=source)
+    with pytest.raises(PluginError, match=r"cannot load plugin bad-one:hooks.*--block bad-one"):
+        Registry.load(environ={"P2O_STRICT": "1"})
+
+
+def test_a_plugin_that_fails_validation_answers_no_hook_at_all(install: Install) -> None:
+    # pluggy leaves it half registered: the matcher below would still be offered.
+    install("half-bad", hooks=offers("ghost") + offers("bad", "p2o_solvers").replace("p2o_solvers()", "p2o_solvers(x)"))
+    install("later", hooks=offers("fine"))
+    registry = Registry.load(environ={})
+    assert names(registry) == ["fine@later"]
+    assert [broken.dist for broken in registry.broken] == ["half-bad"]
+
+
+def test_a_generator_that_raises_late_offers_nothing(install: Install) -> None:
+    install("late", hooks=offers("first") + "        raise OSError('too late')")
+    registry = Registry.load(environ={})
+    assert names(registry) == []
+    assert registry.broken[0].error == "OSError: too late"
+
+
+def test_two_distributions_may_use_the_same_entry_name(install: Install) -> None:
+    # pluggy's own loader would silently skip the second.
+    install("one", hooks=offers("a"))
+    install("two", hooks=offers("b"))
+    assert names(Registry.load(environ={})) == ["a@one", "b@two"]
+
+
+def test_a_second_entry_point_of_one_name_is_told_and_the_first_stays(
+    install: Install, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import p2o.host.registry as home
+
+    install("one", hooks=offers("a"))
+    real = home.entry_points
+    monkeypatch.setattr(home, "entry_points", lambda group: [*real(group), *real(group)])
+    registry = Registry.load(environ={})
+    assert names(registry) == ["a@one"]
+    assert "two plugins are called one:hooks" in registry.broken[0].error
+    capsys.readouterr()
+
+
+def test_an_optional_hook_of_a_later_version_is_no_error(install: Install) -> None:
+    later = "@p2o.hookimpl(optionalhook=True)\ndef p2o_martians():\n    yield from ()\n"
+    install("ahead", hooks=later + textwrap.dedent(offers("a")))
+    registry = Registry.load(environ={})
+    assert names(registry) == ["a@ahead"]
+    assert registry.broken == ()
+
+
+@pytest.mark.parametrize(
+    ("allowed", "loaded"),
+    [
+        ("", []),
+        (" , ", []),
+        ("one", ["a@one"]),
+        (" one , two:hooks ", ["a@one", "b@two"]),
+        ("only", ["c@three"]),
+        ("Two", ["b@two"]),
+    ],
+)
+def test_p2o_plugins_names_the_only_ones_to_load(install: Install, allowed: str, loaded: list[str]) -> None:
+    install("one", hooks=offers("a"))
+    install("two", hooks=offers("b"))
+    install("three", only=offers("c"))
+    assert names(Registry.load(environ={"P2O_PLUGINS": allowed})) == loaded
+
+
+def test_what_is_left_out_is_not_even_imported(install: Install) -> None:
+    install("noisy", hooks="raise RuntimeError")
+    registry = Registry.load(block=["noisy"], environ={"P2O_STRICT": "1"})
+    assert (registry.plugins, registry.broken, registry.blocked) == ((), (), ("noisy:hooks",))
+
+
+def test_unknown_plugins_to_load_or_block_are_errors_that_name_the_nearest(install: Install) -> None:
+    install("one", hooks=offers("a"))
+    with pytest.raises(UnknownNameError, match=r"P2O_PLUGINS 'onee'.*did you mean one"):
+        Registry.load(environ={"P2O_PLUGINS": "onee"})
+    with pytest.raises(UnknownNameError, match="plugin to block 'tow'"):
+        Registry.load(block=["tow"], environ={})
+
+
+def test_a_file_is_a_plugin_when_asked_for(install: Install, tmp_path: Path) -> None:
+    file = tmp_path / "my_file.py"
+    file.write_text("import p2o\n" + textwrap.dedent(offers("mine")))
+    assert names(Registry.load(extra_files=[file], environ={"P2O_PLUGINS": ""})) == ["mine@my_file.py"]
+
+
+def test_a_broken_file_is_an_error_since_somebody_asked_for_it(install: Install, tmp_path: Path) -> None:
+    file = tmp_path / "my_file.py"
+    file.write_text("import martians")
+    with pytest.raises(PluginError, match=r"my_file.py.*No module named 'martians'.*correct"):
+        Registry.load(extra_files=[file], environ={})
+    with pytest.raises(PluginError, match="no such plugin file"):
+        Registry.load(extra_files=[tmp_path / "absent.py"], environ={})
+
+
+def test_a_clash_of_names_is_an_error_only_when_that_name_is_asked_for(install: Install) -> None:
+    install("acme-p2o", hooks=offers("ogm") + offers("other", "p2o_solvers"))
+    install("rival", hooks=offers("ogm"))
+    registry = Registry.load(environ={})
+    assert registry.find(Kind.SOLVER, "other").dist == "acme-p2o"
+    with pytest.raises(PluginError, match=r"acme-p2o:hooks and rival:hooks.*ogm@acme-p2o or ogm@rival"):
+        registry.find(Kind.MATCHER, "ogm")
+    assert registry.find(Kind.MATCHER, "ogm@acme-p2o").dist == "acme-p2o"
+    assert registry.find(Kind.MATCHER, "ogm@Acme_P2O").dist == "acme-p2o"
+
+
+def test_one_name_may_mean_methods_of_two_kinds(install: Install) -> None:
+    install("acme", hooks=offers("same") + offers("same", "p2o_solvers"))
+    registry = Registry.load(environ={})
+    assert registry.find(Kind.MATCHER, "same").kind == Kind.MATCHER
+    assert {offer.kind for offer in registry.named("same")} == {Kind.MATCHER, Kind.SOLVER}
+
+
+def test_an_unknown_name_is_told_with_the_nearest_all_names_and_broken_plugins(install: Install) -> None:
+    install("acme", hooks=offers("nearest"), more=offers("ogm"))
+    install("bad-one", hooks="raise RuntimeError('no such luck')")
+    registry = Registry.load(environ={})
+    with pytest.raises(UnknownNameError) as caught:
+        registry.find(Kind.MATCHER, "nearst")
+    text = str(caught.value)
+    assert "unknown matcher 'nearst'" in text
+    assert "one of: nearest, ogm" in text
+    assert "did you mean nearest?" in text
+    assert "plugin bad-one:hooks is broken: RuntimeError: no such luck" in text
+
+
+def test_our_own_methods_enter_by_the_same_entry_points() -> None:
+    registry = Registry.load(environ={"P2O_STRICT": "1"})
+    ours = {plugin.name for plugin in registry.plugins}
+    assert {"p2o-calib:plugins", "p2o-calib:baselines"} <= ours
+    assert registry.find(Kind.MATCHER, "ogm").dist == "p2o-calib"
+    assert Registry.load(environ={"P2O_PLUGINS": ""}).offers == ()
+
+
+# ---- guarded stages
+
+
+def offer_of(kind: Kind, stage: object, **more: object) -> Offer:
+    method = Method(name="fake", build=lambda options: stage, summary="A test.", **more)  # type: ignore[arg-type]
+    return Offer(kind, method, "acme-p2o", "1.0", "hooks")
+
+
+def test_what_a_stage_raises_names_plugin_and_stage() -> None:
+    def solve(problem: object, pose: object) -> None:
+        raise ZeroDivisionError("by zero")
+
+    stage = build(offer_of(Kind.SOLVER, solve), p2o.Options())
+    with pytest.raises(
+        PluginError, match=r"plugin acme-p2o: solver 'fake' raised ZeroDivisionError.*by zero"
+    ) as caught:
+        stage(None, np.eye(4))
+    assert isinstance(caught.value.__cause__, ZeroDivisionError)
+
+
+def test_our_own_errors_pass_through_a_guard_unchanged() -> None:
+    mine = InputError("this sweep has no rings")
+
+    def extract(cloud: object) -> None:
+        raise mine
+
+    with pytest.raises(InputError) as caught:
+        build(offer_of(Kind.CLOUD_EXTRACTOR, extract), p2o.Options())(None)
+    assert caught.value is mine
+
+
+WRONG = {
+    "type": (Kind.MATCHER, lambda views, pose, reach: 3, "returned int; expected p2o.PointToLine or p2o.Objective"),
+    "image type": (Kind.IMAGE_EXTRACTOR, lambda image: None, "returned NoneType; expected p2o.ImageFeatures"),
+    "cloud type": (Kind.CLOUD_EXTRACTOR, lambda cloud: [], "returned list; expected p2o.CloudFeatures"),
+    "result type": (Kind.CALIBRATOR, lambda frames, pose: pose, "returned ndarray; expected p2o.Result"),
+    "nan pose": (Kind.SOLVER, lambda p, pose: p2o.Solution(pose * np.nan, 0.0, 1), "no rigid transform"),
+    "shape": (Kind.SOLVER, lambda p, pose: p2o.Solution(pose[:3], 0.0, 1), "no rigid transform"),
+    "mirror": (Kind.SOLVER, lambda p, pose: p2o.Solution(np.diag([1.0, 1, -1, 1]), 0.0, 1), "mirrors space"),
+    "nan cost": (Kind.SOLVER, lambda p, pose: p2o.Solution(pose, np.nan, 1), "cost is NaN"),
+    "covariance": (
+        Kind.SOLVER,
+        lambda p, pose: p2o.Solution(pose, 0.0, 1, covariance=np.eye(5)),
+        "expected \\(6, 6\\)",
+    ),
+    "no start": (Kind.INITIALIZER, lambda views, pose: [], "proposed no start"),
+    "bad start": (Kind.INITIALIZER, lambda views, pose: [np.zeros((4, 4))], "no rigid transform"),
+}
+
+
+@pytest.mark.parametrize(("kind", "stage", "message"), WRONG.values(), ids=WRONG)
+def test_what_a_stage_must_not_return_names_plugin_and_stage(kind: Kind, stage: object, message: str) -> None:
+    arguments = {Kind.MATCHER: ([], np.eye(4), 1.0), Kind.IMAGE_EXTRACTOR: (None,), Kind.CLOUD_EXTRACTOR: (None,)}
+    with pytest.raises(PluginError, match=f"plugin acme-p2o: {kind} 'fake'.*{message}"):
+        build(offer_of(kind, stage), p2o.Options())(*arguments.get(kind, ([], np.eye(4))))
+
+
+def test_edges_that_are_promised_must_be_there() -> None:
+    offer = offer_of(Kind.IMAGE_EXTRACTOR, lambda image: p2o.ImageFeatures(), gives={"image-edges"})
+    with pytest.raises(PluginError, match="gave no edges"):
+        build(offer, p2o.Options())(None)
+
+
+def test_an_objective_with_nan_or_a_wrong_shape_is_caught_when_it_is_evaluated() -> None:
+    poses = np.stack([np.eye(4)] * 3)
+    for cost in (lambda p: np.full(len(p), np.nan), lambda p: np.zeros(2)):
+        problem = build(offer_of(Kind.MATCHER, lambda v, p, r, c=cost: p2o.Objective(c)), p2o.Options())(
+            [], np.eye(4), 1
+        )
+        with pytest.raises(PluginError, match="matcher 'fake': cost returned"):
+            problem.cost(poses)
+
+
+def test_a_missing_package_is_told_with_the_pip_command() -> None:
+    def build_ceres(options: object) -> None:
+        import no_such_solver_package  # noqa: F401
+
+    method = Method(name="fake", build=build_ceres, summary="A test.", extra="no-such-solver")
+    with pytest.raises(MethodUnavailable, match=r"no_such_solver_package.*pip install no-such-solver"):
+        build(Offer(Kind.SOLVER, method, "acme-p2o", "1.0", "hooks"), p2o.Options())
+
+
+def test_an_extra_of_the_distribution_is_told_as_such() -> None:
+    ceres = Registry.load(environ={}).find(Kind.SOLVER, "ceres")
+    assert requirement(ceres) == '"p2o-calib[ceres]"'
+
+
+def test_a_stage_that_cannot_be_called_is_refused_when_built() -> None:
+    with pytest.raises(PluginError, match="build returned int"):
+        build(offer_of(Kind.SOLVER, 3), p2o.Options())
+
+
+class _Frames(list):  # type: ignore[type-arg]
+    def __init__(self, frames: list[object], names: list[str]) -> None:
+        super().__init__(frames)
+        self.names = names
+
+
+def test_a_dataset_is_checked_as_it_is_read() -> None:
+    def opened(frames: list[object], names: list[str]) -> object:
+        return build(offer_of(Kind.DATASET, _Frames(frames, names)), p2o.Options())
+
+    with pytest.raises(PluginError, match="two frames are called 'a'"):
+        opened([1, 2], ["a", "a"])
+    with pytest.raises(PluginError, match="1 names for 2 frames"):
+        opened([1, 2], ["a"])
+    with pytest.raises(PluginError, match=r"frame 1 is int; expected p2o\.Frame"):
+        opened([1, 2], ["a", "b"])[1]  # type: ignore[index]
+    with pytest.raises(PluginError, match="build returned list"):
+        build(offer_of(Kind.DATASET, [1, 2]), p2o.Options())
+
+
+def test_a_full_disk_is_an_input_error_of_the_exporter() -> None:
+    def export(result: object, path: object) -> None:
+        raise OSError(28, "No space left on device", str(path))
+
+    with pytest.raises(InputError, match=r"/out\.json: exporter 'fake' failed.*No space left on device"):
+        build(offer_of(Kind.EXPORTER, export), p2o.Options())(None, "/out.json")
+
+
+def test_entry_points_are_read_by_group_not_by_walking_distributions() -> None:
+    from p2o.host.registry import _installed
+
+    found = [(source.name, source.value) for source in _installed()]
+    assert all(isinstance(value, EntryPoint) and value.group == "p2o" for _, value in found)
+    assert len({name for name, _ in found}) == len(found)

@@ -1,0 +1,156 @@
+"""The directed distance is zero at the truth, counts pixels, and asks for the right direction."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from p2o import CloudEdges, CloudFeatures, DirectedCost, ImageEdges, ImageFeatures, Side, View, se3
+from p2o.problems.directed_cost import CONFIDENCES, distance_maps
+
+from tests import edge_scene
+
+CAMERAS = [edge_scene.PINHOLE, edge_scene.FISHEYE, edge_scene.DISTORTED]
+
+
+@pytest.mark.parametrize("camera", CAMERAS, ids=lambda c: c.model)
+def test_the_truth_costs_under_a_pixel_and_a_turn_costs_more(camera) -> None:
+    view = edge_scene.view(camera)
+    cost = DirectedCost.of([view], edge_scene.TRUTH, 20.0)
+    turned = se3.exp(np.array([0.01, 0.01, 0.0, 0, 0, 0])) @ edge_scene.TRUTH
+    values = cost(np.stack([edge_scene.TRUTH, turned]))
+    # Image edges are rounded to whole pixels in the map: at most 0.7 px, plus points that leave the image.
+    assert values[0] < 1.0
+    assert values[1] > values[0] + 2.0
+
+
+def one_edge(side_image: Side, side_cloud: Side) -> View:
+    image = ImageEdges(np.array([[600.0, v] for v in range(100, 200)]), np.full(100, side_image))
+    cloud = CloudEdges(np.array([[0.0, 0.0, 10.0]]), np.array([side_cloud]))
+    return View("one", edge_scene.PINHOLE, ImageFeatures(image), CloudFeatures(cloud))
+
+
+def test_the_cost_is_the_distance_in_pixels_up_to_the_truncation() -> None:
+    cost = DirectedCost.of([one_edge(Side.LEFT, Side.LEFT)], np.eye(4), 20.0)
+    shifts = np.array([0.0, 0.1, 0.2, 1.0])  # 7 px a decimetre at 10 m
+    poses = np.stack([se3.make(translation=[s, 0, 0]) for s in shifts])
+    np.testing.assert_allclose(cost(poses), [0, 7, 14, 20], atol=1e-3)
+
+
+def test_an_edge_of_another_direction_does_not_count() -> None:
+    cost = DirectedCost.of([one_edge(Side.RIGHT, Side.LEFT)], np.eye(4), 20.0)
+    assert cost.at(np.eye(4)) == pytest.approx(20.0)
+
+
+def test_a_point_outside_the_image_costs_what_a_random_place_costs() -> None:
+    view = one_edge(Side.LEFT, Side.LEFT)
+    cost = DirectedCost.of([view], np.eye(4), 20.0)
+    outside = se3.make(translation=[100.0, 0, 0])
+    behind = se3.make(translation=[0, 0, -20.0])
+    random = float(cost.parts[0].maps.mean())
+    # The mean is taken from every fourth cell.
+    np.testing.assert_allclose(cost(np.stack([outside, behind])), random, rtol=1e-2)
+
+
+def test_the_coarse_map_agrees_with_the_fine_one() -> None:
+    view = edge_scene.view()
+    poses = np.stack([se3.exp(t) @ edge_scene.TRUTH for t in np.random.default_rng(0).normal(0, 0.02, (20, 6))])
+    fine = DirectedCost.of([view], edge_scene.TRUTH, 40.0, scale=1)(poses)
+    coarse = DirectedCost.of([view], edge_scene.TRUTH, 40.0, scale=4)(poses)
+    np.testing.assert_allclose(coarse, fine, atol=2.0)
+
+
+def test_weights_count_and_views_add_up() -> None:
+    view = edge_scene.view()
+    edges = view.cloud_edges
+    doubled = replace(view, cloud=CloudFeatures(replace(edges, weight=np.full(len(edges), 2.0))))
+    pose = se3.exp(np.array([0.01, 0, 0, 0, 0, 0])) @ edge_scene.TRUTH
+    single = DirectedCost.of([view], edge_scene.TRUTH, 20.0).at(pose)
+    assert DirectedCost.of([doubled], edge_scene.TRUTH, 20.0).at(pose) == pytest.approx(single, rel=1e-5)
+    assert DirectedCost.of([view, doubled], edge_scene.TRUTH, 20.0).at(pose) == pytest.approx(single, rel=1e-5)
+
+
+def test_without_points_every_pose_is_infinitely_bad() -> None:
+    view = View("empty", edge_scene.PINHOLE, ImageFeatures(ImageEdges.empty()), CloudFeatures(CloudEdges.empty()))
+    assert DirectedCost.of([view], np.eye(4), 20.0).at(np.eye(4)) == np.inf
+
+
+def test_a_cost_cut_off_earlier_is_that_of_maps_cut_off_earlier() -> None:
+    view = edge_scene.view()
+    poses = np.stack([se3.exp(t) @ edge_scene.TRUTH for t in np.random.default_rng(0).normal(0, 0.02, (20, 6))])
+    wide = DirectedCost.of([view], edge_scene.TRUTH, 40.0)
+    np.testing.assert_allclose(
+        wide.truncated(10.0)(poses), DirectedCost.of([view], edge_scene.TRUTH, 10.0)(poses), rtol=1e-3
+    )
+
+
+def test_the_quick_cost_agrees_with_the_smooth_one() -> None:
+    view = edge_scene.view()
+    poses = np.stack([se3.exp(t) @ edge_scene.TRUTH for t in np.random.default_rng(0).normal(0, 0.02, (20, 6))])
+    smooth, quick = (DirectedCost.of([view], edge_scene.TRUTH, 20.0, smooth=s)(poses) for s in (True, False))
+    # Half a cell and 2 % of 20 px.
+    np.testing.assert_allclose(quick, smooth, atol=0.9)
+
+
+def test_points_with_a_large_variance_count_less() -> None:
+    view = edge_scene.view()
+    edges = view.cloud_edges
+    far_off = np.arange(len(edges)) % 2 == 0
+    moved = np.where(far_off[:, None], edges.xyz + [0.0, 1.0, 1.0], edges.xyz)
+    certain, unsure = (
+        replace(view, cloud=CloudFeatures(replace(edges, xyz=moved, sigma_m=np.where(far_off, sigma, 0.0))))
+        for sigma in (0.0, 1.0)
+    )
+    costs = [DirectedCost.of([v], edge_scene.TRUTH, 20.0).at(edge_scene.TRUTH) for v in (certain, unsure)]
+    assert costs[1] < 0.5 * costs[0]
+
+
+def test_exact_maps_are_the_same_bytes_wherever_they_lie_in_memory_and_on_any_number_of_threads() -> None:
+    view = edge_scene.view()
+    before, found, others = cv2.getNumThreads(), set(), []
+    try:
+        for turn in range(30):
+            cv2.setNumThreads(1 + turn % 2)
+            others.append(np.empty(1000 * turn + 16 * turn))
+            found.add(distance_maps(view, [Side.LEFT], 100.0, 1).tobytes())
+    finally:
+        cv2.setNumThreads(before)
+    assert len(found) == 1
+
+
+def test_without_levels_confidence_does_not_count() -> None:
+    view = one_edge(Side.LEFT, Side.LEFT)
+    edges = view.image_edges
+    poses = np.stack([se3.make(translation=[s, 0, 0]) for s in (0.0, 0.1, 0.2)])
+    sure = DirectedCost.of([view], np.eye(4), 20.0)(poses)
+    for weight in (0.01, 1.0):
+        image = ImageFeatures(replace(edges, weight=np.full(len(edges), weight)))
+        plain = distance_maps(replace(view, image=image), [Side.LEFT], 20.0, 1)
+        np.testing.assert_array_equal(plain, distance_maps(view, [Side.LEFT], 20.0, 1))
+    np.testing.assert_allclose(sure, [0, 7, 14], atol=1e-3)
+
+
+@pytest.mark.parametrize("confidence", [0.1, 0.4, 0.9])
+def test_an_edge_counts_at_every_level_below_its_confidence(confidence: float) -> None:
+    view = one_edge(Side.LEFT, Side.LEFT)
+    edges = view.image_edges
+    image = ImageFeatures(replace(edges, weight=np.full(len(edges), confidence)))
+    cost = DirectedCost.of([replace(view, image=image)], np.eye(4), 20.0).at(np.eye(4))
+    missed = np.mean([level > confidence for level in CONFIDENCES])
+    assert cost == pytest.approx(20.0 * missed, abs=1e-3)
+
+
+def test_a_sure_edge_outweighs_a_doubtful_one_that_lies_nearer() -> None:
+    near, far = np.full((50, 2), 600.0), np.full((50, 2), 610.0)
+    near[:, 1] = far[:, 1] = np.arange(150, 200)
+    both = ImageEdges(np.concatenate([near, far]), np.full(100, Side.LEFT), np.repeat([0.1, 0.9], 50))
+    maps = distance_maps(
+        replace(one_edge(Side.LEFT, Side.LEFT), image=ImageFeatures(both)),
+        [Side.LEFT],
+        20.0,
+        1,
+        confidences=CONFIDENCES,
+    )
+    assert maps[0, 175, 610] < maps[0, 175, 600]

@@ -1,0 +1,157 @@
+"""A result goes to JSON and back without loss; anything else is refused by name."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from p2o import Accuracy, Camera, CameraCheck, InputError, RadialError, Result, Round, Status, SweepMotion, se3
+from p2o.results.result_json import result_from_dict, result_from_json, result_to_dict, result_to_json
+
+PINHOLE = Camera.pinhole(700.0, 1e3 / 3, 600.0, 180.0, 1242, 375)
+BETTER = RadialError(0.1 / 3, 0.01).corrected(PINHOLE)
+
+
+def _result(seed: int = 0) -> Result:
+    rng = np.random.default_rng(seed)
+    rounds = tuple(
+        Round("refine", reach, {"L": 3, "U": 7}, rng.uniform() / 3, rng.uniform() / 7, 1e-300, 0.1 + 0.2, accepted)
+        for reach, accepted in ((50.0, True), (1 / 3, False))
+    )
+    return Result(
+        frames=("drive/0000000005", "scène-0001"),
+        start=se3.exp(rng.normal(size=6)),
+        camera_from_lidar=se3.exp(rng.normal(size=6)),
+        status=Status.ROUNDS_SPENT,
+        reason='all 10 rounds were used: "so\nbe it"',
+        rounds=(*rounds, replace(rounds[0], mean_residual_px=math.nan, directed_cost_px=math.inf, step_m=-0.0)),
+        covariance=rng.normal(size=(6, 6)),
+        accuracy=Accuracy(0.1 / 3, math.inf, 1e-300, math.nan),
+        matches={"L": 3},
+        residual_px={"L": 0.1, "U": math.nan},
+        directed_cost_px=(4.0, -math.inf),
+        rival={"edges": 1.5, "rotation_deg": math.inf},
+        cameras=(
+            CameraCheck(
+                4,
+                PINHOLE,
+                RadialError(0.1 / 3, 0.01).corrected(PINHOLE),
+                -0.1 / 3,
+                1e-9,
+                0.01,
+                math.nan,
+                2.5,
+                math.inf,
+                False,
+            ),
+        ),
+        motions=(SweepMotion("drive/0000000005", 8.1, math.inf, 0.1 / 3, math.nan, (0.0, 0.0, 1e-3, 8.1, -0.0, 0.0)),),
+        seconds={"extract": 1.5},
+        warnings=("three points dropped",),
+        recipe={
+            "extractor": "depth/rings",
+            "options": {"matcher": {"angle_deg": 40.0, "on": True, "k": None, "l": [1]}},
+        },
+        seed=7,
+        versions={"p2o-calib": "0.1.0"},
+    )
+
+
+def _bits(value: Any) -> Any:
+    """Return a value in which equal means equal in every bit and kind."""
+    if isinstance(value, np.ndarray):
+        return value.dtype.str, value.shape, value.tobytes()
+    if isinstance(value, float):
+        return np.float64(value).tobytes() if value == value else "nan"
+    if isinstance(value, dict):
+        return {k: _bits(v) for k, v in value.items()}
+    if isinstance(value, tuple | list):
+        return type(value), [_bits(v) for v in value]
+    if isinstance(value, Round | CameraCheck | Camera | SweepMotion):
+        return [_bits(getattr(value, f.name)) for f in fields(value)]
+    return type(value), value
+
+
+def _same(a: Result, b: Result) -> bool:
+    return all(_bits(getattr(a, f.name)) == _bits(getattr(b, f.name)) for f in fields(Result))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_result_comes_back_bit_by_bit(seed: int) -> None:
+    result = _result(seed)
+    assert _same(result_from_json(result_to_json(result)), result)
+    assert not _same(result, replace(result, residual_px={"L": np.nextafter(0.1, 1.0), "U": math.nan}))
+
+
+def test_a_result_of_defaults_comes_back_too() -> None:
+    bare = Result(("a",), np.eye(4), np.eye(4), Status.NO_EDGES, "no edges")
+    assert _same(result_from_json(result_to_json(bare)), bare)
+
+
+def test_the_text_is_json_for_every_reader_without_nan() -> None:
+    def refuse(word: str) -> None:
+        raise AssertionError(word)
+
+    value = json.loads(result_to_json(_result()), parse_constant=refuse)
+    assert value["status"] == "rounds-spent"
+    assert value["rounds"][2]["mean_residual_px"] is None
+    assert value["rounds"][2]["directed_cost_px"] == "inf"
+    assert list(value) == [f.name for f in fields(Result)]
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    result = replace(_result(), matches={"L": np.int64(3)}, residual_px={"L": np.float64(0.25)})
+    again = result_from_json(result_to_json(result))
+    assert (again.matches, again.residual_px) == ({"L": 3}, {"L": 0.25})
+
+
+def test_a_recipe_that_json_cannot_hold_is_refused_with_its_place() -> None:
+    with pytest.raises(InputError, match=r"recipe.options.matcher has no form in JSON.*got object"):
+        result_to_dict(replace(_result(), recipe={"options": {"matcher": object()}}))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda d: d.pop("status"), "status missing"),
+        (lambda d: d.update(colour=1), "colour unknown"),
+        (lambda d: d["rounds"][0].pop("step_m"), "an entry of rounds has other fields.*step_m missing"),
+        (lambda d: d.update(status="fine"), "status is unknown.*converged"),
+        (lambda d: d.update(start=[[1.0] * 4] * 3), "start is not a list of 4"),
+        (lambda d: d["start"][0].__setitem__(0, 5.0), "start is not orthonormal|start mirrors"),
+        (lambda d: d["start"][3].__setitem__(0, None), "not finite"),
+        (lambda d: d.update(frames="one"), "frames is not a list"),
+        (lambda d: d.update(frames=[1]), "frames is not a text"),
+        (lambda d: d.update(seed=1.5), "seed is not a whole number"),
+        (lambda d: d.update(seed=True), "seed is not a whole number"),
+        (lambda d: d.update(matches={"L": "3"}), "matches.L is not a whole number"),
+        (lambda d: d.update(residual_px={"L": "much"}), "residual_px.L is not a number"),
+        (lambda d: d.update(seconds=[]), "seconds is not an object"),
+        (lambda d: d["rounds"][0].update(accepted=1), "accepted is not true or false"),
+        (lambda d: d.update(directed_cost_px=[1.0]), "directed_cost_px is not a list of 2"),
+        (lambda d: d.update(covariance=[[0.0] * 6] * 5), "covariance is not a list of 6"),
+        (lambda d: d["accuracy"].pop("translation_m_95"), "accuracy has other fields.*translation_m_95 missing"),
+        (lambda d: d.update(recipe=None), "recipe is not an object"),
+    ],
+)
+def test_what_is_not_a_result_is_refused_by_field(change: Any, message: str) -> None:
+    value = json.loads(result_to_json(_result()))
+    change(value)
+    with pytest.raises(InputError, match=message):
+        result_from_dict(value)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[1, 2", "not json"])
+def test_text_that_is_not_json_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="the result is not JSON"):
+        result_from_json(text)
+
+
+@pytest.mark.parametrize("value", [None, [], 3, "x"])
+def test_json_that_is_not_an_object_is_refused(value: Any) -> None:
+    with pytest.raises(InputError, match="the result is not an object"):
+        result_from_dict(value)

@@ -1,0 +1,447 @@
+"""Words become a plan: names found, options validated, stages fitted, all before any data are read."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import p2o
+import pytest
+from p2o import Frame, InputError, Kind, Method, PluginError, Recipe, Registry, Result, Status, UnknownNameError
+from p2o.run.recipe import open_exporter, parse_settings, split_data
+from p2o.testing import stage
+
+
+class Sized(p2o.Options):
+    size: int = p2o.field(3, ge=1, le=9, help="A size.")
+    seed: int = p2o.field(7, ge=0, help="A seed.")
+
+
+class Rooted(p2o.Options):
+    root: str = p2o.field(..., help="A folder.")
+    scenes: int = p2o.field(1, help="How many.")
+
+
+class Frames(list[Frame]):
+    names = ("stage",)
+
+
+def never(*_: Any) -> None:
+    raise AssertionError("nothing may be built or read while a recipe is resolved")
+
+
+class Offered:
+    """Methods of every slot that refuse to be built, for checks that need no building."""
+
+    offers = (
+        (Kind.IMAGE_EXTRACTOR, "sided", {"gives": {"image-edges", "side"}}),
+        (Kind.IMAGE_EXTRACTOR, "plain", {"gives": {"image-edges"}}),
+        (Kind.IMAGE_EXTRACTOR, "stereoscopic", {"gives": {"image-edges", "side"}, "needs": {"right"}}),
+        (Kind.IMAGE_EXTRACTOR, "radar", {"gives": {"image-edges", "side"}, "needs": {"radar"}}),
+        (Kind.CLOUD_EXTRACTOR, "rings", {"gives": {"cloud-edges", "side"}}),
+        (Kind.CLOUD_EXTRACTOR, "blunt", {"gives": {"cloud-edges"}}),
+        (Kind.CLOUD_EXTRACTOR, "mute", {"gives": {"cloud-points", "side"}}),
+        (Kind.MATCHER, "directed", {"needs": {"side", "image-edges", "cloud-edges"}, "gives": {"pairs"}}),
+        (Kind.MATCHER, "nearest", {"needs": {"image-edges", "cloud-edges"}, "gives": {"pairs"}, "options": Sized}),
+        (Kind.MATCHER, "scalar", {"gives": {"objective"}}),
+        (Kind.SOLVER, "least-squares", {"needs": {"pairs"}, "options": Sized}),
+        (Kind.SOLVER, "simplex", {"needs": {"objective"}}),
+        (Kind.INITIALIZER, "given", {}),
+        (Kind.CALIBRATOR, "whole", {"options": Sized}),
+        (Kind.DATASET, "made-up", {"options": Sized, "gives": {"rings"}}),
+        (Kind.DATASET, "files", {"options": Rooted}),
+    )
+
+    def _of(self, kind: Kind) -> list[Method]:
+        return [Method(name=n, build=never, summary="A test.", **more) for k, n, more in self.offers if k == kind]  # type: ignore[arg-type]
+
+
+for _kind in Kind:
+    setattr(Offered, _kind.hook, p2o.hookimpl(lambda self, kind=_kind: self._of(kind)))
+REGISTRY = Registry.of(acme=Offered())
+WORDS: dict[str, Any] = {
+    "data": "made-up:",
+    "extractor": "sided/rings",
+    "matcher": "directed",
+    "solver": "least-squares",
+    "init": "given",
+}
+
+
+def resolved(**words: Any) -> Any:
+    return Recipe.of(**{**WORDS, **words}).resolve(REGISTRY)
+
+
+def test_resolving_builds_nothing_and_reads_nothing() -> None:
+    plan = resolved()
+    assert {stage: part.offer.name for stage, part in plan.parts.items()} == {
+        "data": "made-up",
+        "extractor": "sided",
+        "cloud": "rings",
+        "matcher": "directed",
+        "solver": "least-squares",
+        "init": "given",
+    }
+
+
+def test_what_is_not_said_takes_the_default_of_the_recipe() -> None:
+    recipe = Recipe.of(matcher=None, frames=None, seed=3)
+    assert (recipe.data, recipe.extractor, recipe.matcher, recipe.solver) == (
+        "synthetic:",
+        "p2ornet/rings",
+        "ogm",
+        "lm",
+    )
+    assert (recipe.init, recipe.seed, recipe.joint, recipe.perturb) == ("search", 3, False, None)
+    with pytest.raises(UnknownNameError, match=r"unknown recipe option 'matchr'.*did you mean matcher"):
+        Recipe.of(matchr="ogm")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        # `scalar` would take these edges too, but gives no pairs: a replacement that is named fits the whole recipe.
+        ({"extractor": "plain/rings"}, "plain gives no side; directed needs it; try --matcher nearest"),
+        ({"extractor": "sided/blunt"}, "blunt gives no side; directed needs it; try --matcher nearest"),
+        (
+            {"extractor": "sided/mute"},
+            "mute gives no cloud-edges; directed needs it; no installed matcher fits in its place "
+            "(`p2o methods --matrix` shows what does)",
+        ),
+        ({"matcher": "scalar"}, "scalar gives no pairs; least-squares needs it; try --solver simplex"),
+        (
+            {"extractor": "radar/rings"},
+            "made-up gives no radar; radar needs it; try --extractor sided/rings or stereoscopic/rings",
+        ),
+    ],
+)
+def test_stages_that_do_not_fit_are_refused_with_what_would(words: dict[str, str], message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        resolved(**words)
+    assert str(caught.value) == message
+
+
+def test_pairs_are_an_objective_too_but_not_the_reverse() -> None:
+    assert resolved(matcher="nearest", solver="simplex").parts["solver"].offer.name == "simplex"
+    assert resolved(matcher="scalar", solver="simplex").parts["matcher"].offer.name == "scalar"
+    with pytest.raises(InputError, match="scalar gives no pairs"):
+        resolved(matcher="scalar", solver="least-squares")
+
+
+def test_prefixed_words_are_asked_of_the_side_they_name_only() -> None:
+    assert resolved(extractor="sided/rings")
+    with pytest.raises(InputError, match="mute gives no cloud-edges"):
+        resolved(extractor="sided/mute", matcher="nearest")
+
+
+def test_what_a_frame_may_hold_is_checked_when_it_is_read() -> None:
+    plan = resolved(extractor="stereoscopic/rings")
+    frame = stage.frame()
+    plan.check_frame(frame)
+    blind = p2o.Image(frame.image.rgb, frame.camera)
+    with pytest.raises(InputError, match="stage: the frame has no right; stereoscopic needs it; try --extractor sided"):
+        plan.check_frame(Frame("stage", blind, frame.cloud))
+
+
+def test_an_extractor_is_a_pair() -> None:
+    for wrong in ("sided", "sided/", "/rings", "a/b/c", ""):
+        with pytest.raises(InputError, match="IMAGE/CLOUD"):
+            resolved(extractor=wrong)
+
+
+def test_a_whole_method_takes_the_place_of_the_stages() -> None:
+    plan = Recipe.of(data="made-up:", calibrator="whole").resolve(REGISTRY)
+    assert list(plan.parts) == ["data", "calibrator"]
+    assert "matcher" not in plan.described()
+    with pytest.raises(InputError, match="whole method; expected no matcher, solver beside it"):
+        Recipe.of(data="made-up:", calibrator="whole", matcher="nearest", solver="simplex").resolve(REGISTRY)
+    with pytest.raises(InputError, match="options for matcher, which this recipe does not use"):
+        Recipe.of(data="made-up:", calibrator="whole", options={"matcher": {"size": 1}}).resolve(REGISTRY)
+    with pytest.raises(InputError, match="options for the pipeline"):
+        Recipe.of(data="made-up:", calibrator="whole", options={"pipeline": {"rounds": 1}}).resolve(REGISTRY)
+
+
+def test_texts_and_values_of_options_mean_the_same() -> None:
+    by_text = resolved(matcher="nearest", options=parse_settings(["matcher.size=4", "pipeline.reach_px=2e1"]))
+    by_value = resolved(matcher="nearest", options={"matcher": {"size": 4}, "pipeline": {"reach_px": 20}})
+    assert by_text.described() == by_value.described()
+    assert by_text.described()["options"]["matcher"] == {"size": 4, "seed": 0}
+    assert by_text.described()["options"]["pipeline"]["reach_px"] == 20.0
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("matcher.size=10", "matcher.size is out of bounds; expected less than or equal to 9; got 10"),
+        ("matcher.size=big", "matcher.size is not valid; expected a valid integer.*; got big"),
+        ("matcher.sise=1", "unknown matcher option 'sise'; expected one of: seed, size; did you mean size"),
+        ("pipeline.rounds=0", "pipeline.rounds is out of bounds; expected greater than or equal to 1; got 0"),
+        ("matchr.size=1", "--set: unknown stage 'matchr'.*did you mean matcher"),
+        ("matcher.size", "--set: cannot read the setting; expected STAGE.FIELD=VALUE.*; got matcher.size"),
+        ("calibrator.size=1", "options for calibrator, which this recipe does not use"),
+        ("matcher.size=[1", r"\[1: cannot read the value; expected YAML"),
+    ],
+)
+def test_bad_options_are_told_with_path_value_and_bound(setting: str, message: str) -> None:
+    with pytest.raises(InputError, match=message.replace("?", r"\?")):
+        resolved(matcher="nearest", options=parse_settings([setting]))
+
+
+def test_settings_take_lists_null_and_nested_names() -> None:
+    assert parse_settings(["data.sizes=[1, 2]", "data.a.b=x=y", "data.none=null", "data.size=1", "data.size=2"]) == {
+        "data": {"sizes": [1, 2], "a": {"b": "x=y"}, "none": None, "size": "2"}
+    }
+
+
+def test_an_option_called_seed_follows_the_recipes_seed_unless_it_is_set() -> None:
+    plan = resolved(matcher="nearest", seed=5, options={"solver": {"seed": 1}})
+    seeds = {stage: part.options.seed for stage, part in plan.parts.items() if hasattr(part.options, "seed")}
+    assert seeds == {"data": 5, "matcher": 5, "solver": 1}
+    assert resolved(data="made-up:?seed=2", seed=5).parts["data"].options.seed == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "options"),
+    [
+        ("synthetic:", "synthetic", {}),
+        ("synthetic", "synthetic", {}),
+        ("synthetic:?scenes=4&seed=1", "synthetic", {"scenes": "4", "seed": "1"}),
+        ("kitti-raw:/a/b", "kitti-raw", {"root": "/a/b"}),
+        ("kitti-raw:a:b?c", "kitti-raw", {"root": "a:b?c"}),
+        ("kitti-raw:/a?camera=0", "kitti-raw", {"root": "/a", "camera": "0"}),
+        ("kitti-raw:C:\\a", "kitti-raw", {"root": "C:\\a"}),
+        ("synthetic:?", "synthetic", {}),
+    ],
+)
+def test_data_text_is_a_dataset_a_path_and_options(text: str, name: str, options: dict[str, str]) -> None:
+    assert split_data(text) == (name, options)
+
+
+def test_paths_of_data_know_the_home_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", "/home/ada")
+    assert split_data("files:~/kitti") == ("files", {"root": "/home/ada/kitti"})
+
+
+def test_a_dataset_with_and_without_a_path() -> None:
+    assert resolved(data="files:/a?scenes=2").parts["data"].options == Rooted(root="/a", scenes=2)
+    with pytest.raises(InputError, match="dataset files needs a path; expected files:PATH"):
+        resolved(data="files:")
+    with pytest.raises(InputError, match="dataset made-up takes no path; expected made-up:; got /a"):
+        resolved(data="made-up:/a")
+    with pytest.raises(InputError, match=r"data need a dataset name; expected DATASET:PATH.*got /a/b"):
+        resolved(data="/a/b")
+    with pytest.raises(UnknownNameError, match=r"unknown dataset 'fils'.*did you mean files\?"):
+        resolved(data="fils:/a")
+
+
+def test_the_perturbation_is_read_before_the_data() -> None:
+    with pytest.raises(InputError, match="--perturb: cannot read the size"):
+        resolved(perturb="two degrees")
+
+
+def test_the_description_of_a_plan_repeats_it() -> None:
+    plan = resolved(matcher="nearest", perturb="2deg 0.1m", seed=4, joint=True, options={"solver": {"size": 2}})
+    again = Recipe.of(**plan.described()).resolve(REGISTRY)
+    assert again.described() == plan.described()
+    whole = Recipe.of(data="made-up:", calibrator="whole").resolve(REGISTRY)
+    assert Recipe.of(**whole.described()).resolve(REGISTRY).described() == whole.described()
+
+
+def test_an_export_is_a_name_and_a_path(tmp_path: Any) -> None:
+    registry = Registry.load(environ={"P2O_PLUGINS": "p2o-calib"})
+    _, path = open_exporter(f"json:{tmp_path}/a.json", registry)
+    assert path == tmp_path / "a.json"
+    with pytest.raises(InputError, match="an export needs a path"):
+        open_exporter("json:", registry)
+    with pytest.raises(UnknownNameError, match="unknown exporter 'jsn'"):
+        open_exporter("jsn:a", registry)
+
+
+# ---- running
+
+
+class Spy:
+    """A dataset and a whole method that notes what it is handed."""
+
+    def __init__(self, frames: list[Frame], answer: Any = None) -> None:
+        self.frames, self.answer = frames, answer
+        self.seen: list[tuple[list[Frame], Any]] = []
+
+    @p2o.hookimpl
+    def p2o_datasets(self) -> Any:
+        def opened(options: Any) -> Any:
+            class Listed(list[Frame]):
+                names = tuple(frame.name for frame in self.frames)
+
+            return Listed(self.frames)
+
+        yield Method(name="listed", build=opened, summary="A test.")
+
+    @p2o.hookimpl
+    def p2o_calibrators(self) -> Any:
+        def calibrate(frames: Any, start: Any) -> Result:
+            self.seen.append((list(frames), np.array(start)))
+            if isinstance(self.answer, Exception):
+                raise self.answer
+            names = tuple(frame.name for frame in frames)
+            pose = start if self.answer is None else self.answer
+            return Result(names, start, pose, Status.CONVERGED, "because it is a test")
+
+        yield Method(name="spy", build=lambda options: calibrate, summary="A test.")
+
+    def run(self, **words: Any) -> p2o.Run:
+        return p2o.calibrate(**{"data": "listed:", "calibrator": "spy", "registry": Registry.of(acme=self), **words})
+
+
+def framed(name: str, truth: Any = None, start: Any = None) -> Frame:
+    frame = stage.frame()
+    return Frame(name, frame.image, frame.cloud, camera_from_lidar=truth, start=start)
+
+
+TRUTH = stage.camera_from_lidar()
+OTHER = TRUTH @ p2o.se3.make(translation=(0.1, 0.0, 0.0))
+
+
+def test_no_stage_ever_sees_the_truth() -> None:
+    spy = Spy([framed("a", TRUTH)])
+    run = spy.run(perturb="2deg 0.1m")
+    [(frames, start)] = spy.seen
+    assert [frame.camera_from_lidar for frame in frames] == [None]
+    assert not np.allclose(start, TRUTH)
+    assert run.rows[0].error is not None
+    assert run.rows[0].error.rotation_deg == pytest.approx(2.0, abs=1e-9)
+
+
+def test_a_perturbed_start_is_as_wrong_as_asked_and_follows_seed_and_frame() -> None:
+    frames = [framed(name, TRUTH) for name in "abc"]
+    starts = {seed: [start for _, start in _seen(frames, seed)] for seed in (0, 0, 1)}
+    for start in starts[0]:
+        error = p2o.pose_error(start, TRUTH)
+        assert error.rotation_deg == pytest.approx(2.0, abs=1e-9)
+        assert error.translation_m == pytest.approx(0.1, abs=1e-9)
+    assert not np.allclose(starts[0][0], starts[0][1])
+    assert not np.allclose(starts[0][0], starts[1][0])
+    # A frame starts alike whichever others are run with it.
+    [(_, alone)] = _seen(frames, 0, frames="2")
+    assert np.array_equal(alone, starts[0][2])
+
+
+def _seen(dataset: list[Frame], seed: int, **words: Any) -> Any:
+    spy = Spy(dataset)
+    spy.run(perturb="2deg 0.1m", seed=seed, **words)
+    return spy.seen
+
+
+def test_a_start_of_the_data_is_taken_before_the_truth() -> None:
+    spy = Spy([framed("a", TRUTH, start=OTHER)])
+    run = spy.run()
+    assert np.allclose(spy.seen[0][1], OTHER, atol=1e-12)
+    assert run.result.warnings == ()
+
+
+def test_a_truth_that_serves_as_start_is_said() -> None:
+    spy = Spy([framed("a", TRUTH)])
+    assert "the start is the calibration that the data give" in spy.run().result.warnings[0]
+    assert np.allclose(spy.seen[0][1], TRUTH, atol=1e-12)
+
+
+def test_without_any_start_there_is_nothing_to_do() -> None:
+    with pytest.raises(InputError, match="a: there is no start to calibrate from"):
+        Spy([framed("a")]).run()
+    with pytest.raises(InputError, match="a: the truth is not known, so it cannot be perturbed"):
+        Spy([framed("a", start=OTHER)]).run(perturb="1deg")
+
+
+def test_a_start_may_be_given_in_python_but_not_with_a_perturbation() -> None:
+    spy = Spy([framed("a", TRUTH)])
+    spy.run(start=OTHER)
+    assert np.allclose(spy.seen[0][1], OTHER, atol=1e-12)
+    with pytest.raises(InputError, match="both a start and a perturbation"):
+        spy.run(start=OTHER, perturb="1deg")
+    with pytest.raises(InputError, match="start has the wrong shape"):
+        spy.run(start=np.eye(3))
+
+
+def test_a_joint_run_is_one_call_with_all_frames() -> None:
+    spy = Spy([framed("a", TRUTH), framed("b"), framed("c", TRUTH)])
+    run = spy.run(joint=True, perturb="2deg 0.1m")
+    [(frames, _)] = spy.seen
+    assert [frame.name for frame in frames] == ["a", "b", "c"]
+    assert run.result.frames == ("a", "b", "c")
+
+
+def test_frames_of_two_rigs_are_not_calibrated_jointly() -> None:
+    spy = Spy([framed("a", TRUTH), framed("b", OTHER)])
+    with pytest.raises(InputError, match=r"frames a and b have different extrinsics.*0 deg and 0\.1 m apart"):
+        spy.run(joint=True)
+    assert len(spy.run().rows) == 2
+
+
+def test_a_wrong_truth_changes_no_estimate() -> None:
+    # The pipeline itself, through every one of our default stages that needs no training or data.
+    frame = stage.frame()
+    start = TRUTH @ p2o.se3.exp(np.array([0.01, -0.01, 0.005, 0.03, 0.02, -0.01]))
+    estimates = []
+    for truth in (TRUTH, OTHER, None):
+        told = Frame("stage", frame.image, frame.cloud, camera_from_lidar=truth, start=start)
+        run = p2o.calibrate(told, extractor="depth/rings")
+        assert run.result.status.solved
+        estimates.append(run.result.camera_from_lidar)
+    assert np.array_equal(estimates[0], estimates[1])
+    assert np.array_equal(estimates[0], estimates[2])
+
+
+def test_frames_may_be_handed_over_in_python() -> None:
+    spy = Spy([])
+    frames = [framed("a", TRUTH), framed("b", TRUTH)]
+    run = spy.run(data=frames, frames="b")
+    assert [row.result.frames for row in run.rows] == [("b",)]
+    assert run.rows[0].result.recipe["data"] is None
+    with pytest.raises(InputError, match="there are no frames"):
+        spy.run(data=[])
+    with pytest.raises(InputError, match="entry 0 of the frames is not a frame"):
+        spy.run(data=[3])
+
+
+def test_a_plugin_that_fails_ends_its_frame_not_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("P2O_STRICT", "P2O_DEBUG"):
+        monkeypatch.delenv(name, raising=False)
+    spy = Spy([framed("a", TRUTH), framed("b", TRUTH)], ValueError("no such luck"))
+    run = spy.run()
+    assert [row.result.status for row in run.rows] == [Status.STAGE_FAILED] * 2
+    assert "plugin acme: calibrator 'spy' raised ValueError" in run.rows[0].result.reason
+    assert np.allclose(run.rows[0].result.camera_from_lidar, TRUTH)
+    assert not run.solved
+    monkeypatch.setenv("P2O_DEBUG", "1")
+    with pytest.raises(PluginError, match="no such luck"):
+        spy.run()
+
+
+def test_every_result_names_recipe_seed_and_versions() -> None:
+    result = Spy([framed("a", TRUTH)]).run(seed=6, perturb="1deg").result
+    assert result.seed == 6
+    assert result.recipe["perturb"] == "1deg"
+    assert result.recipe["calibrator"] == "spy"
+    assert {"python", "numpy", "p2o-calib"} <= set(result.versions)
+
+
+def test_a_summary_comes_from_the_rows_of_solved_results() -> None:
+    step = p2o.se3.make(translation=(0.0, 0.0, 0.2))
+    spy = Spy([framed("a", TRUTH), framed("b", TRUTH)], TRUTH @ step)
+    summary = spy.run().summary
+    assert summary["status"] == {"converged": 2}
+    assert summary["error"]["translation_m_mean"] == pytest.approx(0.2)
+    assert summary["error"]["rotation_deg_median"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_progress_is_told_before_and_after_every_calibration() -> None:
+    told: list[tuple[int, int, str, bool]] = []
+    spy = Spy([framed("a", TRUTH), framed("b", TRUTH)])
+    spy.run(on_progress=lambda p: told.append((p.done, p.total, p.name, p.row is not None)))
+    assert told == [(0, 2, "a", False), (1, 2, "a", True), (1, 2, "b", False), (2, 2, "b", True)]
+
+
+def test_a_run_of_several_results_has_no_single_one() -> None:
+    run = Spy([framed("a", TRUTH), framed("b", TRUTH)]).run()
+    with pytest.raises(InputError, match="this run has 2 results"):
+        _ = run.result

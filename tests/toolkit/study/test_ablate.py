@@ -1,0 +1,524 @@
+"""A study computes each row once, whatever happens to it on the way, and the same bits wherever it runs."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import multiprocessing
+import os
+import random
+import re
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+
+import numpy as np
+import p2o
+import pytest
+from p2o import InputError, MethodUnavailable, P2OError
+from p2o.cli import main
+from p2o.study import worker
+from p2o.study.ablate import Ablation, ablate, chosen_seeds
+from p2o.study.store import Store, StoredRow
+from p2o.study.study import Published, RowTable, Study, StudyFile, check_study, parse_study
+from p2o.study.worker import Plugins
+from p2o.work.cache import FeatureCache
+from p2o.work.parallel import Workers
+
+PLUGIN = Path(__file__).parents[2] / "study_plugin.py"
+HEAD = """name = "tiny"
+title = "Tiny"
+perturb = "1deg 0.05m"
+seeds = 2
+[[dataset]]
+name = "tiny"
+data = "tiny:"
+options = { frames = 3 }
+[defaults]
+extractor = "tiny/tiny"
+init = "given"
+"""
+STAGED = HEAD + '[[product]]\nmatcher = ["ogm", "nearest"]\nsolver = ["lm", "scipy"]\n'
+QUICK = HEAD + '[[row]]\nlabel = "quick"\ncalibrator = "quick"\n'
+
+
+class Bench:
+    """A folder with a store, a cache and a count of calls."""
+
+    def __init__(self, root: Path) -> None:
+        self.root, self.calls_file = root, root / "calls"
+        self.plugins = Plugins(files=(str(PLUGIN),))
+
+    def run(self, text: str, out: str = "out", jobs: int = 1, **words: object) -> Ablation:
+        cache = FeatureCache(self.root / "cache")
+        file = StudyFile(parse_study(text), text, "test")
+        return ablate(file, self.root / out, plugins=self.plugins, workers=Workers(jobs), cache=cache, **words)
+
+    def calls(self) -> Counter[str]:
+        """Return how often each was called since the last time: image, cloud, quick, frame."""
+        lines = self.calls_file.read_text().splitlines() if self.calls_file.exists() else []
+        self.calls_file.unlink(missing_ok=True)
+        return Counter(line.split()[0] for line in lines)
+
+    def cli(self, text: str, *words: str, out: str = "out") -> subprocess.CompletedProcess[str]:
+        file = self.root / "study.toml"
+        file.write_text(text)
+        command = [
+            sys.executable,
+            "-m",
+            "p2o",
+            "ablate",
+            str(file),
+            "--plugin",
+            str(PLUGIN),
+            "--out",
+            str(self.root / out),
+        ]
+        environ = {**os.environ, "P2O_CACHE": str(self.root)}
+        return subprocess.run([*command, *words], capture_output=True, text=True, check=False, env=environ)
+
+
+@pytest.fixture
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Bench:
+    monkeypatch.setenv("TINY_CALLS", str(tmp_path / "calls"))
+    monkeypatch.delenv("P2O_PLUGINS", raising=False)
+    # What another test has left in this process would hide calls.
+    worker._memory.clear()
+    worker._frames.clear()
+    return Bench(tmp_path)
+
+
+def bits(rows: Sequence[StoredRow]) -> list[tuple[object, ...]]:
+    """Return all that a row says, except for the time it took."""
+    return [
+        (r.key, r.row, r.seed, r.frames, r.status, r.reason, r.rounds, r.matches, json.dumps(r.recipe), r.rotation_deg)
+        + tuple(None if pose is None else pose.tobytes() for pose in (r.estimate, r.start, r.truth))
+        for r in rows
+    ]
+
+
+def test_features_are_extracted_once_for_all_seeds_matchers_solvers_and_studies(bench: Bench) -> None:
+    done = bench.run(STAGED)
+    assert (done.computed, len(done.rows), done.missing) == (24, 24, ())
+    assert all(row.solved for row in done.rows)
+    assert bench.calls() == {"frame": 3, "image": 3, "cloud": 3}
+
+    worker._memory.clear()
+    other = STAGED.replace('name = "tiny"', 'name = "other"', 1).replace(
+        "[[product]]", "options.pipeline.rounds = 2\n[[product]]"
+    )
+    assert bench.run(other, out="elsewhere").computed == 24
+    calls = bench.calls()
+    assert calls["image"] == calls["cloud"] == 0
+
+
+def test_changing_an_option_extracts_again_only_what_it_acts_on(bench: Bench) -> None:
+    text = HEAD + '[[row]]\nlabel = "a"\n'
+    bench.run(text)
+    bench.calls()
+    for change, expected in (
+        ("options.solver.max_iterations = 7\n", {}),
+        ("options.matcher.neighbours = 6\n", {}),
+        ("options.pipeline.missing_edges = 0.1\n", {}),
+        ("options.extractor.step = 0.04\n", {"image": 3}),
+        ("options.cloud.step = 0.3\n", {"cloud": 3}),
+        ("options.data.salt = 1\n", {"image": 3}),
+    ):
+        worker._memory.clear()
+        done = bench.run(text + change)
+        assert done.computed == 6, change
+        calls = bench.calls()
+        del calls["frame"]
+        assert calls == expected, change
+
+
+def test_a_study_that_is_finished_computes_nothing_and_an_edited_one_what_is_new(bench: Bench) -> None:
+    first = bench.run(STAGED)
+    assert bench.run(STAGED).computed == 0
+    assert bits(bench.run(STAGED).rows) == bits(first.rows)
+    more = bench.run(STAGED.replace("seeds = 2", "seeds = 3").replace("frames = 3", "frames = 4"))
+    assert (more.computed, len(more.rows)) == (4 * 12 - 24, 48)
+    fewer = bench.run(STAGED.replace('["lm", "scipy"]', '["lm"]'))
+    assert (fewer.computed, len(fewer.rows)) == (0, 12), "rows that are no longer asked for are not shown"
+    renamed = bench.run(STAGED.replace("[[product]]", '[[product]]\nlabel = "{matcher} and {solver}"'))
+    assert renamed.computed == 0
+    assert {row.row for row in renamed.rows} >= {"ogm and lm", "nearest and scipy"}
+
+
+def test_a_row_is_what_p2o_run_gives_for_the_same_words(bench: Bench) -> None:
+    text = STAGED + '[[row]]\nlabel = "joint"\njoint = true\n'
+    registry = bench.plugins.registry()
+    rows = [row for row in bench.run(text).rows if row.matcher == "ogm"]
+    assert len(rows) == 12 + 2
+    for row in rows[::3]:
+        words = {name: value for name, value in row.recipe.items() if name != "calibrator"}
+        again = p2o.calibrate(registry=registry, **words).rows[0]
+        assert again.result.camera_from_lidar.tobytes() == row.estimate.tobytes()
+        # The pipeline cleans its start: a rotation is one to the last bit.
+        np.testing.assert_allclose(again.result.start, row.start, atol=1e-14)
+        assert again.result.status == row.status
+        assert again.error.rotation_deg == row.rotation_deg
+        assert again.start_error.translation_m == row.start_translation_m
+
+
+def test_groups_of_frames_are_solved_together_each_from_a_start_of_its_own(bench: Bench) -> None:
+    rows = bench.run(QUICK.replace("frames = 3", "frames = 5") + "joint = 2\n").rows
+    groups = [("tiny/000", "tiny/001"), ("tiny/002", "tiny/003"), ("tiny/004",)]
+    assert [(row.frames, row.joint) for row in rows[::2]] == [(group, len(group)) for group in groups]
+    assert len({row.start.tobytes() for row in rows}) == len(rows)
+    assert [round(row.start_rotation_deg, 6) for row in rows] == [1.0] * 6
+
+
+def test_a_run_that_raises_is_a_row_that_says_why_and_is_tried_again(bench: Bench) -> None:
+    text = QUICK + 'options.calibrator.fail_on = "tiny/001"\n'
+    done = bench.run(text)
+    crashed = [row for row in done.rows if row.crashed]
+    assert [(row.frames, row.status) for row in crashed] == [(("tiny/001",), "stage-failed")] * 2
+    assert "raised ValueError while calibrating; got no such luck" in crashed[0].reason
+    assert "in calibrate" in crashed[0].exception
+    assert crashed[0].estimate is None
+    assert crashed[0].start is not None
+    assert len(done.rows) == 6
+    assert bench.run(text).computed == 2
+
+
+def test_a_frame_that_cannot_be_read_and_features_that_cannot_be_had_are_rows_too(bench: Bench) -> None:
+    text = HEAD.replace("frames = 3", "frames = 3, bad = 1") + '[[row]]\nlabel = "a"\noptions.extractor.fail_on = 2\n'
+    good, unread, unliked = bench.run(text).rows[::2]
+    assert good.solved
+    assert (unread.frames, unread.crashed, unread.start) == (("tiny/001",), True, None)
+    assert "the image is cut short" in unread.reason
+    assert "this picture is not liked" in unliked.reason
+    assert "ValueError" in unliked.exception
+
+
+def test_what_is_wrong_is_told_before_any_work(bench: Bench) -> None:
+    with pytest.raises(InputError, match=r"row 'b'.*try --matcher"):
+        bench.run(STAGED + '[[row]]\nlabel = "b"\nextractor = "tiny-plain/tiny"\n')
+    with pytest.raises(InputError, match=r"row 'b'.*the frame has no right; stereo needs it"):
+        bench.run(HEAD + '[[row]]\nlabel = "a"\n[[row]]\nlabel = "b"\nextractor = "stereo/tiny"\n')
+    with pytest.raises(InputError, match=r"dataset 'tiny': frame index 7"):
+        bench.run(QUICK.replace("frames = 3 }", 'frames = 3 }\nframes = "7"'))
+    assert bench.calls()["quick"] == 0
+    assert bench.run(QUICK).computed == 6
+
+
+def test_a_later_frame_that_lacks_what_a_row_needs_is_a_row_that_says_so(bench: Bench) -> None:
+    head = HEAD.replace("frames = 3", "frames = 3, with_right = 2")
+    rows = bench.run(head + '[[row]]\nlabel = "one"\n[[row]]\nlabel = "two"\nextractor = "tiny-right/tiny"\n').rows
+    assert [row.solved for row in rows if row.row == "one"] == [True] * 6, "other rows do not mind"
+    assert [row.solved for row in rows if row.row == "two"] == [True] * 4 + [False] * 2
+    assert all("the frame has no right; tiny-right needs it" in row.reason for row in rows if row.crashed)
+    joint = bench.run(head + '[[row]]\nlabel = "two"\nextractor = "tiny-right/tiny"\njoint = true\n').rows
+    assert ["tiny/002: the frame has no right" in row.reason for row in joint] == [True] * 2
+
+
+def test_a_whole_method_reads_each_frame_once_for_all_seeds_of_a_joint_row(bench: Bench) -> None:
+    assert bench.run(QUICK.replace("frames = 3", "frames = 12") + "joint = true\n").computed == 2
+    assert bench.calls()["frame"] == 12
+
+
+def test_frames_in_memory_are_bounded_by_their_bytes(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(worker, "_FRAMES_BYTES", 3 * 600 * 180 * 3)
+    bench.run(QUICK.replace("frames = 3", "frames = 5"))
+    assert len(worker._frames) == 2, "three pictures of 600 x 180 px, but not their sweeps"
+
+
+def test_ctrl_c_keeps_the_rows_that_are_finished(bench: Bench) -> None:
+    # Each seed has a method of its own: the second frame of the first seed is the third row.
+    done = bench.run(QUICK + "options.calibrator.interrupt_after = 2\n")
+    assert done.interrupted
+    assert (done.computed, len(done.rows), len(done.missing)) == (2, 2, 4)
+
+
+def test_progress_tells_rows_failures_and_the_time_that_is_left(bench: Bench) -> None:
+    told = []
+    bench.run(QUICK + 'options.calibrator.fail_on = "tiny/001"\n', on_progress=told.append)
+    rows = [p for p in told if p.phase == "calibrate"]
+    assert [p.done for p in rows][-7:] == [0, 1, 2, 3, 4, 5, 6]
+    assert (rows[-1].total, rows[-1].failed, rows[-1].seconds_left) == (6, 2, 0)
+    assert rows[-3].seconds_left > 0
+    assert rows[-1].name == "quick, tiny/002, seed 1"
+    again = []
+    bench.run(QUICK, on_progress=again.append)
+    bench.run(QUICK, on_progress=again.append)
+    assert (again[-1].done, again[-1].kept) == (6, 6)
+
+
+def test_two_processes_of_one_machine_give_the_same_bits_as_one(bench: Bench) -> None:
+    text = STAGED + '[[row]]\nlabel = "quick"\ncalibrator = "quick"\n[[row]]\nlabel = "all"\njoint = true\n'
+    alone = bench.run(text)
+    both = bench.run(text, out="both", jobs=2)
+    assert both.computed == alone.computed
+    assert bits(both.rows) == bits(alone.rows)
+
+
+def test_a_study_outlives_a_worker_that_is_killed(bench: Bench) -> None:
+    text = QUICK + f'options.calibrator.die_once = "{bench.root / "died"}"\n'
+    done = bench.run(text, jobs=2)
+    assert (bench.root / "died").exists(), "a worker was killed"
+    assert (done.computed, len(done.rows), done.missing) == (6, 6, ())
+    assert bits(done.rows) == bits(bench.run(text, out="alone").rows)
+
+
+def test_a_job_that_kills_every_worker_is_a_row_that_says_so_and_the_others_are_computed(bench: Bench) -> None:
+    done = bench.run(QUICK + 'options.calibrator.die_on = "tiny/001"\n', jobs=2)
+    crashed = [row for row in done.rows if row.crashed]
+    assert [row.frames for row in crashed] == [("tiny/001",)] * 2
+    assert all("the worker process died in each of 3 tries" in row.reason for row in crashed)
+    assert "SIGKILL" in crashed[0].reason
+    assert [row.solved for row in done.rows if row not in crashed] == [True] * 4
+    assert done.missing == ()
+
+
+def test_a_frame_whose_reader_is_killed_is_a_row_that_says_so(bench: Bench) -> None:
+    done = bench.run(HEAD.replace("frames = 3", "frames = 3, deadly = 1") + '[[row]]\nlabel = "a"\n', jobs=2)
+    assert [row.frames for row in done.rows if row.crashed] == [("tiny/001",)] * 2
+    assert all("the worker process died" in row.reason for row in done.rows if row.crashed)
+    assert sum(row.solved for row in done.rows) == 4
+
+
+def _gone_twice(job: int) -> int:
+    """Return the job; the third one dies for good, the fifth only beside others."""
+    if job == 3 or (job == 5 and not Path(os.environ["TINY_CALLS"]).exists()):
+        Path(os.environ["TINY_CALLS"]).touch()
+        time.sleep(0.2)
+        os.kill(os.getpid(), signal.SIGKILL)
+    return job
+
+
+def test_every_job_gives_one_answer_though_workers_die(bench: Bench) -> None:
+    with Workers(3).hired() as run:
+        found = list(run(_gone_twice, iter(range(20)), lambda job, problem: (job, type(problem))))
+    assert sorted(found, key=lambda entry: entry if isinstance(entry, int) else entry[0]) == [
+        *range(3),
+        (3, P2OError),
+        *range(4, 20),
+    ]
+
+
+@pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason='needs pip install "p2o-calib[dask]"')
+def test_a_dask_cluster_gives_the_same_bits_though_a_worker_is_killed(bench: Bench) -> None:
+    text = (
+        STAGED
+        + f'[[row]]\nlabel = "quick"\ncalibrator = "quick"\noptions.calibrator.die_once = "{bench.root / "died"}"\n'
+    )
+    done = bench.cli(text, "--backend", "dask", "--jobs", "3", "--quiet")
+    assert done.returncode == 0, done.stderr
+    assert (bench.root / "died").exists(), "a worker was killed"
+    alone = bench.run(text, out="alone")
+    with Store.open(bench.root / "out") as store:
+        assert bits(store.rows("tiny")) == bits(alone.rows)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason='needs pip install "p2o-calib[ray]"')
+def test_ray_gives_the_same_bits_and_tells_a_job_that_kills_its_worker(bench: Bench) -> None:
+    text = STAGED + '[[row]]\nlabel = "quick"\ncalibrator = "quick"\noptions.calibrator.die_on = "tiny/001"\n'
+    done = bench.cli(text, "--backend", "ray", "--jobs", "2", "--quiet")
+    assert done.returncode == 1, done.stderr
+    with Store.open(bench.root / "out") as store:
+        found = store.rows("tiny")
+    assert [row.frames for row in found if row.crashed] == [("tiny/001",)] * 2
+    assert all("the worker process died" in row.reason for row in found if row.crashed)
+    # The bits are compared where nobody dies.
+    alone = bench.run(STAGED, out="alone").rows
+    assert bits([row for row in found if row.row != "quick"]) == bits(alone)
+
+
+@pytest.mark.parametrize("backend", ["dask", "ray"])
+def test_a_backend_that_is_not_installed_tells_the_extra(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("distributed", "ray"):
+        monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(MethodUnavailable, match=rf'pip install "p2o-calib\[{backend}\]"'):
+        Workers(2, backend)
+
+
+def test_threads_of_this_process_are_left_as_they_were() -> None:
+    import cv2
+
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(3)
+    try:
+        with Workers(1).hired() as run:
+            assert list(run(lambda _: cv2.getNumThreads(), [0, 0], lambda job, problem: None)) == [1, 1]
+        assert cv2.getNumThreads() == 3
+    finally:
+        cv2.setNumThreads(before)
+
+
+def _study_in_child(root: Path, text: str) -> None:
+    """Run a study in the process of a child."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+    os.environ["TINY_CALLS"] = str(root / "calls")
+    os.environ.pop("P2O_PLUGINS", None)
+    (root / "began").touch()
+    Bench(root).run(text)
+
+
+def _in_child(bench: Bench, text: str) -> BaseProcess:
+    """Start a study in a process that has most modules loaded already, and return once it begins.
+
+    It is forked off a server, not off this process: OpenCV's threads, which other tests have started here, do not
+    live on in a fork, and `cv2.setNumThreads` would wait for them without end.
+    """
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([__name__, "cv2", "scipy.linalg", "scipy.optimize", "threadpoolctl"])
+    child = context.Process(target=_study_in_child, args=(bench.root, text), daemon=True)
+    (bench.root / "began").unlink(missing_ok=True)
+    child.start()
+    _wait_for(lambda: (bench.root / "began").exists(), child)
+    return child
+
+
+def _wait_for(happened: Callable[[], bool], child: BaseProcess) -> None:
+    """Wait until something has happened, for as long as the child lives, a minute at most."""
+    until = time.monotonic() + 60
+    while not happened() and child.is_alive() and time.monotonic() < until:
+        time.sleep(0.001)
+
+
+KILLS = 56
+LONG = QUICK.replace("seeds = 2", "seeds = 30").replace("frames = 3", "frames = 5")
+
+
+def _keys(folder: Path) -> set[str]:
+    if not (folder / "study.sqlite").exists():
+        return set()
+    with sqlite3.connect(folder / "study.sqlite") as connection:
+        try:
+            found = connection.execute("select frames, start from runs").fetchall()
+        except sqlite3.OperationalError:  # killed before the tables were made
+            found = []
+        assert connection.execute("pragma integrity_check").fetchall() == [("ok",)]
+    connection.close()
+    return {f"{json.loads(frames)[0]} {np.abs(json.loads(start)).sum():.17g}" for frames, start in found}
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="kills forked processes")
+def test_a_study_that_is_killed_at_any_moment_goes_on_and_computes_no_finished_row_again(bench: Bench) -> None:
+    rng = random.Random(0)
+    text = LONG + "options.calibrator.sleep_s = 0.001\n"
+    folder = bench.root / "out"
+    computed: Counter[str] = Counter()
+    finished: set[str] = set()
+    window_s = 0.02
+    for kill in range(KILLS):
+        child = _in_child(bench, text)
+        # Half of the kills fall into reading, planning and making the store, the others among the rows.
+        if kill % 2:
+            _wait_for(lambda: bench.calls_file.exists() and "quick" in bench.calls_file.read_text(), child)
+        time.sleep(rng.uniform(0, window_s))
+        child.kill()
+        child.join()
+        lines = bench.calls_file.read_text().splitlines() if bench.calls_file.exists() else []
+        bench.calls_file.unlink(missing_ok=True)
+        calls = [line.removeprefix("quick ") for line in lines if line.startswith("quick ")]
+        assert not finished & set(calls), "a row that was finished before was computed again"
+        computed.update(calls)
+        now = _keys(folder)
+        assert now >= finished, "a finished row was lost"
+        assert len(set(calls) - now) <= 1, "at most the row under way is lost with the process"
+        # On a busy machine a row takes longer than the window: widen it until rows get through.
+        window_s = 0.02 if len(now) > len(finished) else min(2.0, 1.3 * window_s)
+        finished = now
+    assert len(finished) > 5
+    done = bench.run(text)
+    assert len(done.rows) == 150
+    assert done.missing == ()
+    alone = bench.run(text, out="alone")
+    assert bits(done.rows) == bits(alone.rows)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
+def test_two_processes_share_one_study_without_harm(bench: Bench) -> None:
+    text = LONG + "options.calibrator.sleep_s = 0.004\n"
+    children = [_in_child(bench, text) for _ in range(2)]
+    for child in children:
+        child.join(300)
+    assert [child.exitcode for child in children] == [0, 0]
+    # They begin at opposite ends; only where they meet may both compute a row.
+    assert 150 <= bench.calls()["quick"] <= 154
+    done = bench.run(text)
+    assert done.computed == 0
+    assert bits(done.rows) == bits(bench.run(text, out="alone").rows)
+
+
+def test_the_command_prints_what_is_measured_beside_what_is_published(bench: Bench, capsys, monkeypatch) -> None:
+    monkeypatch.setenv("P2O_CACHE", str(bench.root))
+    file = bench.root / "s.toml"
+    published = '[[published]]\nlabel = "RGGNet"\nsource = "2020"\nbeside = "quick"\nvalues = { rotation_deg = 1.18 }\n'
+    file.write_text(QUICK + published)
+    words = ["ablate", str(file), "--plugin", str(PLUGIN), "--out", str(bench.root / "out"), "--jobs", "1"]
+    assert main([*words, "--frames", "0,1", "--seeds", "3"]) == 0
+    out, err = capsys.readouterr()
+    lines = out.splitlines()
+    assert lines[0] == "Tiny"
+    assert lines[2].split() == ["quick", "6", "0", "0.500", "0.500", "0.025", "0.025", "measured"]
+    assert lines[3].split() == ["RGGNet", "1.180", "-", "published"]
+    assert "p2o: calibrating: 6 of 6 (quick, tiny/001, seed 2)" in err
+    assert "6 rows computed" in err
+    assert main([*words, "--quiet", "--frames", "0,1", "--seeds", "3"]) == 0
+    assert capsys.readouterr().err == ""
+    file.write_text(QUICK + 'options.calibrator.fail_on = "tiny/001"\n')
+    assert main(words) == 1
+    assert "2 (2 crashed)" in capsys.readouterr().out
+    file.write_text(QUICK + "options.calibrator.interrupt_after = 2\n")
+    assert main(words) == 130
+    assert "the same command goes on from here" in capsys.readouterr().err
+
+
+def test_the_command_lists_studies_and_refuses_what_it_cannot_do(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["ablate", "--list"]) == 0
+    assert "smoke " in capsys.readouterr().out
+    for words, told in (
+        ([], "which study?"),
+        (["smok"], "did you mean smoke"),
+        (["smoke", "--seeds", "none"], "cannot read the seeds"),
+        (["smoke", "--update"], "--gate FILE"),
+        (["smoke", "--address", "tcp://x:1"], "have no address"),
+    ):
+        assert main(["ablate", *words]) == 2
+        assert told in capsys.readouterr().err
+
+
+def test_seeds_are_a_number_or_a_list() -> None:
+    assert chosen_seeds("10") == 10
+    assert chosen_seeds("3, 5") == (3, 5)
+    for text in ("0", "", "-1", "1,", "a"):
+        with pytest.raises(InputError, match="--seeds"):
+            chosen_seeds(text)
+
+
+def test_the_gate_of_the_how_to_works_with_the_example_plugin(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = (Path(__file__).parents[3] / "docs" / "how-to" / "ablation-ci.md").read_text(encoding="utf-8")
+    [study] = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    example = Path(__file__).parents[2] / "example_plugin"
+    monkeypatch.syspath_prepend(str(example))
+    monkeypatch.setenv("P2O_CACHE", str(bench.root))
+    file, reference = bench.root / "example-gate.toml", bench.root / "reference.json"
+    file.write_text(study)
+    words = ["ablate", str(file), "--plugin", str(example / "p2o_example" / "hooks.py"), "--quiet", "--jobs", "1"]
+    words += ["--out", str(bench.root / "out"), "--gate", str(reference)]
+    assert main([*words, "--update"]) == 0
+    assert main(words) == 0
+    assert "gate: open" in capsys.readouterr().out
+    file.write_text(study + "options.pipeline.rounds = 1\noptions.solver.iterations = 1\n")
+    assert main(words) in (0, 1)
+    assert "gauss-newton: mean rotation_deg" in capsys.readouterr().out
+
+
+def test_the_study_of_the_page_on_studies_is_one() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "studies.md").read_text(encoding="utf-8")
+    [text] = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    study = parse_study(text)
+    assert [row.label for row in check_study(study, Plugins().registry())] == ["ogm", "ogm-lr", "nearest", "ogm, wide"]
+    for name in (*Study.model_fields, *RowTable.model_fields, *Published.model_fields):
+        assert f"`{name}`" in page or f"[[{name}]]" in page or f"[{name}]" in page or f"{name}." in page, name

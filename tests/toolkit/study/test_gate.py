@@ -1,0 +1,201 @@
+"""The gate closes on what is worse, missing or crashed, says which rows and frames moved, and is written on request."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from p2o import InputError
+from p2o.cli import main
+from p2o.study.gate import judge, make_reference, read_reference, write_reference
+from p2o.study.store import Planned, StoredRow
+from p2o.study.study import parse_study
+from p2o.study.tally import table, tallies
+
+PLUGIN = Path(__file__).parents[2] / "study_plugin.py"
+TEXT = """name = "s"
+title = "S"
+[[dataset]]
+name = "tiny"
+data = "tiny:"
+[[row]]
+label = "a"
+calibrator = "quick"
+[[row]]
+label = "b"
+section = "more"
+calibrator = "quick"
+"""
+STUDY = parse_study(TEXT)
+
+
+def rows(**changes: object) -> list[StoredRow]:
+    """Return two calibrations of each row; `changes` are of the first."""
+    found = [
+        StoredRow(
+            f"{label}{frame}", "s", label, frames=(f"f/{frame}",), status="converged",
+            rotation_deg=0.1 * (frame + 1), translation_m=0.02, section={"b": "more"}.get(label, ""),
+        )
+        for label in "ab"
+        for frame in (0, 1)
+    ]  # fmt: skip
+    return [replace(found[0], **changes), *found[1:]]
+
+
+REFERENCE = make_reference(STUDY, rows())
+
+
+def test_what_is_unchanged_or_a_little_worse_passes() -> None:
+    same = judge(STUDY, rows(), [], REFERENCE)
+    assert same.open
+    assert str(same) == "gate: open"
+    # The mean of 0.1 and 0.2 deg may grow by 0.05: the first by 0.1.
+    assert judge(STUDY, rows(rotation_deg=0.199), [], REFERENCE).open
+    closed = judge(STUDY, rows(rotation_deg=0.201), [], REFERENCE)
+    assert closed.failures == ("a: mean rotation_deg 0.2005, was 0.1500 and may be 0.2000",)
+
+
+def test_better_passes_and_is_shown() -> None:
+    verdict = judge(STUDY, rows(rotation_deg=0.0), [], REFERENCE)
+    assert verdict.open
+    assert verdict.moved == ("a: mean rotation_deg 0.1500 -> 0.1000", "  a, f/0, seed 0: rotation_deg 0.1000 -> 0.0000")
+
+
+def test_a_row_that_crashed_is_missing_or_new_closes_it() -> None:
+    crashed = rows(status="stage-failed", reason="no such luck", exception="Traceback", rotation_deg=None)
+    assert "a: 1 of 2 crashed, such as: no such luck" in judge(STUDY, crashed, [], REFERENCE).failures
+    absent = judge(STUDY, rows()[1:], [Planned("a0", "s", "a")], REFERENCE).failures
+    assert "a: 1 calibrations are missing" in absent
+    assert "a: 1 calibrations of the reference are missing, such as f/0, seed 0" in absent
+    assert judge(STUDY, rows()[:2], [], REFERENCE).failures == ("b: in the reference, but not in the study",)
+    renamed = [replace(row, row="c") if row.row == "b" else row for row in rows()]
+    assert "c: not in the reference (write it with --update)" in judge(STUDY, renamed, [], REFERENCE).failures
+    other = REFERENCE.model_copy(update={"study": "t"})
+    assert "the reference is of study t, not of s" in judge(STUDY, rows(), [], other).failures
+    assert not judge(STUDY, [], [Planned("a0", "s", "a")], REFERENCE).open
+
+
+def test_errors_that_are_no_numbers_close_it() -> None:
+    unknown = [replace(row, rotation_deg=None) for row in rows()]
+    assert any("mean rotation_deg nan" in line for line in judge(STUDY, unknown, [], REFERENCE).failures)
+
+
+def test_more_refused_calibrations_than_may_be_close_it() -> None:
+    refused = rows(status="too-few-matches")
+    verdict = judge(STUDY, refused, [], REFERENCE)
+    assert verdict.failures == ("a: 1 of 2 calibrations were refused, was 0",)
+    assert verdict.moved == ("  a, f/0, seed 0: was solved, now refused or crashed",)
+    tolerance = REFERENCE.tolerance.model_copy(update={"failures": 1})
+    assert judge(STUDY, refused, [], REFERENCE.model_copy(update={"tolerance": tolerance})).open
+    assert judge(STUDY, rows(), [], make_reference(STUDY, refused)).open
+
+
+def test_a_reference_comes_back_and_an_update_keeps_the_tolerances_that_were_edited(tmp_path: Path) -> None:
+    path = tmp_path / "reference.json"
+    write_reference(path, REFERENCE)
+    assert read_reference(path) == REFERENCE
+    content = json.loads(path.read_text())
+    content["tolerance"]["mean"]["rotation_deg"] = 1.5
+    path.write_text(json.dumps(content))
+    again = make_reference(STUDY, rows(rotation_deg=0.5), read_reference(path))
+    assert again.tolerance.mean == {"rotation_deg": 1.5, "translation_m": 0.01}
+    assert again.rows["a"].mean["rotation_deg"] == pytest.approx(0.35)
+    lines = Path(path).read_text().count("\n"), len(rows())
+    write_reference(path, again)
+    assert path.read_text().count("\n") > lines[1], "a line for each calibration, so that a diff can be read"
+
+
+def test_a_row_may_have_a_tolerance_of_its_own() -> None:
+    own = REFERENCE.tolerance.model_copy(update={"rows": {"a": {"rotation_deg": 0.2}}})
+    reference = REFERENCE.model_copy(update={"tolerance": own})
+    assert judge(STUDY, rows(rotation_deg=0.499), [], reference).open
+    assert not judge(STUDY, rows(rotation_deg=0.501), [], reference).open
+    assert not judge(STUDY, rows(rotation_deg=0.499, translation_m=0.041), [], reference).open, "others hold on"
+    assert not judge(STUDY, [replace(row, rotation_deg=0.21) for row in rows()], [], reference).open, "of row b, too"
+    again = make_reference(STUDY, rows(), reference)
+    assert again.tolerance.rows == own.rows
+    assert make_reference(STUDY, rows()[2:], reference).tolerance.rows == {}, "it goes with its row"
+
+
+@pytest.mark.parametrize("tolerance", ['{"c": {"rotation_deg": 1.0}}', '{"a": {"yaw_deg": 1.0}}'])
+def test_a_tolerance_of_what_is_not_there_is_told(tmp_path: Path, tolerance: str) -> None:
+    path = tmp_path / "reference.json"
+    write_reference(path, REFERENCE)
+    path.write_text(path.read_text().replace('"rows": {}', f'"rows": {tolerance}'))
+    with pytest.raises(InputError, match=r"tolerance of .*row '[ac]', which is not"):
+        read_reference(path)
+
+
+@pytest.mark.parametrize("content", ["", "{}", "[1]", '{"study": "s", "tolerance": {}, "rows": {}, "more": 1}'])
+def test_another_file_is_no_reference(tmp_path: Path, content: str) -> None:
+    (tmp_path / "r.json").write_text(content)
+    with pytest.raises(InputError, match=r"no reference of a study.*--update"):
+        read_reference(tmp_path / "r.json")
+    with pytest.raises(InputError, match=r"cannot be read.*--update"):
+        read_reference(tmp_path / "gone.json")
+
+
+def test_means_and_medians_are_of_absolute_errors_and_refused_ones_count() -> None:
+    errors = [-1.0, 2.0, 6.0, None]
+    statuses = ["converged", "rounds-spent", "no-improvement", "stage-failed"]
+    made = [
+        StoredRow(str(i), "s", "a", yaw_deg=error, status=status)
+        for i, (error, status) in enumerate(zip(errors, statuses, strict=True))
+    ]
+    [tally] = tallies(made, ["yaw_deg"])
+    assert (tally.count, tally.solved, tally.crashed, tally.refused) == (4, 2, 1, 1)
+    assert (tally.mean["yaw_deg"], tally.median["yaw_deg"]) == (3.0, 2.0)
+    [nothing] = tallies([made[3]], ["yaw_deg"])
+    assert np.isnan(nothing.mean["yaw_deg"])
+
+
+def test_the_table_shows_published_figures_beside_the_row_they_belong_to() -> None:
+    text = TEXT + '[[published]]\nlabel = "theirs"\nsource = "x"\nbeside = "a"\nvalues = { translation_m = 0.5 }\n'
+    text += '[[published]]\nlabel = "others"\nsource = "x"\nvalues = { rotation_deg = 1.18 }\n'
+    lines = [line.split() for line in table(parse_study(text), rows()).splitlines()]
+    assert [line[0] for line in lines[1:]] == ["a", "theirs", "[more]", "b", "[published]", "others"]
+    assert lines[1][1:] == ["2", "0", "0.150", "0.150", "0.020", "0.020", "measured"]
+    assert lines[2][1:] == ["-", "0.500", "published"]
+
+
+def test_the_command_writes_the_reference_passes_it_and_fails_when_a_method_gets_worse(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("P2O_CACHE", str(tmp_path))
+    monkeypatch.delenv("P2O_PLUGINS", raising=False)
+    file, reference = tmp_path / "s.toml", tmp_path / "reference.json"
+    plain = TEXT.replace('title = "S"', 'title = "S"\nperturb = "1deg 0.05m"')
+    file.write_text(plain)
+    words = ["ablate", str(file), "--plugin", str(PLUGIN), "--out", str(tmp_path / "out"), "--jobs", "1", "--quiet"]
+    assert main([*words, "--gate", str(reference)]) == 2
+    assert "--update" in capsys.readouterr().err
+    assert main([*words, "--gate", str(reference), "--update"]) == 0
+    assert main([*words, "--gate", str(reference)]) == 0
+    assert capsys.readouterr().out.endswith("gate: open\n")
+
+    file.write_text(plain.replace('label = "a"\n', 'label = "a"\noptions.calibrator.gain = 0.9\n'))
+    assert main([*words, "--gate", str(reference)]) == 1
+    out = capsys.readouterr().out
+    assert "FAIL  a: mean rotation_deg 0.9000, was 0.5000 and may be 0.5500" in out
+    assert "a, tiny/001, seed 0: rotation_deg 0.5000 -> 0.9000" in out
+
+    file.write_text(plain + 'options.calibrator.fail_on = "tiny/001"\n')
+    assert main([*words, "--gate", str(reference)]) == 1
+    assert "b: 1 of 3 crashed" in capsys.readouterr().out
+    assert main([*words, "--gate", str(reference), "--update"]) == 2
+    assert main([*words, "--gate", str(reference), "--frames", "0"]) == 1
+    assert "2 calibrations of the reference are missing, such as tiny/001, seed 0" in capsys.readouterr().out
+
+
+def test_the_reference_of_the_small_study_fits_it_and_leaves_no_row_out() -> None:
+    path = Path(__file__).parents[3] / "baselines" / "p2o_baselines" / "studies" / "smoke-reference.json"
+    study = parse_study(path.with_name("smoke.toml").read_text(encoding="utf-8"))
+    reference = read_reference(path)
+    assert reference.study == study.name
+    assert set(reference.rows) == {row.label for row in study.rows()}
+    assert all(row.failures == 0 for row in reference.rows.values())
+    # The search is worth its row: without it the start of 4 deg is left as it is.
+    assert reference.rows["ogm, search"].mean["rotation_deg"] < 0.2

@@ -1,0 +1,208 @@
+"""A study file says what to run; whatever is wrong with it is told before any work."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from p2o import InputError, Registry, UnknownNameError
+from p2o.study.study import ALL_JOINT, check_study, find_study, parse_study, shipped_studies
+
+PLUGIN = Path(__file__).parents[2] / "study_plugin.py"
+HEAD = 'name = "s"\ntitle = "S"\n[[dataset]]\nname = "tiny"\ndata = "tiny:"\n'
+ROW = '[[row]]\nlabel = "a"\n'
+TINY = '[defaults]\nextractor = "tiny/tiny"\n'
+SIDES = '[[variant]]\nname = "ogm-lr"\nmatcher = "ogm"\noptions.matcher.sides = "LR"\n'
+
+
+@pytest.fixture(scope="module")
+def registry() -> Registry:
+    return Registry.load(extra_files=[PLUGIN], environ={})
+
+
+def test_a_product_combines_its_lists_and_a_variant_stands_for_a_method_with_options(registry: Registry) -> None:
+    text = HEAD + TINY + SIDES + '[[product]]\nmatcher = ["ogm", "ogm-lr"]\nsolver = ["lm", "scipy"]\n'
+    rows = check_study(parse_study(text), registry)
+    assert [row.label for row in rows] == ["ogm lm", "ogm scipy", "ogm-lr lm", "ogm-lr scipy"]
+    assert [row.words["matcher"] for row in rows] == ["ogm"] * 4
+    assert [row.said["matcher"] for row in rows] == ["ogm", "ogm", "ogm-lr", "ogm-lr"]
+    assert [row.words["options"] for row in rows] == [
+        {},
+        {},
+        {"matcher": {"sides": "LR"}},
+        {"matcher": {"sides": "LR"}},
+    ]
+    assert rows[3].resolve(registry, 0).parts["matcher"].options.sides == "LR"
+
+
+def test_rows_follow_products_and_say_their_own_start_seeds_and_joining(registry: Registry) -> None:
+    text = (
+        'perturb = "2deg 0.15m"\nseeds = 3\n'
+        + HEAD
+        + TINY
+        + '[[product]]\nlabel = "{init}!"\ninit = ["given", "search"]\nseeds = [4, 7]\n'
+        + ROW
+        + 'joint = true\nperturb = "uniform 3deg 0.15m"\n[[row]]\nlabel = "b"\njoint = 5\n'
+    )
+    rows = check_study(parse_study(text), registry)
+    assert [(row.label, row.seeds, row.joint, row.words["perturb"]) for row in rows] == [
+        ("given!", (4, 7), 0, "2deg 0.15m"),
+        ("search!", (4, 7), 0, "2deg 0.15m"),
+        ("a", (0, 1, 2), ALL_JOINT, "uniform 3deg 0.15m"),
+        ("b", (0, 1, 2), 5, "2deg 0.15m"),
+    ]
+    assert rows[2].recipe(1).joint
+    assert not rows[3].recipe(1).joint
+
+
+def test_options_of_a_default_are_left_behind_where_another_method_takes_its_place(registry: Registry) -> None:
+    text = (
+        HEAD
+        + '[defaults]\nextractor = "tiny/tiny"\nmatcher = "ogm"\n[defaults.options]\nmatcher = { sides = "LR" }\n'
+        + "cloud = { step = 0.5 }\npipeline = { rounds = 3 }\n"
+        + ROW
+        + '[[row]]\nlabel = "b"\nmatcher = "nearest"\nextractor = "tiny-plain/tiny"\n'
+        + '[[row]]\nlabel = "c"\ncalibrator = "quick"\n'
+    )
+    first, second, third = check_study(parse_study(text), registry)
+    assert first.words["options"]["matcher"] == {"sides": "LR"}
+    assert second.words["options"] == {"cloud": {"step": 0.5}, "pipeline": {"rounds": 3}}
+    assert third.words == {"calibrator": "quick", "options": {}}
+
+
+def test_several_datasets_give_a_row_each(registry: Registry) -> None:
+    text = HEAD + '[[dataset]]\nname = "more"\ndata = "tiny:?frames=5"\n' + TINY + ROW + '[[row]]\nlabel = "b"\n'
+    rows = check_study(parse_study(text + 'dataset = ["more"]\n'), registry)
+    assert [row.label for row in rows] == ["a @ tiny", "a @ more", "b @ more"]
+    assert [row.dataset.name for row in rows] == ["tiny", "more", "more"]
+
+
+def test_the_command_line_changes_data_frames_and_seeds() -> None:
+    two = '[[dataset]]\nname = "more"\ndata = "tiny:"\n'
+    study = parse_study(HEAD + two + ROW + "seeds = 9\n").overridden(["more=fake:x=1"], "0-3", 2)
+    assert [(d.data, d.frames) for d in study.dataset] == [("tiny:", "0-3"), ("fake:x=1", "0-3")]
+    assert study.rows()[0].seeds == (0, 1)
+    assert parse_study(HEAD + ROW).overridden(["fake:a/b"]).dataset[0].data == "fake:a/b"
+    with pytest.raises(InputError, match="NAME=DATASET:PATH with a NAME of tiny, more"):
+        study.overridden(["fake:x"])
+    with pytest.raises(UnknownNameError, match="did you mean more"):
+        study.overridden(["mor=fake:x"])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('colour = "red"\n' + HEAD + ROW, r"unknown key 'colour'.*expected one of: dataset, defaults"),
+        (HEAD + ROW + 'macher = "ogm"\n', r"\[\[row\]\] 1 'a': unknown key 'macher'.*did you mean matcher"),
+        (HEAD + ROW + "joint = 1\n", r"\[\[row\]\] 1 'a': joint is not valid"),
+        (HEAD + ROW + 'seeds = "many"\n', "seeds is not valid"),
+        (HEAD + "[[row]]\n" + 'matcher = "ogm"\n', r"\[\[row\]\] 1: label is not said"),
+        ('name = "s"\ntitle = "S"\n' + ROW, "dataset is not said"),
+        (HEAD + ROW + '[[published]]\nlabel = "x"\nsource = "y"\nvalues = { speed = 3 }\n', "'x': values is not valid"),
+        ("name = x\n", "my.toml: the study is not TOML.*line 1"),
+        ('name = "Table 2"\n' + HEAD[11:] + ROW, "name is not valid"),
+    ],
+)
+def test_a_word_that_does_not_belong_is_named_with_its_place(text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        parse_study(text, "my.toml")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (HEAD, r"there are no rows"),
+        (HEAD + ROW + ROW, "two of the kind row are called 'a'"),
+        (HEAD + SIDES + SIDES + ROW, "two of the kind variant are called 'ogm-lr'"),
+        (HEAD + HEAD[22:] + ROW, "two of the kind dataset are called 'tiny'"),
+        (HEAD + ROW + 'use = ["ogm-rl"]\n' + SIDES, "unknown variant 'ogm-rl'.*did you mean ogm-lr"),
+        (HEAD + SIDES + ROW + 'solver = "ogm-lr"\n', "variant 'ogm-lr' sets no solver"),
+        (
+            HEAD + SIDES + ROW + 'matcher = "nearest"\nuse = ["ogm-lr"]\n',
+            "variant 'ogm-lr' and row 'a' both set matcher",
+        ),
+        (HEAD + SIDES + '[[variant]]\nname = "x"\nmatcher = "ogm-lr"\n' + ROW, "made of the variant 'ogm-lr'"),
+        (HEAD + ROW + 'dataset = ["other"]\n', "unknown dataset 'other'"),
+        (HEAD + ROW + "seeds = [1, 1]\n", "different seeds"),
+        (HEAD + "[[product]]\nseeds = 3\n", "nothing to combine"),
+        (HEAD + '[[product]]\nmatcher = ["ogm", "ogm"]\n', "two of the kind matcher of a product are called 'ogm'"),
+        (HEAD + '[[product]]\nlabel = "{mather}"\nmatcher = ["ogm"]\n', r"such as \{matcher\}"),
+        (HEAD + ROW + '[[published]]\nlabel = "p"\nsource = "q"\nvalues = {}\nbeside = "b"\n', "unknown row 'b'"),
+    ],
+)
+def test_names_that_clash_or_lead_nowhere_are_refused(text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        parse_study(text).rows()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (HEAD + ROW + 'matcher = "omg"\n', "row 'a': unknown matcher 'omg'.*did you mean ogm"),
+        (HEAD + ROW + "options.matcher.sides = 3\n", "row 'a': matcher.sides"),
+        (HEAD + ROW + 'options.macher = { sides = "LR" }\n', "unknown stage 'macher'"),
+        (
+            HEAD + ROW + 'extractor = "tiny-plain/tiny"\n',
+            "row 'a': tiny-plain gives no side; ogm needs it; try --matcher",
+        ),
+        (HEAD + ROW + 'calibrator = "quick"\nsolver = "lm"\n', "row 'a': calibrator 'quick' is a whole method"),
+        (HEAD + ROW + 'perturb = "2 degrees"\n', "cannot read the size"),
+        (HEAD + '[[variant]]\nname = "nearest"\nmatcher = "ogm"\n' + ROW, "'nearest' is called like a matcher"),
+        (HEAD.replace("tiny:", "kitty:") + ROW, "row 'a': unknown dataset 'kitty'.*did you mean"),
+        (HEAD + '[[variant]]\nname = "x"\nperturb = "far"\n' + ROW, "cannot read the size"),
+    ],
+)
+def test_what_cannot_be_run_is_refused_with_its_row_and_what_would_fit(
+    text: str, message: str, registry: Registry
+) -> None:
+    with pytest.raises(InputError, match=message):
+        check_study(parse_study(text), registry)
+
+
+def test_studies_are_found_by_path_and_by_name(tmp_path: Path, registry: Registry) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(HEAD + ROW)
+    found = find_study(str(file), registry)
+    assert found.study.name == "s"
+    assert found.text == HEAD + ROW
+    assert find_study("table2", registry).study == find_study("table2@p2o-calib", registry).study
+    with pytest.raises(UnknownNameError, match="did you mean table2"):
+        find_study("tabel2", registry)
+    with pytest.raises(InputError, match="no such study file"):
+        find_study(str(tmp_path / "gone.toml"), registry)
+    assert "table2" not in shipped_studies(Registry()), "studies of plugins that are left out are not there"
+
+
+def test_a_package_that_offers_plugins_ships_studies_without_a_hook(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package = tmp_path / "acme_p2o"
+    (package / "studies").mkdir(parents=True)
+    (package / "__init__.py").write_text("")
+    (package / "hooks.py").write_text("")
+    (package / "studies" / "table2.toml").write_text(HEAD + ROW)
+    (package / "studies" / "acme.toml").write_text(HEAD + ROW)
+    info = tmp_path / "acme_p2o-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: acme-p2o\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[p2o]\nacme = acme_p2o.hooks\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    registry = Registry.load(environ={})
+    assert find_study("acme", registry).study.name == "s"
+    with pytest.raises(InputError, match=r"shipped by several.*table2@acme-p2o or table2@p2o-calib"):
+        find_study("table2", registry)
+    assert find_study("table2@acme-p2o", registry).study.name == "s"
+    assert "acme" not in shipped_studies(Registry.load(block=["acme-p2o"], environ={}))
+
+
+@pytest.mark.parametrize("name", ["table2", "boxplot", "convergence", "smoke"])
+def test_every_study_that_is_shipped_can_be_run(name: str, registry: Registry) -> None:
+    study = find_study(name, registry).study
+    assert study.name == name
+    rows = check_study(study.overridden([] if name == "smoke" else ["kitti-raw:somewhere"]), registry)
+    assert len(rows) >= 2
+    if name == "table2":
+        published = {p.label: p.values for p in study.published}
+        assert published["RGGNet"] == {"rotation_deg": 1.180, "translation_m": 0.088}
+        assert published["line-based"] == {"rotation_deg": 0.388}
+        assert {p.beside for p in study.published} >= {"w/o OGM", "w/o UB", "ours", "MBS"}

@@ -1,0 +1,159 @@
+"""Features are kept by content: what could change them changes their key, and nothing else does."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import p2o
+import pytest
+from p2o import Camera, CloudEdges, CloudFeatures, Image, ImageEdges, ImageFeatures, InputError
+from p2o.run.recipe import Recipe
+from p2o.work import sources
+from p2o.work.cache import FeatureCache, cache_folder, content_hash, features_key, named_files
+from p2o.work.sources import code_hash
+
+FEATURES = ImageFeatures(ImageEdges(np.array([[1 / 3, 2.0], [3, 4]]), np.array([0, -1]), np.array([0.1, 0.2])))
+IMAGE = Image(np.arange(4 * 6 * 3, dtype=np.uint8).reshape(4, 6, 3), Camera.pinhole(5, 5, 3, 2, 6, 4))
+
+
+def part(stage: str = "matcher", **options: object):
+    words = {"options": {stage: options}} if options else {}
+    return Recipe.of(**words).resolve(p2o.Registry.load(environ={})).parts[stage]
+
+
+def test_features_come_back_with_every_bit(tmp_path: Path) -> None:
+    cache = FeatureCache(tmp_path)
+    cloud = CloudFeatures(CloudEdges(np.array([[1, 2, 1 / 7]]), np.array([2])), np.zeros((0, 3)))
+    for key, features in (("aa1", FEATURES), ("bb2", cloud), ("cc3", ImageFeatures())):
+        assert cache.get(key) is None
+        assert cache.put(key, features, 0.25)
+        kept = cache.get(key)
+        assert kept is not None
+        assert kept.seconds == 0.25
+        assert type(kept.features) is type(features)
+        assert content_hash(kept.features) == content_hash(features)
+
+
+def test_what_has_no_form_is_not_kept_and_not_an_error(tmp_path: Path) -> None:
+    cache = FeatureCache(tmp_path)
+    assert not cache.put("aa", object(), 0.0)
+    assert not cache.put("aa", replace(FEATURES, edges=np.array([object()])), 0.0)
+    assert cache.get("aa") is None
+
+
+@pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b"", lambda b: b[:300] + b"x" + b[301:]])
+def test_a_damaged_file_counts_as_none_and_is_replaced(tmp_path: Path, damage) -> None:
+    cache = FeatureCache(tmp_path)
+    cache.put("aa", FEATURES, 0.0)
+    path = cache.path("aa")
+    path.write_bytes(damage(path.read_bytes()))
+    assert cache.get("aa") is None
+    cache.put("aa", FEATURES, 0.0)
+    assert cache.get("aa") is not None
+
+
+def test_nothing_is_left_of_a_file_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez", full)
+    with pytest.raises(InputError, match=r"No space left.*P2O_CACHE"):
+        FeatureCache(tmp_path).put("aa", FEATURES, 0.0)
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+
+
+def test_the_hash_of_an_image_is_that_of_its_bytes_and_camera() -> None:
+    hashes = {content_hash(IMAGE)}
+    assert content_hash(Image(IMAGE.rgb.copy(), IMAGE.camera)) in hashes
+    changed = IMAGE.rgb.copy()
+    changed[3, 5, 2] ^= 1
+    others = [
+        Image(changed, IMAGE.camera),
+        Image(IMAGE.rgb, Camera.pinhole(5, 5, 3, 2.000001, 6, 4)),
+        Image(IMAGE.rgb, IMAGE.camera, depth_m=np.ones((4, 6))),
+        Image(IMAGE.rgb, IMAGE.camera, right=IMAGE.rgb, baseline_m=0.5),
+    ]
+    hashes |= {content_hash(image) for image in others}
+    assert len(hashes) == 5
+
+
+def test_hashes_tell_shapes_types_and_borders_apart() -> None:
+    values = [["ab", "c"], ["a", "bc"], ["abc"], 1, 1.0, True, "1", None, {"a": 1}, [["a", 1]], np.zeros((2, 3))]
+    values += [np.zeros((3, 2)), np.zeros((2, 3), np.float32), [0.0] * 6]
+    assert len({content_hash(value) for value in values}) == len(values)
+    assert content_hash({"a": 1, "b": 2}) == content_hash({"b": 2, "a": 1})
+
+
+def test_the_key_changes_with_data_method_and_options() -> None:
+    keys = {
+        features_key(part("matcher"), "data"),
+        features_key(part("matcher"), "other data"),
+        features_key(part("matcher", sides="LR"), "data"),
+        features_key(part("solver"), "data"),
+    }
+    assert len(keys) == 4
+    assert features_key(part("matcher", sides="LRUB"), "data") in keys, "a default that is said is the default"
+
+
+def test_files_that_options_name_count_with_their_content(tmp_path: Path) -> None:
+    weights = tmp_path / "weights.bin"
+    options = {"weights": str(weights), "more": [{"table": str(tmp_path / "none")}, 3, "text", str(tmp_path)]}
+    assert named_files(options) == {}
+    weights.write_bytes(b"1")
+    first = named_files(options)
+    weights.write_bytes(b"2")
+    assert list(first) == [str(weights)]
+    assert named_files(options) != first
+
+
+CODE = {
+    "__init__.py": "",
+    "method.py": "from . import inner\ndef build(options):\n    from .late import y\n",
+    "inner.py": "import numpy\nx = 1\n",
+    "late.py": "y = 1\n",
+    "apart.py": "z = 1\n",
+    "weights.bin": "0",
+}
+
+
+@pytest.mark.parametrize("file", [None, *CODE])
+def test_the_hash_of_code_changes_with_what_is_imported_and_with_data_and_with_nothing_else(
+    file: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A package of its own for every case: Python imports a name only once.
+    name = f"acme_{(file or 'same').replace('.', '_')}"
+    hashes = []
+    for version in ("old", "new"):
+        folder = tmp_path / version / name
+        folder.mkdir(parents=True)
+        for other, text in CODE.items():
+            (folder / other).write_text(text + "# new\n" if version == "new" and other == file else text)
+        with monkeypatch.context() as patch:
+            patch.syspath_prepend(str(folder.parent))
+            sources._closure.cache_clear()
+            sources._data_files.cache_clear()
+            hashes.append(code_hash(importlib.import_module(f"{name}.method").build))
+            for module in [m for m in sys.modules if m.startswith(name)]:
+                del sys.modules[module]
+    assert (hashes[0] != hashes[1]) == (file in ("method.py", "inner.py", "late.py", "weights.bin", "__init__.py"))
+
+
+def test_code_of_a_matcher_does_not_count_for_an_extractor() -> None:
+    [extractor] = p2o.Registry.load(environ={}).named("canny")
+    names = {name for name, _ in sources._closure(frozenset({extractor.method.build.__module__}))}
+    assert "p2o_baselines.canny" in names
+    assert "p2o.features.edges" in names
+    assert not any(name.startswith(("p2o_plugins.match", "p2o_plugins.solve", "p2o.cli")) for name in names)
+    assert code_hash(extractor.method.build) == code_hash("p2o_baselines.canny")
+
+
+def test_the_folder_is_the_users_cache_unless_it_is_named() -> None:
+    assert cache_folder({"P2O_CACHE": "/x/y", "XDG_CACHE_HOME": "/z"}) == Path("/x/y")
+    if os.name == "posix" and os.uname().sysname == "Linux":
+        assert cache_folder({"XDG_CACHE_HOME": "/z"}) == Path("/z/p2o")
+        assert cache_folder({}) == Path.home() / ".cache" / "p2o"

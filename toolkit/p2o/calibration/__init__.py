@@ -1,0 +1,1 @@
+"""How a method becomes a result: Algorithm 1, the judge, adjustment, agreement, verdict."""

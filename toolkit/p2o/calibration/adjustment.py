@@ -1,0 +1,304 @@
+"""What besides the pose keeps pairs apart, found along with it: errors of the cameras, the motion of the car."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from p2o.arrays import Float
+from p2o.errors import InputError
+from p2o.features.side import Side
+from p2o.geometry import se3
+from p2o.geometry.camera import Camera
+from p2o.geometry.ego_motion import EgoMotion, MotionPrior
+from p2o.geometry.radial_error import LARGEST, RadialError, RadialFit, is_correctable, slopes
+from p2o.problems.point_to_line import PointToLine
+
+_ITERATIONS = 30
+_STILL = 1e-7
+_CAMERA_SIGMA = np.array([0.01, 0.02])
+_CELL_PX = 64.0
+_ALIKE = 10.0
+"""Pairs along one outline err alike: so many tell as much about the motion as one. Chosen on KITTI's `train`."""
+_LEAST_VARIANCE = 0.25
+_TOO_SURE = 2.5
+"""Motions of single frames, of KITTI's `train` and made up, err by 2.2 to 2.5 times the deviation that pairs show."""
+_OUTWARD = {Side.LEFT: (-1.0, 0.0), Side.RIGHT: (1.0, 0.0), Side.UPPER: (0.0, -1.0), Side.BOTTOM: (0.0, 1.0)}
+
+
+@dataclass(frozen=True, eq=False)
+class MotionFit:
+    """The motion of one sweep as the pairs tell it, with its covariance (2, 2) of speed in m/s and turning in rad/s."""
+
+    motion: EgoMotion
+    covariance: Float
+
+
+@dataclass(frozen=True, eq=False)
+class Adjustment:
+    """The pose (4, 4) that fits the pairs best, and what was found with it.
+
+    `covariance` (6, 6) is that of a left update in rad and m with all else unknown as well, or None where the pairs
+    come from too few places to tell; `cameras` has an entry for every camera that was asked, `motions` one for every
+    frame, or none. `step_px` is how far all these together moved the residuals (root mean square).
+    """
+
+    camera_from_lidar: Float
+    covariance: Float | None
+    cameras: tuple[RadialFit, ...]
+    motions: tuple[MotionFit, ...]
+    step_px: float
+
+
+def adjust(
+    problem: PointToLine,
+    camera_from_lidar: Float,
+    *,
+    cameras: bool = True,
+    known: Mapping[Camera, RadialError] | None = None,
+    prior: MotionPrior | None = None,
+    motions: Sequence[EgoMotion] = (),
+) -> Adjustment:
+    """Return pose, radial error of every camera and motion of every sweep that fit the pairs best, all together.
+
+    The cameras of `problem` are those of the calibration; `known` are errors to begin from. With `cameras` False they
+    stay at these. Without a `prior` no motion is looked for; with one, `motions` are those that the points of the
+    problem are corrected for, one a frame (none: they are as measured). The robust sum is that of the problem (Huber).
+
+    Beside cameras the widths of outlines are unknown: that both sensors see them a little too wide or too narrow must
+    not look like another focal length. Errors of cameras are drawn to zero as by a measurement with standard deviations
+    of 1 % and 0.02, motions to what is expected as by one with those of the prior. All covariances take pairs of one
+    direction within 64 px as one measurement (cluster robust: Liang and Zeger, Longitudinal data analysis using
+    generalized linear models, 1986). Cameras whose model has no radial coefficient stay as they are and are not among
+    the fits. Raises InputError for a problem without pairs, and for motions that are not one a frame.
+    """
+    if not len(problem):
+        raise InputError("no pairs to tell anything from", expected="at least one pair", got="none")
+    if motions and len(motions) != len(problem.cameras):
+        raise InputError("the motions are not one a frame", expected=len(problem.cameras), got=len(motions))
+    model = _Model.of(problem, camera_from_lidar, cameras, known or {}, prior, motions)
+    pose, state = np.asarray(camera_from_lidar, np.float64), model.start
+    rows, own, residuals = model.linearised(pose, state)
+    began = residuals
+    for _ in range(_ITERATIONS):
+        weight = problem.weight * problem.huber_px / np.maximum(np.abs(residuals), problem.huber_px)
+        precision = model.precision(weight, residuals)
+        hessian = _normal(rows, own, weight) + np.diag(precision)
+        gradient = _projected(rows, own, weight * residuals)
+        gradient[6:] += precision[6:] * (state - model.expected)
+        step = -np.asarray(np.linalg.lstsq(hessian, gradient, rcond=None)[0], np.float64)
+        pose, state = se3.exp(step[:6]) @ pose, model.within(state + step[6:])
+        rows, own, residuals = model.linearised(pose, state)
+        if np.abs(step).max() < _STILL:
+            break
+    inverse = np.asarray(np.linalg.pinv(hessian))
+    clustered, places = _clustered(problem, rows, own, residuals)
+    covariance = inverse @ clustered @ inverse
+    expected = np.diag(model.prior_score(precision))
+    surely = inverse @ (_TOO_SURE**2 * clustered + expected) @ inverse
+    # As many places as unknowns fit any pose without a residual: with few of them, residuals understate the error.
+    spare = places / (places - 6) if places > 6 else None
+    return Adjustment(
+        pose,
+        None if spare is None else _symmetric((inverse @ (spare * clustered + expected) @ inverse)[:6, :6]),
+        model.camera_fits(state, covariance),
+        model.motion_fits(state, surely),
+        float(np.sqrt(np.mean((residuals - began) ** 2))),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """What residuals depend on beside the pose.
+
+    The state (N,) is focal and radial of every camera in `asked`, the widths of outlines, then speed and turn of every
+    frame. `by_shared` (K, S) are derivatives by the first two, taken once because they hardly change on the way.
+    `motions` (F, 2) are those that the points are corrected for; there are none without a `prior`.
+    """
+
+    problem: PointToLine
+    errors: Mapping[Camera, RadialError]
+    asked: tuple[Camera, ...]
+    by_shared: Float
+    prior: MotionPrior | None
+    motions: Float
+
+    @classmethod
+    def of(
+        cls,
+        problem: PointToLine,
+        pose: Float,
+        cameras: bool,
+        known: Mapping[Camera, RadialError],
+        prior: MotionPrior | None,
+        motions: Sequence[EgoMotion],
+    ) -> _Model:
+        correctable = [camera for camera in dict.fromkeys(problem.cameras) if is_correctable(camera)]
+        errors = {camera: known.get(camera, RadialError()) for camera in correctable}
+        by_shared = np.zeros((len(problem), 0))
+        if cameras:
+            by_shared = np.hstack([_by_error(problem, pose, errors), _outward(problem)])
+        if prior is not None and not motions:
+            motions = [EgoMotion()] * len(problem.cameras)
+        numbers = [[motion.speed_m_s, motion.turn_rad_s] for motion in motions] if prior is not None else []
+        return cls(
+            problem, errors, tuple(correctable) if cameras else (), by_shared, prior, np.reshape(numbers, (-1, 2))
+        )
+
+    @property
+    def start(self) -> Float:
+        """The state (N,) of the problem as it is."""
+        errors = [[self.errors[camera].focal, self.errors[camera].radial] for camera in self.asked]
+        widths = np.zeros(self.by_shared.shape[1] - 2 * len(self.asked))
+        return np.concatenate([np.ravel(errors), widths, self.motions.ravel()])
+
+    @property
+    def expected(self) -> Float:
+        """The state (N,) that is known beforehand."""
+        out = np.zeros(self.by_shared.shape[1] + self.motions.size)
+        if self.prior is not None:
+            way = self.prior.expected
+            out[self.by_shared.shape[1] :] = np.tile([way.speed_m_s, way.turn_rad_s], len(self.motions))
+        return out
+
+    def linearised(self, pose: Float, state: Float) -> tuple[Float, Any, Float]:
+        """Return derivatives by pose and shared state (K, 6 + S), by motions (K, 2 F), sparse, and residuals (K,).
+
+        All are zero where a point is unseen.
+        """
+        problem, shared = self.problem, self.by_shared.shape[1]
+        errors = dict(self.errors) | {
+            camera: RadialError(*state[2 * i : 2 * i + 2].tolist()) for i, camera in enumerate(self.asked)
+        }
+        cameras = tuple(errors[c].corrected(c) if c in errors else c for c in problem.cameras)
+        # What a motion changes is small: its first order is enough.
+        by_speed, by_turn = self._displacements()
+        xyz = problem.xyz
+        if self.prior is not None:
+            change = (state[shared:].reshape(-1, 2) - self.motions)[problem.frame]
+            xyz = xyz + change[:, :1] * by_speed + change[:, 1:] * by_turn
+        residuals, by_pose = replace(problem, cameras=cameras, xyz=xyz).residuals_with_jacobian(pose)
+        rows = np.hstack([by_pose, self.by_shared])
+        by_xyz = by_pose[:, 3:] @ pose[:3, :3]
+        own = np.column_stack([(by_xyz * by_speed).sum(axis=1), (by_xyz * by_turn).sum(axis=1)])
+        unseen = ~(np.isfinite(residuals) & np.isfinite(rows).all(axis=1))
+        # The sum of products with widths comes last: unseen rows hold NaN.
+        rows, own = np.where(unseen[:, None], 0.0, rows), np.where(unseen[:, None], 0.0, own)
+        widths = slice(2 * len(self.asked), shared)
+        residuals = np.where(unseen, 0.0, residuals + self.by_shared[:, widths] @ state[widths])
+        return rows, self._spread(own), residuals
+
+    def _displacements(self) -> tuple[Float, Float]:
+        """Return how points (K, 3) move in m by 1 m/s and by 1 rad/s of their sweeps' motions."""
+        if self.prior is None:
+            return np.zeros((len(self.problem), 3)), np.zeros((len(self.problem), 3))
+        way, time_s = self.prior.expected, self.problem.time_s[:, None]
+        return time_s * way.by_speed[3:], time_s * np.cross(way.by_turn[:3], self.problem.xyz)
+
+    def _spread(self, own: Float) -> Any:
+        """Return derivatives by the own motion (K, 2) as a sparse matrix (K, 2 F) of all."""
+        count = len(own)
+        if self.prior is None:
+            return sparse.csr_array((count, 0))
+        columns = 2 * self.problem.frame[:, None] + np.array([0, 1])
+        at = (own.ravel(), columns.ravel(), np.arange(0, 2 * count + 1, 2))
+        return sparse.csr_array(at, shape=(count, self.motions.size))
+
+    def precision(self, weight: Float, residuals: Float) -> Float:
+        """Return what is known beforehand of pose and state, as the diagonal (6 + N,) of a Hessian."""
+        out = np.zeros(6 + self.by_shared.shape[1] + self.motions.size)
+        out[6 : 6 + 2 * len(self.asked)] = np.tile(1 / _CAMERA_SIGMA**2, len(self.asked))
+        if self.prior is not None:
+            variance = float(weight @ residuals**2) / max(float(weight.sum()), np.finfo(float).tiny)
+            sigma = np.array([self.prior.speed_sigma, self.prior.turn_sigma])
+            known = _ALIKE * max(variance, _LEAST_VARIANCE) / sigma**2
+            out[6 + self.by_shared.shape[1] :] = np.tile(known, len(self.motions))
+        return out
+
+    def prior_score(self, precision: Float) -> Float:
+        """Return the variances (6 + N,) that the gradient has because expected motions are not the true ones."""
+        out = np.zeros(len(precision))
+        if self.prior is not None:
+            variance = np.array([self.prior.speed_sigma, self.prior.turn_sigma]) ** 2
+            at = 6 + self.by_shared.shape[1]
+            out[at:] = precision[at:] ** 2 * np.tile(variance, len(self.motions))
+        return out
+
+    def within(self, state: Float) -> Float:
+        """Return the state (N,) with errors of cameras kept within bounds."""
+        count = 2 * len(self.asked)
+        return np.concatenate([np.clip(state[:count], -0.5 * LARGEST, 0.5 * LARGEST), state[count:]])
+
+    def camera_fits(self, state: Float, covariance: Float) -> tuple[RadialFit, ...]:
+        """Return what the state (N,) says of the cameras; `covariance` is that of pose and state."""
+        places = [(camera, 2 * i, 6 + 2 * i) for i, camera in enumerate(self.asked)]
+        return tuple(
+            RadialFit(camera, RadialError(*state[at : at + 2].tolist()), covariance[row : row + 2, row : row + 2])
+            for camera, at, row in places
+        )
+
+    def motion_fits(self, state: Float, covariance: Float) -> tuple[MotionFit, ...]:
+        """Return what the state (N,) says of the motions; `covariance` is that of pose and state."""
+        fits = []
+        for at in range(self.by_shared.shape[1], len(state), 2):
+            assert self.prior is not None
+            motion = replace(self.prior.expected, speed_m_s=float(state[at]), turn_rad_s=float(state[at + 1]))
+            fits.append(MotionFit(motion, covariance[6 + at : 8 + at, 6 + at : 8 + at]))
+        return tuple(fits)
+
+
+def _normal(rows: Float, own: Any, weight: Float) -> Float:
+    """Return A^T W A (N, N) of A = [rows, own], the second part sparse."""
+    heavy = rows * weight[:, None]
+    mixed = np.asarray((own.T @ heavy).T)
+    return np.block([[heavy.T @ rows, mixed], [mixed.T, (own.T @ (own * weight[:, None])).toarray()]])
+
+
+def _projected(rows: Float, own: Any, values: Float) -> Float:
+    """Return A^T values (N,) of A = [rows, own]."""
+    return np.concatenate([rows.T @ values, np.asarray(own.T @ values)])
+
+
+def _by_error(problem: PointToLine, pose: Float, errors: Mapping[Camera, RadialError]) -> Float:
+    """Return derivatives (K, 2 C) of the residuals by focal and radial of every camera."""
+    rows = np.zeros((len(problem), 2 * len(errors)))
+    xyz = se3.apply(pose, problem.xyz)
+    for i, (camera, error) in enumerate(errors.items()):
+        its = np.array([other == camera for other in problem.cameras])
+        mine = np.flatnonzero(its[problem.frame])
+        slope = slopes(camera, error, xyz[mine])
+        rows[mine, 2 * i : 2 * i + 2] = np.einsum("ka,kap->kp", problem.normal[mine], slope)
+    return rows
+
+
+def _outward(problem: PointToLine) -> Float:
+    """Return how residuals grow (K, W) where outlines are wider and where they are higher; W is 0 without sides."""
+    table = np.array([_OUTWARD.get(Side(s), (0.0, 0.0)) for s in range(len(_OUTWARD))])
+    known = problem.side >= 0
+    if not known.any():
+        return np.zeros((len(problem), 0))
+    out = np.where(known, (table[np.where(known, problem.side, 0)] * problem.normal).sum(axis=1), 0.0)
+    upright = np.isin(problem.side, [Side.LEFT, Side.RIGHT])
+    return np.column_stack([out * upright, out * ~upright])
+
+
+def _clustered(problem: PointToLine, rows: Float, own: Any, residuals: Float) -> tuple[Float, int]:
+    """Return the covariance (N, N) of the gradient, and of how many places the pairs come.
+
+    Pairs of one view, direction and cell of the picture come from one place and count as one measurement.
+    """
+    cell = np.floor(problem.centre / _CELL_PX).astype(np.int64)
+    _, place = np.unique(np.column_stack([problem.frame, problem.side, cell]), axis=0, return_inverse=True)
+    psi = problem.weight * np.clip(residuals, -problem.huber_px, problem.huber_px)
+    count, places = len(problem), int(place.max()) + 1
+    members = sparse.csr_array((psi, (place.reshape(-1), np.arange(count))), shape=(places, count))
+    score = np.hstack([np.asarray(members @ rows), (members @ own).toarray()])
+    return np.asarray(score.T @ score), places
+
+
+def _symmetric(matrix: Float) -> Float:
+    return np.asarray(0.5 * (matrix + matrix.T))

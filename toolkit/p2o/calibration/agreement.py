@@ -1,0 +1,68 @@
+"""Whether the edges of both sensors meet more often than by chance: a first answer to "is my result good?"."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from p2o.arrays import Float
+from p2o.features.side import Side
+from p2o.features.view import View
+from p2o.geometry import se3
+from p2o.problems.directed_cost import distance_maps
+
+NEAR_PX = 3.0
+SURE = 0.5
+"""Image edges of at least this confidence are asked; weak ones are everywhere, and meet any edge by chance."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How LiDAR edges and image edges of their direction meet at a pose.
+
+    `near` is the share of LiDAR edges in the image that have a sure image edge of their direction within `NEAR_PX` px,
+    `chance` the share that points scattered over the same rows of the image would have, `points` how many there are.
+    """
+
+    near: float
+    chance: float
+    points: int
+
+    @property
+    def odds_ratio(self) -> float:
+        """Odds of a meeting over its odds by chance: 1 is chance, NaN without points."""
+        near, chance = (np.clip(p, 1e-6, 1 - 1e-6) for p in (self.near, self.chance))
+        return float(near / (1 - near) / (chance / (1 - chance))) if self.points else float("nan")
+
+
+def agreement(views: Sequence[View], camera_from_lidar: Float) -> Agreement:
+    """Return the agreement of all views at a pose (4, 4).
+
+    A wrong pair of image and sweep can be fitted to an odds ratio of 1 to 5; right pairs at a right pose have more
+    (docs/benchmarks.md). It is a test of whether the edges belong together, not of how accurate the pose is.
+    """
+    near, chance, points = 0.0, 0.0, 0
+    for view in map(_surest, views):
+        uv = view.camera.project(se3.apply(camera_from_lidar, view.cloud_edges.xyz))
+        inside = view.camera.in_image(uv)
+        uv, side = uv[inside], view.cloud_edges.side[inside]
+        pixel = np.clip(np.rint(uv).astype(np.int64), 0, [view.camera.width - 1, view.camera.height - 1])
+        sides = [Side(int(s)) for s in np.unique(side)]
+        for number, meets in zip(sides, distance_maps(view, sides, 4 * NEAR_PX, 1) <= NEAR_PX, strict=True):
+            u, v = pixel[side == number].T
+            low, high = np.percentile(v, [2, 98]).astype(np.int64)
+            near += float(meets[v, u].sum())
+            chance += float(meets[low : high + 1].mean()) * len(v)
+            points += len(v)
+    return Agreement(near / points, chance / points, points) if points else Agreement(0.0, 0.0, 0)
+
+
+def _surest(view: View) -> View:
+    """Return the view with its sure image edges alone, or with all where none is sure."""
+    edges = view.image_edges
+    sure = edges.weight >= SURE
+    if sure.all() or not sure.any():
+        return view
+    return replace(view, image=replace(view.image, edges=edges.select(sure)))

@@ -1,0 +1,173 @@
+"""Pictures of what a calibration sees: edges of both sensors, or the sweep, drawn over a darkened image."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from p2o.arrays import Float, Int, Int8, UInt8, checked
+from p2o.errors import InputError
+from p2o.features.edges import CloudEdges, ImageEdges
+from p2o.features.side import Side
+from p2o.files.whole_file import write_whole
+from p2o.frames.cloud import Cloud
+from p2o.geometry import se3
+from p2o.geometry.camera import Camera
+
+COLOURS: Mapping[str, tuple[int, int, int]] = {
+    "L": (40, 220, 60),
+    "R": (255, 60, 50),
+    "U": (255, 225, 40),
+    "B": (70, 130, 255),
+}
+"""RGB of the four directions, as in the paper: L green, R red, U yellow, B blue."""
+IMAGE_NONE = (255, 255, 255)
+"""Image edges without a direction are white."""
+CLOUD_NONE = (255, 70, 255)
+"""LiDAR edges without a direction are magenta."""
+
+_RADIUS_PX = 3.0
+
+
+def draw(
+    rgb: UInt8,
+    image_edges: ImageEdges,
+    cloud_edges: CloudEdges,
+    camera: Camera,
+    camera_from_lidar: Float,
+    *,
+    legend: bool = True,
+) -> UInt8:
+    """Return (H, W, 3): image edges as single pixels and LiDAR edges, projected at a pose (4, 4), as small rings.
+
+    Image edges fade into the picture with their confidence. The colour tells the direction (`COLOURS`). The centre of
+    a ring shows what lies beneath it: where the pose is right, rings have a line of their own colour through the
+    middle. LiDAR edges outside of the image are left out.
+
+    Raises InputError if the image does not fit the camera.
+    """
+    canvas = _dimmed(rgb, camera)
+    _stamp_faded(canvas, image_edges)
+    uv = camera.project(se3.apply(camera_from_lidar, cloud_edges.xyz))
+    seen = camera.in_image(uv)
+    centre, colours = np.rint(uv[seen]).astype(np.int64), _colours(cloud_edges.side[seen], CLOUD_NONE)
+    _stamp(canvas, centre, _ring(_RADIUS_PX), colours)
+    if legend:
+        _write_legend(canvas)
+    return canvas
+
+
+def draw_cloud(
+    rgb: UInt8, cloud: Cloud, camera: Camera, camera_from_lidar: Float, *, near_m: float = 4.0, far_m: float = 80.0
+) -> UInt8:
+    """Return (H, W, 3): the points of a sweep at a pose (4, 4), from red (near) to blue (far, on a scale of 1/depth).
+
+    Raises InputError if the image does not fit the camera, or far_m is not beyond near_m.
+    """
+    if not 0 < near_m < far_m:
+        raise InputError("the depth scale is empty", expected="0 < near_m < far_m", got=f"{near_m:g}, {far_m:g}")
+    import cv2
+
+    canvas = _dimmed(rgb, camera)
+    xyz = se3.apply(camera_from_lidar, cloud.xyz)
+    uv = camera.project(xyz)
+    seen = np.flatnonzero(camera.in_image(uv))
+    seen = seen[np.argsort(-xyz[seen, 2], kind="stable")]  # near points last, on top
+    closeness = (1 / xyz[seen, 2] - 1 / far_m) / (1 / near_m - 1 / far_m)
+    table = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_TURBO)[:, 0, ::-1]
+    colours = table[np.clip(np.sqrt(np.clip(closeness, 0, 1)) * 255, 0, 255).astype(np.int64)]
+    dot = np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
+    _stamp(canvas, np.rint(uv[seen]).astype(np.int64), dot, colours)
+    return canvas
+
+
+def before_after(before: UInt8, after: UInt8, *, titles: tuple[str, str] = ("before", "after")) -> UInt8:
+    """Return two pictures (H, W, 3) of one size above each other, each under a bar with its title.
+
+    Raises InputError if the sizes differ.
+    """
+    if np.shape(before) != np.shape(after):
+        raise InputError("the two pictures differ in size", expected=np.shape(before), got=np.shape(after))
+    rows = []
+    for picture, title in zip((before, after), titles, strict=True):
+        bar = np.full((22, picture.shape[1], 3), 24, np.uint8)
+        _write(bar, title, (8, 16))
+        rows += [bar, picture]
+    return np.concatenate(rows)
+
+
+def write_png(path: Path | str, rgb: UInt8) -> None:
+    """Write a picture (H, W, 3) uint8 as PNG, as a whole or not at all.
+
+    Raises InputError if the array is no picture, or the file cannot be written.
+    """
+    import cv2
+
+    picture = checked("the picture", rgb, (None, None, 3), np.uint8)
+    if picture.size == 0:
+        raise InputError("the picture has no pixels", where=path, got=picture.shape)
+    _, data = cv2.imencode(".png", picture[..., ::-1])
+    write_whole(path, data.tobytes())
+
+
+def _dimmed(rgb: UInt8, camera: Camera) -> UInt8:
+    """Return a dark copy with little colour left, so that the drawing stands out."""
+    picture = checked("the image", rgb, (camera.height, camera.width, 3), np.uint8).astype(np.float32)
+    grey = picture @ np.array([0.299, 0.587, 0.114], np.float32)
+    return np.asarray(0.5 * (0.75 * grey[..., None] + 0.25 * picture), np.uint8)
+
+
+def _colours(side: Int8, none: tuple[int, int, int]) -> UInt8:
+    """Return the colour (N, 3) of each direction; Side.NONE is -1, the last row."""
+    table = np.array([*(COLOURS[s.letter] for s in (Side.LEFT, Side.RIGHT, Side.UPPER, Side.BOTTOM)), none], np.uint8)
+    return np.asarray(table[side])
+
+
+def _ring(radius_px: float) -> Int:
+    """Return the pixel offsets (K, 2) of a circle."""
+    reach = int(np.ceil(radius_px))
+    offset = np.stack(np.meshgrid(np.arange(-reach, reach + 1), np.arange(-reach, reach + 1)), -1).reshape(-1, 2)
+    return np.asarray(offset[np.abs(np.hypot(*offset.T) - radius_px) < 0.5])
+
+
+def _stamp(canvas: UInt8, centre: Int, offsets: Int, colours: UInt8) -> None:
+    """Paint the offsets (K, 2) around every centre (N, 2) in its colour (N, 3); what leaves the canvas is cut off."""
+    height, width = canvas.shape[:2]
+    u, v = np.moveaxis(centre[:, None] + offsets, -1, 0)
+    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    rows = np.nonzero(inside)[0]
+    canvas[v[inside], u[inside]] = colours[rows]
+
+
+def _stamp_faded(canvas: UInt8, edges: ImageEdges) -> None:
+    """Paint image edges as single pixels, each as strong as its confidence; of several at a pixel the surest wins."""
+    order = np.argsort(edges.weight, kind="stable")
+    u, v = np.rint(edges.uv[order]).astype(np.int64).T
+    inside = (u >= 0) & (v >= 0) & (u < canvas.shape[1]) & (v < canvas.shape[0])
+    u, v, order = u[inside], v[inside], order[inside]
+    strength = np.clip(edges.weight[order], 0, 1)[:, None]
+    ground = canvas[v, u]
+    canvas[v, u] = np.rint(ground + strength * (_colours(edges.side[order], IMAGE_NONE) - ground.astype(np.float64)))
+
+
+def _write(canvas: UInt8, text: str, place: tuple[int, int], colour: tuple[int, int, int] = (235, 235, 235)) -> None:
+    import cv2
+
+    cv2.putText(canvas, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.42, colour, 1, cv2.LINE_AA)
+
+
+def _write_legend(canvas: UInt8) -> None:
+    """Write what the colours and shapes mean into the top left corner, if there is room for it."""
+    width = 330
+    if canvas.shape[0] < 60 or canvas.shape[1] < width:
+        return
+    white, middle = np.full((1, 3), 235, np.uint8), 15
+    canvas[4:26, 4:width] //= 4
+    for place, (letter, colour) in zip(range(12, 80, 17), COLOURS.items(), strict=False):
+        _write(canvas, letter, (place, 19), colour)
+    canvas[middle, 84:98] = white
+    _write(canvas, "image edge", (104, 19))
+    _stamp(canvas, np.array([[196, middle]]), _ring(_RADIUS_PX), white)
+    _write(canvas, "LiDAR edge, projected", (206, 19))

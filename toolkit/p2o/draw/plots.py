@@ -1,0 +1,119 @@
+"""Figures of a result or a training, written as files; no global state of matplotlib is touched."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+
+from p2o.draw.overlay import COLOURS
+from p2o.errors import InputError
+from p2o.features.side import SIDES
+from p2o.files.whole_file import write_whole
+from p2o.results.result import Result
+
+
+def convergence(result: Result, path: Path | str) -> None:
+    """Write a PNG of a result's rounds, as the paper's convergence figure: matches, residual and directed cost.
+
+    Matches are stacked by direction; rounds that were not kept are hollow. A result without rounds says so.
+    Raises InputError if the file cannot be written.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
+
+    figure = Figure(figsize=(7.0, 4.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(1, 1.2))
+    rounds = result.rounds
+    numbers = list(range(1, len(rounds) + 1))
+    top.set_title(f"{_named(result)}: {result.status.value}", fontsize=10)
+
+    floor = [0] * len(rounds)
+    for side in SIDES:
+        counts = [r.matches.get(side.letter, 0) for r in rounds]
+        if any(counts):
+            top.bar(numbers, counts, 0.7, floor, color=_face(side.letter), label=side.letter)
+            floor = [a + b for a, b in zip(floor, counts, strict=True)]
+    rest = [sum(r.matches.values()) - below for r, below in zip(rounds, floor, strict=True)]
+    if any(rest):
+        top.bar(numbers, rest, 0.7, floor, color="0.75", label="no direction")
+    top.set_ylabel("matches")
+
+    for values, colour, label in (
+        ([r.mean_residual_px for r in rounds], "black", "mean residual"),
+        ([r.directed_cost_px for r in rounds], "tab:purple", "directed cost"),
+    ):
+        bottom.plot(numbers, values, color=colour, lw=1.3, label=label)
+        for kept in (True, False):
+            at = [(n, v) for n, v, r in zip(numbers, values, rounds, strict=True) if r.accepted is kept]
+            bottom.plot(
+                *zip(*at, strict=True) if at else ([], []), "o", ms=5, color=colour, mfc=colour if kept else "w"
+            )
+    bottom.set_ylabel("pixels")
+    bottom.set_xlabel("round" if all(r.accepted for r in rounds) else "round (hollow: not kept)")
+    bottom.xaxis.set_major_locator(MaxNLocator(integer=True))
+    for axis in (top, bottom):
+        axis.grid(axis="y", alpha=0.3)
+        axis.spines[["top", "right"]].set_visible(False)
+        if rounds:
+            axis.set_ylim(0, 1.25 * axis.get_ylim()[1])  # room for the legend
+            axis.legend(fontsize=8, frameon=False, ncols=4, loc="upper right")
+        else:
+            axis.text(0.5, 0.5, "no rounds", ha="center", va="center", transform=axis.transAxes, color="0.5")
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=130, metadata={"Software": None})
+    write_whole(path, picture.getvalue())
+
+
+def _named(result: Result) -> str:
+    return result.frames[0] if len(result.frames) == 1 else f"{len(result.frames)} frames jointly"
+
+
+def _face(letter: str) -> tuple[float, ...]:
+    return tuple(c / 255 for c in COLOURS[letter])
+
+
+def learning_curves(log: Path, path: Path | str) -> None:
+    """Write a PNG of a training's log: a CSV file with columns step, loss, validation (may be empty), learning_rate.
+
+    Raises InputError if the log is something else, or the picture cannot be written.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    try:
+        with log.open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+        columns = {
+            name: [(int(row["step"]), float(row[name])) for row in rows if row[name]]
+            for name in ("loss", "validation", "learning_rate")
+        }
+    except (OSError, ValueError, KeyError, TypeError) as problem:
+        raise InputError(
+            "the log of a training cannot be read",
+            where=log,
+            expected="columns step, loss, validation, learning_rate",
+            got=problem,
+        ) from problem
+    figure = Figure(figsize=(7.0, 4.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    for name, colour, label in (("loss", "tab:blue", "training"), ("validation", "tab:orange", "held out")):
+        if columns[name]:
+            top.plot(*zip(*columns[name], strict=True), "o-", ms=3, lw=1.3, color=colour, label=label)
+    if columns["learning_rate"]:
+        bottom.plot(*zip(*columns["learning_rate"], strict=True), lw=1.3, color="0.4")
+    top.set_ylabel("loss")
+    bottom.set_ylabel("learning rate")
+    bottom.set_xlabel("step")
+    for axis in (top, bottom):
+        axis.grid(axis="y", alpha=0.3)
+        axis.spines[["top", "right"]].set_visible(False)
+        axis.set_ylim(bottom=0)
+    if any(columns[name] for name in ("loss", "validation")):
+        top.legend(fontsize=8, frameon=False)
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=130, metadata={"Software": None})
+    write_whole(path, picture.getvalue())

@@ -1,0 +1,189 @@
+"""What extractors give: directed occlusion edges of the image and of the sweep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from p2o.arrays import Bool, Float, Int8, checked
+from p2o.errors import InputError
+from p2o.features.side import Side
+from p2o.geometry import se3
+from p2o.geometry.motion import moved
+
+_SIDE_NUMBERS = [int(side) for side in Side]
+
+
+def _check_side(name: str, side: Any, count: int) -> Int8:
+    # Checked before the cast, which would wrap 256 to L and cut 0.7 down to it.
+    raw: Float = checked(name, side, (count,), np.float64)
+    unknown = raw[~np.isin(raw, _SIDE_NUMBERS)]
+    if len(unknown):
+        raise InputError(
+            f"{name} holds an unknown direction",
+            expected="-1 (none), 0 L, 1 R, 2 U, 3 B",
+            got=" ".join(f"{v:g}" for v in np.unique(unknown)[:5]),
+        )
+    array: Int8 = checked(name, side, (count,), np.int8)
+    return array
+
+
+def _check_weight(name: str, weight: Any, count: int) -> Float:
+    array: Float = checked(name, np.ones(count) if weight is None else weight, (count,), np.float64)
+    if len(array) and array.min() < 0:
+        raise InputError(f"{name} is negative", expected="weights >= 0", got=f"{array.min():g}")
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class ImageEdges:
+    """Occlusion edges of one image: `uv` (N, 2) px on the foreground side, `side` (N,) int8, `weight` (N,) >= 0.
+
+    `weight` is the confidence of an edge point, 1 where the extractor has none. Search structures are built on first
+    use and kept. Raises InputError for wrong shapes, unknown sides, negative or non-finite values.
+    """
+
+    uv: Float
+    side: Int8
+    weight: Float = field(default=None)  # type: ignore[arg-type]  # filled in below
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "uv", checked("uv of the image edges", self.uv, (None, 2), np.float64))
+        object.__setattr__(self, "side", _check_side("side of the image edges", self.side, len(self.uv)))
+        object.__setattr__(self, "weight", _check_weight("weight of the image edges", self.weight, len(self.uv)))
+
+    def __len__(self) -> int:
+        return len(self.uv)
+
+    @classmethod
+    def empty(cls) -> ImageEdges:
+        """Return edges of an image in which there are none."""
+        return cls(np.zeros((0, 2)), np.zeros(0, np.int8))
+
+    @cached_property
+    def sides(self) -> tuple[Side, ...]:
+        """The directions that occur, NONE included, in the order of their numbers."""
+        return tuple(Side(int(s)) for s in np.unique(self.side))
+
+    @cached_property
+    def index(self) -> dict[Side, Any]:
+        """Row numbers of the edges of each occurring direction."""
+        return {s: np.flatnonzero(self.side == s) for s in self.sides}
+
+    @cached_property
+    def trees(self) -> dict[Side, cKDTree]:
+        """A KD-tree over the pixels of each occurring direction; rows as in `index`."""
+        return {s: cKDTree(self.uv[rows]) for s, rows in self.index.items()}
+
+    def without_sides(self) -> ImageEdges:
+        """Return the same edges with every direction forgotten."""
+        return replace(self, side=np.full(len(self), Side.NONE, np.int8))
+
+    def select(self, keep: Bool) -> ImageEdges:
+        """Return the edges of a mask or index."""
+        return ImageEdges(self.uv[keep], self.side[keep], self.weight[keep])
+
+
+@dataclass(frozen=True, eq=False)
+class CloudEdges:
+    """Occlusion edges of one sweep: `xyz` (M, 3) m in the LiDAR frame, on the nearer surface, `side` (M,) int8.
+
+    `sigma_m` (M,) is the standard deviation in metres of the edge's place across its direction (half the gap to the
+    next beam, uniform: gap / sqrt(12)); `weight` (M,) >= 0 the confidence that it is an edge at all. `background`
+    (M, 3) are unit directions in the LiDAR frame from the edge towards its background, zero where unknown: with them
+    the side can be told for any way the two sensors are mounted (`View.as_seen_from`). `time_s` (M,) is when an edge of
+    a sweep as measured was seen, in seconds from the image; 0 where there are no times, and where the sweep was
+    corrected for motion: such edges are where they are.
+    """
+
+    xyz: Float
+    side: Int8
+    weight: Float = field(default=None)  # type: ignore[arg-type]  # filled in below
+    sigma_m: Float = field(default=None)  # type: ignore[arg-type]
+    background: Float = field(default=None)  # type: ignore[arg-type]
+    time_s: Float = field(default=None)  # type: ignore[arg-type]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "xyz", checked("xyz of the cloud edges", self.xyz, (None, 3), np.float64))
+        count = len(self.xyz)
+        object.__setattr__(self, "side", _check_side("side of the cloud edges", self.side, count))
+        object.__setattr__(self, "weight", _check_weight("weight of the cloud edges", self.weight, count))
+        sigma = np.zeros(count) if self.sigma_m is None else self.sigma_m
+        object.__setattr__(self, "sigma_m", _check_weight("sigma_m of the cloud edges", sigma, count))
+        background = np.zeros((count, 3)) if self.background is None else self.background
+        background = checked("background of the cloud edges", background, (count, 3), np.float64)
+        object.__setattr__(self, "background", background)
+        time_s = np.zeros(count) if self.time_s is None else self.time_s
+        object.__setattr__(self, "time_s", checked("time_s of the cloud edges", time_s, (count,), np.float64))
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+    @classmethod
+    def empty(cls) -> CloudEdges:
+        """Return edges of a sweep in which there are none."""
+        return cls(np.zeros((0, 3)), np.zeros(0, np.int8))
+
+    def without_sides(self) -> CloudEdges:
+        """Return the same edges with every direction forgotten."""
+        return replace(self, side=np.full(len(self), Side.NONE, np.int8))
+
+    def select(self, keep: Any) -> CloudEdges:
+        """Return the edges of a mask or index."""
+        rows = (self.xyz, self.side, self.weight, self.sigma_m, self.background, self.time_s)
+        return CloudEdges(*(values[keep] for values in rows))
+
+    def moved(self, b_from_lidar: Float) -> CloudEdges:
+        """Return the edges in another frame b: xyz transformed by a (4, 4) rigid transform."""
+        turned = self.background @ b_from_lidar[:3, :3].T
+        return replace(self, xyz=se3.apply(b_from_lidar, self.xyz), background=turned)
+
+    def untwisted(self, twist: Float) -> CloudEdges:
+        """Return the edges as if seen at time 0 from a LiDAR that moves with constant `twist` (6,), rad/s and m/s.
+
+        Times are kept: calling it twice adds both motions (their commutator is far below a millimetre).
+        """
+        if not self.time_s.any():
+            return self
+        background = moved(twist, self.time_s, self.background, directions=True)
+        return replace(self, xyz=moved(twist, self.time_s, self.xyz), background=background)
+
+
+@dataclass(frozen=True, eq=False)
+class ImageFeatures:
+    """What an image extractor gives; a field stays None where a method has nothing of that kind."""
+
+    edges: ImageEdges | None = None
+
+    def without_sides(self) -> ImageFeatures:
+        """Return the features with every direction forgotten."""
+        return replace(self, edges=None if self.edges is None else self.edges.without_sides())
+
+
+@dataclass(frozen=True, eq=False)
+class CloudFeatures:
+    """What a cloud extractor gives: `edges`, and `points` (K, 3) m, the surfaces that can hide something."""
+
+    edges: CloudEdges | None = None
+    points: Float | None = None
+
+    def __post_init__(self) -> None:
+        if self.points is not None:
+            object.__setattr__(
+                self, "points", checked("points of the cloud features", self.points, (None, 3), np.float64)
+            )
+
+    def without_sides(self) -> CloudFeatures:
+        """Return the features with every direction forgotten."""
+        return replace(self, edges=None if self.edges is None else self.edges.without_sides())
+
+    def moved(self, b_from_lidar: Float) -> CloudFeatures:
+        """Return the features in another frame b, by a (4, 4) rigid transform."""
+        return CloudFeatures(
+            None if self.edges is None else self.edges.moved(b_from_lidar),
+            None if self.points is None else se3.apply(b_from_lidar, self.points),
+        )

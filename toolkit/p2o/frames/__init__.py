@@ -1,0 +1,1 @@
+"""What sensors gave: images, sweeps, and frames that join them; how frames are chosen."""

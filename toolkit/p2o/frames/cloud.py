@@ -1,0 +1,103 @@
+"""What the LiDAR gives: one sweep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from p2o.arrays import Bool, Float, Int, checked
+from p2o.errors import InputError
+from p2o.geometry.motion import moved
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """One sweep; `xyz` (N, 3) in metres, LiDAR frame, in the order the sensor or file gives.
+
+    Optional per point: `ring` (N,) beam index, any order; `intensity` (N,) as given; `time_s` (N,) seconds relative
+    to the image; `column` (N,) firing index. Use `Cloud.from_raw` for data that may hold missing returns.
+
+    A sweep that was corrected for ego-motion says so by `twist` (6,), the sensor's velocity in rad/s and m/s in its own
+    frame: the points lie where they would have been measured at time 0, and `as_measured` takes that back.
+
+    Raises InputError for wrong shapes, no points at all, points that are not finite, and a twist without times.
+    """
+
+    xyz: Float
+    ring: Int | None = None
+    intensity: Float | None = None
+    time_s: Float | None = None
+    column: Int | None = None
+    twist: Float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "xyz", checked("xyz", self.xyz, (None, 3), np.float64))
+        count = len(self.xyz)
+        if count == 0:
+            raise InputError("the cloud has no points", expected="at least one point")
+        for name, dtype in (
+            ("ring", np.int64),
+            ("intensity", np.float64),
+            ("time_s", np.float64),
+            ("column", np.int64),
+        ):
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, checked(name, value, (count,), dtype))
+        if self.twist is not None:
+            object.__setattr__(self, "twist", checked("twist", self.twist, (6,), np.float64))
+            if self.time_s is None:
+                raise InputError("a sweep that was corrected for motion has no times", expected="time_s", got="none")
+
+    @classmethod
+    def from_raw(cls, xyz: Any, **per_point: Any) -> tuple[Cloud, tuple[str, ...]]:
+        """Return the cloud without NaN, infinite and all-zero points (missing returns), and warnings that count them.
+
+        Raises InputError if no point is left.
+        """
+        xyz = checked("xyz", xyz, (None, 3), np.float64, finite=False)
+        finite = np.isfinite(xyz).all(axis=1)
+        zero = finite & ~xyz.any(axis=1)
+        keep = finite & ~zero
+        if len(xyz) and not keep.any():
+            kind = "all-zero" if zero.any() else "NaN or infinite"
+            raise InputError(
+                "no point of the cloud can be used", expected="finite points", got=f"{len(xyz)} {kind} points"
+            )
+        warnings = [
+            f"{n} of {len(xyz)} points dropped: {why}"
+            for n, why in ((int((~finite).sum()), "NaN or infinite"), (int(zero.sum()), "all zero"))
+            if n
+        ]
+        kept: dict[str, Any] = {k: None if v is None else np.asarray(v)[keep] for k, v in per_point.items()}
+        return cls(xyz[keep], **kept), tuple(warnings)
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+    def select(self, index: Int | Bool) -> Cloud:
+        """Return the points of an index or mask (any length), all fields alike."""
+        values: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "twist"}
+        picked: dict[str, Any] = {name: None if value is None else value[index] for name, value in values.items()}
+        return Cloud(**picked, twist=self.twist)
+
+    def untwisted(self, twist: Float) -> Cloud:
+        """Return the sweep as if it was measured at time 0 from a sensor that moves with constant `twist` (6,).
+
+        The twist is in the LiDAR frame (rad/s, m/s); points measured at t move by exp(twist t). Times are kept, and the
+        twist is noted. A sweep without times is returned as it is; one that was corrected before is measured anew.
+        """
+        if self.time_s is None:
+            return self
+        return replace(self, xyz=moved(twist, self.time_s, self.as_measured()), twist=twist)
+
+    def as_measured(self) -> Float:
+        """Return the points (N, 3) as the sensor measured them, each in its own frame at the point's own time.
+
+        That is where rings are cones and beams evenly apart. Without `twist` it is `xyz` itself.
+        """
+        if self.twist is None or self.time_s is None:
+            return self.xyz
+        return moved(self.twist, -self.time_s, self.xyz)

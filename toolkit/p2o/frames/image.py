@@ -1,0 +1,77 @@
+"""What the camera gives: a colour image with its camera, and what may come beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from p2o.arrays import Bool, Float, UInt8, checked
+from p2o.errors import InputError
+from p2o.geometry.camera import Camera
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """One picture; `rgb` (H, W, 3) uint8, `camera` of the same size.
+
+    Optional: `right` (H, W, 3) uint8, the right picture of a rectified pair whose camera has the same intrinsics and
+    stands `baseline_m` metres along +x; `depth_m` (H, W) float, depth along the optical axis in metres, +inf for sky,
+    NaN where unknown; `masked` (H, W) bool, pixels whose edges are meaningless (foliage, the own car).
+
+    Raises InputError for wrong shapes, a grey image, a size that does not fit the camera, or depth that is not
+    positive.
+    """
+
+    rgb: UInt8
+    camera: Camera
+    right: UInt8 | None = None
+    baseline_m: float | None = None
+    depth_m: Float | None = None
+    masked: Bool | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("rgb", "right"):
+            value = getattr(self, name)
+            if value is None:
+                continue
+            if np.ndim(value) == 2 or (np.ndim(value) == 3 and np.shape(value)[2] != 3):
+                raise InputError(
+                    f"the image ({name}) is not RGB",
+                    expected="(H, W, 3) uint8",
+                    got=np.shape(value),
+                    hint="repeat a grey image on three channels",
+                )
+            if np.asarray(value).dtype != np.uint8:
+                raise InputError(f"the image ({name}) is not 8 bit", expected="uint8", got=np.asarray(value).dtype)
+            object.__setattr__(self, name, checked(name, value, (None, None, 3), np.uint8))
+        size = (self.camera.height, self.camera.width)
+        for name in ("rgb", "right", "depth_m", "masked"):
+            value = getattr(self, name)
+            if value is not None and np.shape(value)[:2] != size:
+                raise InputError(
+                    f"the image size ({name}) does not fit the camera",
+                    expected=f"{size[1]}x{size[0]} px",
+                    got=f"{np.shape(value)[1]}x{np.shape(value)[0]} px" if np.ndim(value) >= 2 else np.shape(value),
+                    hint="is this the calibration of another camera or of the unrectified images?",
+                )
+        if self.depth_m is not None:
+            depth = checked("depth_m", self.depth_m, size, np.float64, finite=False)
+            if (depth <= 0).any():
+                raise InputError(
+                    "depth is not positive", expected="metres > 0, NaN where unknown", got=f"{np.nanmin(depth):g}"
+                )
+            object.__setattr__(self, "depth_m", depth)
+        if self.masked is not None:
+            object.__setattr__(self, "masked", checked("masked", self.masked, size, np.bool_))
+        if (self.right is None) != (self.baseline_m is None):
+            raise InputError(
+                "a rectified pair needs both its right picture and its baseline", expected="right and baseline_m"
+            )
+
+    @cached_property
+    def grey(self) -> UInt8:
+        """Luma (H, W) uint8 (ITU-R BT.601 weights)."""
+        grey: UInt8 = (self.rgb @ np.array([0.299, 0.587, 0.114]) + 0.5).astype(np.uint8)
+        return grey

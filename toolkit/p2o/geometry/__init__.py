@@ -1,0 +1,1 @@
+"""Geometry without data: rigid transforms, cameras, motion, errors of poses."""

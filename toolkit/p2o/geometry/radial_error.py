@@ -1,0 +1,144 @@
+"""What can be wrong with a camera's calibration: its focal length and its radial distortion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from p2o.arrays import Float
+from p2o.errors import InputError
+from p2o.geometry.camera import Camera
+
+LARGEST = 0.2
+"""No camera that was ever calibrated is as wrong as this."""
+_STEP = 1e-6
+_FIRST_RADIAL = {
+    "SIMPLE_RADIAL": 3,
+    "RADIAL": 3,
+    "OPENCV": 4,
+    "FULL_OPENCV": 4,
+    "SIMPLE_RADIAL_FISHEYE": 3,
+    "RADIAL_FISHEYE": 3,
+    "OPENCV_FISHEYE": 4,
+    "THIN_PRISM_FISHEYE": 4,
+}
+_FOCAL = {"SIMPLE_RADIAL": 1, "RADIAL": 1, "SIMPLE_RADIAL_FISHEYE": 1, "RADIAL_FISHEYE": 1}
+"""How many focal lengths a model has, if not two."""
+
+
+@dataclass(frozen=True)
+class RadialError:
+    """An error of a camera's calibration: the true focal length is 1 + `focal` times that of the calibration.
+
+    `radial` is to be added to the first radial coefficient of the camera's model (k1; of distortion as in Brown,
+    Close-range camera calibration, 1971, or of the angle for fisheye models). Raises InputError for values that are
+    not finite or larger than 0.2, which no calibrated camera has.
+    """
+
+    focal: float = 0.0
+    radial: float = 0.0
+
+    def __post_init__(self) -> None:
+        size = np.abs([self.focal, self.radial])
+        if not (np.isfinite(size).all() and size.max() <= LARGEST):
+            raise InputError(
+                "the error of the camera's calibration is out of bounds",
+                expected=f"focal and radial of at most {LARGEST}",
+                got=f"{self.focal:g}, {self.radial:g}",
+            )
+
+    def __bool__(self) -> bool:
+        return bool(self.focal or self.radial)
+
+    def corrected(self, camera: Camera) -> Camera:
+        """Return the camera without the error; a pinhole becomes an OPENCV camera.
+
+        Raises InputError for a model that has no radial coefficient.
+        """
+        if not self:
+            return camera
+        model, params = _radial_model(camera)
+        count = _FOCAL.get(model, 2)
+        focal = [f * (1 + self.focal) for f in params[:count]]
+        params = [*focal, *params[count:]]
+        params[_FIRST_RADIAL[model]] += self.radial
+        return Camera(model, camera.width, camera.height, tuple(params))
+
+    def seen(self, camera: Camera, uv: Float) -> Float:
+        """Return where in the picture (..., 2) px is seen what the calibration puts at pixels (..., 2)."""
+        return self.corrected(camera).project(camera.rays(uv))
+
+    def calibrated(self, camera: Camera, uv: Float) -> Float:
+        """Return where the calibration puts (..., 2) px what is seen at pixels (..., 2): the inverse of `seen`."""
+        return camera.project(self.corrected(camera).rays(uv))
+
+    def shift_px(self, camera: Camera) -> float:
+        """Return the largest distance in pixels between where things are seen and where the calibration puts them."""
+        uv = _grid(camera)
+        return float(np.nanmax(np.linalg.norm(self.seen(camera, uv) - uv, axis=-1), initial=0.0))
+
+
+def is_correctable(camera: Camera) -> bool:
+    """Return whether the camera's model has a radial coefficient, or is a pinhole."""
+    return camera.model in ("PINHOLE", "SIMPLE_PINHOLE", *_FIRST_RADIAL)
+
+
+def _radial_model(camera: Camera) -> tuple[str, list[float]]:
+    """Return the model of the camera and its parameters, with a radial coefficient."""
+    params = list(camera.params)
+    if camera.model == "PINHOLE":
+        return "OPENCV", [*params, 0.0, 0.0, 0.0, 0.0]
+    if camera.model == "SIMPLE_PINHOLE":
+        return "SIMPLE_RADIAL", [*params, 0.0]
+    if camera.model in _FIRST_RADIAL:
+        return camera.model, params
+    raise InputError(
+        f"camera model {camera.model} has no radial coefficient",
+        expected=", ".join(["PINHOLE", *_FIRST_RADIAL]),
+        hint="take pipeline.camera=trust",
+    )
+
+
+def _grid(camera: Camera) -> Float:
+    """Return pixels (33, 33, 2) all over the picture."""
+    u, v = np.meshgrid(np.linspace(-0.5, camera.width - 0.5, 33), np.linspace(-0.5, camera.height - 0.5, 33))
+    return np.stack([u, v], axis=-1)
+
+
+def slopes(camera: Camera, error: RadialError, xyz: Float) -> Float:
+    """Return derivatives (K, 2, 2) of pixels of points (K, 3) by focal and radial error: [k, axis, parameter]."""
+    columns = []
+    for step in ((_STEP, 0.0), (0.0, _STEP)):
+        ahead, behind = (
+            RadialError(error.focal + sign * step[0], error.radial + sign * step[1]).corrected(camera).project(xyz)
+            for sign in (1, -1)
+        )
+        columns.append((ahead - behind) / (2 * _STEP))
+    return np.stack(columns, axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class RadialFit:
+    """The radial error of one `camera` as the pairs tell it, with its covariance (2, 2) of focal and radial."""
+
+    camera: Camera
+    error: RadialError
+    covariance: Float
+
+    def apart_px(self, other: RadialFit) -> float:
+        """Return how far in pixels, at most, this error and another one of the same camera put things apart."""
+        focal, radial = self.error.focal - other.error.focal, self.error.radial - other.error.radial
+        return RadialError(focal, radial).shift_px(self.camera)
+
+    @property
+    def sigma_px(self) -> float:
+        """Standard deviation of where things are seen, in pixels, at the place in the picture where it is largest."""
+        uv = _grid(self.camera).reshape(-1, 2)
+        ray = self.camera.rays(uv)
+        ray = ray[np.isfinite(ray).all(axis=1)]
+        if not len(ray):
+            return float("inf")
+        slope = slopes(self.camera, RadialError(), ray)
+        variance = np.einsum("kij,jl,kil->k", slope, self.covariance, slope)
+        return float(np.sqrt(np.nanmax(variance, initial=0.0)))

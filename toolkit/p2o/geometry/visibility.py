@@ -1,0 +1,46 @@
+"""Which points the camera can see: another place than the LiDAR's sees other surfaces."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import minimum_filter
+
+from p2o.arrays import Bool, Float
+from p2o.geometry import se3
+from p2o.geometry.camera import Camera
+
+
+def hidden(xyz: Float, surface: Float, camera: Camera, camera_from_lidar: Float, cell_px: float = 4.0) -> Bool:
+    """Return which points (M, 3) lie behind the surfaces sampled by `surface` (K, 3), both in the LiDAR frame, metres.
+
+    A point is hidden where clearly nearer surface samples lie within three cells to its left *and* to its right: a
+    sweep is too sparse for a z-buffer, and a nearer object on one side only means an edge, not an obstacle. Points
+    outside the image are never hidden. Depends on the camera's place much more than on its direction, so a rough
+    extrinsic is good enough.
+    """
+    points = se3.apply(camera_from_lidar, xyz)
+    samples = se3.apply(camera_from_lidar, surface)
+    shape = (int(camera.height // cell_px) + 1, int(camera.width // cell_px) + 1)
+    nearest = np.full(shape, np.inf)
+    uv = camera.project(samples)
+    seen = camera.in_image(uv)
+    rows, columns = _cells(uv[seen], cell_px, shape)
+    np.minimum.at(nearest, (rows, columns), np.linalg.norm(samples[seen], axis=1))
+    # Three cells to one side, three rows high; shifted windows leave the point's own cell out.
+    left = minimum_filter(nearest, size=(3, 3), origin=(0, 1), mode="constant", cval=np.inf)
+    right = minimum_filter(nearest, size=(3, 3), origin=(0, -1), mode="constant", cval=np.inf)
+    left = np.roll(left, 1, axis=1)
+    right = np.roll(right, -1, axis=1)
+    left[:, 0], right[:, -1] = np.inf, np.inf
+    obstacle = np.maximum(left, right)
+    uv = camera.project(points)
+    out = camera.in_image(uv)
+    rows, columns = _cells(uv[out], cell_px, shape)
+    distance = np.linalg.norm(points[out], axis=1)
+    out[out] = obstacle[rows, columns] < 0.95 * distance - 0.3
+    return out
+
+
+def _cells(uv: Float, cell_px: float, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    index = np.clip(((uv + 0.5) // cell_px).astype(np.int64), 0, [shape[1] - 1, shape[0] - 1])
+    return index[:, 1], index[:, 0]

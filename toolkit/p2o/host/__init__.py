@@ -1,0 +1,1 @@
+"""The plugin host: slots, methods, options, the registry, and the guard around every stage."""

@@ -1,0 +1,68 @@
+"""A method is a value: its name, its options, how to build it, and what it needs and gives."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Set
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+from p2o.errors import PluginError
+from p2o.host.options import Options
+from p2o.host.trainer import Trainer
+
+
+class Kind(StrEnum):
+    """The eight slots; the value is what `p2o methods` prints, `hook` the hook that offers methods of the kind."""
+
+    IMAGE_EXTRACTOR = "image extractor"
+    CLOUD_EXTRACTOR = "cloud extractor"
+    MATCHER = "matcher"
+    SOLVER = "solver"
+    INITIALIZER = "initializer"
+    CALIBRATOR = "calibrator"
+    DATASET = "dataset"
+    EXPORTER = "exporter"
+
+    @property
+    def hook(self) -> str:
+        """Name of the hook, such as p2o_image_extractors."""
+        return "p2o_" + self.value.replace(" ", "_") + "s"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Method:
+    """One method that a plugin offers.
+
+    `name` is a slug (a-z, 0-9, -); `build(options)` returns the stage and may import heavy packages; `summary` is one
+    sentence; `needs` and `gives` are words: prefixed ones (image-edges, cloud-edges, pairs, objective) must be given
+    by the side they name, unprefixed ones (side) by both sides. `cite` names the source. `extra` is the extra of
+    p2o-calib, or the package, that has to be installed for it. `expected_failures` maps names of conformance checks
+    that the method is known to fail to the reason. `trainer` says how the method learns, where it does.
+    """
+
+    name: str
+    build: Callable[[Any], Any]
+    summary: str
+    options: type[Options] = Options
+    needs: Set[str] = frozenset()
+    gives: Set[str] = frozenset()
+    cite: str = ""
+    extra: str = ""
+    expected_failures: tuple[tuple[str, str], ...] = ()
+    trainer: Trainer | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "needs", frozenset(self.needs))
+        object.__setattr__(self, "gives", frozenset(self.gives))
+        if not isinstance(self.name, str) or not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", self.name):
+            raise PluginError(f"bad method name {self.name!r}", expected="a slug of a-z, 0-9 and -")
+        if not callable(self.build):
+            raise PluginError(f"method {self.name}: build cannot be called", expected="a function of the options")
+        if not (isinstance(self.options, type) and issubclass(self.options, Options)):
+            raise PluginError(f"method {self.name}: options are not options", expected="a subclass of p2o.Options")
+        if self.trainer is not None and not isinstance(self.trainer, Trainer):
+            raise PluginError(f"method {self.name}: its trainer is none", expected="p2o.Trainer")
+        if not self.summary:
+            raise PluginError(f"method {self.name} has no summary", expected="one sentence")

@@ -1,0 +1,317 @@
+"""The plugin host: finds plugins, lists the methods they offer, and keeps what is broken apart with its reason.
+
+Loading is a call, never an effect of an import. Plugins are entry points of the group "p2o" (or single files); each
+is loaded in its own `try`, so a broken one costs its own methods and nothing else.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any
+
+import pluggy
+
+from p2o.errors import InputError, PluginError, UnknownNameError
+from p2o.host import hookspecs
+from p2o.host.method import Kind, Method
+
+GROUP = "p2o"
+
+
+@dataclass(frozen=True)
+class Offer:
+    """One method with the plugin that offers it; `dist` is the distribution (or file), `entry` its entry point."""
+
+    kind: Kind
+    method: Method
+    dist: str
+    version: str
+    entry: str
+
+    @property
+    def name(self) -> str:
+        """Name of the method."""
+        return self.method.name
+
+    @property
+    def full_name(self) -> str:
+        """The name that decides between two offers of one name: method@distribution."""
+        return f"{self.method.name}@{self.dist}"
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """One plugin that was loaded, with the methods it offers."""
+
+    dist: str
+    version: str
+    entry: str
+    offers: tuple[Offer, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Its name in the registry: distribution:entry."""
+        return f"{self.dist}:{self.entry}"
+
+
+@dataclass(frozen=True)
+class Broken:
+    """One plugin that could not be loaded, and why in one line."""
+
+    dist: str
+    version: str
+    entry: str
+    error: str
+
+    @property
+    def name(self) -> str:
+        """Its name in the registry: distribution:entry."""
+        return f"{self.dist}:{self.entry}"
+
+
+@dataclass(frozen=True)
+class _Source:
+    """Where a plugin comes from before it is loaded: an object, an entry point or a file."""
+
+    dist: str
+    version: str
+    entry: str
+    value: Any
+    forced: bool = False
+
+    @property
+    def name(self) -> str:
+        return f"{self.dist}:{self.entry}"
+
+    def answers_to(self, word: str) -> bool:
+        """True where the user means this plugin by `word`: its distribution, entry point, or both."""
+        return word in (self.name, self.entry) or _slug(word) == _slug(self.dist)
+
+    def load(self) -> Any:
+        if isinstance(self.value, EntryPoint):
+            return self.value.load()
+        return _module_of(self.value) if isinstance(self.value, Path) else self.value
+
+
+@dataclass(frozen=True)
+class Registry:
+    """Every method that can be used, found by kind and name; `plugins` in the order they were loaded.
+
+    Make one with `Registry.load()`, or with `Registry.of(...)` from plugin objects in tests and scripts.
+    """
+
+    plugins: tuple[Plugin, ...] = ()
+    broken: tuple[Broken, ...] = ()
+    blocked: tuple[str, ...] = field(default=())
+
+    @classmethod
+    def load(
+        cls,
+        plugins: Iterable[str] | None = None,
+        block: Iterable[str] = (),
+        extra_files: Iterable[str | Path] = (),
+        environ: Mapping[str, str] | None = None,
+    ) -> Registry:
+        """Load the plugins that are installed, in the order of their names.
+
+        `plugins` names the only ones to load (default: the comma-separated `P2O_PLUGINS` of `environ`; unset: all,
+        empty: none), `block` ones to leave out; a name is a distribution, an entry point, or distribution:entry.
+        `extra_files` are Python files to load besides, however the rest is selected. A broken plugin is left out with
+        one line on stderr; with `P2O_STRICT=1` it raises.
+
+        Raises UnknownNameError for a plugin that is not installed, and PluginError for a broken file of
+        `extra_files` (somebody asked for it) or, when strict, for any broken plugin.
+        """
+        environ = os.environ if environ is None else environ
+        if plugins is None and "P2O_PLUGINS" in environ:
+            plugins = environ["P2O_PLUGINS"].split(",")
+        installed = _installed()
+        chosen, blocked = _selected(installed, plugins, block)
+        files = [_Source(Path(f).name, "", Path(f).stem, Path(f), forced=True) for f in extra_files]
+        return cls._from([*chosen, *files], blocked, strict=environ.get("P2O_STRICT", "") not in ("", "0"))
+
+    @classmethod
+    def of(cls, *plugins: object, **named: object) -> Registry:
+        """Return a registry of plugin objects (modules, classes or instances with hook implementations).
+
+        Keyword arguments name the distribution a plugin counts as; others are called by their own name. A broken
+        plugin raises PluginError.
+        """
+        sources = [_Source(getattr(p, "__name__", type(p).__name__), "", str(i), p) for i, p in enumerate(plugins)]
+        sources += [_Source(name.replace("_", "-"), "", "plugin", p) for name, p in named.items()]
+        return cls._from(sources, (), strict=True)
+
+    @classmethod
+    def _from(cls, sources: Sequence[_Source], blocked: Sequence[str], *, strict: bool) -> Registry:
+        host = pluggy.PluginManager(hookspecs.PROJECT)
+        host.add_hookspecs(hookspecs)
+        good: list[Plugin] = []
+        bad: list[Broken] = []
+        seen: set[str] = set()
+        for source in sources:
+            try:
+                if source.name in seen:
+                    raise PluginError(f"two plugins are called {source.name}", expected="one entry point of a name")
+                good.append(_register(host, source))
+            # A plugin that calls sys.exit() on import must not end the program that only lists it.
+            except (Exception, SystemExit) as problem:
+                # pluggy keeps a plugin that fails validation half registered: its other hooks would still answer.
+                if source.name not in seen and host.has_plugin(source.name):
+                    host.unregister(name=source.name)
+                reason = _one_line(problem)
+                if strict or source.forced:
+                    raise PluginError(
+                        f"cannot load plugin {source.name}", got=reason, hint=_repair_hint(source)
+                    ) from problem
+                bad.append(Broken(source.dist, source.version, source.entry, reason))
+                print(f"p2o: warning: plugin {source.name} left out: {reason}", file=sys.stderr)
+            seen.add(source.name)
+        return cls(tuple(good), tuple(bad), tuple(blocked))
+
+    @cached_property
+    def offers(self) -> tuple[Offer, ...]:
+        """Every offer, by kind, then name, then distribution."""
+        order = {kind: i for i, kind in enumerate(Kind)}
+        found = [offer for plugin in self.plugins for offer in plugin.offers]
+        return tuple(sorted(found, key=lambda o: (order[o.kind], o.name, o.dist, o.entry)))
+
+    def of_kind(self, kind: Kind) -> tuple[Offer, ...]:
+        """Return every offer of a kind, by name."""
+        return tuple(offer for offer in self.offers if offer.kind == kind)
+
+    def named(self, name: str) -> tuple[Offer, ...]:
+        """Return the offers of all kinds that `name` (or name@distribution) means.
+
+        Raises UnknownNameError where there are none.
+        """
+        found = tuple(o for o in self.offers if _matches(o, name))
+        if not found:
+            raise UnknownNameError("method", name, {o.name for o in self.offers}, hint=self._broken_hint())
+        return found
+
+    def find(self, kind: Kind, name: str) -> Offer:
+        """Return the one offer of a kind with this exact name; `name@distribution` decides between two.
+
+        Raises UnknownNameError with the nearest names, all names of the kind, and the broken plugins with their
+        reasons; PluginError where two plugins offer the name, naming both.
+        """
+        found = [offer for offer in self.of_kind(kind) if _matches(offer, name)]
+        if not found:
+            known = {o.full_name if "@" in name else o.name for o in self.of_kind(kind)}
+            raise UnknownNameError(kind.value, name, known, hint=self._broken_hint())
+        if len(found) > 1:
+            givers = " and ".join(f"{o.dist}:{o.entry}" for o in found)
+            raise PluginError(
+                f"{kind.value} '{name}' is offered by two plugins: {givers}",
+                hint="write " + " or ".join(sorted({o.full_name for o in found})) + ", or leave one out with --block",
+            )
+        return found[0]
+
+    def _broken_hint(self) -> str:
+        hints = [f"plugin {b.name} is broken: {b.error}" for b in self.broken]
+        if self.blocked:
+            hints.append("left out on request: " + ", ".join(self.blocked))
+        return "; ".join(hints)
+
+
+def _matches(offer: Offer, name: str) -> bool:
+    bare, at, dist = name.partition("@")
+    return offer.name == bare and (not at or _slug(dist) == _slug(offer.dist))
+
+
+def _slug(name: str) -> str:
+    """Return a distribution name in its normal form (PEP 503)."""
+    return re.sub(r"[-_.]+", "-", name.strip()).lower()
+
+
+def _one_line(problem: BaseException) -> str:
+    text = " ".join(str(problem).split())
+    return text if isinstance(problem, PluginError) else f"{type(problem).__name__}: {text}" if text else repr(problem)
+
+
+def _repair_hint(source: _Source) -> str:
+    if isinstance(source.value, Path):
+        return f"correct {source.value}"
+    return f"leave it out with --block {source.dist}" if isinstance(source.value, EntryPoint) else "correct the plugin"
+
+
+def _installed() -> list[_Source]:
+    """Return the entry points of the group, sorted by distribution and name."""
+    # pluggy's own loader skips a second entry point of one name; reading the group ourselves keeps both.
+    sources = []
+    for entry in entry_points(group=GROUP):
+        dist = entry.dist.name if entry.dist is not None else "unknown"
+        # Where the package importlib_metadata is imported, it gives entry points of a class of its own.
+        plain = EntryPoint(entry.name, entry.value, entry.group)
+        sources.append(_Source(_slug(dist), entry.dist.version if entry.dist is not None else "", entry.name, plain))
+    return sorted(sources, key=lambda s: (s.name, s.value.value))
+
+
+def _selected(
+    installed: Sequence[_Source], only: Iterable[str] | None, block: Iterable[str]
+) -> tuple[list[_Source], list[str]]:
+    """Return what to load and the names of what is left out."""
+    wanted = None if only is None else [word.strip() for word in only if word.strip()]
+    unwanted = [word.strip() for word in block if word.strip()]
+    for label, words in (("plugin in P2O_PLUGINS", wanted or []), ("plugin to block", unwanted)):
+        for word in words:
+            if not any(source.answers_to(word) for source in installed):
+                raise UnknownNameError(label, word, {s.dist for s in installed} | {s.name for s in installed})
+    chosen, left_out = [], []
+    for source in installed:
+        allowed = wanted is None or any(source.answers_to(word) for word in wanted)
+        if allowed and not any(source.answers_to(word) for word in unwanted):
+            chosen.append(source)
+        else:
+            left_out.append(source.name)
+    return chosen, left_out
+
+
+def _module_of(path: Path) -> Any:
+    """Import one file as a module of its own; it does not become importable by name."""
+    if not path.is_file():
+        raise InputError("no such plugin file", where=path, expected="a Python file")
+    spec = importlib.util.spec_from_file_location(f"p2o_plugin_file_{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise InputError("the plugin file is not Python", where=path, expected="a name that ends in .py")
+    module = importlib.util.module_from_spec(spec)
+    # dataclasses and pydantic look their module up while classes are made.
+    sys.modules[spec.name] = module
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[spec.name]
+        raise
+    return module
+
+
+def _register(host: pluggy.PluginManager, source: _Source) -> Plugin:
+    """Register one plugin and list its methods while we still know whose they are."""
+    module = source.load()
+    host.register(module, name=source.name)
+    host.check_pending()
+    others = [plugin for plugin in host.get_plugins() if plugin is not module]
+    offers: list[Offer] = []
+    for kind in Kind:
+        # Called through pluggy, so that a hook may gain arguments without breaking old plugins.
+        for result in host.subset_hook_caller(kind.hook, others)():
+            if isinstance(result, Method) or not isinstance(result, Iterable):
+                raise PluginError(
+                    f"{kind.hook} returned {type(result).__name__}", expected="an iterable of p2o.Method: yield them"
+                )
+            # A generator raises only here, outside of the hook call.
+            for method in result:
+                if not isinstance(method, Method):
+                    raise PluginError(f"{kind.hook} offered {type(method).__name__}", expected="p2o.Method")
+                if any(o.kind == kind and o.name == method.name for o in offers):
+                    raise PluginError(f"{kind.hook} offers '{method.name}' twice", expected="each name once")
+                offers.append(Offer(kind, method, source.dist, source.version, source.entry))
+    return Plugin(source.dist, source.version, source.entry, tuple(offers))

@@ -1,0 +1,58 @@
+"""The types of what `build(options)` returns, slot by slot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Protocol
+
+from p2o.arrays import Float
+from p2o.features.edges import CloudFeatures, ImageFeatures
+from p2o.features.view import View
+from p2o.frames.cloud import Cloud
+from p2o.frames.frame import Frame
+from p2o.frames.image import Image
+from p2o.problems.point_to_line import Problem
+from p2o.results.result import Result, Solution
+
+
+class ImageExtractor(Protocol):
+    """Finds features in one image."""
+
+    def __call__(self, image: Image, /) -> ImageFeatures: ...
+
+
+class CloudExtractor(Protocol):
+    """Finds features in one sweep."""
+
+    def __call__(self, cloud: Cloud, /) -> CloudFeatures: ...
+
+
+class Matcher(Protocol):
+    """Pairs the features of all views at the pose camera_from_lidar (4, 4), within `reach_px` pixels."""
+
+    def __call__(self, views: Sequence[View], camera_from_lidar: Float, reach_px: float, /) -> Problem: ...
+
+
+class Solver(Protocol):
+    """Improves the pose camera_from_lidar (4, 4) on a problem."""
+
+    def __call__(self, problem: Problem, camera_from_lidar: Float, /) -> Solution: ...
+
+
+class Initializer(Protocol):
+    """Proposes starting poses (4, 4) around a given one, best first."""
+
+    def __call__(self, views: Sequence[View], camera_from_lidar: Float, /) -> list[Float]: ...
+
+
+class Calibrator(Protocol):
+    """A whole method: frames without truth and a start (4, 4) to a result."""
+
+    def __call__(self, frames: Sequence[Frame], camera_from_lidar: Float, /) -> Result: ...
+
+
+class Exporter(Protocol):
+    """Writes a result to a file in some system's format."""
+
+    def __call__(self, result: Result, path: Path, /) -> None: ...

@@ -1,0 +1,1 @@
+"""What matchers pose and solvers solve: costs and residuals over poses."""

@@ -1,0 +1,1 @@
+"""One run: the words, the recipe, what fits together, frames in and results out."""

@@ -1,0 +1,284 @@
+"""One run: frames in, results out. The command line and Python both come through here."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from p2o.arrays import Float
+from p2o.errors import InputError, PluginError
+from p2o.frames.frame import Dataset, Frame
+from p2o.frames.selection import select
+from p2o.geometry import se3
+from p2o.geometry.perturb import parse_perturbation
+from p2o.geometry.pose_error import PoseError, pose_error, summarise
+from p2o.host.registry import Registry
+from p2o.host.stages import Calibrator
+from p2o.results.result import Result, Status
+from p2o.results.result_json import result_to_dict
+from p2o.run.recipe import Plan, Recipe, parse_settings
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One result with what is known about its truth: errors are None where the truth is unknown."""
+
+    result: Result
+    truth: Float | None
+    start_error: PoseError | None
+    error: PoseError | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the result object of `p2o run --json`, ready for JSON; NaN becomes null."""
+        errors = {"error": _error_dict(self.error), "start_error": _error_dict(self.start_error)}
+        return {**result_to_dict(self.result), **errors}
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """All results of a recipe: `rows`, one a frame, or one for all frames with `joint`."""
+
+    rows: tuple[Row, ...]
+    joint: bool = False
+    interrupted: bool = False
+
+    @property
+    def result(self) -> Result:
+        """The result of a run that has one; InputError where it has none or several."""
+        if len(self.rows) != 1:
+            raise InputError(f"this run has {len(self.rows)} results", expected="one", hint="look at .rows")
+        return self.rows[0].result
+
+    @property
+    def solved(self) -> bool:
+        """True where every calibration was solved, and there was at least one."""
+        return bool(self.rows) and all(row.result.status.solved for row in self.rows)
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """Counts by status, and means, medians and per-axis means of the errors, from the rows of solved results.
+
+        `start` summarises the errors of the starts of the same rows.
+        """
+        counts = Counter(row.result.status.value for row in self.rows)
+        solved = [row for row in self.rows if row.result.status.solved]
+        return {
+            "count": len(self.rows),
+            "status": dict(sorted(counts.items())),
+            "solved": len(solved),
+            "error": summarise([row.error for row in solved if row.error is not None]),
+            "start": summarise([row.start_error for row in solved if row.start_error is not None]),
+            "interrupted": self.interrupted,
+        }
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the one object of `p2o run --json`: of the joint result, or `results` and `summary`."""
+        if self.joint and len(self.rows) == 1:
+            return self.rows[0].as_dict()
+        return {"results": [row.as_dict() for row in self.rows], "summary": self.summary}
+
+
+@dataclass(frozen=True, eq=False)
+class Progress:
+    """What `on_progress` is told: before each calibration with `row` None, and after it with its row."""
+
+    done: int
+    total: int
+    name: str
+    frames: tuple[Frame, ...]
+    calibrator: Calibrator
+    row: Row | None = None
+
+
+OnProgress = Callable[[Progress], None]
+
+
+def calibrate(
+    data: str | Dataset | Sequence[Frame] | Frame | None = "synthetic:",
+    *,
+    frames: str | None = None,
+    extractor: str | None = None,
+    matcher: str | None = None,
+    solver: str | None = None,
+    init: str | None = None,
+    calibrator: str | None = None,
+    options: Mapping[str, Mapping[str, Any]] | Sequence[str] | None = None,
+    perturb: str | None = None,
+    seed: int | None = None,
+    joint: bool | None = None,
+    start: Float | None = None,
+    on_progress: OnProgress | None = None,
+    registry: Registry | None = None,
+) -> Run:
+    """Calibrate frames and return a `Run`; the same as `p2o run`, whose help explains the words.
+
+    `data` is a text DATASET:PATH, a dataset, frames or one frame. `start` (4, 4) is camera_from_lidar to begin with;
+    without it and without `perturb` each frame's own start is used. `options` maps stage to field to value, or lists
+    texts STAGE.FIELD=VALUE. What is left out takes the default of `Recipe`.
+
+    Raises a P2OError for anything wrong with the words, the data or the plugins. Too few matches and the like are
+    no errors but a status of the result.
+    """
+    given: Sequence[Frame] | Dataset | None = None
+    if isinstance(data, Frame):
+        given, data = [data], None
+    elif data is not None and not isinstance(data, str):
+        given, data = data, None
+    elif data is None:
+        raise InputError("there are no data", expected="DATASET:PATH, a dataset or frames", got=None)
+    settings = None
+    if options is not None:
+        settings = {k: dict(v) for k, v in options.items()} if isinstance(options, Mapping) else parse_settings(options)
+    recipe = Recipe.of(
+        data=data,
+        frames=frames,
+        extractor=extractor,
+        matcher=matcher,
+        solver=solver,
+        init=init,
+        calibrator=calibrator,
+        options=settings,
+        perturb=perturb,
+        seed=seed,
+        joint=joint,
+    )
+    plan = recipe.resolve(Registry.load() if registry is None else registry)
+    return run(plan, given, start=start, on_progress=on_progress)
+
+
+def run(
+    plan: Plan,
+    frames: Sequence[Frame] | Dataset | None = None,
+    *,
+    start: Float | None = None,
+    on_progress: OnProgress | None = None,
+) -> Run:
+    """Run a resolved recipe on its own dataset, or on `frames`; frames are read one at a time unless joint.
+
+    A plugin that fails on a frame ends that frame with status stage-failed and its reason; the others go on
+    (`P2O_DEBUG=1` or `P2O_STRICT=1`: it raises). Raises InputError for frames that cannot be used.
+    """
+    recipe = plan.recipe
+    if start is not None:
+        if recipe.perturb is not None:
+            raise InputError("both a start and a perturbation are given", expected="one of them")
+        start = se3.check_rigid("start", start)
+    dataset: Sequence[Frame] | Dataset = plan.dataset() if frames is None else frames
+    indices = _selected(dataset, recipe.frames)
+    calibrator = plan.calibrator()
+    stamp = {"recipe": plan.described(), "seed": recipe.seed, "versions": plan.versions()}
+    groups = [indices] if recipe.joint else [[index] for index in indices]
+    rows = []
+    for done, group in enumerate(groups):
+        batch = tuple(_frame(dataset, index) for index in group)
+        for frame in batch:
+            plan.check_frame(frame)
+        name = batch[0].name if len(batch) == 1 else f"{len(batch)} frames jointly"
+        progress = Progress(done, len(groups), name, batch, calibrator)
+        if on_progress is not None:
+            on_progress(progress)
+        row = _calibrate_one(calibrator, batch, recipe, start, group[0], stamp)
+        rows.append(row)
+        if on_progress is not None:
+            on_progress(replace(progress, done=done + 1, row=row))
+    return Run(tuple(rows), joint=recipe.joint)
+
+
+def _calibrate_one(
+    calibrator: Calibrator,
+    frames: tuple[Frame, ...],
+    recipe: Recipe,
+    start: Float | None,
+    index: int,
+    stamp: Mapping[str, Any],
+) -> Row:
+    truth = common_pose(frames, "camera_from_lidar")
+    begin, warnings = start_of(frames, truth, recipe, start, index)
+    try:
+        result = calibrator([frame.without_truth() for frame in frames], begin)
+    except PluginError as problem:
+        if any(os.environ.get(name, "") not in ("", "0") for name in ("P2O_DEBUG", "P2O_STRICT")):
+            raise
+        result = Result(tuple(f.name for f in frames), begin, begin, Status.STAGE_FAILED, str(problem))
+    result = replace(result, warnings=(*result.warnings, *warnings), **stamp)
+    if truth is None:
+        return Row(result, None, None, None)
+    return Row(result, truth, pose_error(begin, truth), pose_error(result.camera_from_lidar, truth))
+
+
+def start_of(
+    frames: tuple[Frame, ...], truth: Float | None, recipe: Recipe, start: Float | None, index: int
+) -> tuple[Float, tuple[str, ...]]:
+    """Return the start and what has to be said about it."""
+    if start is not None:
+        return start, ()
+    if recipe.perturb is not None:
+        if truth is None:
+            raise InputError(
+                "the truth is not known, so it cannot be perturbed",
+                where=frames[0].name,
+                hint="leave out --perturb to begin at the start that the data give",
+            )
+        size = parse_perturbation(recipe.perturb)
+        # Seeded by the frame's own number, so that a frame starts alike whichever others are run with it.
+        rng = np.random.default_rng([recipe.seed] if recipe.joint else [recipe.seed, index])
+        return size.start(truth, rng), ()
+    offered = common_pose(frames, "start")
+    if offered is not None:
+        return offered, ()
+    if truth is not None:
+        return truth, ("the start is the calibration that the data give: this checks it (see --perturb)",)
+    raise InputError(
+        "there is no start to calibrate from",
+        where=frames[0].name,
+        expected="a start pose camera_from_lidar in the data",
+        hint="write one in the folder's YAML, or pass start= in Python",
+    )
+
+
+def common_pose(frames: Sequence[Frame], name: str) -> Float | None:
+    """Return the one pose `name` of all frames that know it, or None; InputError where two differ."""
+    known = [frame for frame in frames if getattr(frame, name) is not None]
+    for frame in known[1:]:
+        step = se3.inverse(getattr(known[0], name)) @ getattr(frame, name)
+        if not np.allclose(step, np.eye(4), atol=1e-9):
+            label = "extrinsics" if name == "camera_from_lidar" else "starts"
+            raise InputError(
+                f"frames {known[0].name} and {frame.name} have different {label}",
+                expected="one rig for --joint",
+                got=f"{se3.angle_deg(step):.3g} deg and {se3.distance_m(step):.3g} m apart",
+                hint="calibrate them apart, without --joint",
+            )
+    return getattr(known[0], name) if known else None
+
+
+def _selected(dataset: Sequence[Frame] | Dataset, spec: str) -> list[int]:
+    count = len(dataset)
+    if count == 0:
+        raise InputError("there are no frames", expected="at least one")
+    names = getattr(dataset, "names", None)
+    if names is None:
+        names = [_frame(dataset, index).name for index in range(count)]
+    return select(names, spec, where="--frames", skipped=getattr(dataset, "skipped", None))
+
+
+def _frame(dataset: Sequence[Frame] | Dataset, index: int) -> Frame:
+    frame = dataset[index]
+    if not isinstance(frame, Frame):
+        raise InputError(f"entry {index} of the frames is not a frame", expected="p2o.Frame", got=type(frame).__name__)
+    return frame
+
+
+def _error_dict(error: PoseError | None) -> dict[str, Any] | None:
+    if error is None:
+        return None
+    return {
+        "rotation_deg": error.rotation_deg,
+        "translation_m": error.translation_m,
+        "per_axis": dict(error.per_axis),
+    }

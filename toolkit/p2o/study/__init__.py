@@ -1,0 +1,1 @@
+"""Lists of combinations: study files, their store, workers, the gate."""

@@ -1,0 +1,353 @@
+"""The results of studies as data: one SQLite file, one row a calibration, written whole or not at all.
+
+`pandas.read_sql("select * from rows", "sqlite:///DIR/study.sqlite")` reads what the studies in DIR came to.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from p2o.arrays import Float
+from p2o.errors import InputError
+from p2o.geometry.pose_error import AXES
+from p2o.results.result import Status
+
+FILE = "study.sqlite"
+METRICS = ("rotation_deg", "translation_m", *AXES)
+"""The columns that say how far an estimate is from the truth; those of the axes are signed."""
+
+_VERSION = 1
+_BUSY_S = 60.0
+_OUTER_ERRORS = (
+    sqlite3.SQLITE_PERM,
+    sqlite3.SQLITE_BUSY,
+    sqlite3.SQLITE_READONLY,
+    sqlite3.SQLITE_IOERR,
+    sqlite3.SQLITE_FULL,
+    sqlite3.SQLITE_CANTOPEN,
+)
+"""Errors of SQLite that come from around the file, not from what is in it."""
+
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True)
+class Planned:
+    """One calibration that a study asks for; `key` names what is computed, the rest how the study calls it.
+
+    `row` is the label of the row of the table it belongs to, `section` the heading above it. `dataset`, `extractor`
+    (IMAGE/CLOUD), `matcher`, `solver`, `init` and `calibrator` are the words of the study file, so that the name of a
+    variant stays; they are empty where a row has none.
+    """
+
+    key: str
+    study: str
+    row: str
+    section: str = ""
+    dataset: str = ""
+    extractor: str = ""
+    matcher: str = ""
+    solver: str = ""
+    init: str = ""
+    calibrator: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class StoredRow(Planned):
+    """One finished calibration: `Planned` says what it is called, the rest what came out.
+
+    `joint` is the number of frames that were solved together, 0 where each is solved alone. `status` is that of the
+    `Result`; `exception` the traceback where the run raised. The errors are of `estimate` against `truth`, None
+    where either is unknown; a refused calibration has the errors of its start, which is what the user is left with.
+    `estimate`, `start` and `truth` are camera_from_lidar (4, 4). `rounds` holds `Round`s as dicts, `matches` counts
+    by direction, `seconds` by stage, `recipe` every option that took effect, `inputs` the hashes of each frame's
+    image and sweep. `finished` is the time of day in UTC, ISO 8601.
+    """
+
+    frames: tuple[str, ...] = ()
+    joint: int = 0
+    seed: int = 0
+    perturb: str | None = None
+    status: str = Status.STAGE_FAILED.value
+    reason: str = ""
+    rotation_deg: float | None = None
+    translation_m: float | None = None
+    roll_deg: float | None = None
+    pitch_deg: float | None = None
+    yaw_deg: float | None = None
+    x_m: float | None = None
+    y_m: float | None = None
+    z_m: float | None = None
+    start_rotation_deg: float | None = None
+    start_translation_m: float | None = None
+    estimate: Float | None = None
+    start: Float | None = None
+    truth: Float | None = None
+    rounds: tuple[Mapping[str, Any], ...] = ()
+    matches: Mapping[str, int] = field(default_factory=dict)
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    recipe: Mapping[str, Any] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict)
+    inputs: Mapping[str, Any] = field(default_factory=dict)
+    exception: str | None = None
+    finished: str = ""
+
+    @property
+    def solved(self) -> bool:
+        """True where the estimate is one, and not the start handed back."""
+        return Status(self.status).solved
+
+    @property
+    def crashed(self) -> bool:
+        """True where the run raised: such a row is computed again when the study is started again."""
+        return self.status == Status.STAGE_FAILED
+
+    @property
+    def place(self) -> str:
+        """Name of the frame, or "first +N" for N more that were solved with it."""
+        more = len(self.frames) - 1
+        return self.frames[0] + (f" +{more}" if more else "") if self.frames else ""
+
+
+@dataclass(frozen=True)
+class StoredStudy:
+    """A study as it was last started: the text of its file, and the words of the command line that override it.
+
+    `published` are the `[[published]]` tables of the file as dicts: label, source, values by metric, and so on.
+    """
+
+    name: str
+    toml: str
+    data: Mapping[str, Any]
+    published: tuple[Mapping[str, Any], ...]
+
+
+_LABELS = tuple(f.name for f in fields(Planned))
+_VALUES = tuple(f.name for f in fields(StoredRow) if f.name not in _LABELS)
+_REAL = (*METRICS, "start_rotation_deg", "start_translation_m")
+_INTEGER = ("joint", "seed")
+_POSE = ("estimate", "start", "truth")
+_LISTS = ("frames", "rounds")
+_JSON = (*_POSE, *_LISTS, "matches", "seconds", "recipe", "versions", "inputs")
+
+
+def _type_of(column: str) -> str:
+    return "REAL" if column in _REAL else "INTEGER" if column in _INTEGER else "TEXT"
+
+
+# What is computed (runs) is kept apart from how a study calls it (plan): a new label, a second study with the same
+# row, or an edit that is taken back cost nothing. `rows` is what the studies ask for now.
+_SCHEMA = (
+    "CREATE TABLE studies (name TEXT PRIMARY KEY, toml TEXT, data TEXT, published TEXT)",
+    f"CREATE TABLE runs (key TEXT PRIMARY KEY, {', '.join(f'{c} {_type_of(c)}' for c in _VALUES)})",
+    f"CREATE TABLE plan (study TEXT, position INTEGER, {', '.join(f'{c} TEXT' for c in _LABELS if c != 'study')},"
+    " PRIMARY KEY (study, position))",
+    f"CREATE VIEW rows AS SELECT {', '.join(f'plan.{c} AS {c}' for c in _LABELS)},"
+    f" {', '.join(f'runs.{c} AS {c}' for c in _VALUES)}"
+    " FROM plan JOIN runs ON runs.key = plan.key ORDER BY plan.study, plan.position",
+)
+
+
+class Store:
+    """The file DIR/study.sqlite; several processes may use it at once, and none leaves half a row behind.
+
+    The text form of every field is JSON. Use it as a context manager, or call `close`.
+    """
+
+    def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
+        self.path = path
+        self._connection = connection
+        # A backend may ask from a thread of its own whether a row is still to be computed.
+        self._alone = threading.RLock()
+
+    @classmethod
+    def open(cls, folder: str | Path, *, create: bool = True) -> Store:
+        """Return the store of a folder, which is made if need be (`create` False: InputError where there is none).
+
+        Raises InputError for a folder that cannot be written and for a file that is no store of this version.
+        """
+        path = Path(folder).expanduser() / FILE
+        if not create and not path.is_file():
+            raise InputError("there is no study", where=path, expected="a folder that `p2o ablate --out` wrote")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            connection = sqlite3.connect(path, timeout=_BUSY_S, isolation_level=None, check_same_thread=False)
+        except (OSError, sqlite3.Error) as problem:
+            raise _unkept(path, problem) from problem
+        try:
+            _patiently(lambda: connection.execute("PRAGMA journal_mode=WAL"))
+            # With a write-ahead log this loses no finished row when the process is killed.
+            connection.execute("PRAGMA synchronous=NORMAL")
+            store = cls(path, connection)
+            store._prepare()
+        except sqlite3.Error as problem:
+            connection.close()
+            # The low byte is the kind of error, what is above it the details.
+            if getattr(problem, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF in _OUTER_ERRORS:
+                raise _unkept(path, problem) from problem
+            raise InputError(
+                "this is not a store of studies", where=path, got=problem, hint="choose another folder"
+            ) from problem
+        except InputError:
+            connection.close()
+            raise
+        return store
+
+    def __enter__(self) -> Store:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._connection.close()
+
+    def begin(self, study: StoredStudy, planned: Sequence[Planned]) -> None:
+        """Note what a study asks for now, in the order of its table; `rows` and `missing` follow it from here on."""
+        marks = ", ".join("?" * (len(_LABELS) + 1))
+        columns = ", ".join(("position", *_LABELS))
+        values = [(i, *(getattr(p, c) for c in _LABELS)) for i, p in enumerate(planned)]
+        with self._transaction():
+            self._connection.execute(
+                "INSERT OR REPLACE INTO studies VALUES (?, ?, ?, ?)",
+                (study.name, study.toml, _text(study.data), _text(list(study.published))),
+            )
+            self._connection.execute("DELETE FROM plan WHERE study = ?", (study.name,))
+            self._connection.executemany(f"INSERT INTO plan ({columns}) VALUES ({marks})", values)
+
+    def put(self, row: StoredRow) -> None:
+        """Write one finished calibration, whole or not at all; one of the same key is replaced."""
+        values = [row.key, *(_to_column(c, getattr(row, c)) for c in _VALUES)]
+        marks = ", ".join("?" * len(values))
+        with self._transaction():
+            self._connection.execute(
+                f"INSERT OR REPLACE INTO runs (key, {', '.join(_VALUES)}) VALUES ({marks})", values
+            )
+
+    def finished(self, keys: Iterable[str]) -> set[str]:
+        """Return which of the keys need not be computed again: their run is there and did not raise."""
+        keys = list(dict.fromkeys(keys))
+        found: set[str] = set()
+        for first in range(0, len(keys), 500):
+            some = keys[first : first + 500]
+            query = f"SELECT key FROM runs WHERE status != ? AND key IN ({', '.join('?' * len(some))})"
+            found.update(key for (key,) in self._all(query, (Status.STAGE_FAILED.value, *some)))
+        return found
+
+    def rows(self, study: str) -> list[StoredRow]:
+        """Return what is finished of what the study asks for, in the order of its table."""
+        columns = (*_LABELS, *_VALUES)
+        found = self._all(
+            f"SELECT {', '.join(columns)} FROM rows WHERE study = ?",
+            (study,),
+        )
+        return [
+            StoredRow(**{c: _from_column(c, value) for c, value in zip(columns, row, strict=True)}) for row in found
+        ]
+
+    def missing(self, study: str) -> list[Planned]:
+        """Return what the study asks for and is not there yet, in the order of its table."""
+        query = (
+            f"SELECT {', '.join(_LABELS)} FROM plan WHERE study = ? AND key NOT IN (SELECT key FROM runs)"
+            " ORDER BY position"
+        )
+        return [Planned(*row) for row in self._all(query, (study,))]
+
+    def studies(self) -> list[StoredStudy]:
+        """Return the studies of this folder, by name."""
+        found = self._all("SELECT name, toml, data, published FROM studies ORDER BY name", ())
+        return [
+            StoredStudy(name, toml, json.loads(data), tuple(json.loads(published)))
+            for name, toml, data, published in found
+        ]
+
+    def _all(self, query: str, values: Sequence[Any]) -> list[tuple[Any, ...]]:
+        with self._alone:
+            return _patiently(lambda: self._connection.execute(query, values).fetchall())
+
+    @contextmanager
+    def _transaction(self) -> Iterator[None]:
+        with self._alone:
+            _patiently(lambda: self._connection.execute("BEGIN IMMEDIATE"))
+            try:
+                yield
+            except BaseException:
+                self._connection.execute("ROLLBACK")
+                raise
+            self._connection.execute("COMMIT")
+
+    def _prepare(self) -> None:
+        """Make the tables of a new file."""
+        if self._version() == 0:
+            with self._transaction():
+                # Another process may have been first since we looked.
+                if self._version() == 0:
+                    for statement in _SCHEMA:
+                        self._connection.execute(statement)
+                    self._connection.execute(f"PRAGMA user_version = {_VERSION}")
+        if self._version() != _VERSION:
+            raise InputError(
+                "the store was written by another version of p2o",
+                where=self.path,
+                expected=f"version {_VERSION}",
+                got=f"version {self._version()}",
+                hint="choose another folder",
+            )
+
+    def _version(self) -> int:
+        return int(self._all("PRAGMA user_version", ())[0][0])
+
+
+def _unkept(path: Path, problem: Exception) -> InputError:
+    return InputError(
+        "the results cannot be kept here",
+        where=path,
+        expected="a folder that can be written, with room in it",
+        got=problem,
+        hint="name another folder; a copy of this one does, too",
+    )
+
+
+def _patiently(act: Callable[[], _T]) -> _T:
+    """Return what `act` returns, trying again while another process holds the file."""
+    until = time.monotonic() + _BUSY_S
+    while True:
+        try:
+            return act()
+        except sqlite3.OperationalError as problem:
+            # SQLite does not wait by itself where two processes turn to the write-ahead log at the same moment.
+            if "locked" not in str(problem) or time.monotonic() > until:
+                raise
+            time.sleep(0.01)
+
+
+def _text(value: Any) -> str:
+    return json.dumps(value, allow_nan=False, ensure_ascii=False)
+
+
+def _to_column(column: str, value: Any) -> Any:
+    if column not in _JSON or value is None:
+        return value
+    if column in _POSE:
+        return _text(np.asarray(value).tolist())
+    return _text(list(value) if column in _LISTS else dict(value))
+
+
+def _from_column(column: str, value: Any) -> Any:
+    if column not in _JSON or value is None:
+        return value
+    read = json.loads(value)
+    if column in _POSE:
+        return np.array(read, dtype=np.float64)
+    return tuple(read) if column in _LISTS else read

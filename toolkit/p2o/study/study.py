@@ -1,0 +1,543 @@
+"""Study files: a TOML file that says which methods to compare on which frames, from which starts, beside which figures.
+
+Reading one does no work: every word is looked up, every option validated and every combination fitted together
+first. docs/studies.md explains each key.
+"""
+
+from __future__ import annotations
+
+import importlib.resources
+import itertools
+import re
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, StrictBool, StringConstraints, ValidationError
+
+from p2o.errors import InputError, P2OError, UnknownNameError
+from p2o.geometry.perturb import parse_perturbation
+from p2o.host.method import Kind
+from p2o.host.registry import GROUP, Registry
+from p2o.run.recipe import STAGES, Plan, Recipe
+
+FOLDER = "studies"
+"""Folder of a package that ships studies: PACKAGE/studies/NAME.toml."""
+
+ALL_JOINT = -1
+"""Number of frames that are solved together where it is all of them."""
+
+Slug = Annotated[str, StringConstraints(pattern=r"^[a-z0-9]+([-_.][a-z0-9]+)*$")]
+Label = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, max_length=120)]
+Seeds = Annotated[int, Field(strict=True, ge=1)] | tuple[Annotated[int, Field(strict=True, ge=0)], ...]
+Joint = StrictBool | Annotated[int, Field(strict=True, ge=2)]
+Metric = Literal["rotation_deg", "translation_m", "roll_deg", "pitch_deg", "yaw_deg", "x_m", "y_m", "z_m"]
+Options = dict[str, dict[str, Any]]
+
+WORDS = ("extractor", "matcher", "solver", "init", "calibrator")
+"""The words that choose a method; each may be the name of a variant that sets it."""
+
+_STAGED = ("extractor", "matcher", "solver", "init")
+_KIND_OF_WORD = {
+    "matcher": Kind.MATCHER,
+    "solver": Kind.SOLVER,
+    "init": Kind.INITIALIZER,
+    "calibrator": Kind.CALIBRATOR,
+}
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Words(_Table):
+    """Words of a recipe; what is left out is said elsewhere, or takes the default of `Recipe`."""
+
+    extractor: str | None = None
+    matcher: str | None = None
+    solver: str | None = None
+    init: str | None = None
+    calibrator: str | None = None
+    perturb: str | None = None
+    options: Options = Field(default_factory=dict)
+
+
+class Variant(Words):
+    """Words and options under a name, which stands in the place of a method or in a row's `use`."""
+
+    name: Slug
+
+
+class DatasetTable(_Table):
+    """Frames to run on: `data` is DATASET:PATH as in `p2o run`, or DATASET: where the path comes from --data."""
+
+    name: Slug
+    data: str
+    frames: str = "all"
+    options: dict[str, Any] = Field(default_factory=dict)
+
+
+class _Scope(_Table):
+    """What a row or product may say about itself besides its words."""
+
+    section: str = ""
+    dataset: tuple[Slug, ...] | None = None
+    joint: Joint | None = None
+    seeds: Seeds | None = None
+
+
+class RowTable(Words, _Scope):
+    """One row of the table: its label, the variants that it uses, and further words."""
+
+    label: Label
+    use: tuple[Slug, ...] = ()
+
+
+class Product(_Scope):
+    """Every combination of the lists; `label` is a pattern such as "{matcher} {solver}"."""
+
+    label: Label | None = None
+    use: tuple[tuple[Slug, ...], ...] = ()
+    extractor: tuple[str, ...] = ()
+    matcher: tuple[str, ...] = ()
+    solver: tuple[str, ...] = ()
+    init: tuple[str, ...] = ()
+    calibrator: tuple[str, ...] = ()
+    perturb: tuple[str, ...] = ()
+
+
+class Published(_Table):
+    """Figures of a publication beside ours; `beside` is the label of the row they compare with."""
+
+    label: Label
+    source: Label
+    values: dict[Metric, float]
+    beside: Label | None = None
+    start: str = ""
+    note: str = ""
+
+
+class Study(_Table):
+    """A whole study file.
+
+    `defaults` are words of every row that does not say otherwise. `perturb`, `joint` and `seeds` hold for all rows
+    that do not say their own: a perturbation as in `p2o run`; False (each frame alone), True (all frames together)
+    or a number N (groups of N successive frames together, the last of which may be smaller); a number of seeds, 0 to
+    N - 1, or a list. `metrics` are the columns of the tables.
+    """
+
+    name: Slug
+    title: Label
+    note: str = ""
+    dataset: tuple[DatasetTable, ...] = Field(min_length=1)
+    defaults: Words = Words()
+    variant: tuple[Variant, ...] = ()
+    product: tuple[Product, ...] = ()
+    row: tuple[RowTable, ...] = ()
+    published: tuple[Published, ...] = ()
+    perturb: str | None = None
+    joint: Joint = False
+    seeds: Seeds = 1
+    metrics: tuple[Metric, ...] = Field(default=("rotation_deg", "translation_m"), min_length=1)
+
+    def overridden(
+        self, data: Sequence[str] = (), frames: str | None = None, seeds: int | Sequence[int] | None = None
+    ) -> Study:
+        """Return the study on other data, frames or seeds, as the command line says them.
+
+        `data` are texts DATASET:PATH (a study of one dataset) or NAME=DATASET:PATH. `seeds` replaces those of single
+        rows too. Raises UnknownNameError for a dataset that the study does not name, InputError where it is not said
+        which of several is meant.
+        """
+        tables = {table.name: table for table in self.dataset}
+        for text in data:
+            match = re.fullmatch(r"([a-z0-9_.-]+)=(.+)", text, re.DOTALL)
+            if match is None and len(tables) > 1:
+                raise InputError(
+                    f"study {self.name} has several datasets",
+                    where="--data",
+                    expected="NAME=DATASET:PATH with a NAME of " + ", ".join(tables),
+                    got=text,
+                )
+            name, value = match.groups() if match is not None else (next(iter(tables)), text)
+            if name not in tables:
+                raise UnknownNameError(f"dataset of study {self.name}", name, tables, where="--data")
+            tables[name] = tables[name].model_copy(update={"data": value})
+        if frames is not None:
+            tables = {name: table.model_copy(update={"frames": frames}) for name, table in tables.items()}
+        changes: dict[str, Any] = {"dataset": tuple(tables.values())}
+        if seeds is not None:
+            own = {"seeds": seeds if isinstance(seeds, int) else tuple(seeds)}
+            changes |= own
+            changes["row"] = tuple(row.model_copy(update=own) for row in self.row)
+            changes["product"] = tuple(product.model_copy(update=own) for product in self.product)
+        return self.model_copy(update=changes)
+
+    def rows(self) -> list[StudyRow]:
+        """Return every row of the table, in the order of the file: products first, then explicit rows.
+
+        Raises InputError for clashing names and words, UnknownNameError for variants and datasets that are not there.
+        """
+        return list(_Expansion(self).rows())
+
+
+@dataclass(frozen=True, eq=False)
+class StudyRow:
+    """One row of a study's table on one dataset, ready to be resolved.
+
+    `said` holds the words as the file says them (names of variants stay), `words` those of the recipe without data,
+    frames, seed and joint. `joint` is the number of frames to solve together: 0 each alone, ALL_JOINT all.
+    """
+
+    label: str
+    section: str
+    dataset: DatasetTable
+    said: Mapping[str, str]
+    words: Mapping[str, Any]
+    seeds: tuple[int, ...]
+    joint: int
+    where: str
+
+    def recipe(self, seed: int) -> Recipe:
+        """Return the recipe of one seed; the dataset's own seed stays that of the file."""
+        options = {**self.words.get("options", {})}
+        data = {**self.dataset.options, **options.get("data", {})}
+        if data:
+            options["data"] = data
+        words = {**self.words, "options": options, "data": self.dataset.data, "frames": self.dataset.frames}
+        return Recipe.of(**words, seed=seed, joint=self.joint == ALL_JOINT)
+
+    def resolve(self, registry: Registry, seed: int) -> Plan:
+        """Return the plan of one seed; what is wrong with it names the row.
+
+        Raises as `Recipe.resolve`.
+        """
+        try:
+            return self.recipe(seed).resolve(registry)
+        except P2OError as problem:
+            raise retold(problem, f"{self.where}, row '{self.label}'") from problem
+
+
+def retold(problem: P2OError, where: str, hint: str | None = None) -> P2OError:
+    """Return an error with the place in the study that it comes from, and a hint where it has none."""
+    kind = InputError if isinstance(problem, UnknownNameError) else type(problem)
+    what = problem.what if problem.where is None else f"{problem.where}: {problem.what}"
+    return kind(what, where=where, expected=problem.expected, got=problem.got, hint=problem.hint or hint)
+
+
+class _Expansion:
+    """Turns the tables of a study into rows."""
+
+    def __init__(self, study: Study) -> None:
+        self.study = study
+        self.where = f"study {study.name}"
+        self.variants = {variant.name: variant for variant in study.variant}
+        self._refuse_twice("variant", [variant.name for variant in study.variant])
+        self._refuse_twice("dataset", [table.name for table in study.dataset])
+        for variant in study.variant:
+            for word in WORDS:
+                if getattr(variant, word) in self.variants:
+                    self._fail(
+                        f"variant '{variant.name}' is made of the variant '{getattr(variant, word)}'",
+                        "names of methods",
+                    )
+
+    def rows(self) -> Iterator[StudyRow]:
+        found: list[StudyRow] = []
+        for product in self.study.product:
+            for words, use, label in self._combinations(product):
+                found += self._row(label, words, use, product)
+        for row in self.study.row:
+            words = {word: getattr(row, word) for word in (*WORDS, "perturb") if getattr(row, word) is not None}
+            found += self._row(row.label, words, row.use, row, row.options)
+        if not found:
+            self._fail("there are no rows", "[[row]] or [[product]] tables")
+        self._refuse_twice("row", [row.label for row in found])
+        self._refuse_twice("published row", [published.label for published in self.study.published])
+        labels = {row.label for row in found} | {row.label.rpartition(" @ ")[0] for row in found}
+        for published in self.study.published:
+            if published.beside is not None and published.beside not in labels:
+                raise UnknownNameError("row", published.beside, labels - {""}, where=f"{self.where}, published rows")
+        yield from found
+
+    def _combinations(self, product: Product) -> Iterator[tuple[dict[str, str], tuple[str, ...], str]]:
+        """Return words, variants and label of each combination."""
+        axes = {word: getattr(product, word) for word in (*WORDS, "perturb") if getattr(product, word)}
+        uses = product.use or ((),)
+        if not axes and not product.use:
+            self._fail("a product has nothing to combine", ", ".join(WORDS))
+        for name, values in (*axes.items(), ("use", [" ".join(use) for use in product.use])):
+            self._refuse_twice(f"{name} of a product", values)
+        varying = [word for word, values in axes.items() if len(values) > 1] or list(axes)
+        pattern = product.label or " ".join(
+            f"{{{w}}}" for w in [*varying, *(["use"] if len(uses) > 1 or not varying else [])]
+        )
+        for *values, use in itertools.product(*axes.values(), uses):
+            words = dict(zip(axes, values, strict=True))
+            try:
+                label = pattern.format(**words, use=" ".join(use)).strip()
+            except (KeyError, IndexError, ValueError):
+                names = " ".join(f"{{{w}}}" for w in (*axes, "use"))
+                self._fail(f"the label '{pattern}' of a product cannot be filled in", f"names such as {names}")
+            yield words, use, label
+
+    def _row(
+        self, label: str, words: Mapping[str, str], use: Sequence[str], scope: _Scope, options: Options | None = None
+    ) -> list[StudyRow]:
+        """Return the row on each dataset that it is for."""
+        said = dict(words)
+        sources: list[tuple[str, Words]] = []
+        for name in use:
+            if name not in self.variants:
+                raise UnknownNameError("variant", name, self.variants, where=f"{self.where}, row '{label}'")
+            sources.append((f"variant '{name}'", self.variants[name]))
+            said.update({w: name for w in WORDS if getattr(self.variants[name], w) is not None and w not in said})
+        plain: dict[str, Any] = {}
+        for word, value in words.items():
+            variant = self.variants.get(value)
+            if variant is None or word == "perturb":
+                plain[word] = value
+            elif getattr(variant, word) is None:
+                self._fail(f"row '{label}': variant '{value}' sets no {word}", f"a {word}")
+            else:
+                sources.append((f"variant '{value}'", variant))
+        sources.append((f"row '{label}'", Words(**plain, options=options or {})))
+        merged = self._merged(label, sources)
+        datasets = self._datasets(label, scope)
+        seeds = self.study.seeds if scope.seeds is None else scope.seeds
+        joint = self.study.joint if scope.joint is None else scope.joint
+        for word in ("calibrator",) if "calibrator" in merged else _STAGED:
+            said.setdefault(word, merged.get(word, Recipe.model_fields[word].default))
+        return [
+            StudyRow(
+                label=label if len(self.study.dataset) == 1 else f"{label} @ {table.name}",
+                section=scope.section,
+                dataset=table,
+                said={word: value for word, value in said.items() if word in WORDS},
+                words=merged,
+                seeds=tuple(range(seeds)) if isinstance(seeds, int) else self._distinct(label, seeds),
+                joint=(ALL_JOINT if joint else 0) if isinstance(joint, bool) else joint,
+                where=self.where,
+            )
+            for table in datasets
+        ]
+
+    def _merged(self, label: str, sources: Sequence[tuple[str, Words]]) -> dict[str, Any]:
+        """Return the words of all sources, which may not contradict each other, over the defaults of the study."""
+        said: dict[tuple[str, ...], Any] = {}
+        giver: dict[tuple[str, ...], str] = {}
+        for source, words in sources:
+            for key, value in _flat(words):
+                if key in said and said[key] != value:
+                    self._fail(f"row '{label}': {giver[key]} and {source} both set {'.'.join(key[-2:])}", "one of them")
+                said[key], giver[key] = value, source
+        staged = any((word,) in said for word in _STAGED)
+        whole = ("calibrator",) in said or (self.study.defaults.calibrator is not None and not staged)
+        defaults = {key: value for key, value in _flat(self.study.defaults) if _applies(key, whole)}
+        methods = [_methods({key[0]: words[key] for key in words if len(key) == 1}) for words in (defaults, said)]
+        for key, value in defaults.items():
+            # The options of a default are for that method, not for another one in its place.
+            replaced = len(key) == 3 and key[1] in methods[1] and methods[0].get(key[1]) != methods[1][key[1]]
+            if not replaced:
+                said.setdefault(key, value)
+        if self.study.perturb is not None:
+            said.setdefault(("perturb",), self.study.perturb)
+        merged: dict[str, Any] = {"options": {}}
+        for key, value in said.items():
+            if len(key) == 1:
+                merged[key[0]] = value
+            else:
+                merged["options"].setdefault(key[1], {})[key[2]] = value
+        return merged
+
+    def _datasets(self, label: str, scope: _Scope) -> list[DatasetTable]:
+        tables = {table.name: table for table in self.study.dataset}
+        if scope.dataset is None:
+            return list(tables.values())
+        for name in scope.dataset:
+            if name not in tables:
+                raise UnknownNameError("dataset", name, tables, where=f"{self.where}, row '{label}'")
+        return [tables[name] for name in dict.fromkeys(scope.dataset)]
+
+    def _distinct(self, label: str, seeds: tuple[int, ...]) -> tuple[int, ...]:
+        if len(set(seeds)) < len(seeds) or not seeds:
+            self._fail(f"row '{label}' has seeds {list(seeds)}", "different seeds, at least one")
+        return seeds
+
+    def _refuse_twice(self, kind: str, names: Sequence[str]) -> None:
+        twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
+        if twice is not None:
+            self._fail(f"two of the kind {kind} are called '{twice}'", "a name of its own for each")
+
+    def _fail(self, what: str, expected: str) -> None:
+        raise InputError(what, where=self.where, expected=expected)
+
+
+def check_study(study: Study, registry: Registry) -> list[StudyRow]:
+    """Return the rows of a study after resolving each with every seed's recipe; no data are read.
+
+    Raises a P2OError that names the row: unknown names, bad options, stages that do not fit (with what would), a
+    variant called like a method, a perturbation that cannot be read.
+    """
+    for variant in study.variant:
+        for word, kind in _KIND_OF_WORD.items():
+            if getattr(variant, word) is not None and any(o.name == variant.name for o in registry.of_kind(kind)):
+                raise InputError(
+                    f"variant '{variant.name}' is called like a {kind.value} that is installed",
+                    where=f"study {study.name}",
+                    expected="a name of its own",
+                )
+        for stage in variant.options:
+            if stage not in STAGES:
+                raise UnknownNameError("stage", stage, STAGES, where=f"study {study.name}, variant '{variant.name}'")
+        if variant.perturb is not None:
+            parse_perturbation(variant.perturb)
+    rows = study.rows()
+    for row in rows:
+        row.resolve(registry, row.seeds[0])
+    return rows
+
+
+def _flat(words: Words) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Return what is said by key: ("matcher",) for a word, ("options", "matcher", "sides") for an option."""
+    for word in (*WORDS, "perturb"):
+        if getattr(words, word) is not None:
+            yield (word,), getattr(words, word)
+    for stage, values in words.options.items():
+        yield from ((("options", stage, field), value) for field, value in values.items())
+
+
+def _applies(key: tuple[str, ...], whole: bool) -> bool:
+    """True where a default is of use beside a whole method (`whole`), or beside stages."""
+    name = key[-2] if len(key) == 3 else key[0]
+    if name in ("perturb", "data"):
+        return True
+    return (name == "calibrator") == whole
+
+
+def _methods(words: Mapping[str, str]) -> dict[str, str]:
+    """Return the method of each stage that the words choose."""
+    image, _, cloud = words.get("extractor", "").partition("/")
+    chosen = {**words, "extractor": image, "cloud": cloud}
+    return {stage: name for stage, name in chosen.items() if name}
+
+
+@dataclass(frozen=True)
+class StudyFile:
+    """A study with the text it was read from; `source` names its place."""
+
+    study: Study
+    text: str
+    source: str
+
+
+def find_study(word: str, registry: Registry) -> StudyFile:
+    """Return the study of a path, or of a name among those that the loaded plugins ship.
+
+    A plugin ships studies in the folder `studies` of its package; NAME@DISTRIBUTION decides between two of a name.
+    A word that ends in .toml or holds a slash is a path.
+
+    Raises UnknownNameError for an unknown name, InputError for a file that cannot be read or two of one name, and as
+    `parse_study`.
+    """
+    path = Path(word).expanduser()
+    if word.endswith(".toml") or "/" in word or "\\" in word:
+        if not path.is_file():
+            raise InputError("there is no such study file", where=word, expected="a TOML file, or the name of a study")
+        return _read(path, str(path))
+    name, at, dist = word.partition("@")
+    shipped = shipped_studies(registry)
+    found = [(owner, file) for owner, file in shipped.get(name, []) if not at or owner == dist]
+    if not found:
+        raise UnknownNameError("study", word, shipped, hint="or give the path of a TOML file")
+    if len(found) > 1:
+        raise InputError(
+            f"study '{name}' is shipped by several: {' and '.join(owner for owner, _ in found)}",
+            hint="write " + " or ".join(f"{name}@{owner}" for owner, _ in found),
+        )
+    return _read(found[0][1], str(found[0][1]))
+
+
+def shipped_studies(registry: Registry) -> dict[str, list[tuple[str, Traversable]]]:
+    """Return the files of studies by name, each with the distribution that ships it; no plugin needs a hook for it."""
+    loaded = {(plugin.dist, plugin.entry) for plugin in registry.plugins}
+    packages: dict[str, str] = {}
+    for entry in entry_points(group=GROUP):
+        dist = "" if entry.dist is None else re.sub(r"[-_.]+", "-", entry.dist.name).lower()
+        if (dist, entry.name) in loaded:
+            packages.setdefault(entry.module.partition(".")[0], dist)
+    found: dict[str, list[tuple[str, Traversable]]] = {}
+    for package, dist in sorted(packages.items()):
+        try:
+            folder = importlib.resources.files(package).joinpath(FOLDER)
+            files = sorted(folder.iterdir(), key=lambda file: file.name) if folder.is_dir() else []
+        except (ImportError, OSError, TypeError):  # a plugin that is one module has no folder
+            continue
+        for file in files:
+            if file.name.endswith(".toml"):
+                found.setdefault(file.name.removesuffix(".toml"), []).append((dist, file))
+    return dict(sorted(found.items()))
+
+
+def _read(file: Traversable | Path, source: str) -> StudyFile:
+    try:
+        text = file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as problem:
+        raise InputError("the study file cannot be read", where=source, got=problem) from problem
+    return StudyFile(parse_study(text, source), text, source)
+
+
+def parse_study(text: str, source: str = "study") -> Study:
+    """Return the study of a TOML text.
+
+    Raises InputError for text that is not TOML and for values that do not fit, UnknownNameError for an unknown key
+    with the nearest ones; both name the place.
+    """
+    try:
+        content = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as problem:
+        raise InputError("the study is not TOML", where=source, got=problem) from problem
+    try:
+        return Study.model_validate(content)
+    except ValidationError as problem:
+        raise _explained(problem, content, source) from problem
+
+
+_TABLES: dict[str, type[BaseModel]] = {
+    "dataset": DatasetTable,
+    "defaults": Words,
+    "variant": Variant,
+    "product": Product,
+    "row": RowTable,
+    "published": Published,
+}
+
+
+def _explained(problem: ValidationError, content: Mapping[str, Any], source: str) -> InputError:
+    """Return the first error in words: which table, which key, what was expected, what it is."""
+    first = problem.errors()[0]
+    table, *rest = [str(part) for part in first["loc"] if not isinstance(part, int)]
+    numbers = [part for part in first["loc"] if isinstance(part, int)]
+    place = source
+    model: type[BaseModel] = Study
+    if table in _TABLES and (rest or numbers):
+        model = _TABLES[table]
+        entry = content[table][numbers[0]] if numbers and isinstance(content[table], list) else content[table]
+        named = entry.get("label") or entry.get("name") if isinstance(entry, dict) else None
+        number = f" {numbers[0] + 1}" if numbers and table != "defaults" else ""
+        place = f"{source}, [[{table}]]{number}" + (f" '{named}'" if named else "")
+    else:
+        rest = [table, *rest]
+    key = rest[0] if rest else table
+    if first["type"] == "extra_forbidden":
+        return UnknownNameError("key", key, model.model_fields, where=place)
+    if first["type"] == "missing":
+        return InputError(f"{key} is not said", where=place, expected=f"{key} = ...")
+    message = first["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+    return InputError(
+        f"{key} is not valid", where=place, expected=message[:1].lower() + message[1:], got=repr(first["input"])[:80]
+    )

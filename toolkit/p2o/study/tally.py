@@ -1,0 +1,118 @@
+"""What the rows of a study's table come to: means and medians from single calibrations, never from other means."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from p2o.study.store import StoredRow
+from p2o.study.study import Published, Study
+
+_BESIDE = 3
+"""Means and medians of so many metrics stand side by side; of more, each has a line of its own."""
+
+
+@dataclass(frozen=True)
+class Tally:
+    """One row of the table: of `count` calibrations `solved` gave an estimate and `crashed` raised.
+
+    The others were refused and count with the error of their start, which is what the user is left with. `mean` and
+    `median` are of absolute errors by metric, over all calibrations whose error is known; NaN where there is none.
+    """
+
+    row: str
+    section: str
+    count: int
+    solved: int
+    crashed: int
+    mean: Mapping[str, float]
+    median: Mapping[str, float]
+
+    @property
+    def refused(self) -> int:
+        """How many ended without an estimate, for a reason that the method tells."""
+        return self.count - self.solved - self.crashed
+
+
+def tallies(rows: Iterable[StoredRow], metrics: Sequence[str]) -> list[Tally]:
+    """Return one tally for each row of the table, in the order in which they first occur."""
+    by_row: dict[str, list[StoredRow]] = {}
+    for row in rows:
+        by_row.setdefault(row.row, []).append(row)
+    out = []
+    for label, found in by_row.items():
+        errors = {metric: [abs(v) for r in found if (v := getattr(r, metric)) is not None] for metric in metrics}
+        out.append(
+            Tally(
+                row=label,
+                section=found[0].section,
+                count=len(found),
+                solved=sum(r.solved for r in found),
+                crashed=sum(r.crashed for r in found),
+                mean={metric: float(np.mean(v)) if v else float("nan") for metric, v in errors.items()},
+                median={metric: float(np.median(v)) if v else float("nan") for metric, v in errors.items()},
+            )
+        )
+    return out
+
+
+def table(study: Study, rows: Iterable[StoredRow]) -> str:
+    """Return a table for the eye: what was measured, and beside it what was published."""
+    found = tallies(rows, study.metrics)
+    stacked = len(study.metrics) > _BESIDE
+    if stacked:
+        head = ["", "runs", "failed", "", *map(_head, study.metrics), ""]
+    else:
+        head = ["", "runs", "failed", *(f"{_head(m)} {word}" for m in study.metrics for word in ("mean", "median")), ""]
+    lines: list[list[str]] = []
+    section = ""
+    for tally in found:
+        if tally.section != section:
+            section = tally.section
+            lines.append([f"[{section}]" if section else ""])
+        counts = [tally.row, str(tally.count), _failed(tally)]
+        if stacked:
+            means, medians = ([_number(m, values[m]) for m in study.metrics] for values in (tally.mean, tally.median))
+            lines.append([*counts, "mean", *means, "measured"])
+            lines.append(["", "", "", "median", *medians, "measured"])
+        else:
+            numbers = [_number(m, values[m]) for m in study.metrics for values in (tally.mean, tally.median)]
+            lines.append([*counts, *numbers, "measured"])
+        beside = [p for p in study.published if p.beside in (tally.row, tally.row.rpartition(" @ ")[0])]
+        lines += [_published(study, p, stacked) for p in beside]
+    apart = [p for p in study.published if p.beside is None]
+    if apart:
+        lines.append(["[published]"])
+        lines += [_published(study, p, stacked) for p in apart]
+    widths = [max((len(line[i]) for line in [head, *lines] if len(line) > i > 0), default=0) for i in range(len(head))]
+    widths[0] = max((len(line[0]) for line in lines), default=0)
+    return "\n".join(_line(cells, widths) for cells in (head, *lines))
+
+
+def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
+    numbers = [cell.rjust(width) for cell, width in zip(cells[1:], widths[1:], strict=False)]
+    return "  ".join([cells[0].ljust(widths[0]), *numbers]).rstrip()
+
+
+def _published(study: Study, row: Published, stacked: bool) -> list[str]:
+    means = [_number(m, row.values.get(m)) for m in study.metrics]
+    numbers = ["mean", *means] if stacked else [cell for mean in means for cell in (mean, "")]
+    return [f"  {row.label}", "", "", *numbers, "published"]
+
+
+def _failed(tally: Tally) -> str:
+    crashed = f" ({tally.crashed} crashed)" if tally.crashed else ""
+    return f"{tally.refused + tally.crashed}{crashed}"
+
+
+def _head(metric: str) -> str:
+    name, _, unit = metric.rpartition("_")
+    return f"{ {'rotation': 'rot', 'translation': 'trans'}.get(name, name) } {unit}"
+
+
+def _number(metric: str, value: float | None) -> str:
+    if value is None or np.isnan(value):
+        return "-"
+    return f"{value:.3f}"

@@ -1,0 +1,413 @@
+"""What a worker of a study does: read a frame, extract features, calibrate. Each job says all that it needs.
+
+A worker keeps what several jobs share (plugins, datasets, stages, features) for as long as it lives.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import threading
+import time
+import traceback
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from datetime import UTC, datetime
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from p2o.arrays import Float
+from p2o.errors import InputError, P2OError
+from p2o.frames.frame import Frame
+from p2o.geometry.camera import Camera
+from p2o.geometry.pose_error import AXES, pose_error
+from p2o.host.guard import GuardedDataset
+from p2o.host.registry import Registry
+from p2o.host.stages import Calibrator
+from p2o.results.result import Result, Status
+from p2o.results.result_json import result_to_dict
+from p2o.run.recipe import Part, Plan, Recipe, open_dataset
+from p2o.study.store import StoredRow
+from p2o.work.cache import FeatureCache, content_hash, features_key
+from p2o.work.parallel import limit_threads
+
+UNREADABLE = "unreadable"
+"""Stands for the content hash of a frame that cannot be read."""
+
+SENSORS = {"extractor": "image", "cloud": "cloud"}
+"""What each extractor looks at."""
+
+# A joint calibration of a few dozen frames finds all its features in memory; longer ones read the cache again.
+_FEATURES_IN_MEMORY = 128
+
+# Whole methods see frames, in joint rows all of them for every seed: this holds about 30 frames of KITTI.
+_FRAMES_BYTES = 256 * 2**20
+
+
+@dataclass(frozen=True)
+class Plugins:
+    """Which plugins to load, as `Registry.load` takes them; every worker loads its own."""
+
+    only: tuple[str, ...] | None = None
+    block: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, block: Iterable[str] = (), files: Iterable[str | Path] = ()) -> Plugins:
+        """Return the choice that `P2O_PLUGINS` and the command line make, for workers on other machines too."""
+        chosen = os.environ.get("P2O_PLUGINS")
+        only = None if chosen is None else tuple(chosen.split(","))
+        return cls(only, tuple(block), tuple(str(Path(file).resolve()) for file in files))
+
+    def registry(self) -> Registry:
+        """Return the registry of this process."""
+        return _registry(self)
+
+
+@dataclass(frozen=True)
+class Source:
+    """One frame of a dataset: where it is, before it is read. `options` is JSON."""
+
+    plugins: Plugins
+    data: str
+    options: str
+    index: int
+    name: str
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A frame to be read: `checks` are recipes (JSON) that it has to fit, `wanted` recipe and stage of extractors.
+
+    The features of these are kept, so that the frame need not be read again.
+    """
+
+    source: Source
+    cache: Path
+    checks: tuple[str, ...] = ()
+    wanted: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Facts:
+    """What planning has to know about a frame; `inputs` are content hashes of its parts.
+
+    `misfits` say by recipe of the `checks` what the frame lacks. `failure` is the traceback and `reason` one line
+    where it cannot be read.
+    """
+
+    source: Source
+    inputs: Mapping[str, str]
+    camera: Camera | None = None
+    camera_from_lidar: Float | None = None
+    start: Float | None = None
+    warnings: tuple[str, ...] = ()
+    misfits: Mapping[str, str] = field(default_factory=dict)
+    reason: str = ""
+    failure: str | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the frame."""
+        return self.source.name
+
+
+@dataclass(frozen=True)
+class Extraction:
+    """Features to be extracted from one frame and kept: by key, the recipe (JSON) and the stage that names how."""
+
+    source: Source
+    cache: Path
+    wanted: tuple[tuple[str, str, str], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """One row to compute: `row` has all fields that are known beforehand, `recipe` (JSON) the methods.
+
+    `keys` are those of the image and the cloud features of each frame; None for a whole method, which sees frames.
+    """
+
+    row: StoredRow
+    recipe: str
+    facts: tuple[Facts, ...]
+    cache: Path
+    keys: tuple[Mapping[str, str], ...] | None
+
+
+def read(job: Reading) -> Facts:
+    """Return the facts of a frame; a frame that cannot be read has a `failure`."""
+    source = job.source
+    try:
+        frame = _frame(source)
+    except (Exception, SystemExit) as problem:
+        return _unread(source, _one_line(problem), traceback.format_exc())
+    hashes = {
+        "image": content_hash(frame.image),
+        "cloud": content_hash(frame.cloud),
+        "twist": content_hash(frame.twist),
+    }
+    found = {recipe: _misfit(_plan(source.plugins, recipe), frame) for recipe in job.checks}
+    misfits = {recipe: misfit for recipe, misfit in found.items() if misfit}
+    if not misfits:
+        for recipe, stage in job.wanted:
+            part = _plan(source.plugins, recipe).parts[stage]
+            key = features_key(part, hashes[SENSORS[stage]])
+            # What fails here fails again where a row needs it, and is told there.
+            with contextlib.suppress(Exception, SystemExit):
+                _features(FeatureCache(job.cache), key, source, part, stage)
+    return Facts(source, hashes, frame.camera, frame.camera_from_lidar, frame.start, frame.warnings, misfits=misfits)
+
+
+def unread(job: Reading, problem: P2OError) -> Facts:
+    """Return the facts of a frame that no worker survived to read."""
+    return _unread(job.source, str(problem), str(problem))
+
+
+def _unread(source: Source, reason: str, failure: str) -> Facts:
+    return Facts(source, dict.fromkeys((*SENSORS.values(), "twist"), UNREADABLE), reason=reason, failure=failure)
+
+
+def _misfit(plan: Plan, frame: Frame) -> str:
+    try:
+        plan.check_frame(frame)
+    except InputError as problem:
+        return str(problem)
+    return ""
+
+
+def extract(job: Extraction) -> dict[str, tuple[str, str]]:
+    """Extract features and keep them; return reason and traceback by key for those that failed."""
+    cache = FeatureCache(job.cache)
+    failed = {}
+    for key, recipe, stage in job.wanted:
+        if not cache.has(key):
+            try:
+                _features(cache, key, job.source, _plan(job.source.plugins, recipe).parts[stage], stage)
+            except (Exception, SystemExit) as problem:
+                failed[key] = (_one_line(problem), traceback.format_exc())
+    return failed
+
+
+def unextracted(job: Extraction, problem: P2OError) -> dict[str, tuple[str, str]]:
+    """Return what `extract` does, where no worker survived it."""
+    return {key: (str(problem), str(problem)) for key, _, _ in job.wanted}
+
+
+def calibrate(job: Calibration) -> StoredRow:
+    """Return the row with all that came out; what a method raises is in it, too."""
+    try:
+        result = _result(job)
+    except (Exception, SystemExit) as problem:
+        row = replace(job.row, reason=_one_line(problem), exception=traceback.format_exc())
+    else:
+        row = _filled(job.row, result)
+    return replace(row, finished=now())
+
+
+def uncalibrated(job: Calibration, problem: P2OError) -> StoredRow:
+    """Return the row that no worker survived to compute."""
+    return replace(job.row, reason=str(problem), exception=str(problem), finished=now())
+
+
+def now() -> str:
+    """Return the time of day in UTC, ISO 8601."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def features_keys(plan: Plan, facts: Facts) -> dict[str, str]:
+    """Return the key of the features of each extractor of a plan for a frame."""
+    return {stage: features_key(plan.parts[stage], facts.inputs[part]) for stage, part in SENSORS.items()}
+
+
+def _filled(row: StoredRow, result: Result) -> StoredRow:
+    plain = result_to_dict(result)
+    row = replace(
+        row,
+        status=result.status.value,
+        reason=result.reason,
+        estimate=result.camera_from_lidar,
+        rounds=tuple(plain["rounds"]),
+        matches=plain["matches"],
+        seconds=plain["seconds"],
+    )
+    if row.truth is None or result.status is Status.STAGE_FAILED:
+        return row
+    error = pose_error(result.camera_from_lidar, row.truth)
+    axes: dict[str, Any] = {axis: error.per_axis[axis] for axis in AXES}
+    return replace(row, rotation_deg=error.rotation_deg, translation_m=error.translation_m, **axes)
+
+
+def _result(job: Calibration) -> Result:
+    assert job.row.start is not None
+    plugins = job.facts[0].source.plugins
+    calibrator = _calibrator(plugins, job.recipe, job.cache)
+    frames: list[Frame]
+    if job.keys is None:
+        frames = [_frame(facts.source).without_truth() for facts in job.facts]
+        limit_threads()
+        return calibrator(frames, job.row.start)
+    took: list[float] = []
+    frames = [cast(Frame, _Stand.of(facts, keys, took)) for facts, keys in zip(job.facts, job.keys, strict=True)]
+    result = calibrator(frames, job.row.start)
+    # Where features came from the cache, what they took when they were extracted is what counts.
+    return replace(result, seconds={**result.seconds, "extract": sum(took)})
+
+
+@dataclass(frozen=True, eq=False)
+class _Sensor:
+    """Stands for an image or a sweep whose features are known under a key; `took` collects what they took."""
+
+    key: str
+    source: Source
+    took: list[float]
+
+
+@dataclass(frozen=True, eq=False)
+class _Stand:
+    """Stands for a frame in the pipeline, so that a frame whose features are kept need not be read."""
+
+    name: str
+    camera: Camera
+    image: _Sensor
+    cloud: _Sensor
+    warnings: tuple[str, ...]
+
+    @classmethod
+    def of(cls, facts: Facts, keys: Mapping[str, str], took: list[float]) -> _Stand:
+        assert facts.camera is not None
+        sensors = {part: _Sensor(keys[stage], facts.source, took) for stage, part in SENSORS.items()}
+        return cls(facts.name, facts.camera, sensors["image"], sensors["cloud"], facts.warnings)
+
+    def without_truth(self) -> _Stand:
+        return self
+
+
+@dataclass(frozen=True)
+class _KeptPart(Part):
+    """An extractor that looks its features up, and is built only where they are not kept."""
+
+    stage: str
+    cache: FeatureCache
+
+    def build(self) -> Callable[[Any], Any]:
+        """Return what finds the features of a `_Sensor`."""
+        part = Part(self.offer, self.options)
+
+        def find(sensor: _Sensor, /) -> Any:
+            features, seconds = _features(self.cache, sensor.key, sensor.source, part, self.stage)
+            sensor.took.append(seconds)
+            return features
+
+        return find
+
+
+@lru_cache(maxsize=4)
+def _registry(plugins: Plugins) -> Registry:
+    environ = {name: value for name, value in os.environ.items() if name != "P2O_PLUGINS"}
+    return Registry.load(plugins.only, plugins.block, plugins.files, environ)
+
+
+@lru_cache(maxsize=256)
+def _plan(plugins: Plugins, recipe: str) -> Plan:
+    return Recipe.of(**json.loads(recipe)).resolve(_registry(plugins))
+
+
+@lru_cache(maxsize=64)
+def _calibrator(plugins: Plugins, recipe: str, cache: Path) -> Calibrator:
+    plan = _plan(plugins, recipe)
+    kept = {
+        stage: _KeptPart(part.offer, part.options, stage, FeatureCache(cache)) if stage in SENSORS else part
+        for stage, part in plan.parts.items()
+    }
+    calibrator = replace(plan, parts=kept).calibrator()
+    limit_threads()
+    return calibrator
+
+
+@lru_cache(maxsize=8)
+def _dataset(plugins: Plugins, data: str, options: str) -> GuardedDataset:
+    return open_dataset(data, _registry(plugins), json.loads(options))
+
+
+_frames: OrderedDict[Source, tuple[Frame, int]] = OrderedDict()
+_frames_lock = threading.Lock()
+
+
+def _frame(source: Source) -> Frame:
+    """Return a frame; the last ones stay in memory, as a row runs through its frames seed by seed."""
+    with _frames_lock:
+        if source in _frames:
+            _frames.move_to_end(source)
+            return _frames[source][0]
+    frame: Frame = _dataset(source.plugins, source.data, source.options)[source.index]
+    limit_threads()
+    with _frames_lock:
+        _frames[source] = frame, _size(frame)
+        while len(_frames) > 1 and sum(size for _, size in _frames.values()) > _FRAMES_BYTES:
+            _frames.popitem(last=False)
+    return frame
+
+
+def _size(value: Any) -> int:
+    """Return the bytes of all arrays in a value made of dataclasses, lists and mappings."""
+    if isinstance(value, np.ndarray):
+        return value.nbytes
+    if is_dataclass(value):
+        return sum(_size(getattr(value, f.name)) for f in fields(value))
+    if isinstance(value, list | tuple):
+        return sum(map(_size, value))
+    return sum(map(_size, value.values())) if isinstance(value, Mapping) else 0
+
+
+def part_name(part: Part) -> str:
+    """Return a name that two parts share exactly if they are the same method with the same options."""
+    return f"{part.offer.kind} {part.offer.full_name} {part.options.model_dump_json()}"
+
+
+_stages: dict[str, Any] = {}
+
+
+def built(part: Part) -> Any:
+    """Return the stage of a part; one of the same method and options is built once."""
+    name = part_name(part)
+    if name not in _stages:
+        _stages[name] = part.build()
+        limit_threads()
+    return _stages[name]
+
+
+_memory: OrderedDict[str, tuple[Any, float]] = OrderedDict()
+_memory_lock = threading.Lock()
+
+
+def _features(cache: FeatureCache, key: str, source: Source, part: Part, stage: str) -> tuple[Any, float]:
+    """Return features and the seconds that they took: from memory, the cache, or the extractor itself."""
+    with _memory_lock:
+        if key in _memory:
+            _memory.move_to_end(key)
+            return _memory[key]
+    kept = cache.get(key)
+    if kept is not None:
+        features, seconds = kept.features, kept.seconds
+    else:
+        frame, extractor = _frame(source), built(part)
+        began = time.perf_counter()
+        features = extractor(getattr(frame, SENSORS[stage]))
+        seconds = time.perf_counter() - began
+        cache.put(key, features, seconds)
+    with _memory_lock:
+        _memory[key] = features, seconds
+        while len(_memory) > _FEATURES_IN_MEMORY:
+            _memory.popitem(last=False)
+    return features, seconds
+
+
+def _one_line(problem: BaseException) -> str:
+    text = " ".join(str(problem).split())
+    return text if isinstance(problem, P2OError) else f"{type(problem).__name__}: {text}"
