@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,29 +12,11 @@ from p2o.features.side import Side
 from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.problems.directed_cost import distance_maps
+from p2o.results.evidence import Agreement
 
 NEAR_PX = 3.0
 SURE = 0.5
 """Image edges of at least this confidence are asked; weak ones are everywhere, and meet any edge by chance."""
-
-
-@dataclass(frozen=True)
-class Agreement:
-    """How LiDAR edges and image edges of their direction meet at a pose.
-
-    `near` is the share of LiDAR edges in the image that have a sure image edge of their direction within `NEAR_PX` px,
-    `chance` the share that points scattered over the same rows of the image would have, `points` how many there are.
-    """
-
-    near: float
-    chance: float
-    points: int
-
-    @property
-    def odds_ratio(self) -> float:
-        """Odds of a meeting over its odds by chance: 1 is chance, NaN without points."""
-        near, chance = (np.clip(p, 1e-6, 1 - 1e-6) for p in (self.near, self.chance))
-        return float(near / (1 - near) / (chance / (1 - chance))) if self.points else float("nan")
 
 
 def agreement(views: Sequence[View], camera_from_lidar: Float) -> Agreement:

@@ -11,6 +11,7 @@ from p2o.geometry.camera import Camera
 from p2o.geometry.radial_error import RadialFit
 from p2o.problems.point_to_line import PointToLine, Problem
 from p2o.results.result import CameraCheck
+from p2o.results.verdict import Doubt, Reason
 
 _DOUBTFUL_PX = 1.5
 _DOUBTFUL_SIGMAS = 5.0
@@ -41,17 +42,18 @@ def checks_of(fits: Sequence[RadialFit], cameras: Sequence[Camera], *, corrected
     )
 
 
-def doubt(check: CameraCheck) -> str:
-    """Return a warning where the error is large and sure, or an empty text.
+def doubt(check: CameraCheck) -> Reason | None:
+    """Return a remark where the error is large and sure, or None.
 
     On made-up frames, whose cameras are right, three of 48 single ones seemed wrong by more than 1.5 px and four
     standard deviations, none by five, and 24 together by 1.1 to 1.3 px: hence the bounds.
     """
     sure = check.shift_px > _DOUBTFUL_SIGMAS * check.shift_sigma_px
     if check.corrected or check.shift_px <= _DOUBTFUL_PX or not sure:
-        return ""
-    return (
+        return None
+    return Reason(
+        Doubt.CAMERA,
         f"the camera's calibration is in doubt: edges are seen up to {check.shift_px:.1f} px from where it puts them "
         f"(focal length {100 * check.focal:+.2f} %, radial distortion {check.radial:+.4f}); calibrate its lens anew, "
-        "or correct it here with --set pipeline.camera=refine"
+        "or correct it here with --set pipeline.camera=refine",
     )

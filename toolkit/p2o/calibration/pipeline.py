@@ -14,7 +14,7 @@ from pydantic import field_validator
 from p2o.arrays import Float
 from p2o.calibration.accuracy import likely_accuracy
 from p2o.calibration.adjustment import Adjustment, MotionFit, adjust
-from p2o.calibration.agreement import Agreement, agreement
+from p2o.calibration.agreement import agreement
 from p2o.calibration.camera_check import checks_of, doubt, tells_more
 from p2o.features.edges import ImageFeatures
 from p2o.features.missing import RADIUS_PX, frame_rng, without_patches
@@ -31,7 +31,9 @@ from p2o.host.options import field as option
 from p2o.host.stages import CloudExtractor, ImageExtractor, Initializer, Matcher, Solver
 from p2o.problems.directed_cost import DirectedCost
 from p2o.problems.point_to_line import PointToLine, Problem
-from p2o.results.result import CameraCheck, Result, Round, Solution, Status, SweepMotion
+from p2o.results.evidence import Agreement, Judged, Rival
+from p2o.results.result import DIRECTED, CameraCheck, Result, Round, Solution, SolverStatus, Status, SweepMotion
+from p2o.results.verdict import Doubt, Reason, Verdict
 
 
 class PipelineOptions(Options):
@@ -239,13 +241,13 @@ class Pipeline:
             adjusted = self._adjusted(measured, start, best, at_start, state, prior)
             best, at_start, state = adjusted.found, adjusted.at_start, adjusted.state
             seen = state.views(measured)
-        costs = (at_start, best.cost_px)
+        judged = Judged(DIRECTED, "px", at_start, best.cost_px)
         if not best.cost_px < at_start:
             reason = (
                 f"the directed edge distance did not fall below that of the start "
                 f"({best.cost_px:.3f} px against {at_start:.3f} px): the start is returned"
             )
-            return replace(refused(Status.NO_IMPROVEMENT, reason, best.rounds), directed_cost_px=costs)
+            return replace(refused(Status.NO_IMPROVEMENT, reason, best.rounds), judged=judged)
         with clock.of("agree"):
             agreed = agreement(seen, best.pose)
         return Result(
@@ -261,13 +263,13 @@ class Pipeline:
             else likely_accuracy(adjusted.covariance, best.pose, agreed.odds_ratio),
             matches={} if best.problem is None else _counts(best.problem),
             residual_px={} if best.problem is None else _mean_residuals(best.problem, best.pose),
-            directed_cost_px=costs,
-            agreement={"near": agreed.near, "chance": agreed.chance, "odds_ratio": agreed.odds_ratio},
+            judged=judged,
+            agreement=agreed,
             rival=rival,
+            verdict=Verdict((*self._doubts(agreed, rival), *filter(None, map(doubt, adjusted.cameras)))),
             cameras=adjusted.cameras,
             motions=_motions(views, state.motions),
             seconds=clock.seconds,
-            warnings=(*self._doubts(agreed, rival), *filter(None, map(doubt, adjusted.cameras))),
         )
 
     def _motion_prior(self, views: Sequence[View]) -> MotionPrior | None:
@@ -334,22 +336,25 @@ class Pipeline:
             found.problem, given, found.pose, prior, cameras=self.options.camera != "trust"
         ).covariance
 
-    def _doubts(self, agreed: Agreement, rival: Mapping[str, float]) -> tuple[str, ...]:
-        """Return warnings where the edges do not seem to belong together, or fit elsewhere as well."""
-        doubts: tuple[str, ...] = ()
-        if rival and rival["edges"] < self.options.min_lead_edges:
-            away = f"{rival['rotation_deg']:.2f} deg and {rival['translation_m']:.2f} m away"
-            doubts = (
-                f"ambiguous: another pose, {away}, fits as well but for {rival['edges']:.1f} edges; take more frames "
-                "together, or a nearer start",
+    def _doubts(self, agreed: Agreement, rival: Rival | None) -> tuple[Reason, ...]:
+        """Return reasons where the edges do not seem to belong together, or fit elsewhere as well."""
+        doubts: tuple[Reason, ...] = ()
+        if rival is not None and rival.lead < self.options.min_lead_edges:
+            away = f"{rival.rotation_deg:.2f} deg and {rival.translation_m:.2f} m away"
+            text = (
+                f"another pose, {away}, fits as well but for {rival.lead:.1f} edges; take more frames together, or a "
             )
+            doubts = (Reason(Doubt.RIVAL_POSE, text + "a nearer start"),)
         if agreed.odds_ratio >= self.options.min_odds_ratio:
             return doubts
         return (
             *doubts,
-            "doubtful: image and LiDAR edges meet little more often than by chance "
-            f"(odds ratio {agreed.odds_ratio:.1f}, {self.options.min_odds_ratio:g} or more is usual at a right pose); "
-            "look at the overlay, and check that image and sweep belong to the same moment",
+            Reason(
+                Doubt.LITTLE_AGREEMENT,
+                "image and LiDAR edges meet little more often than by chance (odds ratio "
+                f"{agreed.odds_ratio:.1f}, {self.options.min_odds_ratio:g} or more is usual at a right pose); look at "
+                "the overlay, and check that image and sweep belong to the same moment",
+            ),
         )
 
     def _seen(self, view: View, start: Float) -> View:
@@ -387,7 +392,7 @@ class Pipeline:
                 stopped = Status.TOO_FEW_MATCHES
                 break
             solution = self.solver(problem, pose)
-            if solution.status == "singular":
+            if solution.status is SolverStatus.SINGULAR:
                 stopped, reason = Status.NOT_OBSERVABLE, solution.reason
                 break
             step = solution.camera_from_lidar @ se3.inverse(pose)
@@ -401,8 +406,8 @@ class Pipeline:
                     stage="refine",
                     reach_px=reach,
                     matches=_counts(problem),
-                    mean_residual_px=_mean_residual(problem, pose),
-                    directed_cost_px=cost,
+                    mean_residual=_mean_residual(problem, pose),
+                    cost=cost,
                     step_deg=se3.angle_deg(step),
                     step_m=se3.distance_m(step),
                     accepted=better,
@@ -426,7 +431,7 @@ class Pipeline:
 _RIVAL_DEG, _RIVAL_M = 0.5, 0.3
 
 
-def _rival(tried: Sequence[_Refined], best: _Refined, judge: DirectedCost) -> dict[str, float]:
+def _rival(tried: Sequence[_Refined], best: _Refined, judge: DirectedCost) -> Rival | None:
     """Return how much worse the next best end is that is not the place of the best, and how far away; or nothing."""
     ends = []
     for end in tried:
@@ -434,10 +439,10 @@ def _rival(tried: Sequence[_Refined], best: _Refined, judge: DirectedCost) -> di
         if end.status.solved and (se3.angle_deg(step) > _RIVAL_DEG or se3.distance_m(step) > _RIVAL_M):
             ends.append((end.cost_px, step))
     if not ends:
-        return {}
+        return None
     cost, step = min(ends, key=lambda end: end[0])
     worse = (cost - best.cost_px) * judge.edges / judge.truncate_px
-    return {"edges": worse, "rotation_deg": se3.angle_deg(step), "translation_m": se3.distance_m(step)}
+    return Rival(worse, "edges", se3.angle_deg(step), se3.distance_m(step))
 
 
 def _motions(views: Sequence[View], fits: Sequence[MotionFit]) -> tuple[SweepMotion, ...]:

@@ -42,8 +42,8 @@ def convergence(result: Result, path: Path | str) -> None:
     top.set_ylabel("matches")
 
     for values, colour, label in (
-        ([r.mean_residual_px for r in rounds], "black", "mean residual"),
-        ([r.directed_cost_px for r in rounds], "tab:purple", "directed cost"),
+        ([r.mean_residual for r in rounds], "black", "mean residual"),
+        ([r.cost for r in rounds], "tab:purple", "directed cost"),
     ):
         bottom.plot(numbers, values, color=colour, lw=1.3, label=label)
         for kept in (True, False):

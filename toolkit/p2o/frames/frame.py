@@ -9,8 +9,10 @@ from typing import Protocol, overload, runtime_checkable
 import numpy as np
 
 from p2o.arrays import Float, checked
+from p2o.errors import InputError
 from p2o.frames.cloud import Cloud
 from p2o.frames.image import Image
+from p2o.frames.target import Checkerboard, HoleBoard, Target
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
 
@@ -22,6 +24,14 @@ class Frame:
     `camera_from_lidar` (4, 4) is the true extrinsic where it is known; `start` (4, 4) a first guess that the dataset
     itself offers (a mechanical drawing). `twist` (6,) is the velocity of the LiDAR in its own frame (rad/s, then m/s)
     where ego-motion is known. `warnings` are remarks of the reader that the result repeats.
+
+    `sequence` names the drive that the frame is of, empty where it stands alone; `time_s` is when its image was taken,
+    on one clock for the whole sequence. `lidar_world_from_lidar` and `camera_world_from_camera` (4, 4) are the poses of
+    the sensors at that time, each in a world of its own, where they are known: the two worlds differ by what nobody
+    knows, so that both together tell the extrinsic only by how the sensors move (hand-eye), never by a single pose.
+    `targets` are the calibration targets in view: what they are, not where.
+
+    Raises InputError for poses that are not rigid, a twist or time that is not finite, and things that are no targets.
     """
 
     name: str
@@ -31,13 +41,26 @@ class Frame:
     start: Float | None = None
     twist: Float | None = None
     warnings: tuple[str, ...] = ()
+    sequence: str = ""
+    time_s: float | None = None
+    lidar_world_from_lidar: Float | None = None
+    camera_world_from_camera: Float | None = None
+    targets: tuple[Target, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("camera_from_lidar", "start"):
+        for name in ("camera_from_lidar", "start", "lidar_world_from_lidar", "camera_world_from_camera"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, se3.check_rigid(name, getattr(self, name), where=self.name))
         if self.twist is not None:
             object.__setattr__(self, "twist", checked("twist", self.twist, (6,), np.float64))
+        if self.time_s is not None:
+            object.__setattr__(self, "time_s", float(checked("time_s", [self.time_s], (1,), np.float64)[0]))
+        object.__setattr__(self, "targets", tuple(self.targets))
+        strange = [target for target in self.targets if not isinstance(target, Checkerboard | HoleBoard)]
+        if strange:
+            raise InputError(
+                "a target is none", where=self.name, expected="Checkerboard or HoleBoard", got=type(strange[0]).__name__
+            )
 
     @property
     def camera(self) -> Camera:

@@ -10,8 +10,14 @@ from typing import Any
 import numpy as np
 
 from p2o.arrays import Float
+from p2o.errors import InputError
 from p2o.geometry.camera import Camera
 from p2o.results.accuracy import Accuracy
+from p2o.results.evidence import Agreement, Judged, Rival
+from p2o.results.verdict import Doubt, Reason, Verdict
+
+DIRECTED = "directed-distance"
+"""Name of the judge of methods that match directed edges."""
 
 
 class Status(StrEnum):
@@ -23,6 +29,7 @@ class Status(StrEnum):
     TOO_FEW_MATCHES = "too-few-matches"
     NOT_OBSERVABLE = "not-observable"
     NO_EDGES = "no-edges"
+    NO_FEATURES = "no-features"
     STAGE_FAILED = "stage-failed"
 
     @property
@@ -31,31 +38,51 @@ class Status(StrEnum):
         return self in (Status.CONVERGED, Status.ROUNDS_SPENT)
 
 
+class SolverStatus(StrEnum):
+    """How a call of a solver ended; SINGULAR means that the problem does not determine the pose."""
+
+    CONVERGED = "converged"
+    ITERATIONS_SPENT = "iterations-spent"
+    SINGULAR = "singular"
+
+
 @dataclass(frozen=True, eq=False)
 class Solution:
     """What a solver returns: the pose (4, 4), its cost, and how it got there.
 
     `covariance` (6, 6) of a left update in the camera frame (rad, m), scaled by the residuals, or None where the
-    solver has none or the system is singular; `status` says "converged", "iterations-spent" or "singular".
+    solver has none or the system is singular. `status` may be given as its word; raises InputError for any other.
     """
 
     camera_from_lidar: Float
     cost: float
     iterations: int
-    status: str = "converged"
+    status: SolverStatus = SolverStatus.CONVERGED
     covariance: Float | None = None
     reason: str = ""
+
+    def __post_init__(self) -> None:
+        try:
+            object.__setattr__(self, "status", SolverStatus(self.status))
+        except ValueError as problem:
+            raise InputError(
+                "the status of the solution is unknown", expected=" or ".join(SolverStatus), got=repr(self.status)
+            ) from problem
 
 
 @dataclass(frozen=True)
 class Round:
-    """One turn of Algorithm 1, as the paper's convergence figure needs it."""
+    """One turn of Algorithm 1, as the paper's convergence figure needs it.
+
+    `cost` is that of the method's judge (`Result.judged` says its unit); for directed edges the directed distance in
+    pixels. `mean_residual` is in pixels for pairs, NaN where the problem has no residuals.
+    """
 
     stage: str
     reach_px: float
     matches: Mapping[str, int]
-    mean_residual_px: float
-    directed_cost_px: float
+    mean_residual: float
+    cost: float
     step_deg: float
     step_m: float
     accepted: bool
@@ -106,13 +133,11 @@ class Result:
     `camera_from_lidar` (4, 4) is the estimate, or the start where `status.solved` is False; `reason` says why in one
     sentence. `covariance` (6, 6) is that of a left update in the camera frame (rad, m), neighbouring pairs taken as one
     measurement and motions and errors of cameras as unknown, or that of the solver where pairs are too few or none;
-    `accuracy` says how wrong the pose is likely to be. Both are None where they cannot be told. `directed_cost_px` is
-    the directed edge distance at the start and at the estimate; `agreement` holds the shares `near` and `chance`, and
-    the `odds_ratio`, of `p2o.calibration.agreement`.
-    `rival` is the next best pose that is another one: by how many `edges` fewer it is met, and how far away it is
-    (`rotation_deg`, `translation_m`); empty where none was found. `cameras` says what the edges tell of each camera's
-    calibration, `motions` how the car moved during sweeps as measured. `seconds` by stage. `recipe` holds every
-    resolved option.
+    `accuracy` says how wrong the pose is likely to be. Both are None where they cannot be told. `judged` holds what the
+    method's judge makes of the start and of the estimate, `agreement` how the edges of both sensors meet, `rival` the
+    next best pose that is another one; None where there is none. `verdict` says whether all this may be trusted, and
+    why not: a result that is not solved is refused. `cameras` says what the edges tell of each camera's calibration,
+    `motions` how the car moved during raw sweeps. `seconds` by stage. `recipe` holds every resolved option.
     """
 
     frames: tuple[str, ...]
@@ -125,9 +150,10 @@ class Result:
     accuracy: Accuracy | None = None
     matches: Mapping[str, int] = field(default_factory=dict)
     residual_px: Mapping[str, float] = field(default_factory=dict)
-    directed_cost_px: tuple[float, float] | None = None
-    agreement: Mapping[str, float] = field(default_factory=dict)
-    rival: Mapping[str, float] = field(default_factory=dict)
+    judged: Judged | None = None
+    agreement: Agreement | None = None
+    rival: Rival | None = None
+    verdict: Verdict = None  # type: ignore[assignment]  # filled in below
     cameras: tuple[CameraCheck, ...] = ()
     motions: tuple[SweepMotion, ...] = ()
     seconds: Mapping[str, float] = field(default_factory=dict)
@@ -136,10 +162,22 @@ class Result:
     seed: int | None = None
     versions: Mapping[str, str] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        if self.verdict is None:
+            refusal = Reason(Doubt.NOT_SOLVED, self.reason)
+            object.__setattr__(self, "verdict", Verdict() if self.status.solved else Verdict((refusal,)))
+
     def reaches(self, rotation_deg: float, translation_m: float) -> bool:
-        """Return whether the result is likely to be this good, and neither doubtful nor ambiguous."""
-        unsure = any(text.startswith(("doubtful", "ambiguous")) for text in self.warnings)
-        return self.accuracy is not None and self.accuracy.reaches(rotation_deg, translation_m) and not unsure
+        """Return whether the result is likely to be this good, and trusted."""
+        good = self.accuracy is not None and self.accuracy.reaches(rotation_deg, translation_m)
+        return good and self.verdict.trusted
+
+    @property
+    def directed_cost_px(self) -> tuple[float, float] | None:
+        """The directed edge distance in pixels at the start and at the estimate; None for other judges."""
+        if self.judged is None or self.judged.judge != DIRECTED:
+            return None
+        return self.judged.start, self.judged.estimate
 
     def camera_of(self, camera: Camera) -> Camera:
         """Return the camera that the estimate is for, given that of a frame: another one where it was corrected."""

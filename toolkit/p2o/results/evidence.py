@@ -1,0 +1,49 @@
+"""What was found beside a pose that speaks for or against it: agreement of edges, the rival pose, costs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How LiDAR edges and image edges of their direction meet at a pose (`p2o.calibration.agreement`).
+
+    `near` is the share of LiDAR edges in the image that have a sure image edge of their direction close by, `chance`
+    the share that points scattered over the same rows of the image would have, `points` how many there are.
+    """
+
+    near: float
+    chance: float
+    points: int
+
+    @property
+    def odds_ratio(self) -> float:
+        """Odds of a meeting over its odds by chance: 1 is chance, NaN without points."""
+        near, chance = (np.clip(p, 1e-6, 1 - 1e-6) for p in (self.near, self.chance))
+        return float(near / (1 - near) / (chance / (1 - chance))) if self.points else float("nan")
+
+
+@dataclass(frozen=True)
+class Rival:
+    """The next best pose that is another one: how far away, and by how much it is worse.
+
+    `lead` is the difference of the costs in `unit`: for directed edges, by how many edges fewer it is met.
+    """
+
+    lead: float
+    unit: str
+    rotation_deg: float
+    translation_m: float
+
+
+@dataclass(frozen=True)
+class Judged:
+    """The costs of the start and of the estimate on one set of points, by the judge of the method, in `unit`."""
+
+    judge: str
+    unit: str
+    start: float
+    estimate: float
