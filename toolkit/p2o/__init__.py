@@ -17,9 +17,15 @@ if TYPE_CHECKING:
     from p2o.errors import UnknownNameError as UnknownNameError
     from p2o.features import occlusion as occlusion
     from p2o.features.edges import CloudEdges as CloudEdges
-    from p2o.features.edges import CloudFeatures as CloudFeatures
     from p2o.features.edges import ImageEdges as ImageEdges
-    from p2o.features.edges import ImageFeatures as ImageFeatures
+    from p2o.features.feature import CloudFeature as CloudFeature
+    from p2o.features.feature import Feature as Feature
+    from p2o.features.feature import ImageFeature as ImageFeature
+    from p2o.features.maps import GreyMap as GreyMap
+    from p2o.features.maps import ImageMap as ImageMap
+    from p2o.features.points import CloudPoints as CloudPoints
+    from p2o.features.sets import CloudFeatures as CloudFeatures
+    from p2o.features.sets import ImageFeatures as ImageFeatures
     from p2o.features.side import SIDES as SIDES
     from p2o.features.side import Side as Side
     from p2o.features.view import View as View
@@ -27,6 +33,9 @@ if TYPE_CHECKING:
     from p2o.frames.frame import Dataset as Dataset
     from p2o.frames.frame import Frame as Frame
     from p2o.frames.image import Image as Image
+    from p2o.frames.target import Checkerboard as Checkerboard
+    from p2o.frames.target import HoleBoard as HoleBoard
+    from p2o.frames.target import Target as Target
     from p2o.geometry import se3 as se3
     from p2o.geometry.camera import Camera as Camera
     from p2o.geometry.pose_error import PoseError as PoseError
@@ -50,16 +59,25 @@ if TYPE_CHECKING:
     from p2o.host.trainer import TrainingGroup as TrainingGroup
     from p2o.host.trainer import TrainingProgress as TrainingProgress
     from p2o.problems.directed_cost import DirectedCost as DirectedCost
-    from p2o.problems.point_to_line import Objective as Objective
     from p2o.problems.point_to_line import PointToLine as PointToLine
-    from p2o.problems.point_to_line import Problem as Problem
+    from p2o.problems.problem import LeastSquares as LeastSquares
+    from p2o.problems.problem import Objective as Objective
+    from p2o.problems.problem import Problem as Problem
     from p2o.results.accuracy import Accuracy as Accuracy
+    from p2o.results.evidence import Agreement as Agreement
+    from p2o.results.evidence import Judged as Judged
+    from p2o.results.evidence import Rival as Rival
     from p2o.results.result import CameraCheck as CameraCheck
     from p2o.results.result import Result as Result
     from p2o.results.result import Round as Round
     from p2o.results.result import Solution as Solution
+    from p2o.results.result import SolverStatus as SolverStatus
     from p2o.results.result import Status as Status
     from p2o.results.result import SweepMotion as SweepMotion
+    from p2o.results.verdict import Doubt as Doubt
+    from p2o.results.verdict import Reason as Reason
+    from p2o.results.verdict import Trust as Trust
+    from p2o.results.verdict import Verdict as Verdict
     from p2o.run.recipe import Recipe as Recipe
     from p2o.run.run import Row as Row
     from p2o.run.run import Run as Run
@@ -71,7 +89,11 @@ _HOME = {
     "frames.cloud": ["Cloud"],
     "problems.directed_cost": ["DirectedCost"],
     "errors": ["InputError", "MethodUnavailable", "P2OError", "PluginError", "UnknownNameError"],
-    "features.edges": ["CloudEdges", "CloudFeatures", "ImageEdges", "ImageFeatures"],
+    "features.edges": ["CloudEdges", "ImageEdges"],
+    "features.feature": ["CloudFeature", "Feature", "ImageFeature"],
+    "features.maps": ["GreyMap", "ImageMap"],
+    "features.points": ["CloudPoints"],
+    "features.sets": ["CloudFeatures", "ImageFeatures"],
     "frames.frame": ["Dataset", "Frame"],
     "host.hookspecs": ["hookimpl"],
     "frames.image": ["Image"],
@@ -79,11 +101,15 @@ _HOME = {
     "geometry.pose_error": ["PoseError", "pose_error"],
     "host.options": ["Options", "field"],
     "calibration.pipeline": ["Pipeline"],
-    "problems.point_to_line": ["Objective", "PointToLine", "Problem"],
+    "problems.point_to_line": ["PointToLine"],
+    "problems.problem": ["LeastSquares", "Objective", "Problem"],
     "geometry.radial_error": ["RadialError"],
     "run.recipe": ["Recipe"],
     "host.registry": ["Registry"],
-    "results.result": ["CameraCheck", "Result", "Round", "Solution", "Status", "SweepMotion"],
+    "frames.target": ["Checkerboard", "HoleBoard", "Target"],
+    "results.evidence": ["Agreement", "Judged", "Rival"],
+    "results.result": ["CameraCheck", "Result", "Round", "Solution", "SolverStatus", "Status", "SweepMotion"],
+    "results.verdict": ["Doubt", "Reason", "Trust", "Verdict"],
     "run.run": ["Row", "Run", "calibrate"],
     "features.side": ["SIDES", "Side"],
     "host.stages": [

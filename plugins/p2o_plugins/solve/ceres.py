@@ -9,7 +9,7 @@ import numpy as np
 import p2o
 from p2o.arrays import Float
 from p2o.problems.chart import left_from_chart, pose_at
-from p2o.problems.normal_equations import judged, linearise, require_pairs
+from p2o.problems.normal_equations import judged, linearise, require_residuals
 
 
 class CeresOptions(p2o.Options):
@@ -25,7 +25,7 @@ class CeresOptions(p2o.Options):
 
 
 def build(options: CeresOptions) -> p2o.Solver:
-    """Return the solver `(PointToLine, camera_from_lidar (4, 4)) -> Solution`; raise MethodUnavailable sans pyceres."""
+    """Return the solver `(LeastSquares, camera_from_lidar (4, 4)) -> Solution`; MethodUnavailable sans pyceres."""
     try:
         pyceres = importlib.import_module("pyceres")
     except ImportError as problem:
@@ -50,7 +50,7 @@ def build(options: CeresOptions) -> p2o.Solver:
             return True
 
     def solve(problem: p2o.Problem, camera_from_lidar: Float) -> p2o.Solution:
-        pairs = require_pairs(problem, "ceres")
+        pairs = require_residuals(problem, "ceres")
         start = np.asarray(camera_from_lidar, dtype=np.float64)
         delta, root_weight = np.zeros(6), np.sqrt(pairs.weight)
         rows = _Rows(pairs, start, root_weight)
@@ -58,13 +58,13 @@ def build(options: CeresOptions) -> p2o.Solver:
         # The root of the weight scales residual and kernel alike: Huber of width h sqrt(w) on sqrt(w) r is w Huber(r).
         # Python must keep the blocks alive, since Ceres holds plain pointers to them.
         blocks = [
-            (Pair(rows, int(row)), pyceres.HuberLoss(pairs.huber_px * root_weight[row]))
+            (Pair(rows, int(row)), pyceres.HuberLoss(pairs.huber * root_weight[row]))
             for row in np.flatnonzero(root_weight)
         ]
         for cost, loss in blocks:
             ceres_problem.add_residual_block(cost, loss, [delta])
         if not blocks:
-            return judged(pairs, start, start, 0, "converged", options.max_condition)
+            return judged(pairs, start, start, 0, p2o.SolverStatus.CONVERGED, options.max_condition)
         settings, summary = pyceres.SolverOptions(), pyceres.SolverSummary()
         settings.max_num_iterations = options.max_iterations
         settings.function_tolerance = settings.parameter_tolerance = options.tolerance
@@ -79,7 +79,7 @@ def build(options: CeresOptions) -> p2o.Solver:
             start,
             pose_at(start, delta),
             int(summary.num_successful_steps + summary.num_unsuccessful_steps),
-            "converged" if converged else "iterations-spent",
+            p2o.SolverStatus.CONVERGED if converged else p2o.SolverStatus.ITERATIONS_SPENT,
             options.max_condition,
         )
 
@@ -89,7 +89,7 @@ def build(options: CeresOptions) -> p2o.Solver:
 class _Rows:
     """Weighted residuals and derivatives of all pairs, computed once for each point of the chart that Ceres visits."""
 
-    def __init__(self, problem: p2o.PointToLine, start: Float, root_weight: Float) -> None:
+    def __init__(self, problem: p2o.LeastSquares, start: Float, root_weight: Float) -> None:
         self.problem, self.start, self.root_weight = problem, start, root_weight
         self.key: bytes = b""
         self.values: tuple[Any, Any] = ((), ())
@@ -110,7 +110,7 @@ METHOD = p2o.Method(
     build=build,
     options=CeresOptions,
     summary="Ceres Solver with a Huber loss per pair, as in the paper; much slower than lm when driven from Python.",
-    needs={"pairs"},
+    needs={"residuals"},
     cite="Agarwal, Mierle and others, Ceres Solver, 2022",
     extra="ceres",
 )

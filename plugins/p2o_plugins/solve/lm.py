@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import p2o
 from p2o.arrays import Float
-from p2o.problems.normal_equations import judged, linearise, normal_equations, require_pairs
+from p2o.problems.normal_equations import judged, linearise, normal_equations, require_residuals
 
 LONGEST_STEP = 100.0
 """A step of so many radians or metres is an accident of a nearly singular system and refused unseen."""
@@ -23,10 +23,10 @@ class LmOptions(p2o.Options):
 
 
 def build(options: LmOptions) -> p2o.Solver:
-    """Return the solver `(PointToLine, camera_from_lidar (4, 4)) -> Solution`; it never raises on poor pairs."""
+    """Return the solver `(LeastSquares, camera_from_lidar (4, 4)) -> Solution`; it never raises on poor pairs."""
 
     def solve(problem: p2o.Problem, camera_from_lidar: Float) -> p2o.Solution:
-        problem = require_pairs(problem, "lm")
+        problem = require_residuals(problem, "lm")
         start = np.asarray(camera_from_lidar, dtype=np.float64)
         pose, iterations, status = minimise(problem, start, options)
         return judged(problem, start, pose, iterations, status, options.max_condition)
@@ -34,7 +34,7 @@ def build(options: LmOptions) -> p2o.Solver:
     return solve
 
 
-def minimise(problem: p2o.PointToLine, start: Float, options: LmOptions) -> tuple[Float, int, str]:
+def minimise(problem: p2o.LeastSquares, start: Float, options: LmOptions) -> tuple[Float, int, p2o.SolverStatus]:
     """Return the pose (4, 4) of least robust cost near `start`, the number of steps tried, and how it ended.
 
     The damping follows the ratio of true to predicted gain (Nielsen, Damping parameter in Marquardt's method, 1999).
@@ -52,9 +52,13 @@ def minimise(problem: p2o.PointToLine, start: Float, options: LmOptions) -> tupl
         try:
             step = -np.linalg.solve(hessian + np.diag(damping * diagonal), gradient)
         except np.linalg.LinAlgError:
-            return pose, iteration, "converged"  # nothing depends on the pose; `judged` says what is not determined
+            return (
+                pose,
+                iteration,
+                p2o.SolverStatus.CONVERGED,
+            )  # nothing depends on the pose; `judged` says what is not determined
         if np.abs(step).max() < options.tolerance:
-            return pose, iteration, "converged"
+            return pose, iteration, p2o.SolverStatus.CONVERGED
         predicted = 0.5 * float(step @ (damping * diagonal * step - gradient))
         gain = -np.inf
         if np.abs(step).max() < LONGEST_STEP:
@@ -63,10 +67,10 @@ def minimise(problem: p2o.PointToLine, start: Float, options: LmOptions) -> tupl
             trial_cost = float(problem.loss(trial_residuals))
             gain = cost - trial_cost
         if predicted <= np.finfo(float).eps * cost:
-            return (trial if gain > 0 else pose), iteration, "converged"
+            return (trial if gain > 0 else pose), iteration, p2o.SolverStatus.CONVERGED
         if gain > 0:
             moved_px = np.sqrt(max(float(step @ hessian @ step), 0.0) / total)
-            newton = newton_trusted and (newton or moved_px < problem.huber_px)
+            newton = newton_trusted and (newton or moved_px < problem.huber)
             pose, residuals, jacobian, cost = trial, trial_residuals, trial_jacobian, trial_cost
             hessian, gradient = normal_equations(problem, residuals, jacobian, newton=newton)
             damping *= max(1 / 3, 1 - (2 * gain / predicted - 1) ** 3)
@@ -77,7 +81,7 @@ def minimise(problem: p2o.PointToLine, start: Float, options: LmOptions) -> tupl
         else:
             damping *= growth
             growth *= 2.0
-    return pose, options.max_iterations, "iterations-spent"
+    return pose, options.max_iterations, p2o.SolverStatus.ITERATIONS_SPENT
 
 
 def _scale(hessian: Float) -> Float:
@@ -92,6 +96,6 @@ METHOD = p2o.Method(
     build=build,
     options=LmOptions,
     summary="Levenberg-Marquardt with Huber weights, own code: quick, with covariance and a test of observability.",
-    needs={"pairs"},
+    needs={"residuals"},
     cite="Wang et al., P2O-Calib, IROS 2023, Eq. 1 and 2",
 )

@@ -26,7 +26,7 @@ class NelderMeadOptions(p2o.Options):
 
 
 def build(options: NelderMeadOptions) -> p2o.Solver:
-    """Return the solver `(Objective or PointToLine, camera_from_lidar (4, 4)) -> Solution`, without covariance."""
+    """Return the solver `(Problem, camera_from_lidar (4, 4)) -> Solution`, without covariance."""
     unit = np.repeat([np.radians(options.simplex_deg), options.simplex_m], 3)
     corners = np.vstack([np.zeros(6), np.eye(6)])
 
@@ -39,9 +39,11 @@ def build(options: NelderMeadOptions) -> p2o.Solver:
 
         best, spent, converged = np.zeros(6), 0, False
         if not np.isfinite(cost(best)):
-            return p2o.Solution(start, np.inf, 0, "singular", None, "the cost of the start is not finite")
-        if isinstance(problem, p2o.PointToLine) and not len(problem):
-            return p2o.Solution(start, 0.0, 0, "singular", None, "there are no pairs")
+            return p2o.Solution(
+                start, np.inf, 0, p2o.SolverStatus.SINGULAR, None, "the cost of the start is not finite"
+            )
+        if isinstance(problem, p2o.LeastSquares) and not len(problem):
+            return p2o.Solution(start, 0.0, 0, p2o.SolverStatus.SINGULAR, None, "there are no pairs")
         for restart in range(options.restarts + 1):
             fit: Any = minimize(
                 cost,
@@ -58,7 +60,7 @@ def build(options: NelderMeadOptions) -> p2o.Solver:
             best, spent, converged = fit.x, spent + int(fit.nfev), bool(fit.success)
             if spent >= options.max_evaluations:
                 break
-        status = "converged" if converged else "iterations-spent"
+        status = p2o.SolverStatus.CONVERGED if converged else p2o.SolverStatus.ITERATIONS_SPENT
         return p2o.Solution(pose_at(start, best * unit), cost(best), spent, status)
 
     return solve

@@ -8,7 +8,7 @@ import numpy as np
 import p2o
 from p2o.arrays import Float
 from p2o.problems.chart import left_from_chart, pose_at
-from p2o.problems.normal_equations import judged, linearise, require_pairs
+from p2o.problems.normal_equations import judged, linearise, require_residuals
 from scipy.optimize import least_squares
 
 
@@ -25,13 +25,13 @@ class ScipyOptions(p2o.Options):
 
 
 def build(options: ScipyOptions) -> p2o.Solver:
-    """Return the solver `(PointToLine, camera_from_lidar (4, 4)) -> Solution`."""
+    """Return the solver `(LeastSquares, camera_from_lidar (4, 4)) -> Solution`."""
 
     def solve(problem: p2o.Problem, camera_from_lidar: Float) -> p2o.Solution:
-        pairs = require_pairs(problem, "scipy")
+        pairs = require_residuals(problem, "scipy")
         start = np.asarray(camera_from_lidar, dtype=np.float64)
-        at_start = judged(pairs, start, start, 0, "converged", options.max_condition)
-        if at_start.status == "singular":
+        at_start = judged(pairs, start, start, 0, p2o.SolverStatus.CONVERGED, options.max_condition)
+        if at_start.status == p2o.SolverStatus.SINGULAR:
             return at_start  # SciPy does not damp, and would wander off along what is not determined
 
         def residuals(delta: Float) -> Float:
@@ -52,18 +52,18 @@ def build(options: ScipyOptions) -> p2o.Solver:
                 gtol=None,
                 max_nfev=options.max_iterations,
             )
-        status = "converged" if fit.status > 0 else "iterations-spent"
+        status = p2o.SolverStatus.CONVERGED if fit.status > 0 else p2o.SolverStatus.ITERATIONS_SPENT
         return judged(pairs, start, pose_at(start, fit.x), int(fit.nfev), status, options.max_condition)
 
     return solve
 
 
-def _weighted_huber(problem: p2o.PointToLine) -> Any:
+def _weighted_huber(problem: p2o.LeastSquares) -> Any:
     """Return SciPy's loss of squared residuals z (K,): weight times Huber, so that the kernel acts in pixels.
 
     SciPy's own loss="huber" sees weighted residuals only, which would give each pair a kernel of another width.
     """
-    weight, width = problem.weight, problem.huber_px
+    weight, width = problem.weight, problem.huber
 
     def loss(z: Float) -> Float:
         inside = z <= width**2
@@ -80,6 +80,6 @@ METHOD = p2o.Method(
     build=build,
     options=ScipyOptions,
     summary="SciPy's trust-region least squares with the same weighted Huber cost as lm.",
-    needs={"pairs"},
+    needs={"residuals"},
     cite="Branch, Coleman and Li, SIAM Journal on Scientific Computing 21, 1999",
 )

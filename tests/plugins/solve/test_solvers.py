@@ -196,7 +196,7 @@ def test_a_start_far_from_everything_is_survived(method: Method) -> None:
 
 @least_squares
 def test_a_scalar_cost_is_refused_in_words(method: Method) -> None:
-    with pytest.raises(InputError, match=f"{method.name} needs point-to-line pairs.*nelder-mead"):
+    with pytest.raises(InputError, match=f"{method.name} needs residuals.*nelder-mead"):
         built(method)(pairs().as_objective(), NEAR)
 
 

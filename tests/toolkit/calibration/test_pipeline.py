@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from p2o import CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, RadialError, Side, Solution, Status, View, se3
 from p2o.calibration.accuracy import deviations
-from p2o.calibration.pipeline import Pipeline, PipelineOptions
+from p2o.calibration.options import PipelineOptions
+from p2o.calibration.pipeline import Pipeline
 from p2o.geometry.ego_motion import EgoMotion
 from p2o.geometry.motion import moved
 from p2o.geometry.perturb import wrong_start

@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import Camera, CloudFeatures, ImageEdges, ImageFeatures, InputError, Recipe
-from p2o.calibration.pipeline import Pipeline, PipelineOptions
+from p2o.calibration.options import PipelineOptions
+from p2o.calibration.pipeline import Pipeline
 from p2o.features.missing import frame_rng, without_patches
 from p2o.host.registry import Registry
 from p2o.run.recipe import open_dataset

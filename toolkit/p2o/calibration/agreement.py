@@ -47,4 +47,4 @@ def _surest(view: View) -> View:
     sure = edges.weight >= SURE
     if sure.all() or not sure.any():
         return view
-    return replace(view, image=replace(view.image, edges=edges.select(sure)))
+    return replace(view, image=view.image.having(edges.select(sure)))

@@ -9,7 +9,8 @@ import numpy as np
 
 from p2o.geometry.camera import Camera
 from p2o.geometry.radial_error import RadialFit
-from p2o.problems.point_to_line import PointToLine, Problem
+from p2o.problems.point_to_line import PointToLine
+from p2o.problems.problem import Problem
 from p2o.results.result import CameraCheck
 from p2o.results.verdict import Doubt, Reason
 

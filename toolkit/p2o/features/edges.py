@@ -1,16 +1,17 @@
-"""What extractors give: directed occlusion edges of the image and of the sweep."""
+"""Directed occlusion edges of the image and of the sweep: the kinds of features that P2O-Calib matches."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from p2o.arrays import Bool, Float, Int8, checked
 from p2o.errors import InputError
+from p2o.features.feature import CloudFeature, ImageFeature
 from p2o.features.side import Side
 from p2o.geometry import se3
 from p2o.geometry.motion import moved
@@ -40,12 +41,14 @@ def _check_weight(name: str, weight: Any, count: int) -> Float:
 
 
 @dataclass(frozen=True, eq=False)
-class ImageEdges:
+class ImageEdges(ImageFeature):
     """Occlusion edges of one image: `uv` (N, 2) px on the foreground side, `side` (N,) int8, `weight` (N,) >= 0.
 
     `weight` is the confidence of an edge point, 1 where the extractor has none. Search structures are built on first
     use and kept. Raises InputError for wrong shapes, unknown sides, negative or non-finite values.
     """
+
+    word: ClassVar[str] = "image-edges"
 
     uv: Float
     side: Int8
@@ -89,7 +92,7 @@ class ImageEdges:
 
 
 @dataclass(frozen=True, eq=False)
-class CloudEdges:
+class CloudEdges(CloudFeature):
     """Occlusion edges of one sweep: `xyz` (M, 3) m in the LiDAR frame, on the nearer surface, `side` (M,) int8.
 
     `sigma_m` (M,) is the standard deviation in metres of the edge's place across its direction (half the gap to the
@@ -99,6 +102,8 @@ class CloudEdges:
     a sweep as measured was seen, in seconds from the image; 0 where there are no times, and where the sweep was
     corrected for motion: such edges are where they are.
     """
+
+    word: ClassVar[str] = "cloud-edges"
 
     xyz: Float
     side: Int8
@@ -152,38 +157,12 @@ class CloudEdges:
         background = moved(twist, self.time_s, self.background, directions=True)
         return replace(self, xyz=moved(twist, self.time_s, self.xyz), background=background)
 
+    @property
+    def times_s(self) -> Float:
+        """When each edge of a raw sweep was seen; 0 where it is where it is."""
+        return self.time_s
 
-@dataclass(frozen=True, eq=False)
-class ImageFeatures:
-    """What an image extractor gives; a field stays None where a method has nothing of that kind."""
-
-    edges: ImageEdges | None = None
-
-    def without_sides(self) -> ImageFeatures:
-        """Return the features with every direction forgotten."""
-        return replace(self, edges=None if self.edges is None else self.edges.without_sides())
-
-
-@dataclass(frozen=True, eq=False)
-class CloudFeatures:
-    """What a cloud extractor gives: `edges`, and `points` (K, 3) m, the surfaces that can hide something."""
-
-    edges: CloudEdges | None = None
-    points: Float | None = None
-
-    def __post_init__(self) -> None:
-        if self.points is not None:
-            object.__setattr__(
-                self, "points", checked("points of the cloud features", self.points, (None, 3), np.float64)
-            )
-
-    def without_sides(self) -> CloudFeatures:
-        """Return the features with every direction forgotten."""
-        return replace(self, edges=None if self.edges is None else self.edges.without_sides())
-
-    def moved(self, b_from_lidar: Float) -> CloudFeatures:
-        """Return the features in another frame b, by a (4, 4) rigid transform."""
-        return CloudFeatures(
-            None if self.edges is None else self.edges.moved(b_from_lidar),
-            None if self.points is None else se3.apply(b_from_lidar, self.points),
-        )
+    @property
+    def places(self) -> Float:
+        """The edges themselves."""
+        return self.xyz

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 
 import numpy as np
 
 from p2o.arrays import Float, Int
 from p2o.errors import InputError
 from p2o.features.edges import ImageEdges
+from p2o.features.view import View
 
 RADIUS_PX = 40.0
 """Radius of a patch; the paper does not state its own."""
@@ -47,6 +49,16 @@ def without_patches(
     keep = np.zeros(len(edges), bool)
     keep[left] = True
     return edges.select(keep)
+
+
+def patched(view: View, rate: float, radius_px: float, seed: int) -> View:
+    """Return the view without the share `rate` of its image edges, seeded by its name (`without_patches`)."""
+    edges = view.image.edges
+    if rate == 0 or edges is None:
+        return view
+    rng, camera = frame_rng(seed, view.name), view.camera
+    left = without_patches(edges, camera.width, camera.height, rate, rng, radius_px=radius_px)
+    return replace(view, image=view.image.having(left))
 
 
 def frame_rng(seed: int, name: str) -> np.random.Generator:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from p2o.arrays import Float
-from p2o.features.edges import CloudEdges, CloudFeatures, ImageEdges, ImageFeatures
+from p2o.features.edges import CloudEdges, ImageEdges
+from p2o.features.sets import CloudFeatures, ImageFeatures
 from p2o.features.side import Side
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
+from p2o.geometry.visibility import hidden
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +34,16 @@ class View:
     def cloud_edges(self) -> CloudEdges:
         """The cloud edges; empty where the extractor gave none."""
         return self.cloud.edges if self.cloud.edges is not None else CloudEdges.empty()
+
+    def get(self, word: str) -> Any:
+        """Return the features of a kind, of either sensor, or None where the extractors gave none."""
+        found = self.image.get(word)
+        return self.cloud.get(word) if found is None else found
+
+    def count(self, word: str) -> int:
+        """Return how many features of a kind there are."""
+        found = self.get(word)
+        return 0 if found is None else len(found)
 
     def without_sides(self) -> View:
         """Return the view with every direction forgotten (for methods that do not use them)."""
@@ -54,13 +67,20 @@ class View:
         horizontal = np.where(du < 0, Side.LEFT, Side.RIGHT)
         vertical = np.where(dv < 0, Side.UPPER, Side.BOTTOM)
         side[known] = np.where(np.abs(du) > np.abs(dv), horizontal, vertical)
-        return replace(self, cloud=replace(self.cloud, edges=replace(edges, side=side)))
+        return replace(self, cloud=self.cloud.having(replace(edges, side=side)))
+
+    def without_hidden(self, camera_from_lidar: Float) -> View:
+        """Return the view without LiDAR edges that the sweep's own points hide from the camera at a pose (4, 4)."""
+        edges, surface = self.cloud.edges, self.cloud.points
+        if edges is None or surface is None or not len(edges):
+            return self
+        keep = ~hidden(edges.xyz, surface, self.camera, camera_from_lidar)
+        return replace(self, cloud=self.cloud.having(edges.select(keep)))
 
     def moved(self, b_from_lidar: Float) -> View:
         """Return the view with the LiDAR frame replaced by b; the image side is untouched."""
         return replace(self, cloud=self.cloud.moved(b_from_lidar))
 
     def untwisted(self, twist: Float) -> View:
-        """Return the view with its LiDAR edges as if seen at time 0 from a LiDAR that moves with `twist` (6,)."""
-        edges = self.cloud.edges
-        return self if edges is None else replace(self, cloud=replace(self.cloud, edges=edges.untwisted(twist)))
+        """Return the view with its LiDAR features as if seen at time 0 from a LiDAR that moves with `twist` (6,)."""
+        return replace(self, cloud=self.cloud.untwisted(twist))

@@ -13,14 +13,15 @@ import numpy as np
 
 from p2o.arrays import Float
 from p2o.errors import InputError, MethodUnavailable, P2OError, PluginError
-from p2o.features.edges import CloudFeatures, ImageFeatures
+from p2o.features.sets import CloudFeatures, ImageFeatures
 from p2o.frames.frame import Dataset, Frame
 from p2o.geometry import se3
 from p2o.host.method import Kind
 from p2o.host.options import Options
 from p2o.host.registry import Offer
 from p2o.host.trainer import Trainer
-from p2o.problems.point_to_line import Objective, PointToLine
+from p2o.problems.point_to_line import PointToLine
+from p2o.problems.problem import Objective
 from p2o.results.result import Result, Solution
 
 

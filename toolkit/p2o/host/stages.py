@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Protocol
 
 from p2o.arrays import Float
-from p2o.features.edges import CloudFeatures, ImageFeatures
+from p2o.features.sets import CloudFeatures, ImageFeatures
 from p2o.features.view import View
 from p2o.frames.cloud import Cloud
 from p2o.frames.frame import Frame
 from p2o.frames.image import Image
-from p2o.problems.point_to_line import Problem
+from p2o.problems.problem import Problem
 from p2o.results.result import Result, Solution
 
 

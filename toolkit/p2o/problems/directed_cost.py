@@ -20,8 +20,13 @@ Float32 = np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """One view: the points that take part, in the camera frame of `around`, each with the number of its map."""
+    """One view: the points that take part, in the camera frame of `around`, each with the number of its map.
 
+    `view` is the number of the view, `rows` those of its LiDAR edges.
+    """
+
+    view: int
+    rows: Int
     camera: Camera
     xyz: Float
     weight: Float
@@ -141,7 +146,7 @@ class DirectedCost:
         total = int(sum(m.sum() for m in masks))
         step = 1 if max_points is None else max(1, -(-total // max_points))
         parts = []
-        for view, mask in zip(views, masks, strict=True):
+        for number_of_view, (view, mask) in enumerate(zip(views, masks, strict=True)):
             keep = np.flatnonzero(mask)[::step]
             if not len(keep):
                 continue
@@ -156,7 +161,7 @@ class DirectedCost:
             seen_from = se3.apply(around, edges.xyz)
             distance = np.linalg.norm(seen_from, axis=1)
             weight = edges.weight / (1.0 + (view.camera.focal_px * edges.sigma_m / distance) ** 2)
-            parts.append(_Part(view.camera, seen_from, weight, number[edges.side], maps, neutral))
+            parts.append(_Part(number_of_view, keep, view.camera, seen_from, weight, number[edges.side], maps, neutral))
         return cls(tuple(parts), truncate_px, scale, se3.inverse(around), smooth)
 
     def truncated(self, truncate_px: float) -> DirectedCost:
@@ -164,6 +169,23 @@ class DirectedCost:
         limit = min(truncate_px, self.truncate_px)
         parts = tuple(replace(part, neutral=_neutral(part.maps, limit)) for part in self.parts)
         return replace(self, parts=parts, truncate_px=limit)
+
+    def on(self, views: Sequence[View]) -> DirectedCost:
+        """Return the cost of the same points with the same weights, where `views` put them and see them.
+
+        The views are those that the cost was made of, with other cameras of the same size or with LiDAR edges that have
+        moved: costs of different views compare because nothing else differs.
+        """
+        around = se3.inverse(self.lidar_from_around)
+        parts = tuple(
+            replace(
+                part,
+                camera=views[part.view].camera,
+                xyz=se3.apply(around, views[part.view].cloud_edges.xyz[part.rows]),
+            )
+            for part in self.parts
+        )
+        return replace(self, parts=parts)
 
     @cached_property
     def points(self) -> int:

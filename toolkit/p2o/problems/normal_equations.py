@@ -1,4 +1,4 @@
-"""Robust normal equations of point-to-line pairs, and what they say about the solution: covariance, observability."""
+"""Robust normal equations of any least squares, and what they say about the solution: covariance, observability."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import numpy as np
 
 from p2o.arrays import Float
 from p2o.errors import InputError
-from p2o.problems.point_to_line import PointToLine, Problem
-from p2o.results.result import Solution
+from p2o.problems.problem import LeastSquares, Problem
+from p2o.results.result import Solution, SolverStatus
 
 MIN_PAIRS = 6
 """Fewest pairs that can fix the six unknowns."""
@@ -26,35 +26,35 @@ AXES = (
 """The six unknowns in words, in the order of a tangent vector."""
 
 
-def require_pairs(problem: Problem, method: str) -> PointToLine:
-    """Return the problem if it holds pairs; raise InputError if it is only a scalar cost."""
-    if isinstance(problem, PointToLine):
+def require_residuals(problem: Problem, method: str) -> LeastSquares:
+    """Return the problem if it has residuals; raise InputError if it is only a scalar cost."""
+    if isinstance(problem, LeastSquares):
         return problem
     raise InputError(
-        f"solver {method} needs point-to-line pairs",
-        expected="a PointToLine",
+        f"solver {method} needs residuals",
+        expected="a p2o.LeastSquares, such as PointToLine",
         got=type(problem).__name__,
-        hint="use a matcher that gives pairs, or the solver nelder-mead",
+        hint="use a matcher that gives pairs or residuals, or the solver nelder-mead",
     )
 
 
-def linearise(problem: PointToLine, camera_from_lidar: Float) -> tuple[Float, Float]:
-    """Return residuals (K,) and derivatives (K, 6) as `PointToLine.residuals_with_jacobian`, without NaN.
+def linearise(problem: LeastSquares, camera_from_lidar: Float) -> tuple[Float, Float]:
+    """Return residuals (K,) and derivatives (K, 6) as `LeastSquares.residuals_with_jacobian`, without NaN.
 
-    Unseen points, and those farther off than `far_px`, have the constant residual that the cost charges them with,
+    Unseen points, and those farther off than `far`, have the constant residual that the cost charges them with,
     and no derivative.
     """
     residuals, jacobian = problem.residuals_with_jacobian(camera_from_lidar)
     size = np.abs(residuals)
-    if size.size and not size.max() < problem.far_px:  # also true where one is NaN
-        far = ~(size < problem.far_px)
-        residuals[far] = np.copysign(problem.far_px, residuals[far])
+    if size.size and not size.max() < problem.far:  # also true where one is NaN
+        far = ~(size < problem.far)
+        residuals[far] = np.copysign(problem.far, residuals[far])
         jacobian[far] = 0.0
     return residuals, jacobian
 
 
 def normal_equations(
-    problem: PointToLine, residuals: Float, jacobian: Float, *, newton: bool = False
+    problem: LeastSquares, residuals: Float, jacobian: Float, *, newton: bool = False
 ) -> tuple[Float, Float]:
     """Return Hessian (6, 6) and gradient (6,) of the robust sum for a left update, the projection taken as linear.
 
@@ -62,7 +62,7 @@ def normal_equations(
     minimum at a constant rate. With `newton` pairs beyond the kernel have slope but no curvature, which is exact and
     quick near the minimum, and may overshoot far from it.
     """
-    width, rows = problem.huber_px, jacobian.T
+    width, rows = problem.huber, jacobian.T
     size = np.abs(residuals)
     curvature = (size <= width) * problem.weight if newton else problem.weight * (width / np.maximum(size, width))
     slope = np.clip(residuals, -width, width)
@@ -71,7 +71,7 @@ def normal_equations(
 
 
 def why_singular(
-    problem: PointToLine, camera_from_lidar: Float, residuals: Float, hessian: Float, max_condition: float
+    problem: LeastSquares, camera_from_lidar: Float, residuals: Float, hessian: Float, max_condition: float
 ) -> str:
     """Return in words what the pairs cannot determine at a pose, or "" if they determine all six unknowns.
 
@@ -79,11 +79,10 @@ def why_singular(
     metre; `max_condition` bounds the ratio of the largest to the smallest eigenvalue of the Hessian then. Depths above
     `LEVER_M` count as that: pairs that are all far away must not pass for telling the translation.
     """
-    used = int(((problem.weight > 0) & (np.abs(residuals) < problem.far_px)).sum())
+    used = int(((problem.weight > 0) & (np.abs(residuals) < problem.far)).sum())
     if used < MIN_PAIRS:
         return f"{used} pairs with a visible point, at least {MIN_PAIRS} are needed"
-    depth = float(np.abs(problem.xyz @ camera_from_lidar[2, :3] + camera_from_lidar[2, 3]).mean())
-    scale = np.array([1 / min(depth, LEVER_M)] * 3 + [1.0] * 3)
+    scale = np.array([1 / min(problem.depth_m(camera_from_lidar), LEVER_M)] * 3 + [1.0] * 3)
     values, vectors = np.linalg.eigh(scale[:, None] * hessian * scale)
     weak = values <= values[-1] / max_condition
     if not weak.any():
@@ -98,7 +97,7 @@ def _in_words(direction: Float) -> str:
     return " with ".join(AXES[i] for i in order)
 
 
-def covariance(problem: PointToLine, residuals: Float, jacobian: Float) -> Float | None:
+def covariance(problem: LeastSquares, residuals: Float, jacobian: Float) -> Float | None:
     """Return the covariance (6, 6) of a left update in rad and m, or None where it does not exist.
 
     s^2 (J^T W J)^-1 with the scale of a Huber estimate, s^2 = sum w psi(r)^2 / (K - 6) / m^2, m the share of pairs
@@ -106,11 +105,11 @@ def covariance(problem: PointToLine, residuals: Float, jacobian: Float) -> Float
     neighbours along one edge are not.
     """
     weight, rows = problem.weight, jacobian.T
-    inside = np.abs(residuals) <= problem.huber_px
+    inside = np.abs(residuals) <= problem.huber
     share = float(weight @ inside) / max(float(weight.sum()), np.finfo(float).tiny)
     if share == 0 or len(problem) <= MIN_PAIRS:
         return None
-    psi = np.clip(residuals, -problem.huber_px, problem.huber_px)
+    psi = np.clip(residuals, -problem.huber, problem.huber)
     scale = float(weight @ psi**2) / (len(problem) - MIN_PAIRS) / share**2
     try:
         inverse = np.linalg.inv((rows * weight) @ rows.T)
@@ -120,11 +119,11 @@ def covariance(problem: PointToLine, residuals: Float, jacobian: Float) -> Float
 
 
 def judged(
-    problem: PointToLine,
+    problem: LeastSquares,
     start: Float,
     camera_from_lidar: Float,
     iterations: int,
-    status: str,
+    status: SolverStatus,
     max_condition: float,
 ) -> Solution:
     """Return the solution at a pose with its covariance; where the pairs cannot determine it, the start as singular."""
@@ -132,6 +131,8 @@ def judged(
     hessian, _ = normal_equations(problem, residuals, jacobian)
     reason = why_singular(problem, camera_from_lidar, residuals, hessian, max_condition)
     if reason:
-        return Solution(start, float(problem.loss(problem.residuals(start))), iterations, "singular", None, reason)
+        return Solution(
+            start, float(problem.loss(problem.residuals(start))), iterations, SolverStatus.SINGULAR, None, reason
+        )
     cost = float(problem.loss(residuals))
     return Solution(camera_from_lidar, cost, iterations, status, covariance(problem, residuals, jacobian))

@@ -1,8 +1,7 @@
-"""What a matcher makes of the views at one pose: pairs for least squares, or a cost for scalar search."""
+"""Points of the sweep that belong on lines of the image: the pairs of P2O-Calib (paper Eq. 1 and 2)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -12,20 +11,13 @@ from p2o.arrays import Float, Int, Int8, checked
 from p2o.errors import InputError
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
+from p2o.problems.problem import LeastSquares
 
 _MIN_DEPTH_M = 1e-6
-_CHUNK = 1 << 18  # residuals evaluated at once for many poses: about what a core's cache holds
 
 
 @dataclass(frozen=True, eq=False)
-class Objective:
-    """A scalar cost: `cost` takes camera_from_lidar (B, 4, 4) and returns (B,), lower is better."""
-
-    cost: Callable[[Float], Float]
-
-
-@dataclass(frozen=True, eq=False)
-class PointToLine:
+class PointToLine(LeastSquares):
     """3D points with a 2D line each (paper Eq. 2): residual r = normal . (pi(camera_from_lidar xyz) - centre).
 
     `xyz` (K, 3) m in the LiDAR frame; `centre` (K, 2) px; `normal` (K, 2) unit; `weight` (K,) >= 0; `side` (K,) int8;
@@ -89,6 +81,20 @@ class PointToLine:
     def far_px(self) -> float:
         """The residual that an unseen point is charged with, and the largest that any is: one whole image."""
         return float(max((max(c.width, c.height) for c in self.cameras), default=1))
+
+    @property
+    def huber(self) -> float:
+        """The width of the Huber kernel in pixels."""
+        return self.huber_px
+
+    @property
+    def far(self) -> float:
+        """`far_px`."""
+        return self.far_px
+
+    def depth_m(self, camera_from_lidar: Float) -> float:
+        """Return the mean depth of the points along the optical axis."""
+        return float(np.abs(self.xyz @ camera_from_lidar[2, :3] + camera_from_lidar[2, 3]).mean())
 
     @cached_property
     def _homogeneous(self) -> Float:
@@ -175,34 +181,8 @@ class PointToLine:
             columns[i] -= scratch
         return residuals, columns.T
 
-    def loss(self, residuals: Float) -> Float:
-        """Return the robust sum (...) of residuals (..., K); unseen ones (NaN) count as `far_px`, as do larger ones."""
-        size = np.abs(residuals)
-        np.fmin(size, self.far_px, out=size)  # fmin passes over NaN
-        inner = np.minimum(size, self.huber_px)
-        size -= 0.5 * inner
-        size *= inner
-        return np.asarray(size @ self.weight)
-
-    def cost(self, poses: Float) -> Float:
-        """Return the robust sum (B,) of poses (B, 4, 4): what makes these pairs an `Objective` too.
-
-        A point that a pose puts behind the camera costs as much as one a whole image away.
-        """
-        poses = np.asarray(poses, dtype=np.float64)
-        size = max(1, _CHUNK // max(len(self), 1))
-        parts = [self.loss(self.residuals(poses[i : i + size])) for i in range(0, len(poses), size)]
-        return np.concatenate(parts) if parts else np.zeros(0)
-
-    def as_objective(self) -> Objective:
-        """Return the robust sum of these pairs for solvers that want a scalar cost."""
-        return Objective(self.cost)
-
 
 def _unseen_as_nan(depth: Float) -> None:
     """Set depths (...) at or behind the image plane to NaN in place, so that all that follows from them is NaN."""
     if depth.size and not depth.min() > _MIN_DEPTH_M:  # also true where a depth is NaN
         depth[~(depth > _MIN_DEPTH_M)] = np.nan
-
-
-Problem = PointToLine | Objective

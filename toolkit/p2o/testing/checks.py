@@ -27,7 +27,8 @@ from p2o.host.guard import build
 from p2o.host.method import Kind
 from p2o.host.options import Options
 from p2o.host.registry import Offer
-from p2o.problems.point_to_line import Objective, PointToLine
+from p2o.problems.point_to_line import PointToLine
+from p2o.problems.problem import Objective
 from p2o.results.result import Result, Round, Status
 from p2o.testing import stage
 

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from p2o.arrays import Float, Int
-from p2o.features.edges import CloudEdges, CloudFeatures, ImageEdges, ImageFeatures
+from p2o.features.edges import CloudEdges, ImageEdges
+from p2o.features.sets import CloudFeatures, ImageFeatures
 from p2o.features.side import Side
 from p2o.features.view import View
 from p2o.frames.cloud import Cloud

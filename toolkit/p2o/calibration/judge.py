@@ -1,0 +1,144 @@
+"""Judges: what says which of several poses is better. All poses that are compared are judged on one set of points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+
+from p2o.arrays import Float
+from p2o.features.view import View
+from p2o.geometry import se3
+from p2o.host.stages import Matcher
+from p2o.problems.directed_cost import DirectedCost
+from p2o.problems.problem import LeastSquares, Problem
+from p2o.results.result import DIRECTED
+
+
+class Judge(Protocol):
+    """Gives costs to poses. Costs of one call compare; those of different calls need not.
+
+    A matcher that wants a judge of its own has a method `judge(views, start (4, 4), poses) -> Judge`.
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def unit(self) -> str: ...
+
+    def costs(self, poses: Sequence[Float], /) -> list[float]:
+        """Return the cost of each pose (4, 4), lower is better."""
+        ...
+
+    def lead(self, best: float, other: float, /) -> tuple[float, str]:
+        """Return by how much a cost is better than another one in terms that a user understands, and its unit."""
+        ...
+
+    def on(self, views: Sequence[View], /) -> Judge:
+        """Return the judge of the same points where `views` put them: the same views, moved or with other cameras."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class DirectedJudge:
+    """Judges by the directed distance: the points are those that the start or a proposed pose brings into the image."""
+
+    cost: DirectedCost
+    name: ClassVar[str] = DIRECTED
+    unit: ClassVar[str] = "px"
+    _known: dict[bytes, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, views: Sequence[View], start: Float, poses: Sequence[Float], truncate_px: float) -> DirectedJudge:
+        """Return the judge of all that follows from the start; distances are cut off at `truncate_px`."""
+        return cls(DirectedCost.of(views, start, truncate_px, margin_px=_margin_px(views, start, poses)))
+
+    def costs(self, poses: Sequence[Float]) -> list[float]:
+        """Return the directed distance of each pose in pixels."""
+        for pose in poses:
+            if pose.tobytes() not in self._known:
+                self._known[pose.tobytes()] = self.cost.at(pose)
+        return [self._known[pose.tobytes()] for pose in poses]
+
+    def lead(self, best: float, other: float) -> tuple[float, str]:
+        """Return by how many edges fewer the other pose is met."""
+        return (other - best) * self.cost.edges / self.cost.truncate_px, "edges"
+
+    def on(self, views: Sequence[View]) -> DirectedJudge:
+        """Return the judge of the same points and weights where `views` put them."""
+        return replace(self, cost=self.cost.on(views), _known={})
+
+
+def _margin_px(views: Sequence[View], start: Float, poses: Sequence[Float]) -> float:
+    """Return how far outside the image a point may start and still be brought in by one of the poses."""
+    widest = max((se3.angle_deg(pose @ se3.inverse(start)) for pose in poses), default=0.0)
+    return float(max(view.camera.focal_px for view in views) * np.tan(np.radians(min(widest, 60.0))))
+
+
+@dataclass(frozen=True, eq=False)
+class ProblemJudge:
+    """Judges by the method's own cost, for methods without directed edges.
+
+    What a matcher pairs depends on the pose it is asked at. So it is asked at every pose that takes part, and each pose
+    pays the mean of its costs over all these problems: no pose is judged by its own pairs alone.
+    """
+
+    matcher: Matcher
+    views: tuple[View, ...]
+    reach_px: float
+    name: ClassVar[str] = "own-cost"
+    unit: ClassVar[str] = "cost"
+    _known: dict[bytes, Problem] = field(default_factory=dict)
+
+    def costs(self, poses: Sequence[Float]) -> list[float]:
+        """Return the mean cost of each pose; for least squares the robust sum over the sum of the weights."""
+        stack = np.stack(poses)
+        rows = [self._at(pose, stack) for pose in {pose.tobytes(): pose for pose in poses}.values()]
+        told = [row for row in rows if np.isfinite(row).any()]
+        mean: list[float] = np.mean(told, axis=0).tolist() if told else [float("inf")] * len(poses)
+        return mean
+
+    def _at(self, pose: Float, stack: Float) -> Float:
+        """Return the costs (B,) of all poses by the problem that is posed at `pose`; infinite without pairs."""
+        key = pose.tobytes()
+        if key not in self._known:
+            self._known[key] = self.matcher(self.views, pose, self.reach_px)
+        problem = self._known[key]
+        costs = np.asarray(problem.cost(stack), np.float64)
+        if isinstance(problem, LeastSquares):
+            total = float(problem.weight.sum())
+            return costs / total if total > 0 else np.full(len(stack), np.inf)
+        return costs
+
+    def lead(self, best: float, other: float) -> tuple[float, str]:
+        """Return the difference of the costs."""
+        return other - best, self.unit
+
+    def on(self, views: Sequence[View]) -> ProblemJudge:
+        """Return the judge of other views."""
+        return replace(self, views=tuple(views), _known={})
+
+
+def judge_of(
+    matcher: Matcher,
+    needs: frozenset[str],
+    views: Sequence[View],
+    start: Float,
+    poses: Sequence[Float],
+    *,
+    truncate_px: float,
+    reach_px: float,
+) -> Judge:
+    """Return the judge of a method: the matcher's own, else by directed edges where it needs edges, else by its cost.
+
+    `needs` are the words of the matcher, `poses` (4, 4) those that are proposed to begin from.
+    """
+    own: Any = getattr(matcher, "judge", None)
+    if own is not None:
+        judge: Judge = own(views, start, poses)
+        return judge
+    if {"image-edges", "cloud-edges"} <= needs:
+        return DirectedJudge.of(views, start, poses, truncate_px)
+    return ProblemJudge(matcher, tuple(views), reach_px)

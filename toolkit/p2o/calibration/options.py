@@ -1,0 +1,62 @@
+"""Options of Algorithm 1 itself, `--set pipeline.FIELD=VALUE`."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from pydantic import field_validator
+
+from p2o.features.missing import RADIUS_PX
+from p2o.host.options import Options
+from p2o.host.options import field as option
+
+
+class PipelineOptions(Options):
+    """Options of Algorithm 1 itself."""
+
+    rounds: int = option(10, ge=1, le=100, help="Largest number of match-and-solve rounds (paper: n_opt = 10).")
+    reach_px: float = option(50.0, gt=1, le=500, help="First cutting distance d_c from the given start (paper: 50).")
+    reach_after_search_px: float = option(
+        12.0, gt=1, le=500, help="First cutting distance from a pose that an initializer has found."
+    )
+    shrink: float = option(0.7, gt=0.1, lt=1, help="Factor on the cutting distance from round to round.")
+    min_reach_px: float = option(5.0, gt=0.5, le=100, help="Smallest cutting distance.")
+    min_matches: int = option(
+        30, ge=6, help="Fewer point-to-line pairs than this end a calibration as too-few-matches."
+    )
+    judge_px: float = option(5.0, gt=1, le=100, help="Truncation of the directed distance that poses are judged by.")
+    min_odds_ratio: float = option(6.0, ge=0, help="A lower agreement of both sensors' edges is called doubtful.")
+    min_lead_edges: float = option(
+        1.5, ge=0, help="A result that another pose comes nearer to than by this many edges is called ambiguous."
+    )
+    camera: Literal["trust", "check", "refine"] = option(
+        "check",
+        help="The camera's calibration: trust it; check its focal length and radial distortion against the edges, and "
+        "warn; or refine: correct them along with the pose (with many frames together).",
+    )
+    motion: Literal["trust", "estimate"] = option(
+        "estimate",
+        help="Sweeps as measured, whose points have times: trust them, as of a car that stands; or estimate how the "
+        "car moves during each of them, along with the pose. Sweeps that were corrected for motion stay as they are.",
+    )
+    forward: tuple[float, float, float] = option(
+        (1.0, 0.0, 0.0), help="Direction of travel in the LiDAR frame, for `motion`; its z axis is up."
+    )
+    speed_m_s: float = option(8.0, ge=-60, le=60, help="Forward speed of the car that `motion` begins from.")
+    speed_sigma_m_s: float = option(8.0, gt=0, le=60, help="Standard deviation of the true speed from it.")
+    turn_sigma_deg_s: float = option(6.0, gt=0, le=90, help="Standard deviation of the car's turning rate from zero.")
+    tolerance_deg: float = option(1e-3, ge=0, help="A smaller turn (and shift) in the last round means converged.")
+    tolerance_m: float = option(1e-3, ge=0, help="A smaller shift (and turn) in the last round means converged.")
+    missing_edges: float = option(
+        0.0, ge=0, le=0.95, help="Share of the image edges that random circle patches take away (paper Sec. IV-B)."
+    )
+    missing_radius_px: float = option(RADIUS_PX, gt=0, le=1000, help="Radius of such a patch.")
+    seed: int = option(0, ge=0, help="Seed of the patches.")
+
+    @field_validator("forward")
+    @classmethod
+    def _somewhere(cls, value: tuple[float, float, float]) -> tuple[float, float, float]:
+        if not (np.isfinite(value).all() and any(value)):
+            raise ValueError("a direction of three finite numbers, not all zero")
+        return value

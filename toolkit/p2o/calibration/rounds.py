@@ -1,0 +1,140 @@
+"""The rounds of Algorithm 1: match within a shrinking distance, solve, keep the pose where its cost falls."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from p2o.arrays import Float
+from p2o.calibration.judge import Judge
+from p2o.calibration.options import PipelineOptions
+from p2o.features.side import Side
+from p2o.features.view import View
+from p2o.geometry import se3
+from p2o.host.stages import Matcher, Solver
+from p2o.problems.normal_equations import MIN_PAIRS
+from p2o.problems.point_to_line import PointToLine
+from p2o.problems.problem import LeastSquares, Problem
+from p2o.results.result import Round, Solution, SolverStatus, Status
+
+
+@dataclass(frozen=True, eq=False)
+class End:
+    """Where the rounds from one pose ended; `problem` holds the pairs at the pose, `solution` is the last one."""
+
+    pose: Float
+    status: Status
+    reason: str
+    rounds: tuple[Round, ...]
+    problem: PointToLine | None = None
+    solution: Solution | None = None
+
+    @property
+    def solved(self) -> bool:
+        """True where there is a pose to judge."""
+        return self.status.solved
+
+
+@dataclass(frozen=True)
+class Rounds:
+    """Match-and-solve rounds with a matcher and a solver."""
+
+    matcher: Matcher
+    solver: Solver
+    options: PipelineOptions
+
+    def __call__(
+        self, views: Sequence[View], start: Float, pose: Float, judge: Judge, *, reach_px: float, found_by: str = ""
+    ) -> End:
+        """Return where the rounds from `pose` (4, 4) end; the first cutting distance is `reach_px`.
+
+        `found_by` is the stage that found the pose; empty where it is the `start` itself. A pose is kept only where the
+        judge gives it a lower cost than the best one so far.
+        """
+        options, rounds = self.options, []
+        if found_by:
+            rounds.append(_turn(found_by, 0.0, None, start, pose, judge.costs([pose])[0], accepted=True))
+        best, status, reason = pose, Status.ROUNDS_SPENT, f"all {options.rounds} rounds were used"
+        solution, improved, stopped, reach = None, False, None, reach_px
+        for _ in range(options.rounds):
+            problem = self.matcher(views, pose, reach)
+            few = self._too_few(problem, reach)
+            if few:
+                stopped, reason = Status.TOO_FEW_MATCHES, few
+                break
+            solution = self.solver(problem, pose)
+            if solution.status is SolverStatus.SINGULAR:
+                stopped, reason = Status.NOT_OBSERVABLE, solution.reason
+                break
+            before, pose = pose, solution.camera_from_lidar
+            cost_of_best, cost = judge.costs([best, pose])
+            better = cost < cost_of_best
+            if better:
+                best, improved = pose, True
+            turn = _turn("refine", reach, problem, before, pose, cost, accepted=better)
+            rounds.append(turn)
+            still = turn.step_deg < options.tolerance_deg and turn.step_m < options.tolerance_m
+            if still and reach <= options.min_reach_px:
+                status, reason = Status.CONVERGED, "the last round moved the pose by less than the tolerance"
+                break
+            reach = max(options.min_reach_px, reach * options.shrink)
+        if stopped is not None and not improved:
+            return End(start, stopped, reason, tuple(rounds))
+        if found_by and not improved:
+            reason += f"; no round improved on the pose of the stage {found_by}"
+        # A later round that has too little to go on does not take back what an earlier one found.
+        last = self.matcher(views, best, options.min_reach_px)
+        pairs = last if isinstance(last, PointToLine) and len(last) else None
+        return End(best, status, reason, tuple(rounds), pairs, solution)
+
+    def _too_few(self, problem: Problem, reach_px: float) -> str:
+        """Return why there is too little to solve, or an empty text."""
+        if not isinstance(problem, LeastSquares):
+            return ""
+        pairs = isinstance(problem, PointToLine)
+        least, what = (self.options.min_matches, "pairs") if pairs else (MIN_PAIRS, "residuals")
+        return (
+            ""
+            if len(problem) >= least
+            else (f"{len(problem)} {what} within {reach_px:.0f} px, at least {least} are needed")
+        )
+
+
+def _turn(
+    stage: str, reach_px: float, problem: Problem | None, before: Float, after: Float, cost: float, *, accepted: bool
+) -> Round:
+    step = after @ se3.inverse(before)
+    return Round(
+        stage=stage,
+        reach_px=reach_px,
+        matches={} if problem is None else counts(problem),
+        mean_residual=float("nan") if problem is None else _mean_residual(problem, after),
+        cost=cost,
+        step_deg=se3.angle_deg(step),
+        step_m=se3.distance_m(step),
+        accepted=accepted,
+    )
+
+
+def counts(problem: Problem) -> dict[str, int]:
+    """Return how many pairs there are by the letter of their direction, or how many residuals; empty without any."""
+    if isinstance(problem, PointToLine):
+        return {Side(int(s)).letter: int(n) for s, n in zip(*np.unique(problem.side, return_counts=True), strict=True)}
+    return {"residuals": len(problem)} if isinstance(problem, LeastSquares) else {}
+
+
+def mean_residuals_px(problem: PointToLine, pose: Float) -> dict[str, float]:
+    """Return the mean absolute residual in pixels by the letter of the direction."""
+    residuals = np.abs(problem.residuals(pose))
+    return {
+        Side(int(s)).letter: float(np.nanmean(residuals[problem.side == s])) for s in np.unique(problem.side).tolist()
+    }
+
+
+def _mean_residual(problem: Problem, pose: Float) -> float:
+    if not isinstance(problem, LeastSquares) or not len(problem):
+        return float("nan")
+    residuals = np.abs(problem.residuals(pose))
+    return float(np.nanmean(residuals)) if np.isfinite(residuals).any() else float("nan")

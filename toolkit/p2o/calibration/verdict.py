@@ -1,0 +1,92 @@
+"""From what speaks for and against a pose to a verdict: agreement of edges, the rival pose, the camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from p2o.arrays import Float
+from p2o.calibration.agreement import agreement
+from p2o.calibration.camera_check import doubt
+from p2o.calibration.judge import Judge
+from p2o.calibration.options import PipelineOptions
+from p2o.calibration.rounds import End
+from p2o.features.view import View
+from p2o.geometry import se3
+from p2o.results.evidence import Agreement, Rival
+from p2o.results.result import CameraCheck, Result
+from p2o.results.verdict import Doubt, Reason, Verdict
+
+_RIVAL_DEG, _RIVAL_M = 0.5, 0.3
+
+
+def rival_of(ends: Sequence[End], best: End, judge: Judge) -> Rival | None:
+    """Return the next best end that is not the place of the best: how much worse it is, and how far away; or None."""
+    steps = {id(end): se3.inverse(end.pose) @ best.pose for end in ends if end.solved}
+    others = [
+        end
+        for end in ends
+        if end.solved and (se3.angle_deg(steps[id(end)]) > _RIVAL_DEG or se3.distance_m(steps[id(end)]) > _RIVAL_M)
+    ]
+    if not others:
+        return None
+    cost_of_best, *costs = judge.costs([best.pose, *(end.pose for end in others)])
+    cost, number = min((cost, i) for i, cost in enumerate(costs))
+    step = steps[id(others[number])]
+    return Rival(*judge.lead(cost_of_best, cost), se3.angle_deg(step), se3.distance_m(step))
+
+
+def agreement_of(views: Sequence[View], camera_from_lidar: Float) -> Agreement | None:
+    """Return how the edges of both sensors meet at a pose (4, 4), or None where there are none of one sensor."""
+    if not any(view.count("image-edges") and view.count("cloud-edges") for view in views):
+        return None
+    return agreement(views, camera_from_lidar)
+
+
+def verdict_of(
+    agreed: Agreement | None, rival: Rival | None, cameras: Sequence[CameraCheck], options: PipelineOptions
+) -> Verdict:
+    """Return the verdict on a pose: doubtful where edges do not seem to belong together, or nothing can tell."""
+    reasons = [*_rivalry(rival, options.min_lead_edges), *_meeting(agreed, options.min_odds_ratio)]
+    return Verdict((*reasons, *filter(None, map(doubt, cameras))))
+
+
+def _rivalry(rival: Rival | None, min_lead_edges: float) -> list[Reason]:
+    """Return a reason where another pose fits as well; leads of other units than edges have no bound."""
+    if rival is None or rival.unit != "edges" or rival.lead >= min_lead_edges:
+        return []
+    away = f"{rival.rotation_deg:.2f} deg and {rival.translation_m:.2f} m away"
+    text = f"another pose, {away}, fits as well but for {rival.lead:.1f} edges; take more frames together, or a nearer"
+    return [Reason(Doubt.RIVAL_POSE, f"{text} start")]
+
+
+def _meeting(agreed: Agreement | None, min_odds_ratio: float) -> list[Reason]:
+    """Return a reason where edges meet little more often than by chance, or there are none to tell."""
+    if agreed is None:
+        text = "nothing could check that image and sweep meet at this pose: there are no edges of both sensors"
+        return [Reason(Doubt.NOT_CHECKED, text)]
+    if agreed.odds_ratio >= min_odds_ratio:
+        return []
+    return [
+        Reason(
+            Doubt.LITTLE_AGREEMENT,
+            "image and LiDAR edges meet little more often than by chance (odds ratio "
+            f"{agreed.odds_ratio:.1f}, {min_odds_ratio:g} or more is usual at a right pose); look at the overlay, and "
+            "check that image and sweep belong to the same moment",
+        )
+    ]
+
+
+def witnessed(result: Result, views: Sequence[View], options: PipelineOptions) -> Result:
+    """Return a result that its method could not check, with the agreement of the edges of `views` at its pose.
+
+    The views are those of extractors that had no part in the calibration: what a network or a hand-eye method claims is
+    held against edges. Results that are not solved, or have an agreement, are returned as they are.
+    """
+    if not result.status.solved or result.agreement is not None:
+        return result
+    seen = [view.as_seen_from(result.camera_from_lidar).without_hidden(result.camera_from_lidar) for view in views]
+    agreed = agreement_of(seen, result.camera_from_lidar)
+    kept = tuple(reason for reason in result.verdict.reasons if reason.doubt is not Doubt.NOT_CHECKED)
+    verdict = Verdict((*kept, *_meeting(agreed, options.min_odds_ratio)))
+    return replace(result, agreement=agreed, verdict=verdict)
