@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from p2o.frames.frame import Frame
     from p2o.host.guard import GuardedDataset
     from p2o.host.registry import Registry
+from p2o.host.slots import SENSORS
 
 _QUALITY = 78
 _WIDEST_PX = 1400
@@ -175,7 +176,7 @@ def _opened(text: str, run: StoredRow, registry: Registry) -> _Source:
         return _Source(open_dataset(f"{name}:", registry, said), None)
     options["data"] = said
     plan = Recipe.of(**{**recipe, "data": f"{name}:", "options": options}).resolve(registry)
-    kept = {stage: _KeptPart(plan.parts[stage].offer, plan.parts[stage].options) for stage in ("extractor", "cloud")}
+    kept = {stage: _KeptPart(plan.parts[stage].offer, plan.parts[stage].options) for stage in SENSORS}
     calibrator = replace(plan, parts={**plan.parts, **kept}).calibrator()
     return _Source(plan.dataset(), calibrator if isinstance(calibrator, Pipeline) else None)
 

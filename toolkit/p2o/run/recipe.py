@@ -17,28 +17,14 @@ from p2o.errors import InputError, UnknownNameError
 from p2o.host.method import Kind, Method
 from p2o.host.options import Options
 from p2o.host.registry import Offer, Registry
+from p2o.host.slots import KIND_OF, SLOTS, STAGED_WORDS
+from p2o.host.slots import STAGE_OF as STAGE_OF
+from p2o.host.slots import STAGES as STAGES
 
 if TYPE_CHECKING:
     from p2o.frames.frame import Frame
     from p2o.host.guard import GuardedDataset
     from p2o.host.stages import Calibrator, Exporter
-
-_KIND_OF = {
-    "data": Kind.DATASET,
-    "extractor": Kind.IMAGE_EXTRACTOR,
-    "cloud": Kind.CLOUD_EXTRACTOR,
-    "matcher": Kind.MATCHER,
-    "solver": Kind.SOLVER,
-    "init": Kind.INITIALIZER,
-    "calibrator": Kind.CALIBRATOR,
-}
-STAGES = (*_KIND_OF, "pipeline")
-"""The stages that options are set for."""
-
-STAGE_OF = {kind: stage for stage, kind in _KIND_OF.items()}
-"""The word before the dot in --set, by kind of method."""
-
-_STAGED = ("extractor", "matcher", "solver", "init")
 
 
 class Recipe(BaseModel):
@@ -95,7 +81,7 @@ class Recipe(BaseModel):
         parts: dict[str, Part] = {}
         for stage, name in names.items():
             values = {**said.get(stage, {}), **self.options.get(stage, {})}
-            parts[stage] = _part(registry.find(_KIND_OF[stage], name), stage, values, self.seed)
+            parts[stage] = _part(registry.find(KIND_OF[stage], name), stage, values, self.seed)
         if self.calibrator is None:
             pipeline = validated(PipelineOptions, {"seed": self.seed, **self.options.get("pipeline", {})}, "pipeline")
         elif "pipeline" in self.options:
@@ -112,7 +98,7 @@ class Recipe(BaseModel):
         if self.data is not None:
             names["data"], said["data"] = split_data(self.data)
         if self.calibrator is not None:
-            extra = sorted(self.model_fields_set.intersection(_STAGED))
+            extra = sorted(self.model_fields_set.intersection(STAGED_WORDS))
             if extra:
                 raise InputError(
                     f"calibrator '{self.calibrator}' is a whole method",
@@ -201,7 +187,7 @@ class Plan:
 
     def described(self) -> dict[str, Any]:
         """Return the recipe with every option that took effect, ready for JSON; `Recipe.of(**it)` repeats the run."""
-        unused = set(_STAGED) if self.recipe.calibrator is not None else {"calibrator"}
+        unused = set(STAGED_WORDS) if self.recipe.calibrator is not None else {"calibrator"}
         words = self.recipe.model_dump(mode="json", exclude=unused)
         words["options"] = {stage: part.options.model_dump(mode="json") for stage, part in self.parts.items()}
         if self.pipeline is not None:
@@ -395,14 +381,7 @@ _HELD: dict[str, Callable[[Frame], object]] = {
 }
 """The words for what a frame may hold, and where it holds it."""
 
-_OPTION_OF = {
-    Kind.MATCHER: "--matcher",
-    Kind.SOLVER: "--solver",
-    Kind.INITIALIZER: "--init",
-    Kind.CALIBRATOR: "--calibrator",
-    Kind.IMAGE_EXTRACTOR: "--extractor",
-    Kind.CLOUD_EXTRACTOR: "--extractor",
-}
+_OPTION_OF = {slot.kind: slot.option for slot in SLOTS}
 
 
 def _misfit(offers: Mapping[str, Offer], held: frozenset[str] | None = None) -> tuple[str, Offer, Offer] | None:

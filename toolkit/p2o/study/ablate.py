@@ -20,6 +20,7 @@ from p2o.frames.selection import select
 from p2o.geometry.pose_error import pose_error
 from p2o.host.guard import GuardedDataset
 from p2o.host.registry import Registry
+from p2o.host.slots import SENSORS
 from p2o.run.recipe import Plan, open_dataset
 from p2o.run.run import common_pose, start_of
 from p2o.study import worker
@@ -148,7 +149,7 @@ class _Method:
     @property
     def extractors(self) -> dict[str, tuple[str, str]]:
         """By a name of method and options: recipe and stage that say how to extract; none for a whole method."""
-        parts = {stage: part for stage, part in self.plan.parts.items() if stage in worker.SENSORS}
+        parts = {stage: part for stage, part in self.plan.parts.items() if stage in SENSORS}
         return {worker.part_name(part): (self.recipe, stage) for stage, part in parts.items()}
 
 

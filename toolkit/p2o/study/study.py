@@ -21,9 +21,9 @@ from pydantic import BaseModel, ConfigDict, Field, StrictBool, StringConstraints
 
 from p2o.errors import InputError, P2OError, UnknownNameError
 from p2o.geometry.perturb import parse_perturbation
-from p2o.host.method import Kind
 from p2o.host.registry import GROUP, Registry
-from p2o.run.recipe import STAGES, Plan, Recipe
+from p2o.host.slots import METHOD_WORDS, SLOTS, STAGED_WORDS, STAGES
+from p2o.run.recipe import Plan, Recipe
 
 FOLDER = "studies"
 """Folder of a package that ships studies: PACKAGE/studies/NAME.toml."""
@@ -38,16 +38,8 @@ Joint = StrictBool | Annotated[int, Field(strict=True, ge=2)]
 Metric = Literal["rotation_deg", "translation_m", "roll_deg", "pitch_deg", "yaw_deg", "x_m", "y_m", "z_m"]
 Options = dict[str, dict[str, Any]]
 
-WORDS = ("extractor", "matcher", "solver", "init", "calibrator")
-"""The words that choose a method; each may be the name of a variant that sets it."""
-
-_STAGED = ("extractor", "matcher", "solver", "init")
-_KIND_OF_WORD = {
-    "matcher": Kind.MATCHER,
-    "solver": Kind.SOLVER,
-    "init": Kind.INITIALIZER,
-    "calibrator": Kind.CALIBRATOR,
-}
+# Each may be the name of a variant that sets it. Extractors are named IMAGE/CLOUD, as no variant can be.
+_KIND_OF_WORD = {slot.word: slot.kind for slot in SLOTS if slot.word in METHOD_WORDS and not slot.sensor}
 
 
 class _Table(BaseModel):
@@ -239,7 +231,7 @@ class _Expansion:
         self._refuse_twice("variant", [variant.name for variant in study.variant])
         self._refuse_twice("dataset", [table.name for table in study.dataset])
         for variant in study.variant:
-            for word in WORDS:
+            for word in METHOD_WORDS:
                 if getattr(variant, word) in self.variants:
                     self._fail(
                         f"variant '{variant.name}' is made of the variant '{getattr(variant, word)}'",
@@ -252,7 +244,7 @@ class _Expansion:
             for words, use, label in self._combinations(product):
                 found += self._row(label, words, use, product)
         for row in self.study.row:
-            words = {word: getattr(row, word) for word in (*WORDS, "perturb") if getattr(row, word) is not None}
+            words = {word: getattr(row, word) for word in (*METHOD_WORDS, "perturb") if getattr(row, word) is not None}
             found += self._row(row.label, words, row.use, row, row.options)
         if not found:
             self._fail("there are no rows", "[[row]] or [[product]] tables")
@@ -266,10 +258,10 @@ class _Expansion:
 
     def _combinations(self, product: Product) -> Iterator[tuple[dict[str, str], tuple[str, ...], str]]:
         """Return words, variants and label of each combination."""
-        axes = {word: getattr(product, word) for word in (*WORDS, "perturb") if getattr(product, word)}
+        axes = {word: getattr(product, word) for word in (*METHOD_WORDS, "perturb") if getattr(product, word)}
         uses = product.use or ((),)
         if not axes and not product.use:
-            self._fail("a product has nothing to combine", ", ".join(WORDS))
+            self._fail("a product has nothing to combine", ", ".join(METHOD_WORDS))
         for name, values in (*axes.items(), ("use", [" ".join(use) for use in product.use])):
             self._refuse_twice(f"{name} of a product", values)
         varying = [word for word, values in axes.items() if len(values) > 1] or list(axes)
@@ -295,7 +287,9 @@ class _Expansion:
             if name not in self.variants:
                 raise UnknownNameError("variant", name, self.variants, where=f"{self.where}, row '{label}'")
             sources.append((f"variant '{name}'", self.variants[name]))
-            said.update({w: name for w in WORDS if getattr(self.variants[name], w) is not None and w not in said})
+            said.update(
+                {w: name for w in METHOD_WORDS if getattr(self.variants[name], w) is not None and w not in said}
+            )
         plain: dict[str, Any] = {}
         for word, value in words.items():
             variant = self.variants.get(value)
@@ -310,14 +304,14 @@ class _Expansion:
         datasets = self._datasets(label, scope)
         seeds = self.study.seeds if scope.seeds is None else scope.seeds
         joint = self.study.joint if scope.joint is None else scope.joint
-        for word in ("calibrator",) if "calibrator" in merged else _STAGED:
+        for word in ("calibrator",) if "calibrator" in merged else STAGED_WORDS:
             said.setdefault(word, merged.get(word, Recipe.model_fields[word].default))
         return [
             StudyRow(
                 label=label if len(self.study.dataset) == 1 else f"{label} @ {table.name}",
                 section=scope.section,
                 dataset=table,
-                said={word: value for word, value in said.items() if word in WORDS},
+                said={word: value for word, value in said.items() if word in METHOD_WORDS},
                 words=merged,
                 seeds=tuple(range(seeds)) if isinstance(seeds, int) else self._distinct(label, seeds),
                 joint=(ALL_JOINT if joint else 0) if isinstance(joint, bool) else joint,
@@ -335,7 +329,7 @@ class _Expansion:
                 if key in said and said[key] != value:
                     self._fail(f"row '{label}': {giver[key]} and {source} both set {'.'.join(key[-2:])}", "one of them")
                 said[key], giver[key] = value, source
-        staged = any((word,) in said for word in _STAGED)
+        staged = any((word,) in said for word in STAGED_WORDS)
         whole = ("calibrator",) in said or (self.study.defaults.calibrator is not None and not staged)
         defaults = {key: value for key, value in _flat(self.study.defaults) if _applies(key, whole)}
         methods = [_methods({key[0]: words[key] for key in words if len(key) == 1}) for words in (defaults, said)]
@@ -404,7 +398,7 @@ def check_study(study: Study, registry: Registry) -> list[StudyRow]:
 
 def _flat(words: Words) -> Iterator[tuple[tuple[str, ...], Any]]:
     """Return what is said by key: ("matcher",) for a word, ("options", "matcher", "sides") for an option."""
-    for word in (*WORDS, "perturb"):
+    for word in (*METHOD_WORDS, "perturb"):
         if getattr(words, word) is not None:
             yield (word,), getattr(words, word)
     for stage, values in words.options.items():
