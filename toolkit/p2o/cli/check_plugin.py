@@ -27,7 +27,7 @@ def command(name: str, settings: tuple[str, ...], plugin: tuple[str, ...], block
     path takes it with --set data.root=PATH. Exit status 1 where a check fails.
     """
     from p2o.host.slots import SLOT_OF
-    from p2o.run.recipe import parse_settings
+    from p2o.run.words import parse_settings
     from p2o.testing import checks_for, reads_files
 
     options = parse_settings(settings)

@@ -5,16 +5,16 @@ from __future__ import annotations
 import base64
 import contextlib
 import json
-import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 from p2o.arrays import Float, UInt8
-from p2o.errors import InputError, P2OError, UnknownNameError
+from p2o.errors import InputError, P2OError
 from p2o.report.summary import Summary, error_of
-from p2o.run.recipe import Part, Recipe, open_dataset, split_data
+from p2o.run.recipe import Part, Recipe, open_dataset
+from p2o.run.words import data_by_name, split_data
 from p2o.study.store import StoredRow
 from p2o.work.cache import FeatureCache, content_hash, features_key
 
@@ -82,7 +82,7 @@ def draw_all(summaries: Sequence[Summary], data: Sequence[str], most: int, regis
     are missing from the data, or are not those that the study saw.
     """
     runs = [run for s in summaries for group in s.groups for some in group.runs.values() for run in some]
-    text_of = _texts(data, {run.dataset for run in runs})
+    text_of = data_by_name(data, sorted({run.dataset for run in runs}), "the studies")
     wanted = [w for summary in summaries for w in chosen(summary, most) if w.run.dataset in text_of]
     for name, text in text_of.items():
         own = [w for w in wanted if w.run.dataset == name]
@@ -101,24 +101,6 @@ def draw_all(summaries: Sequence[Summary], data: Sequence[str], most: int, regis
                     _check_content(w, frame)
                     pictures.add(w, *source.drawn(w.run, frame))
     return pictures
-
-
-def _texts(data: Sequence[str], names: set[str]) -> dict[str, str]:
-    found = {}
-    for text in data:
-        match = re.fullmatch(r"([a-z0-9_.-]+)=(.+)", text, re.DOTALL)
-        if match is None and len(names) > 1:
-            raise InputError(
-                "the studies have several datasets",
-                where="--data",
-                expected="NAME=DATASET:PATH with a NAME of " + ", ".join(sorted(names)),
-                got=text,
-            )
-        name, value = match.groups() if match is not None else (next(iter(names), ""), text)
-        if name not in names:
-            raise UnknownNameError("dataset of the studies", name, names, where="--data")
-        found[name] = value
-    return found
 
 
 def _by_recipe(wanted: Sequence[Wanted]) -> Iterable[list[Wanted]]:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import parse_qsl
 from weakref import WeakKeyDictionary
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -20,6 +17,9 @@ from p2o.host.registry import Offer, Registry
 from p2o.host.slots import KIND_OF, SLOTS, STAGED_WORDS
 from p2o.host.slots import STAGE_OF as STAGE_OF
 from p2o.host.slots import STAGES as STAGES
+from p2o.run.words import parse_settings as parse_settings
+from p2o.run.words import split_data as split_data
+from p2o.run.words import value_of as value_of
 
 if TYPE_CHECKING:
     from p2o.frames.frame import Frame
@@ -262,64 +262,6 @@ def _remembering(extract: Callable[[Any], Any]) -> Callable[[Any], Any]:
         return known[data]
 
     return remembered
-
-
-def split_data(text: str) -> tuple[str, dict[str, Any]]:
-    """Return the dataset name and the options that DATASET:PATH states.
-
-    `kitti-raw:build/data` gives root; `synthetic:?scenes=4&seed=1` gives options; both may be there.
-    """
-    name, colon, rest = text.partition(":")
-    if not colon and ("/" in name or os.path.exists(name)):
-        raise InputError("data need a dataset name", expected="DATASET:PATH, such as kitti-raw:PATH", got=text)
-    options: dict[str, Any] = {}
-    query = re.fullmatch(r"(.*?)\?((?:[a-z0-9_]+=[^&]*)(?:&[a-z0-9_]+=[^&]*)*)?", rest, re.DOTALL)
-    if query is not None:
-        rest = query[1]
-        options = {key: value_of(value) for key, value in parse_qsl(query[2] or "", keep_blank_values=True)}
-    if rest:
-        options["root"] = os.path.expanduser(rest)
-    return name, options
-
-
-def value_of(text: str) -> Any:
-    """Return the value that a text on the command line states: YAML lists, mappings and null, else the text itself.
-
-    Numbers and switches stay text: the option's own type decides what they mean.
-    """
-    if text in ("null", "~"):
-        return None
-    if text[:1] in ("[", "{"):
-        import yaml
-
-        try:
-            return yaml.safe_load(text)
-        except yaml.YAMLError as problem:
-            raise InputError("cannot read the value", where=text, expected="YAML such as [1, 2]") from problem
-    return text
-
-
-def parse_settings(settings: Iterable[str]) -> dict[str, dict[str, Any]]:
-    """Return options by stage from texts STAGE.FIELD=VALUE; the last of two for one field wins.
-
-    Raises InputError for other texts, UnknownNameError for unknown stages.
-    """
-    options: dict[str, dict[str, Any]] = {}
-    for text in settings:
-        match = re.fullmatch(r"([a-z]+)\.([A-Za-z0-9_.]+)=(.*)", text.strip(), re.DOTALL)
-        if match is None:
-            raise InputError(
-                "cannot read the setting", where="--set", expected="STAGE.FIELD=VALUE: matcher.huber_px=2", got=text
-            )
-        stage, path, value = match.groups()
-        if stage not in STAGES:
-            raise UnknownNameError("stage", stage, STAGES, where="--set")
-        *outer, last = path.split(".")
-        target = options.setdefault(stage, {})
-        for key in outer:
-            target = target.setdefault(key, {})
-        target[last] = value_of(value)
-    return options
 
 
 def validated(model: type[Any], values: Mapping[str, Any], where: str) -> Any:

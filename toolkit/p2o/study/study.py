@@ -24,6 +24,7 @@ from p2o.geometry.perturb import parse_perturbation
 from p2o.host.registry import GROUP, Registry
 from p2o.host.slots import METHOD_WORDS, SLOTS, STAGED_WORDS, STAGES
 from p2o.run.recipe import Plan, Recipe
+from p2o.run.words import data_by_name
 
 FOLDER = "studies"
 """Folder of a package that ships studies: PACKAGE/studies/NAME.toml."""
@@ -146,18 +147,7 @@ class Study(_Table):
         which of several is meant.
         """
         tables = {table.name: table for table in self.dataset}
-        for text in data:
-            match = re.fullmatch(r"([a-z0-9_.-]+)=(.+)", text, re.DOTALL)
-            if match is None and len(tables) > 1:
-                raise InputError(
-                    f"study {self.name} has several datasets",
-                    where="--data",
-                    expected="NAME=DATASET:PATH with a NAME of " + ", ".join(tables),
-                    got=text,
-                )
-            name, value = match.groups() if match is not None else (next(iter(tables)), text)
-            if name not in tables:
-                raise UnknownNameError(f"dataset of study {self.name}", name, tables, where="--data")
+        for name, value in data_by_name(data, tables, f"study {self.name}").items():
             tables[name] = tables[name].model_copy(update={"data": value})
         if frames is not None:
             tables = {name: table.model_copy(update={"frames": frames}) for name, table in tables.items()}
