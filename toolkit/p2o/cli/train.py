@@ -87,12 +87,11 @@ def command(
 
 def _options(trainer: Trainer, preset: str | None, said: Mapping[str, Any], settings: tuple[str, ...]) -> Options:
     """Return the validated options: a preset's, then those that are said, then those that are set."""
-    from p2o.run.recipe import validated
+    from p2o.host.validation import validated
     from p2o.run.words import parse_fields
 
     if preset is not None and preset not in trainer.presets:
         raise UnknownNameError("preset", preset, trainer.presets, where="--preset")
     values = {**(trainer.presets[preset] if preset is not None else {}), **said}
     values = parse_fields(settings, values, example="iterations=3000")
-    options: Options = validated(trainer.options, values, "train")
-    return options
+    return validated(trainer.options, values, "train")

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from p2o.errors import InputError, UnknownNameError
 from p2o.host.method import Kind, Method
@@ -17,6 +17,7 @@ from p2o.host.registry import Offer, Registry
 from p2o.host.slots import KIND_OF, SLOTS, STAGED_WORDS
 from p2o.host.slots import STAGE_OF as STAGE_OF
 from p2o.host.slots import STAGES as STAGES
+from p2o.host.validation import validated as validated
 from p2o.run.words import parse_settings as parse_settings
 from p2o.run.words import split_data as split_data
 from p2o.run.words import value_of as value_of
@@ -58,8 +59,7 @@ class Recipe(BaseModel):
         said = {name: value for name, value in words.items() if value is not None}
         if "data" in words and words["data"] is None:
             said["data"] = None
-        recipe: Recipe = validated(cls, said, "recipe")
-        return recipe
+        return validated(cls, said, "recipe")
 
     def resolve(self, registry: Registry) -> Plan:
         """Find every method, validate every option and check that the stages fit; no data are read.
@@ -262,31 +262,6 @@ def _remembering(extract: Callable[[Any], Any]) -> Callable[[Any], Any]:
         return known[data]
 
     return remembered
-
-
-def validated(model: type[Any], values: Mapping[str, Any], where: str) -> Any:
-    """Return the model of these values.
-
-    Raises UnknownNameError for a field that does not exist, and InputError with path, value and bound otherwise.
-    """
-    try:
-        return model.model_validate(dict(values))
-    except ValidationError as problem:
-        first = problem.errors()[0]
-        path = ".".join(str(part) for part in (where, *first["loc"]))
-        if first["type"] == "extra_forbidden":
-            name = str(first["loc"][-1])
-            raise UnknownNameError(f"{where} option", name, model.model_fields) from problem
-        if first["type"] == "missing":
-            raise InputError(f"{path} is not set", expected="a value: it has no default") from problem
-        message = first["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
-        more = len(problem.errors()) - 1
-        raise InputError(
-            f"{path} is out of bounds" if "ctx" in first else f"{path} is not valid",
-            expected=message[:1].lower() + message[1:],
-            got=str(first["input"])[:80],
-            hint=f"{more} more like this" if more else None,
-        ) from problem
 
 
 def missing_words(needs: Iterable[str], upstream: Sequence[Offer]) -> list[tuple[str, Offer]]:

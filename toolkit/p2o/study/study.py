@@ -11,7 +11,7 @@ import itertools
 import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import entry_points
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -23,6 +23,7 @@ from p2o.errors import InputError, P2OError, UnknownNameError
 from p2o.geometry.perturb import parse_perturbation
 from p2o.host.registry import GROUP, Registry
 from p2o.host.slots import METHOD_WORDS, SLOTS, STAGED_WORDS, STAGES
+from p2o.host.validation import fault_of
 from p2o.run.recipe import Plan, Recipe
 from p2o.run.words import data_by_name
 
@@ -491,37 +492,16 @@ def parse_study(text: str, source: str = "study") -> Study:
         raise _explained(problem, content, source) from problem
 
 
-_TABLES: dict[str, type[BaseModel]] = {
-    "dataset": DatasetTable,
-    "defaults": Words,
-    "variant": Variant,
-    "product": Product,
-    "row": RowTable,
-    "published": Published,
-}
-
-
 def _explained(problem: ValidationError, content: Mapping[str, Any], source: str) -> InputError:
-    """Return the first error in words: which table, which key, what was expected, what it is."""
-    first = problem.errors()[0]
-    table, *rest = [str(part) for part in first["loc"] if not isinstance(part, int)]
-    numbers = [part for part in first["loc"] if isinstance(part, int)]
-    place = source
-    model: type[BaseModel] = Study
-    if table in _TABLES and (rest or numbers):
-        model = _TABLES[table]
-        entry = content[table][numbers[0]] if numbers and isinstance(content[table], list) else content[table]
-        named = entry.get("label") or entry.get("name") if isinstance(entry, dict) else None
-        number = f" {numbers[0] + 1}" if numbers and table != "defaults" else ""
-        place = f"{source}, [[{table}]]{number}" + (f" '{named}'" if named else "")
-    else:
-        rest = [table, *rest]
-    key = rest[0] if rest else table
-    if first["type"] == "extra_forbidden":
-        return UnknownNameError("key", key, model.model_fields, where=place)
-    if first["type"] == "missing":
-        return InputError(f"{key} is not said", where=place, expected=f"{key} = ...")
-    message = first["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
-    return InputError(
-        f"{key} is not valid", where=place, expected=message[:1].lower() + message[1:], got=repr(first["input"])[:80]
-    )
+    """Return the first fault in words: which table, which key, what was expected, what it is."""
+    fault = fault_of(problem, Study, content)
+    table, *rest = fault.path
+    entry, place = content.get(str(table)), f"[{table}]"
+    if rest and isinstance(rest[0], int) and isinstance(entry, list):
+        number = rest[0]
+        entry, place, rest = entry[number], f"[[{table}]] {number + 1}", rest[1:]
+    if not (rest and isinstance(entry, dict)):
+        return fault.error(where=source)
+    named = entry.get("label") or entry.get("name")
+    where = f"{source}, {place}" + (f" '{named}'" if named else "")
+    return replace(fault, path=tuple(rest)).error(where=where)
