@@ -20,7 +20,7 @@ LIGHT = (f"{NETWORK}.options", f"{NETWORK}.shipped")
 """The module of it that a method's declaration needs, so it must be light."""
 MAY_IMPORT = {"image": {"p2ornet"}, "p2ornet": {"cloud"}}
 """Which folders of p2o_plugins use others: the network is of the image side, and learns from sweeps."""
-OPEN_MODULES = {"arrays", "result_json", "whole_file", "simulate", "testing"}
+OPEN_MODULES = {"arrays", "result_json", "validation", "whole_file", "simulate", "testing"}
 """Modules of p2o, besides the names in `p2o.__all__`, that plugins may use."""
 
 

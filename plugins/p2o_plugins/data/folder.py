@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from p2o import Camera, Dataset, Frame, Image, InputError, Method, Options, field, se3
 from p2o.arrays import Float
-from pydantic import ValidationError
+from p2o.host.validation import validated
 
 from p2o_plugins.data.cloud_file import SUFFIXES as CLOUD_SUFFIXES
 from p2o_plugins.data.cloud_file import read_cloud
@@ -113,17 +113,7 @@ def read_frame_file(path: Path) -> FrameEntry:
         raise InputError("the frame file is not YAML", where=path, got=str(problem)[:200]) from problem
     if not isinstance(content, dict):
         raise InputError("the frame file has no keys", where=path, expected="camera: ...", got=type(content).__name__)
-    try:
-        return FrameEntry.model_validate(content)
-    except ValidationError as problem:
-        first = problem.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        raise InputError(
-            f"{key}: {first['msg']}",
-            where=path,
-            expected=f"keys {', '.join(FrameEntry.model_fields)}" if first["type"] == "extra_forbidden" else None,
-            got=None if first["type"] in ("missing", "extra_forbidden") else str(first["input"])[:80],
-        ) from problem
+    return validated(FrameEntry, content, where=path)
 
 
 def _read(root: Path, folder: Path) -> Frame:

@@ -168,10 +168,16 @@ def test_python_objects_in_yaml_are_refused_and_never_built(tmp_path: Path, text
         ("camera: [1, 2", "the frame file is not YAML"),
         ("just words", "the frame file has no keys"),
         ("", "the frame file is empty"),
-        ("image: a.png", "camera: Field required"),
-        ("camera: {model: PINHOLE, width: wide, height: 3, params: [1]}", r"camera\.width: .*got wide"),
+        ("image: a.png", "camera is not said"),
+        (
+            "camera: {model: PINHOLE, width: wide, height: 3, params: [1]}",
+            r"camera\.width is not valid; .*got wide",
+        ),
         ("camera: {width: 64, height: 32, params: [50, 50, 31]}", "another number of parameters"),
-        ("camera: {width: 64, height: 32, params: [50, 50, 31, 15]}\nstrat: 3", "strat: .*keys camera, image"),
+        (
+            "camera: {width: 64, height: 32, params: [50, 50, 31, 15]}\nstrat: 3",
+            "unknown key 'strat'.*mean start",
+        ),
     ],
 )
 def test_a_wrong_frame_file_says_which_key(tmp_path: Path, text: str, message: str) -> None:

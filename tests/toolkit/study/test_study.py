@@ -98,7 +98,10 @@ def test_the_command_line_changes_data_frames_and_seeds() -> None:
         (HEAD + ROW + 'seeds = "many"\n', "seeds is not valid"),
         (HEAD + "[[row]]\n" + 'matcher = "ogm"\n', r"\[\[row\]\] 1: label is not said"),
         ('name = "s"\ntitle = "S"\n' + ROW, "dataset is not said"),
-        (HEAD + ROW + '[[published]]\nlabel = "x"\nsource = "y"\nvalues = { speed = 3 }\n', "'x': values is not valid"),
+        (
+            HEAD + ROW + '[[published]]\nlabel = "x"\nsource = "y"\nvalues = { speed = 3 }\n',
+            "values.speed is not",
+        ),
         ("name = x\n", "my.toml: the study is not TOML.*line 1"),
         ('name = "Table 2"\n' + HEAD[11:] + ROW, "name is not valid"),
     ],

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -152,8 +151,13 @@ def test_code_of_a_matcher_does_not_count_for_an_extractor() -> None:
     assert code_hash(extractor.method.build) == code_hash("p2o_baselines.canny")
 
 
-def test_the_folder_is_the_users_cache_unless_it_is_named() -> None:
-    assert cache_folder({"P2O_CACHE": "/x/y", "XDG_CACHE_HOME": "/z"}) == Path("/x/y")
-    if os.name == "posix" and os.uname().sysname == "Linux":
-        assert cache_folder({"XDG_CACHE_HOME": "/z"}) == Path("/z/p2o")
-        assert cache_folder({}) == Path.home() / ".cache" / "p2o"
+def test_the_folder_is_the_users_cache_unless_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", "/z")
+    monkeypatch.setenv("P2O_CACHE", "~/y")
+    assert cache_folder() == Path.home() / "y"
+    monkeypatch.setenv("P2O_CACHE", "")
+    if sys.platform == "linux":
+        assert cache_folder() == Path("/z/p2o")
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    home = {"linux": ".cache/p2o", "darwin": "Library/Caches/p2o", "win32": "AppData/Local/p2o/Cache"}
+    assert cache_folder() == Path.home() / home[sys.platform]

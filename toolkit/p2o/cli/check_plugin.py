@@ -26,13 +26,14 @@ def command(name: str, settings: tuple[str, ...], plugin: tuple[str, ...], block
     NAME is a plugin (distribution, entry point, or a file given with --plugin), or one method. A dataset that needs a
     path takes it with --set data.root=PATH. Exit status 1 where a check fails.
     """
-    from p2o.run.recipe import STAGE_OF, parse_settings
+    from p2o.host.slots import SLOT_OF
+    from p2o.run.words import parse_settings
     from p2o.testing import checks_for, reads_files
 
     options = parse_settings(settings)
     failed = 0
     for offer in _meant(load(plugin, block), name):
-        said = options.get(STAGE_OF.get(offer.kind, ""), {})
+        said = options.get(SLOT_OF[offer.kind].stage, {})
         if reads_files(offer) and "root" not in said:
             click.echo(f"skip  {offer.kind} {offer.name}: set data.root to check it")
             continue

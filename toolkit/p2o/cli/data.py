@@ -74,7 +74,8 @@ def _opened(
     data: str, frames: str | None, settings: tuple[str, ...], plugin: tuple[str, ...], block: tuple[str, ...]
 ) -> tuple[GuardedDataset, list[int]]:
     from p2o.frames.selection import select
-    from p2o.run.recipe import open_dataset, parse_settings
+    from p2o.run.recipe import open_dataset
+    from p2o.run.words import parse_settings
 
     dataset = open_dataset(data, load(plugin, block), parse_settings(settings).get("data", {}))
     return dataset, select(dataset.names, frames or "all", where="--frames", skipped=dataset.skipped)

@@ -46,6 +46,7 @@ def listed(registry: Registry) -> str:
 def explained(offer: Offer) -> str:
     """Return everything that a method says about itself."""
     from p2o.host.guard import requirement
+    from p2o.host.slots import SLOT_OF
 
     method = offer.method
     facts = {
@@ -60,7 +61,8 @@ def explained(offer: Offer) -> str:
     lines = [f"{offer.kind} {method.name}"]
     lines += [f"  {label:<8} {text}" for label, text in facts.items() if text]
     table = _option_table(method.options)
-    lines += [f"  options  (--set {_stage_of(offer)}.NAME=VALUE)", *table] if table else ["  options  none"]
+    setting = SLOT_OF[offer.kind].setting(method.name, "NAME", "VALUE")
+    lines += [f"  options  ({setting})", *table] if table else ["  options  none"]
     if method.trainer is not None:
         presets = ", ".join(method.trainer.presets)
         lines.append(
@@ -131,9 +133,3 @@ def fit_matrix(registry: Registry) -> str:
 
 def _shown(offer: Offer) -> str:
     return offer.name if offer.dist == "p2o-calib" else offer.full_name
-
-
-def _stage_of(offer: Offer) -> str:
-    from p2o.run.recipe import STAGE_OF
-
-    return STAGE_OF.get(offer.kind, offer.kind.value)

@@ -70,8 +70,9 @@ def command(
         from p2o.cli.out_dir import OutDir
         from p2o.cli.summary import describe, describe_run
         from p2o.files.file_names import folder_name
-        from p2o.run.recipe import Recipe, open_exporter, parse_settings
+        from p2o.run.recipe import Recipe, open_exporter
         from p2o.run.run import Run, run
+        from p2o.run.words import parse_settings
 
         registry = load(plugin, block)
         bound = None if require is None else _bound(require)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import importlib
 import os
-import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -50,8 +49,10 @@ def command(
     They are the frames of the dataset `synthetic`; what a layout has no place for is lost (docs/datasets.md).
     """
     from p2o.run.recipe import open_dataset
+    from p2o.run.words import parse_fields
 
-    options = {**({} if seed is None else {"seed": seed}), **_parsed(settings)}
+    fields = [text.strip().removeprefix("data.") for text in settings]
+    options = parse_fields(fields, {} if seed is None else {"seed": seed}, example="scenes=40")
     if layout == "kitti-raw" and "deskew" in options:
         # The writer undoes the correction of the sweep, so it has to know that there is one.
         raise InputError(
@@ -67,18 +68,6 @@ def command(
 
 def _writer(layout: str) -> ModuleType:
     return importlib.import_module(f"p2o.simulate.write_{layout.replace('-', '_')}")
-
-
-def _parsed(settings: tuple[str, ...]) -> dict[str, Any]:
-    from p2o.run.recipe import value_of
-
-    options: dict[str, Any] = {}
-    for text in settings:
-        match = re.fullmatch(r"(?:data\.)?([A-Za-z0-9_]+)=(.*)", text.strip(), re.DOTALL)
-        if match is None:
-            raise InputError("cannot read the setting", where="--set", expected="FIELD=VALUE: scenes=40", got=text)
-        options[match[1]] = value_of(match[2])
-    return options
 
 
 def _prepared(root: Path, force: bool) -> Path:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +9,7 @@ import click
 
 from p2o.cli.plugin_options import load
 from p2o.cli.training_data import training_data_options
-from p2o.errors import InputError, UnknownNameError
+from p2o.errors import UnknownNameError
 
 if TYPE_CHECKING:
     from p2o.host.options import Options
@@ -88,29 +87,11 @@ def command(
 
 def _options(trainer: Trainer, preset: str | None, said: Mapping[str, Any], settings: tuple[str, ...]) -> Options:
     """Return the validated options: a preset's, then those that are said, then those that are set."""
-    from p2o.run.recipe import validated
+    from p2o.host.validation import validated
+    from p2o.run.words import parse_fields
 
     if preset is not None and preset not in trainer.presets:
         raise UnknownNameError("preset", preset, trainer.presets, where="--preset")
     values = {**(trainer.presets[preset] if preset is not None else {}), **said}
-    for text in settings:
-        _set(values, text)
-    options: Options = validated(trainer.options, values, "train")
-    return options
-
-
-def _set(values: dict[str, Any], text: str) -> None:
-    """Take FIELD=VALUE, or OUTER.FIELD=VALUE for an option of options."""
-    from p2o.run.recipe import value_of
-
-    match = re.fullmatch(r"([A-Za-z0-9_.]+)=(.*)", text.strip(), re.DOTALL)
-    if match is None:
-        raise InputError("cannot read the setting", where="--set", expected="FIELD=VALUE: iterations=3000", got=text)
-    *outer, last = match[1].split(".")
-    target = values
-    for name in outer:
-        inner = target.get(name)
-        # A copy: the values may be a preset's own.
-        target[name] = dict(inner) if isinstance(inner, Mapping) else {}
-        target = target[name]
-    target[last] = value_of(match[2])
+    values = parse_fields(settings, values, example="iterations=3000")
+    return validated(trainer.options, values, "train")

@@ -5,30 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Set
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Any
 
 from p2o.errors import PluginError
 from p2o.host.options import Options
+from p2o.host.slots import Kind as Kind
 from p2o.host.trainer import Trainer
-
-
-class Kind(StrEnum):
-    """The eight slots; the value is what `p2o methods` prints, `hook` the hook that offers methods of the kind."""
-
-    IMAGE_EXTRACTOR = "image extractor"
-    CLOUD_EXTRACTOR = "cloud extractor"
-    MATCHER = "matcher"
-    SOLVER = "solver"
-    INITIALIZER = "initializer"
-    CALIBRATOR = "calibrator"
-    DATASET = "dataset"
-    EXPORTER = "exporter"
-
-    @property
-    def hook(self) -> str:
-        """Name of the hook, such as p2o_image_extractors."""
-        return "p2o_" + self.value.replace(" ", "_") + "s"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,6 +18,7 @@ from p2o.host.guard import GuardedDataset, trainer_of
 from p2o.host.registry import Offer, Registry
 from p2o.host.trainer import Trainer
 from p2o.run.recipe import Part, dataset_part
+from p2o.run.words import NamedData
 
 
 @dataclass(frozen=True)
@@ -100,10 +101,10 @@ def sources_of(offer: Offer, data: Sequence[str], frames: Sequence[str], registr
     trainer = trainer_of(offer)
     sources: list[Source] = []
     for text, spec in zip(data, specs, strict=True):
-        said, path = _named(text)
-        part = dataset_part(path, registry)
+        said = NamedData.of(text)
+        part = dataset_part(said.data, registry)
         taken = [source.name for source in sources]
-        name = said or _free(part.offer.name, taken)
+        name = said.name or _free(part.offer.name, taken)
         if name in taken:
             raise InputError("two data of one name", where="--data", expected="names of their own", got=name)
         dataset = part.build()
@@ -151,12 +152,6 @@ def _write(trainer: Trainer, source: Source, index: int, path: Path, draw: bool)
 
         write_png(picture, trainer.draw(path))
     return fresh
-
-
-def _named(text: str) -> tuple[str, str]:
-    """Return the NAME (or nothing) and DATASET:PATH of [NAME=]DATASET:PATH."""
-    name, equals, rest = text.partition("=")
-    return (name.strip(), rest) if equals and ":" not in name else ("", text)
 
 
 def _free(name: str, taken: Sequence[str]) -> str:

@@ -13,12 +13,12 @@ from typing import Any
 from p2o.errors import InputError
 from p2o.files.whole_file import write_whole
 from p2o.host.guard import trainer_of
-from p2o.host.method import Kind
 from p2o.host.options import Options
 from p2o.host.registry import Offer
+from p2o.host.slots import SLOT_OF
 from p2o.host.trainer import TrainingGroup, TrainingProgress
 from p2o.learn.label_files import LabelProgress, Source, write_labels
-from p2o.run.recipe import STAGE_OF, Recipe
+from p2o.run.recipe import Recipe
 
 
 def train(
@@ -91,13 +91,9 @@ def train(
 def usage(offer: Offer, weights_option: str, weights: Path) -> str:
     """Return the command that calibrates with trained weights."""
     image, _, cloud = Recipe().extractor.partition("/")
-    words = {
-        Kind.IMAGE_EXTRACTOR: ("extractor", f"{offer.name}/{cloud}"),
-        Kind.CLOUD_EXTRACTOR: ("extractor", f"{image}/{offer.name}"),
-    }
-    option, value = words.get(offer.kind, (STAGE_OF.get(offer.kind, ""), offer.name))
-    setting = f"{STAGE_OF.get(offer.kind, '')}.{weights_option}={weights}"
-    return f"p2o run --{option} {value} --set {shlex.quote(setting)}"
+    slot = SLOT_OF[offer.kind]
+    name = slot.said(offer.name, {"extractor": image, "cloud": cloud})
+    return f"p2o run {slot.option} {name} --set {shlex.quote(f'{slot.stage}.{weights_option}={weights}')}"
 
 
 def _words(offer: Offer, sources: Sequence[Source], shares: Sequence[float], held_out: Sequence[str]) -> dict[str, Any]:

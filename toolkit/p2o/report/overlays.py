@@ -5,16 +5,16 @@ from __future__ import annotations
 import base64
 import contextlib
 import json
-import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 from p2o.arrays import Float, UInt8
-from p2o.errors import InputError, P2OError, UnknownNameError
+from p2o.errors import InputError, P2OError
 from p2o.report.summary import Summary, error_of
-from p2o.run.recipe import Part, Recipe, open_dataset, split_data
+from p2o.run.recipe import Part, Recipe, open_dataset
+from p2o.run.words import data_by_name, split_data
 from p2o.study.store import StoredRow
 from p2o.work.cache import FeatureCache, content_hash, features_key
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from p2o.frames.frame import Frame
     from p2o.host.guard import GuardedDataset
     from p2o.host.registry import Registry
+from p2o.host.slots import SENSORS
 
 _QUALITY = 78
 _WIDEST_PX = 1400
@@ -81,7 +82,7 @@ def draw_all(summaries: Sequence[Summary], data: Sequence[str], most: int, regis
     are missing from the data, or are not those that the study saw.
     """
     runs = [run for s in summaries for group in s.groups for some in group.runs.values() for run in some]
-    text_of = _texts(data, {run.dataset for run in runs})
+    text_of = data_by_name(data, sorted({run.dataset for run in runs}), "the studies")
     wanted = [w for summary in summaries for w in chosen(summary, most) if w.run.dataset in text_of]
     for name, text in text_of.items():
         own = [w for w in wanted if w.run.dataset == name]
@@ -100,24 +101,6 @@ def draw_all(summaries: Sequence[Summary], data: Sequence[str], most: int, regis
                     _check_content(w, frame)
                     pictures.add(w, *source.drawn(w.run, frame))
     return pictures
-
-
-def _texts(data: Sequence[str], names: set[str]) -> dict[str, str]:
-    found = {}
-    for text in data:
-        match = re.fullmatch(r"([a-z0-9_.-]+)=(.+)", text, re.DOTALL)
-        if match is None and len(names) > 1:
-            raise InputError(
-                "the studies have several datasets",
-                where="--data",
-                expected="NAME=DATASET:PATH with a NAME of " + ", ".join(sorted(names)),
-                got=text,
-            )
-        name, value = match.groups() if match is not None else (next(iter(names), ""), text)
-        if name not in names:
-            raise UnknownNameError("dataset of the studies", name, names, where="--data")
-        found[name] = value
-    return found
 
 
 def _by_recipe(wanted: Sequence[Wanted]) -> Iterable[list[Wanted]]:
@@ -175,7 +158,7 @@ def _opened(text: str, run: StoredRow, registry: Registry) -> _Source:
         return _Source(open_dataset(f"{name}:", registry, said), None)
     options["data"] = said
     plan = Recipe.of(**{**recipe, "data": f"{name}:", "options": options}).resolve(registry)
-    kept = {stage: _KeptPart(plan.parts[stage].offer, plan.parts[stage].options) for stage in ("extractor", "cloud")}
+    kept = {stage: _KeptPart(plan.parts[stage].offer, plan.parts[stage].options) for stage in SENSORS}
     calibrator = replace(plan, parts={**plan.parts, **kept}).calibrator()
     return _Source(plan.dataset(), calibrator if isinstance(calibrator, Pipeline) else None)
 

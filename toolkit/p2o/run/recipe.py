@@ -2,43 +2,30 @@
 
 from __future__ import annotations
 
-import os
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import parse_qsl
 from weakref import WeakKeyDictionary
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from p2o.errors import InputError, UnknownNameError
 from p2o.host.method import Kind, Method
 from p2o.host.options import Options
 from p2o.host.registry import Offer, Registry
+from p2o.host.slots import KIND_OF, SLOTS, STAGED_WORDS
+from p2o.host.slots import STAGE_OF as STAGE_OF
+from p2o.host.slots import STAGES as STAGES
+from p2o.host.validation import validated as validated
+from p2o.run.words import parse_settings as parse_settings
+from p2o.run.words import split_data as split_data
+from p2o.run.words import value_of as value_of
 
 if TYPE_CHECKING:
     from p2o.frames.frame import Frame
     from p2o.host.guard import GuardedDataset
     from p2o.host.stages import Calibrator, Exporter
-
-_KIND_OF = {
-    "data": Kind.DATASET,
-    "extractor": Kind.IMAGE_EXTRACTOR,
-    "cloud": Kind.CLOUD_EXTRACTOR,
-    "matcher": Kind.MATCHER,
-    "solver": Kind.SOLVER,
-    "init": Kind.INITIALIZER,
-    "calibrator": Kind.CALIBRATOR,
-}
-STAGES = (*_KIND_OF, "pipeline")
-"""The stages that options are set for."""
-
-STAGE_OF = {kind: stage for stage, kind in _KIND_OF.items()}
-"""The word before the dot in --set, by kind of method."""
-
-_STAGED = ("extractor", "matcher", "solver", "init")
 
 
 class Recipe(BaseModel):
@@ -72,8 +59,7 @@ class Recipe(BaseModel):
         said = {name: value for name, value in words.items() if value is not None}
         if "data" in words and words["data"] is None:
             said["data"] = None
-        recipe: Recipe = validated(cls, said, "recipe")
-        return recipe
+        return validated(cls, said, "recipe")
 
     def resolve(self, registry: Registry) -> Plan:
         """Find every method, validate every option and check that the stages fit; no data are read.
@@ -95,7 +81,7 @@ class Recipe(BaseModel):
         parts: dict[str, Part] = {}
         for stage, name in names.items():
             values = {**said.get(stage, {}), **self.options.get(stage, {})}
-            parts[stage] = _part(registry.find(_KIND_OF[stage], name), stage, values, self.seed)
+            parts[stage] = _part(registry.find(KIND_OF[stage], name), stage, values, self.seed)
         if self.calibrator is None:
             pipeline = validated(PipelineOptions, {"seed": self.seed, **self.options.get("pipeline", {})}, "pipeline")
         elif "pipeline" in self.options:
@@ -112,7 +98,7 @@ class Recipe(BaseModel):
         if self.data is not None:
             names["data"], said["data"] = split_data(self.data)
         if self.calibrator is not None:
-            extra = sorted(self.model_fields_set.intersection(_STAGED))
+            extra = sorted(self.model_fields_set.intersection(STAGED_WORDS))
             if extra:
                 raise InputError(
                     f"calibrator '{self.calibrator}' is a whole method",
@@ -201,7 +187,7 @@ class Plan:
 
     def described(self) -> dict[str, Any]:
         """Return the recipe with every option that took effect, ready for JSON; `Recipe.of(**it)` repeats the run."""
-        unused = set(_STAGED) if self.recipe.calibrator is not None else {"calibrator"}
+        unused = set(STAGED_WORDS) if self.recipe.calibrator is not None else {"calibrator"}
         words = self.recipe.model_dump(mode="json", exclude=unused)
         words["options"] = {stage: part.options.model_dump(mode="json") for stage, part in self.parts.items()}
         if self.pipeline is not None:
@@ -278,89 +264,6 @@ def _remembering(extract: Callable[[Any], Any]) -> Callable[[Any], Any]:
     return remembered
 
 
-def split_data(text: str) -> tuple[str, dict[str, Any]]:
-    """Return the dataset name and the options that DATASET:PATH states.
-
-    `kitti-raw:build/data` gives root; `synthetic:?scenes=4&seed=1` gives options; both may be there.
-    """
-    name, colon, rest = text.partition(":")
-    if not colon and ("/" in name or os.path.exists(name)):
-        raise InputError("data need a dataset name", expected="DATASET:PATH, such as kitti-raw:PATH", got=text)
-    options: dict[str, Any] = {}
-    query = re.fullmatch(r"(.*?)\?((?:[a-z0-9_]+=[^&]*)(?:&[a-z0-9_]+=[^&]*)*)?", rest, re.DOTALL)
-    if query is not None:
-        rest = query[1]
-        options = {key: value_of(value) for key, value in parse_qsl(query[2] or "", keep_blank_values=True)}
-    if rest:
-        options["root"] = os.path.expanduser(rest)
-    return name, options
-
-
-def value_of(text: str) -> Any:
-    """Return the value that a text on the command line states: YAML lists, mappings and null, else the text itself.
-
-    Numbers and switches stay text: the option's own type decides what they mean.
-    """
-    if text in ("null", "~"):
-        return None
-    if text[:1] in ("[", "{"):
-        import yaml
-
-        try:
-            return yaml.safe_load(text)
-        except yaml.YAMLError as problem:
-            raise InputError("cannot read the value", where=text, expected="YAML such as [1, 2]") from problem
-    return text
-
-
-def parse_settings(settings: Iterable[str]) -> dict[str, dict[str, Any]]:
-    """Return options by stage from texts STAGE.FIELD=VALUE; the last of two for one field wins.
-
-    Raises InputError for other texts, UnknownNameError for unknown stages.
-    """
-    options: dict[str, dict[str, Any]] = {}
-    for text in settings:
-        match = re.fullmatch(r"([a-z]+)\.([A-Za-z0-9_.]+)=(.*)", text.strip(), re.DOTALL)
-        if match is None:
-            raise InputError(
-                "cannot read the setting", where="--set", expected="STAGE.FIELD=VALUE: matcher.huber_px=2", got=text
-            )
-        stage, path, value = match.groups()
-        if stage not in STAGES:
-            raise UnknownNameError("stage", stage, STAGES, where="--set")
-        *outer, last = path.split(".")
-        target = options.setdefault(stage, {})
-        for key in outer:
-            target = target.setdefault(key, {})
-        target[last] = value_of(value)
-    return options
-
-
-def validated(model: type[Any], values: Mapping[str, Any], where: str) -> Any:
-    """Return the model of these values.
-
-    Raises UnknownNameError for a field that does not exist, and InputError with path, value and bound otherwise.
-    """
-    try:
-        return model.model_validate(dict(values))
-    except ValidationError as problem:
-        first = problem.errors()[0]
-        path = ".".join(str(part) for part in (where, *first["loc"]))
-        if first["type"] == "extra_forbidden":
-            name = str(first["loc"][-1])
-            raise UnknownNameError(f"{where} option", name, model.model_fields) from problem
-        if first["type"] == "missing":
-            raise InputError(f"{path} is not set", expected="a value: it has no default") from problem
-        message = first["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
-        more = len(problem.errors()) - 1
-        raise InputError(
-            f"{path} is out of bounds" if "ctx" in first else f"{path} is not valid",
-            expected=message[:1].lower() + message[1:],
-            got=str(first["input"])[:80],
-            hint=f"{more} more like this" if more else None,
-        ) from problem
-
-
 def missing_words(needs: Iterable[str], upstream: Sequence[Offer]) -> list[tuple[str, Offer]]:
     """Return the needed words that are not given, each with the method that would have to give it.
 
@@ -395,14 +298,7 @@ _HELD: dict[str, Callable[[Frame], object]] = {
 }
 """The words for what a frame may hold, and where it holds it."""
 
-_OPTION_OF = {
-    Kind.MATCHER: "--matcher",
-    Kind.SOLVER: "--solver",
-    Kind.INITIALIZER: "--init",
-    Kind.CALIBRATOR: "--calibrator",
-    Kind.IMAGE_EXTRACTOR: "--extractor",
-    Kind.CLOUD_EXTRACTOR: "--extractor",
-}
+_OPTION_OF = {slot.kind: slot.option for slot in SLOTS}
 
 
 def _misfit(offers: Mapping[str, Offer], held: frozenset[str] | None = None) -> tuple[str, Offer, Offer] | None:

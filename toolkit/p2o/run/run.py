@@ -21,7 +21,8 @@ from p2o.host.registry import Registry
 from p2o.host.stages import Calibrator
 from p2o.results.result import Result, Status
 from p2o.results.result_json import result_to_dict
-from p2o.run.recipe import Plan, Recipe, parse_settings
+from p2o.run.recipe import Plan, Recipe
+from p2o.run.words import parse_settings
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,8 +20,10 @@ from p2o.frames.selection import select
 from p2o.geometry.pose_error import pose_error
 from p2o.host.guard import GuardedDataset
 from p2o.host.registry import Registry
+from p2o.host.slots import SENSORS
 from p2o.run.recipe import Plan, open_dataset
 from p2o.run.run import common_pose, start_of
+from p2o.run.words import split_data
 from p2o.study import worker
 from p2o.study.store import Planned, Store, StoredRow, StoredStudy
 from p2o.study.study import ALL_JOINT, StudyFile, StudyRow, check_study, retold
@@ -148,7 +150,7 @@ class _Method:
     @property
     def extractors(self) -> dict[str, tuple[str, str]]:
         """By a name of method and options: recipe and stage that say how to extract; none for a whole method."""
-        parts = {stage: part for stage, part in self.plan.parts.items() if stage in worker.SENSORS}
+        parts = {stage: part for stage, part in self.plan.parts.items() if stage in SENSORS}
         return {worker.part_name(part): (self.recipe, stage) for stage, part in parts.items()}
 
 
@@ -193,7 +195,7 @@ def _data_options(row: StudyRow, registry: Registry) -> str:
     """Return the dataset's options as JSON; its seed is its own, so that all seeds of a row see the same frames."""
     options = {**row.dataset.options, **row.words["options"].get("data", {})}
     fields = row.resolve(registry, row.seeds[0]).parts["data"].options.model_fields
-    if "seed" in fields and "seed" not in row.dataset.data.partition("?")[2]:
+    if "seed" in fields and "seed" not in split_data(row.dataset.data)[1]:
         options.setdefault("seed", 0)
     return json.dumps(options, sort_keys=True)
 

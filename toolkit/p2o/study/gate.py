@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from p2o.errors import InputError
 from p2o.files.whole_file import write_whole
+from p2o.host.validation import validated
 from p2o.study.store import Planned, StoredRow
 from p2o.study.study import Study
 from p2o.study.tally import Tally, tallies
@@ -61,9 +62,9 @@ class Reference(_Part):
     def _known(self) -> Reference:
         for label, values in self.tolerance.rows.items():
             if label not in self.rows:
-                raise ValueError(f"tolerance of row '{label}', which is not in the reference")
+                raise ValueError(f"no tolerance of row '{label}', which is not in the reference")
             for metric in values.keys() - self.rows[label].mean.keys():
-                raise ValueError(f"tolerance of {metric} of row '{label}', which is not measured")
+                raise ValueError(f"no tolerance of {metric} of row '{label}', which is not measured")
         return self
 
 
@@ -197,13 +198,10 @@ def read_reference(path: str | Path) -> Reference:
             "the reference cannot be read", where=path, got=problem.strerror, hint="write it with --update"
         ) from problem
     try:
-        return Reference.model_validate_json(text)
-    except ValidationError as problem:
-        first = problem.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
-        told = f"{place}: {first['msg']}" if place else first["msg"]
+        return validated(Reference, json.loads(text))
+    except (ValueError, RecursionError, InputError) as problem:
         raise InputError(
-            "this is no reference of a study", where=path, got=told, hint="write it with --update"
+            "this is no reference of a study", where=path, got=problem, hint="write it with --update"
         ) from problem
 
 

@@ -11,7 +11,7 @@ import itertools
 import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import entry_points
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -21,9 +21,11 @@ from pydantic import BaseModel, ConfigDict, Field, StrictBool, StringConstraints
 
 from p2o.errors import InputError, P2OError, UnknownNameError
 from p2o.geometry.perturb import parse_perturbation
-from p2o.host.method import Kind
 from p2o.host.registry import GROUP, Registry
-from p2o.run.recipe import STAGES, Plan, Recipe
+from p2o.host.slots import METHOD_WORDS, SLOTS, STAGED_WORDS, STAGES
+from p2o.host.validation import fault_of
+from p2o.run.recipe import Plan, Recipe
+from p2o.run.words import data_by_name
 
 FOLDER = "studies"
 """Folder of a package that ships studies: PACKAGE/studies/NAME.toml."""
@@ -38,16 +40,8 @@ Joint = StrictBool | Annotated[int, Field(strict=True, ge=2)]
 Metric = Literal["rotation_deg", "translation_m", "roll_deg", "pitch_deg", "yaw_deg", "x_m", "y_m", "z_m"]
 Options = dict[str, dict[str, Any]]
 
-WORDS = ("extractor", "matcher", "solver", "init", "calibrator")
-"""The words that choose a method; each may be the name of a variant that sets it."""
-
-_STAGED = ("extractor", "matcher", "solver", "init")
-_KIND_OF_WORD = {
-    "matcher": Kind.MATCHER,
-    "solver": Kind.SOLVER,
-    "init": Kind.INITIALIZER,
-    "calibrator": Kind.CALIBRATOR,
-}
+# Each may be the name of a variant that sets it. Extractors are named IMAGE/CLOUD, as no variant can be.
+_KIND_OF_WORD = {slot.word: slot.kind for slot in SLOTS if slot.word in METHOD_WORDS and not slot.sensor}
 
 
 class _Table(BaseModel):
@@ -154,18 +148,7 @@ class Study(_Table):
         which of several is meant.
         """
         tables = {table.name: table for table in self.dataset}
-        for text in data:
-            match = re.fullmatch(r"([a-z0-9_.-]+)=(.+)", text, re.DOTALL)
-            if match is None and len(tables) > 1:
-                raise InputError(
-                    f"study {self.name} has several datasets",
-                    where="--data",
-                    expected="NAME=DATASET:PATH with a NAME of " + ", ".join(tables),
-                    got=text,
-                )
-            name, value = match.groups() if match is not None else (next(iter(tables)), text)
-            if name not in tables:
-                raise UnknownNameError(f"dataset of study {self.name}", name, tables, where="--data")
+        for name, value in data_by_name(data, tables, f"study {self.name}").items():
             tables[name] = tables[name].model_copy(update={"data": value})
         if frames is not None:
             tables = {name: table.model_copy(update={"frames": frames}) for name, table in tables.items()}
@@ -239,7 +222,7 @@ class _Expansion:
         self._refuse_twice("variant", [variant.name for variant in study.variant])
         self._refuse_twice("dataset", [table.name for table in study.dataset])
         for variant in study.variant:
-            for word in WORDS:
+            for word in METHOD_WORDS:
                 if getattr(variant, word) in self.variants:
                     self._fail(
                         f"variant '{variant.name}' is made of the variant '{getattr(variant, word)}'",
@@ -252,7 +235,7 @@ class _Expansion:
             for words, use, label in self._combinations(product):
                 found += self._row(label, words, use, product)
         for row in self.study.row:
-            words = {word: getattr(row, word) for word in (*WORDS, "perturb") if getattr(row, word) is not None}
+            words = {word: getattr(row, word) for word in (*METHOD_WORDS, "perturb") if getattr(row, word) is not None}
             found += self._row(row.label, words, row.use, row, row.options)
         if not found:
             self._fail("there are no rows", "[[row]] or [[product]] tables")
@@ -266,10 +249,10 @@ class _Expansion:
 
     def _combinations(self, product: Product) -> Iterator[tuple[dict[str, str], tuple[str, ...], str]]:
         """Return words, variants and label of each combination."""
-        axes = {word: getattr(product, word) for word in (*WORDS, "perturb") if getattr(product, word)}
+        axes = {word: getattr(product, word) for word in (*METHOD_WORDS, "perturb") if getattr(product, word)}
         uses = product.use or ((),)
         if not axes and not product.use:
-            self._fail("a product has nothing to combine", ", ".join(WORDS))
+            self._fail("a product has nothing to combine", ", ".join(METHOD_WORDS))
         for name, values in (*axes.items(), ("use", [" ".join(use) for use in product.use])):
             self._refuse_twice(f"{name} of a product", values)
         varying = [word for word, values in axes.items() if len(values) > 1] or list(axes)
@@ -295,7 +278,9 @@ class _Expansion:
             if name not in self.variants:
                 raise UnknownNameError("variant", name, self.variants, where=f"{self.where}, row '{label}'")
             sources.append((f"variant '{name}'", self.variants[name]))
-            said.update({w: name for w in WORDS if getattr(self.variants[name], w) is not None and w not in said})
+            said.update(
+                {w: name for w in METHOD_WORDS if getattr(self.variants[name], w) is not None and w not in said}
+            )
         plain: dict[str, Any] = {}
         for word, value in words.items():
             variant = self.variants.get(value)
@@ -310,14 +295,14 @@ class _Expansion:
         datasets = self._datasets(label, scope)
         seeds = self.study.seeds if scope.seeds is None else scope.seeds
         joint = self.study.joint if scope.joint is None else scope.joint
-        for word in ("calibrator",) if "calibrator" in merged else _STAGED:
+        for word in ("calibrator",) if "calibrator" in merged else STAGED_WORDS:
             said.setdefault(word, merged.get(word, Recipe.model_fields[word].default))
         return [
             StudyRow(
                 label=label if len(self.study.dataset) == 1 else f"{label} @ {table.name}",
                 section=scope.section,
                 dataset=table,
-                said={word: value for word, value in said.items() if word in WORDS},
+                said={word: value for word, value in said.items() if word in METHOD_WORDS},
                 words=merged,
                 seeds=tuple(range(seeds)) if isinstance(seeds, int) else self._distinct(label, seeds),
                 joint=(ALL_JOINT if joint else 0) if isinstance(joint, bool) else joint,
@@ -335,7 +320,7 @@ class _Expansion:
                 if key in said and said[key] != value:
                     self._fail(f"row '{label}': {giver[key]} and {source} both set {'.'.join(key[-2:])}", "one of them")
                 said[key], giver[key] = value, source
-        staged = any((word,) in said for word in _STAGED)
+        staged = any((word,) in said for word in STAGED_WORDS)
         whole = ("calibrator",) in said or (self.study.defaults.calibrator is not None and not staged)
         defaults = {key: value for key, value in _flat(self.study.defaults) if _applies(key, whole)}
         methods = [_methods({key[0]: words[key] for key in words if len(key) == 1}) for words in (defaults, said)]
@@ -404,7 +389,7 @@ def check_study(study: Study, registry: Registry) -> list[StudyRow]:
 
 def _flat(words: Words) -> Iterator[tuple[tuple[str, ...], Any]]:
     """Return what is said by key: ("matcher",) for a word, ("options", "matcher", "sides") for an option."""
-    for word in (*WORDS, "perturb"):
+    for word in (*METHOD_WORDS, "perturb"):
         if getattr(words, word) is not None:
             yield (word,), getattr(words, word)
     for stage, values in words.options.items():
@@ -507,37 +492,16 @@ def parse_study(text: str, source: str = "study") -> Study:
         raise _explained(problem, content, source) from problem
 
 
-_TABLES: dict[str, type[BaseModel]] = {
-    "dataset": DatasetTable,
-    "defaults": Words,
-    "variant": Variant,
-    "product": Product,
-    "row": RowTable,
-    "published": Published,
-}
-
-
 def _explained(problem: ValidationError, content: Mapping[str, Any], source: str) -> InputError:
-    """Return the first error in words: which table, which key, what was expected, what it is."""
-    first = problem.errors()[0]
-    table, *rest = [str(part) for part in first["loc"] if not isinstance(part, int)]
-    numbers = [part for part in first["loc"] if isinstance(part, int)]
-    place = source
-    model: type[BaseModel] = Study
-    if table in _TABLES and (rest or numbers):
-        model = _TABLES[table]
-        entry = content[table][numbers[0]] if numbers and isinstance(content[table], list) else content[table]
-        named = entry.get("label") or entry.get("name") if isinstance(entry, dict) else None
-        number = f" {numbers[0] + 1}" if numbers and table != "defaults" else ""
-        place = f"{source}, [[{table}]]{number}" + (f" '{named}'" if named else "")
-    else:
-        rest = [table, *rest]
-    key = rest[0] if rest else table
-    if first["type"] == "extra_forbidden":
-        return UnknownNameError("key", key, model.model_fields, where=place)
-    if first["type"] == "missing":
-        return InputError(f"{key} is not said", where=place, expected=f"{key} = ...")
-    message = first["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
-    return InputError(
-        f"{key} is not valid", where=place, expected=message[:1].lower() + message[1:], got=repr(first["input"])[:80]
-    )
+    """Return the first fault in words: which table, which key, what was expected, what it is."""
+    fault = fault_of(problem, Study, content)
+    table, *rest = fault.path
+    entry, place = content.get(str(table)), f"[{table}]"
+    if rest and isinstance(rest[0], int) and isinstance(entry, list):
+        number = rest[0]
+        entry, place, rest = entry[number], f"[[{table}]] {number + 1}", rest[1:]
+    if not (rest and isinstance(entry, dict)):
+        return fault.error(where=source)
+    named = entry.get("label") or entry.get("name")
+    where = f"{source}, {place}" + (f" '{named}'" if named else "")
+    return replace(fault, path=tuple(rest)).error(where=where)

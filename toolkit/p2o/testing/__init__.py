@@ -67,7 +67,7 @@ def checks_for(
     Raises TypeError where the kind is missing, UnknownNameError where the method expects failures of checks that do
     not exist, and InputError for bad options.
     """
-    from p2o.run.recipe import validated
+    from p2o.host.validation import validated
 
     if isinstance(method, Method):
         if kind is None:

@@ -10,7 +10,6 @@ import hashlib
 import importlib
 import json
 import os
-import sys
 import tempfile
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import platformdirs
 
 from p2o.errors import InputError
 from p2o.work.sources import code_hash
@@ -30,16 +30,10 @@ if TYPE_CHECKING:
 _FORMAT = 2
 
 
-def cache_folder(environ: Mapping[str, str] | None = None) -> Path:
+def cache_folder() -> Path:
     """Return where p2o keeps what can be computed again: `P2O_CACHE`, else p2o in the user's cache folder."""
-    environ = os.environ if environ is None else environ
-    if environ.get("P2O_CACHE"):
-        return Path(environ["P2O_CACHE"]).expanduser()
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches" / "p2o"
-    if sys.platform == "win32":
-        return Path(environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local") / "p2o" / "Cache"
-    return Path(environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "p2o"
+    named = os.environ.get("P2O_CACHE")
+    return Path(named).expanduser() if named else platformdirs.user_cache_path("p2o", appauthor=False)
 
 
 def content_hash(value: Any) -> str:

@@ -1,0 +1,108 @@
+"""What pydantic finds wrong, in our words: one translation for options, recipes, study files and frame files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, TypeVar, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from p2o.errors import InputError, UnknownNameError
+
+_Model = TypeVar("_Model", bound=BaseModel)
+_BOUNDS = {"gt", "ge", "lt", "le", "multiple_of", "min_length", "max_length", "error"}
+"""What the context of an error holds where a bound, or a check of our own, refused the value."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """The first thing that is wrong with a value: the keys that lead to it, of what sort it is, and what to write.
+
+    `known` are the keys that there are, where one is unknown; `more` is the number of further faults.
+    """
+
+    path: tuple[str | int, ...]
+    sort: Literal["unknown", "missing", "bound", "value"]
+    expected: str
+    got: str
+    known: tuple[str, ...]
+    more: int
+
+    def error(self, within: str = "", *, where: object = None, noun: str = "key") -> InputError:
+        """Return the error to raise: `within` goes before the path, `noun` says what an unknown name is."""
+        if self.sort == "unknown":
+            return UnknownNameError(noun, str(self.path[-1]), self.known, where=where)
+        name = ".".join(str(part) for part in ((within, *self.path) if within else self.path)) or "the whole"
+        if self.sort == "missing":
+            return InputError(f"{name} is not said", where=where, expected="a value: it has no default")
+        return InputError(
+            f"{name} is out of bounds" if self.sort == "bound" else f"{name} is not valid",
+            where=where,
+            expected=self.expected,
+            got=self.got if self.path else None,
+            hint=f"{self.more} more like this" if self.more else None,
+        )
+
+
+def validated(
+    model: type[_Model], values: Any, within: str = "", *, where: object = None, noun: str | None = None
+) -> _Model:
+    """Return the model of these values; `within` names what they are values of, `where` the place they come from.
+
+    Raises UnknownNameError for a key that does not exist, and InputError with path, value and bound otherwise.
+    """
+    try:
+        return model.model_validate(dict(values) if isinstance(values, Mapping) else values)
+    except ValidationError as problem:
+        noun = noun or (f"{within} option" if within else "key")
+        raise fault_of(problem, model, values).error(within, where=where, noun=noun) from problem
+
+
+def fault_of(problem: ValidationError, model: type[BaseModel], values: Any) -> Fault:
+    """Return the first fault that pydantic found in `values`."""
+    first = problem.errors()[0]
+    path, level = _followed(first["loc"], model, values)
+    sorts: dict[str, Literal["unknown", "missing"]] = {"extra_forbidden": "unknown", "missing": "missing"}
+    message = first["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+    return Fault(
+        path=path,
+        sort=sorts.get(first["type"], "bound" if _BOUNDS & first.get("ctx", {}).keys() else "value"),
+        expected=message[:1].lower() + message[1:],
+        got=str(first["input"])[:80] or "nothing",
+        known=tuple(level.model_fields),
+        more=len(problem.errors()) - 1,
+    )
+
+
+def _followed(
+    loc: Sequence[str | int], model: type[BaseModel], values: Any
+) -> tuple[tuple[str | int, ...], type[BaseModel]]:
+    """Return the keys in `loc` that users wrote or left out, and the innermost model on the way.
+
+    Pydantic also puts names of its own there: the alternative of a union that it tried, "[key]".
+    """
+    path: list[str | int] = []
+    level = model
+    for part in loc:
+        inside: Any = None
+        if isinstance(values, list | tuple) and isinstance(part, int):
+            inside = values[part] if part < len(values) else None
+        elif part in level.model_fields:
+            level = next(_models(level.model_fields[str(part)].annotation), level)
+            inside = values.get(part) if isinstance(values, Mapping) else None
+        elif isinstance(values, Mapping) and part in values:
+            inside = values[part]
+        else:
+            continue
+        path.append(part)
+        values = inside
+    return tuple(path), level
+
+
+def _models(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Return the models that a type is made of."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in get_args(annotation):
+        yield from _models(part)
