@@ -99,7 +99,7 @@ def option_row(name: str, field: Any) -> tuple[str, str, str, str]:
 def fit_matrix(registry: Registry) -> str:
     """Return two tables: which matcher takes which pair of extractors, and which solver takes which matcher."""
     from p2o.host.method import Kind
-    from p2o.run.recipe import missing_words
+    from p2o.run.fit import missing_words
 
     def table(title: str, heads: list[str], rows: list[tuple[str, list[bool]]]) -> str:
         first = max([len(name) for name, _ in rows] + [len(title)])

@@ -75,7 +75,6 @@ def _write_json(path: Path, value: Any) -> None:
 
 def _draw(root: Path, home: Path, progress: Progress) -> None:
     """Write the convergence plot, and before.png and after.png of every frame."""
-    from p2o.calibration.pipeline import Pipeline
     from p2o.draw import overlay, plots
 
     if progress.row is None:
@@ -91,8 +90,9 @@ def _draw(root: Path, home: Path, progress: Progress) -> None:
             ("before", result.start, frame.camera, frame),
             ("after", result.camera_from_lidar, result.camera_of(frame.camera), corrected),
         ):
-            if isinstance(progress.calibrator, Pipeline) and result.status is not Status.STAGE_FAILED:
-                view = progress.calibrator.extract(seen).as_seen_from(pose)
+            view = None if result.status is Status.STAGE_FAILED else progress.assembly.view(seen)
+            if view is not None and (len(view.image_edges) or len(view.cloud_edges)):
+                view = view.as_seen_from(pose)
                 picture = overlay.draw(frame.image.rgb, view.image_edges, view.cloud_edges, camera, pose)
             else:
                 picture = overlay.draw_cloud(frame.image.rgb, seen.cloud, camera, pose)

@@ -34,6 +34,12 @@ _PLACE = "{frame}"
 @click.option(
     "--set", "settings", multiple=True, metavar="STAGE.FIELD=VALUE", help="An option (`p2o methods NAME` lists them)."
 )
+@click.option("--accumulate", metavar="NAME", help="Join sweeps of a sequence with this method.")
+@click.option(
+    "--witness",
+    metavar="IMAGE/CLOUD",
+    help="Extractors whose edges check a result that has none of its own (default: p2ornet/rings; none: unchecked).",
+)
 @click.option("--perturb", metavar='"2deg 0.15m"', help="Begin this far from the truth, in a random direction.")
 @click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Seed of everything random (default: 0).")
 @click.option("--joint", is_flag=True, default=None, help="One result for all frames together.")

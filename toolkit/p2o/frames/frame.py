@@ -29,7 +29,8 @@ class Frame:
     on one clock for the whole sequence. `lidar_world_from_lidar` and `camera_world_from_camera` (4, 4) are the poses of
     the sensors at that time, each in a world of its own, where they are known: the two worlds differ by what nobody
     knows, so that both together tell the extrinsic only by how the sensors move (hand-eye), never by a single pose.
-    `targets` are the calibration targets in view: what they are, not where.
+    `targets` are the calibration targets in view: what they are, not where. `sweep` is the frame's own sweep where
+    `cloud` joins several.
 
     Raises InputError for poses that are not rigid, a twist or time that is not finite, and things that are no targets.
     """
@@ -46,6 +47,7 @@ class Frame:
     lidar_world_from_lidar: Float | None = None
     camera_world_from_camera: Float | None = None
     targets: tuple[Target, ...] = ()
+    sweep: Cloud | None = None
 
     def __post_init__(self) -> None:
         for name in ("camera_from_lidar", "start", "lidar_world_from_lidar", "camera_world_from_camera"):

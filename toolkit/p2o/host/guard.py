@@ -14,14 +14,14 @@ import numpy as np
 from p2o.arrays import Float
 from p2o.errors import InputError, MethodUnavailable, P2OError, PluginError
 from p2o.features.sets import CloudFeatures, ImageFeatures
+from p2o.frames.cloud import Cloud
 from p2o.frames.frame import Dataset, Frame
 from p2o.geometry import se3
 from p2o.host.method import Kind
 from p2o.host.options import Options
 from p2o.host.registry import Offer
 from p2o.host.trainer import Trainer
-from p2o.problems.point_to_line import PointToLine
-from p2o.problems.problem import Objective
+from p2o.problems.problem import LeastSquares, Objective
 from p2o.results.result import Result, Solution
 
 
@@ -33,8 +33,8 @@ def build(offer: Offer, options: Options) -> Any:
     """
     with _watch(offer, "building"):
         stage = offer.method.build(options)
-    if offer.kind == Kind.DATASET:
-        return GuardedDataset(offer, stage)
+    if offer.kind in _CLASSES:
+        return _CLASSES[offer.kind](offer, stage)
     if not callable(stage):
         raise _fault(offer, f"build returned {type(stage).__name__}", "something to call")
     return _GUARDS[offer.kind](offer, stage)
@@ -175,13 +175,19 @@ def _typed(offer: Offer, value: Any, *wanted: type) -> None:
         raise _fault(offer, f"returned {type(value).__name__}", " or ".join(f"p2o.{t.__name__}" for t in wanted))
 
 
+def _as_said(offer: Offer, features: ImageFeatures | CloudFeatures, prefix: str) -> None:
+    """Raise PluginError where a kind of feature is missing that the method says it gives."""
+    missing = sorted(w for w in offer.method.gives if w.startswith(prefix) and w not in features.words)
+    if missing:
+        raise _fault(offer, f"gave no {missing[0].removeprefix(prefix)}", f"{missing[0]}, as it says in `gives`")
+
+
 def _image_extractor(offer: Offer, stage: Callable[..., Any]) -> Any:
     def extract(image: Any, /) -> Any:
         with _watch(offer, "extracting"):
             features = stage(image)
         _typed(offer, features, ImageFeatures)
-        if "image-edges" in offer.method.gives and features.edges is None:
-            raise _fault(offer, "gave no edges", "image-edges, as it says in `gives`")
+        _as_said(offer, features, "image-")
         return features
 
     return extract
@@ -192,8 +198,7 @@ def _cloud_extractor(offer: Offer, stage: Callable[..., Any]) -> Any:
         with _watch(offer, "extracting"):
             features = stage(cloud)
         _typed(offer, features, CloudFeatures)
-        if "cloud-edges" in offer.method.gives and features.edges is None:
-            raise _fault(offer, "gave no edges", "cloud-edges, as it says in `gives`")
+        _as_said(offer, features, "cloud-")
         return features
 
     return extract
@@ -213,9 +218,20 @@ def _matcher(offer: Offer, stage: Callable[..., Any]) -> Any:
     def match(views: Any, camera_from_lidar: Float, reach_px: float, /) -> Any:
         with _watch(offer, "matching"):
             problem = stage(views, camera_from_lidar, reach_px)
-        _typed(offer, problem, PointToLine, Objective)
-        return replace(problem, cost=guarded_cost(problem.cost)) if isinstance(problem, Objective) else problem
+        if isinstance(problem, LeastSquares):
+            return problem
+        _typed(offer, problem, LeastSquares, Objective)
+        return replace(problem, cost=guarded_cost(problem.cost))
 
+    own = getattr(stage, "judge", None)
+    if own is None:
+        return match
+
+    def judge(views: Any, start: Float, poses: Any, /) -> Any:
+        with _watch(offer, "making its judge"):
+            return own(views, start, poses)
+
+    match.judge = judge  # type: ignore[attr-defined]
     return match
 
 
@@ -246,14 +262,59 @@ def _initializer(offer: Offer, stage: Callable[..., Any]) -> Any:
     return propose
 
 
-def _calibrator(offer: Offer, stage: Callable[..., Any]) -> Any:
-    def calibrate(frames: Any, camera_from_lidar: Float, /) -> Any:
-        with _watch(offer, "calibrating"):
-            result = stage(frames, camera_from_lidar)
-        _typed(offer, result, Result)
-        return replace(result, camera_from_lidar=_pose(offer, result.camera_from_lidar))
+class GuardedCalibrator:
+    """A plugin's whole method, with what it prepares of frames; calling it does both.
 
-    return calibrate
+    `prepares` is False for a plain function of frames: it is handed the frames themselves.
+    """
+
+    def __init__(self, offer: Offer, stage: Any) -> None:
+        self._offer, self._stage = offer, stage
+        self.prepares = callable(getattr(stage, "prepare", None)) and callable(getattr(stage, "solve", None))
+        if not self.prepares and not callable(stage):
+            raise _fault(offer, f"build returned {type(stage).__name__}", "prepare() and solve(), or something to call")
+
+    def prepare(self, frame: Frame, /) -> Any:
+        """Return what the method prepares of a frame, which it sees without its truth."""
+        frame = frame.without_truth()
+        if not self.prepares:
+            return frame
+        with _watch(self._offer, f"preparing {frame.name}"):
+            return self._stage.prepare(frame)
+
+    def solve(self, prepared: Sequence[Any], camera_from_lidar: Float, /) -> Result:
+        """Return the result of what was prepared, from a start (4, 4)."""
+        with _watch(self._offer, "calibrating"):
+            solve = self._stage.solve if self.prepares else self._stage
+            result: Result = solve(list(prepared), camera_from_lidar)
+        _typed(self._offer, result, Result)
+        return replace(result, camera_from_lidar=_pose(self._offer, result.camera_from_lidar))
+
+    def __call__(self, frames: Sequence[Frame], camera_from_lidar: Float, /) -> Result:
+        return self.solve([self.prepare(frame) for frame in frames], camera_from_lidar)
+
+
+class GuardedAccumulator:
+    """A plugin's accumulator whose joined sweep is checked."""
+
+    def __init__(self, offer: Offer, stage: Any) -> None:
+        if not callable(stage):
+            raise _fault(offer, f"build returned {type(stage).__name__}", "something to call")
+        self._offer, self._stage = offer, stage
+        self.past, self.future = (self._wanted(name) for name in ("past", "future"))
+
+    def _wanted(self, name: str) -> int:
+        count = getattr(self._stage, name, None)
+        if not isinstance(count, int) or count < 0:
+            raise _fault(self._offer, f"`{name}` is {count!r}", "how many frames it wants, a number >= 0")
+        return count
+
+    def __call__(self, frames: Sequence[Frame], number: int, /) -> Cloud:
+        with _watch(self._offer, f"joining the sweeps around {frames[number].name}"):
+            cloud = self._stage(frames, number)
+        _typed(self._offer, cloud, Cloud)
+        joined: Cloud = cloud
+        return joined
 
 
 def _exporter(offer: Offer, stage: Callable[..., Any]) -> Any:
@@ -270,6 +331,11 @@ _GUARDS: dict[Kind, Callable[[Offer, Callable[..., Any]], Any]] = {
     Kind.MATCHER: _matcher,
     Kind.SOLVER: _solver,
     Kind.INITIALIZER: _initializer,
-    Kind.CALIBRATOR: _calibrator,
     Kind.EXPORTER: _exporter,
+}
+
+_CLASSES: dict[Kind, Callable[[Offer, Any], Any]] = {
+    Kind.DATASET: GuardedDataset,
+    Kind.CALIBRATOR: GuardedCalibrator,
+    Kind.ACCUMULATOR: GuardedAccumulator,
 }

@@ -1,4 +1,4 @@
-"""The eight hooks of p2o. A plugin offers methods through them; it changes nothing global.
+"""The nine hooks of p2o. A plugin offers methods through them; it changes nothing global.
 
 Every hook takes no arguments and returns or yields `Method` values. Anyone may implement any of them, in a module
 named by an entry point of the group "p2o". Choosing a method by name is the user's job.
@@ -44,7 +44,15 @@ def p2o_initializers() -> Iterable[Method]:  # type: ignore[empty-body]
 
 @hookspec
 def p2o_calibrators() -> Iterable[Method]:  # type: ignore[empty-body]
-    """Offer methods whose build(options) returns `(Sequence[Frame], camera_from_lidar) -> Result`."""
+    """Offer methods whose build(options) returns a `Calibrator`: `prepare(Frame)` and `solve(prepared, start)`.
+
+    A plain `(Sequence[Frame], camera_from_lidar) -> Result` does as well; nothing that it prepares is kept then.
+    """
+
+
+@hookspec
+def p2o_accumulators() -> Iterable[Method]:  # type: ignore[empty-body]
+    """Offer methods whose build(options) returns an `Accumulator`: `(Sequence[Frame], number) -> Cloud`."""
 
 
 @hookspec

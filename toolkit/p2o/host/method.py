@@ -13,6 +13,20 @@ from p2o.host.slots import Kind as Kind
 from p2o.host.trainer import Trainer
 
 
+@dataclass(frozen=True)
+class Example:
+    """Frames on which a method promises to come near the truth, for `p2o check-plugin` and its own tests.
+
+    `data` is DATASET:PATH of a dataset that needs no files, `perturb` the start, `within` what the result must reach
+    as in `p2o run`; `joint` calibrates all frames together.
+    """
+
+    data: str
+    perturb: str = "1deg 0.05m"
+    within: str = "0.3deg 0.1m"
+    joint: bool = False
+
+
 @dataclass(frozen=True, kw_only=True)
 class Method:
     """One method that a plugin offers.
@@ -21,7 +35,8 @@ class Method:
     sentence; `needs` and `gives` are words: prefixed ones (image-edges, cloud-edges, pairs, objective) must be given
     by the side they name, unprefixed ones (side) by both sides. `cite` names the source. `extra` is the extra of
     p2o-calib, or the package, that has to be installed for it. `expected_failures` maps names of conformance checks
-    that the method is known to fail to the reason. `trainer` says how the method learns, where it does.
+    that the method is known to fail to the reason. `trainer` says how the method learns, where it does. `example` is
+    what a method of frames that the test stage does not have (targets, drives) promises to succeed on.
     """
 
     name: str
@@ -34,6 +49,7 @@ class Method:
     extra: str = ""
     expected_failures: tuple[tuple[str, str], ...] = ()
     trainer: Trainer | None = None
+    example: Example | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "needs", frozenset(self.needs))

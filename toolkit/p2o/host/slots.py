@@ -1,4 +1,4 @@
-"""The eight slots: what a method can be, and by which words users choose and set it.
+"""The nine slots: what a method can be, and by which words users choose and set it.
 
 Whatever lists slots, stages or their words takes them from `SLOTS`.
 """
@@ -11,7 +11,7 @@ from enum import StrEnum
 
 
 class Kind(StrEnum):
-    """The eight slots; the value is what `p2o methods` prints, `hook` the hook that offers methods of the kind."""
+    """The nine slots; the value is what `p2o methods` prints, `hook` the hook that offers methods of the kind."""
 
     IMAGE_EXTRACTOR = "image extractor"
     CLOUD_EXTRACTOR = "cloud extractor"
@@ -19,6 +19,7 @@ class Kind(StrEnum):
     SOLVER = "solver"
     INITIALIZER = "initializer"
     CALIBRATOR = "calibrator"
+    ACCUMULATOR = "accumulator"
     DATASET = "dataset"
     EXPORTER = "exporter"
 
@@ -75,6 +76,7 @@ SLOTS = (
     Slot(kind=Kind.SOLVER, stage="solver", word="solver", staged=True),
     Slot(kind=Kind.INITIALIZER, stage="init", word="init", staged=True),
     Slot(kind=Kind.CALIBRATOR, stage="calibrator", word="calibrator"),
+    Slot(kind=Kind.ACCUMULATOR, stage="accumulate", word="accumulate"),
     # Written as one text NAME:PATH?FIELD=VALUE, as often as wanted.
     Slot(kind=Kind.EXPORTER, stage="export", word="export", in_recipe=False),
 )
@@ -94,7 +96,7 @@ STAGES = (*KIND_OF, "pipeline")
 STAGED_WORDS = tuple(dict.fromkeys(slot.word for slot in SLOTS if slot.staged))
 """The words of a recipe that a calibrator replaces."""
 
-METHOD_WORDS = (*STAGED_WORDS, SLOT_OF[Kind.CALIBRATOR].word)
+METHOD_WORDS = (*STAGED_WORDS, SLOT_OF[Kind.CALIBRATOR].word, SLOT_OF[Kind.ACCUMULATOR].word)
 """The words of a recipe that choose methods for frames."""
 
 SENSORS = {slot.stage: slot.sensor for slot in SLOTS if slot.sensor}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from p2o.arrays import Float
 from p2o.features.sets import CloudFeatures, ImageFeatures
@@ -47,9 +47,29 @@ class Initializer(Protocol):
 
 
 class Calibrator(Protocol):
-    """A whole method: frames without truth and a start (4, 4) to a result."""
+    """A whole method: what it prepares of each frame (without truth), and from all of it and a start (4, 4) a result.
 
-    def __call__(self, frames: Sequence[Frame], camera_from_lidar: Float, /) -> Result: ...
+    What `prepare` returns is kept by the content of the frame where it is made of arrays, dataclasses, numbers, texts,
+    lists and dicts: it must follow from the frame and the options alone.
+    """
+
+    def prepare(self, frame: Frame, /) -> Any: ...
+
+    def solve(self, prepared: Sequence[Any], camera_from_lidar: Float, /) -> Result: ...
+
+
+class Accumulator(Protocol):
+    """Joins the sweeps of successive frames of a sequence: returns that of frame `number`, with what the others saw.
+
+    `past` and `future` say how many frames before and after it wants; at the ends of a sequence there are fewer.
+    """
+
+    @property
+    def past(self) -> int: ...
+    @property
+    def future(self) -> int: ...
+
+    def __call__(self, frames: Sequence[Frame], number: int, /) -> Cloud: ...
 
 
 class Exporter(Protocol):

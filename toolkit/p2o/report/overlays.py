@@ -20,6 +20,7 @@ from p2o.work.cache import FeatureCache, content_hash, features_key
 
 if TYPE_CHECKING:
     from p2o.calibration.pipeline import Pipeline
+    from p2o.run.joined import JoinedFrames
     from p2o.frames.frame import Frame
     from p2o.host.guard import GuardedDataset
     from p2o.host.registry import Registry
@@ -116,7 +117,7 @@ def _by_recipe(wanted: Sequence[Wanted]) -> Iterable[list[Wanted]]:
 class _Source:
     """The frames of one recipe, and its extractors; `pipeline` is None for a whole method, which has none."""
 
-    dataset: GuardedDataset
+    dataset: GuardedDataset | JoinedFrames
     pipeline: Pipeline | None
 
     def frame(self, name: str) -> Frame:
@@ -136,7 +137,7 @@ class _Source:
 
         with contextlib.suppress(P2OError):
             if self.pipeline is not None:
-                view = self.pipeline.extract(frame).as_seen_from(camera_from_lidar)
+                view = self.pipeline.prepare(frame).as_seen_from(camera_from_lidar)
                 if len(view.image_edges) or len(view.cloud_edges):
                     return overlay.draw(
                         frame.image.rgb, view.image_edges, view.cloud_edges, frame.camera, camera_from_lidar
@@ -147,6 +148,7 @@ class _Source:
 def _opened(text: str, run: StoredRow, registry: Registry) -> _Source:
     """Return where the frames of a run are, and what it extracts from them."""
     from p2o.calibration.pipeline import Pipeline
+    from p2o.run.joined import JoinedFrames
 
     recipe = dict(run.recipe)
     name, said = split_data(text)

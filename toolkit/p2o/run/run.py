@@ -18,9 +18,9 @@ from p2o.geometry import se3
 from p2o.geometry.perturb import parse_perturbation
 from p2o.geometry.pose_error import PoseError, pose_error, summarise
 from p2o.host.registry import Registry
-from p2o.host.stages import Calibrator
 from p2o.results.result import Result, Status
 from p2o.results.result_json import result_to_dict
+from p2o.run.assembly import Assembly
 from p2o.run.recipe import Plan, Recipe
 from p2o.run.words import parse_settings
 
@@ -92,7 +92,7 @@ class Progress:
     total: int
     name: str
     frames: tuple[Frame, ...]
-    calibrator: Calibrator
+    assembly: Assembly
     row: Row | None = None
 
 
@@ -112,6 +112,8 @@ def calibrate(
     perturb: str | None = None,
     seed: int | None = None,
     joint: bool | None = None,
+    accumulate: str | None = None,
+    witness: str | None = None,
     start: Float | None = None,
     on_progress: OnProgress | None = None,
     registry: Registry | None = None,
@@ -147,6 +149,8 @@ def calibrate(
         perturb=perturb,
         seed=seed,
         joint=joint,
+        accumulate=accumulate,
+        witness=witness,
     )
     plan = recipe.resolve(Registry.load() if registry is None else registry)
     return run(plan, given, start=start, on_progress=on_progress)
@@ -169,9 +173,9 @@ def run(
         if recipe.perturb is not None:
             raise InputError("both a start and a perturbation are given", expected="one of them")
         start = se3.check_rigid("start", start)
-    dataset: Sequence[Frame] | Dataset = plan.dataset() if frames is None else frames
+    dataset: Sequence[Frame] | Dataset = plan.dataset() if frames is None else plan.joined(frames)
     indices = _selected(dataset, recipe.frames)
-    calibrator = plan.calibrator()
+    assembly = plan.assembly()
     stamp = {"recipe": plan.described(), "seed": recipe.seed, "versions": plan.versions()}
     groups = [indices] if recipe.joint else [[index] for index in indices]
     rows = []
@@ -180,10 +184,10 @@ def run(
         for frame in batch:
             plan.check_frame(frame)
         name = batch[0].name if len(batch) == 1 else f"{len(batch)} frames jointly"
-        progress = Progress(done, len(groups), name, batch, calibrator)
+        progress = Progress(done, len(groups), name, batch, assembly)
         if on_progress is not None:
             on_progress(progress)
-        row = _calibrate_one(calibrator, batch, recipe, start, group[0], stamp)
+        row = _calibrate_one(assembly, batch, recipe, start, group[0], stamp)
         rows.append(row)
         if on_progress is not None:
             on_progress(replace(progress, done=done + 1, row=row))
@@ -191,7 +195,7 @@ def run(
 
 
 def _calibrate_one(
-    calibrator: Calibrator,
+    assembly: Assembly,
     frames: tuple[Frame, ...],
     recipe: Recipe,
     start: Float | None,
@@ -201,7 +205,7 @@ def _calibrate_one(
     truth = common_pose(frames, "camera_from_lidar")
     begin, warnings = start_of(frames, truth, recipe, start, index)
     try:
-        result = calibrator([frame.without_truth() for frame in frames], begin)
+        result = assembly([frame.without_truth() for frame in frames], begin)
     except PluginError as problem:
         if any(os.environ.get(name, "") not in ("", "0") for name in ("P2O_DEBUG", "P2O_STRICT")):
             raise

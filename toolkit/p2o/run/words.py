@@ -116,7 +116,7 @@ def _setting(text: str, expected: str, least: int = 1) -> tuple[list[str], Any]:
     """Return the names before the "=", at least so many, and the value behind it."""
     names, equals, value = text.strip().partition("=")
     path = names.split(".")
-    if not equals or len(path) < least or not all(re.fullmatch(r"[A-Za-z0-9_]+", name) for name in path):
+    if not equals or len(path) < least or not all(re.fullmatch(r"[A-Za-z0-9_-]+", name) for name in path):
         raise InputError("cannot read the setting", where="--set", expected=expected, got=text)
     return path, value_of(value)
 

@@ -20,7 +20,6 @@ from p2o.frames.selection import select
 from p2o.geometry.pose_error import pose_error
 from p2o.host.guard import GuardedDataset
 from p2o.host.registry import Registry
-from p2o.host.slots import SENSORS
 from p2o.run.recipe import Plan, open_dataset
 from p2o.run.run import common_pose, start_of
 from p2o.run.words import split_data
@@ -149,8 +148,8 @@ class _Method:
 
     @property
     def extractors(self) -> dict[str, tuple[str, str]]:
-        """By a name of method and options: recipe and stage that say how to extract; none for a whole method."""
-        parts = {stage: part for stage, part in self.plan.parts.items() if stage in SENSORS}
+        """By a name of method and options: recipe and stage that say how to prepare what may be kept."""
+        parts = {stage: self.plan.parts[stage] for stage in worker.prepared_stages(self.plan)}
         return {worker.part_name(part): (self.recipe, stage) for stage, part in parts.items()}
 
 
@@ -183,12 +182,21 @@ def _opened(rows: Sequence[StudyRow], plugins: Plugins) -> list[_Opened]:
                 raise retold(problem, where, f"say where they are: --data {data.partition(':')[0]}:PATH") from problem
         dataset = datasets[data, options]
         indices = select(dataset.names, row.dataset.frames, where=where, skipped=dataset.skipped)
-        sources = tuple(Source(plugins, data, options, index, dataset.names[index]) for index in indices)
+        joins = _joins(row.resolve(registry, row.seeds[0]))
+        sources = tuple(Source(plugins, data, options, index, dataset.names[index], joins) for index in indices)
         # Looked up in the metadata of packages, which takes its time; no seed changes them.
         versions = row.resolve(registry, row.seeds[0]).versions()
         methods = {seed: _Method.of(row, seed, options, versions, registry) for seed in row.seeds}
         out.append(_Opened(row, sources, methods))
     return out
+
+
+def _joins(plan: Plan) -> str:
+    """Return name and options of the method that joins sweeps as JSON, or an empty text."""
+    part = plan.parts.get("accumulate")
+    if part is None:
+        return ""
+    return json.dumps([part.offer.full_name, part.options.model_dump(mode="json")], sort_keys=True)
 
 
 def _data_options(row: StudyRow, registry: Registry) -> str:
@@ -342,7 +350,7 @@ def _compute(run: Run, store: Store, cells: Sequence[_Cell], cache: FeatureCache
                 refused.append(replace(cell.stored, reason=failure[0], exception=failure[1], finished=worker.now()))
             # Another process that works on the same study may have been faster.
             elif not store.finished([key]):
-                yield Calibration(cell.stored, cell.method.recipe, cell.facts, cache.root, keys.get(key))
+                yield Calibration(cell.stored, cell.method.recipe, cell.facts, cache.root, keys[key])
 
     pace.begin(kept=len(finished), total=len(finished) + len(pending))
     with contextlib.closing(run(worker.calibrate, jobs(), worker.uncalibrated)) as rows:
@@ -365,15 +373,15 @@ FeatureKeys = Mapping[str, tuple[Mapping[str, str], ...]]
 
 
 def _feature_keys(cells: Sequence[_Cell]) -> FeatureKeys:
-    """Return the keys of the features of each frame, by the key of the cell; whole methods have none."""
+    """Return the keys of what is prepared of each frame, by the key of the cell."""
     known: dict[tuple[str, Source], dict[str, str]] = {}
     out = {}
     for cell in cells:
-        if "calibrator" in cell.method.plan.parts or cell.failure is not None:
+        if cell.failure is not None:
             continue
         for fact in cell.facts:
             if (cell.method.key, fact.source) not in known:
-                known[cell.method.key, fact.source] = worker.features_keys(cell.method.plan, fact)
+                known[cell.method.key, fact.source] = worker.piece_keys(cell.method.plan, fact)
         out[cell.planned.key] = tuple(known[cell.method.key, fact.source] for fact in cell.facts)
     return out
 

@@ -12,25 +12,28 @@ import threading
 import time
 import traceback
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from p2o.arrays import Float
+from p2o.calibration.verdict import witnessed
 from p2o.errors import InputError, P2OError
+from p2o.features.view import View
 from p2o.frames.frame import Frame
 from p2o.geometry.camera import Camera
 from p2o.geometry.pose_error import AXES, pose_error
-from p2o.host.guard import GuardedDataset
+from p2o.host.method import Kind
 from p2o.host.registry import Registry
-from p2o.host.stages import Calibrator
 from p2o.results.result import Result, Status
 from p2o.results.result_json import result_to_dict
+from p2o.run.assembly import INPUTS, WITNESS, Assembly, given
+from p2o.run.joined import JoinedFrames
 from p2o.run.recipe import Part, Plan, Recipe, open_dataset
 from p2o.study.store import StoredRow
 from p2o.work.cache import FeatureCache, content_hash, features_key
@@ -38,9 +41,6 @@ from p2o.work.parallel import limit_threads
 
 UNREADABLE = "unreadable"
 """Stands for the content hash of a frame that cannot be read."""
-
-SENSORS = {"extractor": "image", "cloud": "cloud"}
-"""What each extractor looks at."""
 
 # A joint calibration of a few dozen frames finds all its features in memory; longer ones read the cache again.
 _FEATURES_IN_MEMORY = 128
@@ -71,13 +71,17 @@ class Plugins:
 
 @dataclass(frozen=True)
 class Source:
-    """One frame of a dataset: where it is, before it is read. `options` is JSON."""
+    """One frame of a dataset: where it is, before it is read. `options` is JSON.
+
+    `accumulate` is JSON of name and options of the method that joins sweeps, or empty.
+    """
 
     plugins: Plugins
     data: str
     options: str
     index: int
     name: str
+    accumulate: str = ""
 
 
 @dataclass(frozen=True)
@@ -119,7 +123,7 @@ class Facts:
 
 @dataclass(frozen=True)
 class Extraction:
-    """Features to be extracted from one frame and kept: by key, the recipe (JSON) and the stage that names how."""
+    """What is to be prepared of one frame and kept: by key, the recipe (JSON) and the stage that names how."""
 
     source: Source
     cache: Path
@@ -130,14 +134,14 @@ class Extraction:
 class Calibration:
     """One row to compute: `row` has all fields that are known beforehand, `recipe` (JSON) the methods.
 
-    `keys` are those of the image and the cloud features of each frame; None for a whole method, which sees frames.
+    `keys` are those of what is prepared of each frame, by stage; a stage without a key prepares nothing that is kept.
     """
 
     row: StoredRow
     recipe: str
     facts: tuple[Facts, ...]
     cache: Path
-    keys: tuple[Mapping[str, str], ...] | None
+    keys: tuple[Mapping[str, str], ...]
 
 
 def read(job: Reading) -> Facts:
@@ -147,20 +151,16 @@ def read(job: Reading) -> Facts:
         frame = _frame(source)
     except (Exception, SystemExit) as problem:
         return _unread(source, _one_line(problem), traceback.format_exc())
-    hashes = {
-        "image": content_hash(frame.image),
-        "cloud": content_hash(frame.cloud),
-        "twist": content_hash(frame.twist),
-    }
+    hashes = _inputs(frame)
     found = {recipe: _misfit(_plan(source.plugins, recipe), frame) for recipe in job.checks}
     misfits = {recipe: misfit for recipe, misfit in found.items() if misfit}
     if not misfits:
         for recipe, stage in job.wanted:
             part = _plan(source.plugins, recipe).parts[stage]
-            key = features_key(part, hashes[SENSORS[stage]])
+            key = features_key(part, hashes[INPUTS[stage]])
             # What fails here fails again where a row needs it, and is told there.
             with contextlib.suppress(Exception, SystemExit):
-                _features(FeatureCache(job.cache), key, source, part, stage)
+                _piece(FeatureCache(job.cache), key, source, part, stage)
     return Facts(source, hashes, frame.camera, frame.camera_from_lidar, frame.start, frame.warnings, misfits=misfits)
 
 
@@ -170,7 +170,21 @@ def unread(job: Reading, problem: P2OError) -> Facts:
 
 
 def _unread(source: Source, reason: str, failure: str) -> Facts:
-    return Facts(source, dict.fromkeys((*SENSORS.values(), "twist"), UNREADABLE), reason=reason, failure=failure)
+    return Facts(
+        source, dict.fromkeys(("image", "cloud", "frame", "sweep"), UNREADABLE), reason=reason, failure=failure
+    )
+
+
+def _inputs(frame: Frame) -> dict[str, str]:
+    """Return content hashes of what stages look at; `frame` is all that a whole method sees, but for remarks."""
+    seen = replace(frame.without_truth(), start=None, warnings=())
+    cloud = content_hash(frame.cloud)
+    return {
+        "image": content_hash(frame.image),
+        "cloud": cloud,
+        "sweep": cloud if frame.sweep is None else content_hash(frame.sweep),
+        "frame": content_hash(seen),
+    }
 
 
 def _misfit(plan: Plan, frame: Frame) -> str:
@@ -188,7 +202,7 @@ def extract(job: Extraction) -> dict[str, tuple[str, str]]:
     for key, recipe, stage in job.wanted:
         if not cache.has(key):
             try:
-                _features(cache, key, job.source, _plan(job.source.plugins, recipe).parts[stage], stage)
+                _piece(cache, key, job.source, _plan(job.source.plugins, recipe).parts[stage], stage)
             except (Exception, SystemExit) as problem:
                 failed[key] = (_one_line(problem), traceback.format_exc())
     return failed
@@ -220,9 +234,15 @@ def now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
-def features_keys(plan: Plan, facts: Facts) -> dict[str, str]:
-    """Return the key of the features of each extractor of a plan for a frame."""
-    return {stage: features_key(plan.parts[stage], facts.inputs[part]) for stage, part in SENSORS.items()}
+def piece_keys(plan: Plan, facts: Facts) -> dict[str, str]:
+    """Return the key of what each stage of a plan prepares of a frame, for those whose outcome may be kept."""
+    return {stage: features_key(plan.parts[stage], facts.inputs[INPUTS[stage]]) for stage in prepared_stages(plan)}
+
+
+def prepared_stages(plan: Plan) -> tuple[str, ...]:
+    """Return the stages of a plan that prepare something which may be kept."""
+    stages = [stage for stage in INPUTS if stage in plan.parts]
+    return tuple(s for s in stages if s != "calibrator" or built(plan.parts[s]).prepares)
 
 
 def _filled(row: StoredRow, result: Result) -> StoredRow:
@@ -245,66 +265,43 @@ def _filled(row: StoredRow, result: Result) -> StoredRow:
 
 def _result(job: Calibration) -> Result:
     assert job.row.start is not None
-    plugins = job.facts[0].source.plugins
-    calibrator = _calibrator(plugins, job.recipe, job.cache)
-    frames: list[Frame]
-    if job.keys is None:
-        frames = [_frame(facts.source).without_truth() for facts in job.facts]
-        limit_threads()
-        return calibrator(frames, job.row.start)
-    took: list[float] = []
-    frames = [cast(Frame, _Stand.of(facts, keys, took)) for facts, keys in zip(job.facts, job.keys, strict=True)]
-    result = calibrator(frames, job.row.start)
+    plugins, cache, took = job.facts[0].source.plugins, FeatureCache(job.cache), []
+    plan = _plan(plugins, job.recipe)
+    assembly = Assembly.of(plan, built)
+    limit_threads()
+
+    def pieces(facts: Facts, keys: Mapping[str, str], stages: Iterable[str]) -> dict[str, Any]:
+        found = {}
+        for stage in stages:
+            if stage in keys:
+                found[stage], seconds = _piece(cache, keys[stage], facts.source, plan.parts[stage], stage)
+                took.append(seconds)
+            else:
+                found[stage] = _frame(facts.source).without_truth()
+        return found
+
+    frames = [(facts.name, _camera(facts)) for facts in job.facts]
+    own = [stage for stage in assembly.stages if stage not in WITNESS]
+    each = list(zip(job.facts, job.keys, strict=True))
+    result = assembly.calibrated(frames, [pieces(facts, keys, own) for facts, keys in each], job.row.start)
     # Where features came from the cache, what they took when they were extracted is what counts.
-    return replace(result, seconds={**result.seconds, "extract": sum(took)})
+    seconds = {**result.seconds, "extract": sum(took)}
+    if result.status.solved and result.agreement is None:
+        views = []
+        for (name, camera), (facts, keys) in zip(frames, each, strict=True):
+            # The witness was not asked for by name: where it cannot work, the verdict says that nothing was checked.
+            with contextlib.suppress(P2OError):
+                if all(stage in keys for stage in WITNESS):
+                    image, cloud = pieces(facts, keys, WITNESS).values()
+                    views.append(View(name, camera, image, cloud))
+        result = witnessed(result, views, assembly.options)
+    warnings = [f"{facts.name}: {text}" for facts in job.facts for text in facts.warnings]
+    return replace(result, seconds=seconds, warnings=(*warnings, *result.warnings))
 
 
-@dataclass(frozen=True, eq=False)
-class _Sensor:
-    """Stands for an image or a sweep whose features are known under a key; `took` collects what they took."""
-
-    key: str
-    source: Source
-    took: list[float]
-
-
-@dataclass(frozen=True, eq=False)
-class _Stand:
-    """Stands for a frame in the pipeline, so that a frame whose features are kept need not be read."""
-
-    name: str
-    camera: Camera
-    image: _Sensor
-    cloud: _Sensor
-    warnings: tuple[str, ...]
-
-    @classmethod
-    def of(cls, facts: Facts, keys: Mapping[str, str], took: list[float]) -> _Stand:
-        assert facts.camera is not None
-        sensors = {part: _Sensor(keys[stage], facts.source, took) for stage, part in SENSORS.items()}
-        return cls(facts.name, facts.camera, sensors["image"], sensors["cloud"], facts.warnings)
-
-    def without_truth(self) -> _Stand:
-        return self
-
-
-@dataclass(frozen=True)
-class _KeptPart(Part):
-    """An extractor that looks its features up, and is built only where they are not kept."""
-
-    stage: str
-    cache: FeatureCache
-
-    def build(self) -> Callable[[Any], Any]:
-        """Return what finds the features of a `_Sensor`."""
-        part = Part(self.offer, self.options)
-
-        def find(sensor: _Sensor, /) -> Any:
-            features, seconds = _features(self.cache, sensor.key, sensor.source, part, self.stage)
-            sensor.took.append(seconds)
-            return features
-
-        return find
+def _camera(facts: Facts) -> Camera:
+    assert facts.camera is not None
+    return facts.camera
 
 
 @lru_cache(maxsize=4)
@@ -318,21 +315,16 @@ def _plan(plugins: Plugins, recipe: str) -> Plan:
     return Recipe.of(**json.loads(recipe)).resolve(_registry(plugins))
 
 
-@lru_cache(maxsize=64)
-def _calibrator(plugins: Plugins, recipe: str, cache: Path) -> Calibrator:
-    plan = _plan(plugins, recipe)
-    kept = {
-        stage: _KeptPart(part.offer, part.options, stage, FeatureCache(cache)) if stage in SENSORS else part
-        for stage, part in plan.parts.items()
-    }
-    calibrator = replace(plan, parts=kept).calibrator()
-    limit_threads()
-    return calibrator
-
-
 @lru_cache(maxsize=8)
-def _dataset(plugins: Plugins, data: str, options: str) -> GuardedDataset:
-    return open_dataset(data, _registry(plugins), json.loads(options))
+def _dataset(source: Source) -> Any:
+    """Return the dataset of a source without index and name, its sweeps joined where the source says so."""
+    registry = _registry(source.plugins)
+    dataset = open_dataset(source.data, registry, json.loads(source.options))
+    if not source.accumulate:
+        return dataset
+    name, options = json.loads(source.accumulate)
+    offer = registry.find(Kind.ACCUMULATOR, name)
+    return JoinedFrames(dataset, Part(offer, offer.method.options.model_validate(options)).build())
 
 
 _frames: OrderedDict[Source, tuple[Frame, int]] = OrderedDict()
@@ -345,7 +337,7 @@ def _frame(source: Source) -> Frame:
         if source in _frames:
             _frames.move_to_end(source)
             return _frames[source][0]
-    frame: Frame = _dataset(source.plugins, source.data, source.options)[source.index]
+    frame: Frame = _dataset(replace(source, index=0, name=""))[source.index]
     limit_threads()
     with _frames_lock:
         _frames[source] = frame, _size(frame)
@@ -386,8 +378,8 @@ _memory: OrderedDict[str, tuple[Any, float]] = OrderedDict()
 _memory_lock = threading.Lock()
 
 
-def _features(cache: FeatureCache, key: str, source: Source, part: Part, stage: str) -> tuple[Any, float]:
-    """Return features and the seconds that they took: from memory, the cache, or the extractor itself."""
+def _piece(cache: FeatureCache, key: str, source: Source, part: Part, stage: str) -> tuple[Any, float]:
+    """Return what a stage prepares of a frame and the seconds that it took: from memory, the cache, or the stage."""
     with _memory_lock:
         if key in _memory:
             _memory.move_to_end(key)
@@ -396,9 +388,10 @@ def _features(cache: FeatureCache, key: str, source: Source, part: Part, stage: 
     if kept is not None:
         features, seconds = kept.features, kept.seconds
     else:
-        frame, extractor = _frame(source), built(part)
+        frame, method = _frame(source), built(part)
+        prepare = method.prepare if stage == "calibrator" else method
         began = time.perf_counter()
-        features = extractor(getattr(frame, SENSORS[stage]))
+        features = prepare(given(frame, stage))
         seconds = time.perf_counter() - began
         cache.put(key, features, seconds)
     with _memory_lock:

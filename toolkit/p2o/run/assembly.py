@@ -1,0 +1,152 @@
+"""The built methods of a plan: what they prepare of each frame, and the result that they make of it.
+
+One run and one row of a study go the same way; a study only looks up what was prepared before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
+
+from p2o.arrays import Float
+from p2o.calibration.options import PipelineOptions
+from p2o.calibration.pipeline import Pipeline
+from p2o.calibration.verdict import witnessed
+from p2o.errors import P2OError
+from p2o.features.view import View
+from p2o.frames.frame import Frame
+from p2o.geometry.camera import Camera
+from p2o.results.result import Result
+
+if TYPE_CHECKING:
+    from p2o.host.guard import GuardedCalibrator
+    from p2o.run.recipe import Plan
+
+INPUTS = {
+    "extractor": "image",
+    "cloud": "cloud",
+    "calibrator": "frame",
+    "witness": "image",
+    "witness-cloud": "sweep",
+}
+"""What each stage that prepares something looks at."""
+
+WITNESS = ("witness", "witness-cloud")
+
+
+def given(frame: Frame, stage: str) -> Any:
+    """Return the part of a frame that a stage prepares something from; never the truth."""
+    kind = INPUTS[stage]
+    if kind == "frame":
+        return frame.without_truth()
+    if kind == "sweep":
+        return frame.cloud if frame.sweep is None else frame.sweep
+    return getattr(frame, kind)
+
+
+@dataclass(frozen=True, eq=False)
+class Assembly:
+    """The methods of a plan, built: a `Pipeline` of stages or a whole method, and the extractors of the witness.
+
+    `stages` are what prepares something of a frame, by stage; those in `kept` may be kept by the content that they look
+    at (`INPUTS`).
+    """
+
+    calibrator: Pipeline | GuardedCalibrator
+    stages: Mapping[str, Callable[[Any], Any]]
+    options: PipelineOptions
+
+    @classmethod
+    def of(cls, plan: Plan, build: Callable[[Any], Any] | None = None) -> Assembly:
+        """Return the assembly of a plan; `build` makes a stage of a part (default: `Part.build`)."""
+        make = build if build is not None else lambda part: part.build()
+        built = {stage: make(part) for stage, part in plan.parts.items() if stage not in ("data", "accumulate")}
+        options = plan.pipeline if isinstance(plan.pipeline, PipelineOptions) else PipelineOptions()
+        stages: dict[str, Callable[[Any], Any]] = {
+            stage: remembering(built[stage]) for stage in ("extractor", "cloud", *WITNESS) if stage in built
+        }
+        if "calibrator" in built:
+            whole: GuardedCalibrator = built["calibrator"]
+            return cls(whole, {"calibrator": whole.prepare, **stages}, options)
+        needs = plan.parts["matcher"].offer.method.needs
+        pipeline = Pipeline(
+            image_extractor=stages["extractor"],
+            cloud_extractor=stages["cloud"],
+            matcher=built["matcher"],
+            solver=built["solver"],
+            initializer=built["init"],
+            options=options,
+            directed="side" in needs,
+            needs=frozenset(needs | plan.parts["init"].offer.method.needs),
+        )
+        return cls(pipeline, stages, options)
+
+    @property
+    def kept(self) -> tuple[str, ...]:
+        """The stages whose outcome may be kept; a whole method that prepares nothing needs its frames again."""
+        if isinstance(self.calibrator, Pipeline) or self.calibrator.prepares:
+            return tuple(self.stages)
+        return tuple(stage for stage in self.stages if stage != "calibrator")
+
+    def __call__(self, frames: Sequence[Frame], camera_from_lidar: Float, /) -> Result:
+        """Return the joint calibration of frames from a start (4, 4)."""
+        from p2o.calibration.pipeline import Clock
+
+        clock = Clock()
+        with clock.of("extract"):
+            pieces = [
+                {stage: find(given(frame, stage)) for stage, find in self.stages.items() if stage not in WITNESS}
+                for frame in frames
+            ]
+        result = self.calibrated([(frame.name, frame.camera) for frame in frames], pieces, camera_from_lidar)
+        if result.status.solved and result.agreement is None:
+            with clock.of("witness"):
+                views = [view for frame in frames if (view := self.witness_of_frame(frame)) is not None]
+                result = witnessed(result, views, self.options)
+        warnings = tuple(f"{frame.name}: {text}" for frame in frames for text in frame.warnings)
+        return replace(result, seconds={**clock.seconds, **result.seconds}, warnings=(*warnings, *result.warnings))
+
+    def calibrated(
+        self, frames: Sequence[tuple[str, Camera]], pieces: Sequence[Mapping[str, Any]], camera_from_lidar: Float
+    ) -> Result:
+        """Return the result of what was prepared: name and camera of each frame, and its pieces by stage."""
+        if isinstance(self.calibrator, Pipeline):
+            views = [
+                self.calibrator.view(name, camera, piece["extractor"], piece["cloud"])
+                for (name, camera), piece in zip(frames, pieces, strict=True)
+            ]
+            return self.calibrator.solve(views, camera_from_lidar)
+        return self.calibrator.solve([piece["calibrator"] for piece in pieces], camera_from_lidar)
+
+    def witness_of_frame(self, frame: Frame) -> View | None:
+        """Return the edges that a result is checked by, or None where there are none to be had of this frame."""
+        if not all(stage in self.stages for stage in WITNESS):
+            return None
+        try:
+            image, cloud = (self.stages[stage](given(frame, stage)) for stage in WITNESS)
+        # The witness was not asked for by name: where it cannot work, the verdict says that nothing was checked.
+        except P2OError:
+            return None
+        return View(frame.name, frame.camera, image, cloud)
+
+    def view(self, frame: Frame) -> View | None:
+        """Return the features to draw of a frame: those of the pipeline, or of the witness; None without either."""
+        if isinstance(self.calibrator, Pipeline):
+            view = self.calibrator.prepare(frame)
+            if view.image.edges is not None or not all(stage in self.stages for stage in WITNESS):
+                return view
+        return self.witness_of_frame(frame)
+
+
+def remembering(extract: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Return the extractor with a memory that lasts as long as the image or sweep: pictures reuse its features."""
+    known: WeakKeyDictionary[Any, Any] = WeakKeyDictionary()
+
+    def remembered(data: Any, /) -> Any:
+        if data not in known:
+            known[data] = extract(data)
+        return known[data]
+
+    return remembered

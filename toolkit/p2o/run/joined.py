@@ -1,0 +1,60 @@
+"""Datasets whose sweeps are joined with those of neighbouring frames as they are read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from p2o.errors import InputError
+from p2o.frames.frame import Dataset, Frame
+from p2o.host.stages import Accumulator
+
+
+class JoinedFrames(Sequence[Frame]):
+    """The frames of a dataset, each with a cloud that an accumulator makes of its sweep and its neighbours'.
+
+    Neighbours are the frames before and after it in the dataset that are of the same sequence. The frame's own sweep
+    stays in `Frame.sweep`. A frame that stands alone raises InputError.
+    """
+
+    def __init__(self, dataset: Sequence[Frame] | Dataset, accumulate: Accumulator) -> None:
+        self._dataset, self._accumulate = dataset, accumulate
+        self.skipped: Mapping[str, str] = getattr(dataset, "skipped", {})
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all frames, in order."""
+        names = getattr(self._dataset, "names", None)
+        return tuple(names) if names is not None else tuple(frame.name for frame in self._dataset)  # type: ignore[union-attr]
+
+    def __len__(self) -> int:
+        return len(self._dataset)
+
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        index = range(len(self))[index]
+        frame = self._dataset[index]
+        if not frame.sequence:
+            raise InputError(
+                "the frame is of no sequence, so no other sweep belongs to it",
+                where=frame.name,
+                expected="frames with `sequence`",
+                hint="leave out --accumulate, or say the sequence in frame.yaml",
+            )
+        before = self._neighbours(frame, range(index - 1, max(-1, index - 1 - self._accumulate.past), -1))[::-1]
+        after = self._neighbours(frame, range(index + 1, min(len(self), index + 1 + self._accumulate.future)))
+        frames = [*before, frame, *after]
+        cloud = self._accumulate([f.without_truth() for f in frames], len(before))
+        return replace(frame, cloud=cloud, sweep=frame.cloud)
+
+    def _neighbours(self, frame: Frame, indices: range) -> list[Frame]:
+        """Return the frames of these indices up to the end of the sequence."""
+        found: list[Frame] = []
+        for i in indices:
+            other = self._dataset[i]
+            if other.sequence != frame.sequence:
+                break
+            found.append(other)
+        return found
