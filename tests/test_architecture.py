@@ -13,7 +13,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PACKAGES = {"p2o": ROOT / "toolkit/p2o", "p2o_plugins": ROOT / "plugins/p2o_plugins"}
 PACKAGES["p2o_baselines"] = ROOT / "baselines/p2o_baselines"
-HEAVY = {"torch", "kornia", "cv2", "pycolmap", "pyceres", "trimesh", "matplotlib", "joblib", "safetensors"}
+HEAVY = {"torch", "kornia", "cv2", "pycolmap", "pyceres", "matplotlib", "joblib", "safetensors"}
 NETWORK = "p2o_plugins.p2ornet"
 """The one folder that may import heavy packages on import: methods import it when they need it."""
 LIGHT = (f"{NETWORK}.options", f"{NETWORK}.shipped")
