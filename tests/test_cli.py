@@ -53,7 +53,6 @@ HEAVY = (
     "matplotlib",
     "pydantic",
     "pluggy",
-    "trimesh",
 )
 
 
@@ -69,7 +68,7 @@ def test_listing_imports_no_package_that_methods_need(words: list[str]) -> None:
     code = f"import sys; from p2o.cli import main; main({words!r}); print(*sys.modules, file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = {name.partition(".")[0] for name in done.stderr.split()}
-    assert not loaded & {"torch", "cv2", "kornia", "pycolmap", "pyceres", "matplotlib", "trimesh"}
+    assert not loaded & {"torch", "cv2", "kornia", "pycolmap", "pyceres", "matplotlib"}
 
 
 @pytest.mark.parametrize(

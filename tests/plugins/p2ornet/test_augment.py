@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from p2o_plugins.p2ornet.augment import LONGEST, Augmentation, Crop, crop, cut, draw, mirrored, relit
+from p2o_plugins.p2ornet.augment import LONGEST, Augmentation, Crop, Light, crop, cut, draw, mirrored, relit
 from p2o_plugins.p2ornet.example import UNKNOWN, Example
 from p2o_plugins.p2ornet.spans import EAST, SOUTH, Spans
 
@@ -282,6 +282,44 @@ def test_half_of_the_crops_are_mirrored_and_none_without_leave() -> None:
     # Binomial with 60 draws: 30 +- 3.9; five of these deviations.
     assert 11 < classes(options).count(0) < 49
     assert classes(STILL).count(0) == 0
+
+
+def floats(*pixels: tuple[float, float, float]) -> Any:
+    return np.array([pixels], np.float32)
+
+
+def test_a_neutral_light_changes_nothing() -> None:
+    rgb = noisy_example().rgb.astype(np.float32)
+    np.testing.assert_allclose(Light().on(rgb), rgb, atol=1e-3)
+
+
+def test_each_part_of_a_light_does_what_it_is_called() -> None:
+    colours = floats((200, 100, 40), (0, 0, 120), (90, 90, 90))
+    luma = colours @ np.array([0.299, 0.587, 0.114], np.float32)
+    np.testing.assert_allclose(Light(gain=(0.5, 1.0, 2.0)).on(colours)[0, 0], (100, 100, 80), atol=1e-3)
+    np.testing.assert_allclose(Light(saturation=0.0).on(colours), np.repeat(luma[..., None], 3, 2), atol=1e-3)
+    np.testing.assert_allclose(Light(contrast=0.0).on(colours), np.full_like(colours, luma.mean()), atol=1e-3)
+    half = 0.5 * (colours + luma.mean())
+    np.testing.assert_allclose(Light(contrast=0.5).on(colours), half, atol=1e-3)
+    np.testing.assert_allclose(Light(gamma=2.0).on(colours), colours**2 / 255, atol=1e-2)
+
+
+def test_what_is_too_bright_stays_white_whatever_follows() -> None:
+    bright = Light(gain=(4.0, 4.0, 4.0), saturation=1.5, gamma=1.7).on(floats((70, 80, 250), (10, 10, 10)))
+    np.testing.assert_allclose(bright[0, 0], 255, atol=1e-3)
+    assert (bright[0, 1] < 60).all()
+
+
+def test_the_strength_of_light_is_how_far_it_is_from_neutral() -> None:
+    def spread(strength: float) -> Any:
+        lights = [Light.drawn(strength, np.random.default_rng(seed)) for seed in range(200)]
+        return np.std(
+            [[np.log(light.gain[0]), np.log(light.contrast), np.log(light.gamma)] for light in lights], axis=0
+        )
+
+    # Deviations of 200 draws are right to 5 percent (one deviation).
+    np.testing.assert_allclose(spread(1.0), [np.hypot(0.3, 0.08), 0.2, 0.15], rtol=0.2)
+    np.testing.assert_allclose(spread(2.0), 2 * spread(1.0), rtol=1e-9)
 
 
 def test_other_light_keeps_the_place_of_things_and_stays_in_range() -> None:
