@@ -63,7 +63,7 @@ def test_every_hook_offers_methods_of_its_kind(install: Install) -> None:
     install("acme", **{f"e{i}": offers(f"m{i}", kind.hook) for i, kind in enumerate(Kind)})
     registry = Registry.load(environ={})
     assert {offer.kind: offer.name for offer in registry.offers} == {kind: f"m{i}" for i, kind in enumerate(Kind)}
-    assert len(Kind) == 8
+    assert len(Kind) == 9
 
 
 def test_offers_come_sorted_by_name_whatever_the_order_of_installation(install: Install) -> None:
@@ -287,7 +287,7 @@ def test_our_own_errors_pass_through_a_guard_unchanged() -> None:
 
 
 WRONG = {
-    "type": (Kind.MATCHER, lambda views, pose, reach: 3, "returned int; expected p2o.PointToLine or p2o.Objective"),
+    "type": (Kind.MATCHER, lambda views, pose, reach: 3, "returned int; expected p2o.LeastSquares or p2o.Objective"),
     "image type": (Kind.IMAGE_EXTRACTOR, lambda image: None, "returned NoneType; expected p2o.ImageFeatures"),
     "cloud type": (Kind.CLOUD_EXTRACTOR, lambda cloud: [], "returned list; expected p2o.CloudFeatures"),
     "result type": (Kind.CALIBRATOR, lambda frames, pose: pose, "returned ndarray; expected p2o.Result"),

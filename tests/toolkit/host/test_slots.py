@@ -24,7 +24,8 @@ def test_every_kind_has_one_slot_and_one_stage() -> None:
 
 
 def test_stages_are_those_of_a_recipe_and_the_pipeline() -> None:
-    assert STAGES == ("data", "extractor", "cloud", "matcher", "solver", "init", "calibrator", "pipeline")
+    words = "data extractor cloud matcher solver init calibrator accumulate pipeline"
+    assert STAGES == tuple(words.split())
     assert KIND_OF["init"] is Kind.INITIALIZER
     assert STAGE_OF[Kind.CLOUD_EXTRACTOR] == "cloud"
     assert Kind.EXPORTER not in STAGE_OF

@@ -96,7 +96,7 @@ STAGES = (*KIND_OF, "pipeline")
 STAGED_WORDS = tuple(dict.fromkeys(slot.word for slot in SLOTS if slot.staged))
 """The words of a recipe that a calibrator replaces."""
 
-METHOD_WORDS = (*STAGED_WORDS, SLOT_OF[Kind.CALIBRATOR].word, SLOT_OF[Kind.ACCUMULATOR].word)
+METHOD_WORDS = (*STAGED_WORDS, SLOT_OF[Kind.CALIBRATOR].word)
 """The words of a recipe that choose methods for frames."""
 
 SENSORS = {slot.stage: slot.sensor for slot in SLOTS if slot.sensor}

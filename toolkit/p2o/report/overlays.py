@@ -20,10 +20,10 @@ from p2o.work.cache import FeatureCache, content_hash, features_key
 
 if TYPE_CHECKING:
     from p2o.calibration.pipeline import Pipeline
-    from p2o.run.joined import JoinedFrames
     from p2o.frames.frame import Frame
     from p2o.host.guard import GuardedDataset
     from p2o.host.registry import Registry
+    from p2o.run.joined import JoinedFrames
 from p2o.host.slots import SENSORS
 
 _QUALITY = 78
@@ -148,7 +148,6 @@ class _Source:
 def _opened(text: str, run: StoredRow, registry: Registry) -> _Source:
     """Return where the frames of a run are, and what it extracts from them."""
     from p2o.calibration.pipeline import Pipeline
-    from p2o.run.joined import JoinedFrames
 
     recipe = dict(run.recipe)
     name, said = split_data(text)

@@ -41,6 +41,9 @@ Metric = Literal["rotation_deg", "translation_m", "roll_deg", "pitch_deg", "yaw_
 Options = dict[str, dict[str, Any]]
 
 # Each may be the name of a variant that sets it. Extractors are named IMAGE/CLOUD, as no variant can be.
+PLAIN = ("accumulate", "witness", "perturb")
+"""Words that no variant stands for."""
+
 _KIND_OF_WORD = {slot.word: slot.kind for slot in SLOTS if slot.word in METHOD_WORDS and not slot.sensor}
 
 
@@ -56,6 +59,8 @@ class Words(_Table):
     solver: str | None = None
     init: str | None = None
     calibrator: str | None = None
+    accumulate: str | None = None
+    witness: str | None = None
     perturb: str | None = None
     options: Options = Field(default_factory=dict)
 
@@ -101,6 +106,8 @@ class Product(_Scope):
     solver: tuple[str, ...] = ()
     init: tuple[str, ...] = ()
     calibrator: tuple[str, ...] = ()
+    accumulate: tuple[str, ...] = ()
+    witness: tuple[str, ...] = ()
     perturb: tuple[str, ...] = ()
 
 
@@ -235,7 +242,7 @@ class _Expansion:
             for words, use, label in self._combinations(product):
                 found += self._row(label, words, use, product)
         for row in self.study.row:
-            words = {word: getattr(row, word) for word in (*METHOD_WORDS, "perturb") if getattr(row, word) is not None}
+            words = {word: getattr(row, word) for word in (*METHOD_WORDS, *PLAIN) if getattr(row, word) is not None}
             found += self._row(row.label, words, row.use, row, row.options)
         if not found:
             self._fail("there are no rows", "[[row]] or [[product]] tables")
@@ -249,7 +256,7 @@ class _Expansion:
 
     def _combinations(self, product: Product) -> Iterator[tuple[dict[str, str], tuple[str, ...], str]]:
         """Return words, variants and label of each combination."""
-        axes = {word: getattr(product, word) for word in (*METHOD_WORDS, "perturb") if getattr(product, word)}
+        axes = {word: getattr(product, word) for word in (*METHOD_WORDS, *PLAIN) if getattr(product, word)}
         uses = product.use or ((),)
         if not axes and not product.use:
             self._fail("a product has nothing to combine", ", ".join(METHOD_WORDS))
@@ -284,7 +291,7 @@ class _Expansion:
         plain: dict[str, Any] = {}
         for word, value in words.items():
             variant = self.variants.get(value)
-            if variant is None or word == "perturb":
+            if variant is None or word in PLAIN:
                 plain[word] = value
             elif getattr(variant, word) is None:
                 self._fail(f"row '{label}': variant '{value}' sets no {word}", f"a {word}")
@@ -389,7 +396,7 @@ def check_study(study: Study, registry: Registry) -> list[StudyRow]:
 
 def _flat(words: Words) -> Iterator[tuple[tuple[str, ...], Any]]:
     """Return what is said by key: ("matcher",) for a word, ("options", "matcher", "sides") for an option."""
-    for word in (*METHOD_WORDS, "perturb"):
+    for word in (*METHOD_WORDS, *PLAIN):
         if getattr(words, word) is not None:
             yield (word,), getattr(words, word)
     for stage, values in words.options.items():
@@ -399,7 +406,7 @@ def _flat(words: Words) -> Iterator[tuple[tuple[str, ...], Any]]:
 def _applies(key: tuple[str, ...], whole: bool) -> bool:
     """True where a default is of use beside a whole method (`whole`), or beside stages."""
     name = key[-2] if len(key) == 3 else key[0]
-    if name in ("perturb", "data"):
+    if name in (*PLAIN, "data", "witness-cloud"):
         return True
     return (name == "calibrator") == whole
 
