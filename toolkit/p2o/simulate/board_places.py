@@ -13,6 +13,7 @@ from p2o.geometry import se3
 from p2o.geometry.camera import Camera
 from p2o.simulate.board_holders import Holder, held_by
 from p2o.simulate.boards import Board, thing_of
+from p2o.simulate.classes import Class
 from p2o.simulate.place import Thing
 from p2o.simulate.scene import Scene
 
@@ -23,9 +24,10 @@ _HOLE_PX = 16.0
 # Pixels of a square across, and of a hole, which have to be left at the distance of a board.
 _TURN_DEG, _TILT_DEG, _ROLL_DEG = 40.0, 25.0, 15.0
 # Boards are turned about the vertical, tilted and rolled by at most so much from facing the camera.
-_MARGIN = 0.03
+_MARGIN = 0.015
 # Share of the image's width that stays free around boards: the mounting may be a little off from the drawing.
 _BEHIND_M = 0.8
+_GROUND = (Class.ROAD, Class.PAVEMENT, Class.TERRAIN)
 _TRIES = 400
 # Steps of the sequence that fills a square evenly, whatever its length (Roberts' R2).
 _EVEN = np.array([0.7548776662466927, 0.5698402909980532])
@@ -121,9 +123,11 @@ def _drawn(rig: Rig, target: Target, distance: float, across: float, rng: np.ran
 
 
 def _ground_m(scene: Scene, board: Board) -> float | None:
-    """Return the height of what lies below a board, None where there is nothing."""
+    """Return the height of the ground below a board, None where something else lies there."""
     hit = scene.cast(board.centre, np.array([[0.0, 0.0, -1.0]]))
-    return None if hit.face[0] < 0 else float(board.centre[2] - hit.distance_m[0])
+    if hit.face[0] < 0 or scene.class_of_part[scene.part_of_face[hit.face[0]]] not in _GROUND:
+        return None
+    return float(board.centre[2] - hit.distance_m[0])
 
 
 def _is_free(scene: Scene, rig: Rig, board: Board, ground_m: float, holder: Holder, others: list[Board]) -> bool:
