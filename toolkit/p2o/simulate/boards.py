@@ -96,7 +96,7 @@ def target_of(
 def thing_of(board: Board) -> Thing:
     """Return the parts of a board where it stands.
 
-    Raises InputError for holes that touch one another or the rim.
+    Raises InputError for holes that overlap, or almost touch one another or the rim.
     """
     target = board.target
     return [
@@ -144,7 +144,10 @@ def _holes(target: HoleBoard) -> list[tuple[Mesh, Material]]:
     twice = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
     hole_area = sum(0.5 * _SIDES * np.sin(2 * np.pi / _SIDES) * r**2 for *_, r in target.holes)
     if abs(np.abs(twice).sum() / 2 - (target.width_m * target.height_m - hole_area)) > 1e-9:
-        raise InputError("the holes touch one another, or the rim", expected="a few centimetres of board between them")
+        raise InputError(
+            "the holes overlap, or almost touch one another or the rim",
+            expected="a few centimetres of board between them",
+        )
     upward = np.where((twice > 0)[:, None], faces, faces[:, ::-1])  # normal along +z: away from the viewer
     front = Mesh(np.column_stack([points, np.zeros(len(points))]), upward[:, ::-1])
     back = Mesh(np.column_stack([points, np.full(len(points), THICKNESS_M)]), upward)
