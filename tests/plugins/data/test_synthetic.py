@@ -207,7 +207,7 @@ def test_a_detector_finds_the_corners_of_the_board_where_its_true_pose_puts_them
 
 
 def test_the_board_stands_elsewhere_in_each_frame_of_a_car_that_stands() -> None:
-    options = SyntheticOptions(targets="checkerboard", frames_per_scene=3, **{**YARD, **SMALL})
+    options = SyntheticOptions(targets="checkerboard", frames_per_scene=3, **YARD)
     views = [view(options, 0, number) for number in range(3)]
     places = np.array([v.boards[0].centre for v in views])
     assert min(np.linalg.norm(places[a] - places[b]) for a, b in ((0, 1), (0, 2), (1, 2))) > 0.3
