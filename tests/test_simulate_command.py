@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from p2o import Camera, Cloud, Frame, Image, InputError, se3
 from p2o.cli import main
+from p2o.frames.target import Checkerboard, HoleBoard
 from p2o.host.registry import Registry
 from p2o.run.recipe import open_dataset
 from p2o.simulate import write_folder, write_kitti_raw, write_vkitti2
@@ -73,6 +75,33 @@ def test_the_folder_layout_keeps_start_times_sky_and_unknown_depth(tmp_path: Pat
     np.testing.assert_allclose(again.start, START, atol=1e-12)
     np.testing.assert_array_equal(again.cloud.time_s, frame.cloud.time_s)
     np.testing.assert_allclose(again.image.depth_m, frame.image.depth_m, rtol=1e-7)
+
+
+def test_the_folder_layout_says_when_and_where_a_frame_of_a_drive_was_and_what_boards_it_shows(tmp_path: Path) -> None:
+    poses = [se3.exp(np.array([0.1, 0.2, 0.3, 1.0, 2.0, 3.0]) * scale) for scale in (1.0, -0.5)]
+    targets = (Checkerboard(7, 4, 0.1, 0.9, 0.6), HoleBoard(1.0, 0.8, ((-0.2, 0.0, 0.1), (0.2, 0.1, 0.12))))
+    frame = replace(
+        staged(),
+        sequence="drive 1",
+        time_s=2.5,
+        lidar_world_from_lidar=poses[0],
+        camera_world_from_camera=poses[1],
+        targets=targets,
+    )
+    (name,) = written("folder", tmp_path, frame)
+    entry = yaml.safe_load((tmp_path / name / "frame.yaml").read_text())
+    assert (entry["sequence"], entry["time_s"]) == ("drive 1", 2.5)
+    np.testing.assert_array_equal(entry["lidar_world_from_lidar"], frame.lidar_world_from_lidar)
+    np.testing.assert_array_equal(entry["camera_world_from_camera"], frame.camera_world_from_camera)
+    checkerboard = {"columns": 7, "rows": 4, "square_m": 0.1, "width_m": 0.9, "height_m": 0.6}
+    holes = {"width_m": 1.0, "height_m": 0.8, "holes": [[-0.2, 0.0, 0.1], [0.2, 0.1, 0.12]]}
+    assert entry["targets"] == [{"kind": "checkerboard", **checkerboard}, {"kind": "holes", **holes}]
+
+
+def test_a_frame_of_no_drive_is_written_without_one(tmp_path: Path) -> None:
+    (name,) = written("folder", tmp_path, staged())
+    entry = yaml.safe_load((tmp_path / name / "frame.yaml").read_text())
+    assert not {"sequence", "time_s", "lidar_world_from_lidar", "camera_world_from_camera", "targets"} & set(entry)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Made-up roads with exact truth: camera, right camera and LiDAR look at the same triangles."""
+"""Synthetic roads and yards with exact truth: camera, right camera and LiDAR look at the same triangles."""
 
 from __future__ import annotations
 
@@ -14,29 +14,61 @@ from p2o.arrays import Float
 from p2o_plugins.data.lazy_frames import LazyFrames
 
 if TYPE_CHECKING:
-    from p2o.simulate import Moment, Picture, Scene
+    from p2o.simulate import Board, Moment, Picture, Scene
 
 BASELINE_M = 0.54
-FRAME_S = 0.1
-"""Time from one frame of a drive to the next in seconds."""
 _KITTI_MOUNT = (0.27, 0.06, -0.08, 0.458, -0.63, 0.344)
 _AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 # One stream of random numbers for each of these, so that more noise or another camera leaves the place as it was.
 # The number of the places is one with which the very first of them is a street.
-_PLACE, _DRIVE, _LIDAR, _CAMERA, _GRAIN, _START, _DRIFT = 31, 1, 2, 3, 4, 5, 6
+_PLACE, _DRIVE, _LIDAR, _CAMERA, _GRAIN, _START, _DRIFT, _ODOMETRY, _BOARDS = 31, 1, 2, 3, 4, 5, 6, 7, 8
 
 
 class SyntheticOptions(Options):
     """What the dataset `synthetic` shows."""
 
     scenes: int = field(1, ge=1, le=100_000, help="Number of places; each gives one frame, or a drive.")
-    frames_per_scene: int = field(1, ge=1, le=1000, help="Frames of the drive through each place, 0.1 s apart.")
+    frames_per_scene: int = field(1, ge=1, le=1000, help="Frames of the drive through each place.")
+    period_s: float = field(0.1, gt=0, le=60, help="Time from one frame of a drive to the next in seconds.")
     seed: int = field(0, ge=0, help="Seed of the places, of all noise and of the wrong start.")
-    place: Literal["mixed", "street", "suburb", "highway", "trees"] = field(
-        "mixed", help="Kind of place; mixed draws one for each scene, a third of them trees and banks."
+    place: Literal["mixed", "street", "suburb", "highway", "trees", "yard"] = field(
+        "mixed",
+        help="Kind of place; mixed draws one for each scene, a third of them trees and banks, none a yard, which is "
+        "an open floor between halls for calibration with boards.",
     )
-    speed_m_s: float = field(
-        8.0, ge=0, le=60, help="Speed of the car in metres a second; other traffic has about the same."
+    speed_m_s: float | None = field(
+        None,
+        ge=0,
+        le=60,
+        help="Speed of the car in metres a second; other traffic has about the same. Null is 8, and 0 with targets.",
+    )
+    swing_deg: float = field(
+        0.0, ge=0, le=60, help="How far a drive turns to the left and right of its road as it swings along it."
+    )
+    tilt_deg: float = field(0.0, ge=0, le=20, help="How far a drive pitches and rolls on uneven ground.")
+    odometry_noise_deg: float = field(
+        0.0, ge=0, le=10, help="Deviation of each step of the odometry in degrees an axis, camera and LiDAR each."
+    )
+    odometry_noise_m: float = field(
+        0.0, ge=0, le=10, help="Deviation of each step of the odometry in metres an axis, camera and LiDAR each."
+    )
+    targets: Literal["none", "checkerboard", "holes"] = field(
+        "none", help="Boards ahead of the car, in another pose in each frame; frames then tell their geometry."
+    )
+    boards: int = field(1, ge=1, le=8, help="Number of boards in view, all of one kind.")
+    holder: Literal["person", "stand"] = field("person", help="Who or what holds each board.")
+    board: Literal["a0", "a1", "a2"] = field("a0", help="Named size of the boards, which the next options change.")
+    columns: int | None = field(None, ge=1, le=40, help="Inner corners, or holes, along a row; null is the board's.")
+    rows: int | None = field(None, ge=1, le=40, help="Inner corners, or holes, down a column; null is the board's.")
+    square_m: float | None = field(
+        None, gt=0, le=2, help="Side of a square, or distance between holes, in metres; null is the board's."
+    )
+    hole_radius_m: float | None = field(None, gt=0, le=1, help="Radius of the holes in metres; null is the board's.")
+    board_width_m: float | None = field(
+        None, gt=0, le=4, help="Width of the board in metres; null is the named one's, or fits a changed pattern."
+    )
+    board_height_m: float | None = field(
+        None, gt=0, le=4, help="Height of the board in metres; null is the named one's, or fits a changed pattern."
     )
     camera: Literal["pinhole", "opencv-distorted", "fisheye"] = field(
         "pinhole", help="Camera model: KITTI-like pinhole with a right picture, distorted OPENCV, or OPENCV_FISHEYE."
@@ -82,12 +114,13 @@ class SyntheticOptions(Options):
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Everything there is to know about one frame: its `scene`, `moment` and `picture` with all truth."""
+    """Everything there is to know about one frame: its `scene`, `moment`, `picture` and `boards` with all truth."""
 
     frame: Frame
     scene: Scene
     moment: Moment
     picture: Picture
+    boards: tuple[Board, ...] = ()
 
 
 def camera_from_lidar(mount: tuple[float, ...] = _KITTI_MOUNT) -> Float:
@@ -133,10 +166,14 @@ def view(options: SyntheticOptions, scene_number: int, number: int = 0) -> View:
     """Return frame `number` of a scene with all its truth: the same bytes for the same options."""
     from p2o import simulate
 
-    place = {name: getattr(options, name) for name in ("seed", "place", "speed_m_s", "frames_per_scene")}
-    scene, moments = _drive(scene_number, **place)
+    names = ("seed", "place", "frames_per_scene", "period_s", "swing_deg", "tilt_deg")
+    still = options.targets != "none" and not _speed_m_s(options)
+    scene, moments = _drive(
+        scene_number, **{name: getattr(options, name) for name in names}, speed_m_s=_speed_m_s(options), still=still
+    )
     moment = moments[number]
     truth = truth_at(options, scene_number, number)
+    scene, boards = _with_boards(options, scene, moment, scene_number, number)
     # Beside the picture: each of them has stretches that keep one core busy only.
     with ThreadPoolExecutor(1) as beside:
         noise = _stream(options, _LIDAR, scene_number, number)
@@ -158,22 +195,102 @@ def view(options: SyntheticOptions, scene_number: int, number: int = 0) -> View:
         camera_from_lidar=truth,
         start=_displaced(truth, options.start_error, _stream(options, _START)),
         twist=moment.twist,
+        targets=tuple(board.target for board in boards),
+        **_of_drive(options, moments, scene_number, number),
     )
-    return View(frame, scene, moment, picture)
+    return View(frame, scene, moment, picture, boards)
+
+
+def _speed_m_s(options: SyntheticOptions) -> float:
+    if options.speed_m_s is None:
+        return 8.0 if options.targets == "none" else 0.0
+    return options.speed_m_s
+
+
+def _of_drive(options: SyntheticOptions, moments: tuple[Moment, ...], scene_number: int, number: int) -> dict[str, Any]:
+    """Return what a frame of a drive tells of it; a frame that stands alone has no sequence."""
+    from p2o import simulate
+
+    if options.frames_per_scene == 1:
+        return {}
+    lidar = [moment.world_from_lidar for moment in moments]
+    truths = (truth_at(options, scene_number, at) for at in range(len(moments)))
+    camera = [pose @ se3.inverse(truth) for pose, truth in zip(lidar, truths, strict=True)]
+    noise = {"noise_deg": options.odometry_noise_deg, "noise_m": options.odometry_noise_m}
+    lidar_poses, camera_poses = (
+        simulate.odometry(poses, _stream(options, _ODOMETRY, scene_number, sensor), **noise)
+        for sensor, poses in enumerate((lidar, camera))
+    )
+    return {
+        "sequence": _scene_name(scene_number),
+        "time_s": moments[number].time_s,
+        "lidar_world_from_lidar": lidar_poses[number],
+        "camera_world_from_camera": camera_poses[number],
+    }
+
+
+def _with_boards(
+    options: SyntheticOptions, scene: Scene, moment: Moment, scene_number: int, number: int
+) -> tuple[Scene, tuple[Board, ...]]:
+    """Return the scene with the boards of a frame, and where they are.
+
+    They are placed for the mounting that the documentation tells, whatever the true one is: nothing in the frame but
+    the picture depends on that.
+    """
+    from p2o import simulate
+
+    target = _target(options)
+    if target is None:
+        return scene, ()
+    lidar_from_camera = se3.inverse(camera_from_lidar())
+    rig = simulate.Rig(camera_of(options), moment.world_from_lidar @ lidar_from_camera, moment.world_from_lidar)
+    seed = (options.seed, _BOARDS, scene_number)
+    targets = (target,) * options.boards
+    boards, things = simulate.boards_in_view(scene, rig, targets, options.holder, number=number, seed=seed)
+    return scene.plus(things), boards
+
+
+def _target(options: SyntheticOptions) -> Any:
+    """Return what the boards are, None for none."""
+    from p2o.simulate import target_of
+
+    if options.targets == "none":
+        return None
+    return target_of(
+        options.targets,
+        options.board,
+        columns=options.columns,
+        rows=options.rows,
+        square_m=options.square_m,
+        hole_radius_m=options.hole_radius_m,
+        width_m=options.board_width_m,
+        height_m=options.board_height_m,
+    )
 
 
 @lru_cache(maxsize=2)
 def _drive(
-    scene_number: int, *, seed: int, place: str, speed_m_s: float, frames_per_scene: int
+    scene_number: int,
+    *,
+    seed: int,
+    place: str,
+    speed_m_s: float,
+    frames_per_scene: int,
+    period_s: float,
+    swing_deg: float,
+    tilt_deg: float,
+    still: bool,
 ) -> tuple[Scene, tuple[Moment, ...]]:
-    """Return a scene and the drive through it; kept, because the frames of a drive share them."""
+    """Return a scene and the drive through it, or a car that stands `still`; kept, because frames share them."""
     from p2o import simulate
 
     layout, sway = (np.random.default_rng([seed, stream, scene_number]) for stream in (_PLACE, _DRIVE))
     # The length of the drive is part of the layout; all drives of up to 10 frames pass through the same place.
-    travel = speed_m_s * FRAME_S * (10 * -(-frames_per_scene // 10))
+    travel = speed_m_s * period_s * (10 * -(-frames_per_scene // 10))
     scene, twist = simulate.scene_of(place, layout, speed_m_s=speed_m_s, travel_m=travel)
-    return scene.prepare(), simulate.drive(twist, frames_per_scene, sway, period_s=FRAME_S)
+    swing = simulate.Swing(swing_deg, tilt_deg)
+    moments = simulate.drive(twist, frames_per_scene, sway, period_s=period_s, sway=0.0 if still else 1.0, swing=swing)
+    return scene.prepare(), moments
 
 
 def _seen(
@@ -242,7 +359,11 @@ def _stream(options: SyntheticOptions, purpose: int, *numbers: int) -> np.random
 
 
 def _name(options: SyntheticOptions, scene_number: int, number: int) -> str:
-    return f"scene-{scene_number:04d}" + (f"/{number:04d}" if options.frames_per_scene > 1 else "")
+    return _scene_name(scene_number) + (f"/{number:04d}" if options.frames_per_scene > 1 else "")
+
+
+def _scene_name(scene_number: int) -> str:
+    return f"scene-{scene_number:04d}"
 
 
 def build(options: SyntheticOptions) -> LazyFrames:
@@ -250,7 +371,8 @@ def build(options: SyntheticOptions) -> LazyFrames:
 
     Each is made when it is asked for, from its own seed.
 
-    Raises InputError if drift or start_error cannot be read, or a drive is over before its mounting slips.
+    Raises InputError if drift or start_error cannot be read, a drive is over before its mounting slips, a car that
+    stands shall turn, or the boards do not hold their pattern.
     """
     from p2o.simulate import parse_perturbation
 
@@ -264,6 +386,15 @@ def build(options: SyntheticOptions) -> LazyFrames:
             got=options.drift_at_frame,
             hint="raise frames_per_scene",
         )
+    if (options.swing_deg or options.tilt_deg) and not _speed_m_s(options):
+        raise InputError(
+            "a car that stands does not turn",
+            where="swing_deg, tilt_deg",
+            expected="speed_m_s > 0",
+            got=options.speed_m_s,
+            hint="set speed_m_s=5; with targets the car stands unless told",
+        )
+    _target(options)
     entries = {
         _name(options, scene, number): (scene, number)
         for scene in range(options.scenes)
@@ -276,6 +407,6 @@ METHOD = Method(
     name="synthetic",
     build=build,
     options=SyntheticOptions,
-    summary="Made-up roads with exact truth: image, right image, depth and a sweep of any of seven LiDARs.",
+    summary="Synthetic roads with exact truth: image, right image, depth, a sweep of any of seven LiDARs, boards.",
     gives=frozenset({"right", "depth", "truth", "rings", "intensity", "time", "twist"}),
 )

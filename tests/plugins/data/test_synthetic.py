@@ -5,13 +5,15 @@ from __future__ import annotations
 import subprocess
 import sys
 from functools import cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
 from p2o import Dataset, Frame, InputError, se3
 from p2o.geometry.perturb import parse_perturbation
-from p2o_plugins.data.synthetic import BASELINE_M, METHOD, SyntheticOptions, build, camera_from_lidar, view
+from p2o.simulate import Class
+from p2o_plugins.data.synthetic import BASELINE_M, METHOD, SyntheticOptions, View, build, camera_from_lidar, view
 from pydantic import ValidationError
 from scipy import ndimage
 
@@ -173,6 +175,142 @@ def test_more_exposure_makes_brighter_pictures() -> None:
     assert (np.diff(means) > 5).all()
 
 
+YARD: dict[str, Any] = {"place": "yard", "width_px": 621, "height_px": 240, "right": False, "lidar": "vlp-16"}
+LIT: dict[str, Any] = {"exposure_ev": -0.5, "grain": 1.0, "jpeg_quality": 0}
+
+
+def _corners(seen: View) -> np.ndarray:
+    """Return the true pixels (N, 2) of the corners of the first board."""
+    board = seen.boards[0]
+    lidar_from_board = se3.inverse(seen.moment.world_from_lidar) @ board.world_from_board
+    frame = seen.frame
+    return frame.camera.project(se3.apply(frame.camera_from_lidar @ lidar_from_board, board.target.corners))
+
+
+@pytest.mark.parametrize(("holder", "number"), [("person", 0), ("person", 1), ("stand", 2)])
+def test_a_detector_finds_the_corners_of_the_board_where_its_true_pose_puts_them(holder: str, number: int) -> None:
+    import cv2
+
+    options = SyntheticOptions(targets="checkerboard", holder=holder, frames_per_scene=3, **YARD, **LIT)
+    seen = view(options, 0, number)
+    board = seen.frame.targets[0]
+    grey = cv2.cvtColor(seen.frame.image.rgb, cv2.COLOR_RGB2GRAY)
+    found, corners = cv2.findChessboardCornersSB(
+        grey, (board.columns, board.rows), flags=cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+    )
+    assert found
+    true = _corners(seen)
+    # The detector may count from the other end.
+    off = min((c - true for c in (corners.reshape(-1, 2), corners.reshape(-1, 2)[::-1])), key=np.linalg.norm)
+    assert np.linalg.norm(off, axis=1).max() < 1 / 3
+    assert np.abs(off.mean(axis=0)).max() < 0.1
+
+
+def test_the_board_stands_elsewhere_in_each_frame_of_a_car_that_stands() -> None:
+    options = SyntheticOptions(targets="checkerboard", frames_per_scene=3, **YARD)
+    views = [view(options, 0, number) for number in range(3)]
+    places = np.array([v.boards[0].centre for v in views])
+    assert min(np.linalg.norm(places[a] - places[b]) for a, b in ((0, 1), (0, 2), (1, 2))) > 0.3
+    for seen in views:
+        np.testing.assert_array_equal(seen.moment.world_from_lidar, views[0].moment.world_from_lidar)
+        np.testing.assert_array_equal(seen.frame.twist, np.zeros(6))
+
+
+def test_several_boards_stand_apart_and_each_is_in_the_frame() -> None:
+    options = SyntheticOptions(targets="holes", board="a1", boards=3, holder="stand", **YARD)
+    seen = view(options, 0)
+    assert len(seen.frame.targets) == len(seen.boards) == 3
+    shown = np.unique(seen.picture.instance[seen.picture.classes == Class.BOARD])
+    assert len(shown) == 3
+    across = np.sort([board.centre[1] for board in seen.boards])
+    assert np.diff(across).min() > 0.8
+
+
+@pytest.mark.parametrize("targets", ["checkerboard", "holes"])
+def test_the_true_mounting_shows_in_the_picture_and_nowhere_else(targets: str) -> None:
+    tilted = (0.35, 0.0, -0.12, 1.5, 0.5, -1.0)
+    drive = {"frames_per_scene": 2, "speed_m_s": 3.0, "swing_deg": 20.0, "tilt_deg": 3.0}
+    options = {**YARD, **SMALL, **drive, "targets": targets}
+    one, other = (view(SyntheticOptions(**options, **mount), 0, 1) for mount in ({}, {"mount": tilted}))
+    assert one.frame.targets == other.frame.targets
+    assert one.boards[0].world_from_board.tobytes() == other.boards[0].world_from_board.tobytes()
+    for name in ("lidar_world_from_lidar", "twist"):
+        assert getattr(one.frame, name).tobytes() == getattr(other.frame, name).tobytes()
+    assert (one.frame.sequence, one.frame.time_s) == (other.frame.sequence, other.frame.time_s)
+    assert one.frame.cloud.xyz.tobytes() == other.frame.cloud.xyz.tobytes()
+    assert not np.array_equal(one.frame.image.rgb, other.frame.image.rgb)
+
+
+DRIVE: dict[str, Any] = {
+    "frames_per_scene": 5, "place": "yard", "speed_m_s": 2.5, "period_s": 1.0, "swing_deg": 30.0, "tilt_deg": 4.0
+}  # fmt: skip
+
+
+def _steps(frames: list[Frame], name: str) -> list[np.ndarray]:
+    """Return the motion from each frame to the next in the frame of the sensor."""
+    poses = [getattr(frame, name) for frame in frames]
+    return [se3.inverse(a) @ b for a, b in pairwise(poses)]
+
+
+def test_the_poses_of_both_sensors_tell_the_mounting_by_how_they_move_and_only_so() -> None:
+    dataset = build(SyntheticOptions(**DRIVE, **SMALL))
+    frames = list(dataset)
+    assert [frame.sequence for frame in frames] == ["scene-0000"] * 5
+    assert [frame.time_s for frame in frames] == pytest.approx([0.0, 1.0, 2.0, 3.0, 4.0])
+    # Each world begins at its own sensor, so the first pose says nothing of the other.
+    np.testing.assert_array_equal(frames[0].lidar_world_from_lidar, np.eye(4))
+    np.testing.assert_array_equal(frames[0].camera_world_from_camera, np.eye(4))
+    truth = frames[0].camera_from_lidar
+    moves = _steps(frames, "lidar_world_from_lidar")
+    for lidar, camera in zip(moves, _steps(frames, "camera_world_from_camera"), strict=True):
+        np.testing.assert_allclose(camera @ truth, truth @ lidar, atol=1e-9)
+    # Turns about more than one axis: without them the mounting would be open along that one.
+    turns = np.degrees([se3.rotation_vector(move[:3, :3]) for move in moves])
+    assert np.linalg.svd(turns)[1][1] > 4.0
+    assert np.linalg.norm(turns, axis=1).max() > 15.0
+
+
+def test_the_odometry_of_the_camera_shows_the_mounting_slip_and_that_of_the_lidar_does_not() -> None:
+    slipped = {"drift_at_frame": 2, "drift": "1deg 0.05m"}
+    straight, slips = (list(build(SyntheticOptions(**DRIVE, **SMALL, **o))) for o in ({}, slipped))
+
+    def added_deg(name: str) -> list[float]:
+        pairs = zip(_steps(straight, name)[:2], _steps(slips, name)[:2], strict=True)
+        return [se3.angle_deg(se3.inverse(a) @ b) for a, b in pairs]
+
+    assert added_deg("lidar_world_from_lidar") == pytest.approx([0.0, 0.0], abs=1e-6)
+    assert added_deg("camera_world_from_camera") == pytest.approx([0.0, 1.0], abs=1e-6)
+
+
+def test_noise_of_the_odometry_is_that_of_its_steps_and_leaves_all_else_as_it_is() -> None:
+    noise = {"odometry_noise_deg": 0.2, "odometry_noise_m": 0.05}
+    exact, noisy = (list(build(SyntheticOptions(**DRIVE, **SMALL, **o))) for o in ({}, noise))
+    for name in ("lidar_world_from_lidar", "camera_world_from_camera"):
+        errors = [se3.inverse(a) @ b for a, b in zip(_steps(exact, name), _steps(noisy, name), strict=True)]
+        assert 0.05 < np.median([se3.angle_deg(error) for error in errors]) < 1.0
+        assert 0.01 < np.median([se3.distance_m(error) for error in errors]) < 0.25
+    for a, b in zip(exact, noisy, strict=True):
+        assert _bytes(a) == _bytes(b)
+        assert a.twist.tobytes() == b.twist.tobytes()
+
+
+def test_a_frame_that_stands_alone_has_no_sequence_and_no_targets_unless_asked() -> None:
+    frame = _frame()
+    assert (frame.sequence, frame.time_s, frame.targets) == ("", None, ())
+    assert frame.lidar_world_from_lidar is None
+    assert frame.camera_world_from_camera is None
+
+
+def test_a_car_that_stands_cannot_swing() -> None:
+    with pytest.raises(InputError, match="does not turn"):
+        build(SyntheticOptions(targets="checkerboard", swing_deg=20.0))
+
+
+def test_a_pattern_larger_than_its_board_is_refused_before_a_frame_is_made() -> None:
+    with pytest.raises(InputError, match="smaller than its pattern"):
+        build(SyntheticOptions(targets="checkerboard", square_m=0.2, board_width_m=1.0))
+
+
 def test_foliage_is_masked_on_request_and_only_foliage() -> None:
     options = SyntheticOptions(mask_foliage=True, place="trees", **SMALL)
     seen = view(options, 0)
@@ -225,7 +363,16 @@ def test_it_is_a_lazy_dataset_with_names() -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"scenes": 0}, {"noise_m": -0.1}, {"camera": "pinhole2"}, {"width_px": 1}, {"colour": "red"}, {"place": "moon"}],
+    [
+        {"boards": 0},
+        {"targets": "cube"},
+        {"scenes": 0},
+        {"noise_m": -0.1},
+        {"camera": "pinhole2"},
+        {"width_px": 1},
+        {"colour": "red"},
+        {"place": "moon"},
+    ],
 )
 def test_options_out_of_bounds_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(ValidationError):

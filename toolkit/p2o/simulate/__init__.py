@@ -4,12 +4,19 @@ from __future__ import annotations
 
 from p2o.geometry.perturb import parse_perturbation as parse_perturbation
 from p2o.geometry.perturb import wrong_start as wrong_start
+from p2o.simulate.board_places import Rig as Rig
+from p2o.simulate.board_places import boards_in_view as boards_in_view
+from p2o.simulate.boards import CHECKERBOARDS as CHECKERBOARDS
+from p2o.simulate.boards import Board as Board
+from p2o.simulate.boards import target_of as target_of
+from p2o.simulate.boards import thing_of as thing_of
 from p2o.simulate.classes import Class as Class
 from p2o.simulate.labels import labels as labels
 from p2o.simulate.lidar import Beams as Beams
 from p2o.simulate.lidar import Lidar as Lidar
 from p2o.simulate.lidar import Rosette as Rosette
 from p2o.simulate.mesh import Mesh as Mesh
+from p2o.simulate.odometry import odometry as odometry
 from p2o.simulate.photo import Photo as Photo
 from p2o.simulate.photo import develop as develop
 from p2o.simulate.photo import metered_gain as metered_gain
@@ -26,4 +33,5 @@ from p2o.simulate.scene import Scene as Scene
 from p2o.simulate.sensors import LIDARS as LIDARS
 from p2o.simulate.sweep import sweep as sweep
 from p2o.simulate.trajectory import Moment as Moment
+from p2o.simulate.trajectory import Swing as Swing
 from p2o.simulate.trajectory import drive as drive

@@ -28,3 +28,4 @@ class Class(IntEnum):
     PERSON = 17
     CYCLIST = 18
     FURNITURE = 19
+    BOARD = 20

@@ -32,6 +32,21 @@ def pedestrian(rng: np.random.Generator) -> list[Part]:
     return out
 
 
+def holder(rng: np.random.Generator, tall: float, hands: Float) -> list[Part]:
+    """Return a person of `tall` metres who stands and holds something in both hands (2, 3), the left one first."""
+    hip, neck = np.array([0.0, 0.0, 0.5 * tall]), np.array([0.0, 0.0, 0.83 * tall])
+    legs = tubes(
+        [hip + [0, 0.09, 0], hip - [0, 0.09, 0]],
+        [[0.02, 0.13, 0.0], [-0.03, -0.13, 0.0]],
+        [[0.1, 0.06], [0.1, 0.06]],
+        sides=8,
+    )
+    trousers = Material("trousers", pick(rng, CLOTH), 0.3, 0.35)
+    body = _upper_body(rng, hip, neck, tall, hands=hands)
+    grip = join([_ball(0.04).moved(*hand) for hand in hands])
+    return [Part(legs, trousers, kind=Class.PERSON), *body, Part(grip, SKIN, kind=Class.PERSON)]
+
+
 def cyclist(rng: np.random.Generator) -> list[Part]:
     """Return a person on a bicycle."""
     hub_back, hub_front = np.array([-0.52, 0.0, 0.34]), np.array([0.52, 0.0, 0.34])
@@ -66,10 +81,14 @@ def _upper_body(
     neck: Float,
     tall: float,
     *,
-    reach: tuple[float, float],
+    reach: tuple[float, float] = (0.0, 0.0),
+    hands: Float | None = None,
     kind: Class = Class.PERSON,
 ) -> list[Part]:
-    """Return trunk, arms and head between hip and neck (3,); hands `reach` ahead of and below the shoulders."""
+    """Return trunk, arms and head between hip and neck (3,).
+
+    Hands are `reach` ahead of and below the shoulders, or at `hands` (2, 3), the left one first.
+    """
     coat = Material("coat", pick(rng, CLOTH), 0.35, 0.4)
     levels = np.linspace(0, 1, 6)
     wide = np.array([0.15, 0.15, 0.17, 0.2, 0.2, 0.07]) * tall / 1.7
@@ -78,9 +97,11 @@ def _upper_body(
         for level, w in zip(levels, wide, strict=True)
     ]
     shoulder = hip + 0.86 * (neck - hip)
+    if hands is None:
+        hands = shoulder + np.array([[reach[0], 0.24, reach[1]], [abs(reach[0]), -0.24, reach[1]]])
     arms = tubes(
         [shoulder + [0, 0.21, 0], shoulder + [0, -0.21, 0]],
-        [shoulder + [reach[0], 0.24, reach[1]], shoulder + [abs(reach[0]), -0.24, reach[1]]],
+        hands,
         [[0.065, 0.045]] * 2,
         sides=7,
     )

@@ -10,14 +10,14 @@ import numpy as np
 
 from p2o.arrays import Float
 from p2o.errors import UnknownNameError
-from p2o.simulate import highway, suburb, town, woods
+from p2o.simulate import highway, suburb, town, woods, yard
 from p2o.simulate.place import Layout, Plan, Thing
 from p2o.simulate.scene import Mover, Part, Scene
 
 SHARES: Mapping[str, float] = MappingProxyType({"street": 0.27, "suburb": 0.23, "highway": 0.17, "trees": 0.33})
 """How often `mixed` draws each kind: a third are trees and banks, as on real drives."""
-PLACES = tuple(SHARES)
-"""Names of the kinds of places."""
+PLACES = (*SHARES, "yard")
+"""Names of the kinds of places; `mixed` draws no yards."""
 
 
 def scene_of(
@@ -31,11 +31,12 @@ def scene_of(
     Raises UnknownNameError for another kind of place.
     """
     makers: Mapping[str, Callable[[Plan], Layout]] = {
-        "street": town.layout, "suburb": suburb.layout, "highway": highway.layout, "trees": woods.layout
+        "street": town.layout, "suburb": suburb.layout, "highway": highway.layout, "trees": woods.layout,
+        "yard": yard.layout,
     }  # fmt: skip
     if place != "mixed" and place not in makers:
         raise UnknownNameError("place", place, ["mixed", *makers])
-    drawn = rng.choice(list(makers), p=list(SHARES.values())) if place == "mixed" else place
+    drawn = rng.choice(list(SHARES), p=list(SHARES.values())) if place == "mixed" else place
     plan = Plan(rng, travel_m)
     layout = makers[str(drawn)](plan)
     curvature = float(rng.uniform(*layout.curvature)) if rng.random() < 0.6 else 0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -154,6 +154,19 @@ class Scene:
         for name in ("_trees", "planes", "part_of_face", "openness", "all_parts"):
             getattr(self, name)
         return self
+
+    def plus(self, things: Sequence[Sequence[Part]]) -> Scene:
+        """Return the scene with more things that stand still; it shares the ray trees of this one.
+
+        They are numbered last, as a mover that rests, so that nothing else changes its number.
+        """
+        first = int(self.thing_of_part.max()) + 1
+        parts = tuple(replace(part, thing=first + i) for i, thing in enumerate(things) for part in thing)
+        scene = replace(self, movers=(*self.movers, Mover(parts, np.zeros(6))))
+        tree = _ray_tree(join([part.mesh for part in parts]))
+        # The other trees have not changed, and to build them is most of the work where leaves are many.
+        vars(scene)["_trees"] = (*self._trees, (tree, len(self.part_of_face)))
+        return scene.prepare()
 
     def cast(self, origins: Float, directions: Float, time_s: float | Float = 0.0) -> Hits:
         """Return what rays from origins (N, 3) or (3,) along unit directions (N, 3) meet first at a time, or (N,) each.

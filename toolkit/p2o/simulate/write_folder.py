@@ -12,6 +12,7 @@ import numpy as np
 
 from p2o.frames.cloud import Cloud
 from p2o.frames.frame import Frame
+from p2o.frames.target import Checkerboard, Target
 from p2o.simulate.write_file import png, write_file
 
 
@@ -19,8 +20,9 @@ def write(frames: Iterable[Frame], root: Path) -> Iterator[str]:
     """Write frames below `root` one by one and yield the name under which `folder` reads each.
 
     Kept are the picture, the right one, depth (float32 metres, sky included), the sweep (coordinates and intensity
-    as float32) with rings and times, truth and start. A sweep that was corrected for motion is written as measured,
-    with the velocity that the reader corrects it by. Masked pixels have no place in this layout.
+    as float32) with rings and times, truth and start, the place in a sequence with its poses, and targets. A sweep that
+    was corrected for motion is written as measured, with the velocity that the reader corrects it by. Masked pixels
+    have no place in this layout.
     """
     for frame in frames:
         name = re.sub(r"[^A-Za-z0-9._-]+", "_", frame.name).strip("._") or "frame"
@@ -45,9 +47,19 @@ def write(frames: Iterable[Frame], root: Path) -> Iterator[str]:
             buffer = io.BytesIO()
             np.save(buffer, image.depth_m.astype(np.float32))
             write_file(folder / "depth.npy", buffer.getvalue())
-        for key, pose in (("truth", frame.camera_from_lidar), ("start", frame.start)):
-            if pose is not None:
-                entry[key] = pose.tolist()
+        if frame.sequence:
+            entry["sequence"] = frame.sequence
+        if frame.time_s is not None:
+            entry["time_s"] = frame.time_s
+        poses = {
+            "truth": frame.camera_from_lidar,
+            "start": frame.start,
+            "lidar_world_from_lidar": frame.lidar_world_from_lidar,
+            "camera_world_from_camera": frame.camera_world_from_camera,
+        }
+        entry |= {key: pose.tolist() for key, pose in poses.items() if pose is not None}
+        if frame.targets:
+            entry["targets"] = [_described(target) for target in frame.targets]
         if frame.cloud.time_s is not None:
             entry["image_time_s"] = 0.0
         if frame.cloud.twist is not None:
@@ -55,6 +67,15 @@ def write(frames: Iterable[Frame], root: Path) -> Iterator[str]:
         # Last: without it the folder is no frame, so an interrupted one is left out by the reader.
         write_file(folder / "frame.yaml", _yaml(entry))
         yield name
+
+
+def _described(target: Target) -> dict[str, Any]:
+    """Return a target as plain numbers."""
+    size = {"width_m": float(target.width_m), "height_m": float(target.height_m)}
+    if isinstance(target, Checkerboard):
+        pattern = {"columns": int(target.columns), "rows": int(target.rows), "square_m": float(target.square_m)}
+        return {"kind": "checkerboard", **pattern, **size}
+    return {"kind": "holes", **size, "holes": [list(hole) for hole in target.holes]}
 
 
 def _npz(cloud: Cloud) -> bytes:

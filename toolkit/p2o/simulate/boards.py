@@ -1,0 +1,161 @@
+"""Calibration targets as things: checkerboards and boards with holes, thin, with exact geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+
+from p2o.arrays import Float
+from p2o.errors import InputError
+from p2o.frames.target import Checkerboard, HoleBoard, Target
+from p2o.geometry import se3
+from p2o.simulate.classes import Class
+from p2o.simulate.mesh import Mesh, join, quads
+from p2o.simulate.place import Thing
+from p2o.simulate.scene import Material, Part
+
+THICKNESS_M = 0.008
+"""How thick every board is: its back lies this far behind its front."""
+CHECKERBOARDS: Mapping[str, Checkerboard] = MappingProxyType(
+    {
+        "a0": Checkerboard(9, 6, 0.108, 1.189, 0.841),
+        "a1": Checkerboard(7, 4, 0.095, 0.841, 0.594),
+        "a2": Checkerboard(7, 4, 0.066, 0.594, 0.420),
+    }
+)
+"""Checkerboards on sheets of paper of these names; turned by half a turn, each shows other colours at its corners."""
+_HOLES: Mapping[str, tuple[float, float]] = MappingProxyType(
+    {"a0": (0.4, 0.12), "a1": (0.28, 0.085), "a2": (0.2, 0.06)}
+)
+# Distance between the centres of neighbouring holes and their radius in metres, two holes each way.
+_SIDES = 96  # of the polygon that stands for a hole: 0.05 % of its radius from the circle
+
+WHITE = Material("board white", (0.75, 0.75, 0.74), contrast=0.1, reflectance=0.8, pattern="plain")
+BLACK = Material("board black", (0.03, 0.03, 0.032), contrast=0.1, reflectance=0.1, pattern="plain")
+_BACK = Material("board back", (0.35, 0.27, 0.18), contrast=0.3, reflectance=0.5, pattern="streaks")
+
+
+@dataclass(frozen=True, eq=False)
+class Board:
+    """A target where it stands: `world_from_board` (4, 4), board frame as in `p2o.frames.target`."""
+
+    target: Target
+    world_from_board: Float
+
+    @property
+    def centre(self) -> Float:
+        """The middle of its front (3,) m in the world."""
+        return self.world_from_board[:3, 3]
+
+    @property
+    def outline(self) -> Float:
+        """The four corners (4, 3) m of the board in the world."""
+        return se3.apply(self.world_from_board, self.target.outline)
+
+
+def target_of(
+    kind: Literal["checkerboard", "holes"],
+    name: str,
+    *,
+    columns: int | None = None,
+    rows: int | None = None,
+    square_m: float | None = None,
+    hole_radius_m: float | None = None,
+    width_m: float | None = None,
+    height_m: float | None = None,
+) -> Target:
+    """Return the target of a named size, with what is given in place of its own.
+
+    `columns` x `rows` are inner corners, `square_m` the side of a square; for holes their number, and the distance
+    between centres. A board whose pattern is given, but not its size, is half a square wider than the pattern.
+
+    Raises InputError where the pattern does not fit on the board.
+    """
+    paper = CHECKERBOARDS[name]
+    own_pattern = not (columns is None and rows is None and square_m is None)
+    if kind == "checkerboard":
+        across, down, step = columns or paper.columns, rows or paper.rows, square_m or paper.square_m
+        fitting = ((across + 2) * step, (down + 2) * step)
+    else:
+        pitch, radius = _HOLES[name]
+        across, down, step = columns or 2, rows or 2, square_m or pitch
+        radius = hole_radius_m or (0.3 * step if own_pattern else radius)
+        fitting = ((across + 0.5) * step, (down + 0.5) * step)
+    width, height = fitting if own_pattern else (paper.width_m, paper.height_m)
+    size = (width if width_m is None else width_m, height if height_m is None else height_m)
+    if kind == "checkerboard":
+        return Checkerboard(across, down, step, *size)
+    x, y = ((np.arange(count) - (count - 1) / 2) * step for count in (across, down))
+    return HoleBoard(*size, tuple((float(u), float(v), radius) for v in y for u in x))
+
+
+def thing_of(board: Board) -> Thing:
+    """Return the parts of a board where it stands.
+
+    Raises InputError for holes that overlap, or almost touch one another or the rim.
+    """
+    target = board.target
+    return [
+        Part(Mesh(se3.apply(board.world_from_board, mesh.vertices), mesh.faces), material, kind=Class.BOARD)
+        for mesh, material in (_checkerboard(target) if isinstance(target, Checkerboard) else _holes(target))
+    ]
+
+
+def _checkerboard(target: Checkerboard) -> list[tuple[Mesh, Material]]:
+    """Return white and black squares of the front, which share no place, and the body behind them."""
+    half = np.array([target.width_m, target.height_m]) / 2
+    counts = np.array([target.columns, target.rows]) + 1  # squares each way
+    lines = []
+    for count, reach in zip(counts, half, strict=True):
+        pattern = (np.arange(count + 1) - count / 2) * target.square_m
+        lines.append(np.unique(np.concatenate([np.clip(pattern, -reach, reach), [-reach, reach]])))
+    low = np.stack(np.meshgrid(lines[0][:-1], lines[1][:-1]), -1).reshape(-1, 2)
+    high = np.stack(np.meshgrid(lines[0][1:], lines[1][1:]), -1).reshape(-1, 2)
+    square = np.floor((low + high) / 2 / target.square_m + counts / 2)
+    black = ((square >= 0) & (square < counts)).all(axis=1) & (square.sum(axis=1) % 2 == 0)
+    corners = np.stack(
+        [low, np.column_stack([low[:, 0], high[:, 1]]), high, np.column_stack([high[:, 0], low[:, 1]])], 1
+    )
+    front = np.concatenate([corners, np.zeros((*corners.shape[:2], 1))], axis=2)
+    ring = target.outline[:, :2]
+    back = np.column_stack([ring, np.full(4, THICKNESS_M)])[None]
+    body = join([quads(back), _wall(ring)])
+    return [(quads(front[~black]), WHITE), (quads(front[black]), BLACK), (body, _BACK)]
+
+
+def _holes(target: HoleBoard) -> list[tuple[Mesh, Material]]:
+    """Return the front with its holes and, behind it, the back with the walls of rim and holes."""
+    from scipy.spatial import Delaunay
+
+    turn = 2 * np.pi * (np.arange(_SIDES) + 0.5) / _SIDES
+    circle = np.column_stack([np.cos(turn), np.sin(turn)])
+    rings = [target.outline[:, :2], *(np.array([x, y]) + r * circle for x, y, r in target.holes)]
+    points = np.concatenate(rings)
+    ring_of = np.repeat(np.arange(len(rings)), [len(ring) for ring in rings])
+    triangles = Delaunay(points).simplices
+    of = ring_of[triangles]
+    # The points of a hole lie close together, so its rim is among the edges, and what spans three of them is the hole.
+    faces = triangles[~((of[:, 0] > 0) & (of == of[:, :1]).all(axis=1))]
+    a, b, c = (points[faces[:, i]] for i in range(3))
+    twice = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    hole_area = sum(0.5 * _SIDES * np.sin(2 * np.pi / _SIDES) * r**2 for *_, r in target.holes)
+    if abs(np.abs(twice).sum() / 2 - (target.width_m * target.height_m - hole_area)) > 1e-9:
+        raise InputError(
+            "the holes overlap, or almost touch one another or the rim",
+            expected="a few centimetres of board between them",
+        )
+    upward = np.where((twice > 0)[:, None], faces, faces[:, ::-1])  # normal along +z: away from the viewer
+    front = Mesh(np.column_stack([points, np.zeros(len(points))]), upward[:, ::-1])
+    back = Mesh(np.column_stack([points, np.full(len(points), THICKNESS_M)]), upward)
+    walls = [_wall(rings[0]), *(_wall(ring[::-1]) for ring in rings[1:])]
+    return [(front, WHITE), (join([back, *walls]), _BACK)]
+
+
+def _wall(ring: Float) -> Mesh:
+    """Return the sides between front and back along a ring (K, 2) that turns from x to y; they look outwards."""
+    front, back = (np.column_stack([ring, np.full(len(ring), z)]) for z in (0.0, THICKNESS_M))
+    return quads(np.stack([front, np.roll(front, -1, axis=0), np.roll(back, -1, axis=0), back], 1))
