@@ -1,14 +1,19 @@
-"""The KITTI odometry layout: sequences/NN/{image_2, velodyne, calib.txt}; its sweeps are already untwisted."""
+"""The KITTI odometry layout: sequences/NN/{image_2, velodyne, calib.txt, times.txt}, poses/NN.txt.
+
+Its sweeps are already untwisted.
+"""
 
 from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
 
-from p2o import Dataset, Frame, InputError, Method, Options, field
+import numpy as np
+from p2o import Dataset, Frame, InputError, Method, Options, field, se3
+from p2o.arrays import Float
 
-from p2o_plugins.data.input_file import existing_folder
-from p2o_plugins.data.kitti_calibration import read_calibration, rectified_extrinsic
+from p2o_plugins.data.input_file import existing_folder, read_text
+from p2o_plugins.data.kitti_calibration import camera_offset, read_calibration, rectified_extrinsic
 from p2o_plugins.data.kitti_folder import paired, picture, pictures, sweeps
 from p2o_plugins.data.kitti_image import read_rectified
 from p2o_plugins.data.lazy_frames import LazyFrames
@@ -79,7 +84,53 @@ def _read(options: KittiOdometryOptions, entry: tuple[str, Path, Path]) -> Frame
             projection, calibration.rigid_12("Tr"), pykitti_compat=options.pykitti_compat
         ),
         warnings=(*warnings, *cloud_warnings),
+        sequence=sequence.resolve().name,
+        time_s=_time_s(sequence, int(image_path.stem)),
+        # No pose of the LiDAR: it would be this one and the truth.
+        camera_world_from_camera=_camera_pose(
+            sequence,
+            int(image_path.stem),
+            camera_offset(projection, pykitti_compat=options.pykitti_compat),
+        ),
     )
+
+
+def _time_s(sequence: Path, frame: int) -> float | None:
+    """Return the time of a frame in seconds, or None where times.txt or its line is absent."""
+    path = sequence / "times.txt"
+    times_s = _table(path, "file of times", 1) if path.exists() else np.empty((0, 1))
+    return float(times_s[frame, 0]) if frame < len(times_s) else None
+
+
+def _camera_pose(sequence: Path, frame: int, offset_m: Float) -> Float | None:
+    """Return camera_world_from_camera (4, 4) of a frame, or None where poses/NN.txt or its line is absent.
+
+    The file holds the poses of camera 0; `offset_m` (3,) is where that lies in the camera. The world is the frame that
+    the camera had in the first line.
+    """
+    path = sequence.resolve().parents[1] / "poses" / f"{sequence.resolve().name}.txt"
+    rows = _table(path, "file of poses", 12) if path.exists() else np.empty((0, 12))
+    if frame >= len(rows):
+        return None
+    first, pose = (
+        se3.check_rigid(f"line {line + 1}", np.vstack([rows[line].reshape(3, 4), [0, 0, 0, 1]]), where=path)
+        for line in (0, frame)
+    )
+    camera_from_camera0 = se3.make(translation=offset_m)
+    return camera_from_camera0 @ se3.inverse(first) @ pose @ se3.inverse(camera_from_camera0)
+
+
+def _table(path: Path, what: str, columns: int) -> Float:
+    """Return the numbers (N, columns) of a file with one line a frame; raises InputError for any other content."""
+    try:
+        values = np.array([line.split() for line in read_text(path, what).splitlines()], dtype=np.float64)
+    except ValueError as problem:
+        raise InputError(f"the {what} is not a table of numbers", where=path, expected=f"{columns} a line") from problem
+    if values.ndim != 2 or values.shape[1] != columns or not np.isfinite(values).all():
+        raise InputError(
+            f"the {what} is not a table of finite numbers", where=path, expected=f"{columns} a line", got=values.shape
+        )
+    return values
 
 
 METHOD = Method(

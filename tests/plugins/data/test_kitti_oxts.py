@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from p2o import InputError, se3
-from p2o_plugins.data.kitti_oxts import read_twist
+from p2o_plugins.data.kitti_oxts import has_fix, lidar_pose, read_packet, twist_of
 
 from .kitti_files import write_oxts
 
 
 def twist(tmp_path: Path, lidar_from_imu: np.ndarray, **values: float) -> np.ndarray:
     write_oxts(tmp_path, 0, **values)
-    return read_twist(tmp_path / "oxts/data/0000000000.txt", lidar_from_imu)
+    return twist_of(read_packet(tmp_path / "oxts/data/0000000000.txt"), lidar_from_imu)
 
 
 def test_driving_in_any_heading_is_forward(tmp_path: Path) -> None:
@@ -49,4 +49,4 @@ def test_a_car_that_noses_down_and_drives_level_climbs_in_its_own_frame(tmp_path
 def test_a_packet_without_its_numbers_is_refused_by_name(tmp_path: Path, text: str) -> None:
     (tmp_path / "0000000003.txt").write_text(text)
     with pytest.raises(InputError, match=r"0000000003\.txt: the oxts packet"):
-        read_twist(tmp_path / "0000000003.txt", np.eye(4))
+        read_packet(tmp_path / "0000000003.txt")
