@@ -97,9 +97,8 @@ def _read(options: KittiOdometryOptions, entry: tuple[str, Path, Path]) -> Frame
 
 def _time_s(sequence: Path, frame: int) -> float | None:
     """Return the time of a frame in seconds, or None where times.txt or its line is absent."""
-    path = sequence / "times.txt"
-    times_s = _table(path, "file of times", 1) if path.exists() else np.empty((0, 1))
-    return float(times_s[frame, 0]) if frame < len(times_s) else None
+    values = _line(sequence / "times.txt", "file of times", frame, 1)
+    return None if values is None else float(values[0])
 
 
 def _camera_pose(sequence: Path, frame: int, offset_m: Float) -> Float | None:
@@ -109,26 +108,35 @@ def _camera_pose(sequence: Path, frame: int, offset_m: Float) -> Float | None:
     the camera had in the first line.
     """
     path = sequence.resolve().parents[1] / "poses" / f"{sequence.resolve().name}.txt"
-    rows = _table(path, "file of poses", 12) if path.exists() else np.empty((0, 12))
-    if frame >= len(rows):
-        return None
-    first, pose = (
-        se3.check_rigid(f"line {line + 1}", np.vstack([rows[line].reshape(3, 4), [0, 0, 0, 1]]), where=path)
-        for line in (0, frame)
-    )
+    poses: list[Float] = []
+    for number in (0, frame):
+        values = _line(path, "file of poses", number, 12)
+        if values is None:
+            return None
+        matrix = np.vstack([values.reshape(3, 4), [0, 0, 0, 1]])
+        poses.append(se3.check_rigid(f"line {number + 1}", matrix, where=path))
+    first, pose = poses
     camera_from_camera0 = se3.make(translation=offset_m)
     return camera_from_camera0 @ se3.inverse(first) @ pose @ se3.inverse(camera_from_camera0)
 
 
-def _table(path: Path, what: str, columns: int) -> Float:
-    """Return the numbers (N, columns) of a file with one line a frame; raises InputError for any other content."""
+def _line(path: Path, what: str, frame: int, count: int) -> Float | None:
+    """Return the numbers (count,) in the line of a frame, or None without the file or the line.
+
+    Raises InputError if the line holds anything else.
+    """
+    lines = read_text(path, what).splitlines() if path.exists() else []
+    if frame >= len(lines):
+        return None
     try:
-        values = np.array([line.split() for line in read_text(path, what).splitlines()], dtype=np.float64)
-    except ValueError as problem:
-        raise InputError(f"the {what} is not a table of numbers", where=path, expected=f"{columns} a line") from problem
-    if values.ndim != 2 or values.shape[1] != columns or not np.isfinite(values).all():
+        values = np.array(lines[frame].split(), dtype=np.float64)
+    except ValueError:
+        values = np.empty(0)
+    if values.size != count or not np.isfinite(values).all():
         raise InputError(
-            f"the {what} is not a table of finite numbers", where=path, expected=f"{columns} a line", got=values.shape
+            f"line {frame + 1} of the {what} does not hold {count} finite numbers",
+            where=path,
+            got=lines[frame].strip()[:60] or "none",
         )
     return values
 

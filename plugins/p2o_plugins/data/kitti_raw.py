@@ -254,9 +254,7 @@ def _oxts_number(drive: _Drive, image_path: Path) -> int | None:
     return None if stamp is None or not len(stamps) else int(np.argmin(np.abs(stamps - stamp)))
 
 
-def _after_packet_s(
-    drive: _Drive, number: int, image_path: Path, sweep_path: Path, delay_s: float
-) -> float | None:
+def _after_packet_s(drive: _Drive, number: int, image_path: Path, sweep_path: Path, delay_s: float) -> float | None:
     """Return how long after an oxts packet the image was taken: 0 without stamps, None where it is another moment.
 
     The packets of a synchronised drive lie up to 10 ms apart from where they should. The image counts as taken
