@@ -190,7 +190,7 @@ def test_another_truth_in_the_files_changes_nothing_else_of_a_frame(tmp_path: Pa
         assert empty == set()
 
 
-def test_another_mounting_of_the_made_up_camera_changes_nothing_that_the_lidar_tells() -> None:
+def test_another_mounting_of_the_synthetic_camera_changes_nothing_that_the_lidar_tells() -> None:
     """The picture is another one, of course, and so may be the camera's own way; the start is the truth gone wrong."""
     options = {"frames_per_scene": 2, "width_px": 64, "height_px": 64, "lidar": "vlp-16", "right": False, "seed": 3}
     here, there = (read("synthetic", **options, mount=mount) for mount in ((0, 0, 0, 0, 0, 0), (1, 0.5, 0.2, 3, -8, 2)))
