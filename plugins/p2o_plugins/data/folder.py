@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from p2o import Camera, Dataset, Frame, Image, InputError, Method, Options, field, se3
+from p2o import (
+    Camera,
+    Checkerboard,
+    Dataset,
+    Frame,
+    HoleBoard,
+    Image,
+    InputError,
+    Method,
+    Options,
+    Target,
+    UnknownNameError,
+    field,
+    se3,
+)
 from p2o.arrays import Float
 from p2o.host.validation import validated
 
@@ -49,8 +63,40 @@ class PoseEntry(Options):
 Row = tuple[float, float, float, float]
 Pose = PoseEntry | tuple[Row, Row, Row, Row]
 
+_WORLDS = ("lidar_world_from_lidar", "camera_world_from_camera")
 _SAME_MOMENT_S = 1.0
 """No sweep takes longer, so an image that is further away is not of its scene, or its clock is another."""
+
+
+class CheckerboardEntry(Options):
+    """A target of kind checkerboard in frame.yaml."""
+
+    columns: int = field(..., ge=2, help="Inner corners in a row.")
+    rows: int = field(..., ge=2, help="Inner corners in a column.")
+    square_m: float = field(..., gt=0, help="Side of a square in metres.")
+    width_m: float = field(..., gt=0, help="Width of the whole board in metres.")
+    height_m: float = field(..., gt=0, help="Height of the whole board in metres.")
+
+    def target(self) -> Checkerboard:
+        """Return the target; raises InputError if the pattern does not fit its board."""
+        return Checkerboard(self.columns, self.rows, self.square_m, self.width_m, self.height_m)
+
+
+class HolesEntry(Options):
+    """A target of kind holes in frame.yaml: a board with round holes."""
+
+    width_m: float = field(..., gt=0, help="Width of the board in metres.")
+    height_m: float = field(..., gt=0, help="Height of the board in metres.")
+    holes: tuple[tuple[float, float, float], ...] = field(
+        ..., min_length=1, help="x, y and radius of each hole in metres; origin in the middle of the board, y down."
+    )
+
+    def target(self) -> HoleBoard:
+        """Return the target; raises InputError if a hole has no size or reaches beyond the board."""
+        return HoleBoard(self.width_m, self.height_m, self.holes)
+
+
+_TARGETS: dict[str, type[CheckerboardEntry | HolesEntry]] = {"checkerboard": CheckerboardEntry, "holes": HolesEntry}
 
 
 class FrameEntry(Options):
@@ -70,6 +116,17 @@ class FrameEntry(Options):
         help="Velocity of the LiDAR in its own frame, about x y z in rad/s, then along x y z in m/s: the sweep, as "
         "measured, is corrected by it.",
     )
+    sequence: str = field("", help="Name of the drive that the frame is of; its frames follow in order of their names.")
+    time_s: float | None = field(None, help="When the image was taken, in seconds on one clock for the sequence.")
+    lidar_world_from_lidar: Pose | None = field(
+        None, help="Pose of the LiDAR when the image was taken, in a world of its own; never made from the truth."
+    )
+    camera_world_from_camera: Pose | None = field(
+        None, help="Pose of the camera when the image was taken, in a world of its own; never made from the truth."
+    )
+    targets: tuple[dict[str, Any], ...] = field(
+        (), help="Calibration targets in view, what they are and not where: kind, and the keys of that kind."
+    )
 
 
 def build(options: FolderOptions) -> Dataset:
@@ -77,7 +134,7 @@ def build(options: FolderOptions) -> Dataset:
 
     Names are folder names. Sub-folders without a frame.yaml are listed in `skipped`.
 
-    Raises InputError if the folder is missing or holds no frame.yaml.
+    Raises InputError if the folder is missing or holds no frame.yaml, or the times of a sequence do not rise.
     """
     root = existing_folder(options.root, "frames").resolve()
     if (root / FRAME_FILE).exists():
@@ -89,6 +146,7 @@ def build(options: FolderOptions) -> Dataset:
         skipped = {folder.name: f"{folder / FRAME_FILE} is missing" for folder in folders if folder.name not in entries}
     if not entries:
         raise InputError("no frames", where=root, expected=f"{FRAME_FILE} in it or in its sub-folders")
+    _require_rising_times(entries.values())
     return LazyFrames(entries, partial(_read, root), skipped)
 
 
@@ -116,6 +174,33 @@ def read_frame_file(path: Path) -> FrameEntry:
     return validated(FrameEntry, content, where=path)
 
 
+def _require_rising_times(folders: Iterable[Path]) -> None:
+    """Raise InputError where a frame of a sequence is not later than the frame before it.
+
+    Files that cannot be read are left for the frame itself to refuse.
+    """
+    before: dict[str, tuple[str, float]] = {}
+    for folder in folders:
+        try:
+            # Most folders hold no sequences, and YAML is slow to read.
+            text = read_text(folder / FRAME_FILE, "frame file")
+            entry = read_frame_file(folder / FRAME_FILE) if "sequence" in text and "time_s" in text else None
+        except InputError:
+            continue
+        if entry is None or not entry.sequence or entry.time_s is None:
+            continue
+        name, time_s = before.get(entry.sequence, ("", -np.inf))
+        if entry.time_s <= time_s:
+            raise InputError(
+                f"the times of sequence '{entry.sequence}' do not rise from frame to frame",
+                where=folder / FRAME_FILE,
+                expected=f"time_s after {time_s:.9g} of frame '{name}'",
+                got=f"{entry.time_s:.9g}",
+                hint="frames follow in the order of their folders' names",
+            )
+        before[entry.sequence] = (folder.name, entry.time_s)
+
+
 def _read(root: Path, folder: Path) -> Frame:
     path = folder / FRAME_FILE
     entry = read_frame_file(path)
@@ -124,6 +209,8 @@ def _read(root: Path, folder: Path) -> Frame:
         if (entry.right is None) != (entry.baseline_m is None):
             raise InputError("a rectified pair needs its right picture and its baseline", expected="right, baseline_m")
         poses = {name: pose_matrix(name, getattr(entry, name), path) for name in ("start", "truth")}
+        worlds = {name: pose_matrix(name, getattr(entry, name), path) for name in _WORLDS}
+        targets = tuple(_target(f"targets.{number}", values, path) for number, values in enumerate(entry.targets))
     image, warnings = _image(root, folder, entry, camera)
     cloud_path = _file(root, folder, entry.cloud, "cloud", CLOUD_SUFFIXES)
     cloud, cloud_warnings = read_cloud(cloud_path, entry.image_time_s)
@@ -161,7 +248,22 @@ def _read(root: Path, folder: Path) -> Frame:
         start=poses["start"],
         twist=twist,
         warnings=warnings,
+        sequence=entry.sequence,
+        time_s=entry.time_s,
+        **worlds,
+        targets=targets,
     )
+
+
+def _target(name: str, values: Mapping[str, Any], path: Path) -> Target:
+    """Return a target of frame.yaml; raises InputError for an unknown kind, wrong keys, and sizes that do not fit."""
+    if "kind" not in values:
+        raise InputError(f"{name}.kind is not said", where=path, expected=" or ".join(_TARGETS))
+    kind = str(values["kind"])
+    if kind not in _TARGETS:
+        raise UnknownNameError("kind of target", kind, _TARGETS, where=path)
+    sizes = {key: value for key, value in values.items() if key != "kind"}
+    return validated(_TARGETS[kind], sizes, name, where=path, noun=f"key of {name}").target()
 
 
 def _image(root: Path, folder: Path, entry: FrameEntry, camera: Camera) -> tuple[Image, tuple[str, ...]]:

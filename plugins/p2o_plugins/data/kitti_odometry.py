@@ -1,14 +1,19 @@
-"""The KITTI odometry layout: sequences/NN/{image_2, velodyne, calib.txt}; its sweeps are already untwisted."""
+"""The KITTI odometry layout: sequences/NN/{image_2, velodyne, calib.txt, times.txt}, poses/NN.txt.
+
+Its sweeps are already untwisted.
+"""
 
 from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
 
-from p2o import Dataset, Frame, InputError, Method, Options, field
+import numpy as np
+from p2o import Dataset, Frame, InputError, Method, Options, field, se3
+from p2o.arrays import Float
 
-from p2o_plugins.data.input_file import existing_folder
-from p2o_plugins.data.kitti_calibration import read_calibration, rectified_extrinsic
+from p2o_plugins.data.input_file import existing_folder, read_text
+from p2o_plugins.data.kitti_calibration import camera_offset, read_calibration, rectified_extrinsic
 from p2o_plugins.data.kitti_folder import paired, picture, pictures, sweeps
 from p2o_plugins.data.kitti_image import read_rectified
 from p2o_plugins.data.lazy_frames import LazyFrames
@@ -79,7 +84,61 @@ def _read(options: KittiOdometryOptions, entry: tuple[str, Path, Path]) -> Frame
             projection, calibration.rigid_12("Tr"), pykitti_compat=options.pykitti_compat
         ),
         warnings=(*warnings, *cloud_warnings),
+        sequence=sequence.resolve().name,
+        time_s=_time_s(sequence, int(image_path.stem)),
+        # No pose of the LiDAR: it would be this one and the truth.
+        camera_world_from_camera=_camera_pose(
+            sequence,
+            int(image_path.stem),
+            camera_offset(projection, pykitti_compat=options.pykitti_compat),
+        ),
     )
+
+
+def _time_s(sequence: Path, frame: int) -> float | None:
+    """Return the time of a frame in seconds, or None where times.txt or its line is absent."""
+    values = _line(sequence / "times.txt", "file of times", frame, 1)
+    return None if values is None else float(values[0])
+
+
+def _camera_pose(sequence: Path, frame: int, offset_m: Float) -> Float | None:
+    """Return camera_world_from_camera (4, 4) of a frame, or None where poses/NN.txt or its line is absent.
+
+    The file holds the poses of camera 0; `offset_m` (3,) is where that lies in the camera. The world is the frame that
+    the camera had in the first line.
+    """
+    path = sequence.resolve().parents[1] / "poses" / f"{sequence.resolve().name}.txt"
+    poses: list[Float] = []
+    for number in (0, frame):
+        values = _line(path, "file of poses", number, 12)
+        if values is None:
+            return None
+        matrix = np.vstack([values.reshape(3, 4), [0, 0, 0, 1]])
+        poses.append(se3.check_rigid(f"line {number + 1}", matrix, where=path))
+    first, pose = poses
+    camera_from_camera0 = se3.make(translation=offset_m)
+    return camera_from_camera0 @ se3.inverse(first) @ pose @ se3.inverse(camera_from_camera0)
+
+
+def _line(path: Path, what: str, frame: int, count: int) -> Float | None:
+    """Return the numbers (count,) in the line of a frame, or None without the file or the line.
+
+    Raises InputError if the line holds anything else.
+    """
+    lines = read_text(path, what).splitlines() if path.exists() else []
+    if frame >= len(lines):
+        return None
+    try:
+        values = np.array(lines[frame].split(), dtype=np.float64)
+    except ValueError:
+        values = np.empty(0)
+    if values.size != count or not np.isfinite(values).all():
+        raise InputError(
+            f"line {frame + 1} of the {what} does not hold {count} finite numbers",
+            where=path,
+            got=lines[frame].strip()[:60] or "none",
+        )
+    return values
 
 
 METHOD = Method(

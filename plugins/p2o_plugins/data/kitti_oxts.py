@@ -1,4 +1,4 @@
-"""The motion of KITTI's car from one oxts packet (GPS and inertial unit)."""
+"""Motion and place of KITTI's car from oxts packets (GPS and inertial unit)."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from p2o.arrays import Float
 
 from p2o_plugins.data.input_file import read_text
 
+_EARTH_RADIUS_M = 6378137.0
+"""Of the raw development kit, so that poses agree with what others make of the same files."""
 
-def read_twist(path: Path, lidar_from_imu: Float) -> Float:
-    """Return the velocity (6,) of the LiDAR in its own frame, rad/s then m/s, from one oxts file.
 
-    Taken are roll, pitch, yaw, the velocities to the north, east and up, and the rates wf, wl, wu about the level
-    axes forward, left, up. (The file's own vl is not used: in drive 2011_09_26/0005 it is positive to the right.)
+def read_packet(path: Path) -> Float:
+    """Return the numbers of one oxts file, 25 or more, in the order of KITTI's dataformat.txt.
 
     Raises InputError if the file is missing or does not hold the 30 numbers of a packet.
     """
@@ -28,13 +28,49 @@ def read_twist(path: Path, lidar_from_imu: Float) -> Float:
         raise InputError(
             "the oxts packet is truncated or not finite", where=path, expected="30 numbers", got=values.size
         )
-    roll, pitch, yaw, north, east = values[3:8]
-    level_from_imu = se3.exp(np.array([0, pitch, 0, 0, 0, 0.0])) @ se3.exp(np.array([roll, 0, 0, 0, 0, 0.0]))
+    return values
+
+
+def twist_of(packet: Float, lidar_from_imu: Float) -> Float:
+    """Return the velocity (6,) of the LiDAR in its own frame, rad/s then m/s, from one packet.
+
+    Taken are roll, pitch, yaw, the velocities to the north, east and up, and the rates wf, wl, wu about the level
+    axes forward, left, up. (The file's own vl is not used: in drive 2011_09_26/0005 it is positive to the right.)
+    """
+    roll, pitch, yaw, north, east = packet[3:8]
     # Yaw 0 is east, counter-clockwise.
     forward = np.cos(yaw) * east + np.sin(yaw) * north
     left = -np.sin(yaw) * east + np.cos(yaw) * north
-    imu_from_level = level_from_imu[:3, :3].T
-    omega = lidar_from_imu[:3, :3] @ imu_from_level @ values[20:23]
-    velocity = lidar_from_imu[:3, :3] @ imu_from_level @ np.array([forward, left, values[10]])
+    imu_from_level = _level_from_imu(roll, pitch)[:3, :3].T
+    omega = lidar_from_imu[:3, :3] @ imu_from_level @ packet[20:23]
+    velocity = lidar_from_imu[:3, :3] @ imu_from_level @ np.array([forward, left, packet[10]])
     # Adjoint: the LiDAR stands away from the unit and is swung around it.
     return np.concatenate([omega, velocity + np.cross(lidar_from_imu[:3, 3], omega)])
+
+
+def has_fix(packet: Float) -> bool:
+    """Whether a packet tells a place: latitude, longitude and altitude all 0 are what writers without one put."""
+    return bool(packet[:3].any())
+
+
+def lidar_pose(packet: Float, first: Float, lidar_from_imu: Float) -> Float:
+    """Return where the LiDAR was at a packet: (4, 4), in the frame that it had at the packet `first`, in metres.
+
+    The places are those of the raw development kit: Mercator's projection at the latitude of `first`, x to the east,
+    y to the north, z up, turned by Rz(yaw) Ry(pitch) Rx(roll).
+    """
+    ground_from_imu, ground_from_first = (_ground_from_imu(values, float(first[0])) for values in (packet, first))
+    return lidar_from_imu @ se3.inverse(ground_from_first) @ ground_from_imu @ se3.inverse(lidar_from_imu)
+
+
+def _ground_from_imu(packet: Float, scale_latitude_deg: float) -> Float:
+    latitude_deg, longitude_deg, altitude_m, roll, pitch, yaw = packet[:6]
+    scale_m = np.cos(np.radians(scale_latitude_deg)) * _EARTH_RADIUS_M
+    east_m = scale_m * np.radians(longitude_deg)
+    north_m = scale_m * np.log(np.tan(np.pi / 4 + np.radians(latitude_deg) / 2))
+    turned = se3.exp(np.array([0, 0, yaw, 0, 0, 0.0])) @ _level_from_imu(roll, pitch)
+    return se3.make(turned[:3, :3], [east_m, north_m, altitude_m])
+
+
+def _level_from_imu(roll: float, pitch: float) -> Float:
+    return se3.exp(np.array([0, pitch, 0, 0, 0, 0.0])) @ se3.exp(np.array([roll, 0, 0, 0, 0, 0.0]))

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from p2o import Camera, Dataset, Frame, Image, InputError, Method, Options, RadialError, field
+from p2o import Camera, Dataset, Frame, Image, InputError, Method, Options, RadialError, field, se3
 from p2o.arrays import Float
 from pydantic import field_validator
 
@@ -20,7 +20,7 @@ from p2o_plugins.data.input_file import existing_folder, naming, read_text
 from p2o_plugins.data.kitti_calibration import KittiCalibration, read_calibration, rectified_extrinsic
 from p2o_plugins.data.kitti_folder import paired, picture, pictures, sweeps
 from p2o_plugins.data.kitti_image import read_rectified, without_radial_error
-from p2o_plugins.data.kitti_oxts import read_twist
+from p2o_plugins.data.kitti_oxts import has_fix, lidar_pose, read_packet, twist_of
 from p2o_plugins.data.lazy_frames import LazyFrames
 from p2o_plugins.data.velodyne_file import IMAGE_DELAY_S, NOT_UNTWISTED, SWEEP_S, read_sweep
 
@@ -126,22 +126,30 @@ def _read(options: KittiRawOptions, entry: tuple[_Drive, Path, Path]) -> Frame:
         sweep_path, sweep_s=_turn_s(sweep_path), elevation_fix_deg=options.elevation_fix_deg
     )
     warnings += cloud_warnings
-    twist = None
-    packet = _oxts_path(drive, image_path)
-    if packet is not None:
-        twist = read_twist(packet, read_calibration(day / "calib_imu_to_velo.txt").rigid("R", "T"))
+    delay_s = _image_delay_s(options, image_path, sweep_path)
+    oxts = _oxts(drive, image_path, sweep_path, delay_s)
+    twist = oxts.twist
     if twist is None and options.speed_from_disparity and image.depth_m is not None:
         speed = forward_speed(cloud, image.depth_m, image.camera, extrinsic)
         twist = None if speed is None else np.array([0.0, 0.0, 0.0, speed, 0.0, 0.0])
     image = without_radial_error(image, RadialError(*options.radial_error))
     if cloud.time_s is not None:
-        cloud = replace(cloud, time_s=cloud.time_s - _image_delay_s(options, image_path, sweep_path))
+        cloud = replace(cloud, time_s=cloud.time_s - delay_s)
     if options.deskew and twist is not None:
         cloud = cloud.untwisted(twist)
     else:
-        warnings += (NOT_UNTWISTED + (": no oxts data" if options.deskew else ""),)
+        warnings += (NOT_UNTWISTED + (f": no {oxts.missing}" if options.deskew else ""),)
     return Frame(
-        f"{drive.name}/{image_path.stem}", image, cloud, camera_from_lidar=extrinsic, twist=twist, warnings=warnings
+        f"{drive.name}/{image_path.stem}",
+        image,
+        cloud,
+        camera_from_lidar=extrinsic,
+        twist=twist,
+        warnings=warnings,
+        sequence=drive.name,
+        time_s=_time_s(image_path),
+        # No pose of the camera: it would be this one and the truth.
+        lidar_world_from_lidar=oxts.lidar_pose,
     )
 
 
@@ -195,21 +203,71 @@ def _turn_s(sweep_path: Path) -> float:
     start, end = (_stamp(folder / f"timestamps_{which}.txt", int(sweep_path.stem)) for which in ("start", "end"))
     if start is None or end is None:
         return SWEEP_S
-    seconds = float((end - start) / np.timedelta64(1, "s"))
+    seconds = _seconds(end - start)
     return seconds if 0.5 * SWEEP_S < seconds < 2 * SWEEP_S else SWEEP_S
 
 
-def _oxts_path(drive: _Drive, image_path: Path) -> Path | None:
+def _time_s(image_path: Path) -> float | None:
+    """Return when the image was taken, in seconds after the first stamp of its camera in the drive."""
+    stamps = _stamps(image_path.parents[1] / "timestamps.txt")
+    stamp = _stamp(image_path.parents[1] / "timestamps.txt", int(image_path.stem))
+    return None if stamp is None else _seconds(stamp - stamps[~np.isnat(stamps)][0])
+
+
+@dataclass(frozen=True, eq=False)
+class _Oxts:
+    """What the unit knows of one frame, and what is missing where it knows no velocity.
+
+    `twist` (6,) is the velocity of the LiDAR; `lidar_pose` (4, 4) is lidar_world_from_lidar at the moment of the image,
+    where the world is the frame that the LiDAR had at the first packet of the drive.
+    """
+
+    twist: Float | None = None
+    lidar_pose: Float | None = None
+    missing: str = "oxts data"
+
+
+def _oxts(drive: _Drive, image_path: Path, sweep_path: Path, delay_s: float) -> _Oxts:
+    folder = drive.folder / "oxts/data"
+    number = _oxts_number(drive, image_path)
+    if number is None or not (path := folder / f"{number:010d}.txt").exists():
+        return _Oxts()
+    mounting = drive.folder.parent / "calib_imu_to_velo.txt"
+    if not mounting.exists():
+        return _Oxts(missing=mounting.name)
+    lidar_from_imu = read_calibration(mounting).rigid("R", "T")
+    packet, first = read_packet(path), read_packet(min(folder.glob("*.txt")))
+    twist = twist_of(packet, lidar_from_imu)
+    later_s = _after_packet_s(drive, number, image_path, sweep_path, delay_s)
+    if later_s is None or not (has_fix(packet) and has_fix(first)):
+        return _Oxts(twist)
+    return _Oxts(twist, lidar_pose(packet, first, lidar_from_imu) @ se3.exp(later_s * twist))
+
+
+def _oxts_number(drive: _Drive, image_path: Path) -> int | None:
     """Return the oxts packet of an image: the same number, or the nearest in time where nothing is synchronised."""
-    number = image_path.stem
-    if not drive.synchronised:
-        stamp = _stamp(image_path.parents[1] / "timestamps.txt", int(number))
-        stamps = _stamps(drive.folder / "oxts/timestamps.txt")
-        if stamp is None or not len(stamps):
-            return None
-        number = f"{int(np.argmin(np.abs(stamps - stamp))):010d}"
-    path = drive.folder / "oxts/data" / f"{number}.txt"
-    return path if path.exists() else None
+    number = int(image_path.stem)
+    if drive.synchronised:
+        return number
+    stamp = _stamp(image_path.parents[1] / "timestamps.txt", number)
+    stamps = _stamps(drive.folder / "oxts/timestamps.txt")
+    return None if stamp is None or not len(stamps) else int(np.argmin(np.abs(stamps - stamp)))
+
+
+def _after_packet_s(drive: _Drive, number: int, image_path: Path, sweep_path: Path, delay_s: float) -> float | None:
+    """Return how long after an oxts packet the image was taken: 0 without stamps, None where it is another moment.
+
+    The packets of a synchronised drive lie up to 10 ms apart from where they should. The image counts as taken
+    `delay_s` after the stamp of its sweep, as for the times of the points.
+    """
+    packet = _stamp(drive.folder / "oxts/timestamps.txt", number)
+    sweep = _stamp(sweep_path.parents[1] / "timestamps.txt", int(sweep_path.stem))
+    if packet is not None and sweep is not None:
+        later_s = _seconds(sweep - packet) + delay_s
+    else:
+        image = _stamp(image_path.parents[1] / "timestamps.txt", int(image_path.stem))
+        later_s = 0.0 if packet is None or image is None else _seconds(image - packet)
+    return later_s if abs(later_s) < SWEEP_S else None
 
 
 def _nearest_in_time(
@@ -227,6 +285,10 @@ def _nearest_in_time(
             if sweep is not None and gaps[nearest] < _SAME_MOMENT_S:
                 pairs[name] = sweep
     return pairs
+
+
+def _seconds(span: np.timedelta64) -> float:
+    return float(span / np.timedelta64(1, "s"))
 
 
 def _stamp(path: Path, line: int) -> np.datetime64 | None:

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from p2o import InputError, se3
+from p2o import Checkerboard, HoleBoard, InputError, UnknownNameError, se3
 from p2o_plugins.data.folder import FolderOptions, build
 from p2o_plugins.data.lazy_frames import LazyFrames
 from scipy.spatial.transform import Rotation
@@ -267,3 +267,121 @@ def test_a_velocity_without_times_and_one_that_is_no_number_are_refused(tmp_path
 def test_a_folder_without_frames_says_what_it_should_hold(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no frames; expected frame\.yaml in it or in its sub-folders"):
         dataset(tmp_path)
+
+
+BOARD = {"kind": "checkerboard", "columns": 7, "rows": 5, "square_m": 0.1, "width_m": 1.0, "height_m": 0.8}
+HOLES = {"kind": "holes", "width_m": 1.2, "height_m": 0.8, "holes": [[-0.4, 0.0, 0.1], [0.4, 0.1, 0.12]]}
+
+
+def test_sequence_time_and_poses_of_both_sensors_come_along(tmp_path: Path) -> None:
+    lidar, camera = (se3.exp(np.array(v)) for v in ([0.1, 0, 0.2, 3, 4, 5.0], [0, 0.2, 0, -1, 0.5, 2.0]))
+    quaternion = Rotation.from_matrix(camera[:3, :3]).as_quat().tolist()
+    write_frame(
+        tmp_path,
+        sequence="yard",
+        time_s=12.5,
+        lidar_world_from_lidar=lidar.tolist(),
+        camera_world_from_camera={"rotation_xyzw": quaternion, "translation_m": camera[:3, 3].tolist()},
+    )
+    frame = dataset(tmp_path)[0]
+    assert (frame.sequence, frame.time_s) == ("yard", 12.5)
+    assert np.allclose(frame.lidar_world_from_lidar, lidar, atol=1e-12)
+    assert np.allclose(frame.camera_world_from_camera, camera, atol=1e-12)
+    assert frame.camera_from_lidar is None
+
+
+def test_a_frame_that_says_nothing_of_them_stands_alone(tmp_path: Path) -> None:
+    frame = dataset(write_frame(tmp_path))[0]
+    assert (frame.sequence, frame.time_s, frame.targets) == ("", None, ())
+    assert (frame.lidar_world_from_lidar, frame.camera_world_from_camera) == (None, None)
+
+
+def test_the_time_of_the_frame_and_that_of_the_image_among_the_points_are_two_things(tmp_path: Path) -> None:
+    write_frame(tmp_path, cloud="scan.npz", image_time_s=0.05, time_s=900.0, sequence="yard")
+    np.savez(tmp_path / "scan.npz", xyz=np.ones((3, 3)), time_s=np.array([0.0, 0.05, 0.1]))
+    frame = dataset(tmp_path)[0]
+    assert np.allclose(frame.cloud.time_s, [-0.05, 0, 0.05])
+    assert frame.time_s == 900.0
+    write_frame(tmp_path, cloud="scan.npz", image_time_s=0.05)
+    assert dataset(tmp_path)[0].time_s is None
+
+
+def test_targets_are_boards_with_corners_or_holes(tmp_path: Path) -> None:
+    write_frame(tmp_path, targets=[BOARD, HOLES])
+    assert dataset(tmp_path)[0].targets == (
+        Checkerboard(7, 5, 0.1, 1.0, 0.8),
+        HoleBoard(1.2, 0.8, ((-0.4, 0.0, 0.1), (0.4, 0.1, 0.12))),
+    )
+
+
+@pytest.mark.parametrize(
+    ("target", "message"),
+    [
+        ({**BOARD, "kind": "chekerboard"}, "unknown kind of target 'chekerboard'; .*did you mean checkerboard"),
+        ({k: v for k, v in BOARD.items() if k != "kind"}, r"targets\.0\.kind is not said; .*checkerboard or holes"),
+        ({k: v for k, v in BOARD.items() if k != "square_m"}, r"targets\.0\.square_m is not said"),
+        ({k: v for k, v in HOLES.items() if k != "height_m"}, r"targets\.0\.height_m is not said"),
+        ({**BOARD, "width_m": 0}, r"targets\.0\.width_m is out of bounds; expected greater than 0; got 0"),
+        ({**BOARD, "width_m": 0.3}, "the checkerboard is smaller than its pattern"),
+        ({**BOARD, "size": 3}, r"unknown key of targets\.0 'size'; expected one of: columns, .* square_m"),
+        ({**HOLES, "square_m": 3}, r"unknown key of targets\.0 'square_m'; expected one of: height_m, holes, width_m"),
+        ({**HOLES, "holes": []}, r"targets\.0\.holes is out of bounds"),
+        ({**HOLES, "holes": [[0, 0]]}, r"targets\.0\.holes\.0"),
+        ({**HOLES, "holes": [[0, 0, -0.1]]}, "a hole board has holes of some size"),
+        ({**HOLES, "holes": [[0.6, 0, 0.1]]}, "a hole reaches beyond its board"),
+        ("checkerboard", r"targets\.0 is not valid"),
+    ],
+)
+def test_a_target_that_is_none_is_refused_by_its_key(tmp_path: Path, target: Any, message: str) -> None:
+    write_frame(tmp_path, targets=[target])
+    with pytest.raises(InputError, match=rf"frame\.yaml: .*{message}|frame\.yaml: {message}") as caught:
+        dataset(tmp_path)[0]
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("key", ["lidar_world_from_lidar", "camera_world_from_camera"])
+def test_a_pose_of_a_sensor_that_is_not_rigid_is_refused_by_name(tmp_path: Path, key: str) -> None:
+    write_frame(tmp_path, **{key: np.diag([1.0, 2, 1, 1]).tolist()})
+    with pytest.raises(InputError, match=rf"frame\.yaml: the rotation of {key} is not orthonormal"):
+        dataset(tmp_path)[0]
+
+
+@pytest.mark.parametrize(("key", "value"), [("sequence", 5), ("time_s", "noon"), ("time_s", float("nan"))])
+def test_a_sequence_that_is_no_text_and_a_time_that_is_no_number_are_refused(
+    tmp_path: Path, key: str, value: object
+) -> None:
+    write_frame(tmp_path, **{key: value})
+    with pytest.raises(InputError, match=rf"frame\.yaml: {key} is not valid"):
+        dataset(tmp_path)[0]
+
+
+@pytest.mark.parametrize("later_s", [1.0, 0.5])
+def test_frames_of_a_sequence_with_the_same_or_a_falling_time_are_refused(tmp_path: Path, later_s: float) -> None:
+    write_frame(tmp_path / "a", sequence="yard", time_s=1.0)
+    write_frame(tmp_path / "b", sequence="yard", time_s=later_s)
+    with pytest.raises(
+        InputError, match=rf"b/frame\.yaml: the times of sequence 'yard' do not rise .*1 of frame 'a'; got {later_s:g}"
+    ):
+        dataset(tmp_path)
+
+
+def test_times_of_several_sequences_rise_each_on_its_own_clock(tmp_path: Path) -> None:
+    for name, sequence, time_s in (("a", "yard", 5.0), ("b", "road", 1.0), ("c", "yard", 6.0), ("d", "", 0.0)):
+        write_frame(tmp_path / name, sequence=sequence, time_s=time_s)
+    write_frame(tmp_path / "e", sequence="road")
+    assert [frame.time_s for frame in dataset(tmp_path)] == [5.0, 1.0, 6.0, 0.0, None]
+
+
+def test_a_damaged_frame_of_a_sequence_is_refused_when_it_is_read_and_not_before(tmp_path: Path) -> None:
+    write_frame(tmp_path / "a", sequence="yard", time_s=1.0)
+    write_frame(tmp_path / "b", sequence="yard", time_s=2.0, strat=3)
+    found = dataset(tmp_path)
+    assert found[0].time_s == 1.0
+    with pytest.raises(InputError, match="strat"):
+        found[1]
+
+
+def test_an_unknown_kind_of_target_is_an_unknown_name(tmp_path: Path) -> None:
+    write_frame(tmp_path, targets=[{**HOLES, "kind": "hole"}])
+    with pytest.raises(UnknownNameError, match="one of: checkerboard, holes; did you mean holes"):
+        dataset(tmp_path)[0]

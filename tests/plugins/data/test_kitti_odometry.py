@@ -72,3 +72,56 @@ def test_missing_sweeps_are_named_and_an_empty_folder_says_what_it_should_hold(t
     write_image(folder / "image_2/000001.png")
     with pytest.raises(InputError, match=r"velodyne/000001\.bin is missing"):
         dataset(tmp_path).frame("00/000001")
+
+
+def write_poses(root: Path, poses: list[np.ndarray]) -> None:
+    (root / "poses").mkdir(exist_ok=True)
+    (root / "poses/00.txt").write_text("".join(numbers(pose[:3]) + "\n" for pose in poses))
+
+
+def test_frames_tell_sequence_and_time_and_without_files_no_time_and_no_pose(tmp_path: Path) -> None:
+    folder = write_frame(tmp_path, "00", 0)
+    write_frame(tmp_path, "00", 2)
+    first, second = dataset(tmp_path)
+    assert (first.sequence, first.time_s, first.camera_world_from_camera) == ("00", None, None)
+    (folder / "times.txt").write_text("0.000000e+00\n1.036000e-01\n2.071500e-01\n")
+    assert [frame.time_s for frame in dataset(tmp_path)] == [0.0, 0.20715]
+    (folder / "times.txt").write_text("0.000000e+00\n")
+    assert dataset(tmp_path)[1].time_s is None
+    assert second.lidar_world_from_lidar is None
+
+
+@pytest.mark.parametrize("camera", [0, 2])
+def test_poses_are_those_of_the_chosen_camera_in_its_first_frame(tmp_path: Path, camera: int) -> None:
+    """All cameras ride on one car: where camera 0 sees a point, the chosen one sees it at its offset."""
+    for frame in range(2):
+        write_frame(tmp_path, "00", frame, camera)
+    first = se3.exp(np.array([0.0, 0.0, 0.0, 5.0, 6.0, 7.0]))
+    moved = se3.exp(np.array([0.01, 0.3, -0.02, 0.1, -0.05, 1.2]))
+    write_poses(tmp_path, [first, first @ moved])
+    offset = np.linalg.solve(PROJECTIONS[camera][:, :3], PROJECTIONS[camera][:, 3])
+    start, end = (frame.camera_world_from_camera for frame in dataset(tmp_path, camera=camera))
+    assert np.allclose(start, np.eye(4), atol=1e-9)
+    point = np.array([[1.0, 2.0, 10.0]])
+    in_first = se3.apply(moved, point) + offset
+    assert np.allclose(se3.apply(end, point + offset), in_first, atol=1e-9)
+    assert all(frame.lidar_world_from_lidar is None for frame in dataset(tmp_path, camera=camera))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("1 2 3\n", "line 1 of the file of poses does not hold 12"), ("1 " * 12, "the last row|rotation of line 1")],
+)
+def test_poses_that_are_none_are_refused_by_line(tmp_path: Path, text: str, message: str) -> None:
+    write_frame(tmp_path, "00", 0)
+    (tmp_path / "poses").mkdir()
+    (tmp_path / "poses/00.txt").write_text(text)
+    with pytest.raises(InputError, match=rf"poses/00\.txt: .*({message})"):
+        dataset(tmp_path)[0]
+
+
+def test_times_that_are_none_are_refused_by_line(tmp_path: Path) -> None:
+    folder = write_frame(tmp_path, "00", 0)
+    (folder / "times.txt").write_text("soon\n")
+    with pytest.raises(InputError, match=r"times\.txt: line 1 of the file of times does not hold 1 finite"):
+        dataset(tmp_path)[0]

@@ -308,6 +308,92 @@ def test_a_dataset_travels_to_other_processes(tmp_path: Path) -> None:
     assert np.array_equal(again[0].image.rgb, dataset(tmp_path)[0].image.rgb)
 
 
+def write_drive(root: Path, seconds: list[float], packets_late_s: list[float], speed_m_s: float = 10.0) -> Path:
+    """Write a drive straight to the east at constant speed; packet k comes `packets_late_s[k]` after sweep k."""
+    day = write_day(root)
+    for number, (at_s, late_s) in enumerate(zip(seconds, packets_late_s, strict=True)):
+        folder = write_raw_frame(day, frame=number)
+        lon = 8.4 + np.degrees((at_s + late_s) * speed_m_s / (6378137.0 * np.cos(np.radians(49.0))))
+        write_oxts(folder, number, lat=49.0, lon=lon, alt=112.0, ve=speed_m_s)
+    (folder / "velodyne_points/timestamps.txt").write_text(stamps(seconds))
+    (folder / "image_02/timestamps.txt").write_text(stamps(np.add(seconds, 0.01)))
+    (folder / "oxts/timestamps.txt").write_text(stamps(np.add(seconds, packets_late_s)))
+    return folder
+
+
+def test_frames_tell_their_drive_and_when_their_image_was_taken(tmp_path: Path) -> None:
+    write_drive(tmp_path, [1.0, 1.1, 1.25], [0.0, 0.0, 0.0])
+    frames = list(dataset(tmp_path))
+    assert [frame.sequence for frame in frames] == [f"{DAY}/0001"] * 3
+    assert [frame.time_s for frame in frames] == pytest.approx([0, 0.1, 0.25], abs=1e-9)
+    assert dataset(tmp_path, camera=2)[1:][0].time_s == frames[1].time_s
+
+
+def test_a_frame_without_stamps_has_no_time_and_one_without_oxts_no_pose(tmp_path: Path) -> None:
+    write_raw_frame(write_day(tmp_path))
+    frame = dataset(tmp_path)[0]
+    assert (frame.time_s, frame.lidar_world_from_lidar, frame.camera_world_from_camera) == (None, None, None)
+    assert (frame.sequence, frame.targets) == (f"{DAY}/0001", ())
+
+
+def test_a_lost_image_stamp_leaves_the_time_open_and_the_clock_as_it_is(tmp_path: Path) -> None:
+    folder = write_drive(tmp_path, [1.0, 1.1, 1.2], [0.0, 0.0, 0.0])
+    text = (folder / "image_02/timestamps.txt").read_text().splitlines()
+    (folder / "image_02/timestamps.txt").write_text("\n".join(["", *text[1:]]))
+    assert [frame.time_s for frame in dataset(tmp_path)] == [None, 0.0, pytest.approx(0.1)]
+
+
+def test_the_pose_is_that_of_the_moment_of_the_image_however_late_the_packet(tmp_path: Path) -> None:
+    """At 10 m/s the world begins at the first packet; each image sees the scene 4 ms after its sweep is half done."""
+    write_drive(tmp_path, [1.0, 1.1, 1.25], [0.020, 0.003, 0.014])
+    for delay_s in (0.004, 0.0):
+        poses = [frame.lidar_world_from_lidar for frame in dataset(tmp_path, image_delay_s=delay_s)]
+        for pose, at_s in zip(poses, (1.0, 1.1, 1.25), strict=True):
+            east_m = 10 * (at_s + delay_s - 1.020)
+            assert np.allclose(pose, se3.make(translation=[east_m, 0, 0]), atol=1e-6)
+
+
+def test_without_stamps_the_packet_counts_as_taken_with_the_image(tmp_path: Path) -> None:
+    folder = write_drive(tmp_path, [1.0, 1.1], [0.0, 0.0])
+    (folder / "oxts/timestamps.txt").unlink()
+    assert np.allclose(dataset(tmp_path)[1].lidar_world_from_lidar[:3, 3], [1, 0, 0], atol=1e-6)
+
+
+def test_a_packet_of_another_moment_and_one_without_a_place_give_no_pose(tmp_path: Path) -> None:
+    folder = write_drive(tmp_path, [1.0, 1.1, 1.2], [0.0, 0.0, 0.0])
+    (folder / "oxts/timestamps.txt").write_text(stamps([1.0, 1.9, 1.2]))
+    write_oxts(folder, 2, ve=10.0)
+    first, late, lost = dataset(tmp_path)
+    assert first.lidar_world_from_lidar is not None
+    assert (late.lidar_world_from_lidar, lost.lidar_world_from_lidar) == (None, None)
+    assert late.twist == pytest.approx([0, 0, 0, 10, 0, 0])
+
+
+def test_without_the_mounting_of_the_unit_frames_are_read_without_velocity_and_pose(tmp_path: Path) -> None:
+    write_drive(tmp_path, [1.0], [0.0])
+    (tmp_path / DAY / "calib_imu_to_velo.txt").unlink()
+    frame = dataset(tmp_path)[0]
+    assert (frame.twist, frame.lidar_world_from_lidar) == (None, None)
+    assert frame.warnings == (f"{STILL}: no calib_imu_to_velo.txt",)
+    assert dataset(tmp_path, deskew=False)[0].warnings == (STILL,)
+
+
+def test_the_pose_swings_with_the_turning_car(tmp_path: Path) -> None:
+    """Twist and pose tell one motion: over a short time the pose moves by exp(twist t)."""
+    day, step_s, rate, speed = write_day(tmp_path), 1e-3, 0.5, 8.0
+    for number, yaw in enumerate((0.3, 0.3 + rate * step_s)):
+        folder = write_raw_frame(day, frame=number)
+        middle = 0.3 + rate * step_s / 2
+        radius = 6378137.0 * np.cos(np.radians(49.0))
+        way = number * speed * step_s / radius
+        lat, lon = 49.0 + np.degrees(way * np.sin(middle)) * np.cos(np.radians(49.0)), np.degrees(way * np.cos(middle))
+        moving = {"ve": speed * np.cos(yaw), "vn": speed * np.sin(yaw), "wu": rate}
+        write_oxts(folder, number, lat=lat, lon=8.4 + lon, alt=112.0, yaw=yaw, **moving)
+    first, second = dataset(tmp_path, deskew=False)
+    moved = se3.inverse(first.lidar_world_from_lidar) @ second.lidar_world_from_lidar
+    assert np.allclose(se3.log(moved) / step_s, first.twist, atol=0.01)
+
+
 def test_the_method_is_built_from_its_options() -> None:
     assert METHOD.name == "kitti-raw"
     assert METHOD.options(root="x", camera="2").root == Path("x")

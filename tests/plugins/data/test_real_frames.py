@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from p2o import Frame, se3
+from p2o.frames.accumulate import accumulated
+from p2o.frames.lidar_odometry import poses_by_gicp
 from p2o_plugins.data.kitti_calibration import baseline_m, read_calibration
 from p2o_plugins.data.kitti_object import KittiObjectOptions
 from p2o_plugins.data.kitti_object import build as build_object
-from p2o_plugins.data.kitti_oxts import read_twist
+from p2o_plugins.data.kitti_oxts import read_packet, twist_of
 from p2o_plugins.data.kitti_raw import KittiRawOptions
 from p2o_plugins.data.kitti_raw import build as build_raw
 from p2o_plugins.data.lazy_frames import LazyFrames
+from scipy.spatial import cKDTree
 
 pytestmark = pytest.mark.real
 
@@ -140,13 +145,47 @@ def test_the_twists_of_a_drive_integrate_to_its_satellite_track(kitti_raw: Path)
     forward, left = cos * east + sin * north, cos * north - sin * east
     imu = np.eye(4)
     for file, seconds in zip(files, np.diff(stamps) / np.timedelta64(1, "s"), strict=False):
-        imu = imu @ se3.exp(seconds * read_twist(file, np.eye(4)))
+        imu = imu @ se3.exp(seconds * twist_of(read_packet(file), np.eye(4)))
     # 62 m in 16 s; the fixes themselves wander by half a metre. With the file's own vl the side is off by 2.3 m.
     assert np.hypot(forward, left) > 60
     assert imu[0, 3] == pytest.approx(forward, abs=3.0)
     assert imu[1, 3] == pytest.approx(left, abs=1.0)
     turned = np.degrees(se3.rotation_vector(imu[:3, :3])[2])
     assert turned == pytest.approx(np.degrees(packets[-1, 5] - packets[0, 5]), abs=1.0)
+
+
+def test_the_poses_of_a_drive_are_those_that_its_sweeps_tell(kitti_raw: Path) -> None:
+    pytest.importorskip("small_gicp", reason='needs pip install "p2o-calib[gicp]"')
+    dataset = raw(kitti_raw, right=False, depth=False)
+    frames = [dataset.frame(f"2011_09_26/0005/{number:010d}") for number in range(6)]
+    assert [frame.time_s for frame in frames] == sorted(frame.time_s for frame in frames)
+    told = [frame.lidar_world_from_lidar for frame in frames]
+    found = poses_by_gicp([frame.cloud for frame in frames])
+    for poses, (before, after) in zip(pairwise(told), pairwise(found), strict=True):
+        moved, seen = se3.inverse(poses[0]) @ poses[1], se3.inverse(before) @ after
+        # A third of a metre and 0.7 degrees to the left a step; satellites wander by centimetres from packet to packet.
+        assert se3.distance_m(se3.inverse(seen) @ moved) < 0.1
+        assert se3.angle_deg(se3.inverse(seen) @ moved) < 0.15
+        assert se3.angle_deg(moved) > 0.4
+    # The first packet, 10 ms after the first image, is the world.
+    assert se3.distance_m(told[0]) < 0.1
+
+
+def test_sweeps_that_are_moved_by_their_poses_lie_on_one_another(kitti_raw: Path) -> None:
+    dataset = raw(kitti_raw, right=False, depth=False)
+    here, there = (dataset.frame(f"2011_09_26/0005/{number:010d}") for number in (4, 9))
+    tree = cKDTree(here.cloud.xyz)
+
+    def off_m(poses: tuple[np.ndarray, np.ndarray]) -> float:
+        frames = [replace(f, lidar_world_from_lidar=p) for f, p in zip((here, there), poses, strict=True)]
+        joined = accumulated(frames[0], frames[1:])
+        assert len(joined) == len(here.cloud) + len(there.cloud)
+        gaps, _ = tree.query(joined.xyz[len(here.cloud) :: 20])
+        return float(np.median(gaps))
+
+    told = (here.lidar_world_from_lidar, there.lidar_world_from_lidar)
+    assert off_m(told) < 0.8 * off_m((np.eye(4), np.eye(4)))
+    assert off_m(told) < 0.8 * off_m((told[1], told[0]))
 
 
 def test_training_sweeps_are_cut_ahead_and_keep_their_rings(kitti_raw: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -141,6 +142,29 @@ def test_what_a_frame_may_hold_is_checked_when_it_is_read() -> None:
     blind = p2o.Image(frame.image.rgb, frame.camera)
     with pytest.raises(InputError, match="stage: the frame has no right; stereoscopic needs it; try --extractor sided"):
         plan.check_frame(Frame("stage", blind, frame.cloud))
+
+
+@pytest.mark.parametrize(
+    ("word", "held"),
+    [
+        ("sequence", {"sequence": "drive"}),
+        ("frame-time", {"time_s": 0.0}),
+        ("lidar-pose", {"lidar_world_from_lidar": np.eye(4)}),
+        ("camera-pose", {"camera_world_from_camera": np.eye(4)}),
+        ("targets", {"targets": (p2o.Checkerboard(7, 5, 0.1, 1.0, 0.8),)}),
+    ],
+)
+def test_a_method_may_need_what_only_frames_of_drives_or_with_targets_hold(word: str, held: dict[str, Any]) -> None:
+    class Asking:
+        @p2o.hookimpl
+        def p2o_calibrators(self) -> list[Method]:
+            return [Method(name="asking", build=never, summary="A test.", needs=frozenset({word}))]
+
+    plan = Recipe.of(data="made-up:", calibrator="asking").resolve(Registry.of(acme=Offered(), other=Asking()))
+    frame = stage.frame()
+    with pytest.raises(InputError, match=f"the frame has no {word}; asking needs it"):
+        plan.check_frame(frame)
+    plan.check_frame(replace(frame, **held))
 
 
 def test_an_extractor_is_a_pair() -> None:
