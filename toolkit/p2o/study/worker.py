@@ -13,7 +13,7 @@ import time
 import traceback
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
@@ -21,7 +21,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from p2o.arrays import Float
+from p2o.arrays import Float, leaves
 from p2o.errors import InputError, P2OError
 from p2o.frames.frame import Frame
 from p2o.geometry.camera import Camera
@@ -355,14 +355,8 @@ def _frame(source: Source) -> Frame:
 
 
 def _size(value: Any) -> int:
-    """Return the bytes of all arrays in a value made of dataclasses, lists and mappings."""
-    if isinstance(value, np.ndarray):
-        return value.nbytes
-    if is_dataclass(value):
-        return sum(_size(getattr(value, f.name)) for f in fields(value))
-    if isinstance(value, list | tuple):
-        return sum(map(_size, value))
-    return sum(map(_size, value.values())) if isinstance(value, Mapping) else 0
+    """Return the bytes of all arrays in a value."""
+    return sum(leaf.nbytes for _, leaf in leaves(value) if isinstance(leaf, np.ndarray))
 
 
 def part_name(part: Part) -> str:
