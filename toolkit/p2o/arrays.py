@@ -1,4 +1,4 @@
-"""Checks that every array between stages passes once, when a dataclass is made, and the way to the arrays in a value."""
+"""What every array between stages is checked for when a dataclass is made, and the way to all arrays in a value."""
 
 from __future__ import annotations
 

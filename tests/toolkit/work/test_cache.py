@@ -6,7 +6,6 @@ import importlib
 import json
 import os
 import sys
-import types
 from collections import namedtuple
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -162,6 +161,9 @@ def test_the_folder_is_the_users_cache_unless_it_is_named() -> None:
         assert cache_folder({}) == Path.home() / ".cache" / "p2o"
 
 
+CORNERS = "from dataclasses import dataclass\n@dataclass(frozen=True)\nclass Corners:\n    edges: object\n"
+
+
 def _named(cache: FeatureCache, module: str, name: str) -> None:
     """Write a file whose features are of a type that somebody else names."""
     cache.put("aa", FEATURES, 0.0)
@@ -199,12 +201,10 @@ def test_a_file_that_names_a_module_imports_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str
 ) -> None:
     """The module is there and has the type; it is not taken because nobody else has imported it."""
-    (tmp_path / f"{package}.py").write_text(
-        "from dataclasses import dataclass\n@dataclass\nclass ImageFeatures:\n    edges: object\n    maps: object = None\n"
-    )
+    (tmp_path / f"{package}.py").write_text(CORNERS)
     monkeypatch.syspath_prepend(tmp_path)
     cache = FeatureCache(tmp_path)
-    _named(cache, package, "ImageFeatures")
+    _named(cache, package, "Corners")
     assert cache.get("aa") is None
     assert package not in sys.modules
 
@@ -212,13 +212,13 @@ def test_a_file_that_names_a_module_imports_nothing(
 def test_features_of_a_plugins_own_type_are_kept_while_the_plugin_is_loaded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    module = types.ModuleType("p2o_plugin_file_corners")
-    exec("from dataclasses import dataclass\n@dataclass(frozen=True)\nclass Corners:\n    uv: object\n", vars(module))
-    monkeypatch.setitem(sys.modules, module.__name__, module)
+    (tmp_path / "p2o_plugin_file_corners.py").write_text(CORNERS)
+    monkeypatch.syspath_prepend(tmp_path)
+    module = importlib.import_module("p2o_plugin_file_corners")
     cache = FeatureCache(tmp_path)
     assert cache.put("aa", module.Corners(np.eye(2)), 0.0)
     assert type(cache.get("aa").features) is module.Corners
-    monkeypatch.delitem(sys.modules, module.__name__)
+    del sys.modules[module.__name__]
     assert cache.get("aa") is None
 
 
@@ -235,6 +235,6 @@ def test_features_that_would_not_be_found_again_are_not_kept(tmp_path: Path) -> 
         uv: np.ndarray
 
     cache = FeatureCache(tmp_path)
-    for features in (Foreign(np.eye(2)), Local(np.eye(2)), {1: np.eye(2)}, namedtuple("Pair", "a b")(1, 2)):  # noqa: PYI024
+    for features in (Foreign(np.eye(2)), Local(np.eye(2)), {1: np.eye(2)}, namedtuple("Pair", "a b")(1, 2)):
         assert not cache.put("aa", features, 0.0)
     assert not cache.has("aa")
