@@ -421,7 +421,7 @@ def test_results_are_exported_beside(fake: list[str], tmp_path: Path, capsys: py
         ),
         (["run", "--perturb", "2 degrees"], "--perturb: cannot read the size"),
         (["run", "--require", "trust"], "--require: cannot read the size"),
-        (["run", "--require", "trusted 0.3deg"], "--require: an accuracy has two parts; expected \"trusted\", or"),
+        (["run", "--require", "trusted 0.3deg"], '--require: an accuracy has two parts; expected "trusted", or'),
         (["run", "--require", "2 degrees"], "--require: cannot read the size"),
         (["run", "--require", "0.3deg"], "--require: an accuracy has two parts"),
         (["run", "--frames", "7"], "--frames: frame index 7 is out of range; expected 0 to 0"),

@@ -21,7 +21,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from p2o.arrays import Float, leaves
+from p2o.arrays import Float, leaves, parts
 from p2o.errors import InputError, P2OError
 from p2o.frames.frame import Frame
 from p2o.geometry.camera import Camera
@@ -231,6 +231,10 @@ def _filled(row: StoredRow, result: Result) -> StoredRow:
         row,
         status=result.status.value,
         reason=result.reason,
+        trust=result.verdict.trust,
+        why=result.verdict.why,
+        judged=plain["judged"],
+        **_beside(result),
         estimate=result.camera_from_lidar,
         rounds=tuple(plain["rounds"]),
         matches=plain["matches"],
@@ -241,6 +245,14 @@ def _filled(row: StoredRow, result: Result) -> StoredRow:
     error = pose_error(result.camera_from_lidar, row.truth)
     axes: dict[str, Any] = {axis: error.per_axis[axis] for axis in AXES}
     return replace(row, rotation_deg=error.rotation_deg, translation_m=error.translation_m, **axes)
+
+
+def _beside(result: Result) -> dict[str, Any]:
+    """Return the columns of what was found beside the pose; what is no number is None, as SQLite has it."""
+    found: dict[str, Any] = {} if result.agreement is None else {"agreement": result.agreement.odds_ratio}
+    for prefix, value in (("rival", result.rival), ("likely", result.accuracy)):
+        found |= {f"{prefix}_{name}": part for name, part in parts(value) or ()}
+    return {name: None if value != value else value for name, value in found.items()}
 
 
 def _result(job: Calibration) -> Result:
