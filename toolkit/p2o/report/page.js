@@ -317,7 +317,7 @@ const block = (name, ...content) => make("div", {}, make("h3", {}, name), ...con
 function detail(run) {
   const parts = [make("p", {}, make("b", { class: run.solved ? "" : "failed" }, run.status), run.reason ? `: ${run.reason}` : "")];
   const why = run.why === run.reason ? "" : run.why;
-  if (run.trust) parts.push(make("p", {}, make("b", { class: doubt(run) }, run.trust), why ? `: ${why}` : ""));
+  if (run.trust) parts.push(make("p", {}, make("b", { class: doubt(run) }, run.trust), why ? `${run.trust === "trusted" ? "; remark" : ""}: ${why}` : ""));
   parts.push(...run.pictures.map(compare));
   const facts = [];
   const rows = data.metrics.map((metric, i) => [`${nameOf(metric)} [${unit(metric)}]`, i < 2 ? fixed(run.start[i], metric) : "", fixed(run.errors[i], metric)]);

@@ -229,7 +229,9 @@ def _unpacked(tree: Mapping[str, Any], arrays: Mapping[str, Any]) -> Any:
         return tree["value"]
     made = {key: _unpacked(part, arrays) for key, part in tree["parts"].items()}
     kind = _kind(tree["kind"])
-    return kind(**made) if is_dataclass(kind) else kind(made if kind is dict else made.values())
+    if kind in _CONTAINERS.values():
+        return kind(made if kind is dict else made.values())
+    return kind(**made)
 
 
 def _kind(named: Any) -> Any:
