@@ -20,6 +20,7 @@ from p2o.frames.selection import select
 from p2o.geometry.perturb import Perturbation, parse_perturbation, wrong_start
 from p2o.geometry.pose_error import pose_error, summarise
 from p2o.host.registry import Registry
+from p2o.results.verdict import Trust, Verdict
 from p2o.run.recipe import Recipe, parse_settings
 from scipy import stats
 
@@ -75,8 +76,6 @@ ROWS = {
         Row("canny/rings", "nearest", "given", PAPER, False),
     ],
 }
-FLAGS = ("ambiguous", "doubtful")
-"""Warnings of a result that are counted, with the errors of the results that have them."""
 MANY_EDGES = 1500
 """Frames with more LiDAR edges in the image than this are full of leaves: trees, hedges, embankments."""
 COLUMNS = (
@@ -133,7 +132,7 @@ def main() -> None:
                 ]
             errors, statuses, began = [], Counter(), time.perf_counter()
             likely: list[Accuracy | None] = []
-            flagged: dict[str, list[bool]] = {word: [] for word in FLAGS}
+            verdicts: list[Verdict] = []
             size = parse_perturbation(row.perturb)
             for seed in range(arguments.seeds if row.joint else arguments.single_seeds):
                 pipeline = Recipe.of(**words, seed=seed).resolve(registry).calibrator()
@@ -155,8 +154,7 @@ def main() -> None:
                     errors.append(pose_error(result.camera_from_lidar, truth))
                     statuses[result.status.value] += 1
                     likely.append(result.accuracy)
-                    for word, flags in flagged.items():
-                        flags.append(any(text.startswith(word) for text in result.warnings))
+                    verdicts.append(result.verdict)
             seconds = (time.perf_counter() - began) / len(errors)
             matcher = row.matcher if row.sides == "LRUB" else f"{row.matcher} ({row.sides})"
             ends = ", ".join(f"{n} {k}" for k, n in sorted(statuses.items()))
@@ -171,13 +169,10 @@ def main() -> None:
                     part = [e for i, e in enumerate(errors) if many[i % len(many)] == wanted_kind]
                     if part:
                         print(f"| | {kind} | | {figures(part, good)}| | |", flush=True)
-                for word, flags in [
-                    *flagged.items(),
-                    ("no warning", [not any(f) for f in zip(*flagged.values(), strict=True)]),
-                ]:
-                    part = [e for e, flag in zip(errors, flags, strict=True) if flag]
+                for trust in Trust:
+                    part = [e for e, verdict in zip(errors, verdicts, strict=True) if verdict.trust is trust]
                     if part:
-                        print(f"| | {word} | | {figures(part, good)}| | |", flush=True)
+                        print(f"| | {trust} | | {figures(part, good)}| | |", flush=True)
 
 
 def leafy(view: View, truth: Float) -> bool:

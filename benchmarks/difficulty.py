@@ -18,12 +18,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from joblib import Parallel, delayed
-from p2o.calibration.agreement import NEAR_PX, Agreement, agreement
+from p2o.calibration.agreement import NEAR_PX, agreement
 from p2o.features.side import SIDES
 from p2o.frames.selection import select
 from p2o.geometry.perturb import parse_perturbation
 from p2o.geometry.pose_error import PoseError, pose_error, summarise
 from p2o.host.registry import Registry
+from p2o.results.evidence import Agreement
+from p2o.results.verdict import Trust
 from p2o.run.recipe import Recipe, open_dataset
 from p2o.work.parallel import limit_threads
 
@@ -39,6 +41,7 @@ class Measured:
     meeting: Agreement
     errors: tuple[PoseError, ...]
     statuses: tuple[str, ...]
+    trusts: tuple[Trust, ...]
 
 
 def main() -> None:
@@ -101,6 +104,7 @@ def measure(images: Sequence[str], data: str, index: int, perturb: str, seeds: i
             meeting=agreement([pipelines[0]._seen(view, truth)], truth),
             errors=tuple(pose_error(result.camera_from_lidar, truth) for result in results),
             statuses=tuple(result.status.value for result in results),
+            trusts=tuple(result.verdict.trust for result in results),
         )
     return out
 
@@ -136,6 +140,8 @@ def figures(frames: Sequence[Measured]) -> dict[str, str]:
     out["within 0.3 deg and 10 cm"] = f"{errors['within_0.3deg_0.1m']} of {errors['count']}"
     statuses = Counter(status for frame in frames for status in frame.statuses)
     out["status"] = ", ".join(f"{count} {status}" for status, count in sorted(statuses.items()))
+    trusts = Counter(trust for frame in frames for trust in frame.trusts)
+    out["verdict"] = ", ".join(f"{trusts[trust]} {trust}" for trust in Trust if trusts[trust])
     return out
 
 

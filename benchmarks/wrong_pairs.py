@@ -17,6 +17,7 @@ from p2o.frames.selection import select
 from p2o.geometry.perturb import wrong_start
 from p2o.geometry.pose_error import pose_error
 from p2o.host.registry import Registry
+from p2o.results.verdict import Trust
 from p2o.run.recipe import Recipe
 
 
@@ -43,9 +44,9 @@ def main() -> None:
             other = views[(number + shift) % len(views)]
             start = wrong_start(frame.camera_from_lidar, 2.0, 0.15, np.random.default_rng([0, number]))
             result = pipeline.solve([replace(view, cloud=other.cloud)], start)
-            odds.append(result.agreement.get("odds_ratio", np.nan))
-            flags.append(not result.status.solved or any(w.startswith("doubtful") for w in result.warnings))
-            any_flag += flags[-1] or any(w.startswith("ambiguous") for w in result.warnings)
+            odds.append(np.nan if result.agreement is None else result.agreement.odds_ratio)
+            flags.append(result.verdict.trust in (Trust.DOUBTFUL, Trust.REFUSED))
+            any_flag += not result.verdict.trusted
             passed += result.reaches(0.5, 0.15)
             if result.accuracy is not None:
                 likely.append((result.accuracy.rotation_deg, result.accuracy.translation_m))

@@ -10,6 +10,7 @@ import numpy as np
 import p2o
 from p2o import se3
 from p2o.geometry.pose_error import pose_error
+from p2o.results.verdict import Trust
 from p2o.study.store import Planned, Store, StoredRow, StoredStudy
 from p2o.testing import stage
 from p2o.work.cache import content_hash
@@ -76,11 +77,11 @@ def run_of(
 
 def rounds(*history: tuple[int, float]) -> tuple[Mapping[str, Any], ...]:
     """Return rounds with these numbers of matches and mean residuals, behind one of an initializer."""
-    blank = {"reach_px": 5.0, "directed_cost_px": 3.0, "step_deg": 0.1, "step_m": 0.01, "accepted": True}
-    first = {**blank, "stage": "initialize", "matches": {}, "mean_residual_px": None}
+    blank = {"reach_px": 5.0, "cost": 3.0, "step_deg": 0.1, "step_m": 0.01, "accepted": True}
+    first = {**blank, "stage": "initialize", "matches": {}, "mean_residual": None}
     return (
         first,
-        *({**blank, "stage": "refine", "matches": {"L": n}, "mean_residual_px": px} for n, px in history),
+        *({**blank, "stage": "refine", "matches": {"L": n}, "mean_residual": px} for n, px in history),
     )
 
 
@@ -93,13 +94,35 @@ def table2(frames: int = 12, seeds: int = 3) -> list[StoredRow]:
             hard = rng.gamma(2.0, 0.5)
             for seed in range(seeds):
                 turn, shift = scale * hard * rng.normal(), 0.4 * scale * hard * rng.normal()
-                refused = {"status": "too-few-matches", "reason": "12 pairs within 50 px, at least 30 are needed"}
-                more = refused if abs(turn) > 4 else {}
-                runs.append(run_of(row, f"2011_09_26/drive_0005/{frame:010d}", seed, turn, shift, **more))
+                runs.append(run_of(row, f"2011_09_26/drive_0005/{frame:010d}", seed, turn, shift, **_judged(turn)))
     for seed in range(seeds):
         names = tuple(f"2011_09_26/drive_0005/{frame:010d}" for frame in range(frames))
         runs.append(run_of("ours, jointly", names[0], seed, 0.05 + 0.01 * seed, 0.01, frames=names, joint=frames))
     return runs
+
+
+def _judged(turn: float) -> dict[str, Any]:
+    """Return status, verdict and evidence of a run that is off by this turn: the wronger, the less trusted."""
+    few = "12 pairs within 50 px, at least 30 are needed"
+    if abs(turn) > 4:
+        return {"status": "too-few-matches", "reason": few, "trust": Trust.REFUSED, "why": few}
+    found: dict[str, Any] = {
+        "trust": Trust.TRUSTED,
+        "why": "",
+        "agreement": 12.5 / (1 + abs(turn)),
+        "judged": {"judge": "directed-distance", "unit": "px", "start": 4.25, "estimate": 3.5},
+        "likely_rotation_deg": 0.25,
+        "likely_translation_m": 0.05,
+        "likely_rotation_deg_95": 0.75,
+        "likely_translation_m_95": 0.15,
+    }
+    if abs(turn) > 1.5:
+        found |= {"trust": Trust.DOUBTFUL, "why": "image and LiDAR edges meet little more often than by chance"}
+    elif abs(turn) > 1:
+        rival = {"lead": 1.25, "unit": "edges", "rotation_deg": 1.61, "translation_m": 0.2}
+        found |= {"trust": Trust.AMBIGUOUS, "why": "another pose, 1.61 deg and 0.20 m away, fits as well"}
+        found |= {f"rival_{name}": value for name, value in rival.items()}
+    return found
 
 
 def staged(**values: Any) -> list[StoredRow]:

@@ -13,8 +13,13 @@ from typing import Any
 import numpy as np
 import p2o
 import pytest
+from p2o import Accuracy, Result, Row, Run, Status
 from p2o.cli import main
+from p2o.cli.run import Required
+from p2o.cli.summary import describe, describe_run
+from p2o.results.evidence import Agreement, Judged, Rival
 from p2o.results.result_json import result_from_json
+from p2o.results.verdict import Doubt, Reason, Verdict
 
 PLUGIN = Path(__file__).with_name("stage_plugin.py")
 STAGE = ["--plugin", str(PLUGIN), "--data", "fake:?frames=1"]
@@ -149,6 +154,7 @@ def test_json_is_one_object_for_each_frame_and_a_summary(fake: list[str], capsys
         assert row["start_error"]["rotation_deg"] == pytest.approx(2.0)
         assert row["seed"] == 3
     assert run["summary"]["status"] == {"converged": 2}
+    assert run["summary"]["trust"] == {"trusted": 2}
     assert run["summary"]["error"]["rotation_deg_mean"] == pytest.approx(2.0)
 
 
@@ -209,6 +215,71 @@ def test_who_cannot_tell_an_accuracy_does_not_reach_it(fake: list[str], capsys: 
     assert main(fake) == 0
     assert main([*fake, "--require", "90deg 9m"]) == 1
     assert "2 of 2 results do not reach 90deg 9m" in capsys.readouterr().err
+
+
+def judged(*doubts: Doubt, **values: Any) -> Row:
+    """Return a row whose result has these doubts."""
+    verdict = Verdict(tuple(Reason(doubt, f"{doubt} is said") for doubt in doubts))
+    status = Status.NO_EDGES if Doubt.NOT_SOLVED in doubts else Status.CONVERGED
+    result = Result(("a",), np.eye(4), np.eye(4), status, "because", **{"verdict": verdict, **values})
+    return Row(result, None, None, None)
+
+
+def test_the_verdict_is_a_line_and_remarks_are_others() -> None:
+    def lines(row: Row) -> list[str]:
+        return [line for line in describe(row).splitlines() if line.startswith(("  verdict", "  remark"))]
+
+    assert lines(judged()) == ["  verdict   trusted"]
+    assert lines(judged(Doubt.CAMERA)) == ["  verdict   trusted", "  remark    camera is said"]
+    both = judged(Doubt.RIVAL_POSE, Doubt.LITTLE_AGREEMENT)
+    assert lines(both) == ["  verdict   doubtful: rival-pose is said; little-agreement is said"]
+    assert lines(judged(verdict=Verdict((Reason(Doubt.NOT_SOLVED, "because"),)))) == ["  verdict   refused"], (
+        "the status has said why"
+    )
+
+
+def test_what_was_found_beside_the_pose_is_said_with_its_units() -> None:
+    more = {"agreement": Agreement(0.3, 0.05, 900), "rival": Rival(1.25, "edges", 1.5, 0.2)}
+    text = describe(judged(judged=Judged("directed-distance", "px", 4.5, 3.75), **more))
+    assert "  edge gap  4.50 px at the start, 3.75 px at the result\n" in text
+    assert "  agreement 30 % of the LiDAR edges meet an image edge, 5 % by chance (odds ratio 8.1)\n" in text
+    assert text.endswith("  next best 1.50 deg and 0.20 m away, 1.2 edges worse")
+    text = describe(judged(judged=Judged("mutual-information", "bit", -0.5, -0.75)))
+    assert text.endswith("  cost      -0.5 bit at the start, -0.75 bit at the result, by mutual-information")
+
+
+def test_solved_results_of_a_run_are_counted_by_their_verdict() -> None:
+    rows = (judged(), judged(Doubt.CAMERA), judged(Doubt.RIVAL_POSE), judged(Doubt.NOT_CHECKED), judged())
+    run = Run((*rows, judged(Doubt.NOT_SOLVED)))
+    lines = describe_run(run).splitlines()
+    assert lines[:2] == ["6 calibrations: 5 converged, 1 no-edges", "  5 solved: 3 trusted, 1 ambiguous, 1 doubtful"]
+    assert run.summary["trust"] == {"trusted": 3, "ambiguous": 1, "doubtful": 1, "refused": 1}
+    assert describe_run(Run((judged(Doubt.NOT_SOLVED),))) == "1 calibrations: 1 no-edges"
+
+
+@pytest.mark.parametrize(
+    ("text", "doubts", "missed"),
+    [
+        ("trusted", (), []),
+        ("trusted", (Doubt.CAMERA,), []),
+        ("trusted", (Doubt.RIVAL_POSE,), ["the result is not trusted"]),
+        ("trusted 0.3deg 0.1m", (), []),
+        ("trusted 0.3deg 0.1m", (Doubt.NOT_CHECKED,), ["the result is not trusted"]),
+        ("0.3deg 0.1m", (Doubt.NOT_CHECKED,), ["the result is not trusted"]),
+        ("0.1deg 0.1m", (), ["the result does not reach 0.1deg 0.1m"]),
+    ],
+)
+def test_what_is_required_is_trust_and_a_size(text: str, doubts: tuple[Doubt, ...], missed: list[str]) -> None:
+    result = judged(*doubts, accuracy=Accuracy(0.2, 0.05, 0.6, 0.2)).result
+    assert Required.of(text).unmet([result]) == missed
+
+
+def test_trust_alone_may_be_required(fake: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*fake, "--require", "trusted"]) == 0
+    assert main([*fake, "--require", "trusted", "--set", "calibrator.status=too-few-matches"]) == 1
+    captured = capsys.readouterr()
+    assert captured.err == "p2o: 2 of 2 results are not trusted, as --require asks\n"
+    assert captured.out.count("  verdict   refused\n") == 2
 
 
 def test_a_refused_calibration_is_exit_status_1(fake: list[str], capsys: pytest.CaptureFixture[str]) -> None:
@@ -348,8 +419,10 @@ def test_results_are_exported_beside(fake: list[str], tmp_path: Path, capsys: py
             "matcher.neighbours is out of bounds; expected greater",
         ),
         (["run", "--perturb", "2 degrees"], "--perturb: cannot read the size"),
+        (["run", "--require", "trust"], "--require: cannot read the size"),
+        (["run", "--require", "trusted 0.3deg"], '--require: an accuracy has two parts; expected "trusted", or'),
         (["run", "--require", "2 degrees"], "--require: cannot read the size"),
-        (["run", "--require", "0.3deg"], "--require: an accuracy has two parts; expected an angle and a length"),
+        (["run", "--require", "0.3deg"], "--require: an accuracy has two parts"),
         (["run", "--frames", "7"], "--frames: frame index 7 is out of range; expected 0 to 0"),
         (["run", "--frames", "@absent.json#test"], "absent.json: the file of splits is missing"),
         (["run", "--data", "kitti-raw:/no/such/folder"], "/no/such/folder"),

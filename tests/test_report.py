@@ -19,6 +19,7 @@ from p2o.report.figures import figures_of
 from p2o.report.rounds import convergence
 from p2o.report.summary import Measured, Published, summarise_study
 from p2o.report.tables import latex, markdown
+from p2o.results.verdict import Trust
 from p2o.study.store import Planned, Store, StoredRow, StoredStudy
 
 from tests.fake_study import PLUGIN, PUBLISHED, planned, rounds, run_of, staged, table2, write_store
@@ -274,6 +275,34 @@ def test_latex_rows_have_as_many_cells_as_columns_and_every_special_letter_is_es
         assert not any(row.startswith("[") for row in rows), "a length of the line break before it"
     assert r"{}[x] 5 \% \& \$k\_1\$ \#\{\textasciitilde{}\textasciicircum{}\textbackslash{}\}" in text
     assert r"\textbf{1.000 [1.000, 1.000]}" in text
+
+
+def test_verdicts_are_counted_in_tables_where_there_are_any() -> None:
+    """Of six runs two are ambiguous and one was refused; the other row is of a store that knew no verdicts."""
+    words = [Trust.TRUSTED] * 3 + [Trust.AMBIGUOUS] * 2 + [Trust.REFUSED]
+    known = [replace(run, trust=word) for run, word in zip(frames(6, "known", [1.0]), words, strict=True)]
+    summary = summarise_study(replace(STUDY, published=PUBLISHED), [*known, *frames(6, "unknown", [2.0])])
+    lines = [[c.strip() for c in line.split("|")[1:-1]] for line in markdown([summary], lambda _: ()).splitlines()]
+    [head] = [line for line in lines if "not solved" in line]
+    place = head.index("verdict")
+    cells = {line[0]: line[place] for line in lines if len(line) == len(head)}
+    assert cells["known"] == "3 trusted, 2 ambiguous, 1 refused"
+    assert cells["unknown"] == "-"
+    assert cells["*RGGNet (published: Yuan et al. 2020)*"] == "-"
+    assert "verdict" in latex([summary]).partition(r"\midrule")[0]
+    nothing = summarise_study(STUDY, frames(6, "unknown", [2.0]))
+    assert "| verdict |" not in markdown([nothing], lambda _: ())
+
+
+def test_costs_that_are_not_finite_are_no_figures(tmp_path: Path) -> None:
+    """Stores hold JSON, in which infinities are texts."""
+    pytest.importorskip("plotly")
+    first, second = rounds((900, 18.0))
+    run = run_of("a", "f0", 0, 1.0, 0.1, rounds=(first, {**second, "cost": "inf"}, {**second, "mean_residual": "inf"}))
+    assert convergence([run]).residual_px.tolist() == [[18.0]] * 3
+    judged = {"judge": "directed-distance", "unit": "px", "start": "inf", "estimate": None}
+    html = write_report(write_store(tmp_path, [replace(run, judged=judged)]))[0].read_text()
+    assert "inf px at the start, - px at the end" in html
 
 
 # ---- figures

@@ -183,6 +183,42 @@ def test_words_rows_and_status_filter_the_runs(page: Page) -> None:
     assert page.find("#count").text == "0 of 108 runs"
 
 
+def test_verdicts_are_counted_by_row_sorted_by_trust_and_filter_the_runs(page: Page) -> None:
+    words = {"trusted", "ambiguous", "doubtful", "refused"}
+    for row, verdict in zip(page.texts("#rows tbody td:first-child")[:3], page.column("rows", "verdict"), strict=False):
+        counts = {word: int(number) for number, word in (part.split() for part in verdict.split(", "))}
+        assert sum(counts.values()) == 36, row
+        assert set(counts) <= words
+    assert page.column("rows", "verdict")[3:] == ["-", "-"], "published rows have none"
+    page.sort("runs", "verdict")
+    found = page.column("runs", "verdict")
+    assert list(dict.fromkeys(found)) == ["trusted", "ambiguous", "doubtful", "refused"], "best first"
+    Select(page.find("#trust")).select_by_visible_text("doubtful")
+    assert page.column("runs", "verdict") == ["doubtful"] * found.count("doubtful")
+
+
+def test_a_run_says_its_verdict_its_reasons_and_the_evidence(page: Page) -> None:
+    Select(page.find("#trust")).select_by_visible_text("ambiguous")
+    page.click("#runs tbody tr:nth-child(1) td")
+    text = page.find("#detail-body").text
+    assert "ambiguous: another pose, 1.61 deg and 0.20 m away, fits as well" in text
+    assert "next best 1.61 deg and 0.2 m away, 1.25 edges worse" in text
+    assert "two of three within 0.25 deg and 0.05 m, 19 of 20 within 0.75 deg and 0.15 m" in text
+    assert "4.25 px at the start, 3.5 px at the end, by directed-distance" in text
+    page.click("#close")
+    Select(page.find("#trust")).select_by_visible_text("refused")
+    page.click("#runs tbody tr:nth-child(1) td")
+    text = page.find("#detail-body").text
+    assert "refused" in text
+    assert text.count("at least 30 are needed") == 1, "said once, beside the status"
+
+
+def test_a_study_that_knows_no_verdicts_shows_none(page: Page) -> None:
+    Select(page.find("#study")).select_by_index(1)
+    assert "verdict" not in page.texts("#rows thead th") + page.texts("#runs thead th")
+    assert not page.find("#trust-choice").is_displayed()
+
+
 def test_a_click_on_a_row_shows_its_runs(page: Page) -> None:
     page.click("#rows tbody tr:nth-child(3) td")
     assert set(page.column("runs", "row")) == {"ours"}
@@ -192,11 +228,11 @@ def test_a_run_opens_with_its_numbers_and_leads_to_the_next(page: Page) -> None:
     page.sort("runs", "rotation [deg]")
     turns = page.column("runs", "rotation [deg]")
     page.click("#runs tbody tr:nth-child(1) td")
-    assert page.texts("#detail-body table tr:nth-child(2) td")[:3] == ["rotation [deg]", "2.000", turns[0]]
+    assert page.texts("#detail-body .facts table tr:nth-child(2) td")[:3] == ["rotation [deg]", "2.000", turns[0]]
     assert "converged" in page.find("#detail-body").text
     assert not page.find("#previous").is_enabled()
     page.click("#next")
-    assert page.texts("#detail-body table tr:nth-child(2) td")[2] == turns[1]
+    assert page.texts("#detail-body .facts table tr:nth-child(2) td")[2] == turns[1]
     assert page.driver.find_elements(By.CSS_SELECTOR, "#detail-body img") == [], "there are no data, so no pictures"
     page.click("#close")
     assert not page.find("#detail").is_displayed()

@@ -1,7 +1,9 @@
-"""Checks that every array between stages passes once, when a dataclass is made."""
+"""What every array between stages is checked for when a dataclass is made, and the way to all arrays in a value."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 import numpy as np
@@ -42,3 +44,21 @@ def checked(name: str, value: Any, shape: tuple[int | None, ...], dtype: Any, *,
     view = array.view()
     view.flags.writeable = False
     return view
+
+
+def parts(value: Any) -> list[tuple[Any, Any]] | None:
+    """Return what a dataclass, mapping, list or tuple is made of, with field, key or place; None for all else."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return [(field.name, getattr(value, field.name)) for field in fields(value)]
+    if isinstance(value, Mapping):
+        return list(value.items())
+    return list(enumerate(value)) if isinstance(value, list | tuple) else None
+
+
+def leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+    """Return all that is inside of a value and has no parts itself, arrays among it, each named "field.place.key"."""
+    inner = parts(value)
+    if inner is None:
+        yield name, value
+    for key, part in inner or ():
+        yield from leaves(part, f"{name}.{key}" if name else str(key))

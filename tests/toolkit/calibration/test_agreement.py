@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, View, se3
-from p2o.calibration.agreement import Agreement, agreement
+from p2o.calibration.agreement import agreement
+from p2o.results.evidence import Agreement
 
 from tests import edge_scene
 from tests.edge_scene import TRUTH

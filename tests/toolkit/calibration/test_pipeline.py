@@ -7,7 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from p2o import CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, RadialError, Side, Solution, Status, View, se3
+from p2o import (
+    CloudEdges,
+    CloudFeatures,
+    ImageEdges,
+    ImageFeatures,
+    RadialError,
+    Result,
+    Side,
+    Solution,
+    Status,
+    View,
+    se3,
+)
 from p2o.calibration.accuracy import deviations
 from p2o.calibration.options import PipelineOptions
 from p2o.calibration.pipeline import Pipeline
@@ -15,6 +27,7 @@ from p2o.geometry.ego_motion import EgoMotion
 from p2o.geometry.motion import moved
 from p2o.geometry.perturb import wrong_start
 from p2o.geometry.pose_error import pose_error
+from p2o.results.verdict import Doubt, Trust, Verdict
 from p2o_baselines import nearest
 from p2o_plugins.initialize import given, grid, search
 from p2o_plugins.match import ogm
@@ -97,7 +110,7 @@ def test_every_round_is_recorded_with_a_shrinking_reach() -> None:
     reaches = [r.reach_px for r in result.rounds]
     assert reaches[0] == 50.0
     assert all(b < a or b == 5.0 for a, b in itertools.pairwise(reaches))
-    assert result.rounds[-1].mean_residual_px < result.rounds[0].mean_residual_px
+    assert result.rounds[-1].mean_residual < result.rounds[0].mean_residual
     assert set(result.matches) == {"L", "R", "U", "B"}
 
 
@@ -192,10 +205,15 @@ def test_an_image_and_a_sweep_of_different_moments_are_called_doubtful_and_a_rig
     for seed in range(4):
         right, other = edge_scene.view(seed=seed), edge_scene.view(seed=seed + 10)
         good = pipeline().solve([right], start(seed))
-        assert not good.warnings
-        assert good.agreement["odds_ratio"] > 100
+        assert good.verdict == Verdict()
+        assert good.agreement.odds_ratio > 100
         bad = pipeline().solve([replace(right, cloud=other.cloud)], start(seed))
-        assert not bad.status.solved or any("doubtful" in warning for warning in bad.warnings)
+        assert bad.verdict.trust in (Trust.DOUBTFUL, Trust.REFUSED)
+
+
+def in_doubt(result: Result) -> bool:
+    """Return whether the calibration of a camera is."""
+    return any(reason.doubt is Doubt.CAMERA for reason in result.verdict.reasons)
 
 
 MISCALIBRATED = RadialError(-0.003, 0.02)
@@ -212,20 +230,20 @@ def test_a_wrong_calibration_of_the_camera_is_told() -> None:
     trusted = pipeline(camera="trust").solve(wrongly_calibrated(), start())
     checked = pipeline().solve(wrongly_calibrated(), start())
     assert trusted.cameras == ()
-    assert not any("calibration is in doubt" in text for text in trusted.warnings)
+    assert not in_doubt(trusted)
     assert np.array_equal(checked.camera_from_lidar, trusted.camera_from_lidar)
     (check,) = checked.cameras
     assert check.frames == 4
     assert not check.corrected
     assert check.radial == pytest.approx(MISCALIBRATED.radial, rel=0.3)
-    assert any("calibration is in doubt" in text for text in checked.warnings)
+    assert in_doubt(checked)
 
 
 def test_a_right_calibration_is_not_doubted() -> None:
     views = [edge_scene.view(seed=i, boxes=60, noise_px=0.3) for i in range(4)]
     result = pipeline().solve(views, start())
     assert result.cameras[0].shift_px < 0.3
-    assert not any("calibration is in doubt" in text for text in result.warnings)
+    assert not in_doubt(result)
 
 
 def test_refining_the_camera_finds_its_error_and_a_better_pose() -> None:
@@ -246,7 +264,7 @@ def test_refining_the_camera_finds_its_error_and_a_better_pose() -> None:
     assert after.translation_m < 0.005
     assert after.translation_m < 0.5 * before.translation_m
     assert refined.directed_cost_px[1] < trusted.directed_cost_px[1]
-    assert not any("calibration is in doubt" in text for text in refined.warnings)
+    assert not in_doubt(refined)
 
 
 def test_refining_a_right_camera_leaves_it_and_the_pose() -> None:
@@ -416,9 +434,9 @@ def test_a_scene_that_fits_in_two_places_is_called_ambiguous() -> None:
     view = replace(view, image=ImageFeatures(twice))
     plan = replace(pipeline(), initializer=at_places([TRUTH, away @ TRUTH]))
     result = plan.solve([view], start(0, 1.0))
-    assert result.rival["edges"] < 1.5
-    assert result.rival["rotation_deg"] == pytest.approx(3.0, abs=0.1)
-    assert any(text.startswith("ambiguous") for text in result.warnings)
+    assert (result.rival.unit, result.rival.lead < 1.5) == ("edges", True)
+    assert result.rival.rotation_deg == pytest.approx(3.0, abs=0.1)
+    assert result.verdict.trust is Trust.AMBIGUOUS
     # However sharp the edges: which place is right cannot be told.
     assert result.accuracy.reaches(1.0, 1.0)
     assert not result.reaches(1.0, 1.0)
@@ -429,6 +447,5 @@ def test_a_clear_scene_is_not_ambiguous() -> None:
     plan = replace(pipeline(), initializer=at_places([away @ TRUTH, TRUTH]))
     result = plan.solve([edge_scene.view()], start(0, 1.0))
     assert pose_error(result.camera_from_lidar, TRUTH).rotation_deg < 0.02
-    assert not any(text.startswith("ambiguous") for text in result.warnings)
-    if result.rival:
-        assert result.rival["edges"] > 10
+    assert result.verdict.trusted
+    assert result.rival is None or result.rival.lead > 10

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from p2o import InputError, Result, Round, Status
 from p2o.draw.overlay import COLOURS
 from p2o.draw.plots import convergence
+from p2o.results.evidence import Judged
 
 
 def _result(rounds: tuple[Round, ...]) -> Result:
@@ -52,3 +54,23 @@ def test_the_same_result_gives_the_same_bytes(tmp_path: Path) -> None:
 def test_a_missing_folder_is_an_error_of_ours(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot write the file"):
         convergence(_result(()), tmp_path / "nowhere" / "convergence.png")
+
+
+def test_costs_in_another_unit_have_their_own_axis_and_may_be_negative(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from matplotlib.figure import Figure
+
+    drawn: list[Figure] = []
+    monkeypatch.setattr(Figure, "savefig", lambda self, *_, **__: drawn.append(self))
+    rounds = tuple(replace(_round({"L": 9}, 2.0 - i), cost=-1.0 - i) for i in range(2))
+    judged = Judged("mutual-information", "bit", -0.5, -2.0)
+    for some in (rounds, tuple(replace(r, mean_residual=float("nan")) for r in rounds)):
+        convergence(replace(_result(some), judged=judged), tmp_path / "a.png")
+        convergence(_result(some), tmp_path / "b.png")
+    units = [[axis.get_ylabel() for axis in figure.axes] for figure in drawn]
+    assert units == [["matches", "pixels", "bit"], ["matches", "pixels"], ["matches", "bit"], ["matches", "pixels"]]
+    low, high = drawn[0].axes[2].get_ylim()
+    assert low <= -2.0 < -1.0 < high
+    labels = [text.get_text() for text in drawn[0].axes[1].get_legend().get_texts()]
+    assert labels == ["mean residual", "mutual-information"]

@@ -25,7 +25,7 @@ def test_every_kind_has_one_slot_and_one_stage() -> None:
 
 def test_stages_are_those_of_a_recipe_and_the_pipeline() -> None:
     words = "data extractor cloud matcher solver init calibrator accumulate pipeline"
-    assert STAGES == tuple(words.split())
+    assert tuple(words.split()) == STAGES
     assert KIND_OF["init"] is Kind.INITIALIZER
     assert STAGE_OF[Kind.CLOUD_EXTRACTOR] == "cloud"
     assert Kind.EXPORTER not in STAGE_OF

@@ -10,7 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 from p2o import Accuracy, Camera, CameraCheck, InputError, RadialError, Result, Round, Status, SweepMotion, se3
+from p2o.arrays import parts
+from p2o.results.evidence import Agreement, Judged, Rival
 from p2o.results.result_json import result_from_dict, result_from_json, result_to_dict, result_to_json
+from p2o.results.verdict import Doubt, Reason, Verdict
 
 PINHOLE = Camera.pinhole(700.0, 1e3 / 3, 600.0, 180.0, 1242, 375)
 BETTER = RadialError(0.1 / 3, 0.01).corrected(PINHOLE)
@@ -28,13 +31,15 @@ def _result(seed: int = 0) -> Result:
         camera_from_lidar=se3.exp(rng.normal(size=6)),
         status=Status.ROUNDS_SPENT,
         reason='all 10 rounds were used: "so\nbe it"',
-        rounds=(*rounds, replace(rounds[0], mean_residual_px=math.nan, directed_cost_px=math.inf, step_m=-0.0)),
+        rounds=(*rounds, replace(rounds[0], mean_residual=math.nan, cost=math.inf, step_m=-0.0)),
         covariance=rng.normal(size=(6, 6)),
         accuracy=Accuracy(0.1 / 3, math.inf, 1e-300, math.nan),
         matches={"L": 3},
         residual_px={"L": 0.1, "U": math.nan},
-        directed_cost_px=(4.0, -math.inf),
-        rival={"edges": 1.5, "rotation_deg": math.inf},
+        judged=Judged("directed-distance", "px", 4.0, -math.inf),
+        agreement=Agreement(1 / 3, 0.1 / 3, 4000),
+        rival=Rival(1.5, "edges", math.inf, 0.1 / 3),
+        verdict=Verdict((Reason(Doubt.RIVAL_POSE, "another pose"), Reason(Doubt.CAMERA, 'it is "off"'))),
         cameras=(
             CameraCheck(
                 4,
@@ -67,17 +72,12 @@ def _bits(value: Any) -> Any:
         return value.dtype.str, value.shape, value.tobytes()
     if isinstance(value, float):
         return np.float64(value).tobytes() if value == value else "nan"
-    if isinstance(value, dict):
-        return {k: _bits(v) for k, v in value.items()}
-    if isinstance(value, tuple | list):
-        return type(value), [_bits(v) for v in value]
-    if isinstance(value, Round | CameraCheck | Camera | SweepMotion):
-        return [_bits(getattr(value, f.name)) for f in fields(value)]
-    return type(value), value
+    inner = parts(value)
+    return type(value), value if inner is None else [(key, _bits(part)) for key, part in inner]
 
 
 def _same(a: Result, b: Result) -> bool:
-    return all(_bits(getattr(a, f.name)) == _bits(getattr(b, f.name)) for f in fields(Result))
+    return _bits(a) == _bits(b)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -98,9 +98,39 @@ def test_the_text_is_json_for_every_reader_without_nan() -> None:
 
     value = json.loads(result_to_json(_result()), parse_constant=refuse)
     assert value["status"] == "rounds-spent"
-    assert value["rounds"][2]["mean_residual_px"] is None
-    assert value["rounds"][2]["directed_cost_px"] == "inf"
+    assert value["rounds"][2]["mean_residual"] is None
+    assert value["rounds"][2]["cost"] == "inf"
     assert list(value) == [f.name for f in fields(Result)]
+
+
+def test_the_word_of_the_verdict_and_the_odds_are_there_for_who_reads_the_file_alone() -> None:
+    value = result_to_dict(_result())
+    assert value["verdict"] == {
+        "trust": "ambiguous",
+        "reasons": [{"doubt": "rival-pose", "text": "another pose"}, {"doubt": "camera", "text": 'it is "off"'}],
+    }
+    assert value["agreement"]["odds_ratio"] == pytest.approx((1 / 2) / ((0.1 / 3) / (1 - 0.1 / 3)))
+    assert list(value["rival"].values()) == [1.5, "edges", "inf", 0.1 / 3]
+    bare = result_to_dict(Result(("a",), np.eye(4), np.eye(4), Status.NO_EDGES, "no edges in the image"))
+    reasons = [{"doubt": "not-solved", "text": "no edges in the image"}]
+    assert bare["verdict"] == {"trust": "refused", "reasons": reasons}
+    assert (bare["agreement"], bare["rival"], bare["judged"]) == (None, None, None)
+
+
+def test_a_word_of_the_verdict_that_somebody_changed_is_not_believed() -> None:
+    value = result_to_dict(_result())
+    value["verdict"]["trust"] = "trusted"
+    assert not result_from_dict(value).verdict.trusted
+    del value["verdict"]["trust"], value["agreement"]["odds_ratio"]
+    assert _same(result_from_dict(value), _result())
+
+
+def test_a_result_of_an_earlier_version_is_refused_and_says_so() -> None:
+    value = result_to_dict(_result())
+    del value["verdict"], value["judged"]
+    value |= {"directed_cost_px": [4.0, 2.0], "agreement": {"odds_ratio": 7.0}}
+    with pytest.raises(InputError, match=r"written by an earlier version of p2o.*p2o-calib.*0\.1\.0.*calibrate again"):
+        result_from_dict(value)
 
 
 def test_numbers_of_numpy_are_numbers() -> None:
@@ -119,20 +149,25 @@ def test_a_recipe_that_json_cannot_hold_is_refused_with_its_place() -> None:
     [
         (lambda d: d.pop("status"), "status missing"),
         (lambda d: d.update(colour=1), "colour unknown"),
-        (lambda d: d["rounds"][0].pop("step_m"), "an entry of rounds has other fields.*step_m missing"),
+        (lambda d: d["rounds"][0].pop("step_m"), "rounds.0 has other fields.*step_m missing"),
         (lambda d: d.update(status="fine"), "status is unknown.*converged"),
         (lambda d: d.update(start=[[1.0] * 4] * 3), "start is not a list of 4"),
         (lambda d: d["start"][0].__setitem__(0, 5.0), "start is not orthonormal|start mirrors"),
         (lambda d: d["start"][3].__setitem__(0, None), "not finite"),
         (lambda d: d.update(frames="one"), "frames is not a list"),
-        (lambda d: d.update(frames=[1]), "frames is not a text"),
+        (lambda d: d.update(frames=[1]), "frames.0 is not a text"),
         (lambda d: d.update(seed=1.5), "seed is not a whole number"),
         (lambda d: d.update(seed=True), "seed is not a whole number"),
         (lambda d: d.update(matches={"L": "3"}), "matches.L is not a whole number"),
         (lambda d: d.update(residual_px={"L": "much"}), "residual_px.L is not a number"),
         (lambda d: d.update(seconds=[]), "seconds is not an object"),
-        (lambda d: d["rounds"][0].update(accepted=1), "accepted is not true or false"),
-        (lambda d: d.update(directed_cost_px=[1.0]), "directed_cost_px is not a list of 2"),
+        (lambda d: d["rounds"][0].update(accepted=1), "rounds.0.accepted is not true or false"),
+        (lambda d: d.update(verdict=None), "verdict is not an object"),
+        (lambda d: d["verdict"]["reasons"][1].update(doubt="mood"), "verdict.reasons.1.doubt is unknown.*rival-pose"),
+        (lambda d: d["agreement"].update(points=1.5), "agreement.points is not a whole number"),
+        (lambda d: d["judged"].pop("unit"), "judged has other fields; expected judge, unit.*unit missing"),
+        (lambda d: d["motions"][0].update(twist=[0.0] * 5), "motions.0.twist is not a list of 6"),
+        (lambda d: d["cameras"][0]["better"].update(width="wide"), "cameras.0.better.width is not a whole number"),
         (lambda d: d.update(covariance=[[0.0] * 6] * 5), "covariance is not a list of 6"),
         (lambda d: d["accuracy"].pop("translation_m_95"), "accuracy has other fields.*translation_m_95 missing"),
         (lambda d: d.update(recipe=None), "recipe is not an object"),

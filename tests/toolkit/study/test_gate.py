@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from p2o import InputError
 from p2o.cli import main
+from p2o.results.verdict import Trust
 from p2o.study.gate import judge, make_reference, read_reference, write_reference
 from p2o.study.store import Planned, StoredRow
 from p2o.study.study import parse_study
@@ -59,9 +60,9 @@ def test_what_is_unchanged_or_a_little_worse_passes() -> None:
 
 
 def test_better_passes_and_is_shown() -> None:
-    verdict = judge(STUDY, rows(rotation_deg=0.0), [], REFERENCE)
-    assert verdict.open
-    assert verdict.moved == ("a: mean rotation_deg 0.1500 -> 0.1000", "  a, f/0, seed 0: rotation_deg 0.1000 -> 0.0000")
+    ruling = judge(STUDY, rows(rotation_deg=0.0), [], REFERENCE)
+    assert ruling.open
+    assert ruling.moved == ("a: mean rotation_deg 0.1500 -> 0.1000", "  a, f/0, seed 0: rotation_deg 0.1000 -> 0.0000")
 
 
 def test_a_row_that_crashed_is_missing_or_new_closes_it() -> None:
@@ -85,12 +86,26 @@ def test_errors_that_are_no_numbers_close_it() -> None:
 
 def test_more_refused_calibrations_than_may_be_close_it() -> None:
     refused = rows(status="too-few-matches")
-    verdict = judge(STUDY, refused, [], REFERENCE)
-    assert verdict.failures == ("a: 1 of 2 calibrations were refused, was 0",)
-    assert verdict.moved == ("  a, f/0, seed 0: was solved, now refused or crashed",)
+    ruling = judge(STUDY, refused, [], REFERENCE)
+    assert ruling.failures == ("a: 1 of 2 calibrations were refused, was 0",)
+    assert ruling.moved == ("  a, f/0, seed 0: was solved, now refused or crashed",)
     tolerance = REFERENCE.tolerance.model_copy(update={"failures": 1})
     assert judge(STUDY, refused, [], REFERENCE.model_copy(update={"tolerance": tolerance})).open
     assert judge(STUDY, rows(), [], make_reference(STUDY, refused)).open
+
+
+def test_verdicts_that_changed_are_shown_and_do_not_close_it(tmp_path: Path) -> None:
+    trusted = [replace(row, trust=Trust.TRUSTED) for row in rows()]
+    reference = make_reference(STUDY, trusted)
+    write_reference(tmp_path / "r.json", reference)
+    assert read_reference(tmp_path / "r.json") == reference
+    assert str(judge(STUDY, trusted, [], reference)) == "gate: open"
+    changed = judge(STUDY, [replace(trusted[0], trust=Trust.DOUBTFUL), *trusted[1:]], [], reference)
+    assert changed.open
+    assert changed.moved == ("a: 2 trusted -> 1 trusted, 1 doubtful",)
+    assert str(judge(STUDY, trusted, [], REFERENCE)) == "gate: open", (
+        "a reference without verdicts says nothing of them"
+    )
 
 
 def test_a_reference_comes_back_and_an_update_keeps_the_tolerances_that_were_edited(tmp_path: Path) -> None:
@@ -150,6 +165,26 @@ def test_means_and_medians_are_of_absolute_errors_and_refused_ones_count() -> No
     assert (tally.mean["yaw_deg"], tally.median["yaw_deg"]) == (3.0, 2.0)
     [nothing] = tallies([made[3]], ["yaw_deg"])
     assert np.isnan(nothing.mean["yaw_deg"])
+
+
+def test_the_table_counts_verdicts_where_there_are_any() -> None:
+    """Row a: one ambiguous, one refused; row b is of a store that knew nothing of verdicts."""
+    made = rows(trust=Trust.AMBIGUOUS)
+    made[1] = replace(made[1], trust=Trust.REFUSED, status="no-edges")
+    [tally, unknown] = tallies(made, STUDY.metrics)
+    assert (tally.trust, unknown.trust) == ({"ambiguous": 1, "refused": 1}, {})
+    for text in (
+        TEXT,
+        TEXT.replace('title = "S"', 'title = "S"\nmetrics = ["roll_deg", "pitch_deg", "yaw_deg", "x_m"]'),
+    ):
+        lines = table(parse_study(text), made).splitlines()
+        assert lines[0].split()[:3] == ["runs", "failed", "ambiguous"]
+        [a, b] = [line.split() for line in lines if line.split()[0] in "ab"]
+        assert a[1:4] == ["2", "1", "1"]
+        assert b[1:4] == ["2", "0", "-"]
+        end = lines[0].index("ambiguous") + len("ambiguous")
+        assert [line[end - 1] for line in lines if line.split()[0] in "ab"] == ["1", "-"], "below its head"
+    assert "ambiguous" not in table(STUDY, rows())
 
 
 def test_the_table_shows_published_figures_beside_the_row_they_belong_to() -> None:

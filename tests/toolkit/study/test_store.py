@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from p2o import InputError
-from p2o.study.store import METRICS, Planned, Store, StoredRow, StoredStudy
+from p2o.results.verdict import Trust
+from p2o.study.store import _NEW_IN_2, METRICS, Planned, Store, StoredRow, StoredStudy
 
 POSE = np.array([[0.1 + 0.2, -1.0, 0, 1 / 3], [0, 0, -1, 1e-300], [1, 0, 0, -0.0], [0, 0, 0, 1]])
 STUDY = StoredStudy("table2", 'name = "table2"\n', {"kitti": "kitti-raw:x"}, ({"label": "RGGNet", "values": {}},))
@@ -46,7 +47,19 @@ def test_a_row_comes_back_with_every_bit_of_every_field(tmp_path: Path) -> None:
         start_translation_m=0.15,
         estimate=POSE,
         start=POSE,
-        rounds=({"stage": "refine", "matches": {"L": 3}, "mean_residual_px": None},),
+        trust=Trust.AMBIGUOUS,
+        why="another pose fits as well",
+        agreement=7.1 / 3,
+        rival_lead=1.25,
+        rival_unit="edges",
+        rival_rotation_deg=1.5,
+        rival_translation_m=0.2,
+        likely_rotation_deg=0.1 / 3,
+        likely_translation_m=0.02,
+        likely_rotation_deg_95=float("inf"),
+        likely_translation_m_95=0.06,
+        judged={"judge": "directed-distance", "unit": "px", "start": 4.5, "estimate": 1 / 3},
+        rounds=({"stage": "refine", "matches": {"L": 3}, "mean_residual": None, "cost": 2.5},),
         matches={"L": 3},
         seconds={"extract": 0.1},
         recipe={"options": {"matcher": {"sides": "LR"}}},
@@ -81,6 +94,78 @@ def test_anyone_reads_the_rows_with_one_line_of_sql(tmp_path: Path) -> None:
     assert dict(found)["row"] == "ours"
     assert dict(found)["rotation_deg"] == 0.25
     assert dict(found)["frames"] == '["a/1"]'
+
+
+def test_sql_can_ask_whom_to_trust(tmp_path: Path) -> None:
+    with Store.open(tmp_path) as store:
+        store.begin(STUDY, planned("a", "b", "c"))
+        store.put(row("a", trust=Trust.TRUSTED, why="", agreement=9.5))
+        store.put(row("b", trust=Trust.DOUBTFUL, why="edges meet by chance", agreement=2.5))
+        store.put(row("c", trust=Trust.REFUSED, status="no-edges"))
+    with sqlite3.connect(tmp_path / "study.sqlite") as connection:
+        query = "select key, why from rows where trust = 'doubtful' or agreement < 3"
+        assert connection.execute(query).fetchall() == [("b", "edges meet by chance")]
+        assert connection.execute("select max(agreement), typeof(trust) from rows").fetchone() == (9.5, "text")
+    connection.close()
+
+
+def _aged(path: Path) -> None:
+    """Turn a store into one of version 1: without the columns of version 2, costs in pixels."""
+    with sqlite3.connect(path) as connection:
+        names = [name for _, name, *_ in connection.execute("pragma table_info(runs)")]
+        old = ", ".join(name for name in names if name not in _NEW_IN_2)
+        connection.execute("drop view rows")
+        connection.execute(f"create table old as select {old} from runs")
+        connection.execute("drop table runs")
+        connection.execute(f"create table runs (key text primary key, {old.partition(', ')[2]})")
+        connection.execute(f"insert into runs ({old}) select {old} from old")
+        connection.execute("drop table old")
+        connection.execute(
+            f"create view rows as select plan.study, {old.replace('key', 'plan.key')} from plan join runs"
+        )
+        rounds = '[{"stage": "refine", "mean_residual_px": 1.5, "directed_cost_px": 2.5}]'
+        connection.execute("update runs set rounds = ?", (rounds,))
+        connection.execute("pragma user_version = 1")
+    connection.close()
+
+
+def test_a_store_of_version_1_is_brought_up_to_date_and_says_nothing_it_does_not_know(tmp_path: Path) -> None:
+    before = row("a", rotation_deg=1 / 3, estimate=POSE, matches={"L": 3})
+    with Store.open(tmp_path) as store:
+        store.begin(STUDY, planned("a", "b"))
+        store.put(before)
+    _aged(tmp_path / "study.sqlite")
+    for _ in range(2):
+        with Store.open(tmp_path, create=False) as store:
+            [back] = store.rows("table2")
+            assert (back.rotation_deg, back.matches, back.status) == (1 / 3, {"L": 3}, "converged")
+            assert back.estimate.tobytes() == POSE.tobytes()
+            assert {getattr(back, name) for name in _NEW_IN_2} == {None}
+            assert back.rounds == ({"stage": "refine", "mean_residual": 1.5, "cost": 2.5},)
+            assert store.finished(["a", "b"]) == {"a"}
+    with Store.open(tmp_path) as store:
+        store.put(row("b", trust=Trust.TRUSTED, agreement=9.0))
+        assert [r.trust for r in store.rows("table2")] == [None, Trust.TRUSTED]
+
+
+def _open(folder: Path) -> None:
+    Store.open(folder).close()
+
+
+def test_several_processes_bring_one_store_up_to_date(tmp_path: Path) -> None:
+    with Store.open(tmp_path) as store:
+        store.begin(STUDY, planned("a"))
+        store.put(row("a"))
+    _aged(tmp_path / "study.sqlite")
+    context = multiprocessing.get_context("spawn")
+    openers = [context.Process(target=_open, args=(tmp_path,)) for _ in range(3)]
+    for opener in openers:
+        opener.start()
+    for opener in openers:
+        opener.join(60)
+    assert [opener.exitcode for opener in openers] == [0, 0, 0]
+    with Store.open(tmp_path) as store:
+        assert [r.rounds[0]["cost"] for r in store.rows("table2")] == [2.5]
 
 
 def test_rows_are_those_the_study_asks_for_now_in_its_order(tmp_path: Path) -> None:

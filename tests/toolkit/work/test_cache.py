@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import importlib
+import json
 import sys
-from dataclasses import replace
+from collections import namedtuple
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -161,3 +163,82 @@ def test_the_folder_is_the_users_cache_unless_it_is_named(monkeypatch: pytest.Mo
     monkeypatch.delenv("XDG_CACHE_HOME")
     home = {"linux": ".cache/p2o", "darwin": "Library/Caches/p2o", "win32": "AppData/Local/p2o/Cache"}
     assert cache_folder() == Path.home() / home[sys.platform]
+
+
+CORNERS = "from dataclasses import dataclass\n@dataclass(frozen=True)\nclass Corners:\n    edges: object\n"
+
+
+def _named(cache: FeatureCache, module: str, name: str) -> None:
+    """Write a file whose features are of a type that somebody else names."""
+    cache.put("aa", FEATURES, 0.0)
+    with np.load(cache.path("aa")) as content:
+        arrays = {key: content[key] for key in content.files}
+    head = json.loads(arrays["head"].tobytes())
+    head["features"]["kind"] = [module, name]
+    np.savez(cache.path("aa"), **{**arrays, "head": np.frombuffer(json.dumps(head).encode(), np.uint8)})
+
+
+@pytest.mark.parametrize(
+    ("module", "name"),
+    [
+        ("os", "system"),
+        ("os", "stat_result"),
+        ("subprocess", "Popen"),
+        ("p2o.features.edges", "np.ndarray"),
+        ("p2o.features.edges", "replace"),
+        ("p2o.work.cache", "os"),
+        ("p2o.work.cache", "FeatureCache.__init__"),
+        ("p2o", "ImageFeatures"),
+        ("joblib.parallel", "BatchedCalls"),
+    ],
+)
+def test_a_file_that_names_what_is_no_dataclass_of_ours_counts_as_none(tmp_path: Path, module: str, name: str) -> None:
+    cache = FeatureCache(tmp_path)
+    _named(cache, module, name)
+    assert cache.get("aa") is None
+    _named(cache, "p2o.features.sets", "ImageFeatures")
+    assert cache.get("aa") is not None
+
+
+@pytest.mark.parametrize("package", ["acme_never_loaded", "p2o_plugin_file_never_loaded"])
+def test_a_file_that_names_a_module_imports_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str
+) -> None:
+    """The module is there and has the type; it is not taken because nobody else has imported it."""
+    (tmp_path / f"{package}.py").write_text(CORNERS)
+    monkeypatch.syspath_prepend(tmp_path)
+    cache = FeatureCache(tmp_path)
+    _named(cache, package, "Corners")
+    assert cache.get("aa") is None
+    assert package not in sys.modules
+
+
+def test_features_of_a_plugins_own_type_are_kept_while_the_plugin_is_loaded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "p2o_plugin_file_corners.py").write_text(CORNERS)
+    monkeypatch.syspath_prepend(tmp_path)
+    module = importlib.import_module("p2o_plugin_file_corners")
+    cache = FeatureCache(tmp_path)
+    assert cache.put("aa", module.Corners(np.eye(2)), 0.0)
+    assert type(cache.get("aa").features) is module.Corners
+    del sys.modules[module.__name__]
+    assert cache.get("aa") is None
+
+
+@dataclass(frozen=True)
+class Foreign:
+    """A dataclass of no plugin."""
+
+    uv: np.ndarray
+
+
+def test_features_that_would_not_be_found_again_are_not_kept(tmp_path: Path) -> None:
+    @dataclass(frozen=True)
+    class Local:
+        uv: np.ndarray
+
+    cache = FeatureCache(tmp_path)
+    for features in (Foreign(np.eye(2)), Local(np.eye(2)), {1: np.eye(2)}, namedtuple("Pair", "a b")(1, 2)):
+        assert not cache.put("aa", features, 0.0)
+    assert not cache.has("aa")

@@ -115,9 +115,9 @@ def command(
         click.echo(f"reference written: {gate}")
         return 0
     assert reference is not None
-    verdict = gates.judge(file.study, done.rows, done.missing, reference)
-    click.echo(str(verdict))
-    return 0 if verdict.open else 1
+    ruling = gates.judge(file.study, done.rows, done.missing, reference)
+    click.echo(str(ruling))
+    return 0 if ruling.open else 1
 
 
 def _list(plugins: Any) -> str:

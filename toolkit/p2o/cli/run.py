@@ -6,6 +6,7 @@ import contextlib
 import json
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from p2o.errors import InputError
 
 if TYPE_CHECKING:
     from p2o.geometry.perturb import Perturbation
+    from p2o.results.result import Result
     from p2o.run.run import Progress, Row
 
 _PLACE = "{frame}"
@@ -45,8 +47,8 @@ _PLACE = "{frame}"
 @click.option("--joint", is_flag=True, default=None, help="One result for all frames together.")
 @click.option(
     "--require",
-    metavar='"0.3deg 0.1m"',
-    help="Exit status 1 unless results are likely to be this accurate, and not doubtful.",
+    metavar='"[trusted] [0.3deg 0.1m]"',
+    help="Exit status 1 unless every result is trusted and, where a size is said, likely to be this accurate.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else on stdout.")
 @click.option("--out", type=click.Path(), metavar="DIR", help="Write result JSON, overlays and convergence plots here.")
@@ -70,7 +72,7 @@ def command(
     p2o run --data kitti-raw:PATH --frames @splits.json#test --joint --out out
 
     Where there are several results, PATH of --export holds {frame}. Exit status 1 where any calibration was refused
-    (its status says why) or is not as accurate as required.
+    (its status says why) or is not as required.
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     with _stdout_kept_for_json(as_json) as stdout:
         from p2o.cli.out_dir import OutDir
@@ -81,7 +83,7 @@ def command(
         from p2o.run.words import parse_settings
 
         registry = load(plugin, block)
-        bound = None if require is None else _bound(require)
+        wanted = None if require is None else Required.of(require)
         words = {name: value for name, value in words.items() if value is not None}
         if settings:
             words["options"] = parse_settings(settings)
@@ -120,28 +122,53 @@ def command(
         stdout.write(describe_run(done) + "\n")
     if interrupted:
         return 130
-    short = (
-        [] if bound is None else [row for row in done.rows if not row.result.reaches(bound.angle_deg, bound.distance_m)]
-    )
-    if short:
-        of = f"{len(short)} of {len(done.rows)} results do" if len(done.rows) > 1 else "the result does"
-        click.echo(f"p2o: {of} not reach {bound}, as --require asks", err=True)
+    short = [] if wanted is None else wanted.unmet([row.result for row in done.rows])
+    for line in short:
+        click.echo(f"p2o: {line}, as --require asks", err=True)
     return 0 if done.solved and not short else 1
 
 
-def _bound(text: str) -> Perturbation:
-    """Return the error that a result may have; raises InputError unless both its parts are stated."""
-    from p2o.geometry.perturb import parse_perturbation
+@dataclass(frozen=True)
+class Required:
+    """What results have to be: trusted, and where `bound` says so likely to have no larger error."""
 
-    bound = parse_perturbation(text, "--require")
-    if bound.uniform or not (bound.angle_deg > 0 and bound.distance_m > 0):
-        raise InputError(
-            "an accuracy has two parts",
-            where="--require",
-            expected='an angle and a length, "0.3deg 0.1m"',
-            got=repr(text),
-        )
-    return bound
+    bound: Perturbation | None
+
+    @classmethod
+    def of(cls, text: str) -> Required:
+        """Return what a text asks for; raises InputError unless it states both parts of an accuracy, or none."""
+        from p2o.geometry.perturb import parse_perturbation
+        from p2o.results.verdict import Trust
+
+        word, _, rest = text.strip().partition(" ")
+        size = rest if word == Trust.TRUSTED else text
+        if not size.strip() and word == Trust.TRUSTED:
+            return cls(None)
+        bound = parse_perturbation(size, "--require")
+        if bound.uniform or not (bound.angle_deg > 0 and bound.distance_m > 0):
+            raise InputError(
+                "an accuracy has two parts",
+                where="--require",
+                expected='"trusted", or an angle and a length, "0.3deg 0.1m"',
+                got=repr(text),
+            )
+        return cls(bound)
+
+    def unmet(self, results: Sequence[Result]) -> list[str]:
+        """Return a line for each way in which results fall short."""
+        doubted = sum(not result.verdict.trusted for result in results)
+        lines = [_of(doubted, len(results), "is not trusted", "are not trusted")] if doubted else []
+        if self.bound is not None:
+            size = self.bound.angle_deg, self.bound.distance_m
+            wide = sum(result.verdict.trusted and not result.reaches(*size) for result in results)
+            words = (f"{verb} not reach {self.bound}" for verb in ("does", "do"))
+            lines += [_of(wide, len(results), *words)] if wide else []
+        return lines
+
+
+def _of(some: int, many: int, one: str, several: str) -> str:
+    """Return how many results this is said of."""
+    return f"{some} of {many} results {several}" if many > 1 else f"the result {one}"
 
 
 def _require_places(exports: Sequence[str]) -> None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING
 
 from p2o.geometry import se3
+from p2o.results.result import DIRECTED
+from p2o.results.verdict import Trust
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -12,6 +15,7 @@ if TYPE_CHECKING:
     from p2o.arrays import Float
     from p2o.geometry.pose_error import PoseError
     from p2o.results.accuracy import Accuracy
+    from p2o.results.evidence import Judged
     from p2o.results.result import CameraCheck, Result, SweepMotion
     from p2o.run.run import Row, Run
 
@@ -22,7 +26,7 @@ def describe(row: Row) -> str:
     """Return the readable account of one result: poses, errors, matches and residuals by direction, status."""
     result = row.result
     name = result.frames[0] if len(result.frames) == 1 else f"{len(result.frames)} frames jointly"
-    lines = [name, f"  {'status':<9} {result.status.value}: {result.reason}"]
+    lines = [name, f"  {'status':<9} {result.status.value}: {result.reason}", *_verdict(result)]
     lines += _pose("start", result.start) + _pose("result", result.camera_from_lidar)
     lines.append(f"  {'moved':<9} {_distance(result.camera_from_lidar @ se3.inverse(result.start))}")
     if row.start_error is not None and row.error is not None:
@@ -32,18 +36,17 @@ def describe(row: Row) -> str:
         lines.append(f"  {'matches':<9} {sum(result.matches.values())}: " + ", ".join(parts))
     if result.residual_px:
         lines.append(f"  {'residual':<9} " + ", ".join(f"{k} {v:.2f} px" for k, v in result.residual_px.items()))
-    if result.directed_cost_px is not None:
-        before, after = result.directed_cost_px
-        lines.append(f"  {'edge gap':<9} {before:.2f} px at the start, {after:.2f} px at the result")
-    if result.agreement:
-        near, chance, odds = (result.agreement[name] for name in ("near", "chance", "odds_ratio"))
-        share = f"{100 * near:.0f} % of the LiDAR edges meet an image edge, {100 * chance:.0f} % by chance"
-        lines.append(f"  {'agreement':<9} {share} (odds ratio {odds:.1f})")
+    if result.judged is not None:
+        lines.append(_judged(result.judged))
+    if result.agreement is not None:
+        met = result.agreement
+        share = f"{100 * met.near:.0f} % of the LiDAR edges meet an image edge, {100 * met.chance:.0f} % by chance"
+        lines.append(f"  {'agreement':<9} {share} (odds ratio {met.odds_ratio:.1f})")
     if result.matches and result.status.solved:
         lines.append(f"  {'accuracy':<9} {_accuracy(result.accuracy)}")
-    if result.rival:
-        apart = f"{result.rival['rotation_deg']:.2f} deg and {result.rival['translation_m']:.2f} m away"
-        lines.append(f"  {'next best':<9} {apart}, {result.rival['edges']:.1f} edges worse")
+    if result.rival is not None:
+        apart = f"{result.rival.rotation_deg:.2f} deg and {result.rival.translation_m:.2f} m away"
+        lines.append(f"  {'next best':<9} {apart}, {result.rival.lead:.1f} {result.rival.unit} worse")
     lines += [f"  {'camera':<9} {_camera(check)}" for check in result.cameras]
     if result.motions:
         lines.append(f"  {'motion':<9} {_motions(result.motions)}")
@@ -54,10 +57,14 @@ def describe(row: Row) -> str:
 
 
 def describe_run(run: Run) -> str:
-    """Return the summary of many results: counts by status, then means and medians of the errors."""
+    """Return the summary of many results: counts by status and by verdict, then means and medians of the errors."""
     summary = run.summary
     counts = ", ".join(f"{count} {status}" for status, count in summary["status"].items())
     lines = [f"{summary['count']} calibrations: {counts}"]
+    solved = Counter(row.result.verdict.trust for row in run.rows if row.result.status.solved)
+    if solved:
+        words = ", ".join(f"{solved[trust]} {trust}" for trust in Trust if solved[trust])
+        lines.append(f"  {solved.total()} solved: {words}")
     for label in ("start", "error"):
         values = summary[label]
         if values.get("count"):
@@ -67,6 +74,22 @@ def describe_run(run: Run) -> str:
                 f" ({values['count']} solved)"
             )
     return "\n".join(lines)
+
+
+def _verdict(result: Result) -> list[str]:
+    """Return the word with what speaks for it, and remarks; what the line of the status says is not said again."""
+    reasons = [reason for reason in result.verdict.reasons if reason.text != result.reason]
+    why = "; ".join(reason.text for reason in reasons if reason.doubt.trust)
+    lines = [f"  {'verdict':<9} {result.verdict.trust.value}" + (f": {why}" if why else "")]
+    return lines + [f"  {'remark':<9} {reason.text}" for reason in reasons if not reason.doubt.trust]
+
+
+def _judged(judged: Judged) -> str:
+    """Return what the costs were before and after."""
+    if judged.judge == DIRECTED:
+        return f"  {'edge gap':<9} {judged.start:.2f} px at the start, {judged.estimate:.2f} px at the result"
+    costs = (f"{cost:.4g} {judged.unit}".rstrip() for cost in (judged.start, judged.estimate))
+    return f"  {'cost':<9} {' at the start, '.join(costs)} at the result, by {judged.judge}"
 
 
 def _warnings(result: Result) -> list[str]:

@@ -4,19 +4,26 @@ from __future__ import annotations
 
 import csv
 import io
+import math
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from p2o.draw.overlay import COLOURS
 from p2o.errors import InputError
 from p2o.features.side import SIDES
 from p2o.files.whole_file import write_whole
-from p2o.results.result import Result
+from p2o.results.result import DIRECTED, Result, Round
+
+_PIXELS = "pixels"
+_LEGEND: dict[str, Any] = {"fontsize": 8, "frameon": False, "ncols": 4, "loc": "upper right"}
 
 
 def convergence(result: Result, path: Path | str) -> None:
-    """Write a PNG of a result's rounds, as the paper's convergence figure: matches, residual and directed cost.
+    """Write a PNG of a result's rounds, as the paper's convergence figure: matches, residual and cost.
 
-    Matches are stacked by direction; rounds that were not kept are hollow. A result without rounds says so.
+    Matches are stacked by direction; rounds that were not kept are hollow. A cost that is not in pixels has an axis of
+    its own, and residuals are left out where no round has any. A result without rounds says so.
     Raises InputError if the file cannot be written.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -41,30 +48,49 @@ def convergence(result: Result, path: Path | str) -> None:
         top.bar(numbers, rest, 0.7, floor, color="0.75", label="no direction")
     top.set_ylabel("matches")
 
-    for values, colour, label in (
-        ([r.mean_residual for r in rounds], "black", "mean residual"),
-        ([r.cost for r in rounds], "tab:purple", "directed cost"),
-    ):
-        bottom.plot(numbers, values, color=colour, lw=1.3, label=label)
-        for kept in (True, False):
-            at = [(n, v) for n, v, r in zip(numbers, values, rounds, strict=True) if r.accepted is kept]
-            bottom.plot(
-                *zip(*at, strict=True) if at else ([], []), "o", ms=5, color=colour, mfc=colour if kept else "w"
-            )
-    bottom.set_ylabel("pixels")
+    name, unit = _cost(result)
+    residuals = [r.mean_residual for r in rounds]
+    told = not rounds or any(map(math.isfinite, residuals))
+    # Costs in another unit have an axis of their own.
+    side = bottom.twinx() if told and unit != _PIXELS else bottom
+    if told:
+        _curve(bottom, rounds, residuals, "black", "mean residual")
+        bottom.set_ylabel(_PIXELS)
+    _curve(side, rounds, [r.cost for r in rounds], "tab:purple", name)
+    side.set_ylabel(unit)
     bottom.set_xlabel("round" if all(r.accepted for r in rounds) else "round (hollow: not kept)")
     bottom.xaxis.set_major_locator(MaxNLocator(integer=True))
     for axis in (top, bottom):
         axis.grid(axis="y", alpha=0.3)
         axis.spines[["top", "right"]].set_visible(False)
-        if rounds:
-            axis.set_ylim(0, 1.25 * axis.get_ylim()[1])  # room for the legend
-            axis.legend(fontsize=8, frameon=False, ncols=4, loc="upper right")
-        else:
+        if not rounds:
             axis.text(0.5, 0.5, "no rounds", ha="center", va="center", transform=axis.transAxes, color="0.5")
+    if rounds:
+        for axis in dict.fromkeys((top, bottom, side)):
+            low, high = min(0.0, axis.get_ylim()[0]), axis.get_ylim()[1]
+            axis.set_ylim(low, high + 0.25 * (high - low))  # room for the legend
+        top.legend(**_LEGEND)
+        lines = [line for axis in dict.fromkeys((bottom, side)) for line in axis.get_legend_handles_labels()[0]]
+        bottom.legend(handles=lines, **_LEGEND)
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=130, metadata={"Software": None})
     write_whole(path, picture.getvalue())
+
+
+def _curve(axis: Any, rounds: Sequence[Round], values: Sequence[float], colour: str, label: str) -> None:
+    """Draw one value a round, hollow where the pose was not kept."""
+    axis.plot(range(1, len(rounds) + 1), values, color=colour, lw=1.3, label=label)
+    for kept in (True, False):
+        at = [(n, v) for n, (v, r) in enumerate(zip(values, rounds, strict=True), 1) if r.accepted is kept]
+        axis.plot(*zip(*at, strict=True) if at else ([], []), "o", ms=5, color=colour, mfc=colour if kept else "w")
+
+
+def _cost(result: Result) -> tuple[str, str]:
+    """Return what the cost of a round is called, and its unit."""
+    judged = result.judged
+    if judged is None or judged.judge == DIRECTED:
+        return "directed cost", _PIXELS
+    return judged.judge, _PIXELS if judged.unit == "px" else judged.unit
 
 
 def _named(result: Result) -> str:

@@ -111,6 +111,9 @@ function withRange(triple, metric, sign = false) {
 const study = () => data.studies[state.study];
 const group = () => study().groups[state.group];
 
+const judged = () => group().runs.some((run) => run.trust);
+const doubt = (run) => ({ refused: "failed", doubtful: "doubted", ambiguous: "doubted" })[run.trust] ?? "";
+
 const rowsTable = new SortedTable(at("rows"), {
   click: (row) => {
     if (row.published) return;
@@ -135,6 +138,8 @@ function showRows() {
     number("frames", (row) => row.frames ?? null, (row) => String(row.frames ?? NONE)),
     number("not solved", (row) => row.failed ?? null, (row) => row.failures ?? NONE, { long: true }),
   ];
+  if (group().rows.some((row) => row.trust))
+    columns.push(number("verdict", (row) => row.trusted ?? null, (row) => row.trust ?? NONE, { long: true }));
   for (const metric of study().norms)
     for (const kind of ["mean", "median"]) columns.push(statistic(metric, kind, `${nameOf(metric)} ${kind} [${unit(metric)}]`));
   if (at("axes").checked)
@@ -166,8 +171,9 @@ function refilter() {
   state.list = runs.filter((run) => {
     if (at("row").value !== "" && run.row !== Number(at("row").value)) return false;
     if (at("status").value !== "" && run.status !== at("status").value) return false;
+    if (at("trust").value !== "" && run.trust !== at("trust").value) return false;
     if (at("drawn").checked && !run.pictures.length) return false;
-    const text = `${labels[run.row]} ${run.place} ${run.frames.join(" ")} ${run.status} ${run.reason} ${run.exception}`.toLowerCase();
+    const text = `${labels[run.row]} ${run.place} ${run.frames.join(" ")} ${run.status} ${run.reason} ${run.trust ?? ""} ${run.why} ${run.exception}`.toLowerCase();
     return wanted.every((word) => text.includes(word));
   });
   state.shown = PAGE;
@@ -183,6 +189,7 @@ function showRuns() {
     number("seed", (run) => run.seed, (run) => String(run.seed)),
     ...(starts ? [words("start", (run) => run.perturb || "as given")] : []),
     words("status", (run) => run.status, { mark: (run) => (run.solved ? "" : "failed") }),
+    ...(judged() ? [{ title: "verdict", text: true, value: (run) => (run.trust ? data.trusts.indexOf(run.trust) : null), cell: (run) => run.trust ?? NONE, mark: doubt }] : []),
     ...data.norms.map((metric) => number(`${nameOf(metric)} [${unit(metric)}]`, (run) => sizeOf(run, metric), (run) => fixed(errorOf(run, metric), metric))),
     ...data.axes.map((metric) => number(`${nameOf(metric)} [${unit(metric)}]`, (run) => errorOf(run, metric), (run) => fixed(errorOf(run, metric), metric))),
     number("matches", (run) => sum(run.matches) || null, (run) => String(sum(run.matches) || NONE)),
@@ -309,6 +316,8 @@ const block = (name, ...content) => make("div", {}, make("h3", {}, name), ...con
 
 function detail(run) {
   const parts = [make("p", {}, make("b", { class: run.solved ? "" : "failed" }, run.status), run.reason ? `: ${run.reason}` : "")];
+  const why = run.why === run.reason ? "" : run.why;
+  if (run.trust) parts.push(make("p", {}, make("b", { class: doubt(run) }, run.trust), why ? `${run.trust === "trusted" ? "; remark" : ""}: ${why}` : ""));
   parts.push(...run.pictures.map(compare));
   const facts = [];
   const rows = data.metrics.map((metric, i) => [`${nameOf(metric)} [${unit(metric)}]`, i < 2 ? fixed(run.start[i], metric) : "", fixed(run.errors[i], metric)]);
@@ -319,10 +328,12 @@ function detail(run) {
   if (run.rounds.length) {
     const short = (value) => (value === null ? NONE : String(Number(value.toPrecision(3))));
     facts.push(make("div", { class: "wide" }, make("h3", {}, "Rounds"), make("div", { class: "scroll" }, simpleTable(
-      ["stage", "reach [px]", "matches", "residual [px]", "directed cost [px]", "step [deg]", "step [m]", "kept"],
+      ["stage", "reach [px]", "matches", "residual [px]", run.costUnit ? `cost [${run.costUnit}]` : "cost", "step [deg]", "step [m]", "kept"],
       run.rounds.map(([stage, reach, matches, ...numbers]) => [stage, short(reach), String(matches), ...numbers.slice(0, 4).map(short), numbers[4] ? "yes" : "no"])))));
   }
   if (run.estimate) facts.at(1).append(block("camera_from_lidar", make("pre", {}, run.estimate.map((line) => line.map((v) => v.toFixed(6).padStart(11)).join(" ")).join("\n"))));
+  if (run.evidence.length) parts.push(block("Evidence", make("table", { class: "said" }, make("tbody", {}, ...run.evidence.map(([name, text]) =>
+    make("tr", {}, make("td", { class: "text" }, name), make("td", { class: "text" }, text)))))));
   parts.push(make("div", { class: "facts" }, ...facts));
   if (run.exception) parts.push(block("What was raised", make("pre", {}, run.exception)));
   if (run.frames.length) parts.push(make("details", {}, make("summary", {}, `${run.frames.length} frames`), make("pre", {}, run.frames.join("\n"))));
@@ -362,6 +373,8 @@ function chooseGroup() {
   options(at("row"), ["all", ...labels], ["", ...labels.keys()]);
   const found = [...new Set(runs.map((run) => run.status))].sort();
   options(at("status"), ["all", ...found], ["", ...found]);
+  options(at("trust"), ["all", ...data.trusts], ["", ...data.trusts]);
+  at("trust-choice").hidden = !judged();
   at("drawn-choice").hidden = !runs.some((run) => run.pictures.length);
   at("drawn").checked = false;
   showRows();
@@ -389,7 +402,7 @@ at("study").addEventListener("change", () => { state.study = Number(at("study").
 at("group").addEventListener("change", () => { state.group = Number(at("group").value); chooseGroup(); });
 at("axes").addEventListener("change", showRows);
 at("metric").addEventListener("change", () => { showBoxes(); showFrames(); });
-for (const [id, event] of [["find", "input"], ["row", "change"], ["status", "change"], ["drawn", "change"]]) at(id).addEventListener(event, refilter);
+for (const [id, event] of [["find", "input"], ["row", "change"], ["status", "change"], ["trust", "change"], ["drawn", "change"]]) at(id).addEventListener(event, refilter);
 at("more").addEventListener("click", () => { state.shown += PAGE; showRuns(); });
 at("previous").addEventListener("click", () => step(-1));
 at("next").addEventListener("click", () => step(1));

@@ -20,7 +20,9 @@ from p2o.report.overlays import Pictures
 from p2o.report.rounds import Convergence, convergence
 from p2o.report.summary import NORMS, Difference, Group, Measured, Published, Summary, best
 from p2o.report.tables import DIGITS, NOTES, failures_of, starts_of
+from p2o.results.verdict import Trust
 from p2o.study.store import METRICS, StoredRow
+from p2o.study.tally import told
 
 _SIGNIFICANT = 6
 
@@ -48,6 +50,7 @@ def page(summaries: Sequence[Summary], pictures: Pictures, library: str) -> str:
         "metrics": METRICS,
         "norms": NORMS,
         "axes": AXES,
+        "trusts": [*Trust],
         "colours": COLOURS,
         "notes": NOTES,
     }
@@ -145,6 +148,8 @@ def _row(row: Measured | Published, group: Group) -> dict[str, Any]:
         "frames": len(row.places),
         "failures": failures_of(row),
         "failed": sum(row.failures.values()),
+        "trust": told(row.trust) if row.trust else None,
+        "trusted": row.trust.get(Trust.TRUSTED, 0) if row.trust else None,
         "best": [],
     }
     for statistic in ("mean", "median"):
@@ -173,6 +178,10 @@ def _run(run: StoredRow, row: int, recipes: _Numbered, pictures: Pictures) -> di
         "status": run.status,
         "solved": run.solved,
         "reason": run.reason,
+        "trust": run.trust,
+        "why": run.why or "",
+        "evidence": _evidence(run),
+        "costUnit": "" if run.judged is None else run.judged["unit"],
         "errors": [_brief(getattr(run, metric)) for metric in METRICS],
         "start": [_brief(run.start_rotation_deg), _brief(run.start_translation_m)],
         "matches": dict(run.matches),
@@ -182,8 +191,8 @@ def _run(run: StoredRow, row: int, recipes: _Numbered, pictures: Pictures) -> di
                 r.get("stage", ""),
                 _brief(r.get("reach_px")),
                 sum((r.get("matches") or {}).values()),
-                _brief(r.get("mean_residual_px")),
-                _brief(r.get("directed_cost_px")),
+                _brief(r.get("mean_residual")),
+                _brief(r.get("cost")),
                 _brief(r.get("step_deg")),
                 _brief(r.get("step_m")),
                 bool(r.get("accepted")),
@@ -196,6 +205,30 @@ def _run(run: StoredRow, row: int, recipes: _Numbered, pictures: Pictures) -> di
         "finished": run.finished,
         "pictures": shown,
     }
+
+
+def _evidence(run: StoredRow) -> list[tuple[str, str]]:
+    """Return what was found beside the pose, in the words of `p2o run`; what is not known is left out."""
+    lines = []
+    if run.judged is not None:
+        start, end = (_said(run.judged[word], run.judged["unit"]) for word in ("start", "estimate"))
+        lines.append(("cost", f"{start} at the start, {end} at the end, by {run.judged['judge']}"))
+    if run.agreement is not None:
+        lines.append(("agreement", f"odds ratio {_said(run.agreement)}"))
+    if run.rival_lead is not None:
+        away = f"{_said(run.rival_rotation_deg, 'deg')} and {_said(run.rival_translation_m, 'm')} away"
+        lines.append(("next best", f"{away}, {_said(run.rival_lead, run.rival_unit or '')} worse"))
+    if run.likely_rotation_deg is not None:
+        usual = f"{_said(run.likely_rotation_deg, 'deg')} and {_said(run.likely_translation_m, 'm')}"
+        rare = f"{_said(run.likely_rotation_deg_95, 'deg')} and {_said(run.likely_translation_m_95, 'm')}"
+        lines.append(("accuracy", f"two of three within {usual}, 19 of 20 within {rare}"))
+    return lines
+
+
+def _said(value: float | str | None, unit: str = "") -> str:
+    """Return a number with its unit; infinities are texts in stores."""
+    number = "-" if value is None else f"{float(value):.3g}"
+    return f"{number} {unit}".rstrip()
 
 
 def _rounds(history: Convergence) -> dict[str, Any]:
@@ -211,6 +244,6 @@ def _interval(value: Interval) -> list[float | None]:
     return [_brief(value.value), _brief(value.low), _brief(value.high)]
 
 
-def _brief(value: float | None) -> float | None:
-    """Return a number with as many digits as anyone reads; None for what JSON cannot hold."""
-    return None if value is None or not np.isfinite(value) else float(f"{value:.{_SIGNIFICANT}g}")
+def _brief(value: float | str | None) -> float | None:
+    """Return a number with as many digits as anyone reads; None for what is not finite, which is text in stores."""
+    return None if value is None or not np.isfinite(float(value)) else float(f"{value:.{_SIGNIFICANT}g}")

@@ -31,9 +31,9 @@ def convergence(runs: Sequence[StoredRow]) -> Convergence | None:
     histories = []
     for run in runs:
         # The step of an initializer matches nothing.
-        solved = [r for r in run.rounds if r.get("mean_residual_px") is not None and r.get("matches")]
+        solved = [r for r in run.rounds if isinstance(r.get("mean_residual"), float) and r.get("matches")]
         if solved:
-            histories.append([(sum(r["matches"].values()), r["mean_residual_px"]) for r in solved])
+            histories.append([(sum(r["matches"].values()), r["mean_residual"]) for r in solved])
     if not histories:
         return None
     longest = max(map(len, histories))

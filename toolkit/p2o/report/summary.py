@@ -13,7 +13,9 @@ import numpy as np
 
 from p2o.geometry.pose_error import AXES
 from p2o.report.bootstrap import Interval, interval
+from p2o.results.verdict import Trust
 from p2o.study.store import METRICS, Planned, StoredRow, StoredStudy
+from p2o.study.tally import trust_of
 
 NORMS = ("rotation_deg", "translation_m")
 NOT_RUN = "not run"
@@ -29,8 +31,9 @@ class Measured:
 
     `mean` and `median` are of the errors by metric (of absolute values along and about axes), in degrees and metres;
     a refused run counts with the error of its start, a run that raised has none. `failures` counts runs by status,
-    solved ones left out. `complete` is True where every run of the row has an error. `perturb` are the sizes of the
-    starts, `places` the frames (or groups of frames that were solved jointly).
+    solved ones left out, `trust` by the word of their verdict, those without one left out. `complete` is True where
+    every run of the row has an error. `perturb` are the sizes of the starts, `places` the frames (or groups of frames
+    that were solved jointly).
     """
 
     label: str
@@ -39,6 +42,7 @@ class Measured:
     seeds: int
     perturb: tuple[str, ...]
     failures: Mapping[str, int]
+    trust: Mapping[Trust, int]
     mean: Mapping[str, Interval]
     median: Mapping[str, Interval]
     complete: bool
@@ -208,6 +212,7 @@ def _measured(label: str, runs: Sequence[StoredRow], waiting: int) -> Measured:
         seeds=len({run.seed for run in runs}),
         perturb=tuple(dict.fromkeys(run.perturb or "" for run in runs)),
         failures={**dict(sorted(failures.items())), **({NOT_RUN: waiting} if waiting else {})},
+        trust=trust_of(runs),
         mean=means,
         median=medians,
         complete=complete,

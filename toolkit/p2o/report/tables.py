@@ -8,6 +8,7 @@ from typing import Literal
 
 from p2o.report.bootstrap import MIN_FRAMES, RESAMPLES, Interval
 from p2o.report.summary import Group, Measured, Published, Summary, best
+from p2o.study.tally import told
 
 DIGITS = 3
 """Decimals of degrees and metres; centimetres have two less."""
@@ -22,6 +23,9 @@ NOTES = (
     f"In brackets: 95 % intervals from {RESAMPLES} bootstrap samples of the frames, all seeds of a frame together; "
     f"none for fewer than {MIN_FRAMES} frames. Frames of one drive resemble each other, so that intervals over frames "
     "of few drives are rather too narrow.",
+    "A verdict says, without the truth, whether a result may be trusted. Ambiguous: another pose fits about as well. "
+    "Doubtful: image and sweep do not seem to belong together, or nothing could check that they do. Refused: there is "
+    "no new pose.",
     "Pairs are runs on the same frames and seed; negative differences are in favour of the first row.",
 )
 
@@ -114,14 +118,16 @@ def shown(value: Interval | None, metric: str, *, sign: bool = False) -> str:
 
 def _errors(group: Group, norms: Sequence[str]) -> tuple[tuple[str, ...], tuple[tuple[Cell, ...], ...]]:
     columns = [(metric, statistic) for metric in norms for statistic in ("mean", "median")]
-    header = ("row", "start", "runs", "frames", "not solved")
+    judged = any(row.trust for row in group.measured)
+    header = ("row", "start", "runs", "frames", "not solved", *(["verdict"] if judged else []))
     titles = tuple(f"{name_of(metric)} {statistic} [{unit_of(metric)[0]}]" for metric, statistic in columns)
     rows = []
     for row in _with_figures(group, norms):
         if isinstance(row, Published):
-            counts = [Cell(starts_of(row)), Cell(NONE), Cell(NONE), Cell(NONE)]
+            texts = [starts_of(row), *[NONE] * 4]
         else:
-            counts = [Cell(t) for t in (starts_of(row), str(row.runs), str(len(row.places)), failures_of(row))]
+            texts = [starts_of(row), str(row.runs), str(len(row.places)), failures_of(row), told(row.trust)]
+        counts = map(Cell, texts if judged else texts[:-1])
         rows.append((_label(row), *counts, *(_figure(row, group, *column) for column in columns)))
     return (*header, *titles), tuple(rows)
 

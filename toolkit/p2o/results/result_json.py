@@ -1,34 +1,45 @@
-"""A result as JSON and back, without loss: floats keep every bit, arrays are lists, the status is its word.
+"""A result as JSON and back, without loss: floats keep every bit, arrays are lists, a status is its word.
 
-JSON has no word for what is not finite: NaN is null, infinities are the texts "inf" and "-inf".
+The dataclasses are the schema: what is read follows from the types of their fields. JSON has no word for what is not
+finite: NaN is null, infinities are the texts "inf" and "-inf".
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from enum import StrEnum
+from functools import cache
+from types import NoneType, UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from p2o.arrays import Float, checked
+from p2o.arrays import checked, parts
 from p2o.errors import InputError
 from p2o.geometry import se3
-from p2o.geometry.camera import Camera
-from p2o.results.accuracy import Accuracy
-from p2o.results.result import CameraCheck, Result, Round, Status, SweepMotion
+from p2o.results.evidence import Agreement
+from p2o.results.result import Result
+from p2o.results.verdict import Verdict
 
-Reader = Callable[[str, Any], Any]
+_SAID: Mapping[type, tuple[str, ...]] = {Verdict: ("trust",), Agreement: ("odds_ratio",)}
+"""Properties that are written for the reader; they follow from the fields, and are not read."""
+
+_POSES = ("start", "camera_from_lidar")
+_SHAPES: dict[str, tuple[int, ...]] = {**dict.fromkeys(_POSES, (4, 4)), "covariance": (6, 6), "twist": (6,)}
+
+_KINDS = {str: "a text", bool: "true or false", int: "a whole number"}
 
 
 def result_to_dict(result: Result) -> dict[str, Any]:
     """Return a result as dicts, lists, numbers, texts and None, in the order of its fields; JSON takes it as it is.
 
+    The word of the verdict and the odds ratio of the agreement are written too, though they follow from the rest.
     Raises InputError if the recipe holds something that JSON has no form for.
     """
-    return {f.name: _plain(f.name, getattr(result, f.name)) for f in fields(Result)}
+    return {name: _plain(name, value) for name, value in parts(result) or ()}
 
 
 def result_from_dict(value: Any) -> Result:
@@ -36,11 +47,19 @@ def result_from_dict(value: Any) -> Result:
 
     An object of `p2o run` is taken too; its errors against the truth, which are no part of a Result, are left out.
     Tuples within the recipe come back as lists. Raises InputError for a missing or unknown field, a value of another
-    kind, or a pose that is not rigid; the text names the field.
+    kind, a pose that is not rigid, or a result of an earlier version of p2o; the text names the field.
     """
     if isinstance(value, Mapping):
+        if "directed_cost_px" in value and "verdict" not in value:
+            raise InputError(
+                "the result was written by an earlier version of p2o",
+                expected="a result with a verdict",
+                got=f"versions {value.get('versions')}",
+                hint="calibrate again, or read it with the version that wrote it",
+            )
         value = {key: part for key, part in value.items() if key not in ("error", "start_error")}
-    return Result(**_fields("the result", value, _RESULT))
+    result: Result = _read("the result", Result, value)
+    return result
 
 
 def result_to_json(result: Result) -> str:
@@ -58,14 +77,13 @@ def result_from_json(text: str) -> Result:
 
 
 def _plain(name: str, value: Any) -> Any:
-    if isinstance(value, Accuracy | Round | CameraCheck | Camera | SweepMotion):
-        return {f.name: _plain(f"{name}.{f.name}", getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
-    if isinstance(value, Mapping):
-        return {str(key): _plain(f"{name}.{key}", entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(name, entry) for entry in value]
+    inner = parts(value)
+    if inner is not None:
+        said = {word: _plain(word, getattr(value, word)) for word in _SAID.get(type(value), ())}
+        plain = said | {str(key): _plain(f"{name}.{key}", part) for key, part in inner}
+        return list(plain.values()) if isinstance(value, Sequence) else plain
     if isinstance(value, float) and not math.isfinite(value):
         return None if math.isnan(value) else str(value)
     if isinstance(value, str):
@@ -75,36 +93,66 @@ def _plain(name: str, value: Any) -> Any:
     raise InputError(f"{name} has no form in JSON", expected="numbers, texts, lists, dicts", got=type(value).__name__)
 
 
-def _fields(name: str, value: Any, readers: Mapping[str, Reader]) -> dict[str, Any]:
-    if not isinstance(value, Mapping):
-        raise _wrong(name, "an object", value)
-    missing, unknown = [k for k in readers if k not in value], [k for k in value if k not in readers]
+def _read(name: str, kind: Any, value: Any) -> Any:
+    """Return the value of a field of this type; `name` is what errors call it."""
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin in (Union, UnionType):
+        [kind] = [one for one in inner if one is not NoneType]
+        return None if value is None else _read(name, kind, value)
+    if origin is tuple:
+        [length] = _SHAPES.get(name.rpartition(".")[2], (None,))
+        entries = _list(name, value, length)
+        return tuple(_read(f"{name}.{place}", inner[0], entry) for place, entry in enumerate(entries))
+    if origin is Mapping:
+        return {key: _read(f"{name}.{key}", inner[1], part) for key, part in _object(name, value).items()}
+    if origin is np.ndarray:
+        return _array(name, value)
+    if is_dataclass(kind):
+        return _dataclass(name, kind, _object(name, value))
+    if kind is float:
+        return _number(name, value)
+    if kind in _KINDS:
+        if type(value) is not kind:
+            raise _wrong(name, _KINDS[kind], value)
+        return value
+    if kind is Any:
+        return value
+    assert issubclass(kind, StrEnum), f"{kind} of {name} has no form in JSON"
+    if value not in list(kind):
+        raise InputError(f"{name} is unknown", expected=" or ".join(kind), got=repr(value)[:60])
+    return kind(value)
+
+
+def _dataclass(name: str, kind: Any, value: Mapping[str, Any]) -> Any:
+    types = _types(kind)
+    missing = [key for key in types if key not in value]
+    unknown = [key for key in value if key not in types and key not in _SAID.get(kind, ())]
     if missing or unknown:
         said = [f"{', '.join(keys)} {word}" for keys, word in ((missing, "missing"), (unknown, "unknown")) if keys]
-        raise InputError(f"{name} has other fields", expected=", ".join(readers), got="; ".join(said))
-    return {key: read(key, value[key]) for key, read in readers.items()}
+        raise InputError(f"{name} has other fields", expected=", ".join(types), got="; ".join(said))
+    before = "" if kind is Result else f"{name}."
+    return kind(**{key: _read(before + key, type_, value[key]) for key, type_ in types.items()})
 
 
-def _wrong(name: str, expected: str, got: Any) -> InputError:
-    return InputError(f"{name} is not {expected}", got=repr(got)[:60])
+@cache
+def _types(kind: Any) -> dict[str, Any]:
+    """Return the type of each field of a dataclass."""
+    hints = get_type_hints(kind)
+    return {field.name: hints[field.name] for field in fields(kind)}
 
 
-def _text(name: str, value: Any) -> str:
-    if not isinstance(value, str):
-        raise _wrong(name, "a text", value)
-    return value
+def _array(name: str, value: Any) -> Any:
+    shape = _SHAPES[name]
+    array = checked(name, _numbers(name, value, shape), shape, np.float64, finite=False)
+    if name in _POSES:
+        se3.check_rigid(name, array)  # which returns a cleaned rotation; the bits of the file are kept instead
+    return array
 
 
-def _boolean(name: str, value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise _wrong(name, "true or false", value)
-    return value
-
-
-def _integer(name: str, value: Any) -> int:
-    if not isinstance(value, int) or isinstance(value, bool):
-        raise _wrong(name, "a whole number", value)
-    return value
+def _numbers(name: str, value: Any, shape: Sequence[int]) -> Any:
+    if not shape:
+        return _number(name, value)
+    return [_numbers(name, entry, shape[1:]) for entry in _list(name, value, shape[0])]
 
 
 def _number(name: str, value: Any) -> float:
@@ -117,141 +165,17 @@ def _number(name: str, value: Any) -> float:
     return float(value)
 
 
-def _optional(read: Reader) -> Reader:
-    return lambda name, value: None if value is None else read(name, value)
-
-
-def _tuple(read: Reader, length: int | None = None) -> Reader:
-    def many(name: str, value: Any) -> tuple[Any, ...]:
-        if not isinstance(value, Sequence) or isinstance(value, str) or length not in (None, len(value)):
-            raise _wrong(name, "a list" if length is None else f"a list of {length}", value)
-        return tuple(read(name, entry) for entry in value)
-
-    return many
-
-
-def _mapping(read: Reader) -> Reader:
-    def named(name: str, value: Any) -> dict[str, Any]:
-        if not isinstance(value, Mapping):
-            raise _wrong(name, "an object", value)
-        return {key: read(f"{name}.{key}", entry) for key, entry in value.items()}
-
-    return named
-
-
-def _matrix(side: int) -> Reader:
-    rows = _tuple(_tuple(_number, side), side)
-
-    def matrix(name: str, value: Any) -> Float:
-        array: Float = checked(name, rows(name, value), (side, side), np.float64, finite=False)
-        return array
-
-    return matrix
-
-
-def _pose(name: str, value: Any) -> Float:
-    matrix: Float = _matrix(4)(name, value)
-    se3.check_rigid(name, matrix)  # which returns a cleaned rotation; the bits of the file are kept instead
-    return matrix
-
-
-def _status(name: str, value: Any) -> Status:
-    words = [status.value for status in Status]
-    if value not in words:
-        raise InputError(f"{name} is unknown", expected=" or ".join(words), got=repr(value)[:60])
-    return Status(value)
-
-
-def _as_is(_name: str, value: Any) -> Any:
+def _list(name: str, value: Any, length: int | None = None) -> Sequence[Any]:
+    if not isinstance(value, list | tuple) or length not in (None, len(value)):
+        raise _wrong(name, "a list" if length is None else f"a list of {length}", value)
     return value
 
 
-_ROUND: dict[str, Reader] = {
-    "stage": _text,
-    "reach_px": _number,
-    "matches": _mapping(_integer),
-    "mean_residual_px": _number,
-    "directed_cost_px": _number,
-    "step_deg": _number,
-    "step_m": _number,
-    "accepted": _boolean,
-}
+def _object(name: str, value: Any) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise _wrong(name, "an object", value)
+    return value
 
 
-def _round(name: str, value: Any) -> Round:
-    return Round(**_fields(f"an entry of {name}", value, _ROUND))
-
-
-_CAMERA: dict[str, Reader] = {"model": _text, "width": _integer, "height": _integer, "params": _tuple(_number)}
-
-
-def _camera(name: str, value: Any) -> Camera:
-    return Camera(**_fields(name, value, _CAMERA))
-
-
-_CAMERA_CHECK: dict[str, Reader] = {
-    "frames": _integer,
-    "camera": _camera,
-    "better": _camera,
-    "focal": _number,
-    "focal_sigma": _number,
-    "radial": _number,
-    "radial_sigma": _number,
-    "shift_px": _number,
-    "shift_sigma_px": _number,
-    "corrected": _boolean,
-}
-
-
-def _camera_check(name: str, value: Any) -> CameraCheck:
-    return CameraCheck(**_fields(f"an entry of {name}", value, _CAMERA_CHECK))
-
-
-_ACCURACY: dict[str, Reader] = {
-    "rotation_deg": _number,
-    "translation_m": _number,
-    "rotation_deg_95": _number,
-    "translation_m_95": _number,
-}
-
-
-def _accuracy(name: str, value: Any) -> Accuracy:
-    return Accuracy(**_fields(name, value, _ACCURACY))
-
-
-_MOTION: dict[str, Reader] = {
-    "frame": _text,
-    "speed_m_s": _number,
-    "speed_sigma": _number,
-    "turn_deg_s": _number,
-    "turn_sigma": _number,
-    "twist": _tuple(_number, 6),
-}
-
-
-def _motion(name: str, value: Any) -> SweepMotion:
-    return SweepMotion(**_fields(f"an entry of {name}", value, _MOTION))
-
-
-_RESULT: dict[str, Reader] = {
-    "frames": _tuple(_text),
-    "start": _pose,
-    "camera_from_lidar": _pose,
-    "status": _status,
-    "reason": _text,
-    "rounds": _tuple(_round),
-    "covariance": _optional(_matrix(6)),
-    "accuracy": _optional(_accuracy),
-    "matches": _mapping(_integer),
-    "residual_px": _mapping(_number),
-    "directed_cost_px": _optional(_tuple(_number, 2)),
-    "agreement": _mapping(_number),
-    "rival": _mapping(_number),
-    "cameras": _tuple(_camera_check),
-    "motions": _tuple(_motion),
-    "seconds": _mapping(_number),
-    "warnings": _tuple(_text),
-    "recipe": _mapping(_as_is),
-    "seed": _optional(_integer),
-    "versions": _mapping(_text),
-}
+def _wrong(name: str, expected: str, got: Any) -> InputError:
+    return InputError(f"{name} is not {expected}", got=repr(got)[:60])

@@ -20,6 +20,7 @@ from p2o.geometry.pose_error import PoseError, pose_error, summarise
 from p2o.host.registry import Registry
 from p2o.results.result import Result, Status
 from p2o.results.result_json import result_to_dict
+from p2o.results.verdict import Trust
 from p2o.run.assembly import Assembly
 from p2o.run.recipe import Plan, Recipe
 from p2o.run.words import parse_settings
@@ -62,16 +63,18 @@ class Run:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """Counts by status, and means, medians and per-axis means of the errors, from the rows of solved results.
+        """Counts by status and by trust, and means, medians and per-axis means of the errors of solved results.
 
         `start` summarises the errors of the starts of the same rows.
         """
         counts = Counter(row.result.status.value for row in self.rows)
+        trusts = Counter(row.result.verdict.trust for row in self.rows)
         solved = [row for row in self.rows if row.result.status.solved]
         return {
             "count": len(self.rows),
             "status": dict(sorted(counts.items())),
             "solved": len(solved),
+            "trust": {trust.value: trusts[trust] for trust in Trust if trusts[trust]},
             "error": summarise([row.error for row in solved if row.error is not None]),
             "start": summarise([row.start_error for row in solved if row.start_error is not None]),
             "interrupted": self.interrupted,

@@ -14,9 +14,10 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from p2o.errors import InputError
 from p2o.files.whole_file import write_whole
 from p2o.host.validation import validated
+from p2o.results.verdict import Trust
 from p2o.study.store import Planned, StoredRow
 from p2o.study.study import Study
-from p2o.study.tally import Tally, tallies
+from p2o.study.tally import Tally, tallies, told
 
 TOLERANCE = {"deg": 0.05, "m": 0.01}
 """How much worse a mean may be, by unit, in a reference that is written for the first time."""
@@ -43,10 +44,14 @@ class Tolerance(_Part):
 
 
 class RowReference(_Part):
-    """What one row of the table came to; `runs` holds the error by metric of each calibration, None where refused."""
+    """What one row of the table came to; `runs` holds the error by metric of each calibration, None where refused.
+
+    `trust` counts the calibrations by the word of their verdict; a reference of before may have no such counts.
+    """
 
     count: int
     failures: int
+    trust: dict[Trust, int] = Field(default_factory=dict)
     mean: dict[str, float | None]
     runs: dict[str, dict[str, float | None] | None]
 
@@ -69,7 +74,7 @@ class Reference(_Part):
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Ruling:
     """What the gate says: `failures` close it; `moved` are lines on rows and frames that changed either way."""
 
     failures: tuple[str, ...]
@@ -94,6 +99,7 @@ def make_reference(study: Study, rows: Sequence[StoredRow], old: Reference | Non
         tally.row: RowReference(
             count=tally.count,
             failures=tally.count - tally.solved,
+            trust=dict(tally.trust),
             mean={metric: _finite(value) for metric, value in tally.mean.items()},
             runs={_name(row): _errors(row, study.metrics) for row in by_row[tally.row]},
         )
@@ -108,7 +114,7 @@ def make_reference(study: Study, rows: Sequence[StoredRow], old: Reference | Non
     return Reference(study=study.name, tolerance=kept, rows=found)
 
 
-def judge(study: Study, rows: Sequence[StoredRow], missing: Sequence[Planned], reference: Reference) -> Verdict:
+def judge(study: Study, rows: Sequence[StoredRow], missing: Sequence[Planned], reference: Reference) -> Ruling:
     """Return whether finished rows are as good as the reference, within its tolerances.
 
     It is closed by a crashed or missing row, a mean that is worse, more refused calibrations than may be, a row of
@@ -138,7 +144,7 @@ def judge(study: Study, rows: Sequence[StoredRow], missing: Sequence[Planned], r
         if absent:
             failures.append(f"{label}: {len(absent)} calibrations of the reference are missing, such as {absent[0]}")
         moved += _moved(found[label], runs, expected, reference.tolerance)
-    return Verdict(tuple(failures), tuple(moved))
+    return Ruling(tuple(failures), tuple(moved))
 
 
 def _worse(tally: Tally, expected: RowReference, tolerance: Tolerance) -> list[str]:
@@ -161,8 +167,10 @@ def _moved(
     expected: RowReference,
     tolerance: Tolerance,
 ) -> list[str]:
-    """Return a line for the row where its means moved, and lines for the calibrations that moved most."""
+    """Return lines for the row where its verdicts or means moved, and lines for the calibrations that moved most."""
     lines = []
+    if expected.trust and expected.trust != tally.trust:
+        lines.append(f"{tally.row}: {told(expected.trust)} -> {told(tally.trust)}")
     for metric, before in expected.mean.items():
         now = tally.mean.get(metric)
         if before is not None and now is not None and abs(now - before) > 1e-9 * max(1.0, abs(before)):

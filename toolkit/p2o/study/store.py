@@ -21,12 +21,13 @@ from p2o.arrays import Float
 from p2o.errors import InputError
 from p2o.geometry.pose_error import AXES
 from p2o.results.result import Status
+from p2o.results.verdict import Trust
 
 FILE = "study.sqlite"
 METRICS = ("rotation_deg", "translation_m", *AXES)
 """The columns that say how far an estimate is from the truth; those of the axes are signed."""
 
-_VERSION = 1
+_VERSION = 2
 _BUSY_S = 60.0
 _OUTER_ERRORS = (
     sqlite3.SQLITE_PERM,
@@ -69,6 +70,9 @@ class StoredRow(Planned):
     `joint` is the number of frames that were solved together, 0 where each is solved alone. `status` is that of the
     `Result`; `exception` the traceback where the run raised. The errors are of `estimate` against `truth`, None
     where either is unknown; a refused calibration has the errors of its start, which is what the user is left with.
+    `trust` is the word of the verdict and `why` its reasons, `agreement` the odds ratio, `rival_lead` (in `rival_unit`)
+    and so on the next best pose, `likely_rotation_deg` and so on the likely accuracy, `judged` the costs of start and
+    estimate as a dict; None where there is none, as in every row of a store of version 1.
     `estimate`, `start` and `truth` are camera_from_lidar (4, 4). `rounds` holds `Round`s as dicts, `matches` counts
     by direction, `seconds` by stage, `recipe` every option that took effect, `inputs` the hashes of each frame's
     image and sweep. `finished` is the time of day in UTC, ISO 8601.
@@ -90,6 +94,18 @@ class StoredRow(Planned):
     z_m: float | None = None
     start_rotation_deg: float | None = None
     start_translation_m: float | None = None
+    trust: Trust | None = None
+    why: str | None = None
+    agreement: float | None = None
+    rival_lead: float | None = None
+    rival_unit: str | None = None
+    rival_rotation_deg: float | None = None
+    rival_translation_m: float | None = None
+    likely_rotation_deg: float | None = None
+    likely_translation_m: float | None = None
+    likely_rotation_deg_95: float | None = None
+    likely_translation_m_95: float | None = None
+    judged: Mapping[str, Any] | None = None
     estimate: Float | None = None
     start: Float | None = None
     truth: Float | None = None
@@ -134,16 +150,25 @@ class StoredStudy:
 
 _LABELS = tuple(f.name for f in fields(Planned))
 _VALUES = tuple(f.name for f in fields(StoredRow) if f.name not in _LABELS)
-_REAL = (*METRICS, "start_rotation_deg", "start_translation_m")
+_LIKELY = ("likely_rotation_deg", "likely_translation_m", "likely_rotation_deg_95", "likely_translation_m_95")
+_RIVAL = ("rival_lead", "rival_rotation_deg", "rival_translation_m")
+_REAL = (*METRICS, "start_rotation_deg", "start_translation_m", "agreement", *_RIVAL, *_LIKELY)
 _INTEGER = ("joint", "seed")
 _POSE = ("estimate", "start", "truth")
 _LISTS = ("frames", "rounds")
-_JSON = (*_POSE, *_LISTS, "matches", "seconds", "recipe", "versions", "inputs")
+_JSON = (*_POSE, *_LISTS, "judged", "matches", "seconds", "recipe", "versions", "inputs")
+_NEW_IN_2 = ("trust", "why", "agreement", *_RIVAL, "rival_unit", *_LIKELY, "judged")
 
 
 def _type_of(column: str) -> str:
     return "REAL" if column in _REAL else "INTEGER" if column in _INTEGER else "TEXT"
 
+
+_VIEW = (
+    f"CREATE VIEW rows AS SELECT {', '.join(f'plan.{c} AS {c}' for c in _LABELS)},"
+    f" {', '.join(f'runs.{c} AS {c}' for c in _VALUES)}"
+    " FROM plan JOIN runs ON runs.key = plan.key ORDER BY plan.study, plan.position"
+)
 
 # What is computed (runs) is kept apart from how a study calls it (plan): a new label, a second study with the same
 # row, or an edit that is taken back cost nothing. `rows` is what the studies ask for now.
@@ -152,9 +177,16 @@ _SCHEMA = (
     f"CREATE TABLE runs (key TEXT PRIMARY KEY, {', '.join(f'{c} {_type_of(c)}' for c in _VALUES)})",
     f"CREATE TABLE plan (study TEXT, position INTEGER, {', '.join(f'{c} TEXT' for c in _LABELS if c != 'study')},"
     " PRIMARY KEY (study, position))",
-    f"CREATE VIEW rows AS SELECT {', '.join(f'plan.{c} AS {c}' for c in _LABELS)},"
-    f" {', '.join(f'runs.{c} AS {c}' for c in _VALUES)}"
-    " FROM plan JOIN runs ON runs.key = plan.key ORDER BY plan.study, plan.position",
+    _VIEW,
+)
+
+# Version 2 has more columns, and rounds whose cost need not be in pixels. Rows of before have none of the new.
+_FROM_1_TO_2 = (
+    *(f"ALTER TABLE runs ADD COLUMN {c} {_type_of(c)}" for c in _NEW_IN_2),
+    """UPDATE runs SET rounds = replace(replace(rounds, '"mean_residual_px":', '"mean_residual":'),
+    '"directed_cost_px":', '"cost":')""",
+    "DROP VIEW rows",
+    _VIEW,
 )
 
 
@@ -174,7 +206,8 @@ class Store:
     def open(cls, folder: str | Path, *, create: bool = True) -> Store:
         """Return the store of a folder, which is made if need be (`create` False: InputError where there is none).
 
-        Raises InputError for a folder that cannot be written and for a file that is no store of this version.
+        A store of version 1 is brought to this version; its rows say nothing in the columns that are new. Raises
+        InputError for a folder that cannot be written and for a file that is no store, or one of another version.
         """
         path = Path(folder).expanduser() / FILE
         if not create and not path.is_file():
@@ -288,14 +321,15 @@ class Store:
             self._connection.execute("COMMIT")
 
     def _prepare(self) -> None:
-        """Make the tables of a new file."""
-        if self._version() == 0:
-            with self._transaction():
-                # Another process may have been first since we looked.
-                if self._version() == 0:
-                    for statement in _SCHEMA:
-                        self._connection.execute(statement)
-                    self._connection.execute(f"PRAGMA user_version = {_VERSION}")
+        """Make the tables of a new file, or bring those of an older one up to date."""
+        for version, statements in ((0, _SCHEMA), (1, _FROM_1_TO_2)):
+            if self._version() == version:
+                with self._transaction():
+                    # Another process may have been first since we looked.
+                    if self._version() == version:
+                        for statement in statements:
+                            self._connection.execute(statement)
+                        self._connection.execute(f"PRAGMA user_version = {_VERSION}")
         if self._version() != _VERSION:
             raise InputError(
                 "the store was written by another version of p2o",
@@ -345,6 +379,8 @@ def _to_column(column: str, value: Any) -> Any:
 
 
 def _from_column(column: str, value: Any) -> Any:
+    if column == "trust" and value is not None:
+        return Trust(value)
     if column not in _JSON or value is None:
         return value
     read = json.loads(value)

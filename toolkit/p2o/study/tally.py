@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from p2o.results.verdict import Trust
 from p2o.study.store import StoredRow
 from p2o.study.study import Published, Study
 
@@ -20,6 +22,8 @@ class Tally:
 
     The others were refused and count with the error of their start, which is what the user is left with. `mean` and
     `median` are of absolute errors by metric, over all calibrations whose error is known; NaN where there is none.
+    `trust` counts the calibrations by the word of their verdict; those that crashed, and those of stores that know
+    nothing of verdicts, have none.
     """
 
     row: str
@@ -29,6 +33,7 @@ class Tally:
     crashed: int
     mean: Mapping[str, float]
     median: Mapping[str, float]
+    trust: Mapping[Trust, int]
 
     @property
     def refused(self) -> int:
@@ -53,19 +58,34 @@ def tallies(rows: Iterable[StoredRow], metrics: Sequence[str]) -> list[Tally]:
                 crashed=sum(r.crashed for r in found),
                 mean={metric: float(np.mean(v)) if v else float("nan") for metric, v in errors.items()},
                 median={metric: float(np.median(v)) if v else float("nan") for metric, v in errors.items()},
+                trust=trust_of(found),
             )
         )
     return out
+
+
+def trust_of(rows: Iterable[StoredRow]) -> dict[Trust, int]:
+    """Return how many calibrations have which word, best first; words of none are left out."""
+    counts = Counter(row.trust for row in rows)
+    return {trust: counts[trust] for trust in Trust if counts[trust]}
+
+
+def told(trust: Mapping[Trust, int]) -> str:
+    """Return such counts in words, "-" where there are none."""
+    return ", ".join(f"{number} {word}" for word, number in trust.items()) or "-"
 
 
 def table(study: Study, rows: Iterable[StoredRow]) -> str:
     """Return a table for the eye: what was measured, and beside it what was published."""
     found = tallies(rows, study.metrics)
     stacked = len(study.metrics) > _BESIDE
+    # Those that were refused are among the failed ones.
+    words = [word for word in Trust if word is not Trust.REFUSED and any(tally.trust.get(word) for tally in found)]
     if stacked:
-        head = ["", "runs", "failed", "", *map(_head, study.metrics), ""]
+        head = ["", "runs", "failed", *words, "", *map(_head, study.metrics), ""]
     else:
-        head = ["", "runs", "failed", *(f"{_head(m)} {word}" for m in study.metrics for word in ("mean", "median")), ""]
+        numbers = (f"{_head(m)} {word}" for m in study.metrics for word in ("mean", "median"))
+        head = ["", "runs", "failed", *words, *numbers, ""]
     lines: list[list[str]] = []
     section = ""
     for tally in found:
@@ -73,19 +93,20 @@ def table(study: Study, rows: Iterable[StoredRow]) -> str:
             section = tally.section
             lines.append([f"[{section}]" if section else ""])
         counts = [tally.row, str(tally.count), _failed(tally)]
+        counts += [str(tally.trust.get(word, 0)) if tally.trust else "-" for word in words]
         if stacked:
             means, medians = ([_number(m, values[m]) for m in study.metrics] for values in (tally.mean, tally.median))
             lines.append([*counts, "mean", *means, "measured"])
-            lines.append(["", "", "", "median", *medians, "measured"])
+            lines.append([*[""] * len(counts), "median", *medians, "measured"])
         else:
-            numbers = [_number(m, values[m]) for m in study.metrics for values in (tally.mean, tally.median)]
-            lines.append([*counts, *numbers, "measured"])
+            cells = [_number(m, values[m]) for m in study.metrics for values in (tally.mean, tally.median)]
+            lines.append([*counts, *cells, "measured"])
         beside = [p for p in study.published if p.beside in (tally.row, tally.row.rpartition(" @ ")[0])]
-        lines += [_published(study, p, stacked) for p in beside]
+        lines += [_published(study, p, len(words), stacked) for p in beside]
     apart = [p for p in study.published if p.beside is None]
     if apart:
         lines.append(["[published]"])
-        lines += [_published(study, p, stacked) for p in apart]
+        lines += [_published(study, p, len(words), stacked) for p in apart]
     widths = [max((len(line[i]) for line in [head, *lines] if len(line) > i > 0), default=0) for i in range(len(head))]
     widths[0] = max((len(line[0]) for line in lines), default=0)
     return "\n".join(_line(cells, widths) for cells in (head, *lines))
@@ -96,10 +117,10 @@ def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
     return "  ".join([cells[0].ljust(widths[0]), *numbers]).rstrip()
 
 
-def _published(study: Study, row: Published, stacked: bool) -> list[str]:
+def _published(study: Study, row: Published, words: int, stacked: bool) -> list[str]:
     means = [_number(m, row.values.get(m)) for m in study.metrics]
     numbers = ["mean", *means] if stacked else [cell for mean in means for cell in (mean, "")]
-    return [f"  {row.label}", "", "", *numbers, "published"]
+    return [f"  {row.label}", "", "", *[""] * words, *numbers, "published"]
 
 
 def _failed(tally: Tally) -> str:

@@ -13,7 +13,7 @@ import time
 import traceback
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from p2o.arrays import Float
+from p2o.arrays import Float, leaves, parts
 from p2o.calibration.verdict import witnessed
 from p2o.errors import InputError, P2OError
 from p2o.features.view import View
@@ -251,6 +251,10 @@ def _filled(row: StoredRow, result: Result) -> StoredRow:
         row,
         status=result.status.value,
         reason=result.reason,
+        trust=result.verdict.trust,
+        why=result.verdict.why,
+        judged=plain["judged"],
+        **_beside(result),
         estimate=result.camera_from_lidar,
         rounds=tuple(plain["rounds"]),
         matches=plain["matches"],
@@ -261,6 +265,14 @@ def _filled(row: StoredRow, result: Result) -> StoredRow:
     error = pose_error(result.camera_from_lidar, row.truth)
     axes: dict[str, Any] = {axis: error.per_axis[axis] for axis in AXES}
     return replace(row, rotation_deg=error.rotation_deg, translation_m=error.translation_m, **axes)
+
+
+def _beside(result: Result) -> dict[str, Any]:
+    """Return the columns of what was found beside the pose; what is no number is None, as SQLite has it."""
+    found: dict[str, Any] = {} if result.agreement is None else {"agreement": result.agreement.odds_ratio}
+    for prefix, value in (("rival", result.rival), ("likely", result.accuracy)):
+        found |= {f"{prefix}_{name}": part for name, part in parts(value) or ()}
+    return {name: None if value != value else value for name, value in found.items()}
 
 
 def _result(job: Calibration) -> Result:
@@ -347,14 +359,8 @@ def _frame(source: Source) -> Frame:
 
 
 def _size(value: Any) -> int:
-    """Return the bytes of all arrays in a value made of dataclasses, lists and mappings."""
-    if isinstance(value, np.ndarray):
-        return value.nbytes
-    if is_dataclass(value):
-        return sum(_size(getattr(value, f.name)) for f in fields(value))
-    if isinstance(value, list | tuple):
-        return sum(map(_size, value))
-    return sum(map(_size, value.values())) if isinstance(value, Mapping) else 0
+    """Return the bytes of all arrays in a value."""
+    return sum(leaf.nbytes for _, leaf in leaves(value) if isinstance(leaf, np.ndarray))
 
 
 def part_name(part: Part) -> str:

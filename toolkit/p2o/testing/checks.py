@@ -10,13 +10,13 @@ import socket
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from p2o.arrays import Float
+from p2o.arrays import Float, leaves
 from p2o.errors import P2OError
 from p2o.features.edges import CloudEdges, ImageEdges
 from p2o.features.side import Side
@@ -29,7 +29,9 @@ from p2o.host.options import Options
 from p2o.host.registry import Offer
 from p2o.problems.point_to_line import PointToLine
 from p2o.problems.problem import Objective
-from p2o.results.result import Result, Round, Status
+from p2o.results.evidence import Agreement, Judged, Rival
+from p2o.results.result import DIRECTED, Result, Round, SolverStatus, Status
+from p2o.results.verdict import Doubt, Reason, Verdict
 from p2o.testing import stage
 
 
@@ -381,7 +383,7 @@ def solver_says_when_nothing_is_determined(subject: Subject) -> None:
     truth = stage.camera_from_lidar()
     empty = PointToLine.empty((stage.camera(),))
     solution = subject.built()(empty, truth)
-    require(solution.status == "singular", f"status is {solution.status!r} without any pairs")
+    require(solution.status is SolverStatus.SINGULAR, f"status is {solution.status.value!r} without any pairs")
     _require_near(solution.camera_from_lidar, truth, 1e-6, 1e-6)
 
 
@@ -542,31 +544,22 @@ def _offline() -> Iterator[None]:
         socket.socket.connect = kept  # type: ignore[method-assign]
 
 
-def _arrays(value: Any) -> Iterator[tuple[str, Any]]:
-    """Return every array inside of nested dataclasses and sequences, with a name."""
-    if isinstance(value, np.ndarray):
-        yield "", value
-    elif is_dataclass(value):
-        for field in fields(value):
-            for name, array in _arrays(getattr(value, field.name)):
-                yield f"{field.name}.{name}".rstrip("."), array
-    elif isinstance(value, list | tuple):
-        for i, item in enumerate(value):
-            for name, array in _arrays(item):
-                yield f"{i}.{name}".rstrip("."), array
+def _arrays(value: Any) -> dict[str, Any]:
+    """Return every array inside of a value by its name."""
+    return {name: leaf for name, leaf in leaves(value) if isinstance(leaf, np.ndarray)}
 
 
 @contextmanager
 def _unchanged(value: Any) -> Iterator[None]:
     """Fail if an array inside of `value` changes."""
-    before = {name: array.copy() for name, array in _arrays(value)}
+    before = {name: array.copy() for name, array in _arrays(value).items()}
     yield
-    for name, array in _arrays(value):
+    for name, array in _arrays(value).items():
         require(np.array_equal(before[name], array, equal_nan=array.dtype.kind == "f"), f"{name} was written to")
 
 
 def _require_equal(first: Any, second: Any, message: str) -> None:
-    here, there = dict(_arrays(first)), dict(_arrays(second))
+    here, there = _arrays(first), _arrays(second)
     require(here.keys() == there.keys(), message)
     for name, array in here.items():
         same = np.array_equal(array, there[name], equal_nan=array.dtype.kind == "f")
@@ -675,7 +668,10 @@ def _result() -> Result:
         covariance=1e-6 * np.eye(6),
         matches={"L": 40, "R": 38},
         residual_px={"L": 0.5, "R": 0.75},
-        directed_cost_px=(3.0, 1.0),
+        judged=Judged(DIRECTED, "px", 3.0, 1.0),
+        agreement=Agreement(0.5, 0.1, 78),
+        rival=Rival(1.0, "edges", 1.5, 0.2),
+        verdict=Verdict((Reason(Doubt.RIVAL_POSE, "another pose fits as well"),)),
         seconds={"extract": 0.5},
         recipe={"matcher": "ogm"},
         seed=0,

@@ -7,27 +7,34 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import importlib
 import json
 import os
+import sys
 import tempfile
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
-from enum import Enum
+from dataclasses import dataclass, is_dataclass
+from functools import cache
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import platformdirs
 
+from p2o.arrays import parts
 from p2o.errors import InputError
+from p2o.host.registry import GROUP
 from p2o.work.sources import code_hash
 
 if TYPE_CHECKING:
     from p2o.run.recipe import Part
 
-_FORMAT = 2
+_FORMAT = 3
+
+_CONTAINERS: dict[str, type] = {kind.__name__: kind for kind in (tuple, list, dict)}
+_PLUGIN_FILE = "p2o_plugin_file_"
+"""What the modules of `--plugin FILE` are called begins with this."""
 
 
 def cache_folder() -> Path:
@@ -48,26 +55,23 @@ def content_hash(value: Any) -> str:
 
 
 def _bytes_of(value: Any) -> Iterator[bytes]:
+    inner = parts(value)
     if isinstance(value, np.ndarray):
         yield f"array {value.dtype.str} {value.shape};".encode()
         yield np.ascontiguousarray(value).tobytes()
-    elif is_dataclass(value) and not isinstance(value, type):
-        yield f"{type(value).__name__}(".encode()
-        for f in fields(value):
-            yield f"{f.name}=".encode()
-            yield from _bytes_of(getattr(value, f.name))
-        yield b")"
     elif isinstance(value, Mapping):
         yield b"{"
         for key in sorted(value):
             yield from _bytes_of(key)
             yield from _bytes_of(value[key])
         yield b"}"
-    elif isinstance(value, list | tuple):
-        yield b"["
-        for entry in value:
-            yield from _bytes_of(entry)
-        yield b"]"
+    elif inner is not None:
+        named = is_dataclass(value)
+        yield f"{type(value).__name__}(".encode() if named else b"["
+        for name, part in inner:
+            yield f"{name}=".encode() if named else b""
+            yield from _bytes_of(part)
+        yield b")" if named else b"]"
     elif isinstance(value, np.generic):
         yield from _bytes_of(value.item())
     elif value is None or isinstance(value, str | bool | int | float):
@@ -149,7 +153,7 @@ class FeatureCache:
             head = json.loads(arrays.pop("head").tobytes())
             return Kept(_unpacked(head["features"], arrays), float(head["seconds"]))
         # Whatever a cut-off or foreign file is like, the features can be extracted again.
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, ImportError, EOFError, zipfile.BadZipFile):
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile):
             return None
         except InputError:
             return None
@@ -196,36 +200,56 @@ def _packed(value: Any, arrays: dict[str, Any]) -> Any:
         name = f"array{len(arrays)}"
         arrays[name] = value
         return {"array": name}
-    if is_dataclass(value) and not isinstance(value, type):
-        inner = {f.name: _packed(getattr(value, f.name), arrays) for f in fields(value)}
-        return {"type": [type(value).__module__, type(value).__qualname__], "fields": inner}
-    if isinstance(value, Enum):
-        raise TypeError("an enum is not kept")
-    if isinstance(value, tuple | list):
-        return {type(value).__name__: [_packed(entry, arrays) for entry in value]}
-    if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
-        return {"dict": {key: _packed(entry, arrays) for key, entry in value.items()}}
-    if value is None or type(value) in (str, bool, int, float):
-        return {"value": value}
-    raise TypeError(f"{type(value).__name__} is not kept")
+    inner, kind = parts(value), type(value)
+    if inner is None:
+        if value is None or kind in (str, bool, int, float):
+            return {"value": value}
+        raise TypeError(f"{kind.__name__} is not kept")
+    if isinstance(value, Mapping) and not is_dataclass(value):
+        if not all(isinstance(key, str) for key in value):
+            raise TypeError("a key that is no text is not kept")
+        kind = dict
+    named: Any = kind.__name__
+    if kind not in _CONTAINERS.values():
+        named = [kind.__module__, kind.__qualname__]
+        if _kind(named) is not kind:
+            raise TypeError(f"{kind.__qualname__} would not be found again")
+    return {"kind": named, "parts": {str(key): _packed(part, arrays) for key, part in inner}}
 
 
 def _unpacked(tree: Mapping[str, Any], arrays: Mapping[str, Any]) -> Any:
     if "array" in tree:
         return arrays[tree["array"]]
-    if "type" in tree:
-        module, name = tree["type"]
-        kind: Any = importlib.import_module(module)
-        for part in name.split("."):
-            kind = getattr(kind, part)
-        if not (isinstance(kind, type) and is_dataclass(kind)):
-            raise TypeError(f"{name} is no dataclass")
-        make: Any = kind
-        return make(**{key: _unpacked(entry, arrays) for key, entry in tree["fields"].items()})
-    if "tuple" in tree:
-        return tuple(_unpacked(entry, arrays) for entry in tree["tuple"])
-    if "list" in tree:
-        return [_unpacked(entry, arrays) for entry in tree["list"]]
-    if "dict" in tree:
-        return {key: _unpacked(entry, arrays) for key, entry in tree["dict"].items()}
-    return tree["value"]
+    if "value" in tree:
+        return tree["value"]
+    made = {key: _unpacked(part, arrays) for key, part in tree["parts"].items()}
+    kind = _kind(tree["kind"])
+    if kind in _CONTAINERS.values():
+        return kind(made if kind is dict else made.values())
+    return kind(**made)
+
+
+def _kind(named: Any) -> Any:
+    """Return the container or the dataclass of this name; TypeError for any other.
+
+    Whoever can write into the folder can name any type, so nothing is imported, and dataclasses are looked for in
+    modules of p2o and of plugins alone.
+    """
+    if isinstance(named, str):
+        return _CONTAINERS[named]
+    module, name = named
+    if module.partition(".")[0] not in _packages() and not module.startswith(_PLUGIN_FILE):
+        raise TypeError(f"{module} is no module of p2o or of a plugin")
+    found: Any = sys.modules.get(module)
+    for part in name.split("."):
+        # Unlike `getattr`, this runs nothing: a module may import what it is asked for.
+        found = vars(found).get(part)
+    if not (isinstance(found, type) and is_dataclass(found) and found.__module__ == module):
+        raise TypeError(f"{name} is no dataclass of {module}")
+    return found
+
+
+@cache
+def _packages() -> frozenset[str]:
+    """Return the packages that p2o and the installed plugins are in."""
+    return frozenset({"p2o", *(entry.module.partition(".")[0] for entry in entry_points(group=GROUP))})
