@@ -89,7 +89,7 @@ def test_impossible_rates_and_radii_are_refused(rate: float, radius_px: float) -
 
 
 def test_the_generator_of_a_frame_is_the_same_in_another_process_and_differs_by_seed_and_name() -> None:
-    code = "from p2o.missing import frame_rng; print(frame_rng(7, 'day/drive/0001').integers(1 << 62))"
+    code = "from p2o.features.missing import frame_rng; print(frame_rng(7, 'day/drive/0001').integers(1 << 62))"
     other = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     number = int(frame_rng(7, "day/drive/0001").integers(1 << 62))
     assert number == int(other.stdout)
