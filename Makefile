@@ -1,6 +1,7 @@
 # make run: sets up a fresh machine and calibrates the built-in scene.   make test: the same set-up, then the tests.
 VENV ?= .venv
 PYTHON ?= python3
+JOBS ?= 2
 SOURCES := $(shell find toolkit plugins baselines -name '*.py' -o -name '*.toml' -o -name '*.html' -o -name '*.css' -o -name '*.js') pyproject.toml README.md
 
 .PHONY: run test dev lint wheel clean
@@ -20,8 +21,10 @@ $(VENV)/.installed: $(VENV)/.locked $(SOURCES)
 run: $(VENV)/.installed
 	$(VENV)/bin/p2o run --out p2o-out
 
+# Some processes with one thread each: threads of BLAS and PyTorch that wait for one another cost half of the time.
+# Files stay together in a process, for what they share; who is done first takes over tests of another.
 test: $(VENV)/.installed
-	P2O_STRICT=1 $(VENV)/bin/python -m pytest -q
+	OMP_NUM_THREADS=1 P2O_STRICT=1 $(VENV)/bin/python -m pytest -q -n $(JOBS) --dist worksteal
 
 lint: $(VENV)/.locked
 	$(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check . && $(VENV)/bin/mypy

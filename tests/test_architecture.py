@@ -1,30 +1,59 @@
-"""Who may import whom, held by reading the sources (STYLE sections 2 and 4)."""
+"""Who may import whom, held by reading the sources. A rule is one test that names every offender."""
 
 from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import p2o
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = {"p2o": ROOT / "toolkit/p2o", "p2o_plugins": ROOT / "plugins/p2o_plugins"}
-PACKAGES["p2o_baselines"] = ROOT / "baselines/p2o_baselines"
-HEAVY = {"torch", "kornia", "cv2", "pycolmap", "pyceres", "matplotlib", "joblib", "safetensors"}
-NETWORK = "p2o_plugins.p2ornet"
-"""The one folder that may import heavy packages on import: methods import it when they need it."""
-LIGHT = (f"{NETWORK}.options", f"{NETWORK}.shipped")
-"""The module of it that a method's declaration needs, so it must be light."""
-MAY_IMPORT = {"image": {"p2ornet"}, "p2ornet": {"cloud"}}
-"""Which folders of p2o_plugins use others: the network is of the image side, and learns from sweeps."""
+PACKAGES = {
+    "p2o": ROOT / "toolkit/p2o",
+    "p2o_plugins": ROOT / "plugins/p2o_plugins",
+    "p2o_baselines": ROOT / "baselines/p2o_baselines",
+    "p2o_example": ROOT / "tests/example_plugin/p2o_example",
+}
+ORDINARY = ("p2o_plugins", "p2o_baselines", "p2o_example")
+"""Packages that are to p2o what everyone's plugins are."""
+
+FLOORS = (
+    {"errors"},
+    {"arrays", "files", "options"},
+    {"geometry"},
+    {"frames"},
+    {"features"},
+    {"results"},
+    {"problems", "draw", "simulate"},
+    {"host"},
+    {"calibration"},
+    {"run"},
+    {"work", "learn", "testing"},
+    {"study"},
+    {"report"},
+    {"cli"},
+)
+"""The rooms of p2o, lowest first: a room imports from lower floors only, for type checkers too."""
+FLOOR_OF = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
+OUTSIDE = {"__init__", "__main__"}
+"""The doors of p2o: the table of public names, and `python -m p2o`."""
+UPWARD = {
+    # Reads the table of public names, to find the module behind `p2o.Name` in a source file.
+    ("work.sources", ""),
+}
+"""Imports that go upwards all the same: (module, imported module), "" for p2o itself."""
+
 OPEN_MODULES = {
     "arrays",
     "files.whole_file",
     "host.validation",
     "problems.chart",
+    "problems.line_fit",
     "problems.normal_equations",
     "problems.pairing",
     "results.result_json",
@@ -33,32 +62,61 @@ OPEN_MODULES = {
 }
 """Modules of p2o, besides the names in `p2o.__all__`, that plugins may use."""
 
-
-def sources() -> list[Path]:
-    return sorted(path for folder in PACKAGES.values() for path in folder.rglob("*.py"))
-
-
-def named(path: Path) -> str:
-    return str(path.relative_to(ROOT))
-
-
-def package_of(path: Path) -> str:
-    return next(name for name, folder in PACKAGES.items() if folder in path.parents)
+HEAVY = {"torch", "kornia", "cv2", "pycolmap", "pyceres", "matplotlib", "joblib", "safetensors"}
+NETWORK = "p2o_plugins.p2ornet"
+"""The one folder that may import heavy packages on import: methods import it when they need it."""
+LIGHT = {f"{NETWORK}.options", f"{NETWORK}.shipped"}
+"""The modules of it that a method's declaration needs, so they must be light."""
+MAY_IMPORT = {"image": {"p2ornet"}, "p2ornet": {"cloud"}}
+"""Which folders of p2o_plugins use others: the network is of the image side, and learns from sweeps."""
 
 
-def imports(path: Path, *, top_level: bool = False) -> Iterator[tuple[str, str]]:
-    """Return (module, name) of each import of a file; `top_level`: only what importing the file imports."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    nodes = list(_executed(tree.body)) if top_level else list(ast.walk(tree))
+@dataclass(frozen=True)
+class Import:
+    """`import module` (no name) or `from module import name`."""
+
+    module: str
+    name: str
+    line: int
+
+    @property
+    def loaded(self) -> tuple[str, ...]:
+        """What may be a module in it."""
+        return (self.module, f"{self.module}.{self.name}") if self.name else (self.module,)
+
+
+class Source:
+    """One file, parsed once."""
+
+    def __init__(self, path: Path, text: str, module: str) -> None:
+        self.path, self.text, self.module = path, text, module
+        self.package = module.partition(".")[0]
+        self.tree = ast.parse(text)
+        self.imports = list(_imports(ast.walk(self.tree)))
+        self.imports_on_load = list(_imports(_executed(self.tree.body)))
+
+    def __str__(self) -> str:
+        return str(self.path.relative_to(ROOT))
+
+    @property
+    def of_the_network(self) -> bool:
+        return self.module.startswith(f"{NETWORK}.")
+
+    @property
+    def light(self) -> bool:
+        """Whether importing the file must not load heavy packages."""
+        return not self.of_the_network or self.module in LIGHT
+
+
+def _imports(nodes: Iterator[ast.AST]) -> Iterator[Import]:
     for node in nodes:
         if isinstance(node, ast.Import):
-            yield from ((alias.name, "") for alias in node.names)
+            yield from (Import(alias.name, "", node.lineno) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path}: relative import"
-            yield from ((node.module or "", alias.name) for alias in node.names)
+            yield from (Import("." * node.level + (node.module or ""), a.name, node.lineno) for a in node.names)
 
 
-def _executed(body: list[ast.stmt]) -> Iterator[ast.stmt]:
+def _executed(body: list[ast.stmt]) -> Iterator[ast.AST]:
     """Return the statements that run on import: not those of functions, nor those for type checkers."""
     for node in body:
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
@@ -66,118 +124,254 @@ def _executed(body: list[ast.stmt]) -> Iterator[ast.stmt]:
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
             continue
         yield node
-        for inner in ("body", "orelse", "finalbody"):
+        for inner in ("body", "orelse", "finalbody", "handlers"):
             yield from _executed(getattr(node, inner, []))
 
 
+@cache
+def sources() -> tuple[Source, ...]:
+    found = []
+    for folder in PACKAGES.values():
+        for path in sorted(folder.rglob("*.py")):
+            module = ".".join(path.relative_to(folder.parent).with_suffix("").parts).removesuffix(".__init__")
+            found.append(Source(path, path.read_text(encoding="utf-8"), module))
+    return tuple(found)
+
+
+def of(*packages: str) -> list[Source]:
+    return [source for source in sources() if source.package in packages]
+
+
+def nobody(offenders: list[str], rule: str) -> None:
+    assert not offenders, f"{rule}:\n  " + "\n  ".join(offenders)
+
+
+# ---- packages and rooms
+
+
 def test_there_are_sources_to_look_at() -> None:
-    assert {package_of(path) for path in sources()} == set(PACKAGES)
+    assert {source.package for source in sources()} == set(PACKAGES)
     assert len(sources()) > 40
 
 
-@pytest.mark.parametrize("path", sources(), ids=named)
-def test_packages_import_downwards_only(path: Path) -> None:
-    own = package_of(path)
-    used = {module.partition(".")[0] for module, _ in imports(path)} & set(PACKAGES)
-    allowed = {"p2o": {"p2o"}, "p2o_plugins": {"p2o_plugins", "p2o"}, "p2o_baselines": {"p2o_baselines", "p2o"}}
-    assert used <= allowed[own], f"{own} imports {used - allowed[own]}"
+def test_imports_are_absolute() -> None:
+    offenders = [f"{s}:{i.line}" for s in sources() for i in s.imports if i.module.startswith(".")]
+    nobody(offenders, "imports name the whole module")
 
 
-@pytest.mark.parametrize("path", [p for p in sources() if package_of(p) != "p2o"], ids=named)
-def test_plugins_use_public_names_of_p2o_only(path: Path) -> None:
-    public = set(p2o.__all__)
-    for module, name in imports(path):
-        head, _, tail = module.partition(".")
-        if head != "p2o":
+def test_p2o_knows_no_plugin_and_plugins_know_only_p2o() -> None:
+    offenders = [
+        f"{source}:{found.line} imports {found.module}"
+        for source in sources()
+        for found in source.imports
+        if found.module.partition(".")[0] in set(PACKAGES) - {source.package, "p2o"}
+    ]
+    nobody(offenders, "packages import p2o and themselves only")
+
+
+def rooms(source: Source) -> Iterator[tuple[str, str, int]]:
+    """Return (module, imported module, line), all without `p2o.`, of each import of p2o from another room of it."""
+    own = source.module.removeprefix("p2o").removeprefix(".")
+    for found in source.imports:
+        if found.module == "p2o":  # `from p2o import room` or a public name, which is p2o itself
+            other = found.name if found.name in FLOOR_OF else ""
+        elif found.module.startswith("p2o."):
+            other = found.module.removeprefix("p2o.")
+        else:
             continue
-        if tail:
-            assert any(tail == m or tail.startswith(f"{m}.") for m in OPEN_MODULES | public), f"{module} is not public"
-        elif name:
-            assert name in public | OPEN_MODULES, f"p2o.{name} is not public"
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    attributes = {
-        node.attr
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "p2o"
-    }
-    assert attributes <= public | OPEN_MODULES, f"p2o.{attributes - public} is not public"
+        if own.partition(".")[0] != other.partition(".")[0]:
+            yield own, other, found.line
 
 
-def of_the_network(path: Path) -> bool:
-    return path.parent == PACKAGES["p2o_plugins"] / "p2ornet"
+def goes_down(own: str, other: str) -> bool:
+    """Whether a module of p2o stands on a higher floor than what it imports."""
+    return bool(other) and FLOOR_OF[own.partition(".")[0]] > FLOOR_OF[other.partition(".")[0]]
 
 
-def light(path: Path) -> bool:
-    """Whether importing the file must not load heavy packages."""
-    return not of_the_network(path) or path.stem in (*(module.rpartition(".")[2] for module in LIGHT), "__init__")
+def test_every_room_stands_on_one_floor() -> None:
+    there = {source.path.relative_to(PACKAGES["p2o"]).parts[0].removesuffix(".py") for source in of("p2o")}
+    assert there == set(FLOOR_OF) | OUTSIDE
+    assert sum(map(len, FLOORS)) == len(FLOOR_OF)
 
 
-@pytest.mark.parametrize("path", [p for p in sources() if light(p)], ids=named)
-def test_heavy_packages_are_imported_inside_functions(path: Path) -> None:
-    loaded = {module.partition(".")[0] for module, _ in imports(path, top_level=True)}
-    assert not loaded & HEAVY
+def test_rooms_import_from_lower_floors_only() -> None:
+    inside = [
+        source for source in of("p2o") if source.path.parent != PACKAGES["p2o"] or source.path.stem not in OUTSIDE
+    ]
+    upward = [(source, *link) for source in inside for link in rooms(source) if not goes_down(*link[:2])]
+    offenders = [
+        f"{source}:{line} imports p2o.{other}".rstrip(".")
+        for source, own, other, line in upward
+        if (own, other) not in UPWARD
+    ]
+    nobody(offenders, "rooms of p2o import from lower floors only (FLOORS)")
+    over = UPWARD - {(own, other) for _, own, other, _ in upward}
+    assert not over, f"UPWARD holds what is no longer so: {sorted(over)}"
 
 
-@pytest.mark.parametrize("path", [p for p in sources() if light(p)], ids=named)
-def test_the_network_is_imported_inside_functions(path: Path) -> None:
-    for module, name in imports(path, top_level=True):
-        for loaded in (module, f"{module}.{name}"):
-            inside = loaded == NETWORK or loaded.startswith(f"{NETWORK}.")
-            assert not inside or any(loaded == m or loaded.startswith(f"{m}.") for m in LIGHT), f"{loaded} is heavy"
+@pytest.mark.parametrize(
+    ("code", "found"),
+    [
+        ("from p2o.geometry import se3", []),
+        ("from p2o.frames.cloud import Cloud", []),
+        ("from p2o.features import side", [("features", 1)]),
+        ("import p2o.host.registry", [("host.registry", 1)]),
+        ("import p2o", [("", 1)]),
+        ("from p2o import Frame", [("", 1)]),
+        ("if TYPE_CHECKING:\n    from p2o.run.run import Run", [("run.run", 2)]),
+        ("def f():\n    from p2o import study", [("study", 2)]),
+        ("import numpy", []),
+    ],
+)
+def test_an_upward_import_is_seen(code: str, found: list[tuple[str, int]]) -> None:
+    source = Source(PACKAGES["p2o"] / "frames/image.py", code, "p2o.frames.image")
+    assert [(other, line) for own, other, line in rooms(source) if not goes_down(own, other)] == found
+
+
+# ---- what plugins may use of p2o
+
+
+def hidden_names(source: Source) -> Iterator[str]:
+    """Return what a plugin uses of p2o that is neither a public name nor in an open module, with its line."""
+    public = set(p2o.__all__) | OPEN_MODULES
+    ways = {module[:at] for module in OPEN_MODULES for at, letter in enumerate(module) if letter == "."}
+    for found in source.imports:
+        head, _, module = found.module.partition(".")
+        path = f"{module}.{found.name}".strip(".")
+        of_an_open_module = module in OPEN_MODULES and found.name and not found.name.startswith("_")
+        if head == "p2o" and path and path not in public and not of_an_open_module:
+            yield f"{source}:{found.line} p2o.{path}"
+    for node in ast.walk(source.tree):
+        head, _, path = ast.unparse(node).partition(".") if isinstance(node, ast.Attribute) else ("", "", "")
+        inside = any(path == name or path.startswith(f"{name}.") for name in public)
+        if head == "p2o" and path not in ways and (not inside or "._" in path):
+            yield f"{source}:{node.lineno} p2o.{path}"
+
+
+def test_plugins_use_public_names_of_p2o_only() -> None:
+    offenders = [name for source in of(*ORDINARY) for name in hidden_names(source)]
+    nobody(offenders, "plugins use p2o.__all__ and OPEN_MODULES only")
+
+
+@pytest.mark.parametrize(
+    ("code", "found"),
+    [
+        ("import p2o\np2o.Frame", []),
+        ("from p2o import Frame, simulate", []),
+        ("from p2o.arrays import Float", []),
+        ("from p2o.problems import pairing", []),
+        ("import p2o.problems.pairing\np2o.problems.pairing.pair", []),
+        ("from p2o.problems.pairing import _spread", ["1 p2o.problems.pairing._spread"]),
+        ("from p2o.problems import directed_cost", ["1 p2o.problems.directed_cost"]),
+        ("from p2o import host", ["1 p2o.host"]),
+        ("import p2o\np2o.host", ["2 p2o.host"]),
+        ("import p2o\np2o.problems.directed_cost", ["2 p2o.problems.directed_cost"]),
+        ("import p2o\np2o.se3.apply(p2o.problems.chart.pose_at)", []),
+        ("from p2o.simulate import lidar", []),
+        ("from p2o.simulate.lidar import Lidar", ["1 p2o.simulate.lidar.Lidar"]),
+        ("import p2o.run.run", ["1 p2o.run.run"]),
+    ],
+)
+def test_a_name_that_is_not_public_is_seen(code: str, found: list[str]) -> None:
+    source = Source(PACKAGES["p2o_plugins"] / "new.py", code, "p2o_plugins.new")
+    assert list(hidden_names(source)) == [f"{source}:{place}" for place in found]
+
+
+def test_open_modules_are_there() -> None:
+    assert {f"p2o.{module}" for module in OPEN_MODULES} <= {source.module for source in of("p2o")}
+
+
+# ---- what is heavy
+
+
+def test_heavy_packages_are_imported_inside_functions() -> None:
+    offenders = [
+        f"{source}:{found.line} {found.module}"
+        for source in sources()
+        for found in source.imports_on_load
+        if source.light and found.module.partition(".")[0] in HEAVY
+    ]
+    nobody(offenders, "heavy packages are imported where they are used")
+
+
+def test_the_network_is_imported_inside_functions() -> None:
+    def is_heavy(module: str) -> bool:
+        inside = module == NETWORK or module.startswith(f"{NETWORK}.")
+        return inside and not any(module == light or module.startswith(f"{light}.") for light in LIGHT)
+
+    offenders = [
+        f"{source}:{found.line} {found.module}"
+        for source in sources()
+        for found in source.imports_on_load
+        if source.light and any(is_heavy(module) for module in found.loaded)
+    ]
+    nobody(offenders, "the network is imported where it is used")
 
 
 def test_the_network_is_where_the_rules_look() -> None:
-    assert sum(of_the_network(path) for path in sources()) > 5
-    assert set(LIGHT) <= {
-        ".".join(p.relative_to(ROOT / "plugins").with_suffix("").parts)
-        for p in sources()
-        if light(p) and of_the_network(p)
-    }
-
-
-@pytest.mark.parametrize("path", [p for p in sources() if package_of(p) == "p2o_plugins"], ids=named)
-def test_stage_folders_do_not_import_one_another(path: Path) -> None:
-    own = path.relative_to(PACKAGES["p2o_plugins"]).parts[0]
-    if own == "hooks.py":
-        return
-    for module, _ in imports(path):
-        parts = module.split(".")
-        if parts[0] == "p2o_plugins" and len(parts) > 1:
-            assert parts[1] in {own, *MAY_IMPORT.get(own, ())}, f"{own} imports {module}"
+    network = {source.module for source in sources() if source.of_the_network}
+    assert len(network) > 5
+    assert network > LIGHT
 
 
 def test_only_the_method_of_the_network_uses_it() -> None:
-    users = {p for p in sources() if any(m.startswith(NETWORK) for m, _ in imports(p)) and not of_the_network(p)}
-    assert users == {PACKAGES["p2o_plugins"] / "image/p2ornet.py"}
+    users = {s.module for s in sources() if any(i.module.startswith(NETWORK) for i in s.imports)}
+    assert {user for user in users if not user.startswith(NETWORK)} == {"p2o_plugins.image.p2ornet"}
 
 
-@pytest.mark.parametrize("path", [p for p in sources() if package_of(p) == "p2o"], ids=named)
-def test_click_is_for_the_command_line_only(path: Path) -> None:
-    if "cli" in path.relative_to(PACKAGES["p2o"]).parts:
-        return
-    assert not any(module.partition(".")[0] == "click" for module, _ in imports(path))
-    assert not any(module.startswith("p2o.cli") for module, _ in imports(path)) or path.name == "__main__.py"
+def test_click_is_for_the_command_line_only() -> None:
+    offenders = [
+        f"{source}:{found.line}"
+        for source in sources()
+        for found in source.imports
+        if found.module.partition(".")[0] == "click" and not source.module.startswith("p2o.cli")
+    ]
+    nobody(offenders, "click stays in p2o.cli")
 
 
-@pytest.mark.parametrize("path", sources(), ids=named)
-def test_files_are_named_for_what_they_hold(path: Path) -> None:
-    assert not re.fullmatch(r"(utils?|helpers?|common|managers?|misc|base|core)\.py", path.name)
-    assert path.read_text(encoding="utf-8").startswith(('"""', 'r"""')) or not path.read_text().strip()
+# ---- files
 
 
-@pytest.mark.parametrize("path", [p for p in sources() if package_of(p) == "p2o_plugins"], ids=named)
-def test_a_method_is_found_by_its_file(path: Path) -> None:
+def test_stage_folders_do_not_import_one_another() -> None:
+    offenders = []
+    for source in of("p2o_plugins"):
+        own = source.module.split(".")[1:2]
+        if not own or own == ["hooks"]:
+            continue
+        for found in source.imports:
+            parts = found.module.split(".")
+            if parts[0] == "p2o_plugins" and parts[1:2] and parts[1] not in {*own, *MAY_IMPORT.get(own[0], ())}:
+                offenders.append(f"{source}:{found.line} imports {found.module}")
+    nobody(offenders, "folders of stages stand alone")
+
+
+def offenders_of(rule: Callable[[Source], object]) -> list[str]:
+    return [str(source) for source in sources() if not rule(source)]
+
+
+def test_files_are_named_for_what_they_hold() -> None:
+    vague = re.compile(r"(utils?|helpers?|common|managers?|misc|base|core)\.py")
+    nobody(offenders_of(lambda source: not vague.fullmatch(source.path.name)), "a file is named for what it holds")
+
+
+def test_files_say_what_they_hold() -> None:
+    nobody(offenders_of(lambda source: ast.get_docstring(source.tree) or not source.text.strip()), "no docstring")
+
+
+def test_nothing_is_left_undone() -> None:
+    undone = re.compile(r"\b(TODO|FIXME|XXX|HACK|TEMPORARY)\b|raise NotImplementedError")
+    nobody(offenders_of(lambda source: not undone.search(source.text)), "something is left undone")
+
+
+def test_a_method_is_found_by_its_file() -> None:
     """A file that defines METHOD is offered by the hooks, and its name is in the name of the method or the reverse."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    if not any(isinstance(n, ast.Assign) and ast.unparse(n.targets[0]) == "METHOD" for n in tree.body):
-        return
-    module = ".".join(path.relative_to(PACKAGES["p2o_plugins"].parent).with_suffix("").parts)
     offered = {o.method.build.__module__: o.name for o in p2o.Registry.load(environ={}).offers if o.dist == "p2o-calib"}
-    assert module in offered, "METHOD is defined, but no hook offers it"
-    assert offered[module].replace("-", "_") in path.stem
-
-
-@pytest.mark.parametrize("path", sources(), ids=named)
-def test_nothing_is_left_undone(path: Path) -> None:
-    text = path.read_text(encoding="utf-8")
-    assert not re.search(r"\b(TODO|FIXME|XXX|HACK|TEMPORARY)\b|raise NotImplementedError", text)
+    methods = [
+        source
+        for source in of("p2o_plugins", "p2o_baselines")
+        if any(isinstance(n, ast.Assign) and ast.unparse(n.targets[0]) == "METHOD" for n in source.tree.body)
+    ]
+    assert len(methods) > 10
+    nobody([str(s) for s in methods if s.module not in offered], "METHOD is defined, but no hook offers it")
+    odd = [f"{s}: {offered[s.module]}" for s in methods if offered[s.module].replace("-", "_") not in s.path.stem]
+    nobody(odd, "the file of a method has its name")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import re
 from pathlib import Path
 
 import p2o
@@ -37,10 +38,13 @@ def test_no_public_name_is_lost_and_new_ones_are_written_down() -> None:
         assert not set(names) - set(known[group]), f"new {group}: run `python -m tests.test_public_names`"
 
 
-def test_every_public_name_can_be_used() -> None:
-    for name in p2o.__all__:
-        assert getattr(p2o, name).__class__ is not None
-        assert name in dir(p2o)
+def test_python_and_type_checkers_find_every_public_name_in_the_same_module() -> None:
+    text = Path(p2o.__file__).read_text(encoding="utf-8")
+    declared = re.findall(r"^    from (p2o[\w.]*) import (\w+) as (\w+)$", text, re.MULTILINE)
+    assert sorted(name for _, _, name in declared) == sorted(p2o.__all__) == sorted(dir(p2o))
+    for module, there, name in declared:
+        assert there == name
+        assert getattr(p2o, name) is getattr(importlib.import_module(module), there)
 
 
 def test_there_is_a_hook_for_every_kind() -> None:

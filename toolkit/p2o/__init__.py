@@ -45,8 +45,6 @@ if TYPE_CHECKING:
     from p2o.host.hookspecs import hookimpl as hookimpl
     from p2o.host.method import Kind as Kind
     from p2o.host.method import Method as Method
-    from p2o.host.options import Options as Options
-    from p2o.host.options import field as field
     from p2o.host.registry import Registry as Registry
     from p2o.host.stages import Calibrator as Calibrator
     from p2o.host.stages import CloudExtractor as CloudExtractor
@@ -58,6 +56,8 @@ if TYPE_CHECKING:
     from p2o.host.trainer import Trainer as Trainer
     from p2o.host.trainer import TrainingGroup as TrainingGroup
     from p2o.host.trainer import TrainingProgress as TrainingProgress
+    from p2o.options import Options as Options
+    from p2o.options import field as field
     from p2o.problems.directed_cost import DirectedCost as DirectedCost
     from p2o.problems.point_to_line import PointToLine as PointToLine
     from p2o.problems.problem import LeastSquares as LeastSquares
@@ -99,7 +99,7 @@ _HOME = {
     "frames.image": ["Image"],
     "host.method": ["Kind", "Method"],
     "geometry.pose_error": ["PoseError", "pose_error"],
-    "host.options": ["Options", "field"],
+    "options": ["Options", "field"],
     "calibration.pipeline": ["Pipeline"],
     "problems.point_to_line": ["PointToLine"],
     "problems.problem": ["LeastSquares", "Objective", "Problem"],

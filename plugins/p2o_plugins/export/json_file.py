@@ -21,5 +21,5 @@ def build(options: Options) -> Exporter:
 METHOD = Method(
     name="json",
     build=build,
-    summary="The whole result, with rounds, recipe and versions; p2o.result_json reads it back.",
+    summary="The whole result, with rounds, recipe and versions; p2o.results.result_json reads it back.",
 )

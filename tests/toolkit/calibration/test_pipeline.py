@@ -364,10 +364,19 @@ def test_a_matcher_without_pairs_tells_nothing_of_the_camera() -> None:
     def match(views, pose, reach_px):
         return built(ogm)(views, pose, reach_px).as_objective()
 
+    begin = start(0, 0.2)
     result = replace(pipeline(solver=nelder_mead, initializer=given, camera="refine"), matcher=match).solve(
-        [edge_scene.view()], start(0, 0.2)
+        [edge_scene.view()], begin
     )
-    assert result.cameras == ()
+    # The pose is found by the objective alone ...
+    assert result.status.solved
+    before, after = (pose_error(pose, TRUTH) for pose in (begin, result.camera_from_lidar))
+    assert after.rotation_deg < 0.01 < before.rotation_deg
+    assert after.translation_m < 0.01 < before.translation_m
+    assert result.directed_cost_px[1] < result.directed_cost_px[0]
+    # ... and what only pairs tell stays untold.
+    assert (result.cameras, result.motions, result.matches) == ((), (), {})
+    assert (result.accuracy, result.covariance) == (None, None)
 
 
 def test_a_result_says_how_wrong_it_may_be() -> None:

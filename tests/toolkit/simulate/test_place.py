@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 from p2o import SIDES, Camera, UnknownNameError, occlusion, se3
-from p2o.simulate import PLACES, Class, labels, render, scene_of
+from p2o.simulate import PLACES, Class, Picture, labels, render, scene_of
 
 CAMERA = Camera.pinhole(360.0, 360.0, 310.0, 93.0, 621, 188)
 WORLD_FROM_CAMERA = se3.make([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]], (0.0, 0.0, 1.65))
 
 
+@cache
+def picture(place: str, seed: int) -> Picture:
+    scene, _ = scene_of(place, np.random.default_rng(seed), speed_m_s=8.0)
+    return render(scene, CAMERA, WORLD_FROM_CAMERA)
+
+
 @pytest.mark.parametrize("seed", range(10))
 @pytest.mark.parametrize("place", PLACES)
 def test_every_frame_has_tens_of_hard_edges_in_all_four_directions(place: str, seed: int) -> None:
-    scene, _ = scene_of(place, np.random.default_rng(seed), speed_m_s=8.0)
-    picture = render(scene, CAMERA, WORLD_FROM_CAMERA)
-    _, side = occlusion.edges_from_orders(labels(picture, CAMERA, mask_foliage=True))
+    _, side = occlusion.edges_from_orders(labels(picture(place, seed), CAMERA, mask_foliage=True))
     for direction in SIDES:
         assert (side == direction).sum() >= 30, direction.name
 
@@ -53,10 +59,8 @@ def test_a_third_of_mixed_places_are_trees() -> None:
 
 def test_trees_and_streets_show_what_their_names_say() -> None:
     def shares(place: str) -> dict[Class, float]:
-        pictures = [
-            render(scene_of(place, np.random.default_rng(s))[0], CAMERA, WORLD_FROM_CAMERA).classes for s in range(3)
-        ]
-        return {kind: float((np.stack(pictures) == kind).mean()) for kind in Class}
+        classes = np.stack([picture(place, seed).classes for seed in range(3)])
+        return {kind: float((classes == kind).mean()) for kind in Class}
 
     trees, street = shares("trees"), shares("street")
     assert trees[Class.FOLIAGE] > 0.25

@@ -8,8 +8,8 @@ import numpy as np
 from pydantic import field_validator
 
 from p2o.features.missing import RADIUS_PX
-from p2o.host.options import Options
-from p2o.host.options import field as option
+from p2o.options import Options
+from p2o.options import field as option
 
 
 class PipelineOptions(Options):

@@ -9,8 +9,8 @@ import click
 from p2o.cli.plugin_options import load, plugin_options
 
 if TYPE_CHECKING:
-    from p2o.host.options import Options
     from p2o.host.registry import Offer, Registry
+    from p2o.options import Options
 
 
 @click.command("methods")

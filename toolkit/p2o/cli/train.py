@@ -12,8 +12,8 @@ from p2o.cli.training_data import training_data_options
 from p2o.errors import UnknownNameError
 
 if TYPE_CHECKING:
-    from p2o.host.options import Options
     from p2o.host.trainer import Trainer
+    from p2o.options import Options
 
 
 @click.command("train")

@@ -18,9 +18,9 @@ from p2o.frames.cloud import Cloud
 from p2o.frames.frame import Dataset, Frame
 from p2o.geometry import se3
 from p2o.host.method import Kind
-from p2o.host.options import Options
 from p2o.host.registry import Offer
 from p2o.host.trainer import Trainer
+from p2o.options import Options
 from p2o.problems.problem import LeastSquares, Objective
 from p2o.results.result import Result, Solution
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from p2o.errors import PluginError
-from p2o.host.options import Options
 from p2o.host.slots import Kind as Kind
 from p2o.host.trainer import Trainer
+from p2o.options import Options
 
 
 @dataclass(frozen=True)

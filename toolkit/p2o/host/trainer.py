@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from p2o.errors import PluginError
-from p2o.host.options import Options
+from p2o.options import Options
 
 if TYPE_CHECKING:
     from p2o.arrays import UInt8

@@ -13,11 +13,11 @@ from typing import Any
 from p2o.errors import InputError
 from p2o.files.whole_file import write_whole
 from p2o.host.guard import trainer_of
-from p2o.host.options import Options
 from p2o.host.registry import Offer
 from p2o.host.slots import SLOT_OF
 from p2o.host.trainer import TrainingGroup, TrainingProgress
 from p2o.learn.label_files import LabelProgress, Source, write_labels
+from p2o.options import Options
 from p2o.run.recipe import Recipe
 
 

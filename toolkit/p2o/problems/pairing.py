@@ -13,7 +13,7 @@ from p2o.features.side import SIDES, Side
 from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
-from p2o.host.options import Options, field
+from p2o.options import Options, field
 from p2o.problems.line_fit import faces, fit_lines, straight
 from p2o.problems.point_to_line import PointToLine
 

@@ -11,12 +11,12 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from p2o.errors import InputError, UnknownNameError
 from p2o.host.method import Kind, Method
-from p2o.host.options import Options
 from p2o.host.registry import Offer, Registry
 from p2o.host.slots import KIND_OF, STAGED_WORDS
 from p2o.host.slots import STAGE_OF as STAGE_OF
 from p2o.host.slots import STAGES as STAGES
 from p2o.host.validation import validated as validated
+from p2o.options import Options
 from p2o.run.fit import HELD, check_fit, misfit_of, way_out
 from p2o.run.words import parse_settings as parse_settings
 from p2o.run.words import split_data as split_data

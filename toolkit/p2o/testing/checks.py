@@ -25,8 +25,8 @@ from p2o.geometry import se3
 from p2o.geometry.pose_error import pose_error
 from p2o.host.guard import build
 from p2o.host.method import Kind
-from p2o.host.options import Options
 from p2o.host.registry import Offer
+from p2o.options import Options
 from p2o.problems.point_to_line import PointToLine
 from p2o.problems.problem import Objective
 from p2o.results.evidence import Agreement, Judged, Rival
