@@ -23,6 +23,8 @@ MAY_IMPORT = {"image": {"p2ornet"}, "p2ornet": {"cloud"}}
 OPEN_MODULES = {
     "arrays",
     "files.whole_file",
+    "frames.accumulate",
+    "frames.lidar_odometry",
     "host.validation",
     "problems.chart",
     "problems.normal_equations",
