@@ -51,6 +51,8 @@ UPWARD = {
 OPEN_MODULES = {
     "arrays",
     "files.whole_file",
+    "frames.accumulate",
+    "frames.lidar_odometry",
     "host.validation",
     "problems.chart",
     "problems.line_fit",

@@ -82,6 +82,7 @@ def full_frame() -> Frame:
         lidar_world_from_lidar=pose @ pose @ pose,
         camera_world_from_camera=se3.inverse(pose),
         targets=(Checkerboard(7, 5, 0.1, 1.0, 0.8), HoleBoard(1.0, 1.0, ((0.0, 0.0, 0.1),))),
+        sweep=Cloud(np.zeros((1, 3))),
     )
 
 
