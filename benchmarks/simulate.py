@@ -11,6 +11,7 @@ import argparse
 import os
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from p2o import SIDES, occlusion
@@ -20,6 +21,11 @@ from p2o_plugins.data.synthetic import SyntheticOptions, _drive, build, view
 
 GALLERY = {"street": 0, "suburb": 2, "highway": 3, "trees": 1}
 """Seeds of the pictures."""
+BOARDS: dict[str, dict[str, Any]] = {
+    "checkerboard": {"seed": 4},
+    "holes": {"seed": 2, "boards": 2, "board": "a1", "holder": "stand"},
+}
+"""Options of the pictures of boards."""
 PLACES = ("street", "suburb", "highway", "trees")
 
 
@@ -32,7 +38,7 @@ def timed(options: SyntheticOptions, frames: list[tuple[int, int]]) -> tuple[flo
 
 
 def gallery(folder: Path) -> None:
-    """Write one picture of each kind of place, and of one the depth, the sweep and the labels, as JPEG."""
+    """Write a picture of each kind of place and board, and of one place depth, sweep and labels, as JPEG."""
     folder.mkdir(parents=True, exist_ok=True)
     for place, seed in GALLERY.items():
         options = SyntheticOptions(place=place, seed=seed, right=False)
@@ -51,6 +57,9 @@ def gallery(folder: Path) -> None:
             close = np.clip(3.0 / picture.depth_m, 0, 1) ** 0.5
             save(folder / "depth.jpg", np.repeat((255 * close).astype(np.uint8)[..., None], 3, axis=2))
             save(folder / "normals.jpg", (127.5 * (1 - picture.normals)).astype(np.uint8))
+    for targets, options in BOARDS.items():
+        options = SyntheticOptions(targets=targets, place="yard", exposure_ev=-0.5, right=False, **options)
+        save(folder / f"{targets}.jpg", view(options, 0).frame.image.rgb)
 
 
 def save(path: Path, rgb: np.ndarray) -> None:

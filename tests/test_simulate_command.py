@@ -96,6 +96,10 @@ def test_the_folder_layout_says_when_and_where_a_frame_of_a_drive_was_and_what_b
     checkerboard = {"columns": 7, "rows": 4, "square_m": 0.1, "width_m": 0.9, "height_m": 0.6}
     holes = {"width_m": 1.0, "height_m": 0.8, "holes": [[-0.2, 0.0, 0.1], [0.2, 0.1, 0.12]]}
     assert entry["targets"] == [{"kind": "checkerboard", **checkerboard}, {"kind": "holes", **holes}]
+    again = read("folder", tmp_path)[0]
+    assert (again.sequence, again.time_s, again.targets) == ("drive 1", 2.5, targets)
+    np.testing.assert_allclose(again.lidar_world_from_lidar, poses[0], atol=1e-12)
+    np.testing.assert_allclose(again.camera_world_from_camera, poses[1], atol=1e-12)
 
 
 def test_a_frame_of_no_drive_is_written_without_one(tmp_path: Path) -> None:
