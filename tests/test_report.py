@@ -369,28 +369,32 @@ def test_names_are_no_formulas() -> None:
 # ---- the whole report
 
 
-def test_a_report_has_tables_figures_and_a_page(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def reported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ...]:
+    """The files of a report, in the folder `report` of its store."""
     pytest.importorskip("plotly")
-    paths = write_report(write_store(tmp_path, table2(6, 2)))
-    names = {path.name for path in paths}
-    assert {path.parent for path in paths} == {tmp_path / "report"}
-    assert {p.name for p in (tmp_path / "report").iterdir()} == names
+    return tuple(write_report(write_store(tmp_path_factory.mktemp("study"), table2(6, 2))))
+
+
+def test_a_report_has_tables_figures_and_a_page(reported: tuple[Path, ...]) -> None:
+    names = {path.name for path in reported}
+    [folder] = {path.parent for path in reported}
+    assert folder.name == "report"
+    assert {p.name for p in folder.iterdir()} == names
     figures = {f"table2-{g}-{kind}" for g in (1, 2) for kind in ("boxplot", "convergence", "frames")}
     assert names == {"report.html", "report.md", "report.tex"} | {f"{f}.{e}" for f in figures for e in ("png", "svg")}
-    text = (tmp_path / "report" / "report.md").read_text()
+    text = (folder / "report.md").read_text()
     assert set(re.findall(r"\]\(([^)]*)\)", text)) == {f"{f}.png" for f in figures}
     for figure in figures:
-        ElementTree.parse(tmp_path / "report" / f"{figure}.svg")
+        ElementTree.parse(folder / f"{figure}.svg")
 
 
-def test_the_same_store_gives_the_same_bytes_in_any_process(tmp_path: Path) -> None:
-    pytest.importorskip("plotly")
-    write_store(tmp_path, table2(6, 2))
-    here = write_report(tmp_path, tmp_path / "here")
-    command = [sys.executable, "-m", "p2o", "report", str(tmp_path), "--out", str(tmp_path / "there")]
+def test_the_same_store_gives_the_same_bytes_in_any_process(reported: tuple[Path, ...], tmp_path: Path) -> None:
+    store = reported[0].parents[1]
+    command = [sys.executable, "-m", "p2o", "report", str(store), "--out", str(tmp_path)]
     subprocess.run(command, check=True, capture_output=True)
-    for path in here:
-        assert path.read_bytes() == (tmp_path / "there" / path.name).read_bytes(), path.name
+    for path in reported:
+        assert path.read_bytes() == (tmp_path / path.name).read_bytes(), path.name
 
 
 def test_the_command_names_what_it_wrote(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -216,19 +218,26 @@ def in_doubt(result: Result) -> bool:
     return any(reason.doubt is Doubt.CAMERA for reason in result.verdict.reasons)
 
 
+@cache
+def solved(views: Callable[[], list[View]], **options: object) -> Result:
+    """The result on several views; it cannot be changed, so tests share it."""
+    return pipeline(**options).solve(views(), start())
+
+
 MISCALIBRATED = RadialError(-0.003, 0.02)
 
 
-def wrongly_calibrated(count: int = 4) -> list[View]:
+@cache
+def wrongly_calibrated() -> list[View]:
     """Views whose camera lacks the distortion that the picture has."""
     true = MISCALIBRATED.corrected(edge_scene.PINHOLE)
-    views = [edge_scene.view(true, seed=i, boxes=60, noise_px=0.3) for i in range(count)]
+    views = [edge_scene.view(true, seed=i, boxes=60, noise_px=0.3) for i in range(4)]
     return [replace(view, camera=edge_scene.PINHOLE) for view in views]
 
 
 def test_a_wrong_calibration_of_the_camera_is_told() -> None:
-    trusted = pipeline(camera="trust").solve(wrongly_calibrated(), start())
-    checked = pipeline().solve(wrongly_calibrated(), start())
+    trusted = solved(wrongly_calibrated, camera="trust")
+    checked = solved(wrongly_calibrated)
     assert trusted.cameras == ()
     assert not in_doubt(trusted)
     assert np.array_equal(checked.camera_from_lidar, trusted.camera_from_lidar)
@@ -247,8 +256,8 @@ def test_a_right_calibration_is_not_doubted() -> None:
 
 
 def test_refining_the_camera_finds_its_error_and_a_better_pose() -> None:
-    trusted = pipeline(camera="trust").solve(wrongly_calibrated(), start())
-    refined = pipeline(camera="refine").solve(wrongly_calibrated(), start())
+    trusted = solved(wrongly_calibrated, camera="trust")
+    refined = solved(wrongly_calibrated, camera="refine")
     (check,) = refined.cameras
     assert check.corrected
     assert (
@@ -285,6 +294,7 @@ def as_measured(view: View, motion: EgoMotion) -> View:
 MOTIONS = [EgoMotion(speed, turn) for speed, turn in ((16.0, 0.0), (0.0, 0.0), (9.0, 0.15), (5.0, -0.1))]
 
 
+@cache
 def driven() -> list[View]:
     return [
         as_measured(edge_scene.view(seed=i, boxes=60, name=f"at {m.speed_m_s:g}"), m) for i, m in enumerate(MOTIONS)
@@ -292,8 +302,8 @@ def driven() -> list[View]:
 
 
 def test_the_motion_of_the_car_is_found_along_with_the_pose() -> None:
-    trusted = pipeline(motion="trust", camera="trust").solve(driven(), start())
-    found = pipeline().solve(driven(), start())
+    trusted = solved(driven, motion="trust", camera="trust")
+    found = solved(driven)
     assert trusted.motions == ()
     assert trusted.twist_of("at 16") is None
     before, after = (pose_error(result.camera_from_lidar, TRUTH) for result in (trusted, found))
@@ -309,8 +319,8 @@ def test_the_motion_of_the_car_is_found_along_with_the_pose() -> None:
 
 
 def test_motion_of_the_car_does_not_look_like_a_wrong_camera() -> None:
-    checked = pipeline().solve(driven(), start())
-    refined = pipeline(camera="refine").solve(driven(), start())
+    checked = solved(driven)
+    refined = solved(driven, camera="refine")
     for result in (checked, refined):
         assert result.cameras[0].shift_px < 0.4
         assert pose_error(result.camera_from_lidar, TRUTH).translation_m < 0.01

@@ -312,7 +312,7 @@ def test_a_dask_cluster_gives_the_same_bits_though_a_worker_is_killed(bench: Ben
         STAGED
         + f'[[row]]\nlabel = "quick"\ncalibrator = "quick"\noptions.calibrator.die_once = "{bench.root / "died"}"\n'
     )
-    done = bench.cli(text, "--backend", "dask", "--jobs", "3", "--quiet")
+    done = bench.cli(text, "--backend", "dask", "--jobs", "2", "--quiet")
     assert done.returncode == 0, done.stderr
     assert (bench.root / "died").exists(), "a worker was killed"
     alone = bench.run(text, out="alone")
