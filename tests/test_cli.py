@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -161,7 +162,7 @@ def test_json_is_one_object_for_each_frame_and_a_summary(fake: list[str], capsys
         assert row["start_error"]["rotation_deg"] == pytest.approx(2.0)
         assert row["seed"] == 3
     assert run["summary"]["status"] == {"converged": 2}
-    assert run["summary"]["trust"] == {"trusted": 2}
+    assert run["summary"]["trust"] == Counter(row["verdict"]["trust"] for row in run["results"])
     assert run["summary"]["error"]["rotation_deg_mean"] == pytest.approx(2.0)
 
 
@@ -221,7 +222,9 @@ def test_the_likely_accuracy_is_said_and_may_be_required(capsys: pytest.CaptureF
 def test_who_cannot_tell_an_accuracy_does_not_reach_it(fake: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(fake) == 0
     assert main([*fake, "--require", "90deg 9m"]) == 1
-    assert "2 of 2 results do not reach 90deg 9m" in capsys.readouterr().err
+    assert "2 of 2 results are not trusted" in capsys.readouterr().err
+    untold = judged(accuracy=None).result
+    assert Required.of("90deg 9m").unmet([untold] * 2) == ["2 of 2 results do not reach 90deg 9m"]
 
 
 def judged(*doubts: Doubt, **values: Any) -> Row:
@@ -282,7 +285,8 @@ def test_what_is_required_is_trust_and_a_size(text: str, doubts: tuple[Doubt, ..
 
 
 def test_trust_alone_may_be_required(fake: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([*fake, "--require", "trusted"]) == 0
+    assert main(["run", *QUICK, "--perturb", "0.5deg 0.02m", "--require", "trusted"]) == 0
+    capsys.readouterr()
     assert main([*fake, "--require", "trusted", "--set", "calibrator.status=too-few-matches"]) == 1
     captured = capsys.readouterr()
     assert captured.err == "p2o: 2 of 2 results are not trusted, as --require asks\n"
