@@ -23,7 +23,7 @@ ORDINARY = ("p2o_plugins", "p2o_baselines", "p2o_example")
 """Packages that are to p2o what everyone's plugins are."""
 
 FLOORS = (
-    {"errors"},
+    {"errors", "moved"},
     {"arrays", "files", "options"},
     {"geometry"},
     {"frames"},

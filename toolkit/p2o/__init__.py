@@ -8,6 +8,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from p2o.moved import forward_moved_modules
+
 if TYPE_CHECKING:
     from p2o.calibration.pipeline import Pipeline as Pipeline
     from p2o.errors import InputError as InputError
@@ -125,6 +127,8 @@ _HOME = {
     "features.view": ["View"],
     "geometry.visibility": ["hidden"],
 }
+forward_moved_modules()
+
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 
 _MODULES = {"occlusion": "features.occlusion", "se3": "geometry.se3"}

@@ -18,11 +18,12 @@ from p2o.errors import P2OError
 from p2o.features.view import View
 from p2o.frames.frame import Frame
 from p2o.geometry.camera import Camera
+from p2o.options import Options
 from p2o.results.result import Result
 
 if TYPE_CHECKING:
     from p2o.host.guard import GuardedCalibrator
-    from p2o.run.recipe import Plan
+    from p2o.run.part import Part
 
 INPUTS = {
     "extractor": "image",
@@ -59,18 +60,23 @@ class Assembly:
     options: PipelineOptions
 
     @classmethod
-    def of(cls, plan: Plan, build: Callable[[Any], Any] | None = None) -> Assembly:
-        """Return the assembly of a plan; `build` makes a stage of a part (default: `Part.build`)."""
+    def of(
+        cls, parts: Mapping[str, Part], options: Options | None, build: Callable[[Part], Any] | None = None
+    ) -> Assembly:
+        """Return the assembly of the parts of a plan; `build` makes a stage of a part (default: `Part.build`).
+
+        `options` are those of the pipeline; a whole method takes the defaults for what is judged of its results.
+        """
         make = build if build is not None else lambda part: part.build()
-        built = {stage: make(part) for stage, part in plan.parts.items() if stage not in ("data", "accumulate")}
-        options = plan.pipeline if isinstance(plan.pipeline, PipelineOptions) else PipelineOptions()
+        built = {stage: make(part) for stage, part in parts.items() if stage not in ("data", "accumulate")}
+        options = options if isinstance(options, PipelineOptions) else PipelineOptions()
         stages: dict[str, Callable[[Any], Any]] = {
             stage: remembering(built[stage]) for stage in ("extractor", "cloud", *WITNESS) if stage in built
         }
         if "calibrator" in built:
             whole: GuardedCalibrator = built["calibrator"]
             return cls(whole, {"calibrator": whole.prepare, **stages}, options)
-        needs = plan.parts["matcher"].offer.method.needs
+        needs = parts["matcher"].offer.method.needs
         pipeline = Pipeline(
             image_extractor=stages["extractor"],
             cloud_extractor=stages["cloud"],
@@ -79,7 +85,7 @@ class Assembly:
             initializer=built["init"],
             options=options,
             directed="side" in needs,
-            needs=frozenset(needs | plan.parts["init"].offer.method.needs),
+            needs=frozenset(needs | parts["init"].offer.method.needs),
         )
         return cls(pipeline, stages, options)
 

@@ -18,6 +18,8 @@ from p2o.host.slots import STAGES as STAGES
 from p2o.host.validation import validated as validated
 from p2o.options import Options
 from p2o.run.fit import HELD, check_fit, misfit_of, way_out
+from p2o.run.part import Part as Part
+from p2o.run.part import part_of
 from p2o.run.words import parse_settings as parse_settings
 from p2o.run.words import split_data as split_data
 from p2o.run.words import value_of as value_of
@@ -87,7 +89,7 @@ class Recipe(BaseModel):
         parts: dict[str, Part] = {}
         for stage, name in names.items():
             values = {**said.get(stage, {}), **self.options.get(stage, {})}
-            parts[stage] = _part(registry.find(KIND_OF[stage], name), stage, values, self.seed)
+            parts[stage] = part_of(registry.find(KIND_OF[stage], name), stage, values, self.seed)
         parts |= self._witness(parts, registry)
         for stage in self.options:
             if stage not in parts and stage != "pipeline":
@@ -113,7 +115,7 @@ class Recipe(BaseModel):
         found: dict[str, Part] = {}
         try:
             for stage, kind, name in zip(_WITNESS, (Kind.IMAGE_EXTRACTOR, Kind.CLOUD_EXTRACTOR), names, strict=True):
-                found[stage] = _part(registry.find(kind, name), stage, self.options.get(stage, {}), self.seed)
+                found[stage] = part_of(registry.find(kind, name), stage, self.options.get(stage, {}), self.seed)
         except UnknownNameError:
             if self.witness is None:
                 return {}
@@ -163,20 +165,6 @@ def _pair(what: str, text: str) -> tuple[str, str]:
 
 
 @dataclass(frozen=True)
-class Part:
-    """One method of a plan with its validated options."""
-
-    offer: Offer
-    options: Options
-
-    def build(self) -> Any:
-        """Return the guarded stage; heavy packages are imported here."""
-        from p2o.host.guard import build
-
-        return build(self.offer, self.options)
-
-
-@dataclass(frozen=True)
 class Plan:
     """A resolved recipe: every method found, every option validated, every stage fitting the next."""
 
@@ -201,7 +189,7 @@ class Plan:
         """Return the built methods, ready to calibrate; heavy packages are imported here."""
         from p2o.run.assembly import Assembly
 
-        return Assembly.of(self)
+        return Assembly.of(self.parts, self.pipeline)
 
     def calibrator(self) -> Pipeline | GuardedCalibrator:
         """Return what makes a result of frames: the `Pipeline` of the stages, or the whole method."""
@@ -263,7 +251,7 @@ def dataset_part(data: str, registry: Registry, options: Mapping[str, Any] | Non
     Raises as `Recipe.resolve`.
     """
     name, values = split_data(data)
-    return _part(registry.find(Kind.DATASET, name), "data", {**values, **(options or {})}, Recipe().seed)
+    return part_of(registry.find(Kind.DATASET, name), "data", {**values, **(options or {})}, Recipe().seed)
 
 
 def open_exporter(text: str, registry: Registry) -> tuple[Exporter, Path]:
@@ -275,17 +263,5 @@ def open_exporter(text: str, registry: Registry) -> tuple[Exporter, Path]:
     path = values.pop("root", None)
     if path is None:
         raise InputError("an export needs a path", where="--export", expected="NAME:PATH, such as json:result.json")
-    exporter: Exporter = _part(registry.find(Kind.EXPORTER, name), "export", values, Recipe().seed).build()
+    exporter: Exporter = part_of(registry.find(Kind.EXPORTER, name), "export", values, Recipe().seed).build()
     return exporter, Path(path)
-
-
-def _part(offer: Offer, stage: str, values: dict[str, Any], seed: int) -> Part:
-    """Return the method with its options validated; a field called `seed` follows the recipe's unless it is set."""
-    fields = offer.method.options.model_fields
-    if stage == "data" and "root" in values and "root" not in fields:
-        raise InputError(f"dataset {offer.name} takes no path", expected=f"{offer.name}:", got=values["root"])
-    if stage == "data" and "root" in fields and fields["root"].is_required() and "root" not in values:
-        raise InputError(f"dataset {offer.name} needs a path", expected=f"{offer.name}:PATH")
-    if "seed" in fields:
-        values = {"seed": seed, **values}
-    return Part(offer, validated(offer.method.options, values, stage))

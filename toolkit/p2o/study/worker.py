@@ -279,7 +279,7 @@ def _result(job: Calibration) -> Result:
     assert job.row.start is not None
     plugins, cache, took = job.facts[0].source.plugins, FeatureCache(job.cache), []
     plan = _plan(plugins, job.recipe)
-    assembly = Assembly.of(plan, built)
+    assembly = Assembly.of(plan.parts, plan.pipeline, built)
     limit_threads()
 
     def pieces(facts: Facts, keys: Mapping[str, str], stages: Iterable[str]) -> dict[str, Any]:
