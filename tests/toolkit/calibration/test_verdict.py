@@ -1,0 +1,71 @@
+"""Verdicts: what speaks against a pose, and witnesses for methods that have no edges of their own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from p2o import Agreement, Doubt, Reason, Result, Rival, Status, Trust, Verdict, se3
+from p2o.calibration.options import PipelineOptions
+from p2o.calibration.verdict import verdict_of, witnessed
+
+from tests import edge_scene
+from tests.edge_scene import TRUTH
+
+GOOD, POOR = Agreement(0.3, 0.03, 500), Agreement(0.05, 0.03, 500)
+OPTIONS = PipelineOptions()
+
+
+def rival(lead: float, unit: str = "edges") -> Rival:
+    return Rival(lead, unit, 1.0, 0.1)
+
+
+def test_the_worst_reason_decides_the_word() -> None:
+    assert verdict_of(GOOD, None, (), OPTIONS).trust is Trust.TRUSTED
+    assert verdict_of(GOOD, rival(1.0), (), OPTIONS).trust is Trust.AMBIGUOUS
+    assert verdict_of(GOOD, rival(2.0), (), OPTIONS).trust is Trust.TRUSTED
+    both = verdict_of(POOR, rival(1.0), (), OPTIONS)
+    assert (both.trust, [r.doubt for r in both.reasons]) == (
+        Trust.DOUBTFUL,
+        [Doubt.RIVAL_POSE, Doubt.LITTLE_AGREEMENT],
+    )
+    assert Verdict((Reason(Doubt.CAMERA, "focal"),)).trusted
+    assert Verdict().having(Reason(Doubt.NOT_SOLVED, "no")).trust is Trust.REFUSED
+
+
+def test_without_edges_nothing_is_trusted() -> None:
+    verdict = verdict_of(None, None, (), OPTIONS)
+    assert (verdict.trust, verdict.reasons[0].doubt) == (Trust.DOUBTFUL, Doubt.NOT_CHECKED)
+
+
+def test_leads_in_another_unit_than_edges_have_no_bound() -> None:
+    assert verdict_of(GOOD, rival(0.0, "cost"), (), OPTIONS).trusted
+
+
+def claimed(pose: np.ndarray, status: Status = Status.CONVERGED) -> Result:
+    return Result(("a",), pose, pose, status, "it says so")
+
+
+def test_a_witness_confirms_a_right_pose_and_doubts_a_wrong_one() -> None:
+    views = [edge_scene.view(seed=i) for i in range(2)]
+    right = witnessed(claimed(TRUTH), views, OPTIONS)
+    wrong = witnessed(claimed(se3.exp(np.array([0.05, 0.05, 0.05, 0, 0, 0])) @ TRUTH), views, OPTIONS)
+    assert right.verdict.trusted
+    assert right.agreement.odds_ratio > 5 * wrong.agreement.odds_ratio
+    assert wrong.verdict.trust is Trust.DOUBTFUL
+
+
+def test_without_witnesses_a_claim_is_doubtful_and_its_own_reasons_stay() -> None:
+    own = replace(claimed(TRUTH), verdict=Verdict((Reason(Doubt.RIVAL_POSE, "two"),)))
+    found = witnessed(own, [], OPTIONS)
+    assert found.agreement is None
+    assert [reason.doubt for reason in found.verdict.reasons] == [Doubt.RIVAL_POSE, Doubt.NOT_CHECKED]
+
+
+def test_what_is_refused_or_has_its_own_agreement_is_left_alone() -> None:
+    views = [edge_scene.view()]
+    refused = claimed(TRUTH, Status.NOT_OBSERVABLE)
+    own = replace(claimed(TRUTH), agreement=POOR)
+    assert witnessed(refused, views, OPTIONS) is refused
+    assert witnessed(own, views, OPTIONS) is own
+    assert refused.verdict.trust is Trust.REFUSED
