@@ -84,9 +84,9 @@ def misfit_of(offers: Mapping[str, Offer], held: frozenset[str] | None = None) -
         needs = offers[stage].method.needs
         for word, giver in missing_words(needs, before):
             return word, giver, offers[stage]
-        if held is not None and before is data:
-            for word in sorted((needs & HELD.keys()) - held - data[0].method.gives):
-                return word, data[0], offers[stage]
+        if held is not None and before[0].kind == Kind.DATASET:
+            for word in sorted((needs & HELD.keys()) - held - before[0].method.gives):
+                return word, before[0], offers[stage]
     return None
 
 

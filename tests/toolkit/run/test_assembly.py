@@ -1,0 +1,128 @@
+"""Built methods: what they prepare of a frame, whole methods beside stages, and witnesses that check them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import p2o
+import pytest
+from p2o import Doubt, Frame, InputError, Kind, Method, Recipe, Registry, Result, Status, UnknownNameError
+from p2o.run.assembly import WITNESS
+from p2o.testing import stage
+
+TRUTH = stage.camera_from_lidar()
+START = TRUTH @ p2o.se3.exp(np.array([0.01, 0, 0, 0.02, 0, 0]))
+
+
+class Claims:
+    """A whole method that says a pose, and remembers what it was shown."""
+
+    def __init__(self, pose: np.ndarray) -> None:
+        self.pose, self.shown = pose, []
+
+    def prepare(self, frame: Frame) -> dict[str, Any]:
+        self.shown.append(frame)
+        return {"name": frame.name, "points": len(frame.cloud)}
+
+    def solve(self, prepared: list[dict[str, Any]], start: np.ndarray) -> Result:
+        names = tuple(entry["name"] for entry in prepared)
+        return Result(names, start, self.pose, Status.CONVERGED, "it says so")
+
+
+def registry(stage_of_method: Any) -> Registry:
+    class Plugin:
+        @p2o.hookimpl
+        def p2o_calibrators(self):
+            yield Method(name="claims", build=lambda options: stage_of_method, summary="Says a pose.")
+
+    import p2o_baselines.hooks
+    import p2o_plugins.hooks
+
+    return Registry.of(p2o_plugins.hooks, p2o_baselines.hooks, Plugin())
+
+
+def result_of(stage_of_method: Any, **words: Any) -> Result:
+    plan = Recipe.of(data=None, calibrator="claims", **words).resolve(registry(stage_of_method))
+    return plan.assembly()([stage.frame()], START)
+
+
+@pytest.mark.parametrize(
+    "pose", [TRUTH, TRUTH @ p2o.se3.exp(np.array([0, 0.05, 0.05, 0, 0, 0]))], ids=["right", "wrong"]
+)
+def test_what_a_whole_method_claims_is_held_against_edges(pose: np.ndarray) -> None:
+    result = result_of(Claims(pose), witness="depth/rings")
+    assert result.agreement.points > 0
+    assert result.verdict.trusted == (pose is TRUTH)
+    assert "witness" in result.seconds
+
+
+def test_without_a_witness_nothing_is_checked_and_that_is_said() -> None:
+    result = result_of(Claims(TRUTH), witness="none")
+    assert [reason.doubt for reason in result.verdict.reasons] == [Doubt.NOT_CHECKED]
+
+
+def test_a_witness_that_is_named_must_be_there_and_the_usual_one_need_not() -> None:
+    with pytest.raises(UnknownNameError, match="unknown image extractor 'dept'"):
+        result_of(Claims(TRUTH), witness="dept/rings")
+    with pytest.raises(InputError, match="a witness is a pair of methods"):
+        result_of(Claims(TRUTH), witness="depth")
+
+    class Alone:
+        @p2o.hookimpl
+        def p2o_calibrators(self):
+            yield Method(name="claims", build=lambda options: Claims(TRUTH), summary="Says a pose.")
+
+    plan = Recipe.of(data=None, calibrator="claims").resolve(Registry.of(Alone()))
+    assert not set(plan.parts) & set(WITNESS)
+    assert plan.assembly()([stage.frame()], START).verdict.reasons[0].doubt is Doubt.NOT_CHECKED
+
+
+def test_a_whole_method_prepares_each_frame_once_and_without_its_truth() -> None:
+    method = Claims(TRUTH)
+    plan = Recipe.of(data=None, calibrator="claims", witness="none").resolve(registry(method))
+    frames = [stage.frame(), replace(stage.frame(), name="second")]
+    result = plan.assembly()(frames, START)
+    assert result.frames == ("stage", "second")
+    assert [frame.camera_from_lidar for frame in method.shown] == [None, None]
+    assert plan.assembly().kept == ("calibrator",)
+
+
+def test_a_plain_function_of_frames_is_a_whole_method_too_and_keeps_nothing() -> None:
+    def whole(frames: list[Frame], start: np.ndarray) -> Result:
+        assert frames[0].camera_from_lidar is None
+        return Result((frames[0].name,), start, TRUTH, Status.CONVERGED, "done")
+
+    plan = Recipe.of(data=None, calibrator="claims", witness="none").resolve(registry(whole))
+    assert plan.assembly().kept == ()
+    np.testing.assert_allclose(plan.assembly()([stage.frame()], START).camera_from_lidar, TRUTH, atol=1e-12)
+
+
+def test_stages_with_edges_need_no_witness() -> None:
+    plan = Recipe.of(data=None, extractor="depth/rings", init="given").resolve(registry(Claims(TRUTH)))
+    assert not set(plan.parts) & set(WITNESS)
+    assert plan.assembly().kept == ("extractor", "cloud")
+
+
+@pytest.mark.parametrize(
+    ("build", "text"),
+    [
+        (lambda options: 3, "build returned int; expected prepare"),
+        (lambda options: lambda f, s: None, "returned NoneType"),
+    ],
+)
+def test_a_calibrator_that_is_none_names_its_plugin(build, text: str) -> None:
+    class Plugin:
+        @p2o.hookimpl
+        def p2o_calibrators(self):
+            yield Method(name="broken", build=build, summary="Broken.")
+
+    with pytest.raises(p2o.PluginError, match=f"calibrator 'broken'.*{text}"):
+        Recipe.of(data=None, calibrator="broken", witness="none").resolve(Registry.of(Plugin())).assembly()(
+            [stage.frame()], START
+        )
+
+
+def test_kinds_have_a_hook_each() -> None:
+    assert Kind.ACCUMULATOR.hook == "p2o_accumulators"
