@@ -1,0 +1,79 @@
+"""Frames whose sweeps are joined: which neighbours belong to them, and how often each is read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+from p2o import Camera, Cloud, Frame, Image, InputError
+from p2o.run.joined import JoinedFrames
+
+IMAGE = Image(np.zeros((5, 7, 3), np.uint8), Camera.pinhole(5, 5, 3, 2, 7, 5))
+
+
+@dataclass
+class Drives(Sequence[Frame]):
+    """Frames of drives of four frames each; point i of the world is what frame i sees."""
+
+    count: int = 8
+    read: list[int] = field(default_factory=list)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(f"{number // 4}/{number}" for number in range(self.count))
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __getitem__(self, index: Any) -> Any:
+        self.read.append(index)
+        truth = np.eye(4)
+        return Frame(self.names[index], IMAGE, Cloud([[1.0, index, 0.0]]), truth, sequence=f"drive-{index // 4}")
+
+
+@dataclass
+class Numbers:
+    """Joins sweeps as they are, and notes what it was given."""
+
+    past: int = 1
+    future: int = 2
+    seen: list[Sequence[Frame]] = field(default_factory=list)
+
+    def __call__(self, frames: Sequence[Frame], number: int, /) -> Cloud:
+        self.seen.append(frames)
+        return Cloud(np.vstack([frames[number].cloud.xyz, *(frame.cloud.xyz for frame in frames)]))
+
+
+@pytest.mark.parametrize(
+    ("index", "sees"), [(0, [0, 1, 2]), (1, [0, 1, 2, 3]), (3, [2, 3]), (4, [4, 5, 6]), (-1, [6, 7])]
+)
+def test_a_frame_is_joined_with_its_neighbours_of_the_same_drive(index: int, sees: list[int]) -> None:
+    frame = JoinedFrames(Drives(), Numbers())[index]
+    own = range(8)[index]
+    assert frame.cloud.xyz[:, 1].tolist() == [own, *sees]
+    assert frame.sweep is not None
+    assert frame.sweep.xyz[:, 1].tolist() == [own]
+
+
+def test_an_accumulator_never_sees_the_truth_and_the_frame_keeps_it() -> None:
+    accumulate = Numbers()
+    frame = JoinedFrames(Drives(), accumulate)[1]
+    assert frame.camera_from_lidar is not None
+    assert all(seen.camera_from_lidar is None for frames in accumulate.seen for seen in frames)
+
+
+def test_going_through_a_drive_reads_each_frame_once() -> None:
+    drives = Drives()
+    frames = JoinedFrames(drives, Numbers())
+    assert [frame.name for frame in frames] == list(frames.names)
+    # The frame that ends a drive is followed by one that is read to see that it is of another.
+    assert sorted(drives.read) == list(range(8))
+
+
+def test_a_frame_that_stands_alone_is_refused_by_name() -> None:
+    alone = Frame("alone", IMAGE, Cloud([[1.0, 2.0, 3.0]]))
+    with pytest.raises(InputError, match="alone: the frame is of no sequence"):
+        JoinedFrames([alone], Numbers())[0]
