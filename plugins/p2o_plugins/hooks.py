@@ -50,6 +50,14 @@ def p2o_initializers() -> Iterator[Method]:
 
 
 @hookimpl
+def p2o_accumulators() -> Iterator[Method]:
+    """Offer the ways to join sweeps."""
+    from p2o_plugins.accumulate import gicp, kiss_icp, poses
+
+    yield from (gicp.METHOD, kiss_icp.METHOD, poses.METHOD)
+
+
+@hookimpl
 def p2o_datasets() -> Iterator[Method]:
     """Offer the datasets."""
     from p2o_plugins.data import folder, kitti_object, kitti_odometry, kitti_raw, synthetic, vkitti2

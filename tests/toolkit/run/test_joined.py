@@ -1,119 +1,79 @@
-"""Joined sweeps: an accumulator sees the neighbours of a frame in its sequence, and the recipe knows what is lost."""
+"""Frames whose sweeps are joined: which neighbours belong to them, and how often each is read."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
-import p2o
 import pytest
-from p2o import Cloud, Frame, InputError, Method, PluginError, Recipe, Registry
+from p2o import Camera, Cloud, Frame, Image, InputError
 from p2o.run.joined import JoinedFrames
-from p2o.testing import stage
+
+IMAGE = Image(np.zeros((5, 7, 3), np.uint8), Camera.pinhole(5, 5, 3, 2, 7, 5))
 
 
-class Frames(list[Frame]):
-    """A dataset that is a list."""
+@dataclass
+class Drives(Sequence[Frame]):
+    """Frames of drives of four frames each; point i of the world is what frame i sees."""
+
+    count: int = 8
+    read: list[int] = field(default_factory=list)
 
     @property
-    def names(self) -> list[str]:
-        return [frame.name for frame in self]
+    def names(self) -> tuple[str, ...]:
+        return tuple(f"{number // 4}/{number}" for number in range(self.count))
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __getitem__(self, index: Any) -> Any:
+        self.read.append(index)
+        truth = np.eye(4)
+        return Frame(self.names[index], IMAGE, Cloud([[1.0, index, 0.0]]), truth, sequence=f"drive-{index // 4}")
 
 
-class Joins:
-    """Joins the points of all frames it is shown, and notes which."""
+@dataclass
+class Numbers:
+    """Joins sweeps as they are, and notes what it was given."""
 
-    past, future = 2, 1
+    past: int = 1
+    future: int = 2
+    seen: list[Sequence[Frame]] = field(default_factory=list)
 
-    def __init__(self) -> None:
-        self.shown: list[tuple[list[str], int]] = []
-
-    def __call__(self, frames: list[Frame], number: int) -> Cloud:
-        assert all(frame.camera_from_lidar is None for frame in frames)
-        self.shown.append(([frame.name for frame in frames], number))
-        return Cloud(np.concatenate([frame.cloud.xyz for frame in frames]))
-
-
-def drive(sequences: str = "aaab") -> Frames:
-    cloud = stage.frame().cloud.select(np.arange(100))
-    return Frames(
-        replace(stage.frame(), name=f"{i}", cloud=cloud, sequence=s, time_s=0.1 * i) for i, s in enumerate(sequences)
-    )
-
-
-def test_neighbours_are_those_of_the_same_sequence_in_order() -> None:
-    joins = Joins()
-    frames = JoinedFrames(drive(), joins)
-    assert [len(frames[i].cloud) for i in range(4)] == [200, 300, 300, 100]
-    assert joins.shown == [(["0", "1"], 0), (["0", "1", "2"], 1), (["0", "1", "2"], 2), (["3"], 0)]
-    assert (frames[-1].name, [f.name for f in frames[:2]]) == ("3", ["0", "1"])
-    assert frames.names == ("0", "1", "2", "3")
-
-
-def test_the_frames_own_sweep_stays_beside_the_joined_one() -> None:
-    frame = JoinedFrames(drive(), Joins())[1]
-    assert (len(frame.cloud), len(frame.sweep)) == (300, 100)
-    assert frame.sweep.ring is not None
-
-
-def test_a_frame_of_no_sequence_has_no_neighbours_and_says_so() -> None:
-    with pytest.raises(InputError, match=r"0: the frame is of no sequence.*leave out --accumulate"):
-        JoinedFrames(Frames([replace(stage.frame(), name="0")]), Joins())[0]
-
-
-def registry(make: object) -> Registry:
-    class Plugin:
-        @p2o.hookimpl
-        def p2o_accumulators(self):
-            yield Method(
-                name="joins", build=lambda options: make, summary="Joins.", needs={"sequence"}, gives={"dense"}
-            )
-
-        @p2o.hookimpl
-        def p2o_cloud_extractors(self):
-            def build(options):
-                return lambda cloud: p2o.CloudFeatures(p2o.CloudEdges.empty())
-
-            gives = {"cloud-edges", "side"}
-            yield Method(name="beams", build=build, summary="Needs rings.", needs={"rings"}, gives=gives)
-
-    import p2o_baselines.hooks
-    import p2o_plugins.hooks
-
-    return Registry.of(p2o_plugins.hooks, p2o_baselines.hooks, Plugin())
-
-
-def test_a_recipe_joins_the_frames_of_python() -> None:
-    plan = Recipe.of(data=None, extractor="depth/rings", accumulate="joins").resolve(registry(Joins()))
-    assert len(plan.joined(drive())[1].cloud) == 300
-
-
-def test_what_needs_rings_is_refused_where_sweeps_are_joined() -> None:
-    """Before data are read where the dataset says what it gives; else with the first frame."""
-    words = {"extractor": "depth/beams", "accumulate": "joins"}
-    with pytest.raises(InputError, match="kitti-odometry gives no rings; beams needs it"):
-        Recipe.of(**words, data="kitti-odometry:/nowhere").resolve(registry(Joins()))
-    plan = Recipe.of(**words, data=None).resolve(registry(Joins()))
-    frame = plan.joined(drive())[0]
-    with pytest.raises(InputError, match="the frame has no rings; beams needs it"):
-        plan.check_frame(frame)
-
-
-def test_what_needs_a_sequence_is_refused_with_frames_of_none() -> None:
-    plan = Recipe.of(data=None, extractor="depth/rings", accumulate="joins").resolve(registry(Joins()))
-    with pytest.raises(InputError, match="the frame has no sequence; joins needs it"):
-        plan.check_frame(stage.frame())
+    def __call__(self, frames: Sequence[Frame], number: int, /) -> Cloud:
+        self.seen.append(frames)
+        return Cloud(np.vstack([frames[number].cloud.xyz, *(frame.cloud.xyz for frame in frames)]))
 
 
 @pytest.mark.parametrize(
-    ("make", "text"),
-    [
-        (3, "build returned int; expected something to call"),
-        (type("NoPast", (), {"__call__": lambda self, f, n: f[n].cloud, "future": 1})(), "`past` is None"),
-        (type("Bad", (Joins,), {"__call__": lambda self, f, n: None})(), "returned NoneType; expected p2o.Cloud"),
-        (type("Raises", (Joins,), {"__call__": lambda self, f, n: 1 / 0})(), "raised ZeroDivisionError while joining"),
-    ],
+    ("index", "sees"), [(0, [0, 1, 2]), (1, [0, 1, 2, 3]), (3, [2, 3]), (4, [4, 5, 6]), (-1, [6, 7])]
 )
-def test_a_broken_accumulator_names_its_plugin(make: object, text: str) -> None:
-    with pytest.raises(PluginError, match=f"accumulator 'joins'.*{text}"):
-        Recipe.of(data=None, accumulate="joins").resolve(registry(make)).joined(drive())[0]
+def test_a_frame_is_joined_with_its_neighbours_of_the_same_drive(index: int, sees: list[int]) -> None:
+    frame = JoinedFrames(Drives(), Numbers())[index]
+    own = range(8)[index]
+    assert frame.cloud.xyz[:, 1].tolist() == [own, *sees]
+    assert frame.sweep is not None
+    assert frame.sweep.xyz[:, 1].tolist() == [own]
+
+
+def test_an_accumulator_never_sees_the_truth_and_the_frame_keeps_it() -> None:
+    accumulate = Numbers()
+    frame = JoinedFrames(Drives(), accumulate)[1]
+    assert frame.camera_from_lidar is not None
+    assert all(seen.camera_from_lidar is None for frames in accumulate.seen for seen in frames)
+
+
+def test_going_through_a_drive_reads_each_frame_once() -> None:
+    drives = Drives()
+    frames = JoinedFrames(drives, Numbers())
+    assert [frame.name for frame in frames] == list(frames.names)
+    # The frame that ends a drive is followed by one that is read to see that it is of another.
+    assert sorted(drives.read) == list(range(8))
+
+
+def test_a_frame_that_stands_alone_is_refused_by_name() -> None:
+    alone = Frame("alone", IMAGE, Cloud([[1.0, 2.0, 3.0]]))
+    with pytest.raises(InputError, match="alone: the frame is of no sequence"):
+        JoinedFrames([alone], Numbers())[0]

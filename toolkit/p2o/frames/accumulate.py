@@ -123,5 +123,5 @@ def _require_one_sequence(frames: Sequence[Frame]) -> None:
                 "the frame has no pose of its LiDAR, so that its sweep cannot be moved",
                 where=frame.name,
                 expected="lidar_world_from_lidar",
-                hint="p2o.frames.lidar_odometry estimates poses from the sweeps",
+                hint="--accumulate gicp, or p2o.frames.lidar_odometry, finds poses from the sweeps",
             )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 from p2o.errors import InputError
@@ -15,11 +16,13 @@ class JoinedFrames(Sequence[Frame]):
     """The frames of a dataset, each with a cloud that an accumulator makes of its sweep and its neighbours'.
 
     Neighbours are the frames before and after it in the dataset that are of the same sequence. The frame's own sweep
-    stays in `Frame.sweep`. A frame that stands alone raises InputError.
+    stays in `Frame.sweep`. A frame that stands alone raises InputError. So many frames as belong together are kept in
+    memory, so that whoever goes through a drive reads each of them once.
     """
 
     def __init__(self, dataset: Sequence[Frame] | Dataset, accumulate: Accumulator) -> None:
         self._dataset, self._accumulate = dataset, accumulate
+        self._read = lru_cache(accumulate.past + 1 + accumulate.future)(dataset.__getitem__)
         self.skipped: Mapping[str, str] = getattr(dataset, "skipped", {})
 
     @property
@@ -35,7 +38,7 @@ class JoinedFrames(Sequence[Frame]):
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
         index = range(len(self))[index]
-        frame = self._dataset[index]
+        frame = self._read(index)
         if not frame.sequence:
             raise InputError(
                 "the frame is of no sequence, so no other sweep belongs to it",
@@ -53,7 +56,7 @@ class JoinedFrames(Sequence[Frame]):
         """Return the frames of these indices up to the end of the sequence."""
         found: list[Frame] = []
         for i in indices:
-            other = self._dataset[i]
+            other = self._read(i)
             if other.sequence != frame.sequence:
                 break
             found.append(other)

@@ -1,0 +1,1 @@
+"""Accumulators: sweeps of a sequence as one dense cloud."""

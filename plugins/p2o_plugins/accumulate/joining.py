@@ -1,0 +1,53 @@
+"""What all accumulators share: their options, and how sweeps are joined once their poses are known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import p2o
+from p2o.arrays import Float
+from p2o.frames.accumulate import accumulated
+
+
+class JoiningOptions(p2o.Options):
+    """How many sweeps are joined, and what of them is kept."""
+
+    past: int = p2o.field(2, ge=0, le=200, help="Frames before the frame whose sweeps are joined to its own.")
+    future: int = p2o.field(2, ge=0, le=200, help="Frames after it.")
+    voxel_m: float | None = p2o.field(
+        None, gt=0, le=10, help="Keep one point in each cube of this side in metres; null keeps all."
+    )
+    max_range_m: float | None = p2o.field(
+        None, gt=1, le=1000, help="Leave out points farther than this from the frame's LiDAR in metres; null keeps all."
+    )
+
+
+@dataclass(frozen=True)
+class Joining:
+    """The stage: joins sweeps by the poses of their frames, or by those that `poses` finds from them.
+
+    `poses` takes the sweeps of a sequence in order, each as at the time of its frame where the velocity is known, and
+    returns world_from_lidar (4, 4) of each.
+    """
+
+    options: JoiningOptions
+    poses: Callable[[Sequence[p2o.Cloud]], Sequence[Float]] | None = None
+
+    @property
+    def past(self) -> int:
+        """Frames wanted before a frame."""
+        return self.options.past
+
+    @property
+    def future(self) -> int:
+        """Frames wanted after it."""
+        return self.options.future
+
+    def __call__(self, frames: Sequence[p2o.Frame], number: int) -> p2o.Cloud:
+        """Return the sweeps of all frames in the LiDAR frame of frame `number`, its own first."""
+        if self.poses is not None:
+            found = self.poses([f.cloud if f.twist is None else f.cloud.untwisted(f.twist) for f in frames])
+            frames = [replace(f, lidar_world_from_lidar=pose) for f, pose in zip(frames, found, strict=True)]
+        options = self.options
+        return accumulated(frames[number], frames, voxel_m=options.voxel_m, max_range_m=options.max_range_m)

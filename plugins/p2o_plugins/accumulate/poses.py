@@ -1,0 +1,26 @@
+"""Accumulator `poses`: joins sweeps by the poses of the LiDAR that the data give."""
+
+from __future__ import annotations
+
+from p2o import Method
+
+from p2o_plugins.accumulate.joining import Joining, JoiningOptions
+
+
+class PosesOptions(JoiningOptions):
+    """Options of `poses`."""
+
+
+def build(options: PosesOptions) -> Joining:
+    """Return the accumulator `(frames, number) -> Cloud`."""
+    return Joining(options)
+
+
+METHOD = Method(
+    name="poses",
+    build=build,
+    options=PosesOptions,
+    summary="Joins sweeps of a sequence by the poses of the LiDAR that the data give.",
+    needs={"sequence", "lidar-pose"},
+    gives={"dense"},
+)

@@ -1,0 +1,98 @@
+"""The word `accumulate` of a recipe: what joined sweeps lose and need, and accumulators that are broken."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import p2o
+import pytest
+from p2o import Cloud, Frame, InputError, Method, PluginError, Recipe, Registry
+from p2o.testing import stage
+
+
+class Frames(list[Frame]):
+    """A dataset that is a list."""
+
+    @property
+    def names(self) -> list[str]:
+        return [frame.name for frame in self]
+
+
+class Joins:
+    """Joins the points of all frames it is shown, and notes which."""
+
+    past, future = 2, 1
+
+    def __init__(self) -> None:
+        self.shown: list[tuple[list[str], int]] = []
+
+    def __call__(self, frames: list[Frame], number: int) -> Cloud:
+        assert all(frame.camera_from_lidar is None for frame in frames)
+        self.shown.append(([frame.name for frame in frames], number))
+        return Cloud(np.concatenate([frame.cloud.xyz for frame in frames]))
+
+
+def drive(sequences: str = "aaab") -> Frames:
+    cloud = stage.frame().cloud.select(np.arange(100))
+    return Frames(
+        replace(stage.frame(), name=f"{i}", cloud=cloud, sequence=s, time_s=0.1 * i) for i, s in enumerate(sequences)
+    )
+
+
+def registry(make: object) -> Registry:
+    class Plugin:
+        @p2o.hookimpl
+        def p2o_accumulators(self):
+            yield Method(
+                name="joins", build=lambda options: make, summary="Joins.", needs={"sequence"}, gives={"dense"}
+            )
+
+        @p2o.hookimpl
+        def p2o_cloud_extractors(self):
+            def build(options):
+                return lambda cloud: p2o.CloudFeatures(p2o.CloudEdges.empty())
+
+            gives = {"cloud-edges", "side"}
+            yield Method(name="beams", build=build, summary="Needs rings.", needs={"rings"}, gives=gives)
+
+    import p2o_baselines.hooks
+    import p2o_plugins.hooks
+
+    return Registry.of(p2o_plugins.hooks, p2o_baselines.hooks, Plugin())
+
+
+def test_a_recipe_joins_the_frames_of_python() -> None:
+    plan = Recipe.of(data=None, extractor="depth/rings", accumulate="joins").resolve(registry(Joins()))
+    assert len(plan.joined(drive())[1].cloud) == 300
+
+
+def test_what_needs_rings_is_refused_where_sweeps_are_joined() -> None:
+    """Before data are read where the dataset says what it gives; else with the first frame."""
+    words = {"extractor": "depth/beams", "accumulate": "joins"}
+    with pytest.raises(InputError, match="kitti-odometry gives no rings; beams needs it"):
+        Recipe.of(**words, data="kitti-odometry:/nowhere").resolve(registry(Joins()))
+    plan = Recipe.of(**words, data=None).resolve(registry(Joins()))
+    frame = plan.joined(drive())[0]
+    with pytest.raises(InputError, match="the frame has no rings; beams needs it"):
+        plan.check_frame(frame)
+
+
+def test_what_needs_a_sequence_is_refused_with_frames_of_none() -> None:
+    plan = Recipe.of(data=None, extractor="depth/rings", accumulate="joins").resolve(registry(Joins()))
+    with pytest.raises(InputError, match="the frame has no sequence; joins needs it"):
+        plan.check_frame(stage.frame())
+
+
+@pytest.mark.parametrize(
+    ("make", "text"),
+    [
+        (3, "build returned int; expected something to call"),
+        (type("NoPast", (), {"__call__": lambda self, f, n: f[n].cloud, "future": 1})(), "`past` is None"),
+        (type("Bad", (Joins,), {"__call__": lambda self, f, n: None})(), "returned NoneType; expected p2o.Cloud"),
+        (type("Raises", (Joins,), {"__call__": lambda self, f, n: 1 / 0})(), "raised ZeroDivisionError while joining"),
+    ],
+)
+def test_a_broken_accumulator_names_its_plugin(make: object, text: str) -> None:
+    with pytest.raises(PluginError, match=f"accumulator 'joins'.*{text}"):
+        Recipe.of(data=None, accumulate="joins").resolve(registry(make)).joined(drive())[0]
