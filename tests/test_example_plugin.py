@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import runpy
 import shutil
 import site
 import subprocess
@@ -12,6 +13,7 @@ import sys
 import venv
 from pathlib import Path
 
+import numpy as np
 import p2o
 import pytest
 from p2o.cli import main
@@ -96,7 +98,7 @@ def test_the_example_keeps_every_contract(wheel: Path, tmp_path: Path) -> None:
 
 def test_the_smallest_plugin_of_the_docs_works(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = (Path(__file__).parents[1] / "docs" / "plugins.md").read_text(encoding="utf-8")
-    [code] = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    code, _ = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     file = tmp_path / "hello.py"
     file.write_text(code)
     assert main(["methods", "hello", "--plugin", str(file)]) == 0
@@ -113,3 +115,14 @@ def test_the_page_on_plugins_names_every_hook_with_its_signature() -> None:
         assert f"| `{kind.hook}` |" in page
         if signature is not None:
             assert signature[1].split(" -> ")[0] in page
+
+
+def test_the_kind_of_feature_on_the_page_moves_as_it_should(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[1] / "docs" / "plugins.md").read_text(encoding="utf-8")
+    _, code = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    (tmp_path / "poles.py").write_text(code)
+    [kind] = [v for v in runpy.run_path(str(tmp_path / "poles.py")).values() if getattr(v, "word", "") == "cloud-poles"]
+    move = p2o.se3.exp(np.array([0.1, 0.2, 0.3, 1.0, 2.0, 3.0]))
+    poles = p2o.CloudFeatures(features=[kind(np.eye(3), np.eye(3))]).moved(move).get("cloud-poles")
+    np.testing.assert_allclose(poles.foot, p2o.se3.apply(move, np.eye(3)))
+    np.testing.assert_allclose(poles.axis, move[:3, :3].T)

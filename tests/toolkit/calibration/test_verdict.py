@@ -33,6 +33,11 @@ def test_the_worst_reason_decides_the_word() -> None:
     assert Verdict().having(Reason(Doubt.NOT_SOLVED, "no")).trust is Trust.REFUSED
 
 
+def test_pairs_from_too_few_places_are_not_trusted_however_well_edges_meet() -> None:
+    verdict = verdict_of(GOOD, None, (), OPTIONS, enough=False)
+    assert (verdict.trust, verdict.reasons[0].doubt) == (Trust.DOUBTFUL, Doubt.TOO_FEW_PLACES)
+
+
 def test_without_edges_nothing_is_trusted() -> None:
     verdict = verdict_of(None, None, (), OPTIONS)
     assert (verdict.trust, verdict.reasons[0].doubt) == (Trust.DOUBTFUL, Doubt.NOT_CHECKED)

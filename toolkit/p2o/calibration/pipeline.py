@@ -24,7 +24,7 @@ from p2o.geometry import se3
 from p2o.geometry.camera import Camera
 from p2o.host.stages import CloudExtractor, ImageExtractor, Initializer, Matcher, Solver
 from p2o.results.evidence import Judged
-from p2o.results.result import Result, Round, Status
+from p2o.results.result import DIRECTED, Result, Round, Status
 
 EDGES = frozenset({"image-edges", "cloud-edges"})
 
@@ -128,7 +128,9 @@ class Pipeline:
             judged=judged,
             agreement=agreed,
             rival=rival,
-            verdict=verdict_of(agreed, rival, final.cameras, options),
+            verdict=verdict_of(
+                agreed, rival, final.cameras, options, enough=told is not None or judge.name != DIRECTED
+            ),
             cameras=final.cameras,
             motions=final.nuisance.sweep_motions(views),
             seconds=clock.seconds,

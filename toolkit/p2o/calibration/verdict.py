@@ -44,10 +44,21 @@ def agreement_of(views: Sequence[View], camera_from_lidar: Float) -> Agreement |
 
 
 def verdict_of(
-    agreed: Agreement | None, rival: Rival | None, cameras: Sequence[CameraCheck], options: PipelineOptions
+    agreed: Agreement | None,
+    rival: Rival | None,
+    cameras: Sequence[CameraCheck],
+    options: PipelineOptions,
+    *,
+    enough: bool = True,
 ) -> Verdict:
-    """Return the verdict on a pose: doubtful where edges do not seem to belong together, or nothing can tell."""
+    """Return the verdict on a pose: doubtful where edges do not seem to belong together, or nothing can tell.
+
+    `enough` says whether pairs come from enough places to tell how good the pose is.
+    """
     reasons = [*_rivalry(rival, options.min_lead_edges), *_meeting(agreed, options.min_odds_ratio)]
+    if not enough:
+        text = "pairs come from too few places of the picture to tell how good the pose is; take more frames together"
+        reasons.append(Reason(Doubt.TOO_FEW_PLACES, text))
     return Verdict((*reasons, *filter(None, map(doubt, cameras))))
 
 

@@ -22,6 +22,7 @@ class Doubt(StrEnum):
     LITTLE_AGREEMENT = "little-agreement"
     NOT_CHECKED = "not-checked"
     RIVAL_POSE = "rival-pose"
+    TOO_FEW_PLACES = "too-few-places"
     CAMERA = "camera"
 
     @property
@@ -31,6 +32,7 @@ class Doubt(StrEnum):
             Doubt.NOT_SOLVED: Trust.REFUSED,
             Doubt.LITTLE_AGREEMENT: Trust.DOUBTFUL,
             Doubt.NOT_CHECKED: Trust.DOUBTFUL,
+            Doubt.TOO_FEW_PLACES: Trust.DOUBTFUL,
             Doubt.RIVAL_POSE: Trust.AMBIGUOUS,
         }.get(self)
 
@@ -50,8 +52,8 @@ _ORDER = tuple(Trust)
 class Verdict:
     """Whether a result may be trusted; `reasons` say why not, and are remarks where it may be.
 
-    `refused`: there is no new pose. `doubtful`: image and sweep do not seem to belong together at this pose, or nothing
-    could check that they do. `ambiguous`: another pose fits about as well. `trusted`: none of these.
+    `refused`: there is no new pose. `doubtful`: image and sweep do not seem to belong together at this pose, or too
+    little could check that they do. `ambiguous`: another pose fits about as well. `trusted`: none of these.
     """
 
     reasons: tuple[Reason, ...] = ()
