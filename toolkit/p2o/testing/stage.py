@@ -213,12 +213,7 @@ def _cast(origin: Float, directions: Float) -> _Hits:
         y, z = origin[1] + x * directions[:, 1], origin[2] + x * directions[:, 2]
         _, left, right, top, bottom = _PLATES.T[:, :, None]
         inside = (y <= left) & (y >= right) & (z <= top) & (z >= bottom)
-        walls = np.stack(
-            [
-                (limit - origin[axis]) / directions[:, axis]
-                for axis, limit in _WALLS
-            ]
-        )
+        walls = np.stack([(limit - origin[axis]) / directions[:, axis] for axis, limit in _WALLS])
     distance = np.concatenate([np.where(inside, x, np.inf), walls])
     distance = np.where(np.isfinite(distance) & (distance > 1e-6), distance, np.inf)
     surface = np.argmin(distance, axis=0)

@@ -24,7 +24,7 @@ class CheckFailed(AssertionError):  # noqa: N818  (a verdict on a plugin, not a 
     """A method breaks a promise of its slot."""
 
 
-class NotApplicable(unittest.SkipTest):  # noqa: N818  (pytest and unittest count it as skipped)
+class NotApplicable(unittest.SkipTest):
     """A check cannot be made of this method here: there are no frames or features for it."""
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from p2o.arrays import Float
 from p2o.frames.frame import Frame
+from p2o.geometry import se3
 from p2o.geometry.perturb import Perturbation, parse_perturbation
 from p2o.geometry.pose_error import PoseError, pose_error
 from p2o.host.guard import GuardedCalibrator
@@ -144,7 +145,7 @@ def the_truth_is_not_looked_at(subject: Subject) -> None:
     wrong = around(trial.truth, 7.0, 0.5)[0]
     frames = [replace(frame, camera_from_lidar=wrong) for frame in trial.frames]
     stage = subject.offer.method.build(subject.options)
-    pose = _unguarded(stage, frames, trial.start).camera_from_lidar
+    pose = se3.check_rigid("camera_from_lidar", _unguarded(stage, frames, trial.start).camera_from_lidar)
     require(np.array_equal(trial.result.camera_from_lidar, pose), "a wrong truth in the frame changes the pose")
 
 

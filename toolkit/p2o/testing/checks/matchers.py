@@ -80,8 +80,8 @@ def matches_keep_their_side(subject: Subject) -> None:
 
 @CHECKS.of(_pairs)
 def matches_stay_within_reach(subject: Subject) -> None:
-    """No pair is farther apart than the reach, at a pose one degree off."""
-    pose = around(stage.camera_from_lidar(), 1.0, 0.0)[0]
+    """No pair is farther apart than the reach, at a pose two degrees off."""
+    pose = around(stage.camera_from_lidar(), 2.0, 0.0)[0]
     problem = subject.built()([view(subject)], pose, 6.0)
     if not len(problem):
         return
@@ -106,7 +106,7 @@ def several_views_are_joined(subject: Subject) -> None:
     one, two = subject.once(_problem), posed(subject, [view(subject)] * 2)
     if isinstance(one, LeastSquares):
         require(len(two) == 2 * len(one), f"{len(one)} matches in one view, {len(two)} in two of them")
-        require(set(two.frame.tolist()) <= {0, 1}, "matches do not name the view they are of")
+        require(set(np.ravel(two.frame).tolist()) <= {0, 1}, "matches do not name the view they are of")
         if isinstance(two, PointToLine):
             require(len(two.cameras) == 2, "there is not one camera a view")
     else:
@@ -120,7 +120,7 @@ def a_bare_view_adds_nothing(subject: Subject) -> None:
     one, two = subject.once(_problem), posed(subject, [view(subject), bare_view(subject)])
     if isinstance(one, LeastSquares):
         require(len(two) == len(one), f"{len(one)} matches, {len(two)} with a bare view beside them")
-        require(set(two.frame.tolist()) <= {0}, "matches are said to be of the bare view")
+        require(set(np.ravel(two.frame).tolist()) <= {0}, "matches are said to be of the bare view")
     require(np.isfinite(two.cost(stage.camera_from_lidar()[None])).all(), "the cost is not finite")
 
 
@@ -170,11 +170,12 @@ def residuals_have_their_shape(subject: Subject) -> None:
 def jacobians_agree_with_differences(subject: Subject) -> None:
     """Derivatives (K, 6) for a left update are those of the residuals, in all but a few rows."""
     problem, pose = subject.once(_problem), around(stage.camera_from_lidar(), 0.3, 0.03)[1]
-    residuals, jacobian = problem.residuals_with_jacobian(pose)
+    with np.errstate(invalid="ignore"):  # where a residual is not finite
+        residuals, jacobian = problem.residuals_with_jacobian(pose)
+        _, differences = LeastSquares.residuals_with_jacobian(problem, pose)
     require(np.shape(jacobian) == (len(problem), 6), f"derivatives have shape {np.shape(jacobian)}")
     alike = np.allclose(residuals, problem.residuals(pose), rtol=1e-6, atol=1e-9, equal_nan=True)
     require(alike, "residuals with derivatives are others than without")
-    _, differences = LeastSquares.residuals_with_jacobian(problem, pose)
     rows = np.isfinite(differences).all(axis=1)
     size = np.abs(differences[rows]).max(axis=1, keepdims=True)
     off = np.abs(jacobian[rows] - differences[rows]) > 1e-3 * np.maximum(size, 1e-6)

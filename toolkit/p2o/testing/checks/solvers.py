@@ -39,7 +39,7 @@ def solver_stays_at_the_truth(subject: Subject) -> None:
 
 @CHECKS.of()
 def solver_returns_to_the_truth(subject: Subject) -> None:
-    """On exact pairs, a solver returns from 1 deg and 5 cm: to 0.02 deg and 1 cm of residuals, 0.1 deg and 3 cm else."""
+    """On exact pairs, a solver returns from 1 deg and 5 cm: to 0.02 deg, 1 cm by residuals, to 0.1 deg, 3 cm else."""
     truth = stage.camera_from_lidar()
     for start in around(truth, 1.0, 0.05)[:2]:
         found = subject.built()(_problem(subject), start).camera_from_lidar
@@ -71,7 +71,8 @@ def solutions_say_how_they_ended(subject: Subject) -> None:
     """On exact pairs the status is not "singular", and `Solution.cost` is the problem's cost at the solution."""
     problem, start = _problem(subject), around(stage.camera_from_lidar(), 1.0, 0.05)[0]
     solution = subject.built()(problem, start)
-    require(solution.status is not SolverStatus.SINGULAR, f"pairs that determine the pose are singular: {solution.reason}")
+    singular = solution.status is SolverStatus.SINGULAR
+    require(not singular, f"pairs that determine the pose are called singular: {solution.reason}")
     cost = float(problem.cost(solution.camera_from_lidar[None])[0])
     same = np.isclose(solution.cost, cost, rtol=1e-4, atol=1e-6)
     require(same, f"Solution.cost is {solution.cost:.6g}, that of the pose is {cost:.6g}")
