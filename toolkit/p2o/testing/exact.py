@@ -26,7 +26,7 @@ class PlanesInMetres(LeastSquares):
     """
 
     unit: ClassVar[str] = "m"
-    huber: ClassVar[float] = 0.05  # type: ignore[misc]
+    huber: ClassVar[float] = 0.05
 
     xyz: Float
     normal: Float

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import unittest
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
@@ -91,7 +91,7 @@ class Subject:
         return frames
 
 
-def lacking(needs: frozenset[str], frames: tuple[Frame, ...]) -> list[str]:
+def lacking(needs: Set[str], frames: tuple[Frame, ...]) -> list[str]:
     """Return the needed words that one of the frames does not hold."""
     return [word for word in sorted(needs & HELD.keys()) if any(HELD[word](frame) is None for frame in frames)]
 

@@ -54,13 +54,18 @@ def _gap_m(xyz: Float, others: Float) -> Any:
 
 @CHECKS.of()
 def joined_points_lie_on_surfaces(subject: Subject) -> None:
-    """Nearly all points of three joined sweeps lie within 5 cm of the stage, in the LiDAR frame of their own frame."""
+    """Nearly all points of three joined sweeps lie on the stage, seen from the LiDAR of their own frame.
+
+    That is within 5 cm where the poses of the LiDAR are needed, and 15 cm where the method finds out how it moves.
+    """
     cloud, _ = subject.once(_join)
+    limit_m = 0.05 if "lidar-pose" in subject.needs else 0.15
     off_m = stage.distance_m(se3.apply(stage.stage_from_lidar()[_REFERENCE], cloud.xyz))
-    share = float((off_m <= 0.05).mean())
+    share = float((off_m <= limit_m).mean())
     require(
         share >= 0.97,
-        f"only {100 * share:.0f} % of the points lie on a surface of the stage, half are {np.median(off_m):.2f} m off",
+        f"only {100 * share:.0f} % of the points are within {limit_m:g} m of a surface of the stage; half of them are "
+        f"{np.median(off_m):.2f} m off or more",
     )
 
 
