@@ -33,8 +33,8 @@ FLOORS = (
     {"host"},
     {"calibration"},
     {"run"},
-    {"work", "learn", "testing"},
-    {"study"},
+    {"work", "learn"},
+    {"study", "testing"},
     {"report"},
     {"cli"},
 )

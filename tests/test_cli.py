@@ -569,7 +569,22 @@ def test_check_plugin_says_what_is_promised_and_broken(tmp_path: Path, capsys: p
     out = capsys.readouterr().out
     assert "known solver lazy: solver_returns_to_the_truth (it is lazy)" in out
     assert "FAIL  solver lazy: solver_says_when_nothing_is_determined\n      promised: Without any pairs" in out
-    assert out.endswith("1 checks failed\n")
+    assert out.endswith("2 checks failed\n")
+
+
+def test_check_plugin_tells_what_it_could_not_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "lonely.py"
+    file.write_text(
+        "import p2o\n@p2o.hookimpl\ndef p2o_matchers():\n"
+        "    yield p2o.Method(name='lonely', build=lambda o: lambda *given: None, summary='Wants lines.',\n"
+        "        needs={'image-lines'}, gives={'pairs'})\n"
+    )
+    assert main(["check-plugin", "lonely", "--plugin", str(file)]) == 0
+    out = capsys.readouterr().out
+    said = "n/a   matcher lonely: matches_repeat\n      not applicable: no installed extractor gives image-lines\n"
+    assert said in out
+    assert "ok    matcher lonely: builds_twice_offline\n" in out
+    assert out.endswith(f"every check passed, {out.count('n/a ')} could not be made\n")
 
 
 def test_data_list_and_check_name_every_frame(fake: list[str], capsys: pytest.CaptureFixture[str]) -> None:

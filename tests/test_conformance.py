@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 import p2o
 import pytest
 from p2o import Kind, Method, UnknownNameError
-from p2o.testing import CHECKS, Case, CheckFailed, checks_for, conformance_cases, reads_files, stage
+from p2o.testing import (
+    CHECKS,
+    Case,
+    CheckFailed,
+    NotApplicable,
+    checks_for,
+    conformance_cases,
+    reads_files,
+    stage,
+)
+
+from tests.broken_methods import BROKEN, REGISTRY
 
 SMALL = {"synthetic": {"width_px": 310, "height_px": 94}}
 
@@ -68,170 +78,164 @@ def test_the_sweep_of_the_stage_is_whole() -> None:
 # ---- methods that break their promise
 
 
+def outcomes(cases: Iterable[Case]) -> dict[str, set[str]]:
+    """Return the names of the checks that were failed and passed, and of those that could not be made."""
+    found: dict[str, set[str]] = {"failed": set(), "passed": set(), "skipped": set()}
+    for case in cases:
+        try:
+            case()
+        except NotApplicable:
+            found["skipped"].add(case.check.name)
+        except (CheckFailed, p2o.P2OError):
+            found["failed"].add(case.check.name)
+        else:
+            found["passed"].add(case.check.name)
+    return found
+
+
+@pytest.mark.parametrize("what", BROKEN)
+def test_a_broken_promise_is_found_and_no_other_one_is_blamed(what: str) -> None:
+    wrong = BROKEN[what]
+    cases = checks_for(wrong.method, wrong.kind, wrong.said, REGISTRY)
+    try:
+        assert outcomes(cases)["failed"] == wrong.fails
+    finally:
+        # Some of them write to what they are given.
+        for made in (stage.frame, stage.drive, stage.view):
+            made.cache_clear()
+
+
+def test_every_check_can_fail() -> None:
+    assert {check.name for check in CHECKS} == {name for wrong in BROKEN.values() for name in wrong.fails}
+
+
+def test_a_word_without_features_is_found() -> None:
+    empty = method(lambda image: p2o.ImageFeatures(), gives={"image-spots"})
+    [case] = [c for c in checks_for(empty, Kind.IMAGE_EXTRACTOR) if c.check.name == "features_are_those_that_are_given"]
+    with pytest.raises(p2o.PluginError, match="gave no spots; expected image-spots, as it says in `gives`"):
+        case()
+
+
 def method(stage_: Any, **more: Any) -> Method:
     return Method(name="wrong", build=lambda options: stage_, summary="A test.", **more)
 
 
-def failing(subject: Method, kind: Kind) -> set[str]:
-    """Return the names of the checks that a method fails."""
-    names = set()
-    for case in checks_for(subject, kind):
-        try:
-            case()
-        except (CheckFailed, p2o.P2OError):
-            names.add(case.check.name)
-    return names
+# ---- which checks a method gets
 
 
-def edges(uv: Any, side: int = -1) -> p2o.ImageFeatures:
-    uv = np.asarray(uv, dtype=float).reshape(-1, 2)
-    return p2o.ImageFeatures(edges=p2o.ImageEdges(uv, np.full(len(uv), side, np.int8)))
+def names(subject: Method, kind: Kind) -> set[str]:
+    return {case.check.name for case in checks_for(subject, kind)}
 
 
-def test_an_image_extractor_that_makes_edges_up_is_found() -> None:
-    found = failing(
-        method(lambda image: edges([[10.0, 10.0], [900.0, 20.0]]), gives={"image-edges"}), Kind.IMAGE_EXTRACTOR
+def test_edges_are_asked_of_those_that_give_them() -> None:
+    edges, lines = (method(None, gives={word}) for word in ("image-edges", "image-lines"))
+    asked = names(edges, Kind.IMAGE_EXTRACTOR) ^ names(lines, Kind.IMAGE_EXTRACTOR)
+    assert {name for name in asked if name in names(lines, Kind.IMAGE_EXTRACTOR)} == {
+        "features_repeat",
+        "extractor_input_is_unchanged",
+        "a_featureless_input_is_no_crash",
+    }
+    assert not any("edges" in name for name in names(lines, Kind.IMAGE_EXTRACTOR))
+
+
+def test_pairs_are_asked_for_residuals_too_and_a_cost_for_neither() -> None:
+    pairs, residuals, cost = (
+        names(method(None, gives={word}), Kind.MATCHER) for word in ("pairs", "residuals", "objective")
     )
-    assert found == {
-        "image_edges_are_in_the_image",
-        "image_edges_lie_on_outlines",
-        "a_featureless_image_has_no_edges",
-    }
+    assert {"residuals_have_their_shape", "jacobians_agree_with_differences"} <= pairs & residuals
+    assert "matches_fit_at_the_truth" in pairs - residuals
+    assert "costs_are_lowest_at_the_truth" in residuals & cost
+    assert not {name for name in cost if "residual" in name or "jacobian" in name}
 
 
-def test_undeclared_and_missing_sides_are_found() -> None:
-    sided = method(lambda image: edges([[10.0, 10.0]], side=0), gives={"image-edges"})
-    bare = method(lambda image: edges([[10.0, 10.0]]), gives={"image-edges", "side"})
-    assert "image_sides_are_as_declared" in failing(sided, Kind.IMAGE_EXTRACTOR)
-    assert "image_sides_are_as_declared" in failing(bare, Kind.IMAGE_EXTRACTOR)
-
-
-def test_an_extractor_that_draws_at_random_is_found() -> None:
-    rng = np.random.default_rng(0)
-    found = failing(
-        method(lambda image: edges(rng.uniform(1, 99, (5, 2))), gives={"image-edges"}), Kind.IMAGE_EXTRACTOR
+def test_an_example_is_asked_of_those_that_have_one() -> None:
+    assert "the_example_is_solved" not in names(method(None, gives={"pairs"}), Kind.MATCHER)
+    assert "the_example_is_solved" in names(
+        method(None, gives={"pairs"}, example=p2o.Example("synthetic:")), Kind.MATCHER
     )
-    assert "image_edges_repeat" in found
 
 
-def test_a_method_that_writes_to_its_input_is_found() -> None:
-    def vandal(image: p2o.Image) -> p2o.ImageFeatures:
-        owner = image.rgb
-        while owner.base is not None:
-            owner = owner.base
-        owner.flags.writeable = True
-        owner[0, 0] += 1
-        return edges([[10.0, 10.0]])
-
-    try:
-        assert "image_input_is_unchanged" in failing(method(vandal, gives={"image-edges"}), Kind.IMAGE_EXTRACTOR)
-    finally:
-        stage.frame.cache_clear()
+# ---- kinds of features that only a plugin knows
 
 
-def test_a_matcher_with_biased_lines_is_found() -> None:
-    def match(views: Any, pose: Any, reach: float) -> p2o.PointToLine:
-        cameras = tuple(view.camera for view in views)
-        cloud = views[0].cloud_edges
-        uv = views[0].camera.project(p2o.se3.apply(pose, cloud.xyz)) + 3.0
-        normal = np.tile([1.0, 0.0], (len(uv), 1))
-        count = len(uv)
-        index = np.zeros(count, np.int64)
-        return p2o.PointToLine(cloud.xyz, uv, normal, np.ones(count), cloud.side, index, cameras)
-
-    found = failing(method(match, gives={"pairs"}), Kind.MATCHER)
-    assert {"matches_fit_at_the_truth", "several_views_are_joined"} <= found
-    assert "no_edges_give_no_matches" not in found
+def test_a_plugin_with_kinds_of_its_own_keeps_every_promise() -> None:
+    ours = [offer for offer in REGISTRY.offers if offer.dist == "kinds_plugin.py"]
+    assert {offer.name for offer in ours} == {"spots", "marks", "marked", "to-spots"}
+    for offer in ours:
+        found = outcomes(checks_for(offer, registry=REGISTRY))
+        assert found["failed"] == found["skipped"] == set(), offer.name
 
 
-def test_solvers_that_wander_worsen_or_stay_are_found() -> None:
-    def wander(problem: Any, pose: Any) -> p2o.Solution:
-        return p2o.Solution(pose @ p2o.se3.make(translation=(0.5, 0, 0)), 0.0, 1)
-
-    def stay(problem: Any, pose: Any) -> p2o.Solution:
-        return p2o.Solution(pose, 0.0, 1)
-
-    needs = {"needs": {"pairs"}}
-    assert failing(method(wander, **needs), Kind.SOLVER) >= {
-        "solver_stays_at_the_truth",
-        "solver_returns_to_the_truth",
-        "solver_never_makes_it_worse",
-        "solver_says_when_nothing_is_determined",
-    }
-    assert failing(method(stay, **needs), Kind.SOLVER) == {
-        "solver_returns_to_the_truth",
-        "solver_says_when_nothing_is_determined",
-    }
+def test_a_matcher_without_an_extractor_of_its_kind_is_not_judged() -> None:
+    lonely = method(lambda *given: None, needs={"image-lines"}, gives={"pairs"})
+    found = outcomes(checks_for(lonely, Kind.MATCHER))
+    assert found["failed"] == set()
+    assert {"matches_fit_at_the_truth", "no_edges_give_no_matches"} <= found["skipped"]
+    [case] = [case for case in checks_for(lonely, Kind.MATCHER) if case.check.name == "matches_repeat"]
+    with pytest.raises(NotApplicable, match="no installed extractor gives image-lines"):
+        case()
 
 
-def test_an_initializer_that_leads_astray_is_found() -> None:
-    def astray(views: Any, pose: Any) -> list[Any]:
-        return [pose @ p2o.se3.exp(np.array([0, 0, 1.0, 0, 0, 0]))]
+def test_matchers_see_only_what_they_need() -> None:
+    words = []
 
-    assert failing(method(astray), Kind.INITIALIZER) == {"starts_are_no_worse", "starts_without_edges_are_no_crash"}
+    def match(views: Any, pose: Any, reach_px: float) -> p2o.Objective:
+        words.append((views[0].image.words, views[0].cloud.words))
+        return p2o.Objective(lambda poses: np.zeros(len(poses)))
 
-
-def test_an_exporter_that_loses_the_result_is_found() -> None:
-    found = failing(method(lambda result, path: None), Kind.EXPORTER)
-    assert found == {"exports_repeat", "unwritable_paths_are_errors"}
-
-
-class _Changing(list[p2o.Frame]):
-    """A dataset whose frames differ each time they are read."""
-
-    names = ("stage",)
-
-    def __init__(self) -> None:
-        super().__init__([stage.frame()])
-        self.reads = 0
-
-    def __getitem__(self, index: Any) -> Any:
-        self.reads += 1
-        frame = super().__getitem__(index)
-        return frame if isinstance(frame, list) else replace(frame, twist=np.full(6, float(self.reads)))
+    reflecting = method(match, needs={"image-grey", "cloud-points"}, gives={"objective"})
+    outcomes(checks_for(reflecting, Kind.MATCHER))
+    assert set(words) == {(frozenset({"image-grey"}), frozenset({"cloud-points"}))}
 
 
-def test_a_dataset_that_changes_is_found() -> None:
-    assert failing(Method(name="wrong", build=lambda options: _Changing(), summary="A test."), Kind.DATASET) == {
-        "frames_are_read_alike_again"
-    }
+def entropy(counts: np.ndarray) -> float:
+    share = counts[counts > 0] / counts.sum()
+    return float(-(share * np.log(share)).sum())
 
 
-def test_a_calibrator_that_hides_its_start_is_found() -> None:
+def mutual_information(grey: p2o.GreyMap, points: p2o.CloudPoints, poses: np.ndarray) -> np.ndarray:
+    """Return the negative normalised mutual information (B,) of grey and intensity."""
+    costs = []
+    for pose in poses:
+        seen = grey.at(stage.camera().project(p2o.se3.apply(pose, points.xyz)))
+        shown = np.isfinite(seen)
+        table, _, _ = np.histogram2d(seen[shown], points.intensity[shown], bins=32)
+        costs.append(-(entropy(table.sum(0)) + entropy(table.sum(1))) / max(entropy(table.ravel()), 1e-9))
+    return np.array(costs)
+
+
+def test_mutual_information_has_its_optimum_at_the_truth_of_the_stage() -> None:
+    def match(views: Any, pose: Any, reach_px: float) -> p2o.Objective:
+        def cost(poses: np.ndarray) -> np.ndarray:
+            parts = [mutual_information(v.get("image-grey"), v.get("cloud-points"), poses) for v in views]
+            return np.sum(parts, axis=0)
+
+        return p2o.Objective(cost)
+
+    reflecting = method(match, needs={"image-grey", "cloud-points"}, gives={"objective"})
+    assert outcomes(checks_for(reflecting, Kind.MATCHER))["failed"] == set()
+
+
+# ---- calibrators that hand back their start
+
+
+def test_a_calibrator_that_returns_its_start_is_told_so() -> None:
+    wrong = BROKEN["the start as a success"]
+    cases = {case.check.name: case for case in checks_for(wrong.method, wrong.kind)}
+    with pytest.raises(CheckFailed, match=r"it says converged and returns its start, 1\.000 deg and 0\.050 m from"):
+        cases["what_is_solved_is_no_start"]()
+
+
+def test_a_calibrator_that_gives_up_has_to_say_why_and_reaches_nothing() -> None:
     def calibrate(frames: Any, start: Any) -> p2o.Result:
-        return p2o.Result(("?",), np.eye(4), np.eye(4), p2o.Status.TOO_FEW_MATCHES, "")
+        return p2o.Result(("stage",), start, start, p2o.Status.TOO_FEW_MATCHES, "there is nothing to go by")
 
-    assert failing(method(calibrate), Kind.CALIBRATOR) == {"calibrator_answers"}
-
-
-def test_options_without_help_default_or_json_are_found() -> None:
-    class Poor(p2o.Options):
-        size: int
-        rate: float = 1.0
-
-    subject = Method(name="wrong", build=lambda options: stay_put, summary="A test.", options=Poor)
-    cases: dict[str, Callable[[], None]] = {c.check.name: c for c in checks_for(subject, Kind.SOLVER, {"size": 1})}
-    with pytest.raises(CheckFailed, match="options without default: size"):
-        cases["every_option_has_a_default"]()
-    with pytest.raises(CheckFailed, match="options without help: size, rate"):
-        cases["every_option_is_described"]()
+    found = outcomes(checks_for(method(calibrate), Kind.CALIBRATOR))
+    assert found["failed"] == {"calibrator_comes_near_the_truth"}
+    assert found["skipped"] == {"preparations_repeat", "preparations_are_kept"}
 
 
-def stay_put(problem: Any, pose: Any) -> p2o.Solution:
-    return p2o.Solution(pose, 0.0, 1)
-
-
-def test_building_that_opens_a_connection_is_found() -> None:
-    def build(options: Any) -> Any:
-        import socket
-
-        with socket.socket() as line:
-            line.connect(("127.0.0.1", 9))
-
-    subject = Method(name="wrong", build=build, summary="A test.")
-    cases = {case.check.name: case for case in checks_for(subject, Kind.SOLVER)}
-    with pytest.raises((CheckFailed, p2o.PluginError), match="building opens a connection"):
-        cases["builds_twice_offline"]()
+# ---- the rest of the kit
 
 
 def test_expected_failures_carry_their_reason_and_must_name_checks() -> None:
@@ -241,6 +245,10 @@ def test_expected_failures_carry_their_reason_and_must_name_checks() -> None:
     assert reasons["solutions_repeat"] == ""
     with pytest.raises(UnknownNameError, match="unknown conformance check 'solver_returns'"):
         checks_for(method(stay_put, expected_failures=(("solver_returns", "why"),)), Kind.SOLVER)
+
+
+def stay_put(problem: Any, pose: Any) -> p2o.Solution:
+    return p2o.Solution(pose, 0.0, 1)
 
 
 def test_a_bare_method_must_say_its_kind() -> None:

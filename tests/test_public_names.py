@@ -24,6 +24,7 @@ def current() -> dict[str, list[str]]:
         "stages": sorted(STAGES),
         "recipe": sorted(p2o.Recipe.model_fields),
         "method": sorted(p2o.Method.__dataclass_fields__),
+        "example": sorted(p2o.Example.__dataclass_fields__),
         "testing": sorted(testing.__all__),
         "checks": sorted(check.name for check in testing.CHECKS),
         "statuses": sorted(status.value for status in p2o.Status),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import traceback
+from collections import Counter
+from enum import StrEnum
 from typing import TYPE_CHECKING
 
 import click
@@ -16,6 +18,15 @@ if TYPE_CHECKING:
     from p2o.testing import Case
 
 
+class Outcome(StrEnum):
+    """How a check of a method went, as it is printed."""
+
+    PASSED = "ok"
+    FAILED = "FAIL"
+    EXPECTED = "known"
+    NOT_APPLICABLE = "n/a"
+
+
 @click.command("check-plugin")
 @click.argument("name")
 @click.option("--set", "settings", multiple=True, metavar="STAGE.FIELD=VALUE", help="An option of the method.")
@@ -23,48 +34,57 @@ if TYPE_CHECKING:
 def command(name: str, settings: tuple[str, ...], plugin: tuple[str, ...], block: tuple[str, ...]) -> int:
     """Check that methods keep the contracts of their slots.
 
-    NAME is a plugin (distribution, entry point, or a file given with --plugin), or one method. A dataset that needs a
-    path takes it with --set data.root=PATH. Exit status 1 where a check fails.
+    NAME is a plugin (distribution, entry point, or a file given with --plugin), or one method. Which checks are made
+    depends on what a method needs and gives; n/a is said, with the reason, where there is nothing to make one on. A
+    dataset that needs a path takes it with --set data.root=PATH. Exit status 1 where a check fails.
     """
     from p2o.host.slots import SLOT_OF
     from p2o.run.words import parse_settings
     from p2o.testing import checks_for, reads_files
 
     options = parse_settings(settings)
-    failed = 0
-    for offer in _meant(load(plugin, block), name):
+    registry = load(plugin, block)
+    outcomes: Counter[Outcome] = Counter()
+    for offer in _meant(registry, name):
         said = options.get(SLOT_OF[offer.kind].stage, {})
         if reads_files(offer) and "root" not in said:
             click.echo(f"skip  {offer.kind} {offer.name}: set data.root to check it")
             continue
-        for case in checks_for(offer, options=said):
-            failed += not _ran(case)
-    click.echo("every check passed" if not failed else f"{failed} checks failed")
+        for case in checks_for(offer, options=said, registry=registry):
+            outcomes[_ran(case)] += 1
+    failed, apart = outcomes[Outcome.FAILED], outcomes[Outcome.NOT_APPLICABLE]
+    summary = f"{failed} checks failed" if failed else "every check passed"
+    click.echo(summary + (f", {apart} could not be made" if apart else ""))
     return 1 if failed else 0
 
 
-def _ran(case: Case) -> bool:
-    """Run one check, say how it went, and return whether that is as it should be."""
+def _ran(case: Case) -> Outcome:
+    """Run one check, say how it went, and return that."""
+    from p2o.testing import NotApplicable
+
     offer, reason = case.subject.offer, case.expected_failure
     title = f"{offer.kind} {offer.name}: {case.check.name}"
     try:
         case()
+    except NotApplicable as problem:
+        click.echo(f"{Outcome.NOT_APPLICABLE:<5} {title}\n      not applicable: {problem}")
+        return Outcome.NOT_APPLICABLE
     except Exception as problem:
         if reason:
-            click.echo(f"known {title} ({reason})")
-            return True
+            click.echo(f"{Outcome.EXPECTED:<5} {title} ({reason})")
+            return Outcome.EXPECTED
         text = (
             str(problem) if isinstance(problem, P2OError | AssertionError) else f"{type(problem).__name__}: {problem}"
         )
-        click.echo(f"FAIL  {title}\n      promised: {case.check.promise}\n      but: {text}")
+        click.echo(f"{Outcome.FAILED:<5} {title}\n      promised: {case.check.promise}\n      but: {text}")
         if os.environ.get("P2O_DEBUG", "") not in ("", "0"):
             click.echo(traceback.format_exc())
-        return False
+        return Outcome.FAILED
     if reason:
-        click.echo(f"FAIL  {title}\n      passes, though expected_failures says: {reason}")
-        return False
-    click.echo(f"ok    {title}")
-    return True
+        click.echo(f"{Outcome.FAILED:<5} {title}\n      passes, though expected_failures says: {reason}")
+        return Outcome.FAILED
+    click.echo(f"{Outcome.PASSED:<5} {title}")
+    return Outcome.PASSED
 
 
 def _meant(registry: Registry, name: str) -> tuple[Offer, ...]:

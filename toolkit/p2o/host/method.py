@@ -18,13 +18,18 @@ class Example:
     """Frames on which a method promises to come near the truth, for `p2o check-plugin` and its own tests.
 
     `data` is DATASET:PATH of a dataset that needs no files, `perturb` the start, `within` what the result must reach
-    as in `p2o run`; `joint` calibrates all frames together.
+    as in `p2o run`; `joint` calibrates all frames together, `accumulate` joins their sweeps before. A matcher says
+    which `extractor` (IMAGE/CLOUD), `solver` and `init` go with it; what is left out takes the default of a recipe.
     """
 
     data: str
     perturb: str = "1deg 0.05m"
     within: str = "0.3deg 0.1m"
     joint: bool = False
+    extractor: str = ""
+    solver: str = ""
+    init: str = ""
+    accumulate: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

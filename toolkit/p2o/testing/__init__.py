@@ -23,6 +23,7 @@ from p2o.testing import stage as stage
 from p2o.testing.checks import CHECKS as CHECKS
 from p2o.testing.checks import Check as Check
 from p2o.testing.checks import CheckFailed as CheckFailed
+from p2o.testing.checks import NotApplicable as NotApplicable
 from p2o.testing.checks import Subject as Subject
 
 __all__ = [
@@ -30,6 +31,7 @@ __all__ = [
     "Case",
     "Check",
     "CheckFailed",
+    "NotApplicable",
     "Subject",
     "checks_for",
     "conformance_cases",
@@ -40,8 +42,9 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Case:
-    """One check of one method; call it, and it raises where the promise is broken.
+    """One check of one method; call it, and it raises CheckFailed (or a P2OError) where the promise is broken.
 
+    It raises NotApplicable, which pytest counts as skipped, where there is nothing to check the method on.
     `expected_failure` is the reason why the method is known to break it, or empty.
     """
 
@@ -60,9 +63,15 @@ class Case:
 
 
 def checks_for(
-    method: Offer | Method, kind: Kind | None = None, options: Mapping[str, Any] | None = None
+    method: Offer | Method,
+    kind: Kind | None = None,
+    options: Mapping[str, Any] | None = None,
+    registry: Registry | None = None,
 ) -> list[Case]:
-    """Return every check of a method; `kind` is needed for a bare Method, `options` for a dataset that reads files.
+    """Return every check that is for a method, by its kind and by what it needs and gives.
+
+    `kind` is needed for a bare Method, `options` for a dataset that reads files. `registry` holds the methods that may
+    serve it (extractors of the features that it needs, the dataset of its example); by default all that are installed.
 
     Raises TypeError where the kind is missing, UnknownNameError where the method expects failures of checks that do
     not exist, and InputError for bad options.
@@ -78,8 +87,12 @@ def checks_for(
     for name in reasons:
         if name not in known:
             raise UnknownNameError("conformance check", name, known, where=f"expected_failures of {method.name}")
-    subject = Subject(method, validated(method.method.options, options or {}, method.name))
-    return [Case(check, subject, reasons.get(check.name, "")) for check in CHECKS if method.kind in check.kinds]
+    subject = Subject(method, validated(method.method.options, options or {}, method.name), registry)
+    return [
+        Case(check, subject, reasons.get(check.name, ""))
+        for check in CHECKS
+        if check.is_for(method.kind, method.method)
+    ]
 
 
 def conformance_cases(plugin: str | Registry | Sequence[Offer], options: Mapping[str, Any] | None = None) -> list[Any]:
@@ -91,6 +104,7 @@ def conformance_cases(plugin: str | Registry | Sequence[Offer], options: Mapping
     import pytest
 
     offers: Sequence[Offer]
+    registry: Registry | None = plugin if isinstance(plugin, Registry) else None
     if isinstance(plugin, str):
         registry = Registry.load()
         offers = [offer for offer in registry.offers if plugin in (offer.dist, offer.entry)]
@@ -107,7 +121,7 @@ def conformance_cases(plugin: str | Registry | Sequence[Offer], options: Mapping
         )
         for offer in offers
         if offer.name in said or not reads_files(offer)
-        for case in checks_for(offer, options=said.get(offer.name))
+        for case in checks_for(offer, options=said.get(offer.name), registry=registry)
     ]
 
 

@@ -1,6 +1,7 @@
 """A bare stage with exact truth, made of numpy alone: upright plates in a room, seen by a camera and a LiDAR.
 
-LiDAR frame: x forward, y left, z up. Plates are rectangles across x, so their outlines are known in closed form.
+LiDAR frame: x forward, y left, z up. Plates are rectangles across x, so their outlines are known in closed form. Each
+surface has a grey and an intensity of its own, so that the two are related as mutual information wants it.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ import numpy as np
 
 from p2o.arrays import Float, Int
 from p2o.features.edges import CloudEdges, ImageEdges
+from p2o.features.maps import GreyMap
+from p2o.features.points import CloudPoints
 from p2o.features.sets import CloudFeatures, ImageFeatures
 from p2o.features.side import Side
 from p2o.features.view import View
@@ -35,7 +38,9 @@ _PLATES = np.array(
     ]
 )
 _GREYS = np.array([40.0, 215.0, 45.0, 210.0, 50.0, 125.0, 125.0, 105.0, 140.0, 115.0, 150.0])
-_FRONT_M, _BACK_M, _SIDE_M = 22.0, -15.0, 12.0
+_FRONT_M, _BACK_M, _SIDE_M, _CEILING_M = 22.0, -15.0, 12.0, 8.0
+# Axis and place of each wall, then of the floor and the ceiling.
+_WALLS = ((0, _FRONT_M), (0, _BACK_M), (1, _SIDE_M), (1, -_SIDE_M), (2, FLOOR_M), (2, _CEILING_M))
 _BEAMS, _COLUMNS = 64, 1500
 
 
@@ -59,10 +64,58 @@ def camera_from_lidar() -> Float:
 def frame() -> Frame:
     """Return the stage as a frame: image, right image, exact depth, and a sweep with ring, column, time, intensity."""
     lidar_from_camera = se3.inverse(camera_from_lidar())
-    rgb, depth = _picture(lidar_from_camera)
-    right, _ = _picture(lidar_from_camera @ se3.make(translation=(BASELINE_M, 0.0, 0.0)))
-    image = Image(rgb, camera(), right=right, baseline_m=BASELINE_M, depth_m=depth)
-    return Frame("stage", image, _sweep(), camera_from_lidar=camera_from_lidar())
+    return Frame("stage", _image(lidar_from_camera), _sweep(np.eye(4)), camera_from_lidar=camera_from_lidar())
+
+
+@lru_cache(maxsize=1)
+def stage_from_lidar() -> Float:
+    """Return where the LiDAR stands in each frame of `drive`, (3, 4, 4); "stage" is its frame in `frame`."""
+    poses = se3.exp(
+        np.array(
+            [
+                [0.03, -0.05, 0.06, -0.5, 0.2, 0.05],
+                [-0.04, 0.02, 0.03, 0.0, 0.1, -0.1],
+                [0.02, 0.05, -0.07, 0.6, -0.15, 0.02],
+            ]
+        )
+    )
+    poses.flags.writeable = False
+    return poses
+
+
+@lru_cache(maxsize=1)
+def drive() -> tuple[Frame, ...]:
+    """Return three frames of one sequence: the rig stops at each, a second apart, and both sensors know their poses."""
+    camera_from, lidar_from_camera = camera_from_lidar(), se3.inverse(camera_from_lidar())
+    # Each world is a frame of its own: poses tell how the sensors move, never where they are on the rig.
+    lidar_world, camera_world = se3.exp(
+        np.array([[0.3, -0.2, 1.1, 20.0, -7.0, 3.0], [-0.8, 0.4, 0.2, -3.0, 12.0, 5.0]])
+    )
+    return tuple(
+        Frame(
+            f"stage/{number}",
+            _image(pose @ lidar_from_camera),
+            _sweep(pose),
+            camera_from_lidar=camera_from,
+            twist=np.zeros(6),
+            sequence="stage",
+            time_s=float(number),
+            lidar_world_from_lidar=lidar_world @ pose,
+            camera_world_from_camera=camera_world @ pose @ lidar_from_camera,
+        )
+        for number, pose in enumerate(stage_from_lidar())
+    )
+
+
+def distance_m(xyz: Float) -> Float:
+    """Return how far points (N, 3) of the stage are from its nearest surface, in metres (N,)."""
+    x, y, z = (column[:, None] for column in np.transpose(xyz))
+    plate_x, left, right, top, bottom = _PLATES.T
+    aside = np.maximum(np.maximum(y - left, right - y), 0.0)
+    above = np.maximum(np.maximum(z - top, bottom - z), 0.0)
+    plates = np.sqrt((x - plate_x) ** 2 + aside**2 + above**2)
+    walls = np.column_stack([np.abs(xyz[:, axis] - limit) for axis, limit in _WALLS])
+    return np.asarray(np.concatenate([plates, walls], axis=1).min(axis=1))
 
 
 def featureless_image() -> Image:
@@ -85,7 +138,10 @@ def featureless_cloud() -> Cloud:
 
 @lru_cache(maxsize=1)
 def view() -> View:
-    """Return exact features: the outlines of all plates as image edges and as cloud edges, with their sides."""
+    """Return exact features: the outlines of all plates as edges of both sensors, and all greys and points.
+
+    Edges have their sides, points their intensities and the normals of their surfaces.
+    """
     xyz, side, background = _outlines(0.05)
     fine, fine_side, _ = _outlines(0.01)
     uv = camera().project(se3.apply(camera_from_lidar(), fine))
@@ -94,14 +150,34 @@ def view() -> View:
     return View(
         "stage",
         camera(),
-        ImageFeatures(edges=ImageEdges(uv[shown], fine_side[shown])),
-        CloudFeatures(edges=edges, points=frame().cloud.xyz),
+        ImageFeatures(edges=ImageEdges(uv[shown], fine_side[shown]), features=[_grey(frame().image)]),
+        CloudFeatures(edges=edges, points=_points()),
     )
 
 
 def bare_view() -> View:
-    """Return a view in which both extractors have found nothing."""
-    return View("bare", camera(), ImageFeatures(edges=ImageEdges.empty()), CloudFeatures(edges=CloudEdges.empty()))
+    """Return a view in which nothing can be found: no edges, one grey, and points of one intensity."""
+    cloud = featureless_cloud()
+    return View(
+        "bare",
+        camera(),
+        ImageFeatures(edges=ImageEdges.empty(), features=[_grey(featureless_image())]),
+        CloudFeatures(edges=CloudEdges.empty(), points=CloudPoints(cloud.xyz, cloud.intensity, -cloud.xyz / 15.0)),
+    )
+
+
+def _grey(image: Image) -> GreyMap:
+    return GreyMap(image.grey.astype(np.float64))
+
+
+def _points() -> CloudPoints:
+    """Return every point of the sweep with its intensity and the normal of its surface, towards the LiDAR."""
+    cloud, (_, _, directions) = frame().cloud, _beams()
+    facing = np.zeros((len(_PLATES) + len(_WALLS), 3))
+    facing[: len(_PLATES), 0] = -1.0
+    for number, (axis, limit) in enumerate(_WALLS, len(_PLATES)):
+        facing[number, axis] = -np.sign(limit)
+    return CloudPoints(cloud.xyz, cloud.intensity, facing[_cast(np.zeros(3), directions).surface])
 
 
 def _outlines(step_m: float) -> tuple[Float, Any, Float]:
@@ -137,16 +213,17 @@ def _cast(origin: Float, directions: Float) -> _Hits:
         y, z = origin[1] + x * directions[:, 1], origin[2] + x * directions[:, 2]
         _, left, right, top, bottom = _PLATES.T[:, :, None]
         inside = (y <= left) & (y >= right) & (z <= top) & (z >= bottom)
-        walls = np.stack(
-            [
-                (limit - origin[axis]) / directions[:, axis]
-                for axis, limit in ((0, _FRONT_M), (0, _BACK_M), (1, _SIDE_M), (1, -_SIDE_M), (2, FLOOR_M), (2, 8.0))
-            ]
-        )
+        walls = np.stack([(limit - origin[axis]) / directions[:, axis] for axis, limit in _WALLS])
     distance = np.concatenate([np.where(inside, x, np.inf), walls])
     distance = np.where(np.isfinite(distance) & (distance > 1e-6), distance, np.inf)
     surface = np.argmin(distance, axis=0)
     return _Hits(distance[surface, np.arange(len(surface))], surface)
+
+
+def _image(stage_from_camera: Float) -> Image:
+    rgb, depth = _picture(stage_from_camera)
+    right, _ = _picture(stage_from_camera @ se3.make(translation=(BASELINE_M, 0.0, 0.0)))
+    return Image(rgb, camera(), right=right, baseline_m=BASELINE_M, depth_m=depth)
 
 
 def _picture(lidar_from_camera: Float) -> tuple[Any, Float]:
@@ -176,9 +253,10 @@ def _beams() -> tuple[Int, Int, Float]:
     return ring, column, directions
 
 
-def _sweep() -> Cloud:
+def _sweep(pose: Float) -> Cloud:
+    """Return the sweep of a LiDAR that stands at a pose stage_from_lidar (4, 4), in its own frame."""
     ring, column, directions = _beams()
-    hits = _cast(np.zeros(3), directions)
+    hits = _cast(pose[:3, 3], directions @ pose[:3, :3].T)
     return Cloud(
         hits.distance_m[:, None] * directions,
         ring=ring,

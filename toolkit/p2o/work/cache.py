@@ -192,6 +192,15 @@ class FeatureCache:
         return True
 
 
+def why_not_kept(value: Any) -> str:
+    """Return why features are of a form that cannot be kept, or an empty text."""
+    try:
+        _packed(value, {})
+    except TypeError as problem:
+        return str(problem)
+    return ""
+
+
 def _packed(value: Any, arrays: dict[str, Any]) -> Any:
     """Return a value as JSON, its arrays put aside; TypeError for what has no such form."""
     if isinstance(value, np.ndarray):

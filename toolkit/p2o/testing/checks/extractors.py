@@ -1,0 +1,230 @@
+"""What extractors promise of every kind of feature that they give, their plugin's own ones among them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from p2o.arrays import Float
+from p2o.features.feature import CloudFeature, Feature
+from p2o.geometry import se3
+from p2o.host.method import Kind
+from p2o.testing import stage
+from p2o.testing.check import Checks, but, gives
+from p2o.testing.kept import require_kept
+from p2o.testing.same import Snapshot, arrays_of, difference, require_equal
+from p2o.testing.subject import NotApplicable, Subject, require
+
+CHECKS = Checks(Kind.IMAGE_EXTRACTOR, Kind.CLOUD_EXTRACTOR)
+OF_CLOUDS = Checks(Kind.CLOUD_EXTRACTOR)
+
+_STEP = se3.exp(np.array([0.3, -0.2, 0.5, 2.0, -1.0, 0.7]))
+_EXACT = 1e-9
+"""Metres, for places a few tens of metres away: rounding is a thousand times smaller."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a method finds in a frame: `features`, and whether it wrote to what it looked at."""
+
+    features: Any
+    written: str
+
+
+def seen(subject: Subject) -> Any:
+    """Return the part of a frame that the method looks at."""
+    frame = subject.frames[0]
+    return frame.image if subject.offer.kind == Kind.IMAGE_EXTRACTOR else frame.cloud
+
+
+def nothing_seen(subject: Subject) -> Any:
+    """Return an image or a sweep in which nothing can be found."""
+    return stage.featureless_image() if subject.offer.kind == Kind.IMAGE_EXTRACTOR else stage.featureless_cloud()
+
+
+def look(subject: Subject) -> Look:
+    """Return what the method finds in its frame."""
+    data = seen(subject)
+    snapshot = Snapshot(data)
+    return Look(subject.built()(data), snapshot.written)
+
+
+def nothing(subject: Subject) -> Any:
+    """Return what the method finds where there is nothing to be found."""
+    return subject.built()(nothing_seen(subject))
+
+
+def require_repeated(subject: Subject) -> None:
+    """Raise CheckFailed unless a freshly built stage finds the same features."""
+    found = subject.once(look).features
+    require_equal(found, subject.built()(seen(subject)), "the features of the same input differ")
+
+
+def require_input_unchanged(subject: Subject) -> None:
+    """Raise CheckFailed where the method writes to what it looks at."""
+    written = subject.once(look).written
+    require(not written, f"{written} was written to")
+
+
+def _kinds(subject: Subject) -> Iterator[tuple[str, Any]]:
+    """Return each kind of feature that was found, with its word; NotApplicable where nothing was found at all."""
+    found = [(feature.word, feature) for feature in subject.once(look).features if len(feature)]
+    if not found:
+        raise NotApplicable("it finds nothing in the frame: name frames in which it does in Method.example")
+    yield from found
+
+
+_of_other_kinds = but(gives("image-edges", "cloud-edges"))
+
+
+@CHECKS.of()
+def features_are_those_that_are_given(subject: Subject) -> None:
+    """All kinds of features that `gives` names are there, and no others."""
+    sensor = "image-" if subject.offer.kind == Kind.IMAGE_EXTRACTOR else "cloud-"
+    said = {word for word in subject.gives if word.startswith(sensor)}
+    require(said, f"`gives` names no kind of feature: it must say {sensor}..., as the word of the kind does")
+    more = subject.once(look).features.words - said
+    require(not more, f"it finds {', '.join(sorted(more))}, of which `gives` does not tell")
+
+
+@CHECKS.of(_of_other_kinds)
+def features_repeat(subject: Subject) -> None:
+    """The same input gives the same features, bit for bit, also from a freshly built stage."""
+    require_repeated(subject)
+
+
+@CHECKS.of(_of_other_kinds)
+def extractor_input_is_unchanged(subject: Subject) -> None:
+    """The image or sweep is not written to."""
+    require_input_unchanged(subject)
+
+
+@CHECKS.of(_of_other_kinds)
+def a_featureless_input_is_no_crash(subject: Subject) -> None:
+    """One grey, or the inside of a ball, gives no error, and no more features than the frame."""
+    for feature in subject.once(nothing):
+        usual = subject.once(look).features.get(feature.word)
+        require(len(feature) <= len(usual), f"{len(feature)} {feature.word} where there are none to be found")
+
+
+@CHECKS.of()
+def features_survive_the_cache(subject: Subject) -> None:
+    """Features can be kept: what is read from the cache is what was found."""
+    for word, feature in _kinds(subject):
+        require_kept(feature, word)
+
+
+@CHECKS.of()
+def forgetting_sides_keeps_every_feature(subject: Subject) -> None:
+    """Features without their directions are as many, of the same kind, and forget nothing more the second time."""
+    for word, feature in _kinds(subject):
+        bare = feature.without_sides()
+        require(type(bare) is type(feature), f"{word} without sides are {type(bare).__name__}")
+        require(len(bare) == len(feature), f"{len(feature)} {word}, {len(bare)} without sides")
+        require_equal(bare, bare.without_sides(), f"{word} forget more the second time")
+
+
+@CHECKS.of()
+def selected_features_are_some_of_them(subject: Subject) -> None:
+    """A mask and an index select the same features, all of them are all, and `thinned(n)` leaves at most n of them.
+
+    Kinds without rows (maps) return themselves.
+    """
+    for word, feature in _kinds(subject):
+        _require_selection(word, feature)
+
+
+def _require_selection(word: str, feature: Feature) -> None:
+    count = len(feature)
+    keep = np.zeros(count, np.bool_)
+    keep[: -(-count // 2)] = True
+    half = feature.select(keep)
+    if difference(half, feature) == "" and count > 1:
+        require_equal(feature, feature.thinned(1), f"{word} have no rows to select, but thin out")
+        return
+    require(len(half) == keep.sum(), f"a mask of {keep.sum()} {word} selects {len(half)}")
+    require_equal(half, feature.select(np.flatnonzero(keep)), f"mask and index select other {word}")
+    require_equal(feature, feature.select(np.ones(count, np.bool_)), f"{word} differ when all are selected")
+    for most in {0, 1, count // 3, count}:
+        thin = feature.thinned(most)
+        require(len(thin) <= most, f"thinned({most}) leaves {len(thin)} {word}")
+        _require_rows_of(word, thin, feature)
+    require(len(feature.thinned(count)) == count, f"thinned({count}) loses some of {count} {word}")
+
+
+def _require_rows_of(word: str, some: Feature, feature: Feature) -> None:
+    """Raise CheckFailed where a row of `some` is none of `feature`; arrays with one row a feature are looked at."""
+    whole = arrays_of(feature)
+    for name, rows in arrays_of(some).items():
+        known = whole.get(name)
+        if known is None or not len(rows) or len(known) != len(feature) or len(rows) != len(some):
+            continue
+        there = {row.tobytes() for row in np.ascontiguousarray(known)}
+        lost = sum(row.tobytes() not in there for row in np.ascontiguousarray(rows))
+        require(not lost, f"{lost} of the thinned {word} are none of the features: {name}")
+
+
+@OF_CLOUDS.of()
+def features_move_rigidly(subject: Subject) -> None:
+    """Features in another frame are where a rigid transform puts them: there and back, and in two steps as in one."""
+    for word, feature in _kinds(subject):
+        there = feature.moved(_STEP)
+        require(type(there) is type(feature), f"moved {word} are {type(there).__name__}")
+        require(len(there) == len(feature), f"{len(feature)} {word}, {len(there)} moved ones")
+        require(difference(there, feature), f"{word} do not move at all")
+        _require_places(word, there, None if feature.places is None else se3.apply(_STEP, feature.places), "moved")
+        _require_close(word, there.moved(se3.inverse(_STEP)), feature, "moved there and back")
+        _require_close(word, there.moved(_STEP), feature.moved(_STEP @ _STEP), "moved in two steps and in one")
+        _require_close(word, feature.moved(np.eye(4)), feature, "moved by nothing")
+
+
+@OF_CLOUDS.of()
+def features_untwist_by_their_times(subject: Subject) -> None:
+    """A LiDAR that stands leaves features as they are; one that drives straight on shifts each by its own time."""
+    velocity = np.array([9.0, -2.0, 0.5])
+    for word, feature in _kinds(subject):
+        _require_close(word, feature.untwisted(np.zeros(6)), feature, "of a LiDAR that stands")
+        driven = feature.untwisted(np.concatenate([np.zeros(3), velocity]))
+        require(len(driven) == len(feature), f"{len(feature)} {word}, {len(driven)} of a LiDAR that drives")
+        times_s, places = feature.times_s, feature.places
+        if times_s is None:
+            _require_close(word, driven, feature, "without times")
+        elif places is not None and len(places) == len(times_s):
+            _require_places(word, driven, places + np.outer(times_s, velocity), "of a LiDAR that drives")
+
+
+@OF_CLOUDS.of()
+def a_single_point_is_no_crash(subject: Subject) -> None:
+    """A sweep of one point gives no edges and next to nothing else, or is refused with a P2OError."""
+    from p2o.errors import P2OError
+
+    try:
+        found = subject.built()(subject.frames[0].cloud.select(np.array([0])))
+    except P2OError as problem:
+        require("raised" not in str(problem), str(problem))
+        return
+    for feature in found:
+        most = 0 if feature.word == "cloud-edges" else 1
+        require(len(feature) <= most, f"{len(feature)} {feature.word} on a sweep of one point")
+
+
+def _require_places(word: str, feature: CloudFeature, places: Float | None, how: str) -> None:
+    here = feature.places
+    require((here is None) == (places is None), f"{word} {how} lose their places")
+    if here is not None and places is not None:
+        require(np.shape(here) == np.shape(places), f"{word} {how} have other places: {np.shape(here)}")
+        off = float(np.abs(here - places).max())
+        require(off <= _EXACT, f"{word} {how} are {off:.3g} m from where they belong")
+
+
+def _require_close(word: str, here: Feature, there: Feature, how: str) -> None:
+    """Raise CheckFailed where a number differs by more than rounding."""
+    first, second = arrays_of(here), arrays_of(there)
+    require(first.keys() == second.keys(), f"{word} {how} have other fields")
+    for name, array in first.items():
+        require(array.shape == second[name].shape, f"{word} {how} have another shape: {name}")
+        same = np.allclose(array, second[name], rtol=0, atol=_EXACT, equal_nan=True)
+        require(same, f"{word} {how} differ: {name}")
