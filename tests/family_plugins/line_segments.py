@@ -66,7 +66,7 @@ def lifted(picture, ends):
     ranges = np.minimum(np.linalg.norm(beside, axis=2), 1e3)
     jump = np.abs(np.diff(np.log(ranges)))
     row, pair = np.arange(len(at))[:, None], jump.argmax(axis=1)[:, None] + [0, 1]
-    # The edge lies between the last pulse on the near surface and the first beside it.
+    # Between the last pulse on the near surface and the first beside it.
     xyz = ranges[row, pair].min(axis=1, keepdims=True) * (beside / ranges[..., None])[row, pair].mean(axis=1)
     xyz = xyz[(jump.max(axis=1) > GAP) & np.isfinite(xyz).all(axis=1)]
     for _ in range(3 if len(xyz) > 3 else 0):
@@ -134,10 +134,8 @@ def build(options):
 
 @p2o.hookimpl
 def p2o_image_extractors():
-    words = {"summary": "Segments of the picture.", "gives": {"image-lines"}}
-    yield p2o.Method(
-        name="lsd", build=lambda _: lambda i: p2o.ImageFeatures(features=[ImageLines(lsd(i.grey))]), **words
-    )
+    image_lines = lambda _: lambda image: p2o.ImageFeatures(features=[ImageLines(lsd(image.grey))])  # noqa: E731
+    yield p2o.Method(name="lsd", build=image_lines, summary="Segments of the picture.", gives={"image-lines"})
 
 
 @p2o.hookimpl
