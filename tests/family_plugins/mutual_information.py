@@ -12,8 +12,6 @@ from scipy.ndimage import gaussian_filter
 
 
 class GreyOptions(p2o.Options):
-    """Options of `blurred-grey`."""
-
     sigma_px: float = p2o.field(1.0, ge=0, le=50, help="Width of the Gaussian that smooths the picture.")
 
 
@@ -30,8 +28,6 @@ def build_grey(options: GreyOptions) -> p2o.ImageExtractor:
 
 
 class ReflectanceOptions(p2o.Options):
-    """Options of `reflectance`."""
-
     points: int = p2o.field(12_000, ge=100, le=1_000_000, help="Points of a sweep that are kept, at most.")
     max_range_m: float = p2o.field(60.0, gt=1, le=1000, help="Points farther off are left out.")
 
@@ -51,8 +47,6 @@ def build_reflectance(options: ReflectanceOptions) -> p2o.CloudExtractor:
 
 
 class InformationOptions(p2o.Options):
-    """Options of `mutual-information`."""
-
     bins: int = p2o.field(16, ge=2, le=256, help="Bins of grey values, and of reflectance.")
     kernel_bins: float = p2o.field(1.0, ge=0, le=10, help="Width of the Gaussian that smooths the histogram, in bins.")
     blur: float = p2o.field(0.1, ge=0, le=1, help="The picture is blurred by this share of the reach.")
@@ -133,14 +127,8 @@ def p2o_image_extractors():
 @p2o.hookimpl
 def p2o_cloud_extractors():
     """Offer the LiDAR side."""
-    yield p2o.Method(
-        name="reflectance",
-        build=build_reflectance,
-        options=ReflectanceOptions,
-        summary="Points with their intensity.",
-        needs={"intensity"},
-        gives={"cloud-points"},
-    )
+    words = {"summary": "Points with their intensity.", "needs": {"intensity"}, "gives": {"cloud-points"}}
+    yield p2o.Method(name="reflectance", build=build_reflectance, options=ReflectanceOptions, **words)
 
 
 @p2o.hookimpl
