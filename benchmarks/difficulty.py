@@ -1,4 +1,4 @@
-"""Are made-up scenes as hard as real frames? The same figures of both, side by side, for `stereo` and for `canny`.
+"""Are synthetic scenes as hard as real frames? The same figures of both, side by side, for `stereo` and for `canny`.
 
     python benchmarks/difficulty.py --data kitti-raw:build/data/kitti_raw --frames @splits.json#test --jobs 2
 
@@ -49,8 +49,10 @@ def main() -> None:
     parser.add_argument("--data", required=True, help="real frames, DATASET:PATH as for p2o run")
     parser.add_argument("--frames", default="all", help="as for p2o run")
     parser.add_argument("--most", type=int, help="only so many of the real frames, spread evenly")
-    parser.add_argument("--made-up", default="synthetic:?seed=1", help="made-up frames, DATASET:PATH as for p2o run")
-    parser.add_argument("--scenes", type=int, default=24, help="number of made-up scenes")
+    parser.add_argument(
+        "--synthetic", default="synthetic:?seed=1", help="synthetic frames, DATASET:PATH as for p2o run"
+    )
+    parser.add_argument("--scenes", type=int, default=24, help="number of synthetic scenes")
     parser.add_argument("--extractors", default=",".join(MATCHERS), help=f"any of {','.join(MATCHERS)}")
     parser.add_argument("--perturb", default="2deg 0.15m", help="start, as for p2o run")
     parser.add_argument("--seeds", type=int, default=1, help="starts of each frame")
@@ -60,7 +62,7 @@ def main() -> None:
     if made_up.startswith("synthetic:"):
         made_up += f"{'&' if '?' in made_up else '?'}scenes={arguments.scenes}"
     sources = {
-        "made-up": (made_up, "all", arguments.scenes),
+        "synthetic": (made_up, "all", arguments.scenes),
         "real": (arguments.data, arguments.frames, arguments.most),
     }
     images = arguments.extractors.split(",")

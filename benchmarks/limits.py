@@ -1,4 +1,4 @@
-"""Where the network's edges are good and where they are not, on made-up pictures like and unlike what it has seen.
+"""Where the network's edges are good and where they are not, on synthetic pictures like and unlike what it has seen.
 
     python benchmarks/limits.py [--weights kitti] [--gallery docs/gallery]
 

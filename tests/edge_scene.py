@@ -24,7 +24,7 @@ def view(
     seed: int = 0,
     noise_px: float = 0.0,
     lidar_step_m: float = 0.15,
-    name: str = "made-up",
+    name: str = "synthetic",
 ) -> View:
     """Return the view of fronto-parallel rectangles at random places, true pose `truth` (camera_from_lidar)."""
     rng = np.random.default_rng(seed)

@@ -1,4 +1,4 @@
-"""A store of made-up runs, written through the store's own functions: what reports are made of in the tests."""
+"""A store of synthetic runs, written through the store's own functions: what reports are made of in the tests."""
 
 from __future__ import annotations
 

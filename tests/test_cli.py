@@ -30,7 +30,7 @@ QUICK = [*STAGE, "--extractor", "depth/rings", "--init", "given"]
 
 @pytest.fixture
 def fake() -> list[str]:
-    """Words that run a made-up method on made-up frames."""
+    """Words that run a synthetic method on synthetic frames."""
     return ["run", "--plugin", str(PLUGIN), "--data", "fake:", "--calibrator", "spy", "--perturb", "2deg 0.1m"]
 
 

@@ -230,7 +230,7 @@ def test_a_trainer_that_cannot_work_is_refused_when_it_is_made(bad: dict[str, An
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Labels of two made-up streets, with pictures."""
+    """Labels of two synthetic streets, with pictures."""
     out = tmp_path_factory.mktemp("labels")
     assert main(["labels", "p2ornet", "--data", STREETS, "--out", str(out), "--draw", "--quiet"]) == 0
     return out

@@ -16,8 +16,9 @@ SWEEP_S = 0.1
 IMAGE_DELAY_S = 0.004
 """When KITTI's cameras see the scene, after the LiDAR looks straight ahead.
 
-Measured: corrected sweeps of fast `train` drives (0028, 0015, 0032 with 0056) fit the edges of the images best 3.7, 3.8
-and 2.2 ms after, and calibrations of them are right along the road at 4.6, 4.6 and 2.3 ms (`docs/benchmarks.md`).
+Measured: motion-compensated sweeps of fast `train` drives (0028, 0015, 0032 with 0056) fit the edges of the images best
+3.7, 3.8 and 2.2 ms after, and calibrations of them are right along the road at 4.6, 4.6 and 2.3 ms
+(`docs/benchmarks.md`).
 """
 NOT_UNTWISTED = "the sweep is as measured, and the velocity of the car is not given"
 """Remark on frames whose sweep is as measured."""

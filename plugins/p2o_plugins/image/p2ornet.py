@@ -36,7 +36,7 @@ class P2ORNetOptions(Options):
 
     weights: str = field(
         "kitti",
-        help="Weights: kitti (shipped; for research only), synthetic (shipped; have seen made-up streets only), or a "
+        help="Weights: kitti (shipped; for research only), synthetic (shipped; have seen synthetic streets only), or a "
         "file that p2o train wrote.",
     )
     min_confidence: float = field(0.05, ge=0, le=1, help="Edges less certain than this are dropped.")

@@ -1,4 +1,4 @@
-"""Writes small KITTI trees with a made-up rig, so that no file of KITTI is needed to test the readers."""
+"""Writes small KITTI trees with a synthetic rig, so that no file of KITTI is needed to test the readers."""
 
 from __future__ import annotations
 

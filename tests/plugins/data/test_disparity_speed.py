@@ -18,7 +18,7 @@ from p2o_plugins.data.synthetic import SyntheticOptions, build
 
 @cache
 def street(speed_m_s: float, deskew: bool = False) -> Frame:
-    """Return a made-up frame whose sweep is as a moving LiDAR measures it; frames cannot be changed.
+    """Return a synthetic frame whose sweep is as a moving LiDAR measures it; frames cannot be changed.
 
     Its depth is that of the corrected returns, and unknown elsewhere, as in KITTI's disparity truth.
     """

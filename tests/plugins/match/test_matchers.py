@@ -1,4 +1,4 @@
-"""Matching with and without directions, on edges drawn by hand and on the made-up scene."""
+"""Matching with and without directions, on edges drawn by hand and on the synthetic scene."""
 
 from __future__ import annotations
 

@@ -141,7 +141,7 @@ def test_a_box_on_a_slanted_road_has_only_its_own_edges() -> None:
 
 @cache
 def frame(place: str, seed: int = 0) -> Frame:
-    """Return a made-up frame without noise of any kind, with leaves masked; frames cannot be changed."""
+    """Return a synthetic frame without noise of any kind, with leaves masked; frames cannot be changed."""
     options = SyntheticOptions(
         place=place, seed=seed, right=False, noise_m=0.0, angle_noise_deg=0.0, divergence_mrad=0.0, mask_foliage=True
     )

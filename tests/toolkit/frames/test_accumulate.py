@@ -44,7 +44,7 @@ def test_the_world_of_the_poses_is_of_no_account() -> None:
 
 @pytest.mark.parametrize("corrected", [False, True])
 def test_each_sweep_is_corrected_to_its_own_time_first_and_only_once(corrected: bool) -> None:
-    """The LiDAR moves while it sees the wall, so the sweep as measured is bent; the union is straight again."""
+    """The LiDAR moves while it sees the wall, so the raw sweep is bent; the union is straight again."""
     twist = np.array([0.1, -0.2, 0.5, 12.0, 1.0, -0.5])
     still = seen("b").cloud.xyz
     time_s = np.linspace(-0.05, 0.05, len(still))

@@ -49,7 +49,7 @@ class Offered:
         (Kind.SOLVER, "simplex", {"needs": {"objective"}}),
         (Kind.INITIALIZER, "given", {}),
         (Kind.CALIBRATOR, "whole", {"options": Sized}),
-        (Kind.DATASET, "made-up", {"options": Sized, "gives": {"rings"}}),
+        (Kind.DATASET, "synthetic", {"options": Sized, "gives": {"rings"}}),
         (Kind.DATASET, "files", {"options": Rooted}),
     )
 
@@ -61,7 +61,7 @@ for _kind in Kind:
     setattr(Offered, _kind.hook, p2o.hookimpl(lambda self, kind=_kind: self._of(kind)))
 REGISTRY = Registry.of(acme=Offered())
 WORDS: dict[str, Any] = {
-    "data": "made-up:",
+    "data": "synthetic:",
     "extractor": "sided/rings",
     "matcher": "directed",
     "solver": "least-squares",
@@ -76,7 +76,7 @@ def resolved(**words: Any) -> Any:
 def test_resolving_builds_nothing_and_reads_nothing() -> None:
     plan = resolved()
     assert {stage: part.offer.name for stage, part in plan.parts.items()} == {
-        "data": "made-up",
+        "data": "synthetic",
         "extractor": "sided",
         "cloud": "rings",
         "matcher": "directed",
@@ -112,7 +112,7 @@ def test_what_is_not_said_takes_the_default_of_the_recipe() -> None:
         ({"matcher": "scalar"}, "scalar gives no pairs; least-squares needs it; try --solver simplex"),
         (
             {"extractor": "radar/rings"},
-            "made-up gives no radar; radar needs it; try --extractor sided/rings or stereoscopic/rings",
+            "synthetic gives no radar; radar needs it; try --extractor sided/rings or stereoscopic/rings",
         ),
     ],
 )
@@ -160,7 +160,7 @@ def test_a_method_may_need_what_only_frames_of_drives_or_with_targets_hold(word:
         def p2o_calibrators(self) -> list[Method]:
             return [Method(name="asking", build=never, summary="A test.", needs=frozenset({word}))]
 
-    plan = Recipe.of(data="made-up:", calibrator="asking").resolve(Registry.of(acme=Offered(), other=Asking()))
+    plan = Recipe.of(data="synthetic:", calibrator="asking").resolve(Registry.of(acme=Offered(), other=Asking()))
     frame = stage.frame()
     with pytest.raises(InputError, match=f"the frame has no {word}; asking needs it"):
         plan.check_frame(frame)
@@ -174,15 +174,15 @@ def test_an_extractor_is_a_pair() -> None:
 
 
 def test_a_whole_method_takes_the_place_of_the_stages() -> None:
-    plan = Recipe.of(data="made-up:", calibrator="whole").resolve(REGISTRY)
+    plan = Recipe.of(data="synthetic:", calibrator="whole").resolve(REGISTRY)
     assert list(plan.parts) == ["data", "calibrator"]
     assert "matcher" not in plan.described()
     with pytest.raises(InputError, match="whole method; expected no matcher, solver beside it"):
-        Recipe.of(data="made-up:", calibrator="whole", matcher="nearest", solver="simplex").resolve(REGISTRY)
+        Recipe.of(data="synthetic:", calibrator="whole", matcher="nearest", solver="simplex").resolve(REGISTRY)
     with pytest.raises(InputError, match="options for matcher, which this recipe does not use"):
-        Recipe.of(data="made-up:", calibrator="whole", options={"matcher": {"size": 1}}).resolve(REGISTRY)
+        Recipe.of(data="synthetic:", calibrator="whole", options={"matcher": {"size": 1}}).resolve(REGISTRY)
     with pytest.raises(InputError, match="options for the pipeline"):
-        Recipe.of(data="made-up:", calibrator="whole", options={"pipeline": {"rounds": 1}}).resolve(REGISTRY)
+        Recipe.of(data="synthetic:", calibrator="whole", options={"pipeline": {"rounds": 1}}).resolve(REGISTRY)
 
 
 def test_texts_and_values_of_options_mean_the_same() -> None:
@@ -221,7 +221,7 @@ def test_an_option_called_seed_follows_the_recipes_seed_unless_it_is_set() -> No
     plan = resolved(matcher="nearest", seed=5, options={"solver": {"seed": 1}})
     seeds = {stage: part.options.seed for stage, part in plan.parts.items() if hasattr(part.options, "seed")}
     assert seeds == {"data": 5, "matcher": 5, "solver": 1}
-    assert resolved(data="made-up:?seed=2", seed=5).parts["data"].options.seed == 2
+    assert resolved(data="synthetic:?seed=2", seed=5).parts["data"].options.seed == 2
 
 
 @pytest.mark.parametrize(
@@ -250,8 +250,8 @@ def test_a_dataset_with_and_without_a_path() -> None:
     assert resolved(data="files:/a?scenes=2").parts["data"].options == Rooted(root="/a", scenes=2)
     with pytest.raises(InputError, match="dataset files needs a path; expected files:PATH"):
         resolved(data="files:")
-    with pytest.raises(InputError, match="dataset made-up takes no path; expected made-up:; got /a"):
-        resolved(data="made-up:/a")
+    with pytest.raises(InputError, match="dataset synthetic takes no path; expected synthetic:; got /a"):
+        resolved(data="synthetic:/a")
     with pytest.raises(InputError, match=r"data need a dataset name; expected DATASET:PATH.*got /a/b"):
         resolved(data="/a/b")
     with pytest.raises(UnknownNameError, match=r"unknown dataset 'fils'.*did you mean files\?"):
@@ -267,7 +267,7 @@ def test_the_description_of_a_plan_repeats_it() -> None:
     plan = resolved(matcher="nearest", perturb="2deg 0.1m", seed=4, joint=True, options={"solver": {"size": 2}})
     again = Recipe.of(**plan.described()).resolve(REGISTRY)
     assert again.described() == plan.described()
-    whole = Recipe.of(data="made-up:", calibrator="whole").resolve(REGISTRY)
+    whole = Recipe.of(data="synthetic:", calibrator="whole").resolve(REGISTRY)
     assert Recipe.of(**whole.described()).resolve(REGISTRY).described() == whole.described()
 
 

@@ -1,4 +1,4 @@
-"""Pictures of made-up scenes: depth in closed form, shadows, sky, any camera model."""
+"""Pictures of synthetic scenes: depth in closed form, shadows, sky, any camera model."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ def checks_of(fits: Sequence[RadialFit], cameras: Sequence[Camera], *, corrected
 def doubt(check: CameraCheck) -> Reason | None:
     """Return a remark where the error is large and sure, or None.
 
-    On made-up frames, whose cameras are right, three of 48 single ones seemed wrong by more than 1.5 px and four
+    On synthetic frames, whose cameras are right, three of 48 single ones seemed wrong by more than 1.5 px and four
     standard deviations, none by five, and 24 together by 1.1 to 1.3 px: hence the bounds.
     """
     sure = check.shift_px > _DOUBTFUL_SIGMAS * check.shift_sigma_px

@@ -37,7 +37,7 @@ class PipelineOptions(Options):
     )
     motion: Literal["trust", "estimate"] = option(
         "estimate",
-        help="Sweeps as measured, whose points have times: trust them, as of a car that stands; or estimate how the "
+        help="Raw sweeps, whose points have times: trust them, as of a car that stands; or estimate how the "
         "car moves during each of them, along with the pose. Sweeps that were corrected for motion stay as they are.",
     )
     forward: tuple[float, float, float] = option(

@@ -21,7 +21,7 @@ _COMMANDS = {
     "report": "Write tables, figures and one page about the studies in a folder.",
     "labels": "Write what frames teach a method that learns, one file a frame.",
     "train": "Train a method on frames, or go on with a training.",
-    "simulate": "Write made-up streets in the layout of a real dataset.",
+    "simulate": "Write synthetic streets in the layout of a real dataset.",
 }
 """Name and one-line help of every command; the code of `a-b` is in the module `p2o.cli.a_b`, as `command`."""
 
@@ -60,7 +60,7 @@ def _show_version(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
 def group() -> None:
     """Find the rigid transform between a camera and a LiDAR from ordinary scenes, and compare methods that do.
 
-    `p2o run` alone calibrates a made-up scene. Exit status: 0 solved, 1 some calibration was refused or failed,
+    `p2o run` alone calibrates a synthetic scene. Exit status: 0 solved, 1 some calibration was refused or failed,
     2 wrong usage or input, 70 a defect, 130 interrupted.
     """
 

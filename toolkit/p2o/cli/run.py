@@ -24,7 +24,7 @@ _PLACE = "{frame}"
 
 
 @click.command("run")
-@click.option("--data", metavar="DATASET:PATH", help="What to calibrate (default: a made-up scene, synthetic:).")
+@click.option("--data", metavar="DATASET:PATH", help="What to calibrate (default: a synthetic scene, synthetic:).")
 @click.option(
     "--frames", metavar="SPEC", help="all, indices and ranges (0,4-7), @splits.json#test, or names (default: all)."
 )
@@ -67,7 +67,7 @@ def command(
     """Calibrate frames: find the transform from the LiDAR to the camera.
 
     \b
-    p2o run                                            a made-up scene
+    p2o run                                            a synthetic scene
     p2o run --data kitti-raw:PATH --perturb "2deg 0.15m" --seed 1
     p2o run --data kitti-raw:PATH --frames @splits.json#test --joint --out out
 

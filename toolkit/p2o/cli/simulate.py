@@ -1,4 +1,4 @@
-"""`p2o simulate`: made-up streets written to disk in the layout of a real dataset."""
+"""`p2o simulate`: synthetic streets written to disk in the layout of a real dataset."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LAYOUTS = ("kitti-raw", "vkitti2", "folder")
     "settings",
     multiple=True,
     metavar="FIELD=VALUE",
-    help="An option of the made-up streets (`p2o methods synthetic` lists them).",
+    help="An option of the synthetic streets (`p2o methods synthetic` lists them).",
 )
 @click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Seed of the streets and of all noise.")
 @click.option("--force", is_flag=True, help="Write into a folder that is not empty; other files in it stay.")
@@ -40,7 +40,7 @@ def command(
     plugin: tuple[str, ...],
     block: tuple[str, ...],
 ) -> int:
-    r"""Write made-up streets to the folder OUT, frame by frame, and print the names of the frames.
+    r"""Write synthetic streets to the folder OUT, frame by frame, and print the names of the frames.
 
     \b
     p2o simulate out --layout kitti-raw --set scenes=20 --seed 1

@@ -99,7 +99,7 @@ class CloudEdges(CloudFeature):
     next beam, uniform: gap / sqrt(12)); `weight` (M,) >= 0 the confidence that it is an edge at all. `background`
     (M, 3) are unit directions in the LiDAR frame from the edge towards its background, zero where unknown: with them
     the side can be told for any way the two sensors are mounted (`View.as_seen_from`). `time_s` (M,) is when an edge of
-    a sweep as measured was seen, in seconds from the image; 0 where there are no times, and where the sweep was
+    a raw sweep was seen, in seconds from the image; 0 where there are no times, and where the sweep was
     corrected for motion: such edges are where they are.
     """
 
