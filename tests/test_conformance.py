@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import p2o
 import pytest
-from p2o import Kind, Method, UnknownNameError
+from p2o import Kind, Method, Registry, UnknownNameError
 from p2o.testing import (
     CHECKS,
     Case,
@@ -22,6 +23,7 @@ from p2o.testing import (
 
 from tests.broken_methods import BROKEN, REGISTRY
 
+FAMILIES = Path(__file__).with_name("family_plugins")
 SMALL = {"synthetic": {"width_px": 310, "height_px": 94}}
 
 
@@ -164,6 +166,16 @@ def test_a_plugin_with_kinds_of_its_own_keeps_every_promise() -> None:
     for offer in ours:
         found = outcomes(checks_for(offer, registry=REGISTRY))
         assert found["failed"] == found["skipped"] == set(), offer.name
+
+
+@pytest.mark.parametrize("file", sorted(FAMILIES.glob("*.py")), ids=lambda file: file.stem)
+def test_families_of_methods_keep_every_promise(file: Path) -> None:
+    registry = Registry.load(extra_files=[file], environ={})
+    theirs = [offer for offer in registry.offers if offer.dist == file.name]
+    assert theirs
+    cases = [case for offer in theirs for case in checks_for(offer, registry=registry)]
+    kept, excused = (outcomes(c for c in cases if bool(c.expected_failure) is known) for known in (False, True))
+    assert kept["failed"] == kept["skipped"] == excused["passed"] == set()
 
 
 def test_a_matcher_without_an_extractor_of_its_kind_is_not_judged() -> None:

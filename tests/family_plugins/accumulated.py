@@ -61,7 +61,9 @@ def _outermost(
     # Two cells of background that was seen, and surface on the other side.
     edge = front & (beside(1) > limit) & (beside(2) > limit) & (beside(2) < 1e3) & (beside(-1) < limit)
     rows = np.flatnonzero(edge & (distance <= options.max_range_m))
-    order = rows[np.lexsort((-sign * place[rows, axis], at[rows, 0], at[rows, 1]))]
+    # Points that are equally far out are told apart by their places, not by their order in the cloud.
+    keys = (distance[rows], place[rows, 1 - axis], -sign * place[rows, axis], at[rows, 0], at[rows, 1])
+    order = rows[np.lexsort(keys)]
     first = np.ones(len(order), bool)
     first[1:] = (np.diff(at[order], axis=0) != 0).any(axis=1)
     return order[first]
