@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from p2o.geometry.radial_error import RadialError as RadialError
     from p2o.geometry.visibility import hidden as hidden
     from p2o.host.hookspecs import hookimpl as hookimpl
+    from p2o.host.method import Example as Example
     from p2o.host.method import Kind as Kind
     from p2o.host.method import Method as Method
     from p2o.host.registry import Registry as Registry
@@ -97,7 +98,7 @@ _HOME = {
     "frames.frame": ["Dataset", "Frame"],
     "host.hookspecs": ["hookimpl"],
     "frames.image": ["Image"],
-    "host.method": ["Kind", "Method"],
+    "host.method": ["Example", "Kind", "Method"],
     "geometry.pose_error": ["PoseError", "pose_error"],
     "options": ["Options", "field"],
     "calibration.pipeline": ["Pipeline"],
