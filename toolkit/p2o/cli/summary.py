@@ -108,7 +108,7 @@ def _warnings(result: Result) -> list[str]:
 def _accuracy(accuracy: Accuracy | None) -> str:
     """Return how wrong such results are."""
     if accuracy is None:
-        return "so few pairs do not tell it"
+        return "cannot be told"
     usual = f"{accuracy.rotation_deg:.2f} deg and {accuracy.translation_m:.3f} m"
     rare = f"{accuracy.rotation_deg_95:.2f} deg and {accuracy.translation_m_95:.3f} m"
     return f"two of three such results are within {usual}, 19 of 20 within {rare}"
