@@ -39,6 +39,11 @@ class Broken:
     fails: frozenset[str]
     said: Any = None
 
+    @property
+    def writes(self) -> bool:
+        """Whether it writes to the stage itself, which others must not see."""
+        return bool({check for check in self.fails if check.endswith("unchanged")})
+
 
 BROKEN: dict[str, Broken] = {}
 """Broken methods by what is wrong with them."""
