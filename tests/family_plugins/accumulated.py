@@ -27,7 +27,8 @@ def build(options: DenseEdgesOptions) -> p2o.CloudExtractor:
     cell = np.radians(options.cell_deg)
 
     def extract(cloud: p2o.Cloud) -> p2o.CloudFeatures:
-        ray = cloud.xyz - options.eye
+        xyz = cloud.xyz[np.lexsort(cloud.xyz.T)]  # points in another order are the same cloud
+        ray = xyz - options.eye
         distance = np.linalg.norm(ray, axis=1)
         # Columns from left to right, rows downwards.
         place = np.column_stack([-np.arctan2(ray[:, 1], ray[:, 0]), -np.arcsin(ray[:, 2] / np.maximum(distance, 1e-9))])
@@ -38,9 +39,8 @@ def build(options: DenseEdgesOptions) -> p2o.CloudExtractor:
         whole = -grey_closing(np.where(np.isfinite(picture), -picture, -1e3), size=(3, 3), mode="nearest")
         found = [_outermost(place, distance, at, whole, axis, sign, options) for axis in (0, 1) for sign in (-1, 1)]
         rows = np.unique(np.concatenate(found))
-        rows = rows[np.lexsort(cloud.xyz[rows].T)]
         sigma_m = cell / np.sqrt(12) / 2 * distance[rows]
-        return p2o.CloudFeatures(p2o.CloudEdges(cloud.xyz[rows], np.full(len(rows), p2o.Side.NONE), sigma_m=sigma_m))
+        return p2o.CloudFeatures(p2o.CloudEdges(xyz[rows], np.full(len(rows), p2o.Side.NONE), sigma_m=sigma_m))
 
     return extract
 

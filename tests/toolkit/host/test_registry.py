@@ -207,6 +207,22 @@ def test_a_file_is_a_plugin_when_asked_for(install: Install, tmp_path: Path) -> 
     assert names(Registry.load(extra_files=[file], environ={"P2O_PLUGINS": ""})) == ["mine@my_file.py"]
 
 
+def test_a_file_that_is_as_it_was_is_the_same_module_and_an_edited_one_another(
+    install: Install, tmp_path: Path
+) -> None:
+    file = tmp_path / "my_file.py"
+    file.write_text("import p2o\n" + textwrap.dedent(offers("mine")))
+
+    def build_of_the_file() -> object:
+        [offer] = Registry.load(extra_files=[file], environ={"P2O_PLUGINS": ""}).offers
+        return offer.method.build.__globals__  # type: ignore[attr-defined]
+
+    first = build_of_the_file()
+    assert build_of_the_file() is first
+    file.write_text(file.read_text() + "\nEDITED = 1\n")
+    assert build_of_the_file() is not first
+
+
 def test_a_broken_file_is_an_error_since_somebody_asked_for_it(install: Install, tmp_path: Path) -> None:
     file = tmp_path / "my_file.py"
     file.write_text("import martians")

@@ -275,11 +275,22 @@ def _selected(
     return chosen, left_out
 
 
+_loaded: dict[str, tuple[Path, bytes]] = {}
+"""File and content of the modules that were made of single files, by name."""
+
+
 def _module_of(path: Path) -> Any:
-    """Import one file as a module of its own; it does not become importable by name."""
+    """Import one file as a module of its own; it does not become importable by name.
+
+    A file that is as it was stays the same module: features of its classes are told from others by their class.
+    """
     if not path.is_file():
         raise InputError("no such plugin file", where=path, expected="a Python file")
-    spec = importlib.util.spec_from_file_location(f"p2o_plugin_file_{path.stem}", path)
+    state = path.resolve(), path.read_bytes()
+    name = f"p2o_plugin_file_{path.stem}"
+    if name in sys.modules and _loaded.get(name) == state:
+        return sys.modules[name]
+    spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise InputError("the plugin file is not Python", where=path, expected="a name that ends in .py")
     module = importlib.util.module_from_spec(spec)
@@ -290,6 +301,7 @@ def _module_of(path: Path) -> Any:
     except BaseException:
         del sys.modules[spec.name]
         raise
+    _loaded[name] = state
     return module
 
 
