@@ -130,8 +130,14 @@ def label(frame: p2o.Frame) -> bytes:
     camera = glance.camera
     size = np.array([camera.width, camera.height])
     np.savez(
-        file, model=camera.model, size=size, params=camera.params, grey=glance.grey, truth=frame.camera_from_lidar,
-        xyz=glance.xyz.astype(np.float32), reflectance=glance.reflectance.astype(np.float32),
+        file,
+        model=camera.model,
+        size=size,
+        params=camera.params,
+        grey=glance.grey,
+        truth=frame.camera_from_lidar,
+        xyz=glance.xyz.astype(np.float32),
+        reflectance=glance.reflectance.astype(np.float32),
     )
     return file.getvalue()
 
@@ -162,7 +168,9 @@ def train(options: TrainingOptions, groups: Any, validation: Any, out: Path, rep
         for number in rng.integers(len(frames), size=options.batch):
             glance, truth = frames[number]
             way = rng.standard_normal((2, 3))
-            way *= (rng.random((2, 1)) * [[np.radians(options.angle_deg)], [options.shift_m]]) / np.linalg.norm(way, axis=1, keepdims=True)
+            way *= (rng.random((2, 1)) * [[np.radians(options.angle_deg)], [options.shift_m]]) / np.linalg.norm(
+                way, axis=1, keepdims=True
+            )
             maps = glance.seen(se3.exp(-way.ravel()) @ truth)
             maps[0] = maps[0] * rng.uniform(0.7, 1.4) + rng.normal(0, 0.2) + rng.normal(0, 0.1, maps[0].shape)
             seen.append(maps)
@@ -179,12 +187,19 @@ def train(options: TrainingOptions, groups: Any, validation: Any, out: Path, rep
         if (step + 1) % 100 == 0 or step + 1 == options.iterations:
             with torch.inference_mode():
                 net.eval()
-                errors = [net(a).sub(b).abs().mean(0) for a, b in (batch(held, np.random.default_rng(i)) for i in range(8))] if held else []
+                errors = (
+                    [net(a).sub(b).abs().mean(0) for a, b in (batch(held, np.random.default_rng(i)) for i in range(8))]
+                    if held
+                    else []
+                )
                 net.train()
-            if held: print((torch.stack(errors).mean(0).numpy()*UNIT*[57.3,57.3,57.3,1,1,1]).round(3))
+            if held:
+                print((torch.stack(errors).mean(0).numpy() * UNIT * [57.3, 57.3, 57.3, 1, 1, 1]).round(3))
             found = float(torch.stack(errors).mean()) if held else None
             report(p2o.TrainingProgress(step + 1, options.iterations, float(loss), found, time.monotonic() - began))
-    write_whole(weights, save({name: value.half() for name, value in net.state_dict().items() if value.is_floating_point()}))
+    write_whole(
+        weights, save({name: value.half() for name, value in net.state_dict().items() if value.is_floating_point()})
+    )
     return weights
 
 
