@@ -275,10 +275,21 @@ def _selected(
     return chosen, left_out
 
 
+_FILES: dict[str, tuple[Path, bytes]] = {}
+"""Path and content of the plugin files that are imported, by name of their module."""
+
+
 def _module_of(path: Path) -> Any:
-    """Import one file as a module of its own; it does not become importable by name."""
+    """Import one file as a module of its own; it does not become importable by name.
+
+    A file that has not changed is not imported again: what is kept by the names of its dataclasses stays theirs.
+    """
     if not path.is_file():
         raise InputError("no such plugin file", where=path, expected="a Python file")
+    content = path.read_bytes()
+    known = sys.modules.get(f"p2o_plugin_file_{path.stem}")
+    if known is not None and _FILES.get(known.__name__) == (path.resolve(), content):
+        return known
     spec = importlib.util.spec_from_file_location(f"p2o_plugin_file_{path.stem}", path)
     if spec is None or spec.loader is None:
         raise InputError("the plugin file is not Python", where=path, expected="a name that ends in .py")
@@ -290,6 +301,7 @@ def _module_of(path: Path) -> Any:
     except BaseException:
         del sys.modules[spec.name]
         raise
+    _FILES[spec.name] = path.resolve(), content
     return module
 
 
