@@ -105,29 +105,12 @@ def build(options: RegressorOptions) -> Regressor:
 
 
 def label(frame: p2o.Frame) -> bytes:
-<<<<<<< HEAD
-    """Return the glance at a frame and the truth."""
-    glance, file = Glance.of(frame), io.BytesIO()
-    camera = glance.camera
-    size = np.array([camera.width, camera.height])
-    np.savez(
-        file,
-        model=camera.model,
-        size=size,
-        params=camera.params,
-        grey=glance.grey,
-        truth=frame.camera_from_lidar,
-        xyz=glance.xyz.astype(np.float32),
-        reflectance=glance.reflectance.astype(np.float32),
-    )
-=======
     """Return how the frame looks from 64 wrong poses, and how wrong each is: up to 4 deg and 0.25 m."""
     glance, rng, file = Glance.of(frame), np.random.default_rng(len(frame.cloud)), io.BytesIO()
     ways, sizes = rng.standard_normal((64, 2, 3)), rng.random((64, 2, 1)) * [[np.radians(4)], [0.25]]
     errors = (sizes * ways / np.linalg.norm(ways, axis=2, keepdims=True)).reshape(64, 6)
     seen = [glance.seen(se3.exp(-error) @ frame.camera_from_lidar) for error in errors]
     np.savez_compressed(file, seen=np.stack(seen), errors=errors / UNIT)
->>>>>>> helper/whole
     return file.getvalue()
 
 
@@ -135,33 +118,6 @@ def train(options: TrainingOptions, groups: Any, validation: Any, out: Path, rep
     import torch
     from safetensors.torch import save
 
-<<<<<<< HEAD
-    weights = out / "weights.safetensors"
-    bank = [read(path) for group in groups for path in group.paths]
-    held = [read(path) for path in validation]
-    torch.manual_seed(options.seed)
-    net, began = network(), time.monotonic()
-    optimizer = torch.optim.AdamW(net.parameters(), options.learning_rate, weight_decay=0.01)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, options.learning_rate, options.iterations + 1)
-
-    def batch(frames: Any, rng: np.random.Generator) -> Any:
-        seen, wanted = [], []
-        for number in rng.integers(len(frames), size=options.batch):
-            glance, truth = frames[number]
-            way = rng.standard_normal((2, 3))
-            way *= (rng.random((2, 1)) * [[np.radians(options.angle_deg)], [options.shift_m]]) / np.linalg.norm(
-                way, axis=1, keepdims=True
-            )
-            maps = glance.seen(se3.exp(-way.ravel()) @ truth)
-            maps[0] = maps[0] * rng.uniform(0.7, 1.4) + rng.normal(0, 0.2) + rng.normal(0, 0.1, maps[0].shape)
-            seen.append(maps)
-            wanted.append(way.ravel() / UNIT)
-        return torch.from_numpy(np.stack(seen)), torch.from_numpy(np.array(wanted, np.float32))
-
-    for step in range(options.iterations):
-        seen, wanted = batch(bank, np.random.default_rng([options.seed, step]))
-        loss = (net(seen) - wanted).abs().mean()
-=======
     seen, errors = (np.concatenate([np.load(p)[key] for g in groups for p in g.paths]) for key in ("seen", "errors"))
     torch.manual_seed(0)
     net, rng, began = network(), np.random.default_rng(0), time.monotonic()
@@ -170,43 +126,14 @@ def train(options: TrainingOptions, groups: Any, validation: Any, out: Path, rep
     for step in range(1, options.iterations + 1):
         rows = rng.integers(len(seen), size=32)
         loss = (said(net, seen[rows]) - torch.from_numpy(errors[rows]).float()).square().mean()
->>>>>>> helper/whole
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
         schedule.step()
-<<<<<<< HEAD
-        if (step + 1) % 100 == 0 or step + 1 == options.iterations:
-            with torch.inference_mode():
-                net.eval()
-                errors = (
-                    [net(a).sub(b).abs().mean(0) for a, b in (batch(held, np.random.default_rng(i)) for i in range(8))]
-                    if held
-                    else []
-                )
-                net.train()
-            if held:
-                print((torch.stack(errors).mean(0).numpy() * UNIT * [57.3, 57.3, 57.3, 1, 1, 1]).round(3))
-            found = float(torch.stack(errors).mean()) if held else None
-            report(p2o.TrainingProgress(step + 1, options.iterations, float(loss), found, time.monotonic() - began))
-    write_whole(
-        weights, save({name: value.half() for name, value in net.state_dict().items() if value.is_floating_point()})
-    )
-    return weights
-
-
-def draw(path: Path) -> Any:
-    """Return grey, inverse depth and reflectance at the true pose below one another."""
-    glance, truth = read(path)
-    maps = glance.seen(truth)
-    rows = np.concatenate([(maps[0] + 2) / 4, np.minimum(maps[1], 1), maps[2]])
-    return np.repeat(np.clip(255 * rows, 0, 255).astype(np.uint8)[..., None], 3, axis=2)
-=======
         if step % 100 == 0 or step == options.iterations:
             report(p2o.TrainingProgress(step, options.iterations, loss.item(), None, time.monotonic() - began))
     (out / "weights.safetensors").write_bytes(save({name: value.half() for name, value in net.state_dict().items()}))
     return out / "weights.safetensors"
->>>>>>> helper/whole
 
 
 @p2o.hookimpl

@@ -207,7 +207,6 @@ def test_a_file_is_a_plugin_when_asked_for(install: Install, tmp_path: Path) -> 
     assert names(Registry.load(extra_files=[file], environ={"P2O_PLUGINS": ""})) == ["mine@my_file.py"]
 
 
-<<<<<<< HEAD
 def test_a_file_that_is_as_it_was_is_the_same_module_and_an_edited_one_another(
     install: Install, tmp_path: Path
 ) -> None:
@@ -222,21 +221,6 @@ def test_a_file_that_is_as_it_was_is_the_same_module_and_an_edited_one_another(
     assert build_of_the_file() is first
     file.write_text(file.read_text() + "\nEDITED = 1\n")
     assert build_of_the_file() is not first
-=======
-def test_a_plugin_file_is_imported_again_only_when_it_has_changed(tmp_path: Path, install: Install) -> None:
-    """Features are kept by the name of their dataclass, which two imports of one file would have twice."""
-    file = tmp_path / "my_file.py"
-    file.write_text("import p2o\n" + textwrap.dedent(offers("mine")))
-
-    def module() -> object:
-        Registry.load(extra_files=[file], environ={"P2O_PLUGINS": ""})
-        return sys.modules["p2o_plugin_file_my_file"]
-
-    first = module()
-    assert module() is first
-    file.write_text(file.read_text() + "# changed\n")
-    assert module() is not first
->>>>>>> helper/whole
 
 
 def test_a_broken_file_is_an_error_since_somebody_asked_for_it(install: Install, tmp_path: Path) -> None:

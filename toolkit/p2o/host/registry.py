@@ -275,19 +275,13 @@ def _selected(
     return chosen, left_out
 
 
-<<<<<<< HEAD
 _loaded: dict[str, tuple[Path, bytes]] = {}
 """File and content of the modules that were made of single files, by name."""
-=======
-_FILES: dict[str, tuple[Path, bytes]] = {}
-"""Path and content of the plugin files that are imported, by name of their module."""
->>>>>>> helper/whole
 
 
 def _module_of(path: Path) -> Any:
     """Import one file as a module of its own; it does not become importable by name.
 
-<<<<<<< HEAD
     A file that is as it was stays the same module: features of its classes are told from others by their class.
     """
     if not path.is_file():
@@ -297,17 +291,6 @@ def _module_of(path: Path) -> Any:
     if name in sys.modules and _loaded.get(name) == state:
         return sys.modules[name]
     spec = importlib.util.spec_from_file_location(name, path)
-=======
-    A file that has not changed is not imported again: what is kept by the names of its dataclasses stays theirs.
-    """
-    if not path.is_file():
-        raise InputError("no such plugin file", where=path, expected="a Python file")
-    content = path.read_bytes()
-    known = sys.modules.get(f"p2o_plugin_file_{path.stem}")
-    if known is not None and _FILES.get(known.__name__) == (path.resolve(), content):
-        return known
-    spec = importlib.util.spec_from_file_location(f"p2o_plugin_file_{path.stem}", path)
->>>>>>> helper/whole
     if spec is None or spec.loader is None:
         raise InputError("the plugin file is not Python", where=path, expected="a name that ends in .py")
     module = importlib.util.module_from_spec(spec)
@@ -318,11 +301,7 @@ def _module_of(path: Path) -> Any:
     except BaseException:
         del sys.modules[spec.name]
         raise
-<<<<<<< HEAD
     _loaded[name] = state
-=======
-    _FILES[spec.name] = path.resolve(), content
->>>>>>> helper/whole
     return module
 
 
