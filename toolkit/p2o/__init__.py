@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from p2o.host.method import Kind as Kind
     from p2o.host.method import Method as Method
     from p2o.host.registry import Registry as Registry
+    from p2o.host.stages import Accumulator as Accumulator
     from p2o.host.stages import Calibrator as Calibrator
     from p2o.host.stages import CloudExtractor as CloudExtractor
     from p2o.host.stages import Exporter as Exporter
@@ -116,6 +117,7 @@ _HOME = {
     "run.run": ["Row", "Run", "calibrate"],
     "features.side": ["SIDES", "Side"],
     "host.stages": [
+        "Accumulator",
         "Calibrator",
         "CloudExtractor",
         "Exporter",

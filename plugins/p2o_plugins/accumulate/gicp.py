@@ -19,7 +19,7 @@ class GicpOptions(JoiningOptions):
     max_distance_m: float = p2o.field(1.0, gt=0, le=20, help="Points of two sweeps are paired up to this distance.")
 
 
-def build(options: GicpOptions) -> Joining:
+def build(options: GicpOptions) -> p2o.Accumulator:
     """Return the accumulator `(frames, number) -> Cloud`."""
     import small_gicp  # noqa: F401  (a missing package is told before any frame is read)
     from p2o.frames.lidar_odometry import poses_by_gicp

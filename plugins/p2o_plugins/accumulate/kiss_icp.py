@@ -17,7 +17,7 @@ class KissIcpOptions(JoiningOptions):
     map_range_m: float = p2o.field(100.0, gt=1, le=1000, help="Points farther than this do not help to align.")
 
 
-def build(options: KissIcpOptions) -> Joining:
+def build(options: KissIcpOptions) -> p2o.Accumulator:
     """Return the accumulator `(frames, number) -> Cloud`."""
     import kiss_icp  # noqa: F401  (a missing package is told before any frame is read)
     from p2o.frames.lidar_odometry import poses_by_kiss_icp

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from p2o import Method
+from p2o import Accumulator, Method
 
 from p2o_plugins.accumulate.joining import Joining, JoiningOptions
 
@@ -11,7 +11,7 @@ class PosesOptions(JoiningOptions):
     """Options of `poses`."""
 
 
-def build(options: PosesOptions) -> Joining:
+def build(options: PosesOptions) -> Accumulator:
     """Return the accumulator `(frames, number) -> Cloud`."""
     return Joining(options)
 
