@@ -46,7 +46,7 @@ extractor = "tiny/tiny"
 init = "given"
 """
 STAGED = HEAD + '[[product]]\nmatcher = ["ogm", "nearest"]\nsolver = ["lm", "scipy"]\n'
-QUICK = HEAD + '[[row]]\nlabel = "quick"\ncalibrator = "quick"\n'
+QUICK = HEAD + '[[row]]\nlabel = "quick"\ncalibrator = "quick"\nwitness = "none"\n'
 
 
 class Bench:

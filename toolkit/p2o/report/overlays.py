@@ -5,26 +5,27 @@ from __future__ import annotations
 import base64
 import contextlib
 import json
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 from p2o.arrays import Float, UInt8
 from p2o.errors import InputError, P2OError
+from p2o.host.slots import Kind
 from p2o.report.summary import Summary, error_of
-from p2o.run.recipe import Part, Recipe, open_dataset
+from p2o.run.assembly import Assembly
+from p2o.run.part import Part
+from p2o.run.recipe import Recipe
 from p2o.run.words import data_by_name, split_data
 from p2o.study.store import StoredRow
 from p2o.work.cache import FeatureCache, content_hash, features_key
 
 if TYPE_CHECKING:
-    from p2o.calibration.pipeline import Pipeline
     from p2o.frames.frame import Frame
     from p2o.host.guard import GuardedDataset
     from p2o.host.registry import Registry
     from p2o.run.joined import JoinedFrames
-from p2o.host.slots import SENSORS
 
 _QUALITY = 78
 _WIDEST_PX = 1400
@@ -115,10 +116,10 @@ def _by_recipe(wanted: Sequence[Wanted]) -> Iterable[list[Wanted]]:
 
 @dataclass(frozen=True)
 class _Source:
-    """The frames of one recipe, and its extractors; `pipeline` is None for a whole method, which has none."""
+    """The frames of one recipe, and its methods: what they or their witness see is drawn."""
 
     dataset: GuardedDataset | JoinedFrames
-    pipeline: Pipeline | None
+    assembly: Assembly
 
     def frame(self, name: str) -> Frame:
         frame: Frame = self.dataset[self.dataset.names.index(name)]
@@ -136,8 +137,9 @@ class _Source:
         from p2o.draw import overlay
 
         with contextlib.suppress(P2OError):
-            if self.pipeline is not None:
-                view = self.pipeline.prepare(frame).as_seen_from(camera_from_lidar)
+            view = self.assembly.view(frame)
+            if view is not None:
+                view = view.as_seen_from(camera_from_lidar)
                 if len(view.image_edges) or len(view.cloud_edges):
                     return overlay.draw(
                         frame.image.rgb, view.image_edges, view.cloud_edges, frame.camera, camera_from_lidar
@@ -147,37 +149,28 @@ class _Source:
 
 def _opened(text: str, run: StoredRow, registry: Registry) -> _Source:
     """Return where the frames of a run are, and what it extracts from them."""
-    from p2o.calibration.pipeline import Pipeline
-
     recipe = dict(run.recipe)
     name, said = split_data(text)
     options = {stage: dict(values) for stage, values in recipe.get("options", {}).items()}
     if name == split_data(recipe.get("data") or text)[0]:
         # The frames of the study, wherever they lie by now.
         said = {**options.get("data", {}), **said}
-    if "extractor" not in recipe:
-        return _Source(open_dataset(f"{name}:", registry, said), None)
     options["data"] = said
     plan = Recipe.of(**{**recipe, "data": f"{name}:", "options": options}).resolve(registry)
-    kept = {stage: _KeptPart(plan.parts[stage].offer, plan.parts[stage].options) for stage in SENSORS}
-    calibrator = replace(plan, parts={**plan.parts, **kept}).calibrator()
-    return _Source(plan.dataset(), calibrator if isinstance(calibrator, Pipeline) else None)
+    return _Source(plan.dataset(), Assembly.of(plan.parts, plan.pipeline, _kept))
 
 
-@dataclass(frozen=True)
-class _KeptPart(Part):
-    """An extractor that first looks where studies keep their features, and is built only where they are not there."""
+def _kept(part: Part) -> Any:
+    """Return the stage of a part; an extractor looks first where studies keep features, and is built where need be."""
+    if part.offer.kind not in (Kind.IMAGE_EXTRACTOR, Kind.CLOUD_EXTRACTOR):
+        return part.build()
+    features, extractor = FeatureCache.of_user(), cache(part.build)
 
-    def build(self) -> Callable[[Any], Any]:
-        """Return what finds the features of an image or a sweep."""
-        features, part = FeatureCache.of_user(), Part(self.offer, self.options)
-        extractor = cache(part.build)
+    def find(data: Any, /) -> Any:
+        kept = features.get(features_key(part, content_hash(data)))
+        return extractor()(data) if kept is None else kept.features
 
-        def find(data: Any, /) -> Any:
-            kept = features.get(features_key(part, content_hash(data)))
-            return extractor()(data) if kept is None else kept.features
-
-        return find
+    return find
 
 
 def _check_names(wanted: Sequence[Wanted], text: str, there: Sequence[str]) -> None:
