@@ -370,9 +370,8 @@ def test_it_halves_the_error_of_starts_on_frames_that_it_never_saw(of: Callable[
     for seed in range(10):
         found = method.solve(prepared, size.start(truth, np.random.default_rng(seed))).camera_from_lidar
         errors.append(p2o.pose_error(found, truth))
-    # Turns are halved from every start; shifts, which move what the network sees by a pixel at most, from most of them.
     assert max(error.rotation_deg for error in errors) < 1.5
-    assert np.median([error.translation_m for error in errors]) < 0.1
+    assert max(error.translation_m for error in errors) < 0.1
 
 
 def test_it_learns_through_p2o_train_and_its_weights_are_used(

@@ -28,7 +28,7 @@ class RegressorOptions(p2o.Options):
 
 
 class TrainingOptions(p2o.Options):
-    iterations: int = p2o.field(4000, ge=1, help="Steps.")
+    iterations: int = p2o.field(10000, ge=1, help="Steps.")
 
 
 @dataclass(frozen=True)
