@@ -1,9 +1,8 @@
 """A plugin of the tests: a tiny network that sees picture and projected sweep and says how wrong the pose is.
 
-It learns one rig: much of what it says it reads from how the sweep falls into the picture. The weights beside this file
-were trained by `train`, 10000 steps, on 144 frames of synthetic:?seed=1&scenes=40&frames_per_scene=4&period_s=2&
-place=street&width_px=414&height_px=125&lidar=hdl-32e&right=false: the rig of `EXAMPLE`, and other streets. Which of four
-settings to keep was decided on the streets of `EXAMPLE`.
+It learns one rig: how the sweep falls into the picture tells much. Weights: `train`, 10000 steps, on 144 frames of
+synthetic:?seed=1&scenes=40&frames_per_scene=4&period_s=2&place=street&width_px=414&height_px=125&lidar=hdl-32e&
+right=false. Which of four settings to keep was decided on the streets of `EXAMPLE`.
 """
 
 from __future__ import annotations
