@@ -164,7 +164,23 @@ class Workers:
                 ray.init(address=self.address, num_cpus=None if self.address else self.jobs, log_to_driver=False)
             yield
         else:
-            yield
+            ended = False
+            try:
+                yield
+                ended = True
+            finally:
+                _dismiss_workers(kill=not ended)
+
+
+def _dismiss_workers(kill: bool) -> None:
+    """End the worker processes of this process; `kill` those that are at work, too.
+
+    joblib keeps them for five minutes, and hands jobs to them that nobody does if these five minutes end just then: a
+    second study in one process would wait for ever.
+    """
+    from joblib.externals.loky import get_reusable_executor
+
+    get_reusable_executor(kill_workers=kill).shutdown(wait=True, kill_workers=kill)
 
 
 class _Waiting:
