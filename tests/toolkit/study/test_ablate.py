@@ -91,6 +91,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     monkeypatch.delenv("P2O_PLUGINS", raising=False)
     # What another test has left in this process would hide calls.
     worker._memory.clear()
+    worker._stages.clear()
     worker._frames.clear()
     # Two threads in this process, whatever OMP_NUM_THREADS says: whoever computes rows has to go back to one.
     with threadpoolctl.threadpool_limits(2):

@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from p2o.errors import UnknownNameError
+from p2o.errors import MethodUnavailable, UnknownNameError
 from p2o.host.method import Kind, Method
 from p2o.host.registry import Offer, Registry
 from p2o.testing import stage as stage
@@ -44,7 +44,8 @@ __all__ = [
 class Case:
     """One check of one method; call it, and it raises CheckFailed (or a P2OError) where the promise is broken.
 
-    It raises NotApplicable, which pytest counts as skipped, where there is nothing to check the method on.
+    It raises NotApplicable, which pytest counts as skipped, where there is nothing to check the method on, or a package
+    that it needs is not installed.
     `expected_failure` is the reason why the method is known to break it, or empty.
     """
 
@@ -59,7 +60,10 @@ class Case:
         return f"{offer.kind.value.replace(' ', '-')}-{offer.name}-{self.check.name}"
 
     def __call__(self) -> None:
-        self.check.function(self.subject)
+        try:
+            self.check.function(self.subject)
+        except MethodUnavailable as problem:
+            raise NotApplicable(str(problem)) from problem
 
 
 def checks_for(
