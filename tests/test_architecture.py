@@ -50,6 +50,8 @@ UPWARD = {
 
 OPEN_MODULES = {
     "arrays",
+    "files.input_file",
+    "files.parsed_text",
     "files.whole_file",
     "frames.accumulate",
     "frames.lidar_odometry",

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 from p2o import Cloud, InputError
+from p2o.files.input_file import naming, read_bytes
 
-from p2o_plugins.data.input_file import naming, read_bytes
 from p2o_plugins.data.pcd_file import read_pcd
 from p2o_plugins.data.ply_file import read_ply
 

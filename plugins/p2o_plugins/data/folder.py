@@ -25,13 +25,14 @@ from p2o import (
     se3,
 )
 from p2o.arrays import Float
+from p2o.files.input_file import existing_folder, naming, read_bytes, read_text
+from p2o.files.parsed_text import parse_yaml
 from p2o.host.validation import validated
 
 from p2o_plugins.data.cloud_file import SUFFIXES as CLOUD_SUFFIXES
 from p2o_plugins.data.cloud_file import read_cloud
 from p2o_plugins.data.direction import check_direction
 from p2o_plugins.data.image_file import read_rgb, read_uint16
-from p2o_plugins.data.input_file import existing_folder, naming, read_bytes, read_text
 from p2o_plugins.data.lazy_frames import LazyFrames
 
 FRAME_FILE = "frame.yaml"
@@ -153,22 +154,9 @@ def build(options: FolderOptions) -> Dataset:
 def read_frame_file(path: Path) -> FrameEntry:
     """Return what a frame.yaml says.
 
-    Raises InputError if it is missing, not YAML, holds Python objects (never built), or lacks or misspells a key.
+    Raises InputError if it is missing, not YAML, holds objects or aliases (never built), or lacks or misspells a key.
     """
-    import yaml
-
-    text = read_text(path, "frame file")
-    try:
-        content = yaml.safe_load(text)
-    except yaml.constructor.ConstructorError as problem:
-        raise InputError(
-            "the frame file holds objects, which are never built",
-            where=path,
-            expected="plain numbers, lists and names",
-            got=problem.problem,
-        ) from problem
-    except (yaml.YAMLError, RecursionError, ValueError) as problem:
-        raise InputError("the frame file is not YAML", where=path, got=str(problem)[:200]) from problem
+    content = parse_yaml(read_text(path, "frame file"), "frame file", path)
     if not isinstance(content, dict):
         raise InputError("the frame file has no keys", where=path, expected="camera: ...", got=type(content).__name__)
     return validated(FrameEntry, content, where=path)

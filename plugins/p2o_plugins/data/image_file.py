@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from p2o import InputError
 from p2o.arrays import Float, UInt8
-
-from p2o_plugins.data.input_file import read_bytes
+from p2o.files.input_file import read_bytes
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8\xff"

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 from p2o import Camera, InputError, UnknownNameError, se3
 from p2o.arrays import Float
-
-from p2o_plugins.data.input_file import read_text
+from p2o.files.input_file import read_text
 
 
 @dataclass(frozen=True)

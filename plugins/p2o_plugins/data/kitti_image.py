@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from p2o import Image, RadialError
 from p2o.arrays import Float
+from p2o.files.input_file import naming
 
 from p2o_plugins.data.image_file import read_rgb, read_uint16
-from p2o_plugins.data.input_file import naming
 from p2o_plugins.data.kitti_calibration import baseline_m, rectified_camera
 
 

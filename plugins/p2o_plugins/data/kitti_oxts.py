@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 from p2o import InputError, se3
 from p2o.arrays import Float
-
-from p2o_plugins.data.input_file import read_text
+from p2o.files.input_file import read_text
 
 _EARTH_RADIUS_M = 6378137.0
 """Of the raw development kit, so that poses agree with what others make of the same files."""

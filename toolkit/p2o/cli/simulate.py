@@ -11,6 +11,7 @@ import click
 
 from p2o.cli.plugin_options import load, plugin_options
 from p2o.errors import InputError
+from p2o.files.input_file import expanded
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -59,7 +60,7 @@ def command(
             "kitti-raw sweeps are written as measured in any case", where="--set", expected="no deskew", got="deskew"
         )
     dataset = open_dataset("synthetic:", load(plugin, block), options)
-    root = _prepared(Path(out).expanduser(), force)
+    root = _prepared(expanded(out), force)
     for name in _writer(layout).write((dataset[index] for index in range(len(dataset))), root):
         click.echo(name)
     click.echo(f"{len(dataset)} frames written; read them with --data {layout}:{out}", err=True)

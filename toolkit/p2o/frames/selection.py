@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from p2o.errors import InputError, UnknownNameError
+from p2o.files.input_file import expanded, read_text
+from p2o.files.parsed_text import parse_json
 
 _INDEX = re.compile(r"-?\d+")
 _RANGE = re.compile(r"(\d+)-(\d+)")
@@ -96,7 +97,7 @@ def _named(names: Sequence[str], word: str, where: object, skipped: Mapping[str,
 
 def _split(index_of: Mapping[str, int], word: str, where: object) -> list[int]:
     file, hash_sign, split = word.partition("#")
-    path = Path(file).expanduser()
+    path = expanded(file)
     splits = _read_splits(path)
     if not hash_sign:
         if len(splits) != 1:
@@ -119,14 +120,7 @@ def _split(index_of: Mapping[str, int], word: str, where: object) -> list[int]:
 
 def _read_splits(path: Path) -> Mapping[str, list[str]]:
     """Return the lists of names of a JSON file by split; a bare list is one split without a name."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as problem:
-        raise InputError("the file of splits is missing", where=path, expected="a JSON file") from problem
-    except OSError as problem:
-        raise InputError("the file of splits cannot be read", where=path, got=problem.strerror) from problem
-    except (ValueError, RecursionError) as problem:
-        raise InputError("the file of splits is not JSON", where=path, got=str(problem)[:120]) from problem
+    content = parse_json(read_text(path, "file of splits"), "file of splits", path)
     splits = {"": content} if isinstance(content, list) else content
     if not isinstance(splits, dict) or not all(
         isinstance(entries, list) and all(isinstance(name, str) for name in entries) for entries in splits.values()

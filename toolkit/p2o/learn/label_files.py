@@ -12,6 +12,7 @@ from typing import Any
 
 from p2o.errors import InputError
 from p2o.files.file_names import distinct_names
+from p2o.files.input_file import expanded
 from p2o.files.whole_file import write_whole
 from p2o.frames.selection import select
 from p2o.host.guard import GuardedDataset, trainer_of
@@ -165,7 +166,7 @@ def _free(name: str, taken: Sequence[str]) -> str:
 def _version(offer: Offer, trainer: Trainer, part: Part) -> dict[str, Any]:
     options = part.options.model_dump(mode="json")
     if isinstance(options.get("root"), str):
-        options["root"] = str(Path(options["root"]).expanduser().absolute())
+        options["root"] = str(expanded(options["root"]).absolute())
     return {
         "method": offer.full_name,
         "label_version": trainer.label_version,

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from p2o.errors import InputError, UnknownNameError
+from p2o.files.input_file import expanded
 from p2o.files.whole_file import write_whole
 from p2o.report.summary import Summary, summarise_study
 from p2o.study.store import Store
@@ -38,9 +39,9 @@ def write_report(
     from p2o.report.overlays import Pictures, draw_all
 
     library = page.plot_library()
-    folder = Path(folder).expanduser()
+    folder = expanded(folder)
     summaries = _summaries(folder, studies)
-    home = _prepared(folder / "report" if out is None else Path(out).expanduser())
+    home = _prepared(folder / "report" if out is None else expanded(out))
     pictures = Pictures()
     if data:
         if registry is None:

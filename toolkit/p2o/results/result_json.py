@@ -19,6 +19,7 @@ import numpy as np
 
 from p2o.arrays import checked, parts
 from p2o.errors import InputError
+from p2o.files.parsed_text import parse_json
 from p2o.geometry import se3
 from p2o.results.evidence import Agreement
 from p2o.results.result import Result
@@ -69,10 +70,7 @@ def result_to_json(result: Result) -> str:
 
 def result_from_json(text: str) -> Result:
     """Return the result of JSON text; raises InputError as `result_from_dict`, and for text that is not JSON."""
-    try:
-        value = json.loads(text)
-    except ValueError as problem:
-        raise InputError("the result is not JSON", expected="what the exporter json wrote", got=problem) from problem
+    value = parse_json(text, "result")
     return result_from_dict(value)
 
 

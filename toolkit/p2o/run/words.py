@@ -10,6 +10,8 @@ from typing import Any
 from urllib.parse import parse_qsl
 
 from p2o.errors import InputError, UnknownNameError
+from p2o.files.input_file import expanded
+from p2o.files.parsed_text import parse_yaml
 from p2o.host.slots import STAGES
 
 
@@ -64,7 +66,7 @@ def split_data(text: str) -> tuple[str, dict[str, Any]]:
         rest = query[1]
         options = {key: value_of(value) for key, value in parse_qsl(query[2] or "", keep_blank_values=True)}
     if rest:
-        options["root"] = os.path.expanduser(rest)
+        options["root"] = str(expanded(rest))
     return name, options
 
 
@@ -76,12 +78,7 @@ def value_of(text: str) -> Any:
     if text in ("null", "~"):
         return None
     if text[:1] in ("[", "{"):
-        import yaml
-
-        try:
-            return yaml.safe_load(text)
-        except yaml.YAMLError as problem:
-            raise InputError("cannot read the value", where=text, expected="YAML such as [1, 2]") from problem
+        return parse_yaml(text, "value", text if len(text) <= 80 else f"{text[:77]}...")
     return text
 
 

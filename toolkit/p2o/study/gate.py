@@ -12,6 +12,8 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from p2o.errors import InputError
+from p2o.files.input_file import read_text
+from p2o.files.parsed_text import parse_json
 from p2o.files.whole_file import write_whole
 from p2o.host.validation import validated
 from p2o.results.verdict import Trust
@@ -199,18 +201,15 @@ def _moved(
 
 def read_reference(path: str | Path) -> Reference:
     """Return the reference of a file; InputError where it is missing or of another form."""
+    hint = "write it with --update"
     try:
-        text = Path(path).read_text(encoding="utf-8")
-    except OSError as problem:
-        raise InputError(
-            "the reference cannot be read", where=path, got=problem.strerror, hint="write it with --update"
-        ) from problem
+        text = read_text(path, "reference")
+    except InputError as problem:
+        raise InputError(problem.what, where=path, expected=problem.expected, got=problem.got, hint=hint) from problem
     try:
-        return validated(Reference, json.loads(text))
-    except (ValueError, RecursionError, InputError) as problem:
-        raise InputError(
-            "this is no reference of a study", where=path, got=problem, hint="write it with --update"
-        ) from problem
+        return validated(Reference, parse_json(text, "reference"))
+    except InputError as problem:
+        raise InputError("this is no reference of a study", where=path, got=problem, hint=hint) from problem
 
 
 def write_reference(path: str | Path, reference: Reference) -> None:

@@ -19,6 +19,7 @@ import numpy as np
 
 from p2o.arrays import Float
 from p2o.errors import InputError
+from p2o.files.input_file import expanded
 from p2o.geometry.pose_error import AXES
 from p2o.results.result import Status
 from p2o.results.verdict import Trust
@@ -209,7 +210,7 @@ class Store:
         A store of version 1 is brought to this version; its rows say nothing in the columns that are new. Raises
         InputError for a folder that cannot be written and for a file that is no store, or one of another version.
         """
-        path = Path(folder).expanduser() / FILE
+        path = expanded(folder) / FILE
         if not create and not path.is_file():
             raise InputError("there is no study", where=path, expected="a folder that `p2o ablate --out` wrote")
         try:

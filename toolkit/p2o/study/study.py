@@ -9,7 +9,6 @@ from __future__ import annotations
 import importlib.resources
 import itertools
 import re
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import entry_points
@@ -20,6 +19,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, StrictBool, StringConstraints, ValidationError
 
 from p2o.errors import InputError, P2OError, UnknownNameError
+from p2o.files.input_file import expanded
+from p2o.files.parsed_text import parse_toml
 from p2o.geometry.perturb import parse_perturbation
 from p2o.host.registry import GROUP, Registry
 from p2o.host.slots import METHOD_WORDS, SLOTS, STAGED_WORDS, STAGES
@@ -436,7 +437,7 @@ def find_study(word: str, registry: Registry) -> StudyFile:
     Raises UnknownNameError for an unknown name, InputError for a file that cannot be read or two of one name, and as
     `parse_study`.
     """
-    path = Path(word).expanduser()
+    path = expanded(word)
     if word.endswith(".toml") or "/" in word or "\\" in word:
         if not path.is_file():
             raise InputError("there is no such study file", where=word, expected="a TOML file, or the name of a study")
@@ -489,10 +490,7 @@ def parse_study(text: str, source: str = "study") -> Study:
     Raises InputError for text that is not TOML and for values that do not fit, UnknownNameError for an unknown key
     with the nearest ones; both name the place.
     """
-    try:
-        content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as problem:
-        raise InputError("the study is not TOML", where=source, got=problem) from problem
+    content = parse_toml(text, "study", source)
     try:
         return Study.model_validate(content)
     except ValidationError as problem:

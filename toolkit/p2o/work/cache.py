@@ -24,6 +24,7 @@ import platformdirs
 
 from p2o.arrays import parts
 from p2o.errors import InputError
+from p2o.files.input_file import expanded
 from p2o.host.registry import GROUP
 from p2o.work.sources import code_hash
 
@@ -40,7 +41,7 @@ _PLUGIN_FILE = "p2o_plugin_file_"
 def cache_folder() -> Path:
     """Return where p2o keeps what can be computed again: `P2O_CACHE`, else p2o in the user's cache folder."""
     named = os.environ.get("P2O_CACHE")
-    return Path(named).expanduser() if named else platformdirs.user_cache_path("p2o", appauthor=False)
+    return expanded(named) if named else platformdirs.user_cache_path("p2o", appauthor=False)
 
 
 def content_hash(value: Any) -> str:

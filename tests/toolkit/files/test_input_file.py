@@ -1,10 +1,56 @@
+"""Files that a user may name: read whole, or one line that says why not. What is no ordinary file is never opened."""
+
 from __future__ import annotations
 
+import os
+import socket
 from pathlib import Path
 
 import pytest
 from p2o import InputError
-from p2o_plugins.data.input_file import existing_folder, naming, read_bytes, read_text
+from p2o.files.input_file import MAX_TEXT_BYTES, existing_folder, expanded, naming, read_bytes, read_text
+
+
+def test_pipes_sockets_devices_and_links_to_them_are_never_opened(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "zero").symlink_to("/dev/zero")
+    (tmp_path / "link").symlink_to(tmp_path / "pipe")
+    with socket.socket(socket.AF_UNIX) as listening:
+        here = os.getcwd()
+        os.chdir(tmp_path)  # names of sockets may not be long
+        listening.bind("socket")
+        os.chdir(here)
+        for name, kind in (("pipe", "named pipe"), ("link", "named pipe"), ("zero", "device"), ("socket", "socket")):
+            with pytest.raises(InputError, match=f"the image is a {kind}"):
+                read_bytes(tmp_path / name, "image")
+
+
+def test_a_sparse_file_that_says_it_is_huge_is_not_read(tmp_path: Path) -> None:
+    with (tmp_path / "huge").open("wb") as file:
+        file.truncate(MAX_TEXT_BYTES + 1)
+    with pytest.raises(InputError, match="too large"):
+        read_text(tmp_path / "huge", "frame file")
+
+
+@pytest.mark.parametrize("name", ["a\0b", "x" * 5000, "a/" * 3000])
+def test_names_that_no_file_can_have_are_told(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match="the image"):
+        read_bytes(tmp_path / name, "image")
+    with pytest.raises(InputError, match="the folder of frames"):
+        existing_folder(tmp_path / name, "frames")
+
+
+def test_a_loop_of_links_is_told(tmp_path: Path) -> None:
+    (tmp_path / "a").symlink_to(tmp_path / "b")
+    (tmp_path / "b").symlink_to(tmp_path / "a")
+    with pytest.raises(InputError, match="the image cannot be read"):
+        read_bytes(tmp_path / "a", "image")
+
+
+def test_the_home_of_nobody_is_told() -> None:
+    with pytest.raises(InputError, match="no such home folder"):
+        expanded("~nosuch-user/data")
+    assert expanded("~") == Path.home()
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
@@ -28,6 +74,7 @@ def test_a_file_without_permission_is_named(tmp_path: Path, monkeypatch: pytest.
     def refuse(self: Path) -> bytes:
         raise PermissionError(13, "Permission denied")
 
+    (tmp_path / "a.png").write_bytes(b"1")
     monkeypatch.setattr(Path, "read_bytes", refuse)
     with pytest.raises(InputError, match=r"a\.png: the image cannot be read; got Permission denied"):
         read_bytes(tmp_path / "a.png", "image")

@@ -1,0 +1,58 @@
+"""JSON, TOML and YAML from outside: plain values, or one line."""
+
+from __future__ import annotations
+
+import pytest
+from p2o import InputError
+from p2o.files.parsed_text import parse_json, parse_toml, parse_yaml
+
+BOMB = "a: &a [1,1,1,1,1,1,1,1]\n" + "".join(f"{y}: &{y} [*{x},*{x},*{x},*{x}]\n" for x, y in zip("abcde", "bcdef"))  # noqa: B905
+
+
+@pytest.mark.parametrize("text", [BOMB, "a: &a 1\nb: *a", "a: &a {x: 1}\nb:\n  <<: *a", "[&a x, *a]"])
+def test_an_alias_is_refused_before_anything_is_built(text: str) -> None:
+    with pytest.raises(InputError, match="alias"):
+        parse_yaml(text, "frame file")
+
+
+@pytest.mark.parametrize("text", ["!!python/object/apply:os.system ['true']", "!!python/name:os.system", "!thing 1"])
+def test_objects_are_not_built(text: str) -> None:
+    with pytest.raises(InputError, match="objects, which are never built"):
+        parse_yaml(text, "frame file")
+
+
+@pytest.mark.parametrize(
+    ("parse", "text"),
+    [
+        (parse_json, "[" * 100 + "]" * 100),
+        (parse_json, "[" * 100_000),
+        (parse_yaml, "[" * 100 + "]" * 100),
+        (parse_yaml, "[" * 100_000),
+        (parse_yaml, "{a: " * 5_000),
+        (parse_yaml, "".join(" " * i + "a:\n" for i in range(3_000))),
+        (parse_toml, "a = " + "[" * 100 + "]" * 100),
+        (parse_toml, "a = " + "[" * 100_000),
+        (parse_toml, ".".join("a" * 5_000) + " = 1"),
+    ],
+)
+def test_text_that_nests_without_end_is_one_line(parse, text: str) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(InputError) as caught:
+        parse(text, "file")
+    assert len(str(caught.value)) < 400
+
+
+@pytest.mark.parametrize(
+    ("parse", "text"), [(parse_json, "9" * 5000), (parse_toml, "a = " + "9" * 5000), (parse_yaml, "9" * 5000)]
+)
+def test_numbers_of_more_digits_than_python_takes_are_one_line(parse, text: str) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(InputError, match=r"is not (JSON|TOML|YAML)"):
+        parse(text, "file")
+
+
+def test_yaml_gives_plain_values_and_dates_stay_texts() -> None:
+    assert parse_yaml("{day: 2011-09-26, at: 12, on: true, list: [1.5, x, null]}", "value") == {
+        "day": "2011-09-26",
+        "at": 12,
+        True: True,  # YAML 1.1: the word `on` is a switch
+        "list": [1.5, "x", None],
+    }

@@ -1,0 +1,100 @@
+"""Reading a file whole, with one-line errors that name it. Every file that a user may name is read here."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from p2o.errors import InputError
+
+MAX_BYTES = 4 << 30
+"""No sweep and no image is larger; a sparse file may say that it is, and would fill the memory."""
+MAX_TEXT_BYTES = 64 << 20
+
+_KINDS = (
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a named pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
+
+
+def read_bytes(path: Path | str, what: str, most: int = MAX_BYTES) -> bytes:
+    """Return the bytes of a file; `what` names it in errors ("image", "sweep").
+
+    Raises InputError if the file is missing, empty, larger than `most` bytes, cannot be read, or is no ordinary file
+    (a folder, a pipe, a device, or a link to one): those are never opened.
+    """
+    path = Path(path)
+    try:
+        about = os.stat(path)
+        kind = next((name for is_kind, name in _KINDS if is_kind(about.st_mode)), None)
+        if kind is not None:
+            raise InputError(f"the {what} is {kind}", where=path, expected="a file")
+        if about.st_size > most:
+            raise InputError(
+                f"the {what} is too large", where=path, expected=f"at most {most} bytes", got=f"{about.st_size} bytes"
+            )
+        data = path.read_bytes()
+    except FileNotFoundError as problem:
+        raise InputError(f"the {what} is missing", where=path, expected="a file") from problem
+    except OSError as problem:
+        raise InputError(f"the {what} cannot be read", where=path, got=problem.strerror or problem) from problem
+    except ValueError as problem:  # a zero byte in the name, or text that is no file name here
+        raise InputError(f"the {what} cannot have this name", where=ascii(str(path)), got=problem) from problem
+    if not data:
+        raise InputError(f"the {what} is empty", where=path, expected="more than 0 bytes")
+    return data
+
+
+def read_text(path: Path | str, what: str) -> str:
+    """Return the text of a UTF-8 file; raises InputError as `read_bytes`, and if the file is not text."""
+    try:
+        return read_bytes(path, what, MAX_TEXT_BYTES).decode("utf-8")
+    except UnicodeDecodeError as problem:
+        raise InputError(f"the {what} is not text", where=path, expected="UTF-8 text") from problem
+
+
+def expanded(path: Path | str) -> Path:
+    """Return a path with ~ and ~NAME expanded; raises InputError where there is no such user."""
+    try:
+        return Path(path).expanduser()
+    except RuntimeError as problem:
+        raise InputError(
+            "there is no such home folder", where=path, expected="a user of this machine after ~", hint="write ./~NAME"
+        ) from problem
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Put the file's name on an InputError raised inside that does not name a place yet."""
+    try:
+        yield
+    except InputError as problem:
+        if problem.where is not None:
+            raise
+        raise InputError(
+            problem.what, where=path, expected=problem.expected, got=problem.got, hint=problem.hint
+        ) from problem
+
+
+def existing_folder(root: Path, what: str) -> Path:
+    """Return the folder with ~ expanded; raises InputError if it is missing or a file."""
+    root = expanded(root)
+    try:
+        about = os.stat(root)
+    except FileNotFoundError as problem:
+        raise InputError(f"the folder of {what} is missing", where=root, expected="a folder") from problem
+    except OSError as problem:
+        raise InputError(f"the folder of {what} cannot be read", where=root, got=problem.strerror) from problem
+    except ValueError as problem:
+        raise InputError(
+            f"the folder of {what} cannot have this name", where=ascii(str(root)), got=problem
+        ) from problem
+    if not stat.S_ISDIR(about.st_mode):
+        raise InputError(f"the folder of {what} is a file", where=root, expected="a folder")
+    return root
