@@ -2,9 +2,11 @@
 VENV ?= .venv
 PYTHON ?= python3
 JOBS ?= 2
+CASES ?= 20000
+SEED ?= 0
 SOURCES := $(shell find toolkit plugins baselines -name '*.py' -o -name '*.toml' -o -name '*.html' -o -name '*.css' -o -name '*.js') pyproject.toml README.md
 
-.PHONY: run test dev lint wheel clean
+.PHONY: run test fuzz dev lint wheel clean
 
 # torch==2.13.0 of the default index brings CUDA on Linux; where disk is short: make PIP_ARGS="--extra-index-url CPU_INDEX"
 $(VENV)/.locked: requirements.lock
@@ -25,6 +27,10 @@ run: $(VENV)/.installed
 # Files stay together in a process, for what they share; who is done first takes over tests of another.
 test: $(VENV)/.installed
 	OMP_NUM_THREADS=1 P2O_STRICT=1 $(VENV)/bin/python -m pytest -q -n $(JOBS) --dist worksteal
+
+# Mutated inputs at every door (docs/reliability.md): make fuzz CASES=20000 SEED=0
+fuzz: $(VENV)/.installed
+	$(VENV)/bin/python -m tests.fuzz --cases $(CASES) --seed $(SEED) --jobs $(JOBS)
 
 lint: $(VENV)/.locked
 	$(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check . && $(VENV)/bin/mypy

@@ -1,0 +1,159 @@
+"""The right inputs that cases begin with: small frames in every layout, a study, its store, a result, a cache."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from p2o.cli import main
+
+STUDY = """name = "small"
+title = "A small study"
+perturb = "0.5deg 0.02m"
+seeds = 2
+note = "Synthetic."
+
+[[dataset]]
+name = "own"
+data = "folder:DATA"
+frames = "0"
+
+[defaults]
+extractor = "depth/rings"
+solver = "lm"
+init = "given"
+options.pipeline.rounds = 3
+
+[[variant]]
+name = "ogm-lr"
+matcher = "ogm"
+options.matcher.sides = "LR"
+
+[[product]]
+section = "single frames"
+label = "{matcher}"
+matcher = ["ogm", "ogm-lr"]
+
+[[row]]
+label = "simplex"
+solver = "nelder-mead"
+seeds = [3]
+
+[[published]]
+label = "theirs"
+source = "Someone 2020"
+values = { rotation_deg = 1.0, translation_m = 0.1 }
+"""
+
+_SMALL = {"width_px": 160, "height_px": 96, "lidar": "vlp-16", "place": "street"}
+RUN = ("--extractor", "depth/rings", "--init", "given", "--set", "pipeline.rounds=3")
+"""A calibration of a fifth of a second."""
+
+
+@dataclass(frozen=True)
+class Bases:
+    """Folders of right inputs, which cases copy and then damage."""
+
+    root: Path
+
+    @property
+    def folder(self) -> Path:
+        """Two frames of the layout `folder`, with right picture, depth, times and start."""
+        return self.root / "folder"
+
+    @property
+    def layouts(self) -> dict[str, Path]:
+        """Every other dataset by name."""
+        return {name: self.root / name for name in ("kitti-raw", "kitti-object", "kitti-odometry", "vkitti2")}
+
+    @property
+    def study(self) -> Path:
+        """A folder with study.toml, the finished store (out), its reference.json and the cache of its features."""
+        return self.root / "study"
+
+    @property
+    def result(self) -> Path:
+        """The result.json of a frame."""
+        return self.root / "run" / "scene-0000" / "result.json"
+
+
+def build(root: Path) -> Bases:
+    """Return the bases, written to an empty folder; their commands also load what cases need, before any fork."""
+    bases = Bases(root)
+    root.mkdir(parents=True)
+    os.environ["P2O_CACHE"] = str(bases.study / "cache")
+    for layout in ("folder", "kitti-raw", "vkitti2"):
+        # KITTI's readers want the rings of its own sensor.
+        small = {**_SMALL, "lidar": "hdl-64e"} if layout == "kitti-raw" else _SMALL
+        _p2o("simulate", root / layout, "--layout", layout, *_settings({**small, "scenes": 2}))
+    _other_kitti(root, root / "kitti-raw")
+    bases.study.mkdir()
+    toml = bases.study / "study.toml"
+    toml.write_text(STUDY.replace("DATA", str(bases.folder)), encoding="utf-8")
+    gate = bases.study / "reference.json"
+    _p2o("ablate", toml, "--out", bases.study / "out", "--jobs", 1, "--quiet", "--gate", gate, "--update")
+    _p2o("run", "--data", f"folder:{bases.folder}", *RUN, "--out", root / "run")
+    # What these load stays loaded in every fork.
+    _p2o("run", "--data", f"folder:{bases.folder}", "--frames", "0")
+    _p2o("report", bases.study / "out", "--out", root / "report")
+    for data in (f"{name}:{folder}" for name, folder in bases.layouts.items()):
+        _p2o("data", "check", data)
+    shutil.rmtree(root / "report")
+    del os.environ["P2O_CACHE"]
+    return bases
+
+
+def _settings(values: dict[str, object]) -> list[str]:
+    return [word for name, value in values.items() for word in ("--set", f"{name}={value}")]
+
+
+def _p2o(*words: object) -> None:
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        status = main([str(word) for word in words])
+    if status not in (0, 1):
+        raise RuntimeError(f"a base cannot be made: p2o {' '.join(map(str, words))}: {said.getvalue()}")
+
+
+def _other_kitti(root: Path, raw: Path) -> None:
+    """Write KITTI's object and odometry layouts from a drive of its raw one."""
+    day = next(raw.glob("20*"))
+    drive = sorted(day.glob("*_sync"))[0]
+    image = sorted((drive / "image_02/data").iterdir())[0]
+    sweep = sorted((drive / "velodyne_points/data").iterdir())[0]
+    numbers = {
+        line.partition(":")[0]: line.partition(":")[2].strip()
+        for name in ("calib_cam_to_cam.txt", "calib_velo_to_cam.txt")
+        for line in (day / name).read_text(encoding="utf-8").splitlines()
+    }
+    rotation = np.array(numbers["R"].split(), float).reshape(3, 3)
+    shift = np.array(numbers["T"].split(), float).reshape(3, 1)
+    velo = " ".join(f"{x:.9e}" for x in np.hstack([rotation, shift]).ravel())
+    projections = [numbers.get(f"P_rect_0{i}", numbers["P_rect_02"]) for i in range(4)]
+    home = root / "kitti-object/training"
+    for name, file in (("image_2", image), ("velodyne", sweep)):
+        (home / name).mkdir(parents=True)
+        for number in range(2):
+            shutil.copy(file, home / name / f"{number:06d}{file.suffix}")
+    (home / "calib").mkdir()
+    lines = [f"P{i}: {values}" for i, values in enumerate(projections)]
+    eye = " ".join(f"{x:.6e}" for x in np.eye(3).ravel())
+    for number in range(2):
+        text = "\n".join([*lines, f"R0_rect: {eye}", f"Tr_velo_to_cam: {velo}", f"Tr_imu_to_velo: {velo}"])
+        (home / f"calib/{number:06d}.txt").write_text(text + "\n", encoding="utf-8")
+    home = root / "kitti-odometry"
+    folder = home / "sequences/00"
+    for name, file in (("image_2", image), ("velodyne", sweep)):
+        (folder / name).mkdir(parents=True)
+        for number in range(2):
+            shutil.copy(file, folder / name / f"{number:06d}{file.suffix}")
+    (folder / "calib.txt").write_text("\n".join([*lines, f"Tr: {velo}"]) + "\n", encoding="utf-8")
+    (folder / "times.txt").write_text("0.000000e+00\n1.036e-01\n", encoding="utf-8")
+    (home / "poses").mkdir()
+    pose = " ".join(f"{x:.6e}" for x in np.eye(4)[:3].ravel())
+    (home / "poses/00.txt").write_text(f"{pose}\n{pose}\n", encoding="utf-8")
