@@ -40,9 +40,7 @@ def fuzz(cases: int, first: int, seed: int, jobs: int, doors: tuple[str, ...], n
     chosen = list(doors or SURFACES)
     if number is not None:
         verdict = one(bases, root / f"case-{number}", seed, number, chosen, keep=True)
-        print(
-            f"p2o {' '.join(verdict.argv)!a}\n{verdict.kept}: status {verdict.status}, {verdict.broken or 'as promised'}"
-        )
+        print(f"p2o {' '.join(verdict.argv)!a}\n{verdict.kept}: status {verdict.status}, {verdict.broken or 'fine'}")
         sys.exit(1 if verdict.broken else 0)
     tally, begun = Tally(), time.monotonic()
     for verdict in campaign(bases, root, cases=cases, seed=seed, jobs=jobs, doors=chosen, first=first):

@@ -59,7 +59,7 @@ class Tally:
                 peak, long = max(v.peak_bytes for v in here) / 1e6, max(v.cpu_s for v in here)
                 wrong = sum(bool(v.broken) for v in here)
                 lines.append(
-                    f"{door:<11} {len(here):>6} cases, status {ended}; up to {peak:.0f} MB, {long:.1f} s; {wrong} broken"
+                    f"{door:<11} {len(here):>6} cases, ended {ended}; to {peak:.0f} MB, {long:.1f} s; {wrong} broken"
                 )
         sorts: dict[str, list[Verdict]] = {}
         for verdict in self.bad:

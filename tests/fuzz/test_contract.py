@@ -92,7 +92,7 @@ def _nan() -> int:
         (_killed, "ended by signal 11"),
         (_busy, "hung"),
         (_asleep, "hung"),
-        (_large, "took 2"),
+        (_large, "took 1"),
         (_silent, "without a word"),
         (_noisy, "not of p2o: libpng"),
         (_coloured, "control character on stdout"),
