@@ -5,7 +5,12 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import hypothesis
 import pytest
+
+# The same examples each time, no files of them, and no stopwatch.
+hypothesis.settings.register_profile("fixed", derandomize=True, database=None, deadline=None, max_examples=200)
+hypothesis.settings.load_profile("fixed")
 
 DATA = Path(os.environ.get("P2O_DATA", Path(__file__).parents[1] / "build" / "data"))
 
