@@ -18,6 +18,7 @@ _COMMANDS = {
     "check-plugin": "Check that methods keep the contracts of their slots.",
     "data": "List or check the frames of a dataset.",
     "ablate": "Run a study: methods x frames x starts, as a table that can be resumed and gated.",
+    "basin": "Show which wrong starts methods still correct, as heat maps.",
     "report": "Write tables, figures and one page about the studies in a folder.",
     "labels": "Write what frames teach a method that learns, one file a frame.",
     "train": "Train a method on frames, or go on with a training.",

@@ -94,7 +94,7 @@ def command(
     folder = Path("p2o-out") / file.study.name if out is None else Path(out)
     words = {"data": list(data), "frames": frames, "seeds": seeds}
     overrides = {name: value for name, value in words.items() if value}
-    with _progress(quiet) as say:
+    with progress_shown(quiet) as say:
         done = ablate(file, folder, plugins=plugins, workers=workers, overrides=overrides, on_progress=say)
     click.echo(f"{file.study.title}\n{table(file.study, done.rows)}")
     if not quiet:
@@ -161,7 +161,7 @@ _PHASES = {"read": "reading frames", "extract": "extracting features", "calibrat
 
 
 @contextlib.contextmanager
-def _progress(quiet: bool) -> Iterator[Say]:
+def progress_shown(quiet: bool) -> Iterator[Say]:
     """Yield what shows progress on stderr: a bar on a terminal, now and then a line elsewhere, or nothing."""
     if quiet:
         yield lambda progress: None

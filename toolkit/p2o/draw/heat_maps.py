@@ -1,0 +1,58 @@
+"""Shares over two sizes as heat maps side by side, each cell with its number."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from p2o.arrays import Float
+from p2o.files.whole_file import write_whole
+
+_A_ROW = 4
+
+
+def heat_maps(
+    shares: Mapping[str, Float],
+    rows: Sequence[float],
+    columns: Sequence[float],
+    path: Path | str,
+    *,
+    row_label: str,
+    column_label: str,
+    title: str = "",
+) -> None:
+    """Write a PNG of one heat map for each name: shares (R, C) from 0 to 1 over sizes `rows` (R,) and `columns` (C,).
+
+    Cells without a share (NaN) stay empty. Raises InputError if the file cannot be written.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    across = min(_A_ROW, len(shares))
+    down = -(-len(shares) // across)
+    size = (1.6 + across * (0.9 + 0.55 * len(columns)), 1.2 + down * (0.9 + 0.45 * len(rows)))
+    figure = Figure(figsize=size, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(down, across, squeeze=False).ravel()
+    for axis, (name, values) in zip(axes, shares.items(), strict=False):
+        axis.imshow(values, vmin=0, vmax=1, cmap="viridis", origin="lower", aspect="auto")
+        for i, j in np.ndindex(values.shape):
+            if np.isfinite(values[i, j]):
+                dark = values[i, j] < 0.6
+                text = f"{100 * values[i, j]:.0f}"
+                axis.text(j, i, text, ha="center", va="center", fontsize=8, color="w" if dark else "k")
+        axis.set_xticks(range(len(columns)), [f"{x:g}" for x in columns], fontsize=8)
+        axis.set_yticks(range(len(rows)), [f"{x:g}" for x in rows], fontsize=8)
+        axis.set_title(name.replace("$", r"\$"), fontsize=10)
+        axis.set_xlabel(column_label, fontsize=8)
+        axis.set_ylabel(row_label, fontsize=8)
+    for axis in axes[len(shares) :]:
+        axis.set_visible(False)
+    if title:
+        figure.suptitle(title, fontsize=11)
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=130, metadata={"Software": None})
+    write_whole(path, picture.getvalue())
