@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from p2o import InputError, se3
-from p2o.geometry.perturb import Perturbation, parse_perturbation, wrong_start, wrong_start_per_axis
+from p2o.geometry.perturb import DRAWS, FIBONACCI, Perturbation, fibonacci_directions, parse_perturbation, wrong_start
+from scipy.spatial.transform import Rotation
 
 
 @pytest.mark.parametrize(
@@ -16,8 +17,8 @@ from p2o.geometry.perturb import Perturbation, parse_perturbation, wrong_start, 
         ("10deg", Perturbation(10, 0)),
         ("30mm", Perturbation(0, 0.03)),
         (".5deg 1e-1m", Perturbation(0.5, 0.1)),
-        ("uniform 3deg 0.15m", Perturbation(3, 0.15, uniform=True)),
-        ("uniform 15cm", Perturbation(0, 0.15, uniform=True)),
+        ("uniform 3deg 0.15m", Perturbation(3, 0.15, "uniform")),
+        ("uniform 15cm", Perturbation(0, 0.15, "uniform")),
     ],
 )
 def test_a_perturbation_is_read_with_its_units(text: str, expected: Perturbation) -> None:
@@ -54,7 +55,7 @@ def test_directions_are_uniform_so_their_mean_vanishes() -> None:
 def test_a_uniform_start_fills_the_cube_of_each_axis_and_leaves_it_nowhere() -> None:
     rng = np.random.default_rng(0)
     truth = se3.exp(np.array([0.3, -1.0, 0.4, 1.0, 2.0, 3.0]))
-    errors = [se3.inverse(truth) @ wrong_start_per_axis(truth, 3.0, 0.15, rng) for _ in range(2000)]
+    errors = [se3.inverse(truth) @ Perturbation(3.0, 0.15, "uniform").start(truth, rng) for _ in range(2000)]
     turns = np.degrees([se3.rotation_vector(error[:3, :3]) for error in errors])
     shifts = np.stack([error[:3, 3] for error in errors])
     for values, bound in ((turns, 3.0), (shifts, 0.15)):
@@ -65,8 +66,58 @@ def test_a_uniform_start_fills_the_cube_of_each_axis_and_leaves_it_nowhere() -> 
         assert np.abs(share - expected).max() / 2 < 1.95 / np.sqrt(len(share))
 
 
-def test_the_words_decide_between_a_stated_size_and_bounds_for_each_axis() -> None:
-    truth = se3.exp(np.array([0.3, -1.0, 0.4, 1.0, 2.0, 3.0]))
-    for text, wrong in (("2deg 0.15m", wrong_start), ("uniform 2deg 0.15m", wrong_start_per_axis)):
-        start = parse_perturbation(text).start(truth, np.random.default_rng(3))
-        assert start.tobytes() == wrong(truth, 2.0, 0.15, np.random.default_rng(3)).tobytes()
+@pytest.mark.parametrize("draw", list(DRAWS))
+def test_no_draw_goes_beyond_its_size_in_its_own_measure(draw: str) -> None:
+    rng = np.random.default_rng(1)
+    size = Perturbation(10.0, 0.5, draw)
+    for number in range(300):
+        error = size.start(np.eye(4), rng, number)
+        if draw == "uniform":
+            assert np.abs(np.degrees(se3.rotation_vector(error[:3, :3]))).max() <= 10 + 1e-9
+            assert np.abs(error[:3, 3]).max() <= 0.5
+        elif draw == "euler":
+            euler = Rotation.from_matrix(error[:3, :3]).as_euler("xyz", degrees=True)
+            assert np.abs(euler).max() <= 10 + 1e-9
+            assert np.abs(error[:3, 3]).max() <= 0.5
+        elif draw in ("exact", "fibonacci"):
+            assert se3.angle_deg(error) == pytest.approx(10)
+            assert se3.distance_m(error) == pytest.approx(0.5)
+        else:
+            assert se3.angle_deg(error) <= 10 + 1e-9
+            assert se3.distance_m(error) <= 0.5 + 1e-12
+
+
+def test_an_error_in_the_camera_frame_stays_the_same_wherever_the_lidar_is() -> None:
+    first, second = (se3.exp(np.array(v)) for v in ([0.3, -1.0, 0.4, 1, 2, 3], [-0.2, 0.1, 0.9, 4, 5, 6]))
+    size = parse_perturbation("euler camera 10deg 0.5m")
+    errors = [size.start(t, np.random.default_rng(3)) @ se3.inverse(t) for t in (first, second)]
+    np.testing.assert_allclose(errors[0], errors[1], atol=1e-12)
+
+
+def test_the_shift_along_z_may_have_bounds_of_its_own() -> None:
+    size = parse_perturbation("euler 20deg 1.5m z=-1.5..1m")
+    assert parse_perturbation(str(size)) == size
+    rng = np.random.default_rng(0)
+    z = [size.start(np.eye(4), rng)[2, 3] for _ in range(2000)]
+    assert -1.5 <= min(z) < -1.49
+    assert 0.99 < max(z) <= 1
+
+
+def test_the_axes_of_fibonacci_are_all_different_and_evenly_spread() -> None:
+    axes = fibonacci_directions(FIBONACCI)
+    np.testing.assert_allclose(np.linalg.norm(axes, axis=1), 1)
+    np.testing.assert_allclose(axes.mean(axis=0), 0, atol=0.01)
+    nearest = np.sort(axes @ axes.T, axis=1)[:, -2]
+    # Each of 200 caps has the area 4 pi / 200: neighbours are about 0.25 rad apart, none half as near.
+    assert np.arccos(nearest).min() > 0.125
+    size = Perturbation(5.0, 0.0, "fibonacci")
+    starts = [size.start(np.eye(4), np.random.default_rng(0), number) for number in range(FIBONACCI)]
+    np.testing.assert_allclose([se3.rotation_vector(s[:3, :3]) for s in starts], np.radians(5) * axes, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "text", ["2deg 101m", "2deg 1m z=2..1m", "z=0..1m", "2deg 1m z=-200..1m", "gauss 2deg", "2deg camera"]
+)
+def test_what_is_out_of_bounds_or_out_of_order_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="--perturb"):
+        parse_perturbation(text)

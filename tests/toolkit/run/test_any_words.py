@@ -61,7 +61,7 @@ def test_a_perturbation_that_is_written_is_read_again(angle: float, shift: float
     said = f"{'uniform ' * uniform}{angle:.6f}deg {shift:.6f}m"
     size = parse_perturbation(said)
     assert (size.angle_deg, size.distance_m) == pytest.approx((angle, shift), abs=1e-6)
-    assert size.uniform == uniform
+    assert size.draw == ("uniform" if uniform else "exact")
 
 
 @pytest.mark.parametrize("read", [split_data, value_of, lambda t: parse_settings([t]), lambda t: parse_fields([t])])

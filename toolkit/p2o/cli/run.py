@@ -145,7 +145,7 @@ class Required:
         if not size.strip() and word == Trust.TRUSTED:
             return cls(None)
         bound = parse_perturbation(size, "--require")
-        if bound.uniform or not (bound.angle_deg > 0 and bound.distance_m > 0):
+        if not bound.exact or not (bound.angle_deg > 0 and bound.distance_m > 0):
             raise InputError(
                 "an accuracy has two parts",
                 where="--require",

@@ -235,7 +235,7 @@ def start_of(
         size = parse_perturbation(recipe.perturb)
         # Seeded by the frame's own number, so that a frame starts alike whichever others are run with it.
         rng = np.random.default_rng([recipe.seed] if recipe.joint else [recipe.seed, index])
-        return size.start(truth, rng), ()
+        return size.start(truth, rng, recipe.seed), ()
     offered = common_pose(frames, "start")
     if offered is not None:
         return offered, ()
