@@ -64,6 +64,27 @@ def test_poses_come_as_matrix_or_as_quaternion_and_translation(tmp_path: Path) -
     assert np.allclose(frame.camera_from_lidar, VELO_TO_CAM, atol=1e-12)
 
 
+def test_poses_given_the_other_way_and_cameras_of_ros_are_taken(tmp_path: Path) -> None:
+    quaternion = 1.004 * Rotation.from_matrix(VELO_TO_CAM[:3, :3]).as_quat()
+    write_frame(
+        tmp_path,
+        camera={
+            "width": WIDTH,
+            "height": HEIGHT,
+            "K": [[50.0, 0, 31.0], [0, 50.0, 15.5], [0, 0, 1]],
+            "distortion_model": "plumb_bob",
+            "D": [-0.01, 0.0, 0.0, 0.0, 0.0],
+        },
+        start={"lidar_from_camera": se3.inverse(VELO_TO_CAM)[:3].tolist()},
+        truth={"rotation_xyzw": quaternion.tolist(), "translation_m": VELO_TO_CAM[:3, 3].tolist()},
+    )
+    frame = dataset(tmp_path)[0]
+    assert (frame.camera.model, frame.camera.params) == ("OPENCV", (50, 50, 31, 15.5, -0.01, 0, 0, 0))
+    assert np.allclose(frame.start, VELO_TO_CAM, atol=1e-12)
+    (warning,) = frame.warnings
+    assert warning.endswith("frame.yaml: the quaternion of truth has length 1.0040 and is brought to 1")
+
+
 def test_files_may_be_named_and_have_any_kind(tmp_path: Path) -> None:
     write_frame(tmp_path, image="pictures/left.jpg", cloud="scan.npz")
     write_image(tmp_path / "pictures/left.jpg", seed=8)
