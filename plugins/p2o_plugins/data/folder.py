@@ -24,7 +24,7 @@ from p2o import (
     field,
 )
 from p2o.arrays import Float
-from p2o.files.input_file import existing_folder, naming, read_bytes, read_text
+from p2o.files.input_file import existing_folder, listing, naming, read_bytes, read_text
 from p2o.files.parsed_text import parse_yaml
 from p2o.host.validation import validated
 
@@ -118,20 +118,35 @@ def build(options: FolderOptions) -> Dataset:
 
     Names are folder names. Sub-folders without a frame.yaml are listed in `skipped`.
 
-    Raises InputError if the folder is missing or holds no frame.yaml, or the times of a sequence do not rise.
+    A frame that is not later than the one before it in its sequence is refused when it is read.
+
+    Raises InputError if the folder is missing, cannot be read or holds no frame.yaml.
     """
     root = existing_folder(options.root, "frames").resolve()
-    if (root / FRAME_FILE).exists():
-        entries = {root.name: root}
-        skipped = {}
+    entries: dict[str, Path] = {}
+    skipped: dict[str, str] = {}
+    inside = listing(root, "frames")
+    if root / FRAME_FILE in inside:
+        entries[root.name] = root
     else:
-        folders = sorted(path for path in root.iterdir() if path.is_dir() and not path.name.startswith("."))
-        entries = {folder.name: folder for folder in folders if (folder / FRAME_FILE).exists()}
-        skipped = {folder.name: f"{folder / FRAME_FILE} is missing" for folder in folders if folder.name not in entries}
+        for folder in inside:
+            if folder.name.startswith(".") or not folder.is_dir():
+                continue
+            try:
+                if folder / FRAME_FILE in listing(folder, "a frame"):
+                    entries[folder.name] = folder
+                else:
+                    skipped[folder.name] = f"{folder / FRAME_FILE} is missing"
+            except InputError as problem:
+                skipped[folder.name] = str(problem)
     if not entries:
-        raise InputError("no frames", where=root, expected=f"{FRAME_FILE} in it or in its sub-folders")
-    _require_rising_times(entries.values())
-    return LazyFrames(entries, partial(_read, root), skipped)
+        raise InputError(
+            "no frames",
+            where=root,
+            expected=f"{FRAME_FILE} in it or in its sub-folders",
+            got=next(iter(skipped.values()), None),
+        )
+    return LazyFrames(entries, partial(_read, root, _falling_times(entries.values())), skipped)
 
 
 def read_frame_file(path: Path) -> FrameEntry:
@@ -145,11 +160,12 @@ def read_frame_file(path: Path) -> FrameEntry:
     return validated(FrameEntry, content, where=path)
 
 
-def _require_rising_times(folders: Iterable[Path]) -> None:
-    """Raise InputError where a frame of a sequence is not later than the frame before it.
+def _falling_times(folders: Iterable[Path]) -> dict[Path, InputError]:
+    """Return what is wrong with frames of a sequence that are not later than the frame before them, by folder.
 
     Files that cannot be read are left for the frame itself to refuse.
     """
+    found: dict[Path, InputError] = {}
     before: dict[str, tuple[str, float]] = {}
     for folder in folders:
         try:
@@ -162,18 +178,22 @@ def _require_rising_times(folders: Iterable[Path]) -> None:
             continue
         name, time_s = before.get(entry.sequence, ("", -np.inf))
         if entry.time_s <= time_s:
-            raise InputError(
+            found[folder] = InputError(
                 f"the times of sequence '{entry.sequence}' do not rise from frame to frame",
                 where=folder / FRAME_FILE,
                 expected=f"time_s after {time_s:.9g} of frame '{name}'",
                 got=f"{entry.time_s:.9g}",
                 hint="frames follow in the order of their folders' names",
             )
-        before[entry.sequence] = (folder.name, entry.time_s)
+        else:
+            before[entry.sequence] = (folder.name, entry.time_s)
+    return found
 
 
-def _read(root: Path, folder: Path) -> Frame:
-    path = folder / FRAME_FILE
+def _read(root: Path, faults: Mapping[Path, InputError], folder: Path) -> Frame:
+    path = _inside(root, folder, FRAME_FILE)
+    if folder in faults:
+        raise faults[folder]
     entry = read_frame_file(path)
     camera = read_camera(entry.camera, path)
     if (entry.right is None) != (entry.baseline_m is None):
@@ -290,7 +310,9 @@ def _file(
     """Return the named file, else default.*, else the only file of the folder with one of the suffixes."""
     if name is not None:
         return _inside(root, folder, name)
-    found = sorted(p.name for p in folder.iterdir() if p.suffix.lower() in suffixes and p.name not in set(others))
+    found = sorted(
+        p.name for p in listing(folder, "a frame") if p.suffix.lower() in suffixes and p.name not in set(others)
+    )
     found = [n for n in found if Path(n).stem == default] or found
     if len(found) != 1:
         raise InputError(
