@@ -598,11 +598,23 @@ def test_data_list_and_check_name_every_frame(fake: list[str], capsys: pytest.Ca
 
 
 def test_data_check_goes_on_after_a_bad_frame(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["data", "check", "fake:?bad=0", "--plugin", str(PLUGIN)]) == 1
+    assert main(["data", "check", "fake:?bad=0", "--plugin", str(PLUGIN)]) == 2
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "drive/0000: BAD: a.png: the image is cut short"
     assert lines[1].startswith("drive/0001: 480x240 px")
     assert lines[2] == "1 of 2 frames are good"
+
+
+def test_data_check_names_what_the_dataset_leaves_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "a/frame.yaml").write_text("camera: 5\n")
+    assert main(["data", "check", f"folder:{tmp_path}"]) == 2
+    bad, left_out, summary = capsys.readouterr().out.splitlines()
+    assert bad.startswith("a: BAD: ")
+    assert bad.endswith("D; got camera: 5")
+    assert left_out == f"b: left out: {tmp_path / 'b/frame.yaml'} is missing"
+    assert summary == "0 of 1 frames are good"
 
 
 def test_frames_finished_before_an_error_are_in_the_folder(

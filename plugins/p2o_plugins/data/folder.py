@@ -22,16 +22,17 @@ from p2o import (
     Target,
     UnknownNameError,
     field,
-    se3,
 )
 from p2o.arrays import Float
-from p2o.files.input_file import existing_folder, naming, read_bytes, read_text
+from p2o.files.input_file import existing_folder, listing, naming, read_bytes, read_text
 from p2o.files.parsed_text import parse_yaml
 from p2o.host.validation import validated
 
 from p2o_plugins.data.cloud_file import SUFFIXES as CLOUD_SUFFIXES
 from p2o_plugins.data.cloud_file import read_cloud
 from p2o_plugins.data.direction import check_direction
+from p2o_plugins.data.frame_camera import read_camera
+from p2o_plugins.data.frame_pose import read_extrinsic, read_pose
 from p2o_plugins.data.image_file import read_rgb, read_uint16
 from p2o_plugins.data.lazy_frames import LazyFrames
 
@@ -45,25 +46,7 @@ class FolderOptions(Options):
     root: Path = field(Path("."), help="Folder with an image, a sweep and frame.yaml, or a folder of such folders.")
 
 
-class CameraEntry(Options):
-    """The camera in frame.yaml."""
-
-    model: str = field("PINHOLE", help="Name of a pycolmap camera model.")
-    width: int = field(..., gt=0, help="Image width in pixels.")
-    height: int = field(..., gt=0, help="Image height in pixels.")
-    params: tuple[float, ...] = field(..., help="Parameters in pycolmap's order, pixel centres at integers.")
-
-
-class PoseEntry(Options):
-    """A pose in frame.yaml given as quaternion and translation."""
-
-    rotation_xyzw: tuple[float, float, float, float] = field(..., help="Quaternion of the rotation, x y z w.")
-    translation_m: tuple[float, float, float] = field(..., help="Translation in metres.")
-
-
-Row = tuple[float, float, float, float]
-Pose = PoseEntry | tuple[Row, Row, Row, Row]
-
+_EXTRINSICS = ("start", "truth")
 _WORLDS = ("lidar_world_from_lidar", "camera_world_from_camera")
 _SAME_MOMENT_S = 1.0
 """No sweep takes longer, so an image that is further away is not of its scene, or its clock is another."""
@@ -103,11 +86,11 @@ _TARGETS: dict[str, type[CheckerboardEntry | HolesEntry]] = {"checkerboard": Che
 class FrameEntry(Options):
     """What frame.yaml holds; file names are relative to its folder."""
 
-    camera: CameraEntry = field(..., help="The camera that took the image.")
+    camera: Any = field(..., help="The camera that took the image: a model with parameters, or K and D.")
     image: str | None = field(None, help="File of the image; default: image.*, or the only picture of the folder.")
     cloud: str | None = field(None, help="File of the sweep; default: cloud.*, or the only point cloud of the folder.")
-    start: Pose | None = field(None, help="First guess of camera_from_lidar, 4x4 or quaternion and translation.")
-    truth: Pose | None = field(None, help="True camera_from_lidar where it is known.")
+    start: Any = field(None, help="First guess of camera_from_lidar: rows of numbers, or rotation and translation.")
+    truth: Any = field(None, help="True camera_from_lidar where it is known.")
     right: str | None = field(None, help="File of the right picture of a rectified pair.")
     baseline_m: float | None = field(None, gt=0, help="Distance in metres from the image's camera to the right one.")
     depth: str | None = field(None, help="File of depth along the axis: 16 bit PNG (m x 256, 0 unknown) or .npy (m).")
@@ -119,10 +102,10 @@ class FrameEntry(Options):
     )
     sequence: str = field("", help="Name of the drive that the frame is of; its frames follow in order of their names.")
     time_s: float | None = field(None, help="When the image was taken, in seconds on one clock for the sequence.")
-    lidar_world_from_lidar: Pose | None = field(
+    lidar_world_from_lidar: Any = field(
         None, help="Pose of the LiDAR when the image was taken, in a world of its own; never made from the truth."
     )
-    camera_world_from_camera: Pose | None = field(
+    camera_world_from_camera: Any = field(
         None, help="Pose of the camera when the image was taken, in a world of its own; never made from the truth."
     )
     targets: tuple[dict[str, Any], ...] = field(
@@ -135,20 +118,35 @@ def build(options: FolderOptions) -> Dataset:
 
     Names are folder names. Sub-folders without a frame.yaml are listed in `skipped`.
 
-    Raises InputError if the folder is missing or holds no frame.yaml, or the times of a sequence do not rise.
+    A frame that is not later than the one before it in its sequence is refused when it is read.
+
+    Raises InputError if the folder is missing, cannot be read or holds no frame.yaml.
     """
     root = existing_folder(options.root, "frames").resolve()
-    if (root / FRAME_FILE).exists():
-        entries = {root.name: root}
-        skipped = {}
+    entries: dict[str, Path] = {}
+    skipped: dict[str, str] = {}
+    inside = listing(root, "frames")
+    if root / FRAME_FILE in inside:
+        entries[root.name] = root
     else:
-        folders = sorted(path for path in root.iterdir() if path.is_dir() and not path.name.startswith("."))
-        entries = {folder.name: folder for folder in folders if (folder / FRAME_FILE).exists()}
-        skipped = {folder.name: f"{folder / FRAME_FILE} is missing" for folder in folders if folder.name not in entries}
+        for folder in inside:
+            if folder.name.startswith(".") or not folder.is_dir():
+                continue
+            try:
+                if folder / FRAME_FILE in listing(folder, "a frame"):
+                    entries[folder.name] = folder
+                else:
+                    skipped[folder.name] = f"{folder / FRAME_FILE} is missing"
+            except InputError as problem:
+                skipped[folder.name] = str(problem)
     if not entries:
-        raise InputError("no frames", where=root, expected=f"{FRAME_FILE} in it or in its sub-folders")
-    _require_rising_times(entries.values())
-    return LazyFrames(entries, partial(_read, root), skipped)
+        raise InputError(
+            "no frames",
+            where=root,
+            expected=f"{FRAME_FILE} in it or in its sub-folders",
+            got=next(iter(skipped.values()), None),
+        )
+    return LazyFrames(entries, partial(_read, root, _falling_times(entries.values())), skipped)
 
 
 def read_frame_file(path: Path) -> FrameEntry:
@@ -162,11 +160,12 @@ def read_frame_file(path: Path) -> FrameEntry:
     return validated(FrameEntry, content, where=path)
 
 
-def _require_rising_times(folders: Iterable[Path]) -> None:
-    """Raise InputError where a frame of a sequence is not later than the frame before it.
+def _falling_times(folders: Iterable[Path]) -> dict[Path, InputError]:
+    """Return what is wrong with frames of a sequence that are not later than the frame before them, by folder.
 
     Files that cannot be read are left for the frame itself to refuse.
     """
+    found: dict[Path, InputError] = {}
     before: dict[str, tuple[str, float]] = {}
     for folder in folders:
         try:
@@ -179,27 +178,41 @@ def _require_rising_times(folders: Iterable[Path]) -> None:
             continue
         name, time_s = before.get(entry.sequence, ("", -np.inf))
         if entry.time_s <= time_s:
-            raise InputError(
+            found[folder] = InputError(
                 f"the times of sequence '{entry.sequence}' do not rise from frame to frame",
                 where=folder / FRAME_FILE,
                 expected=f"time_s after {time_s:.9g} of frame '{name}'",
                 got=f"{entry.time_s:.9g}",
                 hint="frames follow in the order of their folders' names",
             )
-        before[entry.sequence] = (folder.name, entry.time_s)
+        else:
+            before[entry.sequence] = (folder.name, entry.time_s)
+    return found
 
 
-def _read(root: Path, folder: Path) -> Frame:
-    path = folder / FRAME_FILE
+def _read(root: Path, faults: Mapping[Path, InputError], folder: Path) -> Frame:
+    path = _inside(root, folder, FRAME_FILE)
+    if folder in faults:
+        raise faults[folder]
     entry = read_frame_file(path)
+    camera = read_camera(entry.camera, path)
+    if (entry.right is None) != (entry.baseline_m is None):
+        raise InputError(
+            "a rectified pair needs its right picture and its baseline", where=path, expected="right, baseline_m"
+        )
+    read = {
+        **{
+            name: read_extrinsic(name, value, path)
+            for name in _EXTRINSICS
+            if (value := getattr(entry, name)) is not None
+        },
+        **{name: read_pose(name, value, path) for name in _WORLDS if (value := getattr(entry, name)) is not None},
+    }
+    poses = {name: pose for name, (pose, _) in read.items()}
     with naming(path):
-        camera = Camera(entry.camera.model, entry.camera.width, entry.camera.height, entry.camera.params)
-        if (entry.right is None) != (entry.baseline_m is None):
-            raise InputError("a rectified pair needs its right picture and its baseline", expected="right, baseline_m")
-        poses = {name: pose_matrix(name, getattr(entry, name), path) for name in ("start", "truth")}
-        worlds = {name: pose_matrix(name, getattr(entry, name), path) for name in _WORLDS}
         targets = tuple(_target(f"targets.{number}", values, path) for number, values in enumerate(entry.targets))
     image, warnings = _image(root, folder, entry, camera)
+    warnings += tuple(warning for _, remarks in read.values() for warning in remarks)
     cloud_path = _file(root, folder, entry.cloud, "cloud", CLOUD_SUFFIXES)
     cloud, cloud_warnings = read_cloud(cloud_path, entry.image_time_s)
     warnings += cloud_warnings
@@ -225,20 +238,19 @@ def _read(root: Path, folder: Path) -> Frame:
     if twist is None and entry.image_time_s is None:
         # Times that nobody placed on the image's clock say nothing, and sweeps that were corrected may keep theirs.
         cloud = replace(cloud, time_s=None)
-    for name, pose in poses.items():
-        if pose is not None:
-            warnings += check_direction(cloud, camera, pose, name=name, where=path)
+    for name in (name for name in _EXTRINSICS if name in poses):
+        warnings += check_direction(cloud, camera, poses[name], name=name, where=path)
     return Frame(
         folder.name,
         image,
         cloud,
-        camera_from_lidar=poses["truth"],
-        start=poses["start"],
+        camera_from_lidar=poses.get("truth"),
+        start=poses.get("start"),
         twist=twist,
         warnings=warnings,
         sequence=entry.sequence,
         time_s=entry.time_s,
-        **worlds,
+        **{name: poses.get(name) for name in _WORLDS},
         targets=targets,
     )
 
@@ -277,24 +289,6 @@ def _image(root: Path, folder: Path, entry: FrameEntry, camera: Camera) -> tuple
     return Image(rgb, camera, right=right, baseline_m=entry.baseline_m, depth_m=depth_m), warnings
 
 
-def pose_matrix(name: str, pose: Pose | None, path: Path) -> Float | None:
-    """Return a pose of frame.yaml as (4, 4), or None; raises InputError if it is no rigid transform."""
-    if pose is None:
-        return None
-    if not isinstance(pose, PoseEntry):
-        return se3.check_rigid(name, pose, where=path)
-    from scipy.spatial.transform import Rotation
-
-    norm = float(np.linalg.norm(pose.rotation_xyzw))
-    if not abs(norm - 1) < 1e-3:
-        raise InputError(
-            f"the quaternion of {name} is not a rotation", where=path, expected="length 1", got=f"{norm:g}"
-        )
-    return se3.check_rigid(
-        name, se3.make(Rotation.from_quat(pose.rotation_xyzw).as_matrix(), pose.translation_m), where=path
-    )
-
-
 def _read_depth(path: Path) -> Float:
     if path.suffix.lower() != ".npy":
         return read_uint16(path, "depth")
@@ -316,7 +310,9 @@ def _file(
     """Return the named file, else default.*, else the only file of the folder with one of the suffixes."""
     if name is not None:
         return _inside(root, folder, name)
-    found = sorted(p.name for p in folder.iterdir() if p.suffix.lower() in suffixes and p.name not in set(others))
+    found = sorted(
+        p.name for p in listing(folder, "a frame") if p.suffix.lower() in suffixes and p.name not in set(others)
+    )
     found = [n for n in found if Path(n).stem == default] or found
     if len(found) != 1:
         raise InputError(

@@ -11,6 +11,9 @@ from p2o import Camera, InputError, UnknownNameError, se3
 from p2o.arrays import Float
 from p2o.files.input_file import read_text
 
+_LARGEST = 1e7
+"""Pixels, or pixels times metres: no calibration holds more."""
+
 
 @dataclass(frozen=True)
 class KittiCalibration:
@@ -27,7 +30,12 @@ class KittiCalibration:
         try:
             values = np.array(self.lines[key].split(), dtype=np.float64)
         except ValueError as problem:
-            raise InputError(f"{key} does not hold numbers", where=self.path, expected=f"{count} numbers") from problem
+            raise InputError(
+                f"{key} does not hold numbers",
+                where=self.path,
+                expected=f"{count} numbers",
+                got=self.lines[key].strip()[:60] or "none",
+            ) from problem
         if values.size != count or not np.isfinite(values).all():
             raise InputError(
                 f"{key} does not hold {count} finite numbers",
@@ -35,6 +43,18 @@ class KittiCalibration:
                 got=self.lines[key].strip()[:60] or "none",
             )
         return values.reshape(shape)
+
+    def size(self, key: str) -> tuple[int, int]:
+        """Return width and height of a picture in pixels; raises InputError unless they are whole and positive."""
+        width, height = self.numbers(key, (2,)).tolist()
+        if not all(value.is_integer() and 0 < value <= _LARGEST for value in (width, height)):
+            raise InputError(
+                f"{key} is no size of a picture",
+                where=self.path,
+                expected="whole width and height in pixels",
+                got=f"{width:g} {height:g}",
+            )
+        return int(width), int(height)
 
     def rigid(self, rotation_key: str, translation_key: str | None = None) -> Float:
         """Return the transform (4, 4) of a rotation (9 numbers) and a translation (3 numbers, in metres).
@@ -52,10 +72,14 @@ class KittiCalibration:
     def projection(self, key: str) -> Float:
         """Return the projection (3, 4) of a rectified camera.
 
-        Raises InputError unless its left part is an intrinsic matrix without skew.
+        Raises InputError unless its left part is an intrinsic matrix without skew, focal lengths a pixel or more.
         """
         matrix = self.numbers(key, (3, 4))
-        if np.abs(matrix[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]] - (0, 0, 0, 0, 1)).max() > 1e-9:
+        if (
+            min(matrix[0, 0], matrix[1, 1]) < 1
+            or np.abs(matrix).max() > _LARGEST
+            or np.abs(matrix[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]] - (0, 0, 0, 0, 1)).max() > 1e-9
+        ):
             raise InputError(
                 f"{key} is not the projection of a rectified camera",
                 where=self.path,

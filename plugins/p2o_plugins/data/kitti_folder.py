@@ -5,11 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from p2o.files.input_file import listing
+
 _PICTURES = (".jpg", ".jpeg", ".png")
 
 
+def is_number(text: str) -> bool:
+    """Whether a text is a whole number in the digits 0 to 9, as the ids of frames are; other digits are no numbers."""
+    return text.isascii() and text.isdecimal()
+
+
 def pictures(folder: Path) -> Mapping[str, Path]:
-    """Return the pictures of a folder by frame id, sorted; a PNG wins over a JPEG of the same id."""
+    """Return the pictures of a folder by frame id, sorted; a PNG wins over a JPEG of the same id.
+
+    Hidden files are left out, as in all these folders. Raises InputError if the folder cannot be read.
+    """
     return _by_id(folder, _PICTURES)
 
 
@@ -30,16 +40,21 @@ def paired(
     image_folder: str,
     cloud_folder: str,
     prefix: str = "",
+    *,
+    numbered: bool = True,
 ) -> tuple[dict[str, tuple[str, Path, Path]], dict[str, str]]:
     """Return (name, image, sweep) by name for ids that have both, and what is missing by name for the others.
 
-    Names are the ids with `prefix` in front. `folder`, `image_folder`, `cloud_folder` only say what is missing.
+    Names are the ids with `prefix` in front. `folder`, `image_folder`, `cloud_folder` only say what is missing. Where
+    the ids are `numbered`, files that are called otherwise are left out, too.
     """
     entries: dict[str, tuple[str, Path, Path]] = {}
     skipped: dict[str, str] = {}
     for frame in sorted({*images, *clouds}):
         name = prefix + frame
-        if frame not in clouds:
+        if numbered and not is_number(frame):
+            skipped[name] = f"{images.get(frame, clouds.get(frame))}: the name of the file is no number"
+        elif frame not in clouds:
             skipped[name] = f"{folder / cloud_folder / frame}.bin is missing"
         elif frame not in images:
             skipped[name] = f"{folder / image_folder / frame}.png is missing"
@@ -54,7 +69,7 @@ def _by_id(folder: Path, suffixes: tuple[str, ...]) -> Mapping[str, Path]:
     # Sorted by suffix order last, so that later suffixes win.
     found = [
         (path.stem, suffixes.index(path.suffix.lower()), path)
-        for path in folder.iterdir()
-        if path.suffix.lower() in suffixes
+        for path in listing(folder, "KITTI's files")
+        if path.suffix.lower() in suffixes and not path.name.startswith(".")
     ]
     return {stem: path for stem, _, path in sorted(found)}

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from p2o import Image, RadialError
+from p2o import Image, InputError, RadialError
 from p2o.arrays import Float
 from p2o.files.input_file import naming
 
@@ -34,6 +34,13 @@ def read_rectified(
     right = depth_m = baseline = None
     if right_projection is not None and (right_path is not None or disparity_path is not None):
         baseline = baseline_m(projection, right_projection)
+        if not baseline > 0:
+            raise InputError(
+                "the right camera does not stand to the right of the left one",
+                where=path,
+                expected="a baseline > 0 m from the two projections",
+                got=f"{baseline:g} m",
+            )
     if right_path is not None:
         right, more = read_rgb(right_path)
         warnings += more

@@ -32,10 +32,15 @@ def build(options: KittiObjectOptions) -> Dataset:
     """
     root = existing_folder(options.root, "KITTI object frames")
     folder = root / "training" if (root / "training").is_dir() else root
-    entries, skipped = paired(pictures(folder / "image_2"), sweeps(folder / "velodyne"), folder, "image_2", "velodyne")
+    entries, skipped = paired(
+        pictures(folder / "image_2"), sweeps(folder / "velodyne"), folder, "image_2", "velodyne", numbered=False
+    )
     if not entries:
         raise InputError(
-            "no KITTI object frames", where=folder, expected="frames with image_2/ID.png and velodyne/ID.bin"
+            "no KITTI object frames",
+            where=folder,
+            expected="frames with image_2/ID.png and velodyne/ID.bin",
+            got=next(iter(skipped.values()), None),
         )
     return LazyFrames(entries, partial(_read, folder, options), skipped)
 

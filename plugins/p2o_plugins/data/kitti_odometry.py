@@ -57,6 +57,7 @@ def build(options: KittiOdometryOptions) -> Dataset:
             "no KITTI odometry frames",
             where=folder,
             expected=f"frames with NN/{image_folder}/ID.png and NN/velodyne/ID.bin",
+            got=next(iter(skipped.values()), None),
         )
     return LazyFrames(entries, partial(_read, options), skipped)
 
@@ -74,6 +75,13 @@ def _read(options: KittiOdometryOptions, entry: tuple[str, Path, Path]) -> Frame
         right_projection=calibration.projection(f"P{other}") if has_right else None,
         right_path=picture(sequence / f"image_{other}", image_path.stem) if has_right else None,
     )
+    number = int(image_path.stem)
+    time_s = _time_s(sequence, number)
+    # No pose of the LiDAR: it would be this one and the truth.
+    pose = _camera_pose(sequence, number, camera_offset(projection, pykitti_compat=options.pykitti_compat))
+    for path, value in ((sequence / "times.txt", time_s), (_poses_file(sequence), pose)):
+        if value is None and path.exists():
+            warnings += (f"{path}: the file ends before line {number + 1}, which is this frame's",)
     # Untwisted points no longer tell when they were measured.
     cloud, cloud_warnings = read_sweep(sweep_path, sweep_s=None, elevation_fix_deg=options.elevation_fix_deg)
     return Frame(
@@ -85,13 +93,8 @@ def _read(options: KittiOdometryOptions, entry: tuple[str, Path, Path]) -> Frame
         ),
         warnings=(*warnings, *cloud_warnings),
         sequence=sequence.resolve().name,
-        time_s=_time_s(sequence, int(image_path.stem)),
-        # No pose of the LiDAR: it would be this one and the truth.
-        camera_world_from_camera=_camera_pose(
-            sequence,
-            int(image_path.stem),
-            camera_offset(projection, pykitti_compat=options.pykitti_compat),
-        ),
+        time_s=time_s,
+        camera_world_from_camera=pose,
     )
 
 
@@ -107,7 +110,7 @@ def _camera_pose(sequence: Path, frame: int, offset_m: Float) -> Float | None:
     The file holds the poses of camera 0; `offset_m` (3,) is where that lies in the camera. The world is the frame that
     the camera had in the first line.
     """
-    path = sequence.resolve().parents[1] / "poses" / f"{sequence.resolve().name}.txt"
+    path = _poses_file(sequence)
     poses: list[Float] = []
     for number in (0, frame):
         values = _line(path, "file of poses", number, 12)
@@ -118,6 +121,11 @@ def _camera_pose(sequence: Path, frame: int, offset_m: Float) -> Float | None:
     first, pose = poses
     camera_from_camera0 = se3.make(translation=offset_m)
     return camera_from_camera0 @ se3.inverse(first) @ pose @ se3.inverse(camera_from_camera0)
+
+
+def _poses_file(sequence: Path) -> Path:
+    folder = sequence.resolve()
+    return folder.parent.parent / "poses" / f"{folder.name}.txt"
 
 
 def _line(path: Path, what: str, frame: int, count: int) -> Float | None:

@@ -12,11 +12,15 @@ from p2o.files.input_file import read_text
 _EARTH_RADIUS_M = 6378137.0
 """Of the raw development kit, so that poses agree with what others make of the same files."""
 
+_LARGEST = np.array([89.0, 360.0, 1e5, *[10.0] * 3, *[1e3] * 5, *[1e4] * 6, *[1e3] * 6])
+"""Of latitude, longitude (deg), altitude (m), three angles (rad), five velocities, accelerations and rates (rad/s)."""
+
 
 def read_packet(path: Path) -> Float:
     """Return the numbers of one oxts file, 25 or more, in the order of KITTI's dataformat.txt.
 
-    Raises InputError if the file is missing or does not hold the 30 numbers of a packet.
+    Raises InputError if the file is missing, does not hold the 30 numbers of a packet, or places and speeds that are
+    impossible.
     """
     text = read_text(path, "oxts packet")
     try:
@@ -26,6 +30,14 @@ def read_packet(path: Path) -> Float:
     if values.size < 25 or not np.isfinite(values[:25]).all():
         raise InputError(
             "the oxts packet is truncated or not finite", where=path, expected="30 numbers", got=values.size
+        )
+    strange = np.flatnonzero(np.abs(values[: len(_LARGEST)]) > _LARGEST)
+    if len(strange):
+        raise InputError(
+            f"number {strange[0] + 1} of the oxts packet is what no unit measures",
+            where=path,
+            expected=f"at most {_LARGEST[strange[0]]:g}",
+            got=f"{values[strange[0]]:g}",
         )
     return values
 

@@ -18,13 +18,14 @@ from pydantic import field_validator
 from p2o_plugins.data.disparity_speed import forward_speed
 from p2o_plugins.data.image_file import read_rgb
 from p2o_plugins.data.kitti_calibration import KittiCalibration, read_calibration, rectified_extrinsic
-from p2o_plugins.data.kitti_folder import paired, picture, pictures, sweeps
+from p2o_plugins.data.kitti_folder import is_number, paired, picture, pictures, sweeps
 from p2o_plugins.data.kitti_image import read_rectified, without_radial_error
 from p2o_plugins.data.kitti_oxts import has_fix, lidar_pose, read_packet, twist_of
 from p2o_plugins.data.lazy_frames import LazyFrames
 from p2o_plugins.data.velodyne_file import IMAGE_DELAY_S, NOT_UNTWISTED, SWEEP_S, read_sweep
 
-_DRIVE = re.compile(r"(\d{4}_\d\d_\d\d)_drive_(\d{4})_(sync|extract)")
+_DRIVE = re.compile(r"(\d{4}_\d\d_\d\d)_drive_(\d{4})_(sync|extract)", re.ASCII)
+_STAMP = re.compile(r"(19[7-9]|20\d|21\d)\d-\d\d-\d\d[ T]\d\d:\d\d:\d\d(\.\d{1,9})?", re.ASCII)
 # Half a turn apart a sweep belongs to another image; KITTI's cameras are stamped 10 ms after straight ahead.
 _SAME_MOMENT_S = 0.03
 
@@ -108,7 +109,7 @@ def build(options: KittiRawOptions) -> Dataset:
             "no KITTI raw frames",
             where=root,
             expected=f"DATE/DATE_drive_NNNN_sync with {image_folder}/data and velodyne_points/data",
-            got=f"{len(drives)} drives" if drives else "no drive",
+            got=next(iter(skipped.values()), f"{len(drives)} drives" if drives else "no drive"),
         )
     return LazyFrames(entries, partial(_read, options), skipped)
 
@@ -158,7 +159,7 @@ def _rectified(
 ) -> tuple[Image, tuple[str, ...], Float]:
     """Return image, warnings and camera_from_lidar of a synchronised drive."""
     projection = cameras.projection(f"P_rect_{options.camera:02d}")
-    width, height = cameras.numbers(f"S_rect_{options.camera:02d}", (2,)).astype(int).tolist()
+    width, height = cameras.size(f"S_rect_{options.camera:02d}")
     is_left, other = options.camera in (0, 2), options.camera + 1
     disparity = drive.folder / "disparity/data" / f"{path.stem}.png"
     image, warnings = read_rectified(
@@ -180,10 +181,11 @@ def _unrectified(
     number = f"{options.camera:02d}"
     (fx, _, cx), (_, fy, cy), _ = cameras.numbers(f"K_{number}", (3, 3)).tolist()
     k1, k2, p1, p2, k3 = cameras.numbers(f"D_{number}", (5,)).tolist()
-    width, height = cameras.numbers(f"S_{number}", (2,)).astype(int).tolist()
+    width, height = cameras.size(f"S_{number}")
+    with naming(cameras.path):
+        camera = Camera("FULL_OPENCV", width, height, (fx, fy, cx, cy, k1, k2, p1, p2, k3, 0, 0, 0))
     rgb, warnings = read_rgb(path)
     with naming(path):
-        camera = Camera("FULL_OPENCV", width, height, (fx, fy, cx, cy, k1, k2, p1, p2, k3, 0, 0, 0))
         image = Image(rgb, camera)
     return image, warnings, cameras.rigid(f"R_{number}", f"T_{number}") @ cam0_from_lidar
 
@@ -236,12 +238,16 @@ def _oxts(drive: _Drive, image_path: Path, sweep_path: Path, delay_s: float) -> 
     if not mounting.exists():
         return _Oxts(missing=mounting.name)
     lidar_from_imu = read_calibration(mounting).rigid("R", "T")
-    packet, first = read_packet(path), read_packet(min(folder.glob("*.txt")))
+    packet, first = read_packet(path), read_packet(_first_packet(folder))
     twist = twist_of(packet, lidar_from_imu)
     later_s = _after_packet_s(drive, number, image_path, sweep_path, delay_s)
     if later_s is None or not (has_fix(packet) and has_fix(first)):
         return _Oxts(twist)
     return _Oxts(twist, lidar_pose(packet, first, lidar_from_imu) @ se3.exp(later_s * twist))
+
+
+def _first_packet(folder: Path) -> Path:
+    return min(path for path in folder.glob("*.txt") if is_number(path.stem))
 
 
 def _oxts_number(drive: _Drive, image_path: Path) -> int | None:
@@ -251,7 +257,7 @@ def _oxts_number(drive: _Drive, image_path: Path) -> int | None:
         return number
     stamp = _stamp(image_path.parents[1] / "timestamps.txt", number)
     stamps = _stamps(drive.folder / "oxts/timestamps.txt")
-    return None if stamp is None or not len(stamps) else int(np.argmin(np.abs(stamps - stamp)))
+    return None if stamp is None else _nearest(stamps, stamp)
 
 
 def _after_packet_s(drive: _Drive, number: int, image_path: Path, sweep_path: Path, delay_s: float) -> float | None:
@@ -278,13 +284,19 @@ def _nearest_in_time(
     cloud_stamps = _stamps(drive / "velodyne_points/timestamps.txt")
     pairs: dict[str, Path] = {}
     for name in images:
-        if int(name) < len(image_stamps) and len(cloud_stamps):
-            gaps = np.abs(cloud_stamps - image_stamps[int(name)]) / np.timedelta64(1, "s")
-            nearest = int(np.nanargmin(gaps))
-            sweep = clouds.get(f"{nearest:010d}")
-            if sweep is not None and gaps[nearest] < _SAME_MOMENT_S:
-                pairs[name] = sweep
+        if not is_number(name) or int(name) >= len(image_stamps):
+            continue
+        nearest = _nearest(cloud_stamps, image_stamps[int(name)])
+        sweep = None if nearest is None else clouds.get(f"{nearest:010d}")
+        if sweep is not None and abs(_seconds(cloud_stamps[nearest] - image_stamps[int(name)])) < _SAME_MOMENT_S:
+            pairs[name] = sweep
     return pairs
+
+
+def _nearest(stamps: NDArray[np.datetime64], stamp: np.datetime64) -> int | None:
+    """Return the line of the time that is nearest to another, or None where either side is blank."""
+    gaps = np.abs(stamps - stamp) / np.timedelta64(1, "s")
+    return None if np.isnan(gaps).all() else int(np.nanargmin(gaps))
 
 
 def _seconds(span: np.timedelta64) -> float:
@@ -304,11 +316,16 @@ def _stamps(path: Path) -> NDArray[np.datetime64]:
     """
     if not path.exists():
         return np.array([], dtype="datetime64[ns]")
-    lines = [line.strip() or "NaT" for line in read_text(path, "file of time stamps").splitlines()]
+    lines = [line.strip() for line in read_text(path, "file of time stamps").splitlines()]
     try:
-        return np.array(lines, dtype="datetime64[ns]")
+        # NumPy would take "now" and time zones too, and lets years that do not fit into 64 bit run over.
+        wrong = next((i for i, line in enumerate(lines) if line and not _STAMP.fullmatch(line)), None)
+        if wrong is None:
+            return np.array([line or "NaT" for line in lines], dtype="datetime64[ns]")
+        got = f"line {wrong + 1}: {lines[wrong][:40]}"
     except ValueError as problem:
-        raise InputError("a line is not a time", where=path, expected="YYYY-MM-DD HH:MM:SS.nnnnnnnnn") from problem
+        got = str(problem)
+    raise InputError("a line is not a time", where=path, expected="YYYY-MM-DD HH:MM:SS.nnnnnnnnn", got=got)
 
 
 METHOD = Method(

@@ -5,11 +5,12 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from p2o import Camera, Frame, Image, InputError, Method, Options, field, se3
 from p2o.arrays import Float
+from pydantic import Field
 
 from p2o_plugins.data.lazy_frames import LazyFrames
 
@@ -19,9 +20,17 @@ if TYPE_CHECKING:
 BASELINE_M = 0.54
 _KITTI_MOUNT = (0.27, 0.06, -0.08, 0.458, -0.63, 0.344)
 _AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+# No dataset names more frames. What a frame takes of memory, measured on places full of trees: what is always there, a
+# metre of the way (two places are kept), and a million pixels of the picture.
+_MOST_FRAMES = 100_000
+_MOST_MB, _ALWAYS_MB, _PER_METRE_MB, _PER_MEGAPIXEL_MB = 1500, 320, 3.2, 180
 # One stream of random numbers for each of these, so that more noise or another camera leaves the place as it was.
 # The number of the places is one with which the very first of them is a street.
 _PLACE, _DRIVE, _LIDAR, _CAMERA, _GRAIN, _START, _DRIFT, _ODOMETRY, _BOARDS = 31, 1, 2, 3, 4, 5, 6, 7, 8
+
+
+_Shift = Annotated[float, Field(ge=-100, le=100)]
+_Turn = Annotated[float, Field(ge=-360, le=360)]
 
 
 class SyntheticOptions(Options):
@@ -30,7 +39,7 @@ class SyntheticOptions(Options):
     scenes: int = field(1, ge=1, le=100_000, help="Number of places; each gives one frame, or a drive.")
     frames_per_scene: int = field(1, ge=1, le=1000, help="Frames of the drive through each place.")
     period_s: float = field(0.1, gt=0, le=60, help="Time from one frame of a drive to the next in seconds.")
-    seed: int = field(0, ge=0, help="Seed of the places, of all noise and of the wrong start.")
+    seed: int = field(0, ge=0, lt=2**63, help="Seed of the places, of all noise and of the wrong start.")
     place: Literal["mixed", "street", "suburb", "highway", "trees", "yard"] = field(
         "mixed",
         help="Kind of place; mixed draws one for each scene, a third of them trees and banks, none a yard, which is "
@@ -98,7 +107,7 @@ class SyntheticOptions(Options):
         "strongest", help="Which return of a pulse that meets several surfaces."
     )
     deskew: bool = field(True, help="Correct the sweep for the motion of the car, which is known exactly.")
-    mount: tuple[float, float, float, float, float, float] = field(
+    mount: tuple[_Shift, _Shift, _Shift, _Turn, _Turn, _Turn] = field(
         _KITTI_MOUNT,
         help="Camera in the LiDAR frame: x, y, z in metres, then its pitch, yaw, roll in degrees from straight ahead.",
     )
@@ -268,6 +277,11 @@ def _target(options: SyntheticOptions) -> Any:
     )
 
 
+def _travel_m(speed_m_s: float, period_s: float, frames: int) -> float:
+    """Return how long a drive is; part of the layout, so that all of up to 10 frames pass through the same place."""
+    return speed_m_s * period_s * (10 * -(-frames // 10))
+
+
 @lru_cache(maxsize=2)
 def _drive(
     scene_number: int,
@@ -285,8 +299,7 @@ def _drive(
     from p2o import simulate
 
     layout, sway = (np.random.default_rng([seed, stream, scene_number]) for stream in (_PLACE, _DRIVE))
-    # The length of the drive is part of the layout; all drives of up to 10 frames pass through the same place.
-    travel = speed_m_s * period_s * (10 * -(-frames_per_scene // 10))
+    travel = _travel_m(speed_m_s, period_s, frames_per_scene)
     scene, twist = simulate.scene_of(place, layout, speed_m_s=speed_m_s, travel_m=travel)
     swing = simulate.Swing(swing_deg, tilt_deg)
     moments = simulate.drive(twist, frames_per_scene, sway, period_s=period_s, sway=0.0 if still else 1.0, swing=swing)
@@ -372,7 +385,7 @@ def build(options: SyntheticOptions) -> LazyFrames:
     Each is made when it is asked for, from its own seed.
 
     Raises InputError if drift or start_error cannot be read, a drive is over before its mounting slips, a car that
-    stands shall turn, or the boards do not hold their pattern.
+    stands shall turn, the boards do not hold their pattern, or the frames are too many or too large for memory.
     """
     from p2o.simulate import parse_perturbation
 
@@ -395,12 +408,33 @@ def build(options: SyntheticOptions) -> LazyFrames:
             hint="set speed_m_s=5; with targets the car stands unless told",
         )
     _target(options)
+    _require_bounded(options)
     entries = {
         _name(options, scene, number): (scene, number)
         for scene in range(options.scenes)
         for number in range(options.frames_per_scene)
     }
     return LazyFrames(entries, lambda entry: view(options, *entry).frame)
+
+
+def _require_bounded(options: SyntheticOptions) -> None:
+    """Raise InputError for more frames than can be listed, and drives and pictures that do not fit into memory."""
+    frames = options.scenes * options.frames_per_scene
+    if frames > _MOST_FRAMES:
+        raise InputError(
+            "too many frames", where="scenes, frames_per_scene", expected=f"at most {_MOST_FRAMES} in all", got=frames
+        )
+    travel_m = _travel_m(_speed_m_s(options), options.period_s, options.frames_per_scene)
+    megapixels = options.width_px * options.height_px / 1e6
+    needed = _ALWAYS_MB + _PER_METRE_MB * travel_m * min(options.scenes, 2) + _PER_MEGAPIXEL_MB * megapixels
+    if needed > _MOST_MB:
+        raise InputError(
+            "a frame would take too much memory",
+            where="frames_per_scene, speed_m_s, period_s, width_px, height_px",
+            expected=f"at most {_MOST_MB} MB",
+            got=f"about {needed:.0f} MB for drives of {travel_m:.0f} m and pictures of {megapixels:.1f} million pixels",
+            hint="make the drive shorter or the picture smaller",
+        )
 
 
 METHOD = Method(

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from p2o import Camera, Dataset, Frame, Image, InputError, Method, Options, field, se3
 from p2o.arrays import Bool, Float
-from p2o.files.input_file import existing_folder, naming, read_text
+from p2o.files.input_file import existing_folder, listing, naming, read_text
+from pydantic import Field
 
 from p2o_plugins.data.depth_lidar import depth_sweep
 from p2o_plugins.data.image_file import read_rgb, read_uint16
+from p2o_plugins.data.kitti_folder import is_number
 from p2o_plugins.data.lazy_frames import LazyFrames
 
 _FOLIAGE = ((0, 199, 0), (90, 240, 0))
@@ -26,7 +29,9 @@ class VirtualKitti2Options(Options):
     """Options of Virtual KITTI 2 and of the LiDAR that is made for it."""
 
     root: Path = field(Path("."), help="Folder that holds the scenes (Scene01, ...), or one scene.")
-    scenes: tuple[int, ...] = field((), help="Numbers of the scenes, such as [1,2,6,20]; none: all that are there.")
+    scenes: tuple[Annotated[int, Field(ge=0, le=99)], ...] = field(
+        (), max_length=100, help="Numbers of the scenes, such as [1,2,6,20]; none: all that are there."
+    )
     variation: Literal[
         "clone",
         "fog",
@@ -49,7 +54,7 @@ class VirtualKitti2Options(Options):
     noise_m: float = field(0.02, ge=0, le=1, help="Standard deviation of the LiDAR's range in metres.")
     angle_noise_deg: float = field(0.0, ge=0, le=1, help="Standard deviation of its azimuth and elevation in degrees.")
     mask_foliage: bool = field(True, help="Mask the pixels of the classes Tree and Vegetation (paper Sec. IV-A).")
-    seed: int = field(0, ge=0, help="Seed of the LiDAR's noise.")
+    seed: int = field(0, ge=0, lt=2**63, help="Seed of the LiDAR's noise.")
 
 
 @dataclass(frozen=True)
@@ -87,7 +92,13 @@ def build(options: VirtualKitti2Options) -> Dataset:
     skipped: dict[str, str] = {}
     for scene in scenes:
         folder = scene / options.variation
-        for number in _numbers(folder / f"frames/rgb/Camera_{options.camera}"):
+        rgb = folder / f"frames/rgb/Camera_{options.camera}"
+        numbers, strange = _numbers(rgb)
+        skipped |= {
+            f"{scene.name}/{options.variation}/{name}": f"{rgb / name}: the name of the file holds no frame's number"
+            for name in strange
+        }
+        for number in numbers:
             entry = _Entry(folder, number, f"{scene.name}/{options.variation}/{number:05d}")
             if entry.file("depth", options.camera) is None:
                 depth = folder / f"frames/depth/Camera_{options.camera}/depth_{number:05d}.png"
@@ -124,7 +135,7 @@ def _read(options: VirtualKitti2Options, entry: _Entry) -> Frame:
         lidar = replace(lidar, height_m=())
     truth = camera_from_lidar(options)
     # One stream a frame, camera and name, so that the noise of one does not depend on which others are read.
-    rng = np.random.default_rng([options.seed, options.camera, *entry.name.encode()])
+    rng = np.random.default_rng([options.seed, options.camera, *os.fsencode(entry.name)])
     with naming(entry.folder):
         cloud = depth_sweep(np.asarray(image.depth_m), image.camera, truth, lidar, rng)
     return Frame(entry.name, image, cloud, camera_from_lidar=truth, warnings=warnings)
@@ -149,8 +160,9 @@ def _image(options: VirtualKitti2Options, entry: _Entry) -> tuple[Image, tuple[s
         masked = _foliage(class_path)
     elif options.mask_foliage:
         warnings += ("foliage is not masked: no class segmentation",)
-    with naming(path):
+    with naming(entry.folder / "intrinsic.txt"):
         camera = Camera.pinhole(fx, fy, cx, cy, rgb.shape[1], rgb.shape[0])
+    with naming(path):
         image = Image(rgb, camera, right, baseline_m, np.where(raw == _SKY_CM, np.inf, raw / 100), masked)
     return image, warnings
 
@@ -170,6 +182,13 @@ def _baseline_m(entry: _Entry) -> float:
     right_from_left = right @ se3.inverse(left)
     if se3.angle_deg(right_from_left) > 0.1 or np.abs(right_from_left[1:3, 3]).max() > 0.01:
         raise InputError("cameras 0 and 1 are no rectified pair", where=path, expected="a shift along x alone")
+    if right_from_left[0, 3] >= 0:
+        raise InputError(
+            "camera 1 does not stand to the right of camera 0",
+            where=path,
+            expected="a shift along -x",
+            got=f"{right_from_left[0, 3]:g} m",
+        )
     return float(-right_from_left[0, 3])
 
 
@@ -195,10 +214,21 @@ def _row(path: Path, count: int, frame: int, camera: int) -> Float:
     return np.asarray(rows[0])
 
 
-def _numbers(folder: Path) -> list[int]:
-    """Return the numbers of the pictures rgb_00000 of a folder, sorted; none where it does not exist."""
-    stems = {path.stem for path in folder.glob("rgb_*") if path.suffix in (".png", ".jpg")}
-    return sorted(int(stem[4:]) for stem in stems if stem[4:].isdigit())
+def _numbers(folder: Path) -> tuple[list[int], list[str]]:
+    """Return the numbers of the pictures rgb_00000 of a folder, sorted, and the names of files that hold none.
+
+    Both are empty where the folder does not exist.
+    """
+    if not folder.is_dir():
+        return [], []
+    pictures = [path for path in listing(folder, "pictures") if path.suffix in (".png", ".jpg")]
+    good = {int(path.stem[4:]) for path in pictures if _is_frame(path.stem)}
+    return sorted(good), [p.name for p in pictures if p.name.startswith("rgb_") and not _is_frame(p.stem)]
+
+
+def _is_frame(stem: str) -> bool:
+    digits = stem.removeprefix("rgb_")
+    return digits != stem and is_number(digits) and digits == f"{int(digits):05d}"
 
 
 METHOD = Method(

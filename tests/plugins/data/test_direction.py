@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from p2o import Camera, Cloud, InputError, se3
-from p2o_plugins.data.direction import check_direction
+from p2o_plugins.data.direction import check_direction, vertical
 
 from .kitti_files import VELO_TO_CAM
 
@@ -14,6 +14,61 @@ def cloud(sector_deg: float) -> Cloud:
     rng = np.random.default_rng(0)
     azimuth = np.radians(rng.uniform(-sector_deg, sector_deg, 4000))
     return Cloud(np.column_stack([20 * np.cos(azimuth), 20 * np.sin(azimuth), rng.uniform(-2, 2, 4000)]))
+
+
+# LiDAR axes of others, from those of KITTI (x forward, y left, z up): nuScenes has x right, y forward, z up.
+NUSCENES = se3.make([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+HANGING = se3.make(np.diag([1.0, -1.0, -1.0]))
+Z_FORWARD_Y_UP = se3.make([[0, 1, 0], [0, 0, 1], [1, 0, 0]])
+
+
+def street(axes: np.ndarray | None = None) -> Cloud:
+    """Return a sweep all around: a road 1.7 m below, and walls and trees that end at many heights."""
+    rng = np.random.default_rng(1)
+    azimuth, elevation = rng.uniform(-np.pi, np.pi, 8000), np.radians(rng.uniform(-25, 15, 8000))
+    reach = rng.choice([12.0, 18.0, 25.0], 8000)
+    road = np.where(elevation < 0, 1.7 / np.maximum(np.tan(-elevation), 1e-6), np.inf)
+    flat = np.minimum(reach, road)
+    xyz = np.column_stack([flat * np.cos(azimuth), flat * np.sin(azimuth), flat * np.tan(elevation)])
+    return Cloud(xyz if axes is None else se3.apply(axes, xyz))
+
+
+@pytest.mark.parametrize("axes", [np.eye(4), NUSCENES, HANGING, Z_FORWARD_Y_UP])
+def test_up_is_told_by_the_points_whatever_the_axes_are(axes: np.ndarray) -> None:
+    up = vertical(street(axes))
+    assert up is not None
+    assert up.points_up
+    assert up.axis @ axes[:3, 2] > 0.98
+
+
+@pytest.mark.parametrize("xyz", [np.zeros((500, 3)), np.ones((20, 3)), np.random.default_rng(0).normal(size=(500, 3))])
+def test_points_that_spread_alike_or_are_few_tell_no_vertical(xyz: np.ndarray) -> None:
+    assert vertical(Cloud(xyz)) is None
+
+
+@pytest.mark.parametrize("axes", [np.eye(4), NUSCENES, HANGING])
+def test_a_swapped_pose_is_doubted_for_lidars_of_other_axes_too(axes: np.ndarray) -> None:
+    camera_from_lidar = VELO_TO_CAM @ se3.inverse(axes)
+    assert check_direction(street(axes), CAMERA, camera_from_lidar) == ()
+    (warning,) = check_direction(street(axes), CAMERA, se3.inverse(camera_from_lidar))
+    assert warning.startswith("start may be lidar_from_camera: its inverse stands upright")
+
+
+@pytest.mark.parametrize("axes", [np.eye(4), NUSCENES, HANGING, Z_FORWARD_Y_UP])
+def test_a_start_that_is_20_degrees_off_is_not_doubted(axes: np.ndarray) -> None:
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        turn = rng.normal(size=3)
+        wrong = se3.exp(np.concatenate([np.radians(20) * turn / np.linalg.norm(turn), rng.normal(size=3) * 0.3]))
+        warnings = check_direction(street(axes), CAMERA, wrong @ VELO_TO_CAM @ se3.inverse(axes))
+        assert not any("lidar_from_camera" in warning for warning in warnings)
+
+
+def test_a_start_that_looks_past_a_narrow_sweep_is_not_refused() -> None:
+    """Turned up by 20 degrees it shows next to nothing of a flat sweep, and its inverse may well show points."""
+    wrong = se3.exp(np.array([np.radians(-25), 0, 0, 0, 0, 0])) @ VELO_TO_CAM
+    flat = street().select(np.abs(street().xyz[:, 2]) < 0.5)
+    assert not any("lidar_from_camera" in warning for warning in check_direction(flat, CAMERA, wrong))
 
 
 def test_a_right_pose_passes_without_a_word() -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +63,27 @@ def test_poses_come_as_matrix_or_as_quaternion_and_translation(tmp_path: Path) -
     frame = dataset(tmp_path)[0]
     assert np.allclose(frame.start, VELO_TO_CAM, atol=1e-12)
     assert np.allclose(frame.camera_from_lidar, VELO_TO_CAM, atol=1e-12)
+
+
+def test_poses_given_the_other_way_and_cameras_of_ros_are_taken(tmp_path: Path) -> None:
+    quaternion = 1.004 * Rotation.from_matrix(VELO_TO_CAM[:3, :3]).as_quat()
+    write_frame(
+        tmp_path,
+        camera={
+            "width": WIDTH,
+            "height": HEIGHT,
+            "K": [[50.0, 0, 31.0], [0, 50.0, 15.5], [0, 0, 1]],
+            "distortion_model": "plumb_bob",
+            "D": [-0.01, 0.0, 0.0, 0.0, 0.0],
+        },
+        start={"lidar_from_camera": se3.inverse(VELO_TO_CAM)[:3].tolist()},
+        truth={"rotation_xyzw": quaternion.tolist(), "translation_m": VELO_TO_CAM[:3, 3].tolist()},
+    )
+    frame = dataset(tmp_path)[0]
+    assert (frame.camera.model, frame.camera.params) == ("OPENCV", (50, 50, 31, 15.5, -0.01, 0, 0, 0))
+    assert np.allclose(frame.start, VELO_TO_CAM, atol=1e-12)
+    (warning,) = frame.warnings
+    assert warning.endswith("frame.yaml: the quaternion of truth has length 1.0040 and is brought to 1")
 
 
 def test_files_may_be_named_and_have_any_kind(tmp_path: Path) -> None:
@@ -362,7 +384,7 @@ def test_frames_of_a_sequence_with_the_same_or_a_falling_time_are_refused(tmp_pa
     with pytest.raises(
         InputError, match=rf"b/frame\.yaml: the times of sequence 'yard' do not rise .*1 of frame 'a'; got {later_s:g}"
     ):
-        dataset(tmp_path)
+        dataset(tmp_path)[1]
 
 
 def test_times_of_several_sequences_rise_each_on_its_own_clock(tmp_path: Path) -> None:
@@ -385,3 +407,67 @@ def test_an_unknown_kind_of_target_is_an_unknown_name(tmp_path: Path) -> None:
     write_frame(tmp_path, targets=[{**HOLES, "kind": "hole"}])
     with pytest.raises(UnknownNameError, match="one of: checkerboard, holes; did you mean holes"):
         dataset(tmp_path)[0]
+
+
+def test_the_other_frames_of_a_sequence_with_a_falling_time_are_read(tmp_path: Path) -> None:
+    for name, time_s in (("a", 1.0), ("b", 0.5), ("c", 1.5)):
+        write_frame(tmp_path / name, sequence="yard", time_s=time_s)
+    found = dataset(tmp_path)
+    assert [found[number].time_s for number in (0, 2)] == [1.0, 1.5]
+    with pytest.raises(InputError, match="do not rise"):
+        found[1]
+
+
+def test_folders_that_cannot_be_read_are_left_out_and_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("a", "b"):
+        write_frame(tmp_path / name)
+    listed = Path.iterdir
+
+    def refuse(folder: Path) -> Any:
+        if folder.name == "b":
+            raise PermissionError(13, "Permission denied", str(folder))
+        return listed(folder)
+
+    monkeypatch.setattr(Path, "iterdir", refuse)
+    found = dataset(tmp_path)
+    assert found.names == ("a",)
+    with pytest.raises(InputError, match=r"frame 'b' is left out; got .*cannot be read; got Permission denied"):
+        found.frame("b")
+    with pytest.raises(InputError, match=r"b: the folder of frames cannot be read; got Permission denied"):
+        dataset(tmp_path / "b")
+
+
+@pytest.mark.parametrize("name", ["image.png", "cloud.bin", "frame.yaml"])
+def test_a_folder_where_a_file_should_be_is_named(tmp_path: Path, name: str) -> None:
+    write_frame(tmp_path)
+    (tmp_path / name).unlink()
+    (tmp_path / name).mkdir()
+    with pytest.raises(InputError, match=rf"{name}: the .* is a folder"):
+        dataset(tmp_path)[0]
+
+
+def test_a_frame_file_that_lies_elsewhere_is_refused(tmp_path: Path) -> None:
+    write_frame(tmp_path / "data/a")
+    (tmp_path / "data/a/frame.yaml").rename(tmp_path / "outside.yaml")
+    (tmp_path / "data/a/frame.yaml").symlink_to(tmp_path / "outside.yaml")
+    with pytest.raises(InputError, match=r"the path 'frame\.yaml' leaves the folder of the dataset"):
+        dataset(tmp_path / "data")[0]
+
+
+@pytest.mark.parametrize("name", [b"new\nline", b"\x1b[31mred", b"latin-\xe9", "\u202e\u00b2".encode()])
+def test_folders_may_be_called_anything(tmp_path: Path, name: bytes) -> None:
+    folder = tmp_path / os.fsdecode(name)
+    write_frame(tmp_path / "plain").rename(folder)
+    found = dataset(tmp_path)
+    assert found.names == (folder.name,)
+    assert found[0].name == folder.name
+    (folder / "cloud.bin").unlink()
+    with pytest.raises(InputError):
+        found[0]
+
+
+@pytest.mark.parametrize("root", ["~nosuch", "a\0b", "x" * 300])
+def test_a_root_that_no_folder_can_be_is_refused_in_one_line(root: str) -> None:
+    with pytest.raises(InputError) as caught:
+        dataset(Path(root))
+    assert "\n" not in str(caught.value)

@@ -107,3 +107,23 @@ def test_a_file_cut_inside_a_line_is_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / "calib.txt").write_text(text[:-5])
     with pytest.raises(InputError, match=r"calib\.txt: T does not hold 3 finite numbers"):
         read_calibration(tmp_path / "calib.txt").rigid("R", "T")
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("change", "value"), [((0, 0), 0.0), ((1, 1), -50.0), ((0, 2), 1e300), ((0, 3), 1e9), ((1, 3), float("inf"))]
+)
+def test_projections_that_no_camera_has_are_refused_by_name(
+    tmp_path: Path, change: tuple[int, int], value: float
+) -> None:
+    projection = PROJECTIONS[2].copy()
+    projection[change] = value
+    with pytest.raises(InputError, match=r"calib\.txt: P2"):
+        calibration(tmp_path, P2=numbers(projection)).projection("P2")
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("scale", [1e3, 1e200, 1e-200])
+def test_a_rotation_of_another_size_is_refused_by_name(tmp_path: Path, scale: float) -> None:
+    with pytest.raises(InputError, match=r"calib\.txt: the rotation of R is not orthonormal"):
+        calibration(tmp_path, R=numbers(scale * np.eye(3))).rigid("R")

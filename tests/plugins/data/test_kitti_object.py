@@ -103,3 +103,21 @@ def test_an_image_without_the_principal_point_is_refused_by_name(tmp_path: Path)
 def test_a_folder_without_frames_says_what_it_should_hold(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no KITTI object frames; expected frames with image_2/ID\.png"):
         dataset(tmp_path)
+
+
+def test_frames_may_have_any_names_but_hidden_files_are_none(tmp_path: Path) -> None:
+    write_frame(tmp_path / "training", "000000")
+    for name in ("left-²", "._000000"):
+        write_lines(tmp_path / f"training/calib/{name}.txt", calib())
+        write_sweep(tmp_path / f"training/velodyne/{name}.bin")
+        write_image(tmp_path / f"training/image_2/{name}.png")
+    found = dataset(tmp_path)
+    assert found.names == ("000000", "left-²")
+    assert found[1].name == "left-²"
+
+
+def test_a_right_camera_that_stands_to_the_left_is_refused(tmp_path: Path) -> None:
+    write_frame(tmp_path / "training", "000000", P3=numbers(PROJECTIONS[2] + [[0, 0, 0, 9.0], [0] * 4, [0] * 4]))
+    write_image(tmp_path / "training/image_3/000000.png")
+    with pytest.raises(InputError, match="the right camera does not stand to the right of the left one"):
+        dataset(tmp_path)[0]

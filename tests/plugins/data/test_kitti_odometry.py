@@ -125,3 +125,36 @@ def test_times_that_are_none_are_refused_by_line(tmp_path: Path) -> None:
     (folder / "times.txt").write_text("soon\n")
     with pytest.raises(InputError, match=r"times\.txt: line 1 of the file of times does not hold 1 finite"):
         dataset(tmp_path)[0]
+
+
+def test_files_of_times_and_poses_that_end_too_early_are_told_and_longer_ones_are_not(tmp_path: Path) -> None:
+    folder = write_frame(tmp_path, "00", 2)
+    (folder / "times.txt").write_text("0.0\n0.1\n")
+    write_poses(tmp_path, [np.eye(4)] * 2)
+    short = dataset(tmp_path)[0]
+    assert [warning.split("/")[-1] for warning in short.warnings if "ends" in warning] == [
+        "times.txt: the file ends before line 3, which is this frame's",
+        "00.txt: the file ends before line 3, which is this frame's",
+    ]
+    (folder / "times.txt").write_text("0.0\n0.1\n0.2\n0.3\n")
+    write_poses(tmp_path, [np.eye(4)] * 9)
+    frame = dataset(tmp_path)[0]
+    assert frame.time_s == 0.2
+    assert not any("ends" in warning for warning in frame.warnings)
+
+
+@pytest.mark.parametrize("line", ["", "²", "nan", "1e999", "0.1 0.2"])
+def test_a_line_that_is_no_time_is_refused_even_where_it_is_blank(tmp_path: Path, line: str) -> None:
+    folder = write_frame(tmp_path, "00", 1)
+    (folder / "times.txt").write_text(f"0.0\n{line}\n")
+    with pytest.raises(InputError, match=r"times\.txt: line 2 of the file of times does not hold 1 finite"):
+        dataset(tmp_path)[0]
+
+
+def test_files_whose_names_are_no_numbers_are_left_out(tmp_path: Path) -> None:
+    folder = write_frame(tmp_path, "00", 0)
+    write_image(folder / "image_2/³.png")
+    write_sweep(folder / "velodyne/³.bin")
+    found = dataset(tmp_path)
+    assert found.names == ("00/000000",)
+    assert found.skipped["00/³"].endswith("³.png: the name of the file is no number")

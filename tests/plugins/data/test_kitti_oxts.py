@@ -104,3 +104,10 @@ def test_roll_pitch_and_yaw_are_those_of_the_development_kit(tmp_path: Path) -> 
 def test_a_packet_without_place_has_no_fix(tmp_path: Path) -> None:
     assert not has_fix(packet(tmp_path, vn=3.0))
     assert has_fix(packet(tmp_path, lat=49.0))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("values", [{"lat": 90.0}, {"lat": -1e300}, {"yaw": 1e9}, {"ve": -1e6}, {"wu": 1e200}])
+def test_places_and_speeds_that_are_impossible_are_refused_by_name(tmp_path: Path, values: dict[str, float]) -> None:
+    with pytest.raises(InputError, match=r"0000000000\.txt: number \d+ of the oxts packet is what no unit measures"):
+        twist(tmp_path, np.eye(4), **values)

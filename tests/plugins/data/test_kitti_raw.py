@@ -20,6 +20,7 @@ from .kitti_files import (
     R_RECT,
     VELO_TO_CAM,
     WIDTH,
+    calib_cam_to_cam,
     numbers,
     stamps,
     sweep,
@@ -402,3 +403,85 @@ def test_the_method_is_built_from_its_options() -> None:
 def test_a_radial_error_that_no_camera_has_is_refused_at_once() -> None:
     with pytest.raises(ValidationError, match=r"at most 0\.2"):
         KittiRawOptions(radial_error=(0.5, 0.0))
+
+
+@pytest.mark.parametrize("stem", ["copy", "²", "00000000\uff11", "1e3", "-1", "0x1"])
+@pytest.mark.parametrize("kind", ["sync", "extract"])
+def test_files_whose_names_are_no_numbers_are_left_out_and_named(tmp_path: Path, stem: str, kind: str) -> None:
+    day = write_day(tmp_path)
+    folder = write_raw_frame(day, kind=kind)
+    for stream in ("image_02", "velodyne_points"):
+        (folder / stream / "timestamps.txt").write_text(stamps([1.0]))
+    write_image(folder / f"image_02/data/{stem}.png")
+    write_sweep(folder / f"velodyne_points/data/{stem}.bin")
+    write_image(folder / "image_02/data/._0000000000.png")
+    found = dataset(tmp_path)
+    assert found.names == (f"{DAY}/0001/0000000000",)
+    assert list(found.skipped) == [f"{DAY}/0001/{stem}"]
+    with pytest.raises(InputError, match=rf"{stem}\.png: the name of the file is no number"):
+        found.frame(f"{DAY}/0001/{stem}")
+
+
+def test_a_folder_of_such_files_alone_says_so(tmp_path: Path) -> None:
+    folder = write_raw_frame(write_day(tmp_path))
+    for path in (folder / "image_02/data").iterdir():
+        path.rename(path.with_name("a.png"))
+    (folder / "velodyne_points/data/0000000000.bin").rename(folder / "velodyne_points/data/a.bin")
+    with pytest.raises(InputError, match=r"no KITTI raw frames; .*a\.png: the name of the file is no number"):
+        dataset(tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["sync", "extract"])
+def test_blank_time_stamps_leave_frames_without_what_they_tell(tmp_path: Path, kind: str) -> None:
+    day = write_day(tmp_path)
+    for number in range(2):
+        folder = write_raw_frame(day, frame=number, kind=kind)
+        if kind == "extract":
+            write_image(folder / f"image_02/data/{number:010d}.png", size=(WIDTH + 6, HEIGHT + 4))
+        write_oxts(folder, number, ve=5.0)
+    later = stamps([1.0, 1.1]).splitlines()[1]
+    for stream in ("image_02", "velodyne_points", "oxts"):
+        (folder / stream / "timestamps.txt").write_text(f"\n{later}\n")
+    found = dataset(tmp_path, deskew=False)
+    assert found.names == tuple(f"{DAY}/0001/{n:010d}" for n in ((0, 1) if kind == "sync" else (1,)))
+    assert found[-1].time_s == 0.0
+    assert np.allclose(found[-1].twist[3:], [5, 0, 0], atol=1)
+    for stream in ("image_02", "velodyne_points", "oxts"):
+        (folder / stream / "timestamps.txt").write_text("\n \n")
+    if kind == "extract":
+        with pytest.raises(InputError, match="no KITTI raw frames"):
+            dataset(tmp_path)
+    else:
+        assert [frame.time_s for frame in dataset(tmp_path, deskew=False)] == [None, None]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "line", ["now", "NaT", "9999-01-01 00:00:00", "2011-09-26 13:02:25Z", "2011-02-30 10:00:00", "²011-09-26 10:00:00"]
+)
+def test_lines_that_are_no_times_are_refused_without_a_word_of_numpy(tmp_path: Path, line: str) -> None:
+    folder = write_raw_frame(write_day(tmp_path))
+    (folder / "image_02/timestamps.txt").write_text(f"{line}\n")
+    with pytest.raises(InputError, match=r"image_02/timestamps\.txt: a line is not a time; expected YYYY"):
+        dataset(tmp_path)[0]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("size", ["1e300 4", "64.5 32", "0 32", "-64 32", "nan 3", "64"])
+def test_a_size_that_is_none_is_refused_by_its_key(tmp_path: Path, size: str) -> None:
+    write_raw_frame(write_day(tmp_path))
+    lines = {**calib_cam_to_cam(), "S_rect_02": size}
+    write_lines(tmp_path / DAY / "calib_cam_to_cam.txt", lines)
+    with pytest.raises(InputError, match=r"calib_cam_to_cam\.txt: S_rect_02"):
+        dataset(tmp_path)[0]
+
+
+def test_a_folder_that_cannot_be_read_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_raw_frame(write_day(tmp_path))
+
+    def refuse(folder: Path) -> None:
+        raise PermissionError(13, "Permission denied", str(folder))
+
+    monkeypatch.setattr(Path, "iterdir", refuse)
+    with pytest.raises(InputError, match=r"image_02/data: the folder of .* cannot be read; got Permission denied"):
+        dataset(tmp_path)

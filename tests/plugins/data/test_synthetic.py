@@ -372,8 +372,25 @@ def test_it_is_a_lazy_dataset_with_names() -> None:
         {"width_px": 1},
         {"colour": "red"},
         {"place": "moon"},
+        {"seed": 10**40},
+        {"mount": (1e300, 0, 0, 0, 0, 0)},
+        {"mount": (0, 0, 0, 1e9, 0, 0)},
+        {"scenes": 10**9},
     ],
 )
 def test_options_out_of_bounds_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(ValidationError):
         SyntheticOptions(**wrong)
+
+
+@pytest.mark.parametrize(
+    "wanted",
+    [
+        {"scenes": 1000, "frames_per_scene": 1000},
+        {"width_px": 8192, "height_px": 8192},
+        {"frames_per_scene": 1000, "speed_m_s": 60, "period_s": 60},
+    ],
+)
+def test_what_would_fill_the_memory_is_refused_before_anything_is_made(wanted: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=r"too many frames|would take too much memory; expected at most 1500 MB"):
+        build(SyntheticOptions(**wanted))

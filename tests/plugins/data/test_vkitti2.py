@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -211,3 +212,29 @@ def test_depth_that_is_not_16_bit_is_refused(tmp_path: Path) -> None:
 def test_options_out_of_bounds_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(ValidationError):
         VirtualKitti2Options(**wrong)
+
+
+def test_pictures_whose_names_hold_no_number_are_left_out_and_named(tmp_path: Path) -> None:
+    base = official(tmp_path, frames=1)
+    pictures = base / "frames/rgb/Camera_0"
+    for name in ("rgb_²²²²².jpg", "rgb_7.jpg", "rgb_.png", "rgb_-0001.jpg"):
+        (pictures / name).write_bytes((pictures / "rgb_00000.jpg").read_bytes())
+    found = opened(tmp_path)
+    assert found.names == ("Scene01/clone/00000",)
+    assert len(found.skipped) == 4
+    with pytest.raises(InputError, match=r"rgb_7\.jpg: the name of the file holds no frame's number"):
+        found.frame("Scene01/clone/rgb_7.jpg")
+
+
+def test_a_scene_whose_name_is_not_utf_8_is_read(tmp_path: Path) -> None:
+    name = os.fsdecode(b"Scene\xff")
+    official(tmp_path, frames=1)
+    (tmp_path / "Scene01").rename(tmp_path / name)  # OpenCV cannot write below it
+    assert opened(tmp_path)[0].name == f"{name}/clone/00000"
+
+
+def test_a_right_camera_that_stands_to_the_left_is_refused(tmp_path: Path) -> None:
+    base = official(tmp_path, frames=1)
+    table(base / "extrinsic.txt", "frame ...", [[0, 0, *RIGHT.ravel()], [0, 1, *LEFT.ravel()]])
+    with pytest.raises(InputError, match=r"extrinsic\.txt: camera 1 does not stand to the right of camera 0"):
+        opened(tmp_path)[0]

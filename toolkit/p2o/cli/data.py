@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from p2o.cli.plugin_options import load, plugin_options
-from p2o.errors import InputError
+from p2o.errors import P2OError
 
 if TYPE_CHECKING:
     from p2o.frames.frame import Frame
@@ -43,17 +43,22 @@ def list_frames(
 def check_frames(
     data: str, frames: str | None, settings: tuple[str, ...], plugin: tuple[str, ...], block: tuple[str, ...]
 ) -> int:
-    """Read every frame and say what it holds, or what is wrong with it; exit status 1 where any is bad."""
+    """Read every frame and say what it holds, or what is wrong with it; exit status 2 where any is bad.
+
+    Frames that the dataset leaves out are named with the reason; they are not bad.
+    """
     dataset, indices = _opened(data, frames, settings, plugin, block)
     bad = 0
     for index in indices:
         try:
             click.echo(described(dataset[index]))
-        except InputError as problem:
+        except P2OError as problem:
             bad += 1
             click.echo(f"{dataset.names[index]}: BAD: {problem}")
+    for name, reason in dataset.skipped.items() if frames is None else ():
+        click.echo(f"{name}: left out: {reason}")
     click.echo(f"{len(indices) - bad} of {len(indices)} frames are good")
-    return 1 if bad else 0
+    return P2OError.exit_code if bad else 0
 
 
 def described(frame: Frame) -> str:

@@ -82,6 +82,16 @@ def naming(path: Path) -> Iterator[None]:
         ) from problem
 
 
+def listing(folder: Path, what: str) -> list[Path]:
+    """Return what lies in a folder, sorted; raises InputError if it cannot be read."""
+    try:
+        return sorted(folder.iterdir())
+    except OSError as problem:
+        raise InputError(
+            f"the folder of {what} cannot be read", where=folder, got=problem.strerror or problem
+        ) from problem
+
+
 def existing_folder(root: Path, what: str) -> Path:
     """Return the folder with ~ expanded; raises InputError if it is missing or a file."""
     root = expanded(root)

@@ -17,6 +17,10 @@ if TYPE_CHECKING:
 _PINHOLE = "PINHOLE"
 _MIN_DEPTH_M = 1e-6
 _MAX_ROUND_TRIP_PX = 0.01
+_MAX_SIDE_PX, _MAX_PIXELS = 30_000, 200_000_000
+"""No camera has more; pictures that claim it fill the memory."""
+_MIN_FOCAL_PX, _MAX_PARAMETER = 0.01, 1e7
+"""Beyond these no number is meant, and projections overflow."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +32,8 @@ class Camera:
     `height` the image size in pixels. Equal cameras compare and hash equal.
 
     Raises UnknownNameError for an unknown model and InputError for a wrong number of parameters, a size or focal
-    length that is not positive, values that are not finite, or a panorama, which has no image plane.
+    length that is not positive, values that are not finite or absurdly large (more than 30000 px a side or 200 million
+    in all), or a panorama, which has no image plane.
     """
 
     model: str
@@ -40,7 +45,7 @@ class Camera:
         try:
             object.__setattr__(self, "params", tuple(float(p) for p in self.params))
             size = (int(self.width), int(self.height))
-        except (TypeError, ValueError) as problem:
+        except (TypeError, ValueError, OverflowError) as problem:
             raise InputError("the camera is not described by numbers", expected="numbers", got=problem) from problem
         if size != (self.width, self.height) or min(size) <= 0:
             raise InputError(
@@ -48,10 +53,22 @@ class Camera:
                 expected="positive whole width and height",
                 got=f"{self.width}x{self.height}",
             )
+        if max(size) > _MAX_SIDE_PX or size[0] * size[1] > _MAX_PIXELS:
+            raise InputError(
+                "the camera has too many pixels",
+                expected=f"at most {_MAX_SIDE_PX} px a side and {_MAX_PIXELS // 1_000_000} million in all",
+                got=f"{self.width}x{self.height}",
+            )
         object.__setattr__(self, "width", size[0])
         object.__setattr__(self, "height", size[1])
         if not np.isfinite(self.params).all():
             raise InputError("camera parameters are not finite", expected="finite numbers", got=self.params)
+        if np.abs(self.params).max(initial=0) > _MAX_PARAMETER:
+            raise InputError(
+                "a camera parameter is too large",
+                expected=f"-{_MAX_PARAMETER:g} to {_MAX_PARAMETER:g}",
+                got=self.params,
+            )
         if self.model == _PINHOLE:
             count_ok, focal = len(self.params) == 4, self.params[:2]
         else:
@@ -77,6 +94,8 @@ class Camera:
             )
         if any(f <= 0 for f in focal):
             raise InputError("the focal length is not positive", expected="> 0 px", got=focal)
+        if any(f < _MIN_FOCAL_PX for f in focal):
+            raise InputError("the focal length is too short", expected=f">= {_MIN_FOCAL_PX:g} px", got=focal)
 
     @classmethod
     def pinhole(cls, fx: float, fy: float, cx: float, cy: float, width: int, height: int) -> Camera:

@@ -13,6 +13,9 @@ import numpy as np
 from p2o.arrays import Float, checked
 from p2o.errors import InputError
 
+_FARTHEST_M = 1e9
+"""Coordinates of maps and of the centre of the Earth are smaller, and products of such numbers stay finite."""
+
 
 def skew(vectors: Float) -> Float:
     """Return the matrices (..., 3, 3) that take b to the cross product a x b, for vectors a (..., 3)."""
@@ -103,7 +106,7 @@ def check_rigid(name: str, value: Any, *, where: object = None, tolerance: float
     """Return `value` as a read-only (4, 4) rigid transform, its rotation projected onto SO(3).
 
     Raises InputError if the shape is wrong, the last row is not 0 0 0 1, the rotation is not orthonormal within
-    `tolerance`, or its determinant is -1 (a mirror image).
+    `tolerance`, its determinant is -1 (a mirror image), or the translation reaches beyond all maps (1e9 m).
     """
     try:
         matrix = checked(name, value, (4, 4), np.float64)
@@ -116,7 +119,20 @@ def check_rigid(name: str, value: Any, *, where: object = None, tolerance: float
             expected="0 0 0 1",
             got=" ".join(f"{v:g}" for v in matrix[3]),
         )
+    farthest = float(np.abs(matrix[:3, 3]).max())
+    if farthest > _FARTHEST_M:
+        raise InputError(
+            f"the translation of {name} is too long",
+            where=where,
+            expected=f"at most {_FARTHEST_M:g} m along each axis",
+            got=f"{farthest:g}",
+        )
     rotation = matrix[:3, :3]
+    # Before anything is multiplied: the product of what some files hold is infinite.
+    if (largest := float(np.abs(rotation).max())) > 10:
+        raise InputError(
+            f"the rotation of {name} is not orthonormal", where=where, expected="numbers of -1 to 1", got=f"{largest:g}"
+        )
     if np.linalg.det(rotation) < 0:
         raise InputError(
             f"the rotation of {name} mirrors space",
