@@ -181,7 +181,7 @@ def _unrectified(
     (fx, _, cx), (_, fy, cy), _ = cameras.numbers(f"K_{number}", (3, 3)).tolist()
     k1, k2, p1, p2, k3 = cameras.numbers(f"D_{number}", (5,)).tolist()
     width, height = cameras.numbers(f"S_{number}", (2,)).astype(int).tolist()
-    rgb, warnings = read_rgb(path)
+    rgb, warnings = read_rgb(path, (width, height))
     with naming(path):
         camera = Camera("FULL_OPENCV", width, height, (fx, fy, cx, cy, k1, k2, p1, p2, k3, 0, 0, 0))
         image = Image(rgb, camera)
