@@ -50,6 +50,7 @@ UPWARD = {
 
 OPEN_MODULES = {
     "arrays",
+    "files.array_file",
     "files.input_file",
     "files.parsed_text",
     "files.whole_file",

@@ -24,6 +24,7 @@ from p2o import (
     field,
 )
 from p2o.arrays import Float
+from p2o.files.array_file import MAX_BYTES, read_npy
 from p2o.files.input_file import existing_folder, listing, naming, read_bytes, read_text
 from p2o.files.parsed_text import parse_yaml
 from p2o.host.validation import validated
@@ -89,6 +90,10 @@ class FrameEntry(Options):
     camera: Any = field(..., help="The camera that took the image: a model with parameters, or K and D.")
     image: str | None = field(None, help="File of the image; default: image.*, or the only picture of the folder.")
     cloud: str | None = field(None, help="File of the sweep; default: cloud.*, or the only point cloud of the folder.")
+    cloud_columns: tuple[str, ...] | None = field(
+        None,
+        help="Columns of a .bin or .txt sweep: x y z intensity ring time, _ for others; default: the values tell.",
+    )
     start: Any = field(None, help="First guess of camera_from_lidar: rows of numbers, or rotation and translation.")
     truth: Any = field(None, help="True camera_from_lidar where it is known.")
     right: str | None = field(None, help="File of the right picture of a rectified pair.")
@@ -214,7 +219,7 @@ def _read(root: Path, faults: Mapping[Path, InputError], folder: Path) -> Frame:
     image, warnings = _image(root, folder, entry, camera)
     warnings += tuple(warning for _, remarks in read.values() for warning in remarks)
     cloud_path = _file(root, folder, entry.cloud, "cloud", CLOUD_SUFFIXES)
-    cloud, cloud_warnings = read_cloud(cloud_path, entry.image_time_s)
+    cloud, cloud_warnings = read_cloud(cloud_path, entry.image_time_s, entry.cloud_columns)
     warnings += cloud_warnings
     twist = None if entry.twist is None else np.array(entry.twist)
     if twist is not None:
@@ -269,19 +274,20 @@ def _target(name: str, values: Mapping[str, Any], path: Path) -> Target:
 def _image(root: Path, folder: Path, entry: FrameEntry, camera: Camera) -> tuple[Image, tuple[str, ...]]:
     others = {name for name in (entry.right, entry.depth) if name is not None}
     path = _file(root, folder, entry.image, "image", _IMAGE_SUFFIXES, others)
-    rgb, warnings = read_rgb(path)
+    size = (camera.width, camera.height)
+    rgb, warnings = read_rgb(path, size)
     with naming(path):
         image = Image(rgb, camera)
     right = depth_m = None
     if entry.right is not None:
         right_path = _inside(root, folder, entry.right)
-        right, more = read_rgb(right_path)
+        right, more = read_rgb(right_path, size)
         warnings += more
         with naming(right_path):
             Image(rgb, camera, right=right, baseline_m=entry.baseline_m)
     if entry.depth is not None:
         depth_path = _inside(root, folder, entry.depth)
-        depth_m = _read_depth(depth_path)
+        depth_m = _read_depth(depth_path, size)
         with naming(depth_path):
             Image(rgb, camera, depth_m=depth_m)
     if right is None and depth_m is None:
@@ -289,17 +295,22 @@ def _image(root: Path, folder: Path, entry: FrameEntry, camera: Camera) -> tuple
     return Image(rgb, camera, right=right, baseline_m=entry.baseline_m, depth_m=depth_m), warnings
 
 
-def _read_depth(path: Path) -> Float:
+def _read_depth(path: Path, size: tuple[int, int]) -> Float:
     if path.suffix.lower() != ".npy":
-        return read_uint16(path, "depth")
-    import io
-
-    data = read_bytes(path, "depth")
-    try:
-        values: Any = np.load(io.BytesIO(data), allow_pickle=False)
-        depth = np.array(values, dtype=np.float64)
-    except (ValueError, TypeError, EOFError, OSError) as problem:
-        raise InputError("this is not an .npy file of numbers", where=path, expected="(H, W) float") from problem
+        return read_uint16(path, "depth", size)
+    values = read_npy(read_bytes(path, "depth", MAX_BYTES), path)
+    if values.dtype.kind not in "iuf":
+        raise InputError("this is not an .npy file of numbers", where=path, expected="(H, W) float", got=values.dtype)
+    if values.shape != size[::-1]:
+        raise InputError(
+            "the depth size does not fit the camera",
+            where=path,
+            expected=f"{size[0]}x{size[1]} px",
+            got=f"an array {values.shape}",
+        )
+    # Signalling NaN would warn, and numbers beyond double precision.
+    with np.errstate(invalid="ignore", over="ignore"):
+        depth = values.astype(np.float64)
     depth[depth == 0] = np.nan
     return depth
 

@@ -1,7 +1,10 @@
-"""Reading pictures that OpenCV knows; cut-off ones are refused, where OpenCV would silently fill what is missing."""
+"""Reading pictures: PNG, JPEG, BMP, TIFF and WebP; what is cut off, damaged or of another size is refused."""
 
 from __future__ import annotations
 
+import io
+import logging
+import warnings
 import zlib
 from pathlib import Path
 from typing import Any
@@ -11,36 +14,41 @@ from p2o import InputError
 from p2o.arrays import Float, UInt8
 from p2o.files.input_file import read_bytes
 
+MAX_PIXELS = 1 << 26
+"""No camera on a car has as many; what is decoded and what is made of it fit into the memory."""
+_MAX_BYTES = 256 << 20
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8\xff"
+# A progressive picture has about ten; each takes the time of a whole one.
+_MAX_SCANS = 200
+_GREY = ("1", "L", "LA")
+_COLOUR = ("P", "PA", "RGB", "RGBA", "RGBX", "YCbCr")
+_WORDS = ("I;16", "I;16B", "I;16L", "I;16N")
 
 
-def read_rgb(path: Path) -> tuple[UInt8, tuple[str, ...]]:
+def read_rgb(path: Path, size: tuple[int, int] | None = None) -> tuple[UInt8, tuple[str, ...]]:
     """Return a picture (H, W, 3) uint8 RGB and warnings (a grey picture is repeated on three channels).
 
-    Rotation tags (EXIF) are ignored: a camera is calibrated on stored pixels.
+    `size` is the (width, height) in px of the camera, where it is known. Rotation tags (EXIF) are ignored: a camera is
+    calibrated on stored pixels.
 
-    Raises InputError if the file is missing, a folder, empty, unreadable, damaged, truncated, not a picture or not
-    8 bit.
+    Raises InputError if the file is missing, a folder, empty, unreadable, damaged, truncated, not a picture, not 8 bit
+    or of another size; a size that is wrong or too large is told by the header, before anything is decoded.
     """
-    import cv2
-
-    pixels = _decode(path, "image")
+    pixels = _decode(path, "image", size)
     if pixels.dtype != np.uint8:
         raise InputError("the image is not 8 bit", where=path, expected="uint8", got=pixels.dtype)
     if pixels.ndim == 2:
         return np.repeat(pixels[:, :, None], 3, axis=2), (f"{path.name}: grey image, repeated on three channels",)
-    if pixels.shape[2] not in (3, 4):
-        raise InputError("the image is not RGB", where=path, expected="1, 3 or 4 channels", got=pixels.shape[2])
-    return cv2.cvtColor(pixels[:, :, :3], cv2.COLOR_BGR2RGB), ()
+    return pixels, ()
 
 
-def read_uint16(path: Path, what: str) -> Float:
+def read_uint16(path: Path, what: str, size: tuple[int, int] | None = None) -> Float:
     """Return a 16 bit one-channel PNG as values / 256, (H, W) float64 with NaN where the file says 0.
 
     This is KITTI's way to store disparity (px) and depth (m). Raises InputError as `read_rgb`.
     """
-    pixels = _decode(path, what)
+    pixels = _decode(path, what, size)
     if pixels.dtype != np.uint16 or pixels.ndim != 2:
         raise InputError(
             f"the {what} is not a 16 bit picture of one channel",
@@ -53,23 +61,114 @@ def read_uint16(path: Path, what: str) -> Float:
     return values
 
 
-def _decode(path: Path, what: str) -> Any:
-    """Return the stored pixels as OpenCV orders them; raises InputError for anything incomplete."""
-    import cv2
-
-    data = read_bytes(path, what)
+def _decode(path: Path, what: str, size: tuple[int, int] | None) -> Any:
+    """Return the stored pixels, (H, W) or (H, W, 3), uint8 or uint16; raises InputError for anything incomplete."""
+    data = read_bytes(path, what, _MAX_BYTES)
+    if data.startswith(_JPEG):
+        return _decode_jpeg(data, path, what, size)
     if data.startswith(_PNG):
         _check_png(data, path, what)
+    elif data.startswith(b"RIFF"):
+        # Its decoder takes memory for the whole canvas when it is opened.
+        _check_size(_webp_size(data), path, what, size)
+    return _decode_other(data, path, what, size)
+
+
+def _decode_jpeg(data: bytes, path: Path, what: str, size: tuple[int, int] | None) -> Any:
+    """Return the pixels of a JPEG; whatever its decoder complains about is damage.
+
+    Not OpenCV: it fills what is missing with grey, and tells nobody but stderr. A flipped bit that leaves as many
+    blocks as before is a fault that no decoder can see.
+    """
+    import simplejpeg
+
     # Scan data never holds FF DA or FF D9 unescaped, so an end marker must follow the last start of scan.
-    elif data.startswith(_JPEG) and data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda"):
+    if data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda"):
         raise InputError(f"the {what} is truncated", where=path, expected="a JPEG end marker", got=f"{len(data)} bytes")
+    if data.count(b"\xff\xda") > _MAX_SCANS:
+        raise InputError(f"the {what} is damaged", where=path, expected=f"at most {_MAX_SCANS} scans")
     try:
-        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error as problem:
-        raise InputError(f"the {what} cannot be decoded", where=path, got=problem.err or "an OpenCV error") from problem
-    if pixels is None:
-        raise InputError(f"the {what} is not a picture that OpenCV reads", where=path, expected="PNG or JPEG")
-    return pixels
+        height, width, colours, _ = simplejpeg.decode_jpeg_header(data, strict=False)
+        _check_size((width, height), path, what, size)
+        if colours not in ("Gray", "RGB", "YCbCr"):
+            raise InputError(f"the {what} is not RGB", where=path, expected="1 or 3 channels", got=colours)
+        pixels = simplejpeg.decode_jpeg(data, "GRAY" if colours == "Gray" else "RGB", strict=True)
+    except (ValueError, MemoryError, OverflowError) as problem:
+        raise InputError(
+            f"the {what} is damaged",
+            where=path,
+            expected="a JPEG that decodes without complaint",
+            got=str(problem)[:200],
+            hint="take it from its source again",
+        ) from problem
+    return pixels[:, :, 0] if colours == "Gray" else pixels
+
+
+def _decode_other(data: bytes, path: Path, what: str, size: tuple[int, int] | None) -> Any:
+    """Return the pixels of a PNG, BMP, TIFF or WebP picture."""
+    import PIL.Image
+
+    # What it has to say is said as an error, or of no use; without a handler Python prints it.
+    logging.getLogger("PIL").addHandler(logging.NullHandler())
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            picture = PIL.Image.open(io.BytesIO(data), formats=("PNG", "BMP", "TIFF", "WEBP"))
+            with picture:
+                _check_size(picture.size, path, what, size)
+                turned = picture.format == "TIFF" and picture.getexif().get(0x0112, 1) != 1
+                wide = picture.mode not in _WORDS and ";16" in str([tile[3] for tile in picture.tile])
+                mode = picture.mode
+                if not turned and not wide and mode in (*_GREY, *_COLOUR, *_WORDS):
+                    kept = mode if mode in _WORDS else "L" if mode in _GREY else "RGB"
+                    return np.array(picture if mode == kept else picture.convert(kept))
+    except InputError:
+        raise
+    except PIL.UnidentifiedImageError as problem:
+        raise InputError(
+            f"the {what} is not a picture that p2o reads", where=path, expected="PNG, JPEG, BMP, TIFF or WebP"
+        ) from problem
+    except PIL.Image.DecompressionBombError as problem:
+        raise _too_large(what, path, str(problem)[:100]) from problem
+    except Exception as problem:  # a decoder meets bytes that may say anything
+        raise InputError(
+            f"the {what} is damaged", where=path, expected="a picture that can be decoded", got=str(problem)[:200]
+        ) from problem
+    if turned:
+        raise InputError(
+            f"the {what} is stored turned", where=path, expected="orientation 1 (upright)", hint="store it upright"
+        )
+    if wide or mode in ("I", "F"):
+        raise InputError(f"the {what} is not 8 bit", where=path, expected="uint8", got="uint16" if wide else mode)
+    raise InputError(f"the {what} is not RGB", where=path, expected="1, 3 or 4 channels", got=mode)
+
+
+def _check_size(have: tuple[int, int], path: Path, what: str, size: tuple[int, int] | None) -> None:
+    """Raise InputError if the size (width, height) that a header says is another than the camera's, or too large."""
+    if have[0] * have[1] > MAX_PIXELS:
+        raise _too_large(what, path, f"{have[0]}x{have[1]} px")
+    if size is not None and have != size:
+        raise InputError(
+            f"the {what} size does not fit the camera",
+            where=path,
+            expected=f"{size[0]}x{size[1]} px",
+            got=f"{have[0]}x{have[1]} px",
+            hint="is this the calibration of another camera or of the unrectified images?",
+        )
+
+
+def _too_large(what: str, path: Path, got: str) -> InputError:
+    return InputError(f"the {what} is too large", where=path, expected=f"at most {MAX_PIXELS} pixels", got=got)
+
+
+def _webp_size(data: bytes) -> tuple[int, int]:
+    """Return the width and height of a WebP picture in px; zeros where the bytes are none."""
+    kind, body = data[12:16], data[20:30].ljust(10, b"\0")
+    if kind == b"VP8X":
+        return 1 + int.from_bytes(body[4:7], "little"), 1 + int.from_bytes(body[7:10], "little")
+    if kind == b"VP8L":
+        bits = int.from_bytes(body[1:5], "little")
+        return 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
+    return int.from_bytes(body[6:8], "little") & 0x3FFF, int.from_bytes(body[8:10], "little") & 0x3FFF
 
 
 def _check_png(data: bytes, path: Path, what: str) -> None:

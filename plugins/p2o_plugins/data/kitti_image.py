@@ -30,7 +30,8 @@ def read_rectified(
 
     Raises InputError, naming the file, for pictures that are missing, damaged, or do not fit the camera.
     """
-    rgb, warnings = read_rgb(path)
+    rgb, warnings = read_rgb(path, size)
+    size = size or (rgb.shape[1], rgb.shape[0])
     right = depth_m = baseline = None
     if right_projection is not None and (right_path is not None or disparity_path is not None):
         baseline = baseline_m(projection, right_projection)
@@ -42,13 +43,12 @@ def read_rectified(
                 got=f"{baseline:g} m",
             )
     if right_path is not None:
-        right, more = read_rgb(right_path)
+        right, more = read_rgb(right_path, size)
         warnings += more
     if disparity_path is not None and baseline is not None:
-        depth_m = projection[0, 0] * baseline / read_uint16(disparity_path, "disparity")
+        depth_m = projection[0, 0] * baseline / read_uint16(disparity_path, "disparity", size)
     with naming(path):
-        width, height = size or (rgb.shape[1], rgb.shape[0])
-        camera = rectified_camera(projection, width, height)
+        camera = rectified_camera(projection, *size)
         image = Image(rgb, camera)
     for beside, values in (
         (right_path, {"right": right, "baseline_m": baseline}),

@@ -184,7 +184,7 @@ def _unrectified(
     width, height = cameras.size(f"S_{number}")
     with naming(cameras.path):
         camera = Camera("FULL_OPENCV", width, height, (fx, fy, cx, cy, k1, k2, p1, p2, k3, 0, 0, 0))
-    rgb, warnings = read_rgb(path)
+    rgb, warnings = read_rgb(path, (width, height))
     with naming(path):
         image = Image(rgb, camera)
     return image, warnings, cameras.rigid(f"R_{number}", f"T_{number}") @ cam0_from_lidar

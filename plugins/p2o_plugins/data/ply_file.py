@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from p2o import InputError
 
+from p2o_plugins.data.number_text import as_stored, read_table
+
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
     **dict.fromkeys(("uchar", "uint8"), "u1"),
@@ -19,6 +21,9 @@ _TYPES = {
     **dict.fromkeys(("float", "float32"), "f4"),
     **dict.fromkeys(("double", "float64"), "f8"),
 }
+# No file is large enough for more.
+_MOST = 1 << 32
+_MAX_HEADER = 1 << 16
 _ORDER = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
@@ -27,7 +32,7 @@ def read_ply(data: bytes, path: Path) -> Mapping[str, Any]:
 
     Raises InputError if the header is wrong, vertices do not come first, or the body is too short or not numbers.
     """
-    end = data.find(b"end_header")
+    end = data.find(b"end_header", 0, _MAX_HEADER)
     body_start = data.find(b"\n", end) + 1
     if not data.startswith(b"ply") or end < 0 or body_start == 0:
         raise InputError("this is not a .ply file", where=path, expected="a header from ply to end_header")
@@ -41,23 +46,17 @@ def read_ply(data: bytes, path: Path) -> Mapping[str, Any]:
             )
         table = np.frombuffer(body, record, points)
         return {name: table[f"{i} {name}"] for i, (name, _) in enumerate(properties)}
-    lines = body.split(b"\n", points)[:points]
-    try:
-        values = np.array(b" ".join(lines).split(), dtype=np.float64)
-    except ValueError as problem:
-        raise InputError("the points of the .ply file are not numbers", where=path, got=problem) from problem
-    if values.size != points * len(properties):
+    # A number and the blank after it take two bytes.
+    short = 2 * points * len(properties) > len(body) + 1
+    values = np.zeros((0, len(properties))) if short else read_table(body, len(properties), path, points)
+    if len(values) != points:
         raise InputError(
-            "the .ply file is truncated or has other columns than its header says",
+            "the .ply file is truncated",
             where=path,
-            expected=f"{points * len(properties)} numbers",
-            got=values.size,
+            expected=f"{points} lines of {len(properties)} numbers",
+            got=f"{len(body)} bytes" if short else len(values),
         )
-    columns = values.reshape(points, len(properties)).T
-    return {
-        name: column.astype(np.int64) if code[0] in "iu" and np.isfinite(column).all() else column
-        for (name, code), column in zip(properties, columns, strict=True)
-    }
+    return {name: as_stored(column, code[0]) for (name, code), column in zip(properties, values.T, strict=True)}
 
 
 def _header(text: str, path: Path) -> tuple[str, int, list[tuple[str, str]]]:
@@ -69,9 +68,9 @@ def _header(text: str, path: Path) -> tuple[str, int, list[tuple[str, str]]]:
         first, last = elements[0], [*elements, len(lines)][1]
         if encoding not in _ORDER or lines[first][1] != "vertex":
             raise ValueError
-        points = int(lines[first][2])
+        points = int(lines[first][2][:20])
         properties = [(words[-1].lower(), _TYPES[words[1]]) for words in lines[first + 1 : last]]
-        if points < 0 or not properties:
+        if not 0 <= points <= _MOST or not properties:
             raise ValueError
     except (StopIteration, IndexError, ValueError, KeyError) as problem:
         raise InputError(

@@ -9,6 +9,7 @@ import numpy as np
 from p2o import Cloud
 from p2o.arrays import Float, Int
 
+from p2o_plugins.data.bin_file import KITTI_COLUMNS
 from p2o_plugins.data.cloud_file import read_cloud
 
 SWEEP_S = 0.1
@@ -33,7 +34,7 @@ def read_sweep(path: Path, *, sweep_s: float | None, elevation_fix_deg: float = 
 
     Raises InputError as `read_cloud`.
     """
-    cloud, warnings = read_cloud(path)
+    cloud, warnings = read_cloud(path, columns=KITTI_COLUMNS)
     azimuth = np.arctan2(cloud.xyz[:, 1], cloud.xyz[:, 0])
     xyz = raise_elevation(cloud.xyz, elevation_fix_deg) if elevation_fix_deg else cloud.xyz
     time_s = None if sweep_s is None else times_from_azimuth(azimuth, sweep_s)

@@ -148,16 +148,17 @@ def _image(options: VirtualKitti2Options, entry: _Entry) -> tuple[Image, tuple[s
         raise InputError("the picture or its depth has gone", where=entry.folder)
     rgb, warnings = read_rgb(path)
     fx, fy, cx, cy = _row(entry.folder / "intrinsic.txt", 4, entry.number, number)
-    raw = 256 * read_uint16(depth_path, "depth")
+    size = (rgb.shape[1], rgb.shape[0])
+    raw = 256 * read_uint16(depth_path, "depth", size)
     right_path = entry.file("rgb", 1) if number == 0 else None
     right = baseline_m = masked = None
     if right_path is not None:
-        right, more = read_rgb(right_path)
+        right, more = read_rgb(right_path, size)
         warnings += more
         baseline_m = _baseline_m(entry)
     class_path = entry.file("classgt", number) if options.mask_foliage else None
     if class_path is not None:
-        masked = _foliage(class_path)
+        masked = _foliage(class_path, size)
     elif options.mask_foliage:
         warnings += ("foliage is not masked: no class segmentation",)
     with naming(entry.folder / "intrinsic.txt"):
@@ -167,8 +168,8 @@ def _image(options: VirtualKitti2Options, entry: _Entry) -> tuple[Image, tuple[s
     return image, warnings
 
 
-def _foliage(path: Path) -> Bool:
-    classes, _ = read_rgb(path)
+def _foliage(path: Path, size: tuple[int, int]) -> Bool:
+    classes, _ = read_rgb(path, size)
     out: Bool = np.any([(classes == colour).all(axis=2) for colour in _FOLIAGE], axis=0)
     return out
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import io
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from p2o import Frame, InputError, occlusion
 from p2o.arrays import Int8, UInt8
+from p2o.files.array_file import MAX_BYTES, read_npz
+from p2o.files.input_file import read_bytes
 from p2o.files.whole_file import write_whole
 
 from p2o_plugins.p2ornet.spans import Spans, classes_of, depth_spans, lidar_spans
@@ -50,10 +50,8 @@ class Example:
     def load(cls, path: Path) -> Example:
         """Return an example that `save` wrote; raises InputError if the file is something else."""
         try:
-            with zipfile.ZipFile(path):  # np.load takes other files too
-                pass
-            with np.load(path, allow_pickle=False) as file:
-                name, rgb, classes, rows = str(file["name"]), file["rgb"], file["classes"], file["spans"]
+            file = read_npz(read_bytes(path, "file of labels", MAX_BYTES), path)
+            name, rgb, classes, rows = str(file["name"]), file["rgb"], file["classes"], file["spans"]
             if rgb.dtype != np.uint8 or rgb.ndim != 3 or rgb.shape[2] != 3:
                 raise ValueError(f"rgb {rgb.dtype} {rgb.shape}")
             if classes.dtype != np.int8 or (classes.size and classes.shape != (2, *rgb.shape[:2])):
@@ -61,9 +59,10 @@ class Example:
             if rows.dtype != Spans.joined().rows.dtype or rows.ndim != 1:
                 raise ValueError(f"spans {rows.dtype} {rows.shape}")
             return cls(name, rgb, classes if classes.size else None, Spans(rows))
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as problem:
+        except (ValueError, KeyError, InputError) as problem:
+            got = problem.what if isinstance(problem, InputError) else problem
             raise InputError(
-                "a file of labels cannot be read", where=path, expected="what p2o labels wrote", got=problem
+                "a file of labels cannot be read", where=path, expected="what p2o labels wrote", got=got
             ) from problem
 
 

@@ -9,7 +9,9 @@ from p2o_plugins.data.cloud_file import cloud_from_fields, read_cloud
 
 
 def points(count: int = 50) -> np.ndarray:
-    return np.random.default_rng(1).uniform(-20, 20, (count, 4)).astype("<f4")
+    out = np.random.default_rng(1).uniform(-20, 20, (count, 4)).astype("<f4")
+    out[:, 3] = np.abs(out[:, 3])
+    return out
 
 
 def test_a_bin_file_gives_points_and_intensity_in_its_order(tmp_path: Path) -> None:
@@ -65,7 +67,7 @@ def test_text_gives_the_same_points_as_bin_and_refuses_words_and_cuts(tmp_path: 
     assert np.array_equal(cloud.xyz.astype("<f4"), written[:, :3])
     assert np.array_equal(cloud.intensity.astype("<f4"), written[:, 3])
     (tmp_path / "a.txt").write_text("1 2 3 0.5\n4 5 6")
-    with pytest.raises(InputError, match=r"a\.txt: the point cloud is truncated; .*got 7 numbers"):
+    with pytest.raises(InputError, match=r"a\.txt: the point cloud is truncated .*got a line of 3"):
         read_cloud(tmp_path / "a.txt")
     (tmp_path / "a.txt").write_text("see the other folder")
     with pytest.raises(InputError, match=r"a\.txt: the points are not numbers"):
@@ -73,7 +75,7 @@ def test_text_gives_the_same_points_as_bin_and_refuses_words_and_cuts(tmp_path: 
 
 
 def test_an_unknown_suffix_lists_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"a\.las: unknown kind .* \.bin \.pcd \.ply \.npz \.txt"):
+    with pytest.raises(InputError, match=r"a\.las: unknown kind .* \.bin \.txt \.pcd \.ply \.npz"):
         read_cloud(tmp_path / "a.las")
 
 
@@ -168,7 +170,7 @@ def test_a_ring_that_is_no_ring_is_left_out_with_a_warning() -> None:
     axes = dict(zip("xyz", points()[:, :3].T, strict=True))
     cloud, warnings = cloud_from_fields({**axes, "ring": np.full(50, 1e300)}, Path("a.pcd"))
     assert cloud.ring is None
-    assert warnings == ("a.pcd: field ring ignored: numbers up to 1e+300 are no rings",)
+    assert warnings == ("a.pcd: field ring ignored: numbers from 1e+300 to 1e+300 are no rings",)
 
 
 def test_a_field_of_another_length_is_refused_by_name(tmp_path: Path) -> None:

@@ -96,7 +96,7 @@ def test_every_encoding_gives_the_same_points(tmp_path: Path, encoding: str) -> 
 def test_a_cut_body_is_refused_by_name(tmp_path: Path, encoding: str, part: float) -> None:
     body = BODIES[encoding](table())
     (tmp_path / "a.pcd").write_bytes(header(encoding) + body[: int(part * len(body))])
-    with pytest.raises(InputError, match=r"a\.pcd: the (\.pcd file is truncated|packed)"):
+    with pytest.raises(InputError, match=r"a\.pcd: the (\.pcd file is truncated|point cloud is truncated|packed)"):
         read_cloud(tmp_path / "a.pcd")
 
 
@@ -114,12 +114,12 @@ def test_a_cut_or_wrong_header_is_refused_by_name() -> None:
 
 
 def test_words_among_the_numbers_are_refused() -> None:
-    with pytest.raises(InputError, match=r"a\.pcd: the points of the \.pcd file are not numbers"):
+    with pytest.raises(InputError, match=r"a\.pcd: the points are not numbers"):
         read_pcd(header("ascii") + ascii_body(table()).replace(b"0.5", b"abc", 1), Path("a.pcd"))
 
 
 def test_a_header_that_promises_too_much_is_refused_before_memory_is_taken() -> None:
-    data = header("binary_compressed", count=10**12) + struct.pack("<II", 4, 0) + b"abcd"
+    data = header("binary_compressed", count=10**9) + struct.pack("<II", 4, 0) + b"abcd"
     with pytest.raises(InputError, match=r"a\.pcd: the packed size"):
         read_pcd(data, Path("a.pcd"))
 

@@ -55,7 +55,7 @@ def test_every_encoding_gives_the_same_points_and_faces_are_left_out(tmp_path: P
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_a_cut_body_is_refused_by_name(encoding: str) -> None:
     data = body(encoding)
-    with pytest.raises(InputError, match=r"a\.ply: the \.ply file is truncated"):
+    with pytest.raises(InputError, match=r"a\.ply: the (\.ply file|point cloud) is truncated"):
         read_ply(header(encoding) + data[: len(data) // 2], Path("a.ply"))
 
 
@@ -69,5 +69,5 @@ def test_a_wrong_header_is_refused_by_name(old: bytes, new: bytes) -> None:
 
 
 def test_words_among_the_numbers_are_refused() -> None:
-    with pytest.raises(InputError, match=r"a\.ply: the points of the \.ply file are not numbers"):
+    with pytest.raises(InputError, match=r"a\.ply: the points are not numbers"):
         read_ply(header("ascii") + b"a b c d e\n" * 20, Path("a.ply"))

@@ -11,6 +11,8 @@ from p2o.arrays import Bool, Float, UInt8, checked
 from p2o.errors import InputError
 from p2o.geometry.camera import Camera
 
+_BAND = 256
+
 
 @dataclass(frozen=True, eq=False)
 class Image:
@@ -73,5 +75,9 @@ class Image:
     @cached_property
     def grey(self) -> UInt8:
         """Luma (H, W) uint8 (ITU-R BT.601 weights)."""
-        grey: UInt8 = (self.rgb @ np.array([0.299, 0.587, 0.114]) + 0.5).astype(np.uint8)
+        grey = np.empty(self.rgb.shape[:2], np.uint8)
+        # Row bands: the whole picture in double precision is 24 times its size.
+        for start in range(0, len(grey), _BAND):
+            band = self.rgb[start : start + _BAND] @ np.array([0.299, 0.587, 0.114])
+            grey[start : start + _BAND] = (band + 0.5).astype(np.uint8)
         return grey
