@@ -22,9 +22,13 @@ def distinct_names(frames: Sequence[str]) -> dict[str, str]:
     """
     slugs = {frame: folder_name(frame) for frame in frames}
     count = Counter(slug.lower() for slug in slugs.values())
-    return {
-        frame: slug
-        if count[slug.lower()] == 1 and len(slug) <= _LONGEST
-        else f"{slug[:_LONGEST]}-{hashlib.sha256(frame.encode()).hexdigest()[:10]}"
-        for frame, slug in slugs.items()
-    }
+    found = {f: slug for f, slug in slugs.items() if count[slug.lower()] == 1 and len(slug) <= _LONGEST}
+    taken = {name.lower() for name in found.values()}
+    for frame, slug in slugs.items():
+        if frame not in found:
+            digest = hashlib.sha256(frame.encode("utf-8", "surrogatepass")).hexdigest()
+            # A frame may be called just like another one with its hash.
+            names = (f"{slug[:_LONGEST]}-{digest[:length]}" for length in range(10, len(digest) + 1))
+            found[frame] = next(name for name in names if name.lower() not in taken)
+            taken.add(found[frame].lower())
+    return {frame: found[frame] for frame in slugs}
