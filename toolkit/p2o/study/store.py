@@ -223,14 +223,13 @@ class Store:
             if not create and not path.exists():
                 raise InputError("there is no study", where=path, expected="a folder that `p2o ablate --out` wrote")
             path.parent.mkdir(parents=True, exist_ok=True)
-            connection = sqlite3.connect(path, timeout=_WAIT_S, isolation_level=None, check_same_thread=False)
+            looked_at = path.exists() and cls._looked_at(path)
+            connection = _connected(path)
         try:
             with _telling(path):
-                # Functions that a foreign file names in its schema are not run.
-                connection.execute("PRAGMA trusted_schema=OFF")
                 store = cls(path, connection)
-                # Before anything is written: what is not ours stays as it is.
-                store._check()
+                if not looked_at:
+                    store._check()
                 _patiently(lambda: connection.execute("PRAGMA journal_mode=WAL"))
                 # With a write-ahead log this loses no finished row when the process is killed.
                 connection.execute("PRAGMA synchronous=NORMAL")
@@ -239,6 +238,22 @@ class Store:
             connection.close()
             raise
         return store
+
+    @classmethod
+    def _looked_at(cls, path: Path) -> bool:
+        """Return whether a file is found to be a store without touching it; raises InputError where it is none.
+
+        False where only whoever may write can tell, as behind a crash. Closing a file that was opened for writing
+        writes, where a log lies beside it: what is not ours has to stay as it is.
+        """
+        with contextlib.closing(_connected(f"{path.absolute().as_uri()}?mode=ro")) as connection:
+            try:
+                cls(path, connection)._check()
+            except InputError as problem:
+                if _kind_of(problem.__cause__) in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN):
+                    return False
+                raise
+        return True
 
     def __enter__(self) -> Store:
         return self
@@ -259,7 +274,7 @@ class Store:
         """
         marks = ", ".join("?" * (len(_LABELS) + 1))
         columns = ", ".join(("position", *_LABELS))
-        values = [(i, *(getattr(p, c) for c in _LABELS)) for i, p in enumerate(planned)]
+        values = [(i, *(to_column(c, getattr(p, c)) for c in _LABELS)) for i, p in enumerate(planned)]
         with self._transaction():
             self._connection.execute(
                 "INSERT OR REPLACE INTO studies VALUES (?, ?, ?, ?)",
@@ -273,12 +288,10 @@ class Store:
 
         Raises InputError where the file cannot be written; the rows that are there stay.
         """
-        values = [row.key, *(to_column(c, getattr(row, c)) for c in _VALUES)]
+        values = [to_column(c, getattr(row, c)) for c in _RUNS]
         marks = ", ".join("?" * len(values))
         with self._transaction():
-            self._connection.execute(
-                f"INSERT OR REPLACE INTO runs (key, {', '.join(_VALUES)}) VALUES ({marks})", values
-            )
+            self._connection.execute(f"INSERT OR REPLACE INTO runs ({', '.join(_RUNS)}) VALUES ({marks})", values)
 
     def finished(self, keys: Iterable[str]) -> set[str]:
         """Return which of the keys need not be computed again: their run is there and did not raise."""
@@ -420,6 +433,20 @@ class Store:
         return int(self._all("PRAGMA user_version", ())[0][0])
 
 
+def _connected(path: Path | str) -> sqlite3.Connection:
+    """Return a connection to a file, or to a URI where `path` is a text."""
+    is_uri = isinstance(path, str)
+    connection = sqlite3.connect(path, timeout=_WAIT_S, isolation_level=None, check_same_thread=False, uri=is_uri)
+    # Functions that a foreign file names in its schema are not run.
+    connection.execute("PRAGMA trusted_schema=OFF")
+    return connection
+
+
+def _kind_of(problem: BaseException | None) -> int:
+    """Return the kind of an error of SQLite: the low byte of its code, above which are the details."""
+    return int(getattr(problem, "sqlite_errorcode", sqlite3.SQLITE_ERROR)) & 0xFF
+
+
 @contextlib.contextmanager
 def _telling(path: Path) -> Iterator[None]:
     """Turn what SQLite and the system say into an error that names the file and the way out."""
@@ -430,15 +457,14 @@ def _telling(path: Path) -> Iterator[None]:
     except (sqlite3.ProgrammingError, sqlite3.InterfaceError):
         raise  # a mistake of ours, not of the file
     except sqlite3.Error as problem:
-        # The low byte is the kind of error, what is above it the details.
-        kind = getattr(problem, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF
+        kind = _kind_of(problem)
         if kind in _OUTER_ERRORS:
             raise _unkept(path, problem) from problem
         if kind == sqlite3.SQLITE_CORRUPT:
             raise _damaged(path, problem) from problem
         raise InputError("this is not a store of studies", where=path, got=problem, hint=_AWAY) from problem
-    except MemoryError as problem:
-        raise _damaged(path, "it asks for more memory than there is") from problem
+    except (MemoryError, UnicodeDecodeError) as problem:
+        raise _damaged(path, problem or "it asks for more memory than there is") from problem
 
 
 def _is_plain(sql: str) -> bool:
