@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from p2o.errors import InputError
+from p2o.errors import InputError, printable
 from p2o.files.input_file import read_text
 from p2o.files.parsed_text import parse_json
 from p2o.files.whole_file import write_whole
@@ -89,7 +89,8 @@ class Ruling:
 
     def __str__(self) -> str:
         head = "gate: open" if self.open else f"gate: closed, {len(self.failures)} reasons"
-        return "\n".join([head, *(f"  FAIL  {line}" for line in self.failures), *(f"  {line}" for line in self.moved)])
+        lines = [head, *(f"  FAIL  {line}" for line in self.failures), *(f"  {line}" for line in self.moved)]
+        return "\n".join(map(printable, lines))
 
 
 def make_reference(study: Study, rows: Sequence[StoredRow], old: Reference | None = None) -> Reference:
