@@ -232,6 +232,13 @@ def test_every_job_gives_one_answer_though_workers_die(bench: Bench) -> None:
     ]
 
 
+def test_more_calibrations_than_anyone_can_wait_for_are_refused_before_a_frame_is_read(bench: Bench) -> None:
+    text = QUICK.replace("frames = 3", "frames = 20").replace("seeds = 2", "seeds = 10000")
+    with pytest.raises(InputError, match=r"too many calibrations; expected at most 100000; got 200000.*--frames"):
+        bench.run(text)
+    assert bench.calls() == {}
+
+
 @pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason='needs pip install "p2o-calib[dask]"')
 def test_a_dask_cluster_gives_the_same_bits_though_a_worker_is_killed(bench: Bench) -> None:
     text = (
@@ -420,7 +427,8 @@ def test_the_command_lists_studies_and_refuses_what_it_cannot_do(capsys: pytest.
 def test_seeds_are_a_number_or_a_list() -> None:
     assert chosen_seeds("10") == 10
     assert chosen_seeds("3, 5") == (3, 5)
-    for text in ("0", "", "-1", "1,", "a"):
+    assert chosen_seeds("0,4294967295") == (0, 4294967295)
+    for text in ("0", "", "-1", "1,", "a", "10001", "9" * 5000, "4294967296,1", "1," * 10_000 + "1", "٣", "1.0", "1 2"):
         with pytest.raises(InputError, match="--seeds"):
             chosen_seeds(text)
 

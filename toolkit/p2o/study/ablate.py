@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
+import re
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -26,13 +28,15 @@ from p2o.run.run import common_pose, start_of
 from p2o.run.words import split_data
 from p2o.study import worker
 from p2o.study.store import Planned, Store, StoredRow, StoredStudy
-from p2o.study.study import ALL_JOINT, StudyFile, StudyRow, check_study, retold
+from p2o.study.study import ALL_JOINT, LARGEST_SEED, MOST_SEEDS, StudyFile, StudyRow, check_study, retold
 from p2o.study.worker import Calibration, Extraction, Facts, Plugins, Reading, Source
 from p2o.work.cache import FeatureCache, content_hash, named_files
 from p2o.work.parallel import Run, Workers
 from p2o.work.sources import code_hash
 
 Phase = Literal["read", "extract", "calibrate"]
+_MOST_CALIBRATIONS = 100_000
+"""Planning so many takes minutes and some 100 MB; a row in the store is some 5 kB."""
 _CORE = ("p2o.calibration.pipeline", "p2o.run.run", "p2o.geometry.pose_error", "p2o.geometry.perturb")
 """Modules that every row goes through, besides those of its methods."""
 
@@ -194,6 +198,7 @@ def _opened(rows: Sequence[StudyRow], plugins: Plugins) -> list[_Opened]:
     registry = plugins.registry()
     datasets: dict[tuple[str, str], GuardedDataset] = {}
     out = []
+    count = 0
     for row in rows:
         data, options = row.dataset.data, _data_options(row, registry)
         where = f"{row.where}, dataset '{row.dataset.name}'"
@@ -208,6 +213,15 @@ def _opened(rows: Sequence[StudyRow], plugins: Plugins) -> list[_Opened]:
         sources = tuple(Source(plugins, data, options, index, dataset.names[index], joins) for index in indices)
         # Looked up in the metadata of packages, which takes its time; no seed changes them.
         versions = row.resolve(registry, row.seeds[0]).versions()
+        count += len(row.seeds) * math.ceil(len(sources) / _group_size(row, len(sources)))
+        if count > _MOST_CALIBRATIONS:
+            raise InputError(
+                "the study asks for too many calibrations",
+                where=where,
+                expected=f"at most {_MOST_CALIBRATIONS}",
+                got=f"{count} up to this row",
+                hint="choose fewer frames or seeds: --frames, --seeds",
+            )
         methods = {seed: _Method.of(row, seed, options, versions, registry) for seed in row.seeds}
         out.append(_Opened(row, sources, methods))
     return out
@@ -316,11 +330,16 @@ def _cells(opened: Sequence[_Opened], facts: Mapping[Source, Facts]) -> Iterator
     """Return every calibration of the study: by row, then frames, then seed."""
     for entry in opened:
         row, sources = entry.row, entry.sources
-        size = {0: 1, ALL_JOINT: len(sources)}.get(row.joint, row.joint)
+        size = _group_size(row, len(sources))
         for first in range(0, len(sources), size):
             group = tuple(facts[source] for source in sources[first : first + size])
             for seed in entry.methods:
                 yield _cell(entry, seed, len(group) if row.joint else 0, group)
+
+
+def _group_size(row: StudyRow, frames: int) -> int:
+    """Return how many of a row's frames are solved together."""
+    return {0: 1, ALL_JOINT: frames}.get(row.joint, row.joint)
 
 
 def _cell(entry: _Opened, seed: int, joint: int, group: tuple[Facts, ...]) -> _Cell:
@@ -503,6 +522,13 @@ def chosen_seeds(text: str) -> int | tuple[int, ...]:
     Raises InputError for anything else.
     """
     words = [word.strip() for word in text.split(",")]
-    if not all(word.isdecimal() for word in words) or (len(words) == 1 and int(words[0]) < 1):
+    # Ten digits hold every seed, and Python takes thousands of them ill.
+    if not all(re.fullmatch("[0-9]{1,10}", word) for word in words):
         raise InputError("cannot read the seeds", where="--seeds", expected="a number such as 10, or 3,5,8", got=text)
-    return int(words[0]) if len(words) == 1 else tuple(int(word) for word in words)
+    numbers = tuple(map(int, words))
+    if len(numbers) == 1 and not 1 <= numbers[0] <= MOST_SEEDS:
+        raise InputError("wrong number of seeds", where="--seeds", expected=f"1 to {MOST_SEEDS}", got=text)
+    if len(numbers) > MOST_SEEDS or max(numbers) > LARGEST_SEED:
+        expected = f"at most {MOST_SEEDS} of 0 to {LARGEST_SEED}"
+        raise InputError("too many seeds, or too large ones", where="--seeds", expected=expected)
+    return numbers[0] if len(numbers) == 1 else numbers
