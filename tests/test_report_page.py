@@ -19,7 +19,7 @@ pytest.importorskip("selenium", reason="selenium is not installed")
 
 from p2o.cli import main
 from p2o.report import write_report
-from p2o.study.store import METRICS
+from p2o.study.columns import METRICS
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By

@@ -3,7 +3,20 @@
 from __future__ import annotations
 
 import difflib
+import unicodedata
 from collections.abc import Iterable
+
+
+def printable(text: str) -> str:
+    r"""Return a text whose control characters, line breaks and halves of surrogates are written out, such as \x1b.
+
+    Names come from files: shown as they are, they would move the cursor, recolour a terminal or turn words around.
+    """
+    if text.isprintable():
+        return text
+    return "".join(
+        c if c.isprintable() or unicodedata.category(c) == "Zs" else c.encode("unicode_escape").decode() for c in text
+    )
 
 
 class P2OError(Exception):

@@ -10,101 +10,26 @@ import random
 import re
 import signal
 import sqlite3
-import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import numpy as np
 import p2o
 import pytest
-import threadpoolctl
 from p2o import InputError, MethodUnavailable, P2OError
 from p2o.cli import main
 from p2o.study import worker
-from p2o.study.ablate import Ablation, ablate, chosen_seeds
-from p2o.study.store import Store, StoredRow
-from p2o.study.study import Published, RowTable, Study, StudyFile, check_study, parse_study
+from p2o.study.ablate import chosen_seeds
+from p2o.study.store import Store
+from p2o.study.study import Published, RowTable, Study, check_study, parse_study
 from p2o.study.worker import Plugins
-from p2o.work.cache import FeatureCache
 from p2o.work.parallel import Workers
 
-PLUGIN = Path(__file__).parents[2] / "study_plugin.py"
-HEAD = """name = "tiny"
-title = "Tiny"
-perturb = "1deg 0.05m"
-seeds = 2
-[[dataset]]
-name = "tiny"
-data = "tiny:"
-options = { frames = 3 }
-[defaults]
-extractor = "tiny/tiny"
-init = "given"
-"""
-STAGED = HEAD + '[[product]]\nmatcher = ["ogm", "nearest"]\nsolver = ["lm", "scipy"]\n'
-QUICK = HEAD + '[[row]]\nlabel = "quick"\ncalibrator = "quick"\nwitness = "none"\n'
-
-
-class Bench:
-    """A folder with a store, a cache and a count of calls."""
-
-    def __init__(self, root: Path) -> None:
-        self.root, self.calls_file = root, root / "calls"
-        self.plugins = Plugins(files=(str(PLUGIN),))
-
-    def run(self, text: str, out: str = "out", jobs: int = 1, **words: object) -> Ablation:
-        cache = FeatureCache(self.root / "cache")
-        file = StudyFile(parse_study(text), text, "test")
-        return ablate(file, self.root / out, plugins=self.plugins, workers=Workers(jobs), cache=cache, **words)
-
-    def calls(self) -> Counter[str]:
-        """Return how often each was called since the last time: image, cloud, quick, frame."""
-        lines = self.calls_file.read_text().splitlines() if self.calls_file.exists() else []
-        self.calls_file.unlink(missing_ok=True)
-        return Counter(line.split()[0] for line in lines)
-
-    def cli(self, text: str, *words: str, out: str = "out") -> subprocess.CompletedProcess[str]:
-        file = self.root / "study.toml"
-        file.write_text(text)
-        command = [
-            sys.executable,
-            "-m",
-            "p2o",
-            "ablate",
-            str(file),
-            "--plugin",
-            str(PLUGIN),
-            "--out",
-            str(self.root / out),
-        ]
-        environ = {**os.environ, "P2O_CACHE": str(self.root)}
-        return subprocess.run([*command, *words], capture_output=True, text=True, check=False, env=environ)
-
-
-@pytest.fixture
-def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
-    monkeypatch.setenv("TINY_CALLS", str(tmp_path / "calls"))
-    monkeypatch.delenv("P2O_PLUGINS", raising=False)
-    # What another test has left in this process would hide calls.
-    worker._memory.clear()
-    worker._stages.clear()
-    worker._frames.clear()
-    # Two threads in this process, whatever OMP_NUM_THREADS says: whoever computes rows has to go back to one.
-    with threadpoolctl.threadpool_limits(2):
-        yield Bench(tmp_path)
-
-
-def bits(rows: Sequence[StoredRow]) -> list[tuple[object, ...]]:
-    """Return all that a row says, except for the time it took."""
-    return [
-        (r.key, r.row, r.seed, r.frames, r.status, r.reason, r.rounds, r.matches, json.dumps(r.recipe), r.rotation_deg)
-        + tuple(None if pose is None else pose.tobytes() for pose in (r.estimate, r.start, r.truth))
-        for r in rows
-    ]
+from tests.study_bench import HEAD, PLUGIN, QUICK, STAGED, Bench, bits
 
 
 def test_features_are_extracted_once_for_all_seeds_matchers_solvers_and_studies(bench: Bench) -> None:
@@ -307,6 +232,13 @@ def test_every_job_gives_one_answer_though_workers_die(bench: Bench) -> None:
     ]
 
 
+def test_more_calibrations_than_anyone_can_wait_for_are_refused_before_a_frame_is_read(bench: Bench) -> None:
+    text = QUICK.replace("frames = 3", "frames = 20").replace("seeds = 2", "seeds = 10000")
+    with pytest.raises(InputError, match=r"too many calibrations; expected at most 100000; got 200000.*--frames"):
+        bench.run(text)
+    assert bench.calls() == {}
+
+
 @pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason='needs pip install "p2o-calib[dask]"')
 def test_a_dask_cluster_gives_the_same_bits_though_a_worker_is_killed(bench: Bench) -> None:
     text = (
@@ -495,7 +427,8 @@ def test_the_command_lists_studies_and_refuses_what_it_cannot_do(capsys: pytest.
 def test_seeds_are_a_number_or_a_list() -> None:
     assert chosen_seeds("10") == 10
     assert chosen_seeds("3, 5") == (3, 5)
-    for text in ("0", "", "-1", "1,", "a"):
+    assert chosen_seeds("0,4294967295") == (0, 4294967295)
+    for text in ("0", "", "-1", "1,", "a", "10001", "9" * 5000, "4294967296,1", "1," * 10_000 + "1", "٣", "1.0", "1 2"):
         with pytest.raises(InputError, match="--seeds"):
             chosen_seeds(text)
 

@@ -123,6 +123,80 @@ def test_a_reference_comes_back_and_an_update_keeps_the_tolerances_that_were_edi
     assert path.read_text().count("\n") > lines[1], "a line for each calibration, so that a diff can be read"
 
 
+def _with(path: str, value: object) -> bytes:
+    """Return the reference with another value at a place such as "rows.a.count"."""
+    content = REFERENCE.model_dump(mode="json")
+    *outer, last = path.split(".")
+    inside = content
+    for key in outer:
+        inside = inside[key]
+    inside[last] = value
+    return json.dumps(content).encode()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"\xff\xfe{",
+        b"[" * 100_000,
+        b"[]",
+        b"3",
+        b"null",
+        b'{"study": "s"}',
+        b"9" * 5000,
+        _with("study", 3),
+        _with("rows", []),
+        _with("rows.a", None),
+        _with("rows.a.count", -1),
+        _with("rows.a.count", "many"),
+        _with("rows.a.failures", 1.5),
+        _with("rows.a.mean", {"rotation_deg": float("nan")}),
+        _with("rows.a.mean", {"rotation_deg": float("inf")}),
+        _with("rows.a.mean", {"rotation_deg": -0.1}),
+        _with("rows.a.mean", {"rotation": 0.1}),
+        _with("rows.a.mean", {"rotation_deg": "x"}),
+        _with("rows.a.mean", {"\x1b[2J": 1}),
+        _with("rows.a.trust", {"splendid": 1}),
+        _with("rows.a.runs", {"f/0, seed 0": 3}),
+        _with("rows.a.runs", {"f/0, seed 0": {"speed": 3}}),
+        _with("tolerance.mean", {"rotation_deg": -1}),
+        _with("tolerance.mean", {"speed": 1}),
+        _with("tolerance.mean", None),
+        _with("tolerance.rows", {"c": {}}),
+        _with("tolerance.failures", 10**30 * 1.5),
+        _with("colour", "red"),
+    ],
+)
+def test_a_file_that_is_no_reference_is_one_line_that_names_it(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "reference.json"
+    path.write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        read_reference(path)
+    assert str(caught.value).startswith(str(path))
+    assert "write it with --update" in str(caught.value)
+    assert len(str(caught.value)) < 1000
+
+
+def test_a_metric_that_is_no_longer_measured_closes_it() -> None:
+    """What is not compared would pass for ever."""
+    study = parse_study('metrics = ["translation_m"]\n' + TEXT)
+    assert "a: mean rotation_deg is not measured, was 0.1500" in judge(study, rows(), [], REFERENCE).failures
+
+
+def test_names_in_a_reference_do_not_reach_the_terminal_as_they_are() -> None:
+    row = REFERENCE.rows["a"]
+    ruling = judge(STUDY, rows(), [], REFERENCE.model_copy(update={"rows": {**REFERENCE.rows, "\x1b[2Jx\n": row}}))
+    assert "FAIL  \\x1b[2Jx\\n: in the reference, but not in the study" in str(ruling)
+
+
+def test_a_reference_is_not_written_over_a_device(tmp_path: Path) -> None:
+    for name in ("/dev/null", str(tmp_path)):
+        with pytest.raises(InputError, match="cannot write the file"):
+            write_reference(name, REFERENCE)
+    assert Path("/dev/null").is_char_device()
+
+
 def test_a_row_may_have_a_tolerance_of_its_own() -> None:
     own = REFERENCE.tolerance.model_copy(update={"rows": {"a": {"rotation_deg": 0.2}}})
     reference = REFERENCE.model_copy(update={"tolerance": own})

@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 from p2o import InputError
 from p2o.results.verdict import Trust
-from p2o.study.store import _NEW_IN_2, METRICS, Planned, Store, StoredRow, StoredStudy
+from p2o.study.columns import METRICS
+from p2o.study.store import _NEW_IN_2, Planned, Store, StoredRow, StoredStudy
 
 POSE = np.array([[0.1 + 0.2, -1.0, 0, 1 / 3], [0, 0, -1, 1e-300], [1, 0, 0, -0.0], [0, 0, 0, 1]])
 STUDY = StoredStudy("table2", 'name = "table2"\n', {"kitti": "kitti-raw:x"}, ({"label": "RGGNet", "values": {}},))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -160,6 +162,106 @@ def test_what_cannot_be_run_is_refused_with_its_row_and_what_would_fit(
 ) -> None:
     with pytest.raises(InputError, match=message):
         check_study(parse_study(text), registry)
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    [
+        "{matcher.__class__}", "{matcher[0]}", "{use:>99999999}", "{matcher!r}", "{matcher:{use}}", "{0}", "{}", "{",
+        "{matcher}}", "{extractor}", "{__init__}",
+    ],
+)  # fmt: skip
+def test_a_label_takes_names_alone(pattern: str) -> None:
+    """Python's formats reach into objects, and write as wide as they are told."""
+    text = HEAD + f'[[product]]\nlabel = "{pattern}"\nmatcher = ["ogm"]\n'
+    with pytest.raises(InputError, match=r"cannot be filled in; expected names such as \{matcher\}"):
+        parse_study(text).rows()
+
+
+def test_a_label_may_hold_braces() -> None:
+    text = HEAD + '[[product]]\nlabel = "{{{matcher}}} {use}"\nmatcher = ["ogm"]\n'
+    assert [row.label for row in parse_study(text).rows()] == ["{ogm}"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "seeds = 10001", "seeds = 999999999999999999", f"seeds = [{'1, ' * 10001}]", "seeds = [4294967296]",
+        "seeds = [-1]", "seeds = 0", "seeds = true", "seeds = 1.5",
+    ],
+)  # fmt: skip
+def test_seeds_have_a_bound(words: str) -> None:
+    for text in (HEAD + ROW + words + "\n", f"{words}\n" + HEAD + ROW):
+        with pytest.raises(InputError, match="seeds"):
+            parse_study(text).rows()
+    assert parse_study(HEAD + ROW + "seeds = [4294967295]\n").rows()[0].seeds == (4294967295,)
+
+
+MANY = ", ".join(f'"m{i}"' for i in range(100))
+PRODUCT = "".join(f"{word} = [{MANY}]\n" for word in ("matcher", "solver", "init", "accumulate", "witness", "perturb"))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        HEAD + "[[product]]\n" + PRODUCT,
+        HEAD + "[[product]]\n" + PRODUCT + f"use = [{', '.join(['[]'] * 100)}]\nseeds = 10000\n",
+        HEAD + "[[product]]\n" + f"matcher = [{MANY}]\nsolver = [{MANY}]\nseeds = 3\n",
+        HEAD + "".join(f'[[row]]\nlabel = "r{i}"\nseeds = 10000\n' for i in range(3)),
+        HEAD + "".join(f'[[row]]\nlabel = "r{i}"\n' for i in range(20_001)),
+    ],
+)
+def test_more_rows_than_anyone_can_wait_for_are_refused_before_any_is_made(text: str) -> None:
+    study = parse_study(text)
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError, match=r"study s: the study asks for .* rows times seeds; expected at most 2"):
+            study.rows()
+        assert tracemalloc.get_traced_memory()[1] < 2**20
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ("2020-01-01", "a text in quotes.*got 2020-01-01"),
+        ("2020-01-01T10:00:00Z", "a text in quotes"),
+        ("10:00:00", "a text in quotes"),
+        ("nan", "a finite number"),
+        ("-inf", "a finite number"),
+        ("0x" + "f" * 9000, "64 bits"),
+        ("[[[2020-01-01]]]", "a text in quotes"),
+    ],
+)
+@pytest.mark.parametrize("key", ["matcher", "options.matcher.sides", "seeds", "section"])
+def test_values_of_toml_that_no_word_takes_are_told_with_their_place(value: str, message: str, key: str) -> None:
+    with pytest.raises(InputError, match=rf"^my\.toml, row\.1\.{key}.*{message}"):
+        parse_study(HEAD + ROW + f"{key} = {value}\n", "my.toml")
+    with pytest.raises(InputError, match=message):
+        parse_study(HEAD.replace("data = ", f"options = {{ x = {value} }}\ndata = ", 1) + ROW)
+
+
+@pytest.mark.parametrize("letter", [r"\u001b[2J", r"\n", r"\u0000", r"\u202e", r"\u2028"])
+@pytest.mark.parametrize("place", ["title", "label", "section", "source"])
+def test_names_that_a_terminal_would_obey_are_refused(letter: str, place: str) -> None:
+    text = 'name = "s"\ntitle = "title"\n' + HEAD[22:] + '[[row]]\nlabel = "label"\nsection = "section"\n'
+    text += '[[published]]\nlabel = "x"\nsource = "source"\nvalues = {}\n'
+    assert parse_study(text).rows()
+    with pytest.raises(InputError, match="one line without control characters"):
+        parse_study(text.replace(f'"{place}"', f'"a{letter}b"'))
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes")
+def test_a_study_file_that_is_no_file_is_told(tmp_path: Path, registry: Registry) -> None:
+    os.mkfifo(tmp_path / "pipe.toml")
+    (tmp_path / "folder.toml").mkdir()
+    (tmp_path / "latin.toml").write_bytes(b'name = "\xe9"')
+    (tmp_path / "huge.toml").touch()
+    os.truncate(tmp_path / "huge.toml", 1 << 40)
+    for name, told in {"pipe": "a named pipe", "folder": "a folder", "latin": "not text", "huge": "too large"}.items():
+        with pytest.raises(InputError, match=told):
+            find_study(str(tmp_path / f"{name}.toml"), registry)
 
 
 def test_studies_are_found_by_path_and_by_name(tmp_path: Path, registry: Registry) -> None:

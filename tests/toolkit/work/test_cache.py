@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import importlib
+import io
 import json
+import os
+import re
 import sys
+import tracemalloc
+import zipfile
 from collections import namedtuple
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,6 +50,145 @@ def test_what_has_no_form_is_not_kept_and_not_an_error(tmp_path: Path) -> None:
     assert not cache.put("aa", object(), 0.0)
     assert not cache.put("aa", {"edges": np.array([object()])}, 0.0)
     assert cache.get("aa") is None
+
+
+def _npz(**members: bytes) -> bytes:
+    """Return a file of the cache with these entries."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as content:
+        for name, data in members.items():
+            content.writestr(f"{name}.npy", data)
+    return file.getvalue()
+
+
+def _npy(value: object = 0, shape: str = "", dtype: str = "") -> bytes:
+    """Return an .npy file, with another shape or type in its head than it has."""
+    file = io.BytesIO()
+    np.save(file, np.asarray(value))
+    magic, head, body = file.getvalue()[:10], file.getvalue()[10:128].decode(), file.getvalue()[128:]
+    head = re.sub(r"'shape': \(.*?\)", f"'shape': {shape}", head) if shape else head
+    head = re.sub(r"'descr': '.*?'", f"'descr': {dtype}", head) if dtype else head
+    return magic + head.strip().ljust(117).encode() + b"\n" + body
+
+
+def _head(features: object, seconds: object = 0.0) -> bytes:
+    text = features if isinstance(features, str) else json.dumps({"features": features, "seconds": seconds})
+    return _npy(np.frombuffer(text.encode(), np.uint8))
+
+
+ARRAY = {"array": "array0"}
+PLAIN = _head(ARRAY)
+FORGED = {
+    "terabytes": _npz(head=PLAIN, array0=_npy([1.0], shape="(1000000000000,)")),
+    "terabytes in two axes": _npz(head=PLAIN, array0=_npy([1.0], shape="(1000000, 1000000)")),
+    "more than any integer": _npz(head=PLAIN, array0=_npy([1.0], shape=f"(1{'0' * 40},)")),
+    "a negative shape": _npz(head=PLAIN, array0=_npy([1.0], shape="(-1,)")),
+    "two negative axes": _npz(head=PLAIN, array0=_npy([1.0], shape="(-1, -1)")),
+    "a shape that is code": _npz(head=PLAIN, array0=_npy([1.0], shape="(__import__('os').getpid(),)")),
+    "objects": _npz(head=PLAIN, array0=_npy([1.0], dtype="'|O'")),
+    "texts": _npz(head=PLAIN, array0=_npy([1.0], dtype="'<U2'")),
+    "a type with parts": _npz(head=PLAIN, array0=_npy([1.0], dtype="[('a', '<f8')]")),
+    "types of no size": _npz(head=PLAIN, array0=_npy([1.0], shape="(1000000000000,)", dtype="'|V0'")),
+    "a deep head": _npz(head=_head('{"features": ' + "[" * 100_000)),
+    "a deep value": _npz(head=_head('{"features": ' + '{"kind": "list", "parts": {"0": ' * 20_000)),
+    "a head of digits": _npz(head=_head('{"features": {"value": 1}, "seconds": ' + "9" * 5000 + "}")),
+    "no seconds": _npz(head=_head({"value": 1}, None)),
+    "seconds without end": _npz(head=_head({"value": 1}, float("inf"))),
+    "seconds that are none": _npz(head=_head({"value": 1}, float("nan"))),
+    "a head of a number": _npz(head=_head("7")),
+    "a head that is no text": _npz(head=_npy(np.frombuffer(b"\xff\xfe", np.uint8))),
+    "a list as features": _npz(head=_head([])),
+    "another kind of container": _npz(head=_head({"kind": "set", "parts": {}})),
+    "parts that are none": _npz(head=_head({"kind": "list", "parts": 3})),
+    "an array that is missing": _npz(head=PLAIN),
+    "no head": _npz(array0=_npy([1.0])),
+    "no array in it": _npz(head=b"", array0=b""),
+    "edges with NaN": _npz(
+        head=_head({"kind": ["p2o.features.edges", "ImageEdges"], "parts": {"uv": ARRAY, "side": {"array": "array1"}}}),
+        array0=_npy([[np.nan, 1.0]]),
+        array1=_npy(np.zeros(1, np.int8)),
+    ),
+    "edges of a wrong shape": _npz(
+        head=_head({"kind": ["p2o.features.edges", "ImageEdges"], "parts": {"uv": ARRAY, "side": ARRAY}}),
+        array0=_npy([[1.0, 2.0, 3.0]]),
+    ),
+    "edges that are text": _npz(
+        head=_head({"kind": ["p2o.features.edges", "ImageEdges"], "parts": {"uv": {"value": "x"}, "side": ARRAY}}),
+        array0=_npy([1.0]),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", FORGED)
+def test_a_forged_file_counts_as_none_and_takes_no_memory(tmp_path: Path, case: str) -> None:
+    cache = FeatureCache(tmp_path)
+    cache.put("aa", FEATURES, 0.0)
+    cache.path("aa").write_bytes(FORGED[case])
+    tracemalloc.start()
+    try:
+        assert cache.get("aa") is None
+        assert tracemalloc.get_traced_memory()[1] < 30 * 2**20
+    finally:
+        tracemalloc.stop()
+    cache.put("aa", FEATURES, 0.0)
+    assert cache.get("aa") is not None
+
+
+def test_entries_that_grow_when_they_are_read_count_as_none(tmp_path: Path) -> None:
+    cache = FeatureCache(tmp_path)
+    cache.put("aa", FEATURES, 0.0)
+    with zipfile.ZipFile(cache.path("aa"), "w", zipfile.ZIP_DEFLATED) as content:
+        content.writestr("head.npy", PLAIN)
+        content.writestr("array0.npy", _npy(np.zeros(10_000_000)))
+    assert cache.path("aa").stat().st_size < 100_000
+    tracemalloc.start()
+    try:
+        assert cache.get("aa") is None
+        assert tracemalloc.get_traced_memory()[1] < 2**20
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes")
+def test_a_pipe_or_a_folder_in_the_place_of_a_file_counts_as_none(tmp_path: Path) -> None:
+    cache = FeatureCache(tmp_path)
+    cache.path("aa").parent.mkdir()
+    os.mkfifo(cache.path("aa"))
+    cache.path("bb").mkdir(parents=True)
+    for key in ("aa", "bb"):
+        assert not cache.has(key)
+        assert cache.get(key) is None
+
+
+def test_what_the_method_may_not_return_counts_as_none(tmp_path: Path) -> None:
+    """A whole and valid file, put under the key of another method."""
+    cache = FeatureCache(tmp_path)
+    registry = p2o.Registry.load(environ={})
+    [canny] = registry.named("canny")
+    [rings] = registry.named("rings")
+    edges = {"aa": FEATURES, "bb": CloudFeatures(CloudEdges(np.ones((1, 3)), np.zeros(1, int)), np.zeros((0, 3)))}
+    for key, features in {**edges, "cc": {"a": 1}, "dd": None, "ee": ImageFeatures()}.items():
+        cache.put(key, features, 0.0)
+        assert cache.get(key) is not None
+    assert [key for key in ("aa", "bb", "cc", "dd", "ee") if cache.get(key, canny)] == ["aa"]
+    assert [key for key in ("aa", "bb", "cc", "dd", "ee") if cache.get(key, rings)] == ["bb"]
+
+
+def test_arrays_come_back_as_they_were_and_can_be_written_to(tmp_path: Path) -> None:
+    cache = FeatureCache(tmp_path)
+    values = [np.asfortranarray(np.arange(6.0).reshape(2, 3)), np.array(7), np.zeros((0, 3)), np.arange(3, dtype=">i4")]
+    cache.put("aa", values, 0.0)
+    for mine, theirs in zip(values, cache.get("aa").features, strict=True):
+        assert (mine.tobytes("A"), mine.dtype, mine.shape, mine.strides) == (
+            theirs.tobytes("A"), theirs.dtype, theirs.shape, theirs.strides
+        )  # fmt: skip
+        theirs[...] = 1
+
+
+def test_what_nests_without_end_is_not_kept(tmp_path: Path) -> None:
+    endless: list[object] = []
+    endless.append(endless)
+    assert not FeatureCache(tmp_path).put("aa", endless, 0.0)
 
 
 @pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b"", lambda b: b[:300] + b"x" + b[301:]])

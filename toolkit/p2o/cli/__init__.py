@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import os
+import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from types import FrameType
 
 import click
 
@@ -70,9 +73,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status; errors are one line on stderr (P2O_DEBUG=1: a traceback)."""
     debug = os.environ.get("P2O_DEBUG", "") not in ("", "0")
     try:
-        status = group.main(None if argv is None else list(argv), prog_name="p2o", standalone_mode=False)
+        with _terminated_as_interrupted():
+            status = group.main(None if argv is None else list(argv), prog_name="p2o", standalone_mode=False)
         sys.stdout.flush()
-    except click.Abort:
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("p2o: interrupted", err=True)
         return INTERRUPTED
     except click.exceptions.NoArgsIsHelpError as problem:
         problem.show()
@@ -86,6 +91,28 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         return _tell(problem)
     return status if isinstance(status, int) else 0
+
+
+@contextlib.contextmanager
+def _terminated_as_interrupted() -> Iterator[None]:
+    """Let a request to end (SIGTERM, a closed terminal) do what Ctrl-C does, unless somebody cares for it already."""
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    taken = []
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        # Ignored (nohup) stays ignored; outside the main thread there are no handlers.
+        if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+            with contextlib.suppress(ValueError):
+                signal.signal(number, interrupt)
+                taken.append(number)
+    try:
+        yield
+    finally:
+        for number in taken:
+            signal.signal(number, signal.SIG_DFL)
 
 
 def _tell(problem: Exception) -> int:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from p2o.cli.plugin_options import plugin_options
-from p2o.errors import InputError, P2OError
+from p2o.errors import InputError, P2OError, printable
 
 if TYPE_CHECKING:
     from p2o.study.ablate import Ablation, Progress
@@ -94,8 +94,10 @@ def command(
     folder = Path("p2o-out") / file.study.name if out is None else Path(out)
     words = {"data": list(data), "frames": frames, "seeds": seeds}
     overrides = {name: value for name, value in words.items() if value}
-    with progress_shown(quiet) as say:
-        done = ablate(file, folder, plugins=plugins, workers=workers, overrides=overrides, on_progress=say)
+    with progress_shown(quiet) as (say, warn):
+        done = ablate(
+            file, folder, plugins=plugins, workers=workers, overrides=overrides, on_progress=say, on_warning=warn
+        )
     click.echo(f"{file.study.title}\n{table(file.study, done.rows)}")
     if not quiet:
         click.echo(_told(done, folder), err=True)
@@ -132,7 +134,7 @@ def _list(plugins: Any) -> str:
             try:
                 titles[word] = find_study(word, registry).study.title
             except P2OError as problem:
-                titles[word] = f"broken: {problem}"
+                titles[word] = f"broken: {printable(str(problem))}"
     width = max((len(word) for word in titles), default=0)
     return "\n".join(f"{word:<{width}}  {title}" for word, title in titles.items()) or "no studies"
 
@@ -149,7 +151,7 @@ def _told(done: Ablation, folder: Path) -> str:
         lines.append(f"{len(crashed)} rows crashed, such as {crashed[0].row}, {crashed[0].place}: {crashed[0].reason}")
     if done.interrupted:
         lines.append("interrupted: the same command goes on from here")
-    return "\n".join(f"p2o: {line}" for line in lines)
+    return "\n".join(f"p2o: {printable(line)}" for line in lines)
 
 
 def _cores() -> int:
@@ -157,23 +159,29 @@ def _cores() -> int:
 
 
 Say = Callable[["Progress"], None]
+Warn = Callable[[str], None]
 _PHASES = {"read": "reading frames", "extract": "extracting features", "calibrate": "calibrating"}
 
 
 @contextlib.contextmanager
-def progress_shown(quiet: bool) -> Iterator[Say]:
-    """Yield what shows progress on stderr: a bar on a terminal, now and then a line elsewhere, or nothing."""
+def progress_shown(quiet: bool) -> Iterator[tuple[Say, Warn]]:
+    """Yield what shows progress and warnings on stderr: a bar on a terminal, now and then a line elsewhere, or nothing.
+
+    Warnings are always shown.
+    """
     if quiet:
-        yield lambda progress: None
+        yield (lambda progress: None), _warned
         return
     if not sys.stderr.isatty():
-        yield _Lines()
+        yield _Lines(), _warned
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
     from rich.progress import Progress as Bars
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rest]}"))
+    # Names of frames are not rich's markup.
+    texts = (TextColumn(f"{{task.{word}}}", markup=False) for word in ("description", "fields[rest]"))
+    columns = (next(texts), BarColumn(), MofNCompleteColumn(), next(texts))
     with Bars(*columns, console=Console(stderr=True), transient=True) as bars:
         task = bars.add_task("reading the study", total=None, rest="")
 
@@ -186,7 +194,14 @@ def progress_shown(quiet: bool) -> Iterator[Say]:
                 rest=_rest(progress),
             )
 
-        yield show
+        def warn(text: str) -> None:
+            bars.console.print(f"p2o: warning: {printable(text)}", markup=False, highlight=False, soft_wrap=True)
+
+        yield show, warn
+
+
+def _warned(text: str) -> None:
+    click.echo(f"p2o: warning: {printable(text)}", err=True)
 
 
 class _Lines:
@@ -209,7 +224,7 @@ def _rest(progress: Progress) -> str:
     if progress.seconds_left is not None and progress.done < progress.total:
         parts.append(f"about {_duration(progress.seconds_left)} left")
     if progress.name:
-        parts.append(progress.name)
+        parts.append(printable(progress.name))
     return ", ".join(parts)
 
 

@@ -75,8 +75,8 @@ def command(
     if len(contenders) * len(grid.cells) * seeds > _MOST_CALIBRATIONS:
         raise InputError("too many calibrations", where="p2o basin", expected=f"at most {_MOST_CALIBRATIONS} a frame")
     file = basin_study(contenders, grid, data, frames, seeds, joint)
-    with progress_shown(quiet) as say:
-        done = ablate(file, out, plugins=plugins, workers=Workers(jobs), on_progress=say)
+    with progress_shown(quiet) as (say, warn):
+        done = ablate(file, out, plugins=plugins, workers=Workers(jobs), on_progress=say, on_warning=warn)
     basins = [basin_of(contender, grid, done.rows) for contender in contenders]
     for basin in basins:
         click.echo(_table(basin, grid))

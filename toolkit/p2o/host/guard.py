@@ -182,23 +182,25 @@ def _as_said(offer: Offer, features: ImageFeatures | CloudFeatures, prefix: str)
         raise _fault(offer, f"gave no {missing[0].removeprefix(prefix)}", f"{missing[0]}, as it says in `gives`")
 
 
-def _image_extractor(offer: Offer, stage: Callable[..., Any]) -> Any:
-    def extract(image: Any, /) -> Any:
+def check_features(offer: Offer, features: Any) -> None:
+    """Raise PluginError where features are not what an extractor of this offer may return; other kinds return anything.
+
+    What comes from a file is held to the same as what comes from the method.
+    """
+    if offer.kind in _FEATURES:
+        kind, prefix = _FEATURES[offer.kind]
+        _typed(offer, features, kind)
+        _as_said(offer, features, prefix)
+
+
+_FEATURES = {Kind.IMAGE_EXTRACTOR: (ImageFeatures, "image-"), Kind.CLOUD_EXTRACTOR: (CloudFeatures, "cloud-")}
+
+
+def _extractor(offer: Offer, stage: Callable[..., Any]) -> Any:
+    def extract(image_or_cloud: Any, /) -> Any:
         with _watch(offer, "extracting"):
-            features = stage(image)
-        _typed(offer, features, ImageFeatures)
-        _as_said(offer, features, "image-")
-        return features
-
-    return extract
-
-
-def _cloud_extractor(offer: Offer, stage: Callable[..., Any]) -> Any:
-    def extract(cloud: Any, /) -> Any:
-        with _watch(offer, "extracting"):
-            features = stage(cloud)
-        _typed(offer, features, CloudFeatures)
-        _as_said(offer, features, "cloud-")
+            features = stage(image_or_cloud)
+        check_features(offer, features)
         return features
 
     return extract
@@ -326,8 +328,8 @@ def _exporter(offer: Offer, stage: Callable[..., Any]) -> Any:
 
 
 _GUARDS: dict[Kind, Callable[[Offer, Callable[..., Any]], Any]] = {
-    Kind.IMAGE_EXTRACTOR: _image_extractor,
-    Kind.CLOUD_EXTRACTOR: _cloud_extractor,
+    Kind.IMAGE_EXTRACTOR: _extractor,
+    Kind.CLOUD_EXTRACTOR: _extractor,
     Kind.MATCHER: _matcher,
     Kind.SOLVER: _solver,
     Kind.INITIALIZER: _initializer,

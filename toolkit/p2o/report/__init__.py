@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING
 
 from p2o.errors import InputError, UnknownNameError
@@ -51,8 +52,8 @@ def write_report(
         pictures = draw_all(summaries, data, overlays, registry)
     files: dict[str, bytes] = {}
     drawn: dict[str, list[tuple[str, str]]] = {}
-    for summary in summaries:
-        for name, title, figure in figures.figures_of(summary):
+    for summary, names in zip(summaries, figures.figure_names(summaries), strict=True):
+        for name, title, figure in figures.figures_of(summary, names):
             drawn.setdefault(summary.name, []).append((title, f"{name}.png"))
             for form in ("png", "svg"):
                 files[f"{name}.{form}"] = figures.rendered(figure, form)
@@ -79,7 +80,7 @@ def _summaries(folder: Path, names: Sequence[str]) -> list[Summary]:
         raise InputError(
             f"study '{empty}' has no finished run yet" if empty else "there is no study in the store",
             where=store.path,
-            hint=f"run: p2o ablate {empty or 'STUDY'} --out {folder}",
+            hint=f"run: p2o ablate {quote(empty) if empty else 'STUDY'} --out {quote(str(folder))}",
         )
     return finished
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import io
+import itertools
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from p2o.arrays import Float
+from p2o.errors import printable
+from p2o.files.file_names import distinct_names
 from p2o.report.rounds import convergence
 from p2o.report.summary import Group, Summary, error_of
 from p2o.report.tables import name_of, unit_of
@@ -23,14 +27,44 @@ _MARKERS = "os^DvPX*"
 _DASHES = ("-", "--", ":", "-.")
 
 _MOST_NAMES = 80
+_MOST_ROWS = 200
+"""Of more rows nobody can tell a thing, and no picture may be higher than 65535 px."""
+_LONGEST_TITLE = 150
 _LONGEST_NAME = 40
 _LETTERS_PER_INCH = 15  # of a legend
 
 
-def figures_of(summary: Summary) -> Iterator[tuple[str, str, Figure]]:
-    """Return (file name without ending, title, figure) of all figures of a study; what has no data has none."""
-    for number, group in enumerate(summary.groups):
-        name = summary.name if len(summary.groups) == 1 else f"{summary.name}-{number + 1}"
+def figure_names(summaries: Sequence[Summary]) -> list[tuple[str, ...]]:
+    """Return what the figures of each group of each study are called: the study, and a number where it has several.
+
+    A store may come from anywhere and call a study what it likes: these are names of files, and no two are one file.
+    """
+    stems = distinct_names([summary.name for summary in summaries])
+    taken: set[str] = set()
+    found = []
+    for summary in summaries:
+        names = []
+        for number in range(1, len(summary.groups) + 1):
+            stem = stems[summary.name]
+            name = wanted = stem if len(summary.groups) == 1 else f"{stem}-{number}"
+            # The first group of "a" is called like a study "a-1".
+            for again in itertools.count(2):
+                if name.lower() not in taken:
+                    break
+                name = f"{wanted}_{again}"
+            taken.add(name.lower())
+            names.append(name)
+        found.append(tuple(names))
+    return found
+
+
+def figures_of(summary: Summary, names: Sequence[str] = ()) -> Iterator[tuple[str, str, Figure]]:
+    """Return (file name without ending, title, figure) of all figures of a study; what has no data has none.
+
+    `names` are those of `figure_names`, one a group (default: those of this study alone).
+    """
+    for name, whole in zip(names or figure_names([summary])[0], summary.groups, strict=True):
+        group = replace(whole, rows=whole.measured[:_MOST_ROWS])
         title = f"{summary.title}: {group.heading}" if group.heading else summary.title
         for kind, what, draw in (
             ("boxplot", "errors by axis", _boxes),
@@ -39,8 +73,10 @@ def figures_of(summary: Summary) -> Iterator[tuple[str, str, Figure]]:
         ):
             figure = draw(group, summary)
             if figure is not None:
-                figure.suptitle(_plain(f"{title}: {what}"), fontsize=11)
-                yield f"{name}-{kind}", f"{title}: {what}", figure
+                some = f" (the first {_MOST_ROWS} rows of {len(whole.measured)})"
+                text = f"{_cut(title, _LONGEST_TITLE)}: {what}{some if len(whole.measured) > _MOST_ROWS else ''}"
+                figure.suptitle(_plain(text), fontsize=11)
+                yield f"{name}-{kind}", text, figure
 
 
 def rendered(figure: Figure, form: str) -> bytes:
@@ -226,11 +262,16 @@ def _tidy(panel: Any, grid: str) -> None:
 
 def _short(text: str, *, end: bool = False) -> str:
     """Return a text that fits beside a figure: its begin, or its end, where names of frames differ."""
-    if len(text) > _LONGEST_NAME:
-        text = "..." + text[3 - _LONGEST_NAME :] if end else text[: _LONGEST_NAME - 3] + "..."
-    return _plain(text)
+    if end and len(text) > _LONGEST_NAME:
+        return _plain("..." + text[3 - _LONGEST_NAME :])
+    return _plain(_cut(text, _LONGEST_NAME))
+
+
+def _cut(text: str, most: int) -> str:
+    return text if len(text) <= most else text[: most - 3] + "..."
 
 
 def _plain(text: str) -> str:
-    """Return a text that matplotlib shows as it is: $ begins no formula, and _ hides no entry of a legend."""
-    return (" " + text if text.startswith("_") else text).replace("$", r"\$")
+    """Return a text that matplotlib shows as it is: $ begins no formula, _ and nothing hide no entry of a legend."""
+    text = printable(text)
+    return (" " + text if text.startswith("_") or not text else text).replace("$", r"\$")

@@ -167,7 +167,7 @@ def _kept(part: Part) -> Any:
     features, extractor = FeatureCache.of_user(), cache(part.build)
 
     def find(data: Any, /) -> Any:
-        kept = features.get(features_key(part, content_hash(data)))
+        kept = features.get(features_key(part, content_hash(data)), part.offer)
         return extractor()(data) if kept is None else kept.features
 
     return find

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from p2o.errors import MethodUnavailable
+from p2o.errors import MethodUnavailable, printable
 from p2o.geometry.pose_error import AXES
 from p2o.report.bootstrap import Interval
 from p2o.report.figures import COLOURS
@@ -21,7 +21,8 @@ from p2o.report.rounds import Convergence, convergence
 from p2o.report.summary import NORMS, Difference, Group, Measured, Published, Summary, best
 from p2o.report.tables import DIGITS, NOTES, failures_of, starts_of
 from p2o.results.verdict import Trust
-from p2o.study.store import METRICS, StoredRow
+from p2o.study.columns import METRICS
+from p2o.study.store import StoredRow
 from p2o.study.tally import told
 
 _SIGNIFICANT = 6
@@ -73,8 +74,17 @@ def _source_hash(script: str) -> str:
 
 def _json(value: Any) -> str:
     """Return JSON that may stand inside a script element: nothing in it can end the element."""
-    text = json.dumps(value, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+    text = json.dumps(_shown(value), allow_nan=False, ensure_ascii=False, separators=(",", ":"))
     return text.replace("<", "\\u003c")
+
+
+def _shown(value: Any) -> Any:
+    """Return a value without control characters in its texts, whose lines stay lines."""
+    if isinstance(value, str):
+        return "\n".join(map(printable, value.split("\n")))
+    if isinstance(value, Mapping):
+        return {_shown(key): _shown(part) for key, part in value.items()}
+    return [_shown(part) for part in value] if isinstance(value, list | tuple) else value
 
 
 def _study(summary: Summary, pictures: Pictures) -> dict[str, Any]:

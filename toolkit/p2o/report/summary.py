@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import tomllib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,10 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from p2o.errors import InputError
+from p2o.files.parsed_text import parse_toml
 from p2o.geometry.pose_error import AXES
 from p2o.report.bootstrap import Interval, interval
 from p2o.results.verdict import Trust
-from p2o.study.store import METRICS, Planned, StoredRow, StoredStudy
+from p2o.study.columns import METRICS
+from p2o.study.store import Planned, StoredRow, StoredStudy
 from p2o.study.tally import trust_of
 
 NORMS = ("rotation_deg", "translation_m")
@@ -126,7 +128,8 @@ def error_of(run: StoredRow, metric: str) -> float | None:
 def summarise_study(study: StoredStudy, runs: Sequence[StoredRow], missing: Sequence[Planned] = ()) -> Summary:
     """Return the summary of a study from its runs, in the order of its table; `missing` are those not there yet."""
     said = _said(study)
-    metrics = [metric for metric in said.get("metrics", ()) if metric in METRICS]
+    asked = said.get("metrics", ())
+    metrics = [metric for metric in METRICS if isinstance(asked, list) and metric in asked]
     norms = tuple(metric for metric in NORMS if metric in metrics) or NORMS
     axes = tuple(metric for metric in AXES if metric in metrics) or AXES
     kinds = {run.row: "jointly solved frames" if run.joint else "each frame alone" for run in runs}
@@ -164,9 +167,10 @@ def best(rows: Iterable[Measured], metric: str, statistic: str, digits: int) -> 
 
 
 def _said(study: StoredStudy) -> Mapping[str, Any]:
+    # A store of Python's may know no file, and a foreign one anything: the words of columns are not needed.
     try:
-        return tomllib.loads(study.toml)
-    except tomllib.TOMLDecodeError:
+        return parse_toml(study.toml, "study")
+    except InputError:
         return {}
 
 

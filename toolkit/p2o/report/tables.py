@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from p2o.errors import printable
 from p2o.report.bootstrap import MIN_FRAMES, RESAMPLES, Interval
 from p2o.report.summary import Group, Measured, Published, Summary, best
 from p2o.study.tally import told
@@ -77,7 +79,7 @@ def latex(summaries: Sequence[Summary]) -> str:
     r"""Return the tables as LaTeX, to be \input in a document that loads booktabs and graphicx."""
     parts = [r"% \usepackage{booktabs,graphicx}"]
     for summary in summaries:
-        parts.append(f"\n% {summary.name}")
+        parts.append(f"\n% {_one_line(summary.name)}")
         for group in summary.groups:
             parts += [_latex_table(table, summary) for table in tables_of(group, summary)]
     parts += ["", *(f"% {note}" for note in NOTES)]
@@ -217,11 +219,16 @@ def _md_row(cells: Iterable[str]) -> str:
 
 
 def _md(text: str) -> str:
-    """Return a text that Markdown shows as it is."""
-    plain = " ".join(text.split())
-    for mark in "\\`*_|<>#":
+    """Return a text that Markdown shows as it is: one line, no marks, no links, no formulas."""
+    plain = _one_line(text)
+    for mark in "\\`*_|<>#&$~":
         plain = plain.replace(mark, f"\\{mark}")
-    return plain
+    # Brackets stay where they are an interval, as in nearly every cell.
+    return re.sub(r"\](?=[(\[:])", r"]\\", plain)
+
+
+def _one_line(text: str) -> str:
+    return printable(" ".join(text.split()))
 
 
 def _latex_table(table: Table, summary: Summary) -> str:
@@ -260,5 +267,5 @@ def _tex(text: str) -> str:
     """Return a text that LaTeX shows as it is, also behind a line break, where a bracket would be a length."""
     if text == NONE:
         return "--"
-    plain = "".join(_TEX.get(letter, letter) for letter in " ".join(text.split()))
+    plain = "".join(_TEX.get(letter, letter) for letter in _one_line(text))
     return f"{{}}{plain}" if plain.startswith(("[", "*")) else plain

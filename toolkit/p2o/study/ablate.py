@@ -7,8 +7,11 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
+import re
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,13 +28,15 @@ from p2o.run.run import common_pose, start_of
 from p2o.run.words import split_data
 from p2o.study import worker
 from p2o.study.store import Planned, Store, StoredRow, StoredStudy
-from p2o.study.study import ALL_JOINT, StudyFile, StudyRow, check_study, retold
+from p2o.study.study import ALL_JOINT, LARGEST_SEED, MOST_SEEDS, StudyFile, StudyRow, check_study, retold
 from p2o.study.worker import Calibration, Extraction, Facts, Plugins, Reading, Source
 from p2o.work.cache import FeatureCache, content_hash, named_files
 from p2o.work.parallel import Run, Workers
 from p2o.work.sources import code_hash
 
 Phase = Literal["read", "extract", "calibrate"]
+_MOST_CALIBRATIONS = 100_000
+"""Planning so many takes minutes and some 100 MB; a row in the store is some 5 kB."""
 _CORE = ("p2o.calibration.pipeline", "p2o.run.run", "p2o.geometry.pose_error", "p2o.geometry.perturb")
 """Modules that every row goes through, besides those of its methods."""
 
@@ -53,6 +58,7 @@ class Progress:
 
 
 OnProgress = Callable[[Progress], None]
+OnWarning = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,20 +81,24 @@ def ablate(
     cache: FeatureCache | None = None,
     overrides: Mapping[str, Any] | None = None,
     on_progress: OnProgress | None = None,
+    on_warning: OnWarning | None = None,
 ) -> Ablation:
     """Run a study and return what it came to; the rows are in the store of `folder`, this time's and earlier ones.
 
     `plugins` are those of this process by default, `workers` one job in this process, `cache` the user's cache of
     features. `overrides` are noted in the store as the words that differ from the study's file. Ctrl-C ends it with
-    `interrupted`; every finished row is kept.
+    `interrupted`; every finished row is kept. A cache that cannot be written is told once through `on_warning`
+    (default: `warnings.warn`) and costs time alone.
 
-    Raises a P2OError before any work for whatever is wrong with the study, its data or the plugins. A row that
-    raises is a row with status stage-failed; it is tried again the next time.
+    Raises a P2OError before any work for whatever is wrong with the study, its data or the plugins, and later where
+    the store cannot be written any more. A row that raises is a row with status stage-failed; it is tried again the
+    next time.
     """
     plugins = Plugins.of() if plugins is None else plugins
     workers = Workers() if workers is None else workers
     cache = FeatureCache.of_user() if cache is None else cache
     say = on_progress or (lambda progress: None)
+    warn = _Once(on_warning or _warn)
     rows = check_study(study.study, plugins.registry())
     opened = _opened(rows, plugins)
     with Store.open(folder) as store, _turn(store.path.parent) as forward, workers.hired() as run:
@@ -96,14 +106,30 @@ def ablate(
         interrupted = False
         try:
             # Where rows are there already, what is missing may need no features.
-            facts = _read(run, opened, cache, say, extract=not store.rows(study.study.name))
+            facts = _read(run, opened, cache, say, warn, extract=not store.rows(study.study.name))
             cells = list(_cells(opened, facts))
             store.begin(_noted(study, overrides), [cell.planned for cell in cells])
-            _compute(run, store, cells if forward else cells[::-1], cache, pace)
+            _compute(run, store, cells if forward else cells[::-1], cache, pace, warn)
         except KeyboardInterrupt:
             interrupted = True
         name = study.study.name
         return Ablation(study, tuple(store.rows(name)), tuple(store.missing(name)), pace.computed, interrupted)
+
+
+class _Once:
+    """Says why features could not be kept, the first time."""
+
+    def __init__(self, warn: OnWarning) -> None:
+        self._warn: OnWarning | None = warn
+
+    def __call__(self, unkept: str) -> None:
+        if unkept and self._warn is not None:
+            self._warn(f"{unkept}; until then features are extracted wherever they are needed")
+            self._warn = None
+
+
+def _warn(text: str) -> None:
+    warnings.warn(text, stacklevel=2)
 
 
 def _noted(study: StudyFile, overrides: Mapping[str, Any] | None) -> StoredStudy:
@@ -172,6 +198,7 @@ def _opened(rows: Sequence[StudyRow], plugins: Plugins) -> list[_Opened]:
     registry = plugins.registry()
     datasets: dict[tuple[str, str], GuardedDataset] = {}
     out = []
+    count = 0
     for row in rows:
         data, options = row.dataset.data, _data_options(row, registry)
         where = f"{row.where}, dataset '{row.dataset.name}'"
@@ -186,6 +213,15 @@ def _opened(rows: Sequence[StudyRow], plugins: Plugins) -> list[_Opened]:
         sources = tuple(Source(plugins, data, options, index, dataset.names[index], joins) for index in indices)
         # Looked up in the metadata of packages, which takes its time; no seed changes them.
         versions = row.resolve(registry, row.seeds[0]).versions()
+        count += len(row.seeds) * math.ceil(len(sources) / _group_size(row, len(sources)))
+        if count > _MOST_CALIBRATIONS:
+            raise InputError(
+                "the study asks for too many calibrations",
+                where=where,
+                expected=f"at most {_MOST_CALIBRATIONS}",
+                got=f"{count} up to this row",
+                hint="choose fewer frames or seeds: --frames, --seeds",
+            )
         methods = {seed: _Method.of(row, seed, options, versions, registry) for seed in row.seeds}
         out.append(_Opened(row, sources, methods))
     return out
@@ -209,7 +245,7 @@ def _data_options(row: StudyRow, registry: Registry) -> str:
 
 
 def _read(
-    run: Run, opened: Sequence[_Opened], cache: FeatureCache, say: OnProgress, *, extract: bool
+    run: Run, opened: Sequence[_Opened], cache: FeatureCache, say: OnProgress, warn: _Once, *, extract: bool
 ) -> dict[Source, Facts]:
     """Return what planning has to know about every frame, each read once; `extract` its features at once, too.
 
@@ -238,6 +274,7 @@ def _read(
                     where = f"{entry.row.where}, row '{entry.row.label}'"
                     raise InputError(fact.misfits[entry.first.recipe], where=where)
             facts[fact.source] = fact
+            warn(fact.unkept)
             say(Progress("read", len(facts), len(jobs), name=fact.name))
     return facts
 
@@ -293,11 +330,16 @@ def _cells(opened: Sequence[_Opened], facts: Mapping[Source, Facts]) -> Iterator
     """Return every calibration of the study: by row, then frames, then seed."""
     for entry in opened:
         row, sources = entry.row, entry.sources
-        size = {0: 1, ALL_JOINT: len(sources)}.get(row.joint, row.joint)
+        size = _group_size(row, len(sources))
         for first in range(0, len(sources), size):
             group = tuple(facts[source] for source in sources[first : first + size])
             for seed in entry.methods:
                 yield _cell(entry, seed, len(group) if row.joint else 0, group)
+
+
+def _group_size(row: StudyRow, frames: int) -> int:
+    """Return how many of a row's frames are solved together."""
+    return {0: 1, ALL_JOINT: frames}.get(row.joint, row.joint)
 
 
 def _cell(entry: _Opened, seed: int, joint: int, group: tuple[Facts, ...]) -> _Cell:
@@ -328,7 +370,7 @@ def _cell(entry: _Opened, seed: int, joint: int, group: tuple[Facts, ...]) -> _C
     return _Cell(planned, row, seed, joint, method, entry.first.recipe, group, truth, start)
 
 
-def _compute(run: Run, store: Store, cells: Sequence[_Cell], cache: FeatureCache, pace: _Pace) -> None:
+def _compute(run: Run, store: Store, cells: Sequence[_Cell], cache: FeatureCache, pace: _Pace, warn: _Once) -> None:
     """Compute what is missing, and keep each row as soon as it is there."""
     finished = store.finished(cell.planned.key for cell in cells)
     # Two rows of the table may be one and the same calibration.
@@ -339,7 +381,7 @@ def _compute(run: Run, store: Store, cells: Sequence[_Cell], cache: FeatureCache
     for part in {f"{s} {p}": p for c in pending for s, p in c.method.plan.parts.items() if s != "data"}.values():
         worker.built(part)  # a package that is missing is told before any work
     keys = _feature_keys(pending)
-    failures = _extracted(run, pending, keys, cache, pace.say)
+    failures = _extracted(run, pending, keys, cache, pace.say, warn)
     refused: list[StoredRow] = []
 
     def jobs() -> Iterator[Calibration]:
@@ -387,7 +429,7 @@ def _feature_keys(cells: Sequence[_Cell]) -> FeatureKeys:
 
 
 def _extracted(
-    run: Run, cells: Sequence[_Cell], keys: FeatureKeys, cache: FeatureCache, say: OnProgress
+    run: Run, cells: Sequence[_Cell], keys: FeatureKeys, cache: FeatureCache, say: OnProgress, warn: _Once
 ) -> dict[str, tuple[str, str]]:
     """Extract the features that are not kept yet, once each; return reason and traceback of those that failed."""
     wanted: dict[Source, dict[str, tuple[str, str, str]]] = {}
@@ -399,8 +441,9 @@ def _extracted(
     jobs = [Extraction(source, cache.root, tuple(tasks.values())) for source, tasks in wanted.items()]
     failures: dict[str, tuple[str, str]] = {}
     with contextlib.closing(run(worker.extract, jobs, worker.unextracted)) as finished:
-        for done, failed in enumerate(finished, start=1):
-            failures |= failed
+        for done, found in enumerate(finished, start=1):
+            failures |= found.failed
+            warn(found.unkept)
             say(Progress("extract", done, len(jobs)))
     return failures
 
@@ -455,7 +498,11 @@ def _turn(folder: Path) -> Iterator[bool]:
         yield True
         return
     # The lock goes with the process, however it ends.
-    handle = os.open(folder / ".running", os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        handle = os.open(folder / ".running", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+    except OSError:  # something else of that name: nobody is told from the other
+        yield True
+        return
     try:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -475,6 +522,13 @@ def chosen_seeds(text: str) -> int | tuple[int, ...]:
     Raises InputError for anything else.
     """
     words = [word.strip() for word in text.split(",")]
-    if not all(word.isdecimal() for word in words) or (len(words) == 1 and int(words[0]) < 1):
+    # Ten digits hold every seed, and Python takes thousands of them ill.
+    if not all(re.fullmatch("[0-9]{1,10}", word) for word in words):
         raise InputError("cannot read the seeds", where="--seeds", expected="a number such as 10, or 3,5,8", got=text)
-    return int(words[0]) if len(words) == 1 else tuple(int(word) for word in words)
+    numbers = tuple(map(int, words))
+    if len(numbers) == 1 and not 1 <= numbers[0] <= MOST_SEEDS:
+        raise InputError("wrong number of seeds", where="--seeds", expected=f"1 to {MOST_SEEDS}", got=text)
+    if len(numbers) > MOST_SEEDS or max(numbers) > LARGEST_SEED:
+        expected = f"at most {MOST_SEEDS} of 0 to {LARGEST_SEED}"
+        raise InputError("too many seeds, or too large ones", where="--seeds", expected=expected)
+    return numbers[0] if len(numbers) == 1 else numbers

@@ -9,14 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-from p2o.errors import InputError
+from p2o.errors import InputError, printable
 from p2o.files.input_file import read_text
 from p2o.files.parsed_text import parse_json
 from p2o.files.whole_file import write_whole
 from p2o.host.validation import validated
 from p2o.results.verdict import Trust
+from p2o.study.columns import METRICS
 from p2o.study.store import Planned, StoredRow
 from p2o.study.study import Study
 from p2o.study.tally import Tally, tallies, told
@@ -25,6 +26,17 @@ TOLERANCE = {"deg": 0.05, "m": 0.01}
 """How much worse a mean may be, by unit, in a reference that is written for the first time."""
 
 _SHOWN = 8
+
+
+def _metric(name: str) -> str:
+    if name not in METRICS:
+        raise ValueError(f"one of: {', '.join(METRICS)}")
+    return name
+
+
+MetricName = Annotated[str, AfterValidator(_metric)]
+Size = Annotated[float, Field(ge=0)]
+Count = Annotated[int, Field(ge=0)]
 
 
 class _Part(BaseModel):
@@ -39,10 +51,10 @@ class Tolerance(_Part):
     before it is shown.
     """
 
-    mean: dict[str, Annotated[float, Field(ge=0)]]
-    rows: dict[str, dict[str, Annotated[float, Field(ge=0)]]] = Field(default_factory=dict)
-    failures: Annotated[int, Field(ge=0)] = 0
-    run: dict[str, Annotated[float, Field(ge=0)]]
+    mean: dict[MetricName, Size]
+    rows: dict[str, dict[MetricName, Size]] = Field(default_factory=dict)
+    failures: Count = 0
+    run: dict[MetricName, Size]
 
 
 class RowReference(_Part):
@@ -51,11 +63,11 @@ class RowReference(_Part):
     `trust` counts the calibrations by the word of their verdict; a reference of before may have no such counts.
     """
 
-    count: int
-    failures: int
-    trust: dict[Trust, int] = Field(default_factory=dict)
-    mean: dict[str, float | None]
-    runs: dict[str, dict[str, float | None] | None]
+    count: Count
+    failures: Count
+    trust: dict[Trust, Count] = Field(default_factory=dict)
+    mean: dict[MetricName, Size | None]
+    runs: dict[str, dict[MetricName, Size | None] | None]
 
 
 class Reference(_Part):
@@ -89,7 +101,8 @@ class Ruling:
 
     def __str__(self) -> str:
         head = "gate: open" if self.open else f"gate: closed, {len(self.failures)} reasons"
-        return "\n".join([head, *(f"  FAIL  {line}" for line in self.failures), *(f"  {line}" for line in self.moved)])
+        lines = [head, *(f"  FAIL  {line}" for line in self.failures), *(f"  {line}" for line in self.moved)]
+        return "\n".join(map(printable, lines))
 
 
 def make_reference(study: Study, rows: Sequence[StoredRow], old: Reference | None = None) -> Reference:
@@ -153,6 +166,8 @@ def _worse(tally: Tally, expected: RowReference, tolerance: Tolerance) -> list[s
     out = []
     for metric, before in expected.mean.items():
         now = tally.mean.get(metric)
+        if before is not None and now is None:
+            out.append(f"{tally.row}: mean {metric} is not measured, was {before:.4f}")
         allowed = tolerance.rows.get(tally.row, {}).get(metric, tolerance.mean.get(metric, 0.0))
         # Whatever is no number is not within the tolerance either.
         if before is not None and now is not None and not now <= before + allowed:

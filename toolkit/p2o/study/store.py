@@ -5,31 +5,38 @@
 
 from __future__ import annotations
 
-import json
+import contextlib
+import re
 import sqlite3
+import stat
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
-
 from p2o.arrays import Float
 from p2o.errors import InputError
 from p2o.files.input_file import expanded
-from p2o.geometry.pose_error import AXES
 from p2o.results.result import Status
 from p2o.results.verdict import Trust
+from p2o.study.columns import (
+    LIKELY,
+    RIVAL,
+    from_column,
+    json_text,
+    parsed_object,
+    parsed_objects,
+    to_column,
+    type_of,
+)
 
 FILE = "study.sqlite"
-METRICS = ("rotation_deg", "translation_m", *AXES)
-"""The columns that say how far an estimate is from the truth; those of the axes are signed."""
-
 _VERSION = 2
 _BUSY_S = 60.0
+_WAIT_S = 1.0
+"""SQLite itself waits so long at a time: while it does, nothing interrupts it."""
 _OUTER_ERRORS = (
     sqlite3.SQLITE_PERM,
     sqlite3.SQLITE_BUSY,
@@ -151,19 +158,9 @@ class StoredStudy:
 
 _LABELS = tuple(f.name for f in fields(Planned))
 _VALUES = tuple(f.name for f in fields(StoredRow) if f.name not in _LABELS)
-_LIKELY = ("likely_rotation_deg", "likely_translation_m", "likely_rotation_deg_95", "likely_translation_m_95")
-_RIVAL = ("rival_lead", "rival_rotation_deg", "rival_translation_m")
-_REAL = (*METRICS, "start_rotation_deg", "start_translation_m", "agreement", *_RIVAL, *_LIKELY)
-_INTEGER = ("joint", "seed")
-_POSE = ("estimate", "start", "truth")
-_LISTS = ("frames", "rounds")
-_JSON = (*_POSE, *_LISTS, "judged", "matches", "seconds", "recipe", "versions", "inputs")
-_NEW_IN_2 = ("trust", "why", "agreement", *_RIVAL, "rival_unit", *_LIKELY, "judged")
-
-
-def _type_of(column: str) -> str:
-    return "REAL" if column in _REAL else "INTEGER" if column in _INTEGER else "TEXT"
-
+_NEW_IN_2 = ("trust", "why", "agreement", *RIVAL, "rival_unit", *LIKELY, "judged")
+_PLAN = ("study", "position", *(c for c in _LABELS if c != "study"))
+_RUNS = ("key", *_VALUES)
 
 _VIEW = (
     f"CREATE VIEW rows AS SELECT {', '.join(f'plan.{c} AS {c}' for c in _LABELS)},"
@@ -175,7 +172,7 @@ _VIEW = (
 # row, or an edit that is taken back cost nothing. `rows` is what the studies ask for now.
 _SCHEMA = (
     "CREATE TABLE studies (name TEXT PRIMARY KEY, toml TEXT, data TEXT, published TEXT)",
-    f"CREATE TABLE runs (key TEXT PRIMARY KEY, {', '.join(f'{c} {_type_of(c)}' for c in _VALUES)})",
+    f"CREATE TABLE runs (key TEXT PRIMARY KEY, {', '.join(f'{c} {type_of(c)}' for c in _VALUES)})",
     f"CREATE TABLE plan (study TEXT, position INTEGER, {', '.join(f'{c} TEXT' for c in _LABELS if c != 'study')},"
     " PRIMARY KEY (study, position))",
     _VIEW,
@@ -183,7 +180,7 @@ _SCHEMA = (
 
 # Version 2 has more columns, and rounds whose cost need not be in pixels. Rows of before have none of the new.
 _FROM_1_TO_2 = (
-    *(f"ALTER TABLE runs ADD COLUMN {c} {_type_of(c)}" for c in _NEW_IN_2),
+    *(f"ALTER TABLE runs ADD COLUMN {c} {type_of(c)}" for c in _NEW_IN_2),
     """UPDATE runs SET rounds = replace(replace(rounds, '"mean_residual_px":', '"mean_residual":'),
     '"directed_cost_px":', '"cost":')""",
     "DROP VIEW rows",
@@ -191,10 +188,19 @@ _FROM_1_TO_2 = (
 )
 
 
+_TABLES = {"studies": ("name", "toml", "data", "published"), "plan": _PLAN, "runs": _RUNS}
+_KEYS = {"studies": ("name",), "plan": ("study", "position"), "runs": ("key",)}
+_COLUMN = re.compile(r"\W?\w+\W?( (text|real|integer))?( primary key)?", re.ASCII)
+_OF_SQLITE = re.compile(r"sqlite_(autoindex_(studies|plan|runs)_\d+|stat\d)", re.ASCII)
+_SIDE_FILES = ("", "-wal", "-shm", "-journal")
+_AWAY = "move it away and run again: features that are cached are not extracted again"
+
+
 class Store:
     """The file DIR/study.sqlite; several processes may use it at once, and none leaves half a row behind.
 
-    The text form of every field is JSON. Use it as a context manager, or call `close`.
+    The text form of every field is JSON. Use it as a context manager, or call `close`. A file may come from anywhere:
+    one that holds more than the tables of a store is refused, and so is a value that no study writes.
     """
 
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
@@ -208,34 +214,46 @@ class Store:
         """Return the store of a folder, which is made if need be (`create` False: InputError where there is none).
 
         A store of version 1 is brought to this version; its rows say nothing in the columns that are new. Raises
-        InputError for a folder that cannot be written and for a file that is no store, or one of another version.
+        InputError for a folder that cannot be written and for a file that is no store, one of another version, or one
+        that is damaged.
         """
         path = expanded(folder) / FILE
-        if not create and not path.is_file():
-            raise InputError("there is no study", where=path, expected="a folder that `p2o ablate --out` wrote")
-        try:
+        with _telling(path):
+            _refuse_what_is_no_file(path)
+            if not create and not path.exists():
+                raise InputError("there is no study", where=path, expected="a folder that `p2o ablate --out` wrote")
             path.parent.mkdir(parents=True, exist_ok=True)
-            connection = sqlite3.connect(path, timeout=_BUSY_S, isolation_level=None, check_same_thread=False)
-        except (OSError, sqlite3.Error) as problem:
-            raise _unkept(path, problem) from problem
+            looked_at = path.exists() and cls._looked_at(path)
+            connection = _connected(path)
         try:
-            _patiently(lambda: connection.execute("PRAGMA journal_mode=WAL"))
-            # With a write-ahead log this loses no finished row when the process is killed.
-            connection.execute("PRAGMA synchronous=NORMAL")
-            store = cls(path, connection)
-            store._prepare()
-        except sqlite3.Error as problem:
-            connection.close()
-            # The low byte is the kind of error, what is above it the details.
-            if getattr(problem, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF in _OUTER_ERRORS:
-                raise _unkept(path, problem) from problem
-            raise InputError(
-                "this is not a store of studies", where=path, got=problem, hint="choose another folder"
-            ) from problem
-        except InputError:
+            with _telling(path):
+                store = cls(path, connection)
+                if not looked_at:
+                    store._check()
+                _patiently(lambda: connection.execute("PRAGMA journal_mode=WAL"))
+                # With a write-ahead log this loses no finished row when the process is killed.
+                connection.execute("PRAGMA synchronous=NORMAL")
+                store._prepare()
+        except BaseException:
             connection.close()
             raise
         return store
+
+    @classmethod
+    def _looked_at(cls, path: Path) -> bool:
+        """Return whether a file is found to be a store without touching it; raises InputError where it is none.
+
+        False where only whoever may write can tell, as behind a crash. Closing a file that was opened for writing
+        writes, where a log lies beside it: what is not ours has to stay as it is.
+        """
+        with contextlib.closing(_connected(f"{path.absolute().as_uri()}?mode=ro")) as connection:
+            try:
+                cls(path, connection)._check()
+            except InputError as problem:
+                if _kind_of(problem.__cause__) in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN):
+                    return False
+                raise
+        return True
 
     def __enter__(self) -> Store:
         return self
@@ -245,29 +263,35 @@ class Store:
 
     def close(self) -> None:
         """Close the file."""
-        self._connection.close()
+        # What the log of a full disk could not take over stays in the log.
+        with contextlib.suppress(sqlite3.Error):
+            self._connection.close()
 
     def begin(self, study: StoredStudy, planned: Sequence[Planned]) -> None:
-        """Note what a study asks for now, in the order of its table; `rows` and `missing` follow it from here on."""
+        """Note what a study asks for now, in the order of its table; `rows` and `missing` follow it from here on.
+
+        Raises InputError where the file cannot be written.
+        """
         marks = ", ".join("?" * (len(_LABELS) + 1))
         columns = ", ".join(("position", *_LABELS))
-        values = [(i, *(getattr(p, c) for c in _LABELS)) for i, p in enumerate(planned)]
+        values = [(i, *(to_column(c, getattr(p, c)) for c in _LABELS)) for i, p in enumerate(planned)]
         with self._transaction():
             self._connection.execute(
                 "INSERT OR REPLACE INTO studies VALUES (?, ?, ?, ?)",
-                (study.name, study.toml, _text(study.data), _text(list(study.published))),
+                (study.name, study.toml, json_text(study.data), json_text(list(study.published))),
             )
             self._connection.execute("DELETE FROM plan WHERE study = ?", (study.name,))
             self._connection.executemany(f"INSERT INTO plan ({columns}) VALUES ({marks})", values)
 
     def put(self, row: StoredRow) -> None:
-        """Write one finished calibration, whole or not at all; one of the same key is replaced."""
-        values = [row.key, *(_to_column(c, getattr(row, c)) for c in _VALUES)]
+        """Write one finished calibration, whole or not at all; one of the same key is replaced.
+
+        Raises InputError where the file cannot be written; the rows that are there stay.
+        """
+        values = [to_column(c, getattr(row, c)) for c in _RUNS]
         marks = ", ".join("?" * len(values))
         with self._transaction():
-            self._connection.execute(
-                f"INSERT OR REPLACE INTO runs (key, {', '.join(_VALUES)}) VALUES ({marks})", values
-            )
+            self._connection.execute(f"INSERT OR REPLACE INTO runs ({', '.join(_RUNS)}) VALUES ({marks})", values)
 
     def finished(self, keys: Iterable[str]) -> set[str]:
         """Return which of the keys need not be computed again: their run is there and did not raise."""
@@ -280,15 +304,21 @@ class Store:
         return found
 
     def rows(self, study: str) -> list[StoredRow]:
-        """Return what is finished of what the study asks for, in the order of its table."""
+        """Return what is finished of what the study asks for, in the order of its table.
+
+        Raises InputError for a row that no study has written.
+        """
         columns = (*_LABELS, *_VALUES)
+        # Not from the view, which a foreign file may define as it likes.
         found = self._all(
-            f"SELECT {', '.join(columns)} FROM rows WHERE study = ?",
+            f"SELECT {', '.join(f'plan.{c}' for c in _LABELS)}, {', '.join(f'runs.{c}' for c in _VALUES)}"
+            " FROM plan JOIN runs ON runs.key = plan.key WHERE plan.study = ? ORDER BY plan.position",
             (study,),
         )
-        return [
-            StoredRow(**{c: _from_column(c, value) for c, value in zip(columns, row, strict=True)}) for row in found
-        ]
+        with self._believing():
+            return [
+                StoredRow(**{c: from_column(c, value) for c, value in zip(columns, row, strict=True)}) for row in found
+            ]
 
     def missing(self, study: str) -> list[Planned]:
         """Return what the study asks for and is not there yet, in the order of its table."""
@@ -296,30 +326,96 @@ class Store:
             f"SELECT {', '.join(_LABELS)} FROM plan WHERE study = ? AND key NOT IN (SELECT key FROM runs)"
             " ORDER BY position"
         )
-        return [Planned(*row) for row in self._all(query, (study,))]
+        with self._believing():
+            return [
+                Planned(**{c: from_column(c, value) for c, value in zip(_LABELS, row, strict=True)})
+                for row in self._all(query, (study,))
+            ]
 
     def studies(self) -> list[StoredStudy]:
         """Return the studies of this folder, by name."""
         found = self._all("SELECT name, toml, data, published FROM studies ORDER BY name", ())
-        return [
-            StoredStudy(name, toml, json.loads(data), tuple(json.loads(published)))
-            for name, toml, data, published in found
-        ]
+        with self._believing():
+            return [
+                StoredStudy(
+                    from_column("study", name),
+                    from_column("toml", toml),
+                    parsed_object("data", data),
+                    parsed_objects("published", published),
+                )
+                for name, toml, data, published in found
+            ]
+
+    @contextlib.contextmanager
+    def _believing(self) -> Iterator[None]:
+        """Put the file and the way out on what is said of a value that is not what it must be."""
+        try:
+            yield
+        except InputError as problem:
+            raise InputError(
+                "the store holds what no study writes", where=self.path, got=problem, hint=_AWAY
+            ) from problem
 
     def _all(self, query: str, values: Sequence[Any]) -> list[tuple[Any, ...]]:
-        with self._alone:
+        with self._alone, _telling(self.path):
             return _patiently(lambda: self._connection.execute(query, values).fetchall())
 
-    @contextmanager
+    @contextlib.contextmanager
     def _transaction(self) -> Iterator[None]:
-        with self._alone:
+        with self._alone, _telling(self.path):
             _patiently(lambda: self._connection.execute("BEGIN IMMEDIATE"))
             try:
                 yield
+                self._connection.execute("COMMIT")
             except BaseException:
-                self._connection.execute("ROLLBACK")
+                # A full disk has ended the transaction by itself.
+                if self._connection.in_transaction:
+                    self._connection.execute("ROLLBACK")
                 raise
-            self._connection.execute("COMMIT")
+
+    def _check(self) -> None:
+        """Raise InputError for a file that is damaged, or that holds anything but the tables of a store."""
+        with self._alone, _telling(self.path):
+            # One look at one state: another process may be about to make the tables.
+            self._connection.execute("BEGIN")
+            try:
+                self._check_tables()
+                # Only now: it computes the checks and defaults that a foreign schema may hold.
+                [(verdict,), *_] = self._all("PRAGMA quick_check(1)", ())
+                if verdict != "ok":
+                    raise _damaged(self.path, verdict)
+            finally:
+                self._connection.execute("ROLLBACK")
+
+    def _check_tables(self) -> None:
+        schema = self._all("SELECT type, name, sql FROM sqlite_master", ())
+        version = self._version()
+        if not schema and version == 0:
+            return
+        tables = {name for kind, name, _ in schema if kind == "table"}
+        for table in _TABLES.keys() - tables:
+            raise _foreign(self.path, f"no table '{table}'")
+        self._check_version(0 < version <= _VERSION)
+        for kind, name, sql in schema:
+            # No view is ever asked.
+            known = kind == "view" or bool(_OF_SQLITE.fullmatch(str(name)))
+            if not known and not (kind == "table" and name in _TABLES and _is_plain(str(sql))):
+                raise _foreign(self.path, f"the {kind} '{name}'")
+        for table, expected in _TABLES.items():
+            there = {name: key for _, name, _, _, _, key in self._all(f"PRAGMA table_info({table})", ())}
+            asked = set(expected) - (set(_NEW_IN_2) if version == 1 else set())
+            if there.keys() != asked or {name for name, key in there.items() if key} != set(_KEYS[table]):
+                raise _foreign(self.path, f"a table '{table}' of other columns")
+
+    def _check_version(self, known: bool) -> None:
+        if not known:
+            raise InputError(
+                "the store was written by another version of p2o",
+                where=self.path,
+                expected=f"version {_VERSION}",
+                got=f"version {self._version()}",
+                hint="choose another folder, or " + _AWAY,
+            )
 
     def _prepare(self) -> None:
         """Make the tables of a new file, or bring those of an older one up to date."""
@@ -331,27 +427,89 @@ class Store:
                         for statement in statements:
                             self._connection.execute(statement)
                         self._connection.execute(f"PRAGMA user_version = {_VERSION}")
-        if self._version() != _VERSION:
-            raise InputError(
-                "the store was written by another version of p2o",
-                where=self.path,
-                expected=f"version {_VERSION}",
-                got=f"version {self._version()}",
-                hint="choose another folder",
-            )
+        self._check_version(self._version() == _VERSION)
 
     def _version(self) -> int:
         return int(self._all("PRAGMA user_version", ())[0][0])
 
 
-def _unkept(path: Path, problem: Exception) -> InputError:
+def _connected(path: Path | str) -> sqlite3.Connection:
+    """Return a connection to a file, or to a URI where `path` is a text."""
+    is_uri = isinstance(path, str)
+    connection = sqlite3.connect(path, timeout=_WAIT_S, isolation_level=None, check_same_thread=False, uri=is_uri)
+    # Functions that a foreign file names in its schema are not run.
+    connection.execute("PRAGMA trusted_schema=OFF")
+    return connection
+
+
+def _kind_of(problem: BaseException | None) -> int:
+    """Return the kind of an error of SQLite: the low byte of its code, above which are the details."""
+    return int(getattr(problem, "sqlite_errorcode", sqlite3.SQLITE_ERROR)) & 0xFF
+
+
+@contextlib.contextmanager
+def _telling(path: Path) -> Iterator[None]:
+    """Turn what SQLite and the system say into an error that names the file and the way out."""
+    try:
+        yield
+    except OSError as problem:
+        raise _unkept(path, problem.strerror or problem) from problem
+    except (sqlite3.ProgrammingError, sqlite3.InterfaceError):
+        raise  # a mistake of ours, not of the file
+    except sqlite3.Error as problem:
+        kind = _kind_of(problem)
+        if kind in _OUTER_ERRORS:
+            raise _unkept(path, problem) from problem
+        if kind == sqlite3.SQLITE_CORRUPT:
+            raise _damaged(path, problem) from problem
+        raise InputError("this is not a store of studies", where=path, got=problem, hint=_AWAY) from problem
+    except (MemoryError, UnicodeDecodeError) as problem:
+        raise _damaged(path, problem or "it asks for more memory than there is") from problem
+
+
+def _is_plain(sql: str) -> bool:
+    """Return whether a table is made of names and types alone: no check and no default that computes something."""
+    head, _, columns = " ".join(sql.lower().split()).partition("(")
+    columns = re.sub(r", ?primary key ?\(study, ?position\)(?=\)$)", "", columns.replace(" )", ")").strip())
+    return head.startswith("create table ") and all(
+        _COLUMN.fullmatch(column.strip()) for column in columns.removesuffix(")").split(",")
+    )
+
+
+def _unkept(path: Path, problem: object) -> InputError:
     return InputError(
         "the results cannot be kept here",
         where=path,
         expected="a folder that can be written, with room in it",
         got=problem,
-        hint="name another folder; a copy of this one does, too",
+        hint="make room and run again, which goes on with the rows that are there, or name another folder; a copy of "
+        "this one does, too",
     )
+
+
+def _damaged(path: Path, problem: object) -> InputError:
+    return InputError(
+        "the store of studies is damaged",
+        where=path,
+        got=problem,
+        hint=f"{_AWAY}; `sqlite3 FILE .recover` may save rows",
+    )
+
+
+def _foreign(path: Path, what: str) -> InputError:
+    return InputError("this is not a store of studies", where=path, got=what, hint=_AWAY)
+
+
+def _refuse_what_is_no_file(path: Path) -> None:
+    """Raise InputError where the store or a file that SQLite keeps beside it is a folder, a pipe or a device."""
+    for suffix in _SIDE_FILES:
+        beside = path.with_name(path.name + suffix)
+        try:
+            mode = beside.stat().st_mode
+        except (FileNotFoundError, NotADirectoryError):
+            continue
+        if not stat.S_ISREG(mode):
+            raise InputError("this is no file", where=beside, expected="a store of studies, or nothing", hint=_AWAY)
 
 
 def _patiently(act: Callable[[], _T]) -> _T:
@@ -365,26 +523,3 @@ def _patiently(act: Callable[[], _T]) -> _T:
             if "locked" not in str(problem) or time.monotonic() > until:
                 raise
             time.sleep(0.01)
-
-
-def _text(value: Any) -> str:
-    return json.dumps(value, allow_nan=False, ensure_ascii=False)
-
-
-def _to_column(column: str, value: Any) -> Any:
-    if column not in _JSON or value is None:
-        return value
-    if column in _POSE:
-        return _text(np.asarray(value).tolist())
-    return _text(list(value) if column in _LISTS else dict(value))
-
-
-def _from_column(column: str, value: Any) -> Any:
-    if column == "trust" and value is not None:
-        return Trust(value)
-    if column not in _JSON or value is None:
-        return value
-    read = json.loads(value)
-    if column in _POSE:
-        return np.array(read, dtype=np.float64)
-    return tuple(read) if column in _LISTS else read

@@ -8,18 +8,22 @@ from __future__ import annotations
 
 import importlib.resources
 import itertools
+import math
 import re
+import string
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import date, time
 from importlib.metadata import entry_points
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, StrictBool, StringConstraints, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StrictBool, StringConstraints, ValidationError
 
-from p2o.errors import InputError, P2OError, UnknownNameError
-from p2o.files.input_file import expanded
+from p2o.errors import InputError, P2OError, UnknownNameError, printable
+from p2o.files.input_file import expanded, read_text
 from p2o.files.parsed_text import parse_toml
 from p2o.geometry.perturb import parse_perturbation
 from p2o.host.registry import GROUP, Registry
@@ -34,9 +38,29 @@ FOLDER = "studies"
 ALL_JOINT = -1
 """Number of frames that are solved together where it is all of them."""
 
-Slug = Annotated[str, StringConstraints(pattern=r"^[a-z0-9]+([-_.][a-z0-9]+)*$")]
-Label = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, max_length=120)]
-Seeds = Annotated[int, Field(strict=True, ge=1)] | tuple[Annotated[int, Field(strict=True, ge=0)], ...]
+MOST_SEEDS = 10_000
+"""So many starts a row; more would tell nothing that these do not."""
+LARGEST_SEED = 2**32 - 1
+MOST_ROWS = 20_000
+"""So many rows of a table times seeds: each takes milliseconds to be looked up, and a file of a few lines may ask for
+more than anyone can wait for."""
+
+
+def _shown_as_it_is(text: str) -> str:
+    if printable(text) != text:
+        raise ValueError("one line without control characters")
+    return text
+
+
+Line = Annotated[str, StringConstraints(max_length=500), AfterValidator(_shown_as_it_is)]
+Slug = Annotated[str, StringConstraints(pattern=r"^[a-z0-9]+([-_.][a-z0-9]+)*$", max_length=100)]
+Label = Annotated[
+    str, StringConstraints(strip_whitespace=True, min_length=1, max_length=120), AfterValidator(_shown_as_it_is)
+]
+Seed = Annotated[int, Field(strict=True, ge=0, le=LARGEST_SEED)]
+Seeds = (
+    Annotated[int, Field(strict=True, ge=1, le=MOST_SEEDS)] | Annotated[tuple[Seed, ...], Field(max_length=MOST_SEEDS)]
+)
 Joint = StrictBool | Annotated[int, Field(strict=True, ge=2)]
 Metric = Literal["rotation_deg", "translation_m", "roll_deg", "pitch_deg", "yaw_deg", "x_m", "y_m", "z_m"]
 Options = dict[str, dict[str, Any]]
@@ -84,7 +108,7 @@ class DatasetTable(_Table):
 class _Scope(_Table):
     """What a row or product may say about itself besides its words."""
 
-    section: str = ""
+    section: Line = ""
     dataset: tuple[Slug, ...] | None = None
     joint: Joint | None = None
     seeds: Seeds | None = None
@@ -119,7 +143,7 @@ class Published(_Table):
     source: Label
     values: dict[Metric, float]
     beside: Label | None = None
-    start: str = ""
+    start: Line = ""
     note: str = ""
 
 
@@ -140,11 +164,11 @@ class Study(_Table):
     variant: tuple[Variant, ...] = ()
     product: tuple[Product, ...] = ()
     row: tuple[RowTable, ...] = ()
-    published: tuple[Published, ...] = ()
+    published: tuple[Published, ...] = Field(default=(), max_length=1000)
     perturb: str | None = None
     joint: Joint = False
     seeds: Seeds = 1
-    metrics: tuple[Metric, ...] = Field(default=("rotation_deg", "translation_m"), min_length=1)
+    metrics: tuple[Metric, ...] = Field(default=("rotation_deg", "translation_m"), min_length=1, max_length=8)
 
     def overridden(
         self, data: Sequence[str] = (), frames: str | None = None, seeds: int | Sequence[int] | None = None
@@ -171,7 +195,8 @@ class Study(_Table):
     def rows(self) -> list[StudyRow]:
         """Return every row of the table, in the order of the file: products first, then explicit rows.
 
-        Raises InputError for clashing names and words, UnknownNameError for variants and datasets that are not there.
+        Raises InputError for clashing names and words, and for more than MOST_ROWS rows times seeds; UnknownNameError
+        for variants and datasets that are not there.
         """
         return list(_Expansion(self).rows())
 
@@ -238,6 +263,7 @@ class _Expansion:
                     )
 
     def rows(self) -> Iterator[StudyRow]:
+        self._refuse_too_many()
         found: list[StudyRow] = []
         for product in self.study.product:
             for words, use, label in self._combinations(product):
@@ -255,9 +281,22 @@ class _Expansion:
                 raise UnknownNameError("row", published.beside, labels - {""}, where=f"{self.where}, published rows")
         yield from found
 
+    def _refuse_too_many(self) -> None:
+        """Raise InputError where there are more rows than anyone can wait for; none of them is made for that."""
+        count = 0
+        for scope in (*self.study.product, *self.study.row):
+            seeds = self.study.seeds if scope.seeds is None else scope.seeds
+            combined = 1
+            if isinstance(scope, Product):
+                combined = math.prod(len(values) for values in _axes(scope).values()) * max(1, len(scope.use))
+            datasets = len(self.study.dataset if scope.dataset is None else scope.dataset)
+            count += combined * datasets * (seeds if isinstance(seeds, int) else len(seeds))
+        if count > MOST_ROWS:
+            self._fail(f"the study asks for {count:.6g} rows times seeds", f"at most {MOST_ROWS}")
+
     def _combinations(self, product: Product) -> Iterator[tuple[dict[str, str], tuple[str, ...], str]]:
         """Return words, variants and label of each combination."""
-        axes = {word: getattr(product, word) for word in (*METHOD_WORDS, *PLAIN) if getattr(product, word)}
+        axes = _axes(product)
         uses = product.use or ((),)
         if not axes and not product.use:
             self._fail("a product has nothing to combine", ", ".join(METHOD_WORDS))
@@ -267,14 +306,14 @@ class _Expansion:
         pattern = product.label or " ".join(
             f"{{{w}}}" for w in [*varying, *(["use"] if len(uses) > 1 or not varying else [])]
         )
-        for *values, use in itertools.product(*axes.values(), uses):
-            words = dict(zip(axes, values, strict=True))
-            try:
-                label = pattern.format(**words, use=" ".join(use)).strip()
-            except (KeyError, IndexError, ValueError):
+        for chosen, use in itertools.product(itertools.product(*axes.values()), uses):
+            words = dict(zip(axes, chosen, strict=True))
+            label = _filled(pattern, {**words, "use": " ".join(use)})
+            if label is None:
                 names = " ".join(f"{{{w}}}" for w in (*axes, "use"))
                 self._fail(f"the label '{pattern}' of a product cannot be filled in", f"names such as {names}")
-            yield words, use, label
+            else:
+                yield words, use, label
 
     def _row(
         self, label: str, words: Mapping[str, str], use: Sequence[str], scope: _Scope, options: Options | None = None
@@ -362,12 +401,34 @@ class _Expansion:
         return seeds
 
     def _refuse_twice(self, kind: str, names: Sequence[str]) -> None:
-        twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
+        twice = next((name for name, count in Counter(names).items() if count > 1), None)
         if twice is not None:
             self._fail(f"two of the kind {kind} are called '{twice}'", "a name of its own for each")
 
     def _fail(self, what: str, expected: str) -> None:
         raise InputError(what, where=self.where, expected=expected)
+
+
+def _axes(product: Product) -> dict[str, tuple[str, ...]]:
+    """Return the lists that a product combines, by word, `use` left out."""
+    return {word: getattr(product, word) for word in (*METHOD_WORDS, *PLAIN) if getattr(product, word)}
+
+
+def _filled(pattern: str, words: Mapping[str, str]) -> str | None:
+    """Return a label whose {names} are filled in; None for names that are not there and for anything but a name.
+
+    Python's own formats reach into objects ("{x.__class__}") and make texts as wide as they are told ("{x:>9999999}").
+    """
+    try:
+        pieces = list(string.Formatter().parse(pattern))
+    except ValueError:
+        return None
+    filled = []
+    for text, name, spec, conversion in pieces:
+        if name is not None and (name not in words or spec or conversion):
+            return None
+        filled += [text, "" if name is None else words[name]]
+    return "".join(filled).strip()
 
 
 def check_study(study: Study, registry: Registry) -> list[StudyRow]:
@@ -439,7 +500,7 @@ def find_study(word: str, registry: Registry) -> StudyFile:
     """
     path = expanded(word)
     if word.endswith(".toml") or "/" in word or "\\" in word:
-        if not path.is_file():
+        if not path.exists():
             raise InputError("there is no such study file", where=word, expected="a TOML file, or the name of a study")
         return _read(path, str(path))
     name, at, dist = word.partition("@")
@@ -477,10 +538,13 @@ def shipped_studies(registry: Registry) -> dict[str, list[tuple[str, Traversable
 
 
 def _read(file: Traversable | Path, source: str) -> StudyFile:
-    try:
-        text = file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as problem:
-        raise InputError("the study file cannot be read", where=source, got=problem) from problem
+    if isinstance(file, Path):
+        text = read_text(file, "study file")
+    else:
+        try:
+            text = file.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as problem:
+            raise InputError("the study file cannot be read", where=source, got=problem) from problem
     return StudyFile(parse_study(text, source), text, source)
 
 
@@ -491,10 +555,29 @@ def parse_study(text: str, source: str = "study") -> Study:
     with the nearest ones; both name the place.
     """
     content = parse_toml(text, "study", source)
+    _refuse_odd_values(content, source)
     try:
         return Study.model_validate(content)
     except ValidationError as problem:
         raise _explained(problem, content, source) from problem
+
+
+def _refuse_odd_values(value: Any, source: str, path: tuple[str, ...] = ()) -> None:
+    """Raise InputError for values of TOML that no word and no option takes, and that JSON has no form for."""
+    if isinstance(value, dict | list):
+        inner = value.items() if isinstance(value, dict) else enumerate(value, start=1)
+        for key, part in inner:
+            _refuse_odd_values(part, source, (*path, str(key)))
+        return
+    where, expected = f"{source}, {'.'.join(path)}", ""
+    if isinstance(value, date | time):
+        value, expected = value.isoformat(), "a text in quotes, a number, a switch or a list"
+    elif isinstance(value, float) and not math.isfinite(value):
+        expected = "a finite number"
+    elif isinstance(value, int) and abs(value) >= 2**63:
+        value, expected = "more", "a whole number of 64 bits"
+    if expected:
+        raise InputError("this value is of no use in a study", where=where, expected=expected, got=value)
 
 
 def _explained(problem: ValidationError, content: Mapping[str, Any], source: str) -> InputError:

@@ -102,7 +102,7 @@ class Facts:
     """What planning has to know about a frame; `inputs` are content hashes of its parts.
 
     `misfits` say by recipe of the `checks` what the frame lacks. `failure` is the traceback and `reason` one line
-    where it cannot be read.
+    where it cannot be read. `unkept` says why features could not be kept, if so.
     """
 
     source: Source
@@ -114,6 +114,7 @@ class Facts:
     misfits: Mapping[str, str] = field(default_factory=dict)
     reason: str = ""
     failure: str | None = None
+    unkept: str = ""
 
     @property
     def name(self) -> str:
@@ -128,6 +129,14 @@ class Extraction:
     source: Source
     cache: Path
     wanted: tuple[tuple[str, str, str], ...]
+
+
+@dataclass(frozen=True)
+class Extracted:
+    """Reason and traceback by key of what could not be prepared; `unkept` says why the rest is not kept, if so."""
+
+    failed: Mapping[str, tuple[str, str]]
+    unkept: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,22 +155,30 @@ class Calibration:
 
 def read(job: Reading) -> Facts:
     """Return the facts of a frame; a frame that cannot be read has a `failure`."""
-    source = job.source
+    source, cache = job.source, _Keeper(job.cache)
     try:
         frame = _frame(source)
-    except (Exception, SystemExit) as problem:
-        return _unread(source, _one_line(problem), traceback.format_exc())
-    hashes = _inputs(frame)
-    found = {recipe: _misfit(_plan(source.plugins, recipe), frame) for recipe in job.checks}
-    misfits = {recipe: misfit for recipe, misfit in found.items() if misfit}
-    if not misfits:
-        for recipe, stage in job.wanted:
+        hashes = _inputs(frame)
+        found = {recipe: _misfit(_plan(source.plugins, recipe), frame) for recipe in job.checks}
+        misfits = {recipe: misfit for recipe, misfit in found.items() if misfit}
+        for recipe, stage in () if misfits else job.wanted:
             part = _plan(source.plugins, recipe).parts[stage]
             key = features_key(part, hashes[INPUTS[stage]])
             # What fails here fails again where a row needs it, and is told there.
             with contextlib.suppress(Exception, SystemExit):
-                _piece(FeatureCache(job.cache), key, source, part, stage)
-    return Facts(source, hashes, frame.camera, frame.camera_from_lidar, frame.start, frame.warnings, misfits=misfits)
+                _piece(cache, key, source, part, stage)
+    except (Exception, SystemExit) as problem:
+        return _unread(source, _one_line(problem), traceback.format_exc())
+    return Facts(
+        source,
+        hashes,
+        frame.camera,
+        frame.camera_from_lidar,
+        frame.start,
+        frame.warnings,
+        misfits=misfits,
+        unkept=cache.unkept,
+    )
 
 
 def unread(job: Reading, problem: P2OError) -> Facts:
@@ -195,9 +212,9 @@ def _misfit(plan: Plan, frame: Frame) -> str:
     return ""
 
 
-def extract(job: Extraction) -> dict[str, tuple[str, str]]:
-    """Extract features and keep them; return reason and traceback by key for those that failed."""
-    cache = FeatureCache(job.cache)
+def extract(job: Extraction) -> Extracted:
+    """Prepare what is not kept yet, and return what failed."""
+    cache = _Keeper(job.cache)
     failed = {}
     for key, recipe, stage in job.wanted:
         if not cache.has(key):
@@ -208,22 +225,20 @@ def extract(job: Extraction) -> dict[str, tuple[str, str]]:
                 if stage in WITNESS:
                     continue
                 failed[key] = (_one_line(problem), traceback.format_exc())
-    return failed
+    return Extracted(failed, cache.unkept)
 
 
-def unextracted(job: Extraction, problem: P2OError) -> dict[str, tuple[str, str]]:
+def unextracted(job: Extraction, problem: P2OError) -> Extracted:
     """Return what `extract` does, where no worker survived it."""
-    return {key: (str(problem), str(problem)) for key, _, _ in job.wanted}
+    return Extracted({key: (str(problem), str(problem)) for key, _, _ in job.wanted})
 
 
 def calibrate(job: Calibration) -> StoredRow:
     """Return the row with all that came out; what a method raises is in it, too."""
     try:
-        result = _result(job)
+        row = _filled(job.row, _result(job))
     except (Exception, SystemExit) as problem:
         row = replace(job.row, reason=_one_line(problem), exception=traceback.format_exc())
-    else:
-        row = _filled(job.row, result)
     return replace(row, finished=now())
 
 
@@ -266,6 +281,8 @@ def _filled(row: StoredRow, result: Result) -> StoredRow:
     if row.truth is None or result.status is Status.STAGE_FAILED:
         return row
     error = pose_error(result.camera_from_lidar, row.truth)
+    if not np.isfinite([error.rotation_deg, error.translation_m]).all():
+        raise InputError("the error of the estimate is not finite", got=f"camera_from_lidar {row.estimate}")
     axes: dict[str, Any] = {axis: error.per_axis[axis] for axis in AXES}
     return replace(row, rotation_deg=error.rotation_deg, translation_m=error.translation_m, **axes)
 
@@ -280,7 +297,7 @@ def _beside(result: Result) -> dict[str, Any]:
 
 def _result(job: Calibration) -> Result:
     assert job.row.start is not None
-    plugins, cache, took = job.facts[0].source.plugins, FeatureCache(job.cache), []
+    plugins, cache, took = job.facts[0].source.plugins, _Keeper(job.cache), []
     plan = _plan(plugins, job.recipe)
     assembly = Assembly.of(plan.parts, plan.pipeline, built)
     limit_threads()
@@ -387,13 +404,26 @@ _memory: OrderedDict[str, tuple[Any, float]] = OrderedDict()
 _memory_lock = threading.Lock()
 
 
+class _Keeper(FeatureCache):
+    """A cache that goes on without being kept: a full disk costs time, but no row."""
+
+    unkept: str = ""
+
+    def put(self, key: str, features: Any, seconds: float) -> bool:
+        try:
+            return super().put(key, features, seconds)
+        except InputError as problem:
+            object.__setattr__(self, "unkept", str(problem))
+            return False
+
+
 def _piece(cache: FeatureCache, key: str, source: Source, part: Part, stage: str) -> tuple[Any, float]:
     """Return what a stage prepares of a frame and the seconds that it took: from memory, the cache, or the stage."""
     with _memory_lock:
         if key in _memory:
             _memory.move_to_end(key)
             return _memory[key]
-    kept = cache.get(key)
+    kept = cache.get(key, part.offer)
     if kept is not None:
         features, seconds = kept.features, kept.seconds
     else:

@@ -7,8 +7,11 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import io
 import json
+import math
 import os
+import stat
 import sys
 import tempfile
 import zipfile
@@ -17,7 +20,7 @@ from dataclasses import dataclass, is_dataclass
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 import platformdirs
@@ -25,13 +28,17 @@ import platformdirs
 from p2o.arrays import parts
 from p2o.errors import InputError
 from p2o.files.input_file import expanded
-from p2o.host.registry import GROUP
+from p2o.files.parsed_text import parse_json
+from p2o.host.guard import check_features
+from p2o.host.registry import GROUP, Offer
 from p2o.work.sources import code_hash
 
 if TYPE_CHECKING:
     from p2o.run.recipe import Part
 
 _FORMAT = 3
+_KINDS = "biuf"
+"""Kinds of numbers that arrays may be of: switches, integers, floats."""
 
 _CONTAINERS: dict[str, type] = {kind.__name__: kind for kind in (tuple, list, dict)}
 _PLUGIN_FILE = "p2o_plugin_file_"
@@ -144,20 +151,26 @@ class FeatureCache:
 
     def has(self, key: str) -> bool:
         """True where there is a file for the key."""
-        return self.path(key).is_file()
+        return os.path.isfile(self.path(key))
 
-    def get(self, key: str) -> Kept | None:
-        """Return what is kept, or None where there is nothing, or nothing that can be read."""
+    def get(self, key: str, offer: Offer | None = None) -> Kept | None:
+        """Return what is kept, or None where there is nothing, or nothing that can be read.
+
+        With `offer`, nothing that its method may not return counts as none.
+        """
         try:
-            with self.path(key).open("rb") as file, np.load(file, allow_pickle=False) as content:
-                arrays = {name: content[name] for name in content.files}
-            head = json.loads(arrays.pop("head").tobytes())
-            return Kept(_unpacked(head["features"], arrays), float(head["seconds"]))
+            with _opened(self.path(key)) as file:
+                arrays = read_arrays(file)
+            head = parse_json(arrays.pop("head").tobytes(), "file of the cache")
+            kept = Kept(_unpacked(head["features"], arrays), float(head["seconds"]))
+            if not 0 <= kept.seconds < float("inf"):
+                return None
+            if offer is not None:
+                check_features(offer, kept.features)
         # Whatever a cut-off or foreign file is like, the features can be extracted again.
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile):
+        except Exception:
             return None
-        except InputError:
-            return None
+        return kept
 
     def put(self, key: str, features: Any, seconds: float) -> bool:
         """Keep features whole or not at all; False where they are of a form that cannot be kept.
@@ -167,7 +180,7 @@ class FeatureCache:
         arrays: dict[str, Any] = {}
         try:
             tree = _packed(features, arrays)
-        except TypeError:
+        except (TypeError, RecursionError):
             return False
         head = json.dumps({"features": tree, "seconds": seconds}).encode()
         path = self.path(key)
@@ -199,13 +212,56 @@ def why_not_kept(value: Any) -> str:
         _packed(value, {})
     except TypeError as problem:
         return str(problem)
+    except RecursionError:
+        return "it nests without end"
     return ""
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[BinaryIO]:
+    """Yield an ordinary file; raises OSError for anything else, of which a pipe would wait for somebody to write."""
+    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    with os.fdopen(handle, "rb") as file:
+        if not stat.S_ISREG(os.fstat(handle).st_mode):
+            raise OSError(f"{path} is no file")
+        yield file
+
+
+def read_arrays(file: BinaryIO) -> dict[str, Any]:
+    """Return the arrays that `numpy.savez` wrote, by name; what a header claims is allocated only where it is there.
+
+    Raises ValueError for compressed or overlapping entries, arrays of objects, and sizes that the file does not have;
+    and whatever `zipfile` and `numpy` make of other bytes.
+    """
+    room = os.fstat(file.fileno()).st_size
+    arrays = {}
+    with zipfile.ZipFile(file) as content:
+        for entry in content.infolist():
+            room -= entry.file_size
+            if entry.compress_type != zipfile.ZIP_STORED or entry.file_size != entry.compress_size or room < 0:
+                raise ValueError("entries that are compressed, or larger than the file")
+            arrays[entry.filename.removesuffix(".npy")] = _array(content.read(entry))
+    return arrays
+
+
+def _array(data: bytes) -> Any:
+    """Return the array of an .npy file."""
+    head = io.BytesIO(data)
+    if np.lib.format.read_magic(head) != (1, 0):
+        raise ValueError("another version of .npy")
+    shape, fortran, dtype = np.lib.format.read_array_header_1_0(head)
+    count = math.prod(shape)
+    if dtype.kind not in _KINDS or min(shape, default=1) < 0 or count * dtype.itemsize != len(data) - head.tell():
+        raise ValueError("an array of another size or type")
+    # A copy, because bytes cannot be written to.
+    flat = np.frombuffer(data, dtype, count, head.tell())
+    return flat.reshape(shape, order="F" if fortran else "C").copy("K")
 
 
 def _packed(value: Any, arrays: dict[str, Any]) -> Any:
     """Return a value as JSON, its arrays put aside; TypeError for what has no such form."""
     if isinstance(value, np.ndarray):
-        if value.dtype.kind not in "biuf":
+        if value.dtype.kind not in _KINDS:
             raise TypeError(f"an array of {value.dtype} is not kept")
         name = f"array{len(arrays)}"
         arrays[name] = value

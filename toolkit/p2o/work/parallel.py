@@ -15,6 +15,7 @@ import re
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cache, partial
@@ -29,6 +30,7 @@ _EXTRAS = {"dask": "distributed", "ray": "ray"}
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 _TRIES_ALONE = 2
 """How often a job whose worker died is tried again, with no other job beside it."""
+_LOOK_EVERY_S = 0.5
 
 Work = Callable[[Any], Any]
 Lost = Callable[[Any, P2OError], Any]
@@ -125,7 +127,9 @@ class Workers:
         done: Any = None
         try:
             with joblib.parallel_config(backend=self.backend):
-                tasks = (joblib.delayed(_numbered)(work, number, job) for number, job in jobs)
+                # Workers of this machine are children of this process, those of a cluster are not.
+                boss = os.getpid() if self.backend == "loky" else None
+                tasks = (joblib.delayed(_numbered)(work, number, job, boss) for number, job in jobs)
                 if self.backend == "ray":
                     # Its joblib backend hands results back only when a batch is complete.
                     while batch := list(itertools.islice(tasks, 4 * self.jobs)):
@@ -242,14 +246,16 @@ def _cluster_lost(workers: Workers, problem: Exception) -> P2OError:
     )
 
 
-def _numbered(work: Work, number: int, job: Any) -> tuple[int, Any]:
-    """Do one job in a worker."""
-    _set_up_worker()
+def _numbered(work: Work, number: int, job: Any, boss: int | None) -> tuple[int, Any]:
+    """Do one job in a worker; without its parent process `boss` a worker ends."""
+    _set_up_worker(boss)
     return number, work(job)
 
 
 @cache
-def _set_up_worker() -> None:
+def _set_up_worker(boss: int | None) -> None:
+    if boss is not None and boss != os.getpid():
+        threading.Thread(target=_leave_with, args=(boss,), daemon=True).start()
     for name in _THREAD_VARIABLES:
         os.environ[name] = "1"
     _limits.on = True
@@ -257,6 +263,13 @@ def _set_up_worker() -> None:
     # Ctrl-C goes to every process of the terminal: the one that keeps the results decides.
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _leave_with(boss: int) -> None:
+    """End this process when its parent has ended: nobody else takes what it does, and it would wait for minutes."""
+    while os.getppid() == boss:
+        time.sleep(_LOOK_EVERY_S)
+    os._exit(1)
 
 
 @dataclass

@@ -1,0 +1,138 @@
+"""Names in a store are somebody else's: no file of a report leaves its folder, and none of them is taken for markup."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from p2o.cli import main
+from p2o.report import write_report
+from p2o.report.figures import figure_names, figures_of
+from p2o.report.summary import summarise_study
+from p2o.report.tables import latex, markdown
+from p2o.study.store import StoredStudy
+
+from tests.fake_study import TOML, run_of, write_store
+
+STUDY = StoredStudy("table2", 'title = "T"', {}, ())
+HOSTILE = (
+    "../../X",
+    "/etc/passwd",
+    "",
+    "C:\\x/../..\x00\x1b]0;title\x07\x1b[2J\u202eleft\u2028\u0085next",
+    "\\input{/etc/passwd}%\n\\write18{id} $x^2$ & # _ ~ { } </script><script>alert(1)</script>",
+    "[click](javascript:alert(1)) ![x](y) <b> =1+1|cmd " + "x" * 3000,
+)
+
+
+def hostile_store(folder: Path, names: Sequence[str] = HOSTILE) -> Path:
+    """Write one study for each hostile name: it names the study, its row, section, dataset and frame."""
+    for number, name in enumerate(names):
+        runs = [
+            run_of(name, f"{name}{frame}", 0, 1.0 + frame, 0.1, study=name or "empty", section=name, dataset=name)
+            for frame in range(2)
+        ]
+        # JSON is one of TOML's texts.
+        toml = f"title = {json.dumps(name)}\nnote = {json.dumps(name)}\n" if number % 2 else TOML
+        published = ({"label": name, "source": name, "values": {"rotation_deg": 1.0}, "beside": name, "note": name},)
+        write_store(folder, [replace(run, reason=name, why=name) for run in runs], toml=toml, published=published)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def hostile(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tuple[Path, ...]]:
+    """Return a folder with nothing but a store in it, and the files of its report."""
+    pytest.importorskip("plotly")
+    folder = hostile_store(tmp_path_factory.mktemp("outer") / "inner" / "folder")
+    return folder, tuple(write_report(folder))
+
+
+def test_every_file_of_a_report_lies_in_its_folder_whatever_studies_are_called(
+    hostile: tuple[Path, tuple[Path, ...]],
+) -> None:
+    folder, files = hostile
+    assert {file.parent for file in files} == {folder / "report"}
+    there = {path for path in folder.parents[1].rglob("*") if path.is_file()}
+    assert there == {*files, folder / "study.sqlite"}
+    assert all(re.fullmatch(r"[A-Za-z0-9._-]{1,160}", file.name) for file in files)
+    # Three figures a study, each of them twice; that of convergence too.
+    assert len(files) == 3 + 6 * len(HOSTILE)
+
+
+def test_no_file_of_a_report_holds_a_control_character(hostile: tuple[Path, tuple[Path, ...]]) -> None:
+    for file in hostile[1]:
+        if file.suffix == ".png":
+            continue
+        text = file.read_text(encoding="utf-8")
+        if file.suffix == ".html":
+            # What follows is the library of the plots.
+            text = re.search(r'id="data">(.*?)</script>', text, re.DOTALL)[1]
+        assert [c for c in text if not c.isprintable() and c != "\n"] == [], file.name
+
+
+def test_no_name_ends_the_script_of_the_page(hostile: tuple[Path, tuple[Path, ...]]) -> None:
+    [page] = [file for file in hostile[1] if file.suffix == ".html"]
+    assert "<script>alert" not in page.read_text(encoding="utf-8")
+
+
+def test_no_name_is_a_command_of_latex(hostile: tuple[Path, tuple[Path, ...]]) -> None:
+    [tex] = [file for file in hostile[1] if file.suffix == ".tex"]
+    lines = tex.read_text(encoding="utf-8").splitlines()
+    text = "\n".join(line for line in lines if not line.startswith("%"))
+    known = "begin end centering caption resizebox linewidth toprule midrule bottomrule textbf textit"
+    known += " textbackslash textasciitilde textasciicircum textless textgreater textbar"
+    assert set(re.findall(r"\\([A-Za-z]+)", text)) <= set(known.split())
+    assert not re.search(r"(?<!\\)[$#_~^]", text)
+    depth = 0
+    for mark in re.findall(r"(?<!\\)[{}]", text):
+        depth += 1 if mark == "{" else -1
+        assert depth >= 0
+    assert depth == 0
+
+
+def test_no_name_is_a_link_of_markdown(hostile: tuple[Path, tuple[Path, ...]]) -> None:
+    [md] = [file for file in hostile[1] if file.suffix == ".md"]
+    text = md.read_text(encoding="utf-8")
+    for target in re.findall(r"(?<!\\)\]\((.*?)\)", text):
+        assert re.fullmatch(r"[A-Za-z0-9._-]+\.png", target)
+    assert "](javascript" not in text
+
+
+def test_the_command_prints_no_control_characters(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("plotly")
+    hostile_store(tmp_path, HOSTILE[3:4])
+    assert main(["report", str(tmp_path)]) == 0
+    captured = capsys.readouterr()
+    assert [c for c in captured.out + captured.err if not c.isprintable() and c != "\n"] == []
+
+
+def test_figures_of_two_studies_never_share_a_file() -> None:
+    """The second group of "a" would be called like the study "a-2", and "A" like "a" where case does not count."""
+    sections = [run_of("x", "f", 0, 1.0, 0.1), run_of("y", "f", 0, 1.0, 0.1, section="other")]
+    names = ("a", "a-2", "A", "a_b", "a b", "ж", "ц")
+    summaries = [
+        summarise_study(replace(STUDY, name=name), sections if name == "a" else sections[:1]) for name in names
+    ]
+    found = [name for names in figure_names(summaries) for name in names]
+    assert len({name.lower() for name in found}) == len(found) == 8
+    assert figure_names(summaries[:1]) == [("a-1", "a-2")]
+
+
+def test_a_study_of_very_many_rows_has_figures_of_the_first() -> None:
+    """A picture may be 65535 px high, which boxes of some 800 rows would not fit into."""
+    runs = [run_of(f"row {i}", "f", 0, 1.0, 0.1) for i in range(250)]
+    drawn = {name: (title, figure) for name, title, figure in figures_of(summarise_study(STUDY, runs))}
+    title, figure = drawn["table2-boxplot"]
+    assert "(the first 200 rows of 250)" in title
+    assert figure.get_figheight() * 130 < 2**15
+
+
+def test_markdown_and_latex_are_one_line_a_name() -> None:
+    runs = [run_of("a\nb\r\n| c |", f"f{i}", 0, 1.0, 0.1) for i in range(2)]
+    summary = summarise_study(replace(STUDY, name="x\n\\input{y}"), runs)
+    assert "a b \\| c \\|" in markdown([summary], lambda _: ())
+    assert "\n% x \\input{y}\n" in latex([summary]), "a comment to its end"
