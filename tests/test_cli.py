@@ -153,7 +153,7 @@ def test_json_is_one_object_for_each_frame_and_a_summary(fake: list[str], capsys
     run = json.loads(captured.out)
     assert captured.out.count("\n") == 1
     assert "a plugin that prints" in captured.err
-    assert set(run) == {"results", "summary"}
+    assert set(run) == {"results", "failed", "summary"}
     assert [row["frames"] for row in run["results"]] == [["drive/0000"], ["drive/0001"]]
     for row in run["results"]:
         assert set(row) >= FIELDS
@@ -166,10 +166,17 @@ def test_json_is_one_object_for_each_frame_and_a_summary(fake: list[str], capsys
     assert run["summary"]["error"]["rotation_deg_mean"] == pytest.approx(2.0)
 
 
-def test_json_of_a_joint_run_is_the_one_result(fake: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([*fake, "--json", "--joint"]) == 0
-    result = json.loads(capsys.readouterr().out)
+def test_json_of_a_joint_run_is_of_the_same_schema(
+    fake: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*fake, "--json", "--joint", "--out", str(tmp_path)]) == 0
+    run = json.loads(capsys.readouterr().out)
+    assert set(run) == {"results", "failed", "summary"}
+    assert run == json.loads((tmp_path / "run.json").read_text())
+    assert run["summary"]["count"] == 1
+    [result] = run["results"]
     assert set(result) >= FIELDS
+    assert result == json.loads((tmp_path / "result.json").read_text())
     assert result["frames"] == ["drive/0000", "drive/0001"]
     assert result["recipe"]["joint"] is True
 
@@ -399,11 +406,13 @@ def test_a_full_disk_is_one_clear_line(
         return real(self, data)
 
     monkeypatch.setattr(Path, "write_bytes", full)
-    assert main([*fake, "--out", str(tmp_path / "out")]) == 2
-    error = capsys.readouterr().err.splitlines()[-1]
-    assert error.startswith("p2o: error: ")
+    assert main([*fake, "--out", str(tmp_path / "out"), "--json"]) == 2
+    captured = capsys.readouterr()
+    error = captured.err.splitlines()[-1]
+    assert error.startswith(f"p2o: error: {tmp_path}/out/drive_0000/result.json: cannot write the file")
     assert "No space left on device" in error
     assert "free space" in error
+    assert [row["frames"] for row in json.loads(captured.out)["results"]] == [["drive/0000"]], "what is done is told"
 
 
 def test_results_are_exported_beside(fake: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -615,16 +624,6 @@ def test_data_check_names_what_the_dataset_leaves_out(tmp_path: Path, capsys: py
     assert bad.endswith("D; got camera: 5")
     assert left_out == f"b: left out: {tmp_path / 'b/frame.yaml'} is missing"
     assert summary == "0 of 1 frames are good"
-
-
-def test_frames_finished_before_an_error_are_in_the_folder(
-    fake: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([*fake, "--data", "fake:?bad=1", "--json", "--out", str(tmp_path / "out")]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.splitlines()[-1] == "p2o: error: a.png: the image is cut short"
-    assert json.loads((tmp_path / "out/drive_0000/result.json").read_text())["status"] == "converged"
 
 
 def test_the_version_is_told(capsys: pytest.CaptureFixture[str]) -> None:

@@ -84,6 +84,12 @@ class GuardedDataset(Sequence[Frame]):
             self.skipped: Mapping[str, str] = getattr(dataset, "skipped", {})
         if count != len(self.names) or not all(isinstance(name, str) for name in self.names):
             raise _fault(offer, f"{len(self.names)} names for {count} frames", "one name for each frame")
+        for name in self.names:
+            try:
+                name.encode()
+            except UnicodeEncodeError as problem:
+                # No result, row or report could hold it.
+                raise InputError("the name of a frame is not UTF-8", got=name, hint="rename its files") from problem
         if len(set(self.names)) < len(self.names):
             twice = next(name for i, name in enumerate(self.names) if name in self.names[:i])
             raise _fault(offer, f"two frames are called {twice!r}", "a name of its own for each frame")
