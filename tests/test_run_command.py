@@ -234,6 +234,32 @@ def test_a_request_to_end_keeps_what_is_finished(number: signal.Signals, tmp_pat
     assert "Traceback" not in out + err
 
 
+def test_a_simulation_ends_tidily_when_asked_to(tmp_path: Path) -> None:
+    words = ["simulate", str(tmp_path / "out"), "--layout", "folder", "--set", "scenes=1000"]
+    process = subprocess.Popen(
+        [sys.executable, "-u", "-m", "p2o", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "scene-0000\n"
+    process.send_signal(signal.SIGTERM)
+    _, err = process.communicate(timeout=60)
+    assert (process.returncode, err.split()) == (130, ["p2o:", "interrupted"])
+
+
+def test_who_calls_the_command_line_keeps_the_handlers_of_signals() -> None:
+    def mine(*_: object) -> None:
+        raise AssertionError
+
+    before = signal.signal(signal.SIGTERM, mine)
+    try:
+        assert main(["--version"]) == 0
+        assert signal.getsignal(signal.SIGTERM) is mine
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert main(["--version"]) == 0
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
 def test_warnings_of_python_stay_off_stderr() -> None:
     command = [sys.executable, "-m", "p2o", *spy("fake:?frames=1", "--set", "calibrator.warn=true")]
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONWARNINGS"}

@@ -37,7 +37,7 @@ def _text(value: object) -> str:
     try:
         return str(value)
     except ValueError:  # more digits than Python writes
-        return f"a {type(value).__name__} that is too long to write"
+        return "a number of too many digits to write"
 
 
 def _escaped(character: str) -> str:
@@ -75,11 +75,12 @@ class InputError(P2OError):
 
 
 class UnknownNameError(InputError):
-    """A method, option, dataset, frame or split that does not exist; names the nearest ones."""
+    """A method, option, dataset, frame or split that does not exist; names the nearest ones, then the `advice`."""
 
     def __init__(self, kind: str, name: str, known: Iterable[str], *, where: object = None, hint: str = "") -> None:
-        self.kind, self.name, self.known = kind, name, sorted(known)
-        near = difflib.get_close_matches(name, self.known, n=3, cutoff=0.5)
+        self.kind, self.name, self.known, self.advice = kind, name, sorted(known), hint
+        # Comparing takes time by length and number: nobody mistypes a page of text.
+        near = difflib.get_close_matches(name, self.known[:5000], n=3, cutoff=0.5) if len(name) <= 200 else []
         listed = ", ".join(self.known[:20]) + (", ..." if len(self.known) > 20 else "")
         hints = [f"did you mean {' or '.join(near)}?"] if near else []
         hints += [hint] if hint else []

@@ -32,7 +32,6 @@ _COMMANDS = {
 
 INTERRUPTED = 130
 CRASHED = 70
-_LONGEST = 4 * LONGEST
 
 
 class _Commands(click.Group):
@@ -146,8 +145,9 @@ def _terminated_as_interrupted() -> Iterator[None]:
 def _tell(problem: Exception) -> int:
     """Say in one line what went wrong and return the exit status."""
     if isinstance(problem, P2OError):
-        text, status = str(problem), problem.exit_code
-    elif isinstance(problem, click.UsageError):
+        click.echo(f"p2o: error: {problem}", err=True)
+        return problem.exit_code
+    if isinstance(problem, click.UsageError):
         command = problem.ctx.command_path if problem.ctx is not None else "p2o"
         text, status = f"{problem.format_message()}; see {command} --help", problem.exit_code
     elif isinstance(problem, click.ClickException):
@@ -159,5 +159,5 @@ def _tell(problem: Exception) -> int:
     else:
         text = f"unexpected {type(problem).__name__}: {problem}; set P2O_DEBUG=1 to see where, and report it"
         status = CRASHED
-    click.echo("p2o: error: " + one_line(text, _LONGEST), err=True)
+    click.echo("p2o: error: " + one_line(text, LONGEST), err=True)
     return status

@@ -36,6 +36,8 @@ class OutDir:
     @classmethod
     def prepared(cls, path: str) -> OutDir:
         """Return the folder, made if need be; InputError at once where it cannot be written, before any work."""
+        if not path:
+            raise InputError("the folder has no name", where="--out", expected="a folder; . is this one")
         root = expanded(path)
         try:
             root.mkdir(parents=True, exist_ok=True)
