@@ -12,6 +12,7 @@ import numpy as np
 import p2o
 from p2o import Kind, Method, Registry, se3
 from p2o.frames.accumulate import accumulated
+from p2o.host.registry import file_module_name
 from p2o.testing import exact, stage
 from pydantic import field_serializer
 
@@ -22,7 +23,7 @@ REGISTRY = Registry.load(extra_files=[HERE / "kinds_plugin.py", HERE / "stage_pl
 def _loaded(name: str) -> Any:
     import sys
 
-    return sys.modules[f"p2o_plugin_file_{name}"]
+    return sys.modules[file_module_name(HERE / f"{name}.py")]
 
 
 # The module as the registry has loaded it: what the cache keeps has to be found there again.

@@ -1,5 +1,7 @@
 """A plugin of the tests: frames of the conformance stage, and a method that answers with its start."""
 
+import time
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -7,15 +9,18 @@ import p2o
 
 
 class FakeOptions(p2o.Options):
-    """How many frames there are, and which of them cannot be read."""
+    """How many frames there are, what they are called, and which of them cannot be read."""
 
     frames: int = p2o.field(2, ge=1, help="How many.")
+    names: tuple[str, ...] = p2o.field((), help="Their names, instead of how many.")
     bad: int = p2o.field(-1, help="This one cannot be read.")
 
 
 class SpyOptions(p2o.Options):
     """How the method ends."""
 
+    hang_at: int = p2o.field(-1, help="Never end with this frame, and say so.")
+    warn: bool = p2o.field(False, help="Let Python warn.")
     fail_at: int = p2o.field(-1, help="Raise on this frame.")
     interrupt_at: int = p2o.field(-1, help="Press Ctrl-C on this frame.")
     status: str = p2o.field("converged", help="How it ends.")
@@ -26,7 +31,7 @@ class Frames(Sequence[p2o.Frame]):
 
     def __init__(self, options: FakeOptions) -> None:
         self.options = options
-        self.names = tuple(f"drive/{i:04d}" for i in range(options.frames))
+        self.names = options.names or tuple(f"drive/{i:04d}" for i in range(options.frames))
 
     def __len__(self) -> int:
         return len(self.names)
@@ -47,6 +52,11 @@ def build(options: SpyOptions) -> p2o.Calibrator:
     def calibrate(frames: Any, start: Any) -> p2o.Result:
         print("a plugin that prints")
         calls.append(frames)
+        if len(calls) - 1 == options.hang_at:
+            print("hanging", flush=True)
+            time.sleep(600)
+        if options.warn:
+            warnings.warn("a\nwarning of Python", RuntimeWarning, stacklevel=1)
         if len(calls) - 1 == options.fail_at:
             raise ValueError("no such luck")
         if len(calls) - 1 == options.interrupt_at:

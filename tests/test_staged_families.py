@@ -187,7 +187,7 @@ def test_joined_sweeps_calibrate_where_a_single_one_does_not(capsys: pytest.Capt
 
 
 def test_sweeps_are_joined_as_well_by_poses_that_they_tell_themselves(capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("small_gicp", reason='needs pip install "p2o-calib[gicp]"')
+    pytest.importorskip("small_gicp", reason='needs pip install ".[gicp]"')
     result = ran(DENSE, capsys, "--accumulate", "gicp")
     assert result["error"]["rotation_deg"] < DENSE.within[0]
     assert result["error"]["translation_m"] < DENSE.within[1]

@@ -83,6 +83,7 @@ if TYPE_CHECKING:
     from p2o.results.verdict import Trust as Trust
     from p2o.results.verdict import Verdict as Verdict
     from p2o.run.recipe import Recipe as Recipe
+    from p2o.run.run import FailedFrame as FailedFrame
     from p2o.run.run import Row as Row
     from p2o.run.run import Run as Run
     from p2o.run.run import calibrate as calibrate
@@ -114,7 +115,7 @@ _HOME = {
     "results.evidence": ["Agreement", "Judged", "Rival"],
     "results.result": ["CameraCheck", "Result", "Round", "Solution", "SolverStatus", "Status", "SweepMotion"],
     "results.verdict": ["Doubt", "Reason", "Trust", "Verdict"],
-    "run.run": ["Row", "Run", "calibrate"],
+    "run.run": ["FailedFrame", "Row", "Run", "calibrate"],
     "features.side": ["SIDES", "Side"],
     "host.stages": [
         "Accumulator",

@@ -72,7 +72,7 @@ class TrainingOptions(Options):
         False,
         help="Fit confidence to held-out frames (Platt scaling). A sweep confirms few of the surest edges.",
     )
-    seed: int = field(0, ge=0, help="Seed of the first weights, of the crops and of their order.")
+    seed: int = field(0, ge=0, le=2**63 - 1, help="Seed of the first weights, of the crops and of their order.")
     augmentation: Augmentation = field(Augmentation(), help="How much crops differ from the pictures.")
 
     @field_validator("imagenet", mode="before")

@@ -30,7 +30,7 @@ def build(options: CeresOptions) -> p2o.Solver:
         pyceres = importlib.import_module("pyceres")
     except ImportError as problem:
         raise p2o.MethodUnavailable(
-            "solver ceres needs pyceres, which is not installed", hint='pip install "p2o-calib[ceres]"'
+            "solver ceres needs pyceres, which is not installed", hint="run: pip install pyceres"
         ) from problem
 
     class Pair(pyceres.CostFunction):  # type: ignore[misc,name-defined]

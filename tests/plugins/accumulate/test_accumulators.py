@@ -20,7 +20,7 @@ PACKAGES = {"gicp": "small_gicp", "kiss-icp": "kiss_icp"}
 
 def built(name: str, **options: Any) -> Any:
     if name in PACKAGES:
-        pytest.importorskip(PACKAGES[name], reason=f'needs pip install "p2o-calib[{name}]"')
+        pytest.importorskip(PACKAGES[name], reason=f'needs pip install ".[{name}]"')
     method = p2o.Registry.load().find(Kind.ACCUMULATOR, name).method
     return method.build(method.options(**options))
 

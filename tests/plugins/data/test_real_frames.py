@@ -155,7 +155,7 @@ def test_the_twists_of_a_drive_integrate_to_its_satellite_track(kitti_raw: Path)
 
 
 def test_the_poses_of_a_drive_are_those_that_its_sweeps_tell(kitti_raw: Path) -> None:
-    pytest.importorskip("small_gicp", reason='needs pip install "p2o-calib[gicp]"')
+    pytest.importorskip("small_gicp", reason='needs pip install ".[gicp]"')
     dataset = raw(kitti_raw, right=False, depth=False)
     frames = [dataset.frame(f"2011_09_26/0005/{number:010d}") for number in range(6)]
     assert [frame.time_s for frame in frames] == sorted(frame.time_s for frame in frames)

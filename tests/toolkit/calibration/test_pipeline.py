@@ -18,6 +18,7 @@ from p2o import (
     Result,
     Side,
     Solution,
+    SolverStatus,
     Status,
     View,
     se3,
@@ -186,6 +187,42 @@ def test_edges_of_one_direction_at_one_depth_are_not_observable() -> None:
     result = pipeline(initializer=given).solve([view], se3.make(translation=[0.1, 0, 0]))
     assert result.status is Status.NOT_OBSERVABLE
     assert result.reason
+
+
+def singular_at(*calls: int):
+    """A solver that is `lm` but for these calls, in which it says that the pairs do not determine the roll."""
+    solve, number = built(lm), itertools.count()
+
+    def one(problem, pose):
+        if next(number) in calls:
+            return Solution(pose, 0.0, 1, SolverStatus.SINGULAR, None, "the pairs do not determine roll")
+        return solve(problem, pose)
+
+    return one
+
+
+def test_a_better_pose_that_its_own_pairs_do_not_determine_is_refused_and_the_start_comes_back() -> None:
+    result = replace(pipeline(initializer=given), solver=singular_at(1, 2)).solve([edge_scene.view()], start())
+    assert (result.status, result.reason) == (Status.NOT_OBSERVABLE, "the pairs do not determine roll")
+    assert result.rounds[0].accepted
+    assert result.verdict.trust is Trust.REFUSED
+    np.testing.assert_array_equal(result.camera_from_lidar, result.start)
+
+
+def test_a_later_round_that_fails_does_not_take_back_a_pose_that_its_pairs_determine() -> None:
+    result = replace(pipeline(initializer=given), solver=singular_at(1)).solve([edge_scene.view()], start())
+    assert result.status is Status.ROUNDS_SPENT
+    assert result.reason == "the rounds ended early: the pairs do not determine roll"
+    assert pose_error(result.camera_from_lidar, TRUTH).rotation_deg < pose_error(start(), TRUTH).rotation_deg
+
+
+def test_a_better_pose_with_too_few_pairs_is_refused() -> None:
+    """A wrong start finds pairs far away; at the pose they lead to, hardly one is left."""
+    view = edge_scene.view(boxes=4, noise_px=6.0, seed=3)
+    result = pipeline(initializer=given, min_matches=60).solve([view], start(1))
+    assert result.status is Status.TOO_FEW_MATCHES
+    assert any(turn.accepted for turn in result.rounds)
+    np.testing.assert_array_equal(result.camera_from_lidar, result.start)
 
 
 def test_without_directions_no_stage_profits_from_them() -> None:

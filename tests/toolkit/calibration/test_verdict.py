@@ -34,8 +34,10 @@ def test_the_worst_reason_decides_the_word() -> None:
 
 
 def test_pairs_from_too_few_places_are_not_trusted_however_well_edges_meet() -> None:
-    verdict = verdict_of(GOOD, None, (), OPTIONS, enough=False)
-    assert (verdict.trust, verdict.reasons[0].doubt) == (Trust.DOUBTFUL, Doubt.TOO_FEW_PLACES)
+    for places in (0, 6, 11):
+        verdict = verdict_of(GOOD, None, (), OPTIONS, places=places)
+        assert (verdict.trust, verdict.reasons[0].doubt) == (Trust.DOUBTFUL, Doubt.TOO_FEW_PLACES)
+    assert verdict_of(GOOD, None, (), OPTIONS, places=12).trusted
 
 
 def test_without_edges_nothing_is_trusted() -> None:

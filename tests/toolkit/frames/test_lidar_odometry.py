@@ -12,12 +12,12 @@ STEP = se3.exp(np.array([0.0, 0.0, np.radians(1), 0.5, 0.0, 0.0]))
 
 
 def by_gicp(clouds: Sequence[Cloud]) -> Sequence[np.ndarray]:
-    pytest.importorskip("small_gicp", reason='needs pip install "p2o-calib[gicp]"')
+    pytest.importorskip("small_gicp", reason='needs pip install ".[gicp]"')
     return poses_by_gicp(clouds)
 
 
 def by_kiss_icp(clouds: Sequence[Cloud]) -> Sequence[np.ndarray]:
-    pytest.importorskip("kiss_icp", reason='needs pip install "p2o-calib[kiss-icp]"')
+    pytest.importorskip("kiss_icp", reason='needs pip install ".[kiss-icp]"')
     return poses_by_kiss_icp(clouds)
 
 

@@ -223,6 +223,26 @@ def test_a_file_that_is_as_it_was_is_the_same_module_and_an_edited_one_another(
     assert build_of_the_file() is not first
 
 
+def test_two_files_of_one_name_are_two_plugins(install: Install, tmp_path: Path) -> None:
+    files = [tmp_path / folder / "x.py" for folder in ("a", "b")]
+    for file, name in zip(files, ("left", "right"), strict=True):
+        file.parent.mkdir()
+        file.write_text(f"import p2o\nMINE = {name!r}\n" + textwrap.dedent(offers(name)))
+    found = Registry.load(extra_files=files, environ={"P2O_PLUGINS": ""}).offers
+    assert [offer.full_name for offer in found] == [f"left@{files[0]}", f"right@{files[1]}"]
+    for offer in found:
+        module = sys.modules[offer.method.build.__module__]
+        assert (module.MINE, module.__dict__) == (offer.name, offer.method.build.__globals__)
+
+
+def test_a_file_that_is_named_twice_is_one_plugin(install: Install, tmp_path: Path) -> None:
+    file = tmp_path / "x.py"
+    file.write_text("import p2o\n" + textwrap.dedent(offers("mine")))
+    again = tmp_path / "y" / ".." / "x.py"
+    (tmp_path / "y").mkdir()
+    assert names(Registry.load(extra_files=[file, again], environ={"P2O_PLUGINS": ""})) == ["mine@x.py"]
+
+
 def test_a_broken_file_is_an_error_since_somebody_asked_for_it(install: Install, tmp_path: Path) -> None:
     file = tmp_path / "my_file.py"
     file.write_text("import martians")
@@ -353,9 +373,10 @@ def test_a_missing_package_is_told_with_the_pip_command() -> None:
         build(Offer(Kind.SOLVER, method, "acme-p2o", "1.0", "hooks"), p2o.Options())
 
 
-def test_an_extra_of_the_distribution_is_told_as_such() -> None:
+def test_an_extra_of_the_distribution_is_told_as_the_packages_it_is_made_of() -> None:
+    """The distribution is on no index: pip could not install its extra."""
     ceres = Registry.load(environ={}).find(Kind.SOLVER, "ceres")
-    assert requirement(ceres) == '"p2o-calib[ceres]"'
+    assert requirement(ceres) == '"pyceres>=2.4"'
 
 
 def test_a_stage_that_cannot_be_called_is_refused_when_built() -> None:

@@ -356,6 +356,14 @@ def _seen(dataset: list[Frame], seed: int, **words: Any) -> Any:
     return spy.seen
 
 
+def test_a_seed_fits_in_every_store() -> None:
+    assert Recipe.of(seed=2**63 - 1).seed == 2**63 - 1
+    with pytest.raises(
+        InputError, match=r"recipe.seed is out of bounds; expected less than or equal to 9223372036854775807"
+    ):
+        Recipe.of(seed=2**63)
+
+
 def test_a_start_of_the_data_is_taken_before_the_truth() -> None:
     spy = Spy([framed("a", TRUTH, start=OTHER)])
     run = spy.run()

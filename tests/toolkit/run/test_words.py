@@ -48,9 +48,23 @@ def test_fields_are_set_over_values_that_stay_as_they_are() -> None:
     assert preset == {"steps": 3, "crop": {"width": 4, "height": 5}}
 
 
-def test_the_last_setting_wins_even_where_the_first_was_no_table() -> None:
-    assert parse_fields(["crop=3", "crop.width=8"]) == {"crop": {"width": "8"}}
-    assert parse_settings(["data.crop.width=8", "data.crop=3"]) == {"data": {"crop": "3"}}
+def test_the_last_of_two_settings_of_one_field_wins() -> None:
+    assert parse_fields(["crop=3", "crop=4"]) == {"crop": "4"}
+    assert parse_fields(["crop.width=8"], {"crop": 3}) == {"crop": {"width": "8"}}
+    assert parse_fields(["crop={width: 3, height: 2}", "crop.width=8"]) == {"crop": {"width": "8", "height": 2}}
+
+
+@pytest.mark.parametrize("settings", [["x=1", "x.y=2"], ["x.y=2", "x=1"], ["x.y=2", "x={z: 1}"], ["x=1", "x.y.z=2"]])
+def test_a_setting_does_not_silently_replace_one_of_another_field(settings: list[str]) -> None:
+    with pytest.raises(InputError, match=r"^--set: x[.y]* is set already; expected a value, or options in it"):
+        parse_fields(settings)
+    with pytest.raises(InputError, match=r"^--set: data\.x[.y]* is set already"):
+        parse_settings([f"data.{text}" for text in settings])
+
+
+def test_an_option_of_data_is_said_once() -> None:
+    with pytest.raises(InputError, match=r"the option a is said twice; expected each once; got folder:\?a=1&b=2&a=3"):
+        words.split_data("folder:?a=1&b=2&a=3")
 
 
 @pytest.mark.parametrize("text", ["rate", "=3", "a b=3", "a..b=3", ".a=3"])

@@ -239,7 +239,7 @@ def test_more_calibrations_than_anyone_can_wait_for_are_refused_before_a_frame_i
     assert bench.calls() == {}
 
 
-@pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason='needs pip install "p2o-calib[dask]"')
+@pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason='needs pip install ".[dask]"')
 def test_a_dask_cluster_gives_the_same_bits_though_a_worker_is_killed(bench: Bench) -> None:
     text = (
         STAGED
@@ -253,7 +253,7 @@ def test_a_dask_cluster_gives_the_same_bits_though_a_worker_is_killed(bench: Ben
         assert bits(store.rows("tiny")) == bits(alone.rows)
 
 
-@pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason='needs pip install "p2o-calib[ray]"')
+@pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason='needs pip install ".[ray]"')
 def test_ray_gives_the_same_bits_and_tells_a_job_that_kills_its_worker(bench: Bench) -> None:
     text = STAGED + '[[row]]\nlabel = "quick"\ncalibrator = "quick"\noptions.calibrator.die_on = "tiny/001"\n'
     done = bench.cli(text, "--backend", "ray", "--jobs", "2", "--quiet")
@@ -267,11 +267,13 @@ def test_ray_gives_the_same_bits_and_tells_a_job_that_kills_its_worker(bench: Be
     assert bits([row for row in found if row.row != "quick"]) == bits(alone)
 
 
-@pytest.mark.parametrize("backend", ["dask", "ray"])
-def test_a_backend_that_is_not_installed_tells_the_extra(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("backend", "packages"), [("dask", "dask distributed"), ("ray", "ray")])
+def test_a_backend_that_is_not_installed_tells_its_packages(
+    backend: str, packages: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for name in ("distributed", "ray"):
         monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(MethodUnavailable, match=rf'pip install "p2o-calib\[{backend}\]"'):
+    with pytest.raises(MethodUnavailable, match=rf"run: pip install {packages}$"):
         Workers(2, backend)
 
 

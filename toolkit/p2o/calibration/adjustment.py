@@ -43,8 +43,9 @@ class Adjustment:
     """The pose (4, 4) that fits the pairs best, and what was found with it.
 
     `covariance` (6, 6) is that of a left update in rad and m with all else unknown as well, or None where the pairs
-    come from too few places to tell; `cameras` has an entry for every camera that was asked, `motions` one for every
-    frame, or none. `step_px` is how far all these together moved the residuals (root mean square).
+    come from too few places to tell; `places` is how many. `cameras` has an entry for every camera that was asked,
+    `motions` one for every frame, or none. `step_px` is how far all these together moved the residuals (root mean
+    square).
     """
 
     camera_from_lidar: Float
@@ -52,6 +53,7 @@ class Adjustment:
     cameras: tuple[RadialFit, ...]
     motions: tuple[MotionFit, ...]
     step_px: float
+    places: int
 
 
 def adjust(
@@ -108,6 +110,7 @@ def adjust(
         model.camera_fits(state, covariance),
         model.motion_fits(state, surely),
         float(np.sqrt(np.mean((residuals - began) ** 2))),
+        places,
     )
 
 

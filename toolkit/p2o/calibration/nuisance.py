@@ -80,6 +80,8 @@ class Nuisance:
 class Adjusted:
     """What was found, with all that the pairs tell beside the pose; `covariance` (6, 6) of it where they can tell.
 
+    `places` is from how many places of the pictures the pairs come; 0 where there are none.
+
     `judge` is the one to compare `end` with the start by: of the same points, where the nuisances put them.
     """
 
@@ -88,6 +90,7 @@ class Adjusted:
     nuisance: Nuisance
     cameras: tuple[CameraCheck, ...] = ()
     covariance: Float | None = None
+    places: int = 0
 
 
 def adjusted(raw: Sequence[View], start: Float, found: End, judge: Judge, nuisance: Nuisance, run: Rounds) -> Adjusted:
@@ -103,7 +106,7 @@ def adjusted(raw: Sequence[View], start: Float, found: End, judge: Judge, nuisan
         if found.problem is None:
             return Adjusted(found, judge, nuisance)
         few = nuisance.fit(found.problem, given, found.pose, cameras=options.camera != "trust")
-        return Adjusted(found, judge, nuisance, (), few.covariance)
+        return Adjusted(found, judge, nuisance, (), few.covariance, few.places)
     refines = options.camera == "refine"
     if (refines or nuisance.prior is not None) and isinstance(judge, DirectedJudge):
         better = _bettered(raw, start, found, judge, nuisance, run)
@@ -112,11 +115,11 @@ def adjusted(raw: Sequence[View], start: Float, found: End, judge: Judge, nuisan
             found, judge, nuisance = end, its_judge, nuisance.after(fit)
             if refines:
                 checks = checks_of(fit.cameras, given, corrected=True)
-                return Adjusted(found, judge, nuisance, checks, fit.covariance)
+                return Adjusted(found, judge, nuisance, checks, fit.covariance, fit.places)
     assert found.problem is not None
     fit = nuisance.fit(found.problem, given, found.pose, cameras=options.camera != "trust")
     checks = checks_of(fit.cameras, given, corrected=False)
-    return Adjusted(found, judge, nuisance, checks, fit.covariance)
+    return Adjusted(found, judge, nuisance, checks, fit.covariance, fit.places)
 
 
 def _bettered(

@@ -129,7 +129,7 @@ class Pipeline:
             agreement=agreed,
             rival=rival,
             verdict=verdict_of(
-                agreed, rival, final.cameras, options, enough=told is not None or judge.name != DIRECTED
+                agreed, rival, final.cameras, options, places=final.places if judge.name == DIRECTED else None
             ),
             cameras=final.cameras,
             motions=final.nuisance.sweep_motions(views),

@@ -84,10 +84,24 @@ class Rounds:
             return End(start, stopped, reason, tuple(rounds))
         if found_by and not improved:
             reason += f"; no round improved on the pose of the stage {found_by}"
-        # A later round that has too little to go on does not take back what an earlier one found.
         last = self.matcher(views, best, options.min_reach_px)
+        if stopped is not None:
+            # A later round that has too little to go on does not take back what an earlier one found, unless that
+            # pose has too little, too: what is left of it is then an accident of wrong pairs.
+            refusal = self._undetermined(last, best)
+            if refusal is not None:
+                return End(start, *refusal, tuple(rounds))
+            reason = f"the rounds ended early: {reason}"
         pairs = last if isinstance(last, PointToLine) and len(last) else None
         return End(best, status, reason, tuple(rounds), pairs, solution)
+
+    def _undetermined(self, problem: Problem, pose: Float) -> tuple[Status, str] | None:
+        """Return why the problem at a pose (4, 4) does not determine it, or None."""
+        few = self._too_few(problem, self.options.min_reach_px)
+        if few:
+            return Status.TOO_FEW_MATCHES, few
+        solution = self.solver(problem, pose)
+        return (Status.NOT_OBSERVABLE, solution.reason) if solution.status is SolverStatus.SINGULAR else None
 
     def _too_few(self, problem: Problem, reach_px: float) -> str:
         """Return why there is too little to solve, or an empty text."""

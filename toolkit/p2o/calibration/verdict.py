@@ -18,6 +18,10 @@ from p2o.results.result import CameraCheck, Result
 from p2o.results.verdict import Doubt, Reason, Verdict
 
 _RIVAL_DEG, _RIVAL_M = 0.5, 0.3
+_ENOUGH_PLACES = 12
+"""Twice as many as unknowns: with fewer, errors of several degrees were seen at odds ratios above 20, and the scatter
+of pairs did not show them.
+"""
 
 
 def rival_of(ends: Sequence[End], best: End, judge: Judge) -> Rival | None:
@@ -49,15 +53,18 @@ def verdict_of(
     cameras: Sequence[CameraCheck],
     options: PipelineOptions,
     *,
-    enough: bool = True,
+    places: int | None = None,
 ) -> Verdict:
     """Return the verdict on a pose: doubtful where edges do not seem to belong together, or nothing can tell.
 
-    `enough` says whether pairs come from enough places to tell how good the pose is.
+    `places` is from how many places of the pictures pairs come, None where that is not known.
     """
     reasons = [*_rivalry(rival, options.min_lead_edges), *_meeting(agreed, options.min_odds_ratio)]
-    if not enough:
-        text = "pairs come from too few places of the picture to tell how good the pose is; take more frames together"
+    if places is not None and places < _ENOUGH_PLACES:
+        text = (
+            f"pairs come from {places} places of the picture alone, too few to tell how good the pose is; take more "
+            "frames together"
+        )
         reasons.append(Reason(Doubt.TOO_FEW_PLACES, text))
     return Verdict((*reasons, *filter(None, map(doubt, cameras))))
 

@@ -7,12 +7,13 @@ import importlib
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Iterator, Sequence
 from types import FrameType
 
 import click
 
-from p2o.errors import P2OError
+from p2o.errors import LONGEST, InputError, P2OError, one_line
 
 _COMMANDS = {
     "run": "Calibrate frames: find the transform from the LiDAR to the camera.",
@@ -72,9 +73,13 @@ def group() -> None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status; errors are one line on stderr (P2O_DEBUG=1: a traceback)."""
     debug = os.environ.get("P2O_DEBUG", "") not in ("", "0")
+    if argv is None:
+        _be_a_program(debug)
+    words = sys.argv[1:] if argv is None else list(argv)
     try:
+        _check_readable(words)
         with _terminated_as_interrupted():
-            status = group.main(None if argv is None else list(argv), prog_name="p2o", standalone_mode=False)
+            status = group.main(words, prog_name="p2o", standalone_mode=False)
         sys.stdout.flush()
     except (click.Abort, KeyboardInterrupt):
         click.echo("p2o: interrupted", err=True)
@@ -91,6 +96,28 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         return _tell(problem)
     return status if isinstance(status, int) else 0
+
+
+def _be_a_program(debug: bool) -> None:
+    """Set what belongs to the whole process, and is not for who calls `main` from Python."""
+    for stream in (sys.stdout, sys.stderr):
+        # A name that the terminal's encoding lacks is shown as an escape.
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+    # Warnings of NumPy and others speak to who wrote the code; what users have to know is in results and errors.
+    if not (debug or sys.warnoptions):
+        warnings.simplefilter("ignore")
+
+
+def _check_readable(words: Sequence[str]) -> None:
+    """Raise InputError for words that are no text: nothing that is written could hold them."""
+    for word in words:
+        try:
+            word.encode()
+        except UnicodeEncodeError as problem:
+            raise InputError(
+                "the command holds bytes that are not UTF-8", got=word, hint="rename the file or folder"
+            ) from problem
 
 
 @contextlib.contextmanager
@@ -118,16 +145,19 @@ def _terminated_as_interrupted() -> Iterator[None]:
 def _tell(problem: Exception) -> int:
     """Say in one line what went wrong and return the exit status."""
     if isinstance(problem, P2OError):
-        text, status = str(problem), problem.exit_code
-    elif isinstance(problem, click.UsageError):
+        click.echo(f"p2o: error: {problem}", err=True)
+        return problem.exit_code
+    if isinstance(problem, click.UsageError):
         command = problem.ctx.command_path if problem.ctx is not None else "p2o"
         text, status = f"{problem.format_message()}; see {command} --help", problem.exit_code
     elif isinstance(problem, click.ClickException):
         text, status = problem.format_message(), problem.exit_code
     elif isinstance(problem, OSError):
         text, status = f"{problem.filename or 'system'}: {problem.strerror or problem}", 2
+    elif isinstance(problem, MemoryError):
+        text, status = "there is not enough memory; take fewer frames at once, or smaller ones", 2
     else:
         text = f"unexpected {type(problem).__name__}: {problem}; set P2O_DEBUG=1 to see where, and report it"
         status = CRASHED
-    click.echo("p2o: error: " + " ".join(text.split()), err=True)
+    click.echo("p2o: error: " + one_line(text, LONGEST), err=True)
     return status

@@ -6,12 +6,13 @@ import os
 import traceback
 from collections import Counter
 from enum import StrEnum
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from p2o.cli.plugin_options import load, plugin_options
-from p2o.errors import P2OError, UnknownNameError
+from p2o.errors import P2OError, UnknownNameError, printable
 
 if TYPE_CHECKING:
     from p2o.host.registry import Offer, Registry
@@ -73,9 +74,8 @@ def _ran(case: Case) -> Outcome:
         if reason:
             click.echo(f"{Outcome.EXPECTED:<5} {title} ({reason})")
             return Outcome.EXPECTED
-        text = (
-            str(problem) if isinstance(problem, P2OError | AssertionError) else f"{type(problem).__name__}: {problem}"
-        )
+        own = isinstance(problem, P2OError | AssertionError)
+        text = printable(problem if own else f"{type(problem).__name__}: {problem}")
         click.echo(f"{Outcome.FAILED:<5} {title}\n      promised: {case.check.promise}\n      but: {text}")
         if os.environ.get("P2O_DEBUG", "") not in ("", "0"):
             click.echo(traceback.format_exc())
@@ -96,4 +96,7 @@ def _meant(registry: Registry, name: str) -> tuple[Offer, ...]:
         return registry.named(name)
     except UnknownNameError as problem:
         plugins = {o.dist for o in registry.offers}
-        raise UnknownNameError("plugin or method", name, {*plugins, *problem.known}, hint=problem.hint or "") from None
+        hint = problem.advice
+        if name.endswith(".py"):
+            hint = f"a file is loaded by --plugin: p2o check-plugin {Path(name).stem} --plugin {name}"
+        raise UnknownNameError("plugin or method", name, {*plugins, *problem.known}, hint=hint) from None

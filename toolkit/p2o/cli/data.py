@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from p2o.cli.plugin_options import load, plugin_options
-from p2o.errors import P2OError
+from p2o.errors import P2OError, printable
 
 if TYPE_CHECKING:
     from p2o.frames.frame import Frame
@@ -34,7 +34,7 @@ def list_frames(
     """Print the names of the frames, one a line; no frame is read."""
     dataset, indices = _opened(data, frames, settings, plugin, block)
     for index in indices:
-        click.echo(dataset.names[index])
+        click.echo(printable(dataset.names[index]))
     return 0
 
 
@@ -54,9 +54,9 @@ def check_frames(
             click.echo(described(dataset[index]))
         except P2OError as problem:
             bad += 1
-            click.echo(f"{dataset.names[index]}: BAD: {problem}")
+            click.echo(f"{printable(dataset.names[index])}: BAD: {problem}")
     for name, reason in dataset.skipped.items() if frames is None else ():
-        click.echo(f"{name}: left out: {reason}")
+        click.echo(f"{printable(name)}: left out: {printable(reason)}")
     click.echo(f"{len(indices) - bad} of {len(indices)} frames are good")
     return P2OError.exit_code if bad else 0
 
@@ -72,7 +72,8 @@ def described(frame: Frame) -> str:
         "truth" if frame.camera_from_lidar is not None else "no truth",
         *(name for name in ("start", "twist") if getattr(frame, name) is not None),
     ]
-    return "\n".join([f"{frame.name}: {', '.join(parts)}", *(f"  warning: {text}" for text in frame.warnings)])
+    lines = [f"{frame.name}: {', '.join(parts)}", *(f"  warning: {text}" for text in frame.warnings)]
+    return "\n".join(map(printable, lines))
 
 
 def _opened(

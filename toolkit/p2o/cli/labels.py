@@ -6,6 +6,7 @@ import click
 
 from p2o.cli.plugin_options import load
 from p2o.cli.training_data import training_data_options
+from p2o.errors import printable
 
 
 @click.command("labels")
@@ -44,5 +45,5 @@ def command(
             click.echo("p2o: interrupted: the same command goes on from here", err=True)
             return 130
     for path in (path for paths in files for path in paths):
-        click.echo(path)
+        click.echo(printable(path))
     return 0

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from p2o.host.registry import Offer, Registry
     from p2o.options import Options
 
+_PIPELINE = "pipeline"
+
 
 @click.command("methods")
 @click.argument("name", required=False)
@@ -20,11 +22,14 @@ if TYPE_CHECKING:
 def command(name: str | None, matrix: bool, plugin: tuple[str, ...], block: tuple[str, ...]) -> int:
     """List the methods that are installed, or explain one with all its options.
 
-    NAME may be written name@distribution where two plugins offer it.
+    NAME may be written name@distribution where two plugins offer it. `pipeline` explains the options of the rounds that
+    extractors, matcher, solver and init are run in.
     """
     registry = load(plugin, block)
     if name is not None:
-        click.echo("\n\n".join(explained(offer) for offer in registry.named(name)))
+        ours = [pipeline_explained()] if name == _PIPELINE else []
+        named = [o for o in registry.offers if o.name == _PIPELINE] if ours else registry.named(name)
+        click.echo("\n\n".join([*ours, *map(explained, named)]))
     elif matrix:
         click.echo(fit_matrix(registry))
     else:
@@ -39,8 +44,18 @@ def listed(registry: Registry) -> str:
     for kind in dict.fromkeys(offer.kind for offer in registry.offers):
         rows = [f"  {_shown(offer):<{width}}  {offer.method.summary}" for offer in registry.of_kind(kind)]
         blocks.append("\n".join([f"{kind.value}s", *rows]))
+    if blocks:
+        blocks.append(f"{_PIPELINE}\n  {_PIPELINE:<{width}}  Rounds, judge, camera and motion: what runs the stages.")
     blocks += [f"broken plugin {b.name}: {b.error}" for b in registry.broken]
     return "\n".join(blocks) if blocks else "no methods: every plugin is left out"
+
+
+def pipeline_explained() -> str:
+    """Return the options of the pipeline, as those of a method."""
+    from p2o.calibration.options import PipelineOptions
+
+    lines = [_PIPELINE, f"  summary  {PipelineOptions.__doc__}", f"  options  (--set {_PIPELINE}.NAME=VALUE)"]
+    return "\n".join([*lines, *_option_table(PipelineOptions)])
 
 
 def explained(offer: Offer) -> str:

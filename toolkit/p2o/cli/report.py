@@ -43,7 +43,7 @@ def command(
     report.tex     the tables for a paper
     *.png *.svg    errors by axis, convergence, errors by frame
 
-    Needs the extra `report`: pip install "p2o-calib[report]".
+    The page needs plotly: pip install plotly.
     """  # noqa: D301  (click wants a real backspace: the list keeps its lines)
     from p2o.report import write_report
 

@@ -7,20 +7,18 @@ import json
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from p2o.cli.plugin_options import load, plugin_options
-from p2o.errors import InputError
+from p2o.errors import InputError, P2OError, printable
 
 if TYPE_CHECKING:
+    from p2o.cli.exports import Export
     from p2o.geometry.perturb import Perturbation
     from p2o.results.result import Result
-    from p2o.run.run import Progress, Row
-
-_PLACE = "{frame}"
+    from p2o.run.run import FailedFrame, Progress, Row
 
 
 @click.command("run")
@@ -72,13 +70,15 @@ def command(
     p2o run --data kitti-raw:PATH --frames @splits.json#test --joint --out out
 
     Where there are several results, PATH of --export holds {frame}. Exit status 1 where any calibration was refused
-    (its status says why) or is not as required.
+    (its status says why) or is not as required: a doubtful or ambiguous one counts as solved unless --require trusted
+    is said. 2 where a frame cannot be read: it is listed with its reason, after the results of the others.
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     with _stdout_kept_for_json(as_json) as stdout:
+        from p2o.cli.exports import Export, check_apart
         from p2o.cli.out_dir import OutDir
-        from p2o.cli.summary import describe, describe_run
-        from p2o.files.file_names import folder_name
-        from p2o.run.recipe import Recipe, open_exporter
+        from p2o.cli.summary import describe, describe_failed, describe_run
+        from p2o.files.file_names import distinct_names
+        from p2o.run.recipe import Recipe
         from p2o.run.run import Run, run
         from p2o.run.words import parse_settings
 
@@ -89,39 +89,71 @@ def command(
             words["options"] = parse_settings(settings)
         plan = Recipe.of(**words).resolve(registry)
         folder = None if out is None else OutDir.prepared(out)
-        writers = [open_exporter(text, registry) for text in exports]
+        writers = [Export.of(text, registry) for text in exports]
         rows: list[Row] = []
+        failed: list[FailedFrame] = []
+
+        def planned(names: Sequence[str]) -> None:
+            """Fix the files of all frames before any work: no two are one, and none is found wrong at the end."""
+            nonlocal folder, writers
+            if folder is not None:
+                folder = folder.for_frames(names)
+            named = names[:1] if plan.recipe.joint else names
+            files = distinct_names(names)
+            writers = [writer.for_frames({name: files[name] for name in named}) for writer in writers]
+            check_apart(writers, [] if folder is None else folder.files)
 
         def noted(progress: Progress) -> None:
-            if progress.row is None:
+            if progress.failed is not None:
+                failed.append(progress.failed)
+                if not as_json:
+                    stdout.write(describe_failed(progress.failed) + "\n")
+            elif progress.row is None:
                 shown(progress)
-                if progress.total > 1:
-                    _require_places(exports)
-                return
-            rows.append(progress.row)
-            if folder is not None:
-                folder.write(progress)
-            for writer, path in writers:
-                writer(progress.row.result, Path(str(path).replace(_PLACE, folder_name(progress.frames[0].name))))
-            if not as_json:
-                stdout.write(describe(progress.row) + "\n")
+            else:
+                # Said before it is written: a disk that is full takes nothing away.
+                rows.append(progress.row)
+                if not as_json:
+                    stdout.write(describe(progress.row) + "\n")
+                if folder is not None:
+                    folder.write(progress)
+                for writer in writers:
+                    _export(writer, progress)
 
         interrupted = False
+        problem: Exception | None = None
         with _progress() as shown:
             try:
-                run(plan, on_progress=noted)
+                run(plan, on_progress=noted, on_names=planned)
             except KeyboardInterrupt:
                 interrupted = True
                 click.echo(f"p2o: interrupted; {len(rows)} finished calibrations are kept", err=True)
-        done = Run(tuple(rows), joint=plan.recipe.joint, interrupted=interrupted)
+            except BrokenPipeError:
+                raise
+            except Exception as error:
+                # What is finished is told before what went wrong.
+                if not rows:
+                    raise
+                problem = error
+        done = Run(tuple(rows), joint=plan.recipe.joint, interrupted=interrupted, failed=tuple(failed))
         if folder is not None:
-            folder.finish(done)
+            try:
+                folder.finish(done)
+            except P2OError as error:
+                problem = problem or error
     if as_json:
         stdout.write(json.dumps(done.as_dict(), allow_nan=False) + "\n")
-    elif len(rows) > 1:
+    elif len(rows) + len(failed) > 1:
         stdout.write(describe_run(done) + "\n")
     if interrupted:
         return 130
+    if problem is not None:
+        raise problem
+    if failed:
+        raise InputError(
+            f"{len(failed)} of {len(rows) + len(failed)} frames could not be calibrated",
+            got=f"{failed[0].frame}: {failed[0].reason}",
+        )
     short = [] if wanted is None else wanted.unmet([row.result for row in done.rows])
     for line in short:
         click.echo(f"p2o: {line}, as --require asks", err=True)
@@ -171,16 +203,16 @@ def _of(some: int, many: int, one: str, several: str) -> str:
     return f"{some} of {many} results {several}" if many > 1 else f"the result {one}"
 
 
-def _require_places(exports: Sequence[str]) -> None:
-    """Raise InputError where several results would be written to one file."""
-    for text in exports:
-        if _PLACE not in text:
-            raise InputError(
-                "several results do not fit in one file",
-                where="--export",
-                expected=f"a path with {_PLACE} in it, or --joint",
-                got=text,
-            )
+def _export(export: Export, progress: Progress) -> None:
+    """Write a result; one without a pose that the format has no word for is told, and the others go on."""
+    assert progress.row is not None
+    result = progress.row.result
+    try:
+        export.write(result, progress.frames[0].name)
+    except InputError as problem:
+        if result.status.solved:
+            raise
+        click.echo(f"p2o: not exported: {problem}", err=True)
 
 
 @contextlib.contextmanager
@@ -198,6 +230,7 @@ def _progress() -> Iterator[Any]:
         yield lambda progress: None
         return
     from rich.console import Console
+    from rich.markup import escape
 
     with Console(stderr=True).status("starting") as status:
-        yield lambda p: status.update(f"{p.done + 1} of {p.total}: {p.name}")
+        yield lambda p: status.update(f"{p.done + 1} of {p.total}: {escape(printable(p.name))}")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from p2o.cli.plugin_options import load, plugin_options
-from p2o.errors import InputError
+from p2o.errors import InputError, printable
 from p2o.files.input_file import expanded
 
 if TYPE_CHECKING:
@@ -41,14 +41,14 @@ def command(
     plugin: tuple[str, ...],
     block: tuple[str, ...],
 ) -> int:
-    r"""Write synthetic streets to the folder OUT, frame by frame, and print the names of the frames.
+    """Write synthetic streets to the folder OUT, frame by frame, and print the names of the frames.
 
     \b
     p2o simulate out --layout kitti-raw --set scenes=20 --seed 1
     p2o run --data kitti-raw:out --perturb "2deg 0.15m"
 
     They are the frames of the dataset `synthetic`; what a layout has no place for is lost (docs/datasets.md).
-    """
+    """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     from p2o.run.recipe import open_dataset
     from p2o.run.words import parse_fields
 
@@ -62,8 +62,8 @@ def command(
     dataset = open_dataset("synthetic:", load(plugin, block), options)
     root = _prepared(expanded(out), force)
     for name in _writer(layout).write((dataset[index] for index in range(len(dataset))), root):
-        click.echo(name)
-    click.echo(f"{len(dataset)} frames written; read them with --data {layout}:{out}", err=True)
+        click.echo(printable(name))
+    click.echo(printable(f"{len(dataset)} frames written; read them with --data {layout}:{out}"), err=True)
     return 0
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING
 
+from p2o.errors import printable
 from p2o.geometry import se3
 from p2o.results.result import DIRECTED
 from p2o.results.verdict import Trust
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from p2o.results.accuracy import Accuracy
     from p2o.results.evidence import Judged
     from p2o.results.result import CameraCheck, Result, SweepMotion
-    from p2o.run.run import Row, Run
+    from p2o.run.run import FailedFrame, Row, Run
 
 _AXES = (("roll", "deg"), ("pitch", "deg"), ("yaw", "deg"), ("x", "m"), ("y", "m"), ("z", "m"))
 
@@ -53,14 +54,21 @@ def describe(row: Row) -> str:
     if result.seconds:
         lines.append(f"  {'seconds':<9} " + ", ".join(f"{stage} {took:.2f}" for stage, took in result.seconds.items()))
     lines += [f"  {'warning':<9} {text}" for text in _warnings(result)]
-    return "\n".join(lines)
+    return "\n".join(map(printable, lines))
+
+
+def describe_failed(failed: FailedFrame) -> str:
+    """Return the account of a frame that has no result."""
+    return "\n".join(map(printable, [failed.frame, f"  {'failed':<9} {failed.reason}"]))
 
 
 def describe_run(run: Run) -> str:
     """Return the summary of many results: counts by status and by verdict, then means and medians of the errors."""
     summary = run.summary
     counts = ", ".join(f"{count} {status}" for status, count in summary["status"].items())
-    lines = [f"{summary['count']} calibrations: {counts}"]
+    lines = [f"{summary['count']} calibrations: {counts or 'none finished'}"]
+    if run.failed:
+        lines.append(f"  {len(run.failed)} frames failed: they could not be read or lack what the methods need")
     solved = Counter(row.result.verdict.trust for row in run.rows if row.result.status.solved)
     if solved:
         words = ", ".join(f"{solved[trust]} {trust}" for trust in Trust if solved[trust])

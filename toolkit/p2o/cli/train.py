@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -9,7 +10,7 @@ import click
 
 from p2o.cli.plugin_options import load
 from p2o.cli.training_data import training_data_options
-from p2o.errors import UnknownNameError
+from p2o.errors import InputError, UnknownNameError, printable
 
 if TYPE_CHECKING:
     from p2o.host.trainer import Trainer
@@ -67,6 +68,8 @@ def command(
     from p2o.learn.label_files import sources_of, trainable
     from p2o.learn.train import train, usage
 
+    if not all(map(math.isfinite, shares)):
+        raise InputError("a share is a number", where="--share", expected="more than 0", got=max(shares))
     registry = load(plugin, block)
     offer = trainable(method, registry)
     trainer = trainer_of(offer)
@@ -80,8 +83,8 @@ def command(
         except KeyboardInterrupt:
             click.echo("p2o: interrupted: the same command goes on from here", err=True)
             return 130
-    click.echo(weights)
-    click.echo(usage(offer, trainer.weights_option, weights))
+    click.echo(printable(weights))
+    click.echo(printable(usage(offer, trainer.weights_option, weights)))
     return 0
 
 

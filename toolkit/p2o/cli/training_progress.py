@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from p2o.errors import printable
+
 if TYPE_CHECKING:
     from p2o.host.trainer import TrainingProgress
     from p2o.learn.label_files import LabelProgress
@@ -32,7 +34,10 @@ class Shown:
         self.fresh += progress.fresh
         if self.bars is not None:
             self.bars.update(
-                self.task, description=f"labels {progress.name}", completed=progress.done, total=progress.total
+                self.task,
+                description=_shown_as_text(f"labels {progress.name}"),
+                completed=progress.done,
+                total=progress.total,
             )
         ended = progress.done == progress.total
         if ended or (self.bars is None and time.monotonic() - self.said > _LINE_EVERY_S):
@@ -79,6 +84,13 @@ def shown(quiet: bool) -> Iterator[Shown]:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
         yield Shown(quiet, bars)
+
+
+def _shown_as_text(name: str) -> str:
+    """Return a text that a bar of rich shows as it is: brackets in it are no markup."""
+    from rich.markup import escape
+
+    return escape(printable(name))
 
 
 def _duration(seconds: float) -> str:

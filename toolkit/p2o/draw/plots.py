@@ -5,12 +5,13 @@ from __future__ import annotations
 import csv
 import io
 import math
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from p2o.draw.overlay import COLOURS
-from p2o.errors import InputError
+from p2o.errors import InputError, printable
 from p2o.features.side import SIDES
 from p2o.files.whole_file import write_whole
 from p2o.results.result import DIRECTED, Result, Round
@@ -35,7 +36,8 @@ def convergence(result: Result, path: Path | str) -> None:
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(1, 1.2))
     rounds = result.rounds
     numbers = list(range(1, len(rounds) + 1))
-    top.set_title(f"{_named(result)}: {result.status.value}", fontsize=10)
+    # A name is a text: dollars in it are no formula.
+    top.set_title(f"{printable(_named(result), 80)}: {result.status.value}", fontsize=10, parse_math=False)
 
     floor = [0] * len(rounds)
     for side in SIDES:
@@ -72,8 +74,15 @@ def convergence(result: Result, path: Path | str) -> None:
         top.legend(**_LEGEND)
         lines = [line for axis in dict.fromkeys((bottom, side)) for line in axis.get_legend_handles_labels()[0]]
         bottom.legend(handles=lines, **_LEGEND)
+    _write(figure, path)
+
+
+def _write(figure: Any, path: Path | str) -> None:
     picture = io.BytesIO()
-    figure.savefig(picture, format="png", dpi=130, metadata={"Software": None})
+    with warnings.catch_warnings():
+        # A letter that the font lacks is a box in the picture, no more.
+        warnings.filterwarnings("ignore", "Glyph", UserWarning)
+        figure.savefig(picture, format="png", dpi=130, metadata={"Software": None})
     write_whole(path, picture.getvalue())
 
 
@@ -140,6 +149,4 @@ def learning_curves(log: Path, path: Path | str) -> None:
         axis.set_ylim(bottom=0)
     if any(columns[name] for name in ("loss", "validation")):
         top.legend(fontsize=8, frameon=False)
-    picture = io.BytesIO()
-    figure.savefig(picture, format="png", dpi=130, metadata={"Software": None})
-    write_whole(path, picture.getvalue())
+    _write(figure, path)

@@ -25,7 +25,7 @@ def poses_by_gicp(clouds: Sequence[Cloud], *, voxel_m: float = 0.25, max_distanc
     up along the way. The sweeps, in order of time, are taken as they are: corrected for motion they give the poses at
     the times that they were corrected to. Points are thinned to cubes of `voxel_m`, and paired up to `max_distance_m`.
 
-    Raises ModuleNotFoundError without the package (pip install "p2o-calib[gicp]"), InputError where two sweeps in turn
+    Raises ModuleNotFoundError without the package (pip install small-gicp), InputError where two sweeps in turn
     do not overlap.
     """
     import small_gicp
@@ -70,7 +70,7 @@ def poses_by_kiss_icp(
     Each sweep is aligned with a map of those before it by KISS-ICP, so that errors add up more slowly. The sweeps are
     taken as they are, as for `poses_by_gicp`; the map has cubes of `voxel_m`.
 
-    Raises ModuleNotFoundError without the package (pip install "p2o-calib[kiss-icp]").
+    Raises ModuleNotFoundError without the package (pip install kiss-icp).
     """
     from kiss_icp.config.parser import load_config
     from kiss_icp.kiss_icp import KissICP

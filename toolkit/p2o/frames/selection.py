@@ -10,9 +10,10 @@ from p2o.errors import InputError, UnknownNameError
 from p2o.files.input_file import expanded, read_text
 from p2o.files.parsed_text import parse_json
 
-_INDEX = re.compile(r"-?\d+")
-_RANGE = re.compile(r"(\d+)-(\d+)")
-_SLICE = re.compile(r"(-?\d+)?:(-?\d+)?(?::(-?\d+)?)?")
+# No more digits than any number of frames has: Python refuses thousands of them.
+_INDEX = re.compile(r"-?\d{1,18}")
+_RANGE = re.compile(r"(\d{1,18})-(\d{1,18})")
+_SLICE = re.compile(r"(-?\d{1,18})?:(-?\d{1,18})?(?::(-?\d{1,18})?)?")
 _SYNTAX = "all, indices (0,3,-1), ranges (5-9, ends included), slices (10:20:2), names, or @splits.json#SPLIT"
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from importlib.metadata import PackageNotFoundError, metadata
+from importlib.metadata import PackageNotFoundError, requires
 from pathlib import Path
 from typing import Any
 
@@ -84,6 +85,12 @@ class GuardedDataset(Sequence[Frame]):
             self.skipped: Mapping[str, str] = getattr(dataset, "skipped", {})
         if count != len(self.names) or not all(isinstance(name, str) for name in self.names):
             raise _fault(offer, f"{len(self.names)} names for {count} frames", "one name for each frame")
+        for name in self.names:
+            try:
+                name.encode()
+            except UnicodeEncodeError as problem:
+                # No result, row or report could hold it.
+                raise InputError("the name of a frame is not UTF-8", got=name, hint="rename its files") from problem
         if len(set(self.names)) < len(self.names):
             twice = next(name for i, name in enumerate(self.names) if name in self.names[:i])
             raise _fault(offer, f"two frames are called {twice!r}", "a name of its own for each frame")
@@ -147,15 +154,21 @@ def _unavailable(offer: Offer, problem: ModuleNotFoundError) -> P2OError:
 
 
 def requirement(offer: Offer) -> str:
-    """Return what pip has to install for a method, such as "p2o-calib[ceres]"; empty where nothing more is needed."""
+    """Return what pip has to install for a method, such as "pyceres>=2.4"; empty where nothing more is needed.
+
+    These are the packages that the extra of the method's distribution is made of: the distribution itself may be on no
+    index.
+    """
     extra = offer.method.extra
     if not extra:
         return ""
     try:
-        extras = metadata(offer.dist).get_all("Provides-Extra") or []
+        required = requires(offer.dist) or []
     except PackageNotFoundError:
-        extras = []
-    return f'"{offer.dist}[{extra}]"' if extra in extras else extra
+        required = []
+    of_extra = re.compile(rf"""([^;]+);.*\bextra\s*==\s*['"]{re.escape(extra)}['"]""")
+    packages = [match[1].strip() for text in required if (match := of_extra.fullmatch(text.strip()))]
+    return " ".join(f'"{package}"' for package in packages) or extra
 
 
 def _pose(offer: Offer, value: Any) -> Float:

@@ -6,10 +6,12 @@ is loaded in its own `try`, so a broken one costs its own methods and nothing el
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import os
 import re
 import sys
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -19,7 +21,8 @@ from typing import Any
 
 import pluggy
 
-from p2o.errors import InputError, PluginError, UnknownNameError
+from p2o.errors import LONGEST, InputError, P2OError, PluginError, UnknownNameError, one_line
+from p2o.files.input_file import MAX_TEXT_BYTES, expanded, read_bytes
 from p2o.host import hookspecs
 from p2o.host.method import Kind, Method
 
@@ -135,7 +138,7 @@ class Registry:
             plugins = environ["P2O_PLUGINS"].split(",")
         installed = _installed()
         chosen, blocked = _selected(installed, plugins, block)
-        files = [_Source(Path(f).name, "", Path(f).stem, Path(f), forced=True) for f in extra_files]
+        files = _file_sources(extra_files)
         return cls._from([*chosen, *files], blocked, strict=environ.get("P2O_STRICT", "") not in ("", "0"))
 
     @classmethod
@@ -233,8 +236,8 @@ def _slug(name: str) -> str:
 
 
 def _one_line(problem: BaseException) -> str:
-    text = " ".join(str(problem).split())
-    return text if isinstance(problem, PluginError) else f"{type(problem).__name__}: {text}" if text else repr(problem)
+    text = one_line(problem, LONGEST)
+    return text if isinstance(problem, P2OError) else f"{type(problem).__name__}: {text}" if text else repr(problem)
 
 
 def _repair_hint(source: _Source) -> str:
@@ -253,6 +256,16 @@ def _installed() -> list[_Source]:
         plain = EntryPoint(entry.name, entry.value, entry.group)
         sources.append(_Source(_slug(dist), entry.dist.version if entry.dist is not None else "", entry.name, plain))
     return sorted(sources, key=lambda s: (s.name, s.value.value))
+
+
+def _file_sources(paths: Iterable[str | Path]) -> list[_Source]:
+    """Return the sources of plugin files, each file once; those that share a name are called by their paths."""
+    files = {path.resolve(): path for path in map(expanded, paths)}
+    count = Counter(path.name for path in files.values())
+    return [
+        _Source(path.name if count[path.name] == 1 else str(path), "", path.stem, path, forced=True)
+        for path in files.values()
+    ]
 
 
 def _selected(
@@ -279,6 +292,12 @@ _loaded: dict[str, tuple[Path, bytes]] = {}
 """File and content of the modules that were made of single files, by name."""
 
 
+def file_module_name(path: Path) -> str:
+    """Return what the module of a single file is called: two files of one name are two modules."""
+    # The same in every process that loads this file: what one of them keeps, the others find again.
+    return f"p2o_plugin_file_{path.stem}_{hashlib.sha256(os.fsencode(path.resolve())).hexdigest()[:8]}"
+
+
 def _module_of(path: Path) -> Any:
     """Import one file as a module of its own; it does not become importable by name.
 
@@ -286,8 +305,8 @@ def _module_of(path: Path) -> Any:
     """
     if not path.is_file():
         raise InputError("no such plugin file", where=path, expected="a Python file")
-    state = path.resolve(), path.read_bytes()
-    name = f"p2o_plugin_file_{path.stem}"
+    state = path.resolve(), read_bytes(path, "plugin file", MAX_TEXT_BYTES)
+    name = file_module_name(path)
     if name in sys.modules and _loaded.get(name) == state:
         return sys.modules[name]
     spec = importlib.util.spec_from_file_location(name, path)

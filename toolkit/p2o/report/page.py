@@ -35,7 +35,7 @@ def plot_library() -> str:
     except ModuleNotFoundError as problem:
         raise MethodUnavailable(
             "the page of a report needs the package plotly, which is not installed",
-            hint='run: pip install "p2o-calib[report]"',
+            hint="run: pip install plotly",
         ) from problem
     return str(offline.get_plotlyjs())
 

@@ -33,6 +33,10 @@ if TYPE_CHECKING:
     from p2o.run.joined import JoinedFrames
 
 
+MOST_SEED = 2**63 - 1
+"""The largest whole number that every store of rows holds."""
+
+
 class Recipe(BaseModel):
     """What to run, in words; what is left out takes the default here, and nowhere else.
 
@@ -55,7 +59,7 @@ class Recipe(BaseModel):
     calibrator: str | None = None
     options: dict[str, dict[str, Any]] = Field(default_factory=dict)
     perturb: str | None = None
-    seed: int = Field(default=0, ge=0)
+    seed: int = Field(default=0, ge=0, le=MOST_SEED)
     joint: bool = False
     accumulate: str | None = None
     witness: str | None = None

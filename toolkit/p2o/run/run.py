@@ -6,12 +6,12 @@ import os
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from p2o.arrays import Float
-from p2o.errors import InputError, PluginError
+from p2o.errors import InputError, P2OError, PluginError
 from p2o.frames.frame import Dataset, Frame
 from p2o.frames.selection import select
 from p2o.geometry import se3
@@ -24,6 +24,8 @@ from p2o.results.verdict import Trust
 from p2o.run.assembly import Assembly
 from p2o.run.recipe import Plan, Recipe
 from p2o.run.words import parse_settings
+
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,13 +43,22 @@ class Row:
         return {**result_to_dict(self.result), **errors}
 
 
+@dataclass(frozen=True)
+class FailedFrame:
+    """A frame without a result, because it cannot be read or lacks what the methods need, and why in one line."""
+
+    frame: str
+    reason: str
+
+
 @dataclass(frozen=True, eq=False)
 class Run:
-    """All results of a recipe: `rows`, one a frame, or one for all frames with `joint`."""
+    """All results of a recipe: `rows`, one a frame, or one for all frames with `joint`; `failed` are frames without."""
 
     rows: tuple[Row, ...]
     joint: bool = False
     interrupted: bool = False
+    failed: tuple[FailedFrame, ...] = ()
 
     @property
     def result(self) -> Result:
@@ -58,8 +69,8 @@ class Run:
 
     @property
     def solved(self) -> bool:
-        """True where every calibration was solved, and there was at least one."""
-        return bool(self.rows) and all(row.result.status.solved for row in self.rows)
+        """True where every calibration was solved, there was at least one, and no frame failed."""
+        return bool(self.rows) and not self.failed and all(row.result.status.solved for row in self.rows)
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -72,6 +83,7 @@ class Run:
         solved = [row for row in self.rows if row.result.status.solved]
         return {
             "count": len(self.rows),
+            "failed": len(self.failed),
             "status": dict(sorted(counts.items())),
             "solved": len(solved),
             "trust": {trust.value: trusts[trust] for trust in Trust if trusts[trust]},
@@ -81,15 +93,20 @@ class Run:
         }
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the one object of `p2o run --json`: of the joint result, or `results` and `summary`."""
-        if self.joint and len(self.rows) == 1:
-            return self.rows[0].as_dict()
-        return {"results": [row.as_dict() for row in self.rows], "summary": self.summary}
+        """Return the one object of `p2o run --json`, of one schema for all runs: `results`, `failed`, `summary`."""
+        return {
+            "results": [row.as_dict() for row in self.rows],
+            "failed": [{"frame": one.frame, "reason": one.reason} for one in self.failed],
+            "summary": self.summary,
+        }
 
 
 @dataclass(frozen=True, eq=False)
 class Progress:
-    """What `on_progress` is told: before each calibration with `row` None, and after it with its row."""
+    """What `on_progress` is told: before each calibration with `row` None, and after it with its row.
+
+    Of a frame that cannot be calibrated it is told once, with `failed` and without frames.
+    """
 
     done: int
     total: int
@@ -97,9 +114,11 @@ class Progress:
     frames: tuple[Frame, ...]
     assembly: Assembly
     row: Row | None = None
+    failed: FailedFrame | None = None
 
 
 OnProgress = Callable[[Progress], None]
+OnNames = Callable[[Sequence[str]], None]
 
 
 def calibrate(
@@ -128,7 +147,7 @@ def calibrate(
     texts STAGE.FIELD=VALUE. What is left out takes the default of `Recipe`.
 
     Raises a P2OError for anything wrong with the words, the data or the plugins. Too few matches and the like are
-    no errors but a status of the result.
+    no errors but a status of the result, and a bad frame among good ones is in `Run.failed`.
     """
     given: Sequence[Frame] | Dataset | None = None
     if isinstance(data, Frame):
@@ -165,11 +184,14 @@ def run(
     *,
     start: Float | None = None,
     on_progress: OnProgress | None = None,
+    on_names: OnNames | None = None,
 ) -> Run:
     """Run a resolved recipe on its own dataset, or on `frames`; frames are read one at a time unless joint.
 
-    A plugin that fails on a frame ends that frame with status stage-failed and its reason; the others go on
-    (`P2O_DEBUG=1` or `P2O_STRICT=1`: it raises). Raises InputError for frames that cannot be used.
+    A plugin that fails on a frame ends that frame with status stage-failed and its reason (`P2O_DEBUG=1` or
+    `P2O_STRICT=1`: it raises). A frame that cannot be read or used is in `Run.failed`; the others go on. Raises
+    InputError where no frame can be used, and for the first bad one with `joint`: a joint result is one of all frames
+    that were asked for. `on_names` is told the names of all frames before any of them is calibrated.
     """
     recipe = plan.recipe
     if start is not None:
@@ -177,46 +199,109 @@ def run(
             raise InputError("both a start and a perturbation are given", expected="one of them")
         start = se3.check_rigid("start", start)
     dataset: Sequence[Frame] | Dataset = plan.dataset() if frames is None else plan.joined(frames)
-    indices = _selected(dataset, recipe.frames)
+    names, indices = _selected(dataset, recipe.frames)
+    if on_names is not None:
+        on_names([names[index] for index in indices])
     assembly = plan.assembly()
     stamp = {"recipe": plan.described(), "seed": recipe.seed, "versions": plan.versions()}
     groups = [indices] if recipe.joint else [[index] for index in indices]
-    rows = []
+    rows: list[Row] = []
+    failed: list[FailedFrame] = []
+    first: P2OError | None = None
+    tell, tried = on_progress or (lambda _: None), _caught if len(groups) > 1 else _uncaught
     for done, group in enumerate(groups):
-        batch = tuple(_frame(dataset, index) for index in group)
-        for frame in batch:
-            plan.check_frame(frame)
-        name = batch[0].name if len(batch) == 1 else f"{len(batch)} frames jointly"
-        progress = Progress(done, len(groups), name, batch, assembly)
-        if on_progress is not None:
-            on_progress(progress)
-        row = _calibrate_one(assembly, batch, recipe, start, group[0], stamp)
-        rows.append(row)
-        if on_progress is not None:
-            on_progress(replace(progress, done=done + 1, row=row))
-    return Run(tuple(rows), joint=recipe.joint)
+        name = names[group[0]] if len(group) == 1 else f"{len(group)} frames jointly"
+        progress = Progress(done, len(groups), name, (), assembly)
+        begin = tried(_Begin.of, plan, dataset, [(index, names[index]) for index in group], start)
+        row: Row | P2OError
+        if isinstance(begin, P2OError):
+            row = begin
+        else:
+            progress = replace(progress, frames=begin.frames)
+            tell(progress)
+            row = tried(_calibrate_one, assembly, begin, stamp)
+        if isinstance(row, P2OError):
+            first = first or row
+            failed.append(FailedFrame(name, str(row)))
+            tell(replace(progress, done=done + 1, frames=(), failed=failed[-1]))
+        else:
+            rows.append(row)
+            tell(replace(progress, done=done + 1, row=row))
+    if first is not None and not rows:
+        raise InputError(f"none of the {len(groups)} frames can be calibrated", got=first) from first
+    return Run(tuple(rows), joint=recipe.joint, failed=tuple(failed))
 
 
-def _calibrate_one(
-    assembly: Assembly,
-    frames: tuple[Frame, ...],
-    recipe: Recipe,
-    start: Float | None,
-    index: int,
-    stamp: Mapping[str, Any],
-) -> Row:
-    truth = common_pose(frames, "camera_from_lidar")
-    begin, warnings = start_of(frames, truth, recipe, start, index)
+def _uncaught(work: Callable[..., _T], /, *given: Any) -> _T | P2OError:
+    return work(*given)
+
+
+def _caught(work: Callable[..., _T], /, *given: Any) -> _T | P2OError:
+    """Return what `work` returns, or the error that says what is wrong with the frames it was given."""
     try:
-        result = assembly([frame.without_truth() for frame in frames], begin)
+        return work(*given)
+    except InputError as problem:
+        return problem
     except PluginError as problem:
-        if any(os.environ.get(name, "") not in ("", "0") for name in ("P2O_DEBUG", "P2O_STRICT")):
+        if _strict():
             raise
-        result = Result(tuple(f.name for f in frames), begin, begin, Status.STAGE_FAILED, str(problem))
-    result = replace(result, warnings=(*result.warnings, *warnings), **stamp)
+        return problem
+
+
+def _usable(plan: Plan, dataset: Sequence[Frame] | Dataset, index: int, name: str, *, joint: bool) -> Frame:
+    """Return a frame that was read and has what the methods need."""
+    try:
+        frame = _frame(dataset, index)
+        plan.check_frame(frame)
+    except InputError as problem:
+        if not joint:
+            raise
+        hint = f"a joint calibration needs every frame: leave {name} out of --frames, or repair it"
+        raise InputError(
+            problem.what,
+            where=problem.where,
+            expected=problem.expected,
+            got=problem.got,
+            hint=hint if problem.hint is None else f"{problem.hint}; {hint}",
+        ) from problem
+    return frame
+
+
+def _strict() -> bool:
+    return any(os.environ.get(name, "") not in ("", "0") for name in ("P2O_DEBUG", "P2O_STRICT"))
+
+
+@dataclass(frozen=True, eq=False)
+class _Begin:
+    """Where a calibration begins: its frames, the truth where it is known, the start, and what is said about it."""
+
+    frames: tuple[Frame, ...]
+    truth: Float | None
+    start: Float
+    warnings: tuple[str, ...]
+
+    @classmethod
+    def of(
+        cls, plan: Plan, dataset: Sequence[Frame] | Dataset, chosen: Sequence[tuple[int, str]], start: Float | None
+    ) -> _Begin:
+        """Read the frames of these indices and names."""
+        frames = tuple(_usable(plan, dataset, index, name, joint=len(chosen) > 1) for index, name in chosen)
+        truth = common_pose(frames, "camera_from_lidar")
+        return cls(frames, truth, *start_of(frames, truth, plan.recipe, start, chosen[0][0]))
+
+
+def _calibrate_one(assembly: Assembly, begin: _Begin, stamp: Mapping[str, Any]) -> Row:
+    frames, truth, start = begin.frames, begin.truth, begin.start
+    try:
+        result = assembly([frame.without_truth() for frame in frames], start)
+    except PluginError as problem:
+        if _strict():
+            raise
+        result = Result(tuple(f.name for f in frames), start, start, Status.STAGE_FAILED, str(problem))
+    result = replace(result, warnings=(*result.warnings, *begin.warnings), **stamp)
     if truth is None:
         return Row(result, None, None, None)
-    return Row(result, truth, pose_error(begin, truth), pose_error(result.camera_from_lidar, truth))
+    return Row(result, truth, pose_error(start, truth), pose_error(result.camera_from_lidar, truth))
 
 
 def start_of(
@@ -265,14 +350,15 @@ def common_pose(frames: Sequence[Frame], name: str) -> Float | None:
     return getattr(known[0], name) if known else None
 
 
-def _selected(dataset: Sequence[Frame] | Dataset, spec: str) -> list[int]:
+def _selected(dataset: Sequence[Frame] | Dataset, spec: str) -> tuple[Sequence[str], list[int]]:
+    """Return the names of all frames, and the indices of those that are chosen."""
     count = len(dataset)
     if count == 0:
         raise InputError("there are no frames", expected="at least one")
     names = getattr(dataset, "names", None)
     if names is None:
         names = [_frame(dataset, index).name for index in range(count)]
-    return select(names, spec, where="--frames", skipped=getattr(dataset, "skipped", None))
+    return names, select(names, spec, where="--frames", skipped=getattr(dataset, "skipped", None))
 
 
 def _frame(dataset: Sequence[Frame] | Dataset, index: int) -> Frame:

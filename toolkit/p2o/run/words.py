@@ -64,7 +64,10 @@ def split_data(text: str) -> tuple[str, dict[str, Any]]:
     query = re.fullmatch(r"(.*?)\?((?:[a-z0-9_]+=[^&]*)(?:&[a-z0-9_]+=[^&]*)*)?", rest, re.DOTALL)
     if query is not None:
         rest = query[1]
-        options = {key: value_of(value) for key, value in parse_qsl(query[2] or "", keep_blank_values=True)}
+        for key, value in parse_qsl(query[2] or "", keep_blank_values=True):
+            if key in options:
+                raise InputError(f"the option {key} is said twice", expected="each once", got=text)
+            options[key] = value_of(value)
     if rest:
         options["root"] = str(expanded(rest))
     return name, options
@@ -85,13 +88,16 @@ def value_of(text: str) -> Any:
 def parse_settings(settings: Iterable[str]) -> dict[str, dict[str, Any]]:
     """Return options by stage from texts STAGE.FIELD=VALUE; the last of two for one field wins.
 
-    Raises InputError for other texts, UnknownNameError for unknown stages.
+    Raises InputError for other texts and for a value beside options of its name, UnknownNameError for unknown stages.
     """
     options: dict[str, dict[str, Any]] = {}
+    said: dict[tuple[str, ...], Any] = {}
     for text in settings:
         path, value = _setting(text, "STAGE.FIELD=VALUE: matcher.huber_px=2", least=2)
         if path[0] not in STAGES:
             raise UnknownNameError("stage", path[0], STAGES, where="--set")
+        _check_beside(said, path, text)
+        said[tuple(path)] = value
         options = _with(options, path, value)
     return options
 
@@ -101,12 +107,31 @@ def parse_fields(
 ) -> dict[str, Any]:
     """Return options from texts FIELD=VALUE over those of `values`, which stays as it is.
 
-    OUTER.FIELD=VALUE sets an option of options. Raises InputError, with the example, for other texts.
+    OUTER.FIELD=VALUE sets an option of options. Raises InputError, with the example, for other texts, and for a value
+    beside options of its name.
     """
     options = dict(values or {})
+    said: dict[tuple[str, ...], Any] = {}
     for text in settings:
-        options = _with(options, *_setting(text, f"FIELD=VALUE: {example}"))
+        path, value = _setting(text, f"FIELD=VALUE: {example}")
+        _check_beside(said, path, text)
+        said[tuple(path)] = value
+        options = _with(options, path, value)
     return options
+
+
+def _check_beside(said: Mapping[tuple[str, ...], Any], path: list[str], text: str) -> None:
+    """Raise InputError where a setting would silently replace another one that is not for the same field.
+
+    A mapping may be followed by single options in it.
+    """
+    for other, value in said.items():
+        inside = other[: len(path)] == tuple(path) and len(other) > len(path)
+        outside = tuple(path[: len(other)]) == other and len(other) < len(path) and not isinstance(value, Mapping)
+        if inside or outside:
+            raise InputError(
+                f"{'.'.join(other)} is set already", where="--set", expected="a value, or options in it", got=text
+            )
 
 
 def _setting(text: str, expected: str, least: int = 1) -> tuple[list[str], Any]:

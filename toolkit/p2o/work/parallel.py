@@ -26,7 +26,8 @@ from p2o.errors import InputError, MethodUnavailable, P2OError
 Backend = Literal["loky", "dask", "ray"]
 BACKENDS: tuple[Backend, ...] = ("loky", "dask", "ray")
 
-_EXTRAS = {"dask": "distributed", "ray": "ray"}
+_PACKAGES = {"dask": ("distributed", "dask distributed"), "ray": ("ray", "ray")}
+"""The package of a backend, and what pip installs for it."""
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 _TRIES_ALONE = 2
 """How often a job whose worker died is tried again, with no other job beside it."""
@@ -54,14 +55,14 @@ class Workers:
             raise InputError("there is nobody to work", where="--jobs", expected="at least 1", got=self.jobs)
         if self.backend == "loky" and self.address is not None:
             raise InputError("processes of this machine have no address", where="--address", expected="--backend dask")
-        package = _EXTRAS.get(self.backend)
-        if package is not None:
+        if self.backend in _PACKAGES:
+            package, installed = _PACKAGES[self.backend]
             try:
                 importlib.import_module(package)
             except ModuleNotFoundError as problem:
                 raise MethodUnavailable(
                     f"--backend {self.backend} needs the package {problem.name}, which is not installed",
-                    hint=f'run: pip install "p2o-calib[{self.backend}]"',
+                    hint=f"run: pip install {installed}",
                 ) from problem
 
     @contextlib.contextmanager
