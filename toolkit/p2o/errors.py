@@ -44,18 +44,6 @@ def _escaped(character: str) -> str:
     return character.encode("unicode_escape", "surrogatepass").decode("ascii")
 
 
-def printable(text: str) -> str:
-    r"""Return a text whose control characters, line breaks and halves of surrogates are written out, such as \x1b.
-
-    Names come from files: shown as they are, they would move the cursor, recolour a terminal or turn words around.
-    """
-    if text.isprintable():
-        return text
-    return "".join(
-        c if c.isprintable() or unicodedata.category(c) == "Zs" else c.encode("unicode_escape").decode() for c in text
-    )
-
-
 class P2OError(Exception):
     """Root of all errors that p2o raises on purpose; its text is one line, ready to show, and has a bound.
 
