@@ -7,6 +7,7 @@ import math
 import os
 import shutil
 import sqlite3
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -37,7 +38,10 @@ class Case:
 
     def __call__(self) -> int:
         """Return the exit status."""
-        return main(list(self.argv)) if self.call is None else self.call()
+        if self.call is not None:
+            return self.call()
+        sys.argv = ["p2o", *self.argv]
+        return main()
 
 
 Draw = Callable[[Random, Bases, Path], Case]
@@ -173,7 +177,8 @@ def words(rng: Random, bases: Bases, home: Path) -> Case:
         argv += ["p2ornet", "--data", _data(rng), "--out", OUT]
         argv += ["--frames", _frames(rng)] if rng.random() < 0.3 else []
     elif command == "report":
-        argv += [rng.choice(("in", str(bases.study / "out"), _word(rng))), "--out", OUT]
+        shutil.copytree(bases.study / "out", home / OUT / "study")
+        argv += [rng.choice(("in", f"{OUT}/study", _word(rng))), "--out", OUT]
         argv += ["--study", _word(rng)] if rng.random() < 0.5 else []
     elif command == "run":
         argv += ["--data", "folder:in", *RUN]

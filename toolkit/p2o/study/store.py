@@ -222,7 +222,8 @@ class Store:
             _refuse_what_is_no_file(path)
             if not create and not path.exists():
                 raise InputError("there is no study", where=path, expected="a folder that `p2o ablate --out` wrote")
-            path.parent.mkdir(parents=True, exist_ok=True)
+            if create:
+                path.parent.mkdir(parents=True, exist_ok=True)
             looked_at = path.exists() and cls._looked_at(path)
             connection = _connected(path)
         try:
