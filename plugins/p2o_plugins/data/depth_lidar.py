@@ -45,6 +45,8 @@ def depth_sweep(
     start = se3.apply(camera_from_lidar, beams.origins)
     surface = _Surface.of(depth_m, camera)
     rows = np.flatnonzero(_in_view(surface, camera, start, along))
+    if not len(rows):
+        raise InputError("the LiDAR meets nothing that the depth shows", got=f"no beam of {lidar.name} in the picture")
     along, start = along[rows], start[rows]
     z = np.concatenate(
         [
@@ -55,7 +57,7 @@ def depth_sweep(
     range_m = (z - start[:, 2]) / along[:, 2]
     met = np.flatnonzero((range_m >= lidar.min_range_m) & (range_m <= lidar.max_range_m))
     if not len(met):
-        raise InputError("the LiDAR meets nothing that the depth shows", where=lidar.name)
+        raise InputError("the LiDAR meets nothing that the depth shows", got=f"no return of {lidar.name}")
     rows, measured = rows[met], range_m[met] + noise[rows[met]]
     return Cloud(
         beams.origins[rows] + measured[:, None] * beams.directions[rows],

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from p2o import (
@@ -28,6 +28,7 @@ from p2o.files.array_file import MAX_BYTES, read_npy
 from p2o.files.input_file import existing_folder, listing, naming, read_bytes, read_text
 from p2o.files.parsed_text import parse_yaml
 from p2o.host.validation import validated
+from pydantic import Field
 
 from p2o_plugins.data.cloud_file import SUFFIXES as CLOUD_SUFFIXES
 from p2o_plugins.data.cloud_file import read_cloud
@@ -53,14 +54,20 @@ _SAME_MOMENT_S = 1.0
 """No sweep takes longer, so an image that is further away is not of its scene, or its clock is another."""
 
 
+# Nothing that is driven turns or goes faster, and no clock in seconds counts further: products of these stay finite.
+_Rate = Annotated[float, Field(ge=-100, le=100)]
+_Speed = Annotated[float, Field(ge=-1000, le=1000)]
+_Seconds = Annotated[float, Field(ge=-1e12, le=1e12)]
+
+
 class CheckerboardEntry(Options):
     """A target of kind checkerboard in frame.yaml."""
 
-    columns: int = field(..., ge=2, help="Inner corners in a row.")
-    rows: int = field(..., ge=2, help="Inner corners in a column.")
-    square_m: float = field(..., gt=0, help="Side of a square in metres.")
-    width_m: float = field(..., gt=0, help="Width of the whole board in metres.")
-    height_m: float = field(..., gt=0, help="Height of the whole board in metres.")
+    columns: int = field(..., ge=2, le=1000, help="Inner corners in a row.")
+    rows: int = field(..., ge=2, le=1000, help="Inner corners in a column.")
+    square_m: float = field(..., gt=0, le=100, help="Side of a square in metres.")
+    width_m: float = field(..., gt=0, le=100, help="Width of the whole board in metres.")
+    height_m: float = field(..., gt=0, le=100, help="Height of the whole board in metres.")
 
     def target(self) -> Checkerboard:
         """Return the target; raises InputError if the pattern does not fit its board."""
@@ -70,10 +77,13 @@ class CheckerboardEntry(Options):
 class HolesEntry(Options):
     """A target of kind holes in frame.yaml: a board with round holes."""
 
-    width_m: float = field(..., gt=0, help="Width of the board in metres.")
-    height_m: float = field(..., gt=0, help="Height of the board in metres.")
+    width_m: float = field(..., gt=0, le=100, help="Width of the board in metres.")
+    height_m: float = field(..., gt=0, le=100, help="Height of the board in metres.")
     holes: tuple[tuple[float, float, float], ...] = field(
-        ..., min_length=1, help="x, y and radius of each hole in metres; origin in the middle of the board, y down."
+        ...,
+        min_length=1,
+        max_length=1000,
+        help="x, y and radius of each hole in metres; origin in the middle of the board, y down.",
     )
 
     def target(self) -> HoleBoard:
@@ -97,16 +107,18 @@ class FrameEntry(Options):
     start: Any = field(None, help="First guess of camera_from_lidar: rows of numbers, or rotation and translation.")
     truth: Any = field(None, help="True camera_from_lidar where it is known.")
     right: str | None = field(None, help="File of the right picture of a rectified pair.")
-    baseline_m: float | None = field(None, gt=0, help="Distance in metres from the image's camera to the right one.")
+    baseline_m: float | None = field(
+        None, gt=0, le=1000, help="Distance in metres from the image's camera to the right one."
+    )
     depth: str | None = field(None, help="File of depth along the axis: 16 bit PNG (m x 256, 0 unknown) or .npy (m).")
-    image_time_s: float | None = field(None, help="Time of the image in seconds on the clock of the sweep's times.")
-    twist: tuple[float, float, float, float, float, float] | None = field(
+    image_time_s: _Seconds | None = field(None, help="Time of the image in seconds on the clock of the points' times.")
+    twist: tuple[_Rate, _Rate, _Rate, _Speed, _Speed, _Speed] | None = field(
         None,
         help="Velocity of the LiDAR in its own frame, about x y z in rad/s, then along x y z in m/s: the sweep, as "
         "measured, is corrected by it.",
     )
     sequence: str = field("", help="Name of the drive that the frame is of; its frames follow in order of their names.")
-    time_s: float | None = field(None, help="When the image was taken, in seconds on one clock for the sequence.")
+    time_s: _Seconds | None = field(None, help="When the image was taken, in seconds on one clock for the sequence.")
     lidar_world_from_lidar: Any = field(
         None, help="Pose of the LiDAR when the image was taken, in a world of its own; never made from the truth."
     )
@@ -221,6 +233,13 @@ def _read(root: Path, faults: Mapping[Path, InputError], folder: Path) -> Frame:
     cloud_path = _file(root, folder, entry.cloud, "cloud", CLOUD_SUFFIXES)
     cloud, cloud_warnings = read_cloud(cloud_path, entry.image_time_s, entry.cloud_columns)
     warnings += cloud_warnings
+    if entry.image_time_s is not None and cloud.time_s is not None and np.abs(cloud.time_s).min() > _SAME_MOMENT_S:
+        raise InputError(
+            "image and sweep are not of the same moment",
+            where=path,
+            expected=f"image_time_s within {_SAME_MOMENT_S:g} s of a time of {cloud_path.name}, on the same clock",
+            got=f"{np.abs(cloud.time_s).min():.3g} s apart",
+        )
     twist = None if entry.twist is None else np.array(entry.twist)
     if twist is not None:
         if cloud.time_s is None:
@@ -233,13 +252,6 @@ def _read(root: Path, faults: Mapping[Path, InputError], folder: Path) -> Frame:
             )
         with naming(path):
             cloud = cloud.untwisted(twist)
-    if entry.image_time_s is not None and cloud.time_s is not None and np.abs(cloud.time_s).min() > _SAME_MOMENT_S:
-        raise InputError(
-            "image and sweep are not of the same moment",
-            where=path,
-            expected=f"image_time_s within {_SAME_MOMENT_S:g} s of a time of {cloud_path.name}, on the same clock",
-            got=f"{np.abs(cloud.time_s).min():.3g} s apart",
-        )
     if twist is None and entry.image_time_s is None:
         # Times that nobody placed on the image's clock say nothing, and sweeps that were corrected may keep theirs.
         cloud = replace(cloud, time_s=None)

@@ -13,6 +13,8 @@ from p2o.files.input_file import read_text
 
 _LARGEST = 1e7
 """Pixels, or pixels times metres: no calibration holds more."""
+MAX_BASELINE_M = 100.0
+"""No two cameras of a car stand further apart."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +27,8 @@ class KittiCalibration:
     def numbers(self, key: str, shape: tuple[int, ...]) -> Float:
         """Return the finite numbers of a key; raises InputError for a missing key, other counts, or no numbers."""
         if key not in self.lines:
-            raise UnknownNameError("key", key, self.lines, where=self.path)
+            # What stands before a colon may be anything in a damaged file.
+            raise UnknownNameError("key", key, (known[:20] for known in self.lines), where=self.path)
         count = int(np.prod(shape))
         try:
             values = np.array(self.lines[key].split(), dtype=np.float64)

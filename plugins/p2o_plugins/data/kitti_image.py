@@ -11,7 +11,7 @@ from p2o.arrays import Float
 from p2o.files.input_file import naming
 
 from p2o_plugins.data.image_file import read_rgb, read_uint16
-from p2o_plugins.data.kitti_calibration import baseline_m, rectified_camera
+from p2o_plugins.data.kitti_calibration import MAX_BASELINE_M, baseline_m, rectified_camera
 
 
 def read_rectified(
@@ -35,11 +35,11 @@ def read_rectified(
     right = depth_m = baseline = None
     if right_projection is not None and (right_path is not None or disparity_path is not None):
         baseline = baseline_m(projection, right_projection)
-        if not baseline > 0:
+        if not 0 < baseline <= MAX_BASELINE_M:
             raise InputError(
                 "the right camera does not stand to the right of the left one",
                 where=path,
-                expected="a baseline > 0 m from the two projections",
+                expected=f"a baseline of up to {MAX_BASELINE_M:g} m from the two projections",
                 got=f"{baseline:g} m",
             )
     if right_path is not None:

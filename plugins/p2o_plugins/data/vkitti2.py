@@ -16,6 +16,7 @@ from pydantic import Field
 
 from p2o_plugins.data.depth_lidar import depth_sweep
 from p2o_plugins.data.image_file import read_rgb, read_uint16
+from p2o_plugins.data.kitti_calibration import MAX_BASELINE_M
 from p2o_plugins.data.kitti_folder import is_number
 from p2o_plugins.data.lazy_frames import LazyFrames
 
@@ -183,11 +184,11 @@ def _baseline_m(entry: _Entry) -> float:
     right_from_left = right @ se3.inverse(left)
     if se3.angle_deg(right_from_left) > 0.1 or np.abs(right_from_left[1:3, 3]).max() > 0.01:
         raise InputError("cameras 0 and 1 are no rectified pair", where=path, expected="a shift along x alone")
-    if right_from_left[0, 3] >= 0:
+    if not 0 < -right_from_left[0, 3] <= MAX_BASELINE_M:
         raise InputError(
             "camera 1 does not stand to the right of camera 0",
             where=path,
-            expected="a shift along -x",
+            expected=f"a shift along -x of up to {MAX_BASELINE_M:g} m",
             got=f"{right_from_left[0, 3]:g} m",
         )
     return float(-right_from_left[0, 3])

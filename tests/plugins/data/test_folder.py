@@ -10,6 +10,7 @@ import pytest
 import yaml
 from p2o import Checkerboard, HoleBoard, InputError, UnknownNameError, se3
 from p2o_plugins.data.folder import FolderOptions, build
+from p2o_plugins.data.frame_pose import read_extrinsic
 from p2o_plugins.data.lazy_frames import LazyFrames
 from scipy.spatial.transform import Rotation
 
@@ -484,3 +485,32 @@ def test_a_root_that_no_folder_can_be_is_refused_in_one_line(root: str) -> None:
     with pytest.raises(InputError) as caught:
         dataset(Path(root))
     assert "\n" not in str(caught.value)
+
+
+def test_the_poses_that_the_documentation_shows_look_ahead_along_the_lidars_x() -> None:
+    text = (Path(__file__).parents[3] / "docs/datasets.md").read_text()
+    entries = [yaml.safe_load(block.split("```")[0]) for block in text.split("```yaml\n")[1:]]
+    starts = [entry["start"] for entry in entries if "start" in entry]
+    assert len(starts) == 2
+    for start in starts:
+        camera_from_lidar, _ = read_extrinsic("start", start, Path("datasets.md"))
+        assert np.allclose(camera_from_lidar[:3, :3], [[0, -1, 0], [0, 0, -1], [1, 0, 0]], atol=1e-12)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"twist": [0, 0, 0, 1e300, 0, 0]},
+        {"twist": [1e9, 0, 0, 0, 0, 0]},
+        {"image_time_s": 1e300},
+        {"baseline_m": 1e300, "right": "image.png"},
+        {"targets": [{**BOARD, "columns": 10**400}]},
+        {"targets": [{**BOARD, "width_m": 1e300}]},
+    ],
+)
+def test_numbers_that_nothing_has_are_refused(tmp_path: Path, wrong: dict[str, Any]) -> None:
+    write_frame(tmp_path, cloud="scan.npz", **wrong)
+    np.savez(tmp_path / "scan.npz", xyz=np.ones((3, 3)), time_s=np.array([0.0, 0.05, 0.1]))
+    with pytest.raises(InputError, match=r"frame\.yaml: .*(out of bounds|not valid)"):
+        dataset(tmp_path)[0]

@@ -233,6 +233,14 @@ def test_a_scene_whose_name_is_not_utf_8_is_read(tmp_path: Path) -> None:
     assert opened(tmp_path)[0].name == f"{name}/clone/00000"
 
 
+def test_a_camera_that_no_beam_meets_is_refused_by_the_folder(tmp_path: Path) -> None:
+    base = official(tmp_path, frames=1)
+    fx, fy, cx, cy = CAMERA.params
+    table(base / "intrinsic.txt", "frame ...", [[0, camera, fx, 1e6, cx, 50 * cy] for camera in (0, 1)])
+    with pytest.raises(InputError, match=r"Scene01/clone: the LiDAR meets nothing that the depth shows"):
+        opened(tmp_path, noise_m=0, mount="camera", lidar="vlp-16")[0]
+
+
 def test_a_right_camera_that_stands_to_the_left_is_refused(tmp_path: Path) -> None:
     base = official(tmp_path, frames=1)
     table(base / "extrinsic.txt", "frame ...", [[0, 0, *RIGHT.ravel()], [0, 1, *LEFT.ravel()]])

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from p2o import InputError
-from p2o.files.input_file import MAX_TEXT_BYTES, existing_folder, expanded, naming, read_bytes, read_text
+from p2o.files.input_file import MAX_TEXT_BYTES, existing_folder, expanded, listing, naming, read_bytes, read_text
 
 
 def test_pipes_sockets_devices_and_links_to_them_are_never_opened(tmp_path: Path) -> None:
@@ -99,3 +99,11 @@ def test_the_folder_of_a_dataset_must_exist_and_be_a_folder(tmp_path: Path) -> N
         existing_folder(tmp_path / "nowhere", "frames")
     with pytest.raises(InputError, match="file: the folder of frames is a file"):
         existing_folder(tmp_path / "file", "frames")
+
+
+def test_a_folder_is_listed_in_order_and_one_that_cannot_be_is_named(tmp_path: Path) -> None:
+    for name in "bca":
+        (tmp_path / name).touch()
+    assert [path.name for path in listing(tmp_path, "frames")] == ["a", "b", "c"]
+    with pytest.raises(InputError, match="a: the folder of frames cannot be read; got Not a directory"):
+        listing(tmp_path / "a", "frames")

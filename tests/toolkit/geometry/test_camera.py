@@ -275,3 +275,20 @@ def test_an_unknown_model_is_refused_with_the_nearest_name() -> None:
         Camera("OPENCV_FISHYEYE", 10, 10, (1, 1, 5, 5, 0, 0, 0, 0))
     with pytest.raises(UnknownNameError, match="INVALID"):
         Camera("INVALID", 10, 10, (1,))
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "params", "message"),
+    [
+        (30_001, 10, (5, 5, 2, 2), "too many pixels"),
+        (20_000, 20_000, (5, 5, 2, 2), "too many pixels; expected at most 30000 px a side and 200 million in all"),
+        (10**400, 10, (5, 5, 2, 2), "too many pixels"),
+        (float("inf"), 10, (5, 5, 2, 2), "not described by numbers"),
+        (10, 10, (10**400, 5, 2, 2), "not described by numbers"),
+        (10, 10, (5, 5, 1e300, 2), "a camera parameter is too large"),
+        (10, 10, (1e-300, 5, 2, 2), "the focal length is too short"),
+    ],
+)
+def test_cameras_that_nobody_has_are_refused(width: int, height: int, params: tuple[float, ...], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Camera("PINHOLE", width, height, params)

@@ -180,3 +180,13 @@ def test_the_input_of_the_check_is_left_as_it_was() -> None:
     se3.check_rigid("pose", value)
     np.testing.assert_array_equal(value, before)
     assert value.flags.writeable
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("scale", [1e3, 1e160, 1e300])
+def test_numbers_whose_products_are_infinite_are_refused_without_a_word_of_numpy(scale: float) -> None:
+    with pytest.raises(InputError, match="is not orthonormal"):
+        se3.check_rigid("pose", se3.make(scale * np.eye(3)))
+    far = se3.make(translation=[0, 0, 1e7 * scale])
+    with pytest.raises(InputError, match="the translation of pose is too long"):
+        se3.check_rigid("pose", far)
