@@ -76,6 +76,22 @@ def test_options_come_from_the_preset_then_from_what_is_set(tmp_path: Path) -> N
     assert record["training"] == {"steps": 5, "seed": 7, "package": "json"}
 
 
+@pytest.mark.parametrize("content", [b"", b"\xff", b"[" * 100_000, b"[]", b"3", b'{"method": "pupil"}', b"9" * 5000])
+def test_a_record_that_no_training_wrote_is_told(
+    tmp_path: Path, content: bytes, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "training.json").write_bytes(content)
+    assert pupil(tmp_path) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"p2o: error: {tmp_path / 'training.json'}: ")
+
+
+def test_labels_that_cannot_be_written_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "labels").write_text("")
+    assert pupil(tmp_path) == 2
+    assert f"{tmp_path / 'labels'}" in capsys.readouterr().err.splitlines()[-1]
+
+
 def test_it_ends_with_the_weights_and_the_command_that_uses_them(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -131,7 +131,12 @@ def write_labels(
     written = []
     for source in sources:
         folder = out / source.folder
-        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as problem:
+            raise InputError(
+                "labels cannot be written here", where=folder, got=problem.strerror, hint="choose another --out"
+            ) from problem
         write_whole(folder / "labels.json", (json.dumps(source.version, indent=1) + "\n").encode())
         paths = [folder / name for name in source.files(trainer)]
         for index, path in zip(source.chosen, paths, strict=True):

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from p2o.errors import InputError
+from p2o.files.input_file import read_text
+from p2o.files.parsed_text import parse_json
 from p2o.files.whole_file import write_whole
 from p2o.host.guard import trainer_of
 from p2o.host.registry import Offer
@@ -115,18 +117,17 @@ def _check_same(record: Path, words: dict[str, Any]) -> None:
     """Raise InputError where the folder was made by a training on something else."""
     if not record.exists():
         return
-    try:
-        said = json.loads(record.read_text(encoding="utf-8"))
-        kept = {name: said[name] for name in words}
-    except (OSError, ValueError, KeyError, TypeError) as problem:
-        raise InputError("the record of a training cannot be read", where=record, got=problem) from problem
+    said = parse_json(read_text(record, "record of a training"), "record of a training", record)
+    if not isinstance(said, dict) or not words.keys() <= said.keys():
+        raise InputError("this is no record of a training", where=record, hint="choose another --out")
+    kept = {name: said[name] for name in words}
     for name, value in words.items():
         if kept[name] != value:
             raise InputError(
                 f"the folder holds another training: its {name.replace('_', ' ')} differ",
                 where=record,
-                expected=json.dumps(kept[name]),
-                got=json.dumps(value),
+                expected=json.dumps(kept[name])[:200],
+                got=json.dumps(value)[:200],
                 hint="choose another --out, or the same words to go on",
             )
 

@@ -7,27 +7,24 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import io
 import json
-import math
 import os
-import stat
 import sys
 import tempfile
-import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import platformdirs
 
 from p2o.arrays import parts
 from p2o.errors import InputError
-from p2o.files.input_file import expanded
+from p2o.files.array_file import read_npz
+from p2o.files.input_file import expanded, read_bytes
 from p2o.files.parsed_text import parse_json
 from p2o.host.guard import check_features
 from p2o.host.registry import GROUP, Offer
@@ -159,8 +156,12 @@ class FeatureCache:
         With `offer`, nothing that its method may not return counts as none.
         """
         try:
-            with _opened(self.path(key)) as file:
-                arrays = read_arrays(file)
+            # As it is written: nothing in it is packed, so that nothing is larger than the file.
+            data = read_bytes(self.path(key), "file of the cache")
+            # Copies lie in memory as what was extracted does.
+            arrays = {name: array.copy("K") for name, array in read_npz(data, most=len(data)).items()}
+            if not all(array.dtype.kind in _KINDS for array in arrays.values()):
+                return None
             head = parse_json(arrays.pop("head").tobytes(), "file of the cache")
             kept = Kept(_unpacked(head["features"], arrays), float(head["seconds"]))
             if not 0 <= kept.seconds < float("inf"):
@@ -215,47 +216,6 @@ def why_not_kept(value: Any) -> str:
     except RecursionError:
         return "it nests without end"
     return ""
-
-
-@contextlib.contextmanager
-def _opened(path: Path) -> Iterator[BinaryIO]:
-    """Yield an ordinary file; raises OSError for anything else, of which a pipe would wait for somebody to write."""
-    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-    with os.fdopen(handle, "rb") as file:
-        if not stat.S_ISREG(os.fstat(handle).st_mode):
-            raise OSError(f"{path} is no file")
-        yield file
-
-
-def read_arrays(file: BinaryIO) -> dict[str, Any]:
-    """Return the arrays that `numpy.savez` wrote, by name; what a header claims is allocated only where it is there.
-
-    Raises ValueError for compressed or overlapping entries, arrays of objects, and sizes that the file does not have;
-    and whatever `zipfile` and `numpy` make of other bytes.
-    """
-    room = os.fstat(file.fileno()).st_size
-    arrays = {}
-    with zipfile.ZipFile(file) as content:
-        for entry in content.infolist():
-            room -= entry.file_size
-            if entry.compress_type != zipfile.ZIP_STORED or entry.file_size != entry.compress_size or room < 0:
-                raise ValueError("entries that are compressed, or larger than the file")
-            arrays[entry.filename.removesuffix(".npy")] = _array(content.read(entry))
-    return arrays
-
-
-def _array(data: bytes) -> Any:
-    """Return the array of an .npy file."""
-    head = io.BytesIO(data)
-    if np.lib.format.read_magic(head) != (1, 0):
-        raise ValueError("another version of .npy")
-    shape, fortran, dtype = np.lib.format.read_array_header_1_0(head)
-    count = math.prod(shape)
-    if dtype.kind not in _KINDS or min(shape, default=1) < 0 or count * dtype.itemsize != len(data) - head.tell():
-        raise ValueError("an array of another size or type")
-    # A copy, because bytes cannot be written to.
-    flat = np.frombuffer(data, dtype, count, head.tell())
-    return flat.reshape(shape, order="F" if fortran else "C").copy("K")
 
 
 def _packed(value: Any, arrays: dict[str, Any]) -> Any:

@@ -127,10 +127,10 @@ class Workers:
 
         done: Any = None
         try:
-            with joblib.parallel_config(backend=self.backend):
-                # Workers of this machine are children of this process, those of a cluster are not.
-                boss = os.getpid() if self.backend == "loky" else None
-                tasks = (joblib.delayed(_numbered)(work, number, job, boss) for number, job in jobs)
+            # Workers of this machine are children of this process, those of a cluster are not.
+            watch = {"initializer": _watch, "initargs": (os.getpid(),)} if self.backend == "loky" else {}
+            with joblib.parallel_config(backend=self.backend, **watch):
+                tasks = (joblib.delayed(_numbered)(work, number, job) for number, job in jobs)
                 if self.backend == "ray":
                     # Its joblib backend hands results back only when a batch is complete.
                     while batch := list(itertools.islice(tasks, 4 * self.jobs)):
@@ -247,16 +247,14 @@ def _cluster_lost(workers: Workers, problem: Exception) -> P2OError:
     )
 
 
-def _numbered(work: Work, number: int, job: Any, boss: int | None) -> tuple[int, Any]:
-    """Do one job in a worker; without its parent process `boss` a worker ends."""
-    _set_up_worker(boss)
+def _numbered(work: Work, number: int, job: Any) -> tuple[int, Any]:
+    """Do one job in a worker."""
+    _set_up_worker()
     return number, work(job)
 
 
 @cache
-def _set_up_worker(boss: int | None) -> None:
-    if boss is not None and boss != os.getpid():
-        threading.Thread(target=_leave_with, args=(boss,), daemon=True).start()
+def _set_up_worker() -> None:
     for name in _THREAD_VARIABLES:
         os.environ[name] = "1"
     _limits.on = True
@@ -266,8 +264,15 @@ def _set_up_worker(boss: int | None) -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
+def _watch(boss: int) -> None:
+    """Let a worker end with its parent process `boss`: nobody else takes what it does, and it would wait for minutes.
+
+    It begins before the first job, which may come late or never.
+    """
+    threading.Thread(target=_leave_with, args=(boss,), daemon=True).start()
+
+
 def _leave_with(boss: int) -> None:
-    """End this process when its parent has ended: nobody else takes what it does, and it would wait for minutes."""
     while os.getppid() == boss:
         time.sleep(_LOOK_EVERY_S)
     os._exit(1)
