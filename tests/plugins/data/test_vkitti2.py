@@ -235,7 +235,7 @@ def test_a_scene_whose_name_is_not_utf_8_is_read(tmp_path: Path) -> None:
 
 def test_a_camera_that_no_beam_meets_is_refused_by_the_folder(tmp_path: Path) -> None:
     base = official(tmp_path, frames=1)
-    fx, fy, cx, cy = CAMERA.params
+    fx, _fy, cx, cy = CAMERA.params
     table(base / "intrinsic.txt", "frame ...", [[0, camera, fx, 1e6, cx, 50 * cy] for camera in (0, 1)])
     with pytest.raises(InputError, match=r"Scene01/clone: the LiDAR meets nothing that the depth shows"):
         opened(tmp_path, noise_m=0, mount="camera", lidar="vlp-16")[0]
