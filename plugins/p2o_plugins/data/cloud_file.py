@@ -13,14 +13,13 @@ from p2o.files.array_file import read_npz as read_archive
 from p2o.files.input_file import naming, read_bytes
 
 from p2o_plugins.data.bin_file import FAR_M, OPTION, check_columns, read_bin, read_txt
+from p2o_plugins.data.number_text import MAX_POINTS
 from p2o_plugins.data.pcd_file import read_pcd
 from p2o_plugins.data.ply_file import read_ply
 
 INTENSITY = ("intensity", "i", "reflectance", "reflectivity")
 RING = ("ring", "channel")
 TIME = ("time_s", "time", "t", "timestamp")
-MAX_POINTS = 1 << 23
-"""No sweep has more points; what several sweeps are joined to is of p2o's own making."""
 _MAX_BYTES = 256 << 20
 # No LiDAR for cars has as many: larger numbers are bytes of something else.
 _MAX_RING = 1023

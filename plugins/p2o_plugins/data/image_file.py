@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import io
 import logging
+import os
 import warnings
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +26,7 @@ _JPEG = b"\xff\xd8\xff"
 _MAX_SCANS = 200
 _GREY = ("1", "L", "LA")
 _COLOUR = ("P", "PA", "RGB", "RGBA", "RGBX", "YCbCr")
+_TIFF_PACKINGS = ("raw", "packbits", "tiff_lzw", "tiff_deflate", "tiff_adobe_deflate")
 _WORDS = ("I;16", "I;16B", "I;16L", "I;16N")
 
 
@@ -93,6 +97,14 @@ def _decode_jpeg(data: bytes, path: Path, what: str, size: tuple[int, int] | Non
         if colours not in ("Gray", "RGB", "YCbCr"):
             raise InputError(f"the {what} is not RGB", where=path, expected="1 or 3 channels", got=colours)
         pixels = simplejpeg.decode_jpeg(data, "GRAY" if colours == "Gray" else "RGB", strict=True)
+    except KeyError as problem:  # the subsampling of its colours, which the library looks up
+        raise InputError(
+            f"the {what} cannot be decoded",
+            where=path,
+            expected="a JPEG with a usual subsampling of colours",
+            got="another, or a damaged header",
+            hint="store it as .png",
+        ) from problem
     except (ValueError, MemoryError, OverflowError) as problem:
         raise InputError(
             f"the {what} is damaged",
@@ -111,13 +123,21 @@ def _decode_other(data: bytes, path: Path, what: str, size: tuple[int, int] | No
     # What it has to say is said as an error, or of no use; without a handler Python prints it.
     logging.getLogger("PIL").addHandler(logging.NullHandler())
     try:
-        with warnings.catch_warnings(action="ignore"):
+        with warnings.catch_warnings(action="ignore"), _quiet(data[:2] in (b"II", b"MM")):
             picture = PIL.Image.open(io.BytesIO(data), formats=("PNG", "BMP", "TIFF", "WEBP"))
             with picture:
                 _check_size(picture.size, path, what, size)
                 turned = picture.format == "TIFF" and picture.getexif().get(0x0112, 1) != 1
                 wide = picture.mode not in _WORDS and ";16" in str([tile[3] for tile in picture.tile])
-                mode = picture.mode
+                mode, packing = picture.mode, picture.info.get("compression", "raw")
+                if picture.format == "TIFF" and packing not in _TIFF_PACKINGS:
+                    raise InputError(
+                        f"the {what} is packed in a way whose damage goes unnoticed",
+                        where=path,
+                        expected="TIFF without loss",
+                        got=packing,
+                        hint="store it as .png",
+                    )
                 if not turned and not wide and mode in (*_GREY, *_COLOUR, *_WORDS):
                     kept = mode if mode in _WORDS else "L" if mode in _GREY else "RGB"
                     return np.array(picture if mode == kept else picture.convert(kept))
@@ -140,6 +160,25 @@ def _decode_other(data: bytes, path: Path, what: str, size: tuple[int, int] | No
     if wide or mode in ("I", "F"):
         raise InputError(f"the {what} is not 8 bit", where=path, expected="uint8", got="uint16" if wide else mode)
     raise InputError(f"the {what} is not RGB", where=path, expected="1, 3 or 4 channels", got=mode)
+
+
+@contextmanager
+def _quiet(on: bool) -> Iterator[None]:
+    """Keep what is written to the process's stderr away from it: libtiff prints there, and cannot be told not to."""
+    try:
+        kept = os.dup(2) if on else None
+    except OSError:  # closed
+        kept = None
+    if kept is None:
+        yield
+        return
+    try:
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
 
 
 def _check_size(have: tuple[int, int], path: Path, what: str, size: tuple[int, int] | None) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,24 +11,26 @@ import numpy as np
 from p2o import InputError
 from p2o.arrays import Float
 
+MAX_POINTS = 1 << 23
+"""No sweep has more points."""
+MAX_NUMBERS = 1 << 25
 _PIECE = 1 << 20
-# Seventeen digits, sign, point and exponent; writers that print a fixed number of places take more.
-_LONGEST = 400
 
 
-def read_table(text: bytes, columns: int, path: Path, most: int | None = None) -> Float:
+def read_table(text: bytes, columns: int, path: Path, most: int = MAX_POINTS + 1) -> Float:
     """Return the first `most` lines of a text, as many as it has, as (N, columns); nan and inf are numbers.
 
     Blank lines do not count. Raises InputError where a line before that has another count of words, or a word that is
-    no number.
+    no number, and for more than MAX_NUMBERS.
     """
     parts: list[Float] = []
     found = 0
     for piece in _pieces(text, path):
-        lines = [words for line in piece.splitlines() if (words := line.split())]
-        lines = lines if most is None else lines[: most - found]
-        found += len(lines)
-        parts.append(_numbers(lines, columns, path))
+        rows = _rows(piece, columns, path, most - found)
+        found += len(rows)
+        parts.append(rows)
+        if found * columns > MAX_NUMBERS:
+            raise InputError("the point cloud has too many numbers", where=path, expected=f"at most {MAX_NUMBERS}")
         if found == most:
             break
     return np.concatenate(parts) if parts else np.zeros((0, columns))
@@ -42,7 +45,7 @@ def as_stored(column: Float, kind: str) -> Any:
 
 
 def _pieces(text: bytes, path: Path) -> Iterator[bytes]:
-    """Yield the text in pieces of whole lines."""
+    """Yield the text in pieces of whole lines, without those of blanks alone."""
     start = 0
     while start < len(text):
         stop = start + _PIECE
@@ -50,26 +53,30 @@ def _pieces(text: bytes, path: Path) -> Iterator[bytes]:
             stop = text.rfind(b"\n", start, stop) + 1
             if stop == 0:
                 raise InputError("the points are not numbers", where=path, got=f"a line of more than {_PIECE} bytes")
-        yield text[start:stop]
+        piece = text[start:stop]
+        if not piece.isspace():
+            yield piece
         start = stop
 
 
-def _numbers(lines: list[list[bytes]], columns: int, path: Path) -> Float:
-    odd = next((words for words in lines if len(words) != columns), None)
+def _rows(piece: bytes, columns: int, path: Path, most: int) -> Float:
+    lines = io.StringIO(piece.decode("latin-1"))
     try:
-        if any(len(word) > _LONGEST for words in lines for word in words):
-            raise ValueError(f"a word of more than {_LONGEST} characters")
-        # Words first: a text that holds none is of another kind, however long its lines are.
-        values = np.array([word for words in lines for word in words], dtype=np.float64)
+        rows = np.loadtxt(lines, ndmin=2, comments=None, max_rows=most)
+        got = f"{rows.shape[1]} numbers"
     except ValueError as problem:
-        raise InputError(
-            "the points are not numbers", where=path, expected=f"{columns} numbers a line", got=str(problem)[:100]
-        ) from problem
-    if odd is not None:
+        # NumPy counts lines from the start of the piece.
+        got = str(problem).partition(" at row")[0][:100]
+        if "number of columns changed" not in got:
+            raise InputError(
+                "the points are not numbers", where=path, expected=f"{columns} numbers a line", got=got
+            ) from problem
+        rows = np.zeros((0, 0))
+    if rows.shape[1] != columns:
         raise InputError(
             "the point cloud is truncated or has other columns",
             where=path,
             expected=f"{columns} numbers a line",
-            got=f"a line of {len(odd)}",
+            got=got,
         )
-    return values.reshape(-1, columns)
+    return rows
