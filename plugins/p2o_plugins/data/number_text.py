@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ def read_table(text: bytes, columns: int, path: Path, most: int = MAX_POINTS + 1
     """
     parts: list[Float] = []
     found = 0
-    for piece in _pieces(text, path):
+    for piece in _pieces(text if most else b"", path):
         rows = _rows(piece, columns, path, most - found)
         found += len(rows)
         parts.append(rows)
@@ -60,9 +61,9 @@ def _pieces(text: bytes, path: Path) -> Iterator[bytes]:
 
 
 def _rows(piece: bytes, columns: int, path: Path, most: int) -> Float:
-    lines = io.StringIO(piece.decode("latin-1"))
+    lines = (line for line in io.StringIO(piece.decode("latin-1")) if not line.isspace())
     try:
-        rows = np.loadtxt(lines, ndmin=2, comments=None, max_rows=most)
+        rows = np.loadtxt(islice(lines, most), ndmin=2, comments=None)
         got = f"{rows.shape[1]} numbers"
     except ValueError as problem:
         # NumPy counts lines from the start of the piece.

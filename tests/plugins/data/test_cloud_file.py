@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from p2o import InputError
+from p2o_plugins.data import cloud_file
 from p2o_plugins.data.cloud_file import cloud_from_fields, read_cloud
 
 
@@ -173,6 +174,56 @@ def test_a_ring_that_is_no_ring_is_left_out_with_a_warning() -> None:
     cloud, warnings = cloud_from_fields({**axes, "ring": np.full(50, 1e300)}, Path("a.pcd"))
     assert cloud.ring is None
     assert warnings == ("a.pcd: field ring ignored: numbers from 1e+300 to 1e+300 are no rings",)
+
+
+@pytest.mark.parametrize(
+    ("ring", "why"),
+    [
+        (np.full(50, 58790), "numbers from 58790 to 58790 are no rings"),
+        (np.arange(50) * 100, "numbers from 0 to 4900 are no rings"),
+        (np.arange(50) - 1, "numbers from -1 to 48 are no rings"),
+        (np.full(50, 7), "all 50 points have ring 7"),
+        (np.arange(50) / 4, "rings are whole numbers"),
+    ],
+)
+def test_rings_that_are_all_equal_too_many_or_no_numbers_of_rings_are_left_out(ring: np.ndarray, why: str) -> None:
+    axes = dict(zip("xyz", points()[:, :3].T, strict=True))
+    for dtype in {ring.dtype, np.dtype(np.float32)}:
+        cloud, warnings = cloud_from_fields({**axes, "ring": ring.astype(dtype)}, Path("a.pcd"))
+        assert cloud.ring is None
+        assert warnings == (f"a.pcd: field ring ignored: {why}",)
+
+
+def test_times_that_are_not_finite_are_left_out_with_a_warning() -> None:
+    axes = dict(zip("xyz", points()[:, :3].T, strict=True))
+    times = np.linspace(0, 0.1, 50)
+    times[3] = np.nan
+    cloud, warnings = cloud_from_fields({**axes, "time": times}, Path("a.pcd"))
+    assert cloud.time_s is None
+    assert warnings == ("a.pcd: field time ignored: not finite numbers",)
+
+
+def test_fields_of_points_that_are_dropped_may_be_anything() -> None:
+    axes = dict(zip("xyz", points()[:, :3].T.copy(), strict=True))
+    times, ring = np.linspace(0, 0.1, 50), np.arange(50.0) % 4
+    axes["y"][3], times[3], ring[3] = np.inf, np.nan, np.nan
+    cloud, _ = cloud_from_fields({**axes, "time": times, "ring": ring}, Path("a.pcd"))
+    assert np.array_equal(cloud.time_s, np.delete(times, 3))
+    assert np.array_equal(cloud.ring, np.delete(ring, 3))
+
+
+def test_too_many_points_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    points().tofile(tmp_path / "a.bin")
+    monkeypatch.setattr(cloud_file, "MAX_POINTS", 49)
+    with pytest.raises(InputError, match=r"a\.bin: the point cloud has too many points; expected at most 49; got 50"):
+        read_cloud(tmp_path / "a.bin")
+
+
+def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
+    with (tmp_path / "a.bin").open("wb") as file:
+        file.truncate(1 << 36)
+    with pytest.raises(InputError, match=r"a\.bin: the point cloud is too large"):
+        read_cloud(tmp_path / "a.bin")
 
 
 def test_a_field_of_another_length_is_refused_by_name(tmp_path: Path) -> None:

@@ -95,6 +95,19 @@ def test_files_may_be_named_and_have_any_kind(tmp_path: Path) -> None:
     assert np.array_equal(frame.image.rgb, cv2.imread(str(tmp_path / "pictures/left.jpg"))[:, :, ::-1])
 
 
+def test_a_frame_may_say_what_the_rows_of_its_sweep_hold(tmp_path: Path) -> None:
+    write_frame(tmp_path, cloud_columns=["x", "y", "z", "_", "ring"])
+    rows = np.column_stack([sweep(), np.arange(len(sweep())) % 64]).astype(np.float32)
+    rows.tofile(tmp_path / "cloud.bin")
+    cloud = dataset(tmp_path)[0].cloud
+    assert np.array_equal(cloud.xyz, rows[:, :3])
+    assert np.array_equal(cloud.ring, rows[:, 4])
+    assert cloud.intensity is None
+    write_frame(tmp_path, cloud_columns=["x", "y", "z", "rung"])
+    with pytest.raises(InputError, match=r"cloud\.bin: wrong cloud_columns; .*got x y z rung"):
+        dataset(tmp_path)[0]
+
+
 def test_the_only_picture_is_taken_and_of_several_none(tmp_path: Path) -> None:
     write_frame(tmp_path)
     (tmp_path / "image.png").rename(tmp_path / "IMG_1.png")

@@ -149,3 +149,111 @@ def test_lzf_undoes_the_packing_of_any_bytes(seed: int) -> None:
 def test_damaged_lzf_is_refused_by_name(packed: bytes) -> None:
     with pytest.raises(InputError, match=r"a\.pcd: the packed points of the \.pcd file are damaged"):
         unpack_lzf(packed, 11, Path("a.pcd"))
+
+
+# PointXYZIRT of PCL: four floats of coordinates, then fields by their size, 32 bytes in all.
+STRUCT = np.dtype(
+    {
+        "names": ["x", "y", "z", "intensity", "ring", "time"],
+        "formats": ["<f4", "<f4", "<f4", "<f4", "<u2", "<f4"],
+        "offsets": [0, 4, 8, 16, 20, 24],
+        "itemsize": 32,
+    }
+)
+
+
+def struct_rows(record: np.dtype, count: int = 40) -> np.ndarray:
+    """Return points whose padding holds bytes that are no zeros."""
+    out = np.frombuffer(bytes([0x5A]) * (record.itemsize * count), record).copy()
+    rng = np.random.default_rng(1)
+    for name in "xyz":
+        out[name] = rng.uniform(-20, 20, count)
+    out["intensity"], out["ring"], out["time"] = np.arange(count) / 8, np.arange(count) % 16, np.arange(count) / 1000
+    return out
+
+
+def struct_header(fields: str, size: str, kind: str, repeats: str, count: int = 40) -> bytes:
+    return (
+        f"VERSION 0.7\nFIELDS {fields}\nSIZE {size}\nTYPE {kind}\nCOUNT {repeats}\n"
+        f"WIDTH {count}\nHEIGHT 1\nPOINTS {count}\nDATA binary\n"
+    ).encode()
+
+
+@pytest.mark.parametrize(
+    ("fields", "size", "kind", "repeats"),
+    [
+        ("x y z _ intensity ring _ time _", "4 4 4 1 4 2 1 4 1", "F F F U F U U F U", "1 1 1 4 1 1 2 1 4"),
+        ("x y z _ intensity ring _ time", "4 4 4 1 4 2 1 4", "F F F U F U U F", "1 1 1 0 1 1 0 1"),
+        ("x y z _ intensity ring _ time _", "4 4 4 1 4 2 1 4 1", "F F F U F U U F U", "1 1 1 4 1 1 0 1 4"),
+        ("x y z intensity ring time", "4 4 4 4 2 4", "F F F F U F", "1 1 1 1 1 1"),
+    ],
+    ids=["right", "count 0", "one wrong", "left out"],
+)
+def test_padded_structs_are_read_whatever_the_header_says_of_their_padding(
+    tmp_path: Path, fields: str, size: str, kind: str, repeats: str
+) -> None:
+    rows = struct_rows(STRUCT)
+    (tmp_path / "a.pcd").write_bytes(struct_header(fields, size, kind, repeats) + rows.tobytes())
+    cloud, warnings = read_cloud(tmp_path / "a.pcd")
+    assert np.array_equal(cloud.xyz, np.stack([rows[n] for n in "xyz"], axis=1))
+    assert np.array_equal(cloud.intensity, rows["intensity"])
+    assert np.array_equal(cloud.ring, rows["ring"])
+    assert np.array_equal(cloud.time_s, rows["time"])
+    assert warnings == ()
+
+
+def test_structs_aligned_by_a_compiler_alone_are_read(tmp_path: Path) -> None:
+    record = np.dtype([(name, STRUCT[name]) for name in STRUCT.names], align=True)
+    rows = struct_rows(record)
+    head = struct_header("x y z intensity ring _ time", "4 4 4 4 2 1 4", "F F F F U U F", "1 1 1 1 1 0 1")
+    (tmp_path / "a.pcd").write_bytes(head + rows.tobytes())
+    cloud, _ = read_cloud(tmp_path / "a.pcd")
+    assert np.array_equal(cloud.ring, rows["ring"])
+    assert np.array_equal(cloud.time_s, rows["time"])
+
+
+def test_structs_that_no_alignment_fills_are_refused() -> None:
+    head = struct_header("x y z _ intensity", "4 4 4 1 4", "F F F U F", "1 1 1 0 1")
+    with pytest.raises(InputError, match=r"a\.pcd: the fields of the \.pcd file do not fill its points; .*16 bytes"):
+        read_pcd(head + bytes(40 * 57), Path("a.pcd"))
+
+
+def test_a_line_end_after_the_points_does_no_harm() -> None:
+    rows = table()
+    fields = read_pcd(header("binary") + rows.tobytes() + b"\n", Path("a.pcd"))
+    assert np.array_equal(fields["ring"], rows["ring"])
+
+
+def test_packed_points_without_the_padding_of_their_header_are_read(tmp_path: Path) -> None:
+    rows = table()
+    plain = b"".join(np.ascontiguousarray(rows[name]).tobytes() for name in RECORD.names if name != "_")
+    packed = packed_lzf(plain)
+    data = header("binary_compressed") + struct.pack("<II", len(packed), len(plain)) + packed
+    (tmp_path / "a.pcd").write_bytes(data)
+    cloud, _ = read_cloud(tmp_path / "a.pcd")
+    assert np.array_equal(cloud.ring, rows["ring"])
+    assert np.array_equal(cloud.intensity, rows["intensity"])
+
+
+def test_lines_with_more_columns_than_the_header_says_are_refused() -> None:
+    lines = ascii_body(table()).replace(b"\n", b" 7\n")
+    with pytest.raises(InputError, match=r"a\.pcd: .*other columns; expected 9 numbers a line; got 10 numbers"):
+        read_pcd(header("ascii") + lines, Path("a.pcd"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (b"POINTS 40", b"POINTS " + b"9" * 5000),
+        (b"POINTS 40", b"POINTS 1e23"),
+        (b"SIZE 4 4 4", b"SIZE 4,f4 4 4"),
+        (b"SIZE 4 4 4", b"SIZE 16 4 4"),
+        (b"COUNT 1 1 1 4 1 1", b"COUNT 0 0 0 0 0 0"),
+        (b"COUNT 1", b"COUNT " + b"9" * 3000),
+    ],
+)
+@pytest.mark.parametrize("encoding", BODIES)
+def test_headers_with_absurd_numbers_are_refused(encoding: str, old: bytes, new: bytes) -> None:
+    data = (header(encoding) + BODIES[encoding](table())).replace(old, new, 1)
+    with pytest.raises(InputError, match=r"a\.pcd: (the header of the \.pcd file is wrong|this is not a \.pcd file)"):
+        read_pcd(data, Path("a.pcd"))

@@ -71,3 +71,19 @@ def test_a_wrong_header_is_refused_by_name(old: bytes, new: bytes) -> None:
 def test_words_among_the_numbers_are_refused() -> None:
     with pytest.raises(InputError, match=r"a\.ply: the points are not numbers"):
         read_ply(header("ascii") + b"a b c d e\n" * 20, Path("a.ply"))
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize("count", ["1e23", "9" * 22, "9" * 5000, "-3", "4294967296", "99999999"])
+def test_more_vertices_than_the_file_has_are_refused_before_memory_is_taken(encoding: str, count: str) -> None:
+    data = header(encoding).replace(b"vertex 20", b"vertex " + count.encode()) + body(encoding)
+    with pytest.raises(
+        InputError, match=r"a\.ply: the (header of the )?\.ply file is (wrong|truncated)"
+    ):
+        read_ply(data, Path("a.ply"))
+
+
+def test_lines_with_more_columns_than_the_header_says_are_refused() -> None:
+    lines = body("ascii").replace(b"\n", b" 7\n")
+    with pytest.raises(InputError, match=r"a\.ply: .*other columns; expected 5 numbers a line; got 6 numbers"):
+        read_ply(header("ascii") + lines, Path("a.ply"))

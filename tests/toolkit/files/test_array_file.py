@@ -1,0 +1,115 @@
+from __future__ import annotations
+
+import io
+import zipfile
+from typing import Any
+
+import numpy as np
+import pytest
+from p2o import InputError
+from p2o.files.array_file import read_npy, read_npz
+
+
+def npy(array: Any) -> bytes:
+    file = io.BytesIO()
+    np.save(file, array)
+    return file.getvalue()
+
+
+def npz(**arrays: Any) -> bytes:
+    file = io.BytesIO()
+    np.savez_compressed(file, **arrays)
+    return file.getvalue()
+
+
+def header(text: str, body: bytes = b"") -> bytes:
+    raw = text.encode()
+    return b"\x93NUMPY\x01\x00" + len(raw).to_bytes(2, "little") + raw + body
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.arange(12.0).reshape(3, 4),
+        np.asfortranarray(np.arange(12, dtype=">i4").reshape(3, 4)),
+        np.float16([1.5, np.nan]),
+        np.array(7, np.uint8),
+        np.zeros((0, 3)),
+        np.array("a name"),
+        np.zeros(3, [("axis", "i1"), ("line", "<f4")]),
+        np.array([True, False]),
+    ],
+)
+def test_arrays_come_back_as_numpy_wrote_them(array: Any) -> None:
+    read, packed = read_npy(npy(array)), read_npz(npz(a=array))["a"]
+    for found in (read, packed):
+        assert found.dtype == array.dtype
+        assert found.shape == array.shape
+        assert found.tobytes() == array.tobytes()
+
+
+def test_headers_of_other_writers_are_read() -> None:
+    body = np.arange(6, dtype="<f4").tobytes()
+    for text in (
+        "{'descr': '<f4', 'fortran_order': False, 'shape': (2L, 3L), }",
+        "{'fortran_order':False,'shape':(2,3),'descr':'<f4'}\n",
+    ):
+        assert np.array_equal(read_npy(header(text, body)), np.arange(6).reshape(2, 3))
+
+
+@pytest.mark.parametrize("shape", ["(1000000, 1000000)", f"({'9' * 5000},)", "(8,)", "(-1,)", "(2, -2, -2)"])
+def test_a_header_that_promises_more_than_the_file_is_refused_before_memory_is_taken(shape: str) -> None:
+    text = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}"
+    with pytest.raises(InputError, match=r"d\.npy: this is not an \.npy file of numbers"):
+        read_npy(header(text, bytes(40)), "d.npy")
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"\x93NUMPY",
+        header("{'descr': '<f8', 'shape': (1,), }", bytes(8)),
+        header("{'descr': '|O', 'fortran_order': False, 'shape': (1,), }", bytes(8)),
+        header("{'descr': '<f9', 'fortran_order': False, 'shape': (1,), }", bytes(9)),
+        header("{'descr': [('a', '|O')], 'fortran_order': False, 'shape': (1,), }", bytes(8)),
+        header("{'descr': [('a', '<f4'), ('b', ('<f4', (9,)))], 'fortran_order': False, 'shape': (1,), }", bytes(99)),
+        header("(" * 9000),
+        b"no array",
+    ],
+)
+def test_what_is_no_plain_array_is_refused(data: bytes) -> None:
+    with pytest.raises(InputError, match=r"d\.npy: this is not an \.npy file of numbers"):
+        read_npy(data, "d.npy")
+
+
+def test_an_archive_that_unpacks_to_too_much_is_refused_before_it_is_unpacked() -> None:
+    data = npz(a=np.zeros(1 << 20), b=np.zeros(1 << 20))
+    assert len(data) < 1 << 16
+    with pytest.raises(InputError, match=r"d\.npz: the \.npz archive unpacks to too much; expected at most 8388608"):
+        read_npz(data, "d.npz", most=1 << 23)
+    assert set(read_npz(data, "d.npz", most=1 << 25)) == {"a", "b"}
+
+
+def test_an_archive_whose_directory_lies_about_sizes_gives_no_more_than_it_says() -> None:
+    data = bytearray(npz(a=np.zeros(1 << 20)))
+    at = data.rfind(b"PK\x01\x02")
+    data[at + 24 : at + 28] = (1 << 10).to_bytes(4, "little")
+    with pytest.raises(InputError, match=r"not an \.npz archive, or it is damaged"):
+        read_npz(bytes(data), "d.npz", most=1 << 12)
+
+
+def test_archives_with_objects_of_another_packing_or_cut_off_are_refused() -> None:
+    with pytest.raises(InputError, match=r"d\.npz: the \.npz archive holds pickled objects"):
+        read_npz(npz(a=np.array([{}], dtype=object)), "d.npz")
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_LZMA) as packed:
+        packed.writestr("a.npy", npy(np.zeros(3)))
+    for data in (file.getvalue(), npz(a=np.zeros(9))[:-9], b"PK", npy(np.zeros(3))):
+        with pytest.raises(InputError, match=r"d\.npz: this is not an \.npz archive, or it is damaged"):
+            read_npz(data, "d.npz")
+
+
+def test_the_arrays_of_an_archive_may_be_written_to() -> None:
+    array = read_npz(npz(a=np.zeros(3)))["a"]
+    array[1] = 2
+    assert array.tolist() == [0, 2, 0]
