@@ -25,6 +25,12 @@ def kitti_raw() -> Path:
 
 
 @pytest.fixture(scope="session")
+def real_data(kitti_raw: Path) -> Path:
+    """The folder of all real frames, of other rigs, too, where they are."""
+    return kitti_raw.parent
+
+
+@pytest.fixture(scope="session")
 def kitti_object() -> Path:
     """The root of the KITTI object layout, or a skip that says how to get it."""
     root = DATA / "kitti_object"

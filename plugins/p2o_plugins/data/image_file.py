@@ -132,9 +132,9 @@ def _decode_other(data: bytes, path: Path, what: str, size: tuple[int, int] | No
                 mode, packing = picture.mode, picture.info.get("compression", "raw")
                 if picture.format == "TIFF" and packing not in _TIFF_PACKINGS:
                     raise InputError(
-                        f"the {what} is packed in a way whose damage goes unnoticed",
+                        f"the {what} is a TIFF of a packing that is not read",
                         where=path,
-                        expected="TIFF without loss",
+                        expected=" ".join(_TIFF_PACKINGS),
                         got=packing,
                         hint="store it as .png",
                     )

@@ -77,9 +77,7 @@ def test_words_among_the_numbers_are_refused() -> None:
 @pytest.mark.parametrize("count", ["1e23", "9" * 22, "9" * 5000, "-3", "4294967296", "99999999"])
 def test_more_vertices_than_the_file_has_are_refused_before_memory_is_taken(encoding: str, count: str) -> None:
     data = header(encoding).replace(b"vertex 20", b"vertex " + count.encode()) + body(encoding)
-    with pytest.raises(
-        InputError, match=r"a\.ply: the (header of the )?\.ply file is (wrong|truncated)"
-    ):
+    with pytest.raises(InputError, match=r"a\.ply: the (header of the )?\.ply file is (wrong|truncated)"):
         read_ply(data, Path("a.ply"))
 
 

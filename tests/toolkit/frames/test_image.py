@@ -71,3 +71,10 @@ def test_grey_is_luma() -> None:
     grey = Image(pixels, CAMERA).grey
     assert grey[0, :5].tolist() == [76, 150, 29, 255, 0]
     assert grey.shape == (5, 7)
+
+
+def test_grey_is_the_same_whether_a_picture_fits_into_one_band_or_not() -> None:
+    rgb = np.random.default_rng(0).integers(0, 256, (600, 5, 3), dtype=np.uint8)
+    grey = Image(rgb, Camera.pinhole(5, 5, 2, 300, 5, 600)).grey
+    wanted = np.floor(rgb @ np.array([0.299, 0.587, 0.114]) + 0.5)
+    assert np.array_equal(grey, wanted)
