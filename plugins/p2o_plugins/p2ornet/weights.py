@@ -24,6 +24,7 @@ DECODERS: dict[str, tuple[tuple[int, ...], int]] = {
 }
 """By encoder, the widths of the decoder and the side of its finest cells: the paper's, and one a laptop can run."""
 _KIND = "p2ornet"
+_MAX_BYTES = 512 << 20
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,8 @@ def load_weights(path: Path) -> tuple[P2ORNet, Shape]:
     """
     if not path.is_file():
         raise InputError("no weights file", where=path, expected="a .safetensors file", got="nothing of that name")
+    if path.stat().st_size > _MAX_BYTES:
+        raise InputError("a weights file is too large", where=path, expected=f"at most {_MAX_BYTES} bytes")
     try:
         with safe_open(path, framework="pt") as file:
             header = file.metadata() or {}
@@ -99,8 +102,8 @@ def load_weights(path: Path) -> tuple[P2ORNet, Shape]:
 def _check_fit(state: Mapping[str, Tensor], shape: Shape, path: Path) -> None:
     """Compare names and sizes before any memory is taken for a network that the header may have made up."""
     with torch.device("meta"):
-        wanted = {name: tuple(value.shape) for name, value in shape.network().state_dict().items()}
-    found = {name: tuple(value.shape) for name, value in state.items()}
+        wanted = {name: _form(value) for name, value in shape.network().state_dict().items()}
+    found = {name: _form(value) for name, value in state.items()}
     wrong = sorted(name for name in wanted.keys() | found.keys() if wanted.get(name) != found.get(name))
     if wrong:
         first = wrong[0]
@@ -110,6 +113,13 @@ def _check_fit(state: Mapping[str, Tensor], shape: Shape, path: Path) -> None:
             expected=f"{first} {wanted.get(first, 'absent')} with {shape.encoder}",
             got=f"{found.get(first, 'none')}, and {len(wrong) - 1} more that differ",
         )
+
+
+def _form(value: Tensor) -> tuple[object, ...]:
+    """Return the size of a tensor and whether it holds whole numbers or others; precision does not count."""
+    if value.is_floating_point():
+        return tuple(value.shape)
+    return (*value.shape, "whole" if value.dtype == torch.int64 else str(value.dtype))
 
 
 def _shape(header: Mapping[str, str], path: Path) -> Shape:

@@ -167,3 +167,9 @@ def test_a_real_frame_gives_stretches_of_all_four_directions_every_time_the_same
     u = np.where(rows["axis"] == EAST, rows["start"], rows["line"])
     assert np.mean((u > -1) & (u < first.rgb.shape[1])) > 0.9
     assert np.where(rows["axis"] == EAST, rows["line"], rows["start"]).min() > 50
+
+
+def test_a_file_of_labels_that_unpacks_to_too_much_is_refused(tmp_path: Path) -> None:
+    np.savez_compressed(tmp_path / "a.npz", rgb=np.zeros((1 << 27, 3), np.uint8))
+    with pytest.raises(InputError, match=r"a\.npz: a file of labels cannot be read; .*unpacks to too much"):
+        Example.load(tmp_path / "a.npz")

@@ -171,6 +171,21 @@ def test_weights_of_another_network_are_told_with_a_name_and_its_size(saved: Pat
         assert "do not fit" in refusal(path)
 
 
+def test_weights_of_another_kind_of_number_do_not_fit(saved: Path, tmp_path: Path) -> None:
+    state, path = load_file(saved), tmp_path / "w.safetensors"
+    counts = next(name for name, value in state.items() if value.dtype == torch.int64)
+    for name, dtype in ((counts, torch.complex64), (counts, torch.float32), ("heads.bias", torch.int64)):
+        changed = {**state, name: state[name].to(dtype)}
+        save_file(changed, path, metadata={"kind": "p2ornet", "shape": json.dumps(_shape())})
+        assert "do not fit" in refusal(path)
+
+
+def test_a_file_far_too_large_is_not_read(tmp_path: Path) -> None:
+    with (tmp_path / "w.safetensors").open("wb") as file:
+        file.truncate(1 << 40)
+    assert "too large" in refusal(tmp_path / "w.safetensors")
+
+
 def test_a_header_cannot_make_the_loader_build_a_huge_network(
     saved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
