@@ -167,8 +167,8 @@ class Bench:
 
 def ran(family: Family, capsys: pytest.CaptureFixture[str], *more: str) -> dict[str, Any]:
     main([*family.shell(), *more])
-    result: dict[str, Any] = json.loads(capsys.readouterr().out)
-    return result
+    [result] = json.loads(capsys.readouterr().out)["results"]
+    return dict(result)
 
 
 @FAMILIES

@@ -59,13 +59,14 @@ class Family:
         return example
 
     def run(self, capsys: pytest.CaptureFixture[str], *words: str, perturb: str = "") -> dict[str, Any]:
-        """Return what `p2o run --json` prints of the method's own example."""
+        """Return the one result that `p2o run --json` prints of the method's own example."""
         command = ["run", "--plugin", str(self.plugin), "--calibrator", self.name, "--data", f"folder:{self.frames}"]
         command += ["--perturb", perturb or self.example.perturb, "--json", *["--joint"] * self.example.joint]
         code = main([*command, *words])
         out, err = capsys.readouterr()
         assert code in (0, 1), err
-        return json.loads(out)
+        [result] = json.loads(out)["results"]
+        return dict(result)
 
     def solve(self, frames: str = "all", **words: Any) -> p2o.Result:
         """Return the joint result of the method in Python, checked by nothing."""

@@ -136,10 +136,10 @@ def test_a_file_of_another_form_is_refused_by_name(tmp_path: Path, text: str) ->
 def test_missing_folder_and_unreadable_text_are_refused_by_name(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"splits\.json: the file of splits is missing"):
         select(NAMES, f"@{tmp_path / 'splits.json'}#test")
-    with pytest.raises(InputError, match="the file of splits cannot be read"):
+    with pytest.raises(InputError, match="the file of splits is a folder"):
         select(NAMES, f"@{tmp_path}#test")
     (tmp_path / "splits.json").write_bytes(b"\xff\xfe{}")
-    with pytest.raises(InputError, match=r"splits\.json: the file of splits is not JSON"):
+    with pytest.raises(InputError, match=r"splits\.json: the file of splits is not text"):
         select(NAMES, f"@{tmp_path / 'splits.json'}#test")
 
 
