@@ -143,8 +143,8 @@ def _array(name: str, value: Any) -> Any:
     shape = _SHAPES[name]
     array = checked(name, _numbers(name, value, shape), shape, np.float64, finite=False)
     if name in _POSES:
-        # What p2o wrote is rigid to the last digits.
-        se3.check_rigid(name, array, tolerance=1e-9)  # which returns a cleaned rotation; the bits of the file are kept instead
+        # What p2o wrote is rigid to the last digits. The cleaned rotation is not taken: bits of the file stay.
+        se3.check_rigid(name, array, tolerance=1e-9)
     return array
 
 
