@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     help="Extractors whose edges check a result that has none of its own (default: p2ornet/rings; none: unchecked).",
 )
 @click.option("--perturb", metavar='"2deg 0.15m"', help="Begin this far from the truth, in a random direction.")
+@click.option("--protocol", metavar="NAME", help="Draw starts, and report errors, as a publication does.")
 @click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Seed of everything random (default: 0).")
 @click.option("--joint", is_flag=True, default=None, help="One result for all frames together.")
 @click.option(
@@ -78,13 +79,17 @@ def command(
         from p2o.cli.out_dir import OutDir
         from p2o.cli.summary import describe, describe_failed, describe_run
         from p2o.files.file_names import distinct_names
+        from p2o.run.protocol import protocol_of
         from p2o.run.recipe import Recipe
-        from p2o.run.run import Run, run
+        from p2o.run.run import Run, run, starts_of
         from p2o.run.words import parse_settings
 
         registry = load(plugin, block)
         wanted = None if require is None else Required.of(require)
         words = {name: value for name, value in words.items() if value is not None}
+        protocol = words.pop("protocol", None)
+        if protocol is not None:
+            words["perturb"] = starts_of(protocol, words.get("perturb"), "--protocol")
         if settings:
             words["options"] = parse_settings(settings)
         plan = Recipe.of(**words).resolve(registry)
@@ -135,7 +140,13 @@ def command(
                 if not rows:
                     raise
                 problem = error
-        done = Run(tuple(rows), joint=plan.recipe.joint, interrupted=interrupted, failed=tuple(failed))
+        done = Run(
+            tuple(rows),
+            joint=plan.recipe.joint,
+            interrupted=interrupted,
+            failed=tuple(failed),
+            protocol=None if protocol is None else protocol_of(protocol),
+        )
         if folder is not None:
             try:
                 folder.finish(done)
@@ -143,7 +154,7 @@ def command(
                 problem = problem or error
     if as_json:
         stdout.write(json.dumps(done.as_dict(), allow_nan=False) + "\n")
-    elif len(rows) + len(failed) > 1:
+    elif len(rows) + len(failed) > 1 or protocol is not None:
         stdout.write(describe_run(done) + "\n")
     if interrupted:
         return 130

@@ -9,6 +9,7 @@ from p2o.errors import printable
 from p2o.geometry import se3
 from p2o.results.result import DIRECTED
 from p2o.results.verdict import Trust
+from p2o.run.protocol import told
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -81,6 +82,9 @@ def describe_run(run: Run) -> str:
                 f"median {values['rotation_deg_median']:.3f} deg {values['translation_m_median']:.3f} m"
                 f" ({values['count']} solved)"
             )
+    if run.protocol is not None:
+        figures = {name: value for name, value in summary["protocol"].items() if name not in ("name", "count")}
+        lines.append(f"  {told(run.protocol, figures)}")
     return "\n".join(lines)
 
 

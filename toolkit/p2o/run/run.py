@@ -22,6 +22,7 @@ from p2o.results.result import Result, Status
 from p2o.results.result_json import result_to_dict
 from p2o.results.verdict import Trust
 from p2o.run.assembly import Assembly
+from p2o.run.protocol import Protocol, protocol_of
 from p2o.run.recipe import Plan, Recipe
 from p2o.run.words import parse_settings
 
@@ -59,6 +60,7 @@ class Run:
     joint: bool = False
     interrupted: bool = False
     failed: tuple[FailedFrame, ...] = ()
+    protocol: Protocol | None = None
 
     @property
     def result(self) -> Result:
@@ -90,7 +92,16 @@ class Run:
             "error": summarise([row.error for row in solved if row.error is not None]),
             "start": summarise([row.start_error for row in solved if row.start_error is not None]),
             "interrupted": self.interrupted,
+            **({} if self.protocol is None else {"protocol": self._by_protocol(self.protocol)}),
         }
+
+    def _by_protocol(self, protocol: Protocol) -> dict[str, Any]:
+        """Return the figures that a protocol reports; a refused calibration counts with its start."""
+        known = [(row.result.camera_from_lidar, row.truth) for row in self.rows if row.truth is not None]
+        estimates, truths = (
+            (np.array(poses).reshape(-1, 4, 4) for poses in zip(*known, strict=True)) if known else ((), ())
+        )
+        return {"name": protocol.name, "count": len(known), **protocol.figures(np.array(estimates), np.array(truths))}
 
     def as_dict(self) -> dict[str, Any]:
         """Return the one object of `p2o run --json`, of one schema for all runs: `results`, `failed`, `summary`."""
@@ -132,6 +143,7 @@ def calibrate(
     calibrator: str | None = None,
     options: Mapping[str, Mapping[str, Any]] | Sequence[str] | None = None,
     perturb: str | None = None,
+    protocol: str | None = None,
     seed: int | None = None,
     joint: bool | None = None,
     accumulate: str | None = None,
@@ -144,7 +156,8 @@ def calibrate(
 
     `data` is a text DATASET:PATH, a dataset, frames or one frame. `start` (4, 4) is camera_from_lidar to begin with;
     without it and without `perturb` each frame's own start is used. `options` maps stage to field to value, or lists
-    texts STAGE.FIELD=VALUE. What is left out takes the default of `Recipe`.
+    texts STAGE.FIELD=VALUE. `protocol` names a publication's (`p2o.run.protocol`): its starts are drawn, and its
+    figures are in `Run.summary`. What is left out takes the default of `Recipe`.
 
     Raises a P2OError for anything wrong with the words, the data or the plugins. Too few matches and the like are
     no errors but a status of the result, and a bad frame among good ones is in `Run.failed`.
@@ -168,14 +181,26 @@ def calibrate(
         init=init,
         calibrator=calibrator,
         options=settings,
-        perturb=perturb,
+        perturb=starts_of(protocol, perturb),
         seed=seed,
         joint=joint,
         accumulate=accumulate,
         witness=witness,
     )
     plan = recipe.resolve(Registry.load() if registry is None else registry)
-    return run(plan, given, start=start, on_progress=on_progress)
+    done = run(plan, given, start=start, on_progress=on_progress)
+    return done if protocol is None else replace(done, protocol=protocol_of(protocol))
+
+
+def starts_of(protocol: str | None, perturb: str | None, where: str = "protocol") -> str | None:
+    """Return the perturbation that is asked for, by itself or by a protocol; InputError where both are."""
+    if protocol is None:
+        return perturb
+    if perturb is not None:
+        raise InputError(
+            "a protocol draws its own starts", where=where, expected="no perturbation beside it", got=perturb
+        )
+    return protocol_of(protocol, where).perturb
 
 
 def run(

@@ -30,6 +30,7 @@ from p2o.host.registry import GROUP, Registry
 from p2o.host.slots import METHOD_WORDS, SLOTS, STAGED_WORDS, STAGES
 from p2o.host.validation import fault_of
 from p2o.run.recipe import Plan, Recipe
+from p2o.run.run import starts_of
 from p2o.run.words import data_by_name
 
 FOLDER = "studies"
@@ -151,7 +152,8 @@ class Study(_Table):
     """A whole study file.
 
     `defaults` are words of every row that does not say otherwise. `perturb`, `joint` and `seeds` hold for all rows
-    that do not say their own: a perturbation as in `p2o run`; False (each frame alone), True (all frames together)
+    that do not say their own: a perturbation as in `p2o run`, or a `protocol` that draws starts and whose figures are
+    told below the table; False (each frame alone), True (all frames together)
     or a number N (groups of N successive frames together, the last of which may be smaller); a number of seeds, 0 to
     N - 1, or a list. `metrics` are the columns of the tables.
     """
@@ -166,6 +168,7 @@ class Study(_Table):
     row: tuple[RowTable, ...] = ()
     published: tuple[Published, ...] = Field(default=(), max_length=1000)
     perturb: str | None = None
+    protocol: str | None = None
     joint: Joint = False
     seeds: Seeds = 1
     metrics: tuple[Metric, ...] = Field(default=("rotation_deg", "translation_m"), min_length=1, max_length=8)
@@ -376,8 +379,9 @@ class _Expansion:
             replaced = len(key) == 3 and key[1] in methods[1] and methods[0].get(key[1]) != methods[1][key[1]]
             if not replaced:
                 said.setdefault(key, value)
-        if self.study.perturb is not None:
-            said.setdefault(("perturb",), self.study.perturb)
+        start = starts_of(self.study.protocol, self.study.perturb, f"{self.where}, protocol")
+        if start is not None:
+            said.setdefault(("perturb",), start)
         merged: dict[str, Any] = {"options": {}}
         for key, value in said.items():
             if len(key) == 1:

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from p2o.results.verdict import Trust
+from p2o.run.protocol import protocol_of
+from p2o.run.protocol import told as protocol_told
 from p2o.study.store import StoredRow
 from p2o.study.study import Published, Study
 
@@ -75,7 +77,7 @@ def told(trust: Mapping[Trust, int]) -> str:
     return ", ".join(f"{number} {word}" for word, number in trust.items()) or "-"
 
 
-def table(study: Study, rows: Iterable[StoredRow]) -> str:
+def table(study: Study, rows: Sequence[StoredRow]) -> str:
     """Return a table for the eye: what was measured, and beside it what was published."""
     found = tallies(rows, study.metrics)
     stacked = len(study.metrics) > _BESIDE
@@ -109,7 +111,24 @@ def table(study: Study, rows: Iterable[StoredRow]) -> str:
         lines += [_published(study, p, len(words), stacked) for p in apart]
     widths = [max((len(line[i]) for line in [head, *lines] if len(line) > i > 0), default=0) for i in range(len(head))]
     widths[0] = max((len(line[0]) for line in lines), default=0)
-    return "\n".join(_line(cells, widths) for cells in (head, *lines))
+    return "\n".join([*(_line(cells, widths) for cells in (head, *lines)), *_by_protocol(study, rows)])
+
+
+def _by_protocol(study: Study, rows: Sequence[StoredRow]) -> list[str]:
+    """Return the figures that the protocol reports, a line a row; a refused calibration counts with its start."""
+    if study.protocol is None:
+        return []
+    protocol, lines = protocol_of(study.protocol), []
+    for label in dict.fromkeys(row.row for row in rows):
+        known = [
+            (row.estimate if row.estimate is not None else row.start, row.truth)
+            for row in rows
+            if row.row == label and row.truth is not None and row.start is not None
+        ]
+        if known:
+            estimates, truths = (np.array(poses) for poses in zip(*known, strict=True))
+            lines.append(f"{label}: {protocol_told(protocol, protocol.figures(estimates, truths))}")
+    return lines
 
 
 def _line(cells: Sequence[str], widths: Sequence[int]) -> str:

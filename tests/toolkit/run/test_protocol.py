@@ -1,0 +1,97 @@
+"""Protocols: the starts and the figures of publications by name, on the command line, in Python and in studies."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import p2o
+import pytest
+from p2o import InputError, UnknownNameError, se3
+from p2o.cli import main
+from p2o.geometry.perturb import parse_perturbation
+from p2o.geometry.pose_metrics import pose_metrics
+from p2o.run.protocol import PROTOCOLS, protocol_of
+from p2o.run.run import starts_of
+from p2o.study.study import parse_study
+from p2o.study.tally import table
+
+from tests.fake_study import run_of
+
+SMALL = "synthetic:?width_px=310&height_px=94&place=street"
+
+
+@pytest.mark.parametrize("name", list(PROTOCOLS))
+def test_every_protocol_draws_starts_that_can_be_read_and_reports_figures_that_there_are(name: str) -> None:
+    protocol = protocol_of(name)
+    size = parse_perturbation(protocol.perturb)
+    assert str(size) == str(parse_perturbation(str(size)))
+    truth = np.eye(4)
+    starts = np.stack([size.start(truth, np.random.default_rng([7, i]), i) for i in range(20)])
+    figures = protocol.figures(starts, np.repeat(truth[None], 20, axis=0))
+    assert set(figures) == {*protocol.metrics, *protocol.limits}
+    assert all(np.isfinite(value) for value in figures.values())
+
+
+def test_the_draw_of_lccnet_is_uniform_by_axis_in_the_frame_of_the_camera() -> None:
+    size = parse_perturbation(protocol_of("lccnet-20").perturb)
+    truth = se3.exp(np.array([0.3, -1.0, 0.4, 1.0, 2.0, 3.0]))
+    rng = np.random.default_rng(0)
+    starts = np.stack([size.start(truth, rng) for _ in range(3000)])
+    figures = pose_metrics(starts, np.repeat(truth[None], 3000, axis=0))
+    # The mean of |x| is half of the bound, here with a deviation of 20 / sqrt(12 n).
+    for axis in "xyz":
+        assert figures[f"euler_deg_{axis}"] == pytest.approx(10, abs=5 * 20 / np.sqrt(12 * 3000))
+
+
+def test_names_are_told_and_starts_are_drawn_once() -> None:
+    with pytest.raises(UnknownNameError, match="did you mean lccnet-20"):
+        protocol_of("lccnet20")
+    with pytest.raises(InputError, match="a protocol draws its own starts"):
+        starts_of("cmrnext", "1deg")
+    assert starts_of("p2o-calib", None) == "2deg 0.15m"
+    assert starts_of(None, "1deg") == "1deg"
+
+
+def test_the_command_reports_the_figures_of_the_protocol(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["run", "--data", SMALL, "--extractor", "depth/rings", "--init", "given", "--protocol", "projfusion-5-50"]
+    assert main([*words, "--json"]) in (0, 1)
+    told = json.loads(capsys.readouterr().out)["summary"]["protocol"]
+    assert told["name"] == "projfusion-5-50"
+    assert told["count"] == 1
+    assert {"euler_deg_norm", "shift_m_mean", "l1", "l2"} <= set(told)
+    assert main(words) in (0, 1)
+    assert "protocol projfusion-5-50: euler_deg_norm" in capsys.readouterr().out
+    assert main([*words, "--perturb", "1deg"]) == 2
+    assert "--protocol: a protocol draws its own starts" in capsys.readouterr().err
+
+
+def test_a_refused_calibration_counts_with_its_start() -> None:
+    done = p2o.calibrate(SMALL, extractor="depth/rings", protocol="p2o-calib", options=["pipeline.min_matches=100000"])
+    assert not done.solved
+    assert done.summary["protocol"]["rotation_deg_mean"] == pytest.approx(2.0)
+    assert done.summary["protocol"]["translation_m_mean"] == pytest.approx(0.15)
+
+
+def test_a_study_draws_the_starts_of_its_protocol_and_tells_its_figures_below_the_table() -> None:
+    text = """
+    name = "s"
+    title = "S"
+    protocol = "borer-2"
+    [[dataset]]
+    name = "d"
+    data = "synthetic:"
+    [[row]]
+    label = "ours"
+    """
+    study = parse_study(text)
+    [row] = study.rows()
+    assert row.words["perturb"] == "fibonacci 2deg"
+    rows = [run_of("ours", "a", 0, 0.2, 0.1, study="s"), run_of("ours", "b", 0, 0.9, 0.1, study="s")]
+    assert "ours: protocol borer-2: rotation_deg_mean 0.550, rotation_deg_median 0.550, hit_rate 50 %" in table(
+        study, rows
+    )
+    with pytest.raises(UnknownNameError, match="protocol"):
+        parse_study(text.replace("borer-2", "borer-3")).rows()
+    with pytest.raises(InputError, match="study s, protocol: a protocol draws its own starts"):
+        parse_study(text.replace('"borer-2"', '"borer-2"\nperturb = "1deg"')).rows()
