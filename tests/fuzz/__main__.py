@@ -7,6 +7,7 @@ import os
 # Forks of a process with several threads may wait for ever.
 os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
+import gc
 import shutil
 import sys
 import time
@@ -37,6 +38,9 @@ def fuzz(cases: int, first: int, seed: int, jobs: int, doors: tuple[str, ...], n
     root = Path(out).absolute()
     shutil.rmtree(root, ignore_errors=True)
     bases = build(root / "bases")
+    # What is loaded stays in pages that forks share: a collector that walks it would copy them all.
+    gc.collect()
+    gc.freeze()
     chosen = list(doors or SURFACES)
     if number is not None:
         verdict = one(bases, root / f"case-{number}", seed, number, chosen, keep=True)

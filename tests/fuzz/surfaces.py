@@ -146,7 +146,7 @@ def layout(rng: Random, bases: Bases, home: Path) -> Case:
             path = rng.choice((path, path, path.parent))
             if path != root:
                 _swap(rng, path)
-        found = sorted(path for path in root.rglob("*") if path.is_file() and not path.is_symlink()) or found
+        found = sorted(path for path in root.rglob("*") if _small(path)) or found
         texts = [path for path in found if path.suffix == ".txt"] or found
         if not all(path.exists() for path in texts):
             break
@@ -635,6 +635,11 @@ def _swap(rng: Random, path: Path) -> None:
     elif how == 7:
         with path.open("wb") as file:
             file.truncate(1 << math.floor(rng.uniform(20, 42)))
+
+
+def _small(path: Path) -> bool:
+    """True for what a case may read itself: no link, and no file that says it is huge."""
+    return path.is_file() and not path.is_symlink() and path.stat().st_size < 1 << 26
 
 
 def _read_or_run(rng: Random, data: str) -> Case:
