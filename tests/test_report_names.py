@@ -14,7 +14,7 @@ from p2o.report import write_report
 from p2o.report.figures import figure_names, figures_of
 from p2o.report.summary import summarise_study
 from p2o.report.tables import latex, markdown
-from p2o.study.store import StoredStudy
+from p2o.study.store import Planned, StoredStudy
 
 from tests.fake_study import TOML, run_of, write_store
 
@@ -136,3 +136,11 @@ def test_markdown_and_latex_are_one_line_a_name() -> None:
     summary = summarise_study(replace(STUDY, name="x\n\\input{y}"), runs)
     assert "a b \\| c \\|" in markdown([summary], lambda _: ())
     assert "\n% x \\input{y}\n" in latex([summary]), "a comment to its end"
+
+
+def test_a_very_long_name_does_not_fill_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("plotly")
+    name = "x" * 5000
+    write_store(tmp_path, [], missing=[Planned("k", name, "row")])
+    assert main(["report", str(tmp_path)]) == 2
+    assert len(capsys.readouterr().err) < 700

@@ -249,6 +249,25 @@ def test_a_study_that_nobody_wrote_is_told(store: Path, column: str, value: str)
         opened.studies()
 
 
+@pytest.mark.parametrize(
+    "published",
+    [
+        '[{"label": 3}]',
+        '[{"values": 4}]',
+        '[{"values": {"rotation_deg": null}}]',
+        '[{"values": {"rotation_deg": "x"}}]',
+        '[{"values": {"rotation_deg": [1]}}]',
+        '[{"values": {"rotation_deg": true}}]',
+        '[{"values": {"rotation_deg": 1e999}}]',
+        '[{"source": null}]',
+    ],
+)
+def test_a_published_row_that_nobody_wrote_is_told(store: Path, published: str) -> None:
+    sql(store, f"update studies set published = '{published}'")
+    with pytest.raises(InputError, match="move it away"), Store.open(store.parent) as opened:
+        opened.studies()
+
+
 def test_a_view_of_somebody_else_is_never_asked(store: Path) -> None:
     sql(store, "drop view rows", "create view rows as select randomblob(1e9) as key from plan, plan, plan")
     with Store.open(store.parent) as opened:

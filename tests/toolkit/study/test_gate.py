@@ -166,6 +166,8 @@ def _with(path: str, value: object) -> bytes:
         _with("tolerance.rows", {"c": {}}),
         _with("tolerance.failures", 10**30 * 1.5),
         _with("colour", "red"),
+        _with("rows.a.count", "\ud800"),
+        _with("rows.a.mean", {"rotation_deg": "\ud800"}),
     ],
 )
 def test_a_file_that_is_no_reference_is_one_line_that_names_it(tmp_path: Path, content: bytes) -> None:

@@ -50,10 +50,13 @@ def validated(
 ) -> _Model:
     """Return the model of these values; `within` names what they are values of, `where` the place they come from.
 
-    Raises UnknownNameError for a key that does not exist, and InputError with path, value and bound otherwise.
+    Raises UnknownNameError for a key that does not exist, and InputError with path, value and bound otherwise, and for
+    texts that no encoding holds.
     """
     try:
         return model.model_validate(dict(values) if isinstance(values, Mapping) else values)
+    except UnicodeEncodeError as problem:  # JSON may escape halves of surrogates
+        raise InputError("a text that no encoding holds", where=where, got=problem.object) from problem
     except ValidationError as problem:
         noun = noun or (f"{within} option" if within else "key")
         raise fault_of(problem, model, values).error(within, where=where, noun=noun) from problem

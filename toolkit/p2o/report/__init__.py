@@ -8,7 +8,7 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
 
-from p2o.errors import InputError, UnknownNameError
+from p2o.errors import InputError, UnknownNameError, printable
 from p2o.files.input_file import expanded
 from p2o.files.whole_file import write_whole
 from p2o.report.summary import Summary, summarise_study
@@ -16,6 +16,10 @@ from p2o.study.store import Store
 
 if TYPE_CHECKING:
     from p2o.host.registry import Registry
+
+
+_LONGEST_NAME = 100
+"""So much of the name of a study is shown in errors; a foreign store may call it what it likes."""
 
 
 def write_report(
@@ -77,11 +81,11 @@ def _summaries(folder: Path, names: Sequence[str]) -> list[Summary]:
     finished = [summarise_study(study, runs, missing) for study, runs, missing in parts if runs]
     if not finished or (names and len(finished) < len(wanted)):
         empty = next((study.name for study, runs, _ in parts if not runs), None)
-        raise InputError(
-            f"study '{empty}' has no finished run yet" if empty else "there is no study in the store",
-            where=store.path,
-            hint=f"run: p2o ablate {quote(empty) if empty else 'STUDY'} --out {quote(str(folder))}",
-        )
+        what, word = "there is no study in the store", "STUDY"
+        if empty:
+            what = f"study '{printable(empty, _LONGEST_NAME)}' has no finished run yet"
+            word = quote(empty) if len(empty) <= _LONGEST_NAME else word
+        raise InputError(what, where=store.path, hint=f"run: p2o ablate {word} --out {quote(str(folder))}")
     return finished
 
 

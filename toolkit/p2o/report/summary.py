@@ -185,8 +185,8 @@ def _headings(keys: Sequence[tuple[str, str, str]]) -> list[str]:
 
 
 def _published(entry: Mapping[str, Any]) -> Published:
-    values = {metric: float(value) for metric, value in (entry.get("values") or {}).items() if metric in METRICS}
-    texts = {word: str(entry.get(word) or "") for word in ("label", "source", "start", "note", "beside")}
+    values = {metric: float(value) for metric, value in entry.get("values", {}).items() if metric in METRICS}
+    texts = {word: entry.get(word, "") for word in ("label", "source", "start", "note", "beside")}
     return Published(values=values, **texts)
 
 

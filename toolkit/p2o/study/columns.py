@@ -94,11 +94,11 @@ def parsed_object(what: str, value: Any) -> dict[str, Any]:
     return dict(found)
 
 
-def parsed_objects(what: str, value: Any) -> tuple[Mapping[str, Any], ...]:
-    """Return the mappings in a list that JSON of a store says; raises InputError for anything else."""
-    found = _json(what, value)
-    if not _is_list_of(_is_mapping)(found):
-        raise _wrong(what, "a list of mappings", value)
+def parsed_published(value: Any) -> tuple[Mapping[str, Any], ...]:
+    """Return the published rows that JSON of a store says; raises InputError for anything else."""
+    found = _json("published", value)
+    if not _is_list_of(_is_published)(found):
+        raise _wrong("published", "a list of rows with texts and values", value)
     return tuple(found)
 
 
@@ -195,6 +195,14 @@ def _is_judged(value: Any) -> bool:
         _is_mapping(value)
         and all(_is_string(value.get(name)) for name in ("judge", "unit"))
         and all(name in value and _or_none(_is_number)(value[name]) for name in ("start", "estimate"))
+    )
+
+
+def _is_published(value: Any) -> bool:
+    return (
+        _is_mapping(value)
+        and _is_mapping_to(_is_plain_number)(value.get("values", {}))
+        and all(_is_string(part) for word, part in value.items() if word != "values")
     )
 
 

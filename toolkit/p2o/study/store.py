@@ -27,7 +27,7 @@ from p2o.study.columns import (
     from_column,
     json_text,
     parsed_object,
-    parsed_objects,
+    parsed_published,
     to_column,
     type_of,
 )
@@ -342,7 +342,7 @@ class Store:
                     from_column("study", name),
                     from_column("toml", toml),
                     parsed_object("data", data),
-                    parsed_objects("published", published),
+                    parsed_published(published),
                 )
                 for name, toml, data, published in found
             ]
