@@ -23,3 +23,11 @@ def p2o_matchers() -> Iterator[Method]:
     from p2o_baselines import nearest
 
     yield nearest.METHOD
+
+
+@hookimpl
+def p2o_calibrators() -> Iterator[Method]:
+    """Offer the whole methods."""
+    from p2o_baselines import picked
+
+    yield picked.METHOD
