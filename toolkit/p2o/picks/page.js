@@ -1,7 +1,7 @@
 "use strict";
 (() => {
   const $ = (id) => document.getElementById(id);
-  const COLOURS = { used: "#30a46c", bad: "#e5484d", open: "#3e9bff", waiting: "#ffb224" };
+  const COLOURS = { used: "#4ade80", bad: "#ff6b6b", open: "#7cc4ff", waiting: "#ffd166" };
   const CLICK_PX = 4, SOLVED_FROM = 4;
   let overview = null, number = 0, frame = null, solved = null, asked = 0, chosen = -1;
   let waiting = { uv: null, point: null };
@@ -117,8 +117,6 @@
 
     mark(pen, { x, y, colour, label, ring, to }) {
       const cx = this.x + x * this.scale, cy = this.y + y * this.scale;
-      pen.strokeStyle = pen.fillStyle = colour;
-      pen.lineWidth = 1.5;
       pen.beginPath();
       if (to) {
         pen.moveTo(cx, cy);
@@ -126,15 +124,20 @@
       }
       pen.moveTo(cx - 7, cy); pen.lineTo(cx - 2, cy); pen.moveTo(cx + 2, cy); pen.lineTo(cx + 7, cy);
       pen.moveTo(cx, cy - 7); pen.lineTo(cx, cy - 2); pen.moveTo(cx, cy + 2); pen.lineTo(cx, cy + 7);
-      pen.stroke();
       if (ring) {
-        pen.beginPath();
+        pen.moveTo(cx + 10, cy);
         pen.arc(cx, cy, 10, 0, 2 * Math.PI);
+      }
+      // A dark border, so that marks are seen on anything.
+      for (const [style, width] of [["#000c", 4], [colour, 1.6]]) {
+        pen.strokeStyle = style;
+        pen.lineWidth = width;
         pen.stroke();
       }
-      pen.font = "12px system-ui, sans-serif";
+      pen.font = "bold 13px system-ui, sans-serif";
       pen.lineWidth = 3;
-      pen.strokeStyle = "#000a";
+      pen.strokeStyle = "#000c";
+      pen.fillStyle = colour;
       pen.strokeText(label, cx + 8, cy - 6);
       pen.fillText(label, cx + 8, cy - 6);
     }
