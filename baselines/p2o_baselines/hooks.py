@@ -12,9 +12,9 @@ from p2o import Method, hookimpl
 @hookimpl
 def p2o_image_extractors() -> Iterator[Method]:
     """Offer the image sides."""
-    from p2o_baselines import canny
+    from p2o_baselines import canny, hed
 
-    yield canny.METHOD
+    yield from (canny.METHOD, hed.METHOD)
 
 
 @hookimpl
@@ -23,3 +23,11 @@ def p2o_matchers() -> Iterator[Method]:
     from p2o_baselines import nearest
 
     yield nearest.METHOD
+
+
+@hookimpl
+def p2o_calibrators() -> Iterator[Method]:
+    """Offer the whole methods."""
+    from p2o_baselines import picked
+
+    yield picked.METHOD

@@ -568,6 +568,25 @@ def weights(rng: Random, bases: Bases, home: Path) -> Case:
     )
 
 
+def pairs(rng: Random, bases: Bases, home: Path) -> Case:
+    """A file of picked pairs, JSON or YAML."""
+    picks = [{"uv": [8.0 + 14 * i, 10.0 + 37 * i % 70], "xyz": [4.0 + 3 * i % 9, 3.0 - i, i % 3 - 1]} for i in range(9)]
+    tree: Any = {"frames": {"scene-0000": picks, "elsewhere": picks[:2]}}
+    tree = tree_of(rng, tree) if rng.random() < 0.7 else tree
+    suffix = rng.choice((".yaml", ".json"))
+    try:
+        text = json.dumps(tree) if suffix == ".json" else yaml.safe_dump(tree, allow_unicode=rng.random() < 0.5)
+    except yaml.YAMLError:
+        text = json.dumps(tree)
+    data = text.encode("utf-8", "surrogatepass")
+    path = home / f"in/pairs{suffix}"
+    path.write_bytes(bytes_of(rng, data) if rng.random() < 0.5 else data)
+    if rng.random() < 0.05:
+        _swap(rng, path)
+    argv = ("run", "--data", f"folder:{bases.folder}", "--frames", "0", "--calibrator", "picked", "--witness", "none")
+    return Case((*argv, "--set", f"calibrator.pairs=in/pairs{suffix}"))
+
+
 SURFACES: Mapping[str, tuple[int, Draw]] = {
     "sweep": (20, sweep),
     "picture": (13, picture),
@@ -580,6 +599,7 @@ SURFACES: Mapping[str, tuple[int, Draw]] = {
     "result": (4, result),
     "gate": (3, gate),
     "weights": (1, weights),
+    "pairs": (3, pairs),
 }
 """Every door by name: how often it is drawn, and how."""
 
