@@ -12,14 +12,22 @@ from p2o import Method, hookimpl
 @hookimpl
 def p2o_image_extractors() -> Iterator[Method]:
     """Offer the image sides."""
-    from p2o_baselines import canny
+    from p2o_baselines import canny, grey
 
-    yield canny.METHOD
+    yield from (canny.METHOD, grey.METHOD)
+
+
+@hookimpl
+def p2o_cloud_extractors() -> Iterator[Method]:
+    """Offer the LiDAR sides."""
+    from p2o_baselines import reflectance
+
+    yield reflectance.METHOD
 
 
 @hookimpl
 def p2o_matchers() -> Iterator[Method]:
     """Offer the matchers."""
-    from p2o_baselines import nearest
+    from p2o_baselines import gom, mi, nearest, nid, nmi
 
-    yield nearest.METHOD
+    yield from (gom.METHOD, mi.METHOD, nearest.METHOD, nid.METHOD, nmi.METHOD)

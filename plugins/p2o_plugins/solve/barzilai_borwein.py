@@ -1,9 +1,10 @@
 """Gradient descent with the steps of Barzilai and Borwein: the optimiser of Pandey et al. (AAAI 2012).
 
-The step along the gradient g is gamma = (s.s) / (s.y), with s the last change of the unknowns and y that of the gradient.
-Unlike theirs, unknowns are in units (degrees against metres) in one vector, a step is cut off at `longest` units, a step
-that makes the cost worse is taken back and halved, and a negative gamma (the cost bends the other way) is replaced by
-twice the last one. These are ours; the third-party code that is public steps rotation and translation by turns.
+The step along the gradient g is gamma = (s.s) / (s.y), with s the last change of the unknowns and y that of the
+gradient. Unlike theirs, unknowns are in units (degrees against metres) in one vector, a step is cut off at `longest`
+units, a step that makes the cost worse is taken back and halved, and a negative gamma (the cost bends the other way) is
+replaced by twice the last one. These are ours; the third-party code that is public steps rotation and translation by
+turns.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """BFGS on a scalar cost, within a box around the start: quick where the cost is smooth, and as local as its start.
 
-SciPy's L-BFGS-B, which remembers ten steps and so the whole curvature of six unknowns. The box is what Koide et al. call
-trust region (0.2 m and 2 deg); they run the BFGS of Ceres and refuse steps out of it.
+SciPy's L-BFGS-B, which remembers ten steps and so the whole curvature of six unknowns. The box is what Koide et al.
+call trust region (0.2 m and 2 deg); they run the BFGS of Ceres and refuse steps out of it.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Particle swarm in a box around the start, as Taylor and Nieto search: every population is one call of the cost.
 
-A swarm begins spread over the box, one particle at the centre; each particle is drawn to its own best place and to that
-of all (inertia 0.72, attraction 1.49 each: Clerc's constriction). When its share of iterations is spent, or the swarm has
-collapsed, the next one searches a smaller box around the best place, as in the paper. Numbers of particles, of boxes and
-by how much they shrink are ours: the paper's are not known to us.
+A swarm begins spread over the box, one particle at the centre; each particle is drawn to its own best place and to
+that of all (inertia 0.72, attraction 1.49 each: Clerc's constriction). When its share of iterations is spent, or the
+swarm has collapsed, the next one searches a smaller box around the best place, as in the paper. Numbers of particles, of
+boxes and by how much they shrink are ours: the paper's are not known to us.
 """
 
 from __future__ import annotations

@@ -24,8 +24,7 @@ class StepOptions(p2o.Options):
 class ScalarCost:
     """The cost of a problem around `start` (4, 4), over x (6,) in units of `unit_deg` and `unit_m`; zero is the start.
 
-    A problem may tell the gradient of its cost, `gradient(pose (4, 4)) -> (6,)` by a left update in radians and
-    metres, and how sure its optimum is, `covariance(pose) -> (6, 6) or None` of such an update.
+    The gradient and the covariance of the problem are used where it tells them (`p2o.Objective`).
     """
 
     problem: p2o.Problem
