@@ -19,6 +19,7 @@ from typing import Literal
 import p2o
 from p2o.arrays import Float
 
+from p2o_baselines.boards_in_a_yard import boards_in_a_yard
 from p2o_baselines.histogram import MI, Estimator, Shrunk, Smoothed
 from p2o_baselines.information import SeenPoints, SmoothInformation, Span, counts_of, sightings
 from p2o_baselines.picture_levels import Linear
@@ -75,4 +76,5 @@ METHOD = p2o.Method(
     gives={"objective"},
     cite="Pandey, McBride, Savarese and Eustice, Automatic targetless extrinsic calibration of a 3D LiDAR and camera "
     "by maximizing mutual information, AAAI 2012; Journal of Field Robotics 32, 2015",
+    example=boards_in_a_yard(4, "barzilai-borwein", "pipeline.rounds=1", perturb="2deg 0.1m", within="0.15deg 0.02m"),
 )

@@ -20,6 +20,7 @@ import numpy as np
 import p2o
 from p2o.arrays import Float
 
+from p2o_baselines.boards_in_a_yard import boards_in_a_yard
 from p2o_baselines.histogram import NID, Plain
 from p2o_baselines.information import SeenPoints, SmoothInformation, sightings
 from p2o_baselines.picture_levels import Spline
@@ -66,4 +67,13 @@ METHOD = p2o.Method(
     gives={"objective"},
     cite="Koide, Oishi, Yokozuka and Banno, General, single-shot, target-less, and automatic LiDAR-camera extrinsic "
     "calibration toolbox, ICRA 2023",
+    example=boards_in_a_yard(
+        4,
+        "bfgs",
+        "pipeline.reach_px=5",
+        "pipeline.tolerance_deg=0.5",
+        "pipeline.tolerance_m=0.1",
+        perturb="2deg 0.1m",
+        within="0.15deg 0.02m",
+    ),
 )

@@ -38,9 +38,9 @@ class Levels(Protocol):
 
 
 def _within(uv: Float, shape: tuple[int, ...], border: float) -> Bool:
+    u, v, far_u, far_v = uv[..., 0], uv[..., 1], shape[1] - 1 - border, shape[0] - 1 - border
     with np.errstate(invalid="ignore"):
-        inside = (uv >= border) & (uv <= np.array([shape[1], shape[0]]) - 1 - border)
-    return np.asarray(inside.all(axis=-1))
+        return np.asarray((u >= border) & (v >= border) & (u <= far_u) & (v <= far_v))
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,9 +20,9 @@ class BarzilaiBorweinOptions(StepOptions):
     """Options of `barzilai-borwein`."""
 
     unit_deg: float = p2o.field(0.5, gt=0, le=90, help="Rotation that is weighed like `unit_m`.")
-    unit_m: float = p2o.field(0.1, gt=0, le=100, help="Translation that is weighed like `unit_deg`.")
-    first: float = p2o.field(0.5, gt=0, help="Length of the first step, in units.")
-    longest: float = p2o.field(2.0, gt=0, help="A step is cut off at this length, in units.")
+    unit_m: float = p2o.field(0.03, gt=0, le=100, help="Translation that is weighed like `unit_deg`.")
+    first: float = p2o.field(0.25, gt=0, help="Length of the first step, in units.")
+    longest: float = p2o.field(1.0, gt=0, help="A step is cut off at this length, in units.")
     box_deg: float = p2o.field(0.0, ge=0, le=90, help="Each rotation stays this near to the start; 0 is no bound.")
     box_m: float = p2o.field(0.0, ge=0, le=100, help="Each translation stays this near to the start; 0 is no bound.")
     max_iterations: int = p2o.field(300, ge=1, help="Steps at most, those taken back included.")

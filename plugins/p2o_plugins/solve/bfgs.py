@@ -22,10 +22,10 @@ class BfgsOptions(StepOptions):
     box_deg: float = p2o.field(2.0, ge=0, le=90, help="Each rotation stays this near to the start; 0 is no bound.")
     box_m: float = p2o.field(0.2, ge=0, le=100, help="Each translation stays this near to the start; 0 is no bound.")
     unit_deg: float = p2o.field(0.5, gt=0, le=90, help="Rotation that is weighed like `unit_m` in the first step.")
-    unit_m: float = p2o.field(0.05, gt=0, le=100, help="Translation that is weighed like `unit_deg` in the first step.")
+    unit_m: float = p2o.field(0.02, gt=0, le=100, help="Translation that is weighed like `unit_deg` in the first step.")
     max_iterations: int = p2o.field(100, ge=1, help="Steps at most, over all restarts.")
-    restarts: int = p2o.field(3, ge=0, help="Restarts with a forgotten curvature, as long as they lower the cost.")
-    tolerance: float = p2o.field(1e-9, gt=0, help="Stops when a step lowers the cost by less than this share of it.")
+    restarts: int = p2o.field(1, ge=0, help="Restarts with a forgotten curvature, as long as they lower the cost.")
+    tolerance: float = p2o.field(1e-6, gt=0, help="Stops when a step lowers the cost by less than this share of it.")
 
 
 def build(options: BfgsOptions) -> p2o.Solver:

@@ -2,8 +2,8 @@
 
 A swarm begins spread over the box, one particle at the centre; each particle is drawn to its own best place and to
 that of all (inertia 0.72, attraction 1.49 each: Clerc's constriction). When its share of iterations is spent, or the
-swarm has collapsed, the next one searches a smaller box around the best place, as in the paper. Numbers of particles, of
-boxes and by how much they shrink are ours: the paper's are not known to us.
+swarm has collapsed, the next one searches a smaller box around the best place, as in the paper. Numbers of particles,
+of boxes and by how much they shrink are ours: the paper's are not known to us.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ class ParticleSwarmOptions(p2o.Options):
 
     box_deg: float = p2o.field(3.0, gt=0, le=90, help="Each rotation is sought this near to the start.")
     box_m: float = p2o.field(0.3, gt=0, le=100, help="Each translation is sought this near to the start.")
-    particles: int = p2o.field(200, ge=2, le=100_000, help="Particles of a swarm.")
-    iterations: int = p2o.field(100, ge=1, help="Moves of the swarms, shared among all boxes.")
-    boxes: int = p2o.field(4, ge=1, le=20, help="Boxes that are searched one after another, each around the best yet.")
+    particles: int = p2o.field(100, ge=2, le=100_000, help="Particles of a swarm.")
+    iterations: int = p2o.field(60, ge=1, help="Moves of the swarms, shared among all boxes.")
+    boxes: int = p2o.field(3, ge=1, le=20, help="Boxes that are searched one after another, each around the best yet.")
     shrink: float = p2o.field(0.3, gt=0, lt=1, help="Factor on the size from box to box.")
     inertia: float = p2o.field(0.72, ge=0, lt=1, help="Share of its velocity that a particle keeps.")
     attraction: float = p2o.field(1.49, gt=0, le=4, help="Pull to the best place of a particle, and to that of all.")
