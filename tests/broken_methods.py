@@ -362,6 +362,14 @@ def away(poses: Any, place: Any = TRUTH) -> Any:
 cost_method("a lowest cost elsewhere", lambda poses, _: away(poses, stage_off(2.0)), "costs_are_lowest_at_the_truth")
 cost_method("costs that change", lambda poses, number: away(poses) + 1e-3 * number, "matches_repeat")
 cost_method("costs by their number", lambda poses, _: away(poses) + 1e-6 * len(poses), "costs_are_one_a_pose")
+broken(
+    "a gradient that is none",
+    Kind.MATCHER,
+    lambda views, pose, reach_px: p2o.Objective(away, gradient=lambda place: np.zeros(6)),
+    "gradients_agree_with_differences",
+    gives={"objective"},
+    needs=EDGES,
+)
 
 
 def stage_off(angle_deg: float, distance_m: float = 0.0) -> Any:

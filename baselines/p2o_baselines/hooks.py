@@ -12,17 +12,25 @@ from p2o import Method, hookimpl
 @hookimpl
 def p2o_image_extractors() -> Iterator[Method]:
     """Offer the image sides."""
-    from p2o_baselines import canny, hed
+    from p2o_baselines import canny, grey, hed
 
-    yield from (canny.METHOD, hed.METHOD)
+    yield from (canny.METHOD, grey.METHOD, hed.METHOD)
+
+
+@hookimpl
+def p2o_cloud_extractors() -> Iterator[Method]:
+    """Offer the LiDAR sides."""
+    from p2o_baselines import reflectance
+
+    yield reflectance.METHOD
 
 
 @hookimpl
 def p2o_matchers() -> Iterator[Method]:
     """Offer the matchers."""
-    from p2o_baselines import nearest
+    from p2o_baselines import gom, mi, nearest, nid, nmi
 
-    yield nearest.METHOD
+    yield from (gom.METHOD, mi.METHOD, nearest.METHOD, nid.METHOD, nmi.METHOD)
 
 
 @hookimpl

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from typing import TypeVar
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import p2o
 from p2o.arrays import Bool, Float
 from p2o.problems.pairing import PairingOptions, assemble, pair
+
+from p2o_baselines.remembered import remembered
 
 Edges = TypeVar("Edges", p2o.ImageEdges, p2o.CloudEdges)
 
@@ -31,18 +32,6 @@ def _heaviest(place: Float, weight: Float) -> Bool:
     keep = np.ones(len(order), np.bool_)
     keep[order[1:]] = (ordered[1:] != ordered[:-1]).any(axis=1)
     return keep
-
-
-def remembered(make: Callable[[Edges], Edges]) -> Callable[[Edges], Edges]:
-    """Return `make` with its results kept as long as its argument lives: search trees serve all rounds then."""
-    known: WeakKeyDictionary[Edges, Edges] = WeakKeyDictionary()
-
-    def look_up(edges: Edges) -> Edges:
-        if edges not in known:
-            known[edges] = make(edges)
-        return known[edges]
-
-    return look_up
 
 
 def build(options: NearestOptions) -> p2o.Matcher:

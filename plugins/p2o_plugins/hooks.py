@@ -36,9 +36,12 @@ def p2o_matchers() -> Iterator[Method]:
 @hookimpl
 def p2o_solvers() -> Iterator[Method]:
     """Offer the solvers."""
-    from p2o_plugins.solve import ceres, lm, nelder_mead, scipy_least_squares
+    from p2o_plugins.solve import barzilai_borwein, bfgs, ceres, cma_es, lm, nelder_mead, particle_swarm
+    from p2o_plugins.solve import scipy_least_squares as scipy_
 
-    yield from (ceres.METHOD, lm.METHOD, nelder_mead.METHOD, scipy_least_squares.METHOD)
+    residuals = (ceres.METHOD, lm.METHOD, scipy_.METHOD)
+    costs = (barzilai_borwein.METHOD, bfgs.METHOD, cma_es.METHOD, nelder_mead.METHOD, particle_swarm.METHOD)
+    yield from (*residuals, *costs)
 
 
 @hookimpl

@@ -230,13 +230,24 @@ def _matcher(offer: Offer, stage: Callable[..., Any]) -> Any:
 
         return checked_cost
 
+    def guarded_gradient(gradient: Callable[[Float], Float]) -> Callable[[Float], Float]:
+        def checked_gradient(pose: Float) -> Float:
+            with _watch(offer, "computing its gradient"):
+                values = np.asarray(gradient(pose), dtype=np.float64)
+            if values.shape != (6,) or not np.isfinite(values).all():
+                raise _fault(offer, f"gradient returned shape {values.shape}", "(6,), finite")
+            return values
+
+        return checked_gradient
+
     def match(views: Any, camera_from_lidar: Float, reach_px: float, /) -> Any:
         with _watch(offer, "matching"):
             problem = stage(views, camera_from_lidar, reach_px)
         if isinstance(problem, LeastSquares):
             return problem
         _typed(offer, problem, LeastSquares, Objective)
-        return replace(problem, cost=guarded_cost(problem.cost))
+        gradient = None if problem.gradient is None else guarded_gradient(problem.gradient)
+        return replace(problem, cost=guarded_cost(problem.cost), gradient=gradient)
 
     own = getattr(stage, "judge", None)
     if own is None:

@@ -19,7 +19,8 @@ class Example:
 
     `data` is DATASET:PATH of a dataset that needs no files, `perturb` the start, `within` what the result must reach
     as in `p2o run`; `joint` calibrates all frames together, `accumulate` joins their sweeps before. A matcher says
-    which `extractor` (IMAGE/CLOUD), `solver` and `init` go with it; what is left out takes the default of a recipe.
+    which `extractor` (IMAGE/CLOUD), `solver` and `init` go with it, and what to set besides (`settings`, as for
+    `--set`: "pipeline.rounds=1"); what is left out takes the default of a recipe.
     """
 
     data: str
@@ -30,6 +31,7 @@ class Example:
     solver: str = ""
     init: str = ""
     accumulate: str = ""
+    settings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

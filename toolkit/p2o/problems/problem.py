@@ -24,9 +24,16 @@ class Problem(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """A scalar cost: `cost` takes camera_from_lidar (B, 4, 4) and returns (B,), lower is better."""
+    """A scalar cost: `cost` takes camera_from_lidar (B, 4, 4) and returns (B,), lower is better.
+
+    Optional, for one pose (4, 4): `gradient`, the derivatives (6,) of the cost by a left update in radians and metres
+    in the camera frame, where solvers would take differences; and `covariance`, the (6, 6) of such an update where the
+    pose is the optimum, or None where it cannot be told, which solvers hand on with their solution.
+    """
 
     cost: Callable[[Float], Float]
+    gradient: Callable[[Float], Float] | None = None
+    covariance: Callable[[Float], Float | None] | None = None
 
 
 class LeastSquares:

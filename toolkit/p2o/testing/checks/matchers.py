@@ -9,6 +9,7 @@ import numpy as np
 
 from p2o.features.side import Side
 from p2o.features.view import View
+from p2o.geometry import se3
 from p2o.geometry.perturb import parse_perturbation
 from p2o.host.method import Kind
 from p2o.problems.point_to_line import PointToLine
@@ -148,6 +149,22 @@ def costs_are_one_a_pose(subject: Subject) -> None:
     require(np.allclose(costs, alone, rtol=1e-5), "poses cost other when asked for alone")
 
 
+@CHECKS.of(but(_residuals))
+def gradients_agree_with_differences(subject: Subject) -> None:
+    """Where an objective gives a gradient, differences of its cost point the same way."""
+    problem = subject.once(_problem)
+    if getattr(problem, "gradient", None) is None:
+        return
+    pose = around(stage.camera_from_lidar(), 0.3, 0.03)[1]
+    step = np.repeat([np.radians(0.02), 0.004], 3)
+    ahead, behind = problem.cost(se3.exp(np.concatenate([np.diag(step), -np.diag(step)])) @ pose).reshape(2, 6)
+    said, seen = problem.gradient(pose) * step, (ahead - behind) / 2
+    require(np.shape(said) == (6,), f"the gradient has shape {np.shape(said)}, not (6,)")
+    # Costs of pictures and points are rough: points come in and go out.
+    cosine = float(said @ seen) / max(float(np.linalg.norm(said) * np.linalg.norm(seen)), 1e-300)
+    require(cosine > 0.9, f"the gradient points elsewhere than differences of the cost (cosine {cosine:.2f})")
+
+
 @CHECKS.of(_residuals)
 def residuals_have_their_shape(subject: Subject) -> None:
     """Residuals are (K,) for one pose and (B, K) for several, alike, finite or NaN; weights and frames are (K,)."""
@@ -195,6 +212,7 @@ def costs_are_those_of_the_residuals(subject: Subject) -> None:
 def the_example_is_solved(subject: Subject) -> None:
     """A calibration of the frames of the example, with the methods it names, comes as near as it promises."""
     from p2o.run.run import calibrate
+    from p2o.run.words import parse_settings
 
     example, offer = subject.example, subject.offer
     assert example is not None
@@ -204,7 +222,7 @@ def the_example_is_solved(subject: Subject) -> None:
         matcher=offer.full_name,
         solver=example.solver or None,
         init=example.init or None,
-        options={"matcher": subject.options.model_dump()},
+        options={**parse_settings(example.settings), "matcher": subject.options.model_dump()},
         perturb=example.perturb,
         joint=example.joint,
         accumulate=example.accumulate or None,

@@ -1,0 +1,212 @@
+"""Costs of mutual information over poses: gradients, bounds, which points count, and the methods made of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import p2o
+import pytest
+from p2o import se3
+from p2o.testing import stage
+from p2o_baselines import gom, grey, mi, nid, nmi, reflectance
+from p2o_baselines.gom import gradients
+from p2o_baselines.information import Sighting, Span, sightings
+
+TRUTH = stage.camera_from_lidar()
+OFF = se3.exp(np.array([0.004, -0.006, 0.003, 0.03, -0.02, 0.04])) @ TRUTH
+every = pytest.mark.parametrize("method", [gom, mi, nid, nmi], ids=lambda m: m.METHOD.name)
+smooth = pytest.mark.parametrize(
+    ("method", "options"),
+    [(mi, {"bins": 32}), (mi, {"bins": 32, "estimator": "james-stein"}), (nid, {"bins": 8})],
+    ids=["mi", "mi-shrunk", "nid"],
+)
+
+
+def views() -> list[p2o.View]:
+    """Return the stage as the extractors see it."""
+    frame = stage.frame()
+    image = grey.build(grey.GreyOptions(blur_sigma_px=2.0))(frame.image)
+    cloud = reflectance.build(reflectance.ReflectanceOptions())(frame.cloud)
+    return [p2o.View("stage", stage.camera(), image, cloud)]
+
+
+def problem(method: ModuleType, seen: list[p2o.View], pose: np.ndarray = OFF, **options: Any) -> p2o.Objective:
+    return method.build(method.METHOD.options(**options))(seen, pose, 5.0)
+
+
+def middle(seen: p2o.View) -> p2o.View:
+    """Return a view of which no point is near the border of the picture: none enters or leaves it."""
+    points = seen.get("cloud-points")
+    keep = stage.camera().in_image(stage.camera().project(se3.apply(TRUTH, points.xyz)), -25.0)
+    return replace(seen, cloud=p2o.CloudFeatures(points=points.select(keep)))
+
+
+@smooth
+def test_gradients_are_those_of_differences(method: ModuleType, options: dict[str, Any]) -> None:
+    posed = problem(method, [middle(view) for view in views()], **options)
+    step = 2e-6
+    ahead, behind = posed.cost(se3.exp(step * np.concatenate([np.eye(6), -np.eye(6)])) @ OFF).reshape(2, 6)
+    assert posed.gradient is not None
+    assert posed.gradient(OFF) == pytest.approx((ahead - behind) / (2 * step), rel=2e-2, abs=1e-3)
+
+
+@every
+def test_points_in_another_order_cost_the_same(method: ModuleType) -> None:
+    [seen] = views()
+    points = seen.get("cloud-points")
+    mixed = points.select(np.random.default_rng(1).permutation(len(points)))
+    other = replace(seen, cloud=p2o.CloudFeatures(points=mixed))
+    # Of all points: which of them are left where there are too many depends on their order.
+    costs = [problem(method, [view], points=10**6).cost(np.stack([TRUTH, OFF])) for view in (seen, other)]
+    assert costs[0] == pytest.approx(costs[1], rel=1e-6)
+
+
+@pytest.mark.parametrize("method", [mi, nid, nmi], ids=lambda m: m.METHOD.name)
+def test_a_picture_with_light_and_dark_exchanged_tells_as_much(method: ModuleType) -> None:
+    [seen] = views()
+    negative = p2o.GreyMap(255.0 - seen.get("image-grey").values)
+    other = replace(seen, image=p2o.ImageFeatures(features=[negative]))
+    costs = [problem(method, [view]).cost(np.stack([TRUTH, OFF])) for view in (seen, other)]
+    assert costs[0] == pytest.approx(costs[1], rel=0.02)
+
+
+@pytest.mark.parametrize("method", [nid, nmi, gom], ids=lambda m: m.METHOD.name)
+def test_only_the_order_of_reflectances_matters(method: ModuleType) -> None:
+    [seen] = views()
+    points = seen.get("cloud-points")
+    other = replace(seen, cloud=p2o.CloudFeatures(points=replace(points, intensity=np.exp(5 * points.intensity))))
+    costs = [problem(method, [view]).cost(np.stack([TRUTH, OFF])) for view in (seen, other)]
+    assert costs[0] == pytest.approx(costs[1], rel=1e-9)
+
+
+@every
+def test_views_without_points_pose_a_cost_that_prefers_no_pose(method: ModuleType) -> None:
+    bare = p2o.View("none", stage.camera(), p2o.ImageFeatures(), p2o.CloudFeatures())
+    costs = problem(method, [bare]).cost(np.stack([TRUTH, OFF]))
+    assert np.isfinite(costs).all()
+    assert costs[0] == costs[1]
+
+
+@every
+def test_a_pose_that_looks_elsewhere_costs_the_most(method: ModuleType) -> None:
+    posed, backwards = problem(method, views(), TRUTH), se3.exp(np.array([0, np.pi, 0, 0, 0, 0])) @ TRUTH
+    there, away = posed.cost(np.stack([TRUTH, backwards]))
+    assert there < away
+
+
+def test_twice_the_frames_halve_the_bound_of_cramer_and_rao() -> None:
+    seen = views()
+    once, twice = (problem(mi, seen * n, TRUTH) for n in (1, 2))
+    assert once.covariance is not None
+    assert twice.covariance is not None
+    # Not exactly: kernels of more points are narrower.
+    ratio = np.diagonal(twice.covariance(TRUTH)) / np.diagonal(once.covariance(TRUTH))
+    assert ratio == pytest.approx(np.full(6, 0.5), rel=0.3)
+
+
+def test_the_bound_is_none_where_the_picture_tells_nothing() -> None:
+    [seen] = views()
+    flat = replace(seen, image=p2o.ImageFeatures(features=[p2o.GreyMap(np.full((240, 480), 90.0))]))
+    posed = problem(mi, [flat], TRUTH)
+    assert posed.covariance is not None
+    assert posed.covariance(TRUTH) is None
+
+
+def test_the_covariance_of_mi_comes_with_the_result() -> None:
+    run = p2o.calibrate(
+        "synthetic:?place=yard&width_px=414&height_px=125&lidar=vlp-16&right=false",
+        extractor="grey/reflectance",
+        matcher="mi",
+        solver="barzilai-borwein",
+        init="given",
+        perturb="0.5deg 0.02m",
+        witness="none",
+        options={"pipeline": {"rounds": 1}, "matcher": {"bins": 32}, "solver": {"max_iterations": 5}},
+    )
+    [row] = run.rows
+    assert row.result.status.solved
+    assert row.result.covariance is not None
+    assert (np.linalg.eigvalsh(row.result.covariance) > 0).all()
+
+
+def test_what_stands_behind_is_hidden() -> None:
+    camera = p2o.Camera.pinhole(100.0, 100.0, 50.0, 50.0, 101, 101)
+    xyz = np.array([[0.0, 0, 5], [0, 0, 5.05], [0, 0, 6], [1.0, 0, 6], [0, 0, -3]])
+    seen = Sighting(camera, p2o.GreyMap(np.zeros((101, 101))), xyz, np.arange(5.0)).visible(np.eye(4), 1.0, 0.1)
+    assert seen.value.tolist() == [0, 1, 3]
+
+
+def test_points_far_out_of_the_picture_are_left_out_and_others_thinned_evenly() -> None:
+    camera = p2o.Camera.pinhole(100.0, 100.0, 50.0, 50.0, 101, 101)
+    x = np.linspace(-20, 20, 401)
+    xyz = np.column_stack([x, np.zeros(401), np.full(401, 10.0)])
+    seen = Sighting(camera, p2o.GreyMap(np.zeros((101, 101))), xyz, x).near_picture(np.eye(4), 10**6)
+    # 50 px and 5 degrees of a focal length of 100 px to either side, 0.1 m a pixel.
+    assert np.abs(seen.value).max() == pytest.approx(10 * (0.505 + np.tan(np.radians(5))), abs=0.1)
+    assert len(seen.near_picture(np.eye(4), 7).value) == 7
+
+
+def test_values_beyond_the_span_go_to_its_ends() -> None:
+    assert Span(0.0, 1.0).levels(np.array([-3.0, 0.0, 0.49, 0.51, 1.0, 9.0]), 2).tolist() == [0, 0, 0, 1, 1, 1]
+
+
+def test_steepness_needs_normals_and_says_how_to_get_them() -> None:
+    points = stage.view().get("cloud-points")
+    bare = replace(stage.view(), cloud=p2o.CloudFeatures(points=replace(points, normal=None)))
+    [seen] = sightings([stage.view()], "normals")
+    assert set(np.round(seen.value).tolist()) <= {0.0, 90.0}
+    with pytest.raises(p2o.InputError, match="normal_neighbours"):
+        list(sightings([bare], "normals"))
+
+
+def test_gradients_of_a_slope_are_the_slope() -> None:
+    turns, tilts = np.meshgrid(np.linspace(-0.2, 0.2, 41), np.linspace(-0.1, 0.1, 21))
+    xyz = 7.0 * np.stack([np.ones_like(turns), np.tan(turns), np.tan(tilts)], -1).reshape(-1, 3)
+    found = gradients(xyz, (xyz[:, 1] / np.linalg.norm(xyz, axis=1)) * 3.0, 8)[21 * 10]
+    beam = xyz / np.linalg.norm(xyz, axis=1, keepdims=True)
+    assert (found * beam[21 * 10]).sum() == pytest.approx(0.0, abs=1e-9)
+    inner = gradients(xyz, 3.0 * beam[:, 1], 8).reshape(21, 41, 3)[10, 20]
+    assert inner == pytest.approx([0, 3, 0], abs=0.2)  # a few per cent less: what keeps single rings solvable
+
+
+def test_normals_are_those_of_the_surface_and_look_at_the_lidar() -> None:
+    exact = stage.view().get("cloud-points")
+    found = reflectance.build(reflectance.ReflectanceOptions(normal_neighbours=12))(stage.frame().cloud)
+    points = found.get("cloud-points")
+    order = np.lexsort(exact.xyz.T)
+    assert points.xyz == pytest.approx(exact.xyz[order])
+    cosine = (points.normal * exact.normal[order]).sum(axis=1)
+    assert np.mean(cosine > 0.99) > 0.9
+    assert ((points.normal * points.xyz).sum(axis=1) <= 0).all()
+
+
+def test_reflectance_keeps_its_bounds_and_ranks() -> None:
+    options = reflectance.ReflectanceOptions(min_range_m=8, max_range_m=15, points=500, equalise=True)
+    points = reflectance.build(options)(stage.frame().cloud).get("cloud-points")
+    distance = np.linalg.norm(points.xyz, axis=1)
+    assert len(points) == 500
+    assert distance.min() >= 8
+    assert distance.max() <= 15
+    assert points.intensity.mean() == pytest.approx(0.5, abs=0.05)
+
+
+@pytest.mark.parametrize("equalise", ["histogram", "local"])
+def test_an_equalised_picture_uses_more_of_its_greys(equalise: str) -> None:
+    rgb = np.repeat((100 + stage.frame().image.rgb // 8), 1)
+    dull = replace(stage.frame().image, rgb=rgb.reshape(stage.frame().image.rgb.shape), right=None, baseline_m=None)
+    spread = [
+        grey.build(grey.GreyOptions(equalise=how))(dull).get("image-grey").values.std() for how in ("none", equalise)
+    ]
+    assert spread[1] > 1.5 * spread[0]
+
+
+def test_a_bilateral_filter_smooths_texture() -> None:
+    rough, smoothed = (
+        grey.build(grey.GreyOptions(bilateral_px=size, blur_sigma_px=0))(stage.frame().image).get("image-grey").values
+        for size in (0, 9)
+    )
+    patch = np.s_[200:230, 200:280]
+    assert smoothed[patch].std() < rough[patch].std()

@@ -1,0 +1,156 @@
+"""Solvers of scalar costs: on a bowl whose lowest place is known, within boxes, by given and numeric gradients."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import p2o
+import pytest
+from p2o import se3
+from p2o.problems.chart import pose_at
+from p2o_plugins.solve import barzilai_borwein, bfgs, cma_es, particle_swarm
+from p2o_plugins.solve.scalar_cost import ScalarCost, StepOptions
+
+from tests.edge_scene import TRUTH
+
+METHODS = {m.METHOD.name: m.METHOD for m in (barzilai_borwein, bfgs, cma_es, particle_swarm)}
+every = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS.keys())
+drawn = pytest.mark.parametrize("method", [cma_es.METHOD, particle_swarm.METHOD], ids=lambda m: m.name)
+START = pose_at(TRUTH, np.array([0.01, -0.015, 0.008, 0.08, -0.1, 0.05]))
+
+
+def off(poses: np.ndarray) -> np.ndarray:
+    """Return how far poses (B, 4, 4) are from the truth, (B, 6): degrees (of small turns) and tenths of metres."""
+    turn = poses[:, :3, :3] @ TRUTH[:3, :3].T
+    axis = np.stack([turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]], 1)
+    return np.concatenate([np.degrees(axis / 2), 10 * (poses[:, :3, 3] - TRUTH[:3, 3])], axis=1)
+
+
+@dataclass
+class Bowl:
+    """The squared distance from the truth; degrees weigh as tenths of metres."""
+
+    scale: float = 1.0
+    offset: float = 0.0
+    asked: list[int] = field(default_factory=list)
+
+    def cost(self, poses: np.ndarray) -> np.ndarray:
+        self.asked.append(len(poses))
+        return self.offset + self.scale * (off(poses) ** 2).sum(axis=1)
+
+
+def built(method: p2o.Method, **options: Any) -> p2o.Solver:
+    if method.extra:
+        pytest.importorskip(method.extra)
+    return method.build(method.options(**options))
+
+
+def apart(pose: np.ndarray, other: np.ndarray) -> tuple[float, float]:
+    step = pose @ se3.inverse(other)
+    return se3.angle_deg(step), se3.distance_m(step)
+
+
+@every
+def test_the_lowest_place_in_the_box_is_found(method: p2o.Method) -> None:
+    solution = built(method)(Bowl(), START)
+    angle, distance = apart(solution.camera_from_lidar, TRUTH)
+    assert angle < 0.02
+    assert distance < 0.02
+    assert solution.cost == pytest.approx(Bowl().cost(solution.camera_from_lidar[None])[0])
+
+
+@every
+@pytest.mark.parametrize("scale", [1e-9, 1e9])
+def test_a_cost_in_other_units_leads_to_the_same_place(method: p2o.Method, scale: float) -> None:
+    solution = built(method)(Bowl(scale, offset=-scale), START)
+    assert max(apart(solution.camera_from_lidar, TRUTH)) < 0.02
+
+
+@every
+def test_no_unknown_leaves_the_box(method: p2o.Method) -> None:
+    solution = built(method, box_deg=0.3, box_m=0.02)(Bowl(), START)
+    turn = np.degrees(se3.rotation_vector(solution.camera_from_lidar[:3, :3] @ START[:3, :3].T))
+    shift = solution.camera_from_lidar[:3, 3] - pose_at(START, np.r_[np.radians(turn), 0, 0, 0])[:3, 3]
+    assert np.abs(turn).max() < 0.3 + 1e-9
+    assert np.abs(shift).max() < 0.02 + 1e-9
+    assert np.abs(turn).max() > 0.29
+    assert np.abs(shift).max() > 0.019
+
+
+@every
+def test_a_cost_that_is_no_number_at_the_start_determines_nothing(method: p2o.Method) -> None:
+    solution = built(method)(p2o.Objective(lambda poses: np.full(len(poses), np.nan)), START)
+    assert solution.status == "singular"
+    assert (solution.camera_from_lidar == START).all()
+
+
+@every
+def test_poses_without_a_cost_are_walked_around(method: p2o.Method) -> None:
+    def cost(poses: np.ndarray) -> np.ndarray:
+        costs = Bowl().cost(poses)
+        return np.where(costs > 2 * Bowl().cost(START[None]), np.nan, costs)
+
+    assert max(apart(built(method)(p2o.Objective(cost), START).camera_from_lidar, TRUTH)) < 0.02
+
+
+@every
+def test_a_flat_cost_leaves_the_start(method: p2o.Method) -> None:
+    solution = built(method)(p2o.Objective(lambda poses: np.ones(len(poses))), START)
+    assert solution.camera_from_lidar == pytest.approx(START, abs=1e-12)
+
+
+@every
+def test_the_covariance_of_the_problem_is_handed_on(method: p2o.Method) -> None:
+    class Sure(Bowl):
+        def covariance(self, pose: np.ndarray) -> np.ndarray:
+            return np.eye(6) * se3.angle_deg(pose)
+
+    solution = built(method)(Sure(), START)
+    assert solution.covariance == pytest.approx(np.eye(6) * se3.angle_deg(solution.camera_from_lidar))
+    assert built(method)(Bowl(), START).covariance is None
+
+
+@drawn
+def test_the_same_seed_draws_the_same_and_another_one_does_not(method: p2o.Method) -> None:
+    once, again, other = (built(method, seed=seed)(Bowl(), START).camera_from_lidar for seed in (1, 1, 2))
+    assert (once == again).all()
+    assert (once != other).any()
+
+
+@drawn
+def test_a_solver_that_draws_leaves_the_common_generator_alone(method: p2o.Method) -> None:
+    np.random.seed(3)  # noqa: NPY002
+    before = np.random.get_state()[1].copy()  # noqa: NPY002
+    built(method)(Bowl(), START)
+    assert (np.random.get_state()[1] == before).all()  # noqa: NPY002
+
+
+def test_a_swarm_is_asked_for_at_once() -> None:
+    bowl = Bowl()
+    built(particle_swarm.METHOD, particles=50, iterations=20, collapsed=0)(bowl, START)
+    assert bowl.asked.count(50) == 20 + 4  # moves, and the first places in each of four boxes
+    assert set(bowl.asked) == {1, 50}
+
+
+def test_a_swarm_finds_the_lowest_of_many_hollows() -> None:
+    def cost(poses: np.ndarray) -> np.ndarray:
+        return (off(poses) ** 2 + 0.5 * (1 - np.cos(3 * np.pi * off(poses)))).sum(axis=1)
+
+    by_swarm = built(particle_swarm.METHOD)(p2o.Objective(cost), START)
+    by_slope = built(bfgs.METHOD)(p2o.Objective(cost), START)
+    assert max(apart(by_swarm.camera_from_lidar, TRUTH)) < 0.05
+    assert by_slope.cost > by_swarm.cost + 0.5
+
+
+def test_numeric_gradients_agree_with_given_ones_in_the_chart() -> None:
+    class Told(Bowl):
+        def gradient(self, pose: np.ndarray) -> np.ndarray:
+            steps = se3.exp(1e-6 * np.concatenate([np.eye(6), -np.eye(6)])) @ pose
+            ahead, behind = self.cost(steps).reshape(2, 6)
+            return (ahead - behind) / 2e-6
+
+    x = np.array([0.3, -0.2, 0.5, 0.1, -0.4, 0.2])
+    numeric, given = (ScalarCost(p, START, 2.0, 0.3).gradient(x, StepOptions()) for p in (Bowl(), Told()))
+    assert numeric == pytest.approx(given, rel=1e-4)
