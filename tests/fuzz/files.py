@@ -233,5 +233,5 @@ def _damaged(rng: Random, data: bytes, suffix: str) -> bytes:
                 + struct.pack(">HH", *(rng.choice((0, 1, 96, 65500)) for _ in range(2)))
                 + data[start + 9 :]
             )
-        return data[:scan] + rng.randbytes(len(data) - scan - 2) + b"\xff\xd9"
+        return data[:scan] + rng.randbytes(max(len(data) - scan - 2, 0)) + b"\xff\xd9"
     return bytes_of(rng, data)
