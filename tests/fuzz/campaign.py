@@ -51,7 +51,7 @@ class Tally:
 
     def __str__(self) -> str:
         lines = []
-        for door in SURFACES:
+        for door in (*SURFACES, "none"):
             here = [v for v in self.verdicts if v.door == door]
             if here:
                 ends = Counter("hung or killed" if v.status is None else str(v.status) for v in here)
@@ -75,7 +75,10 @@ def one(bases: Bases, home: Path, seed: int, number: int, doors: Sequence[str], 
     """Draw a case, run it in the folder `home`, and judge it; the folder stays where a promise was broken."""
     shutil.rmtree(home, ignore_errors=True)
     home.mkdir(parents=True)
-    door, case = draw(Random(f"{seed} {number}"), bases, home, doors)
+    try:
+        door, case = draw(Random(f"{seed} {number}"), bases, home, doors)
+    except Exception as problem:  # a fault of ours: the campaign tells it and goes on
+        return Verdict(number, "none", (), None, 0.0, 0, (f"cannot be drawn: {problem!r}",), home)
     outcome = sandbox.run(case, home)
     found = tuple(broken(case, outcome, home))
     if not found and not keep:
