@@ -12,14 +12,22 @@ from p2o import Method, hookimpl
 @hookimpl
 def p2o_image_extractors() -> Iterator[Method]:
     """Offer the image sides."""
-    from p2o_baselines import canny
+    from p2o_baselines import canny, idt, line_idt, lsd
 
-    yield canny.METHOD
+    yield from (canny.METHOD, idt.IMAGE, line_idt.IMAGE, lsd.METHOD)
+
+
+@hookimpl
+def p2o_cloud_extractors() -> Iterator[Method]:
+    """Offer the LiDAR sides."""
+    from p2o_baselines import line_points, ring_discontinuity
+
+    yield from (line_points.METHOD, ring_discontinuity.METHOD)
 
 
 @hookimpl
 def p2o_matchers() -> Iterator[Method]:
     """Offer the matchers."""
-    from p2o_baselines import nearest
+    from p2o_baselines import idt, line_idt, nearest
 
-    yield nearest.METHOD
+    yield from (idt.METHOD, line_idt.METHOD, nearest.METHOD)

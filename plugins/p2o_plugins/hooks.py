@@ -36,9 +36,10 @@ def p2o_matchers() -> Iterator[Method]:
 @hookimpl
 def p2o_solvers() -> Iterator[Method]:
     """Offer the solvers."""
-    from p2o_plugins.solve import ceres, lm, nelder_mead, scipy_least_squares
+    from p2o_plugins.solve import ceres, coordinate, grid729, lm, nelder_mead, scipy_least_squares
 
-    yield from (ceres.METHOD, lm.METHOD, nelder_mead.METHOD, scipy_least_squares.METHOD)
+    yield from (ceres.METHOD, lm.METHOD, scipy_least_squares.METHOD)
+    yield from (coordinate.METHOD, grid729.METHOD, nelder_mead.METHOD)
 
 
 @hookimpl

@@ -24,9 +24,14 @@ class Problem(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """A scalar cost: `cost` takes camera_from_lidar (B, 4, 4) and returns (B,), lower is better."""
+    """A scalar cost: `cost` takes camera_from_lidar (B, 4, 4) and returns (B,), lower is better.
+
+    `lasting` says that it does not depend on the reach that it was posed with: a round that leaves the pose where it is
+    is the last one then.
+    """
 
     cost: Callable[[Float], Float]
+    lasting: bool = False
 
 
 class LeastSquares:
