@@ -28,6 +28,6 @@ def p2o_cloud_extractors() -> Iterator[Method]:
 @hookimpl
 def p2o_matchers() -> Iterator[Method]:
     """Offer the matchers."""
-    from p2o_baselines import idt, line_idt, nearest
+    from p2o_baselines import gmm, idt, line_idt, nearest
 
-    yield from (idt.METHOD, line_idt.METHOD, nearest.METHOD)
+    yield from (gmm.METHOD, idt.METHOD, line_idt.METHOD, nearest.METHOD)
