@@ -12,22 +12,22 @@ from p2o import Method, hookimpl
 @hookimpl
 def p2o_image_extractors() -> Iterator[Method]:
     """Offer the image sides."""
-    from p2o_baselines import canny, idt, line_idt, lsd
+    from p2o_baselines import canny, canny_long, idt, line_idt, lsd
 
-    yield from (canny.METHOD, idt.IMAGE, line_idt.IMAGE, lsd.METHOD)
+    yield from (canny.METHOD, canny_long.METHOD, idt.IMAGE, line_idt.IMAGE, lsd.METHOD)
 
 
 @hookimpl
 def p2o_cloud_extractors() -> Iterator[Method]:
     """Offer the LiDAR sides."""
-    from p2o_baselines import line_points, ring_discontinuity
+    from p2o_baselines import line_points, plane_lines, ring_discontinuity, voxel_planes
 
-    yield from (line_points.METHOD, ring_discontinuity.METHOD)
+    yield from (line_points.METHOD, plane_lines.METHOD, ring_discontinuity.METHOD, voxel_planes.METHOD)
 
 
 @hookimpl
 def p2o_matchers() -> Iterator[Method]:
     """Offer the matchers."""
-    from p2o_baselines import gmm, idt, line_idt, nearest
+    from p2o_baselines import gmm, idt, knn_line, line_idt, lines, nearest
 
-    yield from (gmm.METHOD, idt.METHOD, line_idt.METHOD, nearest.METHOD)
+    yield from (gmm.METHOD, idt.METHOD, knn_line.METHOD, line_idt.METHOD, lines.METHOD, nearest.METHOD)
