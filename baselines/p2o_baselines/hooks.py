@@ -12,30 +12,33 @@ from p2o import Method, hookimpl
 @hookimpl
 def p2o_image_extractors() -> Iterator[Method]:
     """Offer the image sides."""
-    from p2o_baselines import canny, grey, hed
+    from p2o_baselines import canny, grey, hed, idt, lane_pole_image, line_idt, lsd, masks, smoothness
 
-    yield from (canny.METHOD, grey.METHOD, hed.METHOD)
+    yield from (canny.METHOD, grey.METHOD, hed.METHOD, idt.IMAGE, lane_pole_image.METHOD, line_idt.IMAGE)
+    yield from (lsd.METHOD, masks.METHOD, smoothness.METHOD)
 
 
 @hookimpl
 def p2o_cloud_extractors() -> Iterator[Method]:
     """Offer the LiDAR sides."""
-    from p2o_baselines import reflectance
+    from p2o_baselines import attributes, lane_pole_cloud, line_points, reflectance, returns, ring_discontinuity
 
-    yield reflectance.METHOD
+    yield from (attributes.METHOD, lane_pole_cloud.METHOD, line_points.METHOD, reflectance.METHOD)
+    yield from (returns.METHOD, ring_discontinuity.METHOD)
 
 
 @hookimpl
 def p2o_matchers() -> Iterator[Method]:
     """Offer the matchers."""
-    from p2o_baselines import gom, mi, nearest, nid, nmi
+    from p2o_baselines import crlf, gmm, gom, idt, line_idt, mask_consistency, mi, nearest, nid, nmi, tv_fusion
 
-    yield from (gom.METHOD, mi.METHOD, nearest.METHOD, nid.METHOD, nmi.METHOD)
+    yield from (crlf.METHOD, gmm.METHOD, gom.METHOD, idt.METHOD, line_idt.METHOD, mask_consistency.METHOD)
+    yield from (mi.METHOD, nearest.METHOD, nid.METHOD, nmi.METHOD, tv_fusion.METHOD)
 
 
 @hookimpl
 def p2o_calibrators() -> Iterator[Method]:
     """Offer the whole methods."""
-    from p2o_baselines import picked
+    from p2o_baselines import atop, picked
 
-    yield picked.METHOD
+    yield from (atop.METHOD, picked.METHOD)

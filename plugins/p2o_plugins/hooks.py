@@ -36,12 +36,12 @@ def p2o_matchers() -> Iterator[Method]:
 @hookimpl
 def p2o_solvers() -> Iterator[Method]:
     """Offer the solvers."""
-    from p2o_plugins.solve import barzilai_borwein, bfgs, ceres, cma_es, lm, nelder_mead, particle_swarm
-    from p2o_plugins.solve import scipy_least_squares as scipy_
+    from p2o_plugins.solve import barzilai_borwein, bfgs, ceres, cma_es, coordinate, grid729, lm, nelder_mead
+    from p2o_plugins.solve import particle_swarm, random_shrink, scipy_least_squares
 
-    residuals = (ceres.METHOD, lm.METHOD, scipy_.METHOD)
-    costs = (barzilai_borwein.METHOD, bfgs.METHOD, cma_es.METHOD, nelder_mead.METHOD, particle_swarm.METHOD)
-    yield from (*residuals, *costs)
+    yield from (ceres.METHOD, lm.METHOD, scipy_least_squares.METHOD)
+    yield from (barzilai_borwein.METHOD, bfgs.METHOD, cma_es.METHOD, coordinate.METHOD, grid729.METHOD)
+    yield from (nelder_mead.METHOD, particle_swarm.METHOD, random_shrink.METHOD)
 
 
 @hookimpl

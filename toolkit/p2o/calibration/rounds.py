@@ -16,7 +16,7 @@ from p2o.geometry import se3
 from p2o.host.stages import Matcher, Solver
 from p2o.problems.normal_equations import MIN_PAIRS
 from p2o.problems.point_to_line import PointToLine
-from p2o.problems.problem import LeastSquares, Problem
+from p2o.problems.problem import LeastSquares, Objective, Problem
 from p2o.results.result import Round, Solution, SolverStatus, Status
 
 
@@ -76,7 +76,7 @@ class Rounds:
             turn = _turn("refine", reach, problem, before, pose, cost, accepted=better)
             rounds.append(turn)
             still = turn.step_deg < options.tolerance_deg and turn.step_m < options.tolerance_m
-            if still and reach <= options.min_reach_px:
+            if still and (reach <= options.min_reach_px or (isinstance(problem, Objective) and problem.lasting)):
                 status, reason = Status.CONVERGED, "the last round moved the pose by less than the tolerance"
                 break
             reach = max(options.min_reach_px, reach * options.shrink)

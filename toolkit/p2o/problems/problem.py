@@ -28,12 +28,14 @@ class Objective:
 
     Optional, for one pose (4, 4): `gradient`, the derivatives (6,) of the cost by a left update in radians and metres
     in the camera frame, where solvers would take differences; and `covariance`, the (6, 6) of such an update where the
-    pose is the optimum, or None where it cannot be told, which solvers hand on with their solution.
+    pose is the optimum, or None where it cannot be told, which solvers hand on with their solution. `lasting` says that
+    the cost does not depend on the reach that it was posed with: a round that leaves the pose where it is is the last.
     """
 
     cost: Callable[[Float], Float]
     gradient: Callable[[Float], Float] | None = None
     covariance: Callable[[Float], Float | None] | None = None
+    lasting: bool = False
 
 
 class LeastSquares:

@@ -1,0 +1,148 @@
+"""Inverse distance transforms of edge images, and how well weighted points of a sweep lie on them.
+
+What the methods `idt` and `line-idt` share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import p2o
+from p2o.arrays import Float
+
+_CHUNK = 1 << 17  # points looked up at once, over all poses: about what a core's cache holds
+
+
+@dataclass(frozen=True, eq=False)
+class InverseDistanceMap(p2o.ImageMap):
+    """How near each pixel is to strong edges (H, W): 0 far from all of them, at most the strength of the strongest."""
+
+    word: ClassVar[str] = "image-idt"
+
+
+def edge_strength(grey: Float) -> Float:
+    """Return the largest difference (H, W) of each pixel of `grey` (H, W) to one of its eight neighbours."""
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    grey = np.asarray(grey, np.float64)
+    highest, lowest = (f(grey, size=3, mode="nearest") for f in (maximum_filter, minimum_filter))
+    return np.asarray(np.maximum(highest - grey, grey - lowest))
+
+
+def spread(strength: Float, gamma: float) -> Float:
+    """Return max over all pixels (x, y) of strength gamma^max(|x - u|, |y - v|) at every pixel (u, v), (H, W).
+
+    Exact, by one raster pass down and one up: each takes the best of the half of the eight neighbours that came before.
+    """
+    lost = -np.log(gamma)  # a pixel; in logarithms what is lost adds up
+    at = lost * np.arange(strength.shape[1])
+    with np.errstate(divide="ignore"):  # no edge at all
+        out = np.log(np.asarray(strength, np.float64))
+
+    def beside(row: Float) -> Float:
+        best = row.copy()
+        np.maximum(best[1:], row[:-1], out=best[1:])
+        np.maximum(best[:-1], row[1:], out=best[:-1])
+        return best
+
+    for one in (out, out[::-1, ::-1]):
+        for v, row in enumerate(one):
+            here = row if v == 0 else np.maximum(row, beside(one[v - 1]) - lost)
+            row[:] = np.maximum.accumulate(here + at) - at
+    return np.asarray(np.exp(out))
+
+
+def inverse_distance(strength: Float, alpha: float, gamma: float) -> Float:
+    """Return alpha E + (1 - alpha) max E gamma^distance (H, W) of an edge image E (H, W): Eq. 1 of Levinson and Thrun.
+
+    The distance is Chebyshev's, max(|x - u|, |y - v|).
+    """
+    return np.asarray(alpha * strength + (1 - alpha) * spread(strength, gamma))
+
+
+@dataclass(frozen=True, eq=False)
+class OnMap:
+    """Points of one view: `xyz` (N, 3) m in the LiDAR frame with `weight` (N,), and the map (H, W) of its image.
+
+    `neutral` is what a point outside of the image finds: the mean of the map.
+    """
+
+    camera: p2o.Camera
+    values: Float
+    xyz: Float
+    weight: Float
+    neutral: float
+
+    def sums(self, poses: Float) -> Float:
+        """Return the sum (B,) of weight times map over the points, at poses (B, 4, 4)."""
+        poses = np.asarray(poses, np.float64)
+        size = max(1, _CHUNK // max(len(self.xyz), 1))
+        return np.concatenate([self._at(poses[i : i + size]) @ self.weight for i in range(0, len(poses), size)])
+
+    def _at(self, poses: Float) -> Float:
+        u, v = projected(self.camera, poses, self.xyz)
+        return looked_up(self.values, u, v, self.neutral)
+
+
+def projected(camera: p2o.Camera, poses: Float, xyz: Float) -> tuple[Float, Float]:
+    """Return u and v (B, N) in px of points (N, 3) m at poses (B, 4, 4); NaN where nothing is seen."""
+    if not camera.is_pinhole:
+        uv = camera.project(p2o.se3.apply(poses, xyz))
+        return uv[..., 0], uv[..., 1]
+    fx, fy, cx, cy = camera.params
+    matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]) @ poses[:, :3]
+    # One product for all poses, far quicker than one for each.
+    u, v, depth = np.moveaxis(
+        (matrix.reshape(-1, 4) @ np.vstack([xyz.T, np.ones(len(xyz))])).reshape(len(poses), 3, -1), 1, 0
+    )
+    inverse = np.divide(1.0, depth, out=np.full(depth.shape, np.nan), where=depth > 1e-6)
+    return u * inverse, v * inverse
+
+
+def looked_up(values: Float, u: Float, v: Float, outside: float) -> Float:
+    """Return a map (H, W) at pixels u and v (...), bilinear; `outside` the picture, and where they are NaN."""
+    height, width = values.shape
+    with np.errstate(invalid="ignore"):
+        inside = (u >= 0) & (v >= 0) & (u <= width - 1) & (v <= height - 1)
+    out = np.full(u.shape, outside)
+    u, v = u[inside], v[inside]
+    column, row = u.astype(np.int32), v.astype(np.int32)
+    u -= column
+    v -= row
+    flat, index = values.ravel(), row * np.int32(width) + column
+    # On the last column and row the share of what lies beyond is zero.
+    right, below = column < width - 1, np.int32(width) * (row < height - 1)
+    upper, lower = flat[index], flat[index + below]
+    upper += u * (flat[index + right] - upper)
+    lower += u * (flat[index + below + right] - lower)
+    out[inside] = upper + v * (lower - upper)
+    return out
+
+
+def mean_on_maps(parts: Sequence[OnMap], poses: Float) -> Float:
+    """Return the weighted mean (B,) of the maps at the points of all views together; 0 without any point."""
+    weight = sum(float(part.weight.sum()) for part in parts)
+    total = sum((part.sums(poses) for part in parts), np.zeros(len(poses)))
+    return np.asarray(total / weight if weight > 0 else total)
+
+
+def on_maps(
+    views: Sequence[p2o.View], camera_from_lidar: Float, max_points: int, margin_px: float = 100.0
+) -> list[OnMap]:
+    """Return the cloud edges of all views with the maps of their images, `max_points` of each view at most.
+
+    They are those that a pose (4, 4) brings into the image or within `margin_px` of it, spread evenly over their order.
+    Views without edges or map are left out.
+    """
+    parts = []
+    for view in views:
+        found, edges = view.get(InverseDistanceMap.word), view.cloud_edges
+        if found is None or not len(edges):
+            continue
+        uv = view.camera.project(p2o.se3.apply(camera_from_lidar, edges.xyz))
+        near = edges.select(view.camera.in_image(uv, margin_px)).thinned(max_points)
+        parts.append(OnMap(view.camera, found.values, near.xyz, near.weight, float(found.values.mean())))
+    return parts

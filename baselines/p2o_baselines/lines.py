@@ -1,0 +1,155 @@
+"""Lines of the sweep on planes through lines of the image, `--extractor lsd/plane-lines --matcher lines`.
+
+Moghadam, Bosse and Zlot, Line-based Extrinsic Calibration of Range and Image Sensors, ICRA 2013. A line of the image and
+the camera's centre span a plane with the unit normal n. A 3D line with point p and direction d lies in it where
+n . (R d) = 0 and n . (R p + t) = 0. Each 3D line takes the nearest image line; the robust sum over both residuals of all
+pairs is minimised (solver `lm`), and pairs are looked for anew.
+
+Made for dense clouds of indoor scenes; `--accumulate poses` and streets with houses come nearest to that.
+
+Departures: what is nearest is said by the reach of the round, an angle, and an overlap (theirs is not known to us in
+detail). Residuals are in pixels: the offset is divided by the range of the point and times the focal length; the direction
+too, times half the length of the 3D line, so that it is by how much the ends are off, and short lines, whose direction is
+unsure, do not outweigh long ones. The start is given, as theirs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import p2o
+from p2o.arrays import Float, Int
+
+
+class LinesOptions(p2o.Options):
+    """Options of `lines`."""
+
+    max_angle_deg: float = p2o.field(8.0, gt=0, le=90, help="Largest angle in the image between lines that are paired.")
+    huber_px: float = p2o.field(2.0, gt=0, help="Residual from which a pair counts linearly and no longer squared.")
+
+
+@dataclass(frozen=True, eq=False)
+class LinesInPlanes(p2o.LeastSquares):
+    """Residuals scale normal . (R vector + whole t): offsets where `whole` is 1, directions where it is 0.
+
+    `vector` (K, 3) m in the LiDAR frame, `normal` (K, 3) unit in the camera frame, `scale` (K,) px/m, `whole` (K,).
+    """
+
+    vector: Float
+    normal: Float
+    scale: Float
+    whole: Float
+    frame: Int
+    huber_px: float = 2.0
+
+    @property
+    def weight(self) -> Float:  # type: ignore[override]
+        """One each."""
+        return np.ones(len(self.vector))
+
+    @property
+    def huber(self) -> float:
+        """The width of the Huber kernel in pixels."""
+        return self.huber_px
+
+    @property
+    def far(self) -> float:
+        """The largest residual that counts."""
+        return 50.0 * self.huber_px
+
+    def depth_m(self, camera_from_lidar: Float) -> float:
+        """Return the mean distance of the lines from the camera."""
+        points = self.vector[self.whole > 0]
+        if not len(points):
+            return 30.0
+        return float(np.linalg.norm(p2o.se3.apply(camera_from_lidar, points), axis=1).mean())
+
+    def _turned(self, pose: Float) -> Float:
+        """Return R vector + whole t, (..., K, 3)."""
+        turned = self.vector @ np.swapaxes(pose[..., :3, :3], -1, -2)
+        return np.asarray(turned + self.whole[:, None] * pose[..., None, :3, 3])
+
+    def residuals(self, camera_from_lidar: Float) -> Float:
+        """Return signed residuals in pixels, (K,) for one pose or (B, K) for several."""
+        turned = self._turned(np.asarray(camera_from_lidar, np.float64))
+        return np.asarray(self.scale * (turned * self.normal).sum(axis=-1))
+
+    def residuals_with_jacobian(self, camera_from_lidar: Float) -> tuple[Float, Float]:
+        """Return residuals (K,) and derivatives (K, 6) for a left update exp(delta) @ camera_from_lidar."""
+        turned = self._turned(np.asarray(camera_from_lidar, np.float64))
+        by_turn, by_shift = np.cross(turned, self.normal), self.whole[:, None] * self.normal
+        jacobian = self.scale[:, None] * np.concatenate([by_turn, by_shift], axis=1)
+        return np.asarray(self.scale * (turned * self.normal).sum(axis=-1)), jacobian
+
+
+def build(options: LinesOptions) -> p2o.Matcher:
+    """Return the matcher `(views, camera_from_lidar (4, 4), reach_px) -> LinesInPlanes`."""
+
+    def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> LinesInPlanes:
+        parts = [_rows(view, camera_from_lidar, reach_px, options) for view in views]
+        frame = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+        rows = np.concatenate([np.zeros((0, 8)), *parts])
+        return LinesInPlanes(rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7], frame, options.huber_px)
+
+    return match
+
+
+def nearest_lines(uv: Float, ends: Float, reach_px: float, max_angle_deg: float) -> Int:
+    """Return for each projected segment (M, 2, 2) px the row of the nearest of `ends` (N, 2, 2) px, -1 where there is none.
+
+    Both its ends are within `reach_px` of the line, the angle between them is small enough, and its middle lies beside the
+    segment, or beyond its end by `reach_px` at most. NaN (not in view) has none.
+    """
+    out = np.full(len(uv), -1)
+    if not len(uv) or not len(ends):
+        return out
+    middle, along = ends.mean(axis=1), ends[:, 1] - ends[:, 0]
+    length = np.linalg.norm(along, axis=1)
+    along = along / length[:, None]
+    normal = along[:, ::-1] * [-1.0, 1.0]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        turn = uv[:, 1] - uv[:, 0]
+        turn = turn / np.linalg.norm(turn, axis=1, keepdims=True)
+        off = np.abs(uv @ normal.T - (middle * normal).sum(axis=1)).max(axis=1)  # (M, N)
+        good = (off <= reach_px) & (np.abs(turn @ normal.T) <= np.sin(np.radians(max_angle_deg)))
+        beside = np.abs(uv.mean(axis=1) @ along.T - (middle * along).sum(axis=1))
+        good &= beside <= 0.5 * length + reach_px
+    rows = np.flatnonzero(good.any(axis=1))
+    out[rows] = np.where(good[rows], off[rows], np.inf).argmin(axis=1)
+    return out
+
+
+def _rows(view: p2o.View, pose: Float, reach_px: float, options: LinesOptions) -> Float:
+    """Return rows (K, 8) of one view: vector, normal, scale, whole; two for each pair of lines."""
+    image, cloud = view.get("image-lines"), view.get("cloud-lines")
+    if not image or not cloud:
+        return np.zeros((0, 8))
+    xyz = p2o.se3.apply(pose, cloud.ends.reshape(-1, 3))
+    uv = view.camera.project(xyz).reshape(-1, 2, 2)
+    uv[~view.camera.in_image(uv).all(axis=1)] = np.nan
+    chosen = nearest_lines(uv, image.ends, reach_px, options.max_angle_deg)
+    pairs = np.flatnonzero(chosen >= 0)
+    normal = np.cross(*np.moveaxis(view.camera.rays(image.ends[chosen[pairs]]), 1, 0))
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    told = np.isfinite(length[:, 0]) & (length[:, 0] > 1e-9)
+    pairs, normal = pairs[told], normal[told] / length[told]
+    ends = cloud.ends[pairs]
+    point, half = ends.mean(axis=1), 0.5 * (ends[:, 1] - ends[:, 0])
+    scale = view.camera.focal_px / np.linalg.norm(p2o.se3.apply(pose, point), axis=1)
+    one = np.ones(len(pairs))
+    offsets = np.column_stack([point, normal, scale, one])
+    directions = np.column_stack([half, normal, scale, 0 * one])
+    return np.concatenate([offsets, directions])
+
+
+METHOD = p2o.Method(
+    name="lines",
+    build=build,
+    options=LinesOptions,
+    summary="Lines of the sweep on planes through the nearest lines of the image: direction and offset.",
+    needs={"image-lines", "cloud-lines"},
+    gives={"residuals"},
+    cite="Moghadam, Bosse and Zlot, Line-based Extrinsic Calibration of Range and Image Sensors, ICRA 2013",
+)
