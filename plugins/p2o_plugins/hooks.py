@@ -36,9 +36,9 @@ def p2o_matchers() -> Iterator[Method]:
 @hookimpl
 def p2o_solvers() -> Iterator[Method]:
     """Offer the solvers."""
-    from p2o_plugins.solve import ceres, lm, nelder_mead, scipy_least_squares
+    from p2o_plugins.solve import ceres, lm, nelder_mead, random_shrink, scipy_least_squares
 
-    yield from (ceres.METHOD, lm.METHOD, nelder_mead.METHOD, scipy_least_squares.METHOD)
+    yield from (ceres.METHOD, lm.METHOD, nelder_mead.METHOD, random_shrink.METHOD, scipy_least_squares.METHOD)
 
 
 @hookimpl
