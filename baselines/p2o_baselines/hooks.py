@@ -12,14 +12,22 @@ from p2o import Method, hookimpl
 @hookimpl
 def p2o_image_extractors() -> Iterator[Method]:
     """Offer the image sides."""
-    from p2o_baselines import canny
+    from p2o_baselines import canny, masks
 
-    yield canny.METHOD
+    yield from (canny.METHOD, masks.METHOD)
+
+
+@hookimpl
+def p2o_cloud_extractors() -> Iterator[Method]:
+    """Offer the LiDAR sides."""
+    from p2o_baselines import attributes
+
+    yield attributes.METHOD
 
 
 @hookimpl
 def p2o_matchers() -> Iterator[Method]:
     """Offer the matchers."""
-    from p2o_baselines import nearest
+    from p2o_baselines import mask_consistency, nearest
 
-    yield nearest.METHOD
+    yield from (mask_consistency.METHOD, nearest.METHOD)

@@ -49,7 +49,9 @@ def build(options: RandomShrinkOptions) -> p2o.Solver:
         rng = np.random.default_rng(options.seed)
         best, least, tried = start, float(costs_of(problem, start[None])[0]), 1
         if not np.isfinite(least):
-            return p2o.Solution(start, np.inf, 0, p2o.SolverStatus.SINGULAR, None, "the cost of the start is not finite")
+            return p2o.Solution(
+                start, np.inf, 0, p2o.SolverStatus.SINGULAR, None, "the cost of the start is not finite"
+            )
         if isinstance(problem, p2o.LeastSquares) and not len(problem):
             return p2o.Solution(start, 0.0, 0, p2o.SolverStatus.SINGULAR, None, "there are no pairs")
         range_deg, range_m, last = options.range_deg, options.range_m, False
