@@ -12,7 +12,6 @@ import p2o
 from p2o.arrays import Bool, Int, UInt8, checked
 from p2o.files.file_names import folder_name
 from p2o.files.input_file import existing_folder, naming, read_bytes
-from scipy.ndimage import binary_dilation, binary_erosion
 
 LAYERS = 4
 """Masks that may cover one pixel, as in the released code of CalibAnything."""
@@ -50,23 +49,24 @@ def masks_of(shapes: Sequence[Bool], size: tuple[int, int], most: int, least_px:
     labels = np.full((*size, LAYERS), -1, np.int64)
     areas: list[int] = []
     for shape in (bordered(np.asarray(shapes[k], np.bool_)) for k in chosen):
-        free = (labels < 0) & shape[..., None]
-        first = np.argmax(free, axis=2)
-        rows, columns = np.nonzero(free.any(axis=2))
-        labels[rows, columns, first[rows, columns]] = len(areas)
+        rows, columns = np.nonzero(shape)
+        free = labels[rows, columns] < 0
+        rows, columns, layer = (values[free.any(axis=1)] for values in (rows, columns, np.argmax(free, axis=1)))
+        labels[rows, columns, layer] = len(areas)
         areas.append(len(rows))
     return ImageMasks(labels, np.array(areas, np.int64))
 
 
 def bordered(shape: Bool) -> Bool:
     """Return a mask (H, W), of a large one only the band along its border, that of the image not counted."""
+    import cv2
+
     share = float(shape.mean())
     if share < 0.02:
         return shape
-    edge = shape & ~binary_erosion(shape, np.ones((3, 3)), border_value=1)
-    width = 2 * int(30 + 1 / share) + 1
-    near = binary_dilation(binary_dilation(edge, np.ones((width, 1))), np.ones((1, width)))
-    return np.asarray(shape & near)
+    width = 2 * int(30 + 1 / share) + 3
+    inner = cv2.erode(shape.astype(np.uint8), np.ones((width, width), np.uint8), borderValue=1)
+    return np.asarray(shape & (inner == 0))
 
 
 def parts_of(labels: Int) -> list[Bool]:

@@ -11,7 +11,7 @@ of the points that its size lets expect. A frame costs 2 where no mask counts, o
 that points reach holds less than a tenth of the usual density.
 
 Departures from the paper and its code (OpenCalib/CalibAnything): masks are OpenCV's graph segments where `masks` names
-no folder (the paper's are SAM's); normals are counted in cells of about 8 deg, each with the mean direction of its
+no folder (the paper's are SAM's); normals are counted in cells of about 15 deg, each with the mean direction of its
 normals, so that S_n is exact for flat surfaces and off by some thousandths else; segments beyond the sixth largest of a
 mask are left out of S_s (they have 1/64 of the weight or less); at most `points` points are taken; the band that points
 reach is measured, theirs is a setting. The weights, and all thresholds not named above, are those of the code.
@@ -80,7 +80,7 @@ def scores_of(cell: Float, alike: Float, strength: Float, squared: Float, segmen
     return Scores(normal, 1.0 - deviation, single, count, segmented)
 
 
-def cells_of(normal: Float, across: int = 12) -> tuple[Int, Float]:
+def cells_of(normal: Float, across: int = 6) -> tuple[Int, Float]:
     """Return in which cell (N,) of directions each normal (N, 3) lies, up to its sign, and |n_a . n_b| of all cells.
 
     Cells are squares on the faces of a cube; each stands for the mean of its normals.

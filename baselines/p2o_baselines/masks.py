@@ -20,7 +20,7 @@ class MasksOptions(p2o.Options):
     """Options of `masks`."""
 
     graph_scales: tuple[float, ...] = p2o.field(
-        (100.0, 400.0), max_length=3, help="Scales k of the graph segments: larger ones give larger segments."
+        (100.0, 400.0, 1500.0), max_length=3, help="Scales k of the graph segments: larger ones give larger segments."
     )
     graph_sigma_px: float = p2o.field(0.5, gt=0, le=10, help="Width of the blur before the graph segments.")
     superpixels: Literal["none", "slic", "seeds"] = p2o.field("none", help="Superpixels that are taken as masks too.")
