@@ -12,22 +12,22 @@ from p2o import Method, hookimpl
 @hookimpl
 def p2o_image_extractors() -> Iterator[Method]:
     """Offer the image sides."""
-    from p2o_baselines import canny, masks
+    from p2o_baselines import canny, lane_pole_image, masks
 
-    yield from (canny.METHOD, masks.METHOD)
+    yield from (canny.METHOD, lane_pole_image.METHOD, masks.METHOD)
 
 
 @hookimpl
 def p2o_cloud_extractors() -> Iterator[Method]:
     """Offer the LiDAR sides."""
-    from p2o_baselines import attributes
+    from p2o_baselines import attributes, lane_pole_cloud
 
-    yield attributes.METHOD
+    yield from (attributes.METHOD, lane_pole_cloud.METHOD)
 
 
 @hookimpl
 def p2o_matchers() -> Iterator[Method]:
     """Offer the matchers."""
-    from p2o_baselines import mask_consistency, nearest
+    from p2o_baselines import crlf, mask_consistency, nearest
 
-    yield from (mask_consistency.METHOD, nearest.METHOD)
+    yield from (crlf.METHOD, mask_consistency.METHOD, nearest.METHOD)
