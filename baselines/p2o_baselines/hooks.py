@@ -31,3 +31,11 @@ def p2o_matchers() -> Iterator[Method]:
     from p2o_baselines import crlf, mask_consistency, nearest, tv_fusion
 
     yield from (crlf.METHOD, mask_consistency.METHOD, nearest.METHOD, tv_fusion.METHOD)
+
+
+@hookimpl
+def p2o_calibrators() -> Iterator[Method]:
+    """Offer the whole methods."""
+    from p2o_baselines import atop
+
+    yield atop.METHOD
