@@ -1,0 +1,107 @@
+"""Lanes and poles of the sweep on those of the picture: `crlf`, after Ma et al. 2021, without its network.
+
+    p2o run --extractor lane-pole/lane-pole --matcher crlf --solver random-shrink --init given
+            --set pipeline.rounds=1
+
+The cost is minus the share of points of lanes that fall on lanes of the picture, plus that of poles, each kind counting
+half where both are there. A point beside a mask counts by its distance, from 1 on the mask to 0 at `soft_px`; one
+outside of the picture counts nothing, so that no pose gains by losing points.
+
+Departures from the paper and its code (PJLab lidar2camera/auto_calib): masks by shape instead of a network
+(`lane_pole_image`); no start from three lines (P3L), the given one is taken; a linear fall instead of a mask that is
+grown (grey level over 55); the search is `random-shrink` (theirs draws 10000 poses a round, and mixes up degrees and
+metres in its ranges).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import p2o
+from p2o.arrays import Float
+
+from p2o_baselines.lane_pole_cloud import LANE, POLE, LanePolePoints
+from p2o_baselines.lane_pole_image import FAR_PX, LanePoleMap
+
+_AT_ONCE = 1 << 18  # points of several poses that are looked up together
+
+
+class CrlfOptions(p2o.Options):
+    """Options of `crlf`; all ours."""
+
+    soft_px: float = p2o.field(6.0, gt=0.5, le=FAR_PX, help="A point so far from its mask counts nothing.")
+    points: int = p2o.field(4000, ge=10, le=1_000_000, help="Points of a frame that are taken, spread evenly.")
+    margin_px: float = p2o.field(60.0, ge=0, le=1000, help="Points so far outside of the picture are taken too.")
+
+
+@dataclass(frozen=True, eq=False)
+class LanePoleView:
+    """One frame with the points that count at the pose it was posed at; `weight` (N,) sums to 1."""
+
+    camera: p2o.Camera
+    distance: LanePoleMap
+    xyz: Float
+    kind: Float
+    weight: Float
+    soft_px: float
+
+    @classmethod
+    def of(
+        cls, camera: p2o.Camera, away: LanePoleMap, points: LanePolePoints, pose: Float, options: CrlfOptions
+    ) -> LanePoleView | None:
+        """Return the frame as seen at a pose; None where no kind is in both picture and sweep."""
+        near = camera.in_image(camera.project(p2o.se3.apply(pose, points.xyz)), options.margin_px)
+        for kind in (LANE, POLE):
+            if not (away.values[..., kind] < FAR_PX).any():
+                near &= points.kind != kind
+        points = points.select(near).thinned(options.points)
+        if not len(points):
+            return None
+        count = np.bincount(points.kind, minlength=2)
+        weight = (1.0 / np.maximum(count, 1) / np.count_nonzero(count))[points.kind]
+        return cls(camera, away, points.xyz, points.kind, weight, options.soft_px)
+
+    def share(self, poses: Float) -> Float:
+        """Return the share (B,) of the points that lie on their masks at poses (B, 4, 4)."""
+        size = max(1, _AT_ONCE // len(self.xyz))
+        return np.concatenate([self._share(poses[i : i + size]) for i in range(0, len(poses), size)])
+
+    def _share(self, poses: Float) -> Float:
+        uv = self.camera.project(p2o.se3.apply(poses, self.xyz))
+        away = np.take_along_axis(self.distance.at(uv), self.kind[None, :, None], axis=2)[..., 0]
+        on = np.where(np.isfinite(away), np.maximum(1 - away / self.soft_px, 0.0), 0.0)
+        return np.asarray(on @ self.weight)
+
+
+def build(options: CrlfOptions) -> p2o.Matcher:
+    """Return the matcher `(views, camera_from_lidar (4, 4), reach_px) -> Objective`: minus the mean share."""
+
+    def posed(view: p2o.View, pose: Float) -> LanePoleView | None:
+        away, points = view.get(LanePoleMap.word), view.get(LanePolePoints.word)
+        if away is None or points is None or not len(points):
+            return None
+        return LanePoleView.of(view.camera, away, points, pose, options)
+
+    def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> p2o.Objective:
+        known = [each for view in views if (each := posed(view, camera_from_lidar)) is not None]
+
+        def cost(poses: Float) -> Float:
+            return -np.mean([each.share(poses) for each in known], axis=0) if known else np.zeros(len(poses))
+
+        return p2o.Objective(cost)
+
+    return match
+
+
+METHOD = p2o.Method(
+    name="crlf",
+    build=build,
+    options=CrlfOptions,
+    summary="Points of lanes and poles lie on lanes and poles of the picture.",
+    needs={"image-lane-pole", "cloud-lane-pole"},
+    gives={"objective"},
+    cite="Ma et al., CRLF: automatic calibration and refinement based on line feature, arXiv 2103.04558, 2021",
+    expected_failures=(("costs_are_lowest_at_the_truth", "the stage has neither lanes nor poles, only plates"),),
+)
