@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 
 import hypothesis
@@ -11,6 +12,12 @@ import pytest
 # The same examples each time, no files of them, and no stopwatch.
 hypothesis.settings.register_profile("fixed", derandomize=True, database=None, deadline=None, max_examples=200)
 hypothesis.settings.load_profile("fixed")
+
+# Who starts tests in the background (nohup, a shell without jobs) has these ignored, and so would every command that a
+# test starts and interrupts.
+for _name in ("SIGINT", "SIGHUP"):
+    if hasattr(signal, _name) and signal.getsignal(getattr(signal, _name)) is signal.SIG_IGN:
+        signal.signal(getattr(signal, _name), signal.default_int_handler)
 
 DATA = Path(os.environ.get("P2O_DATA", Path(__file__).parents[1] / "build" / "data"))
 

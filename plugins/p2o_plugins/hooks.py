@@ -36,8 +36,19 @@ def p2o_matchers() -> Iterator[Method]:
 @hookimpl
 def p2o_solvers() -> Iterator[Method]:
     """Offer the solvers."""
-    from p2o_plugins.solve import barzilai_borwein, bfgs, ceres, cma_es, coordinate, grid729, lm, nelder_mead
-    from p2o_plugins.solve import particle_swarm, random_shrink, scipy_least_squares
+    from p2o_plugins.solve import (
+        barzilai_borwein,
+        bfgs,
+        ceres,
+        cma_es,
+        coordinate,
+        grid729,
+        lm,
+        nelder_mead,
+        particle_swarm,
+        random_shrink,
+        scipy_least_squares,
+    )
 
     yield from (ceres.METHOD, lm.METHOD, scipy_least_squares.METHOD)
     yield from (barzilai_borwein.METHOD, bfgs.METHOD, cma_es.METHOD, coordinate.METHOD, grid729.METHOD)

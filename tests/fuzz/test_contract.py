@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import signal
 import sys
 import time
@@ -13,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.fuzz import sandbox
+from tests.fuzz import contract, sandbox
 from tests.fuzz.contract import broken
 from tests.fuzz.surfaces import Case
 
@@ -84,6 +85,14 @@ def _nan() -> int:
     return 0
 
 
+@pytest.fixture(autouse=True)
+def _room(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out of account what other tests made this process hold, which its forks begin with."""
+    with open("/proc/self/statm", encoding="ascii") as file:
+        held = int(file.read().split()[1]) * resource.getpagesize()
+    monkeypatch.setattr(contract, "PEAK_BYTES", held + 1_000_000_000)
+
+
 @pytest.mark.parametrize(
     ("command", "fault"),
     [
@@ -92,7 +101,7 @@ def _nan() -> int:
         (_killed, "ended by signal 11"),
         (_busy, "hung"),
         (_asleep, "hung"),
-        (_large, "took 1"),
+        (_large, "took "),
         (_silent, "without a word"),
         (_noisy, "not of p2o: libpng"),
         (_coloured, "control character on stdout"),

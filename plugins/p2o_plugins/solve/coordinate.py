@@ -60,9 +60,7 @@ def build(options: CoordinateOptions) -> p2o.Solver:
                 best = int(np.argmin(found))
                 if found[best] < least:
                     here, least = ahead[best], float(found[best])
-        status = (
-            p2o.SolverStatus.CONVERGED if steps.max() < options.tolerance else p2o.SolverStatus.ITERATIONS_SPENT
-        )
+        status = p2o.SolverStatus.CONVERGED if steps.max() < options.tolerance else p2o.SolverStatus.ITERATIONS_SPENT
         pose = pose_at(start, here * unit)
         return p2o.Solution(pose, float(problem.cost(pose[None])[0]), sweeps, status)
 
