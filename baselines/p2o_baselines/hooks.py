@@ -12,28 +12,30 @@ from p2o import Method, hookimpl
 @hookimpl
 def p2o_image_extractors() -> Iterator[Method]:
     """Offer the image sides."""
-    from p2o_baselines import canny, grey, hed, idt, lane_pole_image, line_idt, lsd, masks, smoothness
+    from p2o_baselines import canny, canny_long, grey, hed, idt, lane_pole_image, line_idt, lsd, masks, smoothness
 
-    yield from (canny.METHOD, grey.METHOD, hed.METHOD, idt.IMAGE, lane_pole_image.METHOD, line_idt.IMAGE)
-    yield from (lsd.METHOD, masks.METHOD, smoothness.METHOD)
+    yield from (canny.METHOD, canny_long.METHOD, grey.METHOD, hed.METHOD, idt.IMAGE, lane_pole_image.METHOD)
+    yield from (line_idt.IMAGE, lsd.METHOD, masks.METHOD, smoothness.METHOD)
 
 
 @hookimpl
 def p2o_cloud_extractors() -> Iterator[Method]:
     """Offer the LiDAR sides."""
-    from p2o_baselines import attributes, lane_pole_cloud, line_points, reflectance, returns, ring_discontinuity
+    from p2o_baselines import attributes, lane_pole_cloud, line_points, plane_lines, reflectance, returns
+    from p2o_baselines import ring_discontinuity, voxel_planes
 
-    yield from (attributes.METHOD, lane_pole_cloud.METHOD, line_points.METHOD, reflectance.METHOD)
-    yield from (returns.METHOD, ring_discontinuity.METHOD)
+    yield from (attributes.METHOD, lane_pole_cloud.METHOD, line_points.METHOD, plane_lines.METHOD)
+    yield from (reflectance.METHOD, returns.METHOD, ring_discontinuity.METHOD, voxel_planes.METHOD)
 
 
 @hookimpl
 def p2o_matchers() -> Iterator[Method]:
     """Offer the matchers."""
-    from p2o_baselines import crlf, gmm, gom, idt, line_idt, mask_consistency, mi, nearest, nid, nmi, tv_fusion
+    from p2o_baselines import crlf, gmm, gom, idt, knn_line, line_idt, lines, mask_consistency, mi, nearest, nid, nmi
+    from p2o_baselines import tv_fusion
 
-    yield from (crlf.METHOD, gmm.METHOD, gom.METHOD, idt.METHOD, line_idt.METHOD, mask_consistency.METHOD)
-    yield from (mi.METHOD, nearest.METHOD, nid.METHOD, nmi.METHOD, tv_fusion.METHOD)
+    yield from (crlf.METHOD, gmm.METHOD, gom.METHOD, idt.METHOD, knn_line.METHOD, line_idt.METHOD, lines.METHOD)
+    yield from (mask_consistency.METHOD, mi.METHOD, nearest.METHOD, nid.METHOD, nmi.METHOD, tv_fusion.METHOD)
 
 
 @hookimpl
