@@ -113,7 +113,7 @@ def test_it_solves_a_road_with_lanes_and_poles():
     from p2o_plugins.solve import random_shrink
 
     start = pose_at(TRUTH, np.array([0.01, -0.012, 0.008, 0.03, -0.02, 0.03]))
-    options = random_shrink.RandomShrinkOptions(range_deg=1.5, range_m=0.08)
+    options = random_shrink.RandomShrinkOptions(range_deg=1.5, range_m=0.08, samples=120)
     found = random_shrink.build(options)(problem, start).camera_from_lidar @ p2o.se3.inverse(TRUTH)
     # Lines of 5 px are 0.7 deg wide: the middle is not told any better by a share of points on them.
     assert p2o.se3.angle_deg(found) < 0.5
