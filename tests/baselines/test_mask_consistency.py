@@ -1,0 +1,167 @@
+"""Masks against normals, reflectance and segments: the scores at their extremes, and files of masks."""
+
+import numpy as np
+import pytest
+from p2o.errors import InputError
+from p2o.testing import stage
+from p2o_baselines import attributes, masks
+from p2o_baselines.cloud_segments import clusters_of, normals_of, one_a_voxel, planes_of
+from p2o_baselines.image_masks import bordered, masks_of, read_masks
+from p2o_baselines.mask_consistency import cells_of, scores_of
+
+
+def scored(normal, strength, segment):
+    """Return the scores of one mask that holds all of these points."""
+    cell, alike = cells_of(np.asarray(normal, float))
+    strength = np.asarray(strength, float)
+    counted = np.bincount(cell, minlength=len(alike))[None].astype(float)
+    return scores_of(
+        counted, alike, strength.sum(keepdims=True), (strength**2).sum(keepdims=True), np.asarray([segment], float)
+    )
+
+
+def test_points_that_are_all_alike_score_one():
+    found = scored([[0, 0, 1], [0, 0, -1], [0, 0, 1]], [0.4, 0.4, 0.4], [3])
+    assert found.normal[0] == pytest.approx(1.0)
+    assert found.strength[0] == pytest.approx(1.0)
+    assert found.segment[0] == pytest.approx(1.0)
+
+
+def test_two_walls_at_a_right_angle_score_one_half():
+    # Of four pairs (a, b) of normals two are parallel and two are at right angles.
+    assert scored([[1, 0, 0], [0, 1, 0]], [0, 0], [2]).normal[0] == pytest.approx(0.5)
+
+
+def test_reflectance_half_black_half_white_scores_one_half():
+    assert scored([[0, 0, 1]] * 4, [0, 0, 1, 1], [4]).strength[0] == pytest.approx(0.5)
+
+
+def test_segments_count_half_as_much_from_one_to_the_next():
+    # Three, two and one points of three segments: (3 + 2 / 2 + 1 / 4) / 6.
+    assert scored([[0, 0, 1]] * 6, [0] * 6, [1, 3, 2]).segment[0] == pytest.approx(4.25 / 6)
+
+
+def test_points_of_no_segment_tell_nothing_of_segments():
+    found = scored([[0, 0, 1]], [0.5], [0])
+    assert found.segmented[0] == 0
+    assert found.segment[0] == 0
+
+
+def test_cells_stand_for_all_pairs_of_normals():
+    normal = np.random.default_rng(0).normal(size=(400, 3)) * [1, 0.2, 0.2]
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    exact = np.abs(normal @ normal.T).mean()
+    assert scored(normal, np.zeros(400), [400]).normal[0] == pytest.approx(exact, abs=0.02)
+
+
+def test_a_large_mask_counts_along_its_border_only():
+    shape = np.zeros((300, 400), bool)
+    shape[20:280, 20:380] = True
+    band = bordered(shape)
+    assert not band[150, 200]
+    assert band[20, 20]
+    assert not (band & ~shape).any()
+
+
+def test_a_small_mask_counts_whole():
+    shape = np.zeros((300, 400), bool)
+    shape[20:40, 20:60] = True
+    assert np.array_equal(bordered(shape), shape)
+
+
+def test_a_pixel_knows_every_mask_that_covers_it():
+    small, large = np.zeros((100, 100), bool), np.zeros((100, 100), bool)
+    small[10:14, 10:14], large[8:20, 8:20] = True, True
+    found = masks_of([large, small], (100, 100), 10, 1)
+    assert sorted(found.labels[12, 12, :2].tolist()) == [0, 1]
+    assert found.labels[18, 18].tolist() == [1, -1, -1, -1]
+    assert found.area_px.tolist() == [16, 144]
+
+
+def test_only_the_largest_masks_count_and_none_that_is_too_small():
+    shapes = [np.zeros((100, 100), bool) for _ in range(3)]
+    for size, shape in zip((3, 5, 9), shapes, strict=True):
+        shape[:size, :size] = True
+    assert masks_of(shapes, (100, 100), 10, 20).area_px.tolist() == [25, 81]
+    assert masks_of(shapes, (100, 100), 1, 1).area_px.tolist() == [81]
+
+
+@pytest.fixture
+def cv2():
+    return pytest.importorskip("cv2")
+
+
+def test_label_images_are_read(tmp_path, cv2):
+    picture = np.zeros((4, 6), np.uint16)
+    picture[0], picture[1] = 7, 300
+    cv2.imwrite(str(tmp_path / "a_b.png"), picture)
+    found = read_masks(str(tmp_path), "a/b", (4, 6))
+    assert [mask.any(axis=1).nonzero()[0].tolist() for mask in found] == [[0], [1]]
+
+
+def test_folders_of_one_picture_a_mask_are_read(tmp_path, cv2):
+    (tmp_path / "a").mkdir()
+    for row in (0, 2):
+        picture = np.zeros((4, 6, 3), np.uint8)
+        picture[row] = 255
+        cv2.imwrite(str(tmp_path / "a" / f"{row}.png"), picture)
+    found = read_masks(str(tmp_path), "a", (4, 6))
+    assert [mask.any(axis=1).nonzero()[0].tolist() for mask in found] == [[0], [2]]
+
+
+def test_masks_of_another_size_are_refused(tmp_path, cv2):
+    cv2.imwrite(str(tmp_path / "a.png"), np.ones((4, 6), np.uint8))
+    with pytest.raises(InputError, match="another size"):
+        read_masks(str(tmp_path), "a", (8, 6))
+
+
+def test_a_frame_without_masks_is_named(tmp_path):
+    with pytest.raises(InputError, match="no masks of this frame"):
+        read_masks(str(tmp_path), "a", (4, 6))
+
+
+def test_the_floor_and_walls_of_a_room_are_its_planes():
+    rng = np.random.default_rng(1)
+    floor = np.column_stack([rng.uniform(0, 20, (3000, 2)), np.zeros(3000)])
+    wall = np.column_stack([np.full(2000, 20.0), rng.uniform(0, 20, 2000), rng.uniform(0.5, 6, 2000)])
+    xyz = np.concatenate([floor, wall])
+    normal = np.concatenate([np.tile([0, 0, 1.0], (3000, 1)), np.tile([1.0, 0, 0], (2000, 1))])
+    found = planes_of(xyz, normal, np.random.default_rng(0), least=1000, band_m=0.2, normal_weight=0.2)
+    assert (found[:3000] == 0).all()
+    assert (found[3000:] == 1).all()
+
+
+def test_clusters_are_what_small_steps_lead_between():
+    line = np.column_stack([np.arange(10) * 0.2, np.zeros(10), np.zeros(10)])
+    xyz = np.concatenate([line, line + [0, 5, 0], [[50, 0, 0]]])
+    assert clusters_of(xyz, 0.25, 5, 100).tolist() == [0] * 10 + [1] * 10 + [-1]
+    assert (clusters_of(xyz, 0.25, 5, 9) == -1).all()
+
+
+def test_normals_of_a_tilted_plane_face_the_sensor():
+    rng = np.random.default_rng(0)
+    across, along = rng.uniform(-3, 3, (2, 500))
+    xyz = np.column_stack([10 + across, along, across])
+    expected = np.array([-1.0, 0.0, 1.0]) / np.sqrt(2)
+    assert np.allclose(normals_of(xyz, 20), expected, atol=1e-6)
+
+
+def test_one_point_a_voxel_is_kept():
+    xyz = np.array([[0.01, 0, 0], [0.02, 0, 0], [0.31, 0, 0]])
+    assert one_a_voxel(xyz, 0.1).tolist() == [0, 2]
+
+
+def test_superpixels_and_graph_segments_can_be_mixed():
+    image = stage.frame().image
+    found = [
+        masks.build(masks.MasksOptions(graph_scales=scales, superpixels=kind))(image).get("image-masks")
+        for scales, kind in (((300.0,), "none"), ((), "slic"), ((), "seeds"), ((300.0,), "slic"))
+    ]
+    assert min(len(each) for each in found) > 0
+    assert len(found[3]) > max(len(found[0]), len(found[1]))
+
+
+def test_reflectance_is_scaled_by_its_largest_value():
+    found = attributes.build(attributes.AttributesOptions())(stage.frame().cloud).get("cloud-segments")
+    assert found.strength.max() == pytest.approx(1.0)
+    assert (found.segment >= 0).mean() > 0.5
