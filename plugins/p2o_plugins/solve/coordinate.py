@@ -1,8 +1,9 @@
 """Search along the six axes with steps of their own that shrink and grow: for any scalar cost, without derivatives.
 
-Hooke and Jeeves, Direct Search Solution of Numerical and Statistical Problems, JACM 8, 1961: each axis is tried one step
-both ways; after a sweep over all axes the change of the sweep is tried once more, which follows valleys that no axis
-points along. Steps that help grow and others shrink, by axis, as in adaptive coordinate search; all figures are ours.
+Hooke and Jeeves, Direct Search Solution of Numerical and Statistical Problems, JACM 8, 1961: each axis is tried one
+step both ways; after a sweep over all axes the change of the sweep is tried once more, which follows valleys that no
+axis points along. Steps that help grow and others shrink, by axis, as in adaptive coordinate search; all figures are
+ours.
 """
 
 from __future__ import annotations
@@ -60,9 +61,7 @@ def build(options: CoordinateOptions) -> p2o.Solver:
                 best = int(np.argmin(found))
                 if found[best] < least:
                     here, least = ahead[best], float(found[best])
-        status = (
-            p2o.SolverStatus.CONVERGED if steps.max() < options.tolerance else p2o.SolverStatus.ITERATIONS_SPENT
-        )
+        status = p2o.SolverStatus.CONVERGED if steps.max() < options.tolerance else p2o.SolverStatus.ITERATIONS_SPENT
         pose = pose_at(start, here * unit)
         return p2o.Solution(pose, float(problem.cost(pose[None])[0]), sweeps, status)
 
