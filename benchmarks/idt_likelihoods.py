@@ -24,7 +24,10 @@ def main() -> None:
     parser.add_argument("--wrong", default="1deg 0.1m")
     said = parser.parse_args()
     wrong, rng = parse_perturbation(said.wrong), np.random.default_rng(0)
-    image, cloud = idt.build_image(idt.ImageOptions()), ring_discontinuity.METHOD.build(ring_discontinuity.METHOD.options())
+    image, cloud = (
+        idt.build_image(idt.ImageOptions()),
+        ring_discontinuity.METHOD.build(ring_discontinuity.METHOD.options()),
+    )
     match, shares = idt.build(idt.IdtOptions()), []
     for frame in open_dataset(said.data, p2o.Registry.load()):
         view = p2o.View(frame.name, frame.camera, image(frame.image), cloud(frame.cloud))

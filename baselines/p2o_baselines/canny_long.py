@@ -1,8 +1,8 @@
 """Long contours of the grey image, `--extractor canny-long/CLOUD`: the image side of Yuan et al. (RA-L 2021).
 
-After hku-mars/livox_camera_calib: Gaussian of 5x5 pixels, Canny with thresholds t and 3 t (t = 20 outdoors, 10 indoors),
-outer contours of more than 200 points. Departures: none known; masked pixels are left out. Where an image is small
-(their issue 59: too few contours, and a crash) lower `min_length_px`.
+After hku-mars/livox_camera_calib: Gaussian of 5x5 pixels, Canny with thresholds t and 3 t (t = 20 outdoors, 10
+indoors), outer contours of more than 200 points. Departures: none known; masked pixels are left out. Where an image is
+small (their issue 59: too few contours, and a crash) lower `min_length_px`.
 """
 
 from __future__ import annotations

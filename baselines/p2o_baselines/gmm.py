@@ -1,8 +1,8 @@
 """Projected LiDAR edges in a Gaussian mixture of the image's edge pixels, whose width shrinks, `--matcher gmm`.
 
 Kang and Doh, Automatic Targetless Camera-LiDAR Calibration by Aligning Edge with Gaussian Mixture Model, JFR 2020:
-maximise sum_i sum_j w_ij exp(-|u_i - q_j|^2 / (2 s^2)) over LiDAR edges u_i and image edge pixels q_j, for widths s that
-shrink. Takes the edges of any image and cloud extractor, without their sides.
+maximise sum_i sum_j w_ij exp(-|u_i - q_j|^2 / (2 s^2)) over LiDAR edges u_i and image edge pixels q_j, for widths s
+that shrink. Takes the edges of any image and cloud extractor, without their sides.
 
 - w_ij is the mean of the weights of both edges, over the number of image edges within 3 s in u and v, so that textured
   places count no more than others (as a public student re-implementation has it, ctyfang/amz-targetless-cal).
@@ -10,13 +10,14 @@ shrink. Takes the edges of any image and cloud extractor, without their sides.
 - Judge: the mixture at the smallest width, at the points that the start brings near the image.
 - Solver: `coordinate` (they: `nelder-mead` from many starts; it takes ten times as long).
 - Basin: from 2 deg and 10 cm on four simulated streets together five of five starts come back with `width` 0.2, with
-  canny/line-points to 0.07 deg and 3 cm; on three streets together one start of one ran away to 4 deg. With 0.4 and wider, which should reach further, some run away by metres.
+  canny/line-points to 0.07 deg and 3 cm; on three streets together one start of one ran away to 4 deg. With 0.4 and
+  wider, which should reach further, some run away by metres.
 
-Departures: pairs beyond 3 s in u or v count nothing; the mixture is summed up in pictures once a round, edge pixels at
-their place rounded down and shared with the next pixel, and looked up between pixels: that is the sum over all pairs but
-for about 1 % at s = 1 px, and takes any number of poses at once. One s for all points rather than one that shrinks with
-range; no mutual information beside it; no basin hopping. A LiDAR edge outside the image counts as the mean of the
-mixture, which neither favours nor punishes leaving it.
+Departures: pairs beyond 3 s in u or v count nothing. The mixture is summed up in pictures once a round and looked up
+between pixels, which takes any number of poses at once: at pixels that is the sum over all pairs where edges lie on
+pixels (those of Canny do), between them it is up to an eighth lower an axis at s = 1 px, a hundredth at 3 px. One s for
+all points rather than one that shrinks with range; no mutual information beside it; no basin hopping. A LiDAR edge
+outside the image counts as the mean of the mixture, which neither favours nor punishes leaving it.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ class GmmOptions(p2o.Options):
 
 
 def scattered(shape: tuple[int, int], uv: Float, weight: Float) -> Float:
-    """Return a picture (H, W) with the weights (N,) of points uv (N, 2) px, each shared by the four pixels around it."""
+    """Return a picture (H, W) with the weights (N,) of points uv (N, 2) px, each shared by four pixels."""
     height, width = shape
     low = np.floor(uv).astype(np.int64)
     share = uv - low

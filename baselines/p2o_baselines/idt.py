@@ -1,4 +1,6 @@
-"""Edges of the sweep on the inverse distance transform of image edges, `--extractor idt/ring-discontinuity --matcher idt`.
+"""Edges of the sweep on the inverse distance transform of image edges, `--matcher idt`.
+
+With `--extractor idt/ring-discontinuity --solver grid729 --init given`.
 
 Levinson and Thrun, Automatic Online Calibration of Cameras and Lasers, RSS 2013.
 
@@ -11,11 +13,12 @@ Levinson and Thrun, Automatic Online Calibration of Cameras and Lasers, RSS 2013
   `probability_right` fuses F over frames by two Gaussians, of right and of wrong poses.
 
 Departures: they sum X_i D(u_i), which favours poses that push more points into the image. Dividing by the points in
-view favours poses that push the worst ones out (on simulated streets one start of three from 1 deg ran to 3.6 deg). So a
-point that leaves the image counts as the mean of D, and all are divided by the weight of all. Points are those within
-100 px of the image at the pose that a round begins from, 1000 a frame at most. Their likelihoods are not to be had; ours are learnt from simulated frames (`RIGHT`, `WRONG`;
-`python benchmarks/idt_likelihoods.py`). They walk one step a frame and never end; `grid729` walks until no neighbour is
-better. Sweeps as measured are corrected for the motion that the pipeline expects or estimates.
+view favours poses that push the worst ones out (on simulated streets one start of three from 1 deg ran to 3.6 deg). So
+a point that leaves the image counts as the mean of D, and all are divided by the weight of all. Points are those within
+100 px of the image at the pose that a round begins from, 1000 a frame at most. Their likelihoods are not to be had;
+ours are learnt from simulated frames (`RIGHT`, `WRONG`; `python benchmarks/idt_likelihoods.py`). They walk one step a
+frame and never end; `grid729` walks until no neighbour is better. Sweeps as measured are corrected for the motion that
+the pipeline expects or estimates.
 """
 
 from __future__ import annotations
@@ -46,7 +49,9 @@ def build_image(options: ImageOptions) -> p2o.ImageExtractor:
         strength = edge_strength(image.grey)
         if image.masked is not None:
             strength = np.where(image.masked, 0.0, strength)
-        return p2o.ImageFeatures(features=[InverseDistanceMap(inverse_distance(strength, options.alpha, options.gamma))])
+        return p2o.ImageFeatures(
+            features=[InverseDistanceMap(inverse_distance(strength, options.alpha, options.gamma))]
+        )
 
     return extract
 

@@ -1,14 +1,14 @@
 """Lines through the nearest image edges, where sweep and image run the same way, `--matcher knn-line`.
 
 The matcher of Yuan et al., Pixel-level Extrinsic Self Calibration of High Resolution LiDAR and Camera in Targetless
-Environments, RA-L 2021, after hku-mars/livox_camera_calib: the five nearest image edges, all within the reach; their main
-direction is the line, that of the five nearest projected cloud edges has to be within 30 deg of it; one cloud edge a
-pixel, the mean of those that fall there. Residual: the distance across the line (their 2D residual has no more). Solver `lm`.
-They shrink the reach from 30 to 11 px in steps of one: here the pipeline shrinks it.
+Environments, RA-L 2021, after hku-mars/livox_camera_calib: the five nearest image edges, all within the reach; their
+main direction is the line, that of the five nearest projected cloud edges has to be within 30 deg of it; one cloud edge
+a pixel, the mean of those that fall there. Residual: the distance across the line (their 2D residual has no more).
+Solver `lm`. They shrink the reach from 30 to 11 px in steps of one: here the pipeline shrinks it.
 
-Departures: lines go through the nearest image edge, as theirs; a Huber kernel of 2 px, where the released code has none;
-no weights by beam and pixel noise (their code computes none either); every lens of p2o, where theirs leaves out k3. Their
-rough stage, a search over rotations, is what `--init search` is for.
+Departures: lines go through the nearest image edge, as theirs; a Huber kernel of 2 px, where the released code has
+none; no weights by beam and pixel noise (their code computes none either); every lens of p2o, where theirs leaves out
+k3. Their rough stage, a search over rotations, is what `--init search` is for.
 """
 
 from __future__ import annotations
@@ -35,7 +35,9 @@ def build(options: KnnLineOptions) -> p2o.Matcher:
     """Return the matcher `(views, camera_from_lidar (4, 4), reach_px) -> PointToLine`."""
 
     def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> p2o.PointToLine:
-        return assemble(views, [_pairs(v, camera_from_lidar, reach_px, options) for v in views], options.huber_px, False)
+        return assemble(
+            views, [_pairs(v, camera_from_lidar, reach_px, options) for v in views], options.huber_px, False
+        )
 
     return match
 

@@ -1,17 +1,19 @@
-"""Lines of the sweep on the inverse distance transform of image lines, `--extractor line-idt/line-points --matcher line-idt`.
+"""Lines of the sweep on the inverse distance transform of image lines, `--matcher line-idt`.
+
+With `--extractor line-idt/line-points --solver coordinate --init given`.
 
 After Zhang et al., Line-Based Automatic Extrinsic Calibration of LiDAR and Camera, ICRA 2021: the row "line-based" of
 Table II of P2O-Calib. The features of Levinson and Thrun, but for lines only, and a search with steps that adapt.
 
-- Image: the largest grey-level difference of a pixel to its eight neighbours, kept within `width_px` of the line segments
-  that LSD finds; then the inverse distance transform with alpha = 1/3 and gamma = 0.98.
+- Image: the largest grey-level difference of a pixel to its eight neighbours, kept within `width_px` of the line
+  segments that LSD finds; then the inverse distance transform with alpha = 1/3 and gamma = 0.98.
 - Sweep: `line-points`; they join three sweeps, `--accumulate poses --set accumulate.past=2 --set accumulate.future=0`.
   One sweep does too, with fewer points.
 - Cost: minus the weighted mean of D(u_i) over the points; solver `coordinate`.
 - Start: they begin within 1.0 deg and 0.05 m. From there eight starts, on ten simulated streets together, end 0.21 to
-  0.60 deg from the truth (median 0.34 deg, 5.4 cm), and with `grid729`, which falls into fewer of the many small minima,
-  0.19 to 0.68 (0.23 deg, 4.4 cm). Single simulated frames end about where they began. They publish about 0.39 deg on
-  KITTI.
+  0.60 deg from the truth (median 0.34 deg, 5.4 cm), and with `grid729`, which falls into fewer of the many small
+  minima, 0.19 to 0.68 (0.23 deg, 4.4 cm). Single simulated frames end about where they began. They publish about 0.39
+  deg on KITTI.
 
 Departures: the text of the paper was not at hand. That images lines are told by LSD, all constants of `line-points` and
 the search's steps are ours; a point that leaves the image counts as the mean of D, as in `idt`.
@@ -53,7 +55,9 @@ def build_image(options: ImageOptions) -> p2o.ImageExtractor:
         for first, last in np.rint(segments(image, options.min_length_px)).astype(int).tolist():
             cv2.line(strokes, first, last, 1, options.width_px)
         strength *= strokes
-        return p2o.ImageFeatures(features=[InverseDistanceMap(inverse_distance(strength, options.alpha, options.gamma))])
+        return p2o.ImageFeatures(
+            features=[InverseDistanceMap(inverse_distance(strength, options.alpha, options.gamma))]
+        )
 
     return extract
 

@@ -7,8 +7,9 @@ discontinuity points of three successive sweeps and keep those that form lines. 
 - A cloud without rings, such as several sweeps joined (`--accumulate poses --set accumulate.past=2 --set
   accumulate.future=0`): the picture that the cloud makes seen from its origin, one cell `cell_deg` wide; in each cell
   that steps back to the next one, the point nearest to it.
-- A point is kept where it and its neighbours within a radius spread along one direction: the largest eigenvalue of their
-  covariance has at least `min_straight` of the trace. It weighs the root of its step, as Levinson and Thrun have it.
+- A point is kept where it and its neighbours within a radius spread along one direction: the largest eigenvalue of
+  their covariance has at least `min_straight` of the trace. It weighs the root of its step, as Levinson and Thrun have
+  it.
 
 Departures: the published filter is not known to us in detail; occlusion by the way from LiDAR to camera is left to the
 pipeline.
@@ -30,8 +31,12 @@ class LinePointsOptions(p2o.Options):
 
     min_jump_m: float = p2o.field(0.5, ge=0, help="Smallest step back in range, in metres.")
     min_jump_share: float = p2o.field(0.03, ge=0, help="Added to that step: this share of the range.")
-    max_gap_deg: float = p2o.field(0.6, gt=0, lt=90, help="Points of a ring further apart in azimuth are no neighbours.")
-    cell_deg: float = p2o.field(0.2, gt=0, le=5, help="Width of a cell of the picture that a cloud without rings makes.")
+    max_gap_deg: float = p2o.field(
+        0.6, gt=0, lt=90, help="Points of a ring further apart in azimuth are no neighbours."
+    )
+    cell_deg: float = p2o.field(
+        0.2, gt=0, le=5, help="Width of a cell of the picture that a cloud without rings makes."
+    )
     max_range_m: float = p2o.field(60.0, gt=1, help="Points farther than this are left out.")
     radius_m: float = p2o.field(0.3, gt=0, help="Radius in which neighbours of a point are looked at, in metres.")
     radius_share: float = p2o.field(0.02, ge=0, help="The radius is at least this share of the range.")
@@ -63,7 +68,7 @@ def discontinuities(cloud: p2o.Cloud, options: LinePointsOptions) -> tuple[Int, 
 
 
 def picture_jumps(xyz: Float, cell: float, min_jump_m: float) -> tuple[Int, Float]:
-    """Return rows and steps back (M,) m of the points next to background in the picture of a cloud (N, 3) at its origin.
+    """Return rows and steps back (M,) m of the points next to background in the picture that a cloud (N, 3) makes.
 
     Columns are `cell` rad wide, rows twice as high. Two cells beside an edge have to show background, so that a gap
     between points of the far surface is none of the near one.

@@ -1,16 +1,16 @@
 """Lines of the sweep on planes through lines of the image, `--extractor lsd/plane-lines --matcher lines`.
 
-Moghadam, Bosse and Zlot, Line-based Extrinsic Calibration of Range and Image Sensors, ICRA 2013. A line of the image and
-the camera's centre span a plane with the unit normal n. A 3D line with point p and direction d lies in it where
-n . (R d) = 0 and n . (R p + t) = 0. Each 3D line takes the nearest image line; the robust sum over both residuals of all
+Moghadam, Bosse and Zlot, Line-based Extrinsic Calibration of Range and Image Sensors, ICRA 2013. A line of the image
+and the camera's centre span a plane with the unit normal n. A 3D line with point p and direction d lies in it where n .
+(R d) = 0 and n . (R p + t) = 0. Each 3D line takes the nearest image line; the robust sum over both residuals of all
 pairs is minimised (solver `lm`), and pairs are looked for anew.
 
 Made for dense clouds of indoor scenes; `--accumulate poses` and streets with houses come nearest to that.
 
 Departures: what is nearest is said by the reach of the round, an angle, and an overlap (theirs is not known to us in
-detail). Residuals are in pixels: the offset is divided by the range of the point and times the focal length; the direction
-too, times half the length of the 3D line, so that it is by how much the ends are off, and short lines, whose direction is
-unsure, do not outweigh long ones. The start is given, as theirs.
+detail). Residuals are in pixels: the offset is divided by the range of the point and times the focal length; the
+direction too, times half the length of the 3D line, so that it is by how much the ends are off, and short lines, whose
+direction is unsure, do not outweigh long ones. The start is given, as theirs.
 """
 
 from __future__ import annotations
@@ -97,10 +97,10 @@ def build(options: LinesOptions) -> p2o.Matcher:
 
 
 def nearest_lines(uv: Float, ends: Float, reach_px: float, max_angle_deg: float) -> Int:
-    """Return for each projected segment (M, 2, 2) px the row of the nearest of `ends` (N, 2, 2) px, -1 where there is none.
+    """Return for each projected segment (M, 2, 2) px the row of the nearest of `ends` (N, 2, 2) px, -1 for none.
 
-    Both its ends are within `reach_px` of the line, the angle between them is small enough, and its middle lies beside the
-    segment, or beyond its end by `reach_px` at most. NaN (not in view) has none.
+    Both its ends are within `reach_px` of the line, the angle between them is small enough, and its middle lies beside
+    the segment, or beyond its end by `reach_px` at most. NaN (not in view) has none.
     """
     out = np.full(len(uv), -1)
     if not len(uv) or not len(ends):

@@ -1,8 +1,8 @@
 """Depth discontinuities along the rings of a spinning LiDAR, `--extractor IMAGE/ring-discontinuity`.
 
 Levinson and Thrun, Automatic Online Calibration of Cameras and Lasers, RSS 2013, Sec. III: each point weighs
-X_i = max(d_(i-1) - d_i, d_(i+1) - d_i, 0)^0.5, d the range and i - 1, i + 1 its neighbours on the ring, so that only the
-nearer side of a jump counts; points whose jump is 0.3 m or less are left out (the figure is theirs as we know it).
+X_i = max(d_(i-1) - d_i, d_(i+1) - d_i, 0)^0.5, d the range and i - 1, i + 1 its neighbours on the ring, so that only
+the nearer side of a jump counts; points whose jump is 0.3 m or less are left out (the figure is theirs as we know it).
 
 Departures: neighbours further apart than `max_gap_deg` are no neighbours (a pulse that did not come back makes no
 jump); of points of one ring under one azimuth the nearest counts.
@@ -25,7 +25,7 @@ class RingDiscontinuityOptions(p2o.Options):
 
 
 def ring_jumps(cloud: p2o.Cloud, min_jump_m: float, max_gap_deg: float) -> tuple[Int, Float]:
-    """Return the points (M,) from which the range steps back along their ring by more than `min_jump_m`, and by how much.
+    """Return the points (M,) from which the range steps back by more than `min_jump_m` along their ring, and the steps.
 
     Points come ring by ring, by rising azimuth. Rings are closed; ranges and azimuths are those that were measured.
     """

@@ -7,7 +7,8 @@ hku-mars/livox_camera_calib, outdoors:
 - points thinned to 0.02 m, voxels of 1 m with more than 50 points;
 - planes by random samples, 0.015 m, at least 60 points, at most 5 a voxel;
 - pairs of planes that meet at 30 to 150 deg, cut where their line leaves the voxel, sampled;
-- a sample is kept where one plane has a point within 0.03 m of it and the other within 0.06 m; more than 10 samples a line.
+- a sample is kept where one plane has a point within 0.03 m of it and the other within 0.06 m; more than 10 samples a
+  line.
 
 For clouds of 1e5 points a frame and more: Livox units that stand, or `--accumulate poses`. A single sweep of a spinning
 LiDAR gives next to nothing, on KITTI nothing at all.
@@ -43,7 +44,9 @@ class VoxelPlanesOptions(p2o.Options):
     near_m: float = p2o.field(0.03, gt=0, le=1, help="One plane has a point this near to an edge, the other twice.")
     near_share: float = p2o.field(1.0, ge=0, le=10, help="Or within this share of the usual gap between its points.")
     sample_m: float = p2o.field(0.02, gt=0, le=1, help="Way between samples of an edge.")
-    min_samples: int = p2o.field(10, ge=1, help="Edges with no more samples than this are dropped; of 5 mm of way each.")
+    min_samples: int = p2o.field(
+        10, ge=1, help="Edges with no more samples than this are dropped; of 5 mm of way each."
+    )
     max_range_m: float = p2o.field(60.0, gt=1, help="Points farther than this are left out.")
     seed: int = p2o.field(0, ge=0, help="Seed of the random samples.")
 

@@ -1,4 +1,5 @@
-"""`lsd`, `plane-lines`, `lines`, `voxel-planes`, `canny-long` and `knn-line`: lines and planes on scenes in closed form."""
+"""Lines and planes on scenes in closed form: `lsd`, `plane-lines`, `lines`, `voxel-planes`, `canny-long`,
+`knn-line`."""
 
 from __future__ import annotations
 

@@ -1,8 +1,9 @@
 """Search along the six axes with steps of their own that shrink and grow: for any scalar cost, without derivatives.
 
-Hooke and Jeeves, Direct Search Solution of Numerical and Statistical Problems, JACM 8, 1961: each axis is tried one step
-both ways; after a sweep over all axes the change of the sweep is tried once more, which follows valleys that no axis
-points along. Steps that help grow and others shrink, by axis, as in adaptive coordinate search; all figures are ours.
+Hooke and Jeeves, Direct Search Solution of Numerical and Statistical Problems, JACM 8, 1961: each axis is tried one
+step both ways; after a sweep over all axes the change of the sweep is tried once more, which follows valleys that no
+axis points along. Steps that help grow and others shrink, by axis, as in adaptive coordinate search; all figures are
+ours.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Walk to the best of the 3^6 neighbours of a pose, with steps that shrink: for any cost, all neighbours at once.
 
 Levinson and Thrun, Automatic Online Calibration of Cameras and Lasers, RSS 2013: every unknown is changed by one step
-down, none or one up; the best of all 729 becomes the pose. They take one such step with each frame. Here it goes on until
-the pose is the best itself, then the steps shrink. All step sizes are ours.
+down, none or one up; the best of all 729 becomes the pose. They take one such step with each frame. Here it goes on
+until the pose is the best itself, then the steps shrink. All step sizes are ours.
 """
 
 from __future__ import annotations
