@@ -21,8 +21,16 @@ def p2o_image_extractors() -> Iterator[Method]:
 @hookimpl
 def p2o_cloud_extractors() -> Iterator[Method]:
     """Offer the LiDAR sides."""
-    from p2o_baselines import attributes, lane_pole_cloud, line_points, plane_lines, reflectance, returns
-    from p2o_baselines import ring_discontinuity, voxel_planes
+    from p2o_baselines import (
+        attributes,
+        lane_pole_cloud,
+        line_points,
+        plane_lines,
+        reflectance,
+        returns,
+        ring_discontinuity,
+        voxel_planes,
+    )
 
     yield from (attributes.METHOD, lane_pole_cloud.METHOD, line_points.METHOD, plane_lines.METHOD)
     yield from (reflectance.METHOD, returns.METHOD, ring_discontinuity.METHOD, voxel_planes.METHOD)
@@ -31,8 +39,21 @@ def p2o_cloud_extractors() -> Iterator[Method]:
 @hookimpl
 def p2o_matchers() -> Iterator[Method]:
     """Offer the matchers."""
-    from p2o_baselines import crlf, gmm, gom, idt, knn_line, line_idt, lines, mask_consistency, mi, nearest, nid, nmi
-    from p2o_baselines import tv_fusion
+    from p2o_baselines import (
+        crlf,
+        gmm,
+        gom,
+        idt,
+        knn_line,
+        line_idt,
+        lines,
+        mask_consistency,
+        mi,
+        nearest,
+        nid,
+        nmi,
+        tv_fusion,
+    )
 
     yield from (crlf.METHOD, gmm.METHOD, gom.METHOD, idt.METHOD, knn_line.METHOD, line_idt.METHOD, lines.METHOD)
     yield from (mask_consistency.METHOD, mi.METHOD, nearest.METHOD, nid.METHOD, nmi.METHOD, tv_fusion.METHOD)
