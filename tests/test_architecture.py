@@ -50,6 +50,9 @@ UPWARD = {
 
 OPEN_MODULES = {
     "arrays",
+    "features.maps",
+    "files.file_names",
+    "geometry.motion",
     "files.array_file",
     "files.input_file",
     "files.parsed_text",

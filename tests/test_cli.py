@@ -439,8 +439,8 @@ DIGITS = 5000 * "9"
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["run", "--matcher", "ogmm"], "unknown matcher 'ogmm'; expected one of: nearest, ogm"),
-        (["run", "--extractor", "canny/rings"], "canny gives no side; ogm needs it; try --matcher nearest"),
+        (["run", "--matcher", "ogmm"], "unknown matcher 'ogmm'; expected one of: crlf, gmm,"),
+        (["run", "--extractor", "canny/rings"], "canny gives no side; ogm needs it; try --matcher knn-line or nearest"),
         (
             ["run", "--set", "matcher.neighbours=0"],
             "matcher.neighbours is out of bounds; expected greater",
@@ -646,11 +646,11 @@ def test_check_plugin_tells_what_it_could_not_check(tmp_path: Path, capsys: pyte
     file.write_text(
         "import p2o\n@p2o.hookimpl\ndef p2o_matchers():\n"
         "    yield p2o.Method(name='lonely', build=lambda o: lambda *given: None, summary='Wants lines.',\n"
-        "        needs={'image-lines'}, gives={'pairs'})\n"
+        "        needs={'image-circles'}, gives={'pairs'})\n"
     )
     assert main(["check-plugin", "lonely", "--plugin", str(file)]) == 0
     out = capsys.readouterr().out
-    said = "n/a   matcher lonely: matches_repeat\n      not applicable: no installed extractor gives image-lines\n"
+    said = "n/a   matcher lonely: matches_repeat\n      not applicable: no installed extractor gives image-circles\n"
     assert said in out
     assert "ok    matcher lonely: builds_twice_offline\n" in out
     assert out.endswith(f"every check passed, {out.count('n/a ')} could not be made\n")

@@ -189,12 +189,12 @@ def test_families_of_staged_methods_keep_every_promise(name: str) -> None:
 
 
 def test_a_matcher_without_an_extractor_of_its_kind_is_not_judged() -> None:
-    lonely = method(lambda *given: None, needs={"image-lines"}, gives={"pairs"})
+    lonely = method(lambda *given: None, needs={"image-circles"}, gives={"pairs"})
     found = outcomes(checks_for(lonely, Kind.MATCHER))
     assert found["failed"] == set()
     assert {"matches_fit_at_the_truth", "no_edges_give_no_matches"} <= found["skipped"]
     [case] = [case for case in checks_for(lonely, Kind.MATCHER) if case.check.name == "matches_repeat"]
-    with pytest.raises(NotApplicable, match="no installed extractor gives image-lines"):
+    with pytest.raises(NotApplicable, match="no installed extractor gives image-circles"):
         case()
 
 

@@ -88,7 +88,7 @@ INFORMATION = Family(
     "mutual_information.py",
     f"{SMALL}&scenes=2&targets=checkerboard&boards=2&lidar=os1-64",
     {
-        "extractor": "blurred-grey/reflectance",
+        "extractor": "blurred-grey/plain-reflectance",
         "matcher": "mutual-information",
         "solver": "nelder-mead",
         "init": "given",
@@ -107,7 +107,7 @@ INFORMATION = Family(
 LINES = Family(
     "line_segments.py",
     f"{SMALL}&scenes=3&targets=holes&boards=2&holder=stand&lidar=os1-128&noise_m=0.01",
-    {"extractor": "lsd/jumps", "matcher": "segments", "solver": "lm", "init": "given", "witness": "none"},
+    {"extractor": "segments/jumps", "matcher": "segments", "solver": "lm", "init": "given", "witness": "none"},
     {"pipeline.reach_px": 20},
     within=(0.2, 0.03),
 )

@@ -4,7 +4,7 @@
 
 What is left out, because it is learned: the network that predicts the overlap of both fields of view, the detectors,
 and the matching of objects by attention. Boxes are given, a file a frame (`object_boxes`), or written from the
-simulator (`python -m p2o_baselines.simulated_boxes`). A cuboid and a rectangle of one kind belong together at a pose
+simulator (`python benchmarks/simulated_boxes.py`). A cuboid and a rectangle of one kind belong together at a pose
 where each is the other's nearest.
 
 1. Ground: lower faces of cuboids are put onto the plane of the ground (RANSAC), if that is within `ground_m`: boxes by

@@ -153,5 +153,6 @@ METHOD = p2o.Method(
     cite="Yuan et al., Pixel-level Extrinsic Self Calibration of High Resolution LiDAR and Camera, RA-L 2021",
     expected_failures=(
         ("cloud_edges_lie_on_outlines", "it looks for edges inside of which nothing is hidden; outlines are others"),
+        ("cloud_edges_lie_on_surfaces", "no two planes of the stage meet, so it has no edges there"),
     ),
 )

@@ -117,4 +117,4 @@ def test_it_solves_a_road_with_lanes_and_poles():
     found = random_shrink.build(options)(problem, start).camera_from_lidar @ p2o.se3.inverse(TRUTH)
     # Lines of 5 px are 0.7 deg wide: the middle is not told any better by a share of points on them.
     assert p2o.se3.angle_deg(found) < 0.5
-    assert p2o.se3.distance_m(found) < 0.1
+    assert p2o.se3.distance_m(found) < 0.2

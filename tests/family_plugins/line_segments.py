@@ -135,7 +135,7 @@ def build(options):
 @p2o.hookimpl
 def p2o_image_extractors():
     image_lines = lambda _: lambda image: p2o.ImageFeatures(features=[ImageLines(lsd(image.grey))])  # noqa: E731
-    yield p2o.Method(name="lsd", build=image_lines, summary="Segments of the picture.", gives={"image-lines"})
+    yield p2o.Method(name="segments", build=image_lines, summary="Segments of the picture.", gives={"image-lines"})
 
 
 @p2o.hookimpl

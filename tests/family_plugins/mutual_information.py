@@ -128,7 +128,7 @@ def p2o_image_extractors():
 def p2o_cloud_extractors():
     """Offer the LiDAR side."""
     words = {"summary": "Points with their intensity.", "needs": {"intensity"}, "gives": {"cloud-points"}}
-    yield p2o.Method(name="reflectance", build=build_reflectance, options=ReflectanceOptions, **words)
+    yield p2o.Method(name="plain-reflectance", build=build_reflectance, options=ReflectanceOptions, **words)
 
 
 @p2o.hookimpl

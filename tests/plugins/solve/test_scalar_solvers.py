@@ -130,7 +130,8 @@ def test_a_solver_that_draws_leaves_the_common_generator_alone(method: p2o.Metho
 def test_a_swarm_is_asked_for_at_once() -> None:
     bowl = Bowl()
     built(particle_swarm.METHOD, particles=50, iterations=20, collapsed=0)(bowl, START)
-    assert bowl.asked.count(50) == 20 + 4  # moves, and the first places in each of four boxes
+    # Moves, and the first places in each box; a box may be the last one when the moves are spent.
+    assert 20 < bowl.asked.count(50) <= 20 + 4
     assert set(bowl.asked) == {1, 50}
 
 

@@ -1,4 +1,4 @@
-"""Boxes of the simulator's cars and people, for `atop`: `python -m p2o_baselines.simulated_boxes OUT "scenes=4"`.
+"""Boxes of the simulator's cars and people, for `atop`: `python benchmarks/simulated_boxes.py OUT "scenes=4"`.
 
 Rectangles are those of an object's visible pixels, cuboids those of its whole mesh, in a file a frame
 (`object_boxes`). Neither sensor's box knows of the other: only kinds are written, not which belong together.
