@@ -94,7 +94,8 @@ def campaign(kills: int, seed: int, home: Path, *, scenes: int = 3, seeds: int =
         folder = home / f"study-{tally.studies}"
         while _disturbed(file, folder, jobs, rng, pace, tally, expected, kills):
             if report:
-                print(f"{tally.kills.total()} kills, {len(_rows(folder))} of {tally.rows} rows", file=sys.stderr)
+                now = f"{len(_rows(folder))} of {tally.rows} rows, {len(tally.broken)} promises broken"
+                print(f"{tally.kills.total()} kills, {now}", file=sys.stderr, flush=True)
         found = _rows(folder)
         if found != expected:
             tally.broken.append(f"{folder.name}: {_difference(found, expected)}")
