@@ -128,6 +128,23 @@ def test_a_refused_run_counts_with_its_error_and_among_the_failures() -> None:
     assert row.complete
 
 
+def test_what_came_near_the_truth_and_what_went_away_from_it_is_counted_where_the_study_asks() -> None:
+    """Starts of `frames` are 2 deg off; of the runs below one is near, one far, one worse, one refused at its start."""
+    near, far, worse, refused = (frames(1, "ours", [size])[0] for size in (0.4, 1.5, 2.5, 0.1))
+    refused = replace(refused, status="too-few-matches")
+    runs = [replace(run, frames=(f"f{i}",)) for i, run in enumerate((near, far, worse, refused))]
+    asking = replace(STUDY, toml='title = "T"\nwithin = "0.5deg 0.15m"')
+    summary = summarise_study(asking, runs)
+    [row] = summary.groups[0].measured
+    assert (row.within, row.worse, row.seconds) == (1, 1, 0.75)
+    text = markdown([summary], lambda _: ())
+    assert "| not solved | within | worse | time" in text
+    assert "| 1 too-few-matches | 1 | 1 | 0.75 |" in text
+    assert "| within |" not in markdown([summarise_study(STUDY, runs)], lambda _: ())
+    odd = replace(STUDY, toml='title = "T"\nwithin = "what"')
+    assert summarise_study(odd, runs).groups[0].measured[0].within is None, "a store may come from anywhere"
+
+
 def test_a_run_that_raised_or_is_not_there_makes_a_row_incomplete_and_never_bold() -> None:
     good = frames(6, "good", [1.0])
     nothing = {"rotation_deg": None, "translation_m": None, "status": "stage-failed", "exception": "Traceback"}
@@ -140,15 +157,15 @@ def test_a_run_that_raised_or_is_not_there_makes_a_row_incomplete_and_never_bold
     assert rows["behind"].failures == {"not run": 2}
     assert [label for label, row in rows.items() if row.complete] == ["good", "worst"]
     text = markdown([summary], lambda _: ())
-    assert "| good | 2deg 0.15m | 6 | 6 | 0 | **1.000" in text
-    assert "| raised | 2deg 0.15m | 6 | 6 | 1 stage-failed | 0.100" in text
+    assert "| good | 2deg 0.15m | 6 | 6 | 0 | 0.75 | **1.000" in text
+    assert "| raised | 2deg 0.15m | 6 | 6 | 1 stage-failed | 0.75 | 0.100" in text
 
 
 def test_a_row_without_truth_is_there_without_figures() -> None:
     runs = [replace(r, rotation_deg=None, translation_m=None, roll_deg=None) for r in frames(6, "ours", [1.0])]
     summary = summarise_study(STUDY, runs)
     assert "rotation_deg" not in summary.groups[0].measured[0].mean
-    assert "| ours | 2deg 0.15m | 6 | 6 | 0 | - | - | - | - |" in markdown([summary], lambda _: ())
+    assert "| ours | 2deg 0.15m | 6 | 6 | 0 | 0.75 | - | - | - | - |" in markdown([summary], lambda _: ())
 
 
 def test_rows_are_compared_only_within_section_dataset_and_kind() -> None:
@@ -227,7 +244,7 @@ def test_published_rows_stand_beside_ours_and_are_never_bold() -> None:
     lines = [line for line in markdown([summary], lambda _: ()).splitlines() if "published:" in line]
     assert len(lines) == 2, "they give no errors by axis"
     assert not any("**" in line for line in lines)
-    assert lines[0].startswith("| *ours (published: P2O-Calib, Table 2)* | 2 deg, 0.15 m | - | - | - | *0.001* | - |")
+    assert lines[0].startswith("| *ours (published: P2O-Calib, Table 2)* | 2 deg, 0.15 m | - | - | - | - | *0.001* | - |")
     assert "**1.000 [1.000, 1.000]**" in markdown([summary], lambda _: ()), "ours is the best measured row"
 
 
@@ -259,7 +276,7 @@ def test_markdown_rows_have_as_many_cells_as_their_head_whatever_they_are_called
     summary = summarise_study(STUDY, [*frames(5, hostile, [1.0]), *frames(5, "plain", [2.0])])
     lines = [line for line in markdown([summary], lambda _: ()).splitlines() if line.startswith("|")]
     counts = [len(re.findall(r"(?<!\\)\|", line)) - 1 for line in lines]
-    assert counts == [9] * 4 + [8] * 6 + [7] * 3
+    assert counts == [10] * 4 + [8] * 6 + [7] * 3
     assert "<script>" not in "".join(lines).replace("\\<script\\>", "")
 
 

@@ -140,6 +140,11 @@ function showRows() {
   ];
   if (group().rows.some((row) => row.trust))
     columns.push(number("verdict", (row) => row.trusted ?? null, (row) => row.trust ?? NONE, { long: true }));
+  if (study().within) {
+    columns.push(number(`within ${study().within}`, (row) => row.within ?? null, (row) => String(row.within ?? NONE)));
+    columns.push(number("worse than start", (row) => row.worse ?? null, (row) => String(row.worse ?? NONE)));
+  }
+  columns.push(number("time [s]", (row) => row.seconds ?? null, (row) => row.time ?? NONE));
   for (const metric of study().norms)
     for (const kind of ["mean", "median"]) columns.push(statistic(metric, kind, `${nameOf(metric)} ${kind} [${unit(metric)}]`));
   if (at("axes").checked)

@@ -7,6 +7,7 @@ import hashlib
 import importlib
 import importlib.resources
 import json
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -23,7 +24,7 @@ from p2o.report.tables import DIGITS, NOTES, failures_of, starts_of
 from p2o.results.verdict import Trust
 from p2o.study.columns import METRICS
 from p2o.study.store import StoredRow
-from p2o.study.tally import told
+from p2o.study.tally import brief_seconds, told
 
 _SIGNIFICANT = 6
 
@@ -94,6 +95,7 @@ def _study(summary: Summary, pictures: Pictures) -> dict[str, Any]:
         "title": summary.title,
         "note": summary.note,
         "norms": summary.norms,
+        "within": summary.within,
         "axes": summary.axes,
         "groups": [_group(group, recipes, pictures) for group in summary.groups],
         "recipes": recipes.values,
@@ -160,6 +162,10 @@ def _row(row: Measured | Published, group: Group) -> dict[str, Any]:
         "failed": sum(row.failures.values()),
         "trust": told(row.trust) if row.trust else None,
         "trusted": row.trust.get(Trust.TRUSTED, 0) if row.trust else None,
+        "seconds": None if math.isnan(row.seconds) else row.seconds,
+        "time": brief_seconds(row.seconds),
+        "within": row.within,
+        "worse": row.worse,
         "best": [],
     }
     for statistic in ("mean", "median"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -12,12 +13,14 @@ import numpy as np
 
 from p2o.errors import InputError
 from p2o.files.parsed_text import parse_toml
+from p2o.geometry.perturb import Perturbation
 from p2o.geometry.pose_error import AXES
 from p2o.report.bootstrap import Interval, interval
 from p2o.results.verdict import Trust
 from p2o.study.columns import METRICS
 from p2o.study.store import Planned, StoredRow, StoredStudy
-from p2o.study.tally import trust_of
+from p2o.study.study import limits_of
+from p2o.study.tally import farther, near, seconds_of, trust_of
 
 NORMS = ("rotation_deg", "translation_m")
 NOT_RUN = "not run"
@@ -34,8 +37,10 @@ class Measured:
     `mean` and `median` are of the errors by metric (of absolute values along and about axes), in degrees and metres;
     a refused run counts with the error of its start, a run that raised has none. `failures` counts runs by status,
     solved ones left out, `trust` by the word of their verdict, those without one left out. `complete` is True where
-    every run of the row has an error. `perturb` are the sizes of the starts, `places` the frames (or groups of frames
-    that were solved jointly).
+    every run of the row has an error. `seconds` is the median time of a run, NaN where none is known; `within` counts
+    runs that came as near to the truth as the study asks for (None: it does not ask), `worse` those that ended farther
+    from it than they began. `perturb` are the sizes of the starts, `places` the frames (or groups of frames that were
+    solved jointly).
     """
 
     label: str
@@ -48,6 +53,9 @@ class Measured:
     mean: Mapping[str, Interval]
     median: Mapping[str, Interval]
     complete: bool
+    seconds: float
+    within: int | None
+    worse: int
 
 
 @dataclass(frozen=True)
@@ -109,13 +117,16 @@ class Group:
 
 @dataclass(frozen=True)
 class Summary:
-    """A study with its rows. `norms` and `axes` are the metrics to show, as the study file says."""
+    """A study with its rows. `norms` and `axes` are the metrics to show, `within` what counts as near enough to the
+    truth, as the study file says; empty where it says nothing.
+    """
 
     name: str
     title: str
     note: str
     norms: tuple[str, ...]
     axes: tuple[str, ...]
+    within: str
     groups: tuple[Group, ...]
 
 
@@ -146,9 +157,10 @@ def summarise_study(study: StoredStudy, runs: Sequence[StoredRow], missing: Sequ
     headings = _headings(list(members))
     published = [_published(entry) for entry in study.published]
     places = _places(published, list(members.values()))
+    within = _limits(said.get("within"))
     groups = []
     for number, (heading, labels) in enumerate(zip(headings, members.values(), strict=True)):
-        measured = [_measured(label, by_label[label], waiting[label]) for label in labels]
+        measured = [_measured(label, by_label[label], waiting[label], within) for label in labels]
         rows: list[Measured | Published] = []
         for row in measured:
             rows.append(row)
@@ -157,7 +169,8 @@ def summarise_study(study: StoredStudy, runs: Sequence[StoredRow], missing: Sequ
         own = {label: tuple(by_label[label]) for label in labels}
         groups.append(Group(heading, tuple(rows), _comparisons(measured, own), own))
     title, note = (str(said.get(word, "")) for word in ("title", "note"))
-    return Summary(study.name, title or study.name, " ".join(note.split()), norms, axes, tuple(groups))
+    asked_for = "" if within is None else str(within)
+    return Summary(study.name, title or study.name, " ".join(note.split()), norms, axes, asked_for, tuple(groups))
 
 
 def best(rows: Iterable[Measured], metric: str, statistic: str, digits: int) -> float | None:
@@ -172,6 +185,13 @@ def _said(study: StoredStudy) -> Mapping[str, Any]:
         return parse_toml(study.toml, "study")
     except InputError:
         return {}
+
+
+def _limits(said: object) -> Perturbation | None:
+    # A foreign store may say anything here as well.
+    with contextlib.suppress(InputError):
+        return limits_of(said, "within") if isinstance(said, str) else None
+    return None
 
 
 def _headings(keys: Sequence[tuple[str, str, str]]) -> list[str]:
@@ -198,7 +218,7 @@ def _places(published: Iterable[Published], groups: Sequence[Sequence[str]]) -> 
     ]
 
 
-def _measured(label: str, runs: Sequence[StoredRow], waiting: int) -> Measured:
+def _measured(label: str, runs: Sequence[StoredRow], waiting: int, within: Perturbation | None) -> Measured:
     failures = Counter(run.status for run in runs if not run.solved)
     means, medians = {}, {}
     complete = bool(runs) and not waiting
@@ -220,6 +240,9 @@ def _measured(label: str, runs: Sequence[StoredRow], waiting: int) -> Measured:
         mean=means,
         median=medians,
         complete=complete,
+        seconds=seconds_of(runs),
+        within=None if within is None else sum(near(run, within) for run in runs),
+        worse=sum(farther(run) for run in runs),
     )
 
 

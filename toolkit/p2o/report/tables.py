@@ -10,7 +10,7 @@ from typing import Literal
 from p2o.errors import printable
 from p2o.report.bootstrap import MIN_FRAMES, RESAMPLES, Interval
 from p2o.report.summary import Group, Measured, Published, Summary, best
-from p2o.study.tally import told
+from p2o.study.tally import brief_seconds, told
 
 DIGITS = 3
 """Decimals of degrees and metres; centimetres have two less."""
@@ -28,6 +28,7 @@ NOTES = (
     "A verdict says, without the truth, whether a result may be trusted. Ambiguous: another pose fits about as well. "
     "Doubtful: image and sweep do not seem to belong together, or nothing could check that they do. Refused: there is "
     "no new pose.",
+    "Time is the median of the runs of a row, extraction and all, on the machine and beside the work of then.",
     "Pairs are runs on the same frames and seed; negative differences are in favour of the first row.",
 )
 
@@ -53,7 +54,7 @@ def tables_of(group: Group, summary: Summary) -> list[Table]:
     """Return the tables of a group: errors, errors by axis, and rows compared in pairs where there are several."""
     named = f": {group.heading}" if group.heading else ""
     found = [
-        Table(f"Errors{named}", *_errors(group, summary.norms)),
+        Table(f"Errors{named}{_counted(summary)}", *_errors(group, summary)),
         Table(f"Absolute errors by axis{named}{_reached(group, summary.axes)}", *_axes(group, summary.axes)),
     ]
     if group.comparisons:
@@ -118,19 +119,27 @@ def shown(value: Interval | None, metric: str, *, sign: bool = False) -> str:
     return f"{first} [{', '.join(ends)}]" if ends else first
 
 
-def _errors(group: Group, norms: Sequence[str]) -> tuple[tuple[str, ...], tuple[tuple[Cell, ...], ...]]:
+def _counted(summary: Summary) -> str:
+    return f" (within: solved to {summary.within}; worse: farther off than the start)" if summary.within else ""
+
+
+def _errors(group: Group, summary: Summary) -> tuple[tuple[str, ...], tuple[tuple[Cell, ...], ...]]:
+    norms = summary.norms
     columns = [(metric, statistic) for metric in norms for statistic in ("mean", "median")]
     judged = any(row.trust for row in group.measured)
     header = ("row", "start", "runs", "frames", "not solved", *(["verdict"] if judged else []))
+    header += (*(["within", "worse"] if summary.within else []), "time [s]")
     titles = tuple(f"{name_of(metric)} {statistic} [{unit_of(metric)[0]}]" for metric, statistic in columns)
     rows = []
     for row in _with_figures(group, norms):
         if isinstance(row, Published):
-            texts = [starts_of(row), *[NONE] * 4]
+            texts = [starts_of(row), *[NONE] * (len(header) - 2)]
         else:
-            texts = [starts_of(row), str(row.runs), str(len(row.places)), failures_of(row), told(row.trust)]
-        counts = map(Cell, texts if judged else texts[:-1])
-        rows.append((_label(row), *counts, *(_figure(row, group, *column) for column in columns)))
+            texts = [starts_of(row), str(row.runs), str(len(row.places)), failures_of(row)]
+            texts += [told(row.trust)] if judged else []
+            texts += [str(row.within), str(row.worse)] if summary.within else []
+            texts.append(brief_seconds(row.seconds))
+        rows.append((_label(row), *map(Cell, texts), *(_figure(row, group, *column) for column in columns)))
     return (*header, *titles), tuple(rows)
 
 

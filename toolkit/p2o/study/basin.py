@@ -20,8 +20,10 @@ from p2o.host.method import Example
 from p2o.host.registry import Registry
 from p2o.host.slots import METHOD_WORDS, Kind
 from p2o.results.verdict import Trust
+from p2o.run.words import parse_settings
 from p2o.study.store import StoredRow
 from p2o.study.study import Study, StudyFile, parse_study
+from p2o.study.tally import near
 
 _BESIDE = ("extractor", "solver", "init")
 """What a matcher's example says of the stages that go with it."""
@@ -39,8 +41,8 @@ class Contender:
     def of(cls, text: str, study: Study | None, registry: Registry) -> Contender:
         """Return the method that a text names: a row of the study, else a matcher or calibrator that is installed.
 
-        A matcher comes with the extractor, solver and init that its example names, and a recipe's own else.
-        Raises UnknownNameError.
+        A matcher comes with the extractor, solver and init that its example names, and a recipe's own else; both with
+        what the example sets besides. Raises UnknownNameError.
         """
         rows = {} if study is None else {row.label: row for row in study.rows()}
         if text in rows:
@@ -51,8 +53,10 @@ class Contender:
             if offer is None:
                 continue
             example = offer.method.example
-            beside = _companions(example) if kind is Kind.MATCHER and example is not None else {}
-            return cls(text, {word: text, **beside}, {})
+            if example is None:
+                return cls(text, {word: text}, {})
+            beside = _companions(example) if kind is Kind.MATCHER else {}
+            return cls(text, {word: text, **beside}, parse_settings(example.settings))
         known = [o.name for kind in (Kind.MATCHER, Kind.CALIBRATOR) for o in registry.of_kind(kind)]
         raise UnknownNameError("method", text, [*rows, *known], hint="name a matcher, a calibrator or a row of --study")
 
@@ -159,16 +163,10 @@ def basin_of(contender: Contender, grid: Grid, rows: Sequence[StoredRow]) -> Bas
     told = []
     for cell in grid.cells:
         found = by_label.get(label(contender, cell), [])
-        near = [_near(row, grid.within) for row in found]
-        wrong = [row.trust is Trust.TRUSTED and not good for row, good in zip(found, near, strict=True)]
+        arrived = [near(row, grid.within) for row in found]
+        wrong = [row.trust is Trust.TRUSTED and not good for row, good in zip(found, arrived, strict=True)]
         count = len(found)
-        shares = (sum(near), sum(not row.solved for row in found), sum(wrong))
+        shares = (sum(arrived), sum(not row.solved for row in found), sum(wrong))
         told.append([*(x / count if count else np.nan for x in shares), count])
     table = np.array(told, dtype=np.float64).T.reshape(4, *shape)
     return Basin(contender.name, *table)
-
-
-def _near(row: StoredRow, within: Perturbation) -> bool:
-    if not row.solved or row.rotation_deg is None or row.translation_m is None:
-        return False
-    return row.rotation_deg <= within.angle_deg and row.translation_m <= within.distance_m

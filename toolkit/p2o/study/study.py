@@ -25,7 +25,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StrictBool, S
 from p2o.errors import InputError, P2OError, UnknownNameError, printable
 from p2o.files.input_file import expanded, read_text
 from p2o.files.parsed_text import parse_toml
-from p2o.geometry.perturb import parse_perturbation
+from p2o.geometry.perturb import Perturbation, parse_perturbation
 from p2o.host.registry import GROUP, Registry
 from p2o.host.slots import METHOD_WORDS, SLOTS, STAGED_WORDS, STAGES
 from p2o.host.validation import fault_of
@@ -71,6 +71,14 @@ PLAIN = ("accumulate", "witness", "perturb")
 """Words that no variant stands for."""
 
 _KIND_OF_WORD = {slot.word: slot.kind for slot in SLOTS if slot.word in METHOD_WORDS and not slot.sensor}
+
+
+def limits_of(text: str, where: str) -> Perturbation:
+    """Return an angle and a length such as "0.5deg 0.15m"; raises InputError, naming `where`, for any other text."""
+    limits = parse_perturbation(text, where)
+    if limits.in_camera or not limits.exact:
+        raise InputError("cannot read the size", where=where, expected='text such as "0.5deg 0.15m"', got=repr(text))
+    return limits
 
 
 class _Table(BaseModel):
@@ -155,7 +163,8 @@ class Study(_Table):
     that do not say their own: a perturbation as in `p2o run`, or a `protocol` that draws starts and whose figures are
     told below the table; False (each frame alone), True (all frames together)
     or a number N (groups of N successive frames together, the last of which may be smaller); a number of seeds, 0 to
-    N - 1, or a list. `metrics` are the columns of the tables.
+    N - 1, or a list. `metrics` are the columns of the tables; with `within`, a size such as "0.5deg 0.15m", they count
+    who ended so near to the truth, and who ended farther from it than the start.
     """
 
     name: Slug
@@ -169,9 +178,15 @@ class Study(_Table):
     published: tuple[Published, ...] = Field(default=(), max_length=1000)
     perturb: str | None = None
     protocol: str | None = None
+    within: str | None = None
     joint: Joint = False
     seeds: Seeds = 1
     metrics: tuple[Metric, ...] = Field(default=("rotation_deg", "translation_m"), min_length=1, max_length=8)
+
+    @property
+    def limits(self) -> Perturbation | None:
+        """What `within` says; raises InputError where it cannot be read."""
+        return None if self.within is None else limits_of(self.within, f"study {self.name}, within")
 
     def overridden(
         self, data: Sequence[str] = (), frames: str | None = None, seeds: int | Sequence[int] | None = None
@@ -454,6 +469,7 @@ def check_study(study: Study, registry: Registry) -> list[StudyRow]:
                 raise UnknownNameError("stage", stage, STAGES, where=f"study {study.name}, variant '{variant.name}'")
         if variant.perturb is not None:
             parse_perturbation(variant.perturb)
+    _ = study.limits
     rows = study.rows()
     for row in rows:
         row.resolve(registry, row.seeds[0])

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from p2o.geometry.perturb import Perturbation
 from p2o.results.verdict import Trust
 from p2o.run.protocol import protocol_of
 from p2o.run.protocol import told as protocol_told
@@ -25,7 +26,9 @@ class Tally:
     The others were refused and count with the error of their start, which is what the user is left with. `mean` and
     `median` are of absolute errors by metric, over all calibrations whose error is known; NaN where there is none.
     `trust` counts the calibrations by the word of their verdict; those that crashed, and those of stores that know
-    nothing of verdicts, have none.
+    nothing of verdicts, have none. `seconds` is the median time of a calibration, extraction and all; NaN where none is
+    known. `within` counts those that were solved to within what the study asks for, None where it asks for nothing,
+    `worse` those that ended farther from the truth than they began, in rotation or in translation.
     """
 
     row: str
@@ -36,6 +39,9 @@ class Tally:
     mean: Mapping[str, float]
     median: Mapping[str, float]
     trust: Mapping[Trust, int]
+    seconds: float
+    within: int | None
+    worse: int
 
     @property
     def refused(self) -> int:
@@ -43,7 +49,7 @@ class Tally:
         return self.count - self.solved - self.crashed
 
 
-def tallies(rows: Iterable[StoredRow], metrics: Sequence[str]) -> list[Tally]:
+def tallies(rows: Iterable[StoredRow], metrics: Sequence[str], within: Perturbation | None = None) -> list[Tally]:
     """Return one tally for each row of the table, in the order in which they first occur."""
     by_row: dict[str, list[StoredRow]] = {}
     for row in rows:
@@ -61,9 +67,31 @@ def tallies(rows: Iterable[StoredRow], metrics: Sequence[str]) -> list[Tally]:
                 mean={metric: float(np.mean(v)) if v else float("nan") for metric, v in errors.items()},
                 median={metric: float(np.median(v)) if v else float("nan") for metric, v in errors.items()},
                 trust=trust_of(found),
+                seconds=seconds_of(found),
+                within=None if within is None else sum(near(r, within) for r in found),
+                worse=sum(farther(r) for r in found),
             )
         )
     return out
+
+
+def seconds_of(rows: Iterable[StoredRow]) -> float:
+    """Return the median time of a calibration, the extraction of its features included; NaN where none is known."""
+    known = [sum(value for value in row.seconds.values() if value is not None) for row in rows if row.seconds]
+    return float(np.median(known)) if known else float("nan")
+
+
+def near(row: StoredRow, within: Perturbation) -> bool:
+    """Return whether a calibration has an estimate that is so near to the truth."""
+    if not row.solved or row.rotation_deg is None or row.translation_m is None:
+        return False
+    return row.rotation_deg <= within.angle_deg and row.translation_m <= within.distance_m
+
+
+def farther(row: StoredRow) -> bool:
+    """Return whether a calibration ended farther from the truth than it began, in rotation or in translation."""
+    sizes = (row.rotation_deg, row.start_rotation_deg), (row.translation_m, row.start_translation_m)
+    return row.solved and any(after is not None and before is not None and after > before for after, before in sizes)
 
 
 def trust_of(rows: Iterable[StoredRow]) -> dict[Trust, int]:
@@ -79,15 +107,17 @@ def told(trust: Mapping[Trust, int]) -> str:
 
 def table(study: Study, rows: Sequence[StoredRow]) -> str:
     """Return a table for the eye: what was measured, and beside it what was published."""
-    found = tallies(rows, study.metrics)
+    within = study.limits
+    found = tallies(rows, study.metrics, within)
     stacked = len(study.metrics) > _BESIDE
     # Those that were refused are among the failed ones.
     words = [word for word in Trust if word is not Trust.REFUSED and any(tally.trust.get(word) for tally in found)]
+    counted = ["runs", "failed", *words, *([] if within is None else ["within", "worse"]), "s"]
     if stacked:
-        head = ["", "runs", "failed", *words, "", *map(_head, study.metrics), ""]
+        head = ["", *counted, "", *map(_head, study.metrics), ""]
     else:
         numbers = (f"{_head(m)} {word}" for m in study.metrics for word in ("mean", "median"))
-        head = ["", "runs", "failed", *words, *numbers, ""]
+        head = ["", *counted, *numbers, ""]
     lines: list[list[str]] = []
     section = ""
     for tally in found:
@@ -96,6 +126,8 @@ def table(study: Study, rows: Sequence[StoredRow]) -> str:
             lines.append([f"[{section}]" if section else ""])
         counts = [tally.row, str(tally.count), _failed(tally)]
         counts += [str(tally.trust.get(word, 0)) if tally.trust else "-" for word in words]
+        counts += [] if within is None else [str(tally.within), str(tally.worse)]
+        counts.append(brief_seconds(tally.seconds))
         if stacked:
             means, medians = ([_number(m, values[m]) for m in study.metrics] for values in (tally.mean, tally.median))
             lines.append([*counts, "mean", *means, "measured"])
@@ -104,11 +136,11 @@ def table(study: Study, rows: Sequence[StoredRow]) -> str:
             cells = [_number(m, values[m]) for m in study.metrics for values in (tally.mean, tally.median)]
             lines.append([*counts, *cells, "measured"])
         beside = [p for p in study.published if p.beside in (tally.row, tally.row.rpartition(" @ ")[0])]
-        lines += [_published(study, p, len(words), stacked) for p in beside]
+        lines += [_published(study, p, len(counted), stacked) for p in beside]
     apart = [p for p in study.published if p.beside is None]
     if apart:
         lines.append(["[published]"])
-        lines += [_published(study, p, len(words), stacked) for p in apart]
+        lines += [_published(study, p, len(counted), stacked) for p in apart]
     widths = [max((len(line[i]) for line in [head, *lines] if len(line) > i > 0), default=0) for i in range(len(head))]
     widths[0] = max((len(line[0]) for line in lines), default=0)
     return "\n".join([*(_line(cells, widths) for cells in (head, *lines)), *_by_protocol(study, rows)])
@@ -136,10 +168,17 @@ def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
     return "  ".join([cells[0].ljust(widths[0]), *numbers]).rstrip()
 
 
-def _published(study: Study, row: Published, words: int, stacked: bool) -> list[str]:
+def _published(study: Study, row: Published, counted: int, stacked: bool) -> list[str]:
     means = [_number(m, row.values.get(m)) for m in study.metrics]
     numbers = ["mean", *means] if stacked else [cell for mean in means for cell in (mean, "")]
-    return [f"  {row.label}", "", "", *[""] * words, *numbers, "published"]
+    return [f"  {row.label}", *[""] * counted, *numbers, "published"]
+
+
+def brief_seconds(value: float) -> str:
+    """Return seconds with two figures, "-" for none."""
+    if np.isnan(value):
+        return "-"
+    return f"{value:.0f}" if value >= 10 else f"{value:.1f}" if value >= 1 else f"{value:.2f}"
 
 
 def _failed(tally: Tally) -> str:
