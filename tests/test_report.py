@@ -244,7 +244,8 @@ def test_published_rows_stand_beside_ours_and_are_never_bold() -> None:
     lines = [line for line in markdown([summary], lambda _: ()).splitlines() if "published:" in line]
     assert len(lines) == 2, "they give no errors by axis"
     assert not any("**" in line for line in lines)
-    assert lines[0].startswith("| *ours (published: P2O-Calib, Table 2)* | 2 deg, 0.15 m | - | - | - | - | *0.001* | - |")
+    assert lines[0].startswith("| *ours (published: P2O-Calib, Table 2)* | 2 deg, 0.15 m | - |")
+    assert "| - | *0.001* | - |" in lines[0]
     assert "**1.000 [1.000, 1.000]**" in markdown([summary], lambda _: ()), "ours is the best measured row"
 
 

@@ -26,7 +26,7 @@ from tests.fuzz.surfaces import SURFACES
 @click.option("--seed", default=0, show_default=True, help="Other cases.")
 @click.option("--jobs", default=os.cpu_count() or 1, show_default=True, help="Processes.")
 @click.option("--door", "doors", multiple=True, type=click.Choice(list(SURFACES)), help="Only here.")
-@click.option("--case", "number", type=int, help="This one again; its files stay.")
+@click.option("--case", "number", type=int, help="This one again; its files stay, in OUT-again.")
 @click.option("--out", default="build/fuzz", show_default=True, help="Where cases that break a promise stay.")
 def fuzz(cases: int, first: int, seed: int, jobs: int, doors: tuple[str, ...], number: int | None, out: str) -> None:
     """Meet p2o with mutated inputs; see docs/reliability.md."""
@@ -35,7 +35,8 @@ def fuzz(cases: int, first: int, seed: int, jobs: int, doors: tuple[str, ...], n
 
     cv2.setNumThreads(0)
     torch.set_num_threads(1)
-    root = Path(out).absolute()
+    # A campaign may still be at work in `out`.
+    root = Path(out if number is None else f"{out}-again").absolute()
     shutil.rmtree(root, ignore_errors=True)
     bases = build(root / "bases")
     # What is loaded stays in pages that forks share: a collector that walks it would copy them all.
