@@ -16,7 +16,8 @@ DEEPEST = 64
 def parse_json(text: str | bytes, what: str, where: object = None) -> Any:
     """Return the value of a JSON text; `what` names it in errors ("file of splits").
 
-    Raises InputError for text that is not JSON, nests too deeply, or holds numbers of more digits than Python takes.
+    Raises InputError for text that is not JSON, nests too deeply, or holds numbers of more digits than Python takes or
+    halves of letters (lone surrogates), which no file can be written with.
     """
     try:
         value = json.loads(text)
@@ -54,6 +55,8 @@ def parse_yaml(text: str, what: str, where: object = None) -> Any:
                     where=where,
                     expected="every value written out",
                 )
+            if isinstance(event, yaml.ScalarEvent):
+                _refuse_halves(event.value, what, where)
             depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
             if depth > DEEPEST:
                 raise _too_deep(what, where)
@@ -75,13 +78,28 @@ def _not(what: str, kind: str, where: object, problem: Exception) -> InputError:
 
 
 def _shallow(value: Any, what: str, where: object) -> Any:
-    """Return the value; raises InputError where it nests too deeply."""
+    """Return the value; raises InputError where it nests too deeply, or holds halves of letters."""
     level = [value]
     for _ in range(DEEPEST + 1):
+        for inner in level:
+            for text in inner if isinstance(inner, dict) else (inner,):
+                if isinstance(text, str):
+                    _refuse_halves(text, what, where)
         level = [inner for outer in level for inner in _inside(outer)]
         if not level:
             return value
     raise _too_deep(what, where)
+
+
+def _refuse_halves(text: str, what: str, where: object) -> None:
+    if text.isascii():
+        return
+    try:
+        text.encode()
+    except UnicodeEncodeError as problem:
+        raise InputError(
+            f"the {what} holds half of a letter", where=where, expected="whole letters", got=ascii(text[:40])
+        ) from problem
 
 
 def _too_deep(what: str, where: object) -> InputError:
