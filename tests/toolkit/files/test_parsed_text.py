@@ -61,6 +61,6 @@ def test_yaml_gives_plain_values_and_dates_stay_texts() -> None:
 @pytest.mark.parametrize("parse", [parse_json, parse_yaml])
 @pytest.mark.parametrize("text", ['"a\\ud800"', '["\\udfff"]', '{"\\ud83d": 1}', '{"a": ["\\ud800"]}'])
 def test_half_of_a_letter_which_no_file_can_hold_is_one_line(parse, text: str) -> None:  # type: ignore[no-untyped-def]
-    with pytest.raises(InputError, match="half of a letter|invalid Unicode"):
+    with pytest.raises(InputError, match=r"half of a letter|invalid Unicode"):
         parse(text, "file")
     assert parse_json('"\\ud83d\\ude00"', "file") == "\U0001f600", "two halves are one"
