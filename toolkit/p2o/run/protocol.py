@@ -1,6 +1,6 @@
 """Protocols of publications by name: how starts are drawn, on which frames, and which figures are reported.
 
-Read in their code where that is public; docs/comparison.md names each source and how ours differs.
+Read in their code where that is public; docs/protocols.md names each source and how ours differs.
 """
 
 from __future__ import annotations
