@@ -1,0 +1,65 @@
+"""The studies of rivals: every method runs in them, on the same frames and from the same starts, and makes a page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from p2o import Registry
+from p2o.cli import main
+from p2o.report import write_report
+from p2o.study.store import Store
+from p2o.study.study import check_study, find_study
+
+STUDIES = ("rivals", "rivals-00", "rivals-drive")
+SMALL = "synthetic:?scenes=1&width_px=310&height_px=94&place=street&right=false&lidar=hdl-32e"
+
+
+def variants(name: str, registry: Registry) -> dict[str, object]:
+    return {v.name: v for v in find_study(name, registry).study.variant}
+
+
+@pytest.fixture(scope="module")
+def registry() -> Registry:
+    return Registry.load()
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_every_row_fits_together(name: str, registry: Registry) -> None:
+    assert check_study(find_study(name, registry).study, registry)
+
+
+def test_a_rival_is_the_same_in_every_study(registry: Registry) -> None:
+    first, *others = (variants(name, registry) for name in STUDIES)
+    for other in others:
+        common = first.keys() & other.keys()
+        assert len(common) > 5
+        assert {name: first[name] for name in common} == {name: other[name] for name in common}
+
+
+def test_every_matcher_of_the_baselines_is_among_them(registry: Registry) -> None:
+    rows = check_study(find_study("rivals", registry).study, registry)
+    ours = {"ogm"}
+    assert {row.words["matcher"] for row in rows} - ours == {
+        "crlf", "gmm", "gom", "idt", "knn-line", "line-idt", "lines", "mask-consistency", "mi", "nearest", "nid", "nmi",
+        "tv-fusion",
+    }  # fmt: skip
+
+
+def test_all_of_them_run_on_a_synthetic_frame_and_make_a_page(
+    tmp_path: Path, registry: Registry, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("plotly", reason="the extra `report` is not installed")
+    words = ["ablate", "rivals", "--data", SMALL, "--seeds", "1", "--out", str(tmp_path), "--jobs", "1", "--quiet"]
+    assert main(words) == 0, "none of them raised"
+    told = capsys.readouterr().out
+    assert "within" in told
+    study = find_study("rivals", registry).study
+    with Store.open(tmp_path, create=False) as store:
+        rows = store.rows("rivals")
+    assert {row.row for row in rows} == {row.label for row in study.rows()}
+    assert all(row.seconds for row in rows)
+    page, *_ = (path for path in write_report(tmp_path, registry=registry) if path.suffix == ".html")
+    text = page.read_text()
+    for label in [row.label for row in study.rows()] + [published.label for published in study.published]:
+        assert label in text
