@@ -66,6 +66,8 @@ OPEN_MODULES = {
     "problems.line_fit",
     "problems.normal_equations",
     "problems.pairing",
+    "problems.points_on_rays",
+    "problems.swarm",
     "results.result_json",
     "simulate",
     "testing",
