@@ -66,6 +66,8 @@ OPEN_MODULES = {
     "problems.line_fit",
     "problems.normal_equations",
     "problems.pairing",
+    "problems.points_on_rays",
+    "problems.swarm",
     "results.result_json",
     "simulate",
     "testing",
@@ -196,6 +198,14 @@ def rooms(source: Source) -> Iterator[tuple[str, str, int]]:
 def goes_down(own: str, other: str) -> bool:
     """Whether a module of p2o stands on a higher floor than what it imports."""
     return bool(other) and FLOOR_OF[own.partition(".")[0]] > FLOOR_OF[other.partition(".")[0]]
+
+
+def test_the_page_of_the_architecture_names_every_room_and_counts_them() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`(\w+)/?`", page.partition("| floor | room |")[2].partition("\n\n")[0]))
+    named |= {"moved"} & set(re.findall(r"`p2o/(\w+)\.py`", page))
+    assert set(FLOOR_OF) <= named, f"the table of rooms lacks {sorted(set(FLOOR_OF) - named)}"
+    assert f"({len(FLOOR_OF)} rooms on {len(FLOORS)} floors," in page
 
 
 def test_every_room_stands_on_one_floor() -> None:

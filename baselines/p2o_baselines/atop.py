@@ -28,10 +28,10 @@ import p2o
 from p2o import Judged, Result, Status
 from p2o.arrays import Bool, Float
 from p2o.problems.chart import pose_at
+from p2o.problems.swarm import swarmed
 
 from p2o_baselines.ground import ground_of
 from p2o_baselines.object_boxes import Objects, read_objects
-from p2o_baselines.swarm import swarmed
 
 _MARGIN_PX = 100.0  # cuboids whose middle is so far outside of the picture at the start count too
 
@@ -151,8 +151,14 @@ class Atop:
 
     def _swarm(self, cost: Callable[[Float], Float], start: Float, half: Float, rng: np.random.Generator) -> Float:
         options = self.options
-        found, _ = swarmed(
-            lambda places: cost(pose_at(start, places)), half, rng, particles=options.particles, steps=options.steps
+        found, _, _ = swarmed(
+            lambda places: cost(pose_at(start, places)),
+            -half,
+            half,
+            rng,
+            first=np.zeros(6),
+            particles=options.particles,
+            moves=options.steps,
         )
         return pose_at(start, found)
 

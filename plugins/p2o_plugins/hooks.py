@@ -46,13 +46,14 @@ def p2o_solvers() -> Iterator[Method]:
         lm,
         nelder_mead,
         particle_swarm,
+        pnp,
         random_shrink,
         scipy_least_squares,
     )
 
     yield from (ceres.METHOD, lm.METHOD, scipy_least_squares.METHOD)
     yield from (barzilai_borwein.METHOD, bfgs.METHOD, cma_es.METHOD, coordinate.METHOD, grid729.METHOD)
-    yield from (nelder_mead.METHOD, particle_swarm.METHOD, random_shrink.METHOD)
+    yield from (nelder_mead.METHOD, particle_swarm.METHOD, pnp.METHOD, random_shrink.METHOD)
 
 
 @hookimpl

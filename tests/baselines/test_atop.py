@@ -1,4 +1,4 @@
-"""Objects in boxes of both sensors: the swarm, the files, and scenes of cuboids that only the truth lays together."""
+"""Objects in boxes of both sensors: the files, and scenes of cuboids that only the truth lays together."""
 
 import json
 
@@ -9,7 +9,6 @@ from p2o.errors import InputError
 from p2o.problems.chart import pose_at
 from p2o_baselines.atop import Atop, AtopOptions, Road, Sight, grounded
 from p2o_baselines.object_boxes import BoxFile, Cuboid, Objects, read_objects
-from p2o_baselines.swarm import swarmed
 
 CAMERA = p2o.Camera.pinhole(500.0, 500.0, 400.0, 150.0, 800, 300)
 TRUTH = p2o.se3.make([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]], (0.1, -0.1, -0.3))
@@ -49,22 +48,6 @@ def far(result):
     """Return how far a result is from the truth, in degrees and metres."""
     away = result.camera_from_lidar @ p2o.se3.inverse(TRUTH)
     return p2o.se3.angle_deg(away), p2o.se3.distance_m(away)
-
-
-def test_a_swarm_finds_the_lowest_point_of_a_quadratic():
-    aim = np.array([0.3, -0.5, 0.1])
-    half, rng = np.ones(3), np.random.default_rng(0)
-    found, least = swarmed(lambda x: np.sum((x - aim) ** 2, axis=1), half, rng, particles=30, steps=80)
-    assert np.allclose(found, aim, atol=1e-3)
-    assert least == pytest.approx(np.sum((found - aim) ** 2))
-
-
-def test_a_swarm_stays_in_its_box_and_is_told_by_its_seed():
-    def run(seed):
-        return swarmed(lambda x: -x[:, 0], np.ones(2), np.random.default_rng(seed), particles=10, steps=20)[0]
-
-    assert run(0)[0] == 1.0
-    assert np.array_equal(run(1), run(1))
 
 
 def test_objects_lie_upon_each_other_at_the_truth():

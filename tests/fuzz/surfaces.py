@@ -201,7 +201,7 @@ def _run_word(rng: Random) -> list[str]:
         5: lambda: ["--frames", _frames(rng)],
         6: lambda: [
             "--perturb",
-            rng.choice(("1deg 0.1m", "1deg,10cm", "180deg 1000m", f"{_number(rng)}deg", _word(rng))),
+            rng.choice(("1deg 0.1m", "1deg,10cm", "180deg 1000m", f"{_number(rng)}deg", "camera @in", _word(rng))),
         ],
         7: lambda: ["--seed", _number(rng), "--perturb", "1deg 0.05m"],
         8: lambda: [

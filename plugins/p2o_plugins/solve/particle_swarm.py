@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 import p2o
 from p2o.arrays import Float
+from p2o.problems.swarm import swarmed
 
 from p2o_plugins.solve.scalar_cost import ScalarCost
 
@@ -62,25 +63,19 @@ def swarm(
 
     The box never leaves the first one, which is from -1 to 1 in every unknown.
     """
-    low, high = np.maximum(centre - size, -1.0), np.minimum(centre + size, 1.0)
-    place = rng.uniform(low, high, (options.particles, 6))
-    place[0] = centre
-    velocity = rng.uniform(-0.5, 0.5, place.shape) * (high - low)
-    own, own_cost = place, cost.many(place)
-    for move in range(iterations):
-        leader = own[np.argmin(own_cost)]
-        if np.ptp(own, axis=0).max() < options.collapsed * 2 * size:
-            return leader, move
-        to_own, to_leader = rng.uniform(0, options.attraction, (2, *place.shape))
-        velocity = options.inertia * velocity + to_own * (own - place) + to_leader * (leader - place)
-        place = place + velocity
-        outside = (place < low) | (place > high)
-        velocity = np.where(outside, 0.0, velocity)
-        place = np.clip(place, low, high)
-        costs = cost.many(place)
-        better = costs < own_cost
-        own, own_cost = np.where(better[:, None], place, own), np.where(better, costs, own_cost)
-    return own[np.argmin(own_cost)], iterations
+    best, _, moved = swarmed(
+        cost.many,
+        np.maximum(centre - size, -1.0),
+        np.minimum(centre + size, 1.0),
+        rng,
+        first=centre,
+        particles=options.particles,
+        moves=iterations,
+        inertia=options.inertia,
+        attraction=options.attraction,
+        narrow=options.collapsed * 2 * size,
+    )
+    return best, moved
 
 
 METHOD = p2o.Method(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import p2o
@@ -51,6 +52,31 @@ def test_names_are_told_and_starts_are_drawn_once() -> None:
         starts_of("cmrnext", "1deg")
     assert starts_of("p2o-calib", None) == "2deg 0.15m"
     assert starts_of(None, "1deg") == "1deg"
+
+
+def test_a_published_list_stands_beside_a_protocol_where_it_acts_on_the_same_side() -> None:
+    assert starts_of("projfusion-15-15", "camera @test_13.txt") == "camera @test_13.txt"
+    assert starts_of("claim", "@list.txt") == "@list.txt"
+    with pytest.raises(InputError, match="act in the camera's frame"):
+        starts_of("projfusion-15-15", "@test_13.txt")
+    with pytest.raises(InputError, match="act in the LiDAR's frame"):
+        starts_of("claim", "camera @list.txt")
+
+
+def test_a_run_begins_where_the_list_says_whatever_the_seed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    starts = tmp_path / "starts.csv"
+    starts.write_text("name,r1,r2,r3,t1,t2,t3\nscene-0000,0.02,0,0,0,0.05,0\n")
+    words = {"extractor": "depth/rings", "init": "given", "options": ["pipeline.min_matches=100000"]}
+    for seed in (0, 5):
+        done = p2o.calibrate(SMALL, perturb=f"camera @{starts}", protocol="calibvit-10-25", seed=seed, **words)
+        error = done.result.start @ se3.inverse(done.rows[0].truth)
+        np.testing.assert_allclose(se3.log(error), [0.02, 0, 0, 0, 0.05, 0], atol=1e-12)
+        assert done.result.recipe["perturb"] == f"camera @{starts}"
+        assert done.summary["protocol"]["euler_deg_x"] == pytest.approx(np.degrees(0.02))
+    assert main(["run", "--data", f"{SMALL}&scenes=2", "--extractor", "depth/rings", "--perturb", f"@{starts}"]) == 2
+    told = capsys.readouterr()
+    assert "frame scene-0001 has no start in the list" in told.err
+    assert told.out == "", "told before any frame is calibrated"
 
 
 def test_the_command_reports_the_figures_of_the_protocol(capsys: pytest.CaptureFixture[str]) -> None:

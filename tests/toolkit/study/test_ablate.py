@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 import p2o
 import pytest
-from p2o import InputError, MethodUnavailable, P2OError
+from p2o import InputError, MethodUnavailable, P2OError, se3
 from p2o.cli import main
 from p2o.study import worker
 from p2o.study.ablate import chosen_seeds
@@ -102,6 +102,29 @@ def test_groups_of_frames_are_solved_together_each_from_a_start_of_its_own(bench
     assert [(row.frames, row.joint) for row in rows[::2]] == [(group, len(group)) for group in groups]
     assert len({row.start.tobytes() for row in rows}) == len(rows)
     assert [round(row.start_rotation_deg, 6) for row in rows] == [1.0] * 6
+
+
+def test_a_row_begins_where_a_list_says_and_a_changed_line_is_another_row_of_its_frame_alone(
+    bench: Bench, tmp_path: Path
+) -> None:
+    starts = tmp_path / "starts.txt"
+    lines = ["0.01 0 0 0 0 0.1", "0 0.02 0 0 0.2 0", "0 0 0.03 0.3 0 0"]
+    starts.write_text("\n".join(lines))
+    text = QUICK.replace("1deg 0.05m", f"camera @{starts}")
+    rows = bench.run(text).rows
+    assert len(rows) == 6
+    for row in rows:
+        error = se3.exp(np.array(lines[int(row.frames[0][-3:])].split(), float))
+        np.testing.assert_allclose(row.start, error @ row.truth, atol=1e-12)
+    assert bench.run(text).computed == 0
+    starts.write_text("\n".join([lines[0], lines[1], "0 0 0.04 0.3 0 0"]))
+    changed = bench.run(text)
+    assert changed.computed == 2, "both seeds of the frame whose line has changed"
+    joint = bench.run(text + "joint = 2\n").rows
+    assert {round(row.start_rotation_deg, 9) for row in joint} == {round(np.degrees(a), 9) for a in (0.01, 0.04)}
+    starts.write_text("\n".join(lines[:2]))
+    with pytest.raises(InputError, match=r"too short.*frame tiny/002"):
+        bench.run(text)
 
 
 def test_a_run_that_raises_is_a_row_that_says_why_and_is_tried_again(bench: Bench) -> None:

@@ -40,7 +40,11 @@ if TYPE_CHECKING:
     metavar="IMAGE/CLOUD",
     help="Extractors whose edges check a result that has none of its own (default: p2ornet/rings; none: unchecked).",
 )
-@click.option("--perturb", metavar='"2deg 0.15m"', help="Begin this far from the truth, in a random direction.")
+@click.option(
+    "--perturb",
+    metavar='"2deg 0.15m"',
+    help="Begin this far from the truth, in a random direction; @FILE takes the errors from a list.",
+)
 @click.option("--protocol", metavar="NAME", help="Draw starts, and report errors, as a publication does.")
 @click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Seed of everything random (default: 0).")
 @click.option("--joint", is_flag=True, default=None, help="One result for all frames together.")

@@ -11,6 +11,7 @@ from p2o.arrays import Float, Int, Int8, checked
 from p2o.errors import InputError
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
+from p2o.problems.points_on_rays import PointsOnRays, px_per_rad
 from p2o.problems.problem import LeastSquares
 
 _MIN_DEPTH_M = 1e-6
@@ -142,6 +143,19 @@ class PointToLine(LeastSquares):
             offset *= self.normal[rows]
             out[..., rows] = offset.sum(axis=-1)
         return out
+
+    def point_pairs(self) -> PointsOnRays:
+        """Return each point with the centre of its line alone, as a perspective-n-point problem takes them.
+
+        The centre is the mean of the image edges that make the line. Pairs of weight zero, and those at which the
+        camera sees nothing, are left out; the others weigh alike. Nothing tells where along its line a point belongs:
+        such pairs slide.
+        """
+        rays, scale = np.empty((len(self), 3)), np.empty(len(self))
+        for camera, rows in self._groups:
+            rays[rows], scale[rows] = camera.rays(self.centre[rows]), px_per_rad(camera, self.centre[rows])
+        keep = np.isfinite(rays).all(axis=1) & (self.weight > 0)
+        return PointsOnRays(self.xyz[keep], rays[keep], scale[keep], frame=self.frame[keep])
 
     def residuals_with_jacobian(self, camera_from_lidar: Float) -> tuple[Float, Float]:
         """Return residuals (K,) in px and derivatives (K, 6) for a left update exp(delta) @ camera_from_lidar.

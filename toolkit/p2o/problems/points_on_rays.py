@@ -24,6 +24,7 @@ MIN_POINTS = 4
 _STEPS, _SMALLEST_STEP, _LEAST_GAIN = 100, 1e-12, 1e-14
 _APART_DEG, _APART_M = 0.5, 0.3  # poses nearer than this are one place, as rivals of the pipeline are told apart
 _BEST = 8
+_CHUNK = 1 << 18  # points at poses that are looked at together: some 20 MB
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +139,9 @@ def consensus(problem: PointsOnRays, reach_px: float, rng: np.random.Generator, 
     if not poses:
         return None
     every = np.stack(poses)
-    left = np.argsort(_truncated(problem.off_px(every), reach_px), kind="stable")
+    size = max(1, _CHUNK // max(len(problem.xyz), 1))
+    costs = [_truncated(problem.off_px(every[i : i + size]), reach_px) for i in range(0, len(every), size)]
+    left = np.argsort(np.concatenate(costs), kind="stable")
     found: list[tuple[Float, Bool, float]] = []
     while len(left) and len(found) < _BEST:
         pose, agree = _agreed(problem, every[left[0]], reach_px)

@@ -42,10 +42,10 @@ class Recipe(BaseModel):
 
     `data` is DATASET:PATH, or None where frames are handed over in Python; `frames` says which of them; `extractor`
     is IMAGE/CLOUD; `calibrator` replaces extractor, matcher, solver and init by one whole method; `options` maps
-    stage to field to value; `perturb` is a text such as "2deg 0.15m"; `joint` gives one result for all frames.
-    `accumulate` names a method that joins sweeps of a sequence. `witness` is IMAGE/CLOUD, extractors whose edges check
-    results of methods without edges of their own: None takes those of the default recipe where frames allow it, "none"
-    goes without.
+    stage to field to value; `perturb` is a text such as "2deg 0.15m", or "camera @FILE" for a list of starts; `joint`
+    gives one result for all frames. `accumulate` names a method that joins sweeps of a sequence. `witness` is
+    IMAGE/CLOUD, extractors whose edges check results of methods without edges of their own: None takes those of the
+    default recipe where frames allow it, "none" goes without.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -82,10 +82,10 @@ class Recipe(BaseModel):
         fit, PluginError where a name is offered twice.
         """
         from p2o.calibration.pipeline import PipelineOptions
-        from p2o.geometry.perturb import parse_perturbation
+        from p2o.geometry.start_list import parse_starts
 
         if self.perturb is not None:
-            parse_perturbation(self.perturb)
+            parse_starts(self.perturb)
         names, said = self._names()
         for stage in self.options:
             if stage not in (*STAGES, *_WITNESS):

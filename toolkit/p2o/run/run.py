@@ -15,8 +15,8 @@ from p2o.errors import InputError, P2OError, PluginError
 from p2o.frames.frame import Dataset, Frame
 from p2o.frames.selection import select
 from p2o.geometry import se3
-from p2o.geometry.perturb import parse_perturbation
 from p2o.geometry.pose_error import PoseError, pose_error, summarise
+from p2o.geometry.start_list import StartList, parse_starts
 from p2o.host.registry import Registry
 from p2o.results.result import Result, Status
 from p2o.results.result_json import result_to_dict
@@ -193,14 +193,30 @@ def calibrate(
 
 
 def starts_of(protocol: str | None, perturb: str | None, where: str = "protocol") -> str | None:
-    """Return the perturbation that is asked for, by itself or by a protocol; InputError where both are."""
+    """Return the perturbation that is asked for, by itself or by a protocol.
+
+    Beside a protocol a published list of starts may be asked for; InputError for any other, and for a list whose
+    errors act in another frame than the protocol's.
+    """
     if protocol is None:
         return perturb
-    if perturb is not None:
+    drawn = protocol_of(protocol, where).perturb
+    if perturb is None:
+        return drawn
+    listed = parse_starts(perturb)
+    if not isinstance(listed, StartList):
         raise InputError(
-            "a protocol draws its own starts", where=where, expected="no perturbation beside it", got=perturb
+            "a protocol draws its own starts", where=where, expected="no perturbation beside it but @FILE", got=perturb
         )
-    return protocol_of(protocol, where).perturb
+    wanted = replace(listed, in_camera=parse_starts(drawn).in_camera)
+    if listed != wanted:
+        raise InputError(
+            f"errors of protocol {protocol} act in the {'camera' if wanted.in_camera else 'LiDAR'}'s frame",
+            where=where,
+            expected=f'"{wanted}"',
+            got=perturb,
+        )
+    return perturb
 
 
 def run(
@@ -225,11 +241,12 @@ def run(
         start = se3.check_rigid("start", start)
     dataset: Sequence[Frame] | Dataset = plan.dataset() if frames is None else plan.joined(frames)
     names, indices = _selected(dataset, recipe.frames)
+    groups = [indices] if recipe.joint else [[index] for index in indices]
+    listed = listed_errors(recipe, names, [group[0] for group in groups])
     if on_names is not None:
         on_names([names[index] for index in indices])
     assembly = plan.assembly()
     stamp = {"recipe": plan.described(), "seed": recipe.seed, "versions": plan.versions()}
-    groups = [indices] if recipe.joint else [[index] for index in indices]
     rows: list[Row] = []
     failed: list[FailedFrame] = []
     first: P2OError | None = None
@@ -237,7 +254,7 @@ def run(
     for done, group in enumerate(groups):
         name = names[group[0]] if len(group) == 1 else f"{len(group)} frames jointly"
         progress = Progress(done, len(groups), name, (), assembly)
-        begin = tried(_Begin.of, plan, dataset, [(index, names[index]) for index in group], start)
+        begin = tried(_Begin.of, plan, dataset, [(index, names[index]) for index in group], start, listed)
         row: Row | P2OError
         if isinstance(begin, P2OError):
             row = begin
@@ -307,12 +324,17 @@ class _Begin:
 
     @classmethod
     def of(
-        cls, plan: Plan, dataset: Sequence[Frame] | Dataset, chosen: Sequence[tuple[int, str]], start: Float | None
+        cls,
+        plan: Plan,
+        dataset: Sequence[Frame] | Dataset,
+        chosen: Sequence[tuple[int, str]],
+        start: Float | None,
+        listed: Mapping[int, Float],
     ) -> _Begin:
         """Read the frames of these indices and names."""
         frames = tuple(_usable(plan, dataset, index, name, joint=len(chosen) > 1) for index, name in chosen)
         truth = common_pose(frames, "camera_from_lidar")
-        return cls(frames, truth, *start_of(frames, truth, plan.recipe, start, chosen[0][0]))
+        return cls(frames, truth, *start_of(frames, truth, plan.recipe, start, chosen[0][0], listed))
 
 
 def _calibrate_one(assembly: Assembly, begin: _Begin, stamp: Mapping[str, Any]) -> Row:
@@ -329,10 +351,24 @@ def _calibrate_one(assembly: Assembly, begin: _Begin, stamp: Mapping[str, Any]) 
     return Row(result, truth, pose_error(start, truth), pose_error(result.camera_from_lidar, truth))
 
 
+def listed_errors(recipe: Recipe, names: Sequence[str], indices: Sequence[int]) -> dict[int, Float]:
+    """Return the errors (4, 4) that a list gives the frames `indices` of a dataset, by index; none without a list.
+
+    Raises InputError for a list that is missing, cannot be read or has no line for one of them.
+    """
+    starts = None if recipe.perturb is None else parse_starts(recipe.perturb)
+    return starts.errors(names, indices) if isinstance(starts, StartList) else {}
+
+
 def start_of(
-    frames: tuple[Frame, ...], truth: Float | None, recipe: Recipe, start: Float | None, index: int
+    frames: tuple[Frame, ...],
+    truth: Float | None,
+    recipe: Recipe,
+    start: Float | None,
+    index: int,
+    listed: Mapping[int, Float],
 ) -> tuple[Float, tuple[str, ...]]:
-    """Return the start and what has to be said about it."""
+    """Return the start and what has to be said about it; `listed` are the `listed_errors` by index."""
     if start is not None:
         return start, ()
     if recipe.perturb is not None:
@@ -342,7 +378,9 @@ def start_of(
                 where=frames[0].name,
                 hint="leave out --perturb to begin at the start that the data give",
             )
-        size = parse_perturbation(recipe.perturb)
+        size = parse_starts(recipe.perturb)
+        if isinstance(size, StartList):
+            return size.start(truth, listed[index]), ()
         # Seeded by the frame's own number, so that a frame starts alike whichever others are run with it.
         rng = np.random.default_rng([recipe.seed] if recipe.joint else [recipe.seed, index])
         return size.start(truth, rng, recipe.seed), ()

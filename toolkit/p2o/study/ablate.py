@@ -24,7 +24,7 @@ from p2o.geometry.pose_error import pose_error
 from p2o.host.guard import GuardedDataset
 from p2o.host.registry import Registry
 from p2o.run.recipe import Plan, open_dataset
-from p2o.run.run import common_pose, start_of
+from p2o.run.run import common_pose, listed_errors, start_of
 from p2o.run.words import split_data
 from p2o.study import worker
 from p2o.study.store import Planned, Store, StoredRow, StoredStudy
@@ -181,11 +181,12 @@ class _Method:
 
 @dataclass(frozen=True, eq=False)
 class _Opened:
-    """One row with its frames and, by seed, its methods."""
+    """One row with its frames and, by seed, its methods; `listed` are errors of starts from a list, by frame."""
 
     row: StudyRow
     sources: tuple[Source, ...]
     methods: Mapping[int, _Method]
+    listed: Mapping[int, Float]
 
     @property
     def first(self) -> _Method:
@@ -223,7 +224,9 @@ def _opened(rows: Sequence[StudyRow], plugins: Plugins) -> list[_Opened]:
                 hint="choose fewer frames or seeds: --frames, --seeds",
             )
         methods = {seed: _Method.of(row, seed, options, versions, registry) for seed in row.seeds}
-        out.append(_Opened(row, sources, methods))
+        begins = indices[:: _group_size(row, len(sources))]
+        listed = listed_errors(row.recipe(row.seeds[0]), dataset.names, begins)
+        out.append(_Opened(row, sources, methods, listed))
     return out
 
 
@@ -349,7 +352,7 @@ def _cell(entry: _Opened, seed: int, joint: int, group: tuple[Facts, ...]) -> _C
         # Facts know the poses of a frame by the same names as the frame.
         poses: Any = group
         truth = common_pose(poses, "camera_from_lidar")
-        start, _ = start_of(poses, truth, method.plan.recipe, None, group[0].source.index)
+        start, _ = start_of(poses, truth, method.plan.recipe, None, group[0].source.index, entry.listed)
     key = content_hash(
         {
             "method": method.key,

@@ -26,6 +26,7 @@ from p2o.errors import InputError, P2OError, UnknownNameError, printable
 from p2o.files.input_file import expanded, read_text
 from p2o.files.parsed_text import parse_toml
 from p2o.geometry.perturb import Perturbation, parse_perturbation
+from p2o.geometry.start_list import parse_starts
 from p2o.host.registry import GROUP, Registry
 from p2o.host.slots import METHOD_WORDS, SLOTS, STAGED_WORDS, STAGES
 from p2o.host.validation import fault_of
@@ -468,7 +469,7 @@ def check_study(study: Study, registry: Registry) -> list[StudyRow]:
             if stage not in STAGES:
                 raise UnknownNameError("stage", stage, STAGES, where=f"study {study.name}, variant '{variant.name}'")
         if variant.perturb is not None:
-            parse_perturbation(variant.perturb)
+            parse_starts(variant.perturb)
     _ = study.limits
     rows = study.rows()
     for row in rows:
