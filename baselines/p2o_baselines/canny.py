@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from p2o import Image, ImageEdges, ImageExtractor, ImageFeatures, InputError, Method, Options, Side, field, occlusion
+from p2o.arrays import Bool
 
 
 class CannyOptions(Options):
@@ -15,31 +16,42 @@ class CannyOptions(Options):
     min_length_px: int = field(10, ge=1, help="Connected edges of fewer pixels than this are dropped.")
 
 
-def build(options: CannyOptions) -> ImageExtractor:
-    """Return the extractor; raises InputError if `low` exceeds `high`."""
-    import cv2
-
+def check_thresholds(options: CannyOptions, where: str) -> None:
+    """Raise InputError if `low` exceeds `high`."""
     if options.low > options.high:
         raise InputError(
             "the thresholds are in the wrong order",
-            where="canny",
+            where=where,
             expected=f"low <= high = {options.high:g}",
             got=f"low = {options.low:g}",
             hint="set both --set extractor.low and extractor.high",
         )
 
-    def extract(image: Image) -> ImageFeatures:
-        grey = image.grey
-        if options.blur_sigma_px > 0:
-            grey = cv2.GaussianBlur(grey, (0, 0), options.blur_sigma_px)
-        found = cv2.Canny(grey, options.low, options.high, L2gradient=True) > 0
-        if image.masked is not None:
-            found &= ~image.masked
-        v, u = np.nonzero(occlusion.without_short(found[None], options.min_length_px)[0])
-        uv = np.stack([u, v], axis=1).astype(np.float64)
-        return ImageFeatures(ImageEdges(uv, np.full(len(uv), Side.NONE, np.int8)))
 
-    return extract
+def edge_pixels(image: Image, options: CannyOptions) -> Bool:
+    """Return which pixels (H, W) of an image are edges; masked ones are none."""
+    import cv2
+
+    grey = image.grey
+    if options.blur_sigma_px > 0:
+        grey = cv2.GaussianBlur(grey, (0, 0), options.blur_sigma_px)
+    found = cv2.Canny(grey, options.low, options.high, L2gradient=True) > 0
+    if image.masked is not None:
+        found &= ~image.masked
+    return occlusion.without_short(found[None], options.min_length_px)[0]
+
+
+def edges_of(pixels: Bool) -> ImageFeatures:
+    """Return pixels (H, W) as edges without direction, row by row."""
+    v, u = np.nonzero(pixels)
+    uv = np.stack([u, v], axis=1).astype(np.float64)
+    return ImageFeatures(ImageEdges(uv, np.full(len(uv), Side.NONE, np.int8)))
+
+
+def build(options: CannyOptions) -> ImageExtractor:
+    """Return the extractor; raises InputError if `low` exceeds `high`."""
+    check_thresholds(options, "canny")
+    return lambda image: edges_of(edge_pixels(image, options))
 
 
 METHOD = Method(

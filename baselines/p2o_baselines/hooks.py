@@ -12,10 +12,10 @@ from p2o import Method, hookimpl
 @hookimpl
 def p2o_image_extractors() -> Iterator[Method]:
     """Offer the image sides."""
-    from p2o_baselines import canny, canny_long, grey, hed, idt, lane_pole_image, line_idt, lsd, masks, smoothness
+    from p2o_baselines import canny, canny_long, grey, hed, idt, lane_pole_image, lcs, line_idt, lsd, masks, smoothness
 
     yield from (canny.METHOD, canny_long.METHOD, grey.METHOD, hed.METHOD, idt.IMAGE, lane_pole_image.METHOD)
-    yield from (line_idt.IMAGE, lsd.METHOD, masks.METHOD, smoothness.METHOD)
+    yield from (lcs.METHOD, line_idt.IMAGE, lsd.METHOD, masks.METHOD, smoothness.METHOD)
 
 
 @hookimpl
@@ -62,6 +62,6 @@ def p2o_matchers() -> Iterator[Method]:
 @hookimpl
 def p2o_calibrators() -> Iterator[Method]:
     """Offer the whole methods."""
-    from p2o_baselines import atop, picked
+    from p2o_baselines import atop, line_time, picked
 
-    yield from (atop.METHOD, picked.METHOD)
+    yield from (atop.METHOD, line_time.METHOD, picked.METHOD)

@@ -19,9 +19,7 @@ Departures: the text of the paper was not at hand. That images lines are told by
 the search's steps are ours; a point that leaves the image counts as the mean of D, as in `idt`.
 
 Its temporal successor (Wang et al., Temporal and Spatial Online Integrated Calibration for Camera and LiDAR, ITSC 2022)
-estimates the delay between the sensors from visual and LiDAR odometry first, and then refines as above. The second half
-is this method. The first is left out: no visual odometry is here. What p2o does about time instead, for every method
-whose features know when they were seen, is `pipeline.motion` (docs/is-my-result-good is about its results).
+estimates the delay between the sensors from visual and LiDAR odometry first, and then refines as above: `line_time`.
 """
 
 from __future__ import annotations

@@ -55,6 +55,13 @@ class SyntheticOptions(Options):
         0.0, ge=0, le=60, help="How far a drive turns to the left and right of its road as it swings along it."
     )
     tilt_deg: float = field(0.0, ge=0, le=20, help="How far a drive pitches and rolls on uneven ground.")
+    sway: float = field(
+        1.0,
+        ge=0,
+        le=10,
+        help="How much the car sits differently on its springs from frame to frame, times 0.3 degrees and 5 cm; 0 for "
+        "a drive whose poses lie on one smooth way.",
+    )
     odometry_noise_deg: float = field(
         0.0, ge=0, le=10, help="Deviation of each step of the odometry in degrees an axis, camera and LiDAR each."
     )
@@ -176,9 +183,13 @@ def view(options: SyntheticOptions, scene_number: int, number: int = 0) -> View:
     from p2o import simulate
 
     names = ("seed", "place", "frames_per_scene", "period_s", "swing_deg", "tilt_deg")
-    still = options.targets != "none" and not _speed_m_s(options)
+    speed_m_s = _speed_m_s(options)
+    still = options.targets != "none" and not speed_m_s
     scene, moments = _drive(
-        scene_number, **{name: getattr(options, name) for name in names}, speed_m_s=_speed_m_s(options), still=still
+        scene_number,
+        **{name: getattr(options, name) for name in names},
+        speed_m_s=speed_m_s,
+        sway=0.0 if still else options.sway,
     )
     moment = moments[number]
     truth = truth_at(options, scene_number, number)
@@ -293,16 +304,16 @@ def _drive(
     period_s: float,
     swing_deg: float,
     tilt_deg: float,
-    still: bool,
+    sway: float,
 ) -> tuple[Scene, tuple[Moment, ...]]:
-    """Return a scene and the drive through it, or a car that stands `still`; kept, because frames share them."""
+    """Return a scene and the drive through it; kept, because frames share them."""
     from p2o import simulate
 
-    layout, sway = (np.random.default_rng([seed, stream, scene_number]) for stream in (_PLACE, _DRIVE))
+    layout, shake = (np.random.default_rng([seed, stream, scene_number]) for stream in (_PLACE, _DRIVE))
     travel = _travel_m(speed_m_s, period_s, frames_per_scene)
     scene, twist = simulate.scene_of(place, layout, speed_m_s=speed_m_s, travel_m=travel)
     swing = simulate.Swing(swing_deg, tilt_deg)
-    moments = simulate.drive(twist, frames_per_scene, sway, period_s=period_s, sway=0.0 if still else 1.0, swing=swing)
+    moments = simulate.drive(twist, frames_per_scene, shake, period_s=period_s, sway=sway, swing=swing)
     return scene.prepare(), moments
 
 

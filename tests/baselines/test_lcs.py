@@ -1,0 +1,144 @@
+"""`lcs` keeps what forms lines, circles and squares, and leaves clutter out."""
+
+from __future__ import annotations
+
+import numpy as np
+import p2o
+import pytest
+from p2o_baselines import canny, edge_chains, lcs
+
+BACKGROUND = 40
+LINE, CIRCLE, SQUARE, CLUTTER = (
+    (slice(0, 85), slice(0, 170)),
+    (slice(10, 110), slice(230, 330)),
+    (slice(110, 150), slice(20, 60)),
+    (slice(115, 240), slice(100, 360)),
+)
+"""Rows and columns of the picture."""
+
+
+def image(grey: np.ndarray, masked: np.ndarray | None = None) -> p2o.Image:
+    height, width = grey.shape
+    rgb = np.repeat(grey[..., None], 3, axis=2).astype(np.uint8)
+    return p2o.Image(rgb, p2o.Camera.pinhole(100, 100, width / 2, height / 2, width, height), masked=masked)
+
+
+def shown(*, clutter: bool = True) -> np.ndarray:
+    """A picture (240, 360) of a bar, a disc, a square of 20 px and scribbles."""
+    import cv2
+
+    grey = np.full((240, 360), BACKGROUND, np.uint8)
+    cv2.line(grey, (20, 20), (150, 60), 220, 6, cv2.LINE_AA)
+    cv2.circle(grey, (280, 60), 35, 220, -1, cv2.LINE_AA)
+    cv2.rectangle(grey, (30, 120), (50, 140), 220, -1)
+    rng = np.random.default_rng(0)
+    for _ in range(12 if clutter else 0):
+        at, way, points = rng.uniform((125, 130), (340, 230)), rng.uniform(0, 2 * np.pi), []
+        for _ in range(40):
+            way += rng.normal(0, 0.9)
+            at = np.clip(at + 3 * np.array([np.cos(way), np.sin(way)]), (120, 130), (345, 232))
+            points.append(np.rint(at))
+        cv2.polylines(grey, [np.array(points, np.int32)], False, int(rng.integers(120, 255)), 1, cv2.LINE_AA)
+    return grey
+
+
+def kept(grey: np.ndarray, **options: object) -> np.ndarray:
+    """Which pixels are kept."""
+    edges = lcs.METHOD.build(lcs.LcsOptions(**options))(image(grey)).edges
+    assert edges is not None
+    out = np.zeros(grey.shape, bool)
+    u, v = edges.uv.astype(int).T
+    out[v, u] = True
+    return out
+
+
+def share(found: np.ndarray, where: tuple[slice, slice], grey: np.ndarray) -> float:
+    """The share of Canny's edges of a part of the picture that is kept."""
+    before = canny.edge_pixels(image(grey), lcs.LcsOptions())
+    assert not (found & ~before).any()
+    assert before[where].sum() > 50
+    return float(found[where].sum() / before[where].sum())
+
+
+def test_line_circle_and_square_stay_and_clutter_goes() -> None:
+    grey = shown()
+    found = kept(grey)
+    assert share(found, LINE, grey) > 0.85  # its round ends are no line
+    assert share(found, CIRCLE, grey) > 0.85
+    assert share(found, SQUARE, grey) > 0.9
+    assert share(found, CLUTTER, grey) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("option", "gone"),
+    [({"min_line_px": 200.0}, LINE), ({"max_radius_px": 20.0}, CIRCLE), ({"min_side_px": 25.0}, SQUARE)],
+)
+def test_each_layer_keeps_its_own_shape(option: dict[str, float], gone: tuple[slice, slice]) -> None:
+    grey = shown(clutter=False)
+    found = kept(grey, **option)
+    for where in (LINE, CIRCLE, SQUARE):
+        assert share(found, where, grey) < 0.1 if where is gone else share(found, where, grey) > 0.85
+
+
+def test_a_line_that_clutter_crosses_stays_whole() -> None:
+    pixels = np.zeros((60, 120), bool)
+    pixels[30, 10:110] = True
+    for column in (30, 52, 71):
+        pixels[25:36, column] = True
+    found = lcs.shapes(pixels, lcs.LcsOptions())
+    assert found[30, 10:110].sum() >= 97  # but where the others cross
+    assert found.sum() < 110
+
+
+def test_three_sides_are_no_square() -> None:
+    pixels = np.zeros((60, 60), bool)
+    pixels[20, 20:36] = pixels[35, 20:36] = True
+    pixels[20:36, 20] = True
+    assert not lcs.shapes(pixels, lcs.LcsOptions()).any()
+    pixels[20:36, 35] = True
+    assert lcs.shapes(pixels, lcs.LcsOptions()).sum() == 60
+
+
+def test_a_picture_without_edges_gives_none() -> None:
+    assert not kept(np.full((80, 100), 128, np.uint8)).any()
+
+
+def test_masked_pixels_have_no_edges() -> None:
+    grey = shown(clutter=False)
+    masked = np.zeros(grey.shape, bool)
+    masked[LINE] = True
+    edges = lcs.METHOD.build(lcs.LcsOptions())(image(grey, masked)).edges
+    assert len(edges) > 0
+    u, v = edges.uv.astype(int).T
+    assert not masked[v, u].any()
+    assert (edges.side == p2o.Side.NONE).all()
+
+
+def test_thresholds_in_the_wrong_order_are_refused() -> None:
+    with pytest.raises(p2o.InputError, match="low <= high = 50"):
+        lcs.METHOD.build(lcs.LcsOptions(low=100, high=50))
+
+
+def test_every_pixel_is_in_one_chain_and_neighbours_touch() -> None:
+    pixels = canny.edge_pixels(image(shown()), lcs.LcsOptions())
+    found = edge_chains.chains(pixels)
+    every = np.concatenate(found)
+    assert len(np.unique(every, axis=0)) == len(every) == pixels.sum()
+    assert pixels[every[:, 1], every[:, 0]].all()
+    steps = np.concatenate([np.abs(np.diff(chain, axis=0)).max(axis=1) for chain in found])
+    assert steps.min() == 1
+    assert steps.max() <= 2  # over the pixel of another chain
+    assert (steps == 2).mean() < 0.05
+
+
+def test_a_chain_is_cut_where_it_bends() -> None:
+    bent = np.array([[u, 0] for u in range(20)] + [[19, v] for v in range(1, 15)])
+    _, corners = edge_chains.cut(bent, 1.5)
+    assert corners.tolist() == [0, 19, 33]
+
+
+def test_the_circle_of_points_on_an_arc_is_found() -> None:
+    angle = np.radians(np.linspace(20, 170, 60))
+    arc = edge_chains.arc_of(np.column_stack([100 + 25 * np.cos(angle), 40 + 25 * np.sin(angle)]))
+    np.testing.assert_allclose(arc, [25.0, 0.0, 150.0], atol=1e-6)
+    assert edge_chains.arc_of(np.column_stack([np.arange(30), np.arange(30)])).radius_px == np.inf
