@@ -95,7 +95,8 @@ def campaign(kills: int, seed: int, home: Path, *, scenes: int = 3, seeds: int =
         while _disturbed(file, folder, jobs, rng, pace, tally, expected, kills):
             if report:
                 now = f"{len(_rows(folder))} of {tally.rows} rows, {len(tally.broken)} promises broken"
-                print(f"{tally.kills.total()} kills, {now}", file=sys.stderr, flush=True)
+                lines = [f"{tally.kills.total()} kills, {now}", *tally.broken[-1:]]
+                print("\n  ".join(lines), file=sys.stderr, flush=True)
         found = _rows(folder)
         if found != expected:
             tally.broken.append(f"{folder.name}: {_difference(found, expected)}")

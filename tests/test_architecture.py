@@ -23,7 +23,7 @@ ORDINARY = ("p2o_plugins", "p2o_baselines", "p2o_example")
 """Packages that are to p2o what everyone's plugins are."""
 
 FLOORS = (
-    {"errors", "moved"},
+    {"errors", "moved", "native"},
     {"arrays", "files", "options"},
     {"geometry"},
     {"frames"},
@@ -60,6 +60,7 @@ OPEN_MODULES = {
     "frames.accumulate",
     "frames.lidar_odometry",
     "host.validation",
+    "native",
     "picks.pairs",
     "picks.solve",
     "problems.chart",

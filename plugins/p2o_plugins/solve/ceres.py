@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
 from typing import Any
 
 import numpy as np
 import p2o
 from p2o.arrays import Float
+from p2o.native import import_keeping_signals
 from p2o.problems.chart import left_from_chart, pose_at
 from p2o.problems.normal_equations import judged, linearise, require_residuals
 
@@ -27,7 +27,7 @@ class CeresOptions(p2o.Options):
 def build(options: CeresOptions) -> p2o.Solver:
     """Return the solver `(LeastSquares, camera_from_lidar (4, 4)) -> Solution`; MethodUnavailable sans pyceres."""
     try:
-        pyceres = importlib.import_module("pyceres")
+        pyceres = import_keeping_signals("pyceres")
     except ImportError as problem:
         raise p2o.MethodUnavailable(
             "solver ceres needs pyceres, which is not installed", hint="run: pip install pyceres"

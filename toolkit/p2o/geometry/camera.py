@@ -10,6 +10,7 @@ import numpy as np
 
 from p2o.arrays import Bool, Float
 from p2o.errors import InputError, UnknownNameError
+from p2o.native import import_keeping_signals
 
 if TYPE_CHECKING:
     import pycolmap
@@ -72,8 +73,7 @@ class Camera:
         if self.model == _PINHOLE:
             count_ok, focal = len(self.params) == 4, self.params[:2]
         else:
-            import pycolmap
-
+            pycolmap = import_keeping_signals("pycolmap")
             names = sorted(m for m in pycolmap.CameraModelId.__members__ if m != "INVALID")
             if self.model not in names:
                 raise UnknownNameError("camera model", self.model, names)
@@ -109,8 +109,7 @@ class Camera:
 
     @cached_property
     def _colmap(self) -> pycolmap.Camera:
-        import pycolmap
-
+        pycolmap = import_keeping_signals("pycolmap")
         return pycolmap.Camera(model=self.model, width=self.width, height=self.height, params=list(self.params))
 
     @cached_property
