@@ -62,6 +62,6 @@ def p2o_matchers() -> Iterator[Method]:
 @hookimpl
 def p2o_calibrators() -> Iterator[Method]:
     """Offer the whole methods."""
-    from p2o_baselines import atop, line_time, picked
+    from p2o_baselines import atop, cues, line_time, picked
 
-    yield from (atop.METHOD, line_time.METHOD, picked.METHOD)
+    yield from (atop.METHOD, cues.METHOD, line_time.METHOD, picked.METHOD)
