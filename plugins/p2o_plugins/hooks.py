@@ -20,9 +20,9 @@ def p2o_image_extractors() -> Iterator[Method]:
 @hookimpl
 def p2o_cloud_extractors() -> Iterator[Method]:
     """Offer the LiDAR sides."""
-    from p2o_plugins.cloud import rings
+    from p2o_plugins.cloud import range_view, rings
 
-    yield rings.METHOD
+    yield from (range_view.METHOD, rings.METHOD)
 
 
 @hookimpl

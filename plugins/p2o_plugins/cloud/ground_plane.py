@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from p2o.arrays import Float
 
-from p2o_plugins.cloud.sweep import Sweep
+from p2o_plugins.cloud.sweep import Returns
 
 # Returns looked at, planes tried, half thickness of the ground, distance within which roads are about flat, least
 # squares steps, and the share of returns that may lie well under the ground (ditches, embankments).
 _SAMPLE, _TRIALS, _BAND_M, _REACH_M, _POLISH, _MOST_UNDER = 3000, 200, 0.15, 40.0, 3, 0.25
 
 
-def ground_plane(sweep: Sweep, seed: int, max_tilt_deg: float = 30.0, min_share: float = 0.1) -> Float | None:
+def ground_plane(sweep: Returns, seed: int, max_tilt_deg: float = 30.0, min_share: float = 0.1) -> Float | None:
     """Return the plane (4,) n, d with |n| = 1 and n . x + d the height in metres over the ground, or None.
 
     The plane leans at most `max_tilt_deg` from the sensor's xy plane and holds at least `min_share` of the returns

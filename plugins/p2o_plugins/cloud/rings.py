@@ -8,16 +8,14 @@ from p2o.arrays import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from p2o_plugins.cloud.ground_plane import ground_plane
-from p2o_plugins.cloud.sweep import Neighbours, Sweep, across_rings, along_ring, order_sweep
+from p2o_plugins.cloud.sweep import Neighbours, Returns, Sweep, across_rings, along_ring, order_sweep
 
 
-class RingsOptions(Options):
-    """What counts as an occlusion edge of a sweep."""
+class JumpOptions(Options):
+    """What counts as an occlusion edge between neighbouring returns."""
 
     min_jump_m: float = field(0.4, gt=0, help="Smallest step in range between neighbouring beams, in metres.")
     min_jump_share: float = field(0.02, ge=0, help="Added to that step: this share of the nearer range.")
-    max_gap_deg: float = field(0.6, gt=0, lt=90, help="Widest azimuth gap on a ring that is not a missing return.")
-    max_step_deg: float = field(3.0, gt=0, lt=90, help="Widest elevation gap between rings that are neighbours.")
     slant_ratio: float = field(
         3.0,
         ge=0,
@@ -47,6 +45,13 @@ class RingsOptions(Options):
     )
     max_points: int = field(40_000, ge=0, help="Surface points kept for hidden-surface tests, at most.")
     seed: int = field(0, ge=0, help="Seed of the ground plane's random samples.")
+
+
+class RingsOptions(JumpOptions):
+    """What counts as an occlusion edge of a sweep whose rings are known."""
+
+    max_gap_deg: float = field(0.6, gt=0, lt=90, help="Widest azimuth gap on a ring that is not a missing return.")
+    max_step_deg: float = field(3.0, gt=0, lt=90, help="Widest elevation gap between rings that are neighbours.")
 
 
 def build(options: RingsOptions) -> CloudExtractor:
@@ -79,19 +84,19 @@ def ring_edges(cloud: Cloud, options: RingsOptions) -> CloudFeatures:
     parts = []
     for side, rows in jumps.items():
         support = support_of(sweep, neighbours, side, rows, options)
-        met = _met(side, step)
+        met = share_met(side, step)
         keep = support >= options.min_support * met
         if plane is not None:
             keep &= sweep.xyz(rows) @ plane[:3] + plane[3] > options.ground_height_m
         rows, support = rows[keep], support[keep]
         # Even one upright edge needs another.
         others = options.min_neighbours and max(1, round(options.min_neighbours * met))
-        keep = _in_company(sweep, rows, others, step, options)
+        keep = in_company(sweep, rows, others, step, options)
         rows, support = rows[keep], support[keep]
         xyz, sigma = outline(sweep, neighbours[side], side, rows, beam, options)
         weight = support if options.weigh else np.ones(len(rows))
         time_s = np.zeros(len(rows)) if measured_s is None else measured_s[sweep.point[rows]]
-        parts.append((xyz, np.full(len(rows), side), weight, sigma, _towards_background(xyz, side), time_s))
+        parts.append((xyz, np.full(len(rows), side), weight, sigma, towards_background(xyz, side), time_s))
     edges = CloudEdges(*(np.concatenate(column) for column in zip(*parts, strict=True)))
     if options.max_points == 0 or len(sweep) == 0:
         return CloudFeatures(edges, np.zeros((0, 3)))
@@ -124,7 +129,9 @@ def jumps_of(sweep: Sweep, neighbours: dict[Side, Neighbours], side: Side, optio
     return rows
 
 
-def support_of(sweep: Sweep, neighbours: dict[Side, Neighbours], side: Side, rows: Int, options: RingsOptions) -> Float:
+def support_of(
+    sweep: Returns, neighbours: dict[Side, Neighbours], side: Side, rows: Int, options: JumpOptions
+) -> Float:
     """Return the share of seven signs of a clean outline that each edge shows, in [0, 1].
 
     Foreground, background and the jump between them each go on both ways along the outline (six), and the background
@@ -153,7 +160,7 @@ def support_of(sweep: Sweep, neighbours: dict[Side, Neighbours], side: Side, row
     return signs / _SIGNS
 
 
-def _met(side: Side, step: float) -> float:
+def share_met(side: Side, step: float) -> float:
     """Return the share of an upright outline's usual edges that rings `step` radians apart meet; 1 for the others.
 
     A car that ten rings of an HDL-64E meet is met by three of an HDL-32E: what is asked of the rings above and below
@@ -162,7 +169,7 @@ def _met(side: Side, step: float) -> float:
     return min(1.0, _USUAL_STEP / max(step, 1e-9)) if side in (Side.LEFT, Side.RIGHT) else 1.0
 
 
-def _in_company(sweep: Sweep, rows: Int, others: int, step: float, options: RingsOptions) -> Bool:
+def in_company(sweep: Returns, rows: Int, others: int, step: float, options: JumpOptions) -> Bool:
     """Return which edges have enough others of their direction around them (the paper's radius filter).
 
     The radius reaches the second next ring, `step` radians being the way to the next.
@@ -199,7 +206,7 @@ def outline(
     return xyz, np.abs(lift) * flat / sweep.range_m[rows] / np.sqrt(12)
 
 
-def _towards_background(xyz: Float, side: Side) -> Float:
+def towards_background(xyz: Float, side: Side) -> Float:
     """Return unit directions (M, 3) across the view of the sensor, from edges at `xyz` (M, 3) to their background."""
     flat = np.maximum(np.hypot(xyz[:, 0], xyz[:, 1]), 1e-9)
     zero = np.zeros(len(xyz))

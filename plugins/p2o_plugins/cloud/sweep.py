@@ -22,13 +22,12 @@ _LARGEST_OFFSET_M = 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class Sweep:
-    """The returns of one sweep, ring by ring from the highest to the lowest, each ring by rising azimuth.
+class Returns:
+    """The returns of one sweep in some order.
 
-    `point` (N,) is each return's row in the cloud; `range_m` (N,) from the origin, `flat_m` (N,) from the z axis;
-    `azimuth` (N,) rad in [0, 2 pi), rising counter-clockwise seen from +z; `ring` (N,) 0 is the highest; `start`
-    (R + 1,) first row of each ring. `slope` and `offset` (R,): each ring lies on the cone z = slope * flat_m + offset.
-    Range, flat distance and azimuth are single precision: 4 micrometres at 80 m.
+    `point` (N,) is each return's row in the cloud; `range_m` (N,) from where the beams start, `flat_m` (N,) from the
+    upright axis there; `azimuth` (N,) rad in [0, 2 pi), rising counter-clockwise seen from +z. These are single
+    precision: 4 micrometres at 80 m.
     """
 
     cloud: Cloud
@@ -36,10 +35,6 @@ class Sweep:
     range_m: Single
     flat_m: Single
     azimuth: Single
-    ring: Int
-    start: Int
-    slope: Float
-    offset: Float
 
     def __len__(self) -> int:
         return len(self.point)
@@ -48,6 +43,20 @@ class Sweep:
         """Return the points (M, 3) m in the LiDAR frame of rows (M,) or a slice."""
         taken: Float = np.take(self.cloud.xyz, self.point[rows], axis=0)
         return taken
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep(Returns):
+    """The returns ring by ring from the highest to the lowest, each ring by rising azimuth.
+
+    `ring` (N,) 0 is the highest; `start` (R + 1,) first row of each ring. `slope` and `offset` (R,): each ring lies on
+    the cone z = slope * flat_m + offset. Beams start at the origin.
+    """
+
+    ring: Int
+    start: Int
+    slope: Float
+    offset: Float
 
 
 @dataclass(frozen=True, eq=False)

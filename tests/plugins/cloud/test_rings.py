@@ -380,6 +380,6 @@ def test_real_sweeps_have_64_rings_and_edges_in_all_four_directions(kitti_raw):
     ],
 )
 def test_the_background_direction_lies_across_the_view(xyz: list[float], side: Side, expected: list[float]) -> None:
-    from p2o_plugins.cloud.rings import _towards_background
+    from p2o_plugins.cloud.rings import towards_background
 
-    np.testing.assert_allclose(_towards_background(np.array([xyz]), side), [expected], atol=1e-12)
+    np.testing.assert_allclose(towards_background(np.array([xyz]), side), [expected], atol=1e-12)

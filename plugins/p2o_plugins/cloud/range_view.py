@@ -1,0 +1,139 @@
+"""Directed occlusion edges of a cloud without rings, from where its beams start."""
+
+from __future__ import annotations
+
+import numpy as np
+from p2o import Cloud, CloudEdges, CloudExtractor, CloudFeatures, Method, Side, field
+from p2o.arrays import Bool, Float, Int
+
+from p2o_plugins.cloud.ground_plane import ground_plane
+from p2o_plugins.cloud.rings import JumpOptions, in_company, share_met, support_of, towards_background
+from p2o_plugins.cloud.scattered import Around, Scattered, around, in_front, kept, neighbour, scattered
+from p2o_plugins.cloud.sweep import Neighbours
+
+
+class RangeViewOptions(JumpOptions):
+    """What counts as an occlusion edge of a cloud whose rings nobody knows."""
+
+    origin_m: tuple[float, float, float] = field(
+        (0.0, 0.0, 0.0),
+        help="Where the beams start, x y z in the cloud's frame, or about where the camera is: merged clouds lie in a "
+        "frame of the vehicle, from whose origin nothing was seen.",
+    )
+    max_spacings: float = field(
+        3.0, gt=0, help="Farthest neighbour that is not a missing return, in usual steps from one return to the next."
+    )
+
+
+def build(options: RangeViewOptions) -> CloudExtractor:
+    """Return the extractor."""
+
+    def extract(cloud: Cloud) -> CloudFeatures:
+        return range_view_edges(cloud, options)
+
+    return extract
+
+
+def range_view_edges(cloud: Cloud, options: RangeViewOptions) -> CloudFeatures:
+    """Return the occlusion edges and thinned surface points of a cloud in any order, LiDAR frame, metres.
+
+    Sides, jumps, signs and shifts are those of `rings`; neighbours are the returns nearest in angle within 45 degrees
+    of a side. Whether the surface goes on past a return is told by the plane through those around it that lie away from
+    the neighbour. Returns behind a surface that goes on around them are left out first.
+    """
+    origin = np.array(options.origin_m)
+    seen = scattered(cloud, options.origin_m)
+    if len(seen) < 2:
+        return CloudFeatures(CloudEdges.empty(), seen.xyz(slice(0, options.max_points)))
+    seen = kept(seen, in_front(seen, around(seen), options.min_jump_m, options.min_jump_share))
+    near = around(seen)
+    neighbours = {side: neighbour(seen, near, side, options.max_spacings) for side in _SIDES}
+    plane = ground_plane(seen, options.seed) if options.ground_height_m > 0 else None
+    step = float(seen.spacing[1])
+    measured_s = cloud.time_s if cloud.twist is None else None
+    parts = []
+    for side in _SIDES:
+        rows = jumps_between(seen, near, neighbours[side], side, options)
+        support = support_of(seen, neighbours, side, rows, options)
+        met = share_met(side, step)
+        keep = support >= options.min_support * met
+        if plane is not None:
+            keep &= seen.xyz(rows) @ plane[:3] + plane[3] > options.ground_height_m
+        rows, support = rows[keep], support[keep]
+        others = options.min_neighbours and max(1, round(options.min_neighbours * met))
+        keep = in_company(seen, rows, others, step, options)
+        rows, support = rows[keep], support[keep]
+        ray = seen.xyz(rows) - origin
+        background = towards_background(ray, side)
+        # Halfway to the neighbour, as far as it lies to this side.
+        gap = neighbours[side].gap[rows].astype(np.float64)
+        gap *= seen.flat_m[rows] if side in (Side.LEFT, Side.RIGHT) else seen.range_m[rows]
+        xyz = ray + options.shift_beams * gap[:, None] * background + origin
+        weight = support if options.weigh else np.ones(len(rows))
+        time_s = np.zeros(len(rows)) if measured_s is None else measured_s[seen.point[rows]]
+        parts.append((xyz, np.full(len(rows), side), weight, gap / np.sqrt(12), background, time_s))
+    edges = CloudEdges(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    if options.max_points == 0:
+        return CloudFeatures(edges, np.zeros((0, 3)))
+    return CloudFeatures(edges, seen.xyz(slice(None, None, -(-len(seen) // options.max_points))))
+
+
+_SIDES = (Side.LEFT, Side.RIGHT, Side.UPPER, Side.BOTTOM)
+# Returns of one surface that tell its plane, at least, and how firmly it stays put where they hardly do.
+_FEWEST, _FIRMNESS = 3, 1e-2
+
+
+def jumps_between(seen: Scattered, near: Around, behind: Neighbours, side: Side, options: RangeViewOptions) -> Int:
+    """Return the rows whose neighbour on `side` lies further away by a step that no single surface explains."""
+    r = seen.range_m
+    jump = r[behind.row] - r
+    rows = np.flatnonzero(behind.known & (jump > options.min_jump_m + options.min_jump_share * r))
+    if options.slant_ratio > 0 and len(rows):
+        predicted = _continued(seen, near, rows, behind.row[rows], jump[rows], options)
+        rows = rows[~(jump[rows] <= options.slant_ratio * (predicted - r[rows]))]
+    if options.grazing_share > 0 and len(rows):
+        back = behind.row[rows]
+        predicted = _continued(seen, near, back, rows, jump[rows], options)
+        rows = rows[~(r[back] - predicted > options.grazing_share * jump[rows])]
+    return rows
+
+
+def _continued(
+    seen: Scattered, near: Around, rows: Int, to: Int, jump: Float, options: RangeViewOptions
+) -> Float:
+    """Return the ranges (M,) that the surfaces of `rows` have in the directions of `to`, NaN where they cannot be told.
+
+    On a plane the inverse range is linear in the angle (to second order). The plane is that of the returns around a row
+    that lie away from `to`, not further from the row in range than the step `jump` (M,) between the two.
+    """
+    inverse = 1 / seen.range_m.astype(np.float64)
+    turn = seen.azimuth[rows] - seen.azimuth[to]
+    turn = np.where(turn > np.pi, turn - _TURN, np.where(turn < -np.pi, turn + _TURN, turn))
+    ahead = np.column_stack([turn / seen.spacing[0], (seen.elevation[to] - seen.elevation[rows]) / seen.spacing[1]])
+    right, up, other = near.right[rows], near.up[rows], near.row[rows]
+    r = seen.range_m[rows, None]
+    other_m = seen.range_m[other]
+    same = (np.abs(other_m - r) < np.minimum(jump[:, None], np.inf)) & np.isfinite(near.away[rows])
+    same &= right * ahead[:, :1] + up * ahead[:, 1:] <= 0
+    rise = np.where(same, inverse[other] - inverse[rows, None], 0.0)
+    right, up = np.where(same, right, 0.0), np.where(same, up, 0.0)
+    a, b, c = (right * right).sum(1) + _FIRMNESS, (right * up).sum(1), (up * up).sum(1) + _FIRMNESS
+    p, q = (right * rise).sum(1), (up * rise).sum(1)
+    det = a * c - b * b
+    slope = np.column_stack([c * p - b * q, a * q - b * p]) / det[:, None]
+    there = inverse[rows] + (slope * ahead).sum(axis=1)
+    ranges = np.where(there > 1e-6, 1 / np.maximum(there, 1e-6), 1e6)
+    return np.where(same.sum(axis=1) >= _FEWEST, ranges, np.nan)
+
+
+_TURN = 2 * np.pi
+
+
+METHOD = Method(
+    name="range-view",
+    build=build,
+    options=RangeViewOptions,
+    summary="Occlusion edges with direction of clouds without rings, from jumps between returns nearest in angle.",
+    gives=frozenset({"cloud-edges", "side", "cloud-points"}),
+    cite="Wang et al., P2O-Calib, 2023, Sec. III-C",
+)
