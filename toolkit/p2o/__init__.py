@@ -98,6 +98,7 @@ _HOME = {
     "features.feature": ["CloudFeature", "Feature", "ImageFeature"],
     "features.maps": ["GreyMap", "ImageMap"],
     "features.points": ["CloudPoints"],
+    "features.remarks": ["CloudRemarks"],
     "features.sets": ["CloudFeatures", "ImageFeatures"],
     "frames.frame": ["Dataset", "Frame"],
     "host.hookspecs": ["hookimpl"],

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
-from p2o import Cloud, CloudEdges, CloudExtractor, CloudFeatures, Method, Options, Side, field
+from p2o import Cloud, CloudEdges, CloudExtractor, CloudFeatures, CloudRemarks, Method, Options, Side, field
 from p2o.arrays import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from p2o_plugins.cloud.ground_plane import ground_plane
-from p2o_plugins.cloud.sweep import Neighbours, Returns, Sweep, across_rings, along_ring, order_sweep
+from p2o_plugins.cloud.sweep import Neighbours, Returns, RingsUnknownError, Sweep, across_rings, along_ring, order_sweep
 
 
 class JumpOptions(Options):
@@ -52,13 +54,28 @@ class RingsOptions(JumpOptions):
 
     max_gap_deg: float = field(0.6, gt=0, lt=90, help="Widest azimuth gap on a ring that is not a missing return.")
     max_step_deg: float = field(3.0, gt=0, lt=90, help="Widest elevation gap between rings that are neighbours.")
+    without_rings: Literal["range-view", "refuse"] = field(
+        "range-view", help="Clouds that do not tell their rings: as `range-view` does, with a warning, or an error."
+    )
 
 
 def build(options: RingsOptions) -> CloudExtractor:
     """Return the extractor."""
+    # Imported here: it is made of what this file holds.
+    from p2o_plugins.cloud.range_view import RangeViewOptions, range_view_edges
+
+    common = {name: getattr(options, name) for name in JumpOptions.model_fields}
 
     def extract(cloud: Cloud) -> CloudFeatures:
-        return ring_edges(cloud, options)
+        try:
+            return ring_edges(cloud, options)
+        except RingsUnknownError as problem:
+            if options.without_rings == "refuse":
+                raise
+            found = range_view_edges(cloud, RangeViewOptions(**common))
+            said = found.get(CloudRemarks.word)
+            texts = (f"{problem.what}: its edges are those of range-view", *(() if said is None else said.texts))
+            return found.having(CloudRemarks(texts))
 
     return extract
 
@@ -68,8 +85,8 @@ def ring_edges(cloud: Cloud, options: RingsOptions) -> CloudFeatures:
 
     Sides are named as a viewer at the sensor with its +z axis up would name them: left is rising azimuth, upper is
     rising elevation. The edge point is the nearer return, moved half a gap towards the background beam; a return may
-    carry several sides and then gives several rows. Missing returns make no edge. Raises InputError where the rings
-    cannot be told (see `order_sweep`).
+    carry several sides and then gives several rows. Missing returns make no edge. Raises RingsUnknownError where
+    the rings cannot be told (see `order_sweep`).
     """
     sweep = order_sweep(cloud)
     left, right = along_ring(sweep, options.max_gap_deg)

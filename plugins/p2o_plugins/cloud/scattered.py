@@ -14,6 +14,8 @@ from p2o_plugins.cloud.sweep import Neighbours, Returns, Single
 _TURN = 2 * np.pi
 # Of returns within this angle only the nearest counts: dual returns, double points, several sweeps of one ray.
 _SAME_RAY_DEG = 0.01
+# First by cells as fine as this, so that many returns of one ray are not compared pair by pair.
+_FINE_RAY_DEG = 0.001
 # Returns whose spacing is looked at, and how many around each: enough to reach the next ring of 16, ten beams away.
 _SAMPLE, _AROUND = 2000, 192
 # Returns around each that are looked at, in units of the spacing.
@@ -58,12 +60,12 @@ def scattered(cloud: Cloud, origin_m: tuple[float, float, float]) -> Scattered:
     azimuth[azimuth >= np.float32(_TURN)] = 0.0
     elevation, range_m = np.arctan2(z, flat), np.sqrt(flat * flat + z * z)
     point = np.flatnonzero(flat > 1e-3)
-    cell = np.floor(np.column_stack([azimuth[point], elevation[point]]) / np.float32(np.radians(_SAME_RAY_DEG)))
+    cell = np.floor(np.column_stack([azimuth[point], elevation[point]]) / np.float32(np.radians(_FINE_RAY_DEG)))
     # By cell, then range, then place, whatever order the points came in.
-    keys = (elevation[point], azimuth[point], range_m[point], cell[:, 1], cell[:, 0])
-    order = np.lexsort(keys)
+    order = np.lexsort((elevation[point], azimuth[point], range_m[point], cell[:, 1], cell[:, 0]))
     cell, point = cell[order], point[order]
     point = point[np.append(True, (np.diff(cell, axis=0) != 0).any(axis=1))[: len(point)]]
+    point = point[_first_of_ray(azimuth[point], elevation[point], range_m[point])]
     seen = Scattered(cloud, point, range_m[point], flat[point], azimuth[point], elevation[point], np.zeros(2))
     return replace(seen, spacing=_spacing(seen))
 
@@ -99,9 +101,7 @@ def neighbour(seen: Scattered, near: Around, side: Side, max_spacings: float) ->
 
     Unknown where there is none within `max_spacings`, counted in wider spacings where returns are fewer.
     """
-    ahead, beside = (near.right, near.up) if side in (Side.LEFT, Side.RIGHT) else (near.up, near.right)
-    forward = ahead if side in (Side.RIGHT, Side.UPPER) else -ahead
-    there = (forward > 0) & (np.abs(beside) <= forward) & np.isfinite(near.away)
+    forward, there = _towards(near, np.arange(len(seen)), side)
     first = there.argmax(axis=1)
     every = np.arange(len(seen))
     sparse = np.maximum(near.away[:, min(3, near.away.shape[1] - 1)], 1.0)
@@ -111,15 +111,41 @@ def neighbour(seen: Scattered, near: Around, side: Side, max_spacings: float) ->
     return Neighbours(row, known, (forward[every, first] * step).astype(np.float32))
 
 
+def ahead_of(near: Around, rows: Int, side: Side, max_spacings: float) -> tuple[Int, Bool]:
+    """Return the returns (M, K) around each of `rows` (M,), and which lie on a side of it within `max_spacings`."""
+    _, there = _towards(near, rows, side)
+    return near.row[rows], there & (near.away[rows] <= max_spacings)
+
+
+def _first_of_ray(azimuth: Single, elevation: Single, range_m: Single) -> Bool:
+    """Return which returns have none nearer in their direction."""
+    keep = np.ones(len(azimuth), bool)
+    if len(azimuth) < 2:
+        return keep
+    place = np.column_stack([np.cos(azimuth), np.sin(azimuth), elevation]).astype(np.float64)
+    tree = cKDTree(place, balanced_tree=False, compact_nodes=False)
+    pairs = tree.query_pairs(np.radians(_SAME_RAY_DEG), output_type="ndarray")
+    one, two = pairs.T
+    keep[np.where(range_m[one] > range_m[two], one, two)] = False
+    return keep
+
+
+def _towards(near: Around, rows: Int, side: Side) -> tuple[Single, Bool]:
+    """Return how far to a side the returns (M, K) around each of `rows` lie, and which within 45 degrees of it."""
+    ahead, beside = (near.right, near.up) if side in (Side.LEFT, Side.RIGHT) else (near.up, near.right)
+    forward = ahead[rows] if side in (Side.RIGHT, Side.UPPER) else -ahead[rows]
+    return forward, (forward > 0) & (np.abs(beside[rows]) <= forward) & np.isfinite(near.away[rows])
+
+
 def _around(seen: Scattered, rows: Int, count: int, spacing: Float) -> Around:
     """Return the `count` returns nearest to each of `rows` (M,), steps counted in `spacing` (2,) rad.
 
     Directions are wound around a cylinder, on which azimuth has no seam.
     """
     across, up = spacing
-    place = np.column_stack(
-        [np.cos(seen.azimuth) / across, np.sin(seen.azimuth) / across, seen.elevation / up]
-    ).astype(np.float64)
+    place = np.column_stack([np.cos(seen.azimuth) / across, np.sin(seen.azimuth) / across, seen.elevation / up]).astype(
+        np.float64
+    )
     # One more is asked for than there is, so that shapes are the same for few returns: it is infinitely far.
     distance, row = cKDTree(place, balanced_tree=False, compact_nodes=False).query(place[rows], k=count + 1)
     mine = row == rows[:, None]

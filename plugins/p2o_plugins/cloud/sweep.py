@@ -21,6 +21,10 @@ _MOST_SCATTER = 0.25
 _LARGEST_OFFSET_M = 0.3
 
 
+class RingsUnknownError(InputError):
+    """The rings of a cloud are neither given nor told by the order of its points."""
+
+
 @dataclass(frozen=True, eq=False)
 class Returns:
     """The returns of one sweep in some order.
@@ -75,8 +79,8 @@ class Neighbours:
 def order_sweep(cloud: Cloud) -> Sweep:
     """Return the sweep in order; of several returns of one ray only the nearest is kept.
 
-    Rings come from `cloud.ring`, else from the order of the points (see `ring_by_order`). Raises InputError where
-    neither tells them.
+    Rings come from `cloud.ring`, else from the order of the points (see `ring_by_order`). Raises RingsUnknownError
+    where neither tells them.
     """
     x, y, z = np.ascontiguousarray(cloud.as_measured().T, dtype=np.float32)
     azimuth = np.arctan2(y, x)
@@ -115,8 +119,8 @@ def ring_by_order(azimuth: Single, rise: Single) -> Int:
 
     `rise` is the tangent of the elevation. A new ring starts where the azimuth jumps back by more than half the angle
     that the sweep covers. Rings may turn either way and start ahead, behind or where the first point lies: ahead
-    unless the elevation jumps far more across another of these, since within a ring it is steady. Raises InputError
-    where nothing gives at least two rings that are flat and run one way.
+    unless the elevation jumps far more across another of these, since within a ring it is steady. Raises
+    RingsUnknownError where nothing gives at least two rings that are flat and run one way.
     """
     step = np.diff(azimuth)
     if len(step) and np.count_nonzero((step > 0) == (np.abs(step) < np.pi)) < 0.5 * len(step):
@@ -143,12 +147,13 @@ def ring_by_order(azimuth: Single, rise: Single) -> Int:
         if scatter <= _MOST_SCATTER:
             return label
         why = f"{rings} rings read from the azimuth hold returns of very different elevation"
-    raise InputError(
+    raise RingsUnknownError(
         "the cloud does not tell which beam gave each point",
         where="rings",
         expected="a `ring` per point, or points in file order ring by ring (as KITTI stores them)",
         got=f"{len(azimuth)} points without `ring`: {why}",
-        hint="pass the ring (channel, laser_id, row) field of the sensor driver as Cloud.ring",
+        hint="pass the ring (channel, laser_id, row) field of the sensor driver as Cloud.ring, or do without: "
+        "--extractor p2ornet/range-view",
     )
 
 

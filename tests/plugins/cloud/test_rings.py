@@ -183,6 +183,16 @@ def test_with_a_ring_per_point_the_order_of_points_and_the_numbering_of_rings_do
         np.testing.assert_allclose(as_rows(edges_of(Cloud(cloud.xyz, ring))), wanted, atol=1e-6)
 
 
+def test_points_firing_by_firing_with_rings_have_the_edges_of_a_sweep_ring_by_ring():
+    """Packets hold column after column, lasers of one firing in any order, and rings set off against each other."""
+    cloud = Lidar(step_deg=0.36).scan(*random_scene(2))
+    around = np.degrees(np.arctan2(cloud.xyz[:, 1], cloud.xyz[:, 0])) % 360
+    column = np.round((around / 0.36) + np.where(cloud.ring < 32, 12, 0)) % 1000
+    fired = cloud.select(np.lexsort(((cloud.ring * 7) % 64, -column)))
+    assert (np.diff(fired.ring) != 0).mean() > 0.9
+    np.testing.assert_allclose(as_rows(edges_of(fired)), as_rows(edges_of(cloud)), atol=1e-6)
+
+
 @pytest.mark.parametrize("degrees", [0.0, 90.0, 123.0, 180.0])
 @pytest.mark.parametrize("clockwise", [False, True])
 def test_points_in_file_order_need_no_ring(degrees, clockwise):
@@ -229,8 +239,8 @@ def test_a_missing_return_makes_no_edge_but_one_lost_beam_does_not_hide_one():
 def test_points_in_no_order_without_rings_are_refused_with_the_way_out():
     cloud = Lidar(step_deg=0.72).scan(*random_scene(5), ring=False)
     shuffled = cloud.select(np.random.default_rng(0).permutation(len(cloud)))
-    with pytest.raises(InputError, match=r"which beam.*ring.*Cloud\.ring"):
-        edges_of(shuffled)
+    with pytest.raises(InputError, match=r"which beam.*ring.*Cloud\.ring.*range-view"):
+        edges_of(shuffled, without_rings="refuse")
 
 
 def test_points_firing_by_firing_without_rings_are_refused():
@@ -239,7 +249,7 @@ def test_points_firing_by_firing_without_rings_are_refused():
     azimuth = np.arctan2(cloud.xyz[:, 1], cloud.xyz[:, 0]) % (2 * np.pi)
     by_column = np.lexsort((cloud.ring, np.round(azimuth, 6)))
     with pytest.raises(InputError, match="which beam"):
-        edges_of(Cloud(cloud.xyz[by_column]))
+        edges_of(Cloud(cloud.xyz[by_column]), without_rings="refuse")
 
 
 def test_two_rings_are_enough_for_left_and_right():
@@ -263,7 +273,7 @@ def test_returns_on_the_axis_alone_give_nothing():
 
 def test_one_point_without_ring_is_refused():
     with pytest.raises(InputError, match="which beam"):
-        edges_of(Cloud([[1.0, 2, 3]]))
+        edges_of(Cloud([[1.0, 2, 3]]), without_rings="refuse")
 
 
 def test_double_points_and_second_returns_change_nothing():
@@ -323,7 +333,7 @@ def test_every_option_changes_the_outcome():
         "max_points": 100,
         "seed": 3,
     }
-    assert set(changes) == set(RingsOptions.model_fields)
+    assert set(changes) | {"without_rings"} == set(RingsOptions.model_fields)
     base = {"neighbour_m": 0.3, "min_neighbours": 4}
 
     def outcome(**options):

@@ -17,6 +17,7 @@ from p2o.calibration.options import PipelineOptions as PipelineOptions
 from p2o.calibration.rounds import Rounds, counts, mean_residuals_px
 from p2o.calibration.verdict import agreement_of, rival_of, verdict_of
 from p2o.features.missing import patched
+from p2o.features.remarks import CloudRemarks
 from p2o.features.sets import CloudFeatures, ImageFeatures
 from p2o.features.view import View
 from p2o.frames.frame import Frame
@@ -75,7 +76,9 @@ class Pipeline:
 
         def refused(status: Status, reason: str, history: tuple[Round, ...] = ()) -> Result:
             names = tuple(view.name for view in views)
-            return Result(names, start, start, status, reason, history, seconds=clock.seconds)
+            return Result(
+                names, start, start, status, reason, history, warnings=remarks_of(views), seconds=clock.seconds
+            )
 
         missing = missing_features(views, start, self.needs)
         if missing is not None:
@@ -133,6 +136,7 @@ class Pipeline:
             ),
             cameras=final.cameras,
             motions=final.nuisance.sweep_motions(views),
+            warnings=remarks_of(views),
             seconds=clock.seconds,
         )
 
@@ -179,6 +183,12 @@ def missing_features(views: Sequence[View], start: Float, needs: frozenset[str])
             status = Status.NO_EDGES if what == "edge" else Status.NO_FEATURES
             return status, f"every LiDAR {what} lies behind the camera: is the start the transform lidar_from_camera?"
     return None
+
+
+def remarks_of(views: Sequence[View]) -> tuple[str, ...]:
+    """Return what the cloud extractors had to say about the sweeps, each named by its frame."""
+    said = ((view.name, view.get(CloudRemarks.word)) for view in views)
+    return tuple(f"{name}: {text}" for name, remarks in said if remarks is not None for text in remarks.texts)
 
 
 def _edges_first(word: str) -> tuple[bool, bool, str]:

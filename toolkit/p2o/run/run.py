@@ -397,12 +397,18 @@ def start_of(
     )
 
 
+_SAME_DEG, _SAME_M = 1e-3, 1e-4
+
+
 def common_pose(frames: Sequence[Frame], name: str) -> Float | None:
-    """Return the one pose `name` of all frames that know it, or None; InputError where two differ."""
+    """Return the one pose `name` of all frames that know it, or None; InputError where two differ.
+
+    Files round each frame's pose by itself: what no calibration can tell apart is one pose.
+    """
     known = [frame for frame in frames if getattr(frame, name) is not None]
     for frame in known[1:]:
         step = se3.inverse(getattr(known[0], name)) @ getattr(frame, name)
-        if not np.allclose(step, np.eye(4), atol=1e-9):
+        if se3.angle_deg(step) > _SAME_DEG or se3.distance_m(step) > _SAME_M:
             label = "extrinsics" if name == "camera_from_lidar" else "starts"
             raise InputError(
                 f"frames {known[0].name} and {frame.name} have different {label}",
