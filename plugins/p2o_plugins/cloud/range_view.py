@@ -143,9 +143,12 @@ def _continued(seen: Scattered, near: Around, rows: Int, to: Int, jump: Float, o
     right, up, other = near.right[rows], near.up[rows], near.row[rows]
     r = seen.range_m[rows, None]
     other_m = seen.range_m[other]
-    # Grazing surfaces come nearer by more, from one return to the next, than they go on.
-    same = (other_m - r < jump[:, None]) & (r - other_m < 2 * jump[:, None]) & np.isfinite(near.away[rows])
-    same &= right * ahead[:, :1] + up * ahead[:, 1:] <= 0
+    away = np.isfinite(near.away[rows]) & (right * ahead[:, :1] + up * ahead[:, 1:] <= 0)
+    away &= other_m - r < jump[:, None]
+    same = away & (r - other_m < jump[:, None])
+    # Where surfaces are seen at a grazing angle, few returns are that near.
+    few = same.sum(axis=1) < _FEWEST
+    same[few] = (away & (r - other_m < 2 * jump[:, None]))[few]
     rise = np.where(same, inverse[other] - inverse[rows, None], 0.0)
     right, up = np.where(same, right, 0.0), np.where(same, up, 0.0)
     a, b, c = (right * right).sum(1) + _FIRMNESS, (right * up).sum(1), (up * up).sum(1) + _FIRMNESS

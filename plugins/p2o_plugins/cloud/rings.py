@@ -7,10 +7,11 @@ from typing import Literal
 import numpy as np
 from p2o import Cloud, CloudEdges, CloudExtractor, CloudFeatures, CloudRemarks, Method, Options, Side, field
 from p2o.arrays import Bool, Float, Int
+from p2o.frames.rings import RingsUnknownError
 from scipy.spatial import cKDTree
 
 from p2o_plugins.cloud.ground_plane import ground_plane
-from p2o_plugins.cloud.sweep import Neighbours, Returns, RingsUnknownError, Sweep, across_rings, along_ring, order_sweep
+from p2o_plugins.cloud.sweep import Neighbours, Returns, Sweep, across_rings, along_ring, order_sweep
 
 
 class JumpOptions(Options):

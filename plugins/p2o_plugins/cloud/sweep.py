@@ -7,22 +7,17 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from p2o import Cloud, InputError
+from p2o import Cloud
 from p2o.arrays import Bool, Float, Int
+from p2o.frames.rings import told_rings
 
 Single = NDArray[np.float32]
 
 _TURN = 2 * np.pi
 # Two returns of one ring closer than this are one ray seen twice (dual return, double point).
 _SAME_RAY_DEG = 0.01
-# How far rings may scatter in elevation, of the variance of all returns, to be taken for rings.
-_MOST_SCATTER = 0.25
 # No sensor's lasers leave it further above or below its origin.
 _LARGEST_OFFSET_M = 0.3
-
-
-class RingsUnknownError(InputError):
-    """The rings of a cloud are neither given nor told by the order of its points."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,15 +74,15 @@ class Neighbours:
 def order_sweep(cloud: Cloud) -> Sweep:
     """Return the sweep in order; of several returns of one ray only the nearest is kept.
 
-    Rings come from `cloud.ring`, else from the order of the points (see `ring_by_order`). Raises RingsUnknownError
-    where neither tells them.
+    Rings come from `cloud.ring`, else from the order or the elevations of the points (see `told_rings`). Raises
+    RingsUnknownError where neither tells them.
     """
     x, y, z = np.ascontiguousarray(cloud.as_measured().T, dtype=np.float32)
     azimuth = np.arctan2(y, x)
     azimuth[azimuth < 0] += np.float32(_TURN)
     azimuth[azimuth >= np.float32(_TURN)] = 0.0
     flat = np.sqrt(x * x + y * y)
-    label = ring_by_order(azimuth, z / np.maximum(flat, 1e-6)) if cloud.ring is None else _compact(cloud.ring)
+    label = told_rings(azimuth, z / np.maximum(flat, 1e-6))[0] if cloud.ring is None else _compact(cloud.ring)
     count = int(label.max()) + 1
     slope, offset = _cones(label, flat, z, count)
     top_down = _from_top(slope, np.bincount(label, z / np.maximum(flat, 1e-3)) / np.bincount(label))
@@ -112,49 +107,6 @@ def _compact(label: Int) -> Int:
     used = np.bincount(label - low, minlength=high - low + 1) > 0
     number: Int = np.cumsum(used) - 1
     return number[label - low]
-
-
-def ring_by_order(azimuth: Single, rise: Single) -> Int:
-    """Return the ring (N,) of points that come ring by ring, from azimuth (N,) rad in [0, 2 pi) and `rise` (N,).
-
-    `rise` is the tangent of the elevation. A new ring starts where the azimuth jumps back by more than half the angle
-    that the sweep covers. Rings may turn either way and start ahead, behind or where the first point lies: ahead
-    unless the elevation jumps far more across another of these, since within a ring it is steady. Raises
-    RingsUnknownError where nothing gives at least two rings that are flat and run one way.
-    """
-    step = np.diff(azimuth)
-    if len(step) and np.count_nonzero((step > 0) == (np.abs(step) < np.pi)) < 0.5 * len(step):
-        azimuth = np.where(azimuth > 0, np.float32(_TURN) - azimuth, azimuth)
-    most, label, rings, why = -1.0, None, 0, "the azimuth does not run round ring by ring"
-    for origin in dict.fromkeys((0.0, np.pi, float(azimuth[0]))):
-        seen = azimuth
-        if origin:
-            seen = azimuth - np.float32(origin)
-            seen[seen < 0] += np.float32(_TURN)
-        step = np.diff(seen)
-        new = step < -0.5 * float(np.ptp(seen))
-        begin = np.flatnonzero(new)
-        back = np.count_nonzero(step < 0) - len(begin)
-        if len(begin) == 0 or back > 0.05 * len(step):
-            continue
-        jump = float(np.median(np.abs(rise[begin + 1] - rise[begin])))
-        if jump > 2 * most:
-            most, rings, label = jump, len(begin) + 1, np.zeros(len(azimuth), np.int64)
-            np.cumsum(new, out=label[1:])
-    if label is not None:
-        mean = np.bincount(label, rise) / np.bincount(label)
-        scatter = float(np.mean((rise - mean[label]) ** 2) / max(float(np.var(rise)), 1e-12))
-        if scatter <= _MOST_SCATTER:
-            return label
-        why = f"{rings} rings read from the azimuth hold returns of very different elevation"
-    raise RingsUnknownError(
-        "the cloud does not tell which beam gave each point",
-        where="rings",
-        expected="a `ring` per point, or points in file order ring by ring (as KITTI stores them)",
-        got=f"{len(azimuth)} points without `ring`: {why}",
-        hint="pass the ring (channel, laser_id, row) field of the sensor driver as Cloud.ring, or do without: "
-        "--extractor p2ornet/range-view",
-    )
 
 
 def _cones(label: Int, flat: Single, z: Single, count: int) -> tuple[Float, Float]:

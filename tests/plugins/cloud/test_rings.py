@@ -237,19 +237,31 @@ def test_a_missing_return_makes_no_edge_but_one_lost_beam_does_not_hide_one():
 
 
 def test_points_in_no_order_without_rings_are_refused_with_the_way_out():
-    cloud = Lidar(step_deg=0.72).scan(*random_scene(5), ring=False)
+    cloud = Lidar(step_deg=0.72, lift_m=0.2).scan(*random_scene(5), ring=False)
     shuffled = cloud.select(np.random.default_rng(0).permutation(len(cloud)))
     with pytest.raises(InputError, match=r"which beam.*ring.*Cloud\.ring.*range-view"):
         edges_of(shuffled, without_rings="refuse")
 
 
-def test_points_firing_by_firing_without_rings_are_refused():
+def test_points_firing_by_firing_without_rings_are_refused_where_beams_start_beside_the_origin():
     """Velodyne packets hold column after column: azimuth hardly ever falls, and no ring can be told."""
-    cloud = Lidar(step_deg=0.72).scan(*random_scene(5))
+    cloud = Lidar(step_deg=0.72, lift_m=0.2).scan(*random_scene(5))
     azimuth = np.arctan2(cloud.xyz[:, 1], cloud.xyz[:, 0]) % (2 * np.pi)
     by_column = np.lexsort((cloud.ring, np.round(azimuth, 6)))
     with pytest.raises(InputError, match="which beam"):
         edges_of(Cloud(cloud.xyz[by_column]), without_rings="refuse")
+
+
+@pytest.mark.parametrize("elevations", [VLP16, HDL32, OS128], ids=["16", "32", "128"])
+def test_beams_that_cross_in_the_origin_tell_their_rings_by_elevation_in_any_order(elevations):
+    """To the millimetre, as files hold it."""
+    cloud = Lidar(elevations, step_deg=0.72).scan(*random_scene(5))
+    wanted = as_rows(edges_of(cloud, without_rings="refuse"))
+    order = np.random.default_rng(0).permutation(len(cloud))
+    shuffled = Cloud(np.round(cloud.xyz[order], 3))
+    told = as_rows(edges_of(shuffled, without_rings="refuse"))
+    assert abs(len(told) - len(wanted)) <= 0.01 * len(wanted)
+    np.testing.assert_allclose(as_rows(edges_of(Cloud(cloud.xyz[order]))), wanted, atol=1e-6)
 
 
 def test_two_rings_are_enough_for_left_and_right():

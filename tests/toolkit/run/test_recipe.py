@@ -409,6 +409,23 @@ def test_frames_of_two_rigs_are_not_calibrated_jointly() -> None:
     assert len(spy.run().rows) == 2
 
 
+def test_poses_that_files_rounded_frame_by_frame_are_one_rig() -> None:
+    rounded = TRUTH @ p2o.se3.exp(np.array([5e-7, 0, -5e-7, 0, 4e-7, 0]))
+    run = Spy([framed("a", TRUTH), framed("b", rounded)]).run(joint=True, perturb="2deg 0.1m")
+    assert run.result.frames == ("a", "b")
+
+
+def test_a_cloud_that_does_not_tell_its_rings_is_calibrated_with_a_warning() -> None:
+    frame = stage.frame()
+    order = np.random.default_rng(0).permutation(len(frame.cloud))
+    cloud = p2o.Cloud(frame.cloud.xyz[order] + [0, 0, 0.3])
+    moved = p2o.se3.make(np.eye(3), [0, 0, -0.3])
+    told = Frame("stage", frame.image, cloud, camera_from_lidar=TRUTH @ moved)
+    run = p2o.calibrate(told, extractor="depth/rings", perturb="1deg 0.05m")
+    assert run.rows[0].error.rotation_deg < 0.5
+    assert any("stage: the cloud does not tell" in text and "range-view" in text for text in run.result.warnings)
+
+
 def test_a_wrong_truth_changes_no_estimate() -> None:
     # The pipeline itself, through every one of our default stages that needs no training or data.
     frame = stage.frame()

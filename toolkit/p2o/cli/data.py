@@ -11,6 +11,7 @@ from p2o.cli.plugin_options import load, plugin_options
 from p2o.errors import P2OError, printable
 
 if TYPE_CHECKING:
+    from p2o.frames.cloud import Cloud
     from p2o.frames.frame import Frame
     from p2o.host.guard import GuardedDataset
 
@@ -67,13 +68,31 @@ def described(frame: Frame) -> str:
     parts = [
         f"{frame.camera.width}x{frame.camera.height} px {frame.camera.model}",
         f"{len(cloud)} points",
-        *(name for name in ("ring", "column", "intensity", "time_s") if getattr(cloud, name) is not None),
+        rings_of(cloud),
+        *(name for name in ("column", "intensity", "time_s") if getattr(cloud, name) is not None),
         *(name for name in ("right", "depth_m", "masked") if getattr(image, name) is not None),
         "truth" if frame.camera_from_lidar is not None else "no truth",
         *(name for name in ("start", "twist") if getattr(frame, name) is not None),
     ]
     lines = [f"{frame.name}: {', '.join(parts)}", *(f"  warning: {text}" for text in frame.warnings)]
     return "\n".join(map(printable, lines))
+
+
+def rings_of(cloud: Cloud) -> str:
+    """Return in a few words how many rings a sweep has, and what tells them where its file does not."""
+    import numpy as np
+
+    from p2o.frames.rings import RingsUnknownError, told_rings
+
+    if cloud.ring is not None:
+        return f"{len(np.unique(cloud.ring))} rings"
+    x, y, z = cloud.as_measured().T.astype(np.float32)
+    azimuth = np.mod(np.arctan2(y, x), np.float32(2 * np.pi))
+    try:
+        label, by = told_rings(azimuth, z / np.maximum(np.hypot(x, y), np.float32(1e-6)))
+    except RingsUnknownError:
+        return "no rings"
+    return f"{len(np.unique(label))} rings told by {by}"
 
 
 def _opened(

@@ -1,0 +1,98 @@
+"""Rings of a sweep whose file does not number them: by the order of its points, or by their elevations."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from p2o.arrays import Int
+from p2o.errors import InputError
+
+Single = NDArray[np.float32]
+
+_TURN = 2 * np.pi
+# How far rings may scatter in elevation, of the variance of all returns, to be taken for rings.
+_MOST_SCATTER = 0.25
+# Steps in elevation between rings, as tangents, of which the smallest that fits is taken; rings scatter less than the
+# smallest step between them by this factor, hold so many returns, and are no more than any sensor has.
+_STEPS, _CLEAR, _FEWEST, _MOST_RINGS = np.geomspace(2e-4, 2e-2, 12), 3.0, 5, 256
+
+
+class RingsUnknownError(InputError):
+    """The rings of a cloud are neither given nor told by the order or the elevations of its points."""
+
+
+def told_rings(azimuth: Single, rise: Single) -> tuple[Int, str]:
+    """Return the ring (N,) of points from azimuth (N,) rad in [0, 2 pi) and `rise` (N,), and what told it.
+
+    `rise` is the tangent of the elevation. Points may come ring by ring, or in any order where all beams cross in the
+    origin, so that each ring has an elevation of its own. Raises RingsUnknownError where neither is so.
+    """
+    label = _by_order(azimuth, rise)
+    if not isinstance(label, str):
+        return label, "the order of the points"
+    level = _by_elevation(rise)
+    if level is not None:
+        return level, "the elevations of the points"
+    raise RingsUnknownError(
+        "the cloud does not tell which beam gave each point",
+        where="rings",
+        expected="a `ring` per point, points in file order ring by ring (as KITTI stores them), or rings that have an "
+        "elevation each",
+        got=f"{len(azimuth)} points without `ring`: {label}",
+        hint="pass the ring (channel, laser_id, row) field of the sensor driver as Cloud.ring, or do without: "
+        "--extractor p2ornet/range-view",
+    )
+
+
+def _by_order(azimuth: Single, rise: Single) -> Int | str:
+    """Return the ring (N,) of points that come ring by ring, from azimuth (N,) rad in [0, 2 pi) and `rise` (N,).
+
+    `rise` is the tangent of the elevation. A new ring starts where the azimuth jumps back by more than half the angle
+    that the sweep covers. Rings may turn either way and start ahead, behind or where the first point lies: ahead
+    unless the elevation jumps far more across another of these, since within a ring it is steady. A text says why
+    where nothing gives at least two rings that are flat and run one way.
+    """
+    step = np.diff(azimuth)
+    if len(step) and np.count_nonzero((step > 0) == (np.abs(step) < np.pi)) < 0.5 * len(step):
+        azimuth = np.where(azimuth > 0, np.float32(_TURN) - azimuth, azimuth)
+    most, label, rings, why = -1.0, None, 0, "the azimuth does not run round ring by ring"
+    for origin in dict.fromkeys((0.0, np.pi, float(azimuth[0]))):
+        seen = azimuth
+        if origin:
+            seen = azimuth - np.float32(origin)
+            seen[seen < 0] += np.float32(_TURN)
+        step = np.diff(seen)
+        new = step < -0.5 * float(np.ptp(seen))
+        begin = np.flatnonzero(new)
+        back = np.count_nonzero(step < 0) - len(begin)
+        if len(begin) == 0 or back > 0.05 * len(step):
+            continue
+        jump = float(np.median(np.abs(rise[begin + 1] - rise[begin])))
+        if jump > 2 * most:
+            most, rings, label = jump, len(begin) + 1, np.zeros(len(azimuth), np.int64)
+            np.cumsum(new, out=label[1:])
+    if label is not None:
+        mean = np.bincount(label, rise) / np.bincount(label)
+        scatter = float(np.mean((rise - mean[label]) ** 2) / max(float(np.var(rise)), 1e-12))
+        if scatter <= _MOST_SCATTER:
+            return label
+        why = f"{rings} rings read from the azimuth hold returns of very different elevation"
+    return why
+
+
+def _by_elevation(rise: Single) -> Int | None:
+    """Return the ring (N,), 0 the lowest, of points whose elevations are few and far apart; None where they are not."""
+    order = np.argsort(rise, kind="stable")
+    height = rise[order].astype(np.float64)
+    step = np.diff(height)
+    for least in _STEPS:
+        new = np.flatnonzero(step > least)
+        if not 1 <= len(new) < min(_MOST_RINGS, len(rise) // _FEWEST):
+            continue
+        first, last = np.append(0, new + 1), np.append(new, len(rise) - 1)
+        if np.max(height[last] - height[first]) * _CLEAR < np.min(step[new]):
+            label = np.empty(len(rise), np.int64)
+            label[order] = np.cumsum(np.append(False, step > least))
+            return label
+    return None
