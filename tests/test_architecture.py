@@ -59,6 +59,7 @@ OPEN_MODULES = {
     "files.whole_file",
     "frames.accumulate",
     "frames.lidar_odometry",
+    "frames.rings",
     "host.validation",
     "native",
     "picks.pairs",

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from p2o.features.maps import GreyMap as GreyMap
     from p2o.features.maps import ImageMap as ImageMap
     from p2o.features.points import CloudPoints as CloudPoints
+    from p2o.features.remarks import CloudRemarks as CloudRemarks
     from p2o.features.sets import CloudFeatures as CloudFeatures
     from p2o.features.sets import ImageFeatures as ImageFeatures
     from p2o.features.side import SIDES as SIDES

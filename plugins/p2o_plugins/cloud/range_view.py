@@ -51,10 +51,10 @@ def range_view_edges(cloud: Cloud, options: RangeViewOptions) -> CloudFeatures:
     seen = scattered(cloud, options.origin_m)
     if len(seen) < 2:
         return CloudFeatures(CloudEdges.empty(), seen.xyz(slice(0, options.max_points)))
-    front = in_front(seen, around(seen), options.min_jump_m, options.min_jump_share)
-    remarks = _about_origin(1 - float(front.mean()), options)
-    seen = kept(seen, front)
     near = around(seen)
+    front = in_front(seen, near, options.min_jump_m, options.min_jump_share)
+    remarks = _about_origin(1 - float(front.mean()), options)
+    seen, near = kept(seen, near, front)
     neighbours = {side: neighbour(seen, near, side, options.max_spacings) for side in _SIDES}
     plane = ground_plane(seen, options.seed) if options.ground_height_m > 0 else None
     step = float(seen.spacing[1])

@@ -42,7 +42,7 @@ class Around:
     """The returns nearest in angle to each return, near ones first.
 
     `row` (N, K) are their rows; `right` and `up` (N, K) how many spacings they lie to its right and above it;
-    `away` (N, K) both together, inf where there are fewer than K.
+    `away` (N, K) both together, inf where there is none.
     """
 
     row: Int
@@ -90,10 +90,14 @@ def in_front(seen: Scattered, near: Around, min_jump_m: float, min_jump_share: f
     return front
 
 
-def kept(seen: Scattered, keep: Bool) -> Scattered:
-    """Return the returns of a mask (N,)."""
+def kept(seen: Scattered, near: Around, keep: Bool) -> tuple[Scattered, Around]:
+    """Return the returns of a mask (N,), and what of them lies around each; the others count as missing."""
     columns = (seen.point, seen.range_m, seen.flat_m, seen.azimuth, seen.elevation)
-    return Scattered(seen.cloud, *(column[keep] for column in columns), seen.spacing)
+    row = near.row[keep]
+    away = np.where(keep[row], near.away[keep], np.float32(np.inf))
+    number = np.where(keep, np.cumsum(keep) - 1, 0)
+    left = Scattered(seen.cloud, *(column[keep] for column in columns), seen.spacing)
+    return left, Around(number[row], near.right[keep], near.up[keep], away)
 
 
 def neighbour(seen: Scattered, near: Around, side: Side, max_spacings: float) -> Neighbours:
@@ -104,7 +108,8 @@ def neighbour(seen: Scattered, near: Around, side: Side, max_spacings: float) ->
     forward, there = _towards(near, np.arange(len(seen)), side)
     first = there.argmax(axis=1)
     every = np.arange(len(seen))
-    sparse = np.maximum(near.away[:, min(3, near.away.shape[1] - 1)], 1.0)
+    fourth = np.partition(near.away, min(3, near.away.shape[1] - 1), axis=1)[:, min(3, near.away.shape[1] - 1)]
+    sparse = np.where(np.isfinite(fourth), np.maximum(fourth, 1.0), 1.0)
     known = there[every, first] & (near.away[every, first] <= max_spacings * sparse)
     step = seen.spacing[0 if side in (Side.LEFT, Side.RIGHT) else 1]
     row = np.where(known, near.row[every, first], 0)
