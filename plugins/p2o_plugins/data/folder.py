@@ -117,6 +117,9 @@ class FrameEntry(Options):
         help="Velocity of the LiDAR in its own frame, about x y z in rad/s, then along x y z in m/s: the sweep, as "
         "measured, is corrected by it.",
     )
+    camera_name: str = field(
+        "", help="Word for the camera on its rig, such as CAM_FRONT; frames of one camera say the same."
+    )
     sequence: str = field("", help="Name of the drive that the frame is of; its frames follow in order of their names.")
     time_s: _Seconds | None = field(None, help="When the image was taken, in seconds on one clock for the sequence.")
     lidar_world_from_lidar: Any = field(
@@ -178,12 +181,12 @@ def read_frame_file(path: Path) -> FrameEntry:
 
 
 def _falling_times(folders: Iterable[Path]) -> dict[Path, InputError]:
-    """Return what is wrong with frames of a sequence that are not later than the frame before them, by folder.
+    """Return what is wrong with frames of a sequence that are not later than the frame of their camera before them.
 
-    Files that cannot be read are left for the frame itself to refuse.
+    It is by folder. Files that cannot be read are left for the frame itself to refuse.
     """
     found: dict[Path, InputError] = {}
-    before: dict[str, tuple[str, float]] = {}
+    before: dict[tuple[str, str], tuple[str, float]] = {}
     for folder in folders:
         try:
             # Most folders hold no sequences, and YAML is slow to read.
@@ -193,7 +196,8 @@ def _falling_times(folders: Iterable[Path]) -> dict[Path, InputError]:
             continue
         if entry is None or not entry.sequence or entry.time_s is None:
             continue
-        name, time_s = before.get(entry.sequence, ("", -np.inf))
+        drive = (entry.sequence, entry.camera_name)
+        name, time_s = before.get(drive, ("", -np.inf))
         if entry.time_s <= time_s:
             found[folder] = InputError(
                 f"the times of sequence '{entry.sequence}' do not rise from frame to frame",
@@ -203,7 +207,7 @@ def _falling_times(folders: Iterable[Path]) -> dict[Path, InputError]:
                 hint="frames follow in the order of their folders' names",
             )
         else:
-            before[entry.sequence] = (folder.name, entry.time_s)
+            before[drive] = (folder.name, entry.time_s)
     return found
 
 
@@ -269,6 +273,7 @@ def _read(root: Path, faults: Mapping[Path, InputError], folder: Path) -> Frame:
         time_s=entry.time_s,
         **{name: poses.get(name) for name in _WORLDS},
         targets=targets,
+        camera_name=entry.camera_name,
     )
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from p2o import Camera, Frame, Image, InputError, Method, Options, field, se3
 from p2o.arrays import Float
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from p2o_plugins.data.lazy_frames import LazyFrames
 
@@ -31,6 +31,13 @@ _PLACE, _DRIVE, _LIDAR, _CAMERA, _GRAIN, _START, _DRIFT, _ODOMETRY, _BOARDS = 31
 
 _Shift = Annotated[float, Field(ge=-100, le=100)]
 _Turn = Annotated[float, Field(ge=-360, le=360)]
+_Word = Literal["front", "left", "right", "back"]
+_TO_THE_LEFT_DEG: dict[str, float] = {"": 0, "front": 0, "left": 60, "right": -60, "back": 180}
+"""How far the mounting of each camera of a rig is turned to the left about the upright axis of the LiDAR."""
+
+
+def _words(value: Any) -> Any:
+    return tuple(value.split(",")) if isinstance(value, str) else value
 
 
 class SyntheticOptions(Options):
@@ -118,6 +125,12 @@ class SyntheticOptions(Options):
         _KITTI_MOUNT,
         help="Camera in the LiDAR frame: x, y, z in metres, then its pitch, yaw, roll in degrees from straight ahead.",
     )
+    cameras: Annotated[tuple[_Word, ...], BeforeValidator(_words)] = field(
+        (),
+        max_length=4,
+        help="Cameras of a rig, such as front,left,right: each moment gives a frame for each, with the same sweep and "
+        "`mount` turned about the LiDAR by 60 degrees to the left or right, or half around; none is one camera.",
+    )
     drift: str = field("0.5deg 0.03m", help="How far the camera's mounting slips, as for --perturb.")
     drift_at_frame: int | None = field(
         None, ge=0, help="Frame of each drive from which on it has slipped; null is never."
@@ -162,9 +175,10 @@ def camera_of(options: SyntheticOptions) -> Camera:
             return Camera("OPENCV_FISHEYE", width, height, (480.0 * scale, 480.0 * scale, cx, cy, *distortion))
 
 
-def truth_at(options: SyntheticOptions, scene: int, number: int) -> Float:
+def truth_at(options: SyntheticOptions, scene: int, number: int, camera: str = "") -> Float:
     """Return the true extrinsic (4, 4) of frame `number` of a scene: that of the mounting, until it slips."""
-    truth = camera_from_lidar(options.mount)
+    about_z = np.radians([0, 0, -_TO_THE_LEFT_DEG[camera], 0, 0, 0])
+    truth = camera_from_lidar(options.mount) @ se3.exp(about_z)
     if options.drift_at_frame is None or number < options.drift_at_frame:
         return truth
     return _displaced(truth, options.drift, _stream(options, _DRIFT, scene))
@@ -178,8 +192,11 @@ def _displaced(truth: Float, size: str, rng: np.random.Generator) -> Float:
     return wrong_start(truth, wanted.angle_deg, wanted.distance_m, rng)
 
 
-def view(options: SyntheticOptions, scene_number: int, number: int = 0) -> View:
-    """Return frame `number` of a scene with all its truth: the same bytes for the same options."""
+def view(options: SyntheticOptions, scene_number: int, number: int = 0, camera: str = "") -> View:
+    """Return frame `number` of a scene with all its truth, seen by one of `cameras` where there are any.
+
+    It is the same bytes for the same options.
+    """
     from p2o import simulate
 
     names = ("seed", "place", "frames_per_scene", "period_s", "swing_deg", "tilt_deg")
@@ -192,7 +209,7 @@ def view(options: SyntheticOptions, scene_number: int, number: int = 0) -> View:
         sway=0.0 if still else options.sway,
     )
     moment = moments[number]
-    truth = truth_at(options, scene_number, number)
+    truth = truth_at(options, scene_number, number, camera)
     scene, boards = _with_boards(options, scene, moment, scene_number, number)
     # Beside the picture: each of them has stretches that keep one core busy only.
     with ThreadPoolExecutor(1) as beside:
@@ -206,17 +223,18 @@ def view(options: SyntheticOptions, scene_number: int, number: int = 0) -> View:
             twist=moment.twist,
             time_s=moment.time_s,
         )
-        image, picture = _seen(options, scene, moment, truth, scene_number, number)
+        image, picture = _seen(options, scene, moment, truth, (scene_number, number, *_nth(options, camera)))
         cloud = swept.result()
     frame = Frame(
-        _name(options, scene_number, number),
+        _name(options, scene_number, number, camera),
         image,
         cloud.untwisted(moment.twist) if options.deskew else cloud,
         camera_from_lidar=truth,
         start=_displaced(truth, options.start_error, _stream(options, _START)),
         twist=moment.twist,
         targets=tuple(board.target for board in boards),
-        **_of_drive(options, moments, scene_number, number),
+        camera_name=camera,
+        **_of_drive(options, moments, scene_number, number, camera),
     )
     return View(frame, scene, moment, picture, boards)
 
@@ -227,14 +245,21 @@ def _speed_m_s(options: SyntheticOptions) -> float:
     return options.speed_m_s
 
 
-def _of_drive(options: SyntheticOptions, moments: tuple[Moment, ...], scene_number: int, number: int) -> dict[str, Any]:
+def _nth(options: SyntheticOptions, camera: str) -> tuple[int, ...]:
+    """Return the number of a camera of a rig, after which its grain is drawn; nothing where there is one only."""
+    return (options.cameras.index(camera),) if camera else ()  # type: ignore[arg-type]
+
+
+def _of_drive(
+    options: SyntheticOptions, moments: tuple[Moment, ...], scene_number: int, number: int, camera_name: str
+) -> dict[str, Any]:
     """Return what a frame of a drive tells of it; a frame that stands alone has no sequence."""
     from p2o import simulate
 
     if options.frames_per_scene == 1:
         return {}
     lidar = [moment.world_from_lidar for moment in moments]
-    truths = (truth_at(options, scene_number, at) for at in range(len(moments)))
+    truths = (truth_at(options, scene_number, at, camera_name) for at in range(len(moments)))
     camera = [pose @ se3.inverse(truth) for pose, truth in zip(lidar, truths, strict=True)]
     noise = {"noise_deg": options.odometry_noise_deg, "noise_m": options.odometry_noise_m}
     lidar_poses, camera_poses = (
@@ -318,16 +343,19 @@ def _drive(
 
 
 def _seen(
-    options: SyntheticOptions, scene: Scene, moment: Moment, truth: Float, scene_number: int, number: int
+    options: SyntheticOptions, scene: Scene, moment: Moment, truth: Float, numbers: tuple[int, ...]
 ) -> tuple[Image, Picture]:
-    """Return what the camera sees, as it takes it and before its electronics."""
+    """Return what the camera sees, as it takes it and before its electronics.
+
+    `numbers` are those of the scene, of its frame and, on a rig, of the camera.
+    """
     from p2o import simulate
 
     camera, world_from_camera = camera_of(options), moment.world_from_lidar @ se3.inverse(truth)
     picture = simulate.render(scene, camera, world_from_camera, moment.time_s)
 
-    grain = _stream(options, _GRAIN, scene_number, number)
-    photo, right_photo = _photos(options, scene_number, picture)
+    grain = _stream(options, _GRAIN, *numbers)
+    photo, right_photo = _photos(options, numbers[0], picture)
     rgb, right = simulate.develop(picture.light, photo, grain), None
     if camera.is_pinhole and options.right:
         shifted = world_from_camera @ se3.make(translation=(BASELINE_M, 0.0, 0.0))
@@ -382,8 +410,9 @@ def _stream(options: SyntheticOptions, purpose: int, *numbers: int) -> np.random
     return np.random.default_rng([options.seed, purpose, *numbers])
 
 
-def _name(options: SyntheticOptions, scene_number: int, number: int) -> str:
-    return _scene_name(scene_number) + (f"/{number:04d}" if options.frames_per_scene > 1 else "")
+def _name(options: SyntheticOptions, scene_number: int, number: int, camera: str) -> str:
+    in_drive = f"/{number:04d}" if options.frames_per_scene > 1 else ""
+    return _scene_name(scene_number) + in_drive + (f"/{camera}" if camera else "")
 
 
 def _scene_name(scene_number: int) -> str:
@@ -393,7 +422,8 @@ def _scene_name(scene_number: int) -> str:
 def build(options: SyntheticOptions) -> LazyFrames:
     """Return the frames scene-0000, scene-0001, ... or, for drives, scene-0000/0000, scene-0000/0001, ...
 
-    Each is made when it is asked for, from its own seed.
+    Frames of a rig have the camera's name behind that: scene-0000/front. Each is made when it is asked for, from its own
+    seed.
 
     Raises InputError if drift or start_error cannot be read, a drive is over before its mounting slips, a car that
     stands shall turn, the boards do not hold their pattern, or the frames are too many or too large for memory.
@@ -418,19 +448,24 @@ def build(options: SyntheticOptions) -> LazyFrames:
             got=options.speed_m_s,
             hint="set speed_m_s=5; with targets the car stands unless told",
         )
+    if len(set(options.cameras)) < len(options.cameras):
+        raise InputError(
+            "a camera is named twice", where="cameras", expected="each once", got=",".join(options.cameras)
+        )
     _target(options)
     _require_bounded(options)
     entries = {
-        _name(options, scene, number): (scene, number)
+        _name(options, scene, number, camera): (scene, number, camera)
         for scene in range(options.scenes)
         for number in range(options.frames_per_scene)
+        for camera in options.cameras or ("",)
     }
     return LazyFrames(entries, lambda entry: view(options, *entry).frame)
 
 
 def _require_bounded(options: SyntheticOptions) -> None:
     """Raise InputError for more frames than can be listed, and drives and pictures that do not fit into memory."""
-    frames = options.scenes * options.frames_per_scene
+    frames = options.scenes * options.frames_per_scene * max(1, len(options.cameras))
     if frames > _MOST_FRAMES:
         raise InputError(
             "too many frames", where="scenes, frames_per_scene", expected=f"at most {_MOST_FRAMES} in all", got=frames

@@ -514,3 +514,19 @@ def test_numbers_that_nothing_has_are_refused(tmp_path: Path, wrong: dict[str, A
     np.savez(tmp_path / "scan.npz", xyz=np.ones((3, 3)), time_s=np.array([0.0, 0.05, 0.1]))
     with pytest.raises(InputError, match=r"frame\.yaml: .*(out of bounds|not valid)"):
         dataset(tmp_path)[0]
+
+
+def test_frames_name_their_camera_and_times_rise_from_frame_to_frame_of_one_camera(tmp_path: Path) -> None:
+    for name, camera, time_s in (("a", "LEFT", 1.0), ("b", "RIGHT", 1.0), ("c", "LEFT", 1.1), ("d", "RIGHT", 1.0)):
+        write_frame(tmp_path / name, sequence="yard", time_s=time_s, camera_name=camera)
+    found = dataset(tmp_path)
+    assert [found[number].camera_name for number in range(3)] == ["LEFT", "RIGHT", "LEFT"]
+    with pytest.raises(InputError, match="do not rise from frame to frame; expected time_s after 1 of frame 'b'"):
+        found[3]
+
+
+@pytest.mark.parametrize("name", ["front left", "front,left", "a\tb", "x" * 101])
+def test_a_name_of_a_camera_that_is_no_word_is_refused(tmp_path: Path, name: str) -> None:
+    write_frame(tmp_path, camera_name=name)
+    with pytest.raises(InputError, match="the name of a camera is no word"):
+        dataset(tmp_path)[0]

@@ -30,7 +30,7 @@ def _frame(**options: Any) -> Frame:
     return build(SyntheticOptions(**{**SIZE, **options}))[0]
 
 
-def _depth_errors(frame: Frame, camera_from_lidar: np.ndarray) -> np.ndarray:
+def _depth_errors(frame: Frame, camera_from_lidar: np.ndarray, least_points: int = 2000) -> np.ndarray:
     """Return |z - depth| of projected points, depth interpolated (1/depth is linear on planes), away from edges."""
     xyz = se3.apply(camera_from_lidar, frame.cloud.xyz)
     uv = frame.camera.project(xyz)
@@ -39,7 +39,7 @@ def _depth_errors(frame: Frame, camera_from_lidar: np.ndarray) -> np.ndarray:
     inverse = 1 / frame.image.depth_m
     most, least = (f(inverse, size=5) for f in (ndimage.maximum_filter, ndimage.minimum_filter))
     smooth = ndimage.map_coordinates((most - least < 0.15 * least).astype(float), uv[:, ::-1].T, order=0) > 0
-    assert smooth.sum() > 2000
+    assert smooth.sum() > least_points
     return np.abs(z[smooth] - 1 / ndimage.map_coordinates(inverse, uv[smooth, ::-1].T, order=1))
 
 
@@ -394,3 +394,42 @@ def test_options_out_of_bounds_are_refused(wrong: dict[str, Any]) -> None:
 def test_what_would_fill_the_memory_is_refused_before_anything_is_made(wanted: dict[str, Any]) -> None:
     with pytest.raises(InputError, match=r"too many frames|would take too much memory; expected at most 1500 MB"):
         build(SyntheticOptions(**wanted))
+
+
+RIG: dict[str, Any] = {**SMALL, "cameras": "front,left", "right": False, "frames_per_scene": 2, "period_s": 1.0}
+
+
+def test_cameras_of_a_rig_see_one_sweep_from_a_mounting_turned_about_the_lidar() -> None:
+    dataset = build(SyntheticOptions(**RIG))
+    assert dataset.names == (
+        "scene-0000/0000/front",
+        "scene-0000/0000/left",
+        "scene-0000/0001/front",
+        "scene-0000/0001/left",
+    )
+    front, left = dataset[0], dataset[1]
+    assert (front.camera_name, left.camera_name) == ("front", "left")
+    np.testing.assert_array_equal(front.cloud.xyz, left.cloud.xyz)
+    assert front.time_s == left.time_s
+    np.testing.assert_allclose(front.camera_from_lidar, camera_from_lidar(), atol=1e-15)
+    # The left camera looks 60 degrees to the left of where the front one looks.
+    np.testing.assert_allclose(
+        se3.apply(left.camera_from_lidar, np.array([[2.5, 2.5 * 3**0.5, 0]])),
+        se3.apply(front.camera_from_lidar, np.array([[5.0, 0, 0]])),
+        atol=1e-9,
+    )
+    for frame in (front, left):
+        assert np.median(_depth_errors(frame, frame.camera_from_lidar, 200)) < 0.05
+    # One LiDAR that is off: both starts are wrong by the same step in its frame.
+    off = [se3.inverse(frame.camera_from_lidar) @ frame.start for frame in (front, left)]
+    np.testing.assert_allclose(off[0], off[1], atol=1e-9)
+
+
+def test_a_rig_of_one_camera_is_the_same_picture_under_another_name_and_a_camera_named_twice_is_refused() -> None:
+    alone, named = (
+        build(SyntheticOptions(**{**SMALL, "grain": 0.0}, **more))[0] for more in ({}, {"cameras": "front"})
+    )
+    np.testing.assert_array_equal(alone.image.rgb, named.image.rgb)
+    assert (alone.camera_name, named.camera_name, named.name) == ("", "front", "scene-0000/front")
+    with pytest.raises(InputError, match="named twice"):
+        build(SyntheticOptions(cameras=("left", "left")))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -77,3 +77,20 @@ def test_a_frame_that_stands_alone_is_refused_by_name() -> None:
     alone = Frame("alone", IMAGE, Cloud([[1.0, 2.0, 3.0]]))
     with pytest.raises(InputError, match="alone: the frame is of no sequence"):
         JoinedFrames([alone], Numbers())[0]
+
+
+@dataclass
+class TwoCameras(Drives):
+    """The same drives, each moment seen by two cameras."""
+
+    def __getitem__(self, index: Any) -> Any:
+        return replace(super().__getitem__(index), sequence="drive", camera_name="LR"[index % 2])
+
+
+def test_neighbours_are_frames_of_the_same_camera() -> None:
+    dataset = TwoCameras()
+    joined = JoinedFrames(dataset, Numbers())
+    assert joined[4].cloud.xyz[:, 1].tolist() == [4, 2, 4, 6]
+    # Those of the other camera are looked at once, to tell that they are of another one.
+    assert joined[2].cloud.xyz[:, 1].tolist() == [2, 0, 2, 4, 6]
+    assert dataset.read.count(3) == 1

@@ -66,6 +66,7 @@ def described(frame: Frame) -> str:
     """Return in one line what a frame holds, and its warnings in further ones."""
     image, cloud = frame.image, frame.cloud
     parts = [
+        *([frame.camera_name] if frame.camera_name else []),
         f"{frame.camera.width}x{frame.camera.height} px {frame.camera.model}",
         f"{len(cloud)} points",
         rings_of(cloud),

@@ -35,14 +35,16 @@ def neighbours(
 ) -> tuple[Frame, ...]:
     """Return the up to `sweeps` frames of the reference's sequence nearest to it in time, in order of time.
 
-    Frames of other sequences, frames without a time and the reference itself are never among them.
+    Frames of other sequences or other cameras (which have the same sweeps), frames without a time and the reference
+    itself are never among them.
 
     Raises InputError if the reference is of no sequence or has no time.
     """
     if not reference.sequence or reference.time_s is None:
         missing = "sequence" if not reference.sequence else "time"
         raise InputError(f"the frame has no {missing}, so that no frame is next to it", where=reference.name)
-    same = [frame for frame in frames if frame.sequence == reference.sequence and frame.name != reference.name]
+    drive = (reference.sequence, reference.camera_name)
+    same = [f for f in frames if (f.sequence, f.camera_name) == drive and f.name != reference.name]
     timed = [(frame, frame.time_s) for frame in same if frame.time_s is not None]
     chosen = nearest_in_time(np.array([time_s for _, time_s in timed]), reference.time_s, sweeps, direction)
     return tuple(timed[index][0] for index in chosen)

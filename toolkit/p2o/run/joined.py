@@ -15,7 +15,8 @@ from p2o.host.stages import Accumulator
 class JoinedFrames(Sequence[Frame]):
     """The frames of a dataset, each with a cloud that an accumulator makes of its sweep and its neighbours'.
 
-    Neighbours are the frames before and after it in the dataset that are of the same sequence. The frame's own sweep
+    Neighbours are the frames before and after it in the dataset that are of the same sequence and the same camera: those
+    of another one hold the same sweeps. The frame's own sweep
     stays in `Frame.sweep`. A frame that stands alone raises InputError. So many frames as belong together are kept in
     memory, so that whoever goes through a drive reads each of them once.
     """
@@ -23,6 +24,7 @@ class JoinedFrames(Sequence[Frame]):
     def __init__(self, dataset: Sequence[Frame] | Dataset, accumulate: Accumulator) -> None:
         self._dataset, self._accumulate = dataset, accumulate
         self._read = lru_cache(accumulate.past + 1 + accumulate.future)(dataset.__getitem__)
+        self._drives: dict[int, tuple[str, str]] = {}
         self.skipped: Mapping[str, str] = getattr(dataset, "skipped", {})
 
     @property
@@ -46,18 +48,26 @@ class JoinedFrames(Sequence[Frame]):
                 expected="frames with `sequence`",
                 hint="leave out --accumulate, or say the sequence in frame.yaml",
             )
-        before = self._neighbours(frame, range(index - 1, max(-1, index - 1 - self._accumulate.past), -1))[::-1]
-        after = self._neighbours(frame, range(index + 1, min(len(self), index + 1 + self._accumulate.future)))
+        before = self._neighbours(frame, range(index - 1, -1, -1), self._accumulate.past)[::-1]
+        after = self._neighbours(frame, range(index + 1, len(self)), self._accumulate.future)
         frames = [*before, frame, *after]
         cloud = self._accumulate([f.without_truth() for f in frames], len(before))
         return replace(frame, cloud=cloud, sweep=frame.cloud)
 
-    def _neighbours(self, frame: Frame, indices: range) -> list[Frame]:
-        """Return the frames of these indices up to the end of the sequence."""
+    def _neighbours(self, frame: Frame, indices: range, count: int) -> list[Frame]:
+        """Return the first frames of these indices that are of the frame's camera, up to the end of the sequence."""
         found: list[Frame] = []
         for i in indices:
-            other = self._read(i)
-            if other.sequence != frame.sequence:
+            if len(found) == count:
                 break
-            found.append(other)
+            # Which drive a frame is of is kept: frames of other cameras are not read again to be left out.
+            sequence, camera = self._drives.get(i) or self._drive(i)
+            if sequence != frame.sequence:
+                break
+            if camera == frame.camera_name:
+                found.append(self._read(i))
         return found
+
+    def _drive(self, index: int) -> tuple[str, str]:
+        frame = self._read(index)
+        return self._drives.setdefault(index, (frame.sequence, frame.camera_name))

@@ -20,7 +20,8 @@ def write(frames: Iterable[Frame], root: Path) -> Iterator[str]:
     """Write frames below `root` one by one and yield the name under which `folder` reads each.
 
     Kept are the picture, the right one, depth (float32 metres, sky included), the sweep (coordinates and intensity
-    as float32) with rings and times, truth and start, the place in a sequence with its poses, and targets. A sweep that
+    as float32) with rings and times, truth and start, the camera's name, the place in a sequence with its poses,
+    and targets. A sweep that
     was corrected for motion is written as measured, with the velocity that the reader corrects it by. Masked pixels
     have no place in this layout.
     """
@@ -47,6 +48,8 @@ def write(frames: Iterable[Frame], root: Path) -> Iterator[str]:
             buffer = io.BytesIO()
             np.save(buffer, image.depth_m.astype(np.float32))
             write_file(folder / "depth.npy", buffer.getvalue())
+        if frame.camera_name:
+            entry["camera_name"] = frame.camera_name
         if frame.sequence:
             entry["sequence"] = frame.sequence
         if frame.time_s is not None:

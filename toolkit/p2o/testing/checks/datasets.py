@@ -70,15 +70,16 @@ def frames_hold_what_is_given(subject: Subject) -> None:
 
 @CHECKS.of()
 def times_do_not_fall_in_a_sequence(subject: Subject) -> None:
-    """Frames of one sequence come in the order of their times, with a time each or none at all."""
-    last: dict[str, Frame] = {}
+    """Frames of one sequence and one camera come in the order of their times, with a time each or none at all."""
+    last: dict[tuple[str, str], Frame] = {}
     for frame in subject.once(_drive):
-        before = last.get(frame.sequence) if frame.sequence else None
+        drive = (frame.sequence, frame.camera_name)
+        before = last.get(drive) if frame.sequence else None
         if before is not None:
             require((before.time_s is None) == (frame.time_s is None), f"{before.name} or {frame.name} has no time")
             if before.time_s is not None and frame.time_s is not None:
                 require(before.time_s < frame.time_s, f"{frame.name} is not later than {before.name}, which is before")
-        last[frame.sequence] = frame
+        last[drive] = frame
 
 
 @CHECKS.of()
