@@ -53,6 +53,7 @@ OPEN_MODULES = {
     "features.maps",
     "files.file_names",
     "geometry.motion",
+    "geometry.pose_text",
     "files.array_file",
     "files.input_file",
     "files.parsed_text",

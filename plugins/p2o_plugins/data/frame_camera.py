@@ -10,9 +10,8 @@ import numpy as np
 from p2o import Camera, InputError, Options, UnknownNameError, field
 from p2o.arrays import Float
 from p2o.files.input_file import naming
+from p2o.geometry.pose_text import numbers
 from p2o.host.validation import validated
-
-from p2o_plugins.data.frame_pose import numbers
 
 _FORMS = "model, width, height and params; or width, height, K and, with distortion, distortion_model and D"
 _COUNTS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (0, 8, 12, 14), "equidistant": (4,)}

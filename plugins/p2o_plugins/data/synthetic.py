@@ -422,8 +422,8 @@ def _scene_name(scene_number: int) -> str:
 def build(options: SyntheticOptions) -> LazyFrames:
     """Return the frames scene-0000, scene-0001, ... or, for drives, scene-0000/0000, scene-0000/0001, ...
 
-    Frames of a rig have the camera's name behind that: scene-0000/front. Each is made when it is asked for, from its own
-    seed.
+    Frames of a rig have the camera's name behind that: scene-0000/front. Each is made when it is asked for, from its
+    own seed.
 
     Raises InputError if drift or start_error cannot be read, a drive is over before its mounting slips, a car that
     stands shall turn, the boards do not hold their pattern, or the frames are too many or too large for memory.

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import yaml
 from p2o import Checkerboard, HoleBoard, InputError, UnknownNameError, se3
+from p2o.geometry.pose_text import read_extrinsic
 from p2o_plugins.data.folder import FolderOptions, build
-from p2o_plugins.data.frame_pose import read_extrinsic
 from p2o_plugins.data.lazy_frames import LazyFrames
 from scipy.spatial.transform import Rotation
 

@@ -15,10 +15,10 @@ from p2o.host.stages import Accumulator
 class JoinedFrames(Sequence[Frame]):
     """The frames of a dataset, each with a cloud that an accumulator makes of its sweep and its neighbours'.
 
-    Neighbours are the frames before and after it in the dataset that are of the same sequence and the same camera: those
-    of another one hold the same sweeps. The frame's own sweep
-    stays in `Frame.sweep`. A frame that stands alone raises InputError. So many frames as belong together are kept in
-    memory, so that whoever goes through a drive reads each of them once.
+    Neighbours are the frames before and after it in the dataset that are of the same sequence and the same camera, as
+    those of another one hold the same sweeps. The frame's own sweep stays in `Frame.sweep`. A frame that stands alone
+    raises InputError. So many frames as belong together are kept in memory, so that whoever goes through a drive reads
+    each of them once.
     """
 
     def __init__(self, dataset: Sequence[Frame] | Dataset, accumulate: Accumulator) -> None:

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import yaml
 from p2o import InputError, UnknownNameError, se3
-from p2o_plugins.data.frame_pose import read_extrinsic, read_pose
+from p2o.geometry.pose_text import read_extrinsic, read_pose
 from scipy.spatial.transform import Rotation
 
-from .kitti_files import VELO_TO_CAM
+from tests.plugins.data.kitti_files import VELO_TO_CAM
 
 WHERE = Path("frame.yaml")
 PLACE = VELO_TO_CAM[:3, 3].tolist()

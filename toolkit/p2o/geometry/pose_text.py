@@ -1,4 +1,4 @@
-"""A pose as frame.yaml may tell it: rows of numbers, or a rotation in one of four forms beside a translation."""
+"""A pose as frame.yaml and rig files may tell it: rows of numbers, or one of four rotations beside a translation."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from p2o import InputError, UnknownNameError, se3
+
 from p2o.arrays import Float
+from p2o.errors import InputError, UnknownNameError
+from p2o.geometry import se3
 
 _ROTATIONS = {"rotation_xyzw": (4,), "rotation": (3, 3), "rpy_deg": (3,), "rpy_rad": (3,)}
 _FORMS = "3 or 4 rows of 4 numbers, or translation_m beside one of rotation_xyzw, rotation (3x3), rpy_deg, rpy_rad"
@@ -33,7 +35,7 @@ def read_extrinsic(name: str, value: Any, where: Path) -> tuple[Float, tuple[str
 
 
 def read_pose(name: str, value: Any, where: Path) -> tuple[Float, tuple[str, ...]]:
-    """Return a pose of frame.yaml as (4, 4), and warnings; `name` and `where` say in errors which it is.
+    """Return a pose of YAML or JSON as (4, 4), and warnings; `name` and `where` say in errors which it is.
 
     Taken are 4x4 or 3x4 numbers, nested or in a row, or a mapping of translation_m and one rotation: rotation_xyzw (a
     quaternion), rotation (3x3), rpy_deg or rpy_rad (about the fixed axes x, y, z: Rz Ry Rx, as in ROS). A rotation that
@@ -45,7 +47,7 @@ def read_pose(name: str, value: Any, where: Path) -> tuple[Float, tuple[str, ...
 
 
 def numbers(value: Any, *shapes: tuple[int, ...]) -> Float | None:
-    """Return finite numbers of YAML as an array of one of the shapes, nested or in a row; None for anything else."""
+    """Return finite numbers of a file as an array of one of the shapes, nested or in a row; None for anything else."""
     rows = value if isinstance(value, list | tuple) else ()
     nested = [isinstance(row, list | tuple) for row in rows]
     if all(nested) and len({len(row) for row in rows}) == 1:
