@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from p2o.results.result import Result
 
 PLACE = "{frame}"
-"""What stands for the name of the frame in a path."""
+"""What stands for the name of the frame in a path; "{camera}" for that of a camera of a rig."""
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,7 @@ class Export:
     exporter: Exporter
     path: Path
     files: Mapping[str, Path] = field(default_factory=dict)
+    place: str = PLACE
 
     @classmethod
     def of(cls, text: str, registry: Registry) -> Export:
@@ -34,27 +35,27 @@ class Export:
 
         return cls(text, *open_exporter(text, registry))
 
-    def for_frames(self, names: Mapping[str, str]) -> Export:
-        """Return it with the files of frames, whose names as files are given.
+    def for_frames(self, names: Mapping[str, str], place: str = PLACE) -> Export:
+        """Return it with the files of frames, whose names as files are given and stand at `place` in the path.
 
         Raises InputError where several frames would be one file, or a file could not be written.
         """
-        if len(names) > 1 and PLACE not in str(self.path):
+        if len(names) > 1 and place not in str(self.path):
             raise InputError(
                 "several results do not fit in one file",
                 where="--export",
-                expected=f"a path with {PLACE} in it, or --joint",
+                expected=f"a path with {place} in it" + (", or --joint" if place == PLACE else ""),
                 got=self.text,
             )
-        files = {frame: Path(str(self.path).replace(PLACE, name)) for frame, name in names.items()}
+        files = {frame: Path(str(self.path).replace(place, name)) for frame, name in names.items()}
         for file in files.values():
-            _check_place(file, made=PLACE in str(self.path.parent))
-        return Export(self.text, self.exporter, self.path, files)
+            _check_place(file, made=place in str(self.path.parent))
+        return Export(self.text, self.exporter, self.path, files, place)
 
     def write(self, result: Result, frame: str) -> None:
-        """Write the result that is called after a frame."""
+        """Write the result that is called after a frame, or after a camera of a rig."""
         file = self.files[frame]
-        if PLACE in str(self.path.parent):
+        if self.place in str(self.path.parent):
             file.parent.mkdir(parents=True, exist_ok=True)
         self.exporter(result, file)
 

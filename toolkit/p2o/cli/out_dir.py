@@ -27,7 +27,8 @@ _IN_ROOT = (_RUN, _RESULT, _ROUNDS)
 class OutDir:
     """DIR/run.json; for each frame DIR/FRAME/ with result.json, convergence.png, before.png and after.png.
 
-    A joint result has its result.json and convergence.png in DIR itself. `folders` are the names of folders by frame.
+    A joint result has its result.json and convergence.png in DIR itself, that of a camera of a rig in DIR/CAMERA.
+    `folders` are the names of folders by frame and camera.
     """
 
     root: Path
@@ -65,8 +66,8 @@ class OutDir:
         """Write everything about one finished result."""
         if progress.row is None:
             return
-        joint = len(progress.row.result.frames) > 1
-        home = self.root if joint else self.root / self.folders[progress.frames[0].name]
+        joint = len(progress.row.result.frames) > 1 and not progress.camera
+        home = self.root if joint else self.root / self.folders[progress.camera or progress.frames[0].name]
         try:
             _write_json(home / _RESULT, progress.row.as_dict())
             self._draw(home, progress)

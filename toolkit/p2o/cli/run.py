@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from p2o.cli.exports import Export
     from p2o.geometry.perturb import Perturbation
     from p2o.results.result import Result
+    from p2o.results.rig import RigResult
     from p2o.run.run import FailedFrame, Progress, Row
 
 
@@ -49,6 +50,14 @@ if TYPE_CHECKING:
 @click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Seed of everything random (default: 0).")
 @click.option("--joint", is_flag=True, default=None, help="One result for all frames together.")
 @click.option(
+    "--rig",
+    is_flag=False,
+    flag_value=True,
+    type=click.UNPROCESSED,
+    metavar="[FILE]",
+    help="One result for each camera, of all its frames; FILE (YAML, JSON) tells which are whose and where cameras are.",
+)
+@click.option(
     "--require",
     metavar='"[trusted] [0.3deg 0.1m]"',
     help="Exit status 1 unless every result is trusted and, where a size is said, likely to be this accurate.",
@@ -73,15 +82,17 @@ def command(
     p2o run                                            a synthetic scene
     p2o run --data kitti-raw:PATH --perturb "2deg 0.15m" --seed 1
     p2o run --data kitti-raw:PATH --frames @splits.json#test --joint --out out
+    p2o run --data folder:PATH --rig rig.yaml
 
-    Where there are several results, PATH of --export holds {frame}. Exit status 1 where any calibration was refused
-    (its status says why) or is not as required: a doubtful or ambiguous one counts as solved unless --require trusted
-    is said. 2 where a frame cannot be read: it is listed with its reason, after the results of the others.
+    Where there are several results, PATH of --export holds {frame}, or {camera} with --rig. Exit status 1 where any
+    calibration was refused (its status says why) or is not as required: a doubtful or ambiguous one counts as solved
+    unless --require trusted is said. 2 where a frame cannot be read: it is listed with its reason, after the results of
+    the others.
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     with _stdout_kept_for_json(as_json) as stdout:
         from p2o.cli.exports import Export, check_apart
         from p2o.cli.out_dir import OutDir
-        from p2o.cli.summary import describe, describe_failed, describe_run
+        from p2o.cli.summary import describe, describe_failed, describe_rig, describe_run
         from p2o.files.file_names import distinct_names
         from p2o.run.protocol import protocol_of
         from p2o.run.recipe import Recipe
@@ -102,14 +113,16 @@ def command(
         rows: list[Row] = []
         failed: list[FailedFrame] = []
 
-        def planned(names: Sequence[str]) -> None:
+        def planned(names: Sequence[str], cameras: Sequence[str]) -> None:
             """Fix the files of all frames before any work: no two are one, and none is found wrong at the end."""
             nonlocal folder, writers
+            # A camera and its only frame may have one name, and then share a folder.
             if folder is not None:
-                folder = folder.for_frames(names)
-            named = names[:1] if plan.recipe.joint else names
-            files = distinct_names(names)
-            writers = [writer.for_frames({name: files[name] for name in named}) for writer in writers]
+                folder = folder.for_frames(list(dict.fromkeys([*cameras, *names])))
+            named = cameras or (names[:1] if plan.recipe.joint else names)
+            files = distinct_names(cameras or names)
+            place = "{camera}" if cameras else "{frame}"
+            writers = [writer.for_frames({name: files[name] for name in named}, place) for writer in writers]
             check_apart(writers, [] if folder is None else folder.files)
 
         def noted(progress: Progress) -> None:
@@ -129,11 +142,11 @@ def command(
                 for writer in writers:
                     _export(writer, progress)
 
-        interrupted = False
+        interrupted, common = False, None
         problem: Exception | None = None
         with _progress() as shown:
             try:
-                run(plan, on_progress=noted, on_names=planned)
+                common = run(plan, on_progress=noted, on_names=planned).rig
             except KeyboardInterrupt:
                 interrupted = True
                 click.echo(f"p2o: interrupted; {len(rows)} finished calibrations are kept", err=True)
@@ -150,6 +163,7 @@ def command(
             interrupted=interrupted,
             failed=tuple(failed),
             protocol=None if protocol is None else protocol_of(protocol),
+            rig=common,
         )
         if folder is not None:
             try:
@@ -160,16 +174,19 @@ def command(
         stdout.write(json.dumps(done.as_dict(), allow_nan=False) + "\n")
     elif len(rows) + len(failed) > 1 or protocol is not None:
         stdout.write(describe_run(done) + "\n")
+    if common is not None and not as_json:
+        stdout.write(describe_rig(common, done.rig_errors) + "\n")
     if interrupted:
         return 130
     if problem is not None:
         raise problem
     if failed:
         raise InputError(
-            f"{len(failed)} of {len(rows) + len(failed)} frames could not be calibrated",
+            f"{len(failed)} of {len(rows) + len(failed)} {'cameras' if plan.rig else 'frames'} could not be calibrated",
             got=f"{failed[0].frame}: {failed[0].reason}",
         )
-    short = [] if wanted is None else wanted.unmet([row.result for row in done.rows])
+    judged = [*(row.result for row in done.rows), *([] if common is None else [common])]
+    short = [] if wanted is None else wanted.unmet(judged)
     for line in short:
         click.echo(f"p2o: {line}, as --require asks", err=True)
     return 0 if done.solved and not short else 1
@@ -201,7 +218,7 @@ class Required:
             )
         return cls(bound)
 
-    def unmet(self, results: Sequence[Result]) -> list[str]:
+    def unmet(self, results: Sequence[Result | RigResult]) -> list[str]:
         """Return a line for each way in which results fall short."""
         doubted = sum(not result.verdict.trusted for result in results)
         lines = [_of(doubted, len(results), "is not trusted", "are not trusted")] if doubted else []
@@ -223,7 +240,7 @@ def _export(export: Export, progress: Progress) -> None:
     assert progress.row is not None
     result = progress.row.result
     try:
-        export.write(result, progress.frames[0].name)
+        export.write(result, progress.camera or progress.frames[0].name)
     except InputError as problem:
         if result.status.solved:
             raise

@@ -12,13 +12,14 @@ from p2o.results.verdict import Trust
 from p2o.run.protocol import told
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from p2o.arrays import Float
     from p2o.geometry.pose_error import PoseError
     from p2o.results.accuracy import Accuracy
     from p2o.results.evidence import Judged
     from p2o.results.result import CameraCheck, Result, SweepMotion
+    from p2o.results.rig import RigResult
     from p2o.run.run import FailedFrame, Row, Run
 
 _AXES = (("roll", "deg"), ("pitch", "deg"), ("yaw", "deg"), ("x", "m"), ("y", "m"), ("z", "m"))
@@ -28,6 +29,8 @@ def describe(row: Row) -> str:
     """Return the readable account of one result: poses, errors, matches and residuals by direction, status."""
     result = row.result
     name = result.frames[0] if len(result.frames) == 1 else f"{len(result.frames)} frames jointly"
+    if row.camera and row.camera != name:
+        name = f"{name} ({row.camera})"
     lines = [name, f"  {'status':<9} {result.status.value}: {result.reason}", *_verdict(result)]
     lines += _pose("start", result.start) + _pose("result", result.camera_from_lidar)
     lines.append(f"  {'moved':<9} {_distance(result.camera_from_lidar @ se3.inverse(result.start))}")
@@ -58,6 +61,29 @@ def describe(row: Row) -> str:
     return "\n".join(map(printable, lines))
 
 
+def describe_rig(rig: RigResult, errors: Mapping[str, PoseError]) -> str:
+    """Return the account of the common result of a rig: pose, verdict, and what each camera says beside the others."""
+    lines = ["rig", f"  {'result':<9} {rig.reason}"]
+    why = rig.verdict.why if rig.body_from_lidar is not None else ""
+    lines.append(f"  {'verdict':<9} {rig.verdict.trust.value}" + (f": {why}" if why else ""))
+    if rig.body_from_lidar is not None:
+        lines += _pose("lidar at", rig.body_from_lidar)
+        lines.append(f"  {'accuracy':<9} {_accuracy(rig.accuracy)}")
+        lines.append(
+            f"  {'apart':<9} chi-square {rig.chi_square:.1f} for {rig.degrees}, by chance in {rig.p_value:.2g}"
+        )
+    for camera in rig.cameras:
+        said = f"left out: {camera.left_out}" if camera.left_out else ""
+        if camera.rotation_deg is not None:
+            said = f"by itself {camera.rotation_deg:.2f} deg and {camera.translation_m:.3f} m from the others"
+        if camera.name in errors:
+            error = errors[camera.name]
+            told = f"error {error.rotation_deg:.3f} deg {error.translation_m:.3f} m in common"
+            said = f"{said}; {told}" if said else told
+        lines.append(f"  {'camera':<9} {camera.name}" + (f": {said}" if said else ""))
+    return "\n".join(map(printable, lines))
+
+
 def describe_failed(failed: FailedFrame) -> str:
     """Return the account of a frame that has no result."""
     return "\n".join(map(printable, [failed.frame, f"  {'failed':<9} {failed.reason}"]))
@@ -69,7 +95,8 @@ def describe_run(run: Run) -> str:
     counts = ", ".join(f"{count} {status}" for status, count in summary["status"].items())
     lines = [f"{summary['count']} calibrations: {counts or 'none finished'}"]
     if run.failed:
-        lines.append(f"  {len(run.failed)} frames failed: they could not be read or lack what the methods need")
+        sort = "frames" if run.rig is None else "cameras"
+        lines.append(f"  {len(run.failed)} {sort} failed: they could not be read or lack what the methods need")
     solved = Counter(row.result.verdict.trust for row in run.rows if row.result.status.solved)
     if solved:
         words = ", ".join(f"{solved[trust]} {trust}" for trust in Trust if solved[trust])

@@ -23,6 +23,7 @@ from p2o.files.parsed_text import parse_json
 from p2o.geometry import se3
 from p2o.results.evidence import Agreement
 from p2o.results.result import Result
+from p2o.results.rig import RigResult
 from p2o.results.verdict import Verdict
 
 _SAID: Mapping[type, tuple[str, ...]] = {Verdict: ("trust",), Agreement: ("odds_ratio",)}
@@ -43,10 +44,16 @@ def result_to_dict(result: Result) -> dict[str, Any]:
     return {name: _plain(name, value) for name, value in parts(result) or ()}
 
 
+def rig_to_dict(result: RigResult) -> dict[str, Any]:
+    """Return the common result of a rig as dicts, lists, numbers, texts and None, in the order of its fields."""
+    return {name: _plain(name, value) for name, value in parts(result) or ()}
+
+
 def result_from_dict(value: Any) -> Result:
     """Return the result of what `result_to_dict` gave; every number is the same to the last bit.
 
-    An object of `p2o run` is taken too; its errors against the truth, which are no part of a Result, are left out.
+    An object of `p2o run` is taken too; the name of its camera and its errors against the truth, which are no part of a
+    Result, are left out.
     Tuples within the recipe come back as lists. Raises InputError for a missing or unknown field, a value of another
     kind, a pose that is not rigid, or a result of an earlier version of p2o; the text names the field.
     """
@@ -58,7 +65,7 @@ def result_from_dict(value: Any) -> Result:
                 got=f"versions {value.get('versions')}",
                 hint="calibrate again, or read it with the version that wrote it",
             )
-        value = {key: part for key, part in value.items() if key not in ("error", "start_error")}
+        value = {key: part for key, part in value.items() if key not in ("camera", "error", "start_error")}
     result: Result = _read("the result", Result, value)
     return result
 

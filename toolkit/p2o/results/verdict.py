@@ -24,6 +24,8 @@ class Doubt(StrEnum):
     RIVAL_POSE = "rival-pose"
     TOO_FEW_PLACES = "too-few-places"
     CAMERA = "camera"
+    CONTRADICTION = "contradiction"
+    TOO_FEW_CAMERAS = "too-few-cameras"
 
     @property
     def trust(self) -> Trust | None:
@@ -33,6 +35,8 @@ class Doubt(StrEnum):
             Doubt.LITTLE_AGREEMENT: Trust.DOUBTFUL,
             Doubt.NOT_CHECKED: Trust.DOUBTFUL,
             Doubt.TOO_FEW_PLACES: Trust.DOUBTFUL,
+            Doubt.CONTRADICTION: Trust.DOUBTFUL,
+            Doubt.TOO_FEW_CAMERAS: Trust.DOUBTFUL,
             Doubt.RIVAL_POSE: Trust.AMBIGUOUS,
         }.get(self)
 

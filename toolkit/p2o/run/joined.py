@@ -54,6 +54,10 @@ class JoinedFrames(Sequence[Frame]):
         cloud = self._accumulate([f.without_truth() for f in frames], len(before))
         return replace(frame, cloud=cloud, sweep=frame.cloud)
 
+    def camera_name(self, index: int) -> str:
+        """Return the camera that a frame names, without joining anything."""
+        return self._drive(index)[1]
+
     def _neighbours(self, frame: Frame, indices: range, count: int) -> list[Frame]:
         """Return the first frames of these indices that are of the frame's camera, up to the end of the sequence."""
         found: list[Frame] = []

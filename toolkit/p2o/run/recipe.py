@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, StrictBool
 
 from p2o.errors import InputError, UnknownNameError
 from p2o.host.method import Kind, Method
@@ -20,6 +20,7 @@ from p2o.options import Options
 from p2o.run.fit import HELD, check_fit, misfit_of, way_out
 from p2o.run.part import Part as Part
 from p2o.run.part import part_of
+from p2o.run.rig import Rig
 from p2o.run.words import parse_settings as parse_settings
 from p2o.run.words import split_data as split_data
 from p2o.run.words import value_of as value_of
@@ -43,7 +44,8 @@ class Recipe(BaseModel):
     `data` is DATASET:PATH, or None where frames are handed over in Python; `frames` says which of them; `extractor`
     is IMAGE/CLOUD; `calibrator` replaces extractor, matcher, solver and init by one whole method; `options` maps
     stage to field to value; `perturb` is a text such as "2deg 0.15m", or "camera @FILE" for a list of starts; `joint`
-    gives one result for all frames. `accumulate` names a method that joins sweeps of a sequence. `witness` is
+    gives one result for all frames. `rig` gives one for each camera: True where frames name their camera, else a rig
+    file or its content (`p2o.run.rig`). `accumulate` names a method that joins sweeps of a sequence. `witness` is
     IMAGE/CLOUD, extractors whose edges check results of methods without edges of their own: None takes those of the
     default recipe where frames allow it, "none" goes without.
     """
@@ -61,6 +63,7 @@ class Recipe(BaseModel):
     perturb: str | None = None
     seed: int = Field(default=0, ge=0, le=MOST_SEED)
     joint: bool = False
+    rig: StrictBool | str | dict[str, Any] = False
     accumulate: str | None = None
     witness: str | None = None
 
@@ -105,7 +108,14 @@ class Recipe(BaseModel):
         else:
             pipeline = None
         check_fit({stage: part.offer for stage, part in parts.items()}, registry)
-        return Plan(self, parts, pipeline, registry)
+        rig = Rig.of(self.rig)
+        if rig is not None and self.joint:
+            raise InputError(
+                "a rig has one result for each camera",
+                where="--rig",
+                expected="no --joint beside it: the frames of a camera are solved together in any case",
+            )
+        return Plan(self, parts, pipeline, registry, rig)
 
     def _witness(self, parts: Mapping[str, Part], registry: Registry) -> dict[str, Part]:
         """Return the extractors that check results where the methods themselves have no edges to do it by.
@@ -158,7 +168,7 @@ class Recipe(BaseModel):
 
 
 _WITNESS = ("witness", "witness-cloud")
-_SELDOM = ("accumulate", "witness")
+_SELDOM = ("accumulate", "rig", "witness")
 
 
 def _pair(what: str, text: str) -> tuple[str, str]:
@@ -176,6 +186,7 @@ class Plan:
     parts: Mapping[str, Part]
     pipeline: Options | None
     registry: Registry
+    rig: Rig | None = None
 
     def dataset(self) -> GuardedDataset | JoinedFrames:
         """Return the dataset, its sweeps joined where the recipe says so; frames are read when they are asked for."""

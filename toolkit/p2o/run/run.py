@@ -6,11 +6,13 @@ import os
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
 from p2o.arrays import Float
+from p2o.calibration.fusion import rig_result
 from p2o.errors import InputError, P2OError, PluginError
 from p2o.frames.frame import Dataset, Frame
 from p2o.frames.selection import select
@@ -19,7 +21,8 @@ from p2o.geometry.pose_error import PoseError, pose_error, summarise
 from p2o.geometry.start_list import StartList, parse_starts
 from p2o.host.registry import Registry
 from p2o.results.result import Result, Status
-from p2o.results.result_json import result_to_dict
+from p2o.results.result_json import result_to_dict, rig_to_dict
+from p2o.results.rig import RigResult
 from p2o.results.verdict import Trust
 from p2o.run.assembly import Assembly
 from p2o.run.protocol import Protocol, protocol_of
@@ -31,22 +34,29 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One result with what is known about its truth: errors are None where the truth is unknown."""
+    """One result with what is known about its truth: errors are None where the truth is unknown.
+
+    `camera` is the name of the camera of its frames, empty where they name none.
+    """
 
     result: Result
     truth: Float | None
     start_error: PoseError | None
     error: PoseError | None
+    camera: str = ""
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result object of `p2o run --json`, ready for JSON; NaN becomes null."""
         errors = {"error": _error_dict(self.error), "start_error": _error_dict(self.start_error)}
-        return {**result_to_dict(self.result), **errors}
+        return {"camera": self.camera, **result_to_dict(self.result), **errors}
 
 
 @dataclass(frozen=True)
 class FailedFrame:
-    """A frame without a result, because it cannot be read or lacks what the methods need, and why in one line."""
+    """A frame without a result, because it cannot be read or lacks what the methods need, and why in one line.
+
+    Of a rig it is a camera, whose frames are solved together.
+    """
 
     frame: str
     reason: str
@@ -54,13 +64,18 @@ class FailedFrame:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """All results of a recipe: `rows`, one a frame, or one for all frames with `joint`; `failed` are frames without."""
+    """All results of a recipe: `rows`, one a frame, or one for all frames with `joint`; `failed` are frames without.
+
+    Of a rig there is a row for each camera, and `rig` is the common result where its file tells how the cameras are
+    fixed to each other.
+    """
 
     rows: tuple[Row, ...]
     joint: bool = False
     interrupted: bool = False
     failed: tuple[FailedFrame, ...] = ()
     protocol: Protocol | None = None
+    rig: RigResult | None = None
 
     @property
     def result(self) -> Result:
@@ -72,7 +87,17 @@ class Run:
     @property
     def solved(self) -> bool:
         """True where every calibration was solved, there was at least one, and no frame failed."""
-        return bool(self.rows) and not self.failed and all(row.result.status.solved for row in self.rows)
+        common = self.rig is None or self.rig.body_from_lidar is not None
+        return bool(self.rows) and not self.failed and common and all(row.result.status.solved for row in self.rows)
+
+    @property
+    def rig_errors(self) -> dict[str, PoseError]:
+        """The errors of the common result of a rig by camera, for those whose truth is known."""
+        if self.rig is None:
+            return {}
+        truths = {row.camera: row.truth for row in self.rows if row.truth is not None}
+        poses = {camera.name: camera.camera_from_lidar for camera in self.rig.cameras}
+        return {n: pose_error(pose, truths[n]) for n, pose in poses.items() if pose is not None and n in truths}
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -104,19 +129,30 @@ class Run:
         return {"name": protocol.name, "count": len(known), **protocol.figures(np.array(estimates), np.array(truths))}
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the one object of `p2o run --json`, of one schema for all runs: `results`, `failed`, `summary`."""
+        """Return the one object of `p2o run --json`, of one schema for all runs: `results`, `failed`, `summary`.
+
+        A rig whose cameras are fixed to each other has a fourth part, `rig`: the common result.
+        """
         return {
             "results": [row.as_dict() for row in self.rows],
             "failed": [{"frame": one.frame, "reason": one.reason} for one in self.failed],
+            **({} if self.rig is None else {"rig": self._rig_dict(self.rig)}),
             "summary": self.summary,
         }
+
+    def _rig_dict(self, rig: RigResult) -> dict[str, Any]:
+        """Return the common result with its errors, by camera and summarised."""
+        errors, plain = self.rig_errors, rig_to_dict(rig)
+        plain["cameras"] = [{**camera, "error": _error_dict(errors.get(camera["name"]))} for camera in plain["cameras"]]
+        return {**plain, "error": summarise(list(errors.values()))}
 
 
 @dataclass(frozen=True, eq=False)
 class Progress:
     """What `on_progress` is told: before each calibration with `row` None, and after it with its row.
 
-    Of a frame that cannot be calibrated it is told once, with `failed` and without frames.
+    Of a frame that cannot be calibrated it is told once, with `failed` and without frames. `camera` is the camera of a
+    rig whose frames these are, empty in runs without a rig.
     """
 
     done: int
@@ -126,10 +162,11 @@ class Progress:
     assembly: Assembly
     row: Row | None = None
     failed: FailedFrame | None = None
+    camera: str = ""
 
 
 OnProgress = Callable[[Progress], None]
-OnNames = Callable[[Sequence[str]], None]
+OnNames = Callable[[Sequence[str], Sequence[str]], None]
 
 
 def calibrate(
@@ -146,6 +183,7 @@ def calibrate(
     protocol: str | None = None,
     seed: int | None = None,
     joint: bool | None = None,
+    rig: bool | str | Path | Mapping[str, Any] | None = None,
     accumulate: str | None = None,
     witness: str | None = None,
     start: Float | None = None,
@@ -157,7 +195,9 @@ def calibrate(
     `data` is a text DATASET:PATH, a dataset, frames or one frame. `start` (4, 4) is camera_from_lidar to begin with;
     without it and without `perturb` each frame's own start is used. `options` maps stage to field to value, or lists
     texts STAGE.FIELD=VALUE. `protocol` names a publication's (`p2o.run.protocol`): its starts are drawn, and its
-    figures are in `Run.summary`. What is left out takes the default of `Recipe`.
+    figures are in `Run.summary`. `rig` gives a row for each camera: True where frames name theirs, else a rig file or
+    its content, and `Run.rig` where that tells how the cameras are fixed to each other. What is left out takes the
+    default of `Recipe`.
 
     Raises a P2OError for anything wrong with the words, the data or the plugins. Too few matches and the like are
     no errors but a status of the result, and a bad frame among good ones is in `Run.failed`.
@@ -184,6 +224,7 @@ def calibrate(
         perturb=starts_of(protocol, perturb),
         seed=seed,
         joint=joint,
+        rig=str(rig) if isinstance(rig, Path) else dict(rig) if isinstance(rig, Mapping) else rig,
         accumulate=accumulate,
         witness=witness,
     )
@@ -232,19 +273,32 @@ def run(
     A plugin that fails on a frame ends that frame with status stage-failed and its reason (`P2O_DEBUG=1` or
     `P2O_STRICT=1`: it raises). A frame that cannot be read or used is in `Run.failed`; the others go on. Raises
     InputError where no frame can be used, and for the first bad one with `joint`: a joint result is one of all frames
-    that were asked for. `on_names` is told the names of all frames before any of them is calibrated.
+    that were asked for. Of a rig the frames of each camera are calibrated jointly; a camera with a bad frame is in
+    `Run.failed`. `on_names` is told the names of all frames, and of the cameras of a rig, before any of them is
+    calibrated.
     """
     recipe = plan.recipe
     if start is not None:
+        if plan.rig is not None:
+            raise InputError(
+                "a start is of one camera, and a rig has several",
+                expected="no start beside a rig",
+                hint="say body_from_lidar in the rig file, or the start in each frame",
+            )
         if recipe.perturb is not None:
             raise InputError("both a start and a perturbation are given", expected="one of them")
         start = se3.check_rigid("start", start)
     dataset: Sequence[Frame] | Dataset = plan.dataset() if frames is None else plan.joined(frames)
     names, indices = _selected(dataset, recipe.frames)
-    groups = [indices] if recipe.joint else [[index] for index in indices]
+    cameras, remarks = {}, {}
+    if plan.rig is None:
+        groups = [indices] if recipe.joint else [[index] for index in indices]
+    else:
+        by_camera, remarks = plan.rig.groups(names, indices, lambda index: _camera_name(dataset, index))
+        cameras, groups = dict(enumerate(by_camera)), list(by_camera.values())
     listed = listed_errors(recipe, names, [group[0] for group in groups])
     if on_names is not None:
-        on_names([names[index] for index in indices])
+        on_names([names[index] for index in indices], list(cameras.values()))
     assembly = plan.assembly()
     stamp = {"recipe": plan.described(), "seed": recipe.seed, "versions": plan.versions()}
     rows: list[Row] = []
@@ -252,13 +306,18 @@ def run(
     first: P2OError | None = None
     tell, tried = on_progress or (lambda _: None), _caught if len(groups) > 1 else _uncaught
     for done, group in enumerate(groups):
-        name = names[group[0]] if len(group) == 1 else f"{len(group)} frames jointly"
-        progress = Progress(done, len(groups), name, (), assembly)
-        begin = tried(_Begin.of, plan, dataset, [(index, names[index]) for index in group], start, listed)
+        camera = cameras.get(done, "")
+        name = camera or (names[group[0]] if len(group) == 1 else f"{len(group)} frames jointly")
+        progress = Progress(done, len(groups), name, (), assembly, camera=camera)
+        first_guess = start
+        if plan.rig is not None and recipe.perturb is None:
+            first_guess = plan.rig.start_of(camera)
+        begin = tried(_Begin.of, plan, dataset, [(index, names[index]) for index in group], first_guess, listed)
         row: Row | P2OError
         if isinstance(begin, P2OError):
             row = begin
         else:
+            begin = replace(begin, warnings=(*begin.warnings, *remarks.get(camera, ())), camera=camera or begin.camera)
             progress = replace(progress, frames=begin.frames)
             tell(progress)
             row = tried(_calibrate_one, assembly, begin, stamp)
@@ -270,8 +329,18 @@ def run(
             rows.append(row)
             tell(replace(progress, done=done + 1, row=row))
     if first is not None and not rows:
-        raise InputError(f"none of the {len(groups)} frames can be calibrated", got=first) from first
-    return Run(tuple(rows), joint=recipe.joint, failed=tuple(failed))
+        sort = "frames" if plan.rig is None else "cameras"
+        raise InputError(f"none of the {len(groups)} {sort} can be calibrated", got=first) from first
+    common = None
+    if plan.rig is not None and plan.rig.camera_from_body:
+        common = rig_result({row.camera: row.result for row in rows}, plan.rig.camera_from_body)
+    return Run(tuple(rows), joint=recipe.joint, failed=tuple(failed), rig=common)
+
+
+def _camera_name(dataset: Sequence[Frame] | Dataset, index: int) -> str:
+    """Return the camera that a frame names; of joined sweeps nothing is joined for that."""
+    told: Callable[[int], str] | None = getattr(dataset, "camera_name", None)
+    return _frame(dataset, index).camera_name if told is None else told(index)
 
 
 def _uncaught(work: Callable[..., _T], /, *given: Any) -> _T | P2OError:
@@ -321,6 +390,7 @@ class _Begin:
     truth: Float | None
     start: Float
     warnings: tuple[str, ...]
+    camera: str = ""
 
     @classmethod
     def of(
@@ -333,8 +403,9 @@ class _Begin:
     ) -> _Begin:
         """Read the frames of these indices and names."""
         frames = tuple(_usable(plan, dataset, index, name, joint=len(chosen) > 1) for index, name in chosen)
+        camera = frames[0].camera_name if plan.rig is not None else one_camera(frames)
         truth = common_pose(frames, "camera_from_lidar")
-        return cls(frames, truth, *start_of(frames, truth, plan.recipe, start, chosen[0][0], listed))
+        return cls(frames, truth, *start_of(frames, truth, plan.recipe, start, chosen[0][0], listed), camera)
 
 
 def _calibrate_one(assembly: Assembly, begin: _Begin, stamp: Mapping[str, Any]) -> Row:
@@ -347,8 +418,8 @@ def _calibrate_one(assembly: Assembly, begin: _Begin, stamp: Mapping[str, Any]) 
         result = Result(tuple(f.name for f in frames), start, start, Status.STAGE_FAILED, str(problem))
     result = replace(result, warnings=(*result.warnings, *begin.warnings), **stamp)
     if truth is None:
-        return Row(result, None, None, None)
-    return Row(result, truth, pose_error(start, truth), pose_error(result.camera_from_lidar, truth))
+        return Row(result, None, None, None, begin.camera)
+    return Row(result, truth, pose_error(start, truth), pose_error(result.camera_from_lidar, truth), begin.camera)
 
 
 def listed_errors(recipe: Recipe, names: Sequence[str], indices: Sequence[int]) -> dict[int, Float]:
@@ -397,6 +468,20 @@ def start_of(
     )
 
 
+def one_camera(frames: Sequence[Frame]) -> str:
+    """Return the name of the camera of all frames, empty where they name none; InputError where they name several."""
+    named = sorted({frame.camera_name for frame in frames})
+    if len(named) > 1:
+        raise InputError(
+            f"frames of {len(named)} cameras have no pose in common",
+            where="--joint",
+            expected="frames of one camera",
+            got=", ".join(name or "none named" for name in named),
+            hint="calibrate each camera of the rig with --rig, or choose frames of one",
+        )
+    return named[0]
+
+
 _SAME_DEG, _SAME_M = 1e-3, 1e-4
 
 
@@ -414,7 +499,7 @@ def common_pose(frames: Sequence[Frame], name: str) -> Float | None:
                 f"frames {known[0].name} and {frame.name} have different {label}",
                 expected="one rig for --joint",
                 got=f"{se3.angle_deg(step):.3g} deg and {se3.distance_m(step):.3g} m apart",
-                hint="calibrate them apart, without --joint",
+                hint="calibrate them apart, without --joint, or each camera of a rig with --rig",
             )
     return getattr(known[0], name) if known else None
 

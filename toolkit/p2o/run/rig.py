@@ -1,0 +1,284 @@
+"""Rig files: which frames are of which camera, and where the cameras stand on the body. docs/how-to/rig.md explains."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field
+
+from p2o.arrays import Float
+from p2o.errors import InputError, UnknownNameError
+from p2o.files.input_file import expanded, read_text
+from p2o.files.parsed_text import parse_json, parse_yaml
+from p2o.frames.frame import check_camera_name
+from p2o.geometry import se3
+from p2o.geometry.motion import pose_at
+from p2o.geometry.pose_text import read_pose
+from p2o.host.validation import validated
+from p2o.options import Options
+from p2o.options import field as option
+
+_PLACES = ("camera_from_body", "body_from_camera", "camera_from_camera", "camera_from_lidar")
+_MOST_CAMERAS = 100
+_STILL_S = 1e-3
+"""A car at 20 m/s goes 2 cm in this time."""
+
+_Pattern = Annotated[str, Field(min_length=1, max_length=200)]
+
+
+class CameraEntry(Options):
+    """One camera of a rig file: its frames, and its place in one of four words, the same for all cameras."""
+
+    frames: tuple[_Pattern, ...] = option((), max_length=1000, help="Names of its frames, with * and ? as wildcards.")
+    camera_from_body: Any = option(None, help="Place of the body in the camera.")
+    body_from_camera: Any = option(None, help="Place of the camera on the body.")
+    camera_from_camera: Any = option(None, help="Place of the `reference` camera in this one.")
+    camera_from_lidar: Any = option(None, help="Place of the LiDAR as known before: the body is that LiDAR.")
+    image_before_sweep_s: float = option(
+        0.0, ge=-1, le=1, help="How long before the time of the sweep the image was taken, in seconds."
+    )
+
+    @property
+    def place(self) -> str:
+        """The word that tells the place, empty without; InputError for several."""
+        said = [name for name in _PLACES if getattr(self, name) is not None]
+        if len(said) > 1:
+            raise InputError(
+                "a camera has several places", expected="one of " + ", ".join(_PLACES), got=", ".join(said)
+            )
+        return said[0] if said else ""
+
+
+_Rate = Annotated[float, Field(ge=-100, le=100)]
+_Speed = Annotated[float, Field(ge=-1000, le=1000)]
+
+
+class RigEntry(Options):
+    """What a rig file holds."""
+
+    cameras: dict[str, Any] = option(..., min_length=1, max_length=_MOST_CAMERAS, help="The cameras by name.")
+    reference: str | None = option(None, help="The camera that camera_from_camera of the others counts from.")
+    body_from_lidar: Any = option(None, help="First guess of where the LiDAR is on the body.")
+    twist: tuple[_Rate, _Rate, _Rate, _Speed, _Speed, _Speed] | None = option(
+        None, help="Velocity of the body in its own frame, about x y z in rad/s, then along x y z in m/s."
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """The cameras of a rig: `patterns` of their frames' names, and their places (4, 4) on the body, if known of all.
+
+    Without a file there are no `cameras`: frames say themselves which one they are of. `start` is a first guess of
+    body_from_lidar. `warnings` by camera are remarks that results repeat; `source` is named in errors.
+    """
+
+    cameras: tuple[str, ...] = ()
+    patterns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    camera_from_body: Mapping[str, Float] = field(default_factory=dict)
+    start: Float | None = None
+    warnings: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    source: str = "--rig"
+
+    @classmethod
+    def of(cls, value: bool | str | Mapping[str, Any]) -> Rig | None:
+        """Return the rig that a word of a recipe means: a file, its content, or True for what frames say themselves.
+
+        Raises as `parse_rig`, and InputError where the file cannot be read.
+        """
+        if isinstance(value, bool):
+            return cls() if value else None
+        if isinstance(value, Mapping):
+            return parse_rig(value, "rig")
+        if not value:
+            raise InputError("the rig file has no name", where="--rig", expected="a file, or no word for none")
+        path = expanded(value)
+        text = read_text(path, "rig file")
+        json = path.suffix.lower() == ".json"
+        return parse_rig((parse_json if json else parse_yaml)(text, "rig file", path), path)
+
+    def start_of(self, camera: str) -> Float | None:
+        """Return the first guess of camera_from_lidar (4, 4) of a camera, or None."""
+        return None if self.start is None else self.camera_from_body[camera] @ self.start
+
+    def groups(
+        self, names: Sequence[str], indices: Sequence[int], camera_of: Callable[[int], str]
+    ) -> tuple[dict[str, list[int]], dict[str, tuple[str, ...]]]:
+        """Return the chosen frames by camera, in the order of the file or of the frames, and remarks by camera.
+
+        A frame is of the camera one of whose patterns its name matches, else of the one that it says (`camera_of` reads
+        it). Where a file lists cameras and a frame says none, it is of the camera that its name ends with, and a remark
+        says so.
+
+        Raises InputError for a frame of no camera or of several and a camera without frames, UnknownNameError for a
+        camera that the file does not hold.
+        """
+        found: dict[str, list[int]] = {camera: [] for camera in self.cameras}
+        remarks = dict(self.warnings)
+        for index in indices:
+            name = names[index]
+            camera = self._by_pattern(name) or self._by_itself(name, camera_of(index))
+            if not camera:
+                camera = self._by_ending(name)
+                remark = f"{self.source}: frames of {camera} are told by the ends of their names"
+                if remark not in remarks.get(camera, ()):
+                    remarks[camera] = (*remarks.get(camera, ()), remark)
+            found.setdefault(camera, []).append(index)
+        for camera, chosen in found.items():
+            if not chosen:
+                raise InputError(
+                    f"camera {camera} has no frames",
+                    where=self.source,
+                    expected="frames of every camera among those that are chosen",
+                    got=f"{len(indices)} frames of others",
+                    hint="choose its frames, too, or leave the camera out of the rig file",
+                )
+        return found, remarks
+
+    def _by_pattern(self, name: str) -> str:
+        matching = [
+            camera for camera, patterns in self.patterns.items() if any(fnmatchcase(name, one) for one in patterns)
+        ]
+        if len(matching) > 1:
+            raise InputError(
+                f"frame {name} matches the patterns of several cameras",
+                where=self.source,
+                expected="one camera for each frame",
+                got=", ".join(matching),
+            )
+        return matching[0] if matching else ""
+
+    def _by_itself(self, name: str, camera: str) -> str:
+        if camera and self.cameras and camera not in self.cameras:
+            raise UnknownNameError(f"camera of frame {name}", camera, self.cameras, where=self.source)
+        return camera
+
+    def _by_ending(self, name: str) -> str:
+        ending = [one for one in self.cameras if re.search(rf"(?<!\w){re.escape(one)}$", name)]
+        if len(ending) == 1:
+            return ending[0]
+        hint = "say `frames: [PATTERN]` at the camera in the rig file, or `camera_name` in frame.yaml"
+        raise InputError(
+            f"frame {name} is of no camera" if self.cameras else f"frame {name} names no camera",
+            where=self.source,
+            expected="one of " + ", ".join(self.cameras) if self.cameras else "a camera_name, or a rig file",
+            hint=hint,
+        )
+
+
+def parse_rig(content: Any, where: Path | str) -> Rig:
+    """Return the rig of what a file holds; `where` names the file in errors.
+
+    A mapping of cameras alone, each with its place, is taken as `cameras`.
+
+    Raises UnknownNameError for unknown keys and InputError for everything else that is wrong: names that are no words,
+    places that are not rigid, of several words or missing for some cameras, a reference that is no camera.
+    """
+    if not isinstance(content, Mapping):
+        raise InputError("the rig file has no keys", where=where, expected="cameras: ...", got=type(content).__name__)
+    if "cameras" not in content and content and all(_is_camera(value) for value in content.values()):
+        content = {"cameras": content}
+    entry = validated(RigEntry, content, where=where)
+    cameras: dict[str, CameraEntry] = {}
+    for name, value in entry.cameras.items():
+        check_camera_name(name, where=where)
+        if not isinstance(value, Mapping):
+            value = {} if value is None else value
+        cameras[name] = validated(CameraEntry, value, name, where=where, noun=f"key of camera {name}")
+    places, warnings = _places(entry, cameras, where)
+    start = np.eye(4) if places and any(camera.camera_from_lidar is not None for camera in cameras.values()) else None
+    if entry.body_from_lidar is not None:
+        if not places:
+            raise InputError(
+                "body_from_lidar is of no use without the places of the cameras",
+                where=where,
+                expected="camera_from_body of every camera",
+            )
+        start, remarks = read_pose("body_from_lidar", entry.body_from_lidar, Path(where))
+        warnings |= {name: (*warnings.get(name, ()), *remarks) for name in cameras if remarks}
+    patterns = {name: camera.frames for name, camera in cameras.items() if camera.frames}
+    return Rig(tuple(cameras), patterns, places, start, warnings, str(where))
+
+
+def _is_camera(value: Any) -> bool:
+    return isinstance(value, Mapping) and any(word in value for word in _PLACES)
+
+
+def _places(
+    entry: RigEntry, cameras: Mapping[str, CameraEntry], where: Path | str
+) -> tuple[dict[str, Float], dict[str, tuple[str, ...]]]:
+    """Return camera_from_body (4, 4) of each camera when its image was taken, or none at all, and remarks."""
+    words = {}
+    for name, camera in cameras.items():
+        try:
+            words[name] = camera.place
+        except InputError as problem:
+            raise InputError(
+                problem.what, where=f"{where}, {name}", expected=problem.expected, got=problem.got
+            ) from None
+    used = {word for word in words.values() if word}
+    if len(used) > 1:
+        raise InputError(
+            "the places of the cameras are told in several words",
+            where=where,
+            expected="the same for all",
+            got=sorted(used),
+        )
+    if not used:
+        if entry.reference is not None or entry.twist is not None:
+            raise InputError(
+                f"{'reference' if entry.twist is None else 'twist'} is of no use without the places of the cameras",
+                where=where,
+                expected="one of " + ", ".join(_PLACES) + " for every camera",
+            )
+        return {}, {}
+    [word] = used
+    _check_reference(entry, cameras, word, where)
+    missing = [name for name in cameras if not words[name] and name != entry.reference]
+    if missing:
+        raise InputError(
+            f"the place of {', '.join(missing)} is missing",
+            where=where,
+            expected=f"{word} of every camera, or of none",
+        )
+    places, remarks = {}, {}
+    for name, camera in cameras.items():
+        value = getattr(camera, word)
+        pose, told = (np.eye(4), ()) if value is None else read_pose(f"{name}.{word}", value, Path(where))
+        pose = se3.inverse(pose) if word == "body_from_camera" else pose
+        early_s = camera.image_before_sweep_s
+        if entry.twist is not None:
+            pose = pose @ pose_at(np.array(entry.twist), early_s)
+        elif abs(early_s) > _STILL_S:
+            still = f"{where}: the image of {name} is {1000 * early_s:.0f} ms before its sweep; without `twist` the rig"
+            told = (*told, f"{still} is taken to stand still")
+        places[name] = pose
+        if told:
+            remarks[name] = tuple(told)
+    return places, remarks
+
+
+def _check_reference(entry: RigEntry, cameras: Mapping[str, CameraEntry], word: str, where: Path | str) -> None:
+    """Raise InputError unless there is a reference where places count from a camera, and none where they do not."""
+    counts = word == "camera_from_camera"
+    if counts and entry.reference is None:
+        raise InputError(
+            "camera_from_camera counts from no camera", where=where, expected="reference: one of " + ", ".join(cameras)
+        )
+    if entry.reference is None:
+        return
+    if not counts:
+        raise InputError(f"reference is of no use beside {word}", where=where, expected="camera_from_camera")
+    if entry.reference not in cameras:
+        raise UnknownNameError("reference camera", entry.reference, cameras, where=where)
+    if cameras[entry.reference].camera_from_camera is not None:
+        raise InputError(
+            f"the reference camera {entry.reference} has a place of its own",
+            where=where,
+            expected="none: it is the body",
+        )
