@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     flag_value=True,
     type=click.UNPROCESSED,
     metavar="[FILE]",
-    help="One result for each camera, of all its frames; FILE (YAML, JSON) tells which are whose and where cameras are.",
+    help="One result for each camera, of all its frames; FILE (YAML, JSON) says which are whose, and where it is.",
 )
 @click.option(
     "--require",
@@ -185,7 +185,8 @@ def command(
             f"{len(failed)} of {len(rows) + len(failed)} {'cameras' if plan.rig else 'frames'} could not be calibrated",
             got=f"{failed[0].frame}: {failed[0].reason}",
         )
-    judged = [*(row.result for row in done.rows), *([] if common is None else [common])]
+    judged: list[Result | RigResult] = [row.result for row in done.rows]
+    judged += [] if common is None else [common]
     short = [] if wanted is None else wanted.unmet(judged)
     for line in short:
         click.echo(f"p2o: {line}, as --require asks", err=True)

@@ -33,8 +33,8 @@ class RigResult:
 
     `body_from_lidar` (4, 4) is None where fewer than two cameras count; `reason` says so. `covariance` (6, 6) is that
     of a left update in the body frame (rad, m), `accuracy` how wrong the pose is likely to be, both widened where
-    cameras differ more than they should. `chi_square`, of `degrees` degrees of freedom, is how far the cameras are apart
-    by their likely errors, and `p_value` how likely that is by chance. `verdict` says whether all this may be trusted.
+    cameras differ more than they should. `chi_square`, of `degrees` degrees of freedom, is how far cameras are apart by
+    their likely errors, and `p_value` how likely that is by chance. `verdict` says whether all this may be trusted.
     """
 
     body_from_lidar: Float | None

@@ -290,7 +290,8 @@ def run(
         start = se3.check_rigid("start", start)
     dataset: Sequence[Frame] | Dataset = plan.dataset() if frames is None else plan.joined(frames)
     names, indices = _selected(dataset, recipe.frames)
-    cameras, remarks = {}, {}
+    cameras: dict[int, str] = {}
+    remarks: Mapping[str, tuple[str, ...]] = {}
     if plan.rig is None:
         groups = [indices] if recipe.joint else [[index] for index in indices]
     else:
