@@ -95,7 +95,6 @@ def _read(options: KittiOdometryOptions, entry: tuple[str, Path, Path]) -> Frame
         sequence=sequence.resolve().name,
         time_s=time_s,
         camera_world_from_camera=pose,
-        camera_name=f"image_{options.camera}",
     )
 
 

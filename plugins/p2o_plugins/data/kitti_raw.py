@@ -151,7 +151,6 @@ def _read(options: KittiRawOptions, entry: tuple[_Drive, Path, Path]) -> Frame:
         time_s=_time_s(image_path),
         # No pose of the camera: it would be this one and the truth.
         lidar_world_from_lidar=oxts.lidar_pose,
-        camera_name=f"image_{options.camera:02d}",
     )
 
 

@@ -29,7 +29,7 @@ def describe(row: Row) -> str:
     """Return the readable account of one result: poses, errors, matches and residuals by direction, status."""
     result = row.result
     name = result.frames[0] if len(result.frames) == 1 else f"{len(result.frames)} frames jointly"
-    if row.camera and row.camera != name:
+    if row.camera not in name:
         name = f"{name} ({row.camera})"
     lines = [name, f"  {'status':<9} {result.status.value}: {result.reason}", *_verdict(result)]
     lines += _pose("start", result.start) + _pose("result", result.camera_from_lidar)
