@@ -101,6 +101,20 @@ def frame_file(rng: Random, bases: Bases, home: Path) -> Case:
     return _read_or_run(rng, "folder:in")
 
 
+def rig(rng: Random, bases: Bases, home: Path) -> Case:
+    """A rig file of wrong values, or wrong bytes."""
+    _frame(bases, home)
+    said = tree_of(rng, rng.choice(_RIGS)) if rng.random() < 0.8 else rng.choice(_RIGS)
+    name = rng.choice(("rig.yaml", "rig.json"))
+    try:
+        text = json.dumps(said) if name == "rig.json" else yaml.safe_dump(said)
+    except (yaml.YAMLError, UnicodeEncodeError, TypeError):
+        text = json.dumps(said, default=str)
+    data = text.encode("utf-8", "surrogatepass")
+    (home / "in" / name).write_bytes(bytes_of(rng, data) if rng.random() < 0.3 else data)
+    return Case(("run", "--data", "folder:in", *RUN, "--rig", f"in/{name}", *rng.choice(((), ("--json",)))))
+
+
 _EYE = [[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
 _FORMS: tuple[dict[str, Any], ...] = (
     *({}, {}, {"start": _EYE}, {"start": _EYE[:3]}, {"start": [x for row in _EYE for x in row]}),
@@ -599,6 +613,7 @@ SURFACES: Mapping[str, tuple[int, Draw]] = {
     "sweep": (20, sweep),
     "picture": (13, picture),
     "frame-file": (14, frame_file),
+    "rig": (5, rig),
     "layout": (13, layout),
     "words": (16, words),
     "study": (7, study),
@@ -622,6 +637,19 @@ def draw(rng: Random, bases: Bases, home: Path, names: Sequence[str]) -> tuple[s
     if name == "layout":
         (home / "in").rmdir()
     return name, SURFACES[name][1](rng, bases, home)
+
+
+_RIGS: tuple[dict[str, Any], ...] = (
+    {"cameras": {"A": {"frames": ["scene*"]}}},
+    {"cameras": {"A": {"frames": ["scene"], "camera_from_body": _EYE}}, "body_from_lidar": _EYE},
+    {"cameras": {"scene": {"body_from_camera": {"rpy_deg": [-90, 0, -90], "translation_m": [0, 0, 0]}}}},
+    {"scene": {"camera_from_lidar": _EYE, "image_before_sweep_s": 0.01}},
+    {
+        "reference": "A",
+        "twist": [0, 0, 0.1, 5, 0, 0],
+        "cameras": {"A": {"frames": ["*"]}, "B": {"camera_from_camera": _EYE, "frames": ["b*"]}},
+    },
+)
 
 
 def _frame(bases: Bases, home: Path, without: Sequence[str] = ()) -> Path:
