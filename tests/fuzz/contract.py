@@ -92,6 +92,8 @@ def _json(text: str, name: str, found: list[str]) -> Any:
 def _poses(value: Any) -> list[Any]:
     if isinstance(value, dict):
         own = [value["camera_from_lidar"]] if "camera_from_lidar" in value else []
+        if own == [None] and "left_out" in value:  # a camera of a rig that has nothing in common
+            own = []
         return own + [pose for inner in value.values() for pose in _poses(inner)]
     return [pose for inner in value for pose in _poses(inner)] if isinstance(value, list) else []
 
