@@ -83,6 +83,7 @@ def full_frame() -> Frame:
         camera_world_from_camera=se3.inverse(pose),
         targets=(Checkerboard(7, 5, 0.1, 1.0, 0.8), HoleBoard(1.0, 1.0, ((0.0, 0.0, 0.1),))),
         sweep=Cloud(np.zeros((1, 3))),
+        camera_name="front",
     )
 
 

@@ -73,10 +73,10 @@ def test_it_prints_means_and_medians_beside_the_papers_and_refused_frames_count(
         errors = [pose_error(pose, row.truth).per_axis for pose, row in zip(left_with, own, strict=True)]
         number = next(i for i, line in enumerate(lines) if line.startswith(f"{label}  "))
         refused = "3" if label.startswith("test3") else "0"
-        # Between failures and figures: how many are trusted, ambiguous and doubtful, where any is.
+        # Between failures and figures: how many are trusted, ambiguous and doubtful, where any is; and seconds.
         verdicts = sum(word in lines[1].split() for word in ("trusted", "ambiguous", "doubtful"))
         cells = lines[number].removeprefix(label).split()
-        assert (*cells[:2], cells[2 + verdicts]) == ("3", refused, "mean")
+        assert (*cells[:2], cells[3 + verdicts]) == ("3", refused, "mean")
         assert sum(map(int, cells[2 : 2 + verdicts])) == 3 - int(refused)
         assert lines[number + 1].split()[0] == "median"
         for line, statistic in zip(lines[number:], (np.mean, np.median), strict=False):

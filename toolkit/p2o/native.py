@@ -15,10 +15,11 @@ def import_keeping_signals(name: str) -> Any:
     pycolmap and pyceres bring the library glog, which takes SIGTERM for a crash: it prints a trace of the stack and
     ends the process, unseen by Python, whose own handler is put back here. Raises ImportError as the import does.
     """
-    if name not in sys.modules:
-        importlib.import_module(name)
+    known = name in sys.modules
+    module = importlib.import_module(name)
+    if not known:
         handler = signal.getsignal(signal.SIGTERM)
         if handler is not None:  # None: not set by Python, which then cannot set it again
             with contextlib.suppress(ValueError):  # outside the main thread there are no handlers
                 signal.signal(signal.SIGTERM, handler)
-    return sys.modules[name]
+    return module

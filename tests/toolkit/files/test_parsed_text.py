@@ -64,3 +64,7 @@ def test_half_of_a_letter_which_no_file_can_hold_is_one_line(parse, text: str) -
     with pytest.raises(InputError, match=r"half of a letter|invalid Unicode"):
         parse(text, "file")
     assert parse_json('"\\ud83d\\ude00"', "file") == "\U0001f600", "two halves are one"
+
+
+def test_halves_of_letters_stay_where_names_of_files_may_be() -> None:
+    assert parse_json('["\\udcff"]', "file", halves=True) == ["\udcff"]

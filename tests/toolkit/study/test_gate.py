@@ -268,7 +268,7 @@ def test_the_table_shows_published_figures_beside_the_row_they_belong_to() -> No
     text += '[[published]]\nlabel = "others"\nsource = "x"\nvalues = { rotation_deg = 1.18 }\n'
     lines = [line.split() for line in table(parse_study(text), rows()).splitlines()]
     assert [line[0] for line in lines[1:]] == ["a", "theirs", "[more]", "b", "[published]", "others"]
-    assert lines[1][1:] == ["2", "0", "0.150", "0.150", "0.020", "0.020", "measured"]
+    assert lines[1][1:] == ["2", "0", "-", "0.150", "0.150", "0.020", "0.020", "measured"], "no seconds are known"
     assert lines[2][1:] == ["-", "0.500", "published"]
 
 

@@ -13,17 +13,18 @@ DEEPEST = 64
 """No file of p2o nests deeper; parsers recurse, and what they return is walked by functions that do too."""
 
 
-def parse_json(text: str | bytes, what: str, where: object = None) -> Any:
+def parse_json(text: str | bytes, what: str, where: object = None, *, halves: bool = False) -> Any:
     """Return the value of a JSON text; `what` names it in errors ("file of splits").
 
     Raises InputError for text that is not JSON, nests too deeply, or holds numbers of more digits than Python takes or
-    halves of letters (lone surrogates), which no file can be written with.
+    halves of letters (lone surrogates), which no file can be written with. With `halves` they stay: so Python reads
+    names of files that are no UTF-8.
     """
     try:
         value = json.loads(text)
     except (ValueError, RecursionError) as problem:
         raise _not(what, "JSON", where, problem) from problem
-    return _shallow(value, what, where)
+    return _shallow(value, what, where, halves=halves)
 
 
 def parse_toml(text: str, what: str, where: object = None) -> dict[str, Any]:
@@ -77,13 +78,13 @@ def _not(what: str, kind: str, where: object, problem: Exception) -> InputError:
     return InputError(f"the {what} is not {kind}", where=where, got=got)
 
 
-def _shallow(value: Any, what: str, where: object) -> Any:
-    """Return the value; raises InputError where it nests too deeply, or holds halves of letters."""
+def _shallow(value: Any, what: str, where: object, *, halves: bool = False) -> Any:
+    """Return the value; raises InputError where it nests too deeply, or holds halves of letters that may not be."""
     level = [value]
     for _ in range(DEEPEST + 1):
         for inner in level:
             for text in inner if isinstance(inner, dict) else (inner,):
-                if isinstance(text, str):
+                if isinstance(text, str) and not halves:
                     _refuse_halves(text, what, where)
         level = [inner for outer in level for inner in _inside(outer)]
         if not level:

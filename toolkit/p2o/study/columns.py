@@ -119,7 +119,8 @@ def _parsed(column: str, value: Any) -> Any:
 def _json(what: str, value: Any) -> Any:
     if not isinstance(value, str):
         raise _wrong(what, "JSON", value)
-    read = parse_json(value, f"column '{what}'")
+    # Names of frames may be those of files that are no UTF-8.
+    read = parse_json(value, f"column '{what}'", halves=True)
     if not _all_finite(read):
         raise _wrong(what, "JSON with finite numbers", value)
     return read
