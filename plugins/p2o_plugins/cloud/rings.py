@@ -11,6 +11,7 @@ from p2o.frames.rings import RingsUnknownError
 from scipy.spatial import cKDTree
 
 from p2o_plugins.cloud.ground_plane import ground_plane
+from p2o_plugins.cloud.open_sky import FAR_M, opened
 from p2o_plugins.cloud.sweep import Neighbours, Returns, Sweep, across_rings, along_ring, order_sweep
 
 
@@ -55,6 +56,14 @@ class RingsOptions(JumpOptions):
 
     max_gap_deg: float = field(0.6, gt=0, lt=90, help="Widest azimuth gap on a ring that is not a missing return.")
     max_step_deg: float = field(3.0, gt=0, lt=90, help="Widest elevation gap between rings that are neighbours.")
+    open_weight: float = field(
+        1.0, ge=0, le=1, help="Weight of edges against the open sky, of others' weights; 0: none of them."
+    )
+    open_range_m: float = field(60.0, gt=0, help="Farthest edge against the open sky: far returns are lost.")
+    open_gap_deg: float = field(1.0, gt=0, le=90, help="Narrowest gap on a ring that can be the open sky.")
+    open_shift_beams: float = field(
+        0.1, ge=-1, le=1, help="As shift_beams, for edges against the open sky, which beams that graze them still show."
+    )
     without_rings: Literal["range-view", "refuse"] = field(
         "range-view", help="Clouds that do not tell their rings: as `range-view` does, with a warning, or an error."
     )
@@ -92,11 +101,18 @@ def ring_edges(cloud: Cloud, options: RingsOptions) -> CloudFeatures:
     sweep = order_sweep(cloud)
     left, right = along_ring(sweep, options.max_gap_deg)
     upper, lower = (across_rings(sweep, s, 0.5 * options.max_gap_deg, options.max_step_deg) for s in (-1, 1))
-    neighbours = {Side.LEFT: left, Side.RIGHT: right, Side.UPPER: upper, Side.BOTTOM: lower}
-    jumps = {side: jumps_of(sweep, neighbours, side, options) for side in neighbours}
     plane = ground_plane(sweep, options.seed) if options.ground_height_m > 0 else None
     beam = float(np.median(left.gap[left.known][::8])) if left.known.any() else 0.0
     step = float(np.median(lower.gap[lower.known][::8])) if lower.known.any() else 0.0
+    every = slice(None, None, -(-len(sweep) // max(options.max_points, 1)))
+    surface = sweep.xyz(every) if options.max_points and len(sweep) else np.zeros((0, 3))
+    if options.open_weight > 0 and beam > 0:
+        sweep = opened(sweep, beam, options.open_gap_deg, plane, options.open_range_m)
+        left, right = along_ring(sweep, options.max_gap_deg)
+        upper, lower = (across_rings(sweep, s, 0.5 * options.max_gap_deg, options.max_step_deg) for s in (-1, 1))
+    neighbours = {Side.LEFT: left, Side.RIGHT: right, Side.UPPER: upper, Side.BOTTOM: lower}
+    jumps = {side: jumps_of(sweep, neighbours, side, options) for side in neighbours}
+    jumps = {side: _sure(sweep, neighbours, side, rows, options) for side, rows in jumps.items()}
     # The edges of a sweep that was corrected for motion are where they are, whenever they were seen.
     measured_s = cloud.time_s if cloud.twist is None else None
     parts = []
@@ -111,14 +127,32 @@ def ring_edges(cloud: Cloud, options: RingsOptions) -> CloudFeatures:
         others = options.min_neighbours and max(1, round(options.min_neighbours * met))
         keep = in_company(sweep, rows, others, step, options)
         rows, support = rows[keep], support[keep]
-        xyz, sigma = outline(sweep, neighbours[side], side, rows, beam, options)
+        into_open = sweep.range_m[neighbours[side].row[rows]] == FAR_M
+        share = np.where(into_open, options.open_shift_beams, options.shift_beams)
+        xyz, sigma = outline(sweep, neighbours[side], side, rows, beam, share)
         weight = support if options.weigh else np.ones(len(rows))
+        weight = np.where(into_open, options.open_weight, 1.0) * weight
         time_s = np.zeros(len(rows)) if measured_s is None else measured_s[sweep.point[rows]]
         parts.append((xyz, np.full(len(rows), side), weight, sigma, towards_background(xyz, side), time_s))
     edges = CloudEdges(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-    if options.max_points == 0 or len(sweep) == 0:
-        return CloudFeatures(edges, np.zeros((0, 3)))
-    return CloudFeatures(edges, sweep.xyz(slice(None, None, -(-len(sweep) // options.max_points))))
+    return CloudFeatures(edges, surface)
+
+
+def _sure(sweep: Sweep, neighbours: dict[Side, Neighbours], side: Side, rows: Int, options: RingsOptions) -> Int:
+    """Return the rows whose background is a return, or that surely end before the open.
+
+    A surface that recedes, or is far away, may only have become too faint. One that ends goes on the other way at about
+    its own distance.
+    """
+    behind, own, r = neighbours[side], neighbours[_OPPOSITE[side]], sweep.range_m
+    into_open = r[behind.row[rows]] == FAR_M
+    before = own.row[rows]
+    step, least = r[before] - r[rows], options.min_jump_m + options.min_jump_share * r[rows]
+    ends = np.abs(step) < 0.5 * least
+    if side in (Side.LEFT, Side.RIGHT):
+        # Poles are a beam or two wide: their other outline is next.
+        ends |= step > least
+    return rows[~into_open | (own.known[rows] & ends & (r[rows] < options.open_range_m))]
 
 
 _OPPOSITE = {Side.LEFT: Side.RIGHT, Side.RIGHT: Side.LEFT, Side.UPPER: Side.BOTTOM, Side.BOTTOM: Side.UPPER}
@@ -203,12 +237,9 @@ def in_company(sweep: Returns, rows: Int, others: int, step: float, options: Jum
     return keep
 
 
-def outline(
-    sweep: Sweep, behind: Neighbours, side: Side, rows: Int, beam: float, options: RingsOptions
-) -> tuple[Float, Float]:
-    """Return xyz (M, 3) m moved towards the passing beam, at the point's own distance, and sigma_m (M,)."""
+def outline(sweep: Sweep, behind: Neighbours, side: Side, rows: Int, beam: float, share: Float) -> tuple[Float, Float]:
+    """Return xyz (M, 3) m moved by a share (M,) towards the passing beam, at the own distance, and sigma_m (M,)."""
     xyz, flat = sweep.xyz(rows), sweep.flat_m[rows].astype(np.float64)
-    share = options.shift_beams
     if side in (Side.LEFT, Side.RIGHT):
         # Lasers beside the axis see near and far under slightly different azimuths (HDL-64E: 0.05 degrees between
         # 5 m and 6 m), so the gap is counted in whole beams.

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TypeGuard
 
 import numpy as np
 
+from p2o.features.view import View
 from p2o.geometry.camera import Camera
-from p2o.geometry.radial_error import RadialFit
+from p2o.geometry.radial_error import RadialError, RadialFit
 from p2o.problems.point_to_line import PointToLine
 from p2o.problems.problem import Problem
 from p2o.results.result import CameraCheck
@@ -41,6 +43,25 @@ def checks_of(fits: Sequence[RadialFit], cameras: Sequence[Camera], *, corrected
         )
         for fit in fits
     )
+
+
+def at_full_size(checks: Sequence[CameraCheck], views: Sequence[View]) -> tuple[CameraCheck, ...]:
+    """Return checks of cameras of pictures that were looked at smaller as checks of the cameras that were given."""
+    given = {view.camera: view.full_size for view in views if view.full_size is not None}
+    out = []
+    for check in checks:
+        camera = given.get(check.camera)
+        if camera is not None:
+            larger = camera.focal_px / check.camera.focal_px
+            check = replace(
+                check,
+                camera=camera,
+                better=RadialError(check.focal, check.radial).corrected(camera),
+                shift_px=check.shift_px * larger,
+                shift_sigma_px=check.shift_sigma_px * larger,
+            )
+        out.append(check)
+    return tuple(out)
 
 
 def doubt(check: CameraCheck) -> Reason | None:

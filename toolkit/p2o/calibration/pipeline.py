@@ -11,6 +11,7 @@ import numpy as np
 
 from p2o.arrays import Float
 from p2o.calibration.accuracy import likely_accuracy
+from p2o.calibration.camera_check import at_full_size
 from p2o.calibration.judge import judge_of
 from p2o.calibration.nuisance import Nuisance, adjusted, motion_prior
 from p2o.calibration.options import PipelineOptions as PipelineOptions
@@ -21,6 +22,7 @@ from p2o.features.remarks import CloudRemarks
 from p2o.features.sets import CloudFeatures, ImageFeatures
 from p2o.features.view import View
 from p2o.frames.frame import Frame
+from p2o.frames.scale import camera_at_scale, image_at_scale
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
 from p2o.host.stages import CloudExtractor, ImageExtractor, Initializer, Matcher, Solver
@@ -59,14 +61,19 @@ class Pipeline:
 
     def prepare(self, frame: Frame) -> View:
         """Return the features of one frame; the truth is not looked at."""
-        return self.view(frame.name, frame.camera, self.image_extractor(frame.image), self.cloud_extractor(frame.cloud))
+        image = self.image_extractor(image_at_scale(frame.image))
+        return self.view(frame.name, frame.camera, image, self.cloud_extractor(frame.cloud))
 
     extract = prepare  # its older name
 
     def view(self, name: str, camera: Camera, image: ImageFeatures, cloud: CloudFeatures) -> View:
-        """Return what the stages see of one frame, given the features that its extractors found."""
-        options = self.options
-        view = patched(View(name, camera, image, cloud), options.missing_edges, options.missing_radius_px, options.seed)
+        """Return what the stages see of one frame, given its camera and the features that its extractors found.
+
+        Those of the image are of the picture that is looked at (`p2o.frames.scale`).
+        """
+        options, seen_by = self.options, camera_at_scale(camera)
+        view = View(name, seen_by, image, cloud, None if seen_by is camera else camera)
+        view = patched(view, options.missing_edges, options.missing_radius_px, options.seed)
         return view if self.directed else view.without_sides()
 
     def solve(self, views: Sequence[View], camera_from_lidar: Float) -> Result:
@@ -134,7 +141,7 @@ class Pipeline:
             verdict=verdict_of(
                 agreed, rival, final.cameras, options, places=final.places if judge.name == DIRECTED else None
             ),
-            cameras=final.cameras,
+            cameras=at_full_size(final.cameras, views),
             motions=final.nuisance.sweep_motions(views),
             warnings=remarks_of(views),
             seconds=clock.seconds,

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from p2o.errors import InputError
 from p2o.files.input_file import expanded
 from p2o.files.whole_file import write_whole
+from p2o.frames.scale import camera_at_scale, image_at_scale
 from p2o.results.result import Status
 
 if TYPE_CHECKING:
@@ -100,7 +101,11 @@ class OutDir:
                 view = None if result.status is Status.STAGE_FAILED else progress.assembly.view(seen)
                 if view is not None and (len(view.image_edges) or len(view.cloud_edges)):
                     view = view.as_seen_from(pose)
-                    picture = overlay.draw(frame.image.rgb, view.image_edges, view.cloud_edges, camera, pose)
+                    small, camera = image_at_scale(frame.image).rgb, camera_at_scale(camera)
+                    if small.shape[1::-1] != (camera.width, camera.height):
+                        # A corrected focal length may be another side of the longest that is looked at.
+                        camera = camera.resized(*small.shape[1::-1])
+                    picture = overlay.draw(small, view.image_edges, view.cloud_edges, camera, pose)
                 else:
                     picture = overlay.draw_cloud(frame.image.rgb, seen.cloud, camera, pose)
                 overlay.write_png(folder / f"{name}.png", picture)

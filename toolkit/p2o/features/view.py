@@ -18,12 +18,17 @@ from p2o.geometry.visibility import hidden
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """The features of one frame with the camera that saw it."""
+    """The features of one frame with the camera that saw it.
+
+    `full_size` is the camera that the frame came with, where its picture was looked at smaller
+    (`p2o.frames.scale`), else None.
+    """
 
     name: str
     camera: Camera
     image: ImageFeatures
     cloud: CloudFeatures
+    full_size: Camera | None = None
 
     @property
     def image_edges(self) -> ImageEdges:

@@ -141,6 +141,17 @@ class Camera:
             return np.inf
         return float(np.tan(angle[max(int(np.argmin(one_to_one)) - 1, 0), 0]))
 
+    def resized(self, width: int, height: int) -> Camera:
+        """Return the camera of the same picture with another number of pixels."""
+        camera = self._colmap.__copy__()
+        camera.rescale(width, height)
+        params = np.array(camera.params)
+        # COLMAP counts from the corner of the first pixel.
+        index = list(camera.principal_point_idxs())
+        before = np.array(self.params)[index] + 0.5
+        params[index] = before * [width / self.width, height / self.height] - 0.5
+        return Camera(self.model, width, height, tuple(params))
+
     def project(self, xyz: Float) -> Float:
         """Return pixels (..., 2) of points (..., 3) in the camera frame in metres; NaN where nothing is seen.
 

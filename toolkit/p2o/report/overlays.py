@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from p2o.arrays import Float, UInt8
 from p2o.errors import InputError, P2OError
+from p2o.frames.scale import image_at_scale
 from p2o.host.slots import Kind
 from p2o.report.summary import Summary, error_of
 from p2o.run.assembly import Assembly
@@ -142,7 +143,11 @@ class _Source:
                 view = view.as_seen_from(camera_from_lidar)
                 if len(view.image_edges) or len(view.cloud_edges):
                     return overlay.draw(
-                        frame.image.rgb, view.image_edges, view.cloud_edges, frame.camera, camera_from_lidar
+                        image_at_scale(frame.image).rgb,
+                        view.image_edges,
+                        view.cloud_edges,
+                        view.camera,
+                        camera_from_lidar,
                     )
         return overlay.draw_cloud(frame.image.rgb, frame.cloud, frame.camera, camera_from_lidar)
 

@@ -17,6 +17,7 @@ from p2o.calibration.verdict import witnessed
 from p2o.errors import P2OError
 from p2o.features.view import View
 from p2o.frames.frame import Frame
+from p2o.frames.scale import camera_at_scale, image_at_scale
 from p2o.geometry.camera import Camera
 from p2o.options import Options
 from p2o.results.result import Result
@@ -38,13 +39,13 @@ WITNESS = ("witness", "witness-cloud")
 
 
 def given(frame: Frame, stage: str) -> Any:
-    """Return the part of a frame that a stage prepares something from; never the truth."""
+    """Return the part of a frame that a stage prepares something from, its picture as it is looked at; no truth."""
     kind = INPUTS[stage]
     if kind == "frame":
         return frame.without_truth()
     if kind == "sweep":
         return frame.cloud if frame.sweep is None else frame.sweep
-    return getattr(frame, kind)
+    return image_at_scale(frame.image) if kind == "image" else frame.cloud
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +136,7 @@ class Assembly:
         # The witness was not asked for by name: where it cannot work, the verdict says that nothing was checked.
         except P2OError:
             return None
-        return View(frame.name, frame.camera, image, cloud)
+        return View(frame.name, camera_at_scale(frame.camera), image, cloud)
 
     def view(self, frame: Frame) -> View | None:
         """Return the features to draw of a frame: those of the pipeline, or of the witness; None without either."""

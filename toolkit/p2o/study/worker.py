@@ -26,6 +26,7 @@ from p2o.calibration.verdict import witnessed
 from p2o.errors import InputError, P2OError
 from p2o.features.view import View
 from p2o.frames.frame import Frame
+from p2o.frames.scale import camera_at_scale
 from p2o.geometry.camera import Camera
 from p2o.geometry.pose_error import AXES, pose_error
 from p2o.host.method import Kind
@@ -325,7 +326,7 @@ def _result(job: Calibration) -> Result:
             with contextlib.suppress(P2OError):
                 if all(stage in keys for stage in WITNESS):
                     image, cloud = pieces(facts, keys, WITNESS).values()
-                    views.append(View(name, camera, image, cloud))
+                    views.append(View(name, camera_at_scale(camera), image, cloud))
         result = witnessed(result, views, assembly.options)
     warnings = [f"{facts.name}: {text}" for facts in job.facts for text in facts.warnings]
     return replace(result, seconds=seconds, warnings=(*warnings, *result.warnings))

@@ -1,0 +1,73 @@
+"""Pictures of long focal lengths are looked at smaller, and nothing else of a calibration changes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from p2o import Camera, CloudFeatures, Image, ImageFeatures, RadialError, View
+from p2o.calibration.camera_check import at_full_size
+from p2o.frames.scale import LONGEST_FOCAL_PX, camera_at_scale, image_at_scale
+from p2o.results.result import CameraCheck
+
+TELE = Camera("OPENCV", 1920, 1080, (2000.0, 2010.0, 950.0, 540.0, -0.1, 0.02, 1e-3, -2e-3))
+
+
+@pytest.mark.parametrize("model", ["PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "OPENCV", "OPENCV_FISHEYE"])
+def test_a_resized_camera_sees_the_same_picture(model: str) -> None:
+    params = {
+        "PINHOLE": (1500.0, 1510.0, 801.0, 440.0),
+        "SIMPLE_PINHOLE": (1500.0, 801.0, 440.0),
+        "SIMPLE_RADIAL": (1500.0, 801.0, 440.0, -0.05),
+        "OPENCV": (1500.0, 1510.0, 801.0, 440.0, -0.1, 0.02, 1e-3, -2e-3),
+        "OPENCV_FISHEYE": (1500.0, 1510.0, 801.0, 440.0, -0.1, 0.02, 1e-3, -2e-3),
+    }[model]
+    camera = Camera(model, 1600, 900, params)
+    half = camera.resized(800, 450)
+    xyz = np.array([[0.3, -0.2, 2.0], [-0.5, 0.1, 3.0], [0.0, 0.0, 1.0]])
+    # The centre of pixel 0 lies half a pixel inside of the picture in both.
+    np.testing.assert_allclose(half.project(xyz) + 0.5, (camera.project(xyz) + 0.5) / 2, atol=1e-9)
+    assert (half.width, half.height) == (800, 450)
+
+
+def test_long_focal_lengths_are_looked_at_smaller_and_short_ones_as_they_are() -> None:
+    seen = camera_at_scale(TELE)
+    assert seen.focal_px == pytest.approx(LONGEST_FOCAL_PX, rel=2e-3)
+    wide = Camera.pinhole(720.0, 720.0, 600.0, 180.0, 1242, 375)
+    assert camera_at_scale(wide) is wide
+    picture = Image(np.zeros((375, 1242, 3), np.uint8), wide)
+    assert image_at_scale(picture) is picture
+
+
+def test_a_picture_comes_smaller_with_all_that_belongs_to_it_and_once_only() -> None:
+    rgb = np.random.default_rng(0).integers(0, 255, (1080, 1920, 3)).astype(np.uint8)
+    depth = np.full((1080, 1920), 5.0)
+    depth[:, 960:] = np.inf
+    masked = np.zeros((1080, 1920), bool)
+    masked[:540] = True
+    whole = Image(rgb, TELE, depth_m=depth, masked=masked, right=rgb, baseline_m=0.5)
+    small = image_at_scale(whole)
+    assert small.camera == camera_at_scale(TELE)
+    assert small.rgb.shape == (small.camera.height, small.camera.width, 3)
+    assert set(np.unique(small.depth_m)) == {5.0, np.inf}  # nothing between two depths
+    assert np.mean(small.masked) == pytest.approx(0.5, abs=0.01)
+    assert small.right is not None and small.baseline_m == 0.5
+    assert image_at_scale(whole) is small
+
+
+def test_a_very_flat_picture_keeps_some_rows() -> None:
+    flat = Camera.pinhole(20_000.0, 20_000.0, 500.0, 20.0, 1000, 40)
+    assert (camera_at_scale(flat).width, camera_at_scale(flat).height) == (50, 32)
+    tiny = Camera.pinhole(20_000.0, 20_000.0, 5.0, 2.0, 10, 4)
+    assert (camera_at_scale(tiny).width, camera_at_scale(tiny).height) == (10, 4)
+
+
+def test_what_was_found_out_about_a_camera_is_told_of_the_one_that_was_given() -> None:
+    small = camera_at_scale(TELE)
+    error = RadialError(0.01, 0.02)
+    check = CameraCheck(1, small, error.corrected(small), 0.01, 0.001, 0.02, 0.002, 3.0, 0.5, True)
+    view = View("a", small, ImageFeatures(), CloudFeatures(), TELE)
+    [told] = at_full_size([check], [view])
+    assert told.camera == TELE and told.better == error.corrected(TELE)
+    assert told.shift_px == pytest.approx(6.0, rel=5e-3) and told.shift_sigma_px == pytest.approx(1.0, rel=5e-3)
+    [same] = at_full_size([check], [replace(view, full_size=None)])
+    assert same is check
