@@ -145,6 +145,23 @@ def test_what_came_near_the_truth_and_what_went_away_from_it_is_counted_where_th
     assert summarise_study(odd, runs).groups[0].measured[0].within is None, "a store may come from anywhere"
 
 
+def test_likely_errors_that_held_and_trusted_results_that_are_wrong_are_counted() -> None:
+    """Turns of 0.4 and 1.5 deg, likely 0.5 and at most 1.2: one holds each bound, one neither and is over 1 deg."""
+    likely = {"likely_rotation_deg": 0.5, "likely_translation_m": 0.2}
+    likely |= {"likely_rotation_deg_95": 1.2, "likely_translation_m_95": 0.3}
+    runs = frames(1, "ours", [0.4, 1.5], trust=Trust.TRUSTED, **likely)
+    summary = summarise_study(STUDY, runs)
+    [row] = summary.groups[0].measured
+    assert (row.held.two_thirds, row.held.nineteen_twentieths, row.trusted_wrong) == ("1/2 2/2", "1/2 2/2", 1)
+    text = markdown([summary], lambda _: ())
+    assert "| verdict | trusted, wrong | held 2/3 | held 19/20 |" in text
+    assert "| 2 trusted | 1 | 1/2 2/2 | 1/2 2/2 |" in text
+    assert "Trusted: 2 runs, 1 of them over 1 deg or 30 cm off" in text
+    assert "Trusted: 2 runs" in latex([summary])
+    silent = [replace(run, likely_rotation_deg=None) for run in runs]
+    assert "| held 2/3 |" not in markdown([summarise_study(STUDY, silent)], lambda _: ())
+
+
 def test_a_run_that_raised_or_is_not_there_makes_a_row_incomplete_and_never_bold() -> None:
     good = frames(6, "good", [1.0])
     nothing = {"rotation_deg": None, "translation_m": None, "status": "stage-failed", "exception": "Traceback"}
