@@ -110,6 +110,7 @@ class Facts:
     camera: Camera | None = None
     camera_from_lidar: Float | None = None
     start: Float | None = None
+    camera_name: str = ""
     warnings: tuple[str, ...] = ()
     misfits: Mapping[str, str] = field(default_factory=dict)
     reason: str = ""
@@ -175,6 +176,7 @@ def read(job: Reading) -> Facts:
         frame.camera,
         frame.camera_from_lidar,
         frame.start,
+        frame.camera_name,
         frame.warnings,
         misfits=misfits,
         unkept=cache.unkept,
