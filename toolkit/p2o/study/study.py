@@ -237,9 +237,10 @@ class Study(_Table):
             folder = existing_folder(Path(root), "the data of studies")
             tables = {name: table.below(folder) for name, table in tables.items()}
         for spec in () if frames is None else (frames,) if isinstance(frames, str) else frames:
-            name, equals, own = spec.partition("=")
-            for chosen in (name,) if equals and name in tables else tables:
-                tables[chosen] = tables[chosen].chosen(own if equals and name in tables else spec)
+            name, equals, rest = spec.partition("=")
+            one = bool(equals) and name in tables
+            for key in (name,) if one else tuple(tables):
+                tables[key] = tables[key].chosen(rest if one else spec)
         changes: dict[str, Any] = {"dataset": tuple(tables.values())}
         if seeds is not None:
             own = {"seeds": seeds if isinstance(seeds, int) else tuple(seeds)}
