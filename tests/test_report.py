@@ -16,6 +16,7 @@ from p2o.cli import main
 from p2o.report import write_report
 from p2o.report.bootstrap import MIN_FRAMES, interval
 from p2o.report.figures import figures_of
+from p2o.report.page import _evidence
 from p2o.report.rounds import convergence
 from p2o.report.summary import Measured, Published, summarise_study
 from p2o.report.tables import latex, markdown
@@ -160,6 +161,12 @@ def test_likely_errors_that_held_and_trusted_results_that_are_wrong_are_counted(
     assert "Trusted: 2 runs" in latex([summary])
     silent = [replace(run, likely_rotation_deg=None) for run in runs]
     assert "| held 2/3 |" not in markdown([summarise_study(STUDY, silent)], lambda _: ())
+
+
+def test_an_offset_in_time_is_among_the_evidence_of_a_run() -> None:
+    [run] = frames(1, "ours", [0.4], time_offset_s=0.0041, time_sigma_s=0.0012, time_use="used")
+    assert ("time", "images later than told by +4.1 ms (+-1.2), used") in _evidence(run)
+    assert "time" not in dict(_evidence(replace(run, time_offset_s=None)))
 
 
 def test_a_run_that_raised_or_is_not_there_makes_a_row_incomplete_and_never_bold() -> None:

@@ -513,3 +513,13 @@ def test_all_frames_of_a_camera_are_one_calibration_that_one_broken_frame_does_n
         (("tiny/000", "tiny/002", "tiny/003"), 3, True),
         (("tiny/001",), 1, False),
     }
+
+
+def test_velocity_and_camera_of_a_frame_are_known_to_whoever_calibrates_its_features(tmp_path: Path) -> None:
+    """Features alone do not tell them, and an offset in time and groups of frames need them."""
+    data = "synthetic:?cameras=front&width_px=160&height_px=64&lidar=vlp-16&right=false&speed_m_s=7"
+    source = worker.Source(Plugins(), data, "{}", 0, "scene-0000/front")
+    facts = worker.read(worker.Reading(source, tmp_path))
+    assert facts.reason == ""
+    assert np.isclose(np.linalg.norm(facts.twist[3:]), 7, atol=0.5)
+    assert facts.camera_name == "front"

@@ -12,7 +12,7 @@ import numpy as np
 from p2o.arrays import Float
 from p2o.calibration.accuracy import likely_accuracy
 from p2o.calibration.judge import judge_of
-from p2o.calibration.nuisance import Nuisance, adjusted, motion_prior
+from p2o.calibration.nuisance import Nuisance, adjusted, known_twists, motion_prior
 from p2o.calibration.options import PipelineOptions as PipelineOptions
 from p2o.calibration.rounds import Rounds, counts, mean_residuals_px
 from p2o.calibration.verdict import agreement_of, rival_of, verdict_of
@@ -59,14 +59,17 @@ class Pipeline:
 
     def prepare(self, frame: Frame) -> View:
         """Return the features of one frame; the truth is not looked at."""
-        return self.view(frame.name, frame.camera, self.image_extractor(frame.image), self.cloud_extractor(frame.cloud))
+        image, cloud = self.image_extractor(frame.image), self.cloud_extractor(frame.cloud)
+        return self.view(frame.name, frame.camera, image, cloud, frame.twist)
 
     extract = prepare  # its older name
 
-    def view(self, name: str, camera: Camera, image: ImageFeatures, cloud: CloudFeatures) -> View:
-        """Return what the stages see of one frame, given the features that its extractors found."""
-        options = self.options
-        view = patched(View(name, camera, image, cloud), options.missing_edges, options.missing_radius_px, options.seed)
+    def view(
+        self, name: str, camera: Camera, image: ImageFeatures, cloud: CloudFeatures, twist: Float | None = None
+    ) -> View:
+        """Return what the stages see of one frame: what its extractors found, and its velocity (6,) where known."""
+        options, view = self.options, View(name, camera, image, cloud, twist)
+        view = patched(view, options.missing_edges, options.missing_radius_px, options.seed)
         return view if self.directed else view.without_sides()
 
     def solve(self, views: Sequence[View], camera_from_lidar: Float) -> Result:
@@ -85,7 +88,7 @@ class Pipeline:
             return refused(*missing)
         with clock.of("initialize"):
             raw = [self._seen(view, start) for view in views]
-            nuisance = Nuisance.expected(raw, motion_prior(views, options))
+            nuisance = Nuisance.expected(raw, motion_prior(views, options), known_twists(views, options))
             seen = nuisance.views(raw)
             poses = self.initializer(seen, start) or [start]
         with clock.of("refine"):
@@ -136,6 +139,7 @@ class Pipeline:
             ),
             cameras=final.cameras,
             motions=final.nuisance.sweep_motions(views),
+            time=final.time,
             warnings=remarks_of(views),
             seconds=clock.seconds,
         )

@@ -18,12 +18,16 @@ from p2o.geometry.visibility import hidden
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """The features of one frame with the camera that saw it."""
+    """The features of one frame with the camera that saw it.
+
+    `twist` (6,) is the velocity of the LiDAR in its own frame (rad/s, m/s) where it is known.
+    """
 
     name: str
     camera: Camera
     image: ImageFeatures
     cloud: CloudFeatures
+    twist: Float | None = None
 
     @property
     def image_edges(self) -> ImageEdges:

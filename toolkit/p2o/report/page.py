@@ -241,6 +241,9 @@ def _evidence(run: StoredRow) -> list[tuple[str, str]]:
         usual = f"{_said(run.likely_rotation_deg, 'deg')} and {_said(run.likely_translation_m, 'm')}"
         rare = f"{_said(run.likely_rotation_deg_95, 'deg')} and {_said(run.likely_translation_m_95, 'm')}"
         lines.append(("accuracy", f"two of three within {usual}, 19 of 20 within {rare}"))
+    if run.time_offset_s is not None and run.time_sigma_s is not None:
+        offset = f"{1000 * run.time_offset_s:+.1f} ms (+-{1000 * run.time_sigma_s:.1f})"
+        lines.append(("time", f"images later than told by {offset}, {run.time_use or 'told'}"))
     return lines
 
 
