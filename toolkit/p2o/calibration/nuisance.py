@@ -25,6 +25,7 @@ _ADJUST_ROUNDS = 12
 _ADJUST_REACH, _ADJUST_SHRINK = 1.6, 0.85
 _STILL_PX = 0.05
 _LEAST_SPREAD_M_S = 1.0
+_LEAST_FRAMES = 4
 _SIGNIFICANT = 2.0
 """An offset in time is used where it is so many of its deviations: less might as well be none."""
 
@@ -40,15 +41,15 @@ def motion_prior(views: Sequence[View], options: PipelineOptions) -> MotionPrior
 def known_twists(views: Sequence[View], options: PipelineOptions) -> Float | None:
     """Return the velocities (F, 6) by which an offset in time can be told, or None where it is not asked for or cannot.
 
-    They are zero for views whose velocity is not known, or whose points have times of their own: there the motion is
-    estimated, and takes the offset along. One velocity, however large, is no way to tell an offset from another pose.
+    All have to be known, of sweeps that are corrected by them or have no times: elsewhere the motion is estimated, and
+    takes the offset along. One velocity, however large, is no way to tell an offset from another pose, and in fewer
+    than four frames what each errs by itself passes for one.
     """
-    if options.time == "trust":
+    known = [view.twist for view in views if view.twist is not None and not view.cloud_edges.time_s.any()]
+    if options.time == "trust" or not _LEAST_FRAMES <= len(known) == len(views):
         return None
-    known = [np.zeros(6) if v.twist is None or v.cloud_edges.time_s.any() else v.twist for v in views]
     twists = np.array(known)
-    alike = np.linalg.norm(np.ptp(twists[:, 3:], axis=0)) < _LEAST_SPREAD_M_S
-    return None if len(twists) < 2 or alike else twists
+    return None if np.linalg.norm(np.ptp(twists[:, 3:], axis=0)) < _LEAST_SPREAD_M_S else twists
 
 
 @dataclass(frozen=True)

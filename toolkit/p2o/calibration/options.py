@@ -41,9 +41,9 @@ class PipelineOptions(Options):
         "car moves during each of them, along with the pose. Sweeps that were corrected for motion stay as they are.",
     )
     time: Literal["trust", "estimate"] = option(
-        "trust",
+        "estimate",
         help="Whether images were taken when the data say: trust it; or estimate one offset to the sweeps along with "
-        "the pose, from frames together whose velocities are known and differ.",
+        "the pose, from four or more frames together whose velocities are known and differ.",
     )
     forward: tuple[float, float, float] = option(
         (1.0, 0.0, 0.0), help="Direction of travel in the LiDAR frame, for `motion`; its z axis is up."
