@@ -54,6 +54,7 @@ OPEN_MODULES = {
     "files.file_names",
     "geometry.motion",
     "geometry.pose_text",
+    "geometry.rough_start",
     "files.array_file",
     "files.input_file",
     "files.parsed_text",

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import p2o
 import pytest
-from p2o import Accuracy, Result, Row, Run, Status
+from p2o import Accuracy, Result, Row, Run, Status, TimeOffset
 from p2o.cli import _COMMANDS, main
 from p2o.cli.run import Required
 from p2o.cli.summary import describe, describe_run
@@ -268,6 +268,13 @@ def test_what_was_found_beside_the_pose_is_said_with_its_units() -> None:
     assert text.endswith("  next best 1.50 deg and 0.20 m away, 1.2 edges worse")
     text = describe(judged(judged=Judged("mutual-information", "bit", -0.5, -0.75)))
     assert text.endswith("  cost      -0.5 bit at the start, -0.75 bit at the result, by mutual-information")
+
+
+def test_an_offset_in_time_is_said_in_milliseconds_and_whether_it_was_used() -> None:
+    text = describe(judged(time=TimeOffset(0.0041, 0.0012, True)))
+    assert text.endswith("  time      images later than told by +4.1 ms (+-1.2): the edges tell, corrected")
+    text = describe(judged(time=TimeOffset(-0.0004, 0.0012, False)))
+    assert text.endswith("  time      images later than told by -0.4 ms (+-1.2): the edges tell, not used")
 
 
 def test_solved_results_of_a_run_are_counted_by_their_verdict() -> None:

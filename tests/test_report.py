@@ -16,6 +16,7 @@ from p2o.cli import main
 from p2o.report import write_report
 from p2o.report.bootstrap import MIN_FRAMES, interval
 from p2o.report.figures import figures_of
+from p2o.report.page import _evidence
 from p2o.report.rounds import convergence
 from p2o.report.summary import Measured, Published, summarise_study
 from p2o.report.tables import latex, markdown
@@ -143,6 +144,29 @@ def test_what_came_near_the_truth_and_what_went_away_from_it_is_counted_where_th
     assert "| within |" not in markdown([summarise_study(STUDY, runs)], lambda _: ())
     odd = replace(STUDY, toml='title = "T"\nwithin = "what"')
     assert summarise_study(odd, runs).groups[0].measured[0].within is None, "a store may come from anywhere"
+
+
+def test_likely_errors_that_held_and_trusted_results_that_are_wrong_are_counted() -> None:
+    """Turns of 0.4 and 1.5 deg, likely 0.5 and at most 1.2: one holds each bound, one neither and is over 1 deg."""
+    likely = {"likely_rotation_deg": 0.5, "likely_translation_m": 0.2}
+    likely |= {"likely_rotation_deg_95": 1.2, "likely_translation_m_95": 0.3}
+    runs = frames(1, "ours", [0.4, 1.5], trust=Trust.TRUSTED, **likely)
+    summary = summarise_study(STUDY, runs)
+    [row] = summary.groups[0].measured
+    assert (row.held.two_thirds, row.held.nineteen_twentieths, row.trusted_wrong) == ("1/2 2/2", "1/2 2/2", 1)
+    text = markdown([summary], lambda _: ())
+    assert "| verdict | trusted, wrong | held 2/3 | held 19/20 |" in text
+    assert "| 2 trusted | 1 | 1/2 2/2 | 1/2 2/2 |" in text
+    assert "Trusted: 2 runs, 1 of them over 1 deg or 30 cm off" in text
+    assert "Trusted: 2 runs" in latex([summary])
+    silent = [replace(run, likely_rotation_deg=None) for run in runs]
+    assert "| held 2/3 |" not in markdown([summarise_study(STUDY, silent)], lambda _: ())
+
+
+def test_an_offset_in_time_is_among_the_evidence_of_a_run() -> None:
+    [run] = frames(1, "ours", [0.4], time_offset_s=0.0041, time_sigma_s=0.0012, time_use="used")
+    assert ("time", "images later than told by +4.1 ms (+-1.2), used") in _evidence(run)
+    assert "time" not in dict(_evidence(replace(run, time_offset_s=None)))
 
 
 def test_a_run_that_raised_or_is_not_there_makes_a_row_incomplete_and_never_bold() -> None:

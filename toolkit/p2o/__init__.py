@@ -79,6 +79,7 @@ if TYPE_CHECKING:
     from p2o.results.result import SolverStatus as SolverStatus
     from p2o.results.result import Status as Status
     from p2o.results.result import SweepMotion as SweepMotion
+    from p2o.results.result import TimeOffset as TimeOffset
     from p2o.results.verdict import Doubt as Doubt
     from p2o.results.verdict import Reason as Reason
     from p2o.results.verdict import Trust as Trust
@@ -115,7 +116,16 @@ _HOME = {
     "host.registry": ["Registry"],
     "frames.target": ["Checkerboard", "HoleBoard", "Target"],
     "results.evidence": ["Agreement", "Judged", "Rival"],
-    "results.result": ["CameraCheck", "Result", "Round", "Solution", "SolverStatus", "Status", "SweepMotion"],
+    "results.result": [
+        "CameraCheck",
+        "Result",
+        "Round",
+        "Solution",
+        "SolverStatus",
+        "Status",
+        "SweepMotion",
+        "TimeOffset",
+    ],
     "results.verdict": ["Doubt", "Reason", "Trust", "Verdict"],
     "run.run": ["FailedFrame", "Row", "Run", "calibrate"],
     "features.side": ["SIDES", "Side"],

@@ -28,6 +28,7 @@ from p2o.files.array_file import MAX_BYTES, read_npy
 from p2o.files.input_file import existing_folder, listing, naming, read_bytes, read_text
 from p2o.files.parsed_text import parse_yaml
 from p2o.geometry.pose_text import read_extrinsic, read_pose
+from p2o.geometry.rough_start import rough_start
 from p2o.host.validation import validated
 from pydantic import Field
 
@@ -104,7 +105,9 @@ class FrameEntry(Options):
         None,
         help="Columns of a .bin or .txt sweep: x y z intensity ring time, _ for others; default: the values tell.",
     )
-    start: Any = field(None, help="First guess of camera_from_lidar: rows of numbers, or rotation and translation.")
+    start: Any = field(
+        None, help="First guess of camera_from_lidar: rows of numbers, rotation and translation, or words."
+    )
     truth: Any = field(None, help="True camera_from_lidar where it is known.")
     right: str | None = field(None, help="File of the right picture of a rectified pair.")
     baseline_m: float | None = field(
@@ -223,7 +226,9 @@ def _read(root: Path, faults: Mapping[Path, InputError], folder: Path) -> Frame:
         )
     read = {
         **{
-            name: read_extrinsic(name, value, path)
+            name: (rough_start(value, path), ())
+            if name == "start" and isinstance(value, str)
+            else read_extrinsic(name, value, path)
             for name in _EXTRINSICS
             if (value := getattr(entry, name)) is not None
         },

@@ -93,6 +93,7 @@ def test_far_things_are_left_out_and_weights_are_as_asked():
     near, far = POLE, Pole(0.0, 70.0, 0.5)
     cloud = Lidar(elevations_deg=OS128).scan(near, far, GROUND)
     edges = new(cloud)
-    assert len(edges) and (np.hypot(*edges.xyz[:, :2].T) < 60).all()
+    assert len(edges)
+    assert (np.hypot(*edges.xyz[:, :2].T) < 60).all()
     half = new(cloud, open_weight=0.5)
     np.testing.assert_allclose(half.weight, 0.5 * edges.weight)

@@ -238,6 +238,19 @@ def test_a_start_that_is_no_pose_is_refused_by_name(tmp_path: Path, pose: Any, m
         dataset(tmp_path)[0]
 
 
+def test_a_start_may_be_told_in_words_and_a_truth_may_not(tmp_path: Path) -> None:
+    words = "roughly x forward, z up; camera looks forward; camera 0.27 m forward, 8 cm down of lidar"
+    write_frame(tmp_path, start=words)
+    expected = se3.make([[0, -1, 0], [0, 0, -1], [1, 0, 0]], [0, -0.08, -0.27])
+    assert np.allclose(dataset(tmp_path)[0].start, expected)
+    write_frame(tmp_path, start="roughly ahead")
+    with pytest.raises(InputError, match=r"frame.yaml.*expected two axes of x, y, z"):
+        dataset(tmp_path)[0]
+    write_frame(tmp_path, truth=words)
+    with pytest.raises(InputError, match="truth is no pose"):
+        dataset(tmp_path)[0]
+
+
 @pytest.mark.parametrize("key", ["start", "truth"])
 def test_a_pose_in_the_wrong_direction_is_refused_by_name(tmp_path: Path, key: str) -> None:
     write_frame(tmp_path, **{key: se3.inverse(VELO_TO_CAM).tolist()})

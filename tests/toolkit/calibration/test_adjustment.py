@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import InputError, PointToLine, RadialError, se3
-from p2o.calibration.adjustment import adjust
+from p2o.calibration.adjustment import TimeFit, adjust
 from p2o.geometry.ego_motion import EgoMotion, MotionPrior
 from p2o.geometry.motion import moved
 from p2o.geometry.pose_error import pose_error
@@ -178,3 +178,90 @@ def test_a_twist_turns_to_the_left_about_the_axis_of_the_sensor() -> None:
     # What stays put is behind by what the car went, seen from where it was: the sensor's frame moved on and turned.
     assert ahead[0] == pytest.approx([20.1, 20 * 0.005, 0], abs=2e-3)
     assert se3.distance_m(se3.exp(EgoMotion(10.0, 0.5).twist * 0.01)) == pytest.approx(0.1, abs=1e-3)
+
+
+# ---- an offset in time
+
+SPEEDS = np.array([[0, 0, 0.0, 14, 0, 0], [0, 0, 0.2, 6, 0, 0], [0, 0, -0.1, 9, 0, 0], [0, 0, 0, 0, 0, 0]])
+FOUR = (PINHOLE,) * 4
+
+
+def as_told(problem: PointToLine, twists: np.ndarray, later_s: float) -> PointToLine:
+    """Return pairs with the points where they were that long before the image was taken."""
+    xyz = np.array(problem.xyz)
+    for number, twist in enumerate(twists):
+        rows = problem.frame == number
+        xyz[rows] = moved(twist, np.full(rows.sum(), later_s), xyz[rows])
+    return replace(problem, xyz=xyz)
+
+
+@pytest.mark.parametrize("later_s", [0.012, -0.03])
+def test_exact_pairs_of_several_speeds_tell_the_offset_and_the_pose(later_s: float) -> None:
+    problem = as_told(pairs(count=600, cameras=FOUR), SPEEDS, later_s)
+    found = adjust(problem, NEAR, cameras=False, twists=SPEEDS, time=TimeFit())
+    assert found.time.offset_s == pytest.approx(later_s, abs=5e-4)
+    assert found.time.sigma_s < 0.005
+    assert pose_error(found.camera_from_lidar, TRUTH).translation_m < 0.004
+    without = adjust(problem, NEAR, cameras=False)
+    assert without.time is None
+    assert pose_error(without.camera_from_lidar, TRUTH).translation_m > 0.05
+
+
+def test_points_that_are_moved_already_give_the_same_offset() -> None:
+    problem = pairs(count=600, cameras=FOUR)
+    told = adjust(as_told(problem, SPEEDS, 0.02), NEAR, cameras=False, twists=SPEEDS, time=TimeFit())
+    moved_on = adjust(as_told(problem, SPEEDS, 0.008), NEAR, cameras=False, twists=SPEEDS, time=TimeFit(0.012))
+    assert moved_on.time.offset_s == pytest.approx(told.time.offset_s, abs=1e-4)
+
+
+def test_one_speed_cannot_be_told_from_a_pose_and_leaves_the_offset_at_zero() -> None:
+    same = np.tile([0, 0, 0, 10.0, 0, 0], (4, 1))
+    found = adjust(
+        as_told(pairs(count=600, cameras=FOUR), same, 0.02), NEAR, cameras=False, twists=same, time=TimeFit()
+    )
+    assert abs(found.time.offset_s) < 1e-3
+    assert found.time.sigma_s == pytest.approx(0.05, rel=0.05)
+
+
+def test_offset_and_motions_are_told_apart() -> None:
+    """Two raw sweeps, whose motions are unknown, beside two that were corrected by what is known."""
+    problem = pairs(count=900, cameras=FOUR)
+    raw = as_measured(problem, MOTIONS)
+    twists = np.array([np.zeros(6), np.zeros(6), SPEEDS[0], SPEEDS[1]])
+    late = as_told(raw, twists, 0.02)
+    found = adjust(late, NEAR, cameras=True, prior=PRIOR, twists=twists, time=TimeFit())
+    assert found.time.offset_s == pytest.approx(0.02, abs=3e-3)
+    for fit, true in zip(found.motions[:2], MOTIONS, strict=True):
+        assert fit.motion.speed_m_s == pytest.approx(true.speed_m_s, abs=0.5)
+    assert pose_error(found.camera_from_lidar, TRUTH).translation_m < 0.01
+    assert abs(found.cameras[0].error.focal) < 1e-3
+
+
+def test_the_stated_deviation_of_an_offset_covers_frames_that_err_each_by_itself() -> None:
+    """Each frame is off by 3 cm along the road, as by its place: pairs of one frame then all err alike."""
+    errors, stated = [], []
+    twists = np.column_stack([np.zeros((8, 3)), np.linspace(2, 16, 8), np.zeros((8, 2))])
+    for seed in range(20):
+        problem = pairs(count=150, cameras=(PINHOLE,) * 8, seed=seed)
+        shift = np.random.default_rng(seed).normal(0, 0.03, 8)[problem.frame]
+        off = replace(problem, xyz=problem.xyz + shift[:, None] * [1.0, 0, 0])
+        found = adjust(off, TRUTH, cameras=False, twists=twists, time=TimeFit()).time
+        errors.append(found.offset_s)
+        stated.append(found.sigma_s)
+    ratio = np.sqrt(np.mean(np.square(errors))) / np.mean(stated)
+    assert 0.4 < ratio < 1.4
+
+
+def test_an_offset_that_is_unknown_as_well_makes_the_place_along_the_road_less_sure() -> None:
+    problem = pairs(count=300, cameras=FOUR, noise_px=0.7)
+    alone = adjust(problem, NEAR, cameras=False)
+    both = adjust(problem, NEAR, cameras=False, twists=SPEEDS, time=TimeFit())
+    ratio = np.diag(both.covariance) / np.diag(alone.covariance)
+    assert ratio[5] > 1.5, "z of the camera is along the road"
+    assert ratio[4] < 1.3
+
+
+def test_velocities_have_to_be_one_a_frame() -> None:
+    for twists in (None, SPEEDS[:1]):
+        with pytest.raises(InputError, match="velocities are not one a frame"):
+            adjust(pairs(), NEAR, twists=twists, time=TimeFit())

@@ -27,7 +27,7 @@ from p2o.calibration.accuracy import deviations
 from p2o.calibration.options import PipelineOptions
 from p2o.calibration.pipeline import Pipeline
 from p2o.geometry.ego_motion import EgoMotion
-from p2o.geometry.motion import moved
+from p2o.geometry.motion import moved, pose_at
 from p2o.geometry.perturb import wrong_start
 from p2o.geometry.pose_error import pose_error
 from p2o.results.verdict import Doubt, Trust, Verdict
@@ -505,3 +505,60 @@ def test_a_clear_scene_is_not_ambiguous() -> None:
     assert pose_error(result.camera_from_lidar, TRUTH).rotation_deg < 0.02
     assert result.verdict.trusted
     assert result.rival is None or result.rival.lead > 10
+
+
+TWISTS = [np.array([0, 0, turn, speed, 0, 0]) for speed, turn in ((15.0, 0.0), (2.0, 0.1), (9.0, -0.1), (6.0, 0.0))]
+LATER_S = 0.015
+
+
+@cache
+def told_too_early() -> list[View]:
+    """Views of four speeds whose sweeps are corrected to a moment 15 ms before the picture was taken."""
+    views = [edge_scene.view(seed=i, boxes=60, name=f"{t[3]:g}") for i, t in enumerate(TWISTS)]
+    return [replace(v.moved(pose_at(t, LATER_S)), twist=t) for v, t in zip(views, TWISTS, strict=True)]
+
+
+def test_an_offset_in_time_is_found_along_with_the_pose_and_used() -> None:
+    trusted, found = solved(told_too_early, time="trust"), solved(told_too_early)
+    assert trusted.time is None
+    assert trusted.later_s == 0.0
+    assert found.time.used
+    assert found.later_s == found.time.offset_s == pytest.approx(LATER_S, abs=1e-3)
+    assert found.time.sigma_s < 2e-3
+    before, after = (pose_error(result.camera_from_lidar, TRUTH) for result in (trusted, found))
+    assert before.translation_m > 0.05
+    assert after.translation_m < 0.01
+    assert found.directed_cost_px[1] < trusted.directed_cost_px[1]
+
+
+def test_frames_that_are_of_one_moment_keep_their_pose() -> None:
+    views = [replace(edge_scene.view(seed=i, boxes=60), twist=t) for i, t in enumerate(TWISTS)]
+    trusted, asked = (pipeline(time=word).solve(views, start()) for word in ("trust", "estimate"))
+    assert abs(asked.time.offset_s) < 5e-4
+    assert not asked.time.used
+    assert np.array_equal(asked.camera_from_lidar, trusted.camera_from_lidar)
+    assert np.array_equal(asked.covariance, trusted.covariance)
+
+
+def test_an_offset_in_time_is_not_told_where_it_cannot_be() -> None:
+    """By three frames, by several of one speed or of one unknown, and by raw sweeps, whose motion is estimated."""
+    views = told_too_early()
+    solve = pipeline(time="estimate").solve
+    assert solve(views[:3], start()).time is None
+    assert solve([replace(view, twist=TWISTS[0]) for view in views], start()).time is None
+    assert solve([*views[:3], replace(views[3], twist=None)], start()).time is None
+    assert solve([replace(v, twist=t) for v, t in zip(driven(), TWISTS, strict=True)], start()).time is None
+
+
+def test_an_offset_in_time_and_a_wrong_camera_are_found_together() -> None:
+    views = [
+        replace(view.moved(pose_at(twist, LATER_S)), twist=twist)
+        for view, twist in zip(wrongly_calibrated(), TWISTS, strict=True)
+    ]
+    refined = pipeline(time="estimate", camera="refine").solve(views, start())
+    (check,) = refined.cameras
+    assert refined.time.used
+    assert check.corrected
+    assert refined.later_s == pytest.approx(LATER_S, abs=1.5e-3)
+    assert check.focal == pytest.approx(MISCALIBRATED.focal, abs=5e-4)
+    assert pose_error(refined.camera_from_lidar, TRUTH).translation_m < 0.015

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from p2o import Cloud, InputError
+from p2o import Cloud, InputError, se3
 
 XYZ = np.arange(12.0).reshape(4, 3) + 1
 
@@ -101,3 +101,26 @@ def test_correction_for_motion_needs_times() -> None:
         Cloud([[1.0, 0, 0]], twist=[0, 0, 0, 1, 0, 0])
     with pytest.raises(InputError, match="twist"):
         Cloud([[1.0, 0, 0]], time_s=[0.0], twist=[1, 2, 3])
+
+
+TWIST = np.array([0.05, -0.02, 0.3, 12.0, 0.4, -0.1])
+TIMES = np.array([-0.03, 0.0, 0.02, 0.05])
+
+
+def test_a_sweep_for_a_later_moment_is_seen_from_where_the_sensor_is_then() -> None:
+    """As measured it stays as it is, only its times count from then; what was corrected is corrected to then."""
+    raw = Cloud(XYZ, time_s=TIMES)
+    later = raw.later(0.01, TWIST)
+    assert np.array_equal(later.xyz, XYZ)
+    assert np.allclose(later.time_s, TIMES - 0.01)
+    corrected = raw.untwisted(TWIST).later(0.01, TWIST)
+    assert np.allclose(corrected.xyz, later.untwisted(TWIST).xyz, atol=1e-12)
+    assert np.allclose(corrected.as_measured(), XYZ, atol=1e-12)
+    expected = se3.apply(se3.exp(-0.01 * TWIST), raw.untwisted(TWIST).xyz)
+    assert np.allclose(corrected.xyz, expected, atol=1e-12)
+
+
+def test_a_sweep_without_times_is_moved_as_a_whole() -> None:
+    later = Cloud(XYZ).later(0.01, TWIST)
+    assert np.allclose(later.xyz, se3.apply(se3.exp(-0.01 * TWIST), XYZ), atol=1e-12)
+    assert later.time_s is None

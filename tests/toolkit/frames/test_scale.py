@@ -50,7 +50,8 @@ def test_a_picture_comes_smaller_with_all_that_belongs_to_it_and_once_only() -> 
     assert small.rgb.shape == (small.camera.height, small.camera.width, 3)
     assert set(np.unique(small.depth_m)) == {5.0, np.inf}  # nothing between two depths
     assert np.mean(small.masked) == pytest.approx(0.5, abs=0.01)
-    assert small.right is not None and small.baseline_m == 0.5
+    assert small.right is not None
+    assert small.baseline_m == 0.5
     assert image_at_scale(whole) is small
 
 
@@ -67,7 +68,9 @@ def test_what_was_found_out_about_a_camera_is_told_of_the_one_that_was_given() -
     check = CameraCheck(1, small, error.corrected(small), 0.01, 0.001, 0.02, 0.002, 3.0, 0.5, True)
     view = View("a", small, ImageFeatures(), CloudFeatures(), TELE)
     [told] = at_full_size([check], [view])
-    assert told.camera == TELE and told.better == error.corrected(TELE)
-    assert told.shift_px == pytest.approx(6.0, rel=5e-3) and told.shift_sigma_px == pytest.approx(1.0, rel=5e-3)
+    assert told.camera == TELE
+    assert told.better == error.corrected(TELE)
+    assert told.shift_px == pytest.approx(6.0, rel=5e-3)
+    assert told.shift_sigma_px == pytest.approx(1.0, rel=5e-3)
     [same] = at_full_size([check], [replace(view, full_size=None)])
     assert same is check

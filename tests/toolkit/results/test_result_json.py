@@ -9,7 +9,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from p2o import Accuracy, Camera, CameraCheck, InputError, RadialError, Result, Round, Status, SweepMotion, se3
+from p2o import (
+    Accuracy,
+    Camera,
+    CameraCheck,
+    InputError,
+    RadialError,
+    Result,
+    Round,
+    Status,
+    SweepMotion,
+    TimeOffset,
+    se3,
+)
 from p2o.arrays import parts
 from p2o.results.evidence import Agreement, Judged, Rival
 from p2o.results.result_json import result_from_dict, result_from_json, result_to_dict, result_to_json
@@ -55,6 +67,7 @@ def _result(seed: int = 0) -> Result:
             ),
         ),
         motions=(SweepMotion("drive/0000000005", 8.1, math.inf, 0.1 / 3, math.nan, (0.0, 0.0, 1e-3, 8.1, -0.0, 0.0)),),
+        time=TimeOffset(-0.1 / 3, math.inf, True),
         seconds={"extract": 1.5},
         warnings=("three points dropped",),
         recipe={

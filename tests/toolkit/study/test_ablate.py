@@ -489,3 +489,37 @@ def test_the_study_of_the_page_on_studies_is_one() -> None:
     assert [row.label for row in check_study(study, Plugins().registry())] == ["ogm", "ogm-lr", "nearest", "ogm, wide"]
     for name in (*Study.model_fields, *RowTable.model_fields, *Published.model_fields):
         assert f"`{name}`" in page or f"[[{name}]]" in page or f"[{name}]" in page or f"{name}." in page, name
+
+
+def test_datasets_that_are_left_out_are_told_and_the_others_run(bench: Bench) -> None:
+    text = QUICK + '[[dataset]]\nname = "more"\ndata = "tiny:"\noptional = true\n[[published]]\nlabel = "p"\n'
+    text += 'source = "q"\nvalues = {}\nbeside = "quick @ more"\n'
+    told: list[str] = []
+    done = bench.run(text, on_warning=told.append)
+    assert {row.row for row in done.rows} == {"quick @ tiny"}
+    assert told == ["left out, as nothing says where they are: more (--root DIR or --data NAME=DATASET:PATH)"]
+    found = bench.cli(text, "--frames", "tiny=0", "--seeds", "1", out="shell")
+    assert found.returncode == 0
+    assert "left out, as nothing says where they are: more" in found.stderr
+    with Store.open(bench.root / "shell") as store:
+        assert [row.frames for row in store.rows("tiny")] == [("tiny/000",)]
+        [study] = store.studies()
+        assert study.published == (), "what stands beside rows that are left out has no place in a report"
+
+
+def test_all_frames_of_a_camera_are_one_calibration_that_one_broken_frame_does_not_spoil(bench: Bench) -> None:
+    done = bench.run(HEAD.replace("frames = 3", "frames = 4, bad = 1") + '[[row]]\nlabel = "a"\njoint = "camera"\n')
+    assert {(row.frames, row.joint, row.solved) for row in done.rows} == {
+        (("tiny/000", "tiny/002", "tiny/003"), 3, True),
+        (("tiny/001",), 1, False),
+    }
+
+
+def test_velocity_and_camera_of_a_frame_are_known_to_whoever_calibrates_its_features(tmp_path: Path) -> None:
+    """Features alone do not tell them, and an offset in time and groups of frames need them."""
+    data = "synthetic:?cameras=front&width_px=160&height_px=64&lidar=vlp-16&right=false&speed_m_s=7"
+    source = worker.Source(Plugins(), data, "{}", 0, "scene-0000/front")
+    facts = worker.read(worker.Reading(source, tmp_path))
+    assert facts.reason == ""
+    assert np.isclose(np.linalg.norm(facts.twist[3:]), 7, atol=0.5)
+    assert facts.camera_name == "front"

@@ -16,7 +16,7 @@ import pytest
 from p2o import InputError
 from p2o.results.verdict import Trust
 from p2o.study.columns import METRICS
-from p2o.study.store import _NEW_IN_2, Planned, Store, StoredRow, StoredStudy
+from p2o.study.store import _NEW_IN_3, _NEW_SINCE, Planned, Store, StoredRow, StoredStudy
 
 POSE = np.array([[0.1 + 0.2, -1.0, 0, 1 / 3], [0, 0, -1, 1e-300], [1, 0, 0, -0.0], [0, 0, 0, 1]])
 STUDY = StoredStudy("table2", 'name = "table2"\n', {"kitti": "kitti-raw:x"}, ({"label": "RGGNet", "values": {}},))
@@ -111,10 +111,10 @@ def test_sql_can_ask_whom_to_trust(tmp_path: Path) -> None:
 
 
 def _aged(path: Path) -> None:
-    """Turn a store into one of version 1: without the columns of version 2, costs in pixels."""
+    """Turn a store into one of version 1: without the columns of later ones, costs in pixels."""
     with sqlite3.connect(path) as connection:
         names = [name for _, name, *_ in connection.execute("pragma table_info(runs)")]
-        old = ", ".join(name for name in names if name not in _NEW_IN_2)
+        old = ", ".join(name for name in names if name not in _NEW_SINCE[1])
         connection.execute("drop view rows")
         connection.execute(f"create table old as select {old} from runs")
         connection.execute("drop table runs")
@@ -141,7 +141,7 @@ def test_a_store_of_version_1_is_brought_up_to_date_and_says_nothing_it_does_not
             [back] = store.rows("table2")
             assert (back.rotation_deg, back.matches, back.status) == (1 / 3, {"L": 3}, "converged")
             assert back.estimate.tobytes() == POSE.tobytes()
-            assert {getattr(back, name) for name in _NEW_IN_2} == {None}
+            assert {getattr(back, name) for name in _NEW_SINCE[1]} == {None}
             assert back.rounds == ({"stage": "refine", "mean_residual": 1.5, "cost": 2.5},)
             assert store.finished(["a", "b"]) == {"a"}
     with Store.open(tmp_path) as store:
@@ -151,6 +151,29 @@ def test_a_store_of_version_1_is_brought_up_to_date_and_says_nothing_it_does_not
 
 def _open(folder: Path) -> None:
     Store.open(folder).close()
+
+
+def test_a_store_of_version_2_is_brought_up_to_date(tmp_path: Path) -> None:
+    with Store.open(tmp_path) as store:
+        store.begin(STUDY, planned("a", "b"))
+        store.put(row("a", agreement=9.0))
+    with sqlite3.connect(tmp_path / "study.sqlite") as connection:
+        connection.execute("drop view rows")
+        for name in _NEW_IN_3:
+            connection.execute(f"alter table runs drop column {name}")
+        connection.execute(
+            "create view rows as select plan.row, runs.status from plan join runs on runs.key = plan.key"
+        )
+        connection.execute("pragma user_version = 2")
+    connection.close()
+    with Store.open(tmp_path, create=False) as store:
+        [back] = store.rows("table2")
+        assert (back.agreement, back.time_offset_s, back.time_use) == (9.0, None, None)
+        store.put(row("b", time_offset_s=0.004, time_sigma_s=0.001, time_use="used"))
+        assert [r.time_offset_s for r in store.rows("table2")] == [None, 0.004]
+    with sqlite3.connect(tmp_path / "study.sqlite") as connection:
+        assert connection.execute("select time_use from rows").fetchall() == [(None,), ("used",)]
+    connection.close()
 
 
 def test_several_processes_bring_one_store_up_to_date(tmp_path: Path) -> None:

@@ -91,11 +91,42 @@ def test_the_command_line_changes_data_frames_and_seeds() -> None:
         study.overridden(["mor=fake:x"])
 
 
+OPTIONAL = '[[dataset]]\nname = "more"\ndata = "tiny:"\noptional = true\npath = "a/b"\nsplit = ["x", "y"]\n'
+
+
+def test_a_dataset_that_may_be_missing_is_left_out_with_all_its_rows(tmp_path: Path) -> None:
+    """Its labels and what is published beside its rows stay known, so that nothing else changes by it."""
+    beside = '[[published]]\nlabel = "p"\nsource = "q"\nvalues = {}\nbeside = "b"\n'
+    study = parse_study(HEAD + OPTIONAL + TINY + ROW + '[[row]]\nlabel = "b"\ndataset = ["more"]\n' + beside)
+    assert [row.label for row in study.rows()] == ["a @ tiny"]
+    assert [row.label for row in study.overridden(root=tmp_path).rows()] == ["a @ tiny"], "it is not there"
+    (tmp_path / "a/b").mkdir(parents=True)
+    for there in (study.overridden(root=tmp_path), study.overridden([f"more=tiny:{tmp_path}/a/b"])):
+        assert [row.label for row in there.rows()] == ["a @ tiny", "a @ more", "b @ more"]
+        assert there.dataset[1].data == f"tiny:{tmp_path}/a/b"
+    said = study.overridden(["more=tiny:elsewhere"], root=tmp_path)
+    assert said.dataset[1].data == "tiny:elsewhere", "--data goes before --root"
+
+
+def test_frames_are_chosen_for_all_datasets_or_for_one(tmp_path: Path) -> None:
+    study = parse_study(HEAD + OPTIONAL + ROW)
+    for said, expected in (
+        ("0-3", ("0-3", "0-3")),
+        (["0-3", "more=5"], ("0-3", "5")),
+        ("more=@s.json#z", ("all", "@s.json#z")),
+        ("@s.json", ("@s.json", "@s.json#x,@s.json#y")),
+        ("@s.json#z", ("@s.json#z", "@s.json#z")),
+        ("@a=b.json#z", ("@a=b.json#z", "@a=b.json#z")),
+    ):
+        assert tuple(table.frames for table in study.overridden(frames=said).dataset) == expected
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ('colour = "red"\n' + HEAD + ROW, r"unknown key 'colour'.*expected one of: dataset, defaults"),
         (HEAD + ROW + 'macher = "ogm"\n', r"\[\[row\]\] 1 'a': unknown key 'macher'.*did you mean matcher"),
+        (HEAD + ROW + 'joint = "rig"\n', r"\[\[row\]\] 1 'a': joint is not valid"),
         (HEAD + ROW + "joint = 1\n", r"\[\[row\]\] 1 'a': joint is not valid"),
         (HEAD + ROW + 'seeds = "many"\n', "seeds is not valid"),
         (HEAD + "[[row]]\n" + 'matcher = "ogm"\n', r"\[\[row\]\] 1: label is not said"),

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from p2o.arrays import Float
+from p2o.arrays import Float, Int
 from p2o.errors import InputError
 from p2o.features.side import Side
 from p2o.geometry import se3
@@ -21,6 +21,9 @@ from p2o.problems.point_to_line import PointToLine
 _ITERATIONS = 30
 _STILL = 1e-7
 _CAMERA_SIGMA = np.array([0.01, 0.02])
+TIME_SIGMA_S = 0.05
+"""Images and sweeps that are said to be of one moment are so to within a period of the camera or half of one."""
+_LATEST_S = 0.5
 _CELL_PX = 64.0
 _ALIKE = 10.0
 """Pairs along one outline err alike: so many tell as much about the motion as one. Chosen on KITTI's `train`."""
@@ -38,14 +41,22 @@ class MotionFit:
     covariance: Float
 
 
+@dataclass(frozen=True)
+class TimeFit:
+    """How much later than they say the images were taken, as the pairs tell it, with its standard deviation."""
+
+    offset_s: float = 0.0
+    sigma_s: float = TIME_SIGMA_S
+
+
 @dataclass(frozen=True, eq=False)
 class Adjustment:
     """The pose (4, 4) that fits the pairs best, and what was found with it.
 
     `covariance` (6, 6) is that of a left update in rad and m with all else unknown as well, or None where the pairs
     come from too few places to tell; `places` is how many. `cameras` has an entry for every camera that was asked,
-    `motions` one for every frame, or none. `step_px` is how far all these together moved the residuals (root mean
-    square).
+    `motions` one for every frame, or none, `time` the offset between images and sweeps where it was asked for.
+    `step_px` is how far all these together moved the residuals (root mean square).
     """
 
     camera_from_lidar: Float
@@ -54,6 +65,7 @@ class Adjustment:
     motions: tuple[MotionFit, ...]
     step_px: float
     places: int
+    time: TimeFit | None = None
 
 
 def adjust(
@@ -64,25 +76,36 @@ def adjust(
     known: Mapping[Camera, RadialError] | None = None,
     prior: MotionPrior | None = None,
     motions: Sequence[EgoMotion] = (),
+    twists: Float | None = None,
+    time: TimeFit | None = None,
 ) -> Adjustment:
     """Return pose, radial error of every camera and motion of every sweep that fit the pairs best, all together.
 
     The cameras of `problem` are those of the calibration; `known` are errors to begin from. With `cameras` False they
     stay at these. Without a `prior` no motion is looked for; with one, `motions` are those that the points of the
-    problem are corrected for, one a frame (none: they are as measured). The robust sum is that of the problem (Huber).
+    problem are corrected for, one a frame (none: they are as measured). With a `time` one offset between the images and
+    the sweeps is looked for, beginning from the one that the points are corrected for; `twists` (F, 6) are the known
+    velocities of the LiDAR, zero for frames whose velocity is not known. The robust sum is that of the problem (Huber).
 
     Beside cameras the widths of outlines are unknown: that both sensors see them a little too wide or too narrow must
     not look like another focal length. Errors of cameras are drawn to zero as by a measurement with standard deviations
-    of 1 % and 0.02, motions to what is expected as by one with those of the prior. All covariances take pairs of one
+    of 1 % and 0.02, motions to what is expected as by one with those of the prior, the offset in time to zero as by one
+    with 50 ms. All covariances take pairs of one
     direction within 64 px as one measurement (cluster robust: Liang and Zeger, Longitudinal data analysis using
     generalized linear models, 1986). Cameras whose model has no radial coefficient stay as they are and are not among
-    the fits. Raises InputError for a problem without pairs, and for motions that are not one a frame.
+    the fits. Raises InputError for a problem without pairs, and for motions and twists that are not one a frame.
     """
     if not len(problem):
         raise InputError("no pairs to tell anything from", expected="at least one pair", got="none")
     if motions and len(motions) != len(problem.cameras):
         raise InputError("the motions are not one a frame", expected=len(problem.cameras), got=len(motions))
-    model = _Model.of(problem, camera_from_lidar, cameras, known or {}, prior, motions)
+    if time is not None and (twists is None or len(twists) != len(problem.cameras)):
+        raise InputError(
+            "the velocities are not one a frame",
+            expected=len(problem.cameras),
+            got="none" if twists is None else len(twists),
+        )
+    model = _Model.of(problem, camera_from_lidar, cameras, known or {}, prior, motions, twists, time)
     pose, state = np.asarray(camera_from_lidar, np.float64), model.start
     rows, own, residuals = model.linearised(pose, state)
     began = residuals
@@ -102,6 +125,10 @@ def adjust(
     covariance = inverse @ clustered @ inverse
     expected = np.diag(model.prior_score(precision))
     surely = inverse @ (_TOO_SURE**2 * clustered + expected) @ inverse
+    variance = surely.diagonal()
+    if time is not None:
+        alike = _by_frame(problem, rows, own, residuals, weight, inverse)
+        variance = np.maximum(variance, (inverse @ (alike + expected) @ inverse).diagonal())
     # As many places as unknowns fit any pose without a residual: with few of them, residuals understate the error.
     spare = places / (places - 6) if places > 6 else None
     return Adjustment(
@@ -111,6 +138,7 @@ def adjust(
         model.motion_fits(state, surely),
         float(np.sqrt(np.mean((residuals - began) ** 2))),
         places,
+        model.time_fit(state, variance),
     )
 
 
@@ -118,9 +146,10 @@ def adjust(
 class _Model:
     """What residuals depend on beside the pose.
 
-    The state (N,) is focal and radial of every camera in `asked`, the widths of outlines, then speed and turn of every
-    frame. `by_shared` (K, S) are derivatives by the first two, taken once because they hardly change on the way.
-    `motions` (F, 2) are those that the points are corrected for; there are none without a `prior`.
+    The state (N,) is focal and radial of every camera in `asked`, the widths of outlines, the offset in time where
+    there is a `time`, then speed and turn of every frame. `by_shared` are derivatives by the first two, taken once
+    because they hardly change on the way. `motions` (F, 2) are those that the points are corrected for; there are
+    none without a `prior`. `by_time` (K, 3) is how the points move in m/s as the images are taken later.
     """
 
     problem: PointToLine
@@ -129,6 +158,8 @@ class _Model:
     by_shared: Float
     prior: MotionPrior | None
     motions: Float
+    time: TimeFit | None
+    by_time: Float
 
     @classmethod
     def of(
@@ -139,6 +170,8 @@ class _Model:
         known: Mapping[Camera, RadialError],
         prior: MotionPrior | None,
         motions: Sequence[EgoMotion],
+        twists: Float | None,
+        time: TimeFit | None,
     ) -> _Model:
         correctable = [camera for camera in dict.fromkeys(problem.cameras) if is_correctable(camera)]
         errors = {camera: known.get(camera, RadialError()) for camera in correctable}
@@ -148,24 +181,33 @@ class _Model:
         if prior is not None and not motions:
             motions = [EgoMotion()] * len(problem.cameras)
         numbers = [[motion.speed_m_s, motion.turn_rad_s] for motion in motions] if prior is not None else []
-        return cls(
-            problem, errors, tuple(correctable) if cameras else (), by_shared, prior, np.reshape(numbers, (-1, 2))
-        )
+        by_time = np.zeros((len(problem), 3))
+        if time is not None and twists is not None:
+            its = np.asarray(twists, np.float64)[problem.frame]
+            by_time = -(np.cross(its[:, :3], problem.xyz) + its[:, 3:])
+        asked = tuple(correctable) if cameras else ()
+        return cls(problem, errors, asked, by_shared, prior, np.reshape(numbers, (-1, 2)), time, by_time)
+
+    @property
+    def shared(self) -> int:
+        """How many numbers of the state are of all frames; the motions follow them."""
+        return int(self.by_shared.shape[1]) + (self.time is not None)
 
     @property
     def start(self) -> Float:
         """The state (N,) of the problem as it is."""
         errors = [[self.errors[camera].focal, self.errors[camera].radial] for camera in self.asked]
         widths = np.zeros(self.by_shared.shape[1] - 2 * len(self.asked))
-        return np.concatenate([np.ravel(errors), widths, self.motions.ravel()])
+        offset = [] if self.time is None else [self.time.offset_s]
+        return np.concatenate([np.ravel(errors), widths, offset, self.motions.ravel()])
 
     @property
     def expected(self) -> Float:
         """The state (N,) that is known beforehand."""
-        out = np.zeros(self.by_shared.shape[1] + self.motions.size)
+        out = np.zeros(self.shared + self.motions.size)
         if self.prior is not None:
             way = self.prior.expected
-            out[self.by_shared.shape[1] :] = np.tile([way.speed_m_s, way.turn_rad_s], len(self.motions))
+            out[self.shared :] = np.tile([way.speed_m_s, way.turn_rad_s], len(self.motions))
         return out
 
     def linearised(self, pose: Float, state: Float) -> tuple[Float, Any, Float]:
@@ -173,7 +215,7 @@ class _Model:
 
         All are zero where a point is unseen.
         """
-        problem, shared = self.problem, self.by_shared.shape[1]
+        problem, shared = self.problem, self.shared
         errors = dict(self.errors) | {
             camera: RadialError(*state[2 * i : 2 * i + 2].tolist()) for i, camera in enumerate(self.asked)
         }
@@ -184,14 +226,17 @@ class _Model:
         if self.prior is not None:
             change = (state[shared:].reshape(-1, 2) - self.motions)[problem.frame]
             xyz = xyz + change[:, :1] * by_speed + change[:, 1:] * by_turn
+        if self.time is not None:
+            xyz = xyz + (state[shared - 1] - self.time.offset_s) * self.by_time
         residuals, by_pose = replace(problem, cameras=cameras, xyz=xyz).residuals_with_jacobian(pose)
-        rows = np.hstack([by_pose, self.by_shared])
         by_xyz = by_pose[:, 3:] @ pose[:3, :3]
+        by_time = (by_xyz * self.by_time).sum(axis=1, keepdims=True)[:, : self.time is not None]
+        rows = np.hstack([by_pose, self.by_shared, by_time])
         own = np.column_stack([(by_xyz * by_speed).sum(axis=1), (by_xyz * by_turn).sum(axis=1)])
         unseen = ~(np.isfinite(residuals) & np.isfinite(rows).all(axis=1))
         # The sum of products with widths comes last: unseen rows hold NaN.
         rows, own = np.where(unseen[:, None], 0.0, rows), np.where(unseen[:, None], 0.0, own)
-        widths = slice(2 * len(self.asked), shared)
+        widths = slice(2 * len(self.asked), self.by_shared.shape[1])
         residuals = np.where(unseen, 0.0, residuals + self.by_shared[:, widths] @ state[widths])
         return rows, self._spread(own), residuals
 
@@ -213,28 +258,42 @@ class _Model:
 
     def precision(self, weight: Float, residuals: Float) -> Float:
         """Return what is known beforehand of pose and state, as the diagonal (6 + N,) of a Hessian."""
-        out = np.zeros(6 + self.by_shared.shape[1] + self.motions.size)
+        out = np.zeros(6 + self.shared + self.motions.size)
         out[6 : 6 + 2 * len(self.asked)] = np.tile(1 / _CAMERA_SIGMA**2, len(self.asked))
+        variance = float(weight @ residuals**2) / max(float(weight.sum()), np.finfo(float).tiny)
+        alike = _ALIKE * max(variance, _LEAST_VARIANCE)
+        if self.time is not None:
+            out[5 + self.shared] = alike / TIME_SIGMA_S**2
         if self.prior is not None:
-            variance = float(weight @ residuals**2) / max(float(weight.sum()), np.finfo(float).tiny)
             sigma = np.array([self.prior.speed_sigma, self.prior.turn_sigma])
-            known = _ALIKE * max(variance, _LEAST_VARIANCE) / sigma**2
-            out[6 + self.by_shared.shape[1] :] = np.tile(known, len(self.motions))
+            out[6 + self.shared :] = np.tile(alike / sigma**2, len(self.motions))
         return out
 
     def prior_score(self, precision: Float) -> Float:
-        """Return the variances (6 + N,) that the gradient has because expected motions are not the true ones."""
+        """Return the variances (6 + N,) of the gradient because expected motions and times are not the true ones."""
         out = np.zeros(len(precision))
+        if self.time is not None:
+            out[5 + self.shared] = (precision[5 + self.shared] * TIME_SIGMA_S) ** 2
         if self.prior is not None:
             variance = np.array([self.prior.speed_sigma, self.prior.turn_sigma]) ** 2
-            at = 6 + self.by_shared.shape[1]
+            at = 6 + self.shared
             out[at:] = precision[at:] ** 2 * np.tile(variance, len(self.motions))
         return out
 
     def within(self, state: Float) -> Float:
-        """Return the state (N,) with errors of cameras kept within bounds."""
-        count = 2 * len(self.asked)
-        return np.concatenate([np.clip(state[:count], -0.5 * LARGEST, 0.5 * LARGEST), state[count:]])
+        """Return the state (N,) with errors of cameras and the offset in time kept within bounds."""
+        count, out = 2 * len(self.asked), np.array(state)
+        out[:count] = np.clip(out[:count], -0.5 * LARGEST, 0.5 * LARGEST)
+        if self.time is not None:
+            out[self.shared - 1] = np.clip(out[self.shared - 1], -_LATEST_S, _LATEST_S)
+        return out
+
+    def time_fit(self, state: Float, variance: Float) -> TimeFit | None:
+        """Return what the state (N,) says of the offset in time; `variance` (6 + N,) is that of pose and state."""
+        if self.time is None:
+            return None
+        at = self.shared - 1
+        return TimeFit(float(state[at]), float(np.sqrt(variance[6 + at])))
 
     def camera_fits(self, state: Float, covariance: Float) -> tuple[RadialFit, ...]:
         """Return what the state (N,) says of the cameras; `covariance` is that of pose and state."""
@@ -247,7 +306,7 @@ class _Model:
     def motion_fits(self, state: Float, covariance: Float) -> tuple[MotionFit, ...]:
         """Return what the state (N,) says of the motions; `covariance` is that of pose and state."""
         fits = []
-        for at in range(self.by_shared.shape[1], len(state), 2):
+        for at in range(self.shared, len(state), 2):
             assert self.prior is not None
             motion = replace(self.prior.expected, speed_m_s=float(state[at]), turn_rad_s=float(state[at + 1]))
             fits.append(MotionFit(motion, covariance[6 + at : 8 + at, 6 + at : 8 + at]))
@@ -296,11 +355,33 @@ def _clustered(problem: PointToLine, rows: Float, own: Any, residuals: Float) ->
     """
     cell = np.floor(problem.centre / _CELL_PX).astype(np.int64)
     _, place = np.unique(np.column_stack([problem.frame, problem.side, cell]), axis=0, return_inverse=True)
+    score = _summed(problem, rows, own, residuals, place.reshape(-1))
+    return np.asarray(score.T @ score), len(score)
+
+
+def _by_frame(problem: PointToLine, rows: Float, own: Any, residuals: Float, weight: Float, inverse: Float) -> Float:
+    """Return the covariance (N, N) of the gradient where all pairs of a frame err alike, as by its place.
+
+    Few frames follow their own errors, each by its share of the Hessian: what it says without that is larger (CR3:
+    Cameron and Miller, A practitioner's guide to cluster-robust inference, 2015). `inverse` is that of the Hessian.
+    """
+    _, frame = np.unique(problem.frame, return_inverse=True)
+    score = _summed(problem, rows, own, residuals, frame.reshape(-1))
+    out = np.zeros_like(inverse)
+    for number, its in enumerate(score):
+        mine = np.flatnonzero(frame.reshape(-1) == number)
+        share = _normal(rows[mine], own[mine], weight[mine]) @ inverse
+        freed = np.linalg.lstsq(np.eye(len(share)) - share, its, rcond=None)[0]
+        out += np.outer(freed, freed)
+    return out * (1 - 1 / len(score))
+
+
+def _summed(problem: PointToLine, rows: Float, own: Any, residuals: Float, group: Int) -> Float:
+    """Return the gradient (G, N) of the robust sum by group of pairs; `group` (K,) holds their numbers."""
     psi = problem.weight * np.clip(residuals, -problem.huber_px, problem.huber_px)
-    count, places = len(problem), int(place.max()) + 1
-    members = sparse.csr_array((psi, (place.reshape(-1), np.arange(count))), shape=(places, count))
-    score = np.hstack([np.asarray(members @ rows), (members @ own).toarray()])
-    return np.asarray(score.T @ score), places
+    count, groups = len(problem), int(group.max()) + 1
+    members = sparse.csr_array((psi, (group, np.arange(count))), shape=(groups, count))
+    return np.hstack([np.asarray(members @ rows), (members @ own).toarray()])
 
 
 def _symmetric(matrix: Float) -> Float:

@@ -40,6 +40,11 @@ class PipelineOptions(Options):
         help="Raw sweeps, whose points have times: trust them, as of a car that stands; or estimate how the "
         "car moves during each of them, along with the pose. Sweeps that were corrected for motion stay as they are.",
     )
+    time: Literal["trust", "estimate"] = option(
+        "estimate",
+        help="Whether images were taken when the data say: trust it; or estimate one offset to the sweeps along with "
+        "the pose, from four or more frames together whose velocities are known and differ.",
+    )
     forward: tuple[float, float, float] = option(
         (1.0, 0.0, 0.0), help="Direction of travel in the LiDAR frame, for `motion`; its z axis is up."
     )

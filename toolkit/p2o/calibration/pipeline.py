@@ -13,7 +13,7 @@ from p2o.arrays import Float
 from p2o.calibration.accuracy import likely_accuracy
 from p2o.calibration.camera_check import at_full_size
 from p2o.calibration.judge import judge_of
-from p2o.calibration.nuisance import Nuisance, adjusted, motion_prior
+from p2o.calibration.nuisance import Nuisance, adjusted, known_twists, motion_prior
 from p2o.calibration.options import PipelineOptions as PipelineOptions
 from p2o.calibration.rounds import Rounds, counts, mean_residuals_px
 from p2o.calibration.verdict import agreement_of, rival_of, verdict_of
@@ -61,18 +61,20 @@ class Pipeline:
 
     def prepare(self, frame: Frame) -> View:
         """Return the features of one frame; the truth is not looked at."""
-        image = self.image_extractor(image_at_scale(frame.image))
-        return self.view(frame.name, frame.camera, image, self.cloud_extractor(frame.cloud))
+        image, cloud = self.image_extractor(image_at_scale(frame.image)), self.cloud_extractor(frame.cloud)
+        return self.view(frame.name, frame.camera, image, cloud, frame.twist)
 
     extract = prepare  # its older name
 
-    def view(self, name: str, camera: Camera, image: ImageFeatures, cloud: CloudFeatures) -> View:
-        """Return what the stages see of one frame, given its camera and the features that its extractors found.
+    def view(
+        self, name: str, camera: Camera, image: ImageFeatures, cloud: CloudFeatures, twist: Float | None = None
+    ) -> View:
+        """Return what the stages see of one frame: what its extractors found, and its velocity (6,) where known.
 
-        Those of the image are of the picture that is looked at (`p2o.frames.scale`).
+        `camera` is that of the frame, image features are of the picture that is looked at (`p2o.frames.scale`).
         """
         options, seen_by = self.options, camera_at_scale(camera)
-        view = View(name, seen_by, image, cloud, None if seen_by is camera else camera)
+        view = View(name, seen_by, image, cloud, twist, None if seen_by is camera else camera)
         view = patched(view, options.missing_edges, options.missing_radius_px, options.seed)
         return view if self.directed else view.without_sides()
 
@@ -92,7 +94,7 @@ class Pipeline:
             return refused(*missing)
         with clock.of("initialize"):
             raw = [self._seen(view, start) for view in views]
-            nuisance = Nuisance.expected(raw, motion_prior(views, options))
+            nuisance = Nuisance.expected(raw, motion_prior(views, options), known_twists(views, options))
             seen = nuisance.views(raw)
             poses = self.initializer(seen, start) or [start]
         with clock.of("refine"):
@@ -143,6 +145,7 @@ class Pipeline:
             ),
             cameras=at_full_size(final.cameras, views),
             motions=final.nuisance.sweep_motions(views),
+            time=final.time,
             warnings=remarks_of(views),
             seconds=clock.seconds,
         )

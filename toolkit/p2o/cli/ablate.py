@@ -31,7 +31,13 @@ _LINE_EVERY_S = 5.0
     metavar="[NAME=]DATASET:PATH",
     help="Run on these data; NAME where there are several.",
 )
-@click.option("--frames", metavar="SPEC", help="Which frames, as in `p2o run` (default: as the study says).")
+@click.option("--root", metavar="DIR", help="Folder that holds the data, each where the study says.")
+@click.option(
+    "--frames",
+    multiple=True,
+    metavar="[NAME=]SPEC",
+    help="Which frames, as in `p2o run`, of one dataset or all (default: as the study says).",
+)
 @click.option("--seeds", metavar="N|LIST", help="How many starts, or which, such as 3,5 (default: as the study says).")
 @click.option("--out", type=click.Path(file_okay=False), metavar="DIR", help="Keep rows here (default: p2o-out/STUDY).")
 @click.option("--jobs", type=click.IntRange(min=1), metavar="N", help="Processes to use (default: one a core).")
@@ -45,7 +51,8 @@ _LINE_EVERY_S = 5.0
 def command(
     study: str | None,
     data: tuple[str, ...],
-    frames: str | None,
+    root: str | None,
+    frames: tuple[str, ...],
     seeds: str | None,
     out: str | None,
     jobs: int | None,
@@ -65,6 +72,7 @@ def command(
     \b
     p2o ablate smoke
     p2o ablate table2 --data kitti-raw:PATH --frames @splits.json#test --jobs 2
+    p2o ablate rigs --root DIR --frames @splits.json
     p2o ablate STUDY --gate reference.json
 
     Exit status 1 where a row crashed or the gate is closed. docs/studies.md explains study files.
@@ -89,10 +97,10 @@ def command(
     workers = Workers(_cores() if jobs is None else jobs, backend, address)
     found = find_study(study, plugins.registry())
     chosen = None if seeds is None else chosen_seeds(seeds)
-    file = StudyFile(found.study.overridden(data, frames, chosen), found.text, found.source)
+    file = StudyFile(found.study.overridden(data, frames, chosen, root), found.text, found.source)
     reference = gates.read_reference(gate) if gate is not None and (not update or Path(gate).exists()) else None
     folder = Path("p2o-out") / file.study.name if out is None else Path(out)
-    words = {"data": list(data), "frames": frames, "seeds": seeds}
+    words = {"data": list(data), "root": root, "frames": list(frames), "seeds": seeds}
     overrides = {name: value for name, value in words.items() if value}
     with progress_shown(quiet) as (say, warn):
         done = ablate(

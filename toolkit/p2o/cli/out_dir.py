@@ -95,6 +95,8 @@ class OutDir:
             folder.mkdir(parents=True, exist_ok=True)
             twist = result.twist_of(frame.name)
             corrected = frame if twist is None else replace(frame, cloud=frame.cloud.untwisted(twist))
+            if result.later_s and frame.twist is not None:
+                corrected = replace(corrected, cloud=corrected.cloud.later(result.later_s, frame.twist))
             before = result.start, frame.camera, frame
             after = result.camera_from_lidar, result.camera_of(frame.camera), corrected
             for name, (pose, camera, seen) in zip(_PICTURES, (before, after), strict=True):

@@ -46,6 +46,12 @@ if TYPE_CHECKING:
     metavar='"2deg 0.15m"',
     help="Begin this far from the truth, in a random direction; @FILE takes the errors from a list.",
 )
+@click.option(
+    "--start",
+    nargs=2,
+    metavar='roughly "x forward, z up; camera looks forward"',
+    help="Begin at a pose told in words: two axes of the LiDAR, where the camera looks, and where it is if known.",
+)
 @click.option("--protocol", metavar="NAME", help="Draw starts, and report errors, as a publication does.")
 @click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Seed of everything random (default: 0).")
 @click.option("--joint", is_flag=True, default=None, help="One result for all frames together.")
@@ -83,6 +89,7 @@ def command(
     p2o run --data kitti-raw:PATH --perturb "2deg 0.15m" --seed 1
     p2o run --data kitti-raw:PATH --frames @splits.json#test --joint --out out
     p2o run --data folder:PATH --rig rig.yaml
+    p2o run --data folder:PATH --start roughly "x forward, z up; camera looks 45 deg left"
 
     Where there are several results, PATH of --export holds {frame}, or {camera} with --rig. Exit status 1 where any
     calibration was refused (its status says why) or is not as required: a doubtful or ambiguous one counts as solved
@@ -105,6 +112,8 @@ def command(
         protocol = words.pop("protocol", None)
         if protocol is not None:
             words["perturb"] = starts_of(protocol, words.get("perturb"), "--protocol")
+        if "start" in words:
+            words["start"] = " ".join(words["start"])
         if settings:
             words["options"] = parse_settings(settings)
         plan = Recipe.of(**words).resolve(registry)

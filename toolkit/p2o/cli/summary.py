@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from p2o.geometry.pose_error import PoseError
     from p2o.results.accuracy import Accuracy
     from p2o.results.evidence import Judged
-    from p2o.results.result import CameraCheck, Result, SweepMotion
+    from p2o.results.result import CameraCheck, Result, SweepMotion, TimeOffset
     from p2o.results.rig import RigResult
     from p2o.run.run import FailedFrame, Row, Run
 
@@ -55,6 +55,8 @@ def describe(row: Row) -> str:
     lines += [f"  {'camera':<9} {_camera(check)}" for check in result.cameras]
     if result.motions:
         lines.append(f"  {'motion':<9} {_motions(result.motions)}")
+    if result.time is not None:
+        lines.append(f"  {'time':<9} {_time(result.time)}")
     if result.seconds:
         lines.append(f"  {'seconds':<9} " + ", ".join(f"{stage} {took:.2f}" for stage, took in result.seconds.items()))
     lines += [f"  {'warning':<9} {text}" for text in _warnings(result)]
@@ -172,6 +174,12 @@ def _motions(motions: Sequence[SweepMotion]) -> str:
     speeds, turns = [m.speed_m_s for m in motions], [m.turn_deg_s for m in motions]
     speed, turn = (f"{min(values):.1f} to {max(values):.1f}" for values in (speeds, turns))
     return f"{speed} m/s forward, {turn} deg/s to the left, by frame: the edges tell, corrected"
+
+
+def _time(time: TimeOffset) -> str:
+    """Return how much later than the data say the images were taken."""
+    offset = f"{1000 * time.offset_s:+.1f} ms (+-{1000 * time.sigma_s:.1f})"
+    return f"images later than told by {offset}: the edges tell, " + ("corrected" if time.used else "not used")
 
 
 def _pose(label: str, pose: Float) -> list[str]:

@@ -20,14 +20,15 @@ from p2o.geometry.visibility import hidden
 class View:
     """The features of one frame with the camera that saw it.
 
-    `full_size` is the camera that the frame came with, where its picture was looked at smaller
-    (`p2o.frames.scale`), else None.
+    `twist` (6,) is the velocity of the LiDAR in its own frame (rad/s, m/s) where it is known. `full_size` is the camera
+    that the frame came with, where its picture was looked at smaller (`p2o.frames.scale`), else None.
     """
 
     name: str
     camera: Camera
     image: ImageFeatures
     cloud: CloudFeatures
+    twist: Float | None = None
     full_size: Camera | None = None
 
     @property

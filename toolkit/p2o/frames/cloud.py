@@ -93,6 +93,19 @@ class Cloud:
             return self
         return replace(self, xyz=moved(twist, self.time_s, self.as_measured()), twist=twist)
 
+    def later(self, by_s: float, twist: Float) -> Cloud:
+        """Return the sweep as it is for a moment `by_s` seconds later, from a sensor that moves with `twist` (6,).
+
+        Times count from that moment. What was corrected for motion is corrected to it, and what has no times is moved
+        as a whole; a sweep as measured keeps its points.
+        """
+        time_s = None if self.time_s is None else self.time_s - by_s
+        if self.twist is not None:
+            return replace(self, xyz=self.as_measured(), time_s=time_s, twist=None).untwisted(self.twist)
+        if time_s is not None:
+            return replace(self, time_s=time_s)
+        return replace(self, xyz=moved(twist, np.full(len(self), -by_s), self.xyz))
+
     def as_measured(self) -> Float:
         """Return the points (N, 3) as the sensor measured them, each in its own frame at the point's own time.
 

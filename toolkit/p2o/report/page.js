@@ -139,7 +139,11 @@ function showRows() {
     number("not solved", (row) => row.failed ?? null, (row) => row.failures ?? NONE, { long: true }),
   ];
   if (group().rows.some((row) => row.trust))
-    columns.push(number("verdict", (row) => row.trusted ?? null, (row) => row.trust ?? NONE, { long: true }));
+    columns.push(number("verdict", (row) => row.trusted ?? null, (row) => row.trust ?? NONE, { long: true }),
+      number("trusted, wrong", (row) => row.trustedWrong ?? null, (row) => String(row.trustedWrong ?? NONE)));
+  if (group().rows.some((row) => row.held))
+    ["held 2/3", "held 19/20"].forEach((title, bound) =>
+      columns.push(number(title, (row) => (row.held ? row.heldRotations[bound] : null), (row) => (row.held ? row.held[bound] : NONE))));
   if (study().within) {
     columns.push(number(`within ${study().within}`, (row) => row.within ?? null, (row) => String(row.within ?? NONE)));
     columns.push(number("worse than start", (row) => row.worse ?? null, (row) => String(row.worse ?? NONE)));

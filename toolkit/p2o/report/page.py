@@ -93,7 +93,7 @@ def _study(summary: Summary, pictures: Pictures) -> dict[str, Any]:
     return {
         "name": summary.name,
         "title": summary.title,
-        "note": summary.note,
+        "note": " ".join([summary.note, *(f"{line}." for line in summary.pooled)]).strip(),
         "norms": summary.norms,
         "within": summary.within,
         "axes": summary.axes,
@@ -162,6 +162,9 @@ def _row(row: Measured | Published, group: Group) -> dict[str, Any]:
         "failed": sum(row.failures.values()),
         "trust": told(row.trust) if row.trust else None,
         "trusted": row.trust.get(Trust.TRUSTED, 0) if row.trust else None,
+        "trustedWrong": row.trusted_wrong if row.trust else None,
+        "held": [row.held.two_thirds, row.held.nineteen_twentieths] if row.held.count else None,
+        "heldRotations": [row.held.rotation, row.held.rotation_95] if row.held.count else None,
         "seconds": None if math.isnan(row.seconds) else row.seconds,
         "time": brief_seconds(row.seconds),
         "within": row.within,
@@ -238,6 +241,9 @@ def _evidence(run: StoredRow) -> list[tuple[str, str]]:
         usual = f"{_said(run.likely_rotation_deg, 'deg')} and {_said(run.likely_translation_m, 'm')}"
         rare = f"{_said(run.likely_rotation_deg_95, 'deg')} and {_said(run.likely_translation_m_95, 'm')}"
         lines.append(("accuracy", f"two of three within {usual}, 19 of 20 within {rare}"))
+    if run.time_offset_s is not None and run.time_sigma_s is not None:
+        offset = f"{1000 * run.time_offset_s:+.1f} ms (+-{1000 * run.time_sigma_s:.1f})"
+        lines.append(("time", f"images later than told by {offset}, {run.time_use or 'told'}"))
     return lines
 
 

@@ -18,6 +18,7 @@ from p2o.geometry.pose_error import AXES
 from p2o.report.bootstrap import Interval, interval
 from p2o.results.verdict import Trust
 from p2o.study.columns import METRICS
+from p2o.study.held import Held, held, pooled, trusted_wrong
 from p2o.study.store import Planned, StoredRow, StoredStudy
 from p2o.study.study import limits_of
 from p2o.study.tally import farther, near, seconds_of, trust_of
@@ -40,7 +41,8 @@ class Measured:
     every run of the row has an error. `seconds` is the median time of a run, NaN where none is known; `within` counts
     runs that came as near to the truth as the study asks for (None: it does not ask), `worse` those that ended farther
     from it than they began. `perturb` are the sizes of the starts, `places` the frames (or groups of frames that were
-    solved jointly).
+    solved jointly). `held` counts likely errors that held, `trusted_wrong` runs that were called trusted and are far
+    off (`p2o.study.held`).
     """
 
     label: str
@@ -56,6 +58,8 @@ class Measured:
     seconds: float
     within: int | None
     worse: int
+    held: Held
+    trusted_wrong: int
 
 
 @dataclass(frozen=True)
@@ -118,7 +122,8 @@ class Group:
 @dataclass(frozen=True)
 class Summary:
     """A study with its rows. `norms` and `axes` are the metrics to show, `within` what counts as near enough to the
-    truth, as the study file says; empty where it says nothing.
+    truth, as the study file says; empty where it says nothing. `pooled` are lines on whether likely errors held, and
+    trust was deserved, in all runs together.
     """
 
     name: str
@@ -128,6 +133,7 @@ class Summary:
     axes: tuple[str, ...]
     within: str
     groups: tuple[Group, ...]
+    pooled: tuple[str, ...] = ()
 
 
 def error_of(run: StoredRow, metric: str) -> float | None:
@@ -170,7 +176,16 @@ def summarise_study(study: StoredStudy, runs: Sequence[StoredRow], missing: Sequ
         groups.append(Group(heading, tuple(rows), _comparisons(measured, own), own))
     title, note = (str(said.get(word, "")) for word in ("title", "note"))
     asked_for = "" if within is None else str(within)
-    return Summary(study.name, title or study.name, " ".join(note.split()), norms, axes, asked_for, tuple(groups))
+    return Summary(
+        study.name,
+        title or study.name,
+        " ".join(note.split()),
+        norms,
+        axes,
+        asked_for,
+        tuple(groups),
+        tuple(pooled(runs)),
+    )
 
 
 def best(rows: Iterable[Measured], metric: str, statistic: str, digits: int) -> float | None:
@@ -243,6 +258,8 @@ def _measured(label: str, runs: Sequence[StoredRow], waiting: int, within: Pertu
         seconds=seconds_of(runs),
         within=None if within is None else sum(near(run, within) for run in runs),
         worse=sum(farther(run) for run in runs),
+        held=held(runs),
+        trusted_wrong=trusted_wrong(runs),
     )
 
 

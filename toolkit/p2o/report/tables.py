@@ -10,6 +10,7 @@ from typing import Literal
 from p2o.errors import printable
 from p2o.report.bootstrap import MIN_FRAMES, RESAMPLES, Interval
 from p2o.report.summary import Group, Measured, Published, Summary, best
+from p2o.study.held import WRONG_TOLD
 from p2o.study.tally import brief_seconds, told
 
 DIGITS = 3
@@ -28,6 +29,9 @@ NOTES = (
     "A verdict says, without the truth, whether a result may be trusted. Ambiguous: another pose fits about as well. "
     "Doubtful: image and sweep do not seem to belong together, or nothing could check that they do. Refused: there is "
     "no new pose.",
+    f"Trusted, wrong: runs that were called trusted and are {WRONG_TOLD}. Held 2/3 and 19/20: rotations and then "
+    "translations that are off by no more than the run itself said is likely, for two of three and for 19 of 20 runs, "
+    "of the runs that said so; runs without an estimate have said nothing.",
     "Time is the median of the runs of a row, extraction and all, on the machine and beside the work of then.",
     "Pairs are runs on the same frames and seed; negative differences are in favour of the first row.",
 )
@@ -71,6 +75,7 @@ def markdown(summaries: Sequence[Summary], figures: Callable[[Summary], Sequence
             parts.append(f"{_md(summary.note)}\n")
         for group in summary.groups:
             parts += [_markdown_table(table) for table in tables_of(group, summary)]
+        parts += [f"{_md(line)}\n" for line in summary.pooled]
         parts += [f"![{_md(title)}]({file})\n" for title, file in figures(summary)]
     parts += ["## How to read it\n", *(f"{note}\n" for note in NOTES)]
     return "\n".join(parts)
@@ -83,6 +88,7 @@ def latex(summaries: Sequence[Summary]) -> str:
         parts.append(f"\n% {_one_line(summary.name)}")
         for group in summary.groups:
             parts += [_latex_table(table, summary) for table in tables_of(group, summary)]
+        parts += [f"% {_one_line(line)}" for line in summary.pooled]
     parts += ["", *(f"% {note}" for note in NOTES)]
     return "\n".join(parts) + "\n"
 
@@ -127,7 +133,9 @@ def _errors(group: Group, summary: Summary) -> tuple[tuple[str, ...], tuple[tupl
     norms = summary.norms
     columns = [(metric, statistic) for metric in norms for statistic in ("mean", "median")]
     judged = any(row.trust for row in group.measured)
-    header = ("row", "start", "runs", "frames", "not solved", *(["verdict"] if judged else []))
+    promising = any(row.held.count for row in group.measured)
+    header = ("row", "start", "runs", "frames", "not solved", *(["verdict", "trusted, wrong"] if judged else []))
+    header += ("held 2/3", "held 19/20") if promising else ()
     header += (*(["within", "worse"] if summary.within else []), "time [s]")
     titles = tuple(f"{name_of(metric)} {statistic} [{unit_of(metric)[0]}]" for metric, statistic in columns)
     rows = []
@@ -136,7 +144,8 @@ def _errors(group: Group, summary: Summary) -> tuple[tuple[str, ...], tuple[tupl
             texts = [starts_of(row), *[NONE] * (len(header) - 2)]
         else:
             texts = [starts_of(row), str(row.runs), str(len(row.places)), failures_of(row)]
-            texts += [told(row.trust)] if judged else []
+            texts += [told(row.trust), str(row.trusted_wrong) if row.trust else NONE] if judged else []
+            texts += [row.held.two_thirds, row.held.nineteen_twentieths] if promising else []
             texts += [str(row.within), str(row.worse)] if summary.within else []
             texts.append(brief_seconds(row.seconds))
         rows.append((_label(row), *map(Cell, texts), *(_figure(row, group, *column) for column in columns)))

@@ -126,6 +126,19 @@ class SweepMotion:
     twist: tuple[float, ...]
 
 
+@dataclass(frozen=True)
+class TimeOffset:
+    """How much later than the data say the images of a calibration were taken, as the edges tell it.
+
+    `offset_s` with its standard deviation, one for all frames; `used` tells whether the pose is the one for images that
+    were: what lies at `xyz` at the time that the data say is seen from a LiDAR that has moved on by `twist * offset_s`.
+    """
+
+    offset_s: float
+    sigma_s: float
+    used: bool
+
+
 @dataclass(frozen=True, eq=False)
 class Result:
     """One calibration, of one frame or of several jointly.
@@ -137,7 +150,8 @@ class Result:
     method's judge makes of the start and of the estimate, `agreement` how the edges of both sensors meet, `rival` the
     next best pose that is another one; None where there is none. `verdict` says whether all this may be trusted, and
     why not: a result that is not solved is refused. `cameras` says what the edges tell of each camera's calibration,
-    `motions` how the car moved during raw sweeps. `seconds` by stage. `recipe` holds every resolved option.
+    `motions` how the car moved during raw sweeps, `time` how much later than they say images of several frames were
+    taken, None where that cannot be told. `seconds` by stage. `recipe` holds every resolved option.
     """
 
     frames: tuple[str, ...]
@@ -156,6 +170,7 @@ class Result:
     verdict: Verdict = None  # type: ignore[assignment]  # filled in below
     cameras: tuple[CameraCheck, ...] = ()
     motions: tuple[SweepMotion, ...] = ()
+    time: TimeOffset | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     recipe: Mapping[str, Any] = field(default_factory=dict)
@@ -186,3 +201,8 @@ class Result:
     def twist_of(self, frame: str) -> Float | None:
         """Return the velocity (6,) that the edges of a frame were corrected for, or None where they were not."""
         return next((np.array(motion.twist) for motion in self.motions if motion.frame == frame), None)
+
+    @property
+    def later_s(self) -> float:
+        """How much later than the data say the images were taken, as far as the estimate is for that."""
+        return self.time.offset_s if self.time is not None and self.time.used else 0.0

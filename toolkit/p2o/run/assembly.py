@@ -107,7 +107,9 @@ class Assembly:
                 {stage: find(given(frame, stage)) for stage, find in self.stages.items() if stage not in WITNESS}
                 for frame in frames
             ]
-        result = self.calibrated([(frame.name, frame.camera) for frame in frames], pieces, camera_from_lidar)
+        result = self.calibrated(
+            [(frame.name, frame.camera, frame.twist) for frame in frames], pieces, camera_from_lidar
+        )
         if result.status.solved and result.agreement is None:
             with clock.of("witness"):
                 views = [view for frame in frames if (view := self.witness_of_frame(frame)) is not None]
@@ -116,13 +118,16 @@ class Assembly:
         return replace(result, seconds={**clock.seconds, **result.seconds}, warnings=(*warnings, *result.warnings))
 
     def calibrated(
-        self, frames: Sequence[tuple[str, Camera]], pieces: Sequence[Mapping[str, Any]], camera_from_lidar: Float
+        self,
+        frames: Sequence[tuple[str, Camera, Float | None]],
+        pieces: Sequence[Mapping[str, Any]],
+        camera_from_lidar: Float,
     ) -> Result:
-        """Return the result of what was prepared: name and camera of each frame, and its pieces by stage."""
+        """Return the result of what was prepared: name, camera and twist of each frame, and its pieces by stage."""
         if isinstance(self.calibrator, Pipeline):
             views = [
-                self.calibrator.view(name, camera, piece["extractor"], piece["cloud"])
-                for (name, camera), piece in zip(frames, pieces, strict=True)
+                self.calibrator.view(name, camera, piece["extractor"], piece["cloud"], twist)
+                for (name, camera, twist), piece in zip(frames, pieces, strict=True)
             ]
             return self.calibrator.solve(views, camera_from_lidar)
         return self.calibrator.solve([piece["calibrator"] for piece in pieces], camera_from_lidar)

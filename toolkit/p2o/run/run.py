@@ -18,6 +18,7 @@ from p2o.frames.frame import Dataset, Frame
 from p2o.frames.selection import select
 from p2o.geometry import se3
 from p2o.geometry.pose_error import PoseError, pose_error, summarise
+from p2o.geometry.rough_start import rough_start
 from p2o.geometry.start_list import StartList, parse_starts
 from p2o.host.registry import Registry
 from p2o.results.result import Result, Status
@@ -186,18 +187,18 @@ def calibrate(
     rig: bool | str | Path | Mapping[str, Any] | None = None,
     accumulate: str | None = None,
     witness: str | None = None,
-    start: Float | None = None,
+    start: Float | str | None = None,
     on_progress: OnProgress | None = None,
     registry: Registry | None = None,
 ) -> Run:
     """Calibrate frames and return a `Run`; the same as `p2o run`, whose help explains the words.
 
-    `data` is a text DATASET:PATH, a dataset, frames or one frame. `start` (4, 4) is camera_from_lidar to begin with;
-    without it and without `perturb` each frame's own start is used. `options` maps stage to field to value, or lists
-    texts STAGE.FIELD=VALUE. `protocol` names a publication's (`p2o.run.protocol`): its starts are drawn, and its
-    figures are in `Run.summary`. `rig` gives a row for each camera: True where frames name theirs, else a rig file or
-    its content, and `Run.rig` where that tells how the cameras are fixed to each other. What is left out takes the
-    default of `Recipe`.
+    `data` is a text DATASET:PATH, a dataset, frames or one frame. `start` is camera_from_lidar (4, 4) to begin with, or
+    tells it in words (`p2o.geometry.rough_start`); without it and without `perturb` each frame's own start is used.
+    `options` maps stage to field to value, or lists texts STAGE.FIELD=VALUE. `protocol` names a publication's
+    (`p2o.run.protocol`): its starts are drawn, and its figures are in `Run.summary`. `rig` gives a row for each camera:
+    True where frames name theirs, else a rig file or its content, and `Run.rig` where that tells how the cameras are
+    fixed to each other. What is left out takes the default of `Recipe`.
 
     Raises a P2OError for anything wrong with the words, the data or the plugins. Too few matches and the like are
     no errors but a status of the result, and a bad frame among good ones is in `Run.failed`.
@@ -222,6 +223,7 @@ def calibrate(
         calibrator=calibrator,
         options=settings,
         perturb=starts_of(protocol, perturb),
+        start=start if isinstance(start, str) else None,
         seed=seed,
         joint=joint,
         rig=str(rig) if isinstance(rig, Path) else dict(rig) if isinstance(rig, Mapping) else rig,
@@ -229,7 +231,7 @@ def calibrate(
         witness=witness,
     )
     plan = recipe.resolve(Registry.load() if registry is None else registry)
-    done = run(plan, given, start=start, on_progress=on_progress)
+    done = run(plan, given, start=None if isinstance(start, str) else start, on_progress=on_progress)
     return done if protocol is None else replace(done, protocol=protocol_of(protocol))
 
 
@@ -278,6 +280,10 @@ def run(
     calibrated.
     """
     recipe = plan.recipe
+    if recipe.start is not None:
+        if start is not None:
+            raise InputError("a start is given twice, as a pose and in words", expected="one of them")
+        start = rough_start(recipe.start)
     if start is not None:
         if plan.rig is not None:
             raise InputError(

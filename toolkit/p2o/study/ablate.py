@@ -27,8 +27,9 @@ from p2o.run.recipe import Plan, open_dataset
 from p2o.run.run import common_pose, listed_errors, start_of
 from p2o.run.words import split_data
 from p2o.study import worker
+from p2o.study.groups import group_size, groups_of
 from p2o.study.store import Planned, Store, StoredRow, StoredStudy
-from p2o.study.study import ALL_JOINT, LARGEST_SEED, MOST_SEEDS, StudyFile, StudyRow, check_study, retold
+from p2o.study.study import LARGEST_SEED, MOST_SEEDS, StudyFile, StudyRow, check_study, retold
 from p2o.study.worker import Calibration, Extraction, Facts, Plugins, Reading, Source
 from p2o.work.cache import FeatureCache, content_hash, named_files
 from p2o.work.parallel import Run, Workers
@@ -87,8 +88,8 @@ def ablate(
 
     `plugins` are those of this process by default, `workers` one job in this process, `cache` the user's cache of
     features. `overrides` are noted in the store as the words that differ from the study's file. Ctrl-C ends it with
-    `interrupted`; every finished row is kept. A cache that cannot be written is told once through `on_warning`
-    (default: `warnings.warn`) and costs time alone.
+    `interrupted`; every finished row is kept. `on_warning` (default: `warnings.warn`) is told which datasets are left
+    out, as nothing says where they are, and once that a cache cannot be written, which costs time alone.
 
     Raises a P2OError before any work for whatever is wrong with the study, its data or the plugins, and later where
     the store cannot be written any more. A row that raises is a row with status stage-failed; it is tried again the
@@ -100,6 +101,10 @@ def ablate(
     say = on_progress or (lambda progress: None)
     warn = _Once(on_warning or _warn)
     rows = check_study(study.study, plugins.registry())
+    if absent := [table.name for table in study.study.dataset if table.left_out]:
+        (on_warning or _warn)(
+            f"left out, as nothing says where they are: {', '.join(absent)} (--root DIR or --data NAME=DATASET:PATH)"
+        )
     opened = _opened(rows, plugins)
     with Store.open(folder) as store, _turn(store.path.parent) as forward, workers.hired() as run:
         pace = _Pace(say)
@@ -133,7 +138,10 @@ def _warn(text: str) -> None:
 
 
 def _noted(study: StudyFile, overrides: Mapping[str, Any] | None) -> StoredStudy:
-    published = [table.model_dump(mode="json", exclude_none=True) for table in study.study.published]
+    # What stands beside rows that are left out has no place in a table.
+    shown = {label for row in study.study.rows() for label in (row.label, row.label.rpartition(" @ ")[0])}
+    tables = [table for table in study.study.published if table.beside is None or table.beside in shown]
+    published = [table.model_dump(mode="json", exclude_none=True) for table in tables]
     return StoredStudy(study.study.name, study.text, dict(overrides or {}), tuple(published))
 
 
@@ -214,7 +222,8 @@ def _opened(rows: Sequence[StudyRow], plugins: Plugins) -> list[_Opened]:
         sources = tuple(Source(plugins, data, options, index, dataset.names[index], joins) for index in indices)
         # Looked up in the metadata of packages, which takes its time; no seed changes them.
         versions = row.resolve(registry, row.seeds[0]).versions()
-        count += len(row.seeds) * math.ceil(len(sources) / _group_size(row, len(sources)))
+        size = group_size(row.joint, len(sources))
+        count += len(row.seeds) * math.ceil(len(sources) / size)
         if count > _MOST_CALIBRATIONS:
             raise InputError(
                 "the study asks for too many calibrations",
@@ -224,8 +233,7 @@ def _opened(rows: Sequence[StudyRow], plugins: Plugins) -> list[_Opened]:
                 hint="choose fewer frames or seeds: --frames, --seeds",
             )
         methods = {seed: _Method.of(row, seed, options, versions, registry) for seed in row.seeds}
-        begins = indices[:: _group_size(row, len(sources))]
-        listed = listed_errors(row.recipe(row.seeds[0]), dataset.names, begins)
+        listed = listed_errors(row.recipe(row.seeds[0]), dataset.names, indices[::size])
         out.append(_Opened(row, sources, methods, listed))
     return out
 
@@ -332,17 +340,10 @@ class _Cell:
 def _cells(opened: Sequence[_Opened], facts: Mapping[Source, Facts]) -> Iterator[_Cell]:
     """Return every calibration of the study: by row, then frames, then seed."""
     for entry in opened:
-        row, sources = entry.row, entry.sources
-        size = _group_size(row, len(sources))
-        for first in range(0, len(sources), size):
-            group = tuple(facts[source] for source in sources[first : first + size])
+        row = entry.row
+        for group in groups_of(row.joint, [facts[source] for source in entry.sources]):
             for seed in entry.methods:
                 yield _cell(entry, seed, len(group) if row.joint else 0, group)
-
-
-def _group_size(row: StudyRow, frames: int) -> int:
-    """Return how many of a row's frames are solved together."""
-    return {0: 1, ALL_JOINT: frames}.get(row.joint, row.joint)
 
 
 def _cell(entry: _Opened, seed: int, joint: int, group: tuple[Facts, ...]) -> _Cell:

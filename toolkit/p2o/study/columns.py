@@ -26,12 +26,14 @@ METRICS = ("rotation_deg", "translation_m", *AXES)
 RIVAL = ("rival_lead", "rival_rotation_deg", "rival_translation_m")
 LIKELY = ("likely_rotation_deg", "likely_translation_m", "likely_rotation_deg_95", "likely_translation_m_95")
 
+TIME = ("time_offset_s", "time_sigma_s")
+
 # Odds and likely errors may be infinite; errors are not.
 _FINITE = (*METRICS, "start_rotation_deg", "start_translation_m")
-_REAL = (*_FINITE, "agreement", *RIVAL, *LIKELY)
+_REAL = (*_FINITE, "agreement", *RIVAL, *LIKELY, *TIME)
 _INTEGER = ("joint", "seed")
 _POSE = ("estimate", "start", "truth")
-_OPTIONAL_TEXT = ("perturb", "why", "rival_unit", "exception")
+_OPTIONAL_TEXT = ("perturb", "why", "rival_unit", "time_use", "exception")
 
 _LARGEST = 2**53
 """No count and no seed is larger, and integers up to here are floats without loss."""

@@ -24,6 +24,7 @@ from p2o.results.verdict import Trust
 from p2o.study.columns import (
     LIKELY,
     RIVAL,
+    TIME,
     from_column,
     json_text,
     parsed_object,
@@ -33,7 +34,7 @@ from p2o.study.columns import (
 )
 
 FILE = "study.sqlite"
-_VERSION = 2
+_VERSION = 3
 _BUSY_S = 60.0
 _WAIT_S = 1.0
 """SQLite itself waits so long at a time: while it does, nothing interrupts it."""
@@ -79,8 +80,9 @@ class StoredRow(Planned):
     `Result`; `exception` the traceback where the run raised. The errors are of `estimate` against `truth`, None
     where either is unknown; a refused calibration has the errors of its start, which is what the user is left with.
     `trust` is the word of the verdict and `why` its reasons, `agreement` the odds ratio, `rival_lead` (in `rival_unit`)
-    and so on the next best pose, `likely_rotation_deg` and so on the likely accuracy, `judged` the costs of start and
-    estimate as a dict; None where there is none, as in every row of a store of version 1.
+    and so on the next best pose, `likely_rotation_deg` and so on the likely accuracy, `time_offset_s`, `time_sigma_s`
+    and `time_use` ("used" or "told") the offset between images and sweeps, `judged` the costs of start and estimate as
+    a dict; None where there is none, as in every row of a store of a version that did not know it.
     `estimate`, `start` and `truth` are camera_from_lidar (4, 4). `rounds` holds `Round`s as dicts, `matches` counts
     by direction, `seconds` by stage, `recipe` every option that took effect, `inputs` the hashes of each frame's
     image and sweep. `finished` is the time of day in UTC, ISO 8601.
@@ -113,6 +115,9 @@ class StoredRow(Planned):
     likely_translation_m: float | None = None
     likely_rotation_deg_95: float | None = None
     likely_translation_m_95: float | None = None
+    time_offset_s: float | None = None
+    time_sigma_s: float | None = None
+    time_use: str | None = None
     judged: Mapping[str, Any] | None = None
     estimate: Float | None = None
     start: Float | None = None
@@ -159,6 +164,9 @@ class StoredStudy:
 _LABELS = tuple(f.name for f in fields(Planned))
 _VALUES = tuple(f.name for f in fields(StoredRow) if f.name not in _LABELS)
 _NEW_IN_2 = ("trust", "why", "agreement", *RIVAL, "rival_unit", *LIKELY, "judged")
+_NEW_IN_3 = (*TIME, "time_use")
+_NEW_SINCE = {1: (*_NEW_IN_2, *_NEW_IN_3), 2: _NEW_IN_3}
+"""Columns that a store of an earlier version lacks."""
 _PLAN = ("study", "position", *(c for c in _LABELS if c != "study"))
 _RUNS = ("key", *_VALUES)
 
@@ -179,10 +187,16 @@ _SCHEMA = (
 )
 
 # Version 2 has more columns, and rounds whose cost need not be in pixels. Rows of before have none of the new.
-_FROM_1_TO_2 = (
-    *(f"ALTER TABLE runs ADD COLUMN {c} {type_of(c)}" for c in _NEW_IN_2),
+_FROM_1_TO_3 = (
+    *(f"ALTER TABLE runs ADD COLUMN {c} {type_of(c)}" for c in _NEW_SINCE[1]),
     """UPDATE runs SET rounds = replace(replace(rounds, '"mean_residual_px":', '"mean_residual":'),
     '"directed_cost_px":', '"cost":')""",
+    "DROP VIEW rows",
+    _VIEW,
+)
+# Version 3 has the offset in time.
+_FROM_2_TO_3 = (
+    *(f"ALTER TABLE runs ADD COLUMN {c} {type_of(c)}" for c in _NEW_SINCE[2]),
     "DROP VIEW rows",
     _VIEW,
 )
@@ -213,7 +227,7 @@ class Store:
     def open(cls, folder: str | Path, *, create: bool = True) -> Store:
         """Return the store of a folder, which is made if need be (`create` False: InputError where there is none).
 
-        A store of version 1 is brought to this version; its rows say nothing in the columns that are new. Raises
+        A store of an earlier version is brought to this one; its rows say nothing in the columns that are new. Raises
         InputError for a folder that cannot be written and for a file that is no store, one of another version, or one
         that is damaged.
         """
@@ -404,7 +418,7 @@ class Store:
                 raise _foreign(self.path, f"the {kind} '{name}'")
         for table, expected in _TABLES.items():
             there = {name: key for _, name, _, _, _, key in self._all(f"PRAGMA table_info({table})", ())}
-            asked = set(expected) - (set(_NEW_IN_2) if version == 1 else set())
+            asked = set(expected) - set(_NEW_SINCE.get(version, ()))
             if there.keys() != asked or {name for name, key in there.items() if key} != set(_KEYS[table]):
                 raise _foreign(self.path, f"a table '{table}' of other columns")
 
@@ -420,7 +434,7 @@ class Store:
 
     def _prepare(self) -> None:
         """Make the tables of a new file, or bring those of an older one up to date."""
-        for version, statements in ((0, _SCHEMA), (1, _FROM_1_TO_2)):
+        for version, statements in ((0, _SCHEMA), (1, _FROM_1_TO_3), (2, _FROM_2_TO_3)):
             if self._version() == version:
                 with self._transaction():
                     # Another process may have been first since we looked.

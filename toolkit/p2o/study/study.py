@@ -23,7 +23,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StrictBool, StringConstraints, ValidationError
 
 from p2o.errors import InputError, P2OError, UnknownNameError, printable
-from p2o.files.input_file import expanded, read_text
+from p2o.files.input_file import existing_folder, expanded, read_text
 from p2o.files.parsed_text import parse_toml
 from p2o.geometry.perturb import Perturbation, parse_perturbation
 from p2o.geometry.start_list import parse_starts
@@ -39,6 +39,8 @@ FOLDER = "studies"
 
 ALL_JOINT = -1
 """Number of frames that are solved together where it is all of them."""
+BY_CAMERA = -2
+"""Number of frames that are solved together where it is all of one camera and rig."""
 
 MOST_SEEDS = 10_000
 """So many starts a row; more would tell nothing that these do not."""
@@ -63,7 +65,7 @@ Seed = Annotated[int, Field(strict=True, ge=0, le=LARGEST_SEED)]
 Seeds = (
     Annotated[int, Field(strict=True, ge=1, le=MOST_SEEDS)] | Annotated[tuple[Seed, ...], Field(max_length=MOST_SEEDS)]
 )
-Joint = StrictBool | Annotated[int, Field(strict=True, ge=2)]
+Joint = StrictBool | Annotated[int, Field(strict=True, ge=2)] | Literal["camera"]
 Metric = Literal["rotation_deg", "translation_m", "roll_deg", "pitch_deg", "yaw_deg", "x_m", "y_m", "z_m"]
 Options = dict[str, dict[str, Any]]
 
@@ -107,12 +109,37 @@ class Variant(Words):
 
 
 class DatasetTable(_Table):
-    """Frames to run on: `data` is DATASET:PATH as in `p2o run`, or DATASET: where the path comes from --data."""
+    """Frames to run on: `data` is DATASET:PATH as in `p2o run`, or DATASET: where the path comes from --data.
+
+    `path` is where they are below the folder of --root. `split` names their lists in a file of splits, for
+    `--frames @FILE`. One that is `optional` is left out where nothing says where its frames are.
+    """
 
     name: Slug
     data: str
     frames: str = "all"
+    path: str = ""
+    split: tuple[str, ...] = ()
+    optional: bool = False
     options: dict[str, Any] = Field(default_factory=dict)
+
+    @property
+    def left_out(self) -> bool:
+        """True where the rows of this dataset are left out, as nothing says where its frames are."""
+        return self.optional and not self.data.partition(":")[2]
+
+    def below(self, root: Path) -> DatasetTable:
+        """Return the dataset with its `path` below a folder, where it has one, says no other, and is there."""
+        at = root / self.path
+        if not self.path or self.data.partition(":")[2] or not at.is_dir():
+            return self
+        return self.model_copy(update={"data": f"{self.data.partition(':')[0]}:{at}"})
+
+    def chosen(self, spec: str) -> DatasetTable:
+        """Return the dataset with other frames; of a file of splits that names none, those that `split` says."""
+        if self.split and spec.startswith("@") and not set("#,") & set(spec):
+            spec = ",".join(f"{spec}#{split}" for split in self.split)
+        return self.model_copy(update={"frames": spec})
 
 
 class _Scope(_Table):
@@ -162,7 +189,7 @@ class Study(_Table):
 
     `defaults` are words of every row that does not say otherwise. `perturb`, `joint` and `seeds` hold for all rows
     that do not say their own: a perturbation as in `p2o run`, or a `protocol` that draws starts and whose figures are
-    told below the table; False (each frame alone), True (all frames together)
+    told below the table; False (each frame alone), True (all frames together), "camera" (all of one camera together)
     or a number N (groups of N successive frames together, the last of which may be smaller); a number of seeds, 0 to
     N - 1, or a list. `metrics` are the columns of the tables; with `within`, a size such as "0.5deg 0.15m", they count
     who ended so near to the truth, and who ended farther from it than the start.
@@ -190,19 +217,30 @@ class Study(_Table):
         return None if self.within is None else limits_of(self.within, f"study {self.name}, within")
 
     def overridden(
-        self, data: Sequence[str] = (), frames: str | None = None, seeds: int | Sequence[int] | None = None
+        self,
+        data: Sequence[str] = (),
+        frames: str | Sequence[str] | None = None,
+        seeds: int | Sequence[int] | None = None,
+        root: str | Path | None = None,
     ) -> Study:
         """Return the study on other data, frames or seeds, as the command line says them.
 
-        `data` are texts DATASET:PATH (a study of one dataset) or NAME=DATASET:PATH. `seeds` replaces those of single
-        rows too. Raises UnknownNameError for a dataset that the study does not name, InputError where it is not said
-        which of several is meant.
+        `data` are texts DATASET:PATH (a study of one dataset) or NAME=DATASET:PATH, `root` the folder that holds those
+        of the others where the study says it. `frames` are for all datasets, or NAME=SPEC for one. `seeds` replaces
+        those of single rows too. Raises UnknownNameError for a dataset that the study does not name, InputError where
+        it is not said which of several is meant, or `root` is no folder.
         """
         tables = {table.name: table for table in self.dataset}
         for name, value in data_by_name(data, tables, f"study {self.name}").items():
             tables[name] = tables[name].model_copy(update={"data": value})
-        if frames is not None:
-            tables = {name: table.model_copy(update={"frames": frames}) for name, table in tables.items()}
+        if root is not None:
+            folder = existing_folder(Path(root), "the data of studies")
+            tables = {name: table.below(folder) for name, table in tables.items()}
+        for spec in () if frames is None else (frames,) if isinstance(frames, str) else frames:
+            name, equals, rest = spec.partition("=")
+            one = bool(equals) and name in tables
+            for key in (name,) if one else tuple(tables):
+                tables[key] = tables[key].chosen(rest if one else spec)
         changes: dict[str, Any] = {"dataset": tuple(tables.values())}
         if seeds is not None:
             own = {"seeds": seeds if isinstance(seeds, int) else tuple(seeds)}
@@ -225,7 +263,8 @@ class StudyRow:
     """One row of a study's table on one dataset, ready to be resolved.
 
     `said` holds the words as the file says them (names of variants stay), `words` those of the recipe without data,
-    frames, seed and joint. `joint` is the number of frames to solve together: 0 each alone, ALL_JOINT all.
+    frames, seed and joint. `joint` is the number of frames to solve together: 0 each alone, ALL_JOINT all, BY_CAMERA
+    all of one camera.
     """
 
     label: str
@@ -298,7 +337,15 @@ class _Expansion:
         for published in self.study.published:
             if published.beside is not None and published.beside not in labels:
                 raise UnknownNameError("row", published.beside, labels - {""}, where=f"{self.where}, published rows")
-        yield from found
+        given = [row for row in found if not row.dataset.left_out]
+        if not given:
+            raise InputError(
+                "no data are given",
+                where=self.where,
+                expected="--root DIR or --data NAME=DATASET:PATH with a NAME of "
+                + ", ".join(dict.fromkeys(row.dataset.name for row in found)),
+            )
+        yield from given
 
     def _refuse_too_many(self) -> None:
         """Raise InputError where there are more rows than anyone can wait for; none of them is made for that."""
@@ -371,7 +418,7 @@ class _Expansion:
                 said={word: value for word, value in said.items() if word in METHOD_WORDS},
                 words=merged,
                 seeds=tuple(range(seeds)) if isinstance(seeds, int) else self._distinct(label, seeds),
-                joint=(ALL_JOINT if joint else 0) if isinstance(joint, bool) else joint,
+                joint=_frames_of(joint),
                 where=self.where,
             )
             for table in datasets
@@ -427,6 +474,13 @@ class _Expansion:
 
     def _fail(self, what: str, expected: str) -> None:
         raise InputError(what, where=self.where, expected=expected)
+
+
+def _frames_of(joint: bool | int | str) -> int:
+    """Return how many frames are solved together, as `StudyRow.joint` has it."""
+    if isinstance(joint, bool):
+        return ALL_JOINT if joint else 0
+    return BY_CAMERA if isinstance(joint, str) else joint
 
 
 def _axes(product: Product) -> dict[str, tuple[str, ...]]:

@@ -12,6 +12,7 @@ from p2o.geometry.perturb import Perturbation
 from p2o.results.verdict import Trust
 from p2o.run.protocol import protocol_of
 from p2o.run.protocol import told as protocol_told
+from p2o.study.held import Held, held, pooled, trusted_wrong
 from p2o.study.store import StoredRow
 from p2o.study.study import Published, Study
 
@@ -28,7 +29,8 @@ class Tally:
     `trust` counts the calibrations by the word of their verdict; those that crashed, and those of stores that know
     nothing of verdicts, have none. `seconds` is the median time of a calibration, extraction and all; NaN where none is
     known. `within` counts those that were solved to within what the study asks for, None where it asks for nothing,
-    `worse` those that ended farther from the truth than they began, in rotation or in translation.
+    `worse` those that ended farther from the truth than they began, in rotation or in translation. `held` counts likely
+    errors that held, `trusted_wrong` those that were called trusted and are far off (`p2o.study.held`).
     """
 
     row: str
@@ -42,6 +44,8 @@ class Tally:
     seconds: float
     within: int | None
     worse: int
+    held: Held
+    trusted_wrong: int
 
     @property
     def refused(self) -> int:
@@ -70,6 +74,8 @@ def tallies(rows: Iterable[StoredRow], metrics: Sequence[str], within: Perturbat
                 seconds=seconds_of(found),
                 within=None if within is None else sum(near(r, within) for r in found),
                 worse=sum(farther(r) for r in found),
+                held=held(found),
+                trusted_wrong=trusted_wrong(found),
             )
         )
     return out
@@ -112,7 +118,10 @@ def table(study: Study, rows: Sequence[StoredRow]) -> str:
     stacked = len(study.metrics) > _BESIDE
     # Those that were refused are among the failed ones.
     words = [word for word in Trust if word is not Trust.REFUSED and any(tally.trust.get(word) for tally in found)]
-    counted = ["runs", "failed", *words, *([] if within is None else ["within", "worse"]), "s"]
+    trusting, promising = Trust.TRUSTED in words, any(tally.held.count for tally in found)
+    counted = ["runs", "failed", *words, *(["trusted wrong"] if trusting else [])]
+    counted += ["held 2/3", "held 19/20"] if promising else []
+    counted += [*([] if within is None else ["within", "worse"]), "s"]
     if stacked:
         head = ["", *counted, "", *map(_head, study.metrics), ""]
     else:
@@ -126,6 +135,8 @@ def table(study: Study, rows: Sequence[StoredRow]) -> str:
             lines.append([f"[{section}]" if section else ""])
         counts = [tally.row, str(tally.count), _failed(tally)]
         counts += [str(tally.trust.get(word, 0)) if tally.trust else "-" for word in words]
+        counts += ([str(tally.trusted_wrong)] if tally.trust else ["-"]) if trusting else []
+        counts += [tally.held.two_thirds, tally.held.nineteen_twentieths] if promising else []
         counts += [] if within is None else [str(tally.within), str(tally.worse)]
         counts.append(brief_seconds(tally.seconds))
         if stacked:
@@ -143,7 +154,8 @@ def table(study: Study, rows: Sequence[StoredRow]) -> str:
         lines += [_published(study, p, len(counted), stacked) for p in apart]
     widths = [max((len(line[i]) for line in [head, *lines] if len(line) > i > 0), default=0) for i in range(len(head))]
     widths[0] = max((len(line[0]) for line in lines), default=0)
-    return "\n".join([*(_line(cells, widths) for cells in (head, *lines)), *_by_protocol(study, rows)])
+    below = (*pooled(rows), *_by_protocol(study, rows))
+    return "\n".join([*(_line(cells, widths) for cells in (head, *lines)), *below])
 
 
 def _by_protocol(study: Study, rows: Sequence[StoredRow]) -> list[str]:

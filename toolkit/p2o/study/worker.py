@@ -111,6 +111,8 @@ class Facts:
     camera: Camera | None = None
     camera_from_lidar: Float | None = None
     start: Float | None = None
+    camera_name: str = ""
+    twist: Float | None = None
     warnings: tuple[str, ...] = ()
     misfits: Mapping[str, str] = field(default_factory=dict)
     reason: str = ""
@@ -176,6 +178,8 @@ def read(job: Reading) -> Facts:
         frame.camera,
         frame.camera_from_lidar,
         frame.start,
+        frame.camera_name,
+        frame.twist,
         frame.warnings,
         misfits=misfits,
         unkept=cache.unkept,
@@ -293,6 +297,9 @@ def _beside(result: Result) -> dict[str, Any]:
     found: dict[str, Any] = {} if result.agreement is None else {"agreement": result.agreement.odds_ratio}
     for prefix, value in (("rival", result.rival), ("likely", result.accuracy)):
         found |= {f"{prefix}_{name}": part for name, part in parts(value) or ()}
+    if result.time is not None:
+        found |= {"time_offset_s": result.time.offset_s, "time_sigma_s": result.time.sigma_s}
+        found["time_use"] = "used" if result.time.used else "told"
     return {name: None if value != value else value for name, value in found.items()}
 
 
@@ -313,7 +320,7 @@ def _result(job: Calibration) -> Result:
                 found[stage] = _frame(facts.source).without_truth()
         return found
 
-    frames = [(facts.name, _camera(facts)) for facts in job.facts]
+    frames = [(facts.name, _camera(facts), facts.twist) for facts in job.facts]
     own = [stage for stage in assembly.stages if stage not in WITNESS]
     each = list(zip(job.facts, job.keys, strict=True))
     result = assembly.calibrated(frames, [pieces(facts, keys, own) for facts, keys in each], job.row.start)
@@ -321,7 +328,7 @@ def _result(job: Calibration) -> Result:
     seconds = {**result.seconds, "extract": sum(took)}
     if result.status.solved and result.agreement is None:
         views = []
-        for (name, camera), (facts, keys) in zip(frames, each, strict=True):
+        for (name, camera, _), (facts, keys) in zip(frames, each, strict=True):
             # The witness was not asked for by name: where it cannot work, the verdict says that nothing was checked.
             with contextlib.suppress(P2OError):
                 if all(stage in keys for stage in WITNESS):

@@ -1,0 +1,94 @@
+"""Whether results told the truth about themselves: likely errors that held, and trusted results that are wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from p2o.geometry.perturb import Perturbation
+from p2o.results.verdict import Trust
+from p2o.study.store import StoredRow
+
+WRONG = Perturbation(angle_deg=1.0, distance_m=0.3)
+"""A result that is farther from the truth, in rotation or in translation, should not be called trusted."""
+WRONG_TOLD = f"over {WRONG.angle_deg:g} deg or {100 * WRONG.distance_m:g} cm off"
+
+
+@dataclass(frozen=True)
+class Held:
+    """Of `count` results that say how wrong they may be, and whose error is known, so many were no worse than that.
+
+    `rotation` and `translation` count those within the bound that two of three should keep, `rotation_95` and
+    `translation_95` those within the one that nineteen of twenty should.
+    """
+
+    count: int
+    rotation: int
+    translation: int
+    rotation_95: int
+    translation_95: int
+
+    @property
+    def two_thirds(self) -> str:
+        """Rotations and translations within the bound for two of three, such as "13/20 12/20"; "-" for no result."""
+        return self._shares(self.rotation, self.translation)
+
+    @property
+    def nineteen_twentieths(self) -> str:
+        """Rotations and translations within the bound for nineteen of twenty."""
+        return self._shares(self.rotation_95, self.translation_95)
+
+    def _shares(self, *held: int) -> str:
+        return " ".join(f"{number}/{self.count}" for number in held) if self.count else "-"
+
+
+def held(rows: Iterable[StoredRow]) -> Held:
+    """Return how many of the results kept what they promised; those without a likely error, or a truth, are left out.
+
+    A likely error that is infinite promises nothing, and holds.
+    """
+    kept: list[tuple[bool, bool, bool, bool]] = []
+    for row in rows:
+        pairs = (
+            (row.rotation_deg, row.likely_rotation_deg),
+            (row.translation_m, row.likely_translation_m),
+            (row.rotation_deg, row.likely_rotation_deg_95),
+            (row.translation_m, row.likely_translation_m_95),
+        )
+        known = [error <= bound for error, bound in pairs if error is not None and bound is not None]
+        if row.solved and len(known) == len(pairs):
+            kept.append((known[0], known[1], known[2], known[3]))
+    return Held(len(kept), *(sum(column) for column in zip(*kept, strict=True)) if kept else (0, 0, 0, 0))
+
+
+def trusted_wrong(rows: Iterable[StoredRow]) -> int:
+    """Return how many results were called trusted and are farther from the truth than `WRONG`."""
+    return sum(row.trust is Trust.TRUSTED and _wrong(row) for row in rows)
+
+
+def pooled(rows: Iterable[StoredRow]) -> list[str]:
+    """Return lines that tell of all rows together whether likely errors held and trust was deserved; none for none."""
+    found = list(rows)
+    kept, lines = held(found), []
+    if kept.count:
+        shares = [
+            f"{_share(turned, kept.count)} of rotations and {_share(moved, kept.count)} of translations ({name})"
+            for turned, moved, name in (
+                (kept.rotation, kept.translation, "two of three promised"),
+                (kept.rotation_95, kept.translation_95, "19 of 20 promised"),
+            )
+        ]
+        lines.append(f"Likely errors of {kept.count} runs held for {', '.join(shares)}")
+    trusted = sum(row.trust is Trust.TRUSTED for row in found)
+    if trusted:
+        lines.append(f"Trusted: {trusted} runs, {trusted_wrong(found)} of them {WRONG_TOLD}")
+    return lines
+
+
+def _share(number: int, count: int) -> str:
+    return f"{100 * number / count:.0f} %"
+
+
+def _wrong(row: StoredRow) -> bool:
+    sizes = (row.rotation_deg, WRONG.angle_deg), (row.translation_m, WRONG.distance_m)
+    return any(error is not None and error > bound for error, bound in sizes)
