@@ -29,7 +29,7 @@ _BEYOND, _FARTHEST = 1.1, 1.4
 # How wrong the nearest of the poses spread over the box is; then what is left in each climb, its steps, and which share
 # of the kept poses goes on: deg, m, steps, share. Chosen on every other frame of KITTI odometry 00.
 _SPREAD = (3.0, 0.45)
-_CLIMBS = ((2.0, 0.3, 4, 0.35), (1.0, 0.15, 4, 0.075), (0.5, 0.08, 4, 0.015), (0.25, 0.04, 4, 0.005))
+_CLIMBS = ((2.0, 0.3, 4, 0.5), (1.0, 0.15, 4, 0.15), (0.5, 0.08, 4, 0.02), (0.25, 0.04, 4, 0.005))
 # Poses closer than this, in units of what is left, are one.
 _SEPARATE = 0.7
 _DAMPING, _EASED, _STIFFER = 0.03, 0.5, 8.0
