@@ -9,6 +9,7 @@ import numpy as np
 from p2o import Side, View, se3
 from p2o.arrays import Bool, Float, Int
 from p2o.geometry.camera import Camera
+from p2o.problems.directed_cost import opencv_alone
 
 Float32 = np.ndarray
 
@@ -25,13 +26,16 @@ _AT_ONCE = 50_000
 
 @dataclass(frozen=True, eq=False)
 class _Maps:
-    """Densities of one view: `flat` holds (direction, row, column) of every blur one after the other, `slope` its rise
-    per pixel across the direction; `first`, `height`, `width`, `cell_px` (blurs,) say where and how large each is. A
-    border of zeros around each map is what points outside of the image fall on.
+    """Densities of one view, of those directions `sides` that its image edges have.
+
+    `flat` holds (direction, row, column) of every blur one after the other, `slope` its rise per pixel across the
+    direction; `first`, `height`, `width`, `cell_px` (blurs,) say where and how large each is. A border of zeros around
+    each map is what points outside of the image fall on.
     """
 
     focal_px: float
     centre: tuple[float, float]
+    sides: Int
     flat: Float32
     slope: Float32
     first: Int
@@ -94,10 +98,11 @@ class EdgeDensity:
             maps = _maps(view) if len(edges) and len(view.image_edges) else None
             if maps is None:
                 continue
+            edges = edges.select(np.isin(edges.side, maps.sides))
             xyz = se3.apply(around, edges.xyz)
             distance = np.maximum(np.linalg.norm(xyz, axis=1), 1.0)
-            side = edges.side.astype(np.int64) + 1
-            parts.append(_Part(maps, xyz.astype(np.float32), side, edges.weight, edges.sigma_m, distance))
+            parts.append(_Part(maps, xyz.astype(np.float32), edges.side, edges.weight, edges.sigma_m, distance))
+        parts = [part for part in parts if len(part.xyz)]
         return cls(tuple(parts))
 
     @property
@@ -151,15 +156,13 @@ def _pinhole(camera: Camera) -> tuple[float, tuple[float, float], tuple[int, int
     if not len(plane):
         return None
     low, high = (np.clip(end, -_WIDEST_TAN, _WIDEST_TAN) for end in (plane.min(axis=0), plane.max(axis=0)))
-    focal = min(_FOCAL_PX, _MOST_PX / float((high - low).max()))
+    focal = min(_FOCAL_PX, _MOST_PX / max(float((high - low).max()), 1e-3))
     size = np.maximum(np.ceil((high - low) * focal).astype(int) + 1, 2)
     return focal, (float(-low[0] * focal), float(-low[1] * focal)), (int(size[0]), int(size[1]))
 
 
 def _maps(view: View) -> _Maps | None:
     """Return the densities of the image edges of a view, or None where its camera sees nothing."""
-    import cv2
-
     pinhole = _pinhole(view.camera)
     if pinhole is None:
         return None
@@ -169,39 +172,52 @@ def _maps(view: View) -> _Maps | None:
     with np.errstate(divide="ignore", invalid="ignore"):
         uv = rays[:, :2] / rays[:, 2:] * focal + centre
         inside = (rays[:, 2] > 0) & (uv >= 0).all(axis=1) & (uv <= [columns - 1, rows - 1]).all(axis=1)
-    uv, side, weight = uv[inside], edges.side[inside].astype(np.int64) + 1, edges.weight[inside]
+    uv, weight = uv[inside], edges.weight[inside]
+    sides, number = np.unique(edges.side[inside], return_inverse=True)
+    upright = np.isin(sides, _UPRIGHT)
     flats, slopes, shapes, cells = [], [], [], []
     for width in _WIDTHS_PX:
         cell = max(1, int(width // 4))
         shape = ((rows - 1) // cell + 2, (columns - 1) // cell + 2)
-        maps = np.zeros((len(Side), *shape), np.float32)
+        maps = np.zeros((len(sides), *shape), np.float32)
         at = np.rint(uv / cell).astype(np.int64)
-        np.add.at(maps, (side, at[:, 1], at[:, 0]), weight.astype(np.float32))
-        padded, slope = (np.zeros((len(Side), shape[0] + 2, shape[1] + 2), np.float32) for _ in range(2))
-        for number in np.unique(side):
-            near = _blurred(cv2, maps[number], width / cell)
+        np.add.at(maps, (number, at[:, 1], at[:, 0]), weight.astype(np.float32))
+        padded, slope = (np.zeros((len(sides), shape[0] + 2, shape[1] + 2), np.float32) for _ in range(2))
+        for one, of_side in enumerate(maps):
+            near = _blurred(of_side, width / cell)
             mean = float(near.mean())
             if mean > 0:
-                padded[number, 1:-1, 1:-1] = (near - _blurred(cv2, near, _AROUND * width / cell)) / mean
-        slope[_UPRIGHT, :, 2:-2] = (padded[_UPRIGHT, :, 3:-1] - padded[_UPRIGHT, :, 1:-3]) / (2 * cell)
-        slope[_LEVEL, 2:-2] = (padded[_LEVEL, 3:-1] - padded[_LEVEL, 1:-3]) / (2 * cell)
+                padded[one, 1:-1, 1:-1] = (near - _blurred(near, _AROUND * width / cell)) / mean
+        slope[upright, :, 2:-2] = (padded[upright, :, 3:-1] - padded[upright, :, 1:-3]) / (2 * cell)
+        slope[~upright, 2:-2] = (padded[~upright, 3:-1] - padded[~upright, 1:-3]) / (2 * cell)
         flats.append(padded.ravel())
         slopes.append(slope.ravel())
         shapes.append(padded.shape[1:])
         cells.append(cell)
     first = np.cumsum([0, *(len(flat) for flat in flats[:-1])])
     height, width_of = np.array(shapes).T
-    return _Maps(focal, centre, np.concatenate(flats), np.concatenate(slopes), first, height, width_of, np.array(cells))
+    return _Maps(
+        focal_px=focal,
+        centre=centre,
+        sides=sides,
+        flat=np.concatenate(flats),
+        slope=np.concatenate(slopes),
+        first=first,
+        height=height,
+        width=width_of,
+        cell_px=np.array(cells),
+    )
 
 
-_UPRIGHT = np.array([Side.LEFT, Side.RIGHT]) + 1
 # Edges without a direction are held up and down; the other way their neighbours at corners do it.
-_LEVEL = np.array([Side.NONE, Side.UPPER, Side.BOTTOM]) + 1
+_UPRIGHT = (Side.LEFT, Side.RIGHT)
 
 
-def _blurred(cv2: object, values: Float32, sigma: float) -> Float32:
-    blurred: Float32 = cv2.GaussianBlur(values, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)  # type: ignore[attr-defined]
-    return blurred
+def _blurred(values: Float32, sigma: float) -> Float32:
+    import cv2
+
+    with opencv_alone():
+        return np.asarray(cv2.GaussianBlur(values, (0, 0), sigma, borderType=cv2.BORDER_REFLECT))
 
 
 _SHARPNESS = 0.7
@@ -217,6 +233,7 @@ def _points(part: _Part, angle_rad: float, length_m: float) -> _Points:
     weight = part.weight / (1.0 + (maps.focal_px * part.sigma_m / part.distance_m / off_px) ** 2)
     weight = weight / np.sqrt(off_px / off_px.min())
     width, height, cell = maps.width[level], maps.height[level], maps.cell_px[level]
+    number = np.searchsorted(maps.sides, part.side)
     return _Points(
         maps=maps,
         xyz=np.ascontiguousarray(part.xyz.T),
@@ -225,7 +242,7 @@ def _points(part: _Part, angle_rad: float, length_m: float) -> _Points:
         last_column=(width - 1).astype(np.float32),
         last_row=(height - 1).astype(np.float32),
         width=width.astype(np.int32),
-        first=(maps.first[level] + part.side * width * height).astype(np.int32),
+        first=(maps.first[level] + number * width * height).astype(np.int32),
         upright=np.isin(part.side, _UPRIGHT),
         curvature=(1.0 / np.square(_WIDTHS_PX)[level]).astype(np.float32),
     )
