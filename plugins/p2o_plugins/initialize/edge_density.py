@@ -6,10 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from p2o import Side, View, se3
+from p2o import Camera, Side, View, se3
 from p2o.arrays import Bool, Float, Int
-from p2o.geometry.camera import Camera
-from p2o.problems.directed_cost import opencv_alone
 
 Float32 = np.ndarray
 
@@ -216,8 +214,13 @@ _UPRIGHT = (Side.LEFT, Side.RIGHT)
 def _blurred(values: Float32, sigma: float) -> Float32:
     import cv2
 
-    with opencv_alone():
+    # Intel's code in OpenCV gives other last bits with other addresses in memory: two runs would not agree.
+    before = cv2.ipp.useIPP()
+    cv2.ipp.setUseIPP(False)
+    try:
         return np.asarray(cv2.GaussianBlur(values, (0, 0), sigma, borderType=cv2.BORDER_REFLECT))
+    finally:
+        cv2.ipp.setUseIPP(before)
 
 
 _SHARPNESS = 0.7

@@ -88,7 +88,7 @@ def _distance(cells: Int, shape: tuple[int, int], truncate_px: float, scale: int
     free = np.ones(shape, np.uint8)
     free[cells[:, 1], cells[:, 0]] = 0
     if exact:
-        with opencv_alone():
+        with _opencv_alone():
             distance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     else:
         distance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_5)
@@ -96,7 +96,7 @@ def _distance(cells: Int, shape: tuple[int, int], truncate_px: float, scale: int
 
 
 @contextmanager
-def opencv_alone() -> Iterator[None]:
+def _opencv_alone() -> Iterator[None]:
     """Keep OpenCV from handing work of this thread to Intel's IPP.
 
     Its exact distances differ in their last bits with the address of the result in memory, and it is only used where
