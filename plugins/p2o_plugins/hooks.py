@@ -59,9 +59,9 @@ def p2o_solvers() -> Iterator[Method]:
 @hookimpl
 def p2o_initializers() -> Iterator[Method]:
     """Offer the ways to find a start."""
-    from p2o_plugins.initialize import given, grid, search
+    from p2o_plugins.initialize import far, given, grid, search
 
-    yield from (given.METHOD, grid.METHOD, search.METHOD)
+    yield from (far.METHOD, given.METHOD, grid.METHOD, search.METHOD)
 
 
 @hookimpl

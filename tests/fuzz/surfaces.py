@@ -247,6 +247,7 @@ _STAGES: tuple[tuple[str, str, str | None], ...] = (
     ("solver", "solver", "nelder-mead"),
     ("initializer", "initializer", "search"),
     ("initializer", "initializer", "grid"),
+    ("initializer", "initializer", "far"),
 )
 
 

@@ -87,6 +87,27 @@ def test_a_wide_start_needs_the_grid_and_the_grid_finds_it() -> None:
     assert pose_error(result.camera_from_lidar, TRUTH).rotation_deg < 0.02
 
 
+def test_what_the_camera_sees_is_told_anew_where_the_pose_was_found_far_from_the_start() -> None:
+    view = edge_scene.view()
+    begin = se3.make(None, [1.5, 0.0, 0.0]) @ TRUTH
+    # A wall right before the camera of the start; from where the camera is, it stands to the right of the image.
+    wall = np.array([[x, y, 1.5] for x in np.arange(-1, 1, 0.01) for y in np.arange(-0.4, 0.4, 0.01)])
+    view = replace(view, cloud=replace(view.cloud, points=se3.apply(se3.inverse(begin), wall)))
+    from_start, from_truth = (len(view.without_hidden(pose).cloud_edges) for pose in (begin, TRUTH))
+    assert from_start < 0.7 * from_truth
+    seen = []
+
+    def watched(views, pose, reach_px):
+        seen.append(len(views[0].cloud_edges))
+        return built(ogm)(views, pose, reach_px)
+
+    finds = replace(pipeline(), matcher=watched, initializer=lambda views, pose: [start(0, 0.3)])
+    result = finds.solve([view], begin)
+    assert pose_error(result.camera_from_lidar, TRUTH).rotation_deg < 0.02
+    assert seen[0] == from_start
+    assert seen[-1] == pytest.approx(from_truth, rel=0.02)
+
+
 @pytest.mark.parametrize("initializer", [given, search])
 def test_moving_the_lidar_frame_moves_the_answer_by_exactly_that(initializer) -> None:
     view, begin = edge_scene.view(noise_px=0.5), start()

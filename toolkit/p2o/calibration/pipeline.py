@@ -12,10 +12,10 @@ import numpy as np
 from p2o.arrays import Float
 from p2o.calibration.accuracy import likely_accuracy
 from p2o.calibration.camera_check import at_full_size
-from p2o.calibration.judge import judge_of
+from p2o.calibration.judge import Judge, judge_of
 from p2o.calibration.nuisance import Nuisance, adjusted, known_twists, motion_prior
 from p2o.calibration.options import PipelineOptions as PipelineOptions
-from p2o.calibration.rounds import Rounds, counts, mean_residuals_px
+from p2o.calibration.rounds import End, Rounds, counts, mean_residuals_px
 from p2o.calibration.verdict import agreement_of, rival_of, verdict_of
 from p2o.features.missing import patched
 from p2o.features.remarks import CloudRemarks
@@ -98,18 +98,19 @@ class Pipeline:
             seen = nuisance.views(raw)
             poses = self.initializer(seen, start) or [start]
         with clock.of("refine"):
-            reach = {"truncate_px": options.judge_px, "reach_px": options.min_reach_px}
-            judge = judge_of(self.matcher, self.needs, seen, start, poses, **reach)
-            # Basins come best first; the given start among them is only tried when nothing else was proposed.
-            found = [pose for pose in poses if not np.allclose(pose, start, atol=1e-12)]
-            ends = [
-                rounds(seen, start, pose, judge, reach_px=options.reach_after_search_px, found_by="initialize")
-                for pose in found
-            ] or [rounds(seen, start, start, judge, reach_px=options.reach_px)]
-        solved = [end for end in ends if end.solved]
+            ends, judge = self._refined(rounds, seen, start, poses)
+            solved = [end for end in ends if end.solved]
+            if solved:
+                best = _best(solved, judge)
+                if _far(best.pose, start):
+                    # What the camera sees was told from a place where it is not: tell it anew, and refine again.
+                    raw = [self._seen(view, best.pose) for view in views]
+                    seen = nuisance.views(raw)
+                    again, judge = self._refined(rounds, seen, start, [end.pose for end in solved])
+                    solved = [end for end in again if end.solved] or solved
+                    best = _best(solved, judge)
         if not solved:
             return refused(ends[0].status, ends[0].reason, ends[0].rounds)
-        best = solved[int(np.argmin(judge.costs([end.pose for end in solved])))]
         rival = rival_of(solved, best, judge)
         with clock.of("adjust"):
             final = adjusted(raw, start, best, judge, nuisance, rounds)
@@ -149,6 +150,21 @@ class Pipeline:
             warnings=remarks_of(views),
             seconds=clock.seconds,
         )
+
+    def _refined(
+        self, rounds: Rounds, seen: Sequence[View], start: Float, poses: Sequence[Float]
+    ) -> tuple[list[End], Judge]:
+        """Return where the rounds from each pose that an initializer proposes end, and what judges them."""
+        options = self.options
+        reach = {"truncate_px": options.judge_px, "reach_px": options.min_reach_px}
+        judge = judge_of(self.matcher, self.needs, seen, start, poses, **reach)
+        # Basins come best first; the given start among them is only tried when nothing else was proposed.
+        found = [pose for pose in poses if not np.allclose(pose, start, atol=1e-12)]
+        ends = [
+            rounds(seen, start, pose, judge, reach_px=options.reach_after_search_px, found_by="initialize")
+            for pose in found
+        ] or [rounds(seen, start, start, judge, reach_px=options.reach_px)]
+        return ends, judge
 
     def _seen(self, view: View, start: Float) -> View:
         """Return the view without edges that the camera cannot see, sides told in image axes."""
@@ -199,6 +215,23 @@ def remarks_of(views: Sequence[View]) -> tuple[str, ...]:
     """Return what the cloud extractors had to say about the sweeps, each named by its frame."""
     said = ((view.name, view.get(CloudRemarks.word)) for view in views)
     return tuple(f"{name}: {text}" for name, remarks in said if remarks is not None for text in remarks.texts)
+
+
+_FAR_DEG, _FAR_M = 6.0, 0.5
+"""A pose that is further from the start sees other surfaces and may name other directions."""
+
+
+def _far(pose: Float, start: Float) -> bool:
+    return se3.angle_deg(pose @ se3.inverse(start)) > _FAR_DEG or _apart_m(pose, start) > _FAR_M
+
+
+def _apart_m(pose: Float, other: Float) -> float:
+    """Return how far apart two poses put the camera."""
+    return float(np.linalg.norm(se3.inverse(pose)[:3, 3] - se3.inverse(other)[:3, 3]))
+
+
+def _best(ends: Sequence[End], judge: Judge) -> End:
+    return ends[int(np.argmin(judge.costs([end.pose for end in ends])))]
 
 
 def _edges_first(word: str) -> tuple[bool, bool, str]:

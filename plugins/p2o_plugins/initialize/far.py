@@ -1,0 +1,151 @@
+"""Initializer `far`: finds the pose within a known box of many degrees and more than a metre, one frame or many."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from p2o import Initializer, Method, Options, View, field, se3
+from p2o.arrays import Bool, Float, Int
+
+from p2o_plugins.initialize.edge_density import DensityAt, EdgeDensity
+
+
+class FarOptions(Options):
+    """Options of the far search."""
+
+    reach_deg: float = field(20.0, gt=0, le=60, help="Half size of the box about each axis of the camera.")
+    reach_m: float = field(1.5, gt=0, le=10, help="Half size of the box along each axis of the camera.")
+    scatter: int = field(65536, ge=1024, le=10_000_000, help="Poses spread over the box, rounded up to a power of two.")
+    kept: int = field(2000, ge=10, le=100_000, help="Best separate of them that are led uphill.")
+    proposals: int = field(5, ge=1, le=100, help="Best ends that are handed on.")
+    max_points: int = field(1500, ge=50, help="LiDAR edge points used, evenly thinned over all frames.")
+    max_frames: int = field(12, ge=1, help="Frames used, evenly taken of a larger group; the others join afterwards.")
+    seed: int = field(0, ge=0, help="Seed of the random generator.")
+
+
+# The box is searched a little beyond its walls: turns and shifts told in one order are others in another order.
+_BEYOND, _FARTHEST = 1.1, 1.4
+# How wrong the nearest of the poses spread over the box is; then what is left in each climb, its steps, and which share
+# of the kept poses goes on: deg, m, steps, share. Chosen on every other frame of KITTI odometry 00.
+_SPREAD = (3.0, 0.45)
+_CLIMBS = ((2.0, 0.3, 4, 0.5), (1.0, 0.15, 4, 0.15), (0.5, 0.08, 4, 0.02), (0.25, 0.04, 4, 0.005))
+# Poses closer than this, in units of what is left, are one.
+_SEPARATE = 0.7
+_DAMPING, _EASED, _STIFFER = 0.03, 0.5, 8.0
+
+
+def build(options: FarOptions) -> Initializer:
+    """Return an initializer that gives the poses at which the climbs end, best first.
+
+    Poses spread evenly over the box are scored by how dense image edges are where LiDAR edges of their direction fall,
+    blurred as widely as these poses are apart. The best separate ones climb, while blurs and their number shrink: near
+    the right pose the score rises further than anywhere else with every step.
+    """
+
+    def initialize(views: Sequence[View], camera_from_lidar: Float) -> list[Float]:
+        rng = np.random.default_rng(options.seed)
+        rows = np.unique(np.linspace(0, len(views) - 1, min(len(views), options.max_frames)).astype(int))
+        chosen = [views[row] for row in rows]
+        reachable = [_reachable(view, camera_from_lidar, options, rng) for view in chosen]
+        density = EdgeDensity.of(chosen, camera_from_lidar, reachable, options.max_points)
+        if not density.points:
+            return [camera_from_lidar]
+        moves = _spread(density.at(np.radians(_SPREAD[0]), _SPREAD[1]), options)
+        for deg, metres, steps, share in _CLIMBS:
+            unit = _unit(deg, metres)
+            moves, score = _climbed(density.at(np.radians(deg), metres), moves, unit, steps)
+            inside = (np.abs(_tangents(moves)) <= _FARTHEST * _unit(options.reach_deg, options.reach_m)).all(axis=1)
+            moves, score = moves[inside], score[inside]
+            if not len(moves):
+                return [camera_from_lidar]
+            most = max(options.proposals, round(share * options.kept))
+            moves = moves[_separate(_tangents(moves) / unit, score, most)]
+        return [np.asarray(move @ camera_from_lidar) for move in moves[: options.proposals]]
+
+    return initialize
+
+
+def _unit(deg: float, metres: float) -> Float:
+    """Return a size of turns and shifts as one of each of the six parameters (6,), rad and m."""
+    return np.repeat([np.radians(deg), metres], 3)
+
+
+def _moves(tangents: Float) -> Float:
+    """Return moves (N, 4, 4) of the camera frame from rotation vectors and shifts (N, 6)."""
+    moves = se3.exp(np.concatenate([tangents[:, :3], np.zeros((len(tangents), 3))], axis=1))
+    moves[:, :3, 3] = tangents[:, 3:]
+    return moves
+
+
+def _tangents(moves: Float) -> Float:
+    """Return rotation vectors and shifts (N, 6) of moves (N, 4, 4)."""
+    from scipy.spatial.transform import Rotation
+
+    return np.concatenate([Rotation.from_matrix(moves[:, :3, :3]).as_rotvec(), moves[:, :3, 3]], axis=1)
+
+
+def _reachable(view: View, start: Float, options: FarOptions, rng: np.random.Generator) -> Bool:
+    """Return which LiDAR edges some pose at the walls, edges and corners of the box brings into the image."""
+    walls = rng.choice([-1.0, 0.0, 1.0], (60, 6)) * _unit(options.reach_deg, options.reach_m)
+    seen = np.zeros(len(view.cloud_edges), np.bool_)
+    for move in _moves(walls):
+        seen |= view.camera.in_image(view.camera.project(se3.apply(move @ start, view.cloud_edges.xyz)))
+    return seen
+
+
+def _spread(score: DensityAt, options: FarOptions) -> Float:
+    """Return the best separate moves (N, 4, 4) of many that fill the box evenly."""
+    from scipy.stats import qmc
+
+    power = int(np.ceil(np.log2(options.scatter)))
+    even = qmc.Sobol(6, scramble=True, seed=options.seed).random_base2(power)
+    tangents = (2.0 * even - 1.0) * _BEYOND * _unit(options.reach_deg, options.reach_m)
+    parts = np.array_split(tangents, -(-len(tangents) // 4096))
+    scores = np.concatenate([score(_moves(part)) for part in parts])
+    return _moves(tangents[_separate(tangents / _unit(*_SPREAD), scores, options.kept)])
+
+
+def _separate(places: Float, score: Float, most: int) -> Int:
+    """Return the rows of up to `most` best of places (N, 6), none closer to a better one than is one place."""
+    # Only so many are looked at: below them nothing is worth its time.
+    order = np.argsort(-score, kind="stable")[: 6 * most]
+    places, alive, chosen = places[order], np.ones(len(order), np.bool_), []
+    for i in range(len(order)):
+        if alive[i]:
+            chosen.append(order[i])
+            if len(chosen) == most:
+                break
+            alive &= np.square(places - places[i]).sum(axis=1) > _SEPARATE**2
+    return np.array(chosen)
+
+
+def _climbed(score: DensityAt, moves: Float, unit: Float, steps: int) -> tuple[Float, Float]:
+    """Return moves (N, 4, 4) and their scores after damped steps uphill (Levenberg, Marquardt), none over `unit`."""
+    damping = np.full(len(moves), _DAMPING)
+    value, gradient, curvature = score.normal_equations(moves)
+    for _ in range(steps):
+        diagonal = np.einsum("kii->ki", curvature)
+        # Directions that nothing holds: a step of one unit costs a little of the score.
+        held = _DAMPING * np.maximum(value, 1.0)[:, None] / unit**2
+        firm = curvature + (damping[:, None] * diagonal + held)[:, :, None] * np.eye(6)
+        step = np.linalg.solve(firm, gradient[:, :, None])[:, :, 0]
+        step /= np.maximum(1.0, np.abs(step / unit).max(axis=1))[:, None]
+        tried = _moves(step) @ moves
+        tried_value, tried_gradient, tried_curvature = score.normal_equations(tried)
+        better = tried_value > value
+        moves = np.where(better[:, None, None], tried, moves)
+        value = np.where(better, tried_value, value)
+        gradient = np.where(better[:, None], tried_gradient, gradient)
+        curvature = np.where(better[:, None, None], tried_curvature, curvature)
+        damping *= np.where(better, _EASED, _STIFFER)
+    return moves, value
+
+
+METHOD = Method(
+    name="far",
+    build=build,
+    options=FarOptions,
+    summary="Whole box of 20 deg and 1.5 m: densities of edges, then many climbs (far starts).",
+    needs={"image-edges", "cloud-edges"},
+)

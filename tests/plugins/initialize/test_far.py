@@ -1,0 +1,119 @@
+"""The far search finds the pose anywhere in its box, for one frame and many, whatever the camera."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from p2o import Camera, CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, View, se3
+from p2o.geometry.perturb import parse_perturbation
+from p2o_plugins.initialize import far
+from p2o_plugins.initialize.edge_density import EdgeDensity
+
+from tests import edge_scene
+
+QUICK = {"scatter": 16384, "kept": 800}
+
+
+def far_start(seed: int, size: str = "euler camera 20deg 1.5m") -> np.ndarray:
+    return parse_perturbation(size).start(edge_scene.TRUTH, np.random.default_rng(seed))
+
+
+def off(pose: np.ndarray) -> tuple[float, float]:
+    """Return how far a pose is from the truth: degrees, and metres between the two cameras."""
+    places = (se3.inverse(at)[:3, 3] for at in (pose, edge_scene.TRUTH))
+    return se3.angle_deg(pose @ se3.inverse(edge_scene.TRUTH)), float(np.linalg.norm(np.subtract(*places)))
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    "camera", [edge_scene.PINHOLE, edge_scene.DISTORTED, edge_scene.FISHEYE], ids=lambda c: c.model
+)
+def test_the_best_proposal_is_the_right_basin_from_anywhere_in_the_box(camera: Camera, seed: int) -> None:
+    view = edge_scene.view(camera, seed=seed)
+    best = far.build(far.FarOptions(**QUICK))([view], far_start(seed))[0]
+    deg, metres = off(best)
+    assert deg < 1.0
+    assert metres < 0.2
+
+
+def test_a_camera_of_another_size_is_searched_alike() -> None:
+    small = Camera.pinhole(350.0, 350.0, 300.0, 90.0, 621, 188)
+    deg, metres = off(far.build(far.FarOptions(**QUICK))([edge_scene.view(small)], far_start(1))[0])
+    assert deg < 1.0
+    assert metres < 0.2
+
+
+def test_frames_that_tell_too_little_alone_tell_it_together() -> None:
+    views = [edge_scene.view(seed=seed, boxes=4, name=str(seed)) for seed in range(8)]
+    deg, metres = off(far.build(far.FarOptions(**QUICK))(views, far_start(3))[0])
+    assert deg < 1.0
+    assert metres < 0.2
+
+
+def test_of_a_large_group_some_frames_are_searched_with() -> None:
+    """A frame that is not used may be wrong: only the second of three is left out here."""
+    good, wrong = edge_scene.view(seed=0), edge_scene.view(seed=1, truth=far_start(5))
+    start, options = far_start(0), far.FarOptions(max_frames=2, **QUICK)
+    with_wrong = far.build(options)([good, wrong, good], start)
+    without = far.build(options)([good, good], start)
+    assert all(map(np.array_equal, with_wrong, without))
+
+
+def test_edges_without_directions_are_found_too() -> None:
+    view = edge_scene.view(boxes=60).without_sides()
+    start = far_start(2, "euler camera 5deg 0.3m")
+    deg, metres = off(far.build(far.FarOptions(reach_deg=5.0, reach_m=0.3, **QUICK))([view], start)[0])
+    assert deg < 1.0
+    assert metres < 0.2
+
+
+def test_proposals_stay_within_reach_of_the_start() -> None:
+    start = far_start(0)
+    found = far.build(far.FarOptions(reach_deg=3.0, reach_m=0.2, **QUICK))([edge_scene.view()], start)
+    moves = far._tangents(np.stack([pose @ se3.inverse(start) for pose in found]))
+    assert (np.abs(moves[:, :3]) < np.radians(3.0 * 1.5)).all()
+    assert (np.abs(moves[:, 3:]) < 0.2 * 1.5).all()
+
+
+def test_a_seed_gives_the_same_bytes_and_another_one_other_poses() -> None:
+    view, start = edge_scene.view(), far_start(0)
+    once, again, other = (far.build(far.FarOptions(seed=s, **QUICK))([view], start) for s in (0, 0, 1))
+    assert [p.tobytes() for p in once] == [p.tobytes() for p in again]
+    assert [p.tobytes() for p in once] != [p.tobytes() for p in other]
+
+
+@pytest.mark.parametrize("lacks", ["image", "cloud", "reach"])
+def test_without_edges_that_could_meet_the_given_pose_is_proposed(lacks: str) -> None:
+    view, start = edge_scene.view(), far_start(0)
+    if lacks == "image":
+        view = replace(view, image=ImageFeatures(ImageEdges.empty()))
+    elif lacks == "cloud":
+        view = replace(view, cloud=CloudFeatures(CloudEdges.empty()))
+    else:
+        start = se3.exp(np.array([0, np.pi, 0, 0, 0, 0])) @ start
+    found = far.build(far.FarOptions(reach_deg=10.0, **QUICK))([view], start)
+    assert len(found) == 1
+    assert np.array_equal(found[0], start)
+
+
+def density(view: View, around: np.ndarray) -> EdgeDensity:
+    return EdgeDensity.of([view], around, [np.ones(len(view.cloud_edges), np.bool_)], 10_000)
+
+
+def test_the_right_pose_scores_best_and_points_out_of_the_image_score_nothing() -> None:
+    score = density(edge_scene.view(), edge_scene.TRUTH).at(np.radians(0.5), 0.05)
+    moves = se3.exp(np.array([[0.0] * 6, [0, 0.1, 0, 0, 0, 0], [0, np.pi, 0, 0, 0, 0]]))
+    right, turned, away = score(moves)
+    assert right > 3 * turned
+    assert away == 0.0
+
+
+@pytest.mark.parametrize("camera", [edge_scene.PINHOLE, edge_scene.FISHEYE], ids=lambda c: c.model)
+def test_a_climb_from_near_by_ends_at_the_top(camera: Camera) -> None:
+    score = density(edge_scene.view(camera), edge_scene.TRUTH).at(np.radians(0.5), 0.08)
+    near = far._moves(np.array([[0.006, 0.005, -0.007, 0.05, -0.05, 0.08], [-0.004, 0.006, 0.005, -0.06, 0.03, -0.1]]))
+    ends, values = far._climbed(score, near, far._unit(0.5, 0.08), 6)
+    assert (values > score(near)).all()
+    assert all(se3.angle_deg(end) < 0.15 and se3.distance_m(end) < 0.04 for end in ends)
