@@ -15,6 +15,7 @@ from p2o.calibration.judge import judge_of
 from p2o.calibration.nuisance import Nuisance, adjusted, motion_prior
 from p2o.calibration.options import PipelineOptions as PipelineOptions
 from p2o.calibration.rounds import Rounds, counts, mean_residuals_px
+from p2o.calibration.shifts import beam_covariance
 from p2o.calibration.verdict import agreement_of, rival_of, verdict_of
 from p2o.features.missing import patched
 from p2o.features.remarks import CloudRemarks
@@ -112,9 +113,10 @@ class Pipeline:
         with clock.of("agree"):
             agreed = agreement_of(seen, end.pose)
         covariance = final.covariance
-        told = (
-            None if covariance is None or agreed is None else likely_accuracy(covariance, end.pose, agreed.odds_ratio)
-        )
+        told = None
+        if covariance is not None and agreed is not None and end.problem is not None:
+            beams = beam_covariance(end.problem, end.pose)
+            told = likely_accuracy(covariance, beams, end.pose, agreed)
         if covariance is None and end.solution is not None:
             covariance = end.solution.covariance
         return Result(
@@ -132,7 +134,7 @@ class Pipeline:
             agreement=agreed,
             rival=rival,
             verdict=verdict_of(
-                agreed, rival, final.cameras, options, places=final.places if judge.name == DIRECTED else None
+                agreed, rival, final.cameras, options, told, places=final.places if judge.name == DIRECTED else None
             ),
             cameras=final.cameras,
             motions=final.nuisance.sweep_motions(views),
