@@ -149,7 +149,7 @@ def test_a_run_ends_near_the_truth(family: Family, capsys: pytest.CaptureFixture
     # Edges that the method never saw meet there more often than by chance, and the verdict goes by them.
     assert done["agreement"]["odds_ratio"] > 2
     assert (done["verdict"]["trust"] == "trusted") == (
-        done["agreement"]["odds_ratio"] >= PipelineOptions().min_odds_ratio
+        done["agreement"]["strength"] >= PipelineOptions().min_strength
     )
 
 

@@ -27,7 +27,7 @@ class PipelineOptions(Options):
     )
     judge_px: float = option(5.0, gt=1, le=100, help="Truncation of the directed distance that poses are judged by.")
     min_strength: float = option(
-        9.0,
+        10.0,
         ge=0,
         help="A lower agreement of both sensors' edges is called doubtful: the logarithm of the odds ratio, times the "
         "root of the places where they meet.",
