@@ -48,7 +48,6 @@ class Rig:
         options = {**self.options, "extractor": {"weights": self.weights}}
         return Recipe.of(data=self.data, extractor=self.extractor, options=options).resolve(Registry.load())
 
-
     def groups(self, names: Sequence[str]) -> list[list[int]]:
         """Return the numbers of frames that may be solved together."""
         if self.apart:

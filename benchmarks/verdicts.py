@@ -48,7 +48,9 @@ def main() -> None:
     collecting.add_argument("--out", type=Path, required=True, help="folder of rows.jsonl, and of features")
     collecting.add_argument("--rigs", help="names with commas; all by default")
     collecting.add_argument("--most", type=int, default=12, help="frames of a rig, spread evenly")
-    collecting.add_argument("--splits", default="../shared/data/splits.json", help="file that names KITTI's train frames")
+    collecting.add_argument(
+        "--splits", default="../shared/data/splits.json", help="file that names KITTI's train frames"
+    )
     fitting = commands.add_parser("fit", help="fit the law, one rig left out at a time")
     fitting.add_argument("--rows", type=Path, required=True, help="folder of rows.jsonl")
     arguments = parser.parse_args()

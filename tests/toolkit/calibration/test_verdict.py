@@ -53,6 +53,10 @@ def test_the_same_odds_are_worth_less_in_few_places() -> None:
     verdict = verdict_of(few, None, (), OPTIONS)
     assert (verdict.trust, verdict.reasons[0].doubt) == (Trust.DOUBTFUL, Doubt.LITTLE_AGREEMENT)
     assert Agreement(0.03, 0.03, 500, 60).strength == 0.0
+    # Nor do very many places make up for odds that are hardly better than chance.
+    much_of_little = Agreement(0.045, 0.03, 90_000, 9000)
+    assert much_of_little.strength > GOOD.strength
+    assert not verdict_of(much_of_little, None, (), OPTIONS).trusted
     assert np.isnan(Agreement(0.0, 0.0, 0).strength)
 
 

@@ -62,9 +62,7 @@ def likely_accuracy(
     return Accuracy(*bounds[0], *bounds[1], roll, pitch, yaw, x, y, z)
 
 
-def likely_covariance(
-    pairs: Float, beams: Float, camera_from_lidar: Float, odds_ratio: float, law: Law = LAW
-) -> Float:
+def likely_covariance(pairs: Float, beams: Float, camera_from_lidar: Float, odds_ratio: float, law: Law = LAW) -> Float:
     """Return the covariance (6, 6) of likely errors: turns about the camera axes in rad, places of the LiDAR in m.
 
     A sum of covariances: a direction that one part leaves open becomes wider, and no other.

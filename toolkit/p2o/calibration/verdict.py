@@ -61,7 +61,7 @@ def verdict_of(
 
     Doubtful is, too, what may be far off by its own likely error (`accuracy`), whatever else speaks for it. `places` is from how many places of the pictures pairs come, None where that is not known.
     """
-    reasons = [*_rivalry(rival, options.min_lead_edges), *_meeting(agreed, options.min_strength), *_unsure(accuracy, options)]
+    reasons = [*_rivalry(rival, options.min_lead_edges), *_meeting(agreed, options), *_unsure(accuracy, options)]
     if places is not None and places < _ENOUGH_PLACES:
         text = (
             f"pairs come from {places} places of the picture alone, too few to tell how good the pose is; take more "
@@ -80,19 +80,20 @@ def _rivalry(rival: Rival | None, min_lead_edges: float) -> list[Reason]:
     return [Reason(Doubt.RIVAL_POSE, f"{text} start")]
 
 
-def _meeting(agreed: Agreement | None, min_strength: float) -> list[Reason]:
+def _meeting(agreed: Agreement | None, options: PipelineOptions) -> list[Reason]:
     """Return a reason where edges meet little more often than by chance, or there are none to tell."""
     if agreed is None:
         text = "nothing could check that image and sweep meet at this pose: there are no edges of both sensors"
         return [Reason(Doubt.NOT_CHECKED, text)]
-    if agreed.strength >= min_strength:
+    if agreed.odds_ratio >= options.min_odds_ratio and agreed.strength >= options.min_strength:
         return []
     return [
         Reason(
             Doubt.LITTLE_AGREEMENT,
-            "image and LiDAR edges meet in too few places, or little more often than by chance (strength "
-            f"{agreed.strength:.1f}, {min_strength:g} or more is usual at a right pose); look at the overlay, and "
-            "check that image and sweep belong to the same moment; take more frames together",
+            f"image and LiDAR edges meet little more often than by chance, or in too few places (odds ratio "
+            f"{agreed.odds_ratio:.1f} in {agreed.places} places, strength {agreed.strength:.1f}; "
+            f"{options.min_odds_ratio:g} and {options.min_strength:g} or more are usual at a right pose); look at the "
+            "overlay, check that image and sweep belong to the same moment, or take more frames together",
         )
     ]
 
@@ -119,5 +120,5 @@ def witnessed(result: Result, views: Sequence[View], options: PipelineOptions) -
     seen = [view.as_seen_from(result.camera_from_lidar).without_hidden(result.camera_from_lidar) for view in views]
     agreed = agreement_of(seen, result.camera_from_lidar)
     kept = tuple(reason for reason in result.verdict.reasons if reason.doubt is not Doubt.NOT_CHECKED)
-    verdict = Verdict((*kept, *_meeting(agreed, options.min_strength)))
+    verdict = Verdict((*kept, *_meeting(agreed, options)))
     return replace(result, agreement=agreed, verdict=verdict)
