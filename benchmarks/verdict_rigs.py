@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from p2o.frames.frame import Frame
 from p2o.frames.selection import select
 from p2o.host.registry import Registry
 from p2o.run.recipe import Plan, Recipe
-from p2o.work.cache import content_hash, features_key
+from p2o.work.cache import FeatureCache, content_hash, features_key
 
 
 @dataclass(frozen=True)
@@ -138,11 +137,13 @@ def seen(rig: Rig, kept: Path, splits: str, most: int | None = None) -> Iterator
     numbers = select(dataset.names, rig.frames.format(splits=splits), skipped=dataset.skipped)
     if most is not None and len(numbers) > most:
         numbers = [numbers[at] for at in np.linspace(0, len(numbers) - 1, most).round().astype(int)]
-    key = content_hash([features_key(plan.parts[stage], rig.data) for stage in ("extractor", "cloud")])[:12]
+    cache, parts = FeatureCache(kept), [features_key(plan.parts[stage], rig.data) for stage in ("extractor", "cloud")]
     for number in numbers:
-        path = kept / f"{rig.name}-{key}" / f"{number}.pkl"
-        if not path.exists():
+        key = content_hash([*parts, rig.crop, number])
+        found = cache.get(key)
+        if found is None:
             frame = cropped(dataset[number], rig.crop)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(pickle.dumps(Seen(pipeline.prepare(frame), frame.camera_from_lidar)))
-        yield pickle.loads(path.read_bytes())
+            cache.put(key, (pipeline.prepare(frame), frame.camera_from_lidar), 0.0)
+            found = cache.get(key)
+        assert found is not None
+        yield Seen(*found.features)

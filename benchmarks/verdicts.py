@@ -306,7 +306,8 @@ def fitted(rows: Sequence[Row]) -> Law:
 
 def _variances(row: Row) -> Float:
     """Return the variances (2, 6) by axis that pairs and beams make."""
-    assert row.covariance is not None and row.beams is not None
+    assert row.covariance is not None
+    assert row.beams is not None
     place = np.eye(6)
     place[3:, :3] = -se3.skew(row.pose[:3, 3])
     return np.stack([np.diag(place @ part @ place.T) for part in (row.covariance, row.beams)])

@@ -30,8 +30,8 @@ class PipelineOptions(Options):
     min_strength: float = option(
         10.0,
         ge=0,
-        help="Doubtful is a lower strength of the agreement, too: the logarithm of the odds ratio times the root of the "
-        "places where edges meet.",
+        help="Doubtful is a lower strength of the agreement, too: the logarithm of the odds ratio times the root of "
+        "the places where edges meet.",
     )
     most_deg: float = option(
         1.0, gt=0, help="A result of which one in twenty is likely to be further off is called doubtful."

@@ -23,10 +23,7 @@ def beam_covariance(problem: PointToLine, camera_from_lidar: Float) -> Float:
     weight = problem.weight * problem.huber_px / np.maximum(np.abs(residuals), problem.huber_px)
     inverse = np.linalg.pinv((rows * weight[:, None]).T @ rows)
     shift = (weight * problem.sigma_px)[:, None] * rows
-    gradients = []
-    for side in (Side.NONE, *SIDES):
-        its = problem.side == side
-        for way in np.eye(2) if side is Side.NONE else np.array([side.background], np.float64):
-            gradients.append((problem.normal[its] @ way) @ shift[its])
+    ways = [(Side.NONE, (1, 0)), (Side.NONE, (0, 1)), *((side, side.background) for side in SIDES)]
+    gradients = [np.where(problem.side == side, problem.normal @ np.array(way), 0.0) @ shift for side, way in ways]
     moved = np.stack(gradients) @ inverse
     return np.asarray(moved.T @ moved)

@@ -59,7 +59,8 @@ def verdict_of(
 ) -> Verdict:
     """Return the verdict on a pose: doubtful where edges do not seem to belong together, or nothing can tell.
 
-    Doubtful is, too, what may be far off by its own likely error (`accuracy`), whatever else speaks for it. `places` is from how many places of the pictures pairs come, None where that is not known.
+    Doubtful is, too, what may be far off by its own likely error (`accuracy`), whatever else speaks for it. `places` is
+    from how many places of the pictures pairs come, None where that is not known.
     """
     reasons = [*_rivalry(rival, options.min_lead_edges), *_meeting(agreed, options), *_unsure(accuracy, options)]
     if places is not None and places < _ENOUGH_PLACES:

@@ -58,8 +58,9 @@ _ORDER = tuple(Trust)
 class Verdict:
     """Whether a result may be trusted; `reasons` say why not, and are remarks where it may be.
 
-    `refused`: there is no new pose. `doubtful`: image and sweep do not seem to belong together at this pose, or too
-    little could check that they do, or it may be far off by its own likely error. `ambiguous`: another pose fits about as well. `trusted`: none of these.
+    `refused`: there is no new pose. `doubtful`: image and sweep do not seem to belong together at this pose, too little
+    could check that they do, or it may be far off by its own likely error. `ambiguous`: another pose fits about as
+    well. `trusted`: none of these.
     """
 
     reasons: tuple[Reason, ...] = ()
