@@ -25,6 +25,7 @@ import numpy as np
 import p2o.calibration.pipeline as steps
 from p2o.arrays import Float
 from p2o.calibration.accuracy import LAW, Law, likely_accuracy, weakness
+from p2o.calibration.shifts import Spread
 from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.geometry.perturb import wrong_start
@@ -124,7 +125,7 @@ def collect(out: Path, names: str | None, most: int, splits: str) -> None:
             rng = np.random.default_rng([job.seed, job.frames[0], len(job.frames)])
             with _Recorded() as recorded:
                 result = pipeline.solve(job.views(frames), wrong_start(truth, START_DEG, START_M, rng))
-            row = {"key": key, "rig": rig.name, "kind": job.kind, **measured(result, truth, recorded.beams)}
+            row = {"key": key, "rig": rig.name, "kind": job.kind, **measured(result, truth, recorded.spread)}
             cameras = [frames[number].view.camera for number in job.frames]
             row |= {"truth_deg": rig.truth_deg, "truth_m": rig.truth_m, "focal_px": cameras[0].focal_px}
             with path.open("a") as file:
@@ -133,9 +134,9 @@ def collect(out: Path, names: str | None, most: int, splits: str) -> None:
 
 
 class _Recorded:
-    """Records the covariance (6, 6) by the beams that a pipeline makes its likely error of."""
+    """Records what a pipeline makes its likely error of."""
 
-    beams: Float | None = None
+    spread: Spread | None = None
 
     def __enter__(self) -> _Recorded:
         self._made = steps.likely_accuracy
@@ -145,12 +146,12 @@ class _Recorded:
     def __exit__(self, *problem: object) -> None:
         steps.likely_accuracy = self._made
 
-    def _record(self, pairs: Float, beams: Float, *rest: Any) -> Accuracy:
-        self.beams = beams
-        return self._made(pairs, beams, *rest)
+    def _record(self, spread: Spread, *rest: Any) -> Accuracy:
+        self.spread = spread
+        return self._made(spread, *rest)
 
 
-def measured(result: Result, truth: Float, beams: Float | None) -> dict[str, Any]:
+def measured(result: Result, truth: Float, spread: Spread | None) -> dict[str, Any]:
     """Return what there is to know about a result, as JSON."""
     error, moved = pose_error(result.camera_from_lidar, truth), se3.inverse(result.start) @ result.camera_from_lidar
     row: dict[str, Any] = {
@@ -170,20 +171,18 @@ def measured(result: Result, truth: Float, beams: Float | None) -> dict[str, Any
     for name in ("accuracy", "agreement", "rival", "judged"):
         part = getattr(result, name)
         row[name] = None if part is None else asdict(part)
-    told = beams is not None and result.covariance is not None
-    row["covariance"] = result.covariance.tolist() if told and result.covariance is not None else None
-    row["beams"] = beams.tolist() if told and beams is not None else None
+    parts = ("pairs", "beams", "rings")
+    row["spread"] = None if spread is None else {name: getattr(spread, name).tolist() for name in parts}
     return row
 
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One line of rows.jsonl. Arrays: `error` (6,) by `AXES` in rad and m, `covariance` and `beams` (6, 6)."""
+    """One line of rows.jsonl; `error` (6,) by `AXES` in rad and m."""
 
     said: Mapping[str, Any]
     error: Float
-    covariance: Float | None
-    beams: Float | None
+    spread: Spread | None
     pose: Float
 
     @classmethod
@@ -192,9 +191,9 @@ class Row:
         said = json.loads(line)
         axes = np.array(said["axes"], np.float64)
         axes[:3] = np.radians(axes[:3])
-        told = said["covariance"] is not None
-        covariance, beams = (np.array(said[name]) if told else None for name in ("covariance", "beams"))
-        return cls(said, axes, covariance, beams, np.array(said["pose"]))
+        parts = said["spread"]
+        spread = None if parts is None else Spread(**{name: np.array(part) for name, part in parts.items()})
+        return cls(said, axes, spread, np.array(said["pose"]))
 
     @property
     def rig(self) -> str:
@@ -223,9 +222,7 @@ class Row:
 
     def likely(self, law: Law) -> Accuracy | None:
         """What it says by another law."""
-        if self.covariance is None or self.beams is None:
-            return None
-        return likely_accuracy(self.covariance, self.beams, self.pose, self.agreement, law)
+        return None if self.spread is None else likely_accuracy(self.spread, self.pose, self.agreement, law)
 
     def held(self, accuracy: Accuracy | None) -> list[bool]:
         """Return whether rotation and translation are within the first bounds, then within the second."""
@@ -263,7 +260,7 @@ def fitted(rows: Sequence[Row]) -> Law:
     """
     from scipy.optimize import minimize
 
-    rows = [row for row in rows if row.right and row.covariance is not None]
+    rows = [row for row in rows if row.right and row.spread is not None]
     number = Counter(row.rig for row in rows)
     weight = np.array([number[row.rig] ** -0.5 for row in rows])
     error = np.stack([row.error for row in rows])
@@ -272,19 +269,19 @@ def fitted(rows: Sequence[Row]) -> Law:
     known = np.array([[np.radians(row.said["truth_deg"])] * 3 + [row.said["truth_m"]] * 3 for row in rows]) ** 2 / 3
 
     def variance(law: Float) -> Float:
-        pairs, by_odds, beams, floor_deg, floor_m = law
+        pairs, by_odds, beams, rings, floor_deg, floor_m = law
         floor = np.repeat([np.radians(floor_deg), floor_m], 3) ** 2
         scatter = (pairs * odds**-by_odds)[:, None] ** 2 * parts[:, 0]
-        return np.asarray(scatter + beams**2 * parts[:, 1] + floor)
+        return np.asarray(scatter + beams**2 * parts[:, 1] + rings**2 * parts[:, 2] + floor)
 
     def unlikely(logarithms: Float) -> float:
         total = variance(np.exp(logarithms)) + known
         surprise = 0.5 * np.log(total) + (FREEDOM + 1) / 2 * np.log1p(error**2 / total / FREEDOM)
         # A little towards the present law: what the rows say nothing about stays.
-        drawn = 0.01 * np.square(logarithms - np.log(LAW[:5])).sum()
+        drawn = 0.01 * np.square(logarithms - np.log(LAW[:6])).sum()
         return float(weight @ surprise.sum(axis=1) / weight.sum() + drawn)
 
-    found = np.exp(minimize(unlikely, np.log(LAW[:5]), method="Powell", options={"xtol": 1e-3, "ftol": 1e-6}).x)
+    found = np.exp(minimize(unlikely, np.log(LAW[:6]), method="Powell", options={"xtol": 1e-3, "ftol": 1e-6}).x)
     axes = np.sqrt(variance(found))
     ratios = []
     for part, name, good in ((slice(0, 3), "rotation_deg", "truth_deg"), (slice(3, 6), "translation_m", "truth_m")):
@@ -305,12 +302,12 @@ def fitted(rows: Sequence[Row]) -> Law:
 
 
 def _variances(row: Row) -> Float:
-    """Return the variances (2, 6) by axis that pairs and beams make."""
-    assert row.covariance is not None
-    assert row.beams is not None
+    """Return the variances (3, 6) by axis that pairs, beams and rings make."""
+    assert row.spread is not None
     place = np.eye(6)
     place[3:, :3] = -se3.skew(row.pose[:3, 3])
-    return np.stack([np.diag(place @ part @ place.T) for part in (row.covariance, row.beams)])
+    made = [np.diag(place @ part @ place.T) for part in (row.spread.pairs, row.spread.beams)]
+    return np.stack([*made, row.spread.rings**2])
 
 
 def _quantile(values: Float, weight: Float, share: float) -> float:

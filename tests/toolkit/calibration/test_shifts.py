@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import Camera, PointToLine, Side
-from p2o.calibration.shifts import beam_covariance
+from p2o.calibration.shifts import beam_covariance, ring_gaps
 from p2o.problems.problem import LeastSquares
 
 CAMERA = Camera.pinhole(500.0, 500.0, 320.0, 240.0, 640, 480)
@@ -69,3 +69,20 @@ def test_unseen_points_do_not_count() -> None:
     behind[:20, 2] = -1.0
     found = beam_covariance(replace(pairs, xyz=behind), POSE)
     assert np.isfinite(found).all()
+
+
+def test_gaps_between_rings_are_pitch_roll_and_height_however_little_they_weigh() -> None:
+    pairs = problem()
+    level = np.abs(pairs.normal[:, 1]) > 0.5
+    pairs = replace(pairs, sigma_px=np.where(level, 5.0, 0.5), weight=np.where(level, 0.01, 1.0))
+    pitch, yaw, roll, x, y, z = ring_gaps(pairs, POSE)
+    assert (pitch, yaw, roll) == pytest.approx((0.01, 0.001, 0.01))
+    depth_m = 1 / np.mean(1 / pairs.xyz[:, 2])
+    assert (x, y, z) == pytest.approx((0.001 * depth_m, 0.01 * depth_m, 0.0))
+
+
+def test_a_camera_on_its_side_has_the_gaps_of_rings_in_yaw() -> None:
+    pairs = problem()
+    level = np.abs(pairs.normal[:, 1]) > 0.5
+    pitch, yaw, *_ = ring_gaps(replace(pairs, sigma_px=np.where(level, 0.5, 5.0)), POSE)
+    assert (pitch, yaw) == pytest.approx((0.001, 0.01))

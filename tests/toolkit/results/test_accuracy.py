@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from p2o import Accuracy, Agreement, se3
 from p2o.calibration.accuracy import LAW, deviations, likely_accuracy
+from p2o.calibration.shifts import Spread
 from p2o.geometry.pose_error import pose_error
 
 from tests.edge_scene import TRUTH
@@ -34,28 +35,33 @@ def met(near: float, places: int = 80) -> Agreement:
     return Agreement(near, 0.03, 500, places)
 
 
-NO_BEAMS = np.zeros((6, 6))
+NOTHING = np.zeros((6, 6))
+
+
+def spread(pairs: np.ndarray, beams: np.ndarray = NOTHING, rings: float = 0.0) -> Spread:
+    return Spread(pairs, beams, np.full(6, rings))
 
 
 def test_better_pairs_better_beams_and_better_agreement_promise_smaller_errors() -> None:
-    usual = likely_accuracy(covariance(), covariance(), TRUTH, met(0.25))
-    surer = likely_accuracy(covariance(0.25), covariance(), TRUTH, met(0.25))
-    denser = likely_accuracy(covariance(), covariance(0.25), TRUTH, met(0.25))
-    agreed = likely_accuracy(covariance(), covariance(), TRUTH, met(0.4))
-    for better in (surer, denser, agreed):
+    usual = likely_accuracy(spread(covariance(), covariance(), 0.01), TRUTH, met(0.25))
+    surer = likely_accuracy(spread(covariance(0.25), covariance(), 0.01), TRUTH, met(0.25))
+    denser = likely_accuracy(spread(covariance(), covariance(0.25), 0.01), TRUTH, met(0.25))
+    finer = likely_accuracy(spread(covariance(), covariance(), 0.005), TRUTH, met(0.25))
+    agreed = likely_accuracy(spread(covariance(), covariance(), 0.01), TRUTH, met(0.4))
+    for better in (surer, denser, finer, agreed):
         for name in ("rotation_deg", "translation_m", "rotation_deg_95", "translation_m_95", "yaw_deg", "z_m"):
             assert getattr(better, name) < getattr(usual, name)
 
 
 def test_errors_fall_with_the_odds_without_a_step_back() -> None:
     bounds = [
-        likely_accuracy(covariance(), NO_BEAMS, TRUTH, met(near)).rotation_deg_95 for near in np.linspace(0.01, 0.9, 50)
+        likely_accuracy(spread(covariance()), TRUTH, met(near)).rotation_deg_95 for near in np.linspace(0.01, 0.9, 50)
     ]
     assert (np.diff(bounds) <= 0).all()
 
 
 def test_few_places_make_the_worst_results_worse_but_not_the_usual_ones() -> None:
-    many, few = (likely_accuracy(covariance(), NO_BEAMS, TRUTH, met(0.25, places)) for places in (80, 5))
+    many, few = (likely_accuracy(spread(covariance()), TRUTH, met(0.25, places)) for places in (80, 5))
     assert few.rotation_deg == many.rotation_deg
     assert few.rotation_deg_95 > many.rotation_deg_95
     assert few.translation_m_95 > many.translation_m_95
@@ -65,12 +71,12 @@ def test_a_direction_that_nothing_determines_widens_its_own_axis_only() -> None:
     pose = np.array(TRUTH)
     pose[:3, 3] = 0.0  # so that turns do not move the LiDAR
     names = ("pitch_deg", "yaw_deg", "roll_deg", "x_m", "y_m", "z_m")
-    usual = likely_accuracy(covariance(), covariance(), pose, met(0.25))
+    usual = likely_accuracy(spread(covariance(), covariance()), pose, met(0.25))
     for place, name in enumerate(names):
         open_there = np.zeros((6, 6))
         open_there[place, place] = 0.3**2
         for pairs, beams in ((covariance() + open_there, covariance()), (covariance(), covariance() + open_there)):
-            found = likely_accuracy(pairs, beams, pose, met(0.25))
+            found = likely_accuracy(spread(pairs, beams), pose, met(0.25))
             for other in names:
                 if other == name:
                     assert getattr(found, other) > 3 * getattr(usual, other)
@@ -80,20 +86,20 @@ def test_a_direction_that_nothing_determines_widens_its_own_axis_only() -> None:
 
 def test_nineteen_of_twenty_lie_within_more_than_two_of_three() -> None:
     for scale in (1e-6, 1.0, 100.0):
-        found = likely_accuracy(covariance(scale), NO_BEAMS, TRUTH, met(0.2))
+        found = likely_accuracy(spread(covariance(scale)), TRUTH, met(0.2))
         assert 0 < found.rotation_deg <= found.rotation_deg_95
         assert 0 < found.translation_m <= found.translation_m_95
 
 
 def test_no_number_of_frames_promises_what_the_sensors_calibrations_do_not_give() -> None:
-    found = likely_accuracy(covariance(1e-12), NO_BEAMS, TRUTH, met(0.5))
+    found = likely_accuracy(spread(covariance(1e-12)), TRUTH, met(0.5))
     assert found.rotation_deg == pytest.approx(np.sqrt(3) * LAW.floor_deg * LAW.rotation[0], rel=1e-3)
     assert found.translation_m == pytest.approx(np.sqrt(3) * LAW.floor_m * LAW.translation[0], rel=1e-3)
 
 
 def test_an_odds_ratio_that_is_none_counts_as_the_worst() -> None:
-    nothing = likely_accuracy(covariance(), NO_BEAMS, TRUTH, Agreement(0.0, 0.0, 0))
-    worst = likely_accuracy(covariance(), NO_BEAMS, TRUTH, met(0.001, 1))
+    nothing = likely_accuracy(spread(covariance()), TRUTH, Agreement(0.0, 0.0, 0))
+    worst = likely_accuracy(spread(covariance()), TRUTH, met(0.001, 1))
     assert nothing == worst
     assert np.isfinite(nothing.rotation_deg_95)
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from p2o.arrays import Float
+from p2o.calibration.shifts import Spread
 from p2o.geometry import se3
 from p2o.results.accuracy import Accuracy
 from p2o.results.evidence import Agreement
@@ -17,15 +18,17 @@ class Law(NamedTuple):
 
     `pairs` times the deviation that the scatter of pairs shows, at an odds ratio of 10, and with the power `by_odds` of
     the odds ratio more or less; `beams` times the one that a shift of all edges alike by one deviation of the beams
-    makes (`p2o.calibration.shifts`); and a floor that no number of frames goes below, the same for each axis. Factors
-    then say within how many of these deviations two of three errors are, and 19 of 20: `rotation` and `translation` as
-    a whole, `axis` of each axis by itself (two of three). Where edges meet in few places, some poses are far off: 19 of
-    20 are then within more, by the root of how far the strength of the agreement falls short.
+    makes; `rings` times what half a gap of beams is (`p2o.calibration.shifts.Spread`); and a floor. The last three are
+    what no number of frames goes below. Factors then say within how many of these deviations two of three errors are,
+    and 19 of 20: `rotation` and `translation` as a whole, `axis` of each axis by itself (two of three). Where edges
+    meet in few places, some poses are far off: 19 of 20 are then within more, by the root of how far the strength of
+    the agreement falls short.
     """
 
     pairs: float
     by_odds: float
     beams: float
+    rings: float
     floor_deg: float
     floor_m: float
     rotation: tuple[float, float]
@@ -33,28 +36,24 @@ class Law(NamedTuple):
     axis: float
 
 
-LAW = Law(1.3, 0.6, 1.9, 0.03, 0.006, (1.3, 3.2), (1.3, 3.5), 1.3)
+LAW = Law(1.1, 0.45, 1.2, 0.65, 0.019, 0.007, (1.5, 3.5), (1.2, 3.0), 1.3)
 """Fitted to the results of `python benchmarks/verdicts.py`; docs/benchmarks.md, A verdict that transfers."""
 _LEAST_ODDS, _MOST_ODDS = 1.5, 40.0
 """Beyond the odds ratios that were seen the law stays as it is at the last of them."""
 _STRONG, _LEAST_STRENGTH = 12.0, 1.0
 
 
-def likely_accuracy(
-    pairs: Float, beams: Float, camera_from_lidar: Float, agreed: Agreement, law: Law = LAW
-) -> Accuracy:
+def likely_accuracy(spread: Spread, camera_from_lidar: Float, agreed: Agreement, law: Law = LAW) -> Accuracy:
     """Return how wrong a pose (4, 4) is likely to be.
 
-    `pairs` (6, 6) is the covariance of a left update in rad and m as pairs show it (`p2o.calibration.adjustment`),
-    `beams` (6, 6) that of a shift of all edges alike, `agreed` how edges meet at the pose.
-    Pairs know of each other's noise only, not of edges that were taken for others: errors are a multiple of what they
-    show, the less the better the edges agree.
+    `spread` is what pairs and beams leave open, `agreed` how edges meet at the pose. Pairs know of each other's noise
+    only, not of edges that were taken for others: errors are a multiple of what they show, the less the better the
+    edges agree.
     """
-    covariance = likely_covariance(pairs, beams, camera_from_lidar, agreed.odds_ratio, law)
-    axes = np.sqrt(np.diag(covariance))
-    rotation, translation = float(np.linalg.norm(axes[:3])), float(np.linalg.norm(axes[3:]))
+    axes = np.sqrt(np.diag(likely_covariance(spread, camera_from_lidar, agreed.odds_ratio, law)))
+    rotation_deg, translation_m = float(np.degrees(np.linalg.norm(axes[:3]))), float(np.linalg.norm(axes[3:]))
     bounds = [
-        (more * factor * float(np.degrees(rotation)), more * other * translation)
+        (more * factor * rotation_deg, more * other * translation_m)
         for more, factor, other in zip((1.0, weakness(agreed)), law.rotation, law.translation, strict=True)
     ]
     pitch, yaw, roll = (law.axis * np.degrees(axes[:3])).tolist()
@@ -62,16 +61,16 @@ def likely_accuracy(
     return Accuracy(*bounds[0], *bounds[1], roll, pitch, yaw, x, y, z)
 
 
-def likely_covariance(pairs: Float, beams: Float, camera_from_lidar: Float, odds_ratio: float, law: Law = LAW) -> Float:
+def likely_covariance(spread: Spread, camera_from_lidar: Float, odds_ratio: float, law: Law = LAW) -> Float:
     """Return the covariance (6, 6) of likely errors: turns about the camera axes in rad, places of the LiDAR in m.
 
     A sum of covariances: a direction that one part leaves open becomes wider, and no other.
     """
     odds = float(np.clip(np.nan_to_num(odds_ratio, nan=0.0), _LEAST_ODDS, _MOST_ODDS))
-    floor = np.repeat([np.radians(law.floor_deg), law.floor_m], 3)
-    scatter = (law.pairs * (odds / 10.0) ** -law.by_odds) ** 2 * pairs + law.beams**2 * beams
+    own = np.repeat([np.radians(law.floor_deg), law.floor_m], 3) ** 2 + (law.rings * spread.rings) ** 2
+    scatter = (law.pairs * (odds / 10.0) ** -law.by_odds) ** 2 * spread.pairs + law.beams**2 * spread.beams
     by_update = _place_by_update(camera_from_lidar)
-    return np.asarray(by_update @ scatter @ by_update.T + np.diag(floor**2))
+    return np.asarray(by_update @ scatter @ by_update.T + np.diag(own))
 
 
 def weakness(agreed: Agreement) -> float:

@@ -15,7 +15,7 @@ from p2o.calibration.judge import judge_of
 from p2o.calibration.nuisance import Nuisance, adjusted, motion_prior
 from p2o.calibration.options import PipelineOptions as PipelineOptions
 from p2o.calibration.rounds import Rounds, counts, mean_residuals_px
-from p2o.calibration.shifts import beam_covariance
+from p2o.calibration.shifts import Spread
 from p2o.calibration.verdict import agreement_of, rival_of, verdict_of
 from p2o.features.missing import patched
 from p2o.features.remarks import CloudRemarks
@@ -115,8 +115,7 @@ class Pipeline:
         covariance = final.covariance
         told = None
         if covariance is not None and agreed is not None and end.problem is not None:
-            beams = beam_covariance(end.problem, end.pose)
-            told = likely_accuracy(covariance, beams, end.pose, agreed)
+            told = likely_accuracy(Spread.of(covariance, end.problem, end.pose), end.pose, agreed)
         if covariance is None and end.solution is not None:
             covariance = end.solution.covariance
         return Result(
