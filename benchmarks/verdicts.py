@@ -24,20 +24,23 @@ from typing import Any
 import numpy as np
 import p2o.calibration.pipeline as steps
 from p2o.arrays import Float
-from p2o.calibration.accuracy import LAW, Law, likely_accuracy, weakness
+from p2o.calibration.accuracy import LAW, Law, likely_accuracy, or_rival, weakness
 from p2o.calibration.shifts import Spread
+from p2o.calibration.verdict import verdict_of
 from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.geometry.perturb import wrong_start
 from p2o.geometry.pose_error import pose_error
 from p2o.results.accuracy import Accuracy
-from p2o.results.evidence import Agreement
+from p2o.results.evidence import Agreement, Rival
 from p2o.results.result import Result
 from verdict_rigs import RIGS, Rig, Seen, seen
 
 START_DEG, START_M = 2.0, 0.15
 WRONG_DEG, WRONG_M = 1.0, 0.3
 AXES = ("pitch_deg", "yaw_deg", "roll_deg", "x_m", "y_m", "z_m")
+SHARES = (0.70, 0.95)
+"""Of the errors, those that are to be within the first bounds and the second: a little more than is promised."""
 FREEDOM = 4.0
 """Errors are fitted as Student's t of so few degrees of freedom: some edges are taken for others."""
 
@@ -222,7 +225,15 @@ class Row:
 
     def likely(self, law: Law) -> Accuracy | None:
         """What it says by another law."""
-        return None if self.spread is None else likely_accuracy(self.spread, self.pose, self.agreement, law)
+        if self.spread is None:
+            return None
+        told = likely_accuracy(self.spread, self.pose, self.agreement, law)
+        return or_rival(told, self.rival, steps.PipelineOptions().min_lead_edges)
+
+    @property
+    def rival(self) -> Rival | None:
+        """The next best pose."""
+        return None if self.said["rival"] is None else Rival(**self.said["rival"])
 
     def held(self, accuracy: Accuracy | None) -> list[bool]:
         """Return whether rotation and translation are within the first bounds, then within the second."""
@@ -242,21 +253,17 @@ class Row:
 
     def trusted(self, accuracy: Accuracy | None, options: steps.PipelineOptions) -> bool:
         """Return whether a result with this likely error would be trusted."""
-        from p2o.calibration.verdict import verdict_of
-        from p2o.results.evidence import Rival
-
         if self.said["status"] not in ("converged", "rounds-spent") or self.said["agreement"] is None:
             return False
-        rival = None if self.said["rival"] is None else Rival(**self.said["rival"])
         few = "too-few-places" in self.said["doubts"]
-        return verdict_of(self.agreement, rival, (), options, accuracy, places=0 if few else None).trusted
+        return verdict_of(self.agreement, self.rival, (), options, accuracy, places=0 if few else None).trusted
 
 
 def fitted(rows: Sequence[Row]) -> Law:
     """Return the law of rows with right pairs, each rig counting as the root of its rows.
 
-    Parts and floors make the errors by axis most likely as Student's t; then factors are what hold for 70 % and 96 % of
-    the errors, a little more than is promised.
+    Parts and floors make the errors by axis most likely as Student's t; then factors are what holds for
+    `SHARES` of the errors.
     """
     from scipy.optimize import minimize
 
@@ -290,10 +297,7 @@ def fitted(rows: Sequence[Row]) -> Law:
         wrong = np.array([row.said[name] if row.said[name] > row.said[good] else 0.0 for row in rows])
         sizes = (size, size * np.array([weakness(row.agreement) for row in rows]))
         ratios.append(
-            tuple(
-                round(_quantile(wrong / size, weight, share), 2)
-                for size, share in zip(sizes, (0.70, 0.96), strict=True)
-            )
+            tuple(round(_quantile(wrong / size, weight, share), 2) for size, share in zip(sizes, SHARES, strict=True))
         )
     beyond = np.abs(error) / axes * (np.abs(error) > np.sqrt(known))
     axis = round(_quantile(beyond.ravel(), np.repeat(weight, 6), 0.70), 2)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from p2o import Accuracy, Agreement, se3
-from p2o.calibration.accuracy import LAW, deviations, likely_accuracy
+from p2o import Accuracy, Agreement, Rival, se3
+from p2o.calibration.accuracy import LAW, deviations, likely_accuracy, or_rival
 from p2o.calibration.shifts import Spread
 from p2o.geometry.pose_error import pose_error
 
@@ -109,3 +111,15 @@ def test_both_parts_have_to_be_reached() -> None:
     assert found.reaches(0.2, 0.08)
     assert not found.reaches(0.19, 1.0)
     assert not found.reaches(1.0, 0.07)
+
+
+def test_a_rival_that_fits_as_well_is_how_far_off_the_worst_may_be() -> None:
+    told = likely_accuracy(spread(covariance()), TRUTH, met(0.25))
+    near, far = Rival(0.2, "edges", 0.6, 0.01), Rival(0.2, "edges", 9.0, 3.0)
+    assert or_rival(told, None, 1.5) == told
+    assert or_rival(told, replace(far, lead=2.0), 1.5) == told
+    assert or_rival(told, replace(far, unit="cost"), 1.5) == told
+    worst = or_rival(told, far, 1.5)
+    assert (worst.rotation_deg_95, worst.translation_m_95) == (9.0, 3.0)
+    assert (worst.rotation_deg, worst.translation_m) == (told.rotation_deg, told.translation_m)
+    assert or_rival(told, near, 1.5).translation_m_95 == told.translation_m_95

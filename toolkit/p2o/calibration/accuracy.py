@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ from p2o.arrays import Float
 from p2o.calibration.shifts import Spread
 from p2o.geometry import se3
 from p2o.results.accuracy import Accuracy
-from p2o.results.evidence import Agreement
+from p2o.results.evidence import Agreement, Rival
 
 
 class Law(NamedTuple):
@@ -21,8 +22,8 @@ class Law(NamedTuple):
     makes; `rings` times what half a gap of beams is (`p2o.calibration.shifts.Spread`); and a floor. The last three are
     what no number of frames goes below. Factors then say within how many of these deviations two of three errors are,
     and 19 of 20: `rotation` and `translation` as a whole, `axis` of each axis by itself (two of three). Where edges
-    meet in few places, some poses are far off: 19 of 20 are then within more, by the root of how far the strength of
-    the agreement falls short.
+    meet in few places, some poses are far off: 19 of 20 are then within more, by how much the strength of the
+    agreement falls short.
     """
 
     pairs: float
@@ -73,10 +74,21 @@ def likely_covariance(spread: Spread, camera_from_lidar: Float, odds_ratio: floa
     return np.asarray(by_update @ scatter @ by_update.T + np.diag(own))
 
 
+def or_rival(accuracy: Accuracy, rival: Rival | None, min_lead_edges: float) -> Accuracy:
+    """Return the accuracy, its bounds for 19 of 20 at least as far as a rival pose that fits about as well."""
+    if rival is None or rival.unit != "edges" or rival.lead >= min_lead_edges:
+        return accuracy
+    return replace(
+        accuracy,
+        rotation_deg_95=max(accuracy.rotation_deg_95, rival.rotation_deg),
+        translation_m_95=max(accuracy.translation_m_95, rival.translation_m),
+    )
+
+
 def weakness(agreed: Agreement) -> float:
     """Return how much further off the worst of results are where edges meet in few places; 1 where in many."""
     strength = float(np.nan_to_num(agreed.strength, nan=0.0))
-    return float(np.sqrt(max(1.0, _STRONG / max(strength, _LEAST_STRENGTH))))
+    return max(1.0, _STRONG / max(strength, _LEAST_STRENGTH))
 
 
 def deviations(covariance: Float, camera_from_lidar: Float) -> tuple[float, float]:

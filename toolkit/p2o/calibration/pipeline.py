@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from p2o.arrays import Float
-from p2o.calibration.accuracy import likely_accuracy
+from p2o.calibration.accuracy import likely_accuracy, or_rival
 from p2o.calibration.judge import judge_of
 from p2o.calibration.nuisance import Nuisance, adjusted, motion_prior
 from p2o.calibration.options import PipelineOptions as PipelineOptions
@@ -116,6 +116,7 @@ class Pipeline:
         told = None
         if covariance is not None and agreed is not None and end.problem is not None:
             told = likely_accuracy(Spread.of(covariance, end.problem, end.pose), end.pose, agreed)
+            told = or_rival(told, rival, options.min_lead_edges)
         if covariance is None and end.solution is not None:
             covariance = end.solution.covariance
         return Result(
