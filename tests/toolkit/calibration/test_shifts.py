@@ -86,3 +86,9 @@ def test_a_camera_on_its_side_has_the_gaps_of_rings_in_yaw() -> None:
     level = np.abs(pairs.normal[:, 1]) > 0.5
     pitch, yaw, *_ = ring_gaps(replace(pairs, sigma_px=np.where(level, 0.5, 5.0)), POSE)
     assert (pitch, yaw) == pytest.approx((0.001, 0.01))
+
+
+def test_gaps_of_rings_fall_with_the_root_of_the_frames() -> None:
+    one = replace(problem(), sigma_px=np.full(200, 2.0))
+    four = replace(one, frame=np.arange(200) % 4, cameras=(CAMERA,) * 4)
+    assert ring_gaps(four, POSE) == pytest.approx(0.5 * ring_gaps(one, POSE))

@@ -19,11 +19,11 @@ class Law(NamedTuple):
 
     `pairs` times the deviation that the scatter of pairs shows, at an odds ratio of 10, and with the power `by_odds` of
     the odds ratio more or less; `beams` times the one that a shift of all edges alike by one deviation of the beams
-    makes; `rings` times what half a gap of beams is (`p2o.calibration.shifts.Spread`); and a floor. The last three are
-    what no number of frames goes below. Factors then say within how many of these deviations two of three errors are,
-    and 19 of 20: `rotation` and `translation` as a whole, `axis` of each axis by itself (two of three). Where edges
-    meet in few places, some poses are far off: 19 of 20 are then within more, by how much the strength of the
-    agreement falls short.
+    makes; `rings` times what half a gap of beams is (`p2o.calibration.shifts.Spread`); and a floor. No number of frames
+    goes below beams and floor. Factors then say within how many of these deviations two of three errors are, and 19 of
+    20: `rotation` and `translation` as a whole, `axis` of each axis by itself (two of three). Where edges meet in few
+    places, some poses are far off: 19 of 20 are then within more, by how much the strength of the agreement falls
+    short.
     """
 
     pairs: float

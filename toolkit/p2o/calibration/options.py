@@ -28,7 +28,7 @@ class PipelineOptions(Options):
     judge_px: float = option(5.0, gt=1, le=100, help="Truncation of the directed distance that poses are judged by.")
     min_odds_ratio: float = option(2.0, ge=0, help="A lower agreement of both sensors' edges is called doubtful.")
     min_strength: float = option(
-        10.0,
+        11.0,
         ge=0,
         help="Doubtful is a lower strength of the agreement, too: the logarithm of the odds ratio times the root of "
         "the places where edges meet.",

@@ -35,7 +35,8 @@ def ring_gaps(problem: PointToLine, camera_from_lidar: Float) -> Float:
 
     Pitch and y by edges that lie level in the image, yaw and x by upright ones, roll by the worse of both; x and y at
     the harmonic mean of the depths. Unlike `beam_covariance` it does not matter how little such edges weigh: errors in
-    pitch are about as large as these, with few rings and many.
+    pitch are about as large as these, with few rings and many. Outlines of other frames lie elsewhere between the
+    rings: it falls with the root of how many there are.
     """
     depth_m = (problem.xyz @ camera_from_lidar[:3, :3].T + camera_from_lidar[:3, 3])[:, 2]
     focal_px = np.array([camera.focal_px for camera in problem.cameras])[problem.frame]
@@ -49,7 +50,8 @@ def ring_gaps(problem: PointToLine, camera_from_lidar: Float) -> Float:
     )
     harmonic_m = 1.0 / float(np.mean(1.0 / depth_m[near]))
     turns = (level_rad, upright_rad, max(level_rad, upright_rad))
-    return np.array([*turns, upright_rad * harmonic_m, level_rad * harmonic_m, 0.0])
+    gaps = np.array([*turns, upright_rad * harmonic_m, level_rad * harmonic_m, 0.0])
+    return np.asarray(gaps / np.sqrt(len(np.unique(problem.frame))))
 
 
 def beam_covariance(problem: PointToLine, camera_from_lidar: Float) -> Float:
