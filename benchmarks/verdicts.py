@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import p2o.calibration.pipeline as steps
 from p2o.arrays import Float
-from p2o.calibration.accuracy import LAW, Law, likely_accuracy, or_rival, weakness
+from p2o.calibration.accuracy import Law, likely_accuracy, or_rival, weakness
 from p2o.calibration.shifts import Spread
 from p2o.calibration.verdict import verdict_of
 from p2o.features.view import View
@@ -39,8 +39,12 @@ from verdict_rigs import RIGS, Rig, Seen, seen
 START_DEG, START_M = 2.0, 0.15
 WRONG_DEG, WRONG_M = 1.0, 0.3
 AXES = ("pitch_deg", "yaw_deg", "roll_deg", "x_m", "y_m", "z_m")
-SHARES = (0.70, 0.95)
-"""Of the errors, those that are to be within the first bounds and the second: a little more than is promised."""
+SHARES = (0.70, 0.93)
+"""Of the errors, those that are to be within the first bounds and the second, where a rig with few results counts as
+much more as it does here: of all results on rigs left out 0.69 to 0.74 and 0.93 to 0.95 are, two of three and 19 of 20.
+"""
+USUAL = (1.1, 0.5, 1.2, 0.65, 0.019, 0.007)
+"""The first six numbers of a law that a fit begins from."""
 FREEDOM = 4.0
 """Errors are fitted as Student's t of so few degrees of freedom: some edges are taken for others."""
 
@@ -284,11 +288,11 @@ def fitted(rows: Sequence[Row]) -> Law:
     def unlikely(logarithms: Float) -> float:
         total = variance(np.exp(logarithms)) + known
         surprise = 0.5 * np.log(total) + (FREEDOM + 1) / 2 * np.log1p(error**2 / total / FREEDOM)
-        # A little towards the present law: what the rows say nothing about stays.
-        drawn = 0.01 * np.square(logarithms - np.log(LAW[:6])).sum()
+        # A little towards what is usual: what the rows say nothing about stays there.
+        drawn = 0.01 * np.square(logarithms - np.log(USUAL)).sum()
         return float(weight @ surprise.sum(axis=1) / weight.sum() + drawn)
 
-    found = np.exp(minimize(unlikely, np.log(LAW[:6]), method="Powell", options={"xtol": 1e-3, "ftol": 1e-6}).x)
+    found = np.exp(minimize(unlikely, np.log(USUAL), method="Powell", options={"xtol": 1e-3, "ftol": 1e-6}).x)
     axes = np.sqrt(variance(found))
     ratios = []
     for part, name, good in ((slice(0, 3), "rotation_deg", "truth_deg"), (slice(3, 6), "translation_m", "truth_m")):
@@ -323,7 +327,7 @@ def _quantile(values: Float, weight: Float, share: float) -> float:
 def report(rows: Sequence[Row]) -> str:
     """Return the tables of likely errors and verdicts, by rig, and the law of all."""
     options, lines = steps.PipelineOptions(), []
-    head = ("rig", "right, wrong", "told", "left out", "trusted: told", "left out", "trusted and off: told", "left out")
+    head = ("rig", "right, wrong", "told", "left out", "trusted, of right: told", "left out", "off: told", "left out")
     lines += [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
     every: list[list[Any]] = []
     for rig in sorted({row.rig for row in rows}):

@@ -37,8 +37,8 @@ class Law(NamedTuple):
     axis: float
 
 
-LAW = Law(1.1, 0.45, 1.2, 0.65, 0.019, 0.007, (1.5, 3.5), (1.2, 3.0), 1.3)
-"""Fitted to the results of `python benchmarks/verdicts.py`; docs/benchmarks.md, A verdict that transfers."""
+LAW = Law(1.1, 0.5, 1.1, 0.74, 0.013, 0.0042, (1.58, 3.69), (1.29, 2.47), 1.31)
+"""Fitted by `python benchmarks/verdicts.py fit` to 332 results on 22 rigs (docs/benchmarks.md, A verdict that transfers)."""
 _LEAST_ODDS, _MOST_ODDS = 1.5, 40.0
 """Beyond the odds ratios that were seen the law stays as it is at the last of them."""
 _STRONG, _LEAST_STRENGTH = 12.0, 1.0
