@@ -116,7 +116,6 @@ class Pipeline:
         told = None
         if covariance is not None and agreed is not None and end.problem is not None:
             told = likely_accuracy(Spread.of(covariance, end.problem, end.pose), end.pose, agreed)
-            told = or_rival(told, rival, options.min_lead_edges)
         if covariance is None and end.solution is not None:
             covariance = end.solution.covariance
         return Result(
@@ -127,7 +126,7 @@ class Pipeline:
             reason=end.reason,
             rounds=end.rounds,
             covariance=covariance,
-            accuracy=told,
+            accuracy=None if told is None else or_rival(told, rival, options.min_lead_edges),
             matches={} if end.problem is None else counts(end.problem),
             residual_px={} if end.problem is None else mean_residuals_px(end.problem, end.pose),
             judged=judged,
