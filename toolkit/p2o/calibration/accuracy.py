@@ -43,7 +43,7 @@ then: docs/benchmarks.md, A verdict that transfers.
 """
 _LEAST_ODDS, _MOST_ODDS = 1.5, 40.0
 """Beyond the odds ratios that were seen the law stays as it is at the last of them."""
-_STRONG, _LEAST_STRENGTH = 12.0, 1.0
+_STRONG, _LEAST_STRENGTH = 12.0, 3.0
 
 
 def likely_accuracy(spread: Spread, camera_from_lidar: Float, agreed: Agreement, law: Law = LAW) -> Accuracy:
