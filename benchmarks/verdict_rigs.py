@@ -73,9 +73,24 @@ def _folder(name: str, **rest: object) -> Rig:
     return Rig(name, f"folder:build/data/rigs/{name}", **rest)  # type: ignore[arg-type]
 
 
+LIDARS = {
+    "vlp16": ("acfr_vlp16", "hitsz", "hitsz_sim", "boards_sim", "sim-vlp16"),
+    "hdl32": ("nuscenes", "sim-hdl32"),
+    "hdl64": ("kitti", "sim-hdl64"),
+    "os1": ("sim-os1",),
+    "pandar64": ("pjlab", "sim-pandar64"),
+}
+"""How the names of rigs begin that have one kind of LiDAR; others have one of their own."""
+
+
+def lidar_of(rig: str) -> str:
+    """Return the kind of LiDAR of a rig."""
+    return next((kind for kind, names in LIDARS.items() if rig.startswith(names)), rig)
+
+
 RIGS: Sequence[Rig] = (
     _folder("nuscenes", truth_deg=0.15, truth_m=0.05, seeds=3, apart=True, one_place=True),
-    _folder("waymo", truth_deg=0.1, truth_m=0.05),
+    _folder("waymo", truth_deg=0.1, truth_m=0.08),
     _folder("pjlab", truth_deg=0.3, truth_m=0.2, seeds=2, apart=True, one_place=True),
     _folder("acfr_vlp16", truth_deg=0.3, truth_m=0.02, one_place=True),
     _folder("hitsz", truth_deg=0.1, truth_m=0.05, seeds=2, one_place=True),

@@ -2,6 +2,7 @@
 
     python benchmarks/verdicts.py collect --out DIR            # calibrates frames of many rigs: hours
     python benchmarks/verdicts.py fit --rows DIR               # the law of likely errors, and how it holds
+    python benchmarks/verdicts.py fit --rows DIR --by lidar    # the same, all rigs with one kind of LiDAR left out
 
 `collect` calibrates frames of simulated and real rigs (`verdict_rigs.py`) from 2 deg / 0.15 m, one at a time and three
 and eight together, and wrong pairs of image and sweep: with the sweep of another frame, or turned, where all frames
@@ -16,7 +17,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -34,7 +35,7 @@ from p2o.geometry.pose_error import pose_error
 from p2o.results.accuracy import Accuracy
 from p2o.results.evidence import Agreement, Rival
 from p2o.results.result import Result
-from verdict_rigs import RIGS, Rig, Seen, seen
+from verdict_rigs import RIGS, Rig, Seen, lidar_of, seen
 
 START_DEG, START_M = 2.0, 0.15
 WRONG_DEG, WRONG_M = 1.0, 0.3
@@ -61,12 +62,13 @@ def main() -> None:
     )
     fitting = commands.add_parser("fit", help="fit the law, one rig left out at a time")
     fitting.add_argument("--rows", type=Path, required=True, help="folder of rows.jsonl")
+    fitting.add_argument("--by", choices=("rig", "lidar"), default="rig", help="what is left out at a time")
     arguments = parser.parse_args()
     if arguments.command == "collect":
         collect(arguments.out, arguments.rigs, arguments.most, arguments.splits)
     else:
         rows = [Row.of(line) for line in (arguments.rows / "rows.jsonl").read_text().splitlines()]
-        print(report(rows))
+        print(report(rows, lidar_of if arguments.by == "lidar" else str))
 
 
 @dataclass(frozen=True)
@@ -324,15 +326,15 @@ def _quantile(values: Float, weight: Float, share: float) -> float:
     return float(values[order][np.searchsorted(total, share * total[-1])])
 
 
-def report(rows: Sequence[Row]) -> str:
-    """Return the tables of likely errors and verdicts, by rig, and the law of all."""
+def report(rows: Sequence[Row], part: Callable[[str], str]) -> str:
+    """Return the tables of likely errors and verdicts, by `part` of the rigs' names, and the law of all."""
     options, lines = steps.PipelineOptions(), []
     head = ("rig", "right, wrong", "told", "left out", "trusted, of right: told", "left out", "off: told", "left out")
     lines += [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
     every: list[list[Any]] = []
-    for rig in sorted({row.rig for row in rows}):
-        law = fitted([row for row in rows if row.rig != rig])
-        its = [row for row in rows if row.rig == rig]
+    for rig in sorted({part(row.rig) for row in rows}):
+        law = fitted([row for row in rows if part(row.rig) != rig])
+        its = [row for row in rows if part(row.rig) == rig]
         cells = [_judged(row, law, options) for row in its]
         every += cells
         lines.append(_line(rig, cells))
