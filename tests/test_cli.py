@@ -261,10 +261,13 @@ def test_the_verdict_is_a_line_and_remarks_are_others() -> None:
 
 
 def test_what_was_found_beside_the_pose_is_said_with_its_units() -> None:
-    more = {"agreement": Agreement(0.3, 0.05, 900), "rival": Rival(1.25, "edges", 1.5, 0.2)}
+    more = {"agreement": Agreement(0.3, 0.05, 900, 64), "rival": Rival(1.25, "edges", 1.5, 0.2)}
     text = describe(judged(judged=Judged("directed-distance", "px", 4.5, 3.75), **more))
     assert "  edge gap  4.50 px at the start, 3.75 px at the result\n" in text
-    assert "  agreement 30 % of the LiDAR edges meet an image edge, 5 % by chance (odds ratio 8.1)\n" in text
+    assert (
+        "  agreement 30 % of the LiDAR edges meet an image edge, 5 % by chance (odds ratio 8.1, in 64 places: " in text
+    )
+    assert "places: strength 16.8)\n" in text
     assert text.endswith("  next best 1.50 deg and 0.20 m away, 1.2 edges worse")
     text = describe(judged(judged=Judged("mutual-information", "bit", -0.5, -0.75)))
     assert text.endswith("  cost      -0.5 bit at the start, -0.75 bit at the result, by mutual-information")

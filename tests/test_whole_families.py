@@ -148,9 +148,7 @@ def test_a_run_ends_near_the_truth(family: Family, capsys: pytest.CaptureFixture
     assert len(done["frames"]) == len(list(family.frames.iterdir()))
     # Edges that the method never saw meet there more often than by chance, and the verdict goes by them.
     assert done["agreement"]["odds_ratio"] > 2
-    assert (done["verdict"]["trust"] == "trusted") == (
-        done["agreement"]["odds_ratio"] >= PipelineOptions().min_odds_ratio
-    )
+    assert (done["verdict"]["trust"] == "trusted") == (done["agreement"]["strength"] >= PipelineOptions().min_strength)
 
 
 def test_without_a_word_about_it_results_are_checked_by_the_default_witness(

@@ -80,7 +80,7 @@ def one_a_pixel(view: p2o.View, pose: Float) -> p2o.CloudEdges:
 
 def _paired(cloud: p2o.CloudEdges, centre: Float, normal: Float) -> Pairs:
     side = np.full(len(cloud), p2o.Side.NONE, np.int8)
-    return Pairs(cloud.xyz, centre, normal, cloud.weight, side, cloud.time_s)
+    return Pairs(cloud.xyz, centre, normal, cloud.weight, side, cloud.time_s, np.zeros(len(cloud)))
 
 
 METHOD = p2o.Method(

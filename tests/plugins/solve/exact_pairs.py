@@ -64,7 +64,7 @@ def pairs(
 
 def rows(problem: PointToLine, order: np.ndarray) -> PointToLine:
     """Return the problem with its pairs selected and ordered by an index or mask."""
-    names = ("xyz", "centre", "normal", "weight", "side", "frame", "time_s")
+    names = ("xyz", "centre", "normal", "weight", "side", "frame", "time_s", "sigma_px")
     return replace(problem, **{name: getattr(problem, name)[order] for name in names})
 
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from p2o import Agreement, Doubt, Reason, Result, Rival, Status, Trust, Verdict, se3
+from p2o import Accuracy, Agreement, Doubt, Reason, Result, Rival, Status, Trust, Verdict, se3
 from p2o.calibration.options import PipelineOptions
 from p2o.calibration.verdict import verdict_of, witnessed
 
 from tests import edge_scene
 from tests.edge_scene import TRUTH
 
-GOOD, POOR = Agreement(0.3, 0.03, 500), Agreement(0.05, 0.03, 500)
+GOOD, POOR = Agreement(0.3, 0.03, 500, 60), Agreement(0.05, 0.03, 500, 60)
 OPTIONS = PipelineOptions()
 
 
@@ -43,6 +43,30 @@ def test_pairs_from_too_few_places_are_not_trusted_however_well_edges_meet() -> 
 def test_without_edges_nothing_is_trusted() -> None:
     verdict = verdict_of(None, None, (), OPTIONS)
     assert (verdict.trust, verdict.reasons[0].doubt) == (Trust.DOUBTFUL, Doubt.NOT_CHECKED)
+
+
+def test_the_same_odds_are_worth_less_in_few_places() -> None:
+    # Three places can be fitted to any odds; sixty cannot.
+    few = replace(GOOD, places=3)
+    assert few.odds_ratio == GOOD.odds_ratio
+    assert few.strength < GOOD.strength
+    verdict = verdict_of(few, None, (), OPTIONS)
+    assert (verdict.trust, verdict.reasons[0].doubt) == (Trust.DOUBTFUL, Doubt.LITTLE_AGREEMENT)
+    assert Agreement(0.03, 0.03, 500, 60).strength == 0.0
+    # Nor do very many places make up for odds that are hardly better than chance.
+    much_of_little = Agreement(0.045, 0.03, 90_000, 9000)
+    assert much_of_little.strength > GOOD.strength
+    assert not verdict_of(much_of_little, None, (), OPTIONS).trusted
+    assert np.isnan(Agreement(0.0, 0.0, 0).strength)
+
+
+def test_what_may_be_far_off_by_its_own_word_is_doubtful() -> None:
+    fine = Accuracy(0.2, 0.05, 0.9, 0.25)
+    assert verdict_of(GOOD, None, (), OPTIONS, fine).trusted
+    for unsure in (replace(fine, rotation_deg_95=1.1), replace(fine, translation_m_95=0.31)):
+        verdict = verdict_of(GOOD, None, (), OPTIONS, unsure)
+        assert (verdict.trust, verdict.reasons[0].doubt) == (Trust.DOUBTFUL, Doubt.TOO_UNSURE)
+        assert verdict_of(GOOD, None, (), PipelineOptions(most_deg=2, most_m=1), unsure).trusted
 
 
 def test_leads_in_another_unit_than_edges_have_no_bound() -> None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from p2o import Accuracy, se3
-from p2o.calibration.accuracy import deviations, likely_accuracy
+from p2o import Accuracy, Agreement, Rival, se3
+from p2o.calibration.accuracy import LAW, deviations, likely_accuracy, or_rival
+from p2o.calibration.shifts import Spread
 from p2o.geometry.pose_error import pose_error
 
 from tests.edge_scene import TRUTH
@@ -29,35 +32,78 @@ def test_deviations_are_the_root_mean_square_errors_of_poses_that_scatter_so() -
     assert deviations(covariance(), pose) == pytest.approx((rotation, translation), rel=0.03)
 
 
-def test_better_pairs_and_better_agreement_promise_smaller_errors() -> None:
-    usual = likely_accuracy(covariance(), TRUTH, 10.0)
-    surer = likely_accuracy(covariance(0.25), TRUTH, 10.0)
-    agreed = likely_accuracy(covariance(), TRUTH, 20.0)
-    for better in (surer, agreed):
-        assert better.rotation_deg < usual.rotation_deg
-        assert better.translation_m < usual.translation_m
-        assert better.rotation_deg_95 < usual.rotation_deg_95
-        assert better.translation_m_95 < usual.translation_m_95
-    # A quarter of the covariance halves the deviation; what is left of any is the floor.
-    assert surer.rotation_deg == pytest.approx(0.5 * usual.rotation_deg, rel=0.05)
+def met(near: float, places: int = 80) -> Agreement:
+    """How edges meet; one in thirty would by chance."""
+    return Agreement(near, 0.03, 500, places)
+
+
+NOTHING = np.zeros((6, 6))
+
+
+def spread(pairs: np.ndarray, beams: np.ndarray = NOTHING, rings: float = 0.0) -> Spread:
+    return Spread(pairs, beams, np.full(6, rings))
+
+
+def test_better_pairs_better_beams_and_better_agreement_promise_smaller_errors() -> None:
+    usual = likely_accuracy(spread(covariance(), covariance(), 0.01), TRUTH, met(0.25))
+    surer = likely_accuracy(spread(covariance(0.25), covariance(), 0.01), TRUTH, met(0.25))
+    denser = likely_accuracy(spread(covariance(), covariance(0.25), 0.01), TRUTH, met(0.25))
+    finer = likely_accuracy(spread(covariance(), covariance(), 0.005), TRUTH, met(0.25))
+    agreed = likely_accuracy(spread(covariance(), covariance(), 0.01), TRUTH, met(0.4))
+    for better in (surer, denser, finer, agreed):
+        for name in ("rotation_deg", "translation_m", "rotation_deg_95", "translation_m_95", "yaw_deg", "z_m"):
+            assert getattr(better, name) < getattr(usual, name)
+
+
+def test_errors_fall_with_the_odds_without_a_step_back() -> None:
+    bounds = [
+        likely_accuracy(spread(covariance()), TRUTH, met(near)).rotation_deg_95 for near in np.linspace(0.01, 0.9, 50)
+    ]
+    assert (np.diff(bounds) <= 0).all()
+
+
+def test_few_places_make_the_worst_results_worse_but_not_the_usual_ones() -> None:
+    many, few = (likely_accuracy(spread(covariance()), TRUTH, met(0.25, places)) for places in (80, 5))
+    assert few.rotation_deg == many.rotation_deg
+    assert few.rotation_deg_95 > many.rotation_deg_95
+    assert few.translation_m_95 > many.translation_m_95
+
+
+def test_a_direction_that_nothing_determines_widens_its_own_axis_only() -> None:
+    pose = np.array(TRUTH)
+    pose[:3, 3] = 0.0  # so that turns do not move the LiDAR
+    names = ("pitch_deg", "yaw_deg", "roll_deg", "x_m", "y_m", "z_m")
+    usual = likely_accuracy(spread(covariance(), covariance()), pose, met(0.25))
+    for place, name in enumerate(names):
+        open_there = np.zeros((6, 6))
+        open_there[place, place] = 0.3**2
+        for pairs, beams in ((covariance() + open_there, covariance()), (covariance(), covariance() + open_there)):
+            found = likely_accuracy(spread(pairs, beams), pose, met(0.25))
+            for other in names:
+                if other == name:
+                    assert getattr(found, other) > 3 * getattr(usual, other)
+                else:
+                    assert getattr(found, other) == pytest.approx(getattr(usual, other))
 
 
 def test_nineteen_of_twenty_lie_within_more_than_two_of_three() -> None:
     for scale in (1e-6, 1.0, 100.0):
-        found = likely_accuracy(covariance(scale), TRUTH, 7.0)
+        found = likely_accuracy(spread(covariance(scale)), TRUTH, met(0.2))
         assert 0 < found.rotation_deg <= found.rotation_deg_95
         assert 0 < found.translation_m <= found.translation_m_95
 
 
 def test_no_number_of_frames_promises_what_the_sensors_calibrations_do_not_give() -> None:
-    found = likely_accuracy(covariance(1e-9), TRUTH, 30.0)
-    assert found.rotation_deg == pytest.approx(0.02, abs=1e-3)
-    assert found.translation_m == pytest.approx(0.025, abs=1e-3)
+    found = likely_accuracy(spread(covariance(1e-12)), TRUTH, met(0.5))
+    assert found.rotation_deg == pytest.approx(np.sqrt(3) * LAW.floor_deg * LAW.rotation[0], rel=1e-3)
+    assert found.translation_m == pytest.approx(np.sqrt(3) * LAW.floor_m * LAW.translation[0], rel=1e-3)
 
 
 def test_an_odds_ratio_that_is_none_counts_as_the_worst() -> None:
-    assert likely_accuracy(covariance(), TRUTH, float("nan")) == likely_accuracy(covariance(), TRUTH, 0.0)
-    assert likely_accuracy(covariance(), TRUTH, float("inf")) == likely_accuracy(covariance(), TRUTH, 1e6)
+    nothing = likely_accuracy(spread(covariance()), TRUTH, Agreement(0.0, 0.0, 0))
+    worst = likely_accuracy(spread(covariance()), TRUTH, met(0.001, 1))
+    assert nothing == worst
+    assert np.isfinite(nothing.rotation_deg_95)
 
 
 def test_both_parts_have_to_be_reached() -> None:
@@ -65,3 +111,15 @@ def test_both_parts_have_to_be_reached() -> None:
     assert found.reaches(0.2, 0.08)
     assert not found.reaches(0.19, 1.0)
     assert not found.reaches(1.0, 0.07)
+
+
+def test_a_rival_that_fits_as_well_is_how_far_off_the_worst_may_be() -> None:
+    told = likely_accuracy(spread(covariance()), TRUTH, met(0.25))
+    near, far = Rival(0.2, "edges", 0.6, 0.01), Rival(0.2, "edges", 9.0, 3.0)
+    assert or_rival(told, None, 1.5) == told
+    assert or_rival(told, replace(far, lead=2.0), 1.5) == told
+    assert or_rival(told, replace(far, unit="cost"), 1.5) == told
+    worst = or_rival(told, far, 1.5)
+    assert (worst.rotation_deg_95, worst.translation_m_95) == (9.0, 3.0)
+    assert (worst.rotation_deg, worst.translation_m) == (told.rotation_deg, told.translation_m)
+    assert or_rival(told, near, 1.5).translation_m_95 == told.translation_m_95

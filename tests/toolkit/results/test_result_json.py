@@ -203,3 +203,15 @@ def test_text_that_is_not_json_is_refused(text: str) -> None:
 def test_json_that_is_not_an_object_is_refused(value: Any) -> None:
     with pytest.raises(InputError, match="the result is not an object"):
         result_from_dict(value)
+
+
+def test_a_result_from_before_there_were_bounds_by_axis_is_read() -> None:
+    value = result_to_dict(
+        replace(_result(), accuracy=Accuracy(0.1, 0.02, 0.3, 0.05), agreement=Agreement(0.3, 0.1, 9))
+    )
+    for name in ("roll_deg", "pitch_deg", "yaw_deg", "x_m", "y_m", "z_m"):
+        del value["accuracy"][name]
+    del value["agreement"]["places"]
+    found = result_from_dict(value)
+    assert found.accuracy == Accuracy(0.1, 0.02, 0.3, 0.05)
+    assert found.agreement == Agreement(0.3, 0.1, 9)

@@ -17,6 +17,8 @@ from p2o.results.evidence import Agreement
 NEAR_PX = 3.0
 SURE = 0.5
 """Image edges of at least this confidence are asked; weak ones are everywhere, and meet any edge by chance."""
+CELL_PX = 64.0
+"""Edges of one direction within such a cell of the picture are one outline, and meet together or not at all."""
 
 
 def agreement(views: Sequence[View], camera_from_lidar: Float) -> Agreement:
@@ -25,7 +27,7 @@ def agreement(views: Sequence[View], camera_from_lidar: Float) -> Agreement:
     A wrong pair of image and sweep can be fitted to an odds ratio of 1 to 5; right pairs at a right pose have more
     (docs/benchmarks.md). It is a test of whether the edges belong together, not of how accurate the pose is.
     """
-    near, chance, points = 0.0, 0.0, 0
+    near, chance, points, places = 0.0, 0.0, 0, 0
     for view in map(_surest, views):
         uv = view.camera.project(se3.apply(camera_from_lidar, view.cloud_edges.xyz))
         inside = view.camera.in_image(uv)
@@ -38,7 +40,9 @@ def agreement(views: Sequence[View], camera_from_lidar: Float) -> Agreement:
             near += float(meets[v, u].sum())
             chance += float(meets[low : high + 1].mean()) * len(v)
             points += len(v)
-    return Agreement(near / points, chance / points, points) if points else Agreement(0.0, 0.0, 0)
+            met = uv[side == number][meets[v, u]]
+            places += len(np.unique(np.floor(met / CELL_PX), axis=0))
+    return Agreement(near / points, chance / points, points, places) if points else Agreement(0.0, 0.0, 0)
 
 
 def _surest(view: View) -> View:

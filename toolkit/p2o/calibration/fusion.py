@@ -30,8 +30,8 @@ _LEAST_CONDITION = 1e-12
 _WIDER = 2.2
 """Nineteen of twenty errors are within so much more than two of three, as for single results."""
 _ANY_WAY = 0.25
-"""This share of the likely squared error goes in all directions alike: edges that are taken for others do not keep to
-the directions that the noise of pairs leaves open, and without it a few pairs look as if they knew one direction to a
+"""This share of the likely squared error of each axis is its own: edges that are taken for others do not keep to the
+mixtures of axes that the noise of pairs leaves open, and without it a few pairs look as if they knew one of them to a
 millimetre.
 """
 
@@ -132,8 +132,9 @@ def rig_result(results: Mapping[str, Result], camera_from_body: Mapping[str, Flo
 def _as_likely(covariance: Float, camera_from_lidar: Float, accuracy: Accuracy | None) -> Float:
     """Return the covariance (6, 6) whose deviations are the likely errors, where these are known.
 
-    Turns and places of the LiDAR are scaled each by a factor of its own, as noise of pairs, which covariances tell, is
-    a part of real errors only; the rest goes in all directions alike.
+    Turns and places of the LiDAR about and along each axis are scaled by factors of their own, as noise of pairs, which
+    covariances tell, is a part of real errors only; the rest is each axis's own, so that what one of them leaves open
+    widens no other. Where axes are not told apart, turns have one factor, places another.
     """
     if accuracy is None:
         return covariance
@@ -142,11 +143,19 @@ def _as_likely(covariance: Float, camera_from_lidar: Float, accuracy: Accuracy |
         return covariance
     place = np.eye(6)
     place[3:, :3] = -se3.skew(camera_from_lidar[:3, 3])
-    likely = np.repeat([np.radians(accuracy.rotation_deg), accuracy.translation_m], 3)
-    scale = likely / np.repeat([np.radians(rotation_deg), translation_m], 3)
+    whole = np.array([np.radians(accuracy.rotation_deg), accuracy.translation_m])
+    axes = (accuracy.pitch_deg, accuracy.yaw_deg, accuracy.roll_deg, accuracy.x_m, accuracy.y_m, accuracy.z_m)
+    if None in axes:
+        scale = np.repeat(whole / [np.radians(rotation_deg), translation_m], 3)
+        likely = np.repeat(whole / np.sqrt(3), 3)
+    else:
+        # As sure by axis as the errors are in all.
+        likely = np.array(axes, np.float64) * np.repeat([np.radians(1.0), 1.0], 3)
+        likely *= np.repeat(whole / np.linalg.norm(likely.reshape(2, 3), axis=1), 3)
+        scale = likely / np.sqrt(np.diag(place @ covariance @ place.T))
     scaled = (scale[:, None] * place) @ covariance @ (scale[:, None] * place).T
     by_update = np.linalg.inv(place)
-    return np.asarray(by_update @ ((1 - _ANY_WAY) * scaled + _ANY_WAY * np.diag(likely**2 / 3)) @ by_update.T)
+    return np.asarray(by_update @ ((1 - _ANY_WAY) * scaled + _ANY_WAY * np.diag(likely**2)) @ by_update.T)
 
 
 def _regular(covariance: Float) -> bool:

@@ -26,7 +26,17 @@ class PipelineOptions(Options):
         30, ge=6, help="Fewer point-to-line pairs than this end a calibration as too-few-matches."
     )
     judge_px: float = option(5.0, gt=1, le=100, help="Truncation of the directed distance that poses are judged by.")
-    min_odds_ratio: float = option(6.0, ge=0, help="A lower agreement of both sensors' edges is called doubtful.")
+    min_odds_ratio: float = option(2.0, ge=0, help="A lower agreement of both sensors' edges is called doubtful.")
+    min_strength: float = option(
+        11.0,
+        ge=0,
+        help="Doubtful is a lower strength of the agreement, too: the logarithm of the odds ratio times the root of "
+        "the places where edges meet.",
+    )
+    most_deg: float = option(
+        1.0, gt=0, help="A result of which one in twenty is likely to be further off is called doubtful."
+    )
+    most_m: float = option(0.3, gt=0, help="The same for the place of the LiDAR, in metres.")
     min_lead_edges: float = option(
         1.5, ge=0, help="A result that another pose comes nearer to than by this many edges is called ambiguous."
     )

@@ -10,12 +10,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from p2o.arrays import Float
-from p2o.calibration.accuracy import likely_accuracy
+from p2o.calibration.accuracy import likely_accuracy, or_rival
 from p2o.calibration.camera_check import at_full_size
 from p2o.calibration.judge import Judge, judge_of
 from p2o.calibration.nuisance import Nuisance, adjusted, known_twists, motion_prior
 from p2o.calibration.options import PipelineOptions as PipelineOptions
 from p2o.calibration.rounds import End, Rounds, counts, mean_residuals_px
+from p2o.calibration.shifts import Spread
 from p2o.calibration.verdict import agreement_of, rival_of, verdict_of
 from p2o.features.missing import patched
 from p2o.features.remarks import CloudRemarks
@@ -122,9 +123,9 @@ class Pipeline:
         with clock.of("agree"):
             agreed = agreement_of(seen, end.pose)
         covariance = final.covariance
-        told = (
-            None if covariance is None or agreed is None else likely_accuracy(covariance, end.pose, agreed.odds_ratio)
-        )
+        told = None
+        if covariance is not None and agreed is not None and end.problem is not None:
+            told = likely_accuracy(Spread.of(covariance, end.problem, end.pose), end.pose, agreed)
         if covariance is None and end.solution is not None:
             covariance = end.solution.covariance
         return Result(
@@ -135,14 +136,14 @@ class Pipeline:
             reason=end.reason,
             rounds=end.rounds,
             covariance=covariance,
-            accuracy=told,
+            accuracy=None if told is None else or_rival(told, rival, options.min_lead_edges),
             matches={} if end.problem is None else counts(end.problem),
             residual_px={} if end.problem is None else mean_residuals_px(end.problem, end.pose),
             judged=judged,
             agreement=agreed,
             rival=rival,
             verdict=verdict_of(
-                agreed, rival, final.cameras, options, places=final.places if judge.name == DIRECTED else None
+                agreed, rival, final.cameras, options, told, places=final.places if judge.name == DIRECTED else None
             ),
             cameras=at_full_size(final.cameras, views),
             motions=final.nuisance.sweep_motions(views),

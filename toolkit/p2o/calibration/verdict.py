@@ -13,6 +13,7 @@ from p2o.calibration.options import PipelineOptions
 from p2o.calibration.rounds import End
 from p2o.features.view import View
 from p2o.geometry import se3
+from p2o.results.accuracy import Accuracy
 from p2o.results.evidence import Agreement, Rival
 from p2o.results.result import CameraCheck, Result
 from p2o.results.verdict import Doubt, Reason, Verdict
@@ -52,14 +53,16 @@ def verdict_of(
     rival: Rival | None,
     cameras: Sequence[CameraCheck],
     options: PipelineOptions,
+    accuracy: Accuracy | None = None,
     *,
     places: int | None = None,
 ) -> Verdict:
     """Return the verdict on a pose: doubtful where edges do not seem to belong together, or nothing can tell.
 
-    `places` is from how many places of the pictures pairs come, None where that is not known.
+    Doubtful is, too, what may be far off by its own likely error (`accuracy`), whatever else speaks for it. `places` is
+    from how many places of the pictures pairs come, None where that is not known.
     """
-    reasons = [*_rivalry(rival, options.min_lead_edges), *_meeting(agreed, options.min_odds_ratio)]
+    reasons = [*_rivalry(rival, options.min_lead_edges), *_meeting(agreed, options), *_unsure(accuracy, options)]
     if places is not None and places < _ENOUGH_PLACES:
         text = (
             f"pairs come from {places} places of the picture alone, too few to tell how good the pose is; take more "
@@ -78,21 +81,33 @@ def _rivalry(rival: Rival | None, min_lead_edges: float) -> list[Reason]:
     return [Reason(Doubt.RIVAL_POSE, f"{text} start")]
 
 
-def _meeting(agreed: Agreement | None, min_odds_ratio: float) -> list[Reason]:
+def _meeting(agreed: Agreement | None, options: PipelineOptions) -> list[Reason]:
     """Return a reason where edges meet little more often than by chance, or there are none to tell."""
     if agreed is None:
         text = "nothing could check that image and sweep meet at this pose: there are no edges of both sensors"
         return [Reason(Doubt.NOT_CHECKED, text)]
-    if agreed.odds_ratio >= min_odds_ratio:
+    if agreed.odds_ratio >= options.min_odds_ratio and agreed.strength >= options.min_strength:
         return []
     return [
         Reason(
             Doubt.LITTLE_AGREEMENT,
-            "image and LiDAR edges meet little more often than by chance (odds ratio "
-            f"{agreed.odds_ratio:.1f}, {min_odds_ratio:g} or more is usual at a right pose); look at the overlay, and "
-            "check that image and sweep belong to the same moment",
+            f"image and LiDAR edges meet little more often than by chance, or in too few places (odds ratio "
+            f"{agreed.odds_ratio:.1f} in {agreed.places} places, strength {agreed.strength:.1f}; "
+            f"{options.min_odds_ratio:g} and {options.min_strength:g} or more are usual at a right pose); look at the "
+            "overlay, check that image and sweep belong to the same moment, or take more frames together",
         )
     ]
+
+
+def _unsure(accuracy: Accuracy | None, options: PipelineOptions) -> list[Reason]:
+    """Return a reason where one of twenty such results is further off than may be."""
+    if accuracy is None or (
+        accuracy.rotation_deg_95 <= options.most_deg and accuracy.translation_m_95 <= options.most_m
+    ):
+        return []
+    may = f"{accuracy.rotation_deg_95:.2f} deg or {accuracy.translation_m_95:.2f} m"
+    text = f"one of twenty such results is {may} off, or more; take more frames together"
+    return [Reason(Doubt.TOO_UNSURE, text)]
 
 
 def witnessed(result: Result, views: Sequence[View], options: PipelineOptions) -> Result:
@@ -106,5 +121,5 @@ def witnessed(result: Result, views: Sequence[View], options: PipelineOptions) -
     seen = [view.as_seen_from(result.camera_from_lidar).without_hidden(result.camera_from_lidar) for view in views]
     agreed = agreement_of(seen, result.camera_from_lidar)
     kept = tuple(reason for reason in result.verdict.reasons if reason.doubt is not Doubt.NOT_CHECKED)
-    verdict = Verdict((*kept, *_meeting(agreed, options.min_odds_ratio)))
+    verdict = Verdict((*kept, *_meeting(agreed, options)))
     return replace(result, agreement=agreed, verdict=verdict)

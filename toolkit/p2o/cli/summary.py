@@ -46,9 +46,12 @@ def describe(row: Row) -> str:
     if result.agreement is not None:
         met = result.agreement
         share = f"{100 * met.near:.0f} % of the LiDAR edges meet an image edge, {100 * met.chance:.0f} % by chance"
-        lines.append(f"  {'agreement':<9} {share} (odds ratio {met.odds_ratio:.1f})")
+        told = f"odds ratio {met.odds_ratio:.1f}, in {met.places} places: strength {met.strength:.1f}"
+        lines.append(f"  {'agreement':<9} {share} ({told})")
     if result.matches and result.status.solved:
         lines.append(f"  {'accuracy':<9} {_accuracy(result.accuracy)}")
+        if result.accuracy is not None and result.accuracy.roll_deg is not None:
+            lines.append(f"  {'by axis':<9} {_axes(result.accuracy)}")
     if result.rival is not None:
         apart = f"{result.rival.rotation_deg:.2f} deg and {result.rival.translation_m:.2f} m away"
         lines.append(f"  {'next best':<9} {apart}, {result.rival.lead:.1f} {result.rival.unit} worse")
@@ -153,6 +156,13 @@ def _accuracy(accuracy: Accuracy | None) -> str:
     usual = f"{accuracy.rotation_deg:.2f} deg and {accuracy.translation_m:.3f} m"
     rare = f"{accuracy.rotation_deg_95:.2f} deg and {accuracy.translation_m_95:.3f} m"
     return f"two of three such results are within {usual}, 19 of 20 within {rare}"
+
+
+def _axes(accuracy: Accuracy) -> str:
+    """Return the likely errors by axis."""
+    turns = ", ".join(f"{name} {getattr(accuracy, f'{name}_deg'):.2f}" for name in ("roll", "pitch", "yaw"))
+    shifts = ", ".join(f"{name} {getattr(accuracy, f'{name}_m'):.3f}" for name in "xyz")
+    return f"{turns} deg; {shifts} m (two of three, camera axes)"
 
 
 def _camera(check: CameraCheck) -> str:

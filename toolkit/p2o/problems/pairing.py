@@ -48,6 +48,7 @@ class Pairs:
     weight: Float
     side: Int8
     time_s: Float
+    sigma_px: Float
 
 
 def pair(
@@ -86,11 +87,11 @@ def pair(
     )
     rows, neighbours = rows[good], neighbours[good]
     weight = cloud.weight[rows] * image.weight[neighbours].mean(axis=1)
+    lidar_px = camera.focal_px * cloud.sigma_m[rows] / xyz_camera[rows, 2]
     if options.weigh_by_sigma:
-        lidar_px = camera.focal_px * cloud.sigma_m[rows] / xyz_camera[rows, 2]
         weight = weight / (1.0 + (lidar_px / options.image_sigma_px) ** 2)
     lines_of = lines.centre[good], lines.normal[good]
-    pairs = Pairs(cloud.xyz[rows], *lines_of, weight, cloud.side[rows], cloud.time_s[rows])
+    pairs = Pairs(cloud.xyz[rows], *lines_of, weight, cloud.side[rows], cloud.time_s[rows], lidar_px)
     if options.thin_px > 0:
         keep = thinned(uv[rows], pairs.side, weight, options.thin_px)
         pairs = Pairs(*(getattr(pairs, name)[keep] for name in Pairs.__dataclass_fields__))
@@ -138,4 +139,5 @@ def assemble(views: Sequence[View], pairs: Sequence[Pairs], huber_px: float, bal
         cameras,
         huber_px,
         np.concatenate([p.time_s for p in pairs]),
+        np.concatenate([p.sigma_px for p in pairs]),
     )

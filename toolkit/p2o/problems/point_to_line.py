@@ -25,7 +25,8 @@ class PointToLine(LeastSquares):
     `frame` (K,) index into `cameras`, one camera a view; `huber_px` the width of the Huber kernel in pixels. The cost
     of all pairs is sum_k weight_k rho(r_k) with rho(r) = r^2 / 2 up to huber_px and linear beyond (paper Eq. 1).
     `time_s` (K,) as in `CloudEdges`: when a point was measured, 0 where its sweep is corrected for motion or has no
-    times.
+    times. `sigma_px` (K,) is how far, one deviation, the LiDAR's beams leave open where a point is, in pixels across
+    its line; 0 where nobody says. It is no part of the cost.
 
     Raises InputError for wrong shapes, values that are not finite, negative weights, normals that are not of length
     one, frames without a camera, or a Huber width that is not positive.
@@ -40,6 +41,7 @@ class PointToLine(LeastSquares):
     cameras: tuple[Camera, ...]
     huber_px: float = 1.0
     time_s: Float = field(default=None)  # type: ignore[arg-type]  # zeros
+    sigma_px: Float = field(default=None)  # type: ignore[arg-type]  # zeros
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "xyz", checked("xyz of the pairs", self.xyz, (None, 3), np.float64))
@@ -51,6 +53,8 @@ class PointToLine(LeastSquares):
         object.__setattr__(self, "frame", checked("frame of the pairs", self.frame, (count,), np.int64))
         time_s = np.zeros(count) if self.time_s is None else self.time_s
         object.__setattr__(self, "time_s", checked("time_s of the pairs", time_s, (count,), np.float64))
+        sigma_px = np.zeros(count) if self.sigma_px is None else self.sigma_px
+        object.__setattr__(self, "sigma_px", checked("sigma_px of the pairs", sigma_px, (count,), np.float64))
         object.__setattr__(self, "cameras", tuple(self.cameras))
         if count and (self.frame.min() < 0 or self.frame.max() >= len(self.cameras)):
             raise InputError(

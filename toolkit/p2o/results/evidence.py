@@ -12,12 +12,23 @@ class Agreement:
     """How LiDAR edges and image edges of their direction meet at a pose (`p2o.calibration.agreement`).
 
     `near` is the share of LiDAR edges in the image that have a sure image edge of their direction close by, `chance`
-    the share that points scattered over the same rows of the image would have, `points` how many there are.
+    the share that points scattered over the same rows of the image would have, `points` how many there are. `places`
+    is how many places of the pictures (64 px, by direction) they meet in.
     """
 
     near: float
     chance: float
     points: int
+    places: int = 0
+
+    @property
+    def strength(self) -> float:
+        """The logarithm of the odds ratio times the root of the places: 0 is chance, NaN without points.
+
+        The logarithm that chance and a search among poses can reach falls with the root of how many places there are to
+        fit, so this compares between sensors, which the odds ratio does not.
+        """
+        return float(np.log(self.odds_ratio) * np.sqrt(self.places)) if self.points else float("nan")
 
     @property
     def odds_ratio(self) -> float:

@@ -21,16 +21,21 @@ from p2o.arrays import checked, parts
 from p2o.errors import InputError
 from p2o.files.parsed_text import parse_json
 from p2o.geometry import se3
+from p2o.geometry.pose_error import AXES
+from p2o.results.accuracy import Accuracy
 from p2o.results.evidence import Agreement
 from p2o.results.result import Result
 from p2o.results.rig import RigResult
 from p2o.results.verdict import Verdict
 
-_SAID: Mapping[type, tuple[str, ...]] = {Verdict: ("trust",), Agreement: ("odds_ratio",)}
+_SAID: Mapping[type, tuple[str, ...]] = {Verdict: ("trust",), Agreement: ("odds_ratio", "strength")}
 """Properties that are written for the reader; they follow from the fields, and are not read."""
 
 _POSES = ("start", "camera_from_lidar")
 _SHAPES: dict[str, tuple[int, ...]] = {**dict.fromkeys(_POSES, (4, 4)), "covariance": (6, 6), "twist": (6,)}
+
+_LATER: Mapping[type, tuple[str, ...]] = {Accuracy: AXES, Agreement: ("places",)}
+"""Fields that results written before there were any do not have; they are then what they are by default."""
 
 _KINDS = {str: "a text", bool: "true or false", int: "a whole number"}
 
@@ -130,13 +135,13 @@ def _read(name: str, kind: Any, value: Any) -> Any:
 
 def _dataclass(name: str, kind: Any, value: Mapping[str, Any]) -> Any:
     types = _types(kind)
-    missing = [key for key in types if key not in value]
+    missing = [key for key in types if key not in value and key not in _LATER.get(kind, ())]
     unknown = [key for key in value if key not in types and key not in _SAID.get(kind, ())]
     if missing or unknown:
         said = [f"{', '.join(keys)} {word}" for keys, word in ((missing, "missing"), (unknown, "unknown")) if keys]
         raise InputError(f"{name} has other fields", expected=", ".join(types), got="; ".join(said))
     before = "" if kind is Result else f"{name}."
-    return kind(**{key: _read(before + key, type_, value[key]) for key, type_ in types.items()})
+    return kind(**{key: _read(before + key, type_, value[key]) for key, type_ in types.items() if key in value})
 
 
 @cache

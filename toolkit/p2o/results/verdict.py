@@ -23,6 +23,7 @@ class Doubt(StrEnum):
     NOT_CHECKED = "not-checked"
     RIVAL_POSE = "rival-pose"
     TOO_FEW_PLACES = "too-few-places"
+    TOO_UNSURE = "too-unsure"
     CAMERA = "camera"
     CONTRADICTION = "contradiction"
     TOO_FEW_CAMERAS = "too-few-cameras"
@@ -35,6 +36,7 @@ class Doubt(StrEnum):
             Doubt.LITTLE_AGREEMENT: Trust.DOUBTFUL,
             Doubt.NOT_CHECKED: Trust.DOUBTFUL,
             Doubt.TOO_FEW_PLACES: Trust.DOUBTFUL,
+            Doubt.TOO_UNSURE: Trust.DOUBTFUL,
             Doubt.CONTRADICTION: Trust.DOUBTFUL,
             Doubt.TOO_FEW_CAMERAS: Trust.DOUBTFUL,
             Doubt.RIVAL_POSE: Trust.AMBIGUOUS,
@@ -56,8 +58,9 @@ _ORDER = tuple(Trust)
 class Verdict:
     """Whether a result may be trusted; `reasons` say why not, and are remarks where it may be.
 
-    `refused`: there is no new pose. `doubtful`: image and sweep do not seem to belong together at this pose, or too
-    little could check that they do. `ambiguous`: another pose fits about as well. `trusted`: none of these.
+    `refused`: there is no new pose. `doubtful`: image and sweep do not seem to belong together at this pose, too little
+    could check that they do, or it may be far off by its own likely error. `ambiguous`: another pose fits about as
+    well. `trusted`: none of these.
     """
 
     reasons: tuple[Reason, ...] = ()

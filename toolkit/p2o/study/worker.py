@@ -296,7 +296,7 @@ def _beside(result: Result) -> dict[str, Any]:
     """Return the columns of what was found beside the pose; what is no number is None, as SQLite has it."""
     found: dict[str, Any] = {} if result.agreement is None else {"agreement": result.agreement.odds_ratio}
     for prefix, value in (("rival", result.rival), ("likely", result.accuracy)):
-        found |= {f"{prefix}_{name}": part for name, part in parts(value) or ()}
+        found |= {f"{prefix}_{name}": part for name, part in parts(value) or () if name not in AXES}
     if result.time is not None:
         found |= {"time_offset_s": result.time.offset_s, "time_sigma_s": result.time.sigma_s}
         found["time_use"] = "used" if result.time.used else "told"

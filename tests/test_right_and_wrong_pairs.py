@@ -1,0 +1,59 @@
+"""What image and sweep are of one moment is trusted; an image with the sweep of another place is not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from p2o import Frame, View
+from p2o.calibration.accuracy import deviations
+from p2o.calibration.pipeline import Pipeline
+from p2o.geometry.perturb import wrong_start
+from p2o.geometry.pose_error import pose_error
+from p2o.host.registry import Registry
+from p2o.run.recipe import Recipe
+
+DATA = "synthetic:?scenes=4&seed=58&right=false&width_px=828&height_px=250"
+
+
+@pytest.fixture(scope="module")
+def seen() -> tuple[Pipeline, Sequence[Frame], Sequence[View]]:
+    plan = Recipe.of(data=DATA, extractor="depth/rings").resolve(Registry.load())
+    dataset, pipeline = plan.dataset(), plan.calibrator()
+    frames = [dataset[number] for number in range(4)]
+    return pipeline, frames, [pipeline.prepare(frame) for frame in frames]
+
+
+def test_right_pairs_are_trusted_and_hold_what_they_say(seen: tuple[Pipeline, Sequence[Frame], Sequence[View]]) -> None:
+    pipeline, frames, views = seen
+    truth = frames[0].camera_from_lidar
+    result = pipeline.solve(views, wrong_start(truth, 2.0, 0.15, np.random.default_rng(0)))
+    error = pose_error(result.camera_from_lidar, truth)
+    assert result.verdict.trusted, result.verdict.why
+    assert error.rotation_deg <= result.accuracy.rotation_deg_95
+    assert error.translation_m <= result.accuracy.translation_m_95
+
+
+def test_the_sweep_of_another_place_is_not_trusted(seen: tuple[Pipeline, Sequence[Frame], Sequence[View]]) -> None:
+    pipeline, frames, views = seen
+    for number, view in enumerate(views):
+        wrong = replace(view, cloud=views[(number + 1) % len(views)].cloud)
+        start = wrong_start(frames[number].camera_from_lidar, 2.0, 0.15, np.random.default_rng(number))
+        assert not pipeline.solve([wrong], start).verdict.trusted
+
+
+def test_noisier_edges_promise_less(seen: tuple[Pipeline, Sequence[Frame], Sequence[View]]) -> None:
+    pipeline, frames, views = seen
+    start = wrong_start(frames[0].camera_from_lidar, 0.3, 0.03, np.random.default_rng(0))
+    rng, noisy = np.random.default_rng(1), []
+    for view in views:
+        edges = view.cloud_edges
+        moved = replace(edges, xyz=edges.xyz + rng.normal(0, 0.1, edges.xyz.shape))
+        noisy.append(replace(view, cloud=view.cloud.having(moved)))
+    exact, worse = (pipeline.solve(some, start) for some in (views, noisy))
+    # What beams leave open stays, so in all it becomes only a little more.
+    assert worse.accuracy.translation_m > exact.accuracy.translation_m
+    for more, less in zip(*(deviations(r.covariance, r.camera_from_lidar) for r in (worse, exact)), strict=True):
+        assert more > less
