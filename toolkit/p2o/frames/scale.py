@@ -6,11 +6,11 @@ learnt to see all mean angles, so pictures of long focal lengths are looked at s
 
 from __future__ import annotations
 
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from p2o.arrays import Float
 from p2o.frames.image import Image
 from p2o.geometry.camera import Camera
 
@@ -46,12 +46,12 @@ def _resized(image: Image, camera: Camera) -> Image:
 
     size = camera.width, camera.height
 
-    def smaller(picture: Float | None, how: int) -> Float | None:
+    def smaller(picture: Any, how: int) -> Any:
         return None if picture is None else np.asarray(cv2.resize(picture, size, interpolation=how))
 
     masked = None if image.masked is None else smaller(image.masked.astype(np.uint8), cv2.INTER_NEAREST_EXACT)
     return Image(
-        np.asarray(smaller(image.rgb, cv2.INTER_AREA)),
+        smaller(image.rgb, cv2.INTER_AREA),
         camera,
         right=smaller(image.right, cv2.INTER_AREA),
         baseline_m=image.baseline_m,
