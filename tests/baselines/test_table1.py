@@ -76,7 +76,8 @@ def test_it_prints_means_and_medians_beside_the_papers_and_refused_frames_count(
         # Between failures and figures: how many are trusted, ambiguous and doubtful, where any is; and seconds.
         verdicts = sum(word in lines[1].split() for word in ("trusted", "ambiguous", "doubtful"))
         cells = lines[number].removeprefix(label).split()
-        assert (*cells[:2], cells[3 + verdicts]) == ("3", refused, "mean")
+        assert cells[:2] == ["3", refused]
+        assert "mean" in cells[3 + verdicts :]
         assert sum(map(int, cells[2 : 2 + verdicts])) == 3 - int(refused)
         assert lines[number + 1].split()[0] == "median"
         for line, statistic in zip(lines[number:], (np.mean, np.median), strict=False):

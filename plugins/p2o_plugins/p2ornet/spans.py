@@ -94,7 +94,6 @@ def lidar_spans(cloud: Cloud, camera: Camera, camera_from_lidar: Float, *, speed
         _continuous(sweep, lower, uv, seen, SOUTH, _slip_px(xyz, camera, speed_m_s)),
     ]
     beam = float(np.median(left.gap[left.known][::8])) if left.known.any() else 0.0
-    whole = RingsOptions(shift_beams=1.0)
     plane = ground_plane(sweep, options.seed)
     for side in neighbours:
         rows = jumps_of(sweep, neighbours, side, options)
@@ -104,7 +103,7 @@ def lidar_spans(cloud: Cloud, camera: Camera, camera_from_lidar: Float, *, speed
         if plane is not None:
             keep &= sweep.xyz(rows) @ plane[:3] + plane[3] > options.ground_height_m
         rows, support = rows[keep], support[keep]
-        beyond, _ = outline(sweep, neighbours[side], side, rows, beam, whole)
+        beyond, _ = outline(sweep, neighbours[side], side, rows, beam, np.ones(len(rows)))
         passing = camera.project(se3.apply(camera_from_lidar, beyond))
         slip = _slip_px(xyz[rows], camera, speed_m_s)
         keep = np.isfinite(passing).all(axis=1) & (slip < 3.0)

@@ -120,7 +120,7 @@ def test_points_behind_the_camera_are_left_out(method: Method) -> None:
     problem = pairs()
     behind = pairs(9)
     behind = replace(behind, xyz=se3.apply(se3.inverse(TRUTH), se3.apply(TRUTH, behind.xyz) * [1, 1, -1]))
-    names = ("xyz", "centre", "normal", "weight", "side", "frame", "time_s")
+    names = ("xyz", "centre", "normal", "weight", "side", "frame", "time_s", "sigma_px")
     both = replace(problem, **{n: np.concatenate([getattr(problem, n), getattr(behind, n)]) for n in names})
     solution = built(method)(both, NEAR)
     assert max(apart(solution.camera_from_lidar, TRUTH)) < 1e-6

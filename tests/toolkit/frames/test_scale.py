@@ -66,7 +66,7 @@ def test_what_was_found_out_about_a_camera_is_told_of_the_one_that_was_given() -
     small = camera_at_scale(TELE)
     error = RadialError(0.01, 0.02)
     check = CameraCheck(1, small, error.corrected(small), 0.01, 0.001, 0.02, 0.002, 3.0, 0.5, True)
-    view = View("a", small, ImageFeatures(), CloudFeatures(), TELE)
+    view = View("a", small, ImageFeatures(), CloudFeatures(), full_size=TELE)
     [told] = at_full_size([check], [view])
     assert told.camera == TELE
     assert told.better == error.corrected(TELE)
