@@ -57,12 +57,16 @@ class RingsOptions(JumpOptions):
     max_gap_deg: float = field(0.6, gt=0, lt=90, help="Widest azimuth gap on a ring that is not a missing return.")
     max_step_deg: float = field(3.0, gt=0, lt=90, help="Widest elevation gap between rings that are neighbours.")
     open_weight: float = field(
-        1.0, ge=0, le=1, help="Weight of edges against the open sky, of others' weights; 0: none of them."
+        0.5, ge=0, le=1, help="Weight of edges against the open sky, of others' weights; 0: none of them."
     )
     open_range_m: float = field(60.0, gt=0, help="Farthest edge against the open sky: far returns are lost.")
     open_gap_deg: float = field(1.0, gt=0, le=90, help="Narrowest gap on a ring that can be the open sky.")
-    open_shift_beams: float = field(
-        0.1, ge=-1, le=1, help="As shift_beams, for edges against the open sky, which beams that graze them still show."
+    open_wider_beams: float = field(
+        0.4,
+        ge=0,
+        le=2,
+        help="Things against the open sky seem wider on each side by this share of the step along a ring: beams that "
+        "graze them still come back.",
     )
     without_rings: Literal["range-view", "refuse"] = field(
         "range-view", help="Clouds that do not tell their rings: as `range-view` does, with a warning, or an error."
@@ -128,8 +132,8 @@ def ring_edges(cloud: Cloud, options: RingsOptions) -> CloudFeatures:
         keep = in_company(sweep, rows, others, step, options)
         rows, support = rows[keep], support[keep]
         into_open = sweep.range_m[neighbours[side].row[rows]] == FAR_M
-        share = np.where(into_open, options.open_shift_beams, options.shift_beams)
-        xyz, sigma = outline(sweep, neighbours[side], side, rows, beam, share)
+        wider = np.where(into_open, options.open_wider_beams * beam, 0.0)
+        xyz, sigma = outline(sweep, neighbours[side], side, rows, beam, options.shift_beams, wider)
         weight = support if options.weigh else np.ones(len(rows))
         weight = np.where(into_open, options.open_weight, 1.0) * weight
         time_s = np.zeros(len(rows)) if measured_s is None else measured_s[sweep.point[rows]]
@@ -237,21 +241,27 @@ def in_company(sweep: Returns, rows: Int, others: int, step: float, options: Jum
     return keep
 
 
-def outline(sweep: Sweep, behind: Neighbours, side: Side, rows: Int, beam: float, share: Float) -> tuple[Float, Float]:
-    """Return xyz (M, 3) m moved by a share (M,) towards the passing beam, at the own distance, and sigma_m (M,)."""
+def outline(
+    sweep: Sweep, behind: Neighbours, side: Side, rows: Int, beam: float, share: float, wider: Float
+) -> tuple[Float, Float]:
+    """Return xyz (M, 3) m moved by a share towards the passing beam, at the own distance, and sigma_m (M,).
+
+    `wider` (M,) rad is how much wider than it is a thing seems to this side.
+    """
     xyz, flat = sweep.xyz(rows), sweep.flat_m[rows].astype(np.float64)
     if side in (Side.LEFT, Side.RIGHT):
         # Lasers beside the axis see near and far under slightly different azimuths (HDL-64E: 0.05 degrees between
         # 5 m and 6 m), so the gap is counted in whole beams.
         turn = np.maximum(np.rint(behind.gap[rows] / beam), 1) * beam
-        angle = share * turn if side is Side.LEFT else -share * turn
+        angle = share * turn - wider
+        angle = angle if side is Side.LEFT else -angle
         cos, sin = np.cos(angle), np.sin(angle)
         xyz[:, 0], xyz[:, 1] = cos * xyz[:, 0] - sin * xyz[:, 1], sin * xyz[:, 0] + cos * xyz[:, 1]
         return xyz, turn * flat / np.sqrt(12)
     # The passing beam at this distance, from its cone: its elevation seen from the origin changes with range.
     beyond = sweep.ring[behind.row[rows]]
     lift = sweep.slope[beyond] * flat + sweep.offset[beyond] - xyz[:, 2]
-    xyz[:, 2] += share * lift
+    xyz[:, 2] += share * lift - np.sign(lift) * wider * sweep.range_m[rows] ** 2 / flat
     return xyz, np.abs(lift) * flat / sweep.range_m[rows] / np.sqrt(12)
 
 

@@ -103,7 +103,7 @@ def lidar_spans(cloud: Cloud, camera: Camera, camera_from_lidar: Float, *, speed
         if plane is not None:
             keep &= sweep.xyz(rows) @ plane[:3] + plane[3] > options.ground_height_m
         rows, support = rows[keep], support[keep]
-        beyond, _ = outline(sweep, neighbours[side], side, rows, beam, np.ones(len(rows)))
+        beyond, _ = outline(sweep, neighbours[side], side, rows, beam, 1.0, np.zeros(len(rows)))
         passing = camera.project(se3.apply(camera_from_lidar, beyond))
         slip = _slip_px(xyz[rows], camera, speed_m_s)
         keep = np.isfinite(passing).all(axis=1) & (slip < 3.0)

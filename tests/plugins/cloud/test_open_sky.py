@@ -32,7 +32,7 @@ def only(cloud: Cloud, keep: np.ndarray) -> Cloud:
 def test_a_pole_before_the_sky_has_both_outlines_where_they_are(elevations):
     lidar = Lidar(elevations_deg=elevations)
     cloud = lidar.scan(POLE, GROUND)
-    edges = new(cloud, open_shift_beams=0.5)
+    edges = new(cloud, open_wider_beams=0)
     high = edges.xyz[:, 2] > 0
     for side, sign in ((Side.LEFT, 1), (Side.RIGHT, -1)):
         azimuth = np.degrees(np.arctan2(*edges.xyz[high & (edges.side == side)].T[1::-1]))
@@ -43,7 +43,7 @@ def test_a_pole_before_the_sky_has_both_outlines_where_they_are(elevations):
 
 def test_the_roof_of_a_house_is_an_upper_edge_half_a_ring_above_its_highest_returns():
     cloud = Lidar(elevations_deg=OS128).scan(HOUSE, GROUND)
-    edges = new(cloud, open_shift_beams=0.5)
+    edges = new(cloud, open_wider_beams=0)
     roof = edges.xyz[edges.side == Side.UPPER]
     assert len(roof) > 50
     step_m = 13.0 * np.radians(45 / 127)
@@ -52,10 +52,19 @@ def test_the_roof_of_a_house_is_an_upper_edge_half_a_ring_above_its_highest_retu
 
 def test_grazing_beams_still_show_the_thing_so_its_outline_is_moved_less():
     cloud = Lidar(elevations_deg=OS128).scan(POLE, GROUND)
-    wide, narrow = (new(cloud, open_shift_beams=share) for share in (0.5, 0.0))
+    wide, narrow = (new(cloud, open_wider_beams=share) for share in (0.0, 0.5))
     for side, sign in ((Side.LEFT, 1), (Side.RIGHT, -1)):
         apart = wide.xyz[wide.side == side][:, 1].mean() - narrow.xyz[narrow.side == side][:, 1].mean()
         assert sign * apart == pytest.approx(10 * np.radians(0.09), rel=0.1)
+
+
+def test_roofs_are_lowered_by_the_same_angle_as_poles_are_narrowed():
+    cloud = Lidar(elevations_deg=OS128).scan(HOUSE, GROUND)
+    high, low = (new(cloud, open_wider_beams=share) for share in (0.0, 0.5))
+    fall = high.xyz[high.side == Side.UPPER][:, 2] - low.xyz[low.side == Side.UPPER][:, 2]
+    flat = np.hypot(*high.xyz[high.side == Side.UPPER][:, :2].T)
+    up = np.arctan2(high.xyz[high.side == Side.UPPER][:, 2], flat)
+    assert fall == pytest.approx(np.radians(0.09) * flat / np.cos(up) ** 2, rel=0.05)
 
 
 def test_a_window_that_swallows_beams_is_no_sky():
@@ -92,7 +101,7 @@ def test_a_road_that_fades_away_is_no_outline():
 def test_far_things_are_left_out_and_weights_are_as_asked():
     near, far = POLE, Pole(0.0, 70.0, 0.5)
     cloud = Lidar(elevations_deg=OS128).scan(near, far, GROUND)
-    edges = new(cloud)
+    edges = new(cloud, open_weight=1)
     assert len(edges)
     assert (np.hypot(*edges.xyz[:, :2].T) < 60).all()
     half = new(cloud, open_weight=0.5)
