@@ -57,7 +57,13 @@ class RingsOptions(JumpOptions):
     max_gap_deg: float = field(0.6, gt=0, lt=90, help="Widest azimuth gap on a ring that is not a missing return.")
     max_step_deg: float = field(3.0, gt=0, lt=90, help="Widest elevation gap between rings that are neighbours.")
     open_weight: float = field(
-        0.5, ge=0, le=1, help="Weight of edges against the open sky, of others' weights; 0: none of them."
+        1.0, ge=0, le=1, help="Weight of edges against the open sky, of others' weights; 0: none of them."
+    )
+    open_least_deg: float = field(
+        5.0,
+        ge=-90,
+        le=90,
+        help="None of them where the highest ring looks up by less: it meets something nearly always.",
     )
     open_range_m: float = field(60.0, gt=0, help="Farthest edge against the open sky: far returns are lost.")
     open_gap_deg: float = field(1.0, gt=0, le=90, help="Narrowest gap on a ring that can be the open sky.")
@@ -110,7 +116,8 @@ def ring_edges(cloud: Cloud, options: RingsOptions) -> CloudFeatures:
     step = float(np.median(lower.gap[lower.known][::8])) if lower.known.any() else 0.0
     every = slice(None, None, -(-len(sweep) // max(options.max_points, 1)))
     surface = sweep.xyz(every) if options.max_points and len(sweep) else np.zeros((0, 3))
-    if options.open_weight > 0 and beam > 0:
+    looks_up = len(sweep) > 0 and np.degrees(np.arctan(sweep.slope[0])) >= options.open_least_deg
+    if options.open_weight > 0 and beam > 0 and looks_up:
         sweep = opened(sweep, beam, options.open_gap_deg, plane, options.open_range_m)
         left, right = along_ring(sweep, options.max_gap_deg)
         upper, lower = (across_rings(sweep, s, 0.5 * options.max_gap_deg, options.max_step_deg) for s in (-1, 1))

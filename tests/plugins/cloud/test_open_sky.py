@@ -106,3 +106,9 @@ def test_far_things_are_left_out_and_weights_are_as_asked():
     assert (np.hypot(*edges.xyz[:, :2].T) < 60).all()
     half = new(cloud, open_weight=0.5)
     np.testing.assert_allclose(half.weight, 0.5 * edges.weight)
+
+
+def test_a_sensor_that_hardly_looks_up_has_none_unless_asked():
+    cloud = Lidar().scan(POLE, GROUND)  # an HDL-64E: 2 deg
+    assert len(new(cloud)) == 0
+    assert len(new(cloud, open_least_deg=0)) > 0

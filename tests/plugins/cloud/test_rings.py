@@ -345,13 +345,14 @@ def test_every_option_changes_the_outcome():
         "shift_beams": 0.0,
         "max_points": 100,
         "seed": 3,
-        "open_weight": 1.0,
+        "open_weight": 0.5,
+        "open_least_deg": 90.0,
         "open_range_m": 8.0,
         "open_gap_deg": 60.0,
         "open_wider_beams": 1.0,
     }
     assert set(changes) | {"without_rings"} == set(RingsOptions.model_fields)
-    base = {"neighbour_m": 0.3, "min_neighbours": 4}
+    base = {"neighbour_m": 0.3, "min_neighbours": 4, "open_least_deg": -90.0}
 
     def outcome(**options):
         features = METHOD.build(RingsOptions(**(base | options)))(rough)
