@@ -1,4 +1,4 @@
-"""Where a sweep looks into the open: beams above which nothing came back either, and that no ground explains.
+"""Where a sweep looks into the open: gaps that hang together with the sky, and that no ground explains.
 
 Outlines of poles, roofs and lamps against the sky have no return behind them. Where the beams beside them went into the
 open, that is an occlusion edge against something infinitely far.
