@@ -9,7 +9,7 @@ from p2o.arrays import Float, Int
 from p2o_plugins.cloud.ground_plane import ground_plane
 from p2o_plugins.cloud.rings import JumpOptions, in_company, share_met, support_of, towards_background
 from p2o_plugins.cloud.scattered import Around, Scattered, ahead_of, around, in_front, kept, neighbour, scattered
-from p2o_plugins.cloud.sweep import Neighbours
+from p2o_plugins.cloud.sweep import Neighbours, Single
 
 
 class RangeViewOptions(JumpOptions):
@@ -74,8 +74,9 @@ def range_view_edges(cloud: Cloud, options: RangeViewOptions) -> CloudFeatures:
         ray = seen.xyz(rows) - origin
         background = towards_background(ray, side)
         # Halfway to the neighbour, as far as it lies to this side.
-        gap = neighbours[side].gap[rows].astype(np.float64)
-        gap *= seen.flat_m[rows] if side in (Side.LEFT, Side.RIGHT) else seen.range_m[rows]
+        gap, own = neighbours[side].gap[rows].astype(np.float64), own_step(seen, near, rows, side, options)
+        gap = np.where(gap > _STRIP * own, own, gap)
+        gap *= seen.flat_m[rows] if side in _LEVEL else seen.range_m[rows]
         xyz = ray + options.shift_beams * gap[:, None] * background + origin
         weight = support if options.weigh else np.ones(len(rows))
         time_s = np.zeros(len(rows)) if measured_s is None else measured_s[seen.point[rows]]
@@ -105,6 +106,11 @@ def _about_origin(hidden: float, options: RangeViewOptions) -> tuple[CloudRemark
     )
 
 
+_LEVEL = (Side.LEFT, Side.RIGHT)
+# From so many of its own steps to the background, a strip beyond a surface was not seen.
+_STRIP = 2.0
+# Returns of a surface that tell how densely they lie.
+_OWN = 6
 _SIDES = (Side.LEFT, Side.RIGHT, Side.UPPER, Side.BOTTOM)
 # Returns of one surface that tell its plane, at least, and how firmly it stays put where they hardly do.
 _FEWEST, _FIRMNESS = 3, 1e-2
@@ -128,6 +134,20 @@ def jumps_between(seen: Scattered, near: Around, behind: Neighbours, side: Side,
         predicted = _continued(seen, near, back, rows, jump[rows], options)
         rows = rows[~(r[back] - predicted > options.grazing_share * jump[rows])]
     return rows
+
+
+def own_step(seen: Scattered, near: Around, rows: Int, side: Side, options: RangeViewOptions) -> Single:
+    """Return the usual step (M,) in rad towards `side` between the returns of the surfaces that `rows` lie on.
+
+    Infinite where there are too few. A surface ends within a step of its last return. The way to the background may be
+    much longer: sensors elsewhere (merged clouds, several sweeps) leave a strip unseen behind every outline.
+    """
+    r = seen.range_m[rows, None]
+    same = np.abs(seen.range_m[near.row[rows]] - r) < options.min_jump_m + options.min_jump_share * r
+    away = np.partition(np.where(same, near.away[rows], np.float32(np.inf)), _OWN - 1, axis=1)[:, _OWN - 1]
+    # So many returns fill the half of a circle that is not beyond the outline.
+    step: Single = away * np.float32(np.sqrt(0.5 * np.pi / _OWN) * seen.spacing[0 if side in _LEVEL else 1])
+    return step
 
 
 def _continued(seen: Scattered, near: Around, rows: Int, to: Int, jump: Float, options: RangeViewOptions) -> Float:

@@ -211,6 +211,6 @@ METHOD = Method(
     options=P2ORNetOptions,
     summary="Directed occlusion edges of one picture, labelled by a network.",
     gives={"image-edges", "side"},
-    trainer=Trainer(options=TrainingOptions, presets=PRESETS, label=label, draw=draw, train=train, label_version=2),
+    trainer=Trainer(options=TrainingOptions, presets=PRESETS, label=label, draw=draw, train=train, label_version=3),
     cite="Wang et al., P2O-Calib, 2023, Sec. III-B; Qiu, Xiao, Wang, Marlet, P2ORM, ECCV 2020",
 )

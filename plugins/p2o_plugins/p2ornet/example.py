@@ -12,6 +12,7 @@ from p2o.arrays import Int8, UInt8
 from p2o.files.array_file import MAX_BYTES, read_npz
 from p2o.files.input_file import read_bytes
 from p2o.files.whole_file import write_whole
+from p2o.frames.scale import image_at_scale
 
 from p2o_plugins.p2ornet.spans import Spans, classes_of, depth_spans, lidar_spans
 
@@ -20,7 +21,7 @@ UNKNOWN = -1
 DENSE = 0.9
 """From this share of known pixels on a depth map is dense, and the occlusion rule decides every pair."""
 RAW_SPEED_M_S = 10.0
-"""Assumed speed of a car whose sweeps were not corrected for ego-motion."""
+"""Assumed speed of a car whose sweeps tell the times of their points and were not corrected for ego-motion."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +88,8 @@ def example_of(frame: Frame, *, foliage: str = "ignore") -> Example:
         return Example(frame.name, image.rgb, classes, Spans.joined())
     parts = []
     if frame.camera_from_lidar is not None:
-        speed = 0.0 if frame.twist is not None else RAW_SPEED_M_S
+        # As in a calibration: points without times come from a sweep that was corrected, or was taken at rest.
+        speed = RAW_SPEED_M_S if frame.cloud.time_s is not None and frame.twist is None else 0.0
         parts.append(lidar_spans(frame.cloud, image.camera, frame.camera_from_lidar, speed_m_s=speed))
     if depth is not None:
         parts.append(depth_spans(depth))
