@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from p2o.frames.frame import Dataset as Dataset
     from p2o.frames.frame import Frame as Frame
     from p2o.frames.image import Image as Image
+    from p2o.frames.scale import image_at_scale as image_at_scale
     from p2o.frames.target import Checkerboard as Checkerboard
     from p2o.frames.target import HoleBoard as HoleBoard
     from p2o.frames.target import Target as Target
@@ -72,6 +73,7 @@ if TYPE_CHECKING:
     from p2o.results.evidence import Agreement as Agreement
     from p2o.results.evidence import Judged as Judged
     from p2o.results.evidence import Rival as Rival
+    from p2o.results.evidence import StartWeight as StartWeight
     from p2o.results.result import CameraCheck as CameraCheck
     from p2o.results.result import Result as Result
     from p2o.results.result import Round as Round
@@ -105,6 +107,7 @@ _HOME = {
     "frames.frame": ["Dataset", "Frame"],
     "host.hookspecs": ["hookimpl"],
     "frames.image": ["Image"],
+    "frames.scale": ["image_at_scale"],
     "host.method": ["Example", "Kind", "Method"],
     "geometry.pose_error": ["PoseError", "pose_error"],
     "options": ["Options", "field"],
@@ -115,7 +118,7 @@ _HOME = {
     "run.recipe": ["Recipe"],
     "host.registry": ["Registry"],
     "frames.target": ["Checkerboard", "HoleBoard", "Target"],
-    "results.evidence": ["Agreement", "Judged", "Rival"],
+    "results.evidence": ["Agreement", "Judged", "Rival", "StartWeight"],
     "results.result": [
         "CameraCheck",
         "Result",

@@ -31,6 +31,11 @@ class SearchOptions(NarrowOptions):
         ge=0,
         help="One sigma away from the start costs as much as this many LiDAR edges without an image edge; 0: off.",
     )
+    weigh_start: bool = field(
+        True,
+        help="Weigh the start in at the end, taken to be good to sigma_deg and sigma_m an axis; false: the pose is that "
+        "of the edges alone.",
+    )
     scatter: int = field(3000, ge=100, le=1_000_000, help="Poses drawn around the start, to find further basins.")
     basins: int = field(12, ge=1, le=1000, help="So many of them, the best and separate, are narrowed.")
     finest_px: float = field(4.0, gt=1, le=500, help="Truncation of the distances at which basins end and are ranked.")
@@ -67,6 +72,9 @@ def build(options: SearchOptions) -> Initializer:
             if all(se3.angle_deg(pose @ se3.inverse(other)) > _SEPARATE_DEG for other in apart):
                 apart.append(pose)
         return [*apart[: options.proposals], camera_from_lidar]
+
+    if options.weigh_start and options.sigma_m > 0:
+        initialize.start_sigma = (options.sigma_deg, options.sigma_m)  # type: ignore[attr-defined]
 
     return initialize
 

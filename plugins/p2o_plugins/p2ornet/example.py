@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from p2o import Frame, InputError, occlusion
+from p2o import Frame, InputError, image_at_scale, occlusion
 from p2o.arrays import Int8, UInt8
 from p2o.files.array_file import MAX_BYTES, read_npz
 from p2o.files.input_file import read_bytes
 from p2o.files.whole_file import write_whole
-from p2o.frames.scale import image_at_scale
 
 from p2o_plugins.p2ornet.spans import Spans, classes_of, depth_spans, lidar_spans
 
@@ -72,9 +71,10 @@ def example_of(frame: Frame, *, foliage: str = "ignore") -> Example:
 
     Dense depth (simulation, Virtual KITTI 2): the occlusion rule decides every pair; pairs whose hiding pixel is
     masked are unknown (`foliage` "ignore") or neither ("none", as in the paper). Otherwise: the sweep at the true
-    extrinsic, and sparse depth where there is some. Raises InputError if the frame has neither.
+    extrinsic, and sparse depth where there is some. Pictures of long focal lengths are looked at as small as in a
+    calibration. Raises InputError if the frame has neither.
     """
-    image = frame.image
+    image = image_at_scale(frame.image)
     depth = image.depth_m
     if depth is not None and np.mean(~np.isnan(depth)) > DENSE:
         orders = occlusion.occlusion_orders(depth, image.camera)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from p2o import InputError
+from p2o.frames.scale import LONGEST_FOCAL_PX
 from p2o.testing import stage
 from p2o_plugins.data.kitti_raw import KittiRawOptions
 from p2o_plugins.data.kitti_raw import build as build_raw
@@ -148,6 +149,30 @@ def test_sparse_depth_and_the_sweep_are_joined_and_dense_depth_decides_alone() -
     assert both.classes is None
     assert len(both.spans) == len(only_sweep.spans) + len(only_depth.spans)
     assert min(len(only_sweep.spans), len(only_depth.spans)) > 100
+
+
+def test_pictures_of_long_focal_lengths_teach_at_the_size_that_a_calibration_looks_at() -> None:
+    frame = stage.frame()
+    camera = frame.image.camera
+    tele = replace(camera, params=(2000.0, 2000.0, *camera.params[-2:]))
+    image = replace(frame.image, camera=tele)
+    example = example_of(replace(frame, image=image))
+    share = LONGEST_FOCAL_PX / tele.focal_px
+    assert share < 1
+    np.testing.assert_allclose(example.rgb.shape[:2], share * np.array(image.rgb.shape[:2]), atol=1)
+
+
+def test_a_sweep_without_times_counts_as_corrected() -> None:
+    frame = stage.frame()
+    bare = replace(frame, image=replace(frame.image, depth_m=None), twist=None)
+    known, unknown = (
+        example_of(replace(bare, cloud=replace(bare.cloud, time_s=time_s, twist=None)))
+        for time_s in (None, np.zeros(len(bare.cloud.xyz)))
+    )
+    lengths = [
+        (rows["end"] - rows["start"])[rows["order"] != 0] for rows in (known.spans.rows, unknown.spans.rows)
+    ]
+    assert np.median(lengths[0]) < np.median(lengths[1])
 
 
 @pytest.mark.real

@@ -53,7 +53,12 @@ def likely_accuracy(spread: Spread, camera_from_lidar: Float, agreed: Agreement,
     only, not of edges that were taken for others: errors are a multiple of what they show, the less the better the
     edges agree.
     """
-    axes = np.sqrt(np.diag(likely_covariance(spread, camera_from_lidar, agreed.odds_ratio, law)))
+    return accuracy_of(likely_covariance(spread, camera_from_lidar, agreed.odds_ratio, law), agreed, law)
+
+
+def accuracy_of(covariance: Float, agreed: Agreement, law: Law = LAW) -> Accuracy:
+    """Return how wrong a pose is likely to be whose errors have a covariance (6, 6) as `likely_covariance` tells it."""
+    axes = np.sqrt(np.diag(covariance))
     rotation_deg, translation_m = float(np.degrees(np.linalg.norm(axes[:3]))), float(np.linalg.norm(axes[3:]))
     bounds = [
         (more * factor * rotation_deg, more * other * translation_m)
@@ -72,7 +77,7 @@ def likely_covariance(spread: Spread, camera_from_lidar: Float, odds_ratio: floa
     odds = float(np.clip(np.nan_to_num(odds_ratio, nan=0.0), _LEAST_ODDS, _MOST_ODDS))
     own = np.repeat([np.radians(law.floor_deg), law.floor_m], 3) ** 2 + (law.rings * spread.rings) ** 2
     scatter = (law.pairs * (odds / 10.0) ** -law.by_odds) ** 2 * spread.pairs + law.beams**2 * spread.beams
-    by_update = _place_by_update(camera_from_lidar)
+    by_update = place_by_update(camera_from_lidar)
     return np.asarray(by_update @ scatter @ by_update.T + np.diag(own))
 
 
@@ -98,12 +103,12 @@ def deviations(covariance: Float, camera_from_lidar: Float) -> tuple[float, floa
 
     A turn w about the camera moves the LiDAR at t by w x t, which counts as translation (`p2o.pose_error`).
     """
-    by_update = _place_by_update(camera_from_lidar)
+    by_update = place_by_update(camera_from_lidar)
     variances = np.diag(by_update @ covariance @ by_update.T)
     return float(np.degrees(np.sqrt(variances[:3].sum()))), float(np.sqrt(variances[3:].sum()))
 
 
-def _place_by_update(camera_from_lidar: Float) -> Float:
+def place_by_update(camera_from_lidar: Float) -> Float:
     """Return the derivative (6, 6) of turn and place of the LiDAR in the camera frame by a left update."""
     by_update = np.eye(6)
     by_update[3:, :3] = -se3.skew(camera_from_lidar[:3, 3])

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from p2o.arrays import Float
-from p2o.calibration.accuracy import deviations
+from p2o.calibration.accuracy import deviations, place_by_update
 from p2o.errors import InputError
 from p2o.geometry import se3
 from p2o.geometry.motion import adjoint
@@ -29,7 +29,7 @@ _STEPS, _SMALL = 50, 1e-12
 _LEAST_CONDITION = 1e-12
 _WIDER = 2.2
 """Nineteen of twenty errors are within so much more than two of three, as for single results."""
-_ANY_WAY = 0.25
+OWN_SHARE = 0.25
 """This share of the likely squared error of each axis is its own: edges that are taken for others do not keep to the
 mixtures of axes that the noise of pairs leaves open, and without it a few pairs look as if they knew one of them to a
 millimetre.
@@ -54,13 +54,15 @@ class Opinion:
             raise InputError(f"{result.status.value}: {result.reason}")
         if result.covariance is None:
             raise InputError("its result has no covariance")
-        covariance = _as_likely(result.covariance, result.camera_from_lidar, result.accuracy)
+        # Starts of a rig's cameras often come from one drawing: what they are worth must not count once a camera.
+        alone = result if result.start_weight is None else result.start_weight
+        covariance = _as_likely(result.covariance, alone.camera_from_lidar, alone.accuracy)
         body_from_camera = se3.inverse(camera_from_body)
         by_update = np.stack([adjoint(body_from_camera, axis) for axis in np.eye(6)], axis=1)
         covariance = by_update @ covariance @ by_update.T
         if not _regular(covariance):
             raise InputError("its covariance is singular")
-        return cls(name, body_from_camera @ result.camera_from_lidar, (covariance + covariance.T) / 2)
+        return cls(name, body_from_camera @ alone.camera_from_lidar, (covariance + covariance.T) / 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,8 +143,7 @@ def _as_likely(covariance: Float, camera_from_lidar: Float, accuracy: Accuracy |
     rotation_deg, translation_m = deviations(covariance, camera_from_lidar)
     if not (rotation_deg > 0 and translation_m > 0):
         return covariance
-    place = np.eye(6)
-    place[3:, :3] = -se3.skew(camera_from_lidar[:3, 3])
+    place = place_by_update(camera_from_lidar)
     whole = np.array([np.radians(accuracy.rotation_deg), accuracy.translation_m])
     axes = (accuracy.pitch_deg, accuracy.yaw_deg, accuracy.roll_deg, accuracy.x_m, accuracy.y_m, accuracy.z_m)
     if None in axes:
@@ -155,7 +156,7 @@ def _as_likely(covariance: Float, camera_from_lidar: Float, accuracy: Accuracy |
         scale = likely / np.sqrt(np.diag(place @ covariance @ place.T))
     scaled = (scale[:, None] * place) @ covariance @ (scale[:, None] * place).T
     by_update = np.linalg.inv(place)
-    return np.asarray(by_update @ ((1 - _ANY_WAY) * scaled + _ANY_WAY * np.diag(likely**2)) @ by_update.T)
+    return np.asarray(by_update @ ((1 - OWN_SHARE) * scaled + OWN_SHARE * np.diag(likely**2)) @ by_update.T)
 
 
 def _regular(covariance: Float) -> bool:

@@ -10,13 +10,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from p2o.arrays import Float
-from p2o.calibration.accuracy import likely_accuracy, or_rival
+from p2o.calibration.accuracy import accuracy_of, likely_accuracy, likely_covariance, or_rival
 from p2o.calibration.camera_check import at_full_size
 from p2o.calibration.judge import Judge, judge_of
 from p2o.calibration.nuisance import Nuisance, adjusted, known_twists, motion_prior
 from p2o.calibration.options import PipelineOptions as PipelineOptions
 from p2o.calibration.rounds import End, Rounds, counts, mean_residuals_px
 from p2o.calibration.shifts import Spread
+from p2o.calibration.start_weight import with_start
 from p2o.calibration.verdict import agreement_of, rival_of, verdict_of
 from p2o.features.missing import patched
 from p2o.features.remarks import CloudRemarks
@@ -27,7 +28,8 @@ from p2o.frames.scale import camera_at_scale, image_at_scale
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
 from p2o.host.stages import CloudExtractor, ImageExtractor, Initializer, Matcher, Solver
-from p2o.results.evidence import Judged
+from p2o.results.accuracy import Accuracy
+from p2o.results.evidence import Judged, StartWeight
 from p2o.results.result import DIRECTED, Result, Round, Status
 
 EDGES = frozenset({"image-edges", "cloud-edges"})
@@ -123,22 +125,29 @@ class Pipeline:
         with clock.of("agree"):
             agreed = agreement_of(seen, end.pose)
         covariance = final.covariance
-        told = None
+        told, pose, weight = None, end.pose, None
         if covariance is not None and agreed is not None and end.problem is not None:
-            told = likely_accuracy(Spread.of(covariance, end.problem, end.pose), end.pose, agreed)
+            spread = Spread.of(covariance, end.problem, end.pose)
+            told = likely_accuracy(spread, end.pose, agreed)
+            found = self._with_start(end.pose, likely_covariance(spread, end.pose, agreed.odds_ratio), start)
+            if found is not None:
+                mean = Judged(judge.name, judge.unit, *final.judge.costs([start, found[0]]))
+                if mean.estimate < mean.start:
+                    weight = self._weight(end.pose, told, found[0])
+                    pose, told, judged = found[0], accuracy_of(found[1], agreed), mean
         if covariance is None and end.solution is not None:
             covariance = end.solution.covariance
         return Result(
             frames=tuple(view.name for view in views),
             start=start,
-            camera_from_lidar=end.pose,
+            camera_from_lidar=pose,
             status=end.status,
             reason=end.reason,
             rounds=end.rounds,
             covariance=covariance,
             accuracy=None if told is None else or_rival(told, rival, options.min_lead_edges),
             matches={} if end.problem is None else counts(end.problem),
-            residual_px={} if end.problem is None else mean_residuals_px(end.problem, end.pose),
+            residual_px={} if end.problem is None else mean_residuals_px(end.problem, pose),
             judged=judged,
             agreement=agreed,
             rival=rival,
@@ -148,8 +157,25 @@ class Pipeline:
             cameras=at_full_size(final.cameras, views),
             motions=final.nuisance.sweep_motions(views),
             time=final.time,
+            start_weight=weight,
             warnings=remarks_of(views),
             seconds=clock.seconds,
+        )
+
+    def _with_start(self, pose: Float, likely: Float, start: Float) -> tuple[Float, Float] | None:
+        """Return what edges and start say together, or None where the initializer does not say how good starts are."""
+        sigma = getattr(self.initializer, "start_sigma", None)
+        return None if sigma is None else with_start(pose, likely, start, sigma)
+
+    def _weight(self, pose: Float, accuracy: Accuracy, mean: Float) -> StartWeight:
+        """Return what the start was worth: the pose (4, 4) of the edges alone, and the step to the mean."""
+        step = se3.inverse(pose) @ mean
+        return StartWeight(
+            *self.initializer.start_sigma,  # type: ignore[attr-defined]
+            pose,
+            accuracy,
+            se3.angle_deg(step),
+            se3.distance_m(step),
         )
 
     def _refined(

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from p2o.arrays import Float
     from p2o.geometry.pose_error import PoseError
     from p2o.results.accuracy import Accuracy
-    from p2o.results.evidence import Judged
+    from p2o.results.evidence import Judged, StartWeight
     from p2o.results.result import CameraCheck, Result, SweepMotion, TimeOffset
     from p2o.results.rig import RigResult
     from p2o.run.run import FailedFrame, Row, Run
@@ -52,6 +52,8 @@ def describe(row: Row) -> str:
         lines.append(f"  {'accuracy':<9} {_accuracy(result.accuracy)}")
         if result.accuracy is not None and result.accuracy.roll_deg is not None:
             lines.append(f"  {'by axis':<9} {_axes(result.accuracy)}")
+    if result.start_weight is not None:
+        lines.append(f"  {'start':<9} {_start(result.start_weight)}")
     if result.rival is not None:
         apart = f"{result.rival.rotation_deg:.2f} deg and {result.rival.translation_m:.2f} m away"
         lines.append(f"  {'next best':<9} {apart}, {result.rival.lead:.1f} {result.rival.unit} worse")
@@ -156,6 +158,12 @@ def _accuracy(accuracy: Accuracy | None) -> str:
     usual = f"{accuracy.rotation_deg:.2f} deg and {accuracy.translation_m:.3f} m"
     rare = f"{accuracy.rotation_deg_95:.2f} deg and {accuracy.translation_m_95:.3f} m"
     return f"two of three such results are within {usual}, 19 of 20 within {rare}"
+
+
+def _start(weight: StartWeight) -> str:
+    """Return what the start was worth."""
+    good = f"weighed in as good to {weight.sigma_deg:g} deg and {weight.sigma_m:g} m an axis"
+    return f"{good}: moved the pose of the edges by {weight.step_deg:.2f} deg and {weight.step_m:.3f} m"
 
 
 def _axes(accuracy: Accuracy) -> str:

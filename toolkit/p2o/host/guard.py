@@ -285,6 +285,11 @@ def _initializer(offer: Offer, stage: Callable[..., Any]) -> Any:
             raise _fault(offer, "proposed no start", "at least one pose")
         return [_pose(offer, pose) for pose in poses]
 
+    sigma = getattr(stage, "start_sigma", None)
+    if sigma is not None:
+        if np.shape(sigma) != (2,) or not (np.isfinite(sigma).all() and np.all(np.asarray(sigma) > 0)):
+            raise _fault(offer, f"start_sigma is {sigma!r}", "degrees and metres, both above zero")
+        propose.start_sigma = tuple(map(float, sigma))  # type: ignore[attr-defined]
     return propose
 
 

@@ -41,7 +41,11 @@ class Solver(Protocol):
 
 
 class Initializer(Protocol):
-    """Proposes starting poses (4, 4) around a given one, best first."""
+    """Proposes starting poses (4, 4) around a given one, best first.
+
+    One that takes the given start to be about right may say so with an attribute `start_sigma`: one deviation about
+    (deg) and along (m) each axis. The start is then weighed in at the end (`Result.start_weight`).
+    """
 
     def __call__(self, views: Sequence[View], camera_from_lidar: Float, /) -> list[Float]: ...
 

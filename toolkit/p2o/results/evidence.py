@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from p2o.arrays import Float
+from p2o.results.accuracy import Accuracy
+
 
 @dataclass(frozen=True)
 class Agreement:
@@ -48,6 +51,22 @@ class Rival:
     unit: str
     rotation_deg: float
     translation_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class StartWeight:
+    """What the start, taken to be good to `sigma_deg` and `sigma_m` an axis (one deviation), was worth for the estimate.
+
+    `camera_from_lidar` (4, 4) is the pose of the edges alone and `accuracy` how wrong that one is likely to be. The
+    estimate is the mean of it and the start, each weighed by what it leaves open, `step_deg` and `step_m` from it.
+    """
+
+    sigma_deg: float
+    sigma_m: float
+    camera_from_lidar: Float
+    accuracy: Accuracy
+    step_deg: float
+    step_m: float
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from p2o.arrays import Float
 from p2o.errors import InputError
 from p2o.geometry.camera import Camera
 from p2o.results.accuracy import Accuracy
-from p2o.results.evidence import Agreement, Judged, Rival
+from p2o.results.evidence import Agreement, Judged, Rival, StartWeight
 from p2o.results.verdict import Doubt, Reason, Verdict
 
 DIRECTED = "directed-distance"
@@ -151,7 +151,7 @@ class Result:
     next best pose that is another one; None where there is none. `verdict` says whether all this may be trusted, and
     why not: a result that is not solved is refused. `cameras` says what the edges tell of each camera's calibration,
     `motions` how the car moved during raw sweeps, `time` how much later than they say images of several frames were
-    taken, None where that cannot be told. `seconds` by stage. `recipe` holds every resolved option.
+    taken, None where that cannot be told; `start_weight` what the start was worth where it was weighed in. `seconds` by stage. `recipe` holds every resolved option.
     """
 
     frames: tuple[str, ...]
@@ -171,6 +171,7 @@ class Result:
     cameras: tuple[CameraCheck, ...] = ()
     motions: tuple[SweepMotion, ...] = ()
     time: TimeOffset | None = None
+    start_weight: StartWeight | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     recipe: Mapping[str, Any] = field(default_factory=dict)

@@ -9,7 +9,8 @@ import numpy as np
 
 from p2o.errors import P2OError
 from p2o.host.method import Kind
-from p2o.results.evidence import Agreement, Judged, Rival
+from p2o.results.accuracy import Accuracy
+from p2o.results.evidence import Agreement, Judged, Rival, StartWeight
 from p2o.results.result import DIRECTED, Result, Round, Status
 from p2o.results.verdict import Doubt, Reason, Verdict
 from p2o.testing import stage
@@ -59,6 +60,7 @@ def _result() -> Result:
         judged=Judged(DIRECTED, "px", 3.0, 1.0),
         agreement=Agreement(0.5, 0.1, 78),
         rival=Rival(1.0, "edges", 1.5, 0.2),
+        start_weight=StartWeight(2.0, 0.1, np.eye(4), Accuracy(0.2, 0.05, 0.5, 0.12), 0.01, 0.002),
         verdict=Verdict((Reason(Doubt.RIVAL_POSE, "another pose fits as well"),)),
         seconds={"extract": 0.5},
         recipe={"matcher": "ogm"},
