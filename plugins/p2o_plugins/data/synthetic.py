@@ -96,8 +96,16 @@ class SyntheticOptions(Options):
     camera: Literal["pinhole", "opencv-distorted", "fisheye"] = field(
         "pinhole", help="Camera model: KITTI-like pinhole with a right picture, distorted OPENCV, or OPENCV_FISHEYE."
     )
-    width_px: int = field(1242, ge=64, le=8192, help="Width of the image; the focal length scales with it.")
+    width_px: int = field(
+        1242, ge=64, le=8192, help="Width of the image; the focal length scales with it unless focal_px is given."
+    )
     height_px: int = field(375, ge=64, le=8192, help="Height of the image; its field of view follows.")
+    focal_px: float | None = field(
+        None,
+        ge=50,
+        le=10_000,
+        help="Focal length in pixels; null is 0.581 of the width (as KITTI), for a fisheye 0.386 of it.",
+    )
     exposure_ev: float | None = field(
         None, ge=-8, le=8, help="Stops that the picture is too bright (+) or too dark (-); null draws -1.2 to 1.5."
     )
@@ -160,19 +168,24 @@ def camera_from_lidar(mount: tuple[float, ...] = _KITTI_MOUNT) -> Float:
 
 
 def camera_of(options: SyntheticOptions) -> Camera:
-    """Return the camera of the options, in proportion to KITTI's 1242x375 px with a focal length of 721.5 px."""
+    """Return the camera of the options, in proportion to KITTI's 1242x375 px with a focal length of 721.5 px.
+
+    `focal_px` changes the focal length alone: the principal point and the distortion, which is of the angle, stay.
+    """
     width, height = options.width_px, options.height_px
     scale = width / 1242
+    focal = (480.0 if options.camera == "fisheye" else 721.5) * scale if options.focal_px is None else options.focal_px
+    tall = 722.5 * scale if options.focal_px is None else options.focal_px * 722.5 / 721.5
     cx, cy = (609.6 + 0.5) * scale - 0.5, (172.9 + 0.5) * height / 375 - 0.5
     match options.camera:
         case "pinhole":
-            return Camera.pinhole(721.5 * scale, 721.5 * scale, cx, cy, width, height)
+            return Camera.pinhole(focal, focal, cx, cy, width, height)
         case "opencv-distorted":
             distortion = (-0.28, 0.08, 0.001, -0.0015)
-            return Camera("OPENCV", width, height, (721.5 * scale, 722.5 * scale, cx, cy, *distortion))
+            return Camera("OPENCV", width, height, (focal, tall, cx, cy, *distortion))
         case "fisheye":
             distortion = (0.02, -0.006, 0.001, -0.0002)
-            return Camera("OPENCV_FISHEYE", width, height, (480.0 * scale, 480.0 * scale, cx, cy, *distortion))
+            return Camera("OPENCV_FISHEYE", width, height, (focal, focal, cx, cy, *distortion))
 
 
 def truth_at(options: SyntheticOptions, scene: int, number: int, camera: str = "") -> Float:

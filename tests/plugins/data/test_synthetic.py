@@ -328,6 +328,19 @@ def test_another_mounting_moves_the_truth_and_the_picture() -> None:
     assert abs(np.degrees(np.arctan2(ahead[1], ahead[2]))) == pytest.approx(2.0)
 
 
+@pytest.mark.parametrize("camera", ["pinhole", "opencv-distorted", "fisheye"])
+@pytest.mark.parametrize("focal_px", [110.0, 600.0])
+def test_a_given_focal_length_is_that_of_the_picture_whatever_its_width(camera: str, focal_px: float) -> None:
+    frame = _frame(camera=camera, focal_px=focal_px, place="street", **STILL)
+    ahead = np.array([[0.0, 0.0, 1.0], [0.01, 0.0, 1.0]])
+    here, beside = frame.camera.project(ahead)
+    assert (beside - here)[0] / 0.01 == pytest.approx(focal_px, rel=1e-3)
+    assert frame.camera.focal_px == pytest.approx(focal_px, rel=1e-3)
+    errors = _depth_errors(frame, frame.camera_from_lidar, 500)
+    assert np.median(errors) < 2e-3
+    assert (frame.image.right is not None) == (camera == "pinhole")
+
+
 def test_frames_carry_what_the_method_says_it_gives() -> None:
     frame = _frame()
     assert METHOD.gives == {"right", "depth", "truth", "rings", "intensity", "time", "twist"}
@@ -370,6 +383,7 @@ def test_it_is_a_lazy_dataset_with_names() -> None:
         {"noise_m": -0.1},
         {"camera": "pinhole2"},
         {"width_px": 1},
+        {"focal_px": 0},
         {"colour": "red"},
         {"place": "moon"},
         {"seed": 10**40},
