@@ -27,6 +27,12 @@ _MOST_MB, _ALWAYS_MB, _PER_METRE_MB, _PER_MEGAPIXEL_MB = 1500, 320, 3.2, 180
 # One stream of random numbers for each of these, so that more noise or another camera leaves the place as it was.
 # The number of the places is one with which the very first of them is a street.
 _PLACE, _DRIVE, _LIDAR, _CAMERA, _GRAIN, _START, _DRIFT, _ODOMETRY, _BOARDS = 31, 1, 2, 3, 4, 5, 6, 7, 8
+_HEIGHT = 9
+_ROAD_M_S = 8.0
+_USUAL_M_S = {"hall": 1.0, "room": 0.5}
+"""Speeds of rigs that are not cars on roads."""
+_INDOORS_M = (0.6, 1.4)
+"""How high the LiDAR of a robot is that drives through halls and rooms."""
 
 
 _Shift = Annotated[float, Field(ge=-100, le=100)]
@@ -47,16 +53,23 @@ class SyntheticOptions(Options):
     frames_per_scene: int = field(1, ge=1, le=1000, help="Frames of the drive through each place.")
     period_s: float = field(0.1, gt=0, le=60, help="Time from one frame of a drive to the next in seconds.")
     seed: int = field(0, ge=0, lt=2**63, help="Seed of the places, of all noise and of the wrong start.")
-    place: Literal["mixed", "street", "suburb", "highway", "trees", "yard"] = field(
+    place: Literal["mixed", "anywhere", "street", "suburb", "highway", "trees", "yard", "hall", "room"] = field(
         "mixed",
-        help="Kind of place; mixed draws one for each scene, a third of them trees and banks, none a yard, which is "
-        "an open floor between halls for calibration with boards.",
+        help="Kind of place; mixed draws a road for each scene, a third of them with trees and banks; anywhere draws "
+        "among all: roads, a yard (an open floor between halls, for boards), and inside a hall or a room.",
     )
     speed_m_s: float | None = field(
         None,
         ge=0,
         le=60,
-        help="Speed of the car in metres a second; other traffic has about the same. Null is 8, and 0 with targets.",
+        help="Speed of the car in metres a second; other traffic has about the same. Null is 8, in a hall 1, in a room "
+        "0.5, and 0 with targets.",
+    )
+    lidar_height_m: float | None = field(
+        None,
+        ge=0.2,
+        le=10,
+        help="Height of the LiDAR above the ground in metres; null is 1.73, in halls and rooms 0.6 to 1.4, drawn.",
     )
     swing_deg: float = field(
         0.0, ge=0, le=60, help="How far a drive turns to the left and right of its road as it swings along it."
@@ -212,13 +225,12 @@ def view(options: SyntheticOptions, scene_number: int, number: int = 0, camera: 
     """
     from p2o import simulate
 
-    names = ("seed", "place", "frames_per_scene", "period_s", "swing_deg", "tilt_deg")
-    speed_m_s = _speed_m_s(options)
-    still = options.targets != "none" and not speed_m_s
+    names = ("seed", "place", "frames_per_scene", "period_s", "swing_deg", "tilt_deg", "lidar_height_m")
+    still = options.targets != "none" and not options.speed_m_s
     scene, moments = _drive(
         scene_number,
         **{name: getattr(options, name) for name in names},
-        speed_m_s=speed_m_s,
+        speed_m_s=0.0 if still else options.speed_m_s,
         sway=0.0 if still else options.sway,
     )
     moment = moments[number]
@@ -252,9 +264,10 @@ def view(options: SyntheticOptions, scene_number: int, number: int = 0, camera: 
     return View(frame, scene, moment, picture, boards)
 
 
-def _speed_m_s(options: SyntheticOptions) -> float:
+def _most_speed_m_s(options: SyntheticOptions) -> float:
+    """Return the speed of the options, the largest one where it depends on the place that is drawn."""
     if options.speed_m_s is None:
-        return 8.0 if options.targets == "none" else 0.0
+        return _USUAL_M_S.get(options.place, _ROAD_M_S) if options.targets == "none" else 0.0
     return options.speed_m_s
 
 
@@ -337,7 +350,8 @@ def _drive(
     *,
     seed: int,
     place: str,
-    speed_m_s: float,
+    speed_m_s: float | None,
+    lidar_height_m: float | None,
     frames_per_scene: int,
     period_s: float,
     swing_deg: float,
@@ -348,10 +362,18 @@ def _drive(
     from p2o import simulate
 
     layout, shake = (np.random.default_rng([seed, stream, scene_number]) for stream in (_PLACE, _DRIVE))
+    drawn = simulate.place_of(place, layout)
+    speed_m_s = _USUAL_M_S.get(drawn, _ROAD_M_S) if speed_m_s is None else speed_m_s
     travel = _travel_m(speed_m_s, period_s, frames_per_scene)
-    scene, twist = simulate.scene_of(place, layout, speed_m_s=speed_m_s, travel_m=travel)
+    scene, twist = simulate.scene_of(drawn, layout, speed_m_s=speed_m_s, travel_m=travel)
+    if lidar_height_m is None:
+        low, high = _INDOORS_M
+        rolled = np.random.default_rng([seed, _HEIGHT, scene_number]).uniform(low, high)
+        lidar_height_m = float(rolled) if drawn in simulate.INDOORS else simulate.LIDAR_HEIGHT_M
     swing = simulate.Swing(swing_deg, tilt_deg)
-    moments = simulate.drive(twist, frames_per_scene, shake, period_s=period_s, sway=sway, swing=swing)
+    moments = simulate.drive(
+        twist, frames_per_scene, shake, period_s=period_s, height_m=lidar_height_m, sway=sway, swing=swing
+    )
     return scene.prepare(), moments
 
 
@@ -453,7 +475,7 @@ def build(options: SyntheticOptions) -> LazyFrames:
             got=options.drift_at_frame,
             hint="raise frames_per_scene",
         )
-    if (options.swing_deg or options.tilt_deg) and not _speed_m_s(options):
+    if (options.swing_deg or options.tilt_deg) and not _most_speed_m_s(options):
         raise InputError(
             "a car that stands does not turn",
             where="swing_deg, tilt_deg",
@@ -483,7 +505,7 @@ def _require_bounded(options: SyntheticOptions) -> None:
         raise InputError(
             "too many frames", where="scenes, frames_per_scene", expected=f"at most {_MOST_FRAMES} in all", got=frames
         )
-    travel_m = _travel_m(_speed_m_s(options), options.period_s, options.frames_per_scene)
+    travel_m = _travel_m(_most_speed_m_s(options), options.period_s, options.frames_per_scene)
     megapixels = options.width_px * options.height_px / 1e6
     needed = _ALWAYS_MB + _PER_METRE_MB * travel_m * min(options.scenes, 2) + _PER_MEGAPIXEL_MB * megapixels
     if needed > _MOST_MB:

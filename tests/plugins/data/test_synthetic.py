@@ -341,6 +341,25 @@ def test_a_given_focal_length_is_that_of_the_picture_whatever_its_width(camera: 
     assert (frame.image.right is not None) == (camera == "pinhole")
 
 
+@pytest.mark.parametrize("place", ["hall", "room"])
+def test_in_a_building_the_rig_is_slow_and_low_unless_told(place: str) -> None:
+    seen = [view(SyntheticOptions(place=place, scenes=3, **SMALL), number) for number in range(3)]
+    heights = [v.moment.world_from_lidar[2, 3] for v in seen]
+    assert 0.5 < min(heights) < max(heights) < 1.5
+    assert np.linalg.norm(seen[0].moment.twist[3:]) == pytest.approx({"hall": 1.0, "room": 0.5}[place])
+    told = view(SyntheticOptions(place=place, speed_m_s=2.0, lidar_height_m=1.9, sway=0.0, **SMALL), 0)
+    assert told.moment.world_from_lidar[2, 3] == pytest.approx(1.9)
+    assert np.linalg.norm(told.moment.twist[3:]) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("place", ["hall", "room"])
+def test_in_a_building_sweep_and_depth_map_agree_at_the_true_pose(place: str) -> None:
+    frame = _frame(place=place, lidar="os1-64", **STILL)
+    assert np.median(_depth_errors(frame, frame.camera_from_lidar)) < 1e-3
+    wrong = se3.exp(np.radians([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])) @ frame.camera_from_lidar
+    assert np.median(_depth_errors(frame, wrong)) > 5e-3
+
+
 def test_frames_carry_what_the_method_says_it_gives() -> None:
     frame = _frame()
     assert METHOD.gives == {"right", "depth", "truth", "rings", "intensity", "time", "twist"}
@@ -384,6 +403,7 @@ def test_it_is_a_lazy_dataset_with_names() -> None:
         {"camera": "pinhole2"},
         {"width_px": 1},
         {"focal_px": 0},
+        {"lidar_height_m": 0},
         {"colour": "red"},
         {"place": "moon"},
         {"seed": 10**40},

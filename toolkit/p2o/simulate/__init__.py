@@ -15,12 +15,17 @@ from p2o.simulate.labels import labels as labels
 from p2o.simulate.lidar import Beams as Beams
 from p2o.simulate.lidar import Lidar as Lidar
 from p2o.simulate.lidar import Rosette as Rosette
+from p2o.simulate.lighting import Inside as Inside
+from p2o.simulate.lighting import Lamp as Lamp
+from p2o.simulate.lighting import Lighting as Lighting
 from p2o.simulate.mesh import Mesh as Mesh
 from p2o.simulate.odometry import odometry as odometry
 from p2o.simulate.photo import Photo as Photo
 from p2o.simulate.photo import develop as develop
 from p2o.simulate.photo import metered_gain as metered_gain
+from p2o.simulate.places import INDOORS as INDOORS
 from p2o.simulate.places import PLACES as PLACES
+from p2o.simulate.places import place_of as place_of
 from p2o.simulate.places import scene_of as scene_of
 from p2o.simulate.places import street as street
 from p2o.simulate.render import Picture as Picture
@@ -32,6 +37,7 @@ from p2o.simulate.scene import Part as Part
 from p2o.simulate.scene import Scene as Scene
 from p2o.simulate.sensors import LIDARS as LIDARS
 from p2o.simulate.sweep import sweep as sweep
+from p2o.simulate.trajectory import LIDAR_HEIGHT_M as LIDAR_HEIGHT_M
 from p2o.simulate.trajectory import Moment as Moment
 from p2o.simulate.trajectory import Swing as Swing
 from p2o.simulate.trajectory import drive as drive

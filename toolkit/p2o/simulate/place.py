@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from p2o.simulate.classes import Class
+from p2o.simulate.lighting import DAY, Lighting
 from p2o.simulate.mesh import swept
 from p2o.simulate.scene import Material, Part
 
@@ -45,12 +46,13 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """A place on a straight road: things that stand, and things that drive towards us or with us."""
+    """A place on a straight road: things that stand, and things that drive towards us or with us, and its lighting."""
 
     things: list[Thing]
     oncoming: list[Thing]
     ahead: list[Thing]
     curvature: tuple[float, float] = (-0.004, 0.004)
+    lighting: Lighting = DAY
 
 
 def placed(thing: Thing, x: float, y: float, z: float = 0.0, *, yaw_deg: float = 0.0) -> Thing:
