@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from p2o import Camera, Frame, Image, InputError, Method, Options, field, se3
-from p2o.arrays import Float
+from p2o.arrays import Float, UInt8
 from pydantic import BeforeValidator, Field
 
 from p2o_plugins.data.lazy_frames import LazyFrames
 
 if TYPE_CHECKING:
-    from p2o.simulate import Board, Moment, Picture, Scene
+    from p2o.simulate import Board, Moment, Picture, Scene, Weather
 
 BASELINE_M = 0.54
 _KITTI_MOUNT = (0.27, 0.06, -0.08, 0.458, -0.63, 0.344)
@@ -27,7 +27,7 @@ _MOST_MB, _ALWAYS_MB, _PER_METRE_MB, _PER_MEGAPIXEL_MB = 1500, 320, 3.2, 180
 # One stream of random numbers for each of these, so that more noise or another camera leaves the place as it was.
 # The number of the places is one with which the very first of them is a street.
 _PLACE, _DRIVE, _LIDAR, _CAMERA, _GRAIN, _START, _DRIFT, _ODOMETRY, _BOARDS = 31, 1, 2, 3, 4, 5, 6, 7, 8
-_HEIGHT = 9
+_HEIGHT, _WEATHER, _RAIN = 9, 10, 11
 _ROAD_M_S = 8.0
 _USUAL_M_S = {"hall": 1.0, "room": 0.5}
 """Speeds of rigs that are not cars on roads."""
@@ -57,6 +57,11 @@ class SyntheticOptions(Options):
         "mixed",
         help="Kind of place; mixed draws a road for each scene, a third of them with trees and banks; anywhere draws "
         "among all: roads, a yard (an open floor between halls, for boards), and inside a hall or a room.",
+    )
+    weather: Literal["clear", "overcast", "rain", "fog", "night", "any"] = field(
+        "clear",
+        help="Weather in the picture and in the sweep; any draws one for each scene. In halls and rooms it is seen "
+        "through the windows.",
     )
     speed_m_s: float | None = field(
         None,
@@ -225,8 +230,9 @@ def view(options: SyntheticOptions, scene_number: int, number: int = 0, camera: 
     """
     from p2o import simulate
 
-    names = ("seed", "place", "frames_per_scene", "period_s", "swing_deg", "tilt_deg", "lidar_height_m")
+    names = ("seed", "place", "frames_per_scene", "period_s", "swing_deg", "tilt_deg", "lidar_height_m", "weather")
     still = options.targets != "none" and not options.speed_m_s
+    weather = _weather(options, scene_number)
     scene, moments = _drive(
         scene_number,
         **{name: getattr(options, name) for name in names},
@@ -235,6 +241,10 @@ def view(options: SyntheticOptions, scene_number: int, number: int = 0, camera: 
     )
     moment = moments[number]
     truth = truth_at(options, scene_number, number, camera)
+    if weather.name == "night":
+        # A robot in a building has no headlights.
+        own = () if scene.lighting.inside else simulate.headlights(moment.world_from_lidar, _height_m(options))
+        scene = simulate.lit_near(scene, moment.world_from_lidar, own)
     scene, boards = _with_boards(options, scene, moment, scene_number, number)
     # Beside the picture: each of them has stretches that keep one core busy only.
     with ThreadPoolExecutor(1) as beside:
@@ -247,8 +257,9 @@ def view(options: SyntheticOptions, scene_number: int, number: int = 0, camera: 
             noise,
             twist=moment.twist,
             time_s=moment.time_s,
+            air=weather.air if scene.lighting.inside is None else simulate.Air(),
         )
-        image, picture = _seen(options, scene, moment, truth, (scene_number, number, *_nth(options, camera)))
+        image, picture = _seen(options, scene, moment, truth, weather, (scene_number, number, *_nth(options, camera)))
         cloud = swept.result()
     frame = Frame(
         _name(options, scene_number, number, camera),
@@ -262,6 +273,20 @@ def view(options: SyntheticOptions, scene_number: int, number: int = 0, camera: 
         **_of_drive(options, moments, scene_number, number, camera),
     )
     return View(frame, scene, moment, picture, boards)
+
+
+def _weather(options: SyntheticOptions, scene_number: int) -> Weather:
+    """Return the weather of a scene: the first that its stream of random numbers gives."""
+    from p2o.simulate import weather_of
+
+    return weather_of(options.weather, _stream(options, _WEATHER, scene_number))
+
+
+def _height_m(options: SyntheticOptions) -> float:
+    """Return the height of the LiDAR on a car."""
+    from p2o.simulate import LIDAR_HEIGHT_M
+
+    return LIDAR_HEIGHT_M if options.lidar_height_m is None else options.lidar_height_m
 
 
 def _most_speed_m_s(options: SyntheticOptions) -> float:
@@ -350,6 +375,7 @@ def _drive(
     *,
     seed: int,
     place: str,
+    weather: str,
     speed_m_s: float | None,
     lidar_height_m: float | None,
     frames_per_scene: int,
@@ -366,6 +392,8 @@ def _drive(
     speed_m_s = _USUAL_M_S.get(drawn, _ROAD_M_S) if speed_m_s is None else speed_m_s
     travel = _travel_m(speed_m_s, period_s, frames_per_scene)
     scene, twist = simulate.scene_of(drawn, layout, speed_m_s=speed_m_s, travel_m=travel)
+    drawn_weather = np.random.default_rng([seed, _WEATHER, scene_number])
+    scene = simulate.in_weather(scene, simulate.weather_of(weather, drawn_weather), drawn_weather)
     if lidar_height_m is None:
         low, high = _INDOORS_M
         rolled = np.random.default_rng([seed, _HEIGHT, scene_number]).uniform(low, high)
@@ -378,7 +406,7 @@ def _drive(
 
 
 def _seen(
-    options: SyntheticOptions, scene: Scene, moment: Moment, truth: Float, numbers: tuple[int, ...]
+    options: SyntheticOptions, scene: Scene, moment: Moment, truth: Float, weather: Weather, numbers: tuple[int, ...]
 ) -> tuple[Image, Picture]:
     """Return what the camera sees, as it takes it and before its electronics.
 
@@ -390,12 +418,19 @@ def _seen(
     picture = simulate.render(scene, camera, world_from_camera, moment.time_s)
 
     grain = _stream(options, _GRAIN, *numbers)
-    photo, right_photo = _photos(options, numbers[0], picture)
-    rgb, right = simulate.develop(picture.light, photo, grain), None
+    photo, right_photo = _photos(options, numbers[0], picture, weather)
+
+    def developed(seen: Picture, pose: Float, photo: Any) -> UInt8:
+        light = seen.light
+        if weather.rain and scene.lighting.inside is None:
+            drops = _stream(options, _RAIN, *numbers, int(seen is not picture))
+            light = simulate.rained_on(light, seen.depth_m, camera, se3.inverse(pose), weather, drops)
+        return simulate.develop(light, photo, grain)
+
+    rgb, right = developed(picture, world_from_camera, photo), None
     if camera.is_pinhole and options.right:
         shifted = world_from_camera @ se3.make(translation=(BASELINE_M, 0.0, 0.0))
-        light = simulate.render(scene, camera, shifted, moment.time_s).light
-        right = simulate.develop(light, right_photo, grain)
+        right = developed(simulate.render(scene, camera, shifted, moment.time_s), shifted, right_photo)
     masked = ~picture.seen | picture.foliage if options.mask_foliage else ~picture.seen
     image = Image(
         rgb,
@@ -408,19 +443,22 @@ def _seen(
     return image, picture
 
 
-def _photos(options: SyntheticOptions, scene_number: int, picture: Picture) -> tuple[Any, Any]:
-    """Return how the left and the right camera take pictures; the right one is a little brighter or darker."""
+def _photos(options: SyntheticOptions, scene_number: int, picture: Picture, weather: Weather) -> tuple[Any, Any]:
+    """Return how the left and the right camera take pictures; the right one is a little brighter or darker.
+
+    In weather with little light they are darker and noisier, unless their exposure is given.
+    """
     from p2o import simulate
 
     drawn = _stream(options, _CAMERA, scene_number)
-    exposure_ev, mismatch = drawn.uniform(-1.2, 1.5), 1 + 0.05 * drawn.normal()
+    exposure_ev, mismatch = drawn.uniform(-1.2, 1.5) + weather.exposure_ev, 1 + 0.05 * drawn.normal()
     if options.exposure_ev is not None:
         exposure_ev = options.exposure_ev
     photo = simulate.Photo(
         gain=simulate.metered_gain(picture.light, exposure_ev),
         blur_px=options.blur_px,
         vignetting=options.vignetting,
-        grain=options.grain,
+        grain=options.grain * weather.grain,
         jpeg_quality=options.jpeg_quality,
     )
     return photo, photo.brighter(mismatch)

@@ -360,6 +360,27 @@ def test_in_a_building_sweep_and_depth_map_agree_at_the_true_pose(place: str) ->
     assert np.median(_depth_errors(frame, wrong)) > 5e-3
 
 
+@pytest.mark.parametrize("weather", ["overcast", "rain", "fog", "night"])
+def test_weather_changes_the_picture_and_neither_the_place_nor_the_truth(weather: str) -> None:
+    options = {**SMALL, "place": "street"}
+    clear, other = (build(SyntheticOptions(weather=name, **options))[0] for name in ("clear", weather))
+    assert clear.image.depth_m.tobytes() == other.image.depth_m.tobytes()
+    assert clear.start.tobytes() == other.start.tobytes()
+    for name in ("rgb", "right"):
+        a, b = (getattr(frame.image, name).astype(float) for frame in (clear, other))
+        assert np.abs(a - b).mean() > 8
+    if weather in ("rain", "fog"):
+        assert clear.cloud.xyz.tobytes() != other.cloud.xyz.tobytes()
+    else:
+        assert clear.cloud.xyz.tobytes() == other.cloud.xyz.tobytes()
+    assert _bytes(other) == _bytes(build(SyntheticOptions(weather=weather, **options))[0])
+
+
+def test_in_a_room_it_does_not_rain() -> None:
+    clear, rain = (build(SyntheticOptions(place="room", weather=name, **SMALL))[0] for name in ("clear", "rain"))
+    assert clear.cloud.xyz.tobytes() == rain.cloud.xyz.tobytes()
+
+
 def test_frames_carry_what_the_method_says_it_gives() -> None:
     frame = _frame()
     assert METHOD.gives == {"right", "depth", "truth", "rings", "intensity", "time", "twist"}
@@ -404,6 +425,7 @@ def test_it_is_a_lazy_dataset_with_names() -> None:
         {"width_px": 1},
         {"focal_px": 0},
         {"lidar_height_m": 0},
+        {"weather": "hail"},
         {"colour": "red"},
         {"place": "moon"},
         {"seed": 10**40},

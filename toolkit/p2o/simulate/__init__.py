@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from p2o.geometry.perturb import parse_perturbation as parse_perturbation
 from p2o.geometry.perturb import wrong_start as wrong_start
+from p2o.simulate.air import Air as Air
 from p2o.simulate.board_places import Rig as Rig
 from p2o.simulate.board_places import boards_in_view as boards_in_view
 from p2o.simulate.boards import CHECKERBOARDS as CHECKERBOARDS
@@ -41,3 +42,10 @@ from p2o.simulate.trajectory import LIDAR_HEIGHT_M as LIDAR_HEIGHT_M
 from p2o.simulate.trajectory import Moment as Moment
 from p2o.simulate.trajectory import Swing as Swing
 from p2o.simulate.trajectory import drive as drive
+from p2o.simulate.weather import WEATHERS as WEATHERS
+from p2o.simulate.weather import Weather as Weather
+from p2o.simulate.weather import headlights as headlights
+from p2o.simulate.weather import in_weather as in_weather
+from p2o.simulate.weather import lit_near as lit_near
+from p2o.simulate.weather import rained_on as rained_on
+from p2o.simulate.weather import weather_of as weather_of

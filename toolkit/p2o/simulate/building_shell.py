@@ -187,4 +187,5 @@ def daylight(hall: Hall, name: str, hole: Opening, strength: float) -> Lamp:
         size_m=max(hole.stop - hole.start, hole.high - hole.low),
         aim=(towards[0], towards[1], -0.35),
         clear_m=0.12,
+        daylight=True,
     )

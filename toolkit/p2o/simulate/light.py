@@ -21,8 +21,12 @@ _SKY_LOW = np.array([0.7, 0.85, 1.0], np.float32)
 _AMBIENT = np.array([0.68, 0.78, 0.92], np.float32)
 _WHITE = np.array([1.0, 1.0, 1.0], np.float32)
 _GREY = np.array([0.92, 0.96, 1.0], np.float32)
-_FAINT = np.float32(0.004)
+_LOW = np.float32(0.75)
+"""How bright the horizon of an overcast sky is; it is 1 above."""
+_FAINT = np.float32(0.0005)
 """Light of a lamp that nobody would see."""
+_WAVES = 0.1
+"""How much wet ground is uneven, as tangent of a slope."""
 _CORNER, _CORNER_M = np.float32(0.32), np.float32(0.4)
 """How much darker the inside of a building is in its corners, and how far that reaches."""
 _SHADOW_BIAS_M = 2e-3
@@ -40,7 +44,7 @@ def sky(scene: Scene, directions: Float) -> Single:
     glow = np.clip(d @ _to_sun(scene), 0.0, 1.0) ** 8 * np.float32(lighting.sun)
     out = np.asarray(blue * (0.8 + 1.2 * (1 - np.float32(scene.cloudiness)) * glow)[:, None], np.float32)
     if lighting.overcast > 0:
-        out += (_GREY * (0.75 + 0.25 * height)[:, None] - out) * np.float32(lighting.overcast)
+        out += (_GREY * (_LOW + (1 - _LOW) * height)[:, None] - out) * np.float32(lighting.overcast)
     return np.asarray(out * np.array(lighting.sky, np.float32), np.float32)
 
 
@@ -69,7 +73,7 @@ def shade(scene: Scene, origin: Float, directions: Float, hits: Hits, focal_px: 
     to_sun, leafy = _to_sun(scene), thin[part]
     towards = normal @ to_sun
     sunlit = np.where(leafy, np.float32(0.15) + np.float32(0.6) * np.abs(towards), np.maximum(towards, 0.0))
-    lit = np.flatnonzero(sunlit > 0)
+    lit = np.flatnonzero(sunlit > 0) if lighting.sun > 0 else np.zeros(0, np.int64)
     side = np.where(towards[lit] < 0, -_SHADOW_BIAS_M, _SHADOW_BIAS_M)[:, None]
     blocked = scene.blocked(points[lit] + side * normal[lit], np.asarray(to_sun, np.float64), time_s)
     sunlit[lit[blocked]] = 0.0
@@ -93,6 +97,19 @@ def shade(scene: Scene, origin: Float, directions: Float, hits: Hits, focal_px: 
         mirrored = d[shiny] + 2 * facing[shiny, None] * normal[shiny]
         # Below the horizon a mirror shows the street: dark, without detail.
         reflection = np.where(mirrored[:, 2:] > 0.02, sky(scene, mirrored), np.float32(0.08) * day)
+        if lighting.wet:
+            # On wet ground stands the image of what is on it.
+            ground = np.flatnonzero(normal[shiny, 2] > 0.9)
+            rows = shiny[ground]
+            ways = mirrored[ground].astype(np.float64)
+            for axis in (0, 1):  # the film of water is not flat
+                wave = texture(np.zeros(len(rows), np.int64), 3 * place[rows] + 7 * axis, footprint[rows])
+                ways[:, axis] += _WAVES * wave
+            ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+            met = scene.cast(points[rows] + _SHADOW_BIAS_M * normal[rows], ways, time_s)
+            hit = np.flatnonzero(met.face >= 0)
+            its = scene.part_of_face[met.face[hit]]
+            reflection[ground[hit]] = colour[its] * (np.float32(0.6) * _AMBIENT * day + glow[its, None])
         if lighting.inside is not None:
             # Walls and furniture, without detail; more light comes from the lamps above.
             room = np.array(lighting.inside.ambient, np.float32) * (0.5 + np.clip(mirrored[:, 2:], 0.0, 1.0))
@@ -101,7 +118,8 @@ def shade(scene: Scene, origin: Float, directions: Float, hits: Hits, focal_px: 
     if glow.any():
         shown += glow[part, None] * albedo
     haze = 1 - np.exp(-distance / np.float32(lighting.haze_m))
-    return np.asarray(shown + haze[:, None] * (_SKY_LOW * day - shown), np.float32)
+    veil_colour = (_SKY_LOW + (_LOW * _GREY - _SKY_LOW) * np.float32(lighting.overcast)) * day
+    return np.asarray(shown + haze[:, None] * (veil_colour - shown), np.float32)
 
 
 def _within(inside: Inside | None, points: Float) -> NDArray[np.bool_]:

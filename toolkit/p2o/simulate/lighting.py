@@ -14,6 +14,7 @@ class Lamp:
     `colour` is the linear RGB light on a white surface that faces it from 1 m; it falls with the square of its
     distance, softened by its size `size_m`. `aim` (3,) is where it shines to: cos(angle)^`sharpness` of its light
     goes elsewhere; None shines everywhere. What is nearer to it than `clear_m` (its own shade) hides nothing.
+    `daylight` is light that falls in from outside.
     """
 
     place: Triple
@@ -22,6 +23,7 @@ class Lamp:
     aim: Triple | None = None
     sharpness: float = 1.0
     clear_m: float = 0.1
+    daylight: bool = False
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class Lighting:
     """The light of a scene: shares of the sun and, by colour, of the sky (1 is a day), an inside, and lamps.
 
     `overcast` in 0..1 is how far an even grey covers blue and clouds alike; after `haze_m` metres of air a surface has
-    lost all but 1/e of its contrast.
+    lost all but 1/e of its contrast. Where it is `wet`, the ground mirrors what stands on it.
     """
 
     sun: float = 1.0
@@ -52,6 +54,7 @@ class Lighting:
     inside: Inside | None = None
     lamps: tuple[Lamp, ...] = ()
     haze_m: float = 1500.0
+    wet: bool = False
 
 
 DAY = Lighting()

@@ -158,6 +158,13 @@ class Scene:
             getattr(self, name)
         return self
 
+    def lit(self, lighting: Lighting) -> Scene:
+        """Return the scene in other light; it shares the ray trees of this one."""
+        self.prepare()
+        scene = replace(self, lighting=lighting)
+        vars(scene).update({name: value for name, value in vars(self).items() if name not in vars(scene)})
+        return scene
+
     def plus(self, things: Sequence[Sequence[Part]]) -> Scene:
         """Return the scene with more things that stand still; it shares the ray trees of this one.
 
