@@ -27,7 +27,7 @@ _MOST_MB, _ALWAYS_MB, _PER_METRE_MB, _PER_MEGAPIXEL_MB = 1500, 320, 3.2, 180
 # One stream of random numbers for each of these, so that more noise or another camera leaves the place as it was.
 # The number of the places is one with which the very first of them is a street.
 _PLACE, _DRIVE, _LIDAR, _CAMERA, _GRAIN, _START, _DRIFT, _ODOMETRY, _BOARDS = 31, 1, 2, 3, 4, 5, 6, 7, 8
-_HEIGHT, _WEATHER, _RAIN = 9, 10, 11
+_HEIGHT, _WEATHER, _RAIN, _RIG = 9, 10, 11, 12
 _ROAD_M_S = 8.0
 _USUAL_M_S = {"hall": 1.0, "room": 0.5}
 """Speeds of rigs that are not cars on roads."""
@@ -110,6 +110,18 @@ class SyntheticOptions(Options):
     )
     board_height_m: float | None = field(
         None, gt=0, le=4, help="Height of the board in metres; null is the named one's, or fits a changed pattern."
+    )
+    rig: Literal["fixed", "random", "random-rings"] = field(
+        "fixed",
+        help="fixed is what the other options say; with random each scene has its own camera, width_px, height_px, "
+        "focal_px, mount and lidar, drawn by the seed, in place of those of the options, and its own wrong start; "
+        "with random-rings every LiDAR has rings.",
+    )
+    megapixels: float = field(
+        2.0,
+        ge=0.01,
+        le=6,
+        help="Random rigs: pictures of more million pixels are made smaller, with their focal lengths.",
     )
     camera: Literal["pinhole", "opencv-distorted", "fisheye"] = field(
         "pinhole", help="Camera model: KITTI-like pinhole with a right picture, distorted OPENCV, or OPENCV_FISHEYE."
@@ -208,11 +220,31 @@ def camera_of(options: SyntheticOptions) -> Camera:
 
 def truth_at(options: SyntheticOptions, scene: int, number: int, camera: str = "") -> Float:
     """Return the true extrinsic (4, 4) of frame `number` of a scene: that of the mounting, until it slips."""
+    options = _with_rig(options, scene)
     about_z = np.radians([0, 0, -_TO_THE_LEFT_DEG[camera], 0, 0, 0])
     truth = camera_from_lidar(options.mount) @ se3.exp(about_z)
     if options.drift_at_frame is None or number < options.drift_at_frame:
         return truth
     return _displaced(truth, options.drift, _stream(options, _DRIFT, scene))
+
+
+def _with_rig(options: SyntheticOptions, scene_number: int) -> SyntheticOptions:
+    """Return the options with the rig of a scene: their own, or the one that is drawn for it."""
+    if options.rig == "fixed":
+        return options
+    from p2o.simulate import random_rig
+
+    rng = _stream(options, _RIG, scene_number)
+    drawn = random_rig(rng, megapixels=options.megapixels, rings=options.rig == "random-rings")
+    changes = {
+        "camera": drawn.model,
+        "width_px": drawn.width,
+        "height_px": drawn.height,
+        "focal_px": drawn.focal_px,
+        "mount": drawn.mount,
+        "lidar": drawn.lidar,
+    }
+    return options.model_copy(update=changes)
 
 
 def _displaced(truth: Float, size: str, rng: np.random.Generator) -> Float:
@@ -230,6 +262,7 @@ def view(options: SyntheticOptions, scene_number: int, number: int = 0, camera: 
     """
     from p2o import simulate
 
+    options = _with_rig(options, scene_number)
     names = ("seed", "place", "frames_per_scene", "period_s", "swing_deg", "tilt_deg", "lidar_height_m", "weather")
     still = options.targets != "none" and not options.speed_m_s
     weather = _weather(options, scene_number)
@@ -266,7 +299,7 @@ def view(options: SyntheticOptions, scene_number: int, number: int = 0, camera: 
         image,
         cloud.untwisted(moment.twist) if options.deskew else cloud,
         camera_from_lidar=truth,
-        start=_displaced(truth, options.start_error, _stream(options, _START)),
+        start=_displaced(truth, options.start_error, _stream(options, _START, *_own(options, scene_number))),
         twist=moment.twist,
         targets=tuple(board.target for board in boards),
         camera_name=camera,
@@ -294,6 +327,11 @@ def _most_speed_m_s(options: SyntheticOptions) -> float:
     if options.speed_m_s is None:
         return _USUAL_M_S.get(options.place, _ROAD_M_S) if options.targets == "none" else 0.0
     return options.speed_m_s
+
+
+def _own(options: SyntheticOptions, scene_number: int) -> tuple[int, ...]:
+    """Return the number of a scene with a rig of its own; nothing where all have the same one, and the same start."""
+    return () if options.rig == "fixed" else (scene_number,)
 
 
 def _nth(options: SyntheticOptions, camera: str) -> tuple[int, ...]:
@@ -455,7 +493,7 @@ def _photos(options: SyntheticOptions, scene_number: int, picture: Picture, weat
     if options.exposure_ev is not None:
         exposure_ev = options.exposure_ev
     photo = simulate.Photo(
-        gain=simulate.metered_gain(picture.light, exposure_ev),
+        gain=simulate.metered_gain(picture.light, exposure_ev, whole=options.rig != "fixed"),
         blur_px=options.blur_px,
         vignetting=options.vignetting,
         grain=options.grain * weather.grain,
@@ -499,7 +537,8 @@ def build(options: SyntheticOptions) -> LazyFrames:
     own seed.
 
     Raises InputError if drift or start_error cannot be read, a drive is over before its mounting slips, a car that
-    stands shall turn, the boards do not hold their pattern, or the frames are too many or too large for memory.
+    stands shall turn, the boards do not hold their pattern or are before a random rig, or the frames are too many or
+    too large for memory.
     """
     from p2o.simulate import parse_perturbation
 
@@ -520,6 +559,13 @@ def build(options: SyntheticOptions) -> LazyFrames:
             expected="speed_m_s > 0",
             got=options.speed_m_s,
             hint="set speed_m_s=5; with targets the car stands unless told",
+        )
+    if options.targets != "none" and options.rig != "fixed":
+        raise InputError(
+            "a random rig may look away from the boards",
+            where="rig, targets",
+            expected="rig=fixed with targets",
+            got=f"rig={options.rig}",
         )
     if len(set(options.cameras)) < len(options.cameras):
         raise InputError(
@@ -544,7 +590,7 @@ def _require_bounded(options: SyntheticOptions) -> None:
             "too many frames", where="scenes, frames_per_scene", expected=f"at most {_MOST_FRAMES} in all", got=frames
         )
     travel_m = _travel_m(_most_speed_m_s(options), options.period_s, options.frames_per_scene)
-    megapixels = options.width_px * options.height_px / 1e6
+    megapixels = options.width_px * options.height_px / 1e6 if options.rig == "fixed" else options.megapixels
     needed = _ALWAYS_MB + _PER_METRE_MB * travel_m * min(options.scenes, 2) + _PER_MEGAPIXEL_MB * megapixels
     if needed > _MOST_MB:
         raise InputError(

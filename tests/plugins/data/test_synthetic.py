@@ -381,6 +381,50 @@ def test_in_a_room_it_does_not_rain() -> None:
     assert clear.cloud.xyz.tobytes() == rain.cloud.xyz.tobytes()
 
 
+RANDOM: dict[str, Any] = {"rig": "random-rings", "megapixels": 0.08, "scenes": 4, "place": "anywhere", "weather": "any"}
+
+
+def test_each_scene_of_random_rigs_has_its_own_one_and_a_start_as_wrong_as_asked() -> None:
+    frames = list(build(SyntheticOptions(**RANDOM, start_error="3deg 0.2m")))
+    assert len({frame.camera for frame in frames}) == 4
+    assert len({frame.camera_from_lidar.tobytes() for frame in frames}) == 4
+    off = [se3.inverse(frame.camera_from_lidar) @ frame.start for frame in frames]
+    assert [se3.angle_deg(error) for error in off] == pytest.approx([3.0] * 4, abs=1e-6)
+    assert [se3.distance_m(error) for error in off] == pytest.approx([0.2] * 4, abs=1e-9)
+    assert se3.angle_deg(se3.inverse(off[0]) @ off[1]) > 0.1
+    again = build(SyntheticOptions(**RANDOM, start_error="3deg 0.2m"))[2]
+    for a, b in (
+        (again.image.rgb, frames[2].image.rgb),
+        (again.cloud.xyz, frames[2].cloud.xyz),
+        (again.start, frames[2].start),
+    ):
+        assert a.tobytes() == b.tobytes()
+
+
+def test_a_random_rig_sees_in_its_sweep_what_its_depth_map_says() -> None:
+    options = SyntheticOptions(rig="random-rings", megapixels=0.2, place="room", speed_m_s=0.0, **STILL)
+    for number in range(4):
+        frame = view(options, number).frame
+        assert np.median(_depth_errors(frame, frame.camera_from_lidar, 100)) < 2e-3
+
+
+def test_frames_of_a_drive_share_the_random_rig_of_their_scene() -> None:
+    options = SyntheticOptions(rig="random", frames_per_scene=2, megapixels=0.05, place="yard", scenes=2)
+    frames = list(build(options))
+    for first, second in (frames[:2], frames[2:]):
+        assert first.camera == second.camera
+        assert first.start.tobytes() == second.start.tobytes()
+        step = se3.inverse(first.camera_world_from_camera) @ second.camera_world_from_camera
+        moved = se3.inverse(first.lidar_world_from_lidar) @ second.lidar_world_from_lidar
+        np.testing.assert_allclose(step @ first.camera_from_lidar, first.camera_from_lidar @ moved, atol=1e-9)
+    assert frames[0].camera != frames[2].camera
+
+
+def test_boards_before_a_random_rig_are_refused() -> None:
+    with pytest.raises(InputError, match="look away from the boards"):
+        build(SyntheticOptions(rig="random", targets="holes"))
+
+
 def test_frames_carry_what_the_method_says_it_gives() -> None:
     frame = _frame()
     assert METHOD.gives == {"right", "depth", "truth", "rings", "intensity", "time", "twist"}
@@ -426,6 +470,8 @@ def test_it_is_a_lazy_dataset_with_names() -> None:
         {"focal_px": 0},
         {"lidar_height_m": 0},
         {"weather": "hail"},
+        {"rig": "loose"},
+        {"megapixels": 0},
         {"colour": "red"},
         {"place": "moon"},
         {"seed": 10**40},

@@ -29,6 +29,8 @@ from p2o.simulate.places import PLACES as PLACES
 from p2o.simulate.places import place_of as place_of
 from p2o.simulate.places import scene_of as scene_of
 from p2o.simulate.places import street as street
+from p2o.simulate.random_rig import RandomRig as RandomRig
+from p2o.simulate.random_rig import random_rig as random_rig
 from p2o.simulate.render import Picture as Picture
 from p2o.simulate.render import render as render
 from p2o.simulate.scene import Hits as Hits
