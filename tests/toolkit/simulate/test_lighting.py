@@ -31,15 +31,15 @@ def test_without_sun_sky_and_lamps_it_is_dark() -> None:
 def test_the_light_of_a_lamp_falls_with_the_square_of_its_distance_and_with_the_slant() -> None:
     lamp = Lamp((0.0, 0.0, 2.0), (1.0, 1.0, 1.0), size_m=0.0)
     light = _floor(replace(NIGHT, lamps=(lamp,)))
-    assert light[50, 50] == pytest.approx(0.5 / 4, rel=1e-3)
+    assert light[50, 50] == pytest.approx(0.5 / 4, rel=3e-3)
     # 2 m beside its foot: distance squared 8, cosine 1 / sqrt(2).
-    assert light[50, 60] == pytest.approx(0.5 / 8 / np.sqrt(2), rel=1e-3)
+    assert light[50, 60] == pytest.approx(0.5 / 8 / np.sqrt(2), rel=3e-3)
 
 
 def test_a_lamp_with_an_aim_lights_what_it_looks_at() -> None:
     aside = Lamp((0.0, 0.0, 2.0), (1.0, 1.0, 1.0), size_m=0.0, aim=(1.0, 0.0, -1.0), sharpness=4.0)
     light = _floor(replace(NIGHT, lamps=(aside,)))
-    assert light[50, 60] == pytest.approx(0.5 / 8 / np.sqrt(2), rel=1e-3)
+    assert light[50, 60] == pytest.approx(0.5 / 8 / np.sqrt(2), rel=3e-3)
     assert light[50, 40] == pytest.approx(0.0, abs=1e-6)
 
 

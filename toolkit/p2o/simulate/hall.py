@@ -452,7 +452,7 @@ def _overhead(rng: np.random.Generator, hall: Hall) -> tuple[list[Lamp], list[Th
     for x in np.linspace(max(hall.back, -6.0), min(hall.end, 26.0), 4)[:-1] + 4.0:
         for y in (rows[0], rows[-1]) if len(rows) > 1 else rows:
             strength = rng.uniform(0.35, 0.6) * low**2
-            lamps.append(Lamp((float(x), float(y), low - 0.15), _triple(tint * strength), 1.0, (0, 0, -1), 0.6, 0.3))
+            lamps.append(Lamp((float(x), float(y), low - 0.15), _triple(tint * strength), 1.0, (0, 0, -1), 1.0, 0.3))
     lamps = lamps if on else []
     tray = Material("tray", pick(rng, ((0.4, 0.41, 0.42), (0.1, 0.1, 0.1))), 0.2, 0.45, 0.1, "plain")
     for _ in range(rng.integers(0, 4)):

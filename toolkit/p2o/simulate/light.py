@@ -23,8 +23,8 @@ _WHITE = np.array([1.0, 1.0, 1.0], np.float32)
 _GREY = np.array([0.92, 0.96, 1.0], np.float32)
 _LOW = np.float32(0.75)
 """How bright the horizon of an overcast sky is; it is 1 above."""
-_FAINT = np.float32(0.0005)
-"""Light of a lamp that nobody would see."""
+_FAINT = np.float32(0.004)
+"""Light of a lamp that nobody would miss; towards it, light fades to nothing."""
 _WAVES = 0.1
 """How much wet ground is uneven, as tangent of a slope."""
 _CORNER, _CORNER_M = np.float32(0.32), np.float32(0.4)
@@ -160,9 +160,11 @@ def _add_lamp(
     if lamp.aim is not None:
         aim = np.array(lamp.aim, np.float32)
         lit *= np.clip(-(way @ (aim / np.linalg.norm(aim))), 0.0, 1.0) ** np.float32(lamp.sharpness)
-    rows = np.flatnonzero(lit * np.float32(max(lamp.colour)) > _FAINT)
+    faint = _FAINT / np.float32(max(lamp.colour))
+    rows = np.flatnonzero(lit > faint)
     if not len(rows):
         return
+    lit[rows] *= 1 - (faint / lit[rows]) ** 2
     side = np.where(towards[rows] < 0, -_SHADOW_BIAS_M, _SHADOW_BIAS_M)[:, None]
     reach = np.maximum(distance[rows] - np.float32(lamp.clear_m), np.float32(1e-3))
     ways = way[rows].astype(np.float64)

@@ -246,7 +246,7 @@ def _lamps(rng: np.random.Generator, hall: Hall) -> tuple[list[Lamp], list[Thing
             things.append(placed(lamp, x, y, yaw_deg=rng.choice([0.0, 90.0])))
         if on:
             lamps.append(
-                Lamp((float(x), float(y), low - 0.1), _triple(tint * strength * 2.0), 0.5, (0.0, 0.0, -1.0), 0.7, 0.15)
+                Lamp((float(x), float(y), low - 0.1), _triple(tint * strength * 2.0), 0.5, (0.0, 0.0, -1.0), 1.0, 0.15)
             )
     return lamps, things
 
