@@ -1,4 +1,4 @@
-"""Synthetic roads and yards with exact truth: camera, right camera and LiDAR look at the same triangles."""
+"""Synthetic roads, halls and rooms with exact truth: cameras and LiDAR look at the same triangles."""
 
 from __future__ import annotations
 
@@ -606,6 +606,6 @@ METHOD = Method(
     name="synthetic",
     build=build,
     options=SyntheticOptions,
-    summary="Synthetic roads with exact truth: image, right image, depth, a sweep of any of seven LiDARs, boards.",
+    summary="Synthetic roads, halls, rooms with exact truth: image, right image, depth, sweeps of seven LiDARs, boards.",
     gives=frozenset({"right", "depth", "truth", "rings", "intensity", "time", "twist"}),
 )

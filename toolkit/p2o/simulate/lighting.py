@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 Triple = tuple[float, float, float]
 
@@ -24,6 +24,11 @@ class Lamp:
     sharpness: float = 1.0
     clear_m: float = 0.1
     daylight: bool = False
+
+    def times(self, factor: float) -> Lamp:
+        """Return the lamp with `factor` times the light."""
+        red, green, blue = self.colour
+        return replace(self, colour=(factor * red, factor * green, factor * blue))
 
 
 @dataclass(frozen=True)

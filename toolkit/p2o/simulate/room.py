@@ -209,7 +209,7 @@ def _drawn(
 def _in_the_middle(rng: np.random.Generator, floor: FloorPlan, style: Style, kind: str) -> list[Thing]:
     """Return tables, desks, people and plants on the free floor."""
     out: list[Thing] = []
-    tries = int(rng.integers(12, 40))
+    tries = int(rng.integers(20, 70))
     for number, (x, y) in enumerate(floor.spots(rng, tries)):
         draw = rng.random()
         if draw < 0.5 or number < 4:

@@ -93,10 +93,7 @@ def in_weather(scene: Scene, weather: Weather, rng: np.random.Generator) -> Scen
     if inside is not None and weather.name == "night":
         red, green, blue = inside.ambient
         inside = replace(inside, ambient=(0.6 * red, 0.6 * green, 0.6 * blue))
-    lamps = tuple(
-        replace(lamp, colour=tuple(share * c for c in lamp.colour)) if lamp.daylight else lamp
-        for lamp in lighting.lamps
-    )
+    lamps = tuple(lamp.times(share) if lamp.daylight else lamp for lamp in lighting.lamps)
     change = _Surfaces(rng, weather, indoors=indoors)
     parts = tuple(change(part) for part in scene.parts)
     movers = tuple(replace(mover, parts=tuple(change(part) for part in mover.parts)) for mover in scene.movers)
@@ -221,7 +218,7 @@ def rained_on(
         begin, stop = (tuple(int(v) for v in np.rint(np.clip(p, -1e4, 1e4) * 16)) for p in (a, b))
         cv2.line(veil, begin, stop, int(alpha), max(1, round(wide)), cv2.LINE_AA, 4)
     share = cv2.GaussianBlur(veil, (0, 0), 0.7).astype(np.float32)[..., None] / 255
-    bright = np.float32(max(np.percentile(light, 90), 1e-3))
+    bright = np.float32(max(float(np.percentile(light, 90)), 1e-3))
     out = light + share * (bright - light)
     return _through_drops(out, weather.wet_lens, rng) if weather.wet_lens > 0 else out
 
