@@ -606,6 +606,6 @@ METHOD = Method(
     name="synthetic",
     build=build,
     options=SyntheticOptions,
-    summary="Synthetic roads, halls, rooms with exact truth: image, right image, depth, sweeps of seven LiDARs, boards.",
+    summary="Synthetic roads, halls, rooms with exact truth: image, right image, depth, sweep of seven LiDARs, boards.",
     gives=frozenset({"right", "depth", "truth", "rings", "intensity", "time", "twist"}),
 )
