@@ -269,6 +269,7 @@ def view(options: SyntheticOptions, scene_number: int, number: int = 0, camera: 
     scene, moments = _drive(
         scene_number,
         **{name: getattr(options, name) for name in names},
+        around=options.rig != "fixed",
         speed_m_s=0.0 if still else options.speed_m_s,
         sway=0.0 if still else options.sway,
     )
@@ -414,6 +415,7 @@ def _drive(
     seed: int,
     place: str,
     weather: str,
+    around: bool,
     speed_m_s: float | None,
     lidar_height_m: float | None,
     frames_per_scene: int,
@@ -429,7 +431,7 @@ def _drive(
     drawn = simulate.place_of(place, layout)
     speed_m_s = _USUAL_M_S.get(drawn, _ROAD_M_S) if speed_m_s is None else speed_m_s
     travel = _travel_m(speed_m_s, period_s, frames_per_scene)
-    scene, twist = simulate.scene_of(drawn, layout, speed_m_s=speed_m_s, travel_m=travel)
+    scene, twist = simulate.scene_of(drawn, layout, speed_m_s=speed_m_s, travel_m=travel, around=around)
     drawn_weather = np.random.default_rng([seed, _WEATHER, scene_number])
     scene = simulate.in_weather(scene, simulate.weather_of(weather, drawn_weather), drawn_weather)
     if lidar_height_m is None:

@@ -109,6 +109,32 @@ def test_nothing_in_a_building_floats(place: str, seed: int) -> None:
         assert min(gaps) < 0.1, (number, points.min(axis=0), points.max(axis=0))
 
 
+def test_for_cameras_that_look_around_leaves_behind_are_as_small_as_those_ahead() -> None:
+    def largest_m(around: bool) -> float:
+        """Return how long the leaves within 15 m behind the rig are, the 90th percentile of their longest sides."""
+        scene, _ = scene_of("trees", np.random.default_rng(2), around=around)
+        of_leaves = scene.class_of_part[scene.part_of_face] == Class.FOLIAGE
+        corners = scene.mesh.vertices[scene.mesh.faces[of_leaves]]
+        middle = corners.mean(axis=1)
+        near = (middle[:, 0] < -3) & (np.linalg.norm(middle[:, :2], axis=1) < 15)
+        sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+        return float(np.percentile(sides[near], 90))
+
+    assert largest_m(around=True) < 0.6 * largest_m(around=False)
+
+
+@pytest.mark.parametrize("place", ["street", "trees"])
+def test_for_cameras_that_look_around_land_goes_on_behind(place: str) -> None:
+    down = np.array([[-1.0, y, -0.25] for y in np.linspace(-0.4, 0.4, 21)])
+    down /= np.linalg.norm(down, axis=1, keepdims=True)
+    ends, goes_on = (
+        scene_of(place, np.random.default_rng(1), around=around)[0].cast(np.array([0.0, 0.0, 30.0]), down).face
+        for around in (False, True)
+    )
+    assert (ends < 0).any()
+    assert (goes_on >= 0).all()
+
+
 def test_anywhere_draws_every_kind_of_place_and_mixed_roads_only() -> None:
     rng = np.random.default_rng(0)
     assert {place_of("anywhere", rng) for _ in range(200)} == set(PLACES)

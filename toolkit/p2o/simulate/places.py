@@ -11,7 +11,7 @@ import numpy as np
 from p2o.arrays import Float
 from p2o.errors import UnknownNameError
 from p2o.simulate import hall, highway, room, suburb, town, woods, yard
-from p2o.simulate.place import Layout, Plan, Thing
+from p2o.simulate.place import Layout, Plan, Thing, land_behind
 from p2o.simulate.scene import Mover, Part, Scene
 
 SHARES: Mapping[str, float] = MappingProxyType({"street": 0.27, "suburb": 0.23, "highway": 0.17, "trees": 0.33})
@@ -38,12 +38,13 @@ def place_of(place: str, rng: np.random.Generator) -> str:
 
 
 def scene_of(
-    place: str, rng: np.random.Generator, *, speed_m_s: float = 0.0, travel_m: float = 0.0
+    place: str, rng: np.random.Generator, *, speed_m_s: float = 0.0, travel_m: float = 0.0, around: bool = False
 ) -> tuple[Scene, Float]:
     """Return a scene of a kind of place and the velocity (6,) in rad/s and m/s of a rig that follows its road.
 
     `place` is one of PLACES, or `mixed` or `anywhere`, which draw one. The rig starts at the origin, along x, and keeps
-    on the road for `travel_m` metres; the road may bend. Other traffic drives too, unless the rig stands still.
+    on the road for `travel_m` metres; the road may bend. Other traffic drives too, unless the rig stands still. Where
+    its cameras look `around`, what is beside and behind them is as fine as what is ahead.
 
     Raises UnknownNameError for another kind of place.
     """
@@ -52,7 +53,10 @@ def scene_of(
         "yard": yard.layout, "hall": hall.layout, "room": room.layout,
     }  # fmt: skip
     maker = makers[place_of(place, rng)]
-    layout = maker(Plan(rng, travel_m))
+    plan = Plan(rng, travel_m, around)
+    layout = maker(plan)
+    if around and layout.lighting.inside is None:
+        layout.things.extend(land_behind(plan))
     curvature = float(rng.uniform(*layout.curvature)) if rng.random() < 0.6 else 0.0
     elevation, turn = np.radians(rng.uniform(16.0, 62.0)), rng.uniform(0, 2 * np.pi)
     to_sun = (
