@@ -26,7 +26,9 @@ BOARDS: dict[str, dict[str, Any]] = {
     "holes": {"seed": 2, "boards": 2, "board": "a1", "holder": "stand"},
 }
 """Options of the pictures of boards."""
-PLACES = ("street", "suburb", "highway", "trees")
+BUILDINGS = {"hall": 2, "room": 0}
+"""Seeds of the pictures of places inside of buildings."""
+PLACES = ("street", "suburb", "highway", "trees", "hall", "room")
 
 
 def timed(options: SyntheticOptions, frames: list[tuple[int, int]]) -> tuple[float, float]:
@@ -57,6 +59,9 @@ def gallery(folder: Path) -> None:
             close = np.clip(3.0 / picture.depth_m, 0, 1) ** 0.5
             save(folder / "depth.jpg", np.repeat((255 * close).astype(np.uint8)[..., None], 3, axis=2))
             save(folder / "normals.jpg", (127.5 * (1 - picture.normals)).astype(np.uint8))
+    for place, seed in BUILDINGS.items():
+        wide = {"width_px": 960, "height_px": 540, "focal_px": 520.0, "exposure_ev": 0.0, "right": False}
+        save(folder / f"{place}.jpg", view(SyntheticOptions(place=place, seed=seed, **wide), 0).frame.image.rgb)
     for targets, options in BOARDS.items():
         options = SyntheticOptions(targets=targets, place="yard", exposure_ev=-0.5, right=False, **options)
         save(folder / f"{targets}.jpg", view(options, 0).frame.image.rgb)

@@ -1,4 +1,4 @@
-"""Synthetic roads and yards with exact truth: camera, right camera and LiDAR look at the same triangles."""
+"""Synthetic roads, halls and rooms with exact truth: cameras and LiDAR look at the same triangles."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from p2o import Camera, Frame, Image, InputError, Method, Options, field, se3
-from p2o.arrays import Float
+from p2o.arrays import Float, UInt8
 from pydantic import BeforeValidator, Field
 
 from p2o_plugins.data.lazy_frames import LazyFrames
 
 if TYPE_CHECKING:
-    from p2o.simulate import Board, Moment, Picture, Scene
+    from p2o.simulate import Board, Moment, Picture, Scene, Weather
 
 BASELINE_M = 0.54
 _KITTI_MOUNT = (0.27, 0.06, -0.08, 0.458, -0.63, 0.344)
@@ -27,6 +27,12 @@ _MOST_MB, _ALWAYS_MB, _PER_METRE_MB, _PER_MEGAPIXEL_MB = 1500, 320, 3.2, 180
 # One stream of random numbers for each of these, so that more noise or another camera leaves the place as it was.
 # The number of the places is one with which the very first of them is a street.
 _PLACE, _DRIVE, _LIDAR, _CAMERA, _GRAIN, _START, _DRIFT, _ODOMETRY, _BOARDS = 31, 1, 2, 3, 4, 5, 6, 7, 8
+_HEIGHT, _WEATHER, _RAIN, _RIG = 9, 10, 11, 12
+_ROAD_M_S = 8.0
+_USUAL_M_S = {"hall": 1.0, "room": 0.5}
+"""Speeds of rigs that are not cars on roads."""
+_INDOORS_M = (0.6, 1.4)
+"""How high the LiDAR of a robot is that drives through halls and rooms."""
 
 
 _Shift = Annotated[float, Field(ge=-100, le=100)]
@@ -47,16 +53,28 @@ class SyntheticOptions(Options):
     frames_per_scene: int = field(1, ge=1, le=1000, help="Frames of the drive through each place.")
     period_s: float = field(0.1, gt=0, le=60, help="Time from one frame of a drive to the next in seconds.")
     seed: int = field(0, ge=0, lt=2**63, help="Seed of the places, of all noise and of the wrong start.")
-    place: Literal["mixed", "street", "suburb", "highway", "trees", "yard"] = field(
+    place: Literal["mixed", "anywhere", "street", "suburb", "highway", "trees", "yard", "hall", "room"] = field(
         "mixed",
-        help="Kind of place; mixed draws one for each scene, a third of them trees and banks, none a yard, which is "
-        "an open floor between halls for calibration with boards.",
+        help="Kind of place; mixed draws a road for each scene, a third of them with trees and banks; anywhere draws "
+        "among all: roads, a yard (an open floor between halls, for boards), and inside a hall or a room.",
+    )
+    weather: Literal["clear", "overcast", "rain", "fog", "night", "any"] = field(
+        "clear",
+        help="Weather in the picture and in the sweep; any draws one for each scene. In halls and rooms it is seen "
+        "through the windows.",
     )
     speed_m_s: float | None = field(
         None,
         ge=0,
         le=60,
-        help="Speed of the car in metres a second; other traffic has about the same. Null is 8, and 0 with targets.",
+        help="Speed of the car in metres a second; other traffic has about the same. Null is 8, in a hall 1, in a room "
+        "0.5, and 0 with targets.",
+    )
+    lidar_height_m: float | None = field(
+        None,
+        ge=0.2,
+        le=10,
+        help="Height of the LiDAR above the ground in metres; null is 1.73, in halls and rooms 0.6 to 1.4, drawn.",
     )
     swing_deg: float = field(
         0.0, ge=0, le=60, help="How far a drive turns to the left and right of its road as it swings along it."
@@ -93,11 +111,31 @@ class SyntheticOptions(Options):
     board_height_m: float | None = field(
         None, gt=0, le=4, help="Height of the board in metres; null is the named one's, or fits a changed pattern."
     )
+    rig: Literal["fixed", "random", "random-rings"] = field(
+        "fixed",
+        help="fixed is what the other options say; with random each scene has its own camera, width_px, height_px, "
+        "focal_px, mount and lidar, drawn by the seed, in place of those of the options, and its own wrong start; "
+        "with random-rings every LiDAR has rings.",
+    )
+    megapixels: float = field(
+        2.0,
+        ge=0.01,
+        le=6,
+        help="Random rigs: pictures of more million pixels are made smaller, with their focal lengths.",
+    )
     camera: Literal["pinhole", "opencv-distorted", "fisheye"] = field(
         "pinhole", help="Camera model: KITTI-like pinhole with a right picture, distorted OPENCV, or OPENCV_FISHEYE."
     )
-    width_px: int = field(1242, ge=64, le=8192, help="Width of the image; the focal length scales with it.")
+    width_px: int = field(
+        1242, ge=64, le=8192, help="Width of the image; the focal length scales with it unless focal_px is given."
+    )
     height_px: int = field(375, ge=64, le=8192, help="Height of the image; its field of view follows.")
+    focal_px: float | None = field(
+        None,
+        ge=50,
+        le=10_000,
+        help="Focal length in pixels; null is 0.581 of the width (as KITTI), for a fisheye 0.386 of it.",
+    )
     exposure_ev: float | None = field(
         None, ge=-8, le=8, help="Stops that the picture is too bright (+) or too dark (-); null draws -1.2 to 1.5."
     )
@@ -160,28 +198,53 @@ def camera_from_lidar(mount: tuple[float, ...] = _KITTI_MOUNT) -> Float:
 
 
 def camera_of(options: SyntheticOptions) -> Camera:
-    """Return the camera of the options, in proportion to KITTI's 1242x375 px with a focal length of 721.5 px."""
+    """Return the camera of the options, in proportion to KITTI's 1242x375 px with a focal length of 721.5 px.
+
+    `focal_px` changes the focal length alone: the principal point and the distortion, which is of the angle, stay.
+    """
     width, height = options.width_px, options.height_px
     scale = width / 1242
+    focal = (480.0 if options.camera == "fisheye" else 721.5) * scale if options.focal_px is None else options.focal_px
+    tall = 722.5 * scale if options.focal_px is None else options.focal_px * 722.5 / 721.5
     cx, cy = (609.6 + 0.5) * scale - 0.5, (172.9 + 0.5) * height / 375 - 0.5
     match options.camera:
         case "pinhole":
-            return Camera.pinhole(721.5 * scale, 721.5 * scale, cx, cy, width, height)
+            return Camera.pinhole(focal, focal, cx, cy, width, height)
         case "opencv-distorted":
             distortion = (-0.28, 0.08, 0.001, -0.0015)
-            return Camera("OPENCV", width, height, (721.5 * scale, 722.5 * scale, cx, cy, *distortion))
+            return Camera("OPENCV", width, height, (focal, tall, cx, cy, *distortion))
         case "fisheye":
             distortion = (0.02, -0.006, 0.001, -0.0002)
-            return Camera("OPENCV_FISHEYE", width, height, (480.0 * scale, 480.0 * scale, cx, cy, *distortion))
+            return Camera("OPENCV_FISHEYE", width, height, (focal, focal, cx, cy, *distortion))
 
 
 def truth_at(options: SyntheticOptions, scene: int, number: int, camera: str = "") -> Float:
     """Return the true extrinsic (4, 4) of frame `number` of a scene: that of the mounting, until it slips."""
+    options = _with_rig(options, scene)
     about_z = np.radians([0, 0, -_TO_THE_LEFT_DEG[camera], 0, 0, 0])
     truth = camera_from_lidar(options.mount) @ se3.exp(about_z)
     if options.drift_at_frame is None or number < options.drift_at_frame:
         return truth
     return _displaced(truth, options.drift, _stream(options, _DRIFT, scene))
+
+
+def _with_rig(options: SyntheticOptions, scene_number: int) -> SyntheticOptions:
+    """Return the options with the rig of a scene: their own, or the one that is drawn for it."""
+    if options.rig == "fixed":
+        return options
+    from p2o.simulate import random_rig
+
+    rng = _stream(options, _RIG, scene_number)
+    drawn = random_rig(rng, megapixels=options.megapixels, rings=options.rig == "random-rings")
+    changes = {
+        "camera": drawn.model,
+        "width_px": drawn.width,
+        "height_px": drawn.height,
+        "focal_px": drawn.focal_px,
+        "mount": drawn.mount,
+        "lidar": drawn.lidar,
+    }
+    return options.model_copy(update=changes)
 
 
 def _displaced(truth: Float, size: str, rng: np.random.Generator) -> Float:
@@ -199,17 +262,23 @@ def view(options: SyntheticOptions, scene_number: int, number: int = 0, camera: 
     """
     from p2o import simulate
 
-    names = ("seed", "place", "frames_per_scene", "period_s", "swing_deg", "tilt_deg")
-    speed_m_s = _speed_m_s(options)
-    still = options.targets != "none" and not speed_m_s
+    options = _with_rig(options, scene_number)
+    names = ("seed", "place", "frames_per_scene", "period_s", "swing_deg", "tilt_deg", "lidar_height_m", "weather")
+    still = options.targets != "none" and not options.speed_m_s
+    weather = _weather(options, scene_number)
     scene, moments = _drive(
         scene_number,
         **{name: getattr(options, name) for name in names},
-        speed_m_s=speed_m_s,
+        around=options.rig != "fixed",
+        speed_m_s=0.0 if still else options.speed_m_s,
         sway=0.0 if still else options.sway,
     )
     moment = moments[number]
     truth = truth_at(options, scene_number, number, camera)
+    if weather.name == "night":
+        # A robot in a building has no headlights.
+        own = () if scene.lighting.inside else simulate.headlights(moment.world_from_lidar, _height_m(options))
+        scene = simulate.lit_near(scene, moment.world_from_lidar, own)
     scene, boards = _with_boards(options, scene, moment, scene_number, number)
     # Beside the picture: each of them has stretches that keep one core busy only.
     with ThreadPoolExecutor(1) as beside:
@@ -222,15 +291,16 @@ def view(options: SyntheticOptions, scene_number: int, number: int = 0, camera: 
             noise,
             twist=moment.twist,
             time_s=moment.time_s,
+            air=weather.air if scene.lighting.inside is None else simulate.Air(),
         )
-        image, picture = _seen(options, scene, moment, truth, (scene_number, number, *_nth(options, camera)))
+        image, picture = _seen(options, scene, moment, truth, weather, (scene_number, number, *_nth(options, camera)))
         cloud = swept.result()
     frame = Frame(
         _name(options, scene_number, number, camera),
         image,
         cloud.untwisted(moment.twist) if options.deskew else cloud,
         camera_from_lidar=truth,
-        start=_displaced(truth, options.start_error, _stream(options, _START)),
+        start=_displaced(truth, options.start_error, _stream(options, _START, *_own(options, scene_number))),
         twist=moment.twist,
         targets=tuple(board.target for board in boards),
         camera_name=camera,
@@ -239,10 +309,30 @@ def view(options: SyntheticOptions, scene_number: int, number: int = 0, camera: 
     return View(frame, scene, moment, picture, boards)
 
 
-def _speed_m_s(options: SyntheticOptions) -> float:
+def _weather(options: SyntheticOptions, scene_number: int) -> Weather:
+    """Return the weather of a scene: the first that its stream of random numbers gives."""
+    from p2o.simulate import weather_of
+
+    return weather_of(options.weather, _stream(options, _WEATHER, scene_number))
+
+
+def _height_m(options: SyntheticOptions) -> float:
+    """Return the height of the LiDAR on a car."""
+    from p2o.simulate import LIDAR_HEIGHT_M
+
+    return LIDAR_HEIGHT_M if options.lidar_height_m is None else options.lidar_height_m
+
+
+def _most_speed_m_s(options: SyntheticOptions) -> float:
+    """Return the speed of the options, the largest one where it depends on the place that is drawn."""
     if options.speed_m_s is None:
-        return 8.0 if options.targets == "none" else 0.0
+        return _USUAL_M_S.get(options.place, _ROAD_M_S) if options.targets == "none" else 0.0
     return options.speed_m_s
+
+
+def _own(options: SyntheticOptions, scene_number: int) -> tuple[int, ...]:
+    """Return the number of a scene with a rig of its own; nothing where all have the same one, and the same start."""
+    return () if options.rig == "fixed" else (scene_number,)
 
 
 def _nth(options: SyntheticOptions, camera: str) -> tuple[int, ...]:
@@ -324,7 +414,10 @@ def _drive(
     *,
     seed: int,
     place: str,
-    speed_m_s: float,
+    weather: str,
+    around: bool,
+    speed_m_s: float | None,
+    lidar_height_m: float | None,
     frames_per_scene: int,
     period_s: float,
     swing_deg: float,
@@ -335,15 +428,25 @@ def _drive(
     from p2o import simulate
 
     layout, shake = (np.random.default_rng([seed, stream, scene_number]) for stream in (_PLACE, _DRIVE))
+    drawn = simulate.place_of(place, layout)
+    speed_m_s = _USUAL_M_S.get(drawn, _ROAD_M_S) if speed_m_s is None else speed_m_s
     travel = _travel_m(speed_m_s, period_s, frames_per_scene)
-    scene, twist = simulate.scene_of(place, layout, speed_m_s=speed_m_s, travel_m=travel)
+    scene, twist = simulate.scene_of(drawn, layout, speed_m_s=speed_m_s, travel_m=travel, around=around)
+    drawn_weather = np.random.default_rng([seed, _WEATHER, scene_number])
+    scene = simulate.in_weather(scene, simulate.weather_of(weather, drawn_weather), drawn_weather)
+    if lidar_height_m is None:
+        low, high = _INDOORS_M
+        rolled = np.random.default_rng([seed, _HEIGHT, scene_number]).uniform(low, high)
+        lidar_height_m = float(rolled) if drawn in simulate.INDOORS else simulate.LIDAR_HEIGHT_M
     swing = simulate.Swing(swing_deg, tilt_deg)
-    moments = simulate.drive(twist, frames_per_scene, shake, period_s=period_s, sway=sway, swing=swing)
+    moments = simulate.drive(
+        twist, frames_per_scene, shake, period_s=period_s, height_m=lidar_height_m, sway=sway, swing=swing
+    )
     return scene.prepare(), moments
 
 
 def _seen(
-    options: SyntheticOptions, scene: Scene, moment: Moment, truth: Float, numbers: tuple[int, ...]
+    options: SyntheticOptions, scene: Scene, moment: Moment, truth: Float, weather: Weather, numbers: tuple[int, ...]
 ) -> tuple[Image, Picture]:
     """Return what the camera sees, as it takes it and before its electronics.
 
@@ -355,12 +458,19 @@ def _seen(
     picture = simulate.render(scene, camera, world_from_camera, moment.time_s)
 
     grain = _stream(options, _GRAIN, *numbers)
-    photo, right_photo = _photos(options, numbers[0], picture)
-    rgb, right = simulate.develop(picture.light, photo, grain), None
+    photo, right_photo = _photos(options, numbers[0], picture, weather)
+
+    def developed(seen: Picture, pose: Float, photo: Any) -> UInt8:
+        light = seen.light
+        if weather.rain and scene.lighting.inside is None:
+            drops = _stream(options, _RAIN, *numbers, int(seen is not picture))
+            light = simulate.rained_on(light, seen.depth_m, camera, se3.inverse(pose), weather, drops)
+        return simulate.develop(light, photo, grain)
+
+    rgb, right = developed(picture, world_from_camera, photo), None
     if camera.is_pinhole and options.right:
         shifted = world_from_camera @ se3.make(translation=(BASELINE_M, 0.0, 0.0))
-        light = simulate.render(scene, camera, shifted, moment.time_s).light
-        right = simulate.develop(light, right_photo, grain)
+        right = developed(simulate.render(scene, camera, shifted, moment.time_s), shifted, right_photo)
     masked = ~picture.seen | picture.foliage if options.mask_foliage else ~picture.seen
     image = Image(
         rgb,
@@ -373,19 +483,22 @@ def _seen(
     return image, picture
 
 
-def _photos(options: SyntheticOptions, scene_number: int, picture: Picture) -> tuple[Any, Any]:
-    """Return how the left and the right camera take pictures; the right one is a little brighter or darker."""
+def _photos(options: SyntheticOptions, scene_number: int, picture: Picture, weather: Weather) -> tuple[Any, Any]:
+    """Return how the left and the right camera take pictures; the right one is a little brighter or darker.
+
+    In weather with little light they are darker and noisier, unless their exposure is given.
+    """
     from p2o import simulate
 
     drawn = _stream(options, _CAMERA, scene_number)
-    exposure_ev, mismatch = drawn.uniform(-1.2, 1.5), 1 + 0.05 * drawn.normal()
+    exposure_ev, mismatch = drawn.uniform(-1.2, 1.5) + weather.exposure_ev, 1 + 0.05 * drawn.normal()
     if options.exposure_ev is not None:
         exposure_ev = options.exposure_ev
     photo = simulate.Photo(
-        gain=simulate.metered_gain(picture.light, exposure_ev),
+        gain=simulate.metered_gain(picture.light, exposure_ev, whole=options.rig != "fixed"),
         blur_px=options.blur_px,
         vignetting=options.vignetting,
-        grain=options.grain,
+        grain=options.grain * weather.grain,
         jpeg_quality=options.jpeg_quality,
     )
     return photo, photo.brighter(mismatch)
@@ -426,7 +539,8 @@ def build(options: SyntheticOptions) -> LazyFrames:
     own seed.
 
     Raises InputError if drift or start_error cannot be read, a drive is over before its mounting slips, a car that
-    stands shall turn, the boards do not hold their pattern, or the frames are too many or too large for memory.
+    stands shall turn, the boards do not hold their pattern or are before a random rig, or the frames are too many or
+    too large for memory.
     """
     from p2o.simulate import parse_perturbation
 
@@ -440,13 +554,20 @@ def build(options: SyntheticOptions) -> LazyFrames:
             got=options.drift_at_frame,
             hint="raise frames_per_scene",
         )
-    if (options.swing_deg or options.tilt_deg) and not _speed_m_s(options):
+    if (options.swing_deg or options.tilt_deg) and not _most_speed_m_s(options):
         raise InputError(
             "a car that stands does not turn",
             where="swing_deg, tilt_deg",
             expected="speed_m_s > 0",
             got=options.speed_m_s,
             hint="set speed_m_s=5; with targets the car stands unless told",
+        )
+    if options.targets != "none" and options.rig != "fixed":
+        raise InputError(
+            "a random rig may look away from the boards",
+            where="rig, targets",
+            expected="rig=fixed with targets",
+            got=f"rig={options.rig}",
         )
     if len(set(options.cameras)) < len(options.cameras):
         raise InputError(
@@ -470,8 +591,8 @@ def _require_bounded(options: SyntheticOptions) -> None:
         raise InputError(
             "too many frames", where="scenes, frames_per_scene", expected=f"at most {_MOST_FRAMES} in all", got=frames
         )
-    travel_m = _travel_m(_speed_m_s(options), options.period_s, options.frames_per_scene)
-    megapixels = options.width_px * options.height_px / 1e6
+    travel_m = _travel_m(_most_speed_m_s(options), options.period_s, options.frames_per_scene)
+    megapixels = options.width_px * options.height_px / 1e6 if options.rig == "fixed" else options.megapixels
     needed = _ALWAYS_MB + _PER_METRE_MB * travel_m * min(options.scenes, 2) + _PER_MEGAPIXEL_MB * megapixels
     if needed > _MOST_MB:
         raise InputError(
@@ -487,6 +608,6 @@ METHOD = Method(
     name="synthetic",
     build=build,
     options=SyntheticOptions,
-    summary="Synthetic roads with exact truth: image, right image, depth, a sweep of any of seven LiDARs, boards.",
+    summary="Synthetic roads, halls, rooms with exact truth: image, right image, depth, sweep of seven LiDARs, boards.",
     gives=frozenset({"right", "depth", "truth", "rings", "intensity", "time", "twist"}),
 )

@@ -328,6 +328,103 @@ def test_another_mounting_moves_the_truth_and_the_picture() -> None:
     assert abs(np.degrees(np.arctan2(ahead[1], ahead[2]))) == pytest.approx(2.0)
 
 
+@pytest.mark.parametrize("camera", ["pinhole", "opencv-distorted", "fisheye"])
+@pytest.mark.parametrize("focal_px", [110.0, 600.0])
+def test_a_given_focal_length_is_that_of_the_picture_whatever_its_width(camera: str, focal_px: float) -> None:
+    frame = _frame(camera=camera, focal_px=focal_px, place="street", **STILL)
+    ahead = np.array([[0.0, 0.0, 1.0], [0.01, 0.0, 1.0]])
+    here, beside = frame.camera.project(ahead)
+    assert (beside - here)[0] / 0.01 == pytest.approx(focal_px, rel=1e-3)
+    assert frame.camera.focal_px == pytest.approx(focal_px, rel=1e-3)
+    errors = _depth_errors(frame, frame.camera_from_lidar, 500)
+    assert np.median(errors) < 2e-3
+    assert (frame.image.right is not None) == (camera == "pinhole")
+
+
+@pytest.mark.parametrize("place", ["hall", "room"])
+def test_in_a_building_the_rig_is_slow_and_low_unless_told(place: str) -> None:
+    seen = [view(SyntheticOptions(place=place, scenes=3, **SMALL), number) for number in range(3)]
+    heights = [v.moment.world_from_lidar[2, 3] for v in seen]
+    assert 0.5 < min(heights) < max(heights) < 1.5
+    assert np.linalg.norm(seen[0].moment.twist[3:]) == pytest.approx({"hall": 1.0, "room": 0.5}[place])
+    told = view(SyntheticOptions(place=place, speed_m_s=2.0, lidar_height_m=1.9, sway=0.0, **SMALL), 0)
+    assert told.moment.world_from_lidar[2, 3] == pytest.approx(1.9)
+    assert np.linalg.norm(told.moment.twist[3:]) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("place", ["hall", "room"])
+def test_in_a_building_sweep_and_depth_map_agree_at_the_true_pose(place: str) -> None:
+    frame = _frame(place=place, lidar="os1-64", **STILL)
+    assert np.median(_depth_errors(frame, frame.camera_from_lidar)) < 1e-3
+    wrong = se3.exp(np.radians([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])) @ frame.camera_from_lidar
+    assert np.median(_depth_errors(frame, wrong)) > 5e-3
+
+
+@pytest.mark.parametrize("weather", ["overcast", "rain", "fog", "night"])
+def test_weather_changes_the_picture_and_neither_the_place_nor_the_truth(weather: str) -> None:
+    options = {**SMALL, "place": "street"}
+    clear, other = (build(SyntheticOptions(weather=name, **options))[0] for name in ("clear", weather))
+    assert clear.image.depth_m.tobytes() == other.image.depth_m.tobytes()
+    assert clear.start.tobytes() == other.start.tobytes()
+    for name in ("rgb", "right"):
+        a, b = (getattr(frame.image, name).astype(float) for frame in (clear, other))
+        assert np.abs(a - b).mean() > 8
+    if weather in ("rain", "fog"):
+        assert clear.cloud.xyz.tobytes() != other.cloud.xyz.tobytes()
+    else:
+        assert clear.cloud.xyz.tobytes() == other.cloud.xyz.tobytes()
+    assert _bytes(other) == _bytes(build(SyntheticOptions(weather=weather, **options))[0])
+
+
+def test_in_a_room_it_does_not_rain() -> None:
+    clear, rain = (build(SyntheticOptions(place="room", weather=name, **SMALL))[0] for name in ("clear", "rain"))
+    assert clear.cloud.xyz.tobytes() == rain.cloud.xyz.tobytes()
+
+
+RANDOM: dict[str, Any] = {"rig": "random-rings", "megapixels": 0.08, "scenes": 4, "place": "anywhere", "weather": "any"}
+
+
+def test_each_scene_of_random_rigs_has_its_own_one_and_a_start_as_wrong_as_asked() -> None:
+    frames = list(build(SyntheticOptions(**RANDOM, start_error="3deg 0.2m")))
+    assert len({frame.camera for frame in frames}) == 4
+    assert len({frame.camera_from_lidar.tobytes() for frame in frames}) == 4
+    off = [se3.inverse(frame.camera_from_lidar) @ frame.start for frame in frames]
+    assert [se3.angle_deg(error) for error in off] == pytest.approx([3.0] * 4, abs=1e-6)
+    assert [se3.distance_m(error) for error in off] == pytest.approx([0.2] * 4, abs=1e-9)
+    assert se3.angle_deg(se3.inverse(off[0]) @ off[1]) > 0.1
+    again = build(SyntheticOptions(**RANDOM, start_error="3deg 0.2m"))[2]
+    for a, b in (
+        (again.image.rgb, frames[2].image.rgb),
+        (again.cloud.xyz, frames[2].cloud.xyz),
+        (again.start, frames[2].start),
+    ):
+        assert a.tobytes() == b.tobytes()
+
+
+def test_a_random_rig_sees_in_its_sweep_what_its_depth_map_says() -> None:
+    options = SyntheticOptions(rig="random-rings", megapixels=0.2, place="room", speed_m_s=0.0, **STILL)
+    for number in range(4):
+        frame = view(options, number).frame
+        assert np.median(_depth_errors(frame, frame.camera_from_lidar, 100)) < 2e-3
+
+
+def test_frames_of_a_drive_share_the_random_rig_of_their_scene() -> None:
+    options = SyntheticOptions(rig="random", frames_per_scene=2, megapixels=0.05, place="yard", scenes=2)
+    frames = list(build(options))
+    for first, second in (frames[:2], frames[2:]):
+        assert first.camera == second.camera
+        assert first.start.tobytes() == second.start.tobytes()
+        step = se3.inverse(first.camera_world_from_camera) @ second.camera_world_from_camera
+        moved = se3.inverse(first.lidar_world_from_lidar) @ second.lidar_world_from_lidar
+        np.testing.assert_allclose(step @ first.camera_from_lidar, first.camera_from_lidar @ moved, atol=1e-9)
+    assert frames[0].camera != frames[2].camera
+
+
+def test_boards_before_a_random_rig_are_refused() -> None:
+    with pytest.raises(InputError, match="look away from the boards"):
+        build(SyntheticOptions(rig="random", targets="holes"))
+
+
 def test_frames_carry_what_the_method_says_it_gives() -> None:
     frame = _frame()
     assert METHOD.gives == {"right", "depth", "truth", "rings", "intensity", "time", "twist"}
@@ -370,6 +467,11 @@ def test_it_is_a_lazy_dataset_with_names() -> None:
         {"noise_m": -0.1},
         {"camera": "pinhole2"},
         {"width_px": 1},
+        {"focal_px": 0},
+        {"lidar_height_m": 0},
+        {"weather": "hail"},
+        {"rig": "loose"},
+        {"megapixels": 0},
         {"colour": "red"},
         {"place": "moon"},
         {"seed": 10**40},

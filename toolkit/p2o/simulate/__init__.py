@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from p2o.geometry.perturb import parse_perturbation as parse_perturbation
 from p2o.geometry.perturb import wrong_start as wrong_start
+from p2o.simulate.air import Air as Air
 from p2o.simulate.board_places import Rig as Rig
 from p2o.simulate.board_places import boards_in_view as boards_in_view
 from p2o.simulate.boards import CHECKERBOARDS as CHECKERBOARDS
@@ -15,14 +16,21 @@ from p2o.simulate.labels import labels as labels
 from p2o.simulate.lidar import Beams as Beams
 from p2o.simulate.lidar import Lidar as Lidar
 from p2o.simulate.lidar import Rosette as Rosette
+from p2o.simulate.lighting import Inside as Inside
+from p2o.simulate.lighting import Lamp as Lamp
+from p2o.simulate.lighting import Lighting as Lighting
 from p2o.simulate.mesh import Mesh as Mesh
 from p2o.simulate.odometry import odometry as odometry
 from p2o.simulate.photo import Photo as Photo
 from p2o.simulate.photo import develop as develop
 from p2o.simulate.photo import metered_gain as metered_gain
+from p2o.simulate.places import INDOORS as INDOORS
 from p2o.simulate.places import PLACES as PLACES
+from p2o.simulate.places import place_of as place_of
 from p2o.simulate.places import scene_of as scene_of
 from p2o.simulate.places import street as street
+from p2o.simulate.random_rig import RandomRig as RandomRig
+from p2o.simulate.random_rig import random_rig as random_rig
 from p2o.simulate.render import Picture as Picture
 from p2o.simulate.render import render as render
 from p2o.simulate.scene import Hits as Hits
@@ -32,6 +40,14 @@ from p2o.simulate.scene import Part as Part
 from p2o.simulate.scene import Scene as Scene
 from p2o.simulate.sensors import LIDARS as LIDARS
 from p2o.simulate.sweep import sweep as sweep
+from p2o.simulate.trajectory import LIDAR_HEIGHT_M as LIDAR_HEIGHT_M
 from p2o.simulate.trajectory import Moment as Moment
 from p2o.simulate.trajectory import Swing as Swing
 from p2o.simulate.trajectory import drive as drive
+from p2o.simulate.weather import WEATHERS as WEATHERS
+from p2o.simulate.weather import Weather as Weather
+from p2o.simulate.weather import headlights as headlights
+from p2o.simulate.weather import in_weather as in_weather
+from p2o.simulate.weather import lit_near as lit_near
+from p2o.simulate.weather import rained_on as rained_on
+from p2o.simulate.weather import weather_of as weather_of

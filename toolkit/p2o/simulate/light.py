@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from p2o.arrays import Float, Int
 from p2o.geometry.motion import pose_at
+from p2o.simulate.lighting import Inside, Lamp
 from p2o.simulate.scene import Hits, Scene
 from p2o.simulate.texture import PATTERNS, clouds, texture
 
@@ -19,7 +20,15 @@ _SKY_HIGH = np.array([0.16, 0.36, 0.8], np.float32)
 _SKY_LOW = np.array([0.7, 0.85, 1.0], np.float32)
 _AMBIENT = np.array([0.68, 0.78, 0.92], np.float32)
 _WHITE = np.array([1.0, 1.0, 1.0], np.float32)
-_HAZE_M = np.float32(1500.0)
+_GREY = np.array([0.92, 0.96, 1.0], np.float32)
+_LOW = np.float32(0.75)
+"""How bright the horizon of an overcast sky is; it is 1 above."""
+_FAINT = np.float32(0.004)
+"""Light of a lamp that nobody would miss; towards it, light fades to nothing."""
+_WAVES = 0.1
+"""How much wet ground is uneven, as tangent of a slope."""
+_CORNER, _CORNER_M = np.float32(0.32), np.float32(0.4)
+"""How much darker the inside of a building is in its corners, and how far that reaches."""
 _SHADOW_BIAS_M = 2e-3
 
 
@@ -31,16 +40,22 @@ def sky(scene: Scene, directions: Float) -> Single:
     layer = np.asarray(d[:, :2] / np.maximum(height, np.float32(0.03))[:, None], np.float32)
     cover = np.clip(1.4 * clouds(layer) + 2.6 * np.float32(scene.cloudiness) - 1.3, 0.0, 1.0)
     blue += (_WHITE * 1.15 - blue) * (cover * np.clip(12 * height, 0.0, 1.0))[:, None]
-    glow = np.clip(d @ _to_sun(scene), 0.0, 1.0) ** 8
-    return np.asarray(blue * (0.8 + 1.2 * (1 - np.float32(scene.cloudiness)) * glow)[:, None], np.float32)
+    lighting = scene.lighting
+    glow = np.clip(d @ _to_sun(scene), 0.0, 1.0) ** 8 * np.float32(lighting.sun)
+    out = np.asarray(blue * (0.8 + 1.2 * (1 - np.float32(scene.cloudiness)) * glow)[:, None], np.float32)
+    if lighting.overcast > 0:
+        out += (_GREY * (_LOW + (1 - _LOW) * height)[:, None] - out) * np.float32(lighting.overcast)
+    return np.asarray(out * np.array(lighting.sky, np.float32), np.float32)
 
 
 def shade(scene: Scene, origin: Float, directions: Float, hits: Hits, focal_px: float, time_s: float) -> Single:
     """Return linear colours (N, 3) of what rays from origin (3,) along directions (N, 3) hit, none of them the sky.
 
-    Texture, sun with cast shadows, light of the sky, mirrored sky, haze. `focal_px` tells the size of a pixel.
+    Texture, sun and lamps with shadows, light of the sky, mirrored sky, haze. `focal_px` tells the size of a pixel.
     """
-    colour, contrast, gloss, pattern, thin = _looks(scene)
+    colour, contrast, gloss, pattern, thin, glow = _looks(scene)
+    lighting = scene.lighting
+    day = np.array(lighting.sky, np.float32)
     part = scene.part_of_face[hits.face]
     points = origin + hits.distance_m[:, None] * directions
     d, normal = directions.astype(np.float32), hits.normal.astype(np.float32)
@@ -58,16 +73,22 @@ def shade(scene: Scene, origin: Float, directions: Float, hits: Hits, focal_px: 
     to_sun, leafy = _to_sun(scene), thin[part]
     towards = normal @ to_sun
     sunlit = np.where(leafy, np.float32(0.15) + np.float32(0.6) * np.abs(towards), np.maximum(towards, 0.0))
-    lit = np.flatnonzero(sunlit > 0)
+    lit = np.flatnonzero(sunlit > 0) if lighting.sun > 0 else np.zeros(0, np.int64)
     side = np.where(towards[lit] < 0, -_SHADOW_BIAS_M, _SHADOW_BIAS_M)[:, None]
     blocked = scene.blocked(points[lit] + side * normal[lit], np.asarray(to_sun, np.float64), time_s)
     sunlit[lit[blocked]] = 0.0
+    sunlit *= np.float32(lighting.sun)
 
     open_sky = scene.openness[hits.face]
     veil = np.float32(scene.cloudiness)
     ambient = (np.float32(0.25) + np.float32(0.17) * normal[:, 2]) * open_sky * (1 + veil)
-    light = ambient[:, None] * _AMBIENT
+    light = ambient[:, None] * (_AMBIENT * day)
+    within = _within(lighting.inside, points)
+    if lighting.inside is not None:
+        light[within] = _indoors(lighting.inside, points[within].astype(np.float32), normal[within])
     light += (sunlit * (1 - np.float32(0.75) * veil**2))[:, None] * _SUN
+    for lamp in lighting.lamps:
+        _add_lamp(scene, lamp, points, normal, leafy, time_s, light)
     shown = albedo * light
 
     shiny = np.flatnonzero(gloss[part] > 0)
@@ -75,10 +96,80 @@ def shade(scene: Scene, origin: Float, directions: Float, hits: Hits, focal_px: 
         share = (gloss[part[shiny]] * (np.float32(0.12) + np.float32(0.88) * (1 - facing[shiny]) ** 3))[:, None]
         mirrored = d[shiny] + 2 * facing[shiny, None] * normal[shiny]
         # Below the horizon a mirror shows the street: dark, without detail.
-        reflection = np.where(mirrored[:, 2:] > 0.02, sky(scene, mirrored), np.float32(0.08))
+        reflection = np.where(mirrored[:, 2:] > 0.02, sky(scene, mirrored), np.float32(0.08) * day)
+        if lighting.wet:
+            # On wet ground stands the image of what is on it.
+            ground = np.flatnonzero(normal[shiny, 2] > 0.9)
+            rows = shiny[ground]
+            ways = mirrored[ground].astype(np.float64)
+            for axis in (0, 1):  # the film of water is not flat
+                wave = texture(np.zeros(len(rows), np.int64), 3 * place[rows] + 7 * axis, footprint[rows])
+                ways[:, axis] += _WAVES * wave
+            ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+            met = scene.cast(points[rows] + _SHADOW_BIAS_M * normal[rows], ways, time_s)
+            hit = np.flatnonzero(met.face >= 0)
+            its = scene.part_of_face[met.face[hit]]
+            reflection[ground[hit]] = colour[its] * (np.float32(0.6) * _AMBIENT * day + glow[its, None])
+        if lighting.inside is not None:
+            # Walls and furniture, without detail; more light comes from the lamps above.
+            room = np.array(lighting.inside.ambient, np.float32) * (0.5 + np.clip(mirrored[:, 2:], 0.0, 1.0))
+            reflection = np.where(within[shiny, None], room, reflection)
         shown[shiny] += share * (np.float32(0.8) * reflection - shown[shiny])
-    haze = 1 - np.exp(-distance / _HAZE_M)
-    return np.asarray(shown + haze[:, None] * (_SKY_LOW - shown), np.float32)
+    if glow.any():
+        shown += glow[part, None] * albedo
+    haze = 1 - np.exp(-distance / np.float32(lighting.haze_m))
+    veil_colour = (_SKY_LOW + (_LOW * _GREY - _SKY_LOW) * np.float32(lighting.overcast)) * day
+    return np.asarray(shown + haze[:, None] * (veil_colour - shown), np.float32)
+
+
+def _within(inside: Inside | None, points: Float) -> NDArray[np.bool_]:
+    """Return which points (N, 3) are inside of the building; its walls belong to it, their outer sides do not."""
+    if inside is None:
+        return np.zeros(len(points), bool)
+    low, high = (np.array(corner) for corner in (inside.low, inside.high))
+    return np.asarray(((points > low - 0.05) & (points < high + 0.05)).all(axis=1))
+
+
+def _indoors(inside: Inside, points: Single, normal: Single) -> Single:
+    """Return the even light (N, 3) on surfaces at points (N, 3) inside of a building, less in its corners."""
+    low, high = (np.array(corner, np.float32) for corner in (inside.low, inside.high))
+    share = 1 + normal @ np.array(inside.lean, np.float32)
+    gap = np.maximum(np.minimum(points - low, high - points), 0.0)
+    # A wall does not darken itself: what counts is how near a surface is to the walls that it does not lie in.
+    near = _CORNER * (1 - np.abs(normal)) * np.exp(-gap / _CORNER_M)
+    share *= np.prod(1 - near, axis=1)
+    return np.asarray(share[:, None] * np.array(inside.ambient, np.float32), np.float32)
+
+
+def _add_lamp(
+    scene: Scene,
+    lamp: Lamp,
+    points: Float,
+    normal: Single,
+    thin: NDArray[np.bool_],
+    time_s: float,
+    light: Single,
+) -> None:
+    """Add, in place, the light of a lamp to that on surfaces (N, 3), where nothing hides it."""
+    way = (np.array(lamp.place) - points).astype(np.float32)
+    distance = np.maximum(np.linalg.norm(way, axis=1), np.float32(1e-3))
+    way /= distance[:, None]
+    towards = np.einsum("ni,ni->n", normal, way)
+    lit = np.where(thin, np.float32(0.15) + np.float32(0.6) * np.abs(towards), np.maximum(towards, 0.0))
+    lit /= distance**2 + np.float32(lamp.size_m) ** 2
+    if lamp.aim is not None:
+        aim = np.array(lamp.aim, np.float32)
+        lit *= np.clip(-(way @ (aim / np.linalg.norm(aim))), 0.0, 1.0) ** np.float32(lamp.sharpness)
+    faint = _FAINT / np.float32(max(lamp.colour))
+    rows = np.flatnonzero(lit > faint)
+    if not len(rows):
+        return
+    lit[rows] *= 1 - (faint / lit[rows]) ** 2
+    side = np.where(towards[rows] < 0, -_SHADOW_BIAS_M, _SHADOW_BIAS_M)[:, None]
+    reach = np.maximum(distance[rows] - np.float32(lamp.clear_m), np.float32(1e-3))
+    ways = way[rows].astype(np.float64)
+    rows = rows[~scene.blocked(points[rows] + side * normal[rows], ways, time_s, reach.astype(np.float64))]
+    light[rows] += lit[rows, None] * np.array(lamp.colour, np.float32)
 
 
 def _places(scene: Scene, points: Float, hits: Hits, time_s: float) -> Single:
@@ -100,12 +191,13 @@ def _places(scene: Scene, points: Float, hits: Hits, time_s: float) -> Single:
 
 
 @lru_cache(maxsize=4)
-def _looks(scene: Scene) -> tuple[Single, Single, Single, Int, NDArray[np.bool_]]:
-    """Return colour (P, 3), contrast, gloss, pattern and thinness (P,) of each part."""
-    colour, contrast, gloss = (a.astype(np.float32) for a in scene.material_table(("colour", "contrast", "gloss")))
+def _looks(scene: Scene) -> tuple[Single, Single, Single, Int, NDArray[np.bool_], Single]:
+    """Return colour (P, 3), contrast, gloss, pattern, thinness and glow (P,) of each part."""
+    names = ("colour", "contrast", "gloss", "glow")
+    colour, contrast, gloss, glow = (a.astype(np.float32) for a in scene.material_table(names))
     pattern = np.array([PATTERNS.index(part.material.pattern) for part in scene.all_parts], np.int64)
     thin = np.array([part.material.thin for part in scene.all_parts], bool)
-    return colour, contrast, gloss, pattern, thin
+    return colour, contrast, gloss, pattern, thin, glow
 
 
 def _to_sun(scene: Scene) -> Single:

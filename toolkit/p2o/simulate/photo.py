@@ -36,9 +36,12 @@ class Photo:
         return replace(self, gain=self.gain * factor)
 
 
-def metered_gain(light: Single, exposure_ev: float = 0.0) -> float:
-    """Return the gain that brings the lower half of a picture (H, W, 3) to middle grey, times 2^exposure_ev."""
-    lower = light[len(light) // 2 :: 4, ::4] @ np.array([0.3, 0.6, 0.1], np.float32)
+def metered_gain(light: Single, exposure_ev: float = 0.0, *, whole: bool = False) -> float:
+    """Return the gain that brings the lower half of a picture (H, W, 3) to middle grey, times 2^exposure_ev.
+
+    The `whole` of it counts for cameras that may be upside down.
+    """
+    lower = light[0 if whole else len(light) // 2 :: 4, ::4] @ np.array([0.3, 0.6, 0.1], np.float32)
     return float(0.16 * 2.0**exposure_ev / max(float(np.exp(np.log(lower + 1e-3).mean())), 1e-3))
 
 

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from p2o.simulate.classes import Class
+from p2o.simulate.lighting import DAY, Lighting
 from p2o.simulate.mesh import swept
+from p2o.simulate.palette import GRASS
 from p2o.simulate.scene import Material, Part
 
 Thing = list[Part]
@@ -18,10 +20,14 @@ BEHIND_M = -40.0
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What a place is drawn with: randomness, and how far the rig will drive, `travel_m`, along y = 0."""
+    """What a place is drawn with: randomness, and how far the rig will drive, `travel_m`, along y = 0.
+
+    With `around` its cameras may look anywhere, not only ahead.
+    """
 
     rng: np.random.Generator
     travel_m: float = 0.0
+    around: bool = False
 
     @property
     def far_m(self) -> float:
@@ -33,6 +39,8 @@ class Plan:
 
         What it never sees is for the LiDAR alone, which does not mind coarse leaves.
         """
+        if self.around:
+            return max(4.0, float(np.hypot(max(-x, x - self.travel_m, 0.0), y)))
         return 40.0 if x < 0.8 * abs(y) else max(1.3 * abs(y), x - self.travel_m, 4.0)
 
     def along(self, start: float, stop: float, gap: tuple[float, float]) -> Iterator[float]:
@@ -45,12 +53,13 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """A place on a straight road: things that stand, and things that drive towards us or with us."""
+    """A place on a straight road: things that stand, and things that drive towards us or with us, and its lighting."""
 
     things: list[Thing]
     oncoming: list[Thing]
     ahead: list[Thing]
     curvature: tuple[float, float] = (-0.004, 0.004)
+    lighting: Lighting = DAY
 
 
 def placed(thing: Thing, x: float, y: float, z: float = 0.0, *, yaw_deg: float = 0.0) -> Thing:
@@ -79,3 +88,11 @@ def backdrop(plan: Plan, *, high: tuple[float, float] = (5.0, 14.0), sides_m: fl
     out = [placed(treeline(rng, far + 60.0, rng.uniform(*high)), BEHIND_M, side * sides_m) for side in (-1, 1)]
     out.append(placed(treeline(rng, 2 * sides_m + 20, rng.uniform(*high)), far - 8.0, -sides_m - 10, yaw_deg=90.0))
     return out
+
+
+def land_behind(plan: Plan, *, far_m: float = 130.0) -> list[Thing]:
+    """Return land and a far wood behind where places begin, for cameras that look back."""
+    x = np.array([BEHIND_M - far_m - 40.0, BEHIND_M - 0.5 * far_m, BEHIND_M + 0.5])
+    sheet = swept(np.array([[110.0, -0.005], [0.0, -0.005], [-110.0, -0.005]]), x)
+    wood = treeline(plan.rng, 240.0, plan.rng.uniform(6.0, 16.0))
+    return [[Part(sheet, GRASS, kind=Class.TERRAIN)], placed(wood, BEHIND_M - far_m, -120.0, yaw_deg=90.0)]

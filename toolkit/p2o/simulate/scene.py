@@ -15,6 +15,7 @@ from p2o.errors import InputError, MethodUnavailable
 from p2o.geometry import se3
 from p2o.geometry.motion import moved, pose_at
 from p2o.simulate.classes import Class
+from p2o.simulate.lighting import DAY, Lighting
 from p2o.simulate.mesh import Mesh, join
 
 
@@ -24,7 +25,7 @@ class Material:
 
     `gloss` in 0..1 is the share of light that a smooth surface (glass, lacquer) mirrors instead of scattering, for the
     camera and the LiDAR alike. `pattern` names the texture (see texture.PATTERNS). A `thin` surface (a leaf, cloth)
-    is lit from both sides.
+    is lit from both sides. `glow` is how much light of its colour it sends by itself.
     """
 
     name: str
@@ -34,6 +35,7 @@ class Material:
     gloss: float = 0.0
     pattern: str = "rough"
     thin: bool = False
+    glow: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +89,7 @@ class Scene:
     """Parts in the world frame (x forward, y left, z up, metres) under a sun that shines from `to_sun` (3,).
 
     `movers` move through the parts that stand still; faces, parts and things are numbered through all of them.
-    `cloudiness` in 0..1 is how much of the sky is covered; it also softens the sun.
+    `cloudiness` in 0..1 is how much of the sky is covered; it also softens the sun. `lighting` is all other light.
 
     Raises InputError for a scene without parts.
     """
@@ -96,6 +98,7 @@ class Scene:
     to_sun: tuple[float, float, float] = (0.3, 0.5, 0.8)
     movers: tuple[Mover, ...] = ()
     cloudiness: float = 0.4
+    lighting: Lighting = DAY
 
     def __post_init__(self) -> None:
         if not self.parts:
@@ -155,6 +158,13 @@ class Scene:
             getattr(self, name)
         return self
 
+    def lit(self, lighting: Lighting) -> Scene:
+        """Return the scene in other light; it shares the ray trees of this one."""
+        self.prepare()
+        scene = replace(self, lighting=lighting)
+        vars(scene).update({name: value for name, value in vars(self).items() if name not in vars(scene)})
+        return scene
+
     def plus(self, things: Sequence[Sequence[Part]]) -> Scene:
         """Return the scene with more things that stand still; it shares the ray trees of this one.
 
@@ -187,20 +197,27 @@ class Scene:
             normal[rows] = back(its_normal[first], rows)
         return Hits(distance, face, normal, body)
 
-    def blocked(self, origins: Float, direction: Float, time_s: float = 0.0) -> Bool:
-        """Return which rays (N,) from origins (N, 3) along one unit direction (3,) meet anything."""
-        out = self._any(0, origins, direction)
+    def blocked(self, origins: Float, direction: Float, time_s: float = 0.0, reach_m: Float | None = None) -> Bool:
+        """Return which rays (N,) from origins (N, 3) along a unit direction (3,), or (N, 3), meet anything.
+
+        With `reach_m` (N,) only what is nearer than that counts.
+        """
+        out = self._any(0, origins, direction, reach_m)
         for number, mover in enumerate(self.movers, start=1):
             here = pose_at(mover.twist, -time_s)
             rows = np.flatnonzero(~out)
-            out[rows] = self._any(number, se3.apply(here, origins[rows]), here[:3, :3] @ direction)
+            ways = direction if direction.ndim == 1 else direction[rows]
+            reach = None if reach_m is None else reach_m[rows]
+            out[rows] = self._any(number, se3.apply(here, origins[rows]), ways @ here[:3, :3].T, reach)
         return out
 
-    def _any(self, body: int, origins: Float, direction: Float) -> Bool:
+    def _any(self, body: int, origins: Float, direction: Float, reach_m: Float | None) -> Bool:
         tree, _ = self._trees[body]
         single = np.ascontiguousarray(origins, np.float32)
-        one = np.ascontiguousarray(direction[None], np.float32)
-        return np.asarray(tree.run(single, one, query="OCCLUDED") != -1)
+        ways = np.ascontiguousarray(np.atleast_2d(direction), np.float32)
+        if reach_m is None:
+            return np.asarray(tree.run(single, ways, query="OCCLUDED") != -1)
+        return np.asarray(tree.run(single, ways, np.ascontiguousarray(reach_m, np.float32), query="OCCLUDED") != -1)
 
     def _cast_body(self, body: int, origins: Float, directions: Float) -> tuple[Int, Float, Int, Float]:
         """Return which rays meet one body (M,), and distance (M,), face (M,) and normal (M, 3) of its first face."""

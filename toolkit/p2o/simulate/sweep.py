@@ -9,6 +9,7 @@ from p2o.errors import InputError
 from p2o.frames.cloud import Cloud
 from p2o.geometry import se3
 from p2o.geometry.motion import moved
+from p2o.simulate.air import CLEAR_AIR, Air
 from p2o.simulate.lidar import Beams, Lidar, Rosette
 from p2o.simulate.scene import Hits, Scene
 from p2o.simulate.threads import in_slices
@@ -32,13 +33,14 @@ def sweep(
     *,
     twist: Float | None = None,
     time_s: float = 0.0,
+    air: Air = CLEAR_AIR,
 ) -> Cloud:
     """Return the points that a LiDAR at world_from_lidar (4, 4) measures in one sweep around the scene's `time_s`.
 
     The sensor moves at constant `twist` (6,), rad/s and m/s in its own frame, and is at world_from_lidar in the middle
     of the sweep; points are in its frame at the moment of their own pulse, as real sensors give them. Missing returns
     are absent. Gives `column`, `time_s` relative to the middle, `intensity` (reflectance with incidence, in steps of
-    0.01) and, unless it is a rosette, `ring`.
+    0.01) and, unless it is a rosette, `ring`. The `air` takes energy from far returns and adds near ones of drops.
 
     Raises InputError where no beam meets anything.
     """
@@ -60,6 +62,10 @@ def sweep(
         distance[rows], strength[rows] = _melted(scene, pulses, lidar, aimed, rows, middle, strength[rows], radius)
 
     energy = strength * speckle / np.maximum(distance, 0.1) ** 2
+    if air.extinction_per_m > 0:
+        energy *= np.exp(-2 * air.extinction_per_m * np.where(np.isfinite(distance), distance, 0.0))
+    if air.drops > 0:
+        _add_drops(air, lidar, rng, distance, strength, energy)
     seen = (distance >= lidar.min_range_m) & (distance <= lidar.max_range_m)
     rows = np.flatnonzero(seen & (energy > 0.1 / lidar.dark_range_m**2))
     if not len(rows):
@@ -72,6 +78,17 @@ def sweep(
         time_s=beams.time_s[rows],
         intensity=np.asarray(np.round(np.clip(strength[rows], 0.0, 0.99), 2), np.float64),
     )
+
+
+def _add_drops(
+    air: Air, lidar: Lidar | Rosette, rng: np.random.Generator, distance: Float, strength: Float, energy: Float
+) -> None:
+    """Replace, in place, the returns (N,) of pulses that meet a drop before anything else: near ones, weak ones."""
+    count = len(distance)
+    met, share = rng.random(count) < air.drops, rng.uniform(0.005, 0.06, count)
+    where = lidar.min_range_m + rng.exponential(air.drops_m, count)
+    rows = np.flatnonzero(met & (where < distance) & (share / where**2 > 0.1 / lidar.dark_range_m**2))
+    distance[rows], strength[rows], energy[rows] = where[rows], share[rows], share[rows] / where[rows] ** 2
 
 
 class _Pulses:

@@ -29,13 +29,13 @@ def layout(plan: Plan) -> Layout:
     for side, line in ((-1, right), (1, left)):
         things.append(_side_wall(rng, side, line, back, end))
         things += [
-            placed(_stock(rng), at, line - side * rng.uniform(1.1, 2.2), yaw_deg=rng.uniform(-15.0, 15.0))
+            placed(stock(rng), at, line - side * rng.uniform(1.1, 2.2), yaw_deg=rng.uniform(-15.0, 15.0))
             for at in plan.along(back + 2.0, end - 3.0, (3.0, 6.0))
         ]
     things.append(placed(block(rng, left - right + 8.0), end, left + 4.0, yaw_deg=-90.0))
     things.append(placed(block(rng, left - right + 8.0), back, right - 4.0, yaw_deg=90.0))
     things += [
-        placed(_stock(rng), end - rng.uniform(1.2, 2.6), y, yaw_deg=rng.uniform(0.0, 360.0))
+        placed(stock(rng), end - rng.uniform(1.2, 2.6), y, yaw_deg=rng.uniform(0.0, 360.0))
         for y in plan.along(right + 1.0, left - 1.0, (1.8, 3.8))
     ]
     return Layout(things, [], [], (0.0, 0.0))
@@ -48,9 +48,9 @@ def _side_wall(rng: np.random.Generator, side: int, line: float, back: float, en
     return placed(thing, back, line) if side > 0 else placed(thing, end, line, yaw_deg=180.0)
 
 
-def _stock(rng: np.random.Generator) -> Thing:
+def stock(rng: np.random.Generator, *, vehicles: bool = True) -> Thing:
     """Return something that stands about in yards, no wider than 2.4 m."""
-    kind = rng.integers(8)
+    kind = rng.integers(8 if vehicles else 4)
     if kind == 0:  # a container
         paint = Material("container", pick(rng, SIGNS), 0.3, 0.45, 0.05, "tiles")
         low = np.array([[-1.5, -1.1, 0.12]])
