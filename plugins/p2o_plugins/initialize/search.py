@@ -33,8 +33,8 @@ class SearchOptions(NarrowOptions):
     )
     weigh_start: bool = field(
         True,
-        help="Weigh the start in at the end, taken to be good to sigma_deg and sigma_m an axis; false: the pose is that "
-        "of the edges alone.",
+        help="Weigh the start in at the end, taken to be good to sigma_deg and sigma_m an axis; false: the pose is "
+        "that of the edges alone.",
     )
     scatter: int = field(3000, ge=100, le=1_000_000, help="Poses drawn around the start, to find further basins.")
     basins: int = field(12, ge=1, le=1000, help="So many of them, the best and separate, are narrowed.")

@@ -169,9 +169,7 @@ def test_a_sweep_without_times_counts_as_corrected() -> None:
         example_of(replace(bare, cloud=replace(bare.cloud, time_s=time_s, twist=None)))
         for time_s in (None, np.zeros(len(bare.cloud.xyz)))
     )
-    lengths = [
-        (rows["end"] - rows["start"])[rows["order"] != 0] for rows in (known.spans.rows, unknown.spans.rows)
-    ]
+    lengths = [(rows["end"] - rows["start"])[rows["order"] != 0] for rows in (known.spans.rows, unknown.spans.rows)]
     assert np.median(lengths[0]) < np.median(lengths[1])
 
 

@@ -348,6 +348,16 @@ def test_what_a_stage_must_not_return_names_plugin_and_stage(kind: Kind, stage: 
         build(offer_of(kind, stage), p2o.Options())(*arguments.get(kind, ([], np.eye(4))))
 
 
+@pytest.mark.parametrize("sigma", [(2.0,), (2.0, -0.1), (np.nan, 0.1)])
+def test_how_good_an_initializer_takes_starts_to_be_is_two_numbers_above_zero(sigma: tuple[float, ...]) -> None:
+    def propose(views: object, pose: object) -> list[object]:
+        return [pose]
+
+    propose.start_sigma = sigma  # type: ignore[attr-defined]
+    with pytest.raises(PluginError, match=r"initializer 'fake': start_sigma is .*; expected degrees and metres"):
+        build(offer_of(Kind.INITIALIZER, propose), p2o.Options())
+
+
 def test_edges_that_are_promised_must_be_there() -> None:
     offer = offer_of(Kind.IMAGE_EXTRACTOR, lambda image: p2o.ImageFeatures(), gives={"image-edges"})
     with pytest.raises(PluginError, match="gave no edges"):

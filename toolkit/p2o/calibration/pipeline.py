@@ -169,14 +169,9 @@ class Pipeline:
 
     def _weight(self, pose: Float, accuracy: Accuracy, mean: Float) -> StartWeight:
         """Return what the start was worth: the pose (4, 4) of the edges alone, and the step to the mean."""
+        sigma_deg, sigma_m = self.initializer.start_sigma  # type: ignore[attr-defined]
         step = se3.inverse(pose) @ mean
-        return StartWeight(
-            *self.initializer.start_sigma,  # type: ignore[attr-defined]
-            pose,
-            accuracy,
-            se3.angle_deg(step),
-            se3.distance_m(step),
-        )
+        return StartWeight(sigma_deg, sigma_m, pose, accuracy, se3.angle_deg(step), se3.distance_m(step))
 
     def _refined(
         self, rounds: Rounds, seen: Sequence[View], start: Float, poses: Sequence[Float]

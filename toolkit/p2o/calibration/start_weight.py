@@ -1,4 +1,4 @@
-"""The start as a measurement: what is known of the extrinsic before any edge is looked at counts for what it is worth."""
+"""The start as a measurement: what is known of an extrinsic before any edge is looked at counts for what it is worth."""
 
 from __future__ import annotations
 
@@ -20,9 +20,11 @@ def with_start(pose: Float, likely: Float, start: Float, sigma: tuple[float, flo
     `likely` (6, 6) is the covariance of the pose's errors; that of the mean's comes back beside it. Both are of turns
     about the camera axes in rad and places of the LiDAR in m (`p2o.calibration.accuracy.likely_covariance`). `sigma` is
     how good the start is, one deviation about (deg) and along (m) each axis. Each direction follows what it is known
-    better by: what edges tell surely stays, what they leave open follows the start. None where a covariance cannot be
-    inverted, and where the two contradict each other: the start is then not as good as was said.
+    better by: what edges tell surely stays, what they leave open follows the start. None where a covariance is not that
+    of six directions, and where the two contradict each other: the start is then not as good as was said.
     """
+    if not np.isfinite(likely).all():
+        return None
     # As errors are by axis, and a part of them each axis's own (p2o.calibration.fusion).
     real = (LAW.axis / _TWO_OF_THREE) ** 2
     edges = real * ((1 - OWN_SHARE) * likely + OWN_SHARE * np.diag(np.diag(likely)))

@@ -55,7 +55,7 @@ class Rival:
 
 @dataclass(frozen=True, eq=False)
 class StartWeight:
-    """What the start, taken to be good to `sigma_deg` and `sigma_m` an axis (one deviation), was worth for the estimate.
+    """What a start that is good to `sigma_deg` and `sigma_m` an axis (one deviation) was worth for the estimate.
 
     `camera_from_lidar` (4, 4) is the pose of the edges alone and `accuracy` how wrong that one is likely to be. The
     estimate is the mean of it and the start, each weighed by what it leaves open, `step_deg` and `step_m` from it.

@@ -151,7 +151,8 @@ class Result:
     next best pose that is another one; None where there is none. `verdict` says whether all this may be trusted, and
     why not: a result that is not solved is refused. `cameras` says what the edges tell of each camera's calibration,
     `motions` how the car moved during raw sweeps, `time` how much later than they say images of several frames were
-    taken, None where that cannot be told; `start_weight` what the start was worth where it was weighed in. `seconds` by stage. `recipe` holds every resolved option.
+    taken, None where that cannot be told; `start_weight` what the start was worth where it was weighed in. `seconds` by
+    stage. `recipe` holds every resolved option.
     """
 
     frames: tuple[str, ...]
