@@ -1,4 +1,4 @@
-"""The start as a measurement: what is known of an extrinsic before any edge is looked at counts for what it is worth."""
+"""The start as a measurement: what is known of an extrinsic before any edge is seen counts for what it is worth."""
 
 from __future__ import annotations
 
