@@ -19,7 +19,8 @@ from p2o.files.input_file import read_bytes
 
 MAX_PIXELS = 1 << 26
 """No camera on a car has as many; what is decoded and what is made of it fit into the memory."""
-_MAX_BYTES = 256 << 20
+MAX_BYTES = 256 << 20
+"""No picture takes more."""
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8\xff"
 # A progressive picture has about ten; each takes the time of a whole one.
@@ -39,11 +40,18 @@ def read_rgb(path: Path, size: tuple[int, int] | None = None) -> tuple[UInt8, tu
     Raises InputError if the file is missing, a folder, empty, unreadable, damaged, truncated, not a picture, not 8 bit
     or of another size; a size that is wrong or too large is told by the header, before anything is decoded.
     """
-    pixels = _decode(path, "image", size)
+    return decode_rgb(read_bytes(path, "image", MAX_BYTES), path, path.name, size)
+
+
+def decode_rgb(
+    data: bytes, where: object, name: str, size: tuple[int, int] | None = None
+) -> tuple[UInt8, tuple[str, ...]]:
+    """Return the picture that the bytes of a file hold, and warnings that begin with `name`; see `read_rgb`."""
+    pixels = _decode(data, where, "image", size)
     if pixels.dtype != np.uint8:
-        raise InputError("the image is not 8 bit", where=path, expected="uint8", got=pixels.dtype)
+        raise InputError("the image is not 8 bit", where=where, expected="uint8", got=pixels.dtype)
     if pixels.ndim == 2:
-        return np.repeat(pixels[:, :, None], 3, axis=2), (f"{path.name}: grey image, repeated on three channels",)
+        return np.repeat(pixels[:, :, None], 3, axis=2), (f"{name}: grey image, repeated on three channels",)
     return pixels, ()
 
 
@@ -52,7 +60,7 @@ def read_uint16(path: Path, what: str, size: tuple[int, int] | None = None) -> F
 
     This is KITTI's way to store disparity (px) and depth (m). Raises InputError as `read_rgb`.
     """
-    pixels = _decode(path, what, size)
+    pixels = _decode(read_bytes(path, what, MAX_BYTES), path, what, size)
     if pixels.dtype != np.uint16 or pixels.ndim != 2:
         raise InputError(
             f"the {what} is not a 16 bit picture of one channel",
@@ -65,9 +73,8 @@ def read_uint16(path: Path, what: str, size: tuple[int, int] | None = None) -> F
     return values
 
 
-def _decode(path: Path, what: str, size: tuple[int, int] | None) -> Any:
+def _decode(data: bytes, path: object, what: str, size: tuple[int, int] | None) -> Any:
     """Return the stored pixels, (H, W) or (H, W, 3), uint8 or uint16; raises InputError for anything incomplete."""
-    data = read_bytes(path, what, _MAX_BYTES)
     if data.startswith(_JPEG):
         return _decode_jpeg(data, path, what, size)
     if data.startswith(_PNG):
@@ -78,7 +85,7 @@ def _decode(path: Path, what: str, size: tuple[int, int] | None) -> Any:
     return _decode_other(data, path, what, size)
 
 
-def _decode_jpeg(data: bytes, path: Path, what: str, size: tuple[int, int] | None) -> Any:
+def _decode_jpeg(data: bytes, path: object, what: str, size: tuple[int, int] | None) -> Any:
     """Return the pixels of a JPEG; whatever its decoder complains about is damage.
 
     Not OpenCV: it fills what is missing with grey, and tells nobody but stderr. A flipped bit that leaves as many
@@ -116,7 +123,7 @@ def _decode_jpeg(data: bytes, path: Path, what: str, size: tuple[int, int] | Non
     return pixels[:, :, 0] if colours == "Gray" else pixels
 
 
-def _decode_other(data: bytes, path: Path, what: str, size: tuple[int, int] | None) -> Any:
+def _decode_other(data: bytes, path: object, what: str, size: tuple[int, int] | None) -> Any:
     """Return the pixels of a PNG, BMP, TIFF or WebP picture."""
     import PIL.Image
 
@@ -181,7 +188,7 @@ def _quiet(on: bool) -> Iterator[None]:
         os.close(kept)
 
 
-def _check_size(have: tuple[int, int], path: Path, what: str, size: tuple[int, int] | None) -> None:
+def _check_size(have: tuple[int, int], path: object, what: str, size: tuple[int, int] | None) -> None:
     """Raise InputError if the size (width, height) that a header says is another than the camera's, or too large."""
     if have[0] * have[1] > MAX_PIXELS:
         raise _too_large(what, path, f"{have[0]}x{have[1]} px")
@@ -195,7 +202,7 @@ def _check_size(have: tuple[int, int], path: Path, what: str, size: tuple[int, i
         )
 
 
-def _too_large(what: str, path: Path, got: str) -> InputError:
+def _too_large(what: str, path: object, got: str) -> InputError:
     return InputError(f"the {what} is too large", where=path, expected=f"at most {MAX_PIXELS} pixels", got=got)
 
 
@@ -210,7 +217,7 @@ def _webp_size(data: bytes) -> tuple[int, int]:
     return int.from_bytes(body[6:8], "little") & 0x3FFF, int.from_bytes(body[8:10], "little") & 0x3FFF
 
 
-def _check_png(data: bytes, path: Path, what: str) -> None:
+def _check_png(data: bytes, path: object, what: str) -> None:
     """Walk the chunks of a PNG; raises InputError if one is cut off or its checksum is wrong."""
     start = len(_PNG)
     while True:

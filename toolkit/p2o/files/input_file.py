@@ -30,25 +30,53 @@ def read_bytes(path: Path | str, what: str, most: int = MAX_BYTES) -> bytes:
     (a folder, a pipe, a device, or a link to one): those are never opened.
     """
     path = Path(path)
-    try:
-        about = os.stat(path)
-        kind = next((name for is_kind, name in _KINDS if is_kind(about.st_mode)), None)
-        if kind is not None:
-            raise InputError(f"the {what} is {kind}", where=path, expected="a file")
-        if about.st_size > most:
+    with _explained(path, what):
+        size = _size(path, what)
+        if size > most:
             raise InputError(
-                f"the {what} is too large", where=path, expected=f"at most {most} bytes", got=f"{about.st_size} bytes"
+                f"the {what} is too large", where=path, expected=f"at most {most} bytes", got=f"{size} bytes"
             )
         data = path.read_bytes()
+    if not data:
+        raise InputError(f"the {what} is empty", where=path, expected="more than 0 bytes")
+    return data
+
+
+def read_start(path: Path | str, what: str, count: int) -> bytes:
+    """Return the first `count` bytes of a file of any size, or all where it has less; raises as `read_bytes`.
+
+    It is for files that a library reads piece by piece: what this accepts is an ordinary file that is not empty.
+    """
+    path = Path(path)
+    with _explained(path, what):
+        _size(path, what)
+        with path.open("rb") as file:
+            data = file.read(count)
+    if not data:
+        raise InputError(f"the {what} is empty", where=path, expected="more than 0 bytes")
+    return data
+
+
+def _size(path: Path, what: str) -> int:
+    """Return the size of an ordinary file in bytes; raises InputError for what is none."""
+    about = os.stat(path)
+    kind = next((name for is_kind, name in _KINDS if is_kind(about.st_mode)), None)
+    if kind is not None:
+        raise InputError(f"the {what} is {kind}", where=path, expected="a file")
+    return about.st_size
+
+
+@contextmanager
+def _explained(path: Path, what: str) -> Iterator[None]:
+    """Raise InputError for what the operating system says about a file."""
+    try:
+        yield
     except FileNotFoundError as problem:
         raise InputError(f"the {what} is missing", where=path, expected="a file") from problem
     except OSError as problem:
         raise InputError(f"the {what} cannot be read", where=path, got=problem.strerror or problem) from problem
     except ValueError as problem:  # a zero byte in the name, or text that is no file name here
         raise InputError(f"the {what} cannot have this name", where=ascii(str(path)), got=problem) from problem
-    if not data:
-        raise InputError(f"the {what} is empty", where=path, expected="more than 0 bytes")
-    return data
 
 
 def read_text(path: Path | str, what: str) -> str:

@@ -1,0 +1,109 @@
+"""What a bag holds, topic by topic: for people who have to say which one is the image and which one the sweep."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+from p2o.bags.bag import Bag, Message, Topic
+from p2o.bags.messages import (
+    CAMERA_INFO,
+    COMPRESSED_IMAGE,
+    IMAGE,
+    LIVOX,
+    ODOMETRY,
+    POINT_CLOUD,
+    POSE,
+    TF,
+    read_message,
+    shown,
+)
+from p2o.errors import InputError
+
+_READ = (IMAGE, COMPRESSED_IMAGE, CAMERA_INFO, POINT_CLOUD, *LIVOX, *TF, ODOMETRY, POSE)
+_WINDOWS_S = (1, 10, 100)
+_MOST_NAMED = 6
+
+
+@dataclass(frozen=True)
+class TopicOverview:
+    """One topic: times are those of the headers of its first and last message, else when they were recorded."""
+
+    name: str
+    type: str
+    count: int
+    rate_hz: float | None
+    frame_id: str | None
+    first_s: float | None
+    last_s: float | None
+    details: str
+
+
+def overview(bag: Bag) -> list[TopicOverview]:
+    """Return what each topic holds, by its first and last message."""
+    return [_topic(bag, topic) for topic in bag.topics.values()]
+
+
+def _topic(bag: Bag, topic: Topic) -> TopicOverview:
+    try:
+        first = next(bag.messages([topic.name]), None) if topic.count else None
+        last = _last(bag, topic, first)
+        ends = [_times(message) for message in (first, last) if message is not None]
+        frame_id, details = _details(first) if first is not None else (None, "")
+    except InputError as problem:
+        return TopicOverview(topic.name, shown(topic.kind), topic.count, None, None, None, None, str(problem))
+    seconds = (ends[-1] - ends[0]) * 1e-9 if ends else 0.0
+    rate_hz = round((topic.count - 1) / seconds, 3) if seconds > 0 else None
+    first_s, last_s = (ends[0] * 1e-9, ends[-1] * 1e-9) if ends else (None, None)
+    return TopicOverview(topic.name, shown(topic.kind), topic.count, rate_hz, frame_id, first_s, last_s, details)
+
+
+def _last(bag: Bag, topic: Topic, first: Message | None) -> Message | None:
+    """Return the last message, looked for from the end of the bag, so that a long one is not read whole."""
+    if first is None or topic.count < 2:
+        return first
+    end_ns = bag.span_ns[1] + 1
+    for window_s in (*_WINDOWS_S, None):
+        start_ns = None if window_s is None else end_ns - window_s * 1_000_000_000
+        found = deque(bag.messages([topic.name], start_ns), maxlen=1)
+        if found:
+            return found[0]
+    return first
+
+
+def _times(message: Message) -> int:
+    header = getattr(_read(message), "header", None)
+    return message.time_ns if header is None else int(header.stamp_ns)
+
+
+def _read(message: Message) -> Any:
+    kind = message.topic.kind
+    if kind not in _READ:
+        return None
+    return read_message(kind, message.data, ros1=message.ros1, where=message.topic.name)
+
+
+def _details(message: Message) -> tuple[str | None, str]:
+    content, kind = _read(message), message.topic.kind
+    if content is None:
+        return None, ""
+    if kind in TF:
+        pairs = [f"{t.header.frame_id} > {t.child_frame_id}" for t in content]
+        return None, ", ".join(pairs[:_MOST_NAMED]) + (", ..." if len(pairs) > _MOST_NAMED else "")
+    header = content.header
+    if kind == IMAGE:
+        text = f"{content.width}x{content.height} px {content.encoding}"
+    elif kind == COMPRESSED_IMAGE:
+        text = content.format
+    elif kind == CAMERA_INFO:
+        text = f"{content.width}x{content.height} px {content.distortion_model or 'no model'}"
+        text += "" if content.K.any() else ", not calibrated"
+    elif kind == POINT_CLOUD:
+        names = " ".join(field.name for field in content.fields)
+        text = f"{content.width * content.height} points ({content.height} rows): {names}"
+    elif kind in LIVOX:
+        text = f"{len(content.points)} points: {' '.join(content.points.dtype.names)}"
+    else:
+        text = f"of {content.child_frame_id}" if content.child_frame_id else ""
+    return header.frame_id, text
