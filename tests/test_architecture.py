@@ -26,7 +26,7 @@ FLOORS = (
     {"errors", "moved", "native"},
     {"arrays", "files", "options"},
     {"geometry"},
-    {"frames"},
+    {"frames", "bags"},
     {"features"},
     {"results"},
     {"problems", "draw", "simulate"},
@@ -50,6 +50,12 @@ UPWARD = {
 
 OPEN_MODULES = {
     "arrays",
+    "bags.bag",
+    "bags.choice",
+    "bags.frame_tree",
+    "bags.messages",
+    "bags.overview",
+    "bags.point_columns",
     "features.maps",
     "files.file_names",
     "geometry.motion",

@@ -90,6 +90,4 @@ def _cut(message: CameraInfoMessage, matrix: Float, where: Path) -> tuple[int, i
 def _rotation(rotation: Float, where: Path) -> Float:
     if not rotation.any():
         return np.eye(3)
-    pose = se3.make(None, None)
-    pose[:3, :3] = rotation
-    return se3.check_rigid("R", pose, where=where)[:3, :3]
+    return se3.check_rigid("R", se3.make(rotation), where=where)[:3, :3]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from p2o.bags.bag import Bag, Message, Topic
+from p2o.bags.choice import choose
 from p2o.bags.messages import (
     CAMERA_INFO,
     COMPRESSED_IMAGE,
@@ -43,6 +44,20 @@ class TopicOverview:
 def overview(bag: Bag) -> list[TopicOverview]:
     """Return what each topic holds, by its first and last message."""
     return [_topic(bag, topic) for topic in bag.topics.values()]
+
+
+def chosen_words(bag: Bag) -> dict[str, str]:
+    """Return what the dataset `ros` takes by itself, image, cloud and camera, or why it cannot tell."""
+    try:
+        chosen = choose(bag)
+    except InputError as problem:
+        return {"ros": str(problem)}
+    info = chosen.camera_info
+    return {
+        "image": chosen.image.name,
+        "cloud": chosen.cloud.name,
+        "camera": info.name if info else "none: name a YAML file with the camera (--set data.camera=FILE)",
+    }
 
 
 def _topic(bag: Bag, topic: Topic) -> TopicOverview:

@@ -1,4 +1,4 @@
-"""`p2o data`: what a dataset holds, and whether every frame of it can be used."""
+"""`p2o data`: what a dataset holds, whether every frame of it can be used, and what is in a bag."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def _dataset_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @click.group("data")
 def command() -> None:
-    """List or check the frames of a dataset."""
+    """List or check the frames of a dataset, or the topics of a bag."""
 
 
 @command.command("list")
@@ -60,6 +60,38 @@ def check_frames(
         click.echo(f"{printable(name)}: left out: {printable(reason)}")
     click.echo(f"{len(indices) - bad} of {len(indices)} frames are good")
     return P2OError.exit_code if bad else 0
+
+
+@command.command("topics")
+@click.argument("path", metavar="BAG")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def list_topics(path: str, as_json: bool) -> int:
+    """Print the topics of a ROS bag, and which ones the dataset `ros` takes by itself."""
+    import json
+    from dataclasses import asdict
+
+    from p2o.bags.bag import Bag
+    from p2o.bags.overview import chosen_words, overview
+
+    bag = Bag(path.removeprefix("ros:"))
+    topics, chosen = overview(bag), chosen_words(bag)
+    if as_json:
+        click.echo(json.dumps({"topics": [asdict(topic) for topic in topics], "ros": chosen}))
+        return 0
+    rows = [("topic", "type", "count", "Hz", "frame", "first s", "last s", "")]
+    for topic in topics:
+        times = ("" if value is None else f"{value:.3f}" for value in (topic.first_s, topic.last_s))
+        rate = "" if topic.rate_hz is None else f"{topic.rate_hz:g}"
+        rows.append((topic.name, topic.type, str(topic.count), rate, topic.frame_id or "", *times, topic.details))
+    rows = [tuple(printable(cell, 200) for cell in row) for row in rows]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]) - 1)]
+    for row in rows:
+        cells = (cell.ljust(width) for cell, width in zip(row, (*widths, 0), strict=True))
+        click.echo("  ".join(cells).rstrip())
+    click.echo()
+    for what, said in chosen.items():
+        click.echo(f"{what}: {printable(said)}")
+    return 0
 
 
 def described(frame: Frame) -> str:
