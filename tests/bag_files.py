@@ -81,7 +81,7 @@ def write_bag(root: Path, messages: Iterable[Said], form: str = "mcap", **option
 
 def serialized(store: Any, said: Said, form: str) -> bytes:
     """Return the bytes of a message."""
-    message = _made(store, said.kind, said.fields)
+    message = made(store, said.kind, said.fields)
     serialize = store.serialize_ros1 if form == "ros1" else store.serialize_cdr
     return bytes(serialize(message, said.kind))
 
@@ -91,16 +91,17 @@ def file_of(bag: Path) -> Path:
     return next(path for path in bag.iterdir() if path.suffix in (".db3", ".mcap"))
 
 
-def _made(store: Any, kind: str, fields: dict[str, Any]) -> Any:
+def made(store: Any, kind: str, fields: dict[str, Any]) -> Any:
+    """Return a message as rosbags writes it; fields that are not given are empty."""
     values = {}
     for name, (node, detail) in store.fielddefs[kind][1]:
         given = fields.get(name.lower(), 0 if name == "seq" else None)
         of_messages = node.name in ("ARRAY", "SEQUENCE") and detail[0][0].name == "NAME"
         inner = detail if node.name == "NAME" else detail[0][1] if of_messages else None
         if node.name == "NAME":
-            given = _made(store, inner, given or {})
+            given = made(store, inner, given or {})
         elif inner is not None:
-            given = [_made(store, inner, entry) for entry in given or []]
+            given = [made(store, inner, entry) for entry in given or []]
         elif given is None:
             given = _nothing(node.name, detail)
         values[name] = given

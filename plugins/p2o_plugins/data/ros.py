@@ -13,8 +13,8 @@ from p2o import Cloud, Dataset, Frame, Image, InputError, Method, Options, field
 from p2o.arrays import Float, Int
 from p2o.bags.bag import Bag
 from p2o.bags.choice import Chosen, base, choose, choose_path, tf_topics
-from p2o.bags.frame_tree import FrameTree, bare, frame_tree
-from p2o.bags.messages import CAMERA_INFO, LIVOX, Transform, read_header, read_message
+from p2o.bags.frame_tree import FrameTree, bare, read_frame_tree, read_transforms
+from p2o.bags.messages import CAMERA_INFO, LIVOX, read_header, read_message
 from p2o.bags.point_columns import Unit, columns_of, named_columns, seconds_after, usable_points
 from p2o.files.input_file import naming
 
@@ -146,7 +146,7 @@ def _camera(bag: Bag, options: RosOptions, chosen: Chosen) -> RosCamera:
             expected="a topic of sensor_msgs/CameraInfo",
             hint="name a YAML file with the camera: --set data.camera=FILE",
         )
-    message = next(bag.messages([topic.name]))
+    message = bag.first(topic.name)
     where = Path(f"{bag.path}: {topic.name}")
     content = read_message(CAMERA_INFO, message.data, ros1=message.ros1, where=where)
     rectified = options.rectified
@@ -216,25 +216,12 @@ def _nearest(sorted_ns: Int, wanted_ns: Int) -> Int:
 
 def _tree(bag: Bag, options: RosOptions, image_frame: str, cloud_frame: str) -> FrameTree:
     """Return the frames of the bag; /tf, which is long, is read only where /tf_static does not tell enough."""
-    static, changing = tf_topics(bag)
-    tree = frame_tree(_transforms(bag, static) if options.tf != "ignore" or options.every_m is not None else ())
+    if options.tf == "ignore" and options.every_m is None:
+        return FrameTree({})
+    tree = read_frame_tree(bag)
     with naming(bag.path):
         joined = tree.pose(options.image_frame or image_frame, options.cloud_frame or cloud_frame) is not None
-    if options.every_m is None and (joined or options.tf == "ignore"):
-        return tree
-    return frame_tree(_transforms(bag, static), _transforms(bag, changing))
-
-
-def _transforms(bag: Bag, topics: Sequence[str]) -> list[Transform]:
-    if not topics:
-        return []
-    return [
-        transform
-        for message in bag.messages(topics)
-        for transform in read_message(
-            message.topic.kind, message.data, ros1=message.ros1, where=f"{bag.path}: {message.topic.name}"
-        )
-    ]
+    return tree if joined and options.every_m is None else read_frame_tree(bag, moving=True)
 
 
 def _extrinsic(tree: FrameTree, options: RosOptions, image_frame: str, cloud_frame: str, bag: Bag) -> _Extrinsic:
@@ -276,7 +263,7 @@ def _way(bag: Bag, options: RosOptions, tree: FrameTree, cloud_frame: str) -> Ca
         ]
     else:
         moving = tree.moving_above(options.cloud_frame or cloud_frame)
-        changing = _transforms(bag, tf_topics(bag)[1]) if moving is not None else []
+        changing = read_transforms(bag, tf_topics(bag)[1]) if moving is not None else []
         poses = [transform for transform in changing if bare(transform.child_frame_id) == moving]
     if not poses:
         raise InputError(

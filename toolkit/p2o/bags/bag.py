@@ -106,6 +106,12 @@ class Bag:
         streams = [self._stream(reader, wanted, start_ns, stop_ns) for reader in self._readers]
         yield from streams[0] if len(streams) == 1 else merge(*streams, key=lambda message: message.time_ns)
 
+    def first(self, topic: str) -> Message:
+        """Return the first message of a topic; raises InputError where there is none, whatever the bag counts."""
+        for message in self.messages([topic]):
+            return message
+        raise InputError(f"topic {topic} has no messages", where=self.path, expected="at least one")
+
     def message(self, topic: str, time_ns: int, number: int = 0) -> Message:
         """Return the message of a topic that was recorded at a time, the `number`-th of equal times.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from p2o.arrays import Float
-from p2o.bags.messages import Transform
+from p2o.bags.bag import Bag
+from p2o.bags.choice import tf_topics
+from p2o.bags.messages import Transform, read_message
 from p2o.errors import InputError, UnknownNameError
 from p2o.geometry import se3
 
@@ -86,6 +88,29 @@ def frame_tree(static: Iterable[Transform], changing: Iterable[Transform] = ()) 
         if before[0] != parent or not _same(before[1], transform):
             moving[child] = parent
     return FrameTree({**{c: entry for c, entry in first.items() if c not in moving}, **fixed}, moving)
+
+
+def read_frame_tree(bag: Bag, *, moving: bool = False) -> FrameTree:
+    """Return the frames of a bag: those of /tf_static, and where it is asked for, or they are none, those of /tf.
+
+    Raises InputError for messages that are damaged.
+    """
+    static, changing = tf_topics(bag)
+    fixed = read_transforms(bag, static)
+    return frame_tree(fixed, read_transforms(bag, changing) if moving or not fixed else ())
+
+
+def read_transforms(bag: Bag, topics: Sequence[str]) -> list[Transform]:
+    """Return the transforms of topics of TF in the order in which they were recorded; raises as `read_frame_tree`."""
+    if not topics:
+        return []
+    return [
+        transform
+        for message in bag.messages(topics)
+        for transform in read_message(
+            message.topic.kind, message.data, ros1=message.ros1, where=f"{bag.path}: {message.topic.name}"
+        )
+    ]
 
 
 def bare(frame_id: str) -> str:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from p2o.bags.bag import Bag, Message, Topic
-from p2o.bags.choice import choose
+from p2o.bags.choice import Chosen, choose
+from p2o.bags.frame_tree import bare, read_frame_tree
 from p2o.bags.messages import (
     CAMERA_INFO,
     COMPRESSED_IMAGE,
@@ -17,6 +18,7 @@ from p2o.bags.messages import (
     POINT_CLOUD,
     POSE,
     TF,
+    read_header,
     read_message,
     shown,
 )
@@ -47,22 +49,39 @@ def overview(bag: Bag) -> list[TopicOverview]:
 
 
 def chosen_words(bag: Bag) -> dict[str, str]:
-    """Return what the dataset `ros` takes by itself, image, cloud and camera, or why it cannot tell."""
+    """Return what the dataset `ros` takes by itself: image, cloud, camera and start, or why it cannot tell."""
     try:
         chosen = choose(bag)
     except InputError as problem:
         return {"ros": str(problem)}
     info = chosen.camera_info
+    try:
+        start = _start_words(bag, chosen)
+    except InputError as problem:
+        start = str(problem)
     return {
         "image": chosen.image.name,
         "cloud": chosen.cloud.name,
         "camera": info.name if info else "none: name a YAML file with the camera (--set data.camera=FILE)",
+        "start": start,
     }
+
+
+def _start_words(bag: Bag, chosen: Chosen) -> str:
+    """Return whether TF tells where the camera is, by the frames of the first image and the first sweep."""
+    frames = []
+    for topic in (chosen.image.name, chosen.cloud.name):
+        message = bag.first(topic)
+        header = read_header(message.data, ros1=message.ros1, where=f"{bag.path}: {topic}")
+        frames.append(bare(header.frame_id))
+    camera, lidar = frames
+    joined = read_frame_tree(bag).pose(camera, lidar) is not None
+    return f"TF joins {lidar} and {camera}" if joined else f"none: no fixed transforms of TF join {lidar} and {camera}"
 
 
 def _topic(bag: Bag, topic: Topic) -> TopicOverview:
     try:
-        first = next(bag.messages([topic.name]), None) if topic.count else None
+        first = bag.first(topic.name) if topic.count else None
         last = _last(bag, topic, first)
         ends = [_times(message) for message in (first, last) if message is not None]
         frame_id, details = _details(first) if first is not None else (None, "")
