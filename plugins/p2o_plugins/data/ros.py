@@ -117,15 +117,6 @@ def build(options: RosOptions) -> Dataset:
     topics = (chosen.image.name, chosen.cloud.name)
     skipped: dict[str, str] = {}
     images, clouds = _index(bag, topics, options, skipped)
-    for topic, places in zip(topics, (images, clouds), strict=True):
-        if not places or (len(places) > 1 and len({place.stamp_ns for place in places}) == 1):
-            raise InputError(
-                f"the messages of {topic} have no stamps",
-                where=bag.path,
-                expected="headers with times that differ",
-                got=next(iter(skipped.values()), f"{len(places)} times the same") if places else "no header",
-                hint="take the times of recording: --set data.stamps=bag",
-            )
     pairs = _pairs(images, clouds, options, bag, skipped)
     tree = _tree(bag, options, images[0].frame_id, clouds[0].frame_id)
     extrinsic = _extrinsic(tree, options, images[0].frame_id, clouds[0].frame_id, bag)
@@ -158,8 +149,12 @@ def _camera(bag: Bag, options: RosOptions, chosen: Chosen) -> RosCamera:
 def _index(
     bag: Bag, topics: tuple[str, str], options: RosOptions, skipped: dict[str, str]
 ) -> tuple[list[_Place], list[_Place]]:
-    """Return where the images and the sweeps are, each in the order of their stamps; equal stamps count once."""
+    """Return where the images and the sweeps are, each in the order of their stamps; equal stamps count once.
+
+    Messages whose header cannot be read are noted in `skipped`. Raises InputError where no stamps tell them apart.
+    """
     found: dict[str, dict[int, _Place]] = {topic: {} for topic in topics}
+    counts = dict.fromkeys(topics, 0)
     before: dict[str, tuple[int, int]] = {}
     offset_ns = round(options.image_offset_s * _SECOND)
     for message in bag.messages(topics):
@@ -175,6 +170,16 @@ def _index(
         stamp_ns = header.stamp_ns if options.stamps == "header" else message.time_ns
         taken_ns = stamp_ns + (offset_ns if topic == topics[0] else 0)
         found[topic].setdefault(stamp_ns, _Place(message.time_ns, number, stamp_ns, taken_ns, header.frame_id))
+        counts[topic] += 1
+    for topic, places in found.items():
+        if len(places) < 2 and counts[topic] != 1:
+            raise InputError(
+                f"the messages of {topic} have no stamps",
+                where=bag.path,
+                expected="headers with times that differ",
+                got=f"the same time in all {counts[topic]}" if places else next(iter(skipped.values()), "no messages"),
+                hint="take the times of recording: --set data.stamps=bag",
+            )
     images, clouds = ([places[stamp] for stamp in sorted(places)] for places in found.values())
     return images, clouds
 
