@@ -8,7 +8,17 @@ from pathlib import Path
 
 import pytest
 from p2o import InputError
-from p2o.files.input_file import MAX_TEXT_BYTES, existing_folder, expanded, listing, naming, read_bytes, read_text
+from p2o.files.input_file import (
+    MAX_BYTES,
+    MAX_TEXT_BYTES,
+    existing_folder,
+    expanded,
+    listing,
+    naming,
+    read_bytes,
+    read_start,
+    read_text,
+)
 
 
 def test_pipes_sockets_devices_and_links_to_them_are_never_opened(tmp_path: Path) -> None:
@@ -107,3 +117,22 @@ def test_a_folder_is_listed_in_order_and_one_that_cannot_be_is_named(tmp_path: P
     assert [path.name for path in listing(tmp_path, "frames")] == ["a", "b", "c"]
     with pytest.raises(InputError, match="a: the folder of frames cannot be read; got Not a directory"):
         listing(tmp_path / "a", "frames")
+
+
+def test_the_start_of_a_file_of_any_size_is_read_and_what_is_no_file_is_refused(tmp_path: Path) -> None:
+    long, empty, pipe = tmp_path / "long.bag", tmp_path / "empty.bag", tmp_path / "pipe.bag"
+    with long.open("wb") as file:
+        file.write(b"#ROSBAG V2.0\n")
+        file.truncate(MAX_BYTES + 1)
+    empty.touch()
+    os.mkfifo(pipe)
+    assert read_start(long, "bag", 8) == b"#ROSBAG "
+    for path, words in (
+        (empty, "the bag is empty"),
+        (pipe, "the bag is a named pipe"),
+        (tmp_path, "the bag is a folder"),
+        (tmp_path / "gone", "the bag is missing"),
+        (f"{tmp_path}/\0", "the bag cannot have this name"),
+    ):
+        with pytest.raises(InputError, match=words):
+            read_start(path, "bag", 8)

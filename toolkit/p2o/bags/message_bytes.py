@@ -7,13 +7,13 @@ its own counts say is refused before anything is made of it.
 from __future__ import annotations
 
 import struct
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from p2o.errors import InputError
 
-_CDR = {b"\0\0": ">", b"\0\1": "<"}
+_CDR: dict[bytes, Literal["<", ">"]] = {b"\0\0": ">", b"\0\1": "<"}
 
 
 class MessageBytes:
@@ -27,7 +27,7 @@ class MessageBytes:
     def __init__(self, data: bytes | memoryview, *, ros1: bool, where: object = None) -> None:
         self.data, self.ros1, self.where = memoryview(data), ros1, where
         self.place = 0
-        self.order = "<"
+        self.order: Literal["<", ">"] = "<"
         if not ros1:
             order = _CDR.get(bytes(self.data[:2]))
             if order is None or len(self.data) < 4:

@@ -62,7 +62,7 @@ def named_columns(columns: Mapping[str, Any]) -> dict[str, Any]:
 
     Lines of a Livox (which has `tag` beside them) are none of a sensor that spins: they are no rings.
     """
-    by_name = {name.lower(): column for name, column in reversed(columns.items())}
+    by_name = {name.lower(): column for name, column in reversed(list(columns.items()))}
     found = {axis: by_name[axis] for axis in "xyz" if axis in by_name}
     rosette = "line" in by_name and "tag" in by_name
     for target, names in (("intensity", INTENSITY), ("ring", RING), ("time", TIME)):
@@ -76,7 +76,7 @@ def usable_points(columns: Mapping[str, Any]) -> Bool:
     """Return which points (N,) are finite and not all zero, as missing returns are."""
     with np.errstate(invalid="ignore"):
         xyz = np.stack([np.asarray(columns[axis], np.float64) for axis in "xyz"])
-    usable: Bool = np.isfinite(xyz).all(axis=0) & xyz.any(axis=0)
+    usable: Bool = np.asarray(np.isfinite(xyz).all(axis=0) & xyz.any(axis=0))
     return usable
 
 

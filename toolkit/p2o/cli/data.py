@@ -78,7 +78,7 @@ def list_topics(path: str, as_json: bool) -> int:
     if as_json:
         click.echo(json.dumps({"topics": [asdict(topic) for topic in topics], "ros": chosen}))
         return 0
-    rows = [("topic", "type", "count", "Hz", "frame", "first s", "last s", "")]
+    rows: list[tuple[str, ...]] = [("topic", "type", "count", "Hz", "frame", "first s", "last s", "")]
     for topic in topics:
         times = ("" if value is None else f"{value:.3f}" for value in (topic.first_s, topic.last_s))
         rate = "" if topic.rate_hz is None else f"{topic.rate_hz:g}"
