@@ -16,6 +16,7 @@ from p2o.geometry.perturb import wrong_start
 from p2o.host.registry import Registry
 from p2o.run.run import calibrate
 
+from . import bag_files
 from .plugins.data.kitti_files import (
     HEIGHT,
     PROJECTIONS,
@@ -168,6 +169,21 @@ def kitti_odometry(root: Path, truth: np.ndarray) -> list[Frame]:
     return read("kitti-odometry", root=root)
 
 
+def ros(root: Path, truth: np.ndarray) -> list[Frame]:
+    camera = Camera.pinhole(20, 20, 7, 5, 16, 12)
+    rng = np.random.default_rng(0)
+    said = [bag_files.tf([bag_files.transform("velodyne", "camera", se3.inverse(truth))])]
+    said.append(bag_files.camera_info("/camera_info", 0, camera))
+    for number in range(2):
+        time_ns = number * 100_000_000
+        xyz = rng.uniform(-20, 20, (50, 3)).astype(np.float32)
+        said.append(bag_files.image("/image", time_ns, rng.integers(0, 256, (12, 16, 3), dtype=np.uint8)))
+        said.append(bag_files.cloud("/points", time_ns, dict(zip("xyz", xyz.T, strict=True)), frame="velodyne"))
+        said.append(bag_files.odometry("/odom", time_ns, (number, 0, 0)))
+    root.mkdir()
+    return read("ros", root=bag_files.write_bag(root, said), tf="truth")
+
+
 TOLD = {
     own_folder: {"sequence", "time_s", "lidar_world_from_lidar", "camera_world_from_camera", "targets"},
     kitti_raw: {"sequence", "time_s", "lidar_world_from_lidar", "twist"},
@@ -175,6 +191,7 @@ TOLD = {
     # their own begins with the first: no number of Tr is in them. (KITTI made that file from the car's inertial unit
     # by the published calibration, so a hand-eye calibration with them finds that again; docs/datasets.md says so.)
     kitti_odometry: {"sequence", "time_s", "camera_world_from_camera"},
+    ros: {"sequence", "time_s"},
 }
 """Writers of frames that know a truth, and which of the new fields their frames hold."""
 
