@@ -10,7 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from p2o import Camera
 from p2o.cli import main
+
+from tests import bag_files
 
 STUDY = """name = "small"
 title = "A small study"
@@ -72,6 +75,11 @@ class Bases:
         return {name: self.root / name for name in ("kitti-raw", "kitti-object", "kitti-odometry", "vkitti2")}
 
     @property
+    def bags(self) -> list[Path]:
+        """A bag in each container, packed ones too, each one file."""
+        return sorted(path for path in (self.root / "bags").rglob("*") if path.suffix in (".bag", ".db3", ".mcap"))
+
+    @property
     def study(self) -> Path:
         """A folder with study.toml, the finished store (out), its reference.json and the cache of its features."""
         return self.root / "study"
@@ -92,6 +100,7 @@ def build(root: Path) -> Bases:
         small = {**_SMALL, "lidar": "hdl-64e"} if layout == "kitti-raw" else _SMALL
         _p2o("simulate", root / layout, "--layout", layout, *_settings({**small, "scenes": 2}))
     _other_kitti(root, root / "kitti-raw")
+    _bags(root / "bags")
     bases.study.mkdir()
     toml = bases.study / "study.toml"
     toml.write_text(STUDY.replace("DATA", str(bases.folder)), encoding="utf-8")
@@ -103,9 +112,29 @@ def build(root: Path) -> Bases:
     _p2o("report", bases.study / "out", "--out", root / "report")
     for data in (f"{name}:{folder}" for name, folder in bases.layouts.items()):
         _p2o("data", "check", data)
+    for bag in bases.bags:
+        _p2o("data", "check", f"ros:{bag}")
     shutil.rmtree(root / "report")
     del os.environ["P2O_CACHE"]
     return bases
+
+
+def _bags(root: Path) -> None:
+    rng = np.random.default_rng(0)
+    camera = Camera.pinhole(20, 20, 7, 5, 16, 12)
+    said = [bag_files.tf([bag_files.transform("lidar", "camera", np.eye(4))])]
+    for number in range(3):
+        time_ns = 10**18 + number * 100_000_000
+        columns = {axis: rng.uniform(2, 9, 40).astype(np.float32) for axis in "xyz"}
+        columns |= {"t": np.linspace(0, 1e8, 40).astype(np.uint32), "ring": (np.arange(40) % 4).astype(np.uint16)}
+        said.append(bag_files.camera_info("/camera_info", time_ns, camera))
+        said.append(bag_files.image("/image", time_ns, rng.integers(0, 256, (12, 16, 3), dtype=np.uint8)))
+        said.append(bag_files.cloud("/points", time_ns, columns))
+        said.append(bag_files.odometry("/odom", time_ns, (number, 0, 0)))
+    for form, packed in (("ros1", None), ("ros1", "LZ4"), ("ros1", "BZ2"), ("sqlite3", None), ("mcap", "STORAGE")):
+        folder = root / f"{form}-{packed}"
+        folder.mkdir(parents=True)
+        bag_files.write_bag(folder, said, form, **({} if packed is None else {"compression": packed}))
 
 
 def _settings(values: dict[str, object]) -> list[str]:

@@ -168,6 +168,19 @@ def layout(rng: Random, bases: Bases, home: Path) -> Case:
     return _read_or_run(rng, f"{name}:in")
 
 
+def bag(rng: Random, bases: Bases, home: Path) -> Case:
+    """A bag of any container with bytes that are damaged."""
+    base = rng.choice(bases.bags)
+    name = f"in/drive{base.suffix}"
+    (home / name).write_bytes(bytes_of(rng, base.read_bytes()))
+    if rng.random() < 0.05:
+        _swap(rng, home / name)
+    if rng.random() < 0.3:
+        return Case(("data", "topics", name, *rng.choice(((), ("--json",)))))
+    options = rng.choice(((), ("--set", "data.every_m=0.5"), ("--set", "data.tf=truth")))
+    return Case(("data", "check", f"ros:{name}", *options))
+
+
 def words(rng: Random, bases: Bases, home: Path) -> Case:
     """The words of the command line."""
     _frame(bases, home)
@@ -616,6 +629,7 @@ SURFACES: Mapping[str, tuple[int, Draw]] = {
     "frame-file": (14, frame_file),
     "rig": (5, rig),
     "layout": (13, layout),
+    "bag": (8, bag),
     "words": (16, words),
     "study": (7, study),
     "store": (6, store),

@@ -25,6 +25,7 @@ from p2o_plugins.data.ros_camera import RosCamera, camera_of_file, camera_of_inf
 from p2o_plugins.data.ros_image import rgb_of
 
 _SECOND = 1_000_000_000
+_FARTHEST_M = 1e9
 
 
 class RosOptions(Options):
@@ -280,8 +281,13 @@ def _way(bag: Bag, options: RosOptions, tree: FrameTree, cloud_frame: str) -> Ca
     at = {pose.header.stamp_ns: pose.translation_m for pose in poses}
     times = np.array(sorted(at), np.int64)
     places = np.array([at[time] for time in times.tolist()], np.float64)
-    if not np.isfinite(places).all():
-        raise InputError("the way of the vehicle is not finite", where=bag.path, got="NaN or infinite places")
+    if not (np.abs(places) <= _FARTHEST_M).all():
+        raise InputError(
+            "the way of the vehicle leaves all maps",
+            where=bag.path,
+            expected=f"places within {_FARTHEST_M:g} m of the origin",
+            got="NaN, infinite or larger ones",
+        )
 
     def at_times(wanted: Int) -> Float:
         # Differences first: nanoseconds since 1970 have more digits than a double.

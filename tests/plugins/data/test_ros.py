@@ -296,6 +296,10 @@ def test_frames_are_chosen_by_the_way_that_odometry_or_tf_tells(tmp_path: Path) 
         path = write_bag(tmp_path / str(number), [*way, *drive(10)])
         found = dataset(path, every_m=2.0)
         assert [int(name[-9:]) // 100_000_000 for name in found.names] == [0, 7, 9]
+    (tmp_path / "far").mkdir()
+    beyond = write_bag(tmp_path / "far", [odometry("/odom", START_NS, (1e300, 0, 0)), *drive()])
+    with pytest.raises(InputError, match="the way of the vehicle leaves all maps"):
+        dataset(beyond, every_m=1)
     with pytest.raises(UnknownNameError, match="did you mean /odom"):
         dataset(tmp_path / "0" / "drive", every_m=1, odometry_topic="/odm")
 

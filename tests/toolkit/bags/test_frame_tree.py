@@ -69,7 +69,7 @@ def test_the_last_word_of_tf_static_counts_and_it_wins_over_tf() -> None:
     assert np.allclose(found, pose(2))
 
 
-@pytest.mark.parametrize("quaternion", [(0, 0, 0, 0), (0, 0, 0, float("nan")), (9, 0, 0, 0)])
+@pytest.mark.parametrize("quaternion", [(0, 0, 0, 0), (0, 0, 0, float("nan")), (9, 0, 0, 0), (1e300, 0, 0, 0)])
 def test_a_rotation_that_is_none_is_refused_where_it_is_used(quaternion: Any) -> None:
     tree = frame_tree([Transform(Header(0, "base"), "lidar", quaternion, (0, 0, 0))])
     with pytest.raises(InputError, match="the transform from lidar to base is none"):
