@@ -14,6 +14,7 @@ from p2o import Camera
 from p2o.cli import main
 
 from tests import bag_files
+from tests.plugins.data.nuscenes_files import Tree
 
 STUDY = """name = "small"
 title = "A small study"
@@ -72,7 +73,9 @@ class Bases:
     @property
     def layouts(self) -> dict[str, Path]:
         """Every other dataset by name."""
-        return {name: self.root / name for name in ("kitti-raw", "kitti-object", "kitti-odometry", "vkitti2")}
+        return {
+            name: self.root / name for name in ("kitti-raw", "kitti-object", "kitti-odometry", "nuscenes", "vkitti2")
+        }
 
     @property
     def bags(self) -> list[Path]:
@@ -101,6 +104,7 @@ def build(root: Path) -> Bases:
         _p2o("simulate", root / layout, "--layout", layout, *_settings({**small, "scenes": 2}))
     _other_kitti(root, root / "kitti-raw")
     _bags(root / "bags")
+    Tree(root / "nuscenes").write()
     bases.study.mkdir()
     toml = bases.study / "study.toml"
     toml.write_text(STUDY.replace("DATA", str(bases.folder)), encoding="utf-8")
