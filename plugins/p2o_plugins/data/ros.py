@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from p2o import Cloud, Dataset, Frame, Image, InputError, Method, Options, field, se3
@@ -17,6 +16,7 @@ from p2o.bags.frame_tree import FrameTree, bare, read_frame_tree, read_transform
 from p2o.bags.messages import CAMERA_INFO, LIVOX, read_header, read_message
 from p2o.bags.point_columns import Unit, columns_of, named_columns, seconds_after, usable_points
 from p2o.files.input_file import naming
+from pydantic import BeforeValidator
 
 from p2o_plugins.data.cloud_file import cloud_from_fields
 from p2o_plugins.data.direction import check_direction
@@ -28,11 +28,18 @@ _SECOND = 1_000_000_000
 _FARTHEST_M = 1e9
 
 
+def _words(value: object) -> object:
+    """Return words that commas join as a list of them; all else as it is."""
+    return [word.strip() for word in value.split(",") if word.strip()] if isinstance(value, str) else value
+
+
 class RosOptions(Options):
     """Options of ROS bags."""
 
     root: Path = field(..., help="A .bag, .mcap or .db3 file, or the folder of a ROS 2 bag.")
-    image_topic: str | None = field(None, help="Topic of the images; null: the only one.")
+    image_topic: Annotated[tuple[str, ...], BeforeValidator(_words)] = field(
+        (), help="Topic of the images; none: the only one. Several, joined by commas, are the cameras of a rig."
+    )
     cloud_topic: str | None = field(
         None, help="Topic of the sweeps (PointCloud2 or Livox CustomMsg); null: the only one."
     )
@@ -66,7 +73,9 @@ class RosOptions(Options):
     every_m: float | None = field(None, gt=0, le=1e6, help="Take a frame each so many metres of the way.")
     every_s: float | None = field(None, gt=0, le=1e6, help="Take a frame each so many seconds.")
     most: int | None = field(None, ge=1, help="Take at most so many frames, spread over the bag.")
-    camera_name: str = field("", help="Word for the camera on its rig, such as CAM_FRONT.")
+    camera_name: str = field(
+        "", help="Word for the camera on its rig, such as CAM_FRONT; several cameras are named by their topics."
+    )
 
 
 @dataclass(frozen=True)
@@ -93,12 +102,13 @@ class _Extrinsic:
 
 @dataclass(frozen=True, eq=False)
 class _Source:
-    """What all frames of a bag have in common."""
+    """What all frames of one camera have in common; `camera_name` is empty where there is one camera without a name."""
 
     bag: Bag
     options: RosOptions
     chosen: Chosen
     camera: RosCamera
+    camera_name: str
     extrinsic: _Extrinsic
     first_ns: int
 
@@ -106,25 +116,59 @@ class _Source:
 def build(options: RosOptions) -> Dataset:
     """Return the pairs of an image and the sweep that is nearest to it; names are "bag/seconds.nanoseconds".
 
-    Seconds are those of the image's stamp. Each image and each sweep is of one frame at most. Only stamps are read
-    here; a frame reads its two messages. Images without a sweep near them are listed in `skipped`.
+    Seconds are those of the image's stamp; with several cameras names are "bag/camera/seconds.nanoseconds". Each image
+    and each sweep of a camera is of one frame at most. Only stamps are read here; a frame reads its two messages.
+    Images without a sweep near them are listed in `skipped`.
 
     Raises InputError where the bag is missing, damaged or of another kind, topics cannot be told, there is no camera,
     or no image has a sweep.
     """
     bag = Bag(options.root)
-    chosen = choose(bag, options.image_topic, options.cloud_topic, options.camera_info_topic)
-    camera = _camera(bag, options, chosen)
-    topics = (chosen.image.name, chosen.cloud.name)
+    cameras = _cameras(bag, options)
+    cloud_topic = cameras[0].chosen.cloud.name
+    topics = [*(camera.chosen.image.name for camera in cameras), cloud_topic]
     skipped: dict[str, str] = {}
-    images, clouds = _index(bag, topics, options, skipped)
-    pairs = _pairs(images, clouds, options, bag, skipped)
-    tree = _tree(bag, options, images[0].frame_id, clouds[0].frame_id)
-    extrinsic = _extrinsic(tree, options, images[0].frame_id, clouds[0].frame_id, bag)
-    kept = _thinned(pairs, _way(bag, options, tree, clouds[0].frame_id), options)
-    entries = {_name(bag, image): (image, cloud) for image, cloud in kept}
-    source = _Source(bag, options, chosen, camera, extrinsic, min(place.stamp_ns for place in images))
-    return LazyFrames(entries, partial(_read, source), skipped)
+    places = _index(bag, topics, options, skipped)
+    clouds = places[cloud_topic]
+    first_ns = min(places[topic][0].stamp_ns for topic in topics[:-1])
+    way: Callable[[Int], Float] | None = None
+    entries: dict[str, tuple[_Source, _Place, _Place]] = {}
+    for number, camera in enumerate(cameras):
+        images = places[camera.chosen.image.name]
+        tree = _tree(bag, options, images[0].frame_id, clouds[0].frame_id)
+        extrinsic = _extrinsic(tree, options, images[0].frame_id, clouds[0].frame_id, bag)
+        if number == 0:
+            way = _way(bag, options, tree, clouds[0].frame_id)
+        source = replace(camera, extrinsic=extrinsic, first_ns=first_ns)
+        pairs = _pairs(images, clouds, source, skipped)
+        entries |= {_name(source, image): (source, image, cloud) for image, cloud in _thinned(pairs, way, options)}
+    return LazyFrames(entries, _read, skipped)
+
+
+def _cameras(bag: Bag, options: RosOptions) -> list[_Source]:
+    """Return the chosen cameras, without what the stamps tell; raises InputError as `build`."""
+    topics = tuple(dict.fromkeys(options.image_topic))
+    if len(topics) > 1:
+        for name in ("camera_info_topic", "camera", "image_frame", "camera_name"):
+            if getattr(options, name):
+                raise InputError(
+                    f"data.{name} is of one camera", expected="one data.image_topic beside it", got=", ".join(topics)
+                )
+    found = []
+    for topic in topics or (None,):
+        chosen = choose(bag, topic, options.cloud_topic, options.camera_info_topic)
+        name = _camera_name(chosen.image.name) if len(topics) > 1 else options.camera_name
+        found.append(_Source(bag, options, chosen, _camera(bag, options, chosen), name, _Extrinsic(), 0))
+    names = [source.camera_name for source in found]
+    if len(set(names)) < len(names):
+        raise InputError("the topics of two cameras have one name", where=bag.path, got=", ".join(names))
+    return found
+
+
+def _camera_name(topic: str) -> str:
+    """Return the name of a camera: its topic but for the last part."""
+    above = base(topic).strip("/").rpartition("/")[0] or base(topic).strip("/")
+    return above.replace("/", "_")
 
 
 def _camera(bag: Bag, options: RosOptions, chosen: Chosen) -> RosCamera:
@@ -147,10 +191,8 @@ def _camera(bag: Bag, options: RosOptions, chosen: Chosen) -> RosCamera:
     return camera_of_info(content, where, rectified=rectified)
 
 
-def _index(
-    bag: Bag, topics: tuple[str, str], options: RosOptions, skipped: dict[str, str]
-) -> tuple[list[_Place], list[_Place]]:
-    """Return where the images and the sweeps are, each in the order of their stamps; equal stamps count once.
+def _index(bag: Bag, topics: Sequence[str], options: RosOptions, skipped: dict[str, str]) -> dict[str, list[_Place]]:
+    """Return where the images and, the last topic, the sweeps are, in the order of their stamps; equal ones count once.
 
     Messages whose header cannot be read are noted in `skipped`. Raises InputError where no stamps tell them apart.
     """
@@ -169,7 +211,7 @@ def _index(
             skipped[f"{bag.name}{topic}/{_seconds(message.time_ns)}"] = str(problem)
             continue
         stamp_ns = header.stamp_ns if options.stamps == "header" else message.time_ns
-        taken_ns = stamp_ns + (offset_ns if topic == topics[0] else 0)
+        taken_ns = stamp_ns + (offset_ns if topic != topics[-1] else 0)
         found[topic].setdefault(stamp_ns, _Place(message.time_ns, number, stamp_ns, taken_ns, header.frame_id))
         counts[topic] += 1
     for topic, places in found.items():
@@ -181,14 +223,14 @@ def _index(
                 got=f"the same time in all {counts[topic]}" if places else next(iter(skipped.values()), "no messages"),
                 hint="take the times of recording: --set data.stamps=bag",
             )
-    images, clouds = ([places[stamp] for stamp in sorted(places)] for places in found.values())
-    return images, clouds
+    return {topic: [places[stamp] for stamp in sorted(places)] for topic, places in found.items()}
 
 
 def _pairs(
-    images: Sequence[_Place], clouds: Sequence[_Place], options: RosOptions, bag: Bag, skipped: dict[str, str]
+    images: Sequence[_Place], clouds: Sequence[_Place], source: _Source, skipped: dict[str, str]
 ) -> list[tuple[_Place, _Place]]:
     """Return images and sweeps of which each is the nearest of the other, in time."""
+    options = source.options
     image_ns, cloud_ns = (np.array([place.taken_ns for place in places], np.int64) for places in (images, clouds))
     nearest, back = _nearest(cloud_ns, image_ns), _nearest(image_ns, cloud_ns)
     pairs = []
@@ -196,14 +238,16 @@ def _pairs(
         cloud = clouds[nearest[number]]
         gap_s = abs(cloud.taken_ns - image.taken_ns) / _SECOND
         if gap_s > options.max_gap_s:
-            skipped[_name(bag, image)] = f"no sweep within {options.max_gap_s:g} s, the nearest is {gap_s:.3g} s away"
+            skipped[_name(source, image)] = (
+                f"no sweep within {options.max_gap_s:g} s, the nearest is {gap_s:.3g} s away"
+            )
         elif back[nearest[number]] == number:
             pairs.append((image, cloud))
     if not pairs:
         gap_s = float(np.abs(cloud_ns[nearest] - image_ns).min()) / _SECOND
         raise InputError(
-            "no image has a sweep of its time",
-            where=bag.path,
+            f"no image of {source.chosen.image.name} has a sweep of its time",
+            where=source.bag.path,
             expected=f"stamps within {options.max_gap_s:g} s of each other (data.max_gap_s)",
             got=f"{gap_s:.6g} s at least",
             hint="are they of two clocks? data.image_offset_s shifts them, data.stamps=bag takes times of recording",
@@ -320,11 +364,11 @@ def _thinned(
     return [pairs[number] for number in kept]
 
 
-def _read(source: _Source, pair: tuple[_Place, _Place]) -> Frame:
+def _read(entry: tuple[_Source, _Place, _Place]) -> Frame:
+    source, image_place, cloud_place = entry
     bag, options = source.bag, source.options
-    image_place, cloud_place = pair
     camera = source.camera.camera
-    name = _name(bag, image_place)
+    name = _name(source, image_place)
     image_name, where = f"{name}{source.chosen.image.name}", f"{bag.path}: {source.chosen.image.name}"
     message = bag.message(source.chosen.image.name, image_place.time_ns, image_place.number)
     picture = read_message(message.topic.kind, message.data, ros1=message.ros1, where=where)
@@ -345,7 +389,7 @@ def _read(source: _Source, pair: tuple[_Place, _Place]) -> Frame:
         warnings=warnings,
         sequence=bag.name,
         time_s=(image_place.stamp_ns - source.first_ns) / _SECOND,
-        camera_name=options.camera_name,
+        camera_name=source.camera_name,
     )
 
 
@@ -370,8 +414,9 @@ def _cloud(source: _Source, image_place: _Place, place: _Place) -> tuple[Cloud, 
     return cloud, (*warnings, *((f"{where.name}: {remark}",) if remark else ()))
 
 
-def _name(bag: Bag, image: _Place) -> str:
-    return f"{bag.name}/{_seconds(image.stamp_ns)}"
+def _name(source: _Source, image: _Place) -> str:
+    camera = f"{source.camera_name}/" if len(source.options.image_topic) > 1 else ""
+    return f"{source.bag.name}/{camera}{_seconds(image.stamp_ns)}"
 
 
 def _seconds(time_ns: int) -> str:

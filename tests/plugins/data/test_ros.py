@@ -243,7 +243,9 @@ def test_images_without_a_sweep_of_their_time_are_left_out(tmp_path: Path) -> No
 
 def test_clocks_that_never_meet_are_said_and_shifted(tmp_path: Path) -> None:
     path = write_bag(tmp_path, drive(later_ns=7_000_000_000))
-    with pytest.raises(InputError, match=r"no image has a sweep of its time.*got 6.8 s.*data.image_offset_s"):
+    with pytest.raises(
+        InputError, match=r"no image of /image_raw has a sweep of its time.*got 6.8 s.*data.image_offset_s"
+    ):
         dataset(path)
     assert len(dataset(path, image_offset_s=7.0)) == 3
 
@@ -407,3 +409,40 @@ def in_view() -> Any:
     rng = np.random.default_rng(0)
     depth = rng.uniform(5, 20, 500)
     return np.column_stack([rng.uniform(-0.2, 0.2, 500) * depth, rng.uniform(-0.2, 0.2, 500) * depth, depth])
+
+
+def rig() -> list[Said]:
+    """Return a recording of two cameras, of which the right one is 10 ms late."""
+    right_from_lidar = se3.exp(np.array([0, 0.5, 0, 0.2, 0, 0])) @ TRUTH
+    said = [m for m in drive(info=False) if m.topic == "/points"]
+    said.append(tf([transform("lidar", "left", se3.inverse(TRUTH))], START_NS))
+    said.append(tf([transform("lidar", "right", se3.inverse(right_from_lidar))], START_NS))
+    for side, later_ns in (("left", 0), ("right", 10_000_000)):
+        said.append(camera_info(f"/rig/{side}/camera_info", START_NS, CAMERA))
+        said += [
+            image(f"/rig/{side}/image_raw", START_NS + i * 10**8 + later_ns, pixels(i), frame=side) for i in range(3)
+        ]
+    return sorted(said, key=lambda message: message.time_ns)
+
+
+def test_several_cameras_of_a_bag_are_a_rig(tmp_path: Path) -> None:
+    path = write_bag(tmp_path, rig())
+    found = dataset(path, image_topic="/rig/left/image_raw, /rig/right/image_raw", every_s=0.2)
+    assert found.names == (
+        "drive/rig_left/1700000000.000000000",
+        "drive/rig_left/1700000000.200000000",
+        "drive/rig_right/1700000000.010000000",
+        "drive/rig_right/1700000000.210000000",
+    )
+    assert [frame.camera_name for frame in found] == ["rig_left", "rig_left", "rig_right", "rig_right"]
+    assert [frame.time_s for frame in found] == pytest.approx([0, 0.2, 0.01, 0.21])
+    assert np.allclose(found[1].start, TRUTH)
+    assert not np.allclose(found[3].start, TRUTH)
+    assert np.array_equal(found[1].cloud.xyz, found[3].cloud.xyz)
+    said = open_dataset(f"ros:{path}?image_topic=/rig/left/image_raw,/rig/right/image_raw", Registry.load())
+    assert len(said.names) == 6
+    one = dataset(path, image_topic="/rig/right/image_raw", camera_name="RIGHT")
+    assert one.names[0] == "drive/1700000000.010000000"
+    assert one[0].camera_name == "RIGHT"
+    with pytest.raises(InputError, match=r"data\.camera_name is of one camera"):
+        dataset(path, image_topic="/rig/left/image_raw,/rig/right/image_raw", camera_name="RIGHT")

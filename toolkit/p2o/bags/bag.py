@@ -281,7 +281,7 @@ def _reading(path: Path) -> Iterator[None]:
         raise
     except ModuleNotFoundError as problem:
         raise MethodUnavailable(
-            f"bags are read by the package rosbags, which is not installed ({problem.name} is missing)",
+            f"bags are read by the package rosbags, which is not installed ({_package(problem)} is missing)",
             hint='run: pip install "rosbags>=0.11,<0.12"',
         ) from problem
     except P2OError as problem:
@@ -291,6 +291,10 @@ def _reading(path: Path) -> Iterator[None]:
     except Exception as problem:
         said = f"{type(problem).__name__}: {problem}" if str(problem) else type(problem).__name__
         raise InputError("the bag cannot be read", where=path, got=said[:200], hint=_advice(said)) from problem
+
+
+def _package(problem: ModuleNotFoundError) -> str:
+    return (problem.name or "it").partition(".")[0]
 
 
 def _advice(said: str) -> str:

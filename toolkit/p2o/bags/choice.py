@@ -103,6 +103,7 @@ def _one(bag: Bag, what: str, name: str | None, kinds: Sequence[str], found: Seq
             where=bag.path,
             expected=f"one of them: --set data.{what}_topic=NAME",
             got=", ".join(topic.name for topic in found),
+            hint="several joined by commas are the cameras of a rig" if what == "image" else None,
         )
     return found[0]
 
