@@ -36,7 +36,7 @@ def _words(value: object) -> object:
 class RosOptions(Options):
     """Options of ROS bags."""
 
-    root: Path = field(..., help="A .bag, .mcap or .db3 file, or the folder of a ROS 2 bag.")
+    root: Path = field(Path("."), help="A .bag, .mcap or .db3 file, or the folder of a ROS 2 bag.")
     image_topic: Annotated[tuple[str, ...], BeforeValidator(_words)] = field(
         (), help="Topic of the images; none: the only one. Several, joined by commas, are the cameras of a rig."
     )

@@ -179,3 +179,7 @@ def test_every_frame_is_good_for_data_check(tmp_path: Path, capsys: pytest.Captu
     root = Tree(tmp_path).write()
     assert main(["data", "check", f"nuscenes:{root}", "--set", "data.cameras=all"]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == "8 of 8 frames are good"
+
+
+def test_the_dataset_keeps_the_contract_of_its_slot(tmp_path: Path) -> None:
+    assert main(["check-plugin", "nuscenes", "--set", f"data.root={Tree(tmp_path).write()}"]) == 0

@@ -116,6 +116,7 @@ def test_a_run_on_a_bag_ends_where_a_run_on_its_frames_does(tmp_path: Path, synt
     }
     of_bag = p2o.calibrate(f"ros:{path}", **settings).result
     of_frames = p2o.calibrate([synthetic[0]], **settings).result
+    assert not np.allclose(of_bag.camera_from_lidar, settings["start"], atol=1e-5)
     assert np.array_equal(of_bag.camera_from_lidar, of_frames.camera_from_lidar)
     assert of_bag.status == of_frames.status
 
@@ -446,3 +447,8 @@ def test_several_cameras_of_a_bag_are_a_rig(tmp_path: Path) -> None:
     assert one[0].camera_name == "RIGHT"
     with pytest.raises(InputError, match=r"data\.camera_name is of one camera"):
         dataset(path, image_topic="/rig/left/image_raw,/rig/right/image_raw", camera_name="RIGHT")
+
+
+def test_the_dataset_keeps_the_contract_of_its_slot(tmp_path: Path) -> None:
+    path = write_bag(tmp_path, drive(intensity=np.ones(200, np.float32), t=np.linspace(0, 1e8, 200).astype(np.uint32)))
+    assert main(["check-plugin", "ros", "--set", f"data.root={path}"]) == 0
