@@ -84,6 +84,6 @@ def p2o_datasets() -> Iterator[Method]:
 @hookimpl
 def p2o_exporters() -> Iterator[Method]:
     """Offer the formats of results."""
-    from p2o_plugins.export import json_file, kitti_calib
+    from p2o_plugins.export import calibration_file, json_file
 
-    yield from (json_file.METHOD, kitti_calib.METHOD)
+    yield from (json_file.METHOD, *calibration_file.METHODS)

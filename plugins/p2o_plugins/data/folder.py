@@ -27,6 +27,8 @@ from p2o.arrays import Float
 from p2o.files.array_file import MAX_BYTES, read_npy
 from p2o.files.input_file import existing_folder, listing, naming, read_bytes, read_text
 from p2o.files.parsed_text import parse_yaml
+from p2o.formats.camera_entry import read_camera
+from p2o.frames.direction import check_direction
 from p2o.geometry.pose_text import read_extrinsic, read_pose
 from p2o.geometry.rough_start import rough_start
 from p2o.host.validation import validated
@@ -34,8 +36,6 @@ from pydantic import Field
 
 from p2o_plugins.data.cloud_file import SUFFIXES as CLOUD_SUFFIXES
 from p2o_plugins.data.cloud_file import read_cloud
-from p2o_plugins.data.direction import check_direction
-from p2o_plugins.data.frame_camera import read_camera
 from p2o_plugins.data.image_file import read_rgb, read_uint16
 from p2o_plugins.data.lazy_frames import LazyFrames
 

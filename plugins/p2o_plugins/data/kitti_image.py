@@ -9,9 +9,9 @@ import numpy as np
 from p2o import Image, InputError, RadialError
 from p2o.arrays import Float
 from p2o.files.input_file import naming
+from p2o.formats.kitti_calibration import MAX_BASELINE_M, baseline_m, rectified_camera
 
 from p2o_plugins.data.image_file import read_rgb, read_uint16
-from p2o_plugins.data.kitti_calibration import MAX_BASELINE_M, baseline_m, rectified_camera
 
 
 def read_rectified(

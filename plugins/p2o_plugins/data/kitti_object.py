@@ -8,8 +8,8 @@ from pathlib import Path
 
 from p2o import Dataset, Frame, InputError, Method, Options, field
 from p2o.files.input_file import existing_folder
+from p2o.formats.kitti_calibration import read_calibration, rectified_extrinsic
 
-from p2o_plugins.data.kitti_calibration import read_calibration, rectified_extrinsic
 from p2o_plugins.data.kitti_folder import paired, picture, pictures, sweeps
 from p2o_plugins.data.kitti_image import read_rectified
 from p2o_plugins.data.lazy_frames import LazyFrames

@@ -12,8 +12,8 @@ import numpy as np
 from p2o import Dataset, Frame, InputError, Method, Options, field, se3
 from p2o.arrays import Float
 from p2o.files.input_file import existing_folder, read_text
+from p2o.formats.kitti_calibration import camera_offset, read_calibration, rectified_extrinsic
 
-from p2o_plugins.data.kitti_calibration import camera_offset, read_calibration, rectified_extrinsic
 from p2o_plugins.data.kitti_folder import paired, picture, pictures, sweeps
 from p2o_plugins.data.kitti_image import read_rectified
 from p2o_plugins.data.lazy_frames import LazyFrames

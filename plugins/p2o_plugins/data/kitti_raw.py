@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from p2o import Camera, Dataset, Frame, Image, InputError, Method, Options, RadialError, field, se3
 from p2o.arrays import Float
 from p2o.files.input_file import existing_folder, naming, read_text
+from p2o.formats.kitti_calibration import KittiCalibration, read_calibration, rectified_extrinsic
 from pydantic import field_validator
 
 from p2o_plugins.data.disparity_speed import forward_speed
 from p2o_plugins.data.image_file import read_rgb
-from p2o_plugins.data.kitti_calibration import KittiCalibration, read_calibration, rectified_extrinsic
 from p2o_plugins.data.kitti_folder import is_number, paired, picture, pictures, sweeps
 from p2o_plugins.data.kitti_image import read_rectified, without_radial_error
 from p2o_plugins.data.kitti_oxts import has_fix, lidar_pose, read_packet, twist_of

@@ -12,11 +12,11 @@ import numpy as np
 from p2o import Camera, Dataset, Frame, Image, InputError, Method, Options, field, se3
 from p2o.arrays import Bool, Float
 from p2o.files.input_file import existing_folder, listing, naming, read_text
+from p2o.formats.kitti_calibration import MAX_BASELINE_M
 from pydantic import Field
 
 from p2o_plugins.data.depth_lidar import depth_sweep
 from p2o_plugins.data.image_file import read_rgb, read_uint16
-from p2o_plugins.data.kitti_calibration import MAX_BASELINE_M
 from p2o_plugins.data.kitti_folder import is_number
 from p2o_plugins.data.lazy_frames import LazyFrames
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from p2o import Frame, se3
+from p2o.formats.kitti_calibration import baseline_m, read_calibration
 from p2o.frames.accumulate import accumulated
 from p2o.frames.lidar_odometry import poses_by_gicp
-from p2o_plugins.data.kitti_calibration import baseline_m, read_calibration
 from p2o_plugins.data.kitti_object import KittiObjectOptions
 from p2o_plugins.data.kitti_object import build as build_object
 from p2o_plugins.data.kitti_oxts import read_packet, twist_of

@@ -149,10 +149,11 @@ class Result:
     `accuracy` says how wrong the pose is likely to be. Both are None where they cannot be told. `judged` holds what the
     method's judge makes of the start and of the estimate, `agreement` how the edges of both sensors meet, `rival` the
     next best pose that is another one; None where there is none. `verdict` says whether all this may be trusted, and
-    why not: a result that is not solved is refused. `cameras` says what the edges tell of each camera's calibration,
-    `motions` how the car moved during raw sweeps, `time` how much later than they say images of several frames were
-    taken, None where that cannot be told; `start_weight` what the start was worth where it was weighed in. `seconds` by
-    stage. `recipe` holds every resolved option.
+    why not: a result that is not solved is refused. `intrinsics` is the camera that the pose is for: that of the
+    frames, corrected where `cameras` says so; None where they are of several. `cameras` says what the edges tell of
+    each camera's calibration, `motions` how the car moved during raw sweeps, `time` how much later than they say images
+    of several frames were taken, None where that cannot be told; `start_weight` what the start was worth where it was
+    weighed in. `seconds` by stage. `recipe` holds every resolved option.
     """
 
     frames: tuple[str, ...]
@@ -169,6 +170,7 @@ class Result:
     agreement: Agreement | None = None
     rival: Rival | None = None
     verdict: Verdict = None  # type: ignore[assignment]  # filled in below
+    intrinsics: Camera | None = None
     cameras: tuple[CameraCheck, ...] = ()
     motions: tuple[SweepMotion, ...] = ()
     time: TimeOffset | None = None

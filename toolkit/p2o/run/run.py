@@ -423,7 +423,10 @@ def _calibrate_one(assembly: Assembly, begin: _Begin, stamp: Mapping[str, Any]) 
         if _strict():
             raise
         result = Result(tuple(f.name for f in frames), start, start, Status.STAGE_FAILED, str(problem))
-    result = replace(result, warnings=(*result.warnings, *begin.warnings), **stamp)
+    cameras = {frame.camera for frame in frames}
+    intrinsics = result.camera_of(*cameras) if len(cameras) == 1 else None
+    warnings = (*result.warnings, *begin.warnings)
+    result = replace(result, warnings=warnings, intrinsics=intrinsics, **stamp)
     if truth is None:
         return Row(result, None, None, None, begin.camera)
     return Row(result, truth, pose_error(start, truth), pose_error(result.camera_from_lidar, truth), begin.camera)

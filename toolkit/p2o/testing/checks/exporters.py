@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from p2o.errors import P2OError
+from p2o.geometry.camera import Camera
 from p2o.host.method import Kind
 from p2o.results.accuracy import Accuracy
 from p2o.results.evidence import Agreement, Judged, Rival, StartWeight
@@ -61,6 +62,7 @@ def _result() -> Result:
         agreement=Agreement(0.5, 0.1, 78),
         rival=Rival(1.0, "edges", 1.5, 0.2),
         start_weight=StartWeight(2.0, 0.1, np.eye(4), Accuracy(0.2, 0.05, 0.5, 0.12), 0.01, 0.002),
+        intrinsics=Camera.pinhole(700, 700, 320, 120, 640, 240),
         verdict=Verdict((Reason(Doubt.RIVAL_POSE, "another pose fits as well"),)),
         seconds={"extract": 0.5},
         recipe={"matcher": "ogm"},

@@ -7,19 +7,17 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from p2o import Camera, InputError, Options, UnknownNameError, field
+
 from p2o.arrays import Float
+from p2o.errors import InputError, UnknownNameError
 from p2o.files.input_file import naming
+from p2o.formats.lens import colmap_model
+from p2o.geometry.camera import Camera
 from p2o.geometry.pose_text import numbers
 from p2o.host.validation import validated
+from p2o.options import Options, field
 
 _FORMS = "model, width, height and params; or width, height, K and, with distortion, distortion_model and D"
-_COUNTS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (0, 8, 12, 14), "equidistant": (4,)}
-_COEFFICIENTS = {
-    "plumb_bob": "k1 k2 p1 p2, or k1 k2 p1 p2 k3",
-    "rational_polynomial": "k1 k2 p1 p2 k3 k4 k5 k6",
-    "equidistant": "k1 k2 k3 k4",
-}
 
 
 class ModelEntry(Options):
@@ -55,7 +53,7 @@ def read_camera(value: Any, where: Path) -> Camera:
     """
     if not isinstance(value, Mapping) or ("params" in value) == ("K" in value):
         raise InputError("this is no camera", where=where, expected=_FORMS, got=f"camera: {value}"[:80])
-    entry_type = MatrixEntry if "K" in value else ModelEntry
+    entry_type: type[MatrixEntry] | type[ModelEntry] = MatrixEntry if "K" in value else ModelEntry
     unknown = next((key for key in value if key not in entry_type.model_fields), None)
     if unknown is not None:
         known = entry_type.model_fields
@@ -71,33 +69,16 @@ def read_camera(value: Any, where: Path) -> Camera:
 def _colmap(entry: MatrixEntry) -> tuple[str, tuple[float, ...]]:
     """Return the pycolmap model and its parameters."""
     matrix = numbers(entry.K, (3, 3))
-    if matrix is None or not _without_skew(matrix):
+    if matrix is None or not without_skew(matrix):
         raise InputError(
             "camera.K is no intrinsic matrix",
             expected="fx 0 cx, 0 fy cy, 0 0 1, nested or in a row, without skew",
             got=str(entry.K)[:80],
         )
     pinhole = (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2])
-    name, d = entry.distortion_model, entry.D
-    if name is None:
-        if any(d):
-            raise InputError("camera.distortion_model is not said", expected=" or ".join(_COUNTS), got=f"D of {d}")
-        return "PINHOLE", pinhole
-    # OpenCV's longer forms end in a thin prism and a tilt, which no model here has.
-    if len(d) not in _COUNTS[name] or any(d[8:]):
-        raise InputError(
-            f"camera.D does not fit {name}",
-            expected=_COEFFICIENTS[name],
-            got=f"{len(d)} numbers" if len(d) not in _COUNTS[name] else "coefficients beyond k6",
-        )
-    if name == "equidistant":
-        return "OPENCV_FISHEYE", (*pinhole, *d)
-    if not any(d):
-        return "PINHOLE", pinhole
-    if not any(d[4:]):
-        return "OPENCV", (*pinhole, *d[:4])
-    return "FULL_OPENCV", (*pinhole, *(*d, 0.0, 0.0, 0.0)[:8])
+    return colmap_model(entry.distortion_model, entry.D, pinhole)
 
 
-def _without_skew(matrix: Float) -> bool:
+def without_skew(matrix: Float) -> bool:
+    """Return whether a matrix (3, 3) is fx 0 cx, 0 fy cy, 0 0 1."""
     return bool((np.abs(matrix[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]] - (0, 0, 0, 0, 1)) <= 1e-9).all())

@@ -1,4 +1,4 @@
-"""The exporter `kitti` writes what readers of KITTI's calibration files read, digit by digit."""
+"""Exporters of other systems' files write what their readers read; refused results are not written."""
 
 from __future__ import annotations
 
@@ -7,12 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from p2o import InputError, Result, Status, se3
-from p2o_plugins.data.kitti_calibration import read_calibration
-from p2o_plugins.export.kitti_calib import METHOD
+from p2o import Camera, InputError, Result, Status, se3
+from p2o.formats.files import read_file
+from p2o.formats.kitti_calibration import read_calibration
+from p2o_plugins.export.calibration_file import METHODS
 
 POSE = se3.exp(np.array([0.1, 0.2, 0.3, 1 / 3, -2 / 7, 1e-9]))
-RESULT = Result(("scene-0000",), np.eye(4), POSE, Status.CONVERGED, "done")
+CAMERA = Camera.pinhole(700, 700, 320, 120, 640, 240)
+RESULT = Result(("scene-0000",), np.eye(4), POSE, Status.CONVERGED, "done", intrinsics=CAMERA)
+BY_NAME = {method.name: method for method in METHODS}
+METHOD = BY_NAME["kitti"]
 
 
 def _exported(tmp_path: Path, layout: str):
@@ -47,3 +51,27 @@ def test_a_result_without_a_new_pose_is_refused_and_nothing_is_written(tmp_path:
 def test_a_missing_folder_is_an_error_of_ours(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot write the file"):
         METHOD.build(METHOD.options())(RESULT, tmp_path / "nowhere" / "calib.txt")
+
+
+def test_the_forms_that_people_ask_for_are_there() -> None:
+    wanted = {"ros2", "autoware", "koide", "opencalib", "kalibr", "colmap", "colmap-cameras", "opencv", "npy", "text"}
+    assert wanted | {"kitti", "matrix", "camera-info"} <= set(BY_NAME)
+
+
+@pytest.mark.parametrize("name", sorted(BY_NAME))
+def test_every_exporter_writes_what_is_read_back(tmp_path: Path, name: str) -> None:
+    method, path = BY_NAME[name], tmp_path / "result.out"
+    method.build(method.options())(RESULT, path)
+    found = read_file(path)
+    if found.camera_from_lidar is not None:
+        np.testing.assert_allclose(found.camera_from_lidar, POSE, atol=1e-12)
+    assert found.camera in (None, CAMERA)
+    assert found.held
+
+
+@pytest.mark.parametrize("name", ["koide", "kalibr", "camera-info"])
+def test_a_result_of_several_cameras_has_none_to_write(tmp_path: Path, name: str) -> None:
+    method = BY_NAME[name]
+    with pytest.raises(InputError, match="there is no camera"):
+        method.build(method.options())(replace(RESULT, intrinsics=None), tmp_path / "calib.out")
+    assert list(tmp_path.iterdir()) == []

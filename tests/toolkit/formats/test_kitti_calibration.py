@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from p2o import InputError, UnknownNameError, se3
-from p2o_plugins.data.kitti_calibration import (
+from p2o.formats.kitti_calibration import (
     KittiCalibration,
     baseline_m,
     camera_offset,
@@ -14,7 +14,7 @@ from p2o_plugins.data.kitti_calibration import (
     rectified_extrinsic,
 )
 
-from .kitti_files import BASELINE_M, PROJECTIONS, R_RECT, VELO_TO_CAM, numbers, write_lines
+from tests.plugins.data.kitti_files import BASELINE_M, PROJECTIONS, R_RECT, VELO_TO_CAM, numbers, write_lines
 
 
 def calibration(tmp_path: Path, **lines: object) -> KittiCalibration:

@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from p2o import Camera, Cloud, InputError, se3
-from p2o_plugins.data.direction import check_direction, vertical
+from p2o.frames.direction import check_direction, vertical
 
-from .kitti_files import VELO_TO_CAM
+from tests.plugins.data.kitti_files import VELO_TO_CAM
 
 CAMERA = Camera.pinhole(600, 600, 500, 200, 1000, 400)
 

@@ -11,8 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from p2o import Camera, Cloud, InputError, se3
+
 from p2o.arrays import Float
+from p2o.errors import InputError
+from p2o.frames.cloud import Cloud
+from p2o.geometry import se3
+from p2o.geometry.camera import Camera
 
 _HINT = "give its inverse, the pose that takes LiDAR points to the camera (x right, y down, z forward)"
 # Points that are looked at for the vertical and the fewest that tell it, how much less they spread along it than along

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from p2o import InputError
-from p2o_plugins.data.frame_camera import read_camera
+from p2o.formats.camera_entry import read_camera
 
 WHERE = Path("frame.yaml")
 K = [[700.0, 0, 640.0], [0, 705.0, 360.0], [0, 0, 1]]

@@ -7,9 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from p2o import Camera, InputError, UnknownNameError, se3
+
 from p2o.arrays import Float
+from p2o.errors import InputError, UnknownNameError
 from p2o.files.input_file import read_text
+from p2o.geometry import se3
+from p2o.geometry.camera import Camera
 
 _LARGEST = 1e7
 """Pixels, or pixels times metres: no calibration holds more."""
@@ -97,7 +100,12 @@ class KittiCalibration:
 
 def read_calibration(path: Path) -> KittiCalibration:
     """Return the lines of a calibration file; raises InputError if it is missing, empty or of another format."""
-    lines = [line for line in read_text(path, "calibration file").splitlines() if line.strip()]
+    return calibration_of(read_text(path, "calibration file"), path)
+
+
+def calibration_of(text: str, path: Path) -> KittiCalibration:
+    """Return the lines of the text of a calibration file; raises InputError as `read_calibration`."""
+    lines = [line for line in text.splitlines() if line.strip()]
     pairs = [line.partition(":") for line in lines]
     bad = next((line for line, (_, colon, _) in zip(lines, pairs, strict=True) if not colon), None)
     if bad is not None or not pairs:
