@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -28,9 +28,9 @@ from p2o.files.array_file import MAX_BYTES, read_npy
 from p2o.files.input_file import existing_folder, listing, naming, read_bytes, read_text
 from p2o.files.parsed_text import parse_yaml
 from p2o.formats.camera_entry import read_camera
+from p2o.formats.files import camera_words, extrinsic_words, names_file, start_words
 from p2o.frames.direction import check_direction
 from p2o.geometry.pose_text import read_extrinsic, read_pose
-from p2o.geometry.rough_start import rough_start
 from p2o.host.validation import validated
 from pydantic import Field
 
@@ -98,7 +98,7 @@ _TARGETS: dict[str, type[CheckerboardEntry | HolesEntry]] = {"checkerboard": Che
 class FrameEntry(Options):
     """What frame.yaml holds; file names are relative to its folder."""
 
-    camera: Any = field(..., help="The camera that took the image: a model with parameters, or K and D.")
+    camera: Any = field(..., help="The camera that took the image: a model with parameters, K and D, or a file.")
     image: str | None = field(None, help="File of the image; default: image.*, or the only picture of the folder.")
     cloud: str | None = field(None, help="File of the sweep; default: cloud.*, or the only point cloud of the folder.")
     cloud_columns: tuple[str, ...] | None = field(
@@ -106,9 +106,9 @@ class FrameEntry(Options):
         help="Columns of a .bin or .txt sweep: x y z intensity ring time, _ for others; default: the values tell.",
     )
     start: Any = field(
-        None, help="First guess of camera_from_lidar: rows of numbers, rotation and translation, or words."
+        None, help="First guess of camera_from_lidar: rows of numbers, rotation and translation, words, or a file."
     )
-    truth: Any = field(None, help="True camera_from_lidar where it is known.")
+    truth: Any = field(None, help="True camera_from_lidar where it is known, as start, or a file.")
     right: str | None = field(None, help="File of the right picture of a rectified pair.")
     baseline_m: float | None = field(
         None, gt=0, le=1000, help="Distance in metres from the image's camera to the right one."
@@ -219,16 +219,16 @@ def _read(root: Path, faults: Mapping[Path, InputError], folder: Path) -> Frame:
     if folder in faults:
         raise faults[folder]
     entry = read_frame_file(path)
-    camera = read_camera(entry.camera, path)
+    place = partial(_inside, root, folder)
+    said = entry.camera
+    camera = camera_words(said, path, place) if isinstance(said, str) else read_camera(said, path)
     if (entry.right is None) != (entry.baseline_m is None):
         raise InputError(
             "a rectified pair needs its right picture and its baseline", where=path, expected="right, baseline_m"
         )
     read = {
         **{
-            name: (rough_start(value, path), ())
-            if name == "start" and isinstance(value, str)
-            else read_extrinsic(name, value, path)
+            name: _extrinsic(name, value, path, place)
             for name in _EXTRINSICS
             if (value := getattr(entry, name)) is not None
         },
@@ -280,6 +280,15 @@ def _read(root: Path, faults: Mapping[Path, InputError], folder: Path) -> Frame:
         targets=targets,
         camera_name=entry.camera_name,
     )
+
+
+def _extrinsic(name: str, value: Any, path: Path, place: Callable[[str], Path]) -> tuple[Float, tuple[str, ...]]:
+    """Return camera_from_lidar (4, 4) of a value of frame.yaml, and remarks; a text is words or a calibration file."""
+    if isinstance(value, str) and name == "start":
+        return start_words(value, path, place)
+    if isinstance(value, str) and names_file(value):
+        return extrinsic_words(value, path, place)
+    return read_extrinsic(name, value, path)
 
 
 def _target(name: str, values: Mapping[str, Any], path: Path) -> Target:

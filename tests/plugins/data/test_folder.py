@@ -8,9 +8,11 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from p2o import Checkerboard, HoleBoard, InputError, UnknownNameError, se3
+from p2o import Camera, Checkerboard, HoleBoard, InputError, UnknownNameError, se3
+from p2o.formats.calibration import Calibration
+from p2o.formats.files import formats
 from p2o.geometry.pose_text import read_extrinsic
-from p2o_plugins.data.folder import FolderOptions, build
+from p2o_plugins.data.folder import FolderOptions, build, read_frame_file
 from p2o_plugins.data.lazy_frames import LazyFrames
 from scipy.spatial.transform import Rotation
 
@@ -543,3 +545,45 @@ def test_a_name_of_a_camera_that_is_no_word_is_refused(tmp_path: Path, name: str
     write_frame(tmp_path, camera_name=name)
     with pytest.raises(InputError, match="the name of a camera is no word"):
         dataset(tmp_path)[0]
+
+
+def test_camera_start_and_truth_may_be_calibration_files(tmp_path: Path) -> None:
+    """Files of other tools lie beside the frame, or above it within the dataset; their direction is their own."""
+    home = tmp_path / "yard"
+    home.mkdir()
+    write_frame(home, camera="../camchain.yaml#cam0", start="calib.json", truth="pose.yaml")
+    entry = read_frame_file(home / "frame.yaml")
+    assert entry.camera == "../camchain.yaml#cam0"
+    pose = se3.make([[0, -1, 0], [0, 0, -1], [1, 0, 0]], [0, -0.08, -0.27])
+    camera = Camera.pinhole(50, 50, 31, 15.5, WIDTH, HEIGHT)
+    given = Calibration(camera, pose)
+    places = {"kalibr": tmp_path / "camchain.yaml", "koide": home / "calib.json", "text": home / "pose.yaml"}
+    for name, path in places.items():
+        path.write_bytes(formats()[name].written(given))
+    [frame] = dataset(tmp_path)
+    assert frame.camera == camera
+    np.testing.assert_allclose(frame.start, pose, atol=1e-12)
+    np.testing.assert_allclose(frame.camera_from_lidar, pose, atol=1e-12)
+
+
+def test_a_calibration_file_that_leaves_the_dataset_is_not_read(tmp_path: Path) -> None:
+    write_frame(tmp_path, camera="../camchain.yaml#cam0")
+    with pytest.raises(InputError, match=r"'../camchain.yaml' leaves the folder of the dataset"):
+        dataset(tmp_path)[0]
+
+
+def test_a_calibration_file_that_is_missing_is_named(tmp_path: Path) -> None:
+    write_frame(tmp_path, start="calib.json")
+    with pytest.raises(InputError, match=r"calib.json: the calibration file is missing"):
+        dataset(tmp_path)[0]
+
+
+def test_a_calibration_file_in_the_wrong_direction_is_noticed(tmp_path: Path) -> None:
+    write_frame(tmp_path, start="pose.npy")
+    np.save(tmp_path / "pose.npy", se3.inverse(VELO_TO_CAM))
+    points = sweep()
+    write_sweep(tmp_path / "cloud.bin", points[np.abs(np.arctan2(points[:, 1], points[:, 0])) < 0.7])
+    with pytest.raises(InputError, match=r"frame\.yaml: start looks like lidar_from_camera"):
+        dataset(tmp_path)[0]
+    write_frame(tmp_path, start="pose.npy?direction=lidar_from_camera")
+    np.testing.assert_allclose(dataset(tmp_path)[0].start, VELO_TO_CAM, atol=1e-9)

@@ -172,3 +172,14 @@ def test_frames_of_unknown_no_or_several_cameras_and_cameras_without_frames_are_
         groups(rig, ["a1"])
     with pytest.raises(InputError, match=r"camera RIGHT has no frames; .*leave the camera out of the rig file"):
         groups(rig, ["a0", "a2"])
+
+
+def test_a_place_against_the_lidar_may_be_a_calibration_file_beside_the_rig_file(tmp_path: Path) -> None:
+    pose = se3.exp(np.array([0.1, 0.2, 0.3, 1, 2, 3]))
+    for name in ("front", "left"):
+        np.savetxt(tmp_path / f"{name}.txt", pose)
+    (tmp_path / "rig.yaml").write_text("front: {camera_from_lidar: front.txt}\nleft: {camera_from_lidar: left.txt}\n")
+    rig = Rig.of(str(tmp_path / "rig.yaml"))
+    assert rig is not None
+    np.testing.assert_allclose(rig.start_of("left"), pose, atol=1e-12)
+    assert "does not say its direction" in rig.warnings["left"][0]

@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import p2o
 import pytest
-from p2o import InputError
+from p2o import Camera, InputError, se3
 from p2o.cli import main
+from p2o.formats.calibration import Calibration
+from p2o.formats.files import formats
 from p2o.geometry.rough_start import rough_start
 from p2o.run.recipe import Recipe
 from p2o.run.run import run
@@ -54,3 +56,39 @@ def test_what_contradicts_the_words_is_refused() -> None:
         run(Recipe.of(start=f"roughly {WORDS}").resolve(registry), start=np.eye(4))
     with pytest.raises(InputError, match='expected "roughly x forward, z up; camera looks forward"'):
         p2o.calibrate("synthetic:", start="ahead", registry=registry)
+
+
+def test_a_start_may_be_a_calibration_file_of_another_tool(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, pose = tmp_path / "transform.sh", rough_start(f"roughly {WORDS}")
+    path.write_bytes(formats()["ros2"].written(Calibration(None, pose)))
+    data = "synthetic:?width_px=160&height_px=64&lidar=vlp-16&right=false"
+    assert main(["run", "--data", data, *SPY, "--json", "--start", str(path)]) == 0
+    [row] = json.loads(capsys.readouterr().out)["results"]
+    np.testing.assert_allclose(row["camera_from_lidar"], pose, atol=1e-12)
+    assert row["recipe"]["start"] == str(path)
+    assert row["intrinsics"]["width"] == 160
+
+
+def test_a_start_file_without_a_direction_is_checked_against_the_sweep(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The inverse of a pose with x forward lies on its side; and that the file says no direction is told."""
+    path, pose = tmp_path / "pose.npy", rough_start(f"roughly {WORDS}")
+    data = "synthetic:?width_px=160&height_px=64&lidar=vlp-16&right=false"
+    np.save(path, pose)
+    assert main(["run", "--data", data, *SPY, "--json", "--start", str(path)]) == 0
+    [row] = json.loads(capsys.readouterr().out)["results"]
+    assert any("does not say its direction" in warning for warning in row["warnings"])
+    assert not any("may be lidar_from_camera" in warning for warning in row["warnings"])
+    np.save(path, se3.inverse(pose))
+    code = main(["run", "--data", data, *SPY, "--json", "--start", str(path)])
+    told = capsys.readouterr()
+    warnings = [] if code == 2 else json.loads(told.out)["results"][0]["warnings"]
+    assert "looks like lidar_from_camera" in told.err or any("may be lidar_from_camera" in text for text in warnings)
+
+
+def test_a_start_file_that_holds_a_camera_alone_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "camera.yaml"
+    path.write_bytes(formats()["camera-info"].written(Calibration(Camera.pinhole(10, 10, 5, 5, 10, 10))))
+    with pytest.raises(InputError, match="there is no extrinsic in it"):
+        Recipe.of(start=str(path)).resolve(p2o.Registry.load(environ={}))

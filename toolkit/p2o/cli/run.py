@@ -22,7 +22,20 @@ if TYPE_CHECKING:
     from p2o.run.run import FailedFrame, Progress, Row
 
 
-@click.command("run")
+class _Run(click.Command):
+    """The command, which takes `--start roughly "WORDS"` in two words, and `--start FILE` in one."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        joined: list[str] = []
+        for word in args:
+            if joined[-2:] == ["--start", "roughly"]:
+                joined[-1] = f"roughly {word}"
+            else:
+                joined.append(word)
+        return super().parse_args(ctx, joined)
+
+
+@click.command("run", cls=_Run)
 @click.option("--data", metavar="DATASET:PATH", help="What to calibrate (default: a synthetic scene, synthetic:).")
 @click.option(
     "--frames", metavar="SPEC", help="all, indices and ranges (0,4-7), @splits.json#test, or names (default: all)."
@@ -48,9 +61,9 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--start",
-    nargs=2,
-    metavar='roughly "x forward, z up; camera looks forward"',
-    help="Begin at a pose told in words: two axes of the LiDAR, where the camera looks, and where it is if known.",
+    metavar='roughly "x forward, z up; camera looks forward" | FILE',
+    help="Begin at a pose told in words: two axes of the LiDAR, where the camera looks, and where it is if known; "
+    "or at that of a calibration file (the forms of `p2o convert`).",
 )
 @click.option("--protocol", metavar="NAME", help="Draw starts, and report errors, as a publication does.")
 @click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Seed of everything random (default: 0).")
@@ -112,8 +125,6 @@ def command(
         protocol = words.pop("protocol", None)
         if protocol is not None:
             words["perturb"] = starts_of(protocol, words.get("perturb"), "--protocol")
-        if "start" in words:
-            words["start"] = " ".join(words["start"])
         if settings:
             words["options"] = parse_settings(settings)
         plan = Recipe.of(**words).resolve(registry)

@@ -17,6 +17,7 @@ from p2o.formats.calibration import Calibration
 from p2o.formats.format import Format, Reading
 from p2o.formats.source import Source
 from p2o.geometry.camera import Camera
+from p2o.geometry.rough_start import rough_start
 from p2o.host.validation import validated
 
 _FORM = re.compile(
@@ -105,7 +106,9 @@ def read_file(path: Path, form: str | None = None, **reading: Any) -> Calibratio
     return found
 
 
-def read_words(text: str, where: object = None, place: Callable[[str], Path] = expanded) -> Calibration:
+def read_words(
+    text: str, where: object = None, place: Callable[[str], Path] = expanded, form: str | None = None
+) -> Calibration:
     """Return what FILE, FILE#NAME or FILE?FIELD=VALUE&... holds, as `read_file`; `place` makes a path of the file.
 
     NAME is a camera of several, fields are those of `Reading` and `form`.
@@ -119,7 +122,8 @@ def read_words(text: str, where: object = None, place: Callable[[str], Path] = e
         if key in fields:
             raise InputError(f"{key} is said twice", where=where, expected="each once", got=text)
         fields[key] = value
-    return read_file(place(match["file"]), fields.pop("form", None), **fields)
+    said = fields.pop("form", None)
+    return read_file(place(match["file"]), form or said, **fields)
 
 
 def camera_words(text: str, where: object = None, place: Callable[[str], Path] = expanded) -> Camera:
@@ -143,6 +147,25 @@ def extrinsic_words(
     return found.extrinsic(text), found.remarks
 
 
-def joined(extrinsic: Calibration, camera: Calibration) -> Calibration:
-    """Return the extrinsic of one calibration with the camera of another."""
-    return replace(extrinsic, camera=camera.intrinsics())
+def start_words(
+    text: str, where: object = "start", place: Callable[[str], Path] = expanded
+) -> tuple[Float, tuple[str, ...]]:
+    """Return camera_from_lidar (4, 4) of a text, and remarks: words ("roughly x forward, ...") or a calibration file.
+
+    Raises InputError as `rough_start` or `extrinsic_words`.
+    """
+    if names_file(text):
+        return extrinsic_words(text, where, place)
+    return rough_start(text, where), ()
+
+
+def names_file(text: str) -> bool:
+    """Return whether a start names a file: it has a suffix, and does not begin with "roughly"."""
+    match = _FORM.fullmatch(text.strip())
+    head = text.lower().split(maxsplit=1)[:1]
+    return match is not None and head != ["roughly"] and bool(re.search(r"\.\w{1,8}$", match["file"]))
+
+
+def joined(extrinsic: Calibration, camera: Calibration, where: object = None) -> Calibration:
+    """Return the extrinsic of one calibration with the camera of another; raises InputError where it has none."""
+    return replace(extrinsic, camera=camera.intrinsics(where), remarks=(*extrinsic.remarks, *camera.remarks))

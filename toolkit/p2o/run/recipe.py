@@ -44,8 +44,9 @@ class Recipe(BaseModel):
     `data` is DATASET:PATH, or None where frames are handed over in Python; `frames` says which of them; `extractor`
     is IMAGE/CLOUD; `calibrator` replaces extractor, matcher, solver and init by one whole method; `options` maps
     stage to field to value; `perturb` is a text such as "2deg 0.15m", or "camera @FILE" for a list of starts; `start`
-    tells in words where the camera looks (`p2o.geometry.rough_start`); `joint` gives one result for all frames. `rig`
-    gives one for each camera: True where frames name their camera, else a rig file or its content (`p2o.run.rig`).
+    tells in words where the camera looks (`p2o.geometry.rough_start`), or names a calibration file; `joint` gives one
+    result for all frames. `rig` gives one for each camera: True where frames name their camera, else a rig file or its
+    content (`p2o.run.rig`).
     `accumulate` names a method that joins sweeps of a sequence. `witness` is IMAGE/CLOUD, extractors whose edges check
     results of methods without edges of their own: None takes those of the default recipe where frames allow it, "none"
     goes without.
@@ -87,13 +88,13 @@ class Recipe(BaseModel):
         fit, PluginError where a name is offered twice.
         """
         from p2o.calibration.pipeline import PipelineOptions
-        from p2o.geometry.rough_start import rough_start
+        from p2o.formats.files import start_words
         from p2o.geometry.start_list import parse_starts
 
         if self.perturb is not None:
             parse_starts(self.perturb)
         if self.start is not None:
-            rough_start(self.start)
+            start_words(self.start)
             if self.perturb is not None:
                 raise InputError("both a start and a perturbation are given", expected="one of them")
         names, said = self._names()

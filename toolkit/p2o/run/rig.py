@@ -16,6 +16,7 @@ from p2o.arrays import Float
 from p2o.errors import InputError, UnknownNameError
 from p2o.files.input_file import expanded, read_text
 from p2o.files.parsed_text import parse_json, parse_yaml
+from p2o.formats.files import extrinsic_words
 from p2o.frames.frame import check_camera_name
 from p2o.geometry import se3
 from p2o.geometry.motion import pose_at
@@ -39,7 +40,9 @@ class CameraEntry(Options):
     camera_from_body: Any = option(None, help="Place of the body in the camera.")
     body_from_camera: Any = option(None, help="Place of the camera on the body.")
     camera_from_camera: Any = option(None, help="Place of the `reference` camera in this one.")
-    camera_from_lidar: Any = option(None, help="Place of the LiDAR as known before: the body is that LiDAR.")
+    camera_from_lidar: Any = option(
+        None, help="Place of the LiDAR as known before, or a calibration file: the body is that LiDAR."
+    )
     image_before_sweep_s: float = option(
         0.0, ge=-1, le=1, help="How long before the time of the sweep the image was taken, in seconds."
     )
@@ -249,7 +252,7 @@ def _places(
     places, remarks = {}, {}
     for name, camera in cameras.items():
         value = getattr(camera, word)
-        pose, told = (np.eye(4), ()) if value is None else read_pose(f"{name}.{word}", value, Path(where))
+        pose, told = (np.eye(4), ()) if value is None else _place(f"{name}.{word}", word, value, Path(where))
         pose = se3.inverse(pose) if word == "body_from_camera" else pose
         early_s = camera.image_before_sweep_s
         if entry.twist is not None:
@@ -261,6 +264,13 @@ def _places(
         if told:
             remarks[name] = tuple(told)
     return places, remarks
+
+
+def _place(name: str, word: str, value: Any, where: Path) -> tuple[Float, tuple[str, ...]]:
+    """Return the pose (4, 4) of a word, and remarks; a text is a calibration file beside the rig file."""
+    if word == "camera_from_lidar" and isinstance(value, str):
+        return extrinsic_words(value, where, lambda file: where.parent / expanded(file))
+    return read_pose(name, value, where)
 
 
 def _check_reference(entry: RigEntry, cameras: Mapping[str, CameraEntry], word: str, where: Path | str) -> None:

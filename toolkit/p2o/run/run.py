@@ -14,11 +14,12 @@ import numpy as np
 from p2o.arrays import Float
 from p2o.calibration.fusion import rig_result
 from p2o.errors import InputError, P2OError, PluginError
+from p2o.formats.files import names_file, start_words
+from p2o.frames.direction import check_direction
 from p2o.frames.frame import Dataset, Frame
 from p2o.frames.selection import select
 from p2o.geometry import se3
 from p2o.geometry.pose_error import PoseError, pose_error, summarise
-from p2o.geometry.rough_start import rough_start
 from p2o.geometry.start_list import StartList, parse_starts
 from p2o.host.registry import Registry
 from p2o.results.result import Result, Status
@@ -194,7 +195,8 @@ def calibrate(
     """Calibrate frames and return a `Run`; the same as `p2o run`, whose help explains the words.
 
     `data` is a text DATASET:PATH, a dataset, frames or one frame. `start` is camera_from_lidar (4, 4) to begin with, or
-    tells it in words (`p2o.geometry.rough_start`); without it and without `perturb` each frame's own start is used.
+    tells it in words (`p2o.geometry.rough_start`) or by a calibration file (`p2o.formats`); without it and without
+    `perturb` each frame's own start is used.
     `options` maps stage to field to value, or lists texts STAGE.FIELD=VALUE. `protocol` names a publication's
     (`p2o.run.protocol`): its starts are drawn, and its figures are in `Run.summary`. `rig` gives a row for each camera:
     True where frames name theirs, else a rig file or its content, and `Run.rig` where that tells how the cameras are
@@ -280,10 +282,11 @@ def run(
     calibrated.
     """
     recipe = plan.recipe
+    told: tuple[str, ...] = ()
     if recipe.start is not None:
         if start is not None:
             raise InputError("a start is given twice, as a pose and in words", expected="one of them")
-        start = rough_start(recipe.start)
+        start, told = start_words(recipe.start, "--start")
     if start is not None:
         if plan.rig is not None:
             raise InputError(
@@ -297,7 +300,7 @@ def run(
     dataset: Sequence[Frame] | Dataset = plan.dataset() if frames is None else plan.joined(frames)
     names, indices = _selected(dataset, recipe.frames)
     cameras: dict[int, str] = {}
-    remarks: Mapping[str, tuple[str, ...]] = {}
+    remarks: Mapping[str, tuple[str, ...]] = {"": told}
     if plan.rig is None:
         groups = [indices] if recipe.joint else [[index] for index in indices]
     else:
@@ -451,7 +454,11 @@ def start_of(
 ) -> tuple[Float, tuple[str, ...]]:
     """Return the start and what has to be said about it; `listed` are the `listed_errors` by index."""
     if start is not None:
-        return start, ()
+        if recipe.start is None or not names_file(recipe.start):
+            return start, ()
+        # What a file of another tool calls its transform is often the inverse.
+        frame = frames[0]
+        return start, check_direction(frame.cloud, frame.camera, start, name="the start", where=recipe.start)
     if recipe.perturb is not None:
         if truth is None:
             raise InputError(
