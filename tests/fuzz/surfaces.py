@@ -15,6 +15,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
+import numpy as np
 import yaml
 from p2o.cli import main
 
@@ -623,6 +624,37 @@ def pairs(rng: Random, bases: Bases, home: Path) -> Case:
     return Case((*argv, "--set", f"calibrator.pairs=in/pairs{suffix}"))
 
 
+def calibration(rng: Random, bases: Bases, home: Path) -> Case:
+    """A calibration file of any form, with wrong bytes or values, converted to any other."""
+    from p2o import Camera
+    from p2o.formats.calibration import Calibration
+    from p2o.formats.files import formats
+
+    written = {name: form for name, form in formats().items() if form.write is not None}
+    name, form = rng.choice(list(written.items()))
+    camera = Camera("OPENCV", 160, 96, (92.0, 93.0, 80.0, 48.0, 0.1, 0.01, 0.0, 0.001))
+    data = form.written(Calibration(camera, np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])))
+    tree = None
+    if form.suffix in (".json", ".yaml") and name != "opencv" and rng.random() < 0.6:
+        tree = tree_of(rng, yaml.safe_load(data))
+    if tree is None:
+        data = bytes_of(rng, data)
+    else:
+        try:
+            data = json.dumps(tree).encode("utf-8", "surrogatepass")
+        except (TypeError, ValueError):
+            data = yaml.safe_dump(str(tree)).encode("utf-8", "surrogatepass")
+    path = home / f"in/calibration{form.suffix}"
+    path.write_bytes(data)
+    if rng.random() < 0.05:
+        _swap(rng, path)
+    said = rng.choice(
+        ("", "", "", "#cam0", "#P2", "?width=640&height=480", f"?camera_frame={_word(rng)}", f"#{_word(rng)}")
+    )
+    to = rng.choice((*written, f"ros2?camera_frame={_word(rng)}", "ros2?form=urdf", _word(rng)))
+    return Case(("convert", f"in/{path.name}{said}", f"{OUT}/calibration", "--to", to))
+
+
 SURFACES: Mapping[str, tuple[int, Draw]] = {
     "sweep": (20, sweep),
     "picture": (13, picture),
@@ -630,6 +662,7 @@ SURFACES: Mapping[str, tuple[int, Draw]] = {
     "rig": (5, rig),
     "layout": (13, layout),
     "bag": (8, bag),
+    "calibration": (4, calibration),
     "words": (16, words),
     "study": (7, study),
     "store": (6, store),
