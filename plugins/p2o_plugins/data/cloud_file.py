@@ -1,4 +1,4 @@
-"""Reading a sweep from a file: .bin and .txt (KITTI), .pcd, .ply and .npz."""
+"""Reading a sweep from a file: .bin and .txt (KITTI), .pcd, .ply, .npz, .las and .laz."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from p2o.files.array_file import read_npz as read_archive
 from p2o.files.input_file import naming, read_bytes
 
 from p2o_plugins.data.bin_file import FAR_M, OPTION, check_columns, read_bin, read_txt
+from p2o_plugins.data.las_file import read_las
 from p2o_plugins.data.number_text import MAX_POINTS
 from p2o_plugins.data.pcd_file import read_pcd
 from p2o_plugins.data.ply_file import read_ply
@@ -79,6 +80,8 @@ _READERS: Mapping[str, Callable[[bytes, Path], Mapping[str, Any]]] = {
     ".pcd": read_pcd,
     ".ply": read_ply,
     ".npz": read_npz,
+    ".las": read_las,
+    ".laz": read_las,
 }
 SUFFIXES = (".bin", *_READERS)
 """Suffixes of files that are sweeps for sure; a .txt file may be anything."""

@@ -1,0 +1,160 @@
+"""Reading .las and .laz files (ASPRS LAS 1.0 to 1.4) by laspy and lazrs, the extra `las`."""
+
+from __future__ import annotations
+
+import io
+import struct
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from p2o import InputError
+
+from p2o_plugins.data.number_text import MAX_POINTS
+
+_MAGIC = b"LASF"
+_SHORTEST_HEADER = 227
+_MAX_BYTES = 256 << 20
+_MAX_RECORDS = 1000
+_COMPRESSED = 0x80
+_LASZIP_ID = 22204
+_OWN = ("intensity",)
+_TIME = "gps_time"
+
+
+def read_las(data: bytes, path: Path) -> Mapping[str, Any]:
+    """Return the fields of a .las or .laz file by name, each (N,): x, y, z in metres, intensity, time, extra bytes.
+
+    `gps_time` is the time in seconds; a file whose times are all zero has none. Rings come from extra bytes of that
+    name: LAS itself has no field for them.
+
+    Raises InputError where laspy is not installed, and for files that are no LAS, whose header does not fit their size,
+    or that are damaged.
+    """
+    _check_header(data, path)
+    try:
+        import laspy
+    except ModuleNotFoundError as problem:
+        raise InputError(
+            "reading .las and .laz needs laspy, which is not installed",
+            where=path,
+            hint='run: pip install "p2o-calib[las]"',
+        ) from problem
+    plain = _unpacked(data, path) if _compressed(data) else data
+    try:
+        found = laspy.read(io.BytesIO(plain))
+        fields = {axis: np.asarray(getattr(found, axis), dtype=np.float64) for axis in "xyz"}
+        fields |= {name: np.asarray(found[name]) for name in (*_OWN, *found.point_format.extra_dimension_names)}
+        if _TIME in found.point_format.dimension_names and np.any(found[_TIME]):
+            fields.setdefault("time", np.asarray(found[_TIME], dtype=np.float64))
+    except Exception as problem:
+        # Whatever damage makes of it: laspy raises many kinds.
+        raise _damaged(path, str(problem) or type(problem).__name__) from problem
+    return {name: value for name, value in fields.items() if value.ndim == 1}
+
+
+def _unpacked(data: bytes, path: Path) -> bytes:
+    """Return the .las file of a .laz file, made in a process of its own: damaged ones end lazrs, and all with it.
+
+    Raises InputError for those.
+    """
+    # -P: nothing is imported from the folder that somebody happens to stand in.
+    words = [sys.executable, "-P", "-c", _UNPACK]
+    try:
+        done = subprocess.run(words, input=data, capture_output=True, timeout=_LONGEST_S, check=False)
+    except subprocess.TimeoutExpired as problem:
+        raise _damaged(path, f"no end within {_LONGEST_S} s") from problem
+    if done.returncode != 0:
+        told = done.stderr.decode(errors="replace").strip().splitlines()[-1:] or [f"status {done.returncode}"]
+        raise _damaged(path, told[0])
+    _check_header(done.stdout, path)
+    return done.stdout
+
+
+_LONGEST_S = 120
+_UNPACK = """
+import io, sys
+import laspy
+found = laspy.read(io.BytesIO(sys.stdin.buffer.read()), laz_backend=laspy.LazBackend.Lazrs)
+out = io.BytesIO()
+found.write(out, do_compress=False)
+sys.stdout.buffer.write(out.getvalue())
+"""
+
+
+def _damaged(path: Path, got: str) -> InputError:
+    return InputError("the point cloud cannot be read as LAS", where=path, got=got[:200])
+
+
+def _compressed(data: bytes) -> bool:
+    return bool(data[104] & _COMPRESSED)
+
+
+def _check_header(data: bytes, path: Path) -> None:
+    """Raise InputError for a header that promises more than the file can hold: before any memory is taken."""
+    if not data.startswith(_MAGIC) or len(data) < _SHORTEST_HEADER:
+        raise InputError("this is not a LAS file", where=path, expected="LASF", got=repr(data[:4]))
+    version, start, records = (data[24], data[25]), *struct.unpack_from("<II", data, 96)
+    size, points = struct.unpack_from("<HI", data, 105)
+    if version >= (1, 4) and len(data) >= 255:
+        extended, points_14 = struct.unpack_from("<IQ", data, 243)
+        points, records = max(points, points_14), records + extended
+    body = len(data) - start
+    if records > _MAX_RECORDS or not _SHORTEST_HEADER <= start <= len(data) or size < 20:
+        raise InputError(
+            "the header of the LAS file does not fit it",
+            where=path,
+            expected=f"points within {len(data)} bytes, at most {_MAX_RECORDS} records",
+            got=f"points from {start}, {records} records",
+        )
+    if points > MAX_POINTS or points * size > _MAX_BYTES:
+        raise InputError(
+            "the point cloud has too many points",
+            where=path,
+            expected=f"at most {MAX_POINTS}, and {_MAX_BYTES} bytes",
+            got=f"{points} of {size} bytes",
+        )
+    if not _compressed(data):
+        if points * size > body:
+            raise InputError(
+                "the point cloud is truncated", where=path, expected=f"{points * size} bytes of points", got=body
+            )
+        return
+    _check_chunks(data, start, points, path)
+
+
+def _check_chunks(data: bytes, start: int, points: int, path: Path) -> None:
+    """Raise InputError where the table of compressed chunks lies outside of the file or is too long for its points.
+
+    lazrs takes the memory for the table before it reads it.
+    """
+    damaged = InputError("the compressed points are damaged", where=path, expected="a table of chunks in the file")
+    if len(data) < start + 8 or not _has_laszip(data):
+        raise damaged
+    [table] = struct.unpack_from("<q", data, start)
+    if table == -1:
+        [table] = struct.unpack_from("<q", data, len(data) - 8)
+    if not start + 8 <= table <= len(data) - 8:
+        raise damaged
+    [chunks] = struct.unpack_from("<I", data, table + 4)
+    if chunks > points + 1:
+        raise damaged
+
+
+def _has_laszip(data: bytes) -> bool:
+    """Return whether the records before the points hold one of LASzip that fits its own length."""
+    [at] = struct.unpack_from("<H", data, 94)
+    start, records = struct.unpack_from("<II", data, 96)
+    for _ in range(min(records, _MAX_RECORDS)):
+        if at + 54 > start:
+            return False
+        kind, length = struct.unpack_from("<HH", data, at + 18)
+        user = data[at + 2 : at + 18].rstrip(b"\0")
+        if kind == _LASZIP_ID and user == b"laszip encoded":
+            [items] = struct.unpack_from("<H", data, at + 54 + 32) if at + 54 + 34 <= start else (0,)
+            return 34 + 6 * items <= length and at + 54 + length <= start and 0 < items <= 32
+        at += 54 + length
+    return False
