@@ -361,10 +361,17 @@ def test_out_holds_result_overlays_and_convergence_of_every_frame(tmp_path: Path
     assert sorted(path.name for path in home.iterdir()) == [
         "after.png",
         "before.png",
+        "cloud.ply",
         "convergence.png",
         "result.json",
+        "sweep-range-after.png",
+        "sweep-range-before.png",
+        "sweep-reflectance-after.png",
+        "sweep-reflectance-before.png",
     ]
     assert png_size(home / "before.png") == png_size(home / "after.png") == (480, 240)
+    assert png_size(home / "sweep-range-after.png") == (480, 240)
+    assert (home / "sweep-range-before.png").read_bytes() != (home / "sweep-range-after.png").read_bytes()
     assert (home / "before.png").read_bytes() != (home / "after.png").read_bytes()
     result = json.loads((home / "result.json").read_text())
     assert result == json.loads((out / "run.json").read_text())["results"][0]
@@ -388,15 +395,10 @@ def test_the_motion_that_the_edges_tell_is_said_and_drawn(tmp_path: Path, capsys
 def test_a_joint_result_lies_in_the_folder_itself(fake: list[str], tmp_path: Path) -> None:
     assert main([*fake, "--joint", "--out", str(tmp_path / "out")]) == 0
     files = sorted(str(p.relative_to(tmp_path / "out")) for p in (tmp_path / "out").rglob("*") if p.is_file())
-    assert files == [
-        "convergence.png",
-        "drive_0000/after.png",
-        "drive_0000/before.png",
-        "drive_0001/after.png",
-        "drive_0001/before.png",
-        "result.json",
-        "run.json",
-    ]
+    pictures = ["after.png", "before.png", "cloud.ply"]
+    pictures += [f"sweep-{by}-{name}.png" for by in ("range", "reflectance") for name in ("after", "before")]
+    of_frames = [f"drive_000{number}/{name}" for number in (0, 1) for name in pictures]
+    assert files == ["convergence.png", *of_frames, "result.json", "run.json"]
 
 
 def test_a_folder_that_cannot_be_written_is_told_before_any_work(

@@ -78,8 +78,8 @@ def test_text_gives_the_same_points_as_bin_and_refuses_words_and_cuts(tmp_path: 
 
 
 def test_an_unknown_suffix_lists_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"a\.las: unknown kind .* \.bin \.txt \.pcd \.ply \.npz"):
-        read_cloud(tmp_path / "a.las")
+    with pytest.raises(InputError, match=r"a\.xyz: unknown kind .* \.bin \.txt \.pcd \.ply \.npz"):
+        read_cloud(tmp_path / "a.xyz")
 
 
 def test_points_that_are_no_returns_are_dropped_with_counts(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Sweeps in .las and .laz files: points, intensity, times and rings; what is damaged is refused, and nothing crashes."""
+"""Sweeps in .las and .laz files: points, intensity, times, rings; what is damaged is refused and ends nothing."""
 
 from __future__ import annotations
 

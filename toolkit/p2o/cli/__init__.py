@@ -28,7 +28,7 @@ _COMMANDS = {
     "labels": "Write what frames teach a method that learns, one file a frame.",
     "train": "Train a method on frames, or go on with a training.",
     "pick": "Pick points in image and sweep by hand, on a page in the browser.",
-    "convert": "Convert calibration files: ROS 2, Autoware, Kalibr, COLMAP, OpenCV, KITTI and others.",
+    "convert": "Convert a calibration file: ROS 2, Autoware, Kalibr, COLMAP, OpenCV, KITTI and others.",
     "simulate": "Write synthetic streets in the layout of a real dataset.",
 }
 """Name and one-line help of every command; the code of `a-b` is in the module `p2o.cli.a_b`, as `command`."""

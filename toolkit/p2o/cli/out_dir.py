@@ -16,10 +16,15 @@ from p2o.frames.scale import camera_at_scale, image_at_scale
 from p2o.results.result import Status
 
 if TYPE_CHECKING:
+    from p2o.arrays import Float, UInt8
+    from p2o.frames.frame import Frame
+    from p2o.geometry.camera import Camera
     from p2o.run.run import Progress, Run
 
 
 _RUN, _RESULT, _ROUNDS, _PICTURES = "run.json", "result.json", "convergence.png", ("before", "after")
+_SWEEPS = tuple(f"sweep-{by}-{name}.png" for by in ("range", "reflectance") for name in _PICTURES)
+_CLOUD = "cloud.ply"
 _IN_ROOT = (_RUN, _RESULT, _ROUNDS)
 """What may lie in the folder itself: no frame's folder can be called so."""
 
@@ -28,8 +33,10 @@ _IN_ROOT = (_RUN, _RESULT, _ROUNDS)
 class OutDir:
     """DIR/run.json; for each frame DIR/FRAME/ with result.json, convergence.png, before.png and after.png.
 
-    A joint result has its result.json and convergence.png in DIR itself, that of a camera of a rig in DIR/CAMERA.
-    `folders` are the names of folders by frame and camera.
+    Beside them are the sweep on the image, sweep-range-before.png and -after.png and, where it tells reflectance,
+    sweep-reflectance-before.png and -after.png, and cloud.ply, the sweep with the colours of the image. A joint result
+    has its result.json and convergence.png in DIR itself, that of a camera of a rig in DIR/CAMERA. `folders` are the
+    names of folders by frame and camera.
     """
 
     root: Path
@@ -59,7 +66,7 @@ class OutDir:
     @property
     def files(self) -> list[Path]:
         """The files that will be written."""
-        ours = (_RESULT, _ROUNDS, *(f"{name}.png" for name in _PICTURES))
+        ours = (_RESULT, _ROUNDS, *(f"{name}.png" for name in _PICTURES), *_SWEEPS, _CLOUD)
         own = [self.root / folder / name for folder in self.folders.values() for name in ours]
         return [*(self.root / name for name in _IN_ROOT), *own]
 
@@ -83,7 +90,7 @@ class OutDir:
             raise _cannot_write(self.root, problem) from problem
 
     def _draw(self, home: Path, progress: Progress) -> None:
-        """Write the convergence plot, and before.png and after.png of every frame."""
+        """Write the convergence plot, and the pictures and the coloured cloud of every frame."""
         from p2o.draw import overlay, plots
 
         if progress.row is None:
@@ -99,6 +106,7 @@ class OutDir:
                 corrected = replace(corrected, cloud=corrected.cloud.later(result.later_s, frame.twist))
             before = result.start, frame.camera, frame
             after = result.camera_from_lidar, result.camera_of(frame.camera), corrected
+            _draw_sweeps(folder, frame.image.rgb, before, after)
             for name, (pose, camera, seen) in zip(_PICTURES, (before, after), strict=True):
                 view = None if result.status is Status.STAGE_FAILED else progress.assembly.view(seen)
                 if view is not None and (len(view.image_edges) or len(view.cloud_edges)):
@@ -111,6 +119,22 @@ class OutDir:
                 else:
                     picture = overlay.draw_cloud(frame.image.rgb, seen.cloud, camera, pose)
                 overlay.write_png(folder / f"{name}.png", picture)
+
+
+def _draw_sweeps(
+    folder: Path, rgb: UInt8, before: tuple[Float, Camera, Frame], after: tuple[Float, Camera, Frame]
+) -> None:
+    """Write the sweep on the image before and after, by range and by reflectance, and the coloured cloud."""
+    from p2o.draw import coloured_cloud, overlay, sweep_picture
+
+    ways: tuple[sweep_picture.By, ...] = ("range", "reflectance")
+    for by in ways:
+        for name, (pose, camera, frame) in zip(_PICTURES, (before, after), strict=True):
+            if by == "range" or frame.cloud.intensity is not None:
+                picture = sweep_picture.draw_sweep(rgb, frame.cloud, camera, pose, by)
+                overlay.write_png(folder / f"sweep-{by}-{name}.png", picture)
+    pose, camera, frame = after
+    coloured_cloud.write_coloured_cloud(folder / _CLOUD, rgb, frame.cloud, camera, pose)
 
 
 def _cannot_write(path: Path, problem: OSError) -> InputError:

@@ -48,12 +48,12 @@ def draw(
 
     Raises InputError if the image does not fit the camera.
     """
-    canvas = _dimmed(rgb, camera)
+    canvas = dimmed(rgb, camera)
     _stamp_faded(canvas, image_edges)
     uv = camera.project(se3.apply(camera_from_lidar, cloud_edges.xyz))
     seen = camera.in_image(uv)
     centre, colours = np.rint(uv[seen]).astype(np.int64), _colours(cloud_edges.side[seen], CLOUD_NONE)
-    _stamp(canvas, centre, _ring(_RADIUS_PX), colours)
+    stamp(canvas, centre, _ring(_RADIUS_PX), colours)
     if legend:
         _write_legend(canvas)
     return canvas
@@ -70,7 +70,7 @@ def draw_cloud(
         raise InputError("the depth scale is empty", expected="0 < near_m < far_m", got=f"{near_m:g}, {far_m:g}")
     import cv2
 
-    canvas = _dimmed(rgb, camera)
+    canvas = dimmed(rgb, camera)
     xyz = se3.apply(camera_from_lidar, cloud.xyz)
     uv = camera.project(xyz)
     seen = np.flatnonzero(camera.in_image(uv))
@@ -79,7 +79,7 @@ def draw_cloud(
     table = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_TURBO)[:, 0, ::-1]
     colours = table[np.clip(np.sqrt(np.clip(closeness, 0, 1)) * 255, 0, 255).astype(np.int64)]
     dot = np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
-    _stamp(canvas, np.rint(uv[seen]).astype(np.int64), dot, colours)
+    stamp(canvas, np.rint(uv[seen]).astype(np.int64), dot, colours)
     return canvas
 
 
@@ -112,8 +112,11 @@ def write_png(path: Path | str, rgb: UInt8) -> None:
     write_whole(path, data.tobytes())
 
 
-def _dimmed(rgb: UInt8, camera: Camera) -> UInt8:
-    """Return a dark copy with little colour left, so that the drawing stands out."""
+def dimmed(rgb: UInt8, camera: Camera) -> UInt8:
+    """Return a dark copy with little colour left, so that the drawing stands out.
+
+    Raises InputError if the image does not fit the camera.
+    """
     picture = checked("the image", rgb, (camera.height, camera.width, 3), np.uint8).astype(np.float32)
     grey = picture @ np.array([0.299, 0.587, 0.114], np.float32)
     return np.asarray(0.5 * (0.75 * grey[..., None] + 0.25 * picture), np.uint8)
@@ -132,7 +135,7 @@ def _ring(radius_px: float) -> Int:
     return np.asarray(offset[np.abs(np.hypot(*offset.T) - radius_px) < 0.5])
 
 
-def _stamp(canvas: UInt8, centre: Int, offsets: Int, colours: UInt8) -> None:
+def stamp(canvas: UInt8, centre: Int, offsets: Int, colours: UInt8) -> None:
     """Paint the offsets (K, 2) around every centre (N, 2) in its colour (N, 3); what leaves the canvas is cut off."""
     height, width = canvas.shape[:2]
     u, v = np.moveaxis(centre[:, None] + offsets, -1, 0)
@@ -169,5 +172,5 @@ def _write_legend(canvas: UInt8) -> None:
         _write(canvas, letter, (place, 19), colour)
     canvas[middle, 84:98] = white
     _write(canvas, "image edge", (104, 19))
-    _stamp(canvas, np.array([[196, middle]]), _ring(_RADIUS_PX), white)
+    stamp(canvas, np.array([[196, middle]]), _ring(_RADIUS_PX), white)
     _write(canvas, "LiDAR edge, projected", (206, 19))

@@ -1,0 +1,61 @@
+"""The sweep with the colours of the image, as a .ply file that every viewer of clouds opens."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from p2o.arrays import Bool, Float, UInt8, checked
+from p2o.files.whole_file import write_whole
+from p2o.frames.cloud import Cloud
+from p2o.geometry import se3
+from p2o.geometry.camera import Camera
+from p2o.geometry.visibility import hidden
+
+GREY = (110, 110, 110)
+"""Colour of points that the image does not show."""
+
+
+def colours_of(rgb: UInt8, cloud: Cloud, camera: Camera, camera_from_lidar: Float) -> tuple[UInt8, Bool]:
+    """Return the colour (N, 3) of the pixel at which each point lies at a pose (4, 4), and which points (N,) have one.
+
+    Points outside the image, and points that others hide from the camera, are `GREY`: the pixel there shows something
+    else. Raises InputError if the image does not fit the camera.
+    """
+    picture = checked("the image", rgb, (camera.height, camera.width, 3), np.uint8)
+    uv = camera.project(se3.apply(camera_from_lidar, cloud.xyz))
+    seen = camera.in_image(uv)
+    seen &= ~hidden(cloud.xyz, cloud.xyz, camera, camera_from_lidar)
+    colours = np.full((len(cloud), 3), GREY, np.uint8)
+    # A point up to half a pixel beyond the middle of the last one is still on it.
+    u, v = np.clip(np.rint(uv[seen]).astype(np.int64), 0, [camera.width - 1, camera.height - 1]).T
+    colours[seen] = picture[v, u]
+    return colours, seen
+
+
+def write_coloured_cloud(path: Path | str, rgb: UInt8, cloud: Cloud, camera: Camera, camera_from_lidar: Float) -> None:
+    """Write the sweep in the LiDAR's frame, in metres, as binary PLY: x y z, red green blue, intensity if it has any.
+
+    Raises InputError as `colours_of`, and if the file cannot be written.
+    """
+    colours, _ = colours_of(rgb, cloud, camera, camera_from_lidar)
+    fields = [*((axis, "<f4") for axis in "xyz"), *((name, "u1") for name in ("red", "green", "blue"))]
+    fields += [] if cloud.intensity is None else [("intensity", "<f4")]
+    table = np.zeros(len(cloud), np.dtype(fields))
+    for number, axis in enumerate("xyz"):
+        table[axis] = cloud.xyz[:, number]
+    for number, name in enumerate(("red", "green", "blue")):
+        table[name] = colours[:, number]
+    if cloud.intensity is not None:
+        table["intensity"] = cloud.intensity
+    kinds = {"<f4": "float", "u1": "uchar"}
+    head = [
+        "ply",
+        "format binary_little_endian 1.0",
+        "comment LiDAR frame, metres; colours of the image, grey where it does not show the point",
+        f"element vertex {len(cloud)}",
+        *(f"property {kinds[kind]} {name}" for name, kind in fields),
+        "end_header",
+    ]
+    write_whole(path, ("\n".join(head) + "\n").encode() + table.tobytes())
