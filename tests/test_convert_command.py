@@ -76,7 +76,13 @@ def test_what_is_said_is_where_the_camera_stands(tmp_path: Path, capsys: pytest.
     ahead = se3.make([[0, -1, 0], [0, 0, -1], [1, 0, 0]], [0, 0, -0.3])
     path = _file(tmp_path, "kalibr", Calibration(LENS, ahead))
     assert main(["convert", str(path), str(tmp_path / "pose.npy"), "--to", "npy"]) == 0
-    assert "the camera stands at 0.3000 0.0000 0.0000 m in the LiDAR's frame" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "the camera stands at 0.3000 0.0000 0.0000 m in the LiDAR's frame" in said
+    assert "it looks along 1.000 0.000 0.000 of the LiDAR's axes, and its up is 0.000 0.000 1.000" in said
+    assert "the file's numbers are camera_from_lidar\n" in said
+    to = "ros2?parent=camera"
+    assert main(["convert", str(path), str(tmp_path / "tf.sh"), "--to", to]) == 0
+    assert "the file's numbers are camera_from_lidar, parent from child" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import click
 from p2o.errors import InputError, printable
 
 if TYPE_CHECKING:
+    from p2o.arrays import Float
     from p2o.formats.calibration import Calibration
     from p2o.formats.format import Format
     from p2o.options import Options
@@ -59,20 +60,15 @@ def command(source: str, target: str, to: str, form: str | None, camera: str | N
 def _said(found: Calibration, chosen: Format, options: Options, source: str, target: str) -> str:
     """Return what was written, in lines."""
     from p2o.formats.calibration import CAMERA, EXTRINSIC
-    from p2o.geometry.rpy import rpy_of
 
     lines = [f"{target}: {chosen.name}, {chosen.summary}"]
     held = chosen.holds & found.held
     if EXTRINSIC in held and found.camera_from_lidar is not None:
-        import numpy as np
-
         pose = found.camera_from_lidar
-        place = -pose[:3, :3].T @ pose[:3, 3]
-        x, y, z = (float(value) for value in place)
-        lines.append(f"  the camera stands at {x:.4f} {y:.4f} {z:.4f} m in the LiDAR's frame")
-        angles = np.degrees(rpy_of(pose[:3, :3]))
-        lines.append("  camera_from_lidar turns by roll, pitch, yaw " + " ".join(f"{a:.4f}" for a in angles) + " deg")
-        lines.append(f"  the file's numbers are {chosen.direction}")
+        looks, up = _spaced(pose[2, :3], 3), _spaced(-pose[1, :3], 3)
+        lines.append(f"  the camera stands at {_spaced(-pose[:3, :3].T @ pose[:3, 3], 4)} m in the LiDAR's frame")
+        lines.append(f"  it looks along {looks} of the LiDAR's axes, and its up is {up}")
+        lines.append(f"  the file's numbers are {_direction(chosen, options)}")
     if CAMERA in held and found.camera is not None:
         camera = found.camera
         lines.append(f"  camera: {camera.width}x{camera.height} px {camera.model}")
@@ -82,3 +78,17 @@ def _said(found: Calibration, chosen: Format, options: Options, source: str, tar
     lines += [f"  left out: the {part} of {source}, which {chosen.name} has no room for" for part in found.held - held]
     lines += [f"  note: {remark}" for remark in found.remarks]
     return "\n".join(printable(line) for line in lines)
+
+
+def _spaced(values: Float, places: int) -> str:
+    return " ".join(f"{float(value) + 0.0:.{places}f}" for value in values.round(places))
+
+
+def _direction(chosen: Format, options: Options) -> str:
+    """Return which transform the numbers of a file are, as its options have it."""
+    said = options.model_dump()
+    if "direction" in said:
+        return str(said["direction"])
+    if "parent" in said:
+        return f"{'lidar_from_camera' if said['parent'] == 'lidar' else 'camera_from_lidar'}, parent from child"
+    return chosen.direction

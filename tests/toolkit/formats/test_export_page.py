@@ -1,0 +1,21 @@
+"""The page about calibration files names every form with what it holds, and its Python runs."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from p2o.formats.files import formats
+
+PAGE = (Path(__file__).parents[3] / "docs/how-to/export.md").read_text(encoding="utf-8")
+
+
+def test_the_table_lists_every_form_with_what_it_holds() -> None:
+    rows = re.findall(r"^\| `([\w-]+)` \| (camera|extrinsic|camera, extrinsic|all of a result) \|", PAGE, re.MULTILINE)
+    expected = {name: ", ".join(sorted(form.holds)) for name, form in formats().items()} | {"json": "all of a result"}
+    assert dict(rows) == expected
+
+
+def test_the_python_of_the_page_runs() -> None:
+    [block] = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    exec(block, {})
