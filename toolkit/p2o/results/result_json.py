@@ -34,7 +34,11 @@ _SAID: Mapping[type, tuple[str, ...]] = {Verdict: ("trust",), Agreement: ("odds_
 _POSES = ("start", "camera_from_lidar")
 _SHAPES: dict[str, tuple[int, ...]] = {**dict.fromkeys(_POSES, (4, 4)), "covariance": (6, 6), "twist": (6,)}
 
-_LATER: Mapping[type, tuple[str, ...]] = {Accuracy: AXES, Agreement: ("places",), Result: ("start_weight", "intrinsics")}
+_LATER: Mapping[type, tuple[str, ...]] = {
+    Accuracy: AXES,
+    Agreement: ("places",),
+    Result: ("start_weight", "intrinsics"),
+}
 """Fields that results written before there were any do not have; they are then what they are by default."""
 
 _KINDS = {str: "a text", bool: "true or false", int: "a whole number"}
