@@ -23,7 +23,7 @@ from p2o import (
     se3,
 )
 from p2o.arrays import parts
-from p2o.results.evidence import Agreement, Judged, Rival
+from p2o.results.evidence import Agreement, Judged, Rival, StartWeight
 from p2o.results.result_json import result_from_dict, result_from_json, result_to_dict, result_to_json
 from p2o.results.verdict import Doubt, Reason, Verdict
 
@@ -215,3 +215,15 @@ def test_a_result_from_before_there_were_bounds_by_axis_is_read() -> None:
     found = result_from_dict(value)
     assert found.accuracy == Accuracy(0.1, 0.02, 0.3, 0.05)
     assert found.agreement == Agreement(0.3, 0.1, 9)
+
+
+def test_a_start_that_was_weighed_in_and_the_camera_come_back() -> None:
+    """Poses within parts of a result have the shape of poses, too."""
+    weight = StartWeight(2.0, 0.1, np.eye(4), Accuracy(0.2, 0.05, 0.5, 0.12), 0.01, 0.002)
+    camera = Camera("OPENCV", 640, 480, (500.0, 501.0, 320.0, 240.0, -0.1, 0.01, 0.001, 0.002))
+    result = replace(_result(), start_weight=weight, intrinsics=camera)
+    again = result_from_json(result_to_json(result))
+    assert again.intrinsics == camera
+    assert again.start_weight is not None
+    np.testing.assert_array_equal(again.start_weight.camera_from_lidar, np.eye(4))
+    assert result_from_json(result_to_json(replace(_result(), intrinsics=None))).intrinsics is None

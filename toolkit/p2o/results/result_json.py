@@ -156,9 +156,10 @@ def _types(kind: Any) -> dict[str, Any]:
 
 
 def _array(name: str, value: Any) -> Any:
-    shape = _SHAPES[name]
+    key = name.rpartition(".")[2]
+    shape = _SHAPES[key]
     array = checked(name, _numbers(name, value, shape), shape, np.float64, finite=False)
-    if name in _POSES:
+    if key in _POSES:
         # What p2o wrote is rigid to the last digits. The cleaned rotation is not taken: bits of the file stay.
         se3.check_rigid(name, array, tolerance=1e-9)
     return array
