@@ -12,10 +12,10 @@ from typing import Annotated, Any
 import numpy as np
 from p2o import Camera, Dataset, Frame, Image, InputError, Method, Options, UnknownNameError, field, se3
 from p2o.files.input_file import existing_folder, listing, naming
+from p2o.formats.camera_entry import read_camera
 from pydantic import BeforeValidator
 
 from p2o_plugins.data.cloud_file import read_cloud
-from p2o_plugins.data.frame_camera import read_camera
 from p2o_plugins.data.image_file import read_rgb
 from p2o_plugins.data.lazy_frames import LazyFrames
 from p2o_plugins.data.nuscenes_tables import (

@@ -16,10 +16,10 @@ from p2o.bags.frame_tree import FrameTree, bare, read_frame_tree, read_transform
 from p2o.bags.messages import CAMERA_INFO, LIVOX, read_header, read_message
 from p2o.bags.point_columns import Unit, columns_of, named_columns, seconds_after, usable_points
 from p2o.files.input_file import naming
+from p2o.frames.direction import check_direction
 from pydantic import BeforeValidator
 
 from p2o_plugins.data.cloud_file import cloud_from_fields
-from p2o_plugins.data.direction import check_direction
 from p2o_plugins.data.lazy_frames import LazyFrames
 from p2o_plugins.data.ros_camera import RosCamera, camera_of_file, camera_of_info
 from p2o_plugins.data.ros_image import rgb_of
@@ -47,7 +47,7 @@ class RosOptions(Options):
         None, help="Topic of the CameraInfo; null: camera_info beside the image, else the only one."
     )
     camera: Path | None = field(
-        None, help="YAML file with the camera, as in frame.yaml, where the bag has no CameraInfo or a wrong one."
+        None, help="Calibration file with the camera, of any form, where the bag has no CameraInfo or a wrong one."
     )
     rectified: bool | None = field(
         None, help="Whether the images are rectified, so that P is their camera; null: as the topic says (`rect`)."

@@ -9,10 +9,8 @@ import numpy as np
 from p2o import Camera, InputError, se3
 from p2o.arrays import Float
 from p2o.bags.messages import CameraInfoMessage
-from p2o.files.input_file import expanded, read_text
-from p2o.files.parsed_text import parse_yaml
-
-from p2o_plugins.data.frame_camera import read_camera
+from p2o.formats.camera_entry import read_camera
+from p2o.formats.files import camera_words
 
 # Other drivers' words for the models of ROS.
 _MODELS = {"fisheye": "equidistant", "kannala_brandt": "equidistant", "rational": "rational_polynomial"}
@@ -61,11 +59,8 @@ def camera_of_info(message: CameraInfoMessage, where: Path, *, rectified: bool) 
 
 
 def camera_of_file(path: Path) -> RosCamera:
-    """Return the camera of a YAML file: what `camera` of a frame.yaml holds, below that key or by itself."""
-    path = expanded(path)
-    content = parse_yaml(read_text(path, "camera file"), "camera file", path)
-    inner = content.get("camera", content) if isinstance(content, dict) else content
-    return RosCamera(read_camera(inner, path), np.eye(3))
+    """Return the camera of a calibration file of any form (FILE, FILE#NAME), or of what frame.yaml holds."""
+    return RosCamera(camera_words(str(path)), np.eye(3))
 
 
 def _cut(message: CameraInfoMessage, matrix: Float, where: Path) -> tuple[int, int, Float]:

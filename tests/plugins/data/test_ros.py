@@ -374,7 +374,7 @@ def test_a_message_without_a_whole_header_is_left_out(tmp_path: Path) -> None:
         (lambda m: m.topic != "/points", {}, "the bag has no topic of a cloud"),
         (lambda m: True, {"cloud_topic": "/poins"}, "did you mean /points"),
         (lambda m: True, {"image_topic": "/points"}, "topic /points is no image"),
-        (lambda m: True, {"camera": "gone.yaml"}, "the camera file is missing"),
+        (lambda m: True, {"camera": "gone.yaml"}, "the calibration file is missing"),
     ],
 )
 def test_bags_that_cannot_be_used_are_one_line_and_status_2(

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from p2o import Camera, InputError, se3
 from p2o.bags.messages import CameraInfoMessage, Header
+from p2o.formats.calibration import Calibration
+from p2o.formats.files import formats
 from p2o_plugins.data.ros_camera import camera_of_file, camera_of_info
 
 K = np.array([[700.0, 0, 320], [0, 710, 240], [0, 0, 1]])
@@ -93,5 +95,11 @@ def test_a_file_tells_the_camera_as_frame_yaml_does(tmp_path: Path, indent: str)
         indent + step.join(["width: 640", "height: 480", "K: [700, 0, 320, 0, 710, 240, 0, 0, 1]"])
     )
     assert camera_of_file(tmp_path / "camera.yaml").camera == Camera.pinhole(700, 710, 320, 240, 640, 480)
-    with pytest.raises(InputError, match="camera file is missing"):
+    with pytest.raises(InputError, match="calibration file is missing"):
         camera_of_file(tmp_path / "gone.yaml")
+
+
+def test_a_camera_may_come_from_a_calibration_file_of_another_tool(tmp_path: Path) -> None:
+    path = tmp_path / "camchain.yaml"
+    path.write_bytes(formats()["kalibr"].written(Calibration(Camera.pinhole(700, 710, 320, 240, 640, 480))))
+    assert camera_of_file(Path(f"{path}#cam0")).camera == Camera.pinhole(700, 710, 320, 240, 640, 480)

@@ -61,9 +61,16 @@ def _section(name: str, pose: Float) -> list[str]:
 
 def recognises(source: Source) -> bool:
     """Return whether keys say a direction, or a camera of frame.yaml stands in it."""
-    camera = source.tree.get("camera")
-    of_a_frame = isinstance(camera, Mapping) and ("params" in camera or "K" in camera)
-    return any(key in source.tree for key in (*CAMERA_FROM_LIDAR, *LIDAR_FROM_CAMERA)) or of_a_frame
+    directed = any(key in source.tree for key in (*CAMERA_FROM_LIDAR, *LIDAR_FROM_CAMERA))
+    return directed or _camera(source) is not None
+
+
+def _camera(source: Source) -> Mapping[str, Any] | None:
+    """Return the camera of frame.yaml that stands below its key, or is the whole file; None without."""
+    for told in (source.tree.get("camera"), source.tree):
+        if isinstance(told, Mapping) and {"width", "height"} <= told.keys() and told.keys() & {"params", "K"}:
+            return told
+    return None
 
 
 def read(source: Source, reading: Reading) -> Calibration:
@@ -75,8 +82,8 @@ def read(source: Source, reading: Reading) -> Calibration:
             tree[key], more = _pose(key, source.tree[key], source)
             remarks += more
     found = named_transform(tree, source.path)
-    told = source.tree.get("camera")
-    camera = read_camera(told, source.path) if isinstance(told, Mapping) else None
+    told = _camera(source)
+    camera = None if told is None else read_camera(told, source.path)
     return Calibration(camera, None if found is None else found[0], remarks=remarks)
 
 
