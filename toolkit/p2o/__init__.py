@@ -70,6 +70,12 @@ if TYPE_CHECKING:
     from p2o.problems.problem import Objective as Objective
     from p2o.problems.problem import Problem as Problem
     from p2o.results.accuracy import Accuracy as Accuracy
+    from p2o.results.check import AxisCheck as AxisCheck
+    from p2o.results.check import Check as Check
+    from p2o.results.check import Holding as Holding
+    from p2o.results.check import Slip as Slip
+    from p2o.results.check import Watch as Watch
+    from p2o.results.check import WatchedFrame as WatchedFrame
     from p2o.results.evidence import Agreement as Agreement
     from p2o.results.evidence import Judged as Judged
     from p2o.results.evidence import Rival as Rival
@@ -86,6 +92,8 @@ if TYPE_CHECKING:
     from p2o.results.verdict import Reason as Reason
     from p2o.results.verdict import Trust as Trust
     from p2o.results.verdict import Verdict as Verdict
+    from p2o.run.check import check as check
+    from p2o.run.check import watch as watch
     from p2o.run.recipe import Recipe as Recipe
     from p2o.run.run import FailedFrame as FailedFrame
     from p2o.run.run import Row as Row
@@ -115,9 +123,11 @@ _HOME = {
     "problems.point_to_line": ["PointToLine"],
     "problems.problem": ["LeastSquares", "Objective", "Problem"],
     "geometry.radial_error": ["RadialError"],
+    "run.check": ["check", "watch"],
     "run.recipe": ["Recipe"],
     "host.registry": ["Registry"],
     "frames.target": ["Checkerboard", "HoleBoard", "Target"],
+    "results.check": ["AxisCheck", "Check", "Holding", "Slip", "Watch", "WatchedFrame"],
     "results.evidence": ["Agreement", "Judged", "Rival", "StartWeight"],
     "results.result": [
         "CameraCheck",

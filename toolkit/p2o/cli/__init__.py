@@ -18,6 +18,7 @@ from p2o.errors import LONGEST, InputError, P2OError, one_line
 
 _COMMANDS = {
     "run": "Calibrate frames: find the transform from the LiDAR to the camera.",
+    "check": "Say whether an extrinsic that is in use still holds, axis by axis, or since when not.",
     "methods": "List the methods that are installed, or explain one with all its options.",
     "plugins": "List the plugins as JSON: name, version, methods; the broken ones with reasons.",
     "check-plugin": "Check that methods keep the contracts of their slots.",

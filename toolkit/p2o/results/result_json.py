@@ -23,6 +23,7 @@ from p2o.files.parsed_text import parse_json
 from p2o.geometry import se3
 from p2o.geometry.pose_error import AXES
 from p2o.results.accuracy import Accuracy
+from p2o.results.check import Check, Watch
 from p2o.results.evidence import Agreement
 from p2o.results.result import Result
 from p2o.results.rig import RigResult
@@ -31,7 +32,7 @@ from p2o.results.verdict import Verdict
 _SAID: Mapping[type, tuple[str, ...]] = {Verdict: ("trust",), Agreement: ("odds_ratio", "strength")}
 """Properties that are written for the reader; they follow from the fields, and are not read."""
 
-_POSES = ("start", "camera_from_lidar")
+_POSES = ("start", "camera_from_lidar", "found")
 _SHAPES: dict[str, tuple[int, ...]] = {**dict.fromkeys(_POSES, (4, 4)), "covariance": (6, 6), "twist": (6,)}
 
 _LATER: Mapping[type, tuple[str, ...]] = {
@@ -56,6 +57,23 @@ def result_to_dict(result: Result) -> dict[str, Any]:
 def rig_to_dict(result: RigResult) -> dict[str, Any]:
     """Return the common result of a rig as dicts, lists, numbers, texts and None, in the order of its fields."""
     return {name: _plain(name, value) for name, value in parts(result) or ()}
+
+
+def check_to_dict(check: Check | Watch) -> dict[str, Any]:
+    """Return what edges say of an extrinsic as dicts, lists, numbers, texts and None, in the order of its fields."""
+    return {name: _plain(name, value) for name, value in parts(check) or ()}
+
+
+def check_from_dict(value: Any) -> Check:
+    """Return the check of what `check_to_dict` gave; raises InputError as `result_from_dict`."""
+    found: Check = _read("the check", Check, value)
+    return found
+
+
+def watch_from_dict(value: Any) -> Watch:
+    """Return the watch of what `check_to_dict` gave; raises InputError as `result_from_dict`."""
+    found: Watch = _read("the watch", Watch, value)
+    return found
 
 
 def result_from_dict(value: Any) -> Result:

@@ -298,7 +298,7 @@ def run(
             raise InputError("both a start and a perturbation are given", expected="one of them")
         start = se3.check_rigid("start", start)
     dataset: Sequence[Frame] | Dataset = plan.dataset() if frames is None else plan.joined(frames)
-    names, indices = _selected(dataset, recipe.frames)
+    names, indices = selected(dataset, recipe.frames)
     cameras: dict[int, str] = {}
     remarks: Mapping[str, tuple[str, ...]] = {"": told}
     if plan.rig is None:
@@ -350,7 +350,7 @@ def run(
 def _camera_name(dataset: Sequence[Frame] | Dataset, index: int) -> str:
     """Return the camera that a frame names; of joined sweeps nothing is joined for that."""
     told: Callable[[int], str] | None = getattr(dataset, "camera_name", None)
-    return _frame(dataset, index).camera_name if told is None else told(index)
+    return frame_at(dataset, index).camera_name if told is None else told(index)
 
 
 def _uncaught(work: Callable[..., _T], /, *given: Any) -> _T | P2OError:
@@ -372,7 +372,7 @@ def _caught(work: Callable[..., _T], /, *given: Any) -> _T | P2OError:
 def _usable(plan: Plan, dataset: Sequence[Frame] | Dataset, index: int, name: str, *, joint: bool) -> Frame:
     """Return a frame that was read and has what the methods need."""
     try:
-        frame = _frame(dataset, index)
+        frame = frame_at(dataset, index)
         plan.check_frame(frame)
     except InputError as problem:
         if not joint:
@@ -521,18 +521,18 @@ def common_pose(frames: Sequence[Frame], name: str) -> Float | None:
     return getattr(known[0], name) if known else None
 
 
-def _selected(dataset: Sequence[Frame] | Dataset, spec: str) -> tuple[Sequence[str], list[int]]:
+def selected(dataset: Sequence[Frame] | Dataset, spec: str) -> tuple[Sequence[str], list[int]]:
     """Return the names of all frames, and the indices of those that are chosen."""
     count = len(dataset)
     if count == 0:
         raise InputError("there are no frames", expected="at least one")
     names = getattr(dataset, "names", None)
     if names is None:
-        names = [_frame(dataset, index).name for index in range(count)]
+        names = [frame_at(dataset, index).name for index in range(count)]
     return names, select(names, spec, where="--frames", skipped=getattr(dataset, "skipped", None))
 
 
-def _frame(dataset: Sequence[Frame] | Dataset, index: int) -> Frame:
+def frame_at(dataset: Sequence[Frame] | Dataset, index: int) -> Frame:
     frame = dataset[index]
     if not isinstance(frame, Frame):
         raise InputError(f"entry {index} of the frames is not a frame", expected="p2o.Frame", got=type(frame).__name__)
