@@ -133,13 +133,14 @@ def collect(out: Path, count: int, rigs: Sequence[str], splits: str) -> None:
     file = out / "rows.jsonl"
     done = {json.loads(line)["key"] for line in file.read_text().splitlines()} if file.exists() else set()
     pipeline = _pipeline()
-    for name in rigs:
-        frames = list(seen(_rig(name), out / "features", splits))
-        for case in cases_of(name, len(frames), -(-count // len(rigs))):
-            if case.key not in done:
-                row = row_of(case, [frames[at] for at in case.frames], pipeline)
-                with file.open("a") as stream:
-                    stream.write(json.dumps(row) + "\n")
+    frames = {name: list(seen(_rig(name), out / "features", splits)) for name in rigs}
+    cases = [cases_of(name, len(its), -(-count // len(rigs))) for name, its in frames.items()]
+    # In turn, so that every rig has cases where it is stopped.
+    for case in (case for turn in zip(*cases, strict=True) for case in turn):
+        if case.key not in done:
+            row = row_of(case, [frames[case.rig][at] for at in case.frames], pipeline)
+            with file.open("a") as stream:
+                stream.write(json.dumps(row) + "\n")
 
 
 def row_of(case: Case, frames: Sequence[Seen], pipeline: Pipeline) -> dict[str, Any]:
@@ -229,7 +230,9 @@ def _spread(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
         put = np.array([np.eye(6)[r["axis"] or 0] * r["size"] for r in its])
         z = np.array([(s.error - p) / s.sigma for s, p in zip(steps, put, strict=True)])
         top = np.percentile(np.abs(z).max(axis=1), [50, 90, 95, 99])
-        lead = np.percentile([r["lead"] for r in rows if r["rig"] in rigs and r["far"] is not None] or [0], [50, 90, 99])
+        lead = np.percentile(
+            [r["lead"] for r in rows if r["rig"] in rigs and r["far"] is not None] or [0], [50, 90, 99]
+        )
         yield (
             f"{label}: root mean square {np.sqrt((z**2).mean(axis=0)).round(2).tolist()}, largest of six "
             f"{top.round(2).tolist()} (50, 90, 95, 99 %), leads {lead.round(1).tolist()} (50, 90, 99 %)"
@@ -274,34 +277,60 @@ def steps_of_drive(out: Path) -> list[EdgeStep | None]:
 
 
 def watch(out: Path) -> str:
-    """Return how many frames pass until slips are noticed, and the false alarms of the drive."""
+    """Return how many frames pass until slips are noticed, and false alarms of noise."""
     steps, rule = steps_of_drive(out), Rule()
     values = np.array([np.full(6, np.nan) if s is None else np.clip(s.error / s.sigma, -CLIP, CLIP) for s in steps])
-    names = [f"{at}" for at in range(len(steps))]
+    back = [*steps, *reversed(steps)]
     lines = [
         f"{len(steps)} frames, {sum(s is None for s in steps)} without a step; correlation with the next "
         f"{autocorrelation(values):.2f}; root mean square about the mean "
         f"{np.nanstd(values, axis=0).round(2).tolist()}",
-        f"false alarms without a slip: {len(watched(names, steps, rule).slips)}",
+        f"false alarms without a slip: {len(watched(_names(steps), steps, rule).slips)}",
+        false_alarms(autocorrelation(values), 40),
         "",
-        "| slip | noticed | right axis | frames until then (median, most) |",
-        "|---|---|---|---|",
+        "| slip | drive | noticed | right axis | frames until then (median, most) |",
+        "|---|---|---|---|---|",
     ]
+    drives = (("once", steps, range(30, 61, 10)), ("forth and back, twice", back + back, range(180, 301, 40)))
     for size, axes in ((0.3, range(3)), (0.6, range(3)), (0.03, range(3, 6)), (0.06, range(3, 6))):
-        delays, right, tried = [], 0, 0
-        for axis in axes:
-            for sign in (1, -1):
-                for begin in range(30, 61, 10):
-                    tried += 1
-                    slips = watched(names, [_slipped(s, at, begin, axis, sign * size) for at, s in enumerate(steps)], rule)
-                    after = [slip for slip in slips.slips if slip.noticed >= begin]
-                    if after:
-                        delays.append(after[0].noticed - begin)
-                        right += after[0].axis == AXES[axis][0]
-        said = f"{np.median(delays):.0f}, {max(delays)}" if delays else ""
-        unit = "deg" if size in (0.3, 0.6) else "m"
-        lines.append(f"| {size:g} {unit} | {len(delays)} of {tried} | {right} | {said} |")
+        for name, its, begins in drives:
+            unit = "deg" if axes[0] < 3 else "m"
+            lines.append(f"| {size:g} {unit} | {name} | " + " | ".join(_noticed(its, begins, axes, size, rule)) + " |")
     return "\n".join(lines)
+
+
+def _noticed(
+    steps: Sequence[EdgeStep | None], begins: Sequence[int], axes: Sequence[int], size: float, rule: Rule
+) -> list[str]:
+    """Return the columns for slips of a size on each axis, to both sides, beginning at each of these frames."""
+    delays, right, tried = [], 0, 0
+    for axis in axes:
+        for sign in (1, -1):
+            for begin in begins:
+                tried += 1
+                slipped_ = [_slipped(step, at, begin, axis, sign * size) for at, step in enumerate(steps)]
+                slips = [slip for slip in watched(_names(steps), slipped_, rule).slips if slip.noticed >= begin]
+                if slips:
+                    delays.append(slips[0].noticed - begin)
+                    right += slips[0].axis == AXES[axis][0]
+    return [f"{len(delays)} of {tried}", str(right), f"{np.median(delays):.0f}, {max(delays)}" if delays else ""]
+
+
+def _names(steps: Sequence[object]) -> list[str]:
+    return [str(at) for at in range(len(steps))]
+
+
+def false_alarms(correlation: float, hours: int) -> str:
+    """Return how many alarms drives of an hour raise whose steps are noise that goes on with this correlation."""
+    rng, rule = np.random.default_rng(0), Rule()
+    raised, met, frames = 0, Agreement(0.5, 0.1, 1000, 100), int(3600 * rule.rate_hz)
+    for _ in range(hours):
+        fresh, values = rng.standard_normal((frames, 6)), np.zeros((frames, 6))
+        for at in range(frames):
+            values[at] = correlation * values[at - 1] + np.sqrt(1 - correlation**2) * fresh[at]
+        steps = [EdgeStep(np.eye(4), row, np.eye(6), met, 100) for row in values]
+        raised += len(watched(_names(steps), steps, rule).slips)
+    return f"noise as likely errors have it, {hours} hours: {raised} alarms, {rule.alarms_per_hour:g} an hour are meant"
 
 
 def _slipped(step: EdgeStep | None, at: int, begin: int, axis: int, size: float) -> EdgeStep | None:

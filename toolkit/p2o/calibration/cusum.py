@@ -73,6 +73,20 @@ def innovations(values: Float, correlation: float) -> Float:
     return np.where(np.isnan(before), values, told)
 
 
+def beside_mean(values: Float) -> Float:
+    """Return how rows (T, A) differ from the mean of all rows before, times sqrt(n / (n + 1)) for n of these.
+
+    Where values are independent and of deviation 1 about a mean that nobody knows, these are so about zero (Hawkins,
+    The Statistician 1987, with a known deviation). The first of a column is NaN, as are values that are NaN.
+    """
+    known = np.isfinite(values)
+    before = np.cumsum(known, axis=0) - known
+    total = np.cumsum(np.where(known, values, 0.0), axis=0) - np.where(known, values, 0.0)
+    there = known & (before > 0)
+    mean = np.where(there, total / np.maximum(before, 1), np.nan)
+    return np.asarray(np.sqrt(before / (before + 1.0)) * (values - mean))
+
+
 def autocorrelation(values: Float) -> float:
     """Return the correlation of each row (T, A) with the next, over all columns, each about its own mean."""
     centred = values - np.nanmean(values, axis=0)

@@ -9,13 +9,13 @@ import numpy as np
 
 from p2o.arrays import Float
 from p2o.calibration.audit import AXES
-from p2o.calibration.cusum import Charts, autocorrelation, charts, innovations, limit_for
+from p2o.calibration.cusum import Charts, autocorrelation, beside_mean, charts, innovations, limit_for
 from p2o.calibration.edge_step import EdgeStep
 from p2o.results.check import Slip, WatchedFrame
 
 CLIP = 3.0
 """A single frame counts for so many deviations at most: its edges may have been taken for others."""
-CORRELATION = 0.3
+CORRELATION = 0.45
 """How steps of one frame go with those of the next at least, as measured on drives (`python benchmarks/audit.py`)."""
 _MOST_CORRELATION = 0.9
 
@@ -24,8 +24,8 @@ _MOST_CORRELATION = 0.9
 class Rule:
     """How a drive is watched: `alarms_per_hour` of false alarms are meant at `rate_hz` frames a second.
 
-    The first `settle` frames say what is usual; a chart takes `slack` off each value, half of the shift, in deviations
-    of a value, that it notices soonest.
+    The first `settle` frames only say what is usual; a chart takes `slack` off each value, half of the shift, in
+    deviations of a value, that it notices soonest.
     """
 
     alarms_per_hour: float = 0.1
@@ -57,35 +57,29 @@ class Watched:
 def watched(names: Sequence[str], steps: Sequence[EdgeStep | None], rule: Rule) -> Watched:
     """Return what the steps of single frames, in order, say of a drive; None is a frame that tells nothing.
 
-    Each step is divided by its likely error and cut off at `CLIP`; the mean of the settling frames is what is usual,
-    and what a value says of the next is taken out, so that charts add up what is new. After an alarm what has been seen
-    since the slip began is what is usual.
+    Each step is divided by its likely error and cut off at `CLIP`. What a value says of the next is taken out, and the
+    mean of all before, which is what is usual: charts add up what is new. After an alarm the drive begins again.
     """
-    errors = np.array([np.full(len(AXES), np.nan) if step is None else step.error for step in steps])
-    sigma = np.array([np.full(len(AXES), np.nan) if step is None else step.sigma for step in steps])
+    nothing = np.full(len(AXES), np.nan)
+    errors = np.array([nothing if step is None else step.error for step in steps])
+    sigma = np.array([nothing if step is None else step.sigma for step in steps])
+    standard = np.clip(errors / sigma, -CLIP, CLIP)
+    correlation = min(max(autocorrelation(standard[: rule.settle]), CORRELATION), _MOST_CORRELATION)
     level: list[WatchedFrame] = []
     slips: list[Slip] = []
-    limit, begin, settled = rule.limit, 0, rule.settle
-    settling = _standard(errors[:settled], sigma[:settled])
-    correlation = min(max(autocorrelation(settling), CORRELATION), _MOST_CORRELATION)
+    limit, begin = rule.limit, 0
     while begin < len(names):
-        usual = _mean(errors[begin : begin + settled], sigma[begin : begin + settled])
-        after = begin + settled
-        values = innovations(_standard(errors[after:] - usual, sigma[after:]), correlation)
+        values = beside_mean(innovations(standard[begin:], correlation))
+        values[: rule.settle] = np.nan
         seen = charts(values, rule.slack)
-        level += [WatchedFrame(name) for name in names[len(level) : after]]
         alarm = _first(seen, limit)
-        for at in range(len(values) if alarm is None else alarm + 1):
-            level.append(_frame(names[after + at], seen, at, values, limit))
+        last = len(values) if alarm is None else alarm + 1
+        level += [_frame(names[begin + at], seen, at, values, limit) for at in range(last)]
         if alarm is None:
             break
-        slips.append(_slip(names, seen, alarm, after, errors, sigma, usual, correlation))
-        begin = after + alarm + 1
+        slips.append(_slip(names, seen, alarm, begin, errors, sigma, correlation))
+        begin += last
     return Watched(tuple(level), tuple(slips), correlation, limit)
-
-
-def _standard(errors: Float, sigma: Float) -> Float:
-    return np.clip(errors / sigma, -CLIP, CLIP)
 
 
 def _mean(errors: Float, sigma: Float) -> Float:
@@ -109,24 +103,21 @@ def _frame(name: str, seen: Charts, at: int, values: Float, limit: float) -> Wat
 
 
 def _slip(
-    names: Sequence[str],
-    seen: Charts,
-    alarm: int,
-    after: int,
-    errors: Float,
-    sigma: Float,
-    usual: Float,
-    correlation: float,
+    names: Sequence[str], seen: Charts, alarm: int, begin: int, errors: Float, sigma: Float, correlation: float
 ) -> Slip:
-    """Return the slip that an alarm tells of: it began where the sum last left zero, and is the mean since."""
+    """Return the slip that an alarm tells of: it began where the sum last left zero, and is the change of the mean."""
     highest = np.maximum(seen.up[alarm], seen.down[alarm])
     axis = int(highest.argmax())
     since = seen.up_since if seen.up[alarm, axis] >= seen.down[alarm, axis] else seen.down_since
-    began, noticed = after + int(since[alarm, axis]), after + alarm
-    its = slice(began, noticed + 1)
-    size = float(_mean(errors[its] - usual, sigma[its])[axis])
-    known = np.isfinite(sigma[its, axis])
+    began, noticed = begin + int(since[alarm, axis]), begin + alarm
+    before, its = slice(begin, began), slice(began, noticed + 1)
+    size = float((_mean(errors[its], sigma[its]) - _mean(errors[before], sigma[before]))[axis])
     # Values that follow each other say less than as many that do not.
     wider = (1 + correlation) / (1 - correlation)
-    spread = float(np.sqrt(wider / (1 / sigma[its, axis][known] ** 2).sum()))
+    spread = float(np.sqrt(wider * sum(_variance(sigma[part, axis]) for part in (before, its))))
     return Slip(*AXES[axis], noticed, names[noticed], began, names[began], size, spread)
+
+
+def _variance(sigma: Float) -> float:
+    """Return the variance of the mean of values with these deviations (T,), NaN where there is no value."""
+    return float(1 / (1 / sigma[np.isfinite(sigma)] ** 2).sum())

@@ -25,13 +25,18 @@ if TYPE_CHECKING:
 @click.option(
     "--alarm-rate", type=float, default=0.01, show_default=True, metavar="SHARE", help="Right ones called off."
 )
-@click.option("--power", type=float, default=0.95, show_default=True, metavar="SHARE", help="Errors at a limit noticed.")
+@click.option(
+    "--power", type=float, default=0.95, show_default=True, metavar="SHARE", help="Errors at a limit noticed."
+)
 @click.option("--require", is_flag=True, help="Exit status 1 where it cannot be told, too.")
 @click.option("--watch", "watching", is_flag=True, help="Frame after frame over a drive: when did it slip?")
 @click.option("--alarms-per-hour", type=float, metavar="N", help="With --watch: false alarms an hour (default: 0.1).")
 @click.option("--rate", "rate_hz", type=float, metavar="HZ", help="With --watch: frames a second (default: as told).")
 @click.option(
-    "--settle", type=click.IntRange(min=1), metavar="N", help="With --watch: first frames, which are usual (default: 20)."
+    "--settle",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="With --watch: first frames, which are usual (default: 20).",
 )
 @click.option("--extractor", metavar="IMAGE/CLOUD", help="The two extractors (default: p2ornet/rings).")
 @click.option("--matcher", metavar="NAME", help="How points and lines are paired (default: ogm).")
@@ -170,8 +175,8 @@ def _of_watch(found: Watch) -> list[str]:
         highest = max(told, key=lambda frame: frame.level or 0.0)
         lines.append(f"  {'charts':<12} at most {highest.level:.2f} of an alarm, {highest.axis} at {highest.name}")
     lines.append(
-        f"  {'alarms':<12} {found.alarms_per_hour:g} false ones an hour are meant, at {found.rate_hz:g} frames a second "
-        f"(correlation {found.correlation:.2f}); the first {found.settled} frames say what is usual"
+        f"  {'alarms':<12} {found.alarms_per_hour:g} false ones an hour are meant, at {found.rate_hz:g} frames a "
+        f"second (correlation {found.correlation:.2f}); the first {found.settled} frames say what is usual"
     )
     return [*lines, *(f"  {'warning':<12} {text}" for text in found.warnings)]
 

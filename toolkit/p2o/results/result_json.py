@@ -162,7 +162,7 @@ def _dataclass(name: str, kind: Any, value: Mapping[str, Any]) -> Any:
     if missing or unknown:
         said = [f"{', '.join(keys)} {word}" for keys, word in ((missing, "missing"), (unknown, "unknown")) if keys]
         raise InputError(f"{name} has other fields", expected=", ".join(types), got="; ".join(said))
-    before = "" if kind is Result else f"{name}."
+    before = "" if kind in (Result, Check, Watch) else f"{name}."
     return kind(**{key: _read(before + key, type_, value[key]) for key, type_ in types.items() if key in value})
 
 

@@ -67,7 +67,10 @@ def check(
         read.append(frame)
     one_camera(read)
     pose, said = _pose(extrinsic, read)
-    warnings = (*said, *check_direction(read[0].cloud, read[0].camera, pose, name="the extrinsic", where=_named(extrinsic)))
+    warnings = (
+        *said,
+        *check_direction(read[0].cloud, read[0].camera, pose, name="the extrinsic", where=_named(extrinsic)),
+    )
     found = audit(Evidence.of(views, pose, opened.pipeline), opened.pipeline.options, rates)
     _refuse_inverse(found.holding, warnings, extrinsic)
     return replace(found, warnings=(*warnings, *found.warnings), **opened.stamp)

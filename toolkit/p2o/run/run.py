@@ -533,6 +533,7 @@ def selected(dataset: Sequence[Frame] | Dataset, spec: str) -> tuple[Sequence[st
 
 
 def frame_at(dataset: Sequence[Frame] | Dataset, index: int) -> Frame:
+    """Return the frame of an index; raises InputError where the data hold something else there."""
     frame = dataset[index]
     if not isinstance(frame, Frame):
         raise InputError(f"entry {index} of the frames is not a frame", expected="p2o.Frame", got=type(frame).__name__)

@@ -1,0 +1,116 @@
+"""`p2o check` says whether an extrinsic holds, and in one line what is wrong with what it was given."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import p2o
+import pytest
+from p2o import se3
+from p2o.cli import main
+from p2o.results.check import Holding
+from p2o.results.result_json import check_from_dict, check_to_dict, watch_from_dict
+
+DATA = "synthetic:?right=false&scenes=1&frames_per_scene=2&period_s=1.5&seed=3&width_px=800&height_px=300"
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[p2o.Frame]:
+    from p2o.run.recipe import open_dataset
+
+    dataset = open_dataset(DATA, p2o.Registry.load())
+    return [dataset[0], dataset[1]]
+
+
+@pytest.fixture(scope="module")
+def truth(frames: list[p2o.Frame]) -> np.ndarray:
+    assert frames[0].camera_from_lidar is not None
+    return frames[0].camera_from_lidar
+
+
+def written(folder: Path, content: object) -> str:
+    file = folder / "extrinsic.json"
+    file.write_text(json.dumps(content))
+    return str(file)
+
+
+def test_the_truth_of_a_simulated_scene_holds(capsys: pytest.CaptureFixture[str]) -> None:
+    status = main(["check", DATA, "--extrinsic", "truth", "--json"])
+    found = check_from_dict(json.loads(capsys.readouterr().out))
+    assert found.holding is not Holding.OFF
+    assert status == 0
+    assert len(found.frames) == 2
+    assert found.recipe["data"] == DATA
+
+
+def test_an_extrinsic_in_a_file_that_slipped_is_off(
+    truth: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong = se3.exp(np.array([0.0, np.radians(1.5), 0.0, 0.0, 0.0, 0.0])) @ truth
+    for content in (wrong.tolist(), {"lidar_from_camera": se3.inverse(wrong).tolist()}):
+        assert main(["check", DATA, "--extrinsic", written(tmp_path, content)]) == 1
+        said = capsys.readouterr().out
+        assert "yaw        off" in said
+        assert "yaw +1.5" in said or "yaw +1.4" in said
+
+
+def test_an_answer_that_is_asked_for_and_cannot_be_given_is_status_1(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["check", DATA, "--extrinsic", "truth", "--frames", "0", "--notice", "0.001deg 0.1mm"]
+    assert main(words) == 0
+    assert "cannot tell" in capsys.readouterr().out
+    assert main([*words, "--require"]) == 1
+
+
+def test_python_says_the_same_of_frames(frames: list[p2o.Frame], truth: np.ndarray) -> None:
+    found = p2o.check(frames, truth)
+    assert found.holding is not Holding.OFF
+    assert [axis.axis for axis in found.axes] == ["roll", "pitch", "yaw", "x", "y", "z"]
+    assert check_to_dict(check_from_dict(check_to_dict(found))) == check_to_dict(found)
+
+
+def test_the_inverse_of_an_extrinsic_is_refused(
+    truth: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["check", DATA, "--extrinsic", written(tmp_path, se3.inverse(truth).tolist())]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "lidar_from_camera" in said
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--extrinsic", "no-such.yaml"], "no-such.yaml"),
+        (["--extrinsic", "truth", "--notice", "0.3deg"], "--notice"),
+        (["--extrinsic", "truth", "--power", "1.5"], "power"),
+        (["--extrinsic", "truth", "--settle", "5"], "--watch"),
+        (["--extrinsic", "truth", "--watch", "--notice", "1deg 1m"], "--notice"),
+        (["--extrinsic", "truth", "--watch"], "too few frames"),
+        (["--extrinsic", "truth", "--watch", "--rate", "nan"], "--rate"),
+    ],
+)
+def test_wrong_words_are_told_in_one_line(
+    words: list[str], told: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert main(["check", DATA, *words]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert told in said
+
+
+def test_a_file_that_holds_no_pose_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", DATA, "--extrinsic", written(tmp_path, {"camera_from_lidar": [1, 2]})]) == 2
+    assert "extrinsic.json" in capsys.readouterr().err
+
+
+def test_a_drive_that_does_not_slip_is_watched_frame_after_frame(capsys: pytest.CaptureFixture[str]) -> None:
+    drive = DATA.replace("frames_per_scene=2&period_s=1.5", "frames_per_scene=5")
+    words = ["check", drive, "--extrinsic", "truth", "--watch", "--settle", "2", "--rate", "20"]
+    assert main([*words, "--json"]) == 0
+    found = watch_from_dict(json.loads(capsys.readouterr().out))
+    assert [frame.name for frame in found.frames] == [f"scene-0000/{number:04d}" for number in range(5)]
+    assert [frame.level is None for frame in found.frames] == [True, True, False, False, False]
+    assert (found.rate_hz, found.slips) == (20.0, ())
+    assert check_to_dict(watch_from_dict(check_to_dict(found))) == check_to_dict(found)
