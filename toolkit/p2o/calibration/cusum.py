@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from p2o.arrays import Float
+from p2o.arrays import Float, Int
 
 _OVERSHOOT = 1.166
 """What a sum steps over its limit on average, for Gaussian values (Siegmund, Sequential Analysis, 1985)."""
@@ -44,15 +44,16 @@ class Charts:
 
     up: Float
     down: Float
-    up_since: Float
-    down_since: Float
+    up_since: Int
+    down_since: Int
 
 
 def charts(values: Float, slack: float) -> Charts:
     """Return the sums S_t = max(0, S_(t-1) +- value_t - slack) of rows (T, A); NaN leaves a sum as it is."""
-    sums = []
+    sums: list[tuple[Float, Int]] = []
     for sign in (1.0, -1.0):
-        level, since = np.zeros_like(values), np.zeros(values.shape, np.int64)
+        level: Float = np.zeros(values.shape)
+        since: Int = np.zeros(values.shape, np.int64)
         run, begin = np.zeros(values.shape[1]), np.zeros(values.shape[1], np.int64)
         for place, row in enumerate(values):
             run = np.where(np.isnan(row), run, np.maximum(0.0, run + sign * row - slack))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeGuard
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from p2o.geometry import se3
 from p2o.geometry.pose_error import pose_error
 from p2o.host.stages import Matcher
 from p2o.problems.point_to_line import PointToLine
+from p2o.problems.problem import Problem
 from p2o.results.evidence import Agreement
 
 REACH_PX = 15.0
@@ -73,7 +75,7 @@ def edge_step(
     reach = reach_px
     for _ in range(_ROUNDS):
         problem = matcher(nuisance.views(raw), pose, reach)
-        if _too_few(problem, options):
+        if not _enough(problem, options):
             return "too few pairs of edges are within reach"
         fit = nuisance.fit(problem, cameras, pose, cameras=False)
         pose, nuisance = fit.camera_from_lidar, nuisance.after(fit)
@@ -85,7 +87,7 @@ def edge_step(
         reach = max(options.min_reach_px, reach * options.shrink)
     seen = nuisance.views(raw)
     problem = matcher(seen, pose, options.min_reach_px)
-    if _too_few(problem, options):
+    if not _enough(problem, options):
         return "too few pairs of edges are within reach"
     last = nuisance.fit(problem, cameras, pose, cameras=options.camera != "trust")
     agreed = agreement_of(seen, pose)
@@ -101,5 +103,5 @@ def edge_step(
     return EdgeStep(pose, error, weakness(agreed) ** 2 * covariance, agreed, last.places)
 
 
-def _too_few(problem: object, options: PipelineOptions) -> bool:
-    return not isinstance(problem, PointToLine) or len(problem) < options.min_matches or not tells_more(problem)
+def _enough(problem: Problem, options: PipelineOptions) -> TypeGuard[PointToLine]:
+    return tells_more(problem) and len(problem) >= options.min_matches

@@ -112,7 +112,8 @@ def watch(
     names: list[str] = []
     times: list[float | None] = []
     steps: list[EdgeStep | None] = []
-    pose, warnings = np.eye(4), ()
+    pose: Float = np.eye(4)
+    warnings: tuple[str, ...] = ()
     cameras: set[str] = set()
     for done, frame in enumerate(opened.frames()):
         tell(frame.name, done, count)
@@ -172,8 +173,10 @@ class _Opened:
     ) -> _Opened:
         settings = None
         if options is not None:
-            mapping = isinstance(options, Mapping)
-            settings = {k: dict(v) for k, v in options.items()} if mapping else parse_settings(options)
+            if isinstance(options, Mapping):
+                settings = {k: dict(v) for k, v in options.items()}
+            else:
+                settings = parse_settings(options)
         recipe = Recipe.of(
             data=data if isinstance(data, str) else None,
             frames=frames,
@@ -184,6 +187,14 @@ class _Opened:
             joint=True,
         )
         plan = recipe.resolve(Registry.load() if registry is None else registry)
+        method = plan.parts["matcher"].offer.method
+        if "pairs" not in method.gives:
+            raise InputError(
+                "a check needs pairs of edges",
+                where="--matcher",
+                expected="a matcher that gives pairs, such as ogm",
+                got=method.name,
+            )
         given = [data] if isinstance(data, Frame) else data
         dataset = plan.dataset() if isinstance(data, str) else plan.joined(given)
         pipeline = plan.calibrator()
