@@ -84,18 +84,20 @@ class Evidence:
     lead_edges: float = 0.0
 
     @classmethod
-    def of(cls, views: Sequence[View], camera_from_lidar: Float, pipeline: Pipeline) -> Evidence:
+    def of(
+        cls, views: Sequence[View], camera_from_lidar: Float, pipeline: Pipeline, *, search: bool = True
+    ) -> Evidence:
         """Return what the edges of prepared views say.
 
-        They lead from the given pose within a narrow reach, with no weight on where they begin; a search tells whether
-        there is a better pose out of that reach.
+        They lead from the given pose within a narrow reach, with no weight on where they begin; a `search` tells
+        whether there is a better pose out of that reach.
         """
         given, names = se3.check_rigid("the extrinsic", camera_from_lidar), tuple(view.name for view in views)
         missing = missing_features(views, given, pipeline.needs)
         if missing is not None:
             return cls(names, given, missing[1])
         near = edge_step(views, given, pipeline.matcher, pipeline.options)
-        return cls(names, given, near, *_searched(views, given, near, pipeline))
+        return cls(names, given, near, *(_searched(views, given, near, pipeline) if search else ()))
 
     @property
     def led_away(self) -> bool:
