@@ -89,7 +89,7 @@ def test_the_inverse_of_an_extrinsic_is_refused(
         (["--extrinsic", "truth", "--watch", "--notice", "1deg 1m"], "--notice"),
         (["--extrinsic", "truth", "--watch"], "too few frames"),
         (["--extrinsic", "truth", "--watch", "--rate", "nan"], "--rate"),
-        (["--extrinsic", "truth", "--matcher", "idt"], "needs pairs"),
+        (["--extrinsic", "truth", "--matcher", "gmm"], "gives no residuals"),
     ],
 )
 def test_wrong_words_are_told_in_one_line(
