@@ -1,31 +1,23 @@
-"""An extrinsic in words: that of the data, or of a file."""
+"""An extrinsic in words: that of the data, or of a calibration file."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from p2o.arrays import Float
 from p2o.errors import InputError
-from p2o.files.input_file import expanded, read_text
-from p2o.files.parsed_text import parse_yaml
+from p2o.formats.files import extrinsic_words, names_file, start_words
 from p2o.frames.frame import Frame
-from p2o.geometry.pose_text import numbers, read_extrinsic
-from p2o.geometry.rough_start import rough_start
 from p2o.run.run import common_pose
 
 OF_DATA = {"truth": "camera_from_lidar", "start": "start"}
 """Words for a pose that frames hold, and where they hold it."""
-_KEYS = ("camera_from_lidar", "lidar_from_camera")
 
 
 def given_extrinsic(text: str, frames: Sequence[Frame], where: str = "--extrinsic") -> tuple[Float, tuple[str, ...]]:
-    """Return camera_from_lidar (4, 4) of words, and warnings: `truth`, `start` or a file.
+    """Return camera_from_lidar (4, 4) of words, and remarks: `truth`, `start` or a calibration file (`p2o.formats`).
 
-    A file holds 12 or 16 numbers, or is YAML or JSON of a pose as `frame.yaml` has it (`p2o.geometry.pose_text`), by
-    itself or below the key camera_from_lidar or lidar_from_camera, as in results of `p2o run --out`.
-
-    Raises InputError for a file that is missing or holds no pose, and for data that hold none.
+    Raises InputError for a file that is missing or holds no extrinsic, and for data that hold none.
     """
     if text in OF_DATA:
         pose = common_pose(frames, OF_DATA[text])
@@ -37,14 +29,6 @@ def given_extrinsic(text: str, frames: Sequence[Frame], where: str = "--extrinsi
                 got=text,
             )
         return pose, ()
-    if text.startswith("roughly "):
-        return rough_start(text, where), ()
-    path = expanded(text)
-    content = read_text(path, "file of an extrinsic")
-    matrix: Any = numbers(content.split(), (4, 4), (3, 4))
-    value = matrix.tolist() if matrix is not None else parse_yaml(content, "file of an extrinsic", path)
-    if isinstance(value, Mapping):
-        said = [key for key in _KEYS if key in value]
-        if len(said) == 1:
-            value = {said[0]: value[said[0]]}
-    return read_extrinsic("the extrinsic", value, path)
+    if text.lower().startswith("roughly ") or names_file(text):
+        return start_words(text, where)
+    return extrinsic_words(text, where)
