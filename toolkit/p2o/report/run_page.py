@@ -190,9 +190,9 @@ def _sliders(folder: Path, frame: str) -> Iterator[str]:
         yield (
             f'<figure class="slides"><div class="compare"><img src="{after}" alt="{label}, at the result" '
             f'width="{width}" height="{height}" draggable="false"><img src="{before}" alt="{label}, at the start" '
-            'draggable="false"><div class="edge"></div><span class="name before">before</span>'
-            '<span class="name after">after</span></div><input class="slider" type="range" min="0" max="100" '
-            f'step="0.5" value="50" aria-label="before to after"><figcaption>{label}</figcaption></figure>'
+            'draggable="false"><div class="edge"></div></div><div class="ends"><span>before</span>'
+            '<input class="slider" type="range" min="0" max="100" step="0.5" value="50" aria-label="before to after">'
+            f"<span>after</span></div><figcaption>{label}</figcaption></figure>"
         )
     yield "</div>"
 
