@@ -30,11 +30,11 @@ class GivenPose:
     @classmethod
     def of(cls, recipe: Recipe, which: Which = "start") -> GivenPose:
         """Return what a recipe says; raises InputError for a start that cannot be read, or one beside the truth."""
+        said = "--start" if recipe.start is not None else "--perturb"
+        if which == "truth" and (recipe.start is not None or recipe.perturb is not None):
+            raise InputError("the pose is said twice", where=said, expected=f"{said} or --pose truth")
         if recipe.start is None:
             return cls(recipe, which)
-        if which == "truth" or recipe.perturb is not None:
-            other = "--pose truth" if which == "truth" else "--perturb"
-            raise InputError("the pose is said twice", where="--start", expected=f"--start or {other}")
         pose, _ = start_words(recipe.start, "--start")
         return cls(recipe, which, se3.check_rigid("start", pose))
 
@@ -46,7 +46,12 @@ class GivenPose:
                     "the truth is not known", where=frame.name, hint="leave out --pose, or give --start FILE"
                 )
             return frame.camera_from_lidar, "the calibration that the data give"
-        if self.told is None and self.recipe.perturb is None and frame.start is None and frame.camera_from_lidar is None:
+        if (
+            self.told is None
+            and self.recipe.perturb is None
+            and frame.start is None
+            and frame.camera_from_lidar is None
+        ):
             raise InputError(
                 "there is no pose to look from",
                 where=frame.name,
