@@ -113,3 +113,17 @@ def test_frames_without_any_pair_give_no_likely_error() -> None:
 def test_so_many_are_chosen_as_are_asked_for(count: int) -> None:
     frames = [frame(f"{i}", (*UPRIGHT, *LEVEL), seed=i, count=50) for i in range(5)]
     assert len({step.name for step in choose(frames, count=count)}) == count
+
+
+def test_the_same_place_again_does_not_pretend_that_beams_lie_elsewhere() -> None:
+    one = frame("one", (*UPRIGHT, *LEVEL), seed=1)
+    twins = [SeenEdges(name, one.problem, POSE) for name in ("a", "b", "c", "d")]
+    others = [frame(f"{i}", (*UPRIGHT, *LEVEL), seed=i) for i in range(4)]
+    again, elsewhere = (choose(frames, count=4)[-1].accuracy for frames in (twins, others))
+    first = choose(twins, count=1)[-1].accuracy
+    assert first is not None
+    assert again is not None
+    assert elsewhere is not None
+    assert again.rotation_deg > 0.85 * first.rotation_deg
+    assert elsewhere.rotation_deg < 0.7 * first.rotation_deg
+    assert "of 1 scene" in shortage(twins, ["roll", "pitch", "yaw", "height"])

@@ -153,8 +153,8 @@ def expected(chosen: Sequence[SeenEdges], information: Float) -> Accuracy | None
     """Return how wrong the pose from these frames is likely to be, without the start; None where they have no pairs.
 
     `information` (6, 6) is that of a left update. Beams and the calibrations themselves leave open what they do in a
-    result (`likely_accuracy`), but frames of one place do not add rings; edges are taken to agree as they usually do, an
-    odds ratio of 10.
+    result (`likely_accuracy`), but frames of one place do not add rings; edges are taken to agree as they usually do,
+    an odds ratio of 10.
     """
     problem = _together([frame.problem for frame in chosen])
     if not len(problem):
@@ -162,8 +162,7 @@ def expected(chosen: Sequence[SeenEdges], information: Float) -> Accuracy | None
     pose = chosen[0].camera_from_lidar
     spread = Spread.of(np.asarray(np.linalg.inv(information), np.float64), problem, pose)
     # Between which rings an outline lies is new in another place only.
-    distinct = sum(not any(f.same_place(other) for other in chosen[:number]) for number, f in enumerate(chosen))
-    spread = replace(spread, rings=spread.rings * np.sqrt(len(chosen) / distinct))
+    spread = replace(spread, rings=spread.rings * np.sqrt(len(chosen) / _distinct(chosen)))
     points, places = len(problem), sum(len(frame.places) for frame in chosen)
     met = Agreement(near=0.5, chance=1 / (1 + _ODDS_RATIO), points=points, places=places)
     return likely_accuracy(spread, pose, met)
@@ -199,8 +198,8 @@ def shortage(chosen: Sequence[SeenEdges], words: Sequence[str]) -> str:
     near = sum(len(np.unique(f._labels[1][f.depth_m < NEAR_M])) for f in chosen)
     reasons = []
     if len(words) > len(_WORDS) // 2:
-        reasons.append(f"{len(chosen)} frames have {len(sides)} places with edges, and no axis has enough of them")
-        return reasons[0]
+        scenes = _distinct(chosen)
+        return f"{len(chosen)} frames of {scenes} scene{'s' if scenes != 1 else ''} are too few for every axis"
     if {"pitch", "height"} & set(words) and level <= upright:
         reasons.append(f"{level} of {len(sides)} places have level edges (roofs, sills, tops and bottoms of things)")
     if {"yaw", "the place to the side"} & set(words) and upright <= level:
@@ -210,6 +209,11 @@ def shortage(chosen: Sequence[SeenEdges], words: Sequence[str]) -> str:
     if "roll" in words or not reasons:
         reasons.append(f"there are {len(sides)} places with edges, and few of them at the sides of the image")
     return "; ".join(reasons)
+
+
+def _distinct(chosen: Sequence[SeenEdges]) -> int:
+    """Return of how many places the frames are."""
+    return sum(not any(f.same_place(other) for other in chosen[:number]) for number, f in enumerate(chosen))
 
 
 def _added(frame: SeenEdges, chosen: Sequence[SeenEdges]) -> tuple[Float, int]:
