@@ -268,10 +268,11 @@ def _article(number: int, shown: Shown, figures: Sequence[str], folders: Mapping
         f'<article id="result-{number}"><h2>{_text(shown.name)}</h2>',
         f"<p>{_badge(verdict.trust.value)} {_text(result.status.value)}: {_text(result.reason)}</p>",
         f'<ul class="reasons">{reasons}</ul>' if reasons else "",
-        '<div class="facts"><div><h3>How wrong it may be</h3>' + _likely(shown) + "</div>",
+        '<div class="facts"><div><h3>How wrong it may be</h3>' + _likely(shown),
         '<div class="next"><h3>What to do next</h3><ul>'
         + "".join(f"<li>{_text(step)}</li>" for step in next_steps(result))
         + "</ul></div></div>",
+        '<div class="pose">' + _pose_forms(result) + "</div></div>",
         *figures,
     ]
     left = len(result.frames) - len(figures)
@@ -292,9 +293,8 @@ def _article(number: int, shown: Shown, figures: Sequence[str], folders: Mapping
     head = ("stage", "reach [px]", "matches", "residual [px]", "cost", "step [deg]", "step [m]", "kept")
     seconds = [(_text(stage), f"{took:.2f} s") for stage, took in result.seconds.items()]
     parts += [
-        '<div class="facts"><div class="pose"><h3>The pose</h3>' + _pose_forms(result) + "</div>",
-        "<div><h3>What it rests on</h3>" + _evidence(result),
-        "<h3>Rounds</h3>" + _table(head, rounds, texts=1) if rounds else "",
+        '<div class="facts"><div><h3>What it rests on</h3>' + _evidence(result) + "</div>",
+        "<div><h3>Rounds</h3>" + _table(head, rounds, texts=1) if rounds else "<div>",
         "<h3>Time</h3>" + _table((), seconds, texts=1) if seconds else "",
         "</div></div>",
         "<details><summary>recipe, seed, versions</summary><pre>"
