@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import hypothesis
 import pytest
@@ -44,3 +46,13 @@ def kitti_object() -> Path:
     if not root.is_dir():
         pytest.skip(f"no real frames in {root}: set P2O_DATA (see docs/datasets.md)")
     return root
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """A headless Chromium, or a skip that says how to get one."""
+    pytest.importorskip("selenium", reason="selenium is not installed")
+    from tests.in_browser import chromium
+
+    with chromium(tmp_path_factory.mktemp("chromium")) as driver:
+        yield driver

@@ -398,7 +398,7 @@ def test_a_joint_result_lies_in_the_folder_itself(fake: list[str], tmp_path: Pat
     pictures = ["after.png", "before.png", "cloud.ply"]
     pictures += [f"sweep-{by}-{name}.png" for by in ("range", "reflectance") for name in ("after", "before")]
     of_frames = [f"drive_000{number}/{name}" for number in (0, 1) for name in pictures]
-    assert files == ["convergence.png", *of_frames, "result.json", "run.json"]
+    assert files == ["convergence.png", *of_frames, "result.html", "result.json", "run.json"]
 
 
 def test_a_folder_that_cannot_be_written_is_told_before_any_work(

@@ -22,7 +22,7 @@ _COMMANDS = {
     "methods": "List the methods that are installed, or explain one with all its options.",
     "plugins": "List the plugins as JSON: name, version, methods; the broken ones with reasons.",
     "check-plugin": "Check that methods keep the contracts of their slots.",
-    "data": "List or check the frames of a dataset, or the topics of a bag.",
+    "data": "List, check, show or choose the frames of a dataset, or list the topics of a bag.",
     "ablate": "Run a study: methods x frames x starts, as a table that can be resumed and gated.",
     "basin": "Show which wrong starts methods still correct, as heat maps.",
     "report": "Write tables, figures and one page about the studies in a folder.",

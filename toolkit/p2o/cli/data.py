@@ -1,4 +1,4 @@
-"""`p2o data`: what a dataset holds, whether every frame of it can be used, and what is in a bag."""
+"""`p2o data`: what a dataset holds, whether every frame can be used, which ones to use, and what is in a bag."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from p2o.cli import data_show, data_suggest
 from p2o.cli.plugin_options import load, plugin_options
 from p2o.errors import P2OError, printable
 
@@ -24,7 +25,11 @@ def _dataset_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @click.group("data")
 def command() -> None:
-    """List or check the frames of a dataset, or the topics of a bag."""
+    """List, check, show or choose the frames of a dataset, or list the topics of a bag."""
+
+
+command.add_command(data_show.command)
+command.add_command(data_suggest.command)
 
 
 @command.command("list")

@@ -13,6 +13,7 @@ from p2o.errors import InputError
 from p2o.files.input_file import expanded
 from p2o.files.whole_file import write_whole
 from p2o.frames.scale import camera_at_scale, image_at_scale
+from p2o.report.run_page import IN_ROOT, PAGE, RESULT, ROUNDS, RUN, run_page
 from p2o.results.result import Status
 
 if TYPE_CHECKING:
@@ -22,21 +23,20 @@ if TYPE_CHECKING:
     from p2o.run.run import Progress, Run
 
 
-_RUN, _RESULT, _ROUNDS, _PICTURES = "run.json", "result.json", "convergence.png", ("before", "after")
+_PICTURES = ("before", "after")
 _SWEEPS = tuple(f"sweep-{by}-{name}.png" for by in ("range", "reflectance") for name in _PICTURES)
 _CLOUD = "cloud.ply"
-_IN_ROOT = (_RUN, _RESULT, _ROUNDS)
-"""What may lie in the folder itself: no frame's folder can be called so."""
 
 
 @dataclass(frozen=True)
 class OutDir:
-    """DIR/run.json; for each frame DIR/FRAME/ with result.json, convergence.png, before.png and after.png.
+    """DIR/run.json and DIR/result.html, the page of the run; for each frame DIR/FRAME/ with result.json,
+    convergence.png, before.png and after.png.
 
     Beside them are the sweep on the image, sweep-range-before.png and -after.png and, where it tells reflectance,
-    sweep-reflectance-before.png and -after.png, and cloud.ply, the sweep with the colours of the image. A joint result
-    has its result.json and convergence.png in DIR itself, that of a camera of a rig in DIR/CAMERA. `folders` are the
-    names of folders by frame and camera.
+    sweep-reflectance-before.png and -after.png, and cloud.ply, the sweep with the colours of the image. A joint
+    result has its result.json and convergence.png in DIR itself, that of a camera of a rig in DIR/CAMERA. `folders`
+    are the names of folders by frame and camera.
     """
 
     root: Path
@@ -61,14 +61,14 @@ class OutDir:
         """Return it with a folder of its own for each of all frames that a run writes about."""
         from p2o.files.file_names import distinct_names
 
-        return replace(self, folders=distinct_names(names, taken=_IN_ROOT))
+        return replace(self, folders=distinct_names(names, taken=IN_ROOT))
 
     @property
     def files(self) -> list[Path]:
         """The files that will be written."""
-        ours = (_RESULT, _ROUNDS, *(f"{name}.png" for name in _PICTURES), *_SWEEPS, _CLOUD)
+        ours = (RESULT, ROUNDS, *(f"{name}.png" for name in _PICTURES), *_SWEEPS, _CLOUD)
         own = [self.root / folder / name for folder in self.folders.values() for name in ours]
-        return [*(self.root / name for name in _IN_ROOT), *own]
+        return [*(self.root / name for name in IN_ROOT), *own]
 
     def write(self, progress: Progress) -> None:
         """Write everything about one finished result."""
@@ -77,17 +77,27 @@ class OutDir:
         joint = len(progress.row.result.frames) > 1 and not progress.camera
         home = self.root if joint else self.root / self.folders[progress.camera or progress.frames[0].name]
         try:
-            _write_json(home / _RESULT, progress.row.as_dict())
+            _write_json(home / RESULT, progress.row.as_dict())
             self._draw(home, progress)
         except OSError as problem:
             raise _cannot_write(home, problem) from problem
 
-    def finish(self, run: Run) -> None:
-        """Write the object of the whole run."""
+    def finish(self, run: Run) -> Path | None:
+        """Write the object of the whole run and its page, and return the page; None where nothing was finished."""
         try:
-            _write_json(self.root / _RUN, run.as_dict())
+            told = run.as_dict()
+            _write_json(self.root / RUN, told)
+            if not run.rows:
+                return None
+            write_whole(self.root / PAGE, run_page(self.root, told, self.folders).encode())
+            return self.root / PAGE
         except OSError as problem:
             raise _cannot_write(self.root, problem) from problem
+
+    def told(self) -> str:
+        """Return in words what lies beside the page."""
+        count = sum((self.root / name).is_dir() for name in self.folders.values())
+        return f"{RUN} and {count} folder{'s' if count != 1 else ''} of pictures, clouds and results"
 
     def _draw(self, home: Path, progress: Progress) -> None:
         """Write the convergence plot, and the pictures and the coloured cloud of every frame."""
@@ -96,7 +106,7 @@ class OutDir:
         if progress.row is None:
             return
         result = progress.row.result
-        plots.convergence(result, home / _ROUNDS)
+        plots.convergence(result, home / ROUNDS)
         for frame in progress.frames:
             folder = self.root / self.folders[frame.name]
             folder.mkdir(parents=True, exist_ok=True)

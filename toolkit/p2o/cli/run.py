@@ -82,7 +82,12 @@ class _Run(click.Command):
     help="Exit status 1 unless every result is trusted and, where a size is said, likely to be this accurate.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else on stdout.")
-@click.option("--out", type=click.Path(), metavar="DIR", help="Write result JSON, overlays and convergence plots here.")
+@click.option(
+    "--out",
+    type=click.Path(),
+    metavar="DIR",
+    help="Write a page (result.html), result JSON, overlays and convergence plots here.",
+)
 @click.option("--export", "exports", multiple=True, metavar="NAME:PATH", help="Write the result in another format.")
 @plugin_options
 def command(
@@ -185,9 +190,10 @@ def command(
             protocol=None if protocol is None else protocol_of(protocol),
             rig=common,
         )
+        page = None
         if folder is not None:
             try:
-                folder.finish(done)
+                page = folder.finish(done)
             except P2OError as error:
                 problem = problem or error
     if as_json:
@@ -196,6 +202,8 @@ def command(
         stdout.write(describe_run(done) + "\n")
     if common is not None and not as_json:
         stdout.write(describe_rig(common, done.rig_errors) + "\n")
+    if folder is not None and page is not None and not as_json:
+        stdout.write(f"wrote {page} (open it in a browser), {folder.told()}\n")
     if interrupted:
         return 130
     if problem is not None:

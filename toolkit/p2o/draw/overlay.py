@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from p2o.arrays import Float, Int, Int8, UInt8, checked
+from p2o.draw.brightness import brightened, display_gamma
 from p2o.errors import InputError
 from p2o.features.edges import CloudEdges, ImageEdges
 from p2o.features.side import Side
@@ -29,6 +30,7 @@ CLOUD_NONE = (255, 70, 255)
 """LiDAR edges without a direction are magenta."""
 
 _RADIUS_PX = 3.0
+_LEGEND_PX, _LEGEND_HIGH_PX, _GAMMA_PX = 330, 60, 190
 
 
 def draw(
@@ -115,11 +117,18 @@ def write_png(path: Path | str, rgb: UInt8) -> None:
 def dimmed(rgb: UInt8, camera: Camera) -> UInt8:
     """Return a dark copy with little colour left, so that the drawing stands out.
 
+    A picture of the night is brightened first, and says by which gamma in its upper right corner.
     Raises InputError if the image does not fit the camera.
     """
-    picture = checked("the image", rgb, (camera.height, camera.width, 3), np.uint8).astype(np.float32)
+    given = checked("the image", rgb, (camera.height, camera.width, 3), np.uint8)
+    gamma = display_gamma(given)
+    picture = brightened(given, gamma).astype(np.float32)
     grey = picture @ np.array([0.299, 0.587, 0.114], np.float32)
-    return np.asarray(0.5 * (0.75 * grey[..., None] + 0.25 * picture), np.uint8)
+    canvas = np.asarray(0.5 * (0.75 * grey[..., None] + 0.25 * picture), np.uint8)
+    if gamma != 1 and camera.width >= _LEGEND_PX + _GAMMA_PX and camera.height >= _LEGEND_HIGH_PX:
+        canvas[4:26, -_GAMMA_PX:-4] //= 4
+        _write(canvas, f"brightened: gamma {gamma:.2f}", (camera.width - _GAMMA_PX + 8, 19))
+    return canvas
 
 
 def _colours(side: Int8, none: tuple[int, int, int]) -> UInt8:
@@ -163,8 +172,8 @@ def _write(canvas: UInt8, text: str, place: tuple[int, int], colour: tuple[int, 
 
 def _write_legend(canvas: UInt8) -> None:
     """Write what the colours and shapes mean into the top left corner, if there is room for it."""
-    width = 330
-    if canvas.shape[0] < 60 or canvas.shape[1] < width:
+    width = _LEGEND_PX
+    if canvas.shape[0] < _LEGEND_HIGH_PX or canvas.shape[1] < width:
         return
     white, middle = np.full((1, 3), 235, np.uint8), 15
     canvas[4:26, 4:width] //= 4

@@ -40,6 +40,15 @@ def select(
     return list(chosen)
 
 
+def spread(indices: Sequence[int], most: int) -> list[int]:
+    """Return at most so many of the indices, spread evenly from the first to the last."""
+    if len(indices) <= most:
+        return list(indices)
+    if most == 1:
+        return [indices[0]]
+    return [indices[round(place * (len(indices) - 1) / (most - 1))] for place in range(most)]
+
+
 def _chosen(
     names: Sequence[str], index_of: Mapping[str, int], word: str, where: object, skipped: Mapping[str, str]
 ) -> Sequence[int]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import contextlib
 import json
 from collections.abc import Iterable, Sequence
@@ -14,6 +13,7 @@ from p2o.arrays import Float, UInt8
 from p2o.errors import InputError, P2OError
 from p2o.frames.scale import image_at_scale
 from p2o.host.slots import Kind
+from p2o.report.one_file import jpeg_uri
 from p2o.report.summary import Summary, error_of
 from p2o.run.assembly import Assembly
 from p2o.run.part import Part
@@ -27,9 +27,6 @@ if TYPE_CHECKING:
     from p2o.host.guard import GuardedDataset
     from p2o.host.registry import Registry
     from p2o.run.joined import JoinedFrames
-
-_QUALITY = 78
-_WIDEST_PX = 1400
 
 
 @dataclass(frozen=True)
@@ -52,7 +49,7 @@ class Pictures:
         self.of[wanted.run.key, wanted.frame] = (self._number(before), self._number(after))
 
     def _number(self, picture: UInt8) -> int:
-        uri = _jpeg_uri(picture)
+        uri = jpeg_uri(picture)
         # Rows that share frame, start and extractor share the picture before.
         if uri not in self._numbers:
             self._numbers[uri] = len(self.uris)
@@ -205,14 +202,3 @@ def _check_content(wanted: Wanted, frame: Frame) -> None:
 def _badness(run: StoredRow) -> float:
     error = error_of(run, "rotation_deg")
     return -1.0 if error is None else error
-
-
-def _jpeg_uri(picture: UInt8) -> str:
-    import cv2
-
-    height, width = picture.shape[:2]
-    if width > _WIDEST_PX:
-        size = (_WIDEST_PX, round(height * _WIDEST_PX / width))
-        picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-    _, data = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()

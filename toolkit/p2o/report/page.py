@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import importlib
-import importlib.resources
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -17,6 +14,7 @@ from p2o.errors import MethodUnavailable, printable
 from p2o.geometry.pose_error import AXES
 from p2o.report.bootstrap import Interval
 from p2o.report.figures import COLOURS
+from p2o.report.one_file import filled, part
 from p2o.report.overlays import Pictures
 from p2o.report.rounds import Convergence, convergence
 from p2o.report.summary import NORMS, Difference, Group, Measured, Published, Summary, best
@@ -56,21 +54,9 @@ def page(summaries: Sequence[Summary], pictures: Pictures, library: str) -> str:
         "colours": COLOURS,
         "notes": NOTES,
     }
-    script = _part("page.js")
-    policy = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'; "
-    policy += "script-src " + " ".join(_source_hash(text) for text in (library, script))
-    parts = {"policy": policy, "style": _part("page.css"), "library": library, "script": script, "data": _json(data)}
-    # The places are found in the template alone: none of the parts is searched.
-    head, *rest = _part("page.html").split("{{")
-    return head + "".join(parts[name] + text for name, text in (piece.split("}}", 1) for piece in rest))
-
-
-def _part(name: str) -> str:
-    return importlib.resources.files("p2o.report").joinpath(name).read_text(encoding="utf-8")
-
-
-def _source_hash(script: str) -> str:
-    return f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
+    script = part("page.js")
+    parts = {"style": part("page.css"), "library": library, "script": script, "data": _json(data)}
+    return filled("page.html", parts, scripts=(library, script))
 
 
 def _json(value: Any) -> str:

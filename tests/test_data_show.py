@@ -1,0 +1,187 @@
+"""`p2o data show` and `p2o data suggest`: what is written and said before anything is calibrated."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from p2o.cli import main
+from p2o.frames.selection import spread
+from p2o.testing import stage
+
+STAGE = ["--plugin", str(Path(__file__).with_name("stage_plugin.py"))]
+
+
+def saved(path: Path, text: str) -> str:
+    path.write_text(text)
+    return str(path)
+
+
+# ---- show
+
+
+def test_show_writes_a_picture_a_frame_and_a_page_and_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["data", "show", "fake:", *STAGE, "--out", str(tmp_path / "new")]) == 0
+    out = capsys.readouterr().out
+    for name in ("drive_0000.png", "drive_0001.png", "index.html"):
+        assert (tmp_path / "new" / name).is_file()
+        assert str(tmp_path / "new" / name) in out
+    assert "points in the image, at the calibration that the data give" in out
+    html = (tmp_path / "new" / "index.html").read_text()
+    assert html.count('<img src="data:image/jpeg;base64,') == 2
+    assert "http" not in html.replace("http-equiv", "")
+
+
+def test_the_picture_shows_the_sweep_by_range_above_reflectance(tmp_path: Path) -> None:
+    assert main(["data", "show", "fake:?frames=1", *STAGE, "--out", str(tmp_path)]) == 0
+    picture = cv2.imread(str(tmp_path / "drive_0000.png"))
+    assert picture is not None
+    camera = stage.frame().camera
+    assert picture.shape == (2 * (camera.height + 22), camera.width, 3)
+    half = camera.height + 22
+    assert np.abs(picture[22:half].astype(int) - picture[half + 22 :]).mean() > 5
+
+
+def test_a_start_of_a_file_moves_the_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pose = np.array(stage.frame().camera_from_lidar)
+    pose[:3, 3] += [0.3, 0.1, 0.0]
+    file = saved(tmp_path / "start.txt", "\n".join(" ".join(map(str, row)) for row in pose.tolist()))
+    words = ["data", "show", "fake:?frames=1", *STAGE]
+    assert main([*words, "--out", str(tmp_path / "a")]) == 0
+    assert main([*words, "--start", file, "--out", str(tmp_path / "b")]) == 0
+    assert f"at the pose of {file}" in capsys.readouterr().out
+    assert (tmp_path / "a" / "drive_0000.png").read_bytes() != (tmp_path / "b" / "drive_0000.png").read_bytes()
+
+
+def test_at_most_eight_frames_are_shown_spread_evenly(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["data", "show", "fake:?frames=15", *STAGE, "--out", str(tmp_path)]) == 0
+    assert "8 frames of 15" in capsys.readouterr().out
+    assert sorted(p.name for p in tmp_path.glob("*.png"))[::7] == ["drive_0000.png", "drive_0014.png"]
+    assert spread(range(15), 8) == list(range(0, 15, 2))
+    assert spread([3, 1], 8) == [3, 1]
+    assert spread(range(9), 1) == [0]
+
+
+def test_a_pose_that_shows_nothing_is_one_clear_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    turned = saved(tmp_path / "behind.txt", "0 -1 0 0\n0 0 -1 500\n1 0 0 -5000\n0 0 0 1\n")
+    words = ["data", "show", "fake:?frames=1", *STAGE, "--out", str(tmp_path / "out")]
+    assert main([*words, "--start", turned]) == 2
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert "no point of the sweep is in the image" in error
+    assert "all points lie behind the camera" in error
+
+
+def test_poses_that_are_missing_or_said_twice_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pose = saved(tmp_path / "p.txt", "1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")
+    words = ["data", "show", "fake:?frames=1", *STAGE, "--out", str(tmp_path / "out")]
+    assert main([*words, "--start", pose, "--pose", "truth"]) == 2
+    assert "the pose is said twice" in capsys.readouterr().err
+
+
+def test_a_frame_without_any_pose_says_what_to_give() -> None:
+    from p2o import InputError
+    from p2o.run.given_pose import GivenPose
+    from p2o.run.recipe import Recipe
+
+    bare = stage.frame().without_truth()
+    given = GivenPose.of(Recipe.of(data="fake:"))
+    with pytest.raises(InputError, match="there is no pose to look from"):
+        given.of_frame(bare, 0)
+    with pytest.raises(InputError, match="the truth is not known"):
+        GivenPose.of(Recipe.of(data="fake:"), "truth").of_frame(bare, 0)
+
+
+def test_a_bad_frame_does_not_keep_the_others_from_being_shown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["data", "show", "fake:?frames=3&bad=1", *STAGE, "--out", str(tmp_path)]) == 2
+    captured = capsys.readouterr()
+    assert "drive/0001: not shown" in captured.err
+    assert "2 frames" in captured.out
+    assert len(list(tmp_path.glob("*.png"))) == 2
+
+
+@pytest.mark.parametrize("width", [1200, 390])
+def test_the_page_of_sweeps_stands_in_a_browser(tmp_path: Path, browser: Any, width: int) -> None:
+    from tests.in_browser import Page
+
+    names = json.dumps(["<script>stolen=1</script>" + 80 * "x", "two"])
+    assert main(["data", "show", "fake:", *STAGE, "--set", f"data.names={names}", "--out", str(tmp_path)]) == 0
+    size = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": width < 500}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    page = Page(browser, tmp_path / "index.html")
+    assert page.run("return document.documentElement.scrollWidth") <= width
+    assert page.run("return [...document.images].every((image) => image.naturalWidth > 0)")
+    assert page.run("return typeof stolen") == "undefined"
+    assert page.complaints() == []
+    assert page.requests() == []
+    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+# ---- suggest
+
+
+SUGGEST = ["data", "suggest", "synthetic:?scenes=3&seed=4", "--extractor", "depth/rings"]
+
+
+def test_suggest_prints_frames_to_paste_and_what_each_adds(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*SUGGEST, "--count", "2", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert len(told["steps"]) == 2
+    assert told["frames"] == ",".join(str(i) for i in sorted(step["index"] for step in told["steps"]))
+    assert told["steps"][0]["gain"] > told["steps"][1]["gain"] > 0
+    assert told["steps"][1]["accuracy"]["rotation_deg"] < told["steps"][0]["accuracy"]["rotation_deg"]
+    assert told["enough"] is None
+    assert main([*SUGGEST, "--count", "2"]) == 0
+    assert f"--frames {told['frames']} --joint" in capsys.readouterr().out.splitlines()[-1]
+
+
+def test_suggest_says_whether_frames_are_enough_and_what_stays_open(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*SUGGEST, "--require", "5deg 1m"]) == 0
+    out = capsys.readouterr().out
+    assert "enough for 5 deg and 1 m" in out
+    assert "not enough" not in out
+    assert main([*SUGGEST, "--require", "0.001deg 0.0001m"]) == 1
+    assert "not enough for 0.001 deg and 0.0001 m: " in capsys.readouterr().out
+
+
+def test_suggested_likely_errors_are_near_those_that_a_run_states(capsys: pytest.CaptureFixture[str]) -> None:
+    data = ["synthetic:?scenes=2&seed=4", "--extractor", "depth/rings"]
+    assert main(["data", "suggest", *data, "--pose", "truth", "--count", "2", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)["steps"][-1]["accuracy"]
+    words = ["--joint", "--perturb", "1deg 0.1m", "--set", "init.weigh_start=false", "--json"]
+    assert main(["run", "--data", *data, *words]) == 0
+    stated = json.loads(capsys.readouterr().out)["results"][0]["accuracy"]
+    assert told["rotation_deg"] == pytest.approx(stated["rotation_deg"], rel=0.6)
+    assert told["translation_m"] == pytest.approx(stated["translation_m"], rel=0.6)
+
+
+def test_the_same_frame_under_two_names_is_not_suggested_twice_first(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["data", "suggest", "fake:?frames=3", *STAGE, "--extractor", "depth/rings", "--count", "2", "--json"]
+    assert main(words) == 0
+    steps = json.loads(capsys.readouterr().out)["steps"]
+    assert steps[0]["places"] > 10
+    assert steps[1]["places"] == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--require", "trusted"], "an accuracy is asked for"),
+        (["--require", "0.1deg"], "an accuracy has two parts"),
+        (
+            ["--pose", "truth", "--perturb", "1deg 0.1m"],
+            "the pose is said twice",
+        ),
+        (["--frames", "99"], "--frames"),
+    ],
+)
+def test_wrong_words_are_one_clear_line(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["data", "suggest", "fake:", *STAGE, "--extractor", "depth/rings", *words]) == 2
+    assert said in capsys.readouterr().err
