@@ -21,6 +21,7 @@ _COMMANDS = {
     "check": "Say whether an extrinsic that is in use still holds, axis by axis, or since when not.",
     "methods": "List the methods that are installed, or explain one with all its options.",
     "plugins": "List the plugins as JSON: name, version, methods; the broken ones with reasons.",
+    "plugin": "Write a plugin of your own to begin with: a package with one method.",
     "check-plugin": "Check that methods keep the contracts of their slots.",
     "data": "List or check the frames of a dataset, or the topics of a bag.",
     "ablate": "Run a study: methods x frames x starts, as a table that can be resumed and gated.",
