@@ -31,6 +31,7 @@ _COMMANDS = {
     "train": "Train a method on frames, or go on with a training.",
     "pick": "Pick points in image and sweep by hand, on a page in the browser.",
     "convert": "Convert a calibration file: ROS 2, Autoware, Kalibr, COLMAP, OpenCV, KITTI and others.",
+    "doctor": "Look whether this installation can do its job, and what is missing.",
     "simulate": "Write synthetic streets in the layout of a real dataset.",
 }
 """Name and one-line help of every command; the code of `a-b` is in the module `p2o.cli.a_b`, as `command`."""

@@ -34,8 +34,8 @@ def command() -> None:
 def new(name: str, slot: str, out: str) -> int:
     """Write the package NAME with one small method that works, its tests, and a workflow that checks it.
 
-    NAME is that of the distribution and of the method: a-z, 0-9 and single -, such as acme-edges. A folder that is there
-    already is left alone.
+    NAME is that of the distribution and of the method: a-z, 0-9 and single -, such as acme-edges. A folder that is
+    there already is left alone.
     """
     from p2o.cli.new_plugin import SLOT_WORDS, NewPlugin
 
