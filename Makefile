@@ -6,7 +6,7 @@ CASES ?= 20000
 SEED ?= 0
 SOURCES := $(shell find toolkit plugins baselines -name '*.py' -o -name '*.toml' -o -name '*.html' -o -name '*.css' -o -name '*.js') pyproject.toml README.md
 
-.PHONY: run test fuzz dev lint wheel clean
+.PHONY: run test fuzz dev lint docs clean
 
 # torch==2.13.0 of the default index brings CUDA on Linux; where disk is short: make PIP_ARGS="--extra-index-url CPU_INDEX"
 $(VENV)/.locked: requirements.lock
@@ -34,6 +34,10 @@ fuzz: $(VENV)/.installed
 
 lint: $(VENV)/.locked
 	$(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check . && $(VENV)/bin/mypy
+
+# The site of docs/, with strict links, in build/site.
+docs: $(VENV)/.installed
+	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build --strict -q
 
 dev: $(VENV)/.locked
 	$(VENV)/bin/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .

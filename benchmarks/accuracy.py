@@ -1,6 +1,6 @@
 """Accuracy on frames with known truth: every combination under one protocol, means and medians, failures counted.
 
-    python benchmarks/accuracy.py --data kitti-raw:build/data/kitti_raw --frames @splits.json#test --seeds 10
+    python benchmarks/accuracy.py --data kitti-raw:build/data/kitti_raw --frames @benchmarks/splits.json#test --seeds 10
 
 Each row is what `p2o run` with these words gives for seeds 0 to N-1; features are extracted once a frame and shared.
 A frame that is refused counts with the error of its start, which is what the user is left with.

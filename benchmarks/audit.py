@@ -55,7 +55,7 @@ def main() -> None:
     collecting.add_argument("--cases", type=int, default=360, help="how many in all")
     collecting.add_argument("--rigs", default=",".join(TUNED + MEASURED), help="names with commas")
     collecting.add_argument("--no-search", action="store_true", help="leave out the search for large slips: quicker")
-    collecting.add_argument("--splits", default="../shared/data/splits.json", help="names KITTI's train frames")
+    collecting.add_argument("--splits", default="benchmarks/splits.json", help="names KITTI's train frames")
     reporting = commands.add_parser("report", help="the table of cases")
     reporting.add_argument("--rows", type=Path, required=True, help="folder of rows.jsonl")
     watching = commands.add_parser("watch", help="frames until a slip is noticed")

@@ -1,6 +1,6 @@
 """Are synthetic scenes as hard as real frames? The same figures of both, side by side, for `stereo` and for `canny`.
 
-    python benchmarks/difficulty.py --data kitti-raw:build/data/kitti_raw --frames @splits.json#test --jobs 2
+    python benchmarks/difficulty.py --data kitti-raw:build/data/kitti_raw --frames @benchmarks/splits.json#test --jobs 2
 
 Edges a frame of both sensors; the share of LiDAR edges that have an image edge of their direction (`canny`: any edge)
 within 3 px at the true pose, beside the share that chance gives; errors of single frames, each row what `p2o run` with

@@ -1,7 +1,8 @@
-"""How good are image edges? Scores against exact labels, and agreement with LiDAR edges at the true pose.
+r"""How good are image edges? Scores against exact labels, and agreement with LiDAR edges at the true pose.
 
     python benchmarks/edges.py --data "synthetic:?scenes=24&seed=101" --extractor stereo,canny
-    python benchmarks/edges.py --against lidar --data kitti-raw:PATH --frames @splits.json#test --extractor stereo,canny
+    python benchmarks/edges.py --against lidar --data kitti-raw:PATH --frames @benchmarks/splits.json#test \
+        --extractor stereo,canny
 
 Exact labels need data with depth. Extractors are names of `p2o methods`, with options after a question mark where they
 differ (`stereo?min_confidence=0.3`); `--set extractor.FIELD=VALUE` sets a field of all of them. Edges of leaves are

@@ -1,7 +1,7 @@
 """How far apart calibrations of one rig by different frames are, and from the published one: needs no truth.
 
     python benchmarks/repeatability.py --data kitti-raw:build/data/kitti_raw \
-        --group kitti=@splits.json#test --group synthetic=@splits.json#train
+        --group kitti=@benchmarks/splits.json#test --group synthetic=@benchmarks/splits.json#train
 
 Each group is calibrated jointly, from a start that is wrong by 2 deg and 15 cm, with the weights of P2ORNet that stand
 before its frames. What two groups without a common drive have in common is not noise: it is a bias of the method, or

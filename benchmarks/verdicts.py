@@ -57,9 +57,7 @@ def main() -> None:
     collecting.add_argument("--out", type=Path, required=True, help="folder of rows.jsonl, and of features")
     collecting.add_argument("--rigs", help="names with commas; all by default")
     collecting.add_argument("--most", type=int, default=12, help="frames of a rig, spread evenly")
-    collecting.add_argument(
-        "--splits", default="../shared/data/splits.json", help="file that names KITTI's train frames"
-    )
+    collecting.add_argument("--splits", default="benchmarks/splits.json", help="file that names KITTI's train frames")
     fitting = commands.add_parser("fit", help="fit the law, one rig left out at a time")
     fitting.add_argument("--rows", type=Path, required=True, help="folder of rows.jsonl")
     fitting.add_argument("--by", choices=("rig", "lidar"), default="rig", help="what is left out at a time")

@@ -1,6 +1,6 @@
 """Does the agreement tell right pairs of image and sweep from wrong ones?
 
-    python benchmarks/wrong_pairs.py --data kitti-raw:build/data/kitti_raw --frames @splits.json#test
+    python benchmarks/wrong_pairs.py --data kitti-raw:build/data/kitti_raw --frames @benchmarks/splits.json#test
 
 Every frame is calibrated from 2 deg / 0.15 m, then again with the sweep of another frame (the one seven further on).
 Prints how many of each are called doubtful or refused, how many ambiguous as well, and the errors of the right pairs

@@ -6,6 +6,7 @@ import json
 import os
 import re
 import runpy
+import shlex
 import shutil
 import site
 import subprocess
@@ -98,7 +99,7 @@ def test_the_example_keeps_every_contract(wheel: Path, tmp_path: Path) -> None:
 
 def test_the_smallest_plugin_of_the_docs_works(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = (Path(__file__).parents[1] / "docs" / "plugins.md").read_text(encoding="utf-8")
-    code, _ = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    code, *_ = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     file = tmp_path / "hello.py"
     file.write_text(code)
     assert main(["methods", "hello", "--plugin", str(file)]) == 0
@@ -119,10 +120,29 @@ def test_the_page_on_plugins_names_every_hook_with_its_signature() -> None:
 
 def test_the_kind_of_feature_on_the_page_moves_as_it_should(tmp_path: Path) -> None:
     page = (Path(__file__).parents[1] / "docs" / "plugins.md").read_text(encoding="utf-8")
-    _, code = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    _, code, _ = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     (tmp_path / "poles.py").write_text(code)
     [kind] = [v for v in runpy.run_path(str(tmp_path / "poles.py")).values() if getattr(v, "word", "") == "cloud-poles"]
     move = p2o.se3.exp(np.array([0.1, 0.2, 0.3, 1.0, 2.0, 3.0]))
     poles = p2o.CloudFeatures(features=[kind(np.eye(3), np.eye(3))]).moved(move).get("cloud-poles")
     np.testing.assert_allclose(poles.foot, p2o.se3.apply(move, np.eye(3)))
     np.testing.assert_allclose(poles.axis, move[:3, :3].T)
+
+
+def test_the_method_that_learns_on_the_page_learns_and_is_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = (Path(__file__).parents[1] / "docs" / "plugins.md").read_text(encoding="utf-8")
+    *_, code = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    lines = re.findall(r"^    p2o (.* --plugin learned\.py .*|run --plugin learned\.py .*)$", page, re.MULTILINE)
+    assert len(lines) == 2
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "learned.py").write_text(code)
+    for line in lines:
+        assert main(shlex.split(line)) == 0, line
+    level = json.loads((tmp_path / "trained/weights.json").read_text())["level"]
+    assert 5 <= level < 100
+    said = capsys.readouterr().out
+    assert "extractor.weights=trained/weights.json" in said
+    assert "scene-0000" in said
+    assert main(["check-plugin", "learned-steps", "--plugin", "learned.py"]) == 0

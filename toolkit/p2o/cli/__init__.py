@@ -21,6 +21,7 @@ _COMMANDS = {
     "check": "Say whether an extrinsic that is in use still holds, axis by axis, or since when not.",
     "methods": "List the methods that are installed, or explain one with all its options.",
     "plugins": "List the plugins as JSON: name, version, methods; the broken ones with reasons.",
+    "plugin": "Write a plugin of your own to begin with: a package with one method.",
     "check-plugin": "Check that methods keep the contracts of their slots.",
     "data": "List, check, show or choose the frames of a dataset, or list the topics of a bag.",
     "ablate": "Run a study: methods x frames x starts, as a table that can be resumed and gated.",
@@ -30,6 +31,7 @@ _COMMANDS = {
     "train": "Train a method on frames, or go on with a training.",
     "pick": "Pick points in image and sweep by hand, on a page in the browser.",
     "convert": "Convert a calibration file: ROS 2, Autoware, Kalibr, COLMAP, OpenCV, KITTI and others.",
+    "doctor": "Look whether this installation can do its job, and what is missing.",
     "simulate": "Write synthetic streets in the layout of a real dataset.",
 }
 """Name and one-line help of every command; the code of `a-b` is in the module `p2o.cli.a_b`, as `command`."""

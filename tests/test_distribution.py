@@ -1,0 +1,124 @@
+"""Wheel, source archive and container carry what they need, and nothing that lies about."""
+
+from __future__ import annotations
+
+import email
+import importlib.util
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("toolkit/p2o", "plugins/p2o_plugins", "baselines/p2o_baselines")
+
+
+def built(source: Path, kind: str, folder: Path) -> Path:
+    command = [sys.executable, "-m", "build", "-q", "--no-isolation", f"--{kind}", "--outdir", str(folder), str(source)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    [made] = folder.glob("p2o_calib-*.whl" if kind == "wheel" else "p2o_calib-*.tar.gz")
+    return made
+
+
+def copied() -> list[str]:
+    """Return what the Containerfile copies into the image to install p2o from."""
+    lines = re.findall(r"^COPY (.+) \S+$", (ROOT / "Containerfile").read_text(encoding="utf-8"), re.MULTILINE)
+    return [word for line in lines for word in line.split()]
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The source archive, unpacked."""
+    folder = tmp_path_factory.mktemp("sdist")
+    with tarfile.open(built(ROOT, "sdist", folder)) as held:
+        held.extractall(folder, filter="data")
+    [unpacked] = [path for path in folder.iterdir() if path.is_dir()]
+    return unpacked
+
+
+@pytest.fixture(scope="module")
+def wheel(archive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel, built from those files of the source archive only that the container gets."""
+    folder = tmp_path_factory.mktemp("wheel")
+    for name in copied():
+        source = archive / name
+        if source.is_dir():
+            shutil.copytree(source, folder / "source" / name)
+        else:
+            (folder / "source").mkdir(exist_ok=True)
+            shutil.copy(source, folder / "source" / name)
+    return built(folder / "source", "wheel", folder)
+
+
+def test_the_wheel_holds_every_file_of_the_packages_and_nothing_else(wheel: Path) -> None:
+    wanted = {
+        path.relative_to((ROOT / package).parent).as_posix()
+        for package in PACKAGES
+        for path in (ROOT / package).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+    with zipfile.ZipFile(wheel) as held:
+        names = {name for name in held.namelist() if ".dist-info/" not in name}
+        about = {name.partition(".dist-info/")[2] for name in held.namelist()} - {""}
+    assert names == wanted
+    for name in (
+        "p2o_plugins/weights/p2ornet-kitti.safetensors",
+        "p2o_plugins/weights/MODEL_CARD.md",
+        "p2o_baselines/studies/smoke.toml",
+        "p2o/cli/plugin_template/slots/matcher.py.txt",
+        "p2o/py.typed",
+    ):
+        assert name in names
+    assert {"METADATA", "entry_points.txt", "licenses/LICENSE"} <= about
+
+
+def test_the_wheel_says_what_it_is_and_what_it_needs(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as held:
+        [name] = [name for name in held.namelist() if name.endswith(".dist-info/METADATA")]
+        said = email.message_from_bytes(held.read(name))
+    assert said["Name"] == "p2o-calib"
+    assert said["License-Expression"] == "Apache-2.0"
+    assert said["Description-Content-Type"] == "text/markdown"
+    assert "# p2o" in said.get_payload()
+    assert {"ros", "las", "report", "docs"} <= set(said.get_all("Provides-Extra"))
+
+
+@pytest.mark.parametrize("name", ["docs", "tests", "benchmarks"])
+def test_the_source_archive_holds_the_folders_that_docs_and_tests_need(archive: Path, name: str) -> None:
+    def files(root: Path) -> set[str]:
+        found = (path.relative_to(root).as_posix() for path in root.rglob("*") if path.is_file())
+        return {path for path in found if "__pycache__" not in path and "/." not in f"/{path}"}
+
+    assert files(archive / name) == files(ROOT / name)
+
+
+def test_the_source_archive_can_be_tested_and_documented(archive: Path) -> None:
+    for name in ("pyproject.toml", "Makefile", "requirements.lock", "mkdocs.yml", "CHANGELOG.md", "CONTRIBUTING.md"):
+        assert (archive / name).read_bytes() == (ROOT / name).read_bytes()
+    assert not (archive / "build").exists()
+
+
+def test_an_index_takes_both(archive: Path, wheel: Path) -> None:
+    if importlib.util.find_spec("twine") is None:
+        pytest.skip("twine is not installed: pip install twine")
+    [packed] = archive.parent.glob("*.tar.gz")
+    command = [sys.executable, "-m", "twine", "check", "--strict", str(packed), str(wheel)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_container_runs_p2o_as_an_ordinary_user() -> None:
+    lines = (ROOT / "Containerfile").read_text(encoding="utf-8").splitlines()
+    said = [line for line in lines if line and not line.startswith("#")]
+    assert said[0] == "FROM python:3.11-slim"
+    [user] = [line for line in said if line.startswith("USER ")]
+    assert user not in ("USER root", "USER 0")
+    assert said.index(user) < said.index('ENTRYPOINT ["p2o"]')
+    taken = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
+    assert taken == set(copied())

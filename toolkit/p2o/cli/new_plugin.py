@@ -1,0 +1,165 @@
+"""A new package with one method of a chosen slot: what `p2o plugin new` writes."""
+
+from __future__ import annotations
+
+import importlib.util
+import keyword
+import os
+import re
+import shutil
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from p2o.errors import InputError
+from p2o.files.input_file import existing_folder
+from p2o.host.method import Kind
+from p2o.host.registry import Registry
+
+TEMPLATE = Path(__file__).parent / "plugin_template"
+"""The files of the package as text: @NAME@ and other words between two @ are filled in."""
+
+_LONGEST = 60
+_TRIES = {
+    Kind.IMAGE_EXTRACTOR: "p2o run --plugin {file} --extractor {name}/rings --matcher nearest",
+    Kind.CLOUD_EXTRACTOR: "p2o run --plugin {file} --extractor canny/{name} --matcher nearest",
+    Kind.MATCHER: "p2o run --plugin {file} --matcher {name} --solver nelder-mead",
+    Kind.SOLVER: "p2o run --plugin {file} --solver {name}",
+    Kind.INITIALIZER: "p2o run --plugin {file} --init {name}",
+    Kind.CALIBRATOR: "p2o run --plugin {file} --calibrator {name}",
+    Kind.ACCUMULATOR: 'p2o run --plugin {file} --accumulate {name} --data "synthetic:?frames_per_scene=3" --frames 0',
+    Kind.DATASET: "p2o data check {name}:FOLDER --plugin {file}",
+    Kind.EXPORTER: "p2o run --plugin {file} --export {name}:pose.csv",
+}
+"""How a method of each kind is tried from its file, before it is installed."""
+
+
+def slot_word(kind: Kind) -> str:
+    """Return how a slot is said on the command line, such as image-extractor."""
+    return kind.value.replace(" ", "-")
+
+
+SLOT_WORDS = {slot_word(kind): kind for kind in Kind}
+
+
+@dataclass(frozen=True)
+class NewPlugin:
+    """The package to write: `name` is that of its distribution and of its method, a slug (a-z, 0-9, -).
+
+    Raises InputError for a name that is no slug, or whose module could not be imported beside what is installed.
+    """
+
+    name: str
+    kind: Kind
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(r"[a-z][a-z0-9]*(-[a-z0-9]+)*", self.name) or len(self.name) > _LONGEST:
+            raise InputError(
+                "this is no name for a plugin",
+                where="NAME",
+                expected=f"a-z, 0-9 and single -, a letter first, at most {_LONGEST} characters, such as acme-edges",
+                got=self.name,
+            )
+        if keyword.iskeyword(self.module):
+            raise InputError("Python keeps this word for itself", where="NAME", got=self.name, hint=self._longer)
+        if importlib.util.find_spec(self.module) is not None:
+            raise InputError(
+                f"a module {self.module} is installed already", where="NAME", got=self.name, hint=self._longer
+            )
+
+    @property
+    def module(self) -> str:
+        """The name that Python imports it by."""
+        return self.name.replace("-", "_")
+
+    @property
+    def file(self) -> str:
+        """The file that holds the method, from the root of the package."""
+        return f"src/{self.module}/plugin.py"
+
+    @property
+    def tried(self) -> str:
+        """The command that tries the method from its file."""
+        return _TRIES[self.kind].format(file=self.file, name=self.name)
+
+    @property
+    def _longer(self) -> str:
+        return f"choose a longer name, such as {self.name}-p2o"
+
+    def check_free(self, registry: Registry) -> None:
+        """Raise InputError where a method of this kind and name is there already."""
+        for offer in registry.of_kind(self.kind):
+            if offer.name == self.name:
+                raise InputError(
+                    f"there is a {self.kind.value} of this name already",
+                    where="NAME",
+                    got=f"{self.name} of {offer.dist}",
+                    hint=self._longer,
+                )
+
+    def files(self) -> dict[str, str]:
+        """Return the text of every file of the package by its path from the root."""
+        slot = slot_word(self.kind)
+        sources = {
+            "pyproject.toml": "pyproject.toml",
+            "README.md": "README.md",
+            "LICENSE": "LICENSE",
+            ".gitignore": "gitignore",
+            ".github/workflows/check.yml": "workflow.yml",
+            self.file: f"slots/{slot}.py",
+            f"tests/test_{self.module}.py": f"slots/{slot}-test.py",
+        }
+        if self.kind is not Kind.DATASET:  # one that reads files is checked on those that its own test writes
+            sources["tests/test_conformance.py"] = "conformance.py"
+        filled = {path: self._filled(source) for path, source in sources.items()}
+        return {f"src/{self.module}/__init__.py": f'"""{self._about} for p2o."""\n', **filled}
+
+    def write(self, parent: Path) -> Path:
+        """Write the package into a new folder of its name in `parent`, as a whole or not at all, and return it.
+
+        Raises InputError where the parent is missing, the folder exists, or nothing can be written.
+        """
+        parent = existing_folder(parent, "--out")
+        root = parent / self.name
+        if os.path.lexists(root):
+            raise InputError("this folder is there already", where=root, hint="choose another name or another --out")
+        try:
+            part = Path(tempfile.mkdtemp(prefix=f".{self.name}-", dir=parent))
+        except OSError as problem:
+            raise _cannot_write(parent, problem) from problem
+        try:
+            for path, text in self.files().items():
+                (part / path).parent.mkdir(parents=True, exist_ok=True)
+                (part / path).write_text(text, encoding="utf-8")
+            part.chmod(0o777 & ~_umask())
+            part.rename(root)
+        except OSError as problem:
+            raise _cannot_write(root, problem) from problem
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
+        return root
+
+    @property
+    def _about(self) -> str:
+        return f"{'An' if self.kind.value[0] in 'aeiou' else 'A'} {self.kind.value}"
+
+    def _filled(self, source: str) -> str:
+        words = {
+            "NAME": self.name,
+            "MODULE": self.module,
+            "ABOUT": self._about,
+            "TRY": f"    {self.tried}",
+        }
+        text = (TEMPLATE / f"{source}.txt").read_text(encoding="utf-8")
+        return re.sub(r"@([A-Z]+)@", lambda found: words[found[1]], text)
+
+
+def _umask() -> int:
+    """Return the rights that this process takes from what it makes; reading them means setting them for a moment."""
+    mask = os.umask(0o077)
+    os.umask(mask)
+    return mask
+
+
+def _cannot_write(path: Path, problem: OSError) -> InputError:
+    return InputError("cannot write the package", where=path, got=problem.strerror or str(problem))
