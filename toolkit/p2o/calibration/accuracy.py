@@ -39,8 +39,8 @@ class Law(NamedTuple):
 
 LAW = Law(1.1, 0.5, 1.1, 0.74, 0.013, 0.0042, (1.58, 3.69), (1.55, 3.04), 1.31)
 """Fitted by `python benchmarks/verdicts.py fit` to 332 results on 22 rigs, 12 of them simulated, with the extractors of
-then: docs/benchmarks.md, A verdict that transfers. The factors of translation were widened afterwards, by 1.20 and 1.23, on
-random simulated rigs (the same section), with the extractors of now.
+then: docs/benchmarks.md, A verdict that transfers. The factors of translation were widened afterwards, by 1.20 and
+1.23, on random simulated rigs (the same section), with the extractors of now.
 """
 _LEAST_ODDS, _MOST_ODDS = 1.5, 40.0
 """Beyond the odds ratios that were seen the law stays as it is at the last of them."""
