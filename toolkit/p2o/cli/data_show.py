@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from p2o.cli.plugin_options import load, plugin_options
+from p2o.cli.pose_options import pose_options
 from p2o.errors import InputError, P2OError, printable
 
 if TYPE_CHECKING:
@@ -28,20 +29,7 @@ MOST = 8
     metavar="N",
     help="At most so many of them, spread evenly.",
 )
-@click.option(
-    "--start",
-    "--extrinsic",
-    "start",
-    metavar='FILE | roughly "WORDS"',
-    help="At the pose of a calibration file, or one told in words.",
-)
-@click.option(
-    "--pose",
-    type=click.Choice(["start", "truth"]),
-    default="start",
-    show_default=True,
-    help="Which pose of the data: the start, or the calibration that they give.",
-)
+@pose_options
 @click.option("--set", "settings", multiple=True, metavar="data.FIELD=VALUE", help="An option.")
 @click.option("--out", type=click.Path(), required=True, metavar="DIR", help="Write pictures and index.html here.")
 @plugin_options

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from p2o.cli.plugin_options import load, plugin_options
+from p2o.cli.pose_options import pose_options
 from p2o.errors import InputError, printable
 
 if TYPE_CHECKING:
@@ -36,21 +37,8 @@ _REACH_PX = 12.0
 @click.option("--count", type=click.IntRange(min=1), metavar="N", help="Choose so many (default: until they suffice).")
 @click.option("--require", metavar='"0.2deg 0.05m"', help="How accurate the result is to be; exit status 1 if not.")
 @click.option("--extractor", metavar="IMAGE/CLOUD", help="The two extractors (default: p2ornet/rings).")
-@click.option(
-    "--start",
-    "--extrinsic",
-    "start",
-    metavar='FILE | roughly "WORDS"',
-    help="Where to look from: a calibration file, or words.",
-)
 @click.option("--perturb", metavar='"2deg 0.15m"', help="Look from so far off the truth.")
-@click.option(
-    "--pose",
-    type=click.Choice(["start", "truth"]),
-    default="start",
-    show_default=True,
-    help="Which pose of the data: the start, or the calibration that they give.",
-)
+@pose_options
 @click.option("--set", "settings", multiple=True, metavar="STAGE.FIELD=VALUE", help="An option.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @plugin_options
