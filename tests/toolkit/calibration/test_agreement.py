@@ -20,6 +20,19 @@ def test_at_the_truth_nearly_every_edge_meets_its_own() -> None:
     assert found.odds_ratio > 50
 
 
+def test_the_same_view_again_is_no_further_evidence() -> None:
+    view = edge_scene.view()
+    once, again = agreement([view], TRUTH), agreement([view] * 5, TRUTH)
+    assert again.odds_ratio == pytest.approx(once.odds_ratio)
+    assert again.strength == pytest.approx(once.strength, rel=0.01)
+
+
+def test_views_of_other_places_are_further_evidence() -> None:
+    views = [edge_scene.view(seed=seed) for seed in range(4)]
+    alone = float(np.mean([agreement([view], TRUTH).strength for view in views]))
+    assert agreement(views, TRUTH).strength == pytest.approx(2.0 * alone, rel=0.15)
+
+
 def test_the_odds_fall_with_the_error_of_the_pose() -> None:
     view = edge_scene.view()
     turned = [se3.exp(np.array([a, a, 0.0, 0, 0, 0])) @ TRUTH for a in (0.0, 0.005, 0.01)]

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import Camera, PointToLine, Side
-from p2o.calibration.shifts import beam_covariance, ring_gaps
+from p2o.calibration.shifts import Spread, beam_covariance, ring_gaps
 from p2o.problems.problem import LeastSquares
 
 CAMERA = Camera.pinhole(500.0, 500.0, 320.0, 240.0, 640, 480)
@@ -88,7 +88,9 @@ def test_a_camera_on_its_side_has_the_gaps_of_rings_in_yaw() -> None:
     assert (pitch, yaw) == pytest.approx((0.001, 0.01))
 
 
-def test_gaps_of_rings_fall_with_the_root_of_the_frames() -> None:
-    one = replace(problem(), sigma_px=np.full(200, 2.0))
-    four = replace(one, frame=np.arange(200) % 4, cameras=(CAMERA,) * 4)
-    assert ring_gaps(four, POSE) == pytest.approx(0.5 * ring_gaps(one, POSE))
+def test_gaps_of_rings_fall_with_the_root_of_the_views() -> None:
+    pairs = replace(problem(), sigma_px=np.full(200, 2.0))
+    one, four = (Spread.of(np.eye(6), pairs, POSE, views) for views in (1.0, 4.0))
+    assert one.rings == pytest.approx(ring_gaps(pairs, POSE))
+    assert four.rings == pytest.approx(0.5 * one.rings)
+    assert four.beams == pytest.approx(one.beams)

@@ -11,6 +11,7 @@ import numpy as np
 from p2o.arrays import Float
 from p2o.calibration.accuracy import LAW, likely_covariance, weakness
 from p2o.calibration.camera_check import tells_more
+from p2o.calibration.different_views import view_count
 from p2o.calibration.nuisance import Nuisance, motion_prior
 from p2o.calibration.options import PipelineOptions
 from p2o.calibration.shifts import Spread
@@ -93,7 +94,8 @@ def edge_step(
     agreed = agreement_of(seen, pose)
     if last.covariance is None or agreed is None:
         return "edges meet in too few places to tell how sure they are"
-    spread = Spread.of(last.covariance, problem, pose)
+    different = view_count(problem.xyz, problem.side, problem.frame)
+    spread = Spread.of(last.covariance, problem, pose, different)
     likely = (LAW.axis / _TWO_OF_THREE) ** 2 * likely_covariance(spread, pose, agreed.odds_ratio)
     units = np.repeat([np.degrees(1.0), 1.0], 3)
     covariance = (units[:, None] * likely * units)[np.ix_(_AXES, _AXES)]

@@ -160,9 +160,8 @@ def expected(chosen: Sequence[SeenEdges], information: Float) -> Accuracy | None
     if not len(problem):
         return None
     pose = chosen[0].camera_from_lidar
-    spread = Spread.of(np.asarray(np.linalg.inv(information), np.float64), problem, pose)
     # Between which rings an outline lies is new in another place only.
-    spread = replace(spread, rings=spread.rings * np.sqrt(len(chosen) / _distinct(chosen)))
+    spread = Spread.of(np.asarray(np.linalg.inv(information), np.float64), problem, pose, _distinct(chosen))
     points, places = len(problem), sum(len(frame.places) for frame in chosen)
     met = Agreement(near=0.5, chance=1 / (1 + _ODDS_RATIO), points=points, places=places)
     return likely_accuracy(spread, pose, met)

@@ -12,6 +12,7 @@ import numpy as np
 from p2o.arrays import Float
 from p2o.calibration.accuracy import accuracy_of, likely_accuracy, likely_covariance, or_rival
 from p2o.calibration.camera_check import at_full_size
+from p2o.calibration.different_views import standing_still, view_count
 from p2o.calibration.judge import Judge, judge_of
 from p2o.calibration.nuisance import Nuisance, adjusted, known_twists, motion_prior
 from p2o.calibration.options import PipelineOptions as PipelineOptions
@@ -125,9 +126,11 @@ class Pipeline:
         with clock.of("agree"):
             agreed = agreement_of(seen, end.pose)
         covariance = final.covariance
-        told, pose, weight = None, end.pose, None
+        told, pose, weight, still = None, end.pose, None, ()
         if covariance is not None and agreed is not None and end.problem is not None:
-            spread = Spread.of(covariance, end.problem, end.pose)
+            different = view_count(end.problem.xyz, end.problem.side, end.problem.frame)
+            still = standing_still(different, len(views))
+            spread = Spread.of(covariance, end.problem, end.pose, different)
             told = likely_accuracy(spread, end.pose, agreed)
             found = self._with_start(end.pose, likely_covariance(spread, end.pose, agreed.odds_ratio), start)
             if found is not None:
@@ -158,7 +161,7 @@ class Pipeline:
             motions=final.nuisance.sweep_motions(views),
             time=final.time,
             start_weight=weight,
-            warnings=remarks_of(views),
+            warnings=(*remarks_of(views), *still),
             seconds=clock.seconds,
         )
 

@@ -24,10 +24,14 @@ class Spread:
     rings: Float
 
     @classmethod
-    def of(cls, pairs: Float, problem: PointToLine, camera_from_lidar: Float) -> Spread:
-        """Return the spread of a pose (4, 4) with the pairs of `problem`."""
-        beams, rings = beam_covariance(problem, camera_from_lidar), ring_gaps(problem, camera_from_lidar)
-        return cls(pairs, beams, rings)
+    def of(cls, pairs: Float, problem: PointToLine, camera_from_lidar: Float, views: float) -> Spread:
+        """Return the spread of a pose (4, 4) with the pairs of `problem`, which come from so many different views.
+
+        Outlines of other places lie elsewhere between the rings: what rings leave open falls with the root of `views`
+        (`p2o.calibration.different_views`).
+        """
+        rings = ring_gaps(problem, camera_from_lidar) / np.sqrt(max(views, 1.0))
+        return cls(pairs, beam_covariance(problem, camera_from_lidar), rings)
 
 
 def ring_gaps(problem: PointToLine, camera_from_lidar: Float) -> Float:
@@ -35,8 +39,7 @@ def ring_gaps(problem: PointToLine, camera_from_lidar: Float) -> Float:
 
     Pitch and y by edges that lie level in the image, yaw and x by upright ones, roll by the worse of both; x and y at
     the harmonic mean of the depths. Unlike `beam_covariance` it does not matter how little such edges weigh: errors in
-    pitch are about as large as these, with few rings and many. Outlines of other frames lie elsewhere between the
-    rings: it falls with the root of how many there are.
+    pitch are about as large as these, with few rings and many. It is that of one view.
     """
     depth_m = (problem.xyz @ camera_from_lidar[:3, :3].T + camera_from_lidar[:3, 3])[:, 2]
     focal_px = np.array([camera.focal_px for camera in problem.cameras])[problem.frame]
@@ -51,7 +54,7 @@ def ring_gaps(problem: PointToLine, camera_from_lidar: Float) -> Float:
     harmonic_m = 1.0 / float(np.mean(1.0 / depth_m[near]))
     turns = (level_rad, upright_rad, max(level_rad, upright_rad))
     gaps = np.array([*turns, upright_rad * harmonic_m, level_rad * harmonic_m, 0.0])
-    return np.asarray(gaps / np.sqrt(len(np.unique(problem.frame))))
+    return np.asarray(gaps)
 
 
 def beam_covariance(problem: PointToLine, camera_from_lidar: Float) -> Float:
