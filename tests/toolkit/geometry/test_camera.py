@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -292,3 +293,12 @@ def test_an_unknown_model_is_refused_with_the_nearest_name() -> None:
 def test_cameras_that_nobody_has_are_refused(width: int, height: int, params: tuple[float, ...], message: str) -> None:
     with pytest.raises(InputError, match=message):
         Camera("PINHOLE", width, height, params)
+
+
+@each_folding
+def test_lenses_that_are_the_same_all_around_fold_where_a_look_all_around_says(camera: Camera) -> None:
+    around = replace(camera)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Camera, "_is_radial", False)
+        expected = around._max_tangent
+    assert camera._max_tangent == pytest.approx(expected, rel=1e-12)

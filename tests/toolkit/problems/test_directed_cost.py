@@ -154,3 +154,20 @@ def test_a_sure_edge_outweighs_a_doubtful_one_that_lies_nearer() -> None:
         confidences=CONFIDENCES,
     )
     assert maps[0, 175, 610] < maps[0, 175, 600]
+
+
+@pytest.mark.parametrize(("truncate_px", "scale"), [(5.0, 1), (4.3, 1), (20.0, 4), (12.0, 2)])
+def test_few_edges_and_many_have_the_distances_of_a_brute_force_search(truncate_px: float, scale: int) -> None:
+    rng = np.random.default_rng(4)
+    camera = CAMERAS[0]
+    height, width = camera.height, camera.width
+    for count in (1, 30, 3000):
+        uv = rng.uniform([0, 0], [width - 1, height - 1], (count, 2))
+        edges = ImageEdges(uv, np.full(count, Side.LEFT, np.int8))
+        view = View("edges", camera, ImageFeatures(edges), CloudFeatures(CloudEdges.empty()))
+        found = distance_maps(view, [Side.LEFT], truncate_px, scale)[0]
+        cells = np.rint(uv / scale).astype(int)
+        cells = cells[(cells < [found.shape[1], found.shape[0]]).all(axis=1)]
+        asked = rng.integers(0, [found.shape[1], found.shape[0]], (300, 2))
+        nearest = np.linalg.norm(asked[:, None] - cells[None], axis=2).min(axis=1) * scale
+        assert found[asked[:, 1], asked[:, 0]] == pytest.approx(np.minimum(nearest, truncate_px), abs=1e-5)

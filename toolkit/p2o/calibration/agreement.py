@@ -37,7 +37,7 @@ def agreement(views: Sequence[View], camera_from_lidar: Float) -> Agreement:
         uv, xyz, side = uv[inside], view.cloud_edges.xyz[inside], view.cloud_edges.side[inside]
         pixel = np.clip(np.rint(uv).astype(np.int64), 0, [view.camera.width - 1, view.camera.height - 1])
         sides = [Side(int(s)) for s in np.unique(side)]
-        for number, meets in zip(sides, distance_maps(view, sides, 4 * NEAR_PX, 1) <= NEAR_PX, strict=True):
+        for number, meets in zip(sides, distance_maps(view, sides, NEAR_PX + 1, 1) <= NEAR_PX, strict=True):
             u, v = pixel[side == number].T
             low, high = np.percentile(v, [2, 98]).astype(np.int64)
             near += float(meets[v, u].sum())

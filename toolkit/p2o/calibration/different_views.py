@@ -1,4 +1,4 @@
-"""How many different views frames show: a rig that stands still sees the same outlines again, and learns nothing new."""
+"""How many different views frames show: a rig that stands still sees the same outlines again and again."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from scipy.spatial import KDTree
 from p2o.arrays import Float, Int, Int8
 
 _SAME_BEARING, _SAME_RANGE = 0.02, 0.04
-"""Edges of one direction so near in bearing (about 1 deg) and range (4 %) are of one outline that stays in its place."""
+"""Edges of one direction so near in bearing (about 1 deg) and range (4 %) are of one outline."""
 _LEAST_M = 0.1
 _FEW = 0.5
 """Where less than this share of the frames are views of their own, a user should know."""

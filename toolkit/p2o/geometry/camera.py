@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     import pycolmap
 
 _PINHOLE = "PINHOLE"
+_RADIAL = frozenset(
+    {"SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "FOV", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "OPENCV_FISHEYE"}
+)
+_TANGENTIAL = frozenset({"OPENCV", "FULL_OPENCV"})
 _MIN_DEPTH_M = 1e-6
 _MAX_ROUND_TRIP_PX = 0.01
 _MAX_SIDE_PX, _MAX_PIXELS = 30_000, 200_000_000
@@ -126,7 +130,8 @@ class Camera:
         fold back into the image. At the fold the determinant of the projection's derivative changes its sign.
         """
         angle = np.radians(np.linspace(0.0, 89.95, 512))[:, None]
-        azimuth = np.linspace(-np.pi, np.pi, 64, endpoint=False)
+        # Where a lens is the same all around the axis, one direction tells all.
+        azimuth = np.linspace(-np.pi, np.pi, 1 if self._is_radial else 64, endpoint=False)
         sine, cosine, one = np.sin(angle), np.cos(angle), np.ones_like(azimuth)
         ray = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), cosine * one], axis=-1)
         outward = np.stack([cosine * np.cos(azimuth), cosine * np.sin(azimuth), -sine * one], axis=-1)
@@ -140,6 +145,13 @@ class Camera:
         if one_to_one.all():
             return np.inf
         return float(np.tan(angle[max(int(np.argmin(one_to_one)) - 1, 0), 0]))
+
+    @property
+    def _is_radial(self) -> bool:
+        """True where distortion is a function of the angle from the axis alone."""
+        if self.model in _RADIAL:
+            return True
+        return self.model in _TANGENTIAL and not any(self.params[6:8])
 
     def resized(self, width: int, height: int) -> Camera:
         """Return the camera of the same picture with another number of pixels."""
