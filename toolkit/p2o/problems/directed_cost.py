@@ -234,12 +234,19 @@ class DirectedCost:
         poses = np.asarray(poses, dtype=np.float64) @ self.lidar_from_around
         total = np.zeros(len(poses))
         for part in self.parts:
-            total += _part_cost(part, poses, self)
+            at_once = max(1, _LOOKUPS_AT_ONCE // max(1, len(part.xyz)))
+            for first in range(0, len(poses), at_once):
+                rows = slice(first, first + at_once)
+                total[rows] += _part_cost(part, poses[rows], self)
         return total / self.edges if self.edges > 0 else np.full(len(poses), np.inf)
 
     def at(self, pose: Float) -> float:
         """Return the cost in pixels of one pose (4, 4)."""
         return float(self(pose[None])[0])
+
+
+_LOOKUPS_AT_ONCE = 60_000
+"""So many coordinates and distances stay in the cache of one core: two to three times as quick as all at once."""
 
 
 def _neutral(maps: Float32, truncate_px: float) -> Float:
