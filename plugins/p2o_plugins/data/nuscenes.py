@@ -4,24 +4,25 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from p2o import Camera, Dataset, Frame, Image, InputError, Method, Options, UnknownNameError, field, se3
 from p2o.files.input_file import existing_folder, listing, naming
 from p2o.formats.camera_entry import read_camera
-from pydantic import BeforeValidator
 
 from p2o_plugins.data.cloud_file import read_cloud
+from p2o_plugins.data.ego_path import moved_cloud, now_from_then
 from p2o_plugins.data.image_file import read_rgb
 from p2o_plugins.data.lazy_frames import LazyFrames
+from p2o_plugins.data.name_choice import Words, chosen
+from p2o_plugins.data.named_file import file_inside
 from p2o_plugins.data.nuscenes_tables import (
     by_token,
     matrix_of,
-    moved_between,
     named,
     number_of,
     pose_of,
@@ -38,22 +39,15 @@ _PER_SECOND = 1_000_000
 _SAME_MOMENT = 60_000
 
 
-def _words(value: object) -> object:
-    """Return words that commas join as a list of them; all else as it is."""
-    return [word.strip() for word in value.split(",") if word.strip()] if isinstance(value, str) else value
-
-
 class NuscenesOptions(Options):
     """Options of nuScenes."""
 
     root: Path = field(Path("."), help="Folder that holds v1.0-mini (or another version), samples and sweeps.")
     version: str | None = field(None, help="Folder of the tables, such as v1.0-trainval; null: the only one.")
-    cameras: Annotated[tuple[str, ...], BeforeValidator(_words)] = field(
+    cameras: Words = field(
         ("CAM_FRONT",), min_length=1, help=f"Cameras, joined by commas, or all: {', '.join(CAMERAS)}."
     )
-    scenes: Annotated[tuple[str, ...], BeforeValidator(_words)] = field(
-        (), help="Names of scenes, joined by commas, such as scene-0061; none: all."
-    )
+    scenes: Words = field((), help="Names of scenes, joined by commas, such as scene-0061; none: all.")
     between: bool = field(False, help="Take the images between the key frames, too, each with the nearest sweep.")
     moved: bool = field(
         True, help="Move the sweep to the moment of the image by the car's poses; else it stays where it was."
@@ -96,7 +90,7 @@ def build(options: NuscenesOptions) -> Dataset:
     """
     root = existing_folder(options.root, "nuScenes").resolve()
     tables = _tables(root, options.version)
-    channels = _channels(options.cameras)
+    channels = chosen("camera", options.cameras, CAMERAS)
     files = _files(tables, channels, options)
     pairs = _pairs(files, options)
     entries: dict[str, tuple[_File, _File]] = {}
@@ -142,23 +136,12 @@ def _tables(root: Path, version: str | None) -> Path:
     return tables
 
 
-def _channels(cameras: Sequence[str]) -> tuple[str, ...]:
-    if tuple(cameras) == ("all",):
-        return CAMERAS
-    unknown = next((name for name in cameras if name not in CAMERAS), None)
-    if unknown is not None:
-        raise UnknownNameError("camera", unknown, CAMERAS, hint="or all")
-    return tuple(dict.fromkeys(cameras))
-
-
 def _files(tables: Path, channels: Sequence[str], options: NuscenesOptions) -> list[_File]:
     """Return the pictures and sweeps of the chosen scenes and sensors."""
     scenes = {
         token: text_of(record, "name", tables / "scene.json") for token, record in by_token(tables, "scene").items()
     }
-    unknown = next((name for name in options.scenes if name not in scenes.values()), None)
-    if unknown is not None:
-        raise UnknownNameError("scene", unknown, scenes.values(), where=tables)
+    wanted = frozenset(chosen("scene", options.scenes, scenes.values(), where=tables))
     channel_of = _channel_of(tables)
     scene_of = {
         token: scenes.get(text_of(record, "scene_token", tables / "sample.json"), "")
@@ -176,7 +159,7 @@ def _files(tables: Path, channels: Sequence[str], options: NuscenesOptions) -> l
         scene = scene_of.get(sample)
         if not scene:
             raise InputError("a table lacks a record that another one names", where=path, got=f"sample {sample[:80]}")
-        if options.scenes and scene not in options.scenes:
+        if scene not in wanted:
             continue
         size = (0, 0) if channel == _LIDAR else (number_of(record, "width", path), number_of(record, "height", path))
         found.append(
@@ -236,14 +219,14 @@ def _read(source: _Source, pair: tuple[_File, _File]) -> Frame:
     ego_from_camera = pose_of(camera_record, calibrated)
     ego_from_lidar = pose_of(named(source.sensors, sweep_file.sensor, calibrated), calibrated)
     now, then = (pose_of(named(source.poses, file.ego_pose, poses), poses) for file in (image_file, sweep_file))
-    image_path, sweep_path = (_inside(source.root, file.file) for file in (image_file, sweep_file))
+    image_path, sweep_path = (file_inside(source.root, file.file) for file in (image_file, sweep_file))
     rgb, warnings = read_rgb(image_path, image_file.size)
     with naming(image_path):
         image = Image(rgb, camera)
     cloud, cloud_warnings = read_cloud(sweep_path, columns=_COLUMNS)
+    world_from_lidar = now @ ego_from_lidar
     if source.options.moved:
-        motion = moved_between(se3.inverse(ego_from_lidar), then, now)
-        cloud = replace(cloud, xyz=se3.apply(motion, cloud.xyz))
+        cloud = moved_cloud(cloud, now_from_then(world_from_lidar, then @ ego_from_lidar))
     return Frame(
         f"{image_file.scene}/{image_file.channel}/{image_file.time_us}",
         image,
@@ -253,7 +236,7 @@ def _read(source: _Source, pair: tuple[_File, _File]) -> Frame:
         sequence=image_file.scene,
         time_s=(image_file.time_us - source.first_us[image_file.scene]) / _PER_SECOND,
         # No pose of the camera: it would be this one and the truth.
-        lidar_world_from_lidar=now @ ego_from_lidar,
+        lidar_world_from_lidar=world_from_lidar,
         camera_name=image_file.channel,
     )
 
@@ -261,18 +244,6 @@ def _read(source: _Source, pair: tuple[_File, _File]) -> Frame:
 def _camera(record: Mapping[str, Any], file: _File, path: Path) -> Camera:
     width, height = file.size
     return read_camera({"width": width, "height": height, "K": matrix_of(record, "camera_intrinsic", path)}, path)
-
-
-def _inside(root: Path, name: str) -> Path:
-    """Return the path of a file of the tables; raises InputError if it, links followed, leaves the root."""
-    path = root / name
-    try:
-        inside = path.resolve().is_relative_to(root)
-    except (OSError, RuntimeError, ValueError) as problem:
-        raise InputError("a table names a file badly", where=root, got=ascii(name)[:80]) from problem
-    if not inside:
-        raise InputError("a file of the tables lies outside of the folder", where=root, got=name[:200])
-    return path
 
 
 METHOD = Method(

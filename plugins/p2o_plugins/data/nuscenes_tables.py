@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from p2o import InputError, se3
+from p2o import InputError
 from p2o.arrays import Float
 from p2o.files.input_file import read_bytes
 from p2o.geometry.pose_text import read_pose
@@ -95,13 +95,6 @@ def matrix_of(record: Mapping[str, Any], key: str, path: Path) -> Any:
     if not isinstance(value, list) or len(value) != 3:
         raise _wrong(record, key, "3 rows of 3 numbers", path)
     return value
-
-
-def moved_between(lidar_from_ego: Float, world_from_ego_then: Float, world_from_ego_now: Float) -> Float:
-    """Return what takes points of the LiDAR's frame then to its frame now (4, 4), the LiDAR fixed to the car."""
-    ego_now_from_then = se3.inverse(world_from_ego_now) @ world_from_ego_then
-    moved: Float = lidar_from_ego @ ego_now_from_then @ se3.inverse(lidar_from_ego)
-    return moved
 
 
 def _wrong(record: Mapping[str, Any], key: str, expected: str, path: Path) -> InputError:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 from p2o import Cloud, Dataset, Frame, Image, InputError, Method, Options, field, se3
@@ -17,27 +17,23 @@ from p2o.bags.messages import CAMERA_INFO, LIVOX, read_header, read_message
 from p2o.bags.point_columns import Unit, columns_of, named_columns, seconds_after, usable_points
 from p2o.files.input_file import naming
 from p2o.frames.direction import check_direction
-from pydantic import BeforeValidator
 
 from p2o_plugins.data.cloud_file import cloud_from_fields
 from p2o_plugins.data.lazy_frames import LazyFrames
+from p2o_plugins.data.name_choice import Words
 from p2o_plugins.data.ros_camera import RosCamera, camera_of_file, camera_of_info
 from p2o_plugins.data.ros_image import rgb_of
+from p2o_plugins.data.time_pairs import nearest
 
 _SECOND = 1_000_000_000
 _FARTHEST_M = 1e9
-
-
-def _words(value: object) -> object:
-    """Return words that commas join as a list of them; all else as it is."""
-    return [word.strip() for word in value.split(",") if word.strip()] if isinstance(value, str) else value
 
 
 class RosOptions(Options):
     """Options of ROS bags."""
 
     root: Path = field(Path("."), help="A .bag, .mcap or .db3 file, or the folder of a ROS 2 bag.")
-    image_topic: Annotated[tuple[str, ...], BeforeValidator(_words)] = field(
+    image_topic: Words = field(
         (), help="Topic of the images; none: the only one. Several, joined by commas, are the cameras of a rig."
     )
     cloud_topic: str | None = field(
@@ -232,19 +228,19 @@ def _pairs(
     """Return images and sweeps of which each is the nearest of the other, in time."""
     options = source.options
     image_ns, cloud_ns = (np.array([place.taken_ns for place in places], np.int64) for places in (images, clouds))
-    nearest, back = _nearest(cloud_ns, image_ns), _nearest(image_ns, cloud_ns)
+    near, back = nearest(cloud_ns, image_ns), nearest(image_ns, cloud_ns)
     pairs = []
     for number, image in enumerate(images):
-        cloud = clouds[nearest[number]]
+        cloud = clouds[near[number]]
         gap_s = abs(cloud.taken_ns - image.taken_ns) / _SECOND
         if gap_s > options.max_gap_s:
             skipped[_name(source, image)] = (
                 f"no sweep within {options.max_gap_s:g} s, the nearest is {gap_s:.3g} s away"
             )
-        elif back[nearest[number]] == number:
+        elif back[near[number]] == number:
             pairs.append((image, cloud))
     if not pairs:
-        gap_s = float(np.abs(cloud_ns[nearest] - image_ns).min()) / _SECOND
+        gap_s = float(np.abs(cloud_ns[near] - image_ns).min()) / _SECOND
         raise InputError(
             f"no image of {source.chosen.image.name} has a sweep of its time",
             where=source.bag.path,
@@ -253,15 +249,6 @@ def _pairs(
             hint="are they of two clocks? data.image_offset_s shifts them, data.stamps=bag takes times of recording",
         )
     return pairs
-
-
-def _nearest(sorted_ns: Int, wanted_ns: Int) -> Int:
-    """Return the index (N,) of the time that is nearest to each of the wanted ones (N,)."""
-    after = np.clip(np.searchsorted(sorted_ns, wanted_ns), 1, max(len(sorted_ns) - 1, 1))
-    if len(sorted_ns) == 1:
-        return np.zeros(len(wanted_ns), np.int64)
-    before = after - 1
-    return np.where(wanted_ns - sorted_ns[before] <= sorted_ns[after] - wanted_ns, before, after)
 
 
 def _tree(bag: Bag, options: RosOptions, image_frame: str, cloud_frame: str) -> FrameTree:
