@@ -90,7 +90,19 @@ OPEN_MODULES = {
 }
 """Modules of p2o, besides the names in `p2o.__all__`, that plugins may use."""
 
-HEAVY = {"torch", "kornia", "cv2", "pycolmap", "pyceres", "matplotlib", "joblib", "safetensors", "cma", "laspy"}
+HEAVY = {
+    "torch",
+    "kornia",
+    "cv2",
+    "pycolmap",
+    "pyceres",
+    "matplotlib",
+    "joblib",
+    "safetensors",
+    "cma",
+    "laspy",
+    "pyarrow",
+}
 NETWORK = "p2o_plugins.p2ornet"
 """The one folder that may import heavy packages on import: methods import it when they need it."""
 LIGHT = {f"{NETWORK}.options", f"{NETWORK}.shipped"}

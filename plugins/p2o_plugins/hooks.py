@@ -75,10 +75,20 @@ def p2o_accumulators() -> Iterator[Method]:
 @hookimpl
 def p2o_datasets() -> Iterator[Method]:
     """Offer the datasets."""
-    from p2o_plugins.data import folder, kitti_object, kitti_odometry, kitti_raw, nuscenes, ros, synthetic, vkitti2
+    from p2o_plugins.data import (
+        argoverse2,
+        folder,
+        kitti_object,
+        kitti_odometry,
+        kitti_raw,
+        nuscenes,
+        ros,
+        synthetic,
+        vkitti2,
+    )
 
     kitti = (kitti_object.METHOD, kitti_odometry.METHOD, kitti_raw.METHOD, vkitti2.METHOD)
-    yield from (folder.METHOD, *kitti, nuscenes.METHOD, ros.METHOD, synthetic.METHOD)
+    yield from (folder.METHOD, *kitti, nuscenes.METHOD, argoverse2.METHOD, ros.METHOD, synthetic.METHOD)
 
 
 @hookimpl
