@@ -85,10 +85,11 @@ def p2o_datasets() -> Iterator[Method]:
         ros,
         synthetic,
         vkitti2,
+        waymo,
     )
 
     kitti = (kitti_object.METHOD, kitti_odometry.METHOD, kitti_raw.METHOD, vkitti2.METHOD)
-    yield from (folder.METHOD, *kitti, nuscenes.METHOD, argoverse2.METHOD, ros.METHOD, synthetic.METHOD)
+    yield from (folder.METHOD, *kitti, nuscenes.METHOD, argoverse2.METHOD, waymo.METHOD, ros.METHOD, synthetic.METHOD)
 
 
 @hookimpl
