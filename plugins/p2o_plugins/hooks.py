@@ -78,6 +78,7 @@ def p2o_datasets() -> Iterator[Method]:
     from p2o_plugins.data import (
         argoverse2,
         folder,
+        kitti_360,
         kitti_object,
         kitti_odometry,
         kitti_raw,
@@ -88,7 +89,7 @@ def p2o_datasets() -> Iterator[Method]:
         waymo,
     )
 
-    kitti = (kitti_object.METHOD, kitti_odometry.METHOD, kitti_raw.METHOD, vkitti2.METHOD)
+    kitti = (kitti_360.METHOD, kitti_object.METHOD, kitti_odometry.METHOD, kitti_raw.METHOD, vkitti2.METHOD)
     yield from (folder.METHOD, *kitti, nuscenes.METHOD, argoverse2.METHOD, waymo.METHOD, ros.METHOD, synthetic.METHOD)
 
 

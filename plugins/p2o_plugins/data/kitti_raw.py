@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from p2o import Camera, Dataset, Frame, Image, InputError, Method, Options, RadialError, field, se3
 from p2o.arrays import Float
-from p2o.files.input_file import existing_folder, naming, read_text
+from p2o.files.input_file import existing_folder, naming
 from p2o.formats.kitti_calibration import KittiCalibration, read_calibration, rectified_extrinsic
 from pydantic import field_validator
 
@@ -21,11 +21,11 @@ from p2o_plugins.data.image_file import read_rgb
 from p2o_plugins.data.kitti_folder import is_number, paired, picture, pictures, sweeps
 from p2o_plugins.data.kitti_image import read_rectified, without_radial_error
 from p2o_plugins.data.kitti_oxts import has_fix, lidar_pose, read_packet, twist_of
+from p2o_plugins.data.kitti_stamps import read_stamp, read_stamps, seconds_of
 from p2o_plugins.data.lazy_frames import LazyFrames
 from p2o_plugins.data.velodyne_file import IMAGE_DELAY_S, NOT_UNTWISTED, SWEEP_S, read_sweep
 
 _DRIVE = re.compile(r"(\d{4}_\d\d_\d\d)_drive_(\d{4})_(sync|extract)", re.ASCII)
-_STAMP = re.compile(r"(19[7-9]|20\d|21\d)\d-\d\d-\d\d[ T]\d\d:\d\d:\d\d(\.\d{1,9})?", re.ASCII)
 # Half a turn apart a sweep belongs to another image; KITTI's cameras are stamped 10 ms after straight ahead.
 _SAME_MOMENT_S = 0.03
 
@@ -194,7 +194,7 @@ def _image_delay_s(options: KittiRawOptions, image_path: Path, sweep_path: Path)
     """Return how long after straight ahead the image was taken, in seconds."""
     if options.image_delay_s is not None:
         return options.image_delay_s
-    image, sweep = (_stamp(path.parents[1] / "timestamps.txt", int(path.stem)) for path in (image_path, sweep_path))
+    image, sweep = (read_stamp(path.parents[1] / "timestamps.txt", int(path.stem)) for path in (image_path, sweep_path))
     same = image is not None and sweep is not None and abs(image - sweep) < np.timedelta64(1, "ms")
     return 0.0 if same else IMAGE_DELAY_S
 
@@ -202,18 +202,18 @@ def _image_delay_s(options: KittiRawOptions, image_path: Path, sweep_path: Path)
 def _turn_s(sweep_path: Path) -> float:
     """Return how long the sweep took by its start and end stamps, or the nominal time where there are none."""
     folder = sweep_path.parents[1]
-    start, end = (_stamp(folder / f"timestamps_{which}.txt", int(sweep_path.stem)) for which in ("start", "end"))
+    start, end = (read_stamp(folder / f"timestamps_{which}.txt", int(sweep_path.stem)) for which in ("start", "end"))
     if start is None or end is None:
         return SWEEP_S
-    seconds = _seconds(end - start)
+    seconds = seconds_of(end - start)
     return seconds if 0.5 * SWEEP_S < seconds < 2 * SWEEP_S else SWEEP_S
 
 
 def _time_s(image_path: Path) -> float | None:
     """Return when the image was taken, in seconds after the first stamp of its camera in the drive."""
-    stamps = _stamps(image_path.parents[1] / "timestamps.txt")
-    stamp = _stamp(image_path.parents[1] / "timestamps.txt", int(image_path.stem))
-    return None if stamp is None else _seconds(stamp - stamps[~np.isnat(stamps)][0])
+    stamps = read_stamps(image_path.parents[1] / "timestamps.txt")
+    stamp = read_stamp(image_path.parents[1] / "timestamps.txt", int(image_path.stem))
+    return None if stamp is None else seconds_of(stamp - stamps[~np.isnat(stamps)][0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,8 +255,8 @@ def _oxts_number(drive: _Drive, image_path: Path) -> int | None:
     number = int(image_path.stem)
     if drive.synchronised:
         return number
-    stamp = _stamp(image_path.parents[1] / "timestamps.txt", number)
-    stamps = _stamps(drive.folder / "oxts/timestamps.txt")
+    stamp = read_stamp(image_path.parents[1] / "timestamps.txt", number)
+    stamps = read_stamps(drive.folder / "oxts/timestamps.txt")
     return None if stamp is None else _nearest(stamps, stamp)
 
 
@@ -266,13 +266,13 @@ def _after_packet_s(drive: _Drive, number: int, image_path: Path, sweep_path: Pa
     The packets of a synchronised drive lie up to 10 ms apart from where they should. The image counts as taken
     `delay_s` after the stamp of its sweep, as for the times of the points.
     """
-    packet = _stamp(drive.folder / "oxts/timestamps.txt", number)
-    sweep = _stamp(sweep_path.parents[1] / "timestamps.txt", int(sweep_path.stem))
+    packet = read_stamp(drive.folder / "oxts/timestamps.txt", number)
+    sweep = read_stamp(sweep_path.parents[1] / "timestamps.txt", int(sweep_path.stem))
     if packet is not None and sweep is not None:
-        later_s = _seconds(sweep - packet) + delay_s
+        later_s = seconds_of(sweep - packet) + delay_s
     else:
-        image = _stamp(image_path.parents[1] / "timestamps.txt", int(image_path.stem))
-        later_s = 0.0 if packet is None or image is None else _seconds(image - packet)
+        image = read_stamp(image_path.parents[1] / "timestamps.txt", int(image_path.stem))
+        later_s = 0.0 if packet is None or image is None else seconds_of(image - packet)
     return later_s if abs(later_s) < SWEEP_S else None
 
 
@@ -280,15 +280,15 @@ def _nearest_in_time(
     drive: Path, image_folder: str, images: Mapping[str, Path], clouds: Mapping[str, Path]
 ) -> Mapping[str, Path]:
     """Return the sweep of each image id of an unsynchronised drive by the nearest time stamp."""
-    image_stamps = _stamps(drive / image_folder / "timestamps.txt")
-    cloud_stamps = _stamps(drive / "velodyne_points/timestamps.txt")
+    image_stamps = read_stamps(drive / image_folder / "timestamps.txt")
+    cloud_stamps = read_stamps(drive / "velodyne_points/timestamps.txt")
     pairs: dict[str, Path] = {}
     for name in images:
         if not is_number(name) or int(name) >= len(image_stamps):
             continue
         nearest = _nearest(cloud_stamps, image_stamps[int(name)])
         sweep = None if nearest is None else clouds.get(f"{nearest:010d}")
-        if sweep is not None and abs(_seconds(cloud_stamps[nearest] - image_stamps[int(name)])) < _SAME_MOMENT_S:
+        if sweep is not None and abs(seconds_of(cloud_stamps[nearest] - image_stamps[int(name)])) < _SAME_MOMENT_S:
             pairs[name] = sweep
     return pairs
 
@@ -297,35 +297,6 @@ def _nearest(stamps: NDArray[np.datetime64], stamp: np.datetime64) -> int | None
     """Return the line of the time that is nearest to another, or None where either side is blank."""
     gaps = np.abs(stamps - stamp) / np.timedelta64(1, "s")
     return None if np.isnan(gaps).all() else int(np.nanargmin(gaps))
-
-
-def _seconds(span: np.timedelta64) -> float:
-    return float(span / np.timedelta64(1, "s"))
-
-
-def _stamp(path: Path, line: int) -> np.datetime64 | None:
-    """Return one time stamp, or None where the file or its line is absent or blank."""
-    stamps = _stamps(path)
-    return stamps[line] if line < len(stamps) and not np.isnat(stamps[line]) else None
-
-
-def _stamps(path: Path) -> NDArray[np.datetime64]:
-    """Return the time stamps of a file (N,), NaT for blank lines (sweeps the sensor lost); empty without the file.
-
-    Raises InputError for lines that are no time.
-    """
-    if not path.exists():
-        return np.array([], dtype="datetime64[ns]")
-    lines = [line.strip() for line in read_text(path, "file of time stamps").splitlines()]
-    try:
-        # NumPy would take "now" and time zones too, and lets years that do not fit into 64 bit run over.
-        wrong = next((i for i, line in enumerate(lines) if line and not _STAMP.fullmatch(line)), None)
-        if wrong is None:
-            return np.array([line or "NaT" for line in lines], dtype="datetime64[ns]")
-        got = f"line {wrong + 1}: {lines[wrong][:40]}"
-    except ValueError as problem:
-        got = str(problem)
-    raise InputError("a line is not a time", where=path, expected="YYYY-MM-DD HH:MM:SS.nnnnnnnnn", got=got)
 
 
 METHOD = Method(
