@@ -83,6 +83,7 @@ def p2o_datasets() -> Iterator[Method]:
         kitti_odometry,
         kitti_raw,
         nuscenes,
+        once,
         ros,
         synthetic,
         vkitti2,
@@ -90,7 +91,8 @@ def p2o_datasets() -> Iterator[Method]:
     )
 
     kitti = (kitti_360.METHOD, kitti_object.METHOD, kitti_odometry.METHOD, kitti_raw.METHOD, vkitti2.METHOD)
-    yield from (folder.METHOD, *kitti, nuscenes.METHOD, argoverse2.METHOD, waymo.METHOD, ros.METHOD, synthetic.METHOD)
+    others = (argoverse2.METHOD, nuscenes.METHOD, once.METHOD, waymo.METHOD)
+    yield from (folder.METHOD, *kitti, *others, ros.METHOD, synthetic.METHOD)
 
 
 @hookimpl
