@@ -84,6 +84,7 @@ def p2o_datasets() -> Iterator[Method]:
         kitti_raw,
         nuscenes,
         once,
+        pandaset,
         ros,
         synthetic,
         vkitti2,
@@ -91,7 +92,7 @@ def p2o_datasets() -> Iterator[Method]:
     )
 
     kitti = (kitti_360.METHOD, kitti_object.METHOD, kitti_odometry.METHOD, kitti_raw.METHOD, vkitti2.METHOD)
-    others = (argoverse2.METHOD, nuscenes.METHOD, once.METHOD, waymo.METHOD)
+    others = (argoverse2.METHOD, nuscenes.METHOD, once.METHOD, pandaset.METHOD, waymo.METHOD)
     yield from (folder.METHOD, *kitti, *others, ros.METHOD, synthetic.METHOD)
 
 
