@@ -14,6 +14,7 @@ from p2o import Camera
 from p2o.cli import main
 
 from tests import bag_files
+from tests.plugins.data import argoverse2_files, kitti_360_files, once_files, pandaset_files, waymo_files
 from tests.plugins.data.nuscenes_files import Tree
 
 STUDY = """name = "small"
@@ -73,9 +74,8 @@ class Bases:
     @property
     def layouts(self) -> dict[str, Path]:
         """Every other dataset by name."""
-        return {
-            name: self.root / name for name in ("kitti-raw", "kitti-object", "kitti-odometry", "nuscenes", "vkitti2")
-        }
+        kitti = ("kitti-raw", "kitti-object", "kitti-odometry", "kitti-360", "vkitti2")
+        return {name: self.root / name for name in (*kitti, "argoverse2", "nuscenes", "once", "pandaset", "waymo")}
 
     @property
     def bags(self) -> list[Path]:
@@ -105,6 +105,11 @@ def build(root: Path) -> Bases:
     _other_kitti(root, root / "kitti-raw")
     _bags(root / "bags")
     Tree(root / "nuscenes").write()
+    argoverse2_files.Log(root / "argoverse2").write()
+    kitti_360_files.Drive(root / "kitti-360").write()
+    once_files.Sequence(root / "once").write()
+    pandaset_files.Drive(root / "pandaset").write()
+    waymo_files.Segment(root / "waymo").write()
     bases.study.mkdir()
     toml = bases.study / "study.toml"
     toml.write_text(STUDY.replace("DATA", str(bases.folder)), encoding="utf-8")

@@ -145,13 +145,13 @@ _FORMS: tuple[dict[str, Any], ...] = (
 
 
 def layout(rng: Random, bases: Bases, home: Path) -> Case:
-    """A folder of KITTI's, nuScenes' or Virtual KITTI's layout with one file that is damaged, gone, or no file."""
+    """A folder of a public data set's layout with one file that is damaged, gone, or no file."""
     name, base = rng.choice(sorted(bases.layouts.items()))
     root = home / "in"
     # Hard links are quick; what is changed is written anew.
     shutil.copytree(base, root, copy_function=os.link)
     found = sorted(path for path in root.rglob("*") if path.is_file())
-    texts = [path for path in found if path.suffix in (".txt", ".json")]
+    texts = [path for path in found if path.suffix in (".txt", ".json", ".yaml")] or found
     for _ in range(rng.choice((1, 1, 2))):
         path = rng.choice(texts if rng.random() < 0.6 else found)
         if rng.random() < 0.7:
@@ -163,7 +163,7 @@ def layout(rng: Random, bases: Bases, home: Path) -> Case:
             if path != root:
                 _swap(rng, path)
         found = sorted(path for path in root.rglob("*") if _small(path)) or found
-        texts = [path for path in found if path.suffix in (".txt", ".json")] or found
+        texts = [path for path in found if path.suffix in (".txt", ".json", ".yaml")] or found
         if not all(path.exists() for path in texts):
             break
     return _read_or_run(rng, f"{name}:in")
