@@ -8,10 +8,37 @@ yaw (Rz Ry Rx) and place.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from p2o import InputError
 from p2o.arrays import Float, Int
+
+LENS = ("f_u", "f_v", "c_u", "c_v", "k1", "k2", "p1", "p2", "k3")
+SHUTTER = "rolling_shutter_direction"
+VELOCITY = tuple(f"velocity.{kind}_velocity.{axis}" for kind in ("linear", "angular") for axis in "xyz")
+STAMPS = (
+    "pose_timestamp",
+    "rolling_shutter_params.camera_trigger_time",
+    "rolling_shutter_params.camera_readout_done_time",
+)
+"""What segments tell of cameras and images, in the words of v2."""
+MAX_PIXELS = 1 << 22
+
+
+def grid(values: Any, sizes: Sequence[int], channels: int, where: Path) -> Any:
+    """Return the pixels (H, W, channels) of a range image; raises InputError where values and sizes are none."""
+    good = len(sizes) == 3 and min(sizes) > 0 and sizes[2] == channels and sizes[0] * sizes[1] <= MAX_PIXELS
+    if not good or not isinstance(values, np.ndarray) or values.size != sizes[0] * sizes[1] * channels:
+        raise InputError(
+            "this is no range image",
+            where=where,
+            expected=f"height x width x {channels} numbers",
+            got=f"{values.size if isinstance(values, np.ndarray) else 'no'} numbers of the shape {list(sizes)}"[:80],
+        )
+    return values.reshape(sizes)
 
 
 def uniform_inclinations(lowest: float, highest: float, height: int) -> Float:

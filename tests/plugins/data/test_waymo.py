@@ -144,14 +144,10 @@ def test_names_that_are_not_there_are_told_the_nearest(tmp_path: Path) -> None:
     assert len(dataset(root, cameras="all", segments=SEGMENT)) == 6
 
 
-def test_the_folder_above_and_records_of_v1_get_a_hint(tmp_path: Path) -> None:
+def test_the_folder_above_gets_a_hint(tmp_path: Path) -> None:
     Segment(tmp_path / "waymo" / "training").write()
-    with pytest.raises(InputError, match=r"there are no components of Waymo v2.*folder of components: .*training"):
+    with pytest.raises(InputError, match=r"there are no segments of Waymo.*folder of components: .*training"):
         dataset(tmp_path / "waymo")
-    (tmp_path / "old").mkdir()
-    (tmp_path / "old" / "segment-1_with_camera_labels.tfrecord").write_bytes(b"x")
-    with pytest.raises(InputError, match=r"records of v1 .* are not read: take the same segments from the release v2"):
-        dataset(tmp_path / "old")
 
 
 @pytest.mark.parametrize(
