@@ -38,7 +38,7 @@ def read_feather(path: Path, what: str, columns: Mapping[str, str]) -> dict[str,
         table = feather.read_table(pa.BufferReader(data), memory_map=False, use_threads=False)
         table.validate(full=True)
     if table.nbytes > _MAX_BYTES:
-        raise _too_large(path, what, f"{table.nbytes} bytes")
+        raise _too_large(path, what, f"{_MAX_BYTES} bytes", f"{table.nbytes}")
     _check_names(columns, table.column_names, path, what)
     return {name: _values(table.column(name), name, kind, path) for name, kind in columns.items()}
 
@@ -87,12 +87,12 @@ class ParquetTable:
         _arrow(self.path)
         read_start(self.path, self.what, 4)
         if (size := self.path.stat().st_size) > _MAX_PARQUET_BYTES:
-            raise _too_large(self.path, self.what, f"{size} bytes")
+            raise _too_large(self.path, self.what, f"{_MAX_PARQUET_BYTES} bytes", f"{size}")
         from pyarrow import parquet
 
         with _explained(self.path, self.what), parquet.ParquetFile(self.path) as file:
             if file.metadata.num_rows > _MAX_ROWS:
-                raise _too_large(self.path, self.what, f"{file.metadata.num_rows} rows")
+                raise _too_large(self.path, self.what, f"{_MAX_ROWS} rows", f"{file.metadata.num_rows}")
             _check_names(columns, file.schema_arrow.names, self.path, self.what)
             yield file
 
@@ -165,5 +165,5 @@ def _cell(scalar: Any) -> Any:
     return scalar.as_py()
 
 
-def _too_large(path: Path, what: str, got: str) -> InputError:
-    return InputError(f"the {what} is too large", where=path, expected=f"at most {_MAX_BYTES} bytes", got=got)
+def _too_large(path: Path, what: str, most: str, got: str) -> InputError:
+    return InputError(f"the {what} is too large", where=path, expected=f"at most {most}", got=got)

@@ -12,7 +12,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -115,7 +115,8 @@ class RecordSegment:
         return self._frame(next(iter(self._frames.values()))).inner(1)
 
     def _frame(self, start: int) -> Message:
-        return _record(self.path, start)
+        """Return the Frame of a record. It is not kept: reading some megabytes again takes milliseconds."""
+        return Message(memoryview(_record_bytes(self.path, start)))
 
     @cached_property
     def _frames(self) -> Mapping[int, int]:
@@ -129,12 +130,9 @@ class RecordSegment:
                 length = _length(file.read(_HEAD))
                 if length > min(_MAX_RECORD, size - start - _HEAD - 4) or len(found) > _MAX_RECORDS:
                     raise ValueError(f"a record of {length} bytes where {size - start - _HEAD} are left")
-                found[_stamp(file.read(min(length, _START))) or _stamp(self._bytes(start))] = start
+                found[_stamp(file.read(min(length, _START))) or _stamp(_record_bytes(self.path, start))] = start
                 start += _HEAD + length + 4
         return found
-
-    def _bytes(self, start: int) -> bytes:
-        return _record_bytes(self.path, start)
 
     def _matrix(self, packed: memoryview | None, channels: int, where: Path) -> Any:
         """Return the pixels (H, W, channels) of a compressed MatrixFloat."""
@@ -168,12 +166,6 @@ def _named(messages: list[Message], number: int) -> Message:
     if found is None:
         raise ValueError(f"no data of sensor {number}")
     return found
-
-
-@lru_cache(maxsize=2)
-def _record(path: Path, start: int) -> Message:
-    """Return the Frame of a record; image, sweep and poses of one are asked for one after the other."""
-    return Message(memoryview(_record_bytes(path, start)))
 
 
 def _record_bytes(path: Path, start: int) -> bytes:

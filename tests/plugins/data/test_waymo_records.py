@@ -90,13 +90,13 @@ def test_damage_anywhere_is_one_line_or_another_frame(tmp_path: Path) -> None:
         data = bytearray(whole_file)
         for _ in range(rng.choice((1, 3))):
             # The small fields are in front.
-            data[rng.randrange(rng.choice((3000, len(data))))] = rng.randrange(256)
+            data[rng.randrange(rng.choice((1500, 1500, len(data))))] = rng.randrange(256)
         path.write_bytes(data)
         try:
             dataset(tmp_path)[0]
         except InputError as problem:
             said.append(str(problem))
-    assert said
+    assert len(said) > 50
     assert not any("\n" in text for text in said)
 
 
