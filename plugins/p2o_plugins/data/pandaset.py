@@ -66,10 +66,9 @@ class _Sensor:
         """The stamps of the frames (N,) in nanoseconds."""
         path = self.folder / "timestamps.json"
         said = parse_json(read_text(path, "file of time stamps"), "file of time stamps", path)
-        times = said if isinstance(said, list) else [None]
-        if not all(isinstance(time, int | float) and not isinstance(time, bool) for time in times) or not all(
-            abs(time) < _LATEST_S for time in times
-        ):
+        times: list[Any] = said if isinstance(said, list) else [None]
+        numbers = all(isinstance(time, int | float) and not isinstance(time, bool) for time in times)
+        if not numbers or not all(abs(time) < _LATEST_S for time in times):
             raise InputError("this is no list of time stamps", where=path, expected="seconds", got=str(said)[:60])
         return np.array([round(time * _SECOND) for time in times], np.int64)
 

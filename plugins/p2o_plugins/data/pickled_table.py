@@ -301,7 +301,8 @@ def _array(made: Any) -> Any:
         _no_array()
     if count * dtype.itemsize != len(raw):
         raise _OddError(f"an array of {count} numbers of {dtype} in {len(raw)} bytes")
-    return np.frombuffer(raw, dtype).reshape(shape, order=order)
+    flat = np.frombuffer(raw, dtype)
+    return flat.reshape(shape, order="F") if order == "F" else flat.reshape(shape)
 
 
 def _dtype(made: Any) -> np.dtype[Any]:
