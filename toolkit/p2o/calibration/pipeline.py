@@ -126,7 +126,8 @@ class Pipeline:
         with clock.of("agree"):
             agreed = agreement_of(seen, end.pose)
         covariance = final.covariance
-        told, pose, weight, still = None, end.pose, None, ()
+        told, pose, weight = None, end.pose, None
+        still: tuple[str, ...] = ()
         if covariance is not None and agreed is not None and end.problem is not None:
             different = view_count(end.problem.xyz, end.problem.side, end.problem.frame)
             still = standing_still(different, len(views))
