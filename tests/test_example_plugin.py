@@ -20,6 +20,8 @@ import pytest
 from p2o.cli import main
 from p2o.host import hookspecs
 
+from tests.pages import python_blocks
+
 SOURCE = Path(__file__).parent / "example_plugin"
 
 
@@ -97,9 +99,14 @@ def test_the_example_keeps_every_contract(wheel: Path, tmp_path: Path) -> None:
     assert any("gauss-newton: solver_returns_to_the_truth" in line for line in lines)
 
 
+def block_with(text: str) -> str:
+    """Return the block of the page on plugins that holds a text."""
+    [found] = [block.text for block in python_blocks("docs/plugins.md") if text in block.text]
+    return found
+
+
 def test_the_smallest_plugin_of_the_docs_works(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    page = (Path(__file__).parents[1] / "docs" / "plugins.md").read_text(encoding="utf-8")
-    code, *_ = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    code = block_with('name="hello"')
     file = tmp_path / "hello.py"
     file.write_text(code)
     assert main(["methods", "hello", "--plugin", str(file)]) == 0
@@ -119,9 +126,7 @@ def test_the_page_on_plugins_names_every_hook_with_its_signature() -> None:
 
 
 def test_the_kind_of_feature_on_the_page_moves_as_it_should(tmp_path: Path) -> None:
-    page = (Path(__file__).parents[1] / "docs" / "plugins.md").read_text(encoding="utf-8")
-    _, code, _ = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
-    (tmp_path / "poles.py").write_text(code)
+    (tmp_path / "poles.py").write_text(block_with("class Poles"))
     [kind] = [v for v in runpy.run_path(str(tmp_path / "poles.py")).values() if getattr(v, "word", "") == "cloud-poles"]
     move = p2o.se3.exp(np.array([0.1, 0.2, 0.3, 1.0, 2.0, 3.0]))
     poles = p2o.CloudFeatures(features=[kind(np.eye(3), np.eye(3))]).moved(move).get("cloud-poles")
@@ -133,7 +138,7 @@ def test_the_method_that_learns_on_the_page_learns_and_is_used(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     page = (Path(__file__).parents[1] / "docs" / "plugins.md").read_text(encoding="utf-8")
-    *_, code = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    code = block_with('name="learned-steps"')
     lines = re.findall(r"^    p2o (.* --plugin learned\.py .*|run --plugin learned\.py .*)$", page, re.MULTILINE)
     assert len(lines) == 2
     monkeypatch.chdir(tmp_path)

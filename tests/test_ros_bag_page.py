@@ -12,6 +12,7 @@ from p2o.cli import main
 from p2o.run.recipe import open_dataset
 
 from .bag_files import messages_of, write_bag
+from .pages import shell_blocks
 
 PAGE = (Path(__file__).parents[1] / "docs/how-to/ros-bag.md").read_text(encoding="utf-8")
 
@@ -25,8 +26,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def lines() -> list[str]:
-    blocks = re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
-    return [line for block in blocks for line in block.splitlines()]
+    found = [command.text for block in shell_blocks("docs/how-to/ros-bag.md") for command in block.commands()]
+    assert found[0] == 'pip install "rosbags>=0.11,<0.12"', "the extra `ros` of pyproject.toml"
+    return found[1:]
 
 
 def without_points(text: str) -> str:

@@ -1,10 +1,8 @@
-"""The page about calibration files names every form with what it holds, and its Python runs."""
+"""The page about calibration files names every form with what it holds."""
 
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 from p2o.formats.files import formats
@@ -16,9 +14,3 @@ def test_the_table_lists_every_form_with_what_it_holds() -> None:
     rows = re.findall(r"^\| `([\w-]+)` \| (camera|extrinsic|camera, extrinsic|all of a result) \|", PAGE, re.MULTILINE)
     expected = {name: ", ".join(sorted(form.holds)) for name, form in formats().items()} | {"json": "all of a result"}
     assert dict(rows) == expected
-
-
-def test_the_python_of_the_page_runs() -> None:
-    [block] = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-    done = subprocess.run([sys.executable, "-c", block], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
