@@ -324,7 +324,7 @@ def main(words: Sequence[str] | None = None) -> None:
     axes_of_the_sensors(out / "axes.png")
     street = Street.calibrated()
     written(out / "how-image-edges.jpg", edges_of_the_image(street))
-    written(out / "how-sweep-edges.jpg", edges_of_the_sweep(street))
+    written(out / "how-sweep-edges.jpg", edges_of_the_sweep(street), quality=58)
     ring_of_the_sweep(street, out / "how-ring.png")
     written(out / "how-pairs.jpg", pairs(street))
     written(out / "how-before-after.jpg", poses(street))

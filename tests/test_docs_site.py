@@ -47,8 +47,8 @@ def test_every_page_of_docs_is_on_the_site_and_in_its_navigation(site: Path) -> 
 def test_the_front_page_is_the_readme(site: Path) -> None:
     page = (site / "index.html").read_text(encoding="utf-8")
     assert "finds the rigid transform between a camera and a LiDAR" in page
-    assert 'src="gallery/default-before-after.jpg"' in page
-    assert (site / "gallery/default-before-after.jpg").is_file()
+    assert 'src="gallery/crossing.webp"' in page
+    assert (site / "gallery/crossing.webp").is_file()
     assert 'href="docs/' not in page
     assert 'href="model-card/"' in page
 
