@@ -44,6 +44,13 @@ def test_every_page_of_docs_is_on_the_site_and_in_its_navigation(site: Path) -> 
         assert f": {name.as_posix()}\n" in listed, f"{name} is not in the navigation of mkdocs.yml"
 
 
+def test_the_notebook_is_a_page_that_links_the_file(site: Path) -> None:
+    page = (site / "tutorial/notebook/index.html").read_text(encoding="utf-8")
+    assert 'href="../../notebooks/first-calibration.ipynb"' in page
+    assert (site / "notebooks/first-calibration.ipynb").is_file()
+    assert "p2o.calibrate(frames" in text_of(site / "tutorial/notebook/index.html")
+
+
 def test_the_front_page_is_the_readme(site: Path) -> None:
     page = (site / "index.html").read_text(encoding="utf-8")
     assert "finds the rigid transform between a camera and a LiDAR" in page

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import json
 import posixpath
 import re
 from collections.abc import Iterator
@@ -23,6 +24,9 @@ FROM_ROOT = {
 }
 """Files of the repository that are shown on the site, by their path on it."""
 
+NOTEBOOKS = {"notebooks/first-calibration.ipynb": "tutorial/notebook.md"}
+"""Notebooks of docs/ that are pages, too, without what running them shows."""
+
 _LINK = re.compile(r"\[([^\[\]]*)\]\((?!https?:|mailto:|#)([^)\s#]+)(#[^)\s]*)?\)")
 _ITEM = re.compile(r"([-*]|\d+\.) ")
 
@@ -33,6 +37,8 @@ def on_files(files: Files, config: Any) -> Files:
         text = (ROOT / source).read_text(encoding="utf-8")
         made = _linked(text, source, target) if source.endswith(".md") else text
         files.append(File.generated(config, target, content=made))
+    for source, target in NOTEBOOKS.items():
+        files.append(File.generated(config, target, content=_linked(notebook(source), f"docs/{source}", target)))
     for target, page in (("commands", commands), ("methods", methods), ("python", python)):
         files.append(File.generated(config, f"reference/{target}.md", content=page()))
     return files
@@ -73,6 +79,18 @@ def _spaced(text: str) -> str:
             lines.append("")
         lines.append(line)
     return "\n".join(lines)
+
+
+def notebook(source: str) -> str:
+    """Return the page of a notebook: its texts, and its code in blocks."""
+    held = json.loads((ROOT / "docs" / source).read_text(encoding="utf-8"))
+    parts = []
+    for cell in held["cells"]:
+        text = "".join(cell["source"])
+        parts.append(f"```python\n{text}\n```" if cell["cell_type"] == "code" else text)
+    title, _, rest = "\n\n".join(parts).partition("\n")
+    name = posixpath.basename(source)
+    return f"{title}\n\nThis page is the notebook [{name}]({name}), to be downloaded and run.\n{rest}\n"
 
 
 def commands() -> str:
