@@ -1,6 +1,6 @@
 """How much faster lm is than SciPy and Ceres on the same pairs: `python benchmarks/solvers.py` (no data needed).
 
-The problem is made up: 24 frames of 600 pairs, 1 px of noise, one line in five wrong, start 1 deg and 5 cm off. All
+The problem is synthetic: 24 frames of 600 pairs, 1 px of noise, one line in five wrong, start 1 deg and 5 cm off. All
 solvers minimise the same cost from the same start with their default options, and again with the default tolerances
 of SciPy and Ceres (1e-8 and 1e-6). Printed are medians of runs that take turns, as ratios to lm of the same turn, and
 how far each answer lies from that of lm.

@@ -1,4 +1,4 @@
-"""Sweeps of KITTI as measured tell how the car moved, with nothing but the edges of both sensors."""
+"""Raw sweeps of KITTI tell how the car moved, with nothing but the edges of both sensors."""
 
 from __future__ import annotations
 

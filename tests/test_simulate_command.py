@@ -333,7 +333,7 @@ def test_a_folder_in_use_is_left_alone_unless_forced(tmp_path: Path, capsys: pyt
         (["--layout", "kitti-raw", "--set", "colour=red"], "unknown data option 'colour'"),
         (["--layout", "kitti-raw", "--set", "scenes=0"], "scenes is out of bounds"),
         (["--layout", "kitti-raw", "--set", "scenes"], "FIELD=VALUE"),
-        (["--layout", "kitti-raw", "--set", "deskew=false"], "as measured in any case"),
+        (["--layout", "kitti-raw", "--set", "deskew=false"], "written raw in any case"),
         (["--layout", "nuscenes"], "kitti-raw"),
         ([], "--layout"),
     ],

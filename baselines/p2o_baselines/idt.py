@@ -17,7 +17,7 @@ view favours poses that push the worst ones out (on simulated streets one start 
 a point that leaves the image counts as the mean of D, and all are divided by the weight of all. Points are those within
 100 px of the image at the pose that a round begins from, 1000 a frame at most. Their likelihoods are not to be had;
 ours are learnt from simulated frames (`RIGHT`, `WRONG`; `python benchmarks/idt_likelihoods.py`). They walk one step a
-frame and never end; `grid729` walks until no neighbour is better. Sweeps as measured are corrected for the motion that
+frame and never end; `grid729` walks until no neighbour is better. Raw sweeps are compensated for the motion that
 the pipeline expects or estimates.
 """
 

@@ -52,7 +52,7 @@ def ring_jumps(cloud: p2o.Cloud, min_jump_m: float, max_gap_deg: float) -> tuple
 
 
 def edges_at(cloud: p2o.Cloud, rows: Int, weight: Float) -> p2o.CloudEdges:
-    """Return points of a cloud as edges without direction, with their times where the sweep is as measured."""
+    """Return points of a cloud as edges without direction, with their times where the sweep is raw."""
     time_s = None if cloud.time_s is None or cloud.twist is not None else cloud.time_s[rows]
     none = np.full(len(rows), p2o.Side.NONE, np.int8)
     return p2o.CloudEdges(cloud.xyz[rows], none, weight, time_s=time_s)  # type: ignore[arg-type]  # None means 0

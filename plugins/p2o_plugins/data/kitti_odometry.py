@@ -153,7 +153,7 @@ METHOD = Method(
     name="kitti-odometry",
     build=build,
     options=KittiOdometryOptions,
-    summary="KITTI odometry sequences, sweeps already corrected for ego-motion.",
+    summary="KITTI odometry sequences, sweeps already motion-compensated.",
     gives=frozenset({"rings", "intensity"}),
     cite="Geiger, Lenz, Urtasun: Are we ready for autonomous driving? The KITTI vision benchmark suite. CVPR 2012",
 )

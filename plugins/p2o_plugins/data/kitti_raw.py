@@ -37,12 +37,12 @@ class KittiRawOptions(Options):
     camera: int = field(2, ge=0, le=3, help="Camera: 0 and 1 are grey, 2 and 3 colour; 0 and 2 are left.")
     right: bool = field(True, help="Read the right picture of the pair (0 with 1, 2 with 3) where it is present.")
     depth: bool = field(True, help="Read depth of camera 2 from disparity/data/FRAME.png where it is present.")
-    deskew: bool = field(True, help="Correct the sweep for the car's motion where it is known (oxts data).")
+    deskew: bool = field(True, help="Compensate the sweep for the car's motion where it is known (oxts data).")
     image_delay_s: float | None = field(
         None,
         ge=-0.05,
         le=0.05,
-        help="How long after the LiDAR looks straight ahead the image is taken, in seconds; a sweep is corrected to "
+        help="How long after the LiDAR looks straight ahead the image is taken, in seconds; a sweep is compensated to "
         "that moment. null: 0.004 (KITTI), or 0 where image and sweep have the same time stamp.",
     )
     speed_from_disparity: bool = field(

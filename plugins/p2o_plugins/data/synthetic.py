@@ -158,7 +158,7 @@ class SyntheticOptions(Options):
     keeps: Literal["strongest", "first"] = field(
         "strongest", help="Which return of a pulse that meets several surfaces."
     )
-    deskew: bool = field(True, help="Correct the sweep for the motion of the car, which is known exactly.")
+    deskew: bool = field(True, help="Compensate the sweep for the motion of the car, which is known exactly.")
     mount: tuple[_Shift, _Shift, _Shift, _Turn, _Turn, _Turn] = field(
         _KITTI_MOUNT,
         help="Camera in the LiDAR frame: x, y, z in metres, then its pitch, yaw, roll in degrees from straight ahead.",

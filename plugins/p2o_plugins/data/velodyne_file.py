@@ -21,8 +21,8 @@ Measured: motion-compensated sweeps of fast `train` drives (0028, 0015, 0032 wit
 3.7, 3.8 and 2.2 ms after, and calibrations of them are right along the road at 4.6, 4.6 and 2.3 ms
 (`docs/benchmarks.md`).
 """
-NOT_UNTWISTED = "the sweep is as measured, and the velocity of the car is not given"
-"""Remark on frames whose sweep is as measured."""
+NOT_UNTWISTED = "the sweep is raw, and the velocity of the car is not given"
+"""Remark on frames whose sweep is raw."""
 # Sweeps cut to a sector may lack whole rings; more than 64 means that the order of the file is not the sensor's.
 _PLAUSIBLE_RINGS = range(32, 65)
 

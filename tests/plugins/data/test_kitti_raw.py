@@ -32,7 +32,7 @@ from .kitti_files import (
     write_sweep,
 )
 
-STILL = "the sweep is as measured, and the velocity of the car is not given"
+STILL = "the sweep is raw, and the velocity of the car is not given"
 
 
 def dataset(root: Path, **options: object) -> LazyFrames:

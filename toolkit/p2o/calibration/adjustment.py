@@ -29,7 +29,7 @@ _ALIKE = 10.0
 """Pairs along one outline err alike: so many tell as much about the motion as one. Chosen on KITTI's `train`."""
 _LEAST_VARIANCE = 0.25
 _TOO_SURE = 2.5
-"""Motions of single frames, of KITTI's `train` and made up, err by 2.2 to 2.5 times the deviation that pairs show."""
+"""Motions of single frames, KITTI's `train` and synthetic, err by 2.2 to 2.5 times the deviation that pairs show."""
 _OUTWARD = {Side.LEFT: (-1.0, 0.0), Side.RIGHT: (1.0, 0.0), Side.UPPER: (0.0, -1.0), Side.BOTTOM: (0.0, 1.0)}
 
 
@@ -83,7 +83,7 @@ def adjust(
 
     The cameras of `problem` are those of the calibration; `known` are errors to begin from. With `cameras` False they
     stay at these. Without a `prior` no motion is looked for; with one, `motions` are those that the points of the
-    problem are corrected for, one a frame (none: they are as measured). With a `time` one offset between the images and
+    problem are compensated for, one a frame (none: they are raw). With a `time` one offset between the images and
     the sweeps is looked for, beginning from the one that the points are corrected for; `twists` (F, 6) are the known
     velocities of the LiDAR, zero for frames whose velocity is not known. The robust sum is that of the problem (Huber).
 

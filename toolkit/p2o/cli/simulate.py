@@ -57,7 +57,7 @@ def command(
     if layout == "kitti-raw" and "deskew" in options:
         # The writer undoes the correction of the sweep, so it has to know that there is one.
         raise InputError(
-            "kitti-raw sweeps are written as measured in any case", where="--set", expected="no deskew", got="deskew"
+            "kitti-raw sweeps are written raw in any case", where="--set", expected="no deskew", got="deskew"
         )
     dataset = open_dataset("synthetic:", load(plugin, block), options)
     root = _prepared(expanded(out), force)

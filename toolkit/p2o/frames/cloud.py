@@ -19,7 +19,7 @@ class Cloud:
     Optional per point: `ring` (N,) beam index, any order; `intensity` (N,) as given; `time_s` (N,) seconds relative
     to the image; `column` (N,) firing index. Use `Cloud.from_raw` for data that may hold missing returns.
 
-    A sweep that was corrected for ego-motion says so by `twist` (6,), the sensor's velocity in rad/s and m/s in its own
+    A motion-compensated sweep says so by `twist` (6,), the sensor's velocity in rad/s and m/s in its own
     frame: the points lie where they would have been measured at time 0, and `as_measured` takes that back.
 
     Raises InputError for wrong shapes, no points at all, points that are not finite, and a twist without times.
@@ -97,7 +97,7 @@ class Cloud:
         """Return the sweep as it is for a moment `by_s` seconds later, from a sensor that moves with `twist` (6,).
 
         Times count from that moment. What was corrected for motion is corrected to it, and what has no times is moved
-        as a whole; a sweep as measured keeps its points.
+        as a whole; a raw sweep keeps its points.
         """
         time_s = None if self.time_s is None else self.time_s - by_s
         if self.twist is not None:

@@ -24,7 +24,7 @@ class PointToLine(LeastSquares):
     `xyz` (K, 3) m in the LiDAR frame; `centre` (K, 2) px; `normal` (K, 2) unit; `weight` (K,) >= 0; `side` (K,) int8;
     `frame` (K,) index into `cameras`, one camera a view; `huber_px` the width of the Huber kernel in pixels. The cost
     of all pairs is sum_k weight_k rho(r_k) with rho(r) = r^2 / 2 up to huber_px and linear beyond (paper Eq. 1).
-    `time_s` (K,) as in `CloudEdges`: when a point was measured, 0 where its sweep is corrected for motion or has no
+    `time_s` (K,) as in `CloudEdges`: when a point was measured, 0 where its sweep is motion-compensated or has no
     times. `sigma_px` (K,) is how far, one deviation, the LiDAR's beams leave open where a point is, in pixels across
     its line; 0 where nobody says. It is no part of the cost.
 

@@ -78,11 +78,11 @@ def motion_words(motions: Sequence[SweepMotion]) -> str:
         (m,) = motions
         speed = f"{m.speed_m_s:.1f} m/s (+-{m.speed_sigma:.1f})"
         return (
-            f"{speed} forward, {m.turn_deg_s:.1f} deg/s (+-{m.turn_sigma:.1f}) to the left: the edges tell, corrected"
+            f"{speed} forward, {m.turn_deg_s:.1f} deg/s (+-{m.turn_sigma:.1f}) to the left: the edges tell, compensated"
         )
     speeds, turns = [m.speed_m_s for m in motions], [m.turn_deg_s for m in motions]
     speed, turn = (f"{min(values):.1f} to {max(values):.1f}" for values in (speeds, turns))
-    return f"{speed} m/s forward, {turn} deg/s to the left, by frame: the edges tell, corrected"
+    return f"{speed} m/s forward, {turn} deg/s to the left, by frame: the edges tell, compensated"
 
 
 def time_words(time: TimeOffset) -> str:

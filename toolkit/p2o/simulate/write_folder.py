@@ -22,7 +22,7 @@ def write(frames: Iterable[Frame], root: Path) -> Iterator[str]:
     Kept are the picture, the right one, depth (float32 metres, sky included), the sweep (coordinates and intensity
     as float32) with rings and times, truth and start, the camera's name, the place in a sequence with its poses,
     and targets. A sweep that
-    was corrected for motion is written as measured, with the velocity that the reader corrects it by. Masked pixels
+    was motion-compensated is written raw, with the velocity that the reader compensates it by. Masked pixels
     have no place in this layout.
     """
     for frame in frames:

@@ -28,7 +28,7 @@ def write(frames: Iterable[Frame], root: Path) -> Iterator[str]:
     """Write frames below `root` one by one and yield the name under which `kitti-raw` reads each.
 
     A day has one calibration: a frame with another camera or extrinsic than the one before begins a new day. Names
-    such as drive/0003 keep their drives apart. Sweeps are written as measured: where the velocity is known, the
+    such as drive/0003 keep their drives apart. Sweeps are written raw: where the velocity is known, the
     frame's sweep (corrected for it, as every reader gives it) is twisted again by its times, and the velocity goes
     into the oxts packet. Disparity is rounded to 1/256 px; sky becomes unknown, as KITTI's disparity has none.
 
