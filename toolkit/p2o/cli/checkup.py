@@ -204,7 +204,7 @@ def _registry() -> Registry:
 
 
 def _weights() -> Iterator[Finding]:
-    """The default image side is built and looks at a picture: its weights are read for that."""
+    """The default image extractor is built and looks at an image: its weights are read for that."""
     from p2o.host.guard import build
     from p2o.host.method import Kind
     from p2o.run.recipe import Recipe
