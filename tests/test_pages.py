@@ -374,7 +374,7 @@ def _listed(value: Any) -> list[str]:
 
 
 @pytest.mark.parametrize("page", pages())
-def test_commands_and_options_named_in_passing_are_there(page: str) -> None:
+def test_commands_and_options_named_in_passing_are_there(page: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """In `backticks` as well: commands, options, methods, data, protocols and --set."""
     for said in inline_codes(page):
         text = said.text
@@ -383,7 +383,7 @@ def test_commands_and_options_named_in_passing_are_there(page: str) -> None:
         elif text.startswith("python benchmarks/"):
             assert (ROOT / text.split()[1]).is_file(), said
         elif text.startswith("make "):
-            _check(said, pytest.MonkeyPatch())
+            _check(said, monkeypatch)
         elif not text.startswith("--"):
             continue
         for setting in re.findall(r"--set \"?([a-z-]+\.[a-z_.]+)=", text):
@@ -400,6 +400,20 @@ def test_commands_and_options_named_in_passing_are_there(page: str) -> None:
                     assert not part or part in _names(kind) or part in _of_pages(), f"{said}: no {kind.value} {part}"
         for name in re.findall(r"--protocol ([a-z0-9-]+)", text):
             protocol_of(name)
+
+
+@pytest.mark.parametrize("page", pages())
+def test_methods_that_are_named_with_their_parts_fit_together(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Such as `--matcher gmm --solver coordinate`, which stands for a line of p2o run."""
+    monkeypatch.chdir(tmp_path)
+    for said in inline_codes(page):
+        begins = re.match(r"--(extractor|matcher|solver|init|calibrator|accumulate|witness) ", said.text)
+        left_to_the_reader = re.search(r"[A-Z]{3}|\.\.\.|\|", said.text)
+        if begins and not left_to_the_reader:
+            line = Command(page, said.line, f"p2o run --data kitti-raw:PATH {said.text}")
+            _check_p2o(line, line.words[1:], monkeypatch)
 
 
 def _check_options(said: Command) -> None:
