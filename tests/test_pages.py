@@ -63,6 +63,7 @@ ONLY_CHECKED = (
     (r"^python benchmarks/", "minutes to hours"),
     (r"^python -c .*build/data|build/data/|@benchmarks/splits|/data/kitti", "frames of KITTI or of other rigs"),
     (r"kitti-odometry:PATH", "frames of KITTI odometry"),
+    (r"\b(argoverse2|kitti-360|once|pandaset|waymo):/", "tests/plugins/data/test_public_rigs.py, on small files of these"),
     (r"^(time )?p2o (ablate (?!--list)|basin)", "minutes to hours"),
     (r"^p2o report (out|p2o-out)", "it needs what such a study has left; the tutorial's is reported"),
     (r"^p2o (train|labels) p2ornet", "an hour"),
@@ -274,9 +275,11 @@ def _check_p2o(command: Command, words: list[str], monkeypatch: pytest.MonkeyPat
             Path(name).mkdir(parents=True, exist_ok=True)
         with _studies_of_the_example(command, patch):
             try:
-                main(words)
+                status = main(words)
             except Reached:
                 return
+        if words[:2] == ["data", "list"] and status == 0:
+            return  # names are all that it reads
         raise AssertionError(f"{command}: it ended before it came to its data")
 
 
