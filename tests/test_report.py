@@ -16,6 +16,7 @@ from p2o.cli import main
 from p2o.report import write_report
 from p2o.report.bootstrap import MIN_FRAMES, interval
 from p2o.report.figures import figures_of
+from p2o.report.log_axis import differ_much, lifted
 from p2o.report.page import _evidence
 from p2o.report.rounds import convergence
 from p2o.report.summary import Measured, Published, summarise_study
@@ -371,6 +372,43 @@ def test_a_box_shows_the_quartiles_of_the_signed_errors() -> None:
     ends = box.get_path().vertices[:, 0]
     assert np.allclose(sorted({round(x, 9) for x in ends}), [-1.0, 1.0]), "2/3 of the turns, their quartiles -1.5, 1.5"
     assert [text.get_text() for text in roll.get_yticklabels()] == ["a"]
+
+
+def test_an_axis_is_logarithmic_where_the_medians_of_rows_are_more_than_twenty_times_apart() -> None:
+    """Sizes count, not signs; a row of zeros or without values has no say."""
+    near, far = np.array([-1.0, 1.0, 1.0]), np.array([-20.0, 20.0])
+    assert not differ_much([near, far])
+    assert differ_much([near, 1.01 * far])
+    assert not differ_much([1.01 * far])
+    assert not differ_much([near, np.zeros(3), np.array([]), np.array([np.nan])])
+    assert [row.tolist() for row in lifted([np.array([0.0, -2.0]), np.array([0.0])])] == [[2.0, 2.0], [2.0]]
+
+
+@pytest.mark.parametrize(("factor", "scale"), [(10, "linear"), (25, "log")])
+def test_boxes_of_rows_that_differ_much_are_on_one_logarithmic_axis_without_signs(factor: int, scale: str) -> None:
+    turns = [-3.0, -1.5, 0.0, 1.5, 3.0]
+    rows = [("a", 1), ("b", factor)]
+    runs = [run_of(row, f"f{i}", 0, times * turn, 0.1) for row, times in rows for i, turn in enumerate(turns)]
+    [figure] = [f for name, _, f in figures_of(summarise_study(STUDY, runs)) if name == "table2-boxplot"]
+    angles, lengths = figure.axes[:3], figure.axes[3:]
+    assert {panel.get_xscale() for panel in angles} == {scale}
+    assert {panel.get_xscale() for panel in lengths} == {"linear"}, "their shifts are alike"
+    assert len({panel.get_xlim() for panel in angles}) == 1
+    low, high = angles[0].get_xlim()
+    if scale == "log":
+        assert angles[0].get_xlabel() == "|roll| [deg]"
+        assert 0 < low <= 0.5
+        assert high >= 2 * factor, "the largest roll is 2/3 of the turn of 3 deg"
+        assert list(angles[0].texts) == [], "nothing is beyond the axis"
+    else:
+        assert low == -high
+
+
+def test_rounds_are_logarithmic_where_rows_end_far_from_each_other() -> None:
+    ends = {"a": [(900, 18.0), (400, 0.1)], "b": [(900, 18.0), (500, 3.0)]}
+    runs = [run_of(row, "f", 0, 1.0, 0.1, rounds=rounds(*history)) for row, history in ends.items()]
+    [figure] = [f for name, _, f in figures_of(summarise_study(STUDY, runs)) if name == "table2-convergence"]
+    assert [panel.get_yscale() for panel in figure.axes] == ["linear", "log"]
 
 
 def test_points_beyond_the_axes_are_counted_at_the_rim() -> None:

@@ -34,6 +34,7 @@ def table2_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     nothing: Any = {**dict.fromkeys(METRICS), "estimate": None, "rounds": ()}
     others = [run_of(name, "f0", 0, 1.0, 0.1, study="zoo") for name in (hostile, "raised")]
     others[1] = replace(others[1], status="stage-failed", exception="Traceback: no such luck", **nothing)
+    others.append(run_of("far off", "f0", 0, 30.0, 0.1, study="zoo"))
     write_store(folder, others, toml='title = "A zoo of <i>names</i>"', published=())
     return write_report(folder)[0]
 
@@ -179,6 +180,23 @@ def test_groups_studies_and_metrics_can_be_chosen(page: Page) -> None:
     assert not page.find("#pairs-section").is_displayed()
     page.click("#axes")
     assert {"roll mean [deg]", "roll median [deg]"} <= set(page.texts("#rows thead th"))
+
+
+def test_boxes_are_logarithmic_where_rows_differ_much_and_as_the_reader_wants(page: Page) -> None:
+    def shown() -> tuple[str, str]:
+        axis = page.run("return document.getElementById('boxes').layout.xaxis")
+        return axis.get("type", "linear"), axis["title"]["text"]
+
+    assert shown() == ("linear", "rotation error [deg]")
+    page.click("#log")
+    assert shown() == ("log", "rotation, size of the error [deg]")
+    Select(page.find("#study")).select_by_index(1)
+    assert shown() == ("log", "rotation, size of the error [deg]"), "1 deg and 30 deg"
+    Select(page.find("#metric")).select_by_visible_text("translation [cm]")
+    assert shown() == ("linear", "translation error [cm]"), "both rows are 10 cm off"
+    Select(page.find("#metric")).select_by_visible_text("yaw [deg]")
+    traces = page.run("return document.getElementById('boxes').data.map((trace) => trace.x)")
+    assert min(value for trace in traces for value in trace) > 0, "yaws are negative here, sizes are not"
 
 
 def test_names_that_look_like_code_are_shown_as_they_are(page: Page) -> None:

@@ -6,13 +6,14 @@ import io
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from p2o.arrays import Float
 from p2o.errors import printable
 from p2o.files.file_names import distinct_names
+from p2o.report.log_axis import differ_much, lifted
 from p2o.report.rounds import convergence
 from p2o.report.summary import Group, Summary, error_of
 from p2o.report.tables import name_of, unit_of
@@ -93,7 +94,7 @@ def rendered(figure: Figure, form: str) -> bytes:
 
 
 def _boxes(group: Group, summary: Summary) -> Figure | None:
-    """The paper's figure: signed errors by axis, one box a row."""
+    """The paper's figure: errors by axis, one box a row; where rows differ much, sizes on a logarithmic axis."""
     rows = [row for row in group.measured if any(axis in row.mean for axis in summary.axes)]
     if not rows:
         return None
@@ -106,10 +107,18 @@ def _boxes(group: Group, summary: Summary) -> Figure | None:
     for line, axes in zip(grid, panels, strict=True):
         factor = unit_of(axes[0])[1]
         values = [[factor * _values(group.runs[row.label], axis) for row in rows] for axis in axes]
+        logarithmic = differ_much([np.concatenate(row) for row in zip(*values, strict=True)])
         reach = _whisker_reach([v for boxes in values for v in boxes])
         for panel, axis, boxes in zip(line, axes, values, strict=False):
-            _draw_boxes(panel, boxes, reach)
             panel.set_xlabel(f"{name_of(axis)} [{unit_of(axis)[0]}]")
+            if logarithmic:
+                _draw_boxes(panel, lifted(boxes))
+                panel.set_xlabel(f"|{name_of(axis)}| [{unit_of(axis)[0]}]")
+            else:
+                _draw_boxes(panel, boxes)
+                _cut_at(panel, boxes, reach)
+        if logarithmic:
+            _share_log_axis(line[: len(axes)])
         for panel in line[len(axes) :]:
             panel.set_visible(False)
         line[0].set_yticks(range(len(rows)), [_short(row.label) for row in rows])
@@ -117,8 +126,7 @@ def _boxes(group: Group, summary: Summary) -> Figure | None:
     return figure
 
 
-def _draw_boxes(panel: Any, boxes: Sequence[Float], reach: float) -> None:
-    panel.axvline(0, color="0.6", lw=0.8, zorder=0)
+def _draw_boxes(panel: Any, boxes: Sequence[Float]) -> None:
     drawn = panel.boxplot(
         boxes,
         positions=range(len(boxes)),
@@ -131,14 +139,39 @@ def _draw_boxes(panel: Any, boxes: Sequence[Float], reach: float) -> None:
     )
     for number, box in enumerate(drawn["boxes"]):
         box.set(facecolor=COLOURS[number % len(COLOURS)], alpha=0.75, lw=0.8)
+    panel.tick_params(axis="y", length=0)
+    _tidy(panel, "x")
+
+
+def _cut_at(panel: Any, boxes: Sequence[Float], reach: float) -> None:
+    """End a linear axis at plus and minus `reach`, and count at its rims what lies beyond."""
+    panel.axvline(0, color="0.6", lw=0.8, zorder=0)
     panel.set_xlim(-reach, reach)
     for number, values in enumerate(boxes):
         for side, beyond in ((-1, (values < -reach).sum()), (1, (values > reach).sum())):
             if beyond:
                 text, align = (f"{beyond} >", "right") if side > 0 else (f"< {beyond}", "left")
                 panel.text(0.98 * side * reach, number - 0.36, text, ha=align, va="center", fontsize=6, color="0.3")
-    panel.tick_params(axis="y", length=0)
-    _tidy(panel, "x")
+
+
+def _share_log_axis(panels: Sequence[Any]) -> None:
+    """Give panels one logarithmic axis, which shows all of their points."""
+    for panel in panels:
+        _log_axis(panel, "x")
+    limits = [limit for panel in panels for limit in panel.get_xlim()]
+    for panel in panels:
+        panel.set_xlim(min(limits), max(limits))
+
+
+def _log_axis(panel: Any, name: Literal["x", "y"]) -> None:
+    """Make an axis logarithmic, with numbers that are read without powers of ten."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    axis = panel.xaxis if name == "x" else panel.yaxis
+    (panel.set_xscale if name == "x" else panel.set_yscale)("log")
+    axis.set_major_locator(LogLocator(subs=(1, 3)))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _whisker_reach(boxes: Sequence[Float]) -> float:
@@ -154,7 +187,10 @@ def _whisker_reach(boxes: Sequence[Float]) -> float:
 
 
 def _convergence(group: Group, _: Summary) -> Figure | None:
-    """The paper's figure of rounds, over all runs of a row: medians, and quartiles as bands."""
+    """The paper's figure of rounds, over all runs of a row: medians, and quartiles as bands.
+
+    An axis is logarithmic where the medians in the last round differ much.
+    """
     found = [(row.label, convergence(group.runs[row.label])) for row in group.measured]
     if not any(history for _, history in found):
         return None
@@ -174,8 +210,12 @@ def _convergence(group: Group, _: Summary) -> Figure | None:
     bottom.set_ylabel("mean residual [px]")
     bottom.set_xlabel("round (median and quartiles; a run that has ended keeps its last value)")
     bottom.xaxis.set_major_locator(MaxNLocator(integer=True))
-    for panel in (top, bottom):
-        panel.set_ylim(bottom=0)
+    ends = [history.ends for _, history in found if history is not None]
+    for panel, last in zip((top, bottom), zip(*ends, strict=True), strict=True):
+        if differ_much([np.array([value]) for value in last]):
+            _log_axis(panel, "y")
+        else:
+            panel.set_ylim(bottom=0)
         _tidy(panel, "both")
     _legend(figure, top)
     return figure
@@ -186,8 +226,6 @@ def _by_frame(group: Group, summary: Summary) -> Figure | None:
     rows = [row for row in group.measured if any(metric in row.mean for metric in summary.norms)]
     if not rows:
         return None
-    from matplotlib.ticker import LogLocator, NullFormatter
-
     places = list(dict.fromkeys(place for row in rows for place in row.places))
     ranked = len(places) > _MOST_NAMES
     height = 5.0 if ranked else 1.3 + (0.17 + 0.045 * len(rows)) * len(places)
@@ -205,10 +243,7 @@ def _by_frame(group: Group, summary: Summary) -> Figure | None:
                 look = {key: value for key, value in _look(number).items() if key != "linestyle"}
                 panel.hlines(at, spread[0], spread[2], color=look["color"], lw=1.1, alpha=0.6)
                 panel.plot(spread[1], at, ms=4, linestyle="none", label=_short(row.label), **look)
-        panel.set_xscale("log")
-        panel.xaxis.set_major_locator(LogLocator(subs=(1, 3)))
-        panel.xaxis.set_major_formatter("{x:g}")
-        panel.xaxis.set_minor_formatter(NullFormatter())
+        _log_axis(panel, "x")
         panel.set_xlabel(f"{name_of(metric)} error [{unit}]: median of the seeds" + ("" if ranked else " and range"))
         _tidy(panel, "both")
     if ranked:

@@ -223,6 +223,7 @@ function look() {
 
 const config = { displaylogo: false, responsive: true, modeBarButtonsToRemove: ["select2d", "lasso2d"] };
 const LOG_TICKS = [-4, -3, -2, -1, 0, 1, 2, 3].flatMap((power) => [10 ** power, 3 * 10 ** power]);
+const LOG_TEXTS = LOG_TICKS.map((v) => String(Number(v.toPrecision(1))));
 const title = (metric) => ({ text: `${nameOf(metric)} error [${unit(metric)}]` });
 const quantile = (ordered, share) => {
   const place = share * (ordered.length - 1), low = Math.floor(place);
@@ -236,16 +237,22 @@ function byRow(metric) {
 }
 
 function showBoxes() {
-  const metric = at("metric").value, { layout, axis, ink } = look(), rows = byRow(metric);
+  const metric = at("metric").value, { layout, axis, ink } = look(), rows = byRow(metric), log = at("log").checked;
+  // A logarithm has no place for signs and zeros.
+  const sizes = rows.flatMap((row) => row.runs.map((run) => sizeOf(run, metric))).filter((size) => size > 0);
+  const least = sizes.reduce((a, b) => Math.min(a, b), Infinity);
+  const value = (run) => (log ? Math.max(sizeOf(run, metric), least) : errorOf(run, metric));
+  const scale = log ? { type: "log", tickvals: LOG_TICKS, ticktext: LOG_TEXTS } : {};
+  const name = log ? { text: title(metric).text.replace(" error", ", size of the error") } : title(metric);
   const traces = rows.map((row) => ({
     type: "box", orientation: "h", name: plain(row.label), boxpoints: "outliers", whiskerwidth: 0.4,
-    x: row.runs.map((run) => factor(metric) * errorOf(run, metric)), y0: plain(row.label),
+    x: row.runs.map((run) => factor(metric) * value(run)), y0: plain(row.label),
     text: row.runs.map((run) => plain(`${run.place}, seed ${run.seed}`)), customdata: row.runs.map((run) => group().runs.indexOf(run)),
     line: { color: ink, width: 1 }, fillcolor: colour(row.i), marker: { color: colour(row.i), size: 4 },
     hovertemplate: `%{text}<br>%{x:.3f} ${unit(metric)}<extra></extra>`,
   }));
   Plotly.react("boxes", traces, { ...layout, showlegend: false, height: 130 + 46 * rows.length,
-    xaxis: { ...axis, title: title(metric) }, yaxis: { ...axis, autorange: "reversed" } }, config);
+    xaxis: { ...axis, ...scale, title: name }, yaxis: { ...axis, autorange: "reversed" } }, config);
 }
 
 function showFrames() {
@@ -269,7 +276,7 @@ function showFrames() {
     };
   });
   Plotly.react("frames", traces, { ...layout, height: Math.max(130 + 46 * rows.length, 110 + Math.max(22, 6 * rows.length) * places.length + 22 * rows.length),
-    xaxis: { ...axis, type: "log", title: title(metric), tickvals: LOG_TICKS, ticktext: LOG_TICKS.map((v) => String(Number(v.toPrecision(1)))) },
+    xaxis: { ...axis, type: "log", title: title(metric), tickvals: LOG_TICKS, ticktext: LOG_TEXTS },
     yaxis: { ...axis, range: [places.length - 0.4, -0.6], tickvals: places.map((_, i) => i), ticktext: places.map(plain) } }, config);
 }
 
@@ -286,9 +293,14 @@ function showRounds() {
     hovertemplate: `round %{x}: %{y}<br>%{text}<extra>${plain(labels[i])}</extra>`,
   })) : []));
   const x = { ...axis, title: { text: "round" }, dtick: 1 };
+  const scale = (what) => (group().logRounds.includes(what) ? { type: "log" } : { rangemode: "tozero" });
   Plotly.react("rounds", traces, { ...layout, height: 400 + 10 * labels.length, grid: { rows: 1, columns: 2, pattern: "independent" },
-    xaxis: x, xaxis2: x, yaxis: { ...axis, title: { text: "matches" }, rangemode: "tozero" },
-    yaxis2: { ...axis, title: { text: "mean residual [px]" }, rangemode: "tozero" } }, config);
+    xaxis: x, xaxis2: x, yaxis: { ...axis, title: { text: "matches" }, ...scale("matches") },
+    yaxis2: { ...axis, title: { text: "mean residual [px]" }, ...scale("residual") } }, config);
+}
+
+function chooseScale() {
+  at("log").checked = group().log.includes(at("metric").value);
 }
 
 function showPlots() {
@@ -386,6 +398,7 @@ function chooseGroup() {
   at("trust-choice").hidden = !judged();
   at("drawn-choice").hidden = !runs.some((run) => run.pictures.length);
   at("drawn").checked = false;
+  chooseScale();
   showRows();
   showPairs();
   refilter();
@@ -406,11 +419,12 @@ function chooseStudy() {
 options(at("study"), data.studies.map((s) => s.title), [...data.studies.keys()]);
 at("study-choice").hidden = data.studies.length < 2;
 options(at("metric"), data.metrics.map((metric) => `${nameOf(metric)} [${unit(metric)}]`), data.metrics);
-at("notes").append(...data.notes.map((text) => make("p", {}, text)));
+at("notes").append(...[...data.notes, data.rule].map((text) => make("p", {}, text)));
 at("study").addEventListener("change", () => { state.study = Number(at("study").value); chooseStudy(); });
 at("group").addEventListener("change", () => { state.group = Number(at("group").value); chooseGroup(); });
 at("axes").addEventListener("change", showRows);
-at("metric").addEventListener("change", () => { showBoxes(); showFrames(); });
+at("metric").addEventListener("change", () => { chooseScale(); showBoxes(); showFrames(); });
+at("log").addEventListener("change", showBoxes);
 for (const [id, event] of [["find", "input"], ["row", "change"], ["status", "change"], ["trust", "change"], ["drawn", "change"]]) at(id).addEventListener(event, refilter);
 at("more").addEventListener("click", () => { state.shown += PAGE; showRuns(); });
 at("previous").addEventListener("click", () => step(-1));

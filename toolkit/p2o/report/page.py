@@ -10,10 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from p2o.arrays import Float
 from p2o.errors import MethodUnavailable, printable
 from p2o.geometry.pose_error import AXES
 from p2o.report.bootstrap import Interval
 from p2o.report.figures import COLOURS
+from p2o.report.log_axis import RULE, differ_much
 from p2o.report.one_file import filled, part
 from p2o.report.overlays import Pictures
 from p2o.report.rounds import Convergence, convergence
@@ -53,6 +55,7 @@ def page(summaries: Sequence[Summary], pictures: Pictures, library: str) -> str:
         "trusts": [*Trust],
         "colours": COLOURS,
         "notes": NOTES,
+        "rule": RULE,
     }
     script = part("page.js")
     parts = {"style": part("page.css"), "library": library, "script": script, "data": _json(data)}
@@ -112,6 +115,8 @@ def _group(group: Group, recipes: _Numbered, pictures: Pictures) -> dict[str, An
         "rows": [_row(row, group) for row in group.rows],
         "labels": labels,
         "rounds": [None if history is None else _rounds(history) for history in histories],
+        "log": [metric for metric in METRICS if differ_much(_values(group, metric))],
+        "logRounds": _log_rounds([history for history in histories if history is not None]),
         "pairs": [
             {
                 "row": pair.row,
@@ -126,6 +131,22 @@ def _group(group: Group, recipes: _Numbered, pictures: Pictures) -> dict[str, An
             _run(run, number, recipes, pictures) for number, label in enumerate(labels) for run in group.runs[label]
         ],
     }
+
+
+def _values(group: Group, metric: str) -> list[Float]:
+    """Return the errors of each row in a metric."""
+    values = ([getattr(run, metric) for run in runs] for runs in group.runs.values())
+    return [np.array([value for value in row if value is not None], np.float64) for row in values]
+
+
+def _log_rounds(histories: Sequence[Convergence]) -> list[str]:
+    """Return what of the rounds has a logarithmic axis: rows end far from each other."""
+    ends = zip(*(history.ends for history in histories), strict=True)
+    return [
+        what
+        for what, last in zip(("matches", "residual"), ends, strict=False)
+        if differ_much([np.array([value]) for value in last])
+    ]
 
 
 def _row(row: Measured | Published, group: Group) -> dict[str, Any]:

@@ -21,6 +21,11 @@ class Convergence:
     matches: Float
     residual_px: Float
 
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Medians of matches and residual in the last round."""
+        return float(self.matches[1, -1]), float(self.residual_px[1, -1])
+
 
 def convergence(runs: Sequence[StoredRow]) -> Convergence | None:
     """Return how the runs of a row came together; None where none of them has rounds of matching and solving.
