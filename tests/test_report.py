@@ -21,6 +21,7 @@ from p2o.report.page import _evidence
 from p2o.report.rounds import convergence
 from p2o.report.summary import Measured, Published, summarise_study
 from p2o.report.tables import latex, markdown
+from p2o.report.worst import what_went_wrong, worst_run
 from p2o.results.verdict import Trust
 from p2o.study.store import Planned, Store, StoredRow, StoredStudy
 
@@ -156,8 +157,8 @@ def test_likely_errors_that_held_and_trusted_results_that_are_wrong_are_counted(
     [row] = summary.groups[0].measured
     assert (row.held.two_thirds, row.held.nineteen_twentieths, row.trusted_wrong) == ("1/2 2/2", "1/2 2/2", 1)
     text = markdown([summary], lambda _: ())
-    assert "| verdict | trusted, wrong | held 2/3 | held 19/20 |" in text
-    assert "| 2 trusted | 1 | 1/2 2/2 | 1/2 2/2 |" in text
+    assert "| verdict | trusted, wrong | likely 2/3 | held 2/3 | held 19/20 |" in text
+    assert "| 2 trusted | 1 | 0.500 deg 20.0 cm | 1/2 2/2 | 1/2 2/2 |" in text
     assert "Trusted: 2 runs, 1 of them over 1 deg or 30 cm off" in text
     assert "Trusted: 2 runs" in latex([summary])
     silent = [replace(run, likely_rotation_deg=None) for run in runs]
@@ -444,6 +445,76 @@ def test_names_are_no_formulas() -> None:
 
     for _, _, figure in figures_of(summarise_study(replace(STUDY, toml="title = '$x$ $\\frac$'"), runs)):
         assert rendered(figure, "png").startswith(b"\x89PNG")
+
+
+# ---- the worst run of a row
+
+
+def test_the_worst_run_has_the_largest_turn_then_the_worst_verdict_and_is_the_first_of_equals() -> None:
+    one, far, equal = frames(3, "a", [1.0])[0], *frames(2, "a", [4.0])
+    raised = replace(one, rotation_deg=None, status="stage-failed")
+    assert worst_run([raised, one, far, equal]) is far
+    assert worst_run([raised]) is raised
+    unknown = [replace(one, rotation_deg=None, trust=word) for word in (None, Trust.DOUBTFUL, Trust.TRUSTED)]
+    assert worst_run(unknown) is unknown[1]
+
+
+BOUND = {"likely_rotation_deg_95": 0.75, "likely_translation_m_95": 0.25}
+
+
+@pytest.mark.parametrize(
+    ("turn", "values", "said"),
+    [
+        (
+            1.5,
+            {"trust": Trust.TRUSTED, **BOUND},
+            "It is still 1.50 deg and 10.0 cm off, from a start that is 2.00 deg and 15.0 cm off. It was called trusted, "
+            "which it should not have been. 19 of 20 such results should be within 0.75 deg and 25.0 cm, and it is not.",
+        ),
+        (
+            2.5,
+            {"trust": Trust.DOUBTFUL, "why": "edges meet by chance"},
+            "It went away from the truth and is 2.50 deg and 10.0 cm off, from a start that is 2.00 deg and 15.0 cm off. "
+            "It was called doubtful: edges meet by chance.",
+        ),
+        (
+            0.5,
+            {"trust": Trust.TRUSTED, **BOUND},
+            "Nothing went wrong: it is 0.50 deg and 10.0 cm off, from a start that is 2.00 deg and 15.0 cm off. It was "
+            "called trusted. 19 of 20 such results should be within 0.75 deg and 25.0 cm, and it is.",
+        ),
+        (
+            2.0,
+            {"status": "too-few-matches", "reason": "12 pairs"},
+            "It was refused (too-few-matches): 12 pairs. The start stays, which is 2.00 deg and 10.0 cm off.",
+        ),
+        (1.0, {"status": "stage-failed", "reason": "", "exception": "Traceback\nNo luck\n"}, "It raised: No luck."),
+        (
+            1.0,
+            {"rotation_deg": None, "translation_m": None, "trust": Trust.AMBIGUOUS, "why": "", **BOUND},
+            "How wrong it is nobody knows: there is no truth. It was called ambiguous. 19 of 20 such results should be "
+            "within 0.75 deg and 25.0 cm.",
+        ),
+    ],
+)
+def test_what_went_wrong_is_told_in_words(turn: float, values: dict[str, object], said: str) -> None:
+    assert what_went_wrong(replace(run_of("a", "f", 0, turn, 0.1), **values)) == said
+
+
+def test_the_median_likely_error_of_a_row_is_in_its_tables() -> None:
+    """Runs of 0.2, 0.3 and 0.7 deg say so; one that was refused promises nothing, nor does the second row."""
+    likely = [{"likely_rotation_deg": size, "likely_translation_m": size / 10} for size in (0.2, 0.3, 0.7, 9.0)]
+    runs = [run_of("a", f"f{i}", 0, 1.0, 0.1, **values) for i, values in enumerate(likely)]
+    runs[3] = replace(runs[3], status="no-edges")
+    summary = summarise_study(STUDY, [*runs, *frames(3, "b", [1.0])])
+    assert [dict(row.likely) for row in summary.groups[0].measured] == [
+        {"rotation_deg": 0.3, "translation_m": pytest.approx(0.03)},
+        {},
+    ]
+    lines = [[c.strip() for c in line.split("|")[1:-1]] for line in markdown([summary], lambda _: ()).splitlines()]
+    [head] = [line for line in lines if "not solved" in line]
+    cells = {line[0]: line[head.index("likely 2/3")] for line in lines if len(line) == len(head)}
+    assert (cells["a"], cells["b"]) == ("0.300 deg 3.0 cm", "-")
 
 
 # ---- the whole report

@@ -142,6 +142,18 @@ def test_a_run_says_its_verdict_its_reasons_and_the_evidence(page: Page) -> None
     assert text.count("at least 30 are needed") == 1, "said once, beside the status"
 
 
+def test_the_worst_run_of_each_row_is_there_at_once_with_what_went_wrong(page: Page) -> None:
+    assert page.texts("#worst h3") == ["ours w/o OGMrefused", "ours w/o UBambiguous", "ourstrusted"]
+    assert page.find("#no-pictures").is_displayed()
+    page.sort("runs", "rotation [deg]")
+    worst = page.column("runs", "rotation [deg]")[-1]
+    said = page.texts("#worst p")[0]
+    assert said.startswith("It was refused (too-few-matches): 12 pairs within 50 px, at least 30 are needed.")
+    assert f"{float(worst):.2f} deg" in said
+    page.click("#worst .card:nth-child(1) button")
+    assert page.find("#detail-title").text.startswith("ours w/o OGM, ")
+
+
 def test_a_study_that_knows_no_verdicts_shows_none(page: Page) -> None:
     Select(page.find("#study")).select_by_index(1)
     assert "verdict" not in page.texts("#rows thead th") + page.texts("#runs thead th")
@@ -230,6 +242,12 @@ def test_the_slider_uncovers_the_picture_after_the_calibration(browser: Any, tmp
     write_store(tmp_path, staged())
     assert main(["report", str(tmp_path), "--plugin", PLUGIN, "--data", "fake:?frames=3"]) == 0
     page = Page(browser, tmp_path / "report" / "report.html")
+    shown = page.driver.find_elements(By.CSS_SELECTOR, "#worst .compare img")
+    assert [p.get_attribute("alt").partition(", ")[2] for p in shown] == ["drive/0002"] * 4, (
+        "two rows, before and after"
+    )
+    WebDriverWait(browser, 10).until(lambda _: all(p.get_property("naturalWidth") > 100 for p in shown))
+    assert not page.find("#no-pictures").is_displayed()
     page.click("#runs tbody tr:nth-child(1) td")
     pictures = page.driver.find_elements(By.CSS_SELECTOR, "#detail .compare img")
     assert [p.get_attribute("alt") for p in pictures] == [

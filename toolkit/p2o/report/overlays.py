@@ -14,7 +14,8 @@ from p2o.errors import InputError, P2OError
 from p2o.frames.scale import image_at_scale
 from p2o.host.slots import Kind
 from p2o.report.one_file import jpeg_uri
-from p2o.report.summary import Summary, error_of
+from p2o.report.summary import Summary
+from p2o.report.worst import badness
 from p2o.run.assembly import Assembly
 from p2o.run.part import Part
 from p2o.run.recipe import Recipe
@@ -64,13 +65,13 @@ def chosen(summary: Summary, most: int) -> list[Wanted]:
     found = []
     for group in summary.groups:
         for runs in group.runs.values():
+            # The first is that of `worst_run`: of several that are as bad the first.
+            ranked = sorted((run for run in runs if run.estimate is not None), key=badness, reverse=True)
             worst: dict[str, StoredRow] = {}
-            for run in runs:
+            for run in ranked:
                 for frame in run.frames:
-                    if run.estimate is not None and (frame not in worst or _badness(run) > _badness(worst[frame])):
-                        worst[frame] = run
-            ranked = sorted(worst.items(), key=lambda item: -_badness(item[1]))
-            found += [Wanted(run, frame) for frame, run in ranked[:most]]
+                    worst.setdefault(frame, run)
+            found += [Wanted(run, frame) for frame, run in list(worst.items())[:most]]
     return found
 
 
@@ -197,8 +198,3 @@ def _check_content(wanted: Wanted, frame: Frame) -> None:
                 where=wanted.frame,
                 hint="give the data that the study ran on, run the study again, or leave out --data",
             )
-
-
-def _badness(run: StoredRow) -> float:
-    error = error_of(run, "rotation_deg")
-    return -1.0 if error is None else error

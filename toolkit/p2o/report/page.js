@@ -3,6 +3,7 @@
 const data = JSON.parse(document.getElementById("data").textContent);
 const at = (id) => document.getElementById(id);
 const PAGE = 200;
+const CARDS = 24;
 const NAMES = { rotation_deg: "rotation", translation_m: "translation" };
 const SYMBOLS = ["circle", "square", "triangle-up", "diamond", "triangle-down", "cross", "x", "star"];
 const DASHES = ["solid", "dash", "dot", "dashdot"];
@@ -141,6 +142,8 @@ function showRows() {
   if (group().rows.some((row) => row.trust))
     columns.push(number("verdict", (row) => row.trusted ?? null, (row) => row.trust ?? NONE, { long: true }),
       number("trusted, wrong", (row) => row.trustedWrong ?? null, (row) => String(row.trustedWrong ?? NONE)));
+  if (group().rows.some((row) => row.likely))
+    columns.push(number("likely 2/3", (row) => row.likelySize ?? null, (row) => row.likely ?? NONE, { long: true }));
   if (group().rows.some((row) => row.held))
     ["held 2/3", "held 19/20"].forEach((title, bound) =>
       columns.push(number(title, (row) => (row.held ? row.heldRotations[bound] : null), (row) => (row.held ? row.held[bound] : NONE))));
@@ -155,6 +158,21 @@ function showRows() {
     for (const metric of study().axes)
       for (const kind of ["mean", "median"]) columns.push(statistic(metric, kind, `${nameOf(metric)} ${kind} [${unit(metric)}]`));
   rowsTable.show(columns, group().rows);
+}
+
+function showWorst() {
+  const { labels, runs, worst } = group();
+  at("worst").replaceChildren(...worst.slice(0, state.cards).map(({ run: place, said }) => {
+    const run = runs[place];
+    return make("article", { class: "card" },
+      make("h3", {}, labels[run.row], run.trust ? make("span", { class: `tag ${doubt(run)}` }, run.trust) : null),
+      make("div", { class: "quiet" }, `${run.place}, seed ${run.seed} `, make("button", { type: "button", onclick: () => openRun(run) }, "all about it")),
+      make("p", {}, said),
+      ...run.pictures.slice(0, 1).map(compare));
+  }));
+  at("worst-section").hidden = !worst.length;
+  at("more-worst").hidden = worst.length <= state.cards;
+  at("no-pictures").hidden = data.pictures.length > 0;
 }
 
 function showPairs() {
@@ -399,7 +417,9 @@ function chooseGroup() {
   at("drawn-choice").hidden = !runs.some((run) => run.pictures.length);
   at("drawn").checked = false;
   chooseScale();
+  state.cards = CARDS;
   showRows();
+  showWorst();
   showPairs();
   refilter();
   showPlots();
@@ -427,6 +447,7 @@ at("metric").addEventListener("change", () => { chooseScale(); showBoxes(); show
 at("log").addEventListener("change", showBoxes);
 for (const [id, event] of [["find", "input"], ["row", "change"], ["status", "change"], ["trust", "change"], ["drawn", "change"]]) at(id).addEventListener(event, refilter);
 at("more").addEventListener("click", () => { state.shown += PAGE; showRuns(); });
+at("more-worst").addEventListener("click", () => { state.cards = Infinity; showWorst(); });
 at("previous").addEventListener("click", () => step(-1));
 at("next").addEventListener("click", () => step(1));
 at("close").addEventListener("click", () => at("detail").close());

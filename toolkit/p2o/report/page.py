@@ -20,7 +20,8 @@ from p2o.report.one_file import filled, part
 from p2o.report.overlays import Pictures
 from p2o.report.rounds import Convergence, convergence
 from p2o.report.summary import NORMS, Difference, Group, Measured, Published, Summary, best
-from p2o.report.tables import DIGITS, NOTES, failures_of, starts_of
+from p2o.report.tables import DIGITS, NOTES, failures_of, likely_of, starts_of
+from p2o.report.worst import what_went_wrong, worst_run
 from p2o.results.verdict import Trust
 from p2o.study.columns import METRICS
 from p2o.study.store import StoredRow
@@ -86,7 +87,7 @@ def _study(summary: Summary, pictures: Pictures) -> dict[str, Any]:
         "norms": summary.norms,
         "within": summary.within,
         "axes": summary.axes,
-        "groups": [_group(group, recipes, pictures) for group in summary.groups],
+        "groups": [_group(group, summary.norms, recipes, pictures) for group in summary.groups],
         "recipes": recipes.values,
     }
 
@@ -107,12 +108,15 @@ class _Numbered:
         return self._numbers[key]
 
 
-def _group(group: Group, recipes: _Numbered, pictures: Pictures) -> dict[str, Any]:
+def _group(group: Group, norms: Sequence[str], recipes: _Numbered, pictures: Pictures) -> dict[str, Any]:
     labels = list(group.runs)
+    every = [run for label in labels for run in group.runs[label]]
+    worst = [worst_run(runs) for runs in group.runs.values() if runs]
     histories = [convergence(group.runs[label]) for label in labels]
     return {
         "heading": group.heading,
-        "rows": [_row(row, group) for row in group.rows],
+        "rows": [_row(row, group, norms) for row in group.rows],
+        "worst": [{"run": every.index(run), "said": what_went_wrong(run)} for run in worst],
         "labels": labels,
         "rounds": [None if history is None else _rounds(history) for history in histories],
         "log": [metric for metric in METRICS if differ_much(_values(group, metric))],
@@ -149,7 +153,7 @@ def _log_rounds(histories: Sequence[Convergence]) -> list[str]:
     ]
 
 
-def _row(row: Measured | Published, group: Group) -> dict[str, Any]:
+def _row(row: Measured | Published, group: Group, norms: Sequence[str]) -> dict[str, Any]:
     if isinstance(row, Published):
         means = {metric: [_brief(value), None, None] for metric, value in row.values.items()}
         return {
@@ -170,6 +174,8 @@ def _row(row: Measured | Published, group: Group) -> dict[str, Any]:
         "trust": told(row.trust) if row.trust else None,
         "trusted": row.trust.get(Trust.TRUSTED, 0) if row.trust else None,
         "trustedWrong": row.trusted_wrong if row.trust else None,
+        "likely": likely_of(row, norms) if row.likely else None,
+        "likelySize": None if not row.likely else _brief(next(iter(row.likely.values()))),
         "held": [row.held.two_thirds, row.held.nineteen_twentieths] if row.held.count else None,
         "heldRotations": [row.held.rotation, row.held.rotation_95] if row.held.count else None,
         "seconds": None if math.isnan(row.seconds) else row.seconds,

@@ -42,7 +42,8 @@ class Measured:
     runs that came as near to the truth as the study asks for (None: it does not ask), `worse` those that ended farther
     from it than they began. `perturb` are the sizes of the starts, `places` the frames (or groups of frames that were
     solved jointly). `held` counts likely errors that held, `trusted_wrong` runs that were called trusted and are far
-    off (`p2o.study.held`).
+    off (`p2o.study.held`). `likely` is by norm the median of what two of three results should keep to, as the runs
+    themselves say; of no run that says so there is none.
     """
 
     label: str
@@ -60,6 +61,7 @@ class Measured:
     worse: int
     held: Held
     trusted_wrong: int
+    likely: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -260,7 +262,15 @@ def _measured(label: str, runs: Sequence[StoredRow], waiting: int, within: Pertu
         worse=sum(farther(run) for run in runs),
         held=held(runs),
         trusted_wrong=trusted_wrong(runs),
+        likely={norm: value for norm in NORMS if (value := _likely(runs, norm)) is not None},
     )
+
+
+def _likely(runs: Iterable[StoredRow], norm: str) -> float | None:
+    """Return the median of the likely errors of the runs that were solved, or None where none says any."""
+    # Stores hold infinities as texts.
+    known = [float(value) for run in runs if run.solved and (value := getattr(run, f"likely_{norm}")) is not None]
+    return float(np.median(known)) if known else None
 
 
 def _comparisons(rows: Sequence[Measured], runs: Mapping[str, Sequence[StoredRow]]) -> tuple[Comparison, ...]:

@@ -29,6 +29,8 @@ NOTES = (
     "A verdict says, without the truth, whether a result may be trusted. Ambiguous: another pose fits about as well. "
     "Doubtful: image and sweep do not seem to belong together, or nothing could check that they do. Refused: there is "
     "no new pose.",
+    "Likely 2/3: the median of the errors that two of three results should keep to, as the runs themselves say; no truth "
+    "is in it.",
     f"Trusted, wrong: runs that were called trusted and are {WRONG_TOLD}. Held 2/3 and 19/20: rotations and then "
     "translations that are off by no more than the run itself said is likely, for two of three and for 19 of 20 runs, "
     "of the runs that said so; runs without an estimate have said nothing.",
@@ -115,6 +117,16 @@ def failures_of(row: Measured) -> str:
     return ", ".join(f"{count} {status}" for status, count in row.failures.items()) or "0"
 
 
+def likely_of(row: Measured, norms: Sequence[str]) -> str:
+    """Return the likely errors of a row, such as "0.250 deg 5.0 cm"."""
+    parts = []
+    for norm in norms:
+        unit, factor, digits = unit_of(norm)
+        if norm in row.likely:
+            parts.append(f"{factor * row.likely[norm]:.{digits}f} {unit}")
+    return " ".join(parts) or NONE
+
+
 def shown(value: Interval | None, metric: str, *, sign: bool = False) -> str:
     """Return a figure with its interval in the unit of its metric."""
     if value is None:
@@ -135,6 +147,7 @@ def _errors(group: Group, summary: Summary) -> tuple[tuple[str, ...], tuple[tupl
     judged = any(row.trust for row in group.measured)
     promising = any(row.held.count for row in group.measured)
     header = ("row", "start", "runs", "frames", "not solved", *(["verdict", "trusted, wrong"] if judged else []))
+    header += ("likely 2/3",) if any(row.likely for row in group.measured) else ()
     header += ("held 2/3", "held 19/20") if promising else ()
     header += (*(["within", "worse"] if summary.within else []), "time [s]")
     titles = tuple(f"{name_of(metric)} {statistic} [{unit_of(metric)[0]}]" for metric, statistic in columns)
@@ -145,6 +158,7 @@ def _errors(group: Group, summary: Summary) -> tuple[tuple[str, ...], tuple[tupl
         else:
             texts = [starts_of(row), str(row.runs), str(len(row.places)), failures_of(row)]
             texts += [told(row.trust), str(row.trusted_wrong) if row.trust else NONE] if judged else []
+            texts += [likely_of(row, norms)] if "likely 2/3" in header else []
             texts += [row.held.two_thirds, row.held.nineteen_twentieths] if promising else []
             texts += [str(row.within), str(row.worse)] if summary.within else []
             texts.append(brief_seconds(row.seconds))

@@ -63,7 +63,7 @@ def held(rows: Iterable[StoredRow]) -> Held:
 
 def trusted_wrong(rows: Iterable[StoredRow]) -> int:
     """Return how many results were called trusted and are farther from the truth than `WRONG`."""
-    return sum(row.trust is Trust.TRUSTED and _wrong(row) for row in rows)
+    return sum(row.trust is Trust.TRUSTED and wrong(row) for row in rows)
 
 
 def pooled(rows: Iterable[StoredRow]) -> list[str]:
@@ -89,6 +89,7 @@ def _share(number: int, count: int) -> str:
     return f"{100 * number / count:.0f} %"
 
 
-def _wrong(row: StoredRow) -> bool:
+def wrong(row: StoredRow) -> bool:
+    """Return whether a result is known to be farther from the truth than `WRONG`."""
     sizes = (row.rotation_deg, WRONG.angle_deg), (row.translation_m, WRONG.distance_m)
     return any(error is not None and error > bound for error, bound in sizes)
