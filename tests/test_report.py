@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from p2o import InputError, MethodUnavailable, UnknownNameError
+from p2o import InputError, Registry, UnknownNameError
 from p2o.cli import main
 from p2o.report import write_report
 from p2o.report.bootstrap import MIN_FRAMES, interval
@@ -468,14 +468,15 @@ BOUND = {"likely_rotation_deg_95": 0.75, "likely_translation_m_95": 0.25}
         (
             1.5,
             {"trust": Trust.TRUSTED, **BOUND},
-            "It is still 1.50 deg and 10.0 cm off, from a start that is 2.00 deg and 15.0 cm off. It was called trusted, "
-            "which it should not have been. 19 of 20 such results should be within 0.75 deg and 25.0 cm, and it is not.",
+            "It is still 1.50 deg and 10.0 cm off, from a start that is 2.00 deg and 15.0 cm off. It was called "
+            "trusted, which it should not have been. 19 of 20 such results should be within 0.75 deg and 25.0 cm, and "
+            "it is not.",
         ),
         (
             2.5,
             {"trust": Trust.DOUBTFUL, "why": "edges meet by chance"},
-            "It went away from the truth and is 2.50 deg and 10.0 cm off, from a start that is 2.00 deg and 15.0 cm off. "
-            "It was called doubtful: edges meet by chance.",
+            "It went away from the truth and is 2.50 deg and 10.0 cm off, from a start that is 2.00 deg and 15.0 cm "
+            "off. It was called doubtful: edges meet by chance.",
         ),
         (
             0.5,
@@ -629,6 +630,31 @@ def test_joint_runs_show_each_of_their_frames(tmp_path: Path) -> None:
     assert [[p["frame"] for p in shown] for shown in pictures_in(tmp_path)[1]] == [list(names)]
 
 
+def test_progress_names_each_frame_and_figure_in_turn(tmp_path: Path) -> None:
+    write_store(tmp_path, staged())
+    told: list[tuple[str, int, int]] = []
+    registry = Registry.load(extra_files=[PLUGIN], environ={})
+    write_report(
+        tmp_path, data=["fake:?frames=3"], registry=registry, on_progress=lambda *said: told.append(said), overlays=2
+    )
+    frames = [said for said in told if said[0].startswith("drive/")]
+    assert frames == [(f"drive/{frame}", done, 4) for done, frame in enumerate(["0002", "0001", "0002", "0001"])]
+    titles = [said for said in told if said not in frames]
+    assert [(done, total) for _, done, total in titles] == [(0, 3), (1, 3), (2, 3)]
+    assert told == [*frames, *titles]
+
+
+def test_progress_is_shown_on_a_terminal_alone_and_not_when_quiet(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_store(tmp_path, table2(1, 1))
+    for terminal, words, some in ((True, [], True), (True, ["--quiet"], False), (False, [], False)):
+        with monkeypatch.context() as patch:
+            patch.setattr(sys.stderr, "isatty", lambda terminal=terminal: terminal)
+            assert main(["report", str(tmp_path), *words]) == 0
+        assert ("drawing" in capsys.readouterr().err) is some, (terminal, words)
+
+
 # ---- what can be wrong
 
 
@@ -706,12 +732,17 @@ def test_of_several_datasets_one_has_to_be_named(tmp_path: Path) -> None:
         write_report(tmp_path, data=["fake:"])
 
 
-def test_a_missing_package_is_told_with_the_command_that_installs_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_without_plotly_all_but_the_plots_is_written_and_one_line_says_how_to_get_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_store(tmp_path, table2(1, 1))
     monkeypatch.setitem(sys.modules, "plotly.offline", None)
     monkeypatch.setitem(sys.modules, "plotly", None)
-    with pytest.raises(MethodUnavailable, match=r"needs the package plotly.*pip install plotly$"):
-        write_report(tmp_path)
-    assert not (tmp_path / "report").exists()
+    assert main(["report", str(tmp_path)]) == 0
+    captured = capsys.readouterr()
+    [line] = captured.err.splitlines()
+    assert line.startswith("p2o: the page has no plots")
+    assert 'pip install "plotly>=6"' in line
+    names = {Path(text).name for text in captured.out.splitlines()}
+    assert {"report.html", "report.md", "report.tex", "table2-1-boxplot.svg"} <= names
+    assert (tmp_path / "report" / "report.html").stat().st_size < 200_000, "the library alone has millions"

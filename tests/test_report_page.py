@@ -238,6 +238,23 @@ def test_nothing_can_be_asked_for_even_if_a_script_tried(browser: Any, table2_pa
     WebDriverWait(browser, 10).until(lambda _: any("Content Security Policy" in text for text in page.complaints()))
 
 
+def test_a_page_without_plotly_has_all_but_the_plots(
+    browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_store(tmp_path, table2(3, 1))
+    monkeypatch.setattr("p2o.report.page.plot_library", lambda: "")
+    page = Page(browser, write_report(tmp_path)[0])
+    assert page.find("#no-plots").text.startswith("the page has no plots")
+    assert not page.find("#plots").is_displayed()
+    assert not page.find("#rounds-section").is_displayed()
+    assert page.find("#count").text == "9 of 9 runs"
+    page.click("#theme")
+    page.click("#worst .card button")
+    assert page.find("#detail").is_displayed()
+    assert page.complaints() == []
+    assert page.requests() == []
+
+
 def test_the_slider_uncovers_the_picture_after_the_calibration(browser: Any, tmp_path: Path) -> None:
     write_store(tmp_path, staged())
     assert main(["report", str(tmp_path), "--plugin", PLUGIN, "--data", "fake:?frames=3"]) == 0

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import sys
+from collections.abc import Callable, Iterator
+
 import click
 
 from p2o.cli.plugin_options import load, plugin_options
-from p2o.errors import InputError
+from p2o.errors import InputError, printable
 
 
 @click.command("report")
@@ -26,6 +30,7 @@ from p2o.errors import InputError
     metavar="N",
     help="With --data: draw at most N frames of each row, the worst first.",
 )
+@click.option("--quiet", is_flag=True, help="No progress.")
 @plugin_options
 def command(
     folder: str,
@@ -33,6 +38,7 @@ def command(
     data: tuple[str, ...],
     out: str | None,
     overlays: int,
+    quiet: bool,
     plugin: tuple[str, ...],
     block: tuple[str, ...],
 ) -> int:
@@ -41,12 +47,12 @@ def command(
     Of a folder that `p2o run --out` has written it writes the page of the run, result.html, anew.
 
     \b
-    report.html    everything in one file that works offline: sort, filter, look at single frames
+    report.html    everything in one file that works offline: sort, filter, look at the worst runs and at single frames
     report.md      tables with intervals, and the figures
     report.tex     the tables for a paper
     *.png *.svg    errors by axis, convergence, errors by frame
 
-    The page needs plotly: pip install plotly.
+    The plots of the page need plotly (pip install "plotly>=6"); all the rest is written without it.
     """  # noqa: D301  (click wants a real backspace: the list keeps its lines)
     from p2o.files.input_file import expanded
     from p2o.report import write_report
@@ -63,6 +69,30 @@ def command(
         click.echo(write_page_of_folder(root, None if out is None else expanded(out)))
         return 0
     registry = load(plugin, block) if data else None
-    for path in write_report(folder, out, studies=studies, data=data, overlays=overlays, registry=registry):
+    with _progress(quiet) as shown:
+        written = write_report(
+            folder,
+            out,
+            studies=studies,
+            data=data,
+            overlays=overlays,
+            registry=registry,
+            on_progress=shown,
+            on_warning=lambda text: click.echo(f"p2o: {text}", err=True),
+        )
+    for path in written:
         click.echo(path)
     return 0
+
+
+@contextlib.contextmanager
+def _progress(quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
+    """Yield what shows what is drawn: a line on stderr when it is a terminal, nothing otherwise."""
+    if quiet or not sys.stderr.isatty():
+        yield lambda what, done, total: None
+        return
+    from rich.console import Console
+    from rich.markup import escape
+
+    with Console(stderr=True).status("reading the studies") as status:
+        yield lambda what, done, total: status.update(f"drawing {done + 1} of {total}: {escape(printable(what))}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
@@ -17,7 +17,8 @@ from p2o.study.store import Store
 if TYPE_CHECKING:
     from p2o.host.registry import Registry
 
-
+Tell = Callable[[str, int, int], None]
+"""Is told what is drawn, how many pictures or figures are done, and of how many."""
 _LONGEST_NAME = 100
 """So much of the name of a study is shown in errors; a foreign store may call it what it likes."""
 
@@ -30,39 +31,49 @@ def write_report(
     data: Sequence[str] = (),
     overlays: int = 12,
     registry: Registry | None = None,
+    on_progress: Tell | None = None,
+    on_warning: Callable[[str], None] | None = None,
 ) -> list[Path]:
     """Write the report of the studies in a folder and return its files: report.html, report.md, report.tex, figures.
 
     `out` is the folder to write to (default: `report` in the folder), `studies` the names of those to report (default:
     all), `data` where their frames are, as DATASET:PATH or NAME=DATASET:PATH. With data, at most `overlays` frames of
-    each row are drawn, the worst first. The same store gives the same bytes.
+    each row are drawn, the worst first. The same store gives the same bytes. `on_progress` is told what is drawn,
+    `on_warning` what is missing: without plotly the page has no plots.
 
     Raises InputError where there is no store, no finished run, or `out` cannot be written; UnknownNameError for an
-    unknown study or dataset; MethodUnavailable where plotly is not installed; and as `p2o.report.overlays.draw_all`.
+    unknown study or dataset; and as `p2o.report.overlays.draw_all`.
     """
     from p2o.report import figures, page, tables
     from p2o.report.overlays import Pictures, draw_all
 
-    library = page.plot_library()
     folder = expanded(folder)
     summaries = _summaries(folder, studies)
     home = _prepared(folder / "report" if out is None else expanded(out))
+    tell = on_progress or (lambda what, done, total: None)
     pictures = Pictures()
     if data:
         if registry is None:
             from p2o.host.registry import Registry as Loaded
 
             registry = Loaded.load()
-        pictures = draw_all(summaries, data, overlays, registry)
+        pictures = draw_all(summaries, data, overlays, registry, tell)
     files: dict[str, bytes] = {}
     drawn: dict[str, list[tuple[str, str]]] = {}
+    # Groups without rounds or errors have fewer figures than this.
+    done, total = 0, figures.KINDS * sum(len(summary.groups) for summary in summaries)
     for summary, names in zip(summaries, figures.figure_names(summaries), strict=True):
         for name, title, figure in figures.figures_of(summary, names):
+            tell(title, done, total)
+            done += 1
             drawn.setdefault(summary.name, []).append((title, f"{name}.png"))
             for form in ("png", "svg"):
                 files[f"{name}.{form}"] = figures.rendered(figure, form)
     files["report.md"] = tables.markdown(summaries, lambda summary: drawn.get(summary.name, ())).encode()
     files["report.tex"] = tables.latex(summaries).encode()
+    library = page.plot_library()
+    if not library and on_warning is not None:
+        on_warning(page.NO_PLOTS)
     files["report.html"] = page.page(summaries, pictures, library).encode()
     for name, content in files.items():
         write_whole(home / name, content)

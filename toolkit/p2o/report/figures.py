@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f")
 """Colours that colour-blind readers can tell apart (Okabe and Ito); rows have markers of their own, too."""
+KINDS = 3
+"""So many figures has a group at most: errors by axis, convergence, errors by frame."""
 _MARKERS = "os^DvPX*"
 _DASHES = ("-", "--", ":", "-.")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any
@@ -75,12 +75,19 @@ def chosen(summary: Summary, most: int) -> list[Wanted]:
     return found
 
 
-def draw_all(summaries: Sequence[Summary], data: Sequence[str], most: int, registry: Registry) -> Pictures:
+def draw_all(
+    summaries: Sequence[Summary],
+    data: Sequence[str],
+    most: int,
+    registry: Registry,
+    tell: Callable[[str, int, int], None] = lambda what, done, total: None,
+) -> Pictures:
     """Return the pictures of the chosen frames of all studies from data such as ["kitti-raw:PATH"].
 
-    With several datasets each text is NAME=DATASET:PATH, where NAME is what the studies call it. Raises
-    UnknownNameError for a dataset that no study has, InputError where it is not said which one is meant, where frames
-    are missing from the data, or are not those that the study saw.
+    With several datasets each text is NAME=DATASET:PATH, where NAME is what the studies call it. `tell` is told the
+    frame, how many pictures are drawn, and of how many. Raises UnknownNameError for a dataset that no study has,
+    InputError where it is not said which one is meant, where frames are missing from the data, or are not those that
+    the study saw.
     """
     runs = [run for s in summaries for group in s.groups for some in group.runs.values() for run in some]
     text_of = data_by_name(data, sorted({run.dataset for run in runs}), "the studies")
@@ -90,15 +97,18 @@ def draw_all(summaries: Sequence[Summary], data: Sequence[str], most: int, regis
         if own:
             _check_names(own, text, _opened(text, own[0].run, registry).dataset.names)
     pictures = Pictures()
+    done = 0
     # One recipe after the other, frame by frame: a frame is read and its features are extracted once.
     for own in _by_recipe(wanted):
         text = text_of[own[0].run.dataset]
         source = _opened(text, own[0].run, registry)
         _check_names(own, text, source.dataset.names)
         for name in dict.fromkeys(w.frame for w in own):
+            tell(name, done, len(wanted))
             frame = source.frame(name)
             for w in own:
                 if w.frame == name:
+                    done += 1
                     _check_content(w, frame)
                     pictures.add(w, *source.drawn(w.run, frame))
     return pictures

@@ -254,6 +254,8 @@ function byRow(metric) {
     .filter((row) => row.runs.length);
 }
 
+const plotting = typeof Plotly !== "undefined";
+
 function showBoxes() {
   const metric = at("metric").value, { layout, axis, ink } = look(), rows = byRow(metric), log = at("log").checked;
   // A logarithm has no place for signs and zeros.
@@ -300,7 +302,7 @@ function showFrames() {
 
 function showRounds() {
   const { labels, rounds } = group(), { layout, axis } = look();
-  at("rounds-section").hidden = !rounds.some(Boolean);
+  at("rounds-section").hidden = !plotting || !rounds.some(Boolean);
   if (at("rounds-section").hidden) return;
   const traces = rounds.flatMap((history, i) => (history ? ["matches", "residual"].map((what, panel) => ({
     type: "scatter", mode: "lines+markers", name: plain(`${labels[i]} (${history.runs} runs)`), legendgroup: i, showlegend: panel === 0,
@@ -322,6 +324,7 @@ function chooseScale() {
 }
 
 function showPlots() {
+  if (!plotting) return;
   showBoxes();
   showFrames();
   showRounds();
@@ -463,6 +466,9 @@ at("theme").addEventListener("click", () => {
   showPlots();
 });
 dark.addEventListener("change", showPlots);
+at("no-plots").textContent = data.noPlots;
+for (const id of ["errors-title", "plots", "rounds-section"]) at(id).hidden = !plotting;
+at("no-plots").hidden = plotting;
 chooseStudy();
-for (const id of ["boxes", "frames"])
+for (const id of plotting ? ["boxes", "frames"] : [])
   at(id).on("plotly_click", ({ points }) => { if (points[0].customdata !== undefined) openRun(group().runs[points[0].customdata]); });

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from p2o.arrays import Float
-from p2o.errors import MethodUnavailable, printable
+from p2o.errors import printable
 from p2o.geometry.pose_error import AXES
 from p2o.report.bootstrap import Interval
 from p2o.report.figures import COLOURS
@@ -30,20 +30,20 @@ from p2o.study.tally import brief_seconds, told
 _SIGNIFICANT = 6
 
 
+NO_PLOTS = 'the page has no plots, for plotly is not installed; run: pip install "plotly>=6", and p2o report again'
+
+
 def plot_library() -> str:
-    """Return the JavaScript of plotly as its Python package ships it; MethodUnavailable where it is not installed."""
+    """Return the JavaScript of plotly as its Python package ships it, "" where it is not installed."""
     try:
         offline = importlib.import_module("plotly.offline")
-    except ModuleNotFoundError as problem:
-        raise MethodUnavailable(
-            "the page of a report needs the package plotly, which is not installed",
-            hint="run: pip install plotly",
-        ) from problem
+    except ModuleNotFoundError:
+        return ""
     return str(offline.get_plotlyjs())
 
 
 def page(summaries: Sequence[Summary], pictures: Pictures, library: str) -> str:
-    """Return the page of these studies; `library` is `plot_library()`.
+    """Return the page of these studies; `library` is `plot_library()`, and without one there are no plots.
 
     Its content security policy lets it run its own three scripts and load nothing.
     """
@@ -57,6 +57,7 @@ def page(summaries: Sequence[Summary], pictures: Pictures, library: str) -> str:
         "colours": COLOURS,
         "notes": NOTES,
         "rule": RULE,
+        "noPlots": "" if library else f"{NO_PLOTS}. The figures beside this page, PNG and SVG, show the same.",
     }
     script = part("page.js")
     parts = {"style": part("page.css"), "library": library, "script": script, "data": _json(data)}

@@ -29,8 +29,8 @@ NOTES = (
     "A verdict says, without the truth, whether a result may be trusted. Ambiguous: another pose fits about as well. "
     "Doubtful: image and sweep do not seem to belong together, or nothing could check that they do. Refused: there is "
     "no new pose.",
-    "Likely 2/3: the median of the errors that two of three results should keep to, as the runs themselves say; no truth "
-    "is in it.",
+    "Likely 2/3: the median of the errors that two of three results should keep to, as the runs themselves say; no "
+    "truth is in it.",
     f"Trusted, wrong: runs that were called trusted and are {WRONG_TOLD}. Held 2/3 and 19/20: rotations and then "
     "translations that are off by no more than the run itself said is likely, for two of three and for 19 of 20 runs, "
     "of the runs that said so; runs without an estimate have said nothing.",
