@@ -32,7 +32,7 @@ FLOORS = (
     {"problems", "draw", "simulate"},
     {"host"},
     {"calibration", "formats"},
-    {"run", "picks"},
+    {"run", "picks", "viewer"},
     {"work", "learn"},
     {"study", "testing"},
     {"report"},
@@ -102,6 +102,7 @@ HEAVY = {
     "cma",
     "laspy",
     "pyarrow",
+    "viser",
 }
 NETWORK = "p2o_plugins.p2ornet"
 """The one folder that may import heavy packages on import: methods import it when they need it."""

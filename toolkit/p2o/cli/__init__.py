@@ -29,6 +29,7 @@ _COMMANDS = {
     "report": "Write tables, figures and one page about the studies in a folder.",
     "labels": "Write what frames teach a method that learns, one file a frame.",
     "train": "Train a method on frames, or go on with a training.",
+    "view": "Look at a frame in space, and find a start by hand, on a page in the browser.",
     "pick": "Pick points in image and sweep by hand, on a page in the browser.",
     "convert": "Convert a calibration file: ROS 2, Autoware, Kalibr, COLMAP, OpenCV, KITTI and others.",
     "doctor": "Look whether this installation can do its job, and what is missing.",

@@ -53,7 +53,7 @@ def command(
     with PickServer(session, port) as server:
         click.echo(f"pick at {server.url} (done there, or Ctrl-C here, ends it)")
         if not no_browser:
-            _open(server.url)
+            open_page(server.url)
         with contextlib.suppress(KeyboardInterrupt):
             while not server.done.wait(_LOOK_S):
                 pass
@@ -63,7 +63,7 @@ def command(
     return 0 if session.count else 1
 
 
-def _open(url: str) -> None:
+def open_page(url: str) -> None:
     """Open the page in the user's browser, if there is one."""
     import webbrowser
 

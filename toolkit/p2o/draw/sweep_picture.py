@@ -50,6 +50,22 @@ def draw_sweep(rgb: UInt8, cloud: Cloud, camera: Camera, camera_from_lidar: Floa
     return canvas
 
 
+def sweep_colours(cloud: Cloud, by: By = "range") -> UInt8:
+    """Return a colour (N, 3) for each point of a sweep, by its distance from the LiDAR or by its reflectance.
+
+    The colours are those of `draw_sweep`, the ends of the scale those of all points. Raises InputError if the sweep
+    tells no reflectance.
+    """
+    if by == "reflectance" and cloud.intensity is None:
+        raise InputError("the sweep tells no reflectance", expected="an intensity for each point")
+    distance = np.maximum(np.linalg.norm(cloud.xyz, axis=1), 1e-3)
+    values = distance if by == "range" or cloud.intensity is None else np.asarray(cloud.intensity, float)
+    if not len(values):
+        return np.zeros((0, 3), np.uint8)
+    low, high = (float(value) for value in np.percentile(values, _SPREAD))
+    return np.asarray(_table(by)[np.rint(_share(values, low, high, by) * 255).astype(np.int64)])
+
+
 def _share(values: Float, low: float, high: float, by: By) -> Float:
     """Return the places of values in the scale, 0 to 1."""
     if by == "range":

@@ -1,0 +1,263 @@
+"""`p2o view`: the page in a real browser, headless, its sliders, who may connect, and the command's words."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from p2o import se3
+from p2o.cli import main
+from p2o.formats.files import start_words
+from p2o.geometry.nudge import Nudge
+from p2o.testing import stage
+from p2o.viewer.session import KnownPose, Opened, ViewSession
+
+pytest.importorskip("viser", reason="the extra `view` is not installed")
+
+from p2o.viewer.server import ViewServer
+
+STAGE = str(Path(__file__).with_name("stage_plugin.py"))
+FRAME = stage.frame()
+START = stage.camera_from_lidar()
+RESULT = Nudge("LiDAR", (0.0, 0.0, 1.0)).applied(START)
+
+
+@pytest.fixture
+def server(tmp_path: Path) -> Iterator[ViewServer]:
+    """The page of two frames, the first of which has a result, at a free port."""
+
+    def opened(number: int) -> Opened:
+        return Opened(FRAME, KnownPose(START, "<b>begin</b>"), KnownPose(RESULT, "trusted") if number == 0 else None)
+
+    session = ViewSession(
+        ["one", "two"],
+        opened,
+        tmp_path / "start.yaml",
+        calibrate=lambda frame, start: KnownPose(START, "all is well"),
+        most_points=3000,
+    )
+    with ViewServer(session) as server:
+        yield server
+
+
+def press(button: Any) -> None:
+    """Press a button of the page, from here."""
+    button.value = True
+
+
+# ---- in a browser
+
+
+def test_the_page_is_up_and_a_slider_changes_the_sweep_on_its_image_at_once(browser: Any, server: ViewServer) -> None:
+    from selenium.webdriver.common.keys import Keys
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    def until(true: Any) -> None:
+        WebDriverWait(browser, 60).until(lambda _: true())
+
+    def picture() -> str:
+        script = "return [...document.images].filter((i) => i.naturalWidth === 480).map((i) => i.src)[0] ?? ''"
+        return str(browser.execute_script(script))
+
+    def said() -> str:
+        return str(browser.execute_script("return document.body.innerText"))
+
+    browser.get_log("browser")
+    browser.get_log("performance")
+    browser.get(server.url)
+    until(lambda: "begin at the start" in said() and picture())
+    for text in ("turn x (right) [deg]", "shift z (forward) [m]", "write start.yaml", "(trusted)", "(<b>begin</b>)"):
+        assert text in said(), text
+    before = picture()
+    server.sliders["turn y"].value = 2.0
+    until(lambda: picture() not in ("", before))
+    assert "2.00 deg and" in said()
+    pose = Nudge("camera", (0.0, 2.0, 0.0)).applied(RESULT)
+    assert np.array_equal(server.session.pose, pose)
+    assert np.array_equal(server.overlay.image, server.session.shown.overlay(pose))
+    # A person writes a number beside a slider.
+    fields = "[...document.querySelectorAll('input[type=text]')].filter((i) => i.value === '0' && i.offsetWidth)"
+    field = browser.execute_script(f"return {fields}[0]")
+    before = picture()
+    field.click()
+    field.send_keys(Keys.END, Keys.BACKSPACE, "1.5", Keys.ENTER)
+    until(lambda: picture() not in ("", before))
+    assert server.session.nudge == Nudge("camera", (1.5, 2.0, 0.0))
+    complaints = [entry["message"] for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
+    assert complaints == []
+    events = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
+    asked = {e["params"]["request"]["url"] for e in events if e["method"] == "Network.requestWillBeSent"}
+    browser.get("about:blank")
+    assert all(url.startswith((server.url, "data:", "blob:", "chrome:")) for url in asked), asked
+
+
+# ---- what is pressed
+
+
+def test_buttons_begin_at_start_or_result_and_put_sliders_to_zero(server: ViewServer) -> None:
+    assert server.session.pose is RESULT
+    server.sliders["shift x"].value = 0.2
+    press(server.begin["start"])
+    assert server.session.pose is START
+    assert {slider.value for slider in server.sliders.values()} == {0.0}
+    server.sliders["turn z"].value = -1.0
+    assert np.array_equal(server.session.pose, Nudge("camera", (0.0, 0.0, -1.0)).applied(START))
+
+
+def test_other_axes_are_named_on_the_sliders_and_keep_the_pose(server: ViewServer) -> None:
+    server.sliders["turn z"].value = 1.0
+    before = server.session.pose
+    server.axes.value = "LiDAR"
+    assert server.sliders["turn z"].label == "turn z [deg]"
+    assert server.sliders["turn z"].value == 0.0
+    assert np.array_equal(server.session.pose, before)
+    server.sliders["shift x"].value = 0.5
+    assert np.allclose(server.session.pose, before @ se3.make(None, [0.5, 0, 0]))
+
+
+def test_the_button_writes_what_start_reads(server: ViewServer) -> None:
+    server.sliders["shift y"].value = 0.1
+    press(server.write)
+    assert np.allclose(start_words(str(server.session.out))[0], server.session.pose, rtol=0, atol=1e-12)
+    assert "start.yaml: p2o run --start" in server.status.content
+
+
+def test_the_cloud_has_the_colours_that_are_chosen_and_poses_can_be_hidden(server: ViewServer) -> None:
+    for by in ("reflectance", "image", "range"):
+        server.by.value = by
+        expected = server.session.shown.colours(by, server.session.pose)
+        assert np.array_equal(server.cloud.colors, expected)
+    server.shows["result"].value = False
+    assert (server._frustum["start"].visible, server._frustum["result"].visible) == (True, False)
+
+
+def test_another_frame_keeps_the_pose_and_a_calibration_gives_it_a_result(server: ViewServer) -> None:
+    pose = server.session.pose
+    server.frames.value = "1: two"
+    assert server.session.number == 1
+    assert server.session.pose is pose
+    assert server.begin["result"].disabled
+    press(server.calibrate)
+    assert not server.begin["result"].disabled
+    assert not server.calibrate.disabled
+    assert "all is well" in server.status.content
+    press(server.begin["result"])
+    assert server.session.pose is START
+
+
+# ---- who may connect
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "http://127.0.0.1:1", None])
+def test_other_pages_get_no_connection_and_nothing_is_handed_on(server: ViewServer, origin: str | None) -> None:
+    from websockets.exceptions import InvalidStatus
+    from websockets.sync.client import connect
+
+    address = server.url.replace("http", "ws")
+    with pytest.raises(InvalidStatus, match="403"):
+        connect(address, origin=origin, subprotocols=["viser-v1.1.1"])
+    connect(address, origin=server.url.rstrip("/"), subprotocols=["viser-v1.1.1"]).close()
+    assert server._viser.request_share_url() is None
+
+
+# ---- the command
+
+
+def view(out: Path, *words: str) -> list[str]:
+    return ["view", *words, "--plugin", STAGE, "--no-browser", "--out", str(out / "start.yaml")]
+
+
+def test_ctrl_c_ends_it(tmp_path: Path) -> None:
+    argv = [sys.executable, "-m", "p2o", *view(tmp_path, "fake:")]
+    running = subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ})
+    assert running.stdout is not None
+    line = running.stdout.readline()
+    assert re.match(r"view at http://127\.0\.0\.1:\d+/ \(Ctrl-C here ends it\)", line), running.communicate()[1]
+    time.sleep(0.3)
+    running.send_signal(signal.SIGINT)
+    said, complaints = running.communicate(timeout=60)
+    assert (running.returncode, said, complaints) == (0, "", "")
+
+
+def looked_at(monkeypatch: pytest.MonkeyPatch, words: list[str]) -> ViewSession:
+    """Return the session that a command would serve."""
+    seen: list[ViewSession] = []
+
+    class Seen(ViewServer):
+        def __init__(self, session: ViewSession, host: str, port: int) -> None:
+            seen.append(session)
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("p2o.viewer.server.ViewServer", Seen)
+    assert main(words) == 130
+    [session] = seen
+    return session
+
+
+def test_a_folder_of_a_run_shows_where_it_began_and_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = ["run", "--plugin", STAGE, "--data", "fake:?frames=3", "--frames", "1", "--calibrator", "spy"]
+    run += ["--witness", "none"]
+    assert main([*run, "--perturb", "2deg 0.1m", "--out", str(tmp_path / "out")]) == 0
+    row = json.loads((tmp_path / "out" / "run.json").read_text())["results"][0]
+    for words in ([str(tmp_path / "out")], ["fake:?frames=3", "--frames", "1", "--run", str(tmp_path / "out")]):
+        session = looked_at(monkeypatch, view(tmp_path, *words))
+        assert session.names == ("drive/0001",)
+        assert session.start.said == "where the run began"
+        assert np.allclose(session.start.camera_from_lidar, row["start"])
+        assert session.result is not None
+        assert session.result.said.startswith(row["verdict"]["trust"])
+        assert np.allclose(session.pose, row["camera_from_lidar"])
+
+
+def test_frames_without_any_start_are_looked_at_from_a_guess(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bare = stage.frame().without_truth()
+    monkeypatch.setattr(stage, "frame", lambda: bare)
+    session = looked_at(monkeypatch, view(tmp_path, "fake:"))
+    assert session.start.said.startswith("a guess, for nobody says any: roughly x forward")
+    told = looked_at(monkeypatch, view(tmp_path, "fake:", "--start", "roughly x forward, z up; camera looks left"))
+    assert told.start.said == "the pose of roughly x forward, z up; camera looks left"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["nowhere"], "expected DATASET:PATH, or a folder that p2o run --out has written"),
+        (["fake:", "--frames", "9"], "--frames"),
+        (["fake:", "--run", "nowhere"], "run.json"),
+        (["fake:", "--start", "none.yaml"], "none.yaml"),
+        (["fake:", "--host", "no.such.host.example"], "the port cannot be used"),
+    ],
+)
+def test_wrong_words_are_one_clear_line(
+    words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(view(tmp_path, *words)) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert said in line
+
+
+def test_a_port_that_is_taken_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        assert main(view(tmp_path, "fake:", "--port", str(port))) == 2
+    assert f"127.0.0.1:{port}: the port cannot be used" in capsys.readouterr().err
+
+
+def test_without_viser_one_line_says_how_to_get_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "viser", None)
+    assert main(view(tmp_path, "fake:")) != 0
+    [line] = capsys.readouterr().err.splitlines()
+    assert line.endswith('run: pip install "viser>=1.1"')
