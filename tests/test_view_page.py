@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from p2o import se3
+from p2o import Camera, se3
 from p2o.cli import main
 from p2o.formats.files import start_words
 from p2o.geometry.nudge import Nudge
@@ -25,7 +25,7 @@ from p2o.viewer.session import KnownPose, Opened, ViewSession
 
 pytest.importorskip("viser", reason="the extra `view` is not installed")
 
-from p2o.viewer.server import ViewServer
+from p2o.viewer.server import ViewServer, _high_enough
 
 STAGE = str(Path(__file__).with_name("stage_plugin.py"))
 FRAME = stage.frame()
@@ -140,6 +140,14 @@ def test_the_cloud_has_the_colours_that_are_chosen_and_poses_can_be_hidden(serve
         assert np.array_equal(server.cloud.colors, expected)
     server.shows["result"].value = False
     assert (server._frustum["start"].visible, server._frustum["result"].visible) == (True, False)
+    server.shows["picture"].value = False
+    assert (server._frustum["now"].visible, server._frustum["picture"].visible) == (True, False)
+
+
+def test_a_view_through_the_camera_holds_the_whole_image_in_any_window() -> None:
+    camera = Camera.pinhole(100.0, 100.0, 199.5, 99.5, 400, 200)
+    assert np.isclose(_high_enough(camera, 4.0), np.pi / 2), "a wide window: the image is 200 px high, 90 deg"
+    assert np.isclose(np.tan(_high_enough(camera, 1.0) / 2), 2.0), "a square one: its 400 px of width have to fit"
 
 
 def test_another_frame_keeps_the_pose_and_a_calibration_gives_it_a_result(server: ViewServer) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 from p2o.arrays import Float
 from p2o.errors import InputError, MethodUnavailable, P2OError, printable
 from p2o.geometry import se3
+from p2o.geometry.camera import Camera
 from p2o.geometry.nudge import AXES, Nudge
 from p2o.viewer.session import ViewSession, Which
 from p2o.viewer.shown_frame import Colouring
@@ -62,6 +63,7 @@ class ViewServer:
         self.sliders: dict[str, Any] = {}
         self._frustum: dict[str, Any] = {}
         self._build()
+        self._place_axes()
         self.show(frame=True)
 
     @property
@@ -119,7 +121,9 @@ class ViewServer:
             for name, colour in _COLOUR_NAMES.items():
                 self.shows[name] = gui.add_checkbox(f"{name} ({colour})", True)
                 self.shows[name].on_update(lambda _: self._do(lambda: None))
-            look = gui.add_button("look through the camera")
+            self.shows["picture"] = gui.add_checkbox("picture in space", True)
+            self.shows["picture"].on_update(lambda _: self._do(lambda: None))
+            look = gui.add_button("look through the camera", hint="It puts the picture away, which hides the sweep.")
             look.on_click(self._look_through)
         panel = gui.add_panel()
         with panel.add_tab("sweep on image"):
@@ -127,6 +131,8 @@ class ViewServer:
         camera = session.shown.camera
         width = min(_OVERLAY_PX, _OVERLAY_HIGH_PX * camera.width / camera.height, camera.width + _MARGIN_PX)
         panel.float(x=12, y=-12, width=width)
+        # On a phone it is a section below the others, closed unless this is said.
+        panel.expand()
 
     def show(self, *, frame: bool = False) -> None:
         """Show the session as it is; with `frame` its picture and points, too."""
@@ -140,12 +146,16 @@ class ViewServer:
                 self.cloud = scene.add_point_cloud(
                     "/sweep", shown.thinned.xyz.astype(np.float32), colours, precision="float32", point_shading="flat"
                 )
-                self._place_axes()
-                self._place_frustum("/now/camera", np.eye(4), "now", shown.legible)
+                for handle in self._frustum.values():
+                    handle.remove()
+                self._frustum.clear()
+                self._place_frustum("/now/camera", np.eye(4), "now")
+                self._place_frustum("/now/picture", np.eye(4), "picture", shown.legible)
             elif not np.array_equal(self.cloud.colors, colours):
                 self.cloud.colors = colours
             self.cloud.point_size = self.point_size.value / 100
             self.now.wxyz, self.now.position = _placed(pose)
+            self._frustum["picture"].visible = self.shows["picture"].value
             for name, known in zip(_WHICH, (session.start, session.result), strict=True):
                 if known is not None:
                     self._place_frustum(f"/{name}", known.camera_from_lidar, name)
@@ -159,9 +169,6 @@ class ViewServer:
         scene, pose = self._viser.scene, self.session.pose
         scene.add_frame("/LiDAR", axes_length=1.0, axes_radius=0.02, origin_radius=0.04)
         self.now = scene.add_frame("/now", axes_length=0.6, axes_radius=0.015, origin_radius=0.03)
-        for handle in self._frustum.values():
-            handle.remove()
-        self._frustum.clear()
         lidar_from_camera = se3.inverse(pose)
         scene.set_up_direction(tuple(-lidar_from_camera[:3, 1]))
         camera = self._viser.initial_camera
@@ -178,7 +185,7 @@ class ViewServer:
             fov=shown.upward_view_rad,
             aspect=shown.camera.width / shown.camera.height,
             scale=_FRUSTUM_M,
-            color=_COLOURS[name],
+            color=_COLOURS.get(name, _COLOURS["now"]),
             image=picture,
             format="jpeg",
             jpeg_quality=_JPEG,
@@ -252,14 +259,15 @@ class ViewServer:
             self.calibrate.disabled, self.calibrate.label = False, "calibrate from here"
 
     def _look_through(self, event: Any) -> None:
-        """Put the eye of who pressed it into the camera."""
+        """Put the eye of who pressed it into the camera, and the picture away, which would hide the sweep."""
         lidar_from_camera = se3.inverse(self.session.pose)
         ahead = se3.apply(lidar_from_camera, np.array([[0.0, 0.0, 5.0]]))[0]
         eye = event.client.camera
         with event.client.atomic():
             eye.up_direction = -lidar_from_camera[:3, 1]
             eye.position, eye.look_at = lidar_from_camera[:3, 3], ahead
-            eye.fov = self.session.shown.upward_view_rad
+            eye.fov = _high_enough(self.session.shown.camera, eye.aspect)
+        self.shows["picture"].value = False
 
     def tell(self, text: str) -> None:
         """Say something on the page."""
@@ -272,6 +280,7 @@ class ViewServer:
         self.status.content = _html([self.session.shown.name, *self.session.lines(), *notice])
 
 
+_WIDEST_RAD = 2.4
 _BEHIND_AND_AHEAD = ([0.0, -2.5, -6.0], [0.0, 0.5, 12.0])
 """Where who comes stands, and looks to, in the camera's axes, in metres."""
 
@@ -283,6 +292,12 @@ def _placed(camera_from_lidar: Float) -> tuple[Float, Float]:
     lidar_from_camera = se3.inverse(camera_from_lidar)
     x, y, z, w = Rotation.from_matrix(lidar_from_camera[:3, :3]).as_quat()
     return np.array([w, x, y, z]), lidar_from_camera[:3, 3]
+
+
+def _high_enough(camera: Camera, aspect: float) -> float:
+    """Return the height in radians of a view that holds the image, in a window of so many heights of width."""
+    high = max(camera.height, camera.width / aspect)
+    return min(2 * float(np.arctan(high / (2 * camera.focal_px))), _WIDEST_RAD)
 
 
 def _html(lines: Sequence[str]) -> str:
