@@ -78,6 +78,25 @@ def test_nothing_is_wider_than_the_window(page: Page) -> None:
     assert page.run("return document.documentElement.scrollWidth <= window.innerWidth")
 
 
+def test_a_phone_has_room_for_everything(page: Page) -> None:
+    """Rounds stand below each other there, and names of frames are cut at their begin, which they share."""
+    size = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
+    layout = "document.getElementById('rounds')._fullLayout"
+    axes = f"return [{layout}.xaxis.domain, {layout}.xaxis2.domain]"
+    frames = "return document.getElementById('frames').layout.yaxis.ticktext[3]"
+    beside, name = page.run(axes), page.run(frames)
+    page.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    try:
+        WebDriverWait(page.driver, 20).until(lambda _: page.run(frames) != name)
+        assert page.run("return document.documentElement.scrollWidth") <= 390
+        assert page.run(frames) == "…05/0000000003"
+        below = page.run(axes)
+        assert beside[0][1] < beside[1][0]
+        assert below[0] == below[1] == [0, 1]
+    finally:
+        page.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
 def test_a_click_on_a_column_sorts_and_another_turns_it_round(page: Page) -> None:
     page.sort("runs", "rotation [deg]")
     upwards = numbers(page.column("runs", "rotation [deg]"))
@@ -201,9 +220,9 @@ def test_boxes_are_logarithmic_where_rows_differ_much_and_as_the_reader_wants(pa
 
     assert shown() == ("linear", "rotation error [deg]")
     page.click("#log")
-    assert shown() == ("log", "rotation, size of the error [deg]")
+    assert shown() == ("log", "|rotation error| [deg]")
     Select(page.find("#study")).select_by_index(1)
-    assert shown() == ("log", "rotation, size of the error [deg]"), "1 deg and 30 deg"
+    assert shown() == ("log", "|rotation error| [deg]"), "1 deg and 30 deg"
     Select(page.find("#metric")).select_by_visible_text("translation [cm]")
     assert shown() == ("linear", "translation error [cm]"), "both rows are 10 cm off"
     Select(page.find("#metric")).select_by_visible_text("yaw [deg]")

@@ -96,6 +96,21 @@ def test_the_legend_stays_in_its_corner_and_is_left_out_of_small_pictures() -> N
     assert (small == small[0, 0]).all()
 
 
+@pytest.mark.parametrize("grey", [120, 5])
+def test_words_are_twice_as_large_on_a_picture_that_a_page_shows_at_half_its_size(grey: int) -> None:
+    """The legend, and on a dark picture its gamma: of 1600 px halved they are where those of 800 px are."""
+    cameras = [Camera.pinhole(500.0, 500.0, width / 2, width / 4, width, width // 2) for width in (800, 1600)]
+    pictures = [
+        draw(np.full((c.height, c.width, 3), grey, np.uint8), NO_IMAGE, NO_CLOUD, c, np.eye(4)) for c in cameras
+    ]
+    halved = pictures[1].reshape(400, 2, 800, 2, 3).mean(axis=(1, 3))
+    ground = pictures[0][-1, 400].astype(float)
+    boxes = [np.argwhere((np.abs(p - ground) > 5).any(axis=2)) for p in (pictures[0], halved)]
+    assert len(boxes[0])
+    for ends in (boxes[0].min(axis=0) - boxes[1].min(axis=0), boxes[0].max(axis=0) - boxes[1].max(axis=0)):
+        assert np.abs(ends).max() <= 20, "bold letters are wider"
+
+
 def test_an_image_of_another_size_is_refused() -> None:
     with pytest.raises(InputError, match="the image has the wrong shape"):
         draw(RGB[:50], NO_IMAGE, NO_CLOUD, CAMERA, np.eye(4))

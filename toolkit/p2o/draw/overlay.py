@@ -31,6 +31,8 @@ CLOUD_NONE = (255, 70, 255)
 
 _RADIUS_PX = 3.0
 _LEGEND_PX, _LEGEND_HIGH_PX, _GAMMA_PX = 330, 60, 190
+_PX_A_UNIT = 800
+"""Words grow with pictures that are wider than this: pages show them smaller."""
 
 
 def draw(
@@ -126,8 +128,11 @@ def dimmed(rgb: UInt8, camera: Camera) -> UInt8:
     grey = picture @ np.array([0.299, 0.587, 0.114], np.float32)
     canvas = np.asarray(0.5 * (0.75 * grey[..., None] + 0.25 * picture), np.uint8)
     if gamma != 1 and camera.width >= _LEGEND_PX + _GAMMA_PX and camera.height >= _LEGEND_HIGH_PX:
-        canvas[4:26, -_GAMMA_PX:-4] //= 4
-        _write(canvas, f"brightened: gamma {gamma:.2f}", (camera.width - _GAMMA_PX + 8, 19))
+        unit = _unit(canvas)
+        left = camera.width - round(unit * _GAMMA_PX)
+        canvas[round(4 * unit) : round(26 * unit), left : -round(4 * unit)] //= 4
+        place = left + round(8 * unit), round(19 * unit)
+        _write(canvas, f"brightened: gamma {gamma:.2f}", place, unit=unit)
     return canvas
 
 
@@ -164,10 +169,22 @@ def _stamp_faded(canvas: UInt8, edges: ImageEdges) -> None:
     canvas[v, u] = np.rint(ground + strength * (_colours(edges.side[order], IMAGE_NONE) - ground.astype(np.float64)))
 
 
-def _write(canvas: UInt8, text: str, place: tuple[int, int], colour: tuple[int, int, int] = (235, 235, 235)) -> None:
+def _unit(canvas: UInt8) -> float:
+    """Return how many times larger than usual words are."""
+    return max(1.0, canvas.shape[1] / _PX_A_UNIT)
+
+
+def _write(
+    canvas: UInt8,
+    text: str,
+    place: tuple[int, int],
+    colour: tuple[int, int, int] = (235, 235, 235),
+    *,
+    unit: float = 1.0,
+) -> None:
     import cv2
 
-    cv2.putText(canvas, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.42, colour, 1, cv2.LINE_AA)
+    cv2.putText(canvas, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.42 * unit, colour, max(1, int(unit)), cv2.LINE_AA)
 
 
 def _write_legend(canvas: UInt8) -> None:
@@ -175,11 +192,22 @@ def _write_legend(canvas: UInt8) -> None:
     width = _LEGEND_PX
     if canvas.shape[0] < _LEGEND_HIGH_PX or canvas.shape[1] < width:
         return
-    white, middle = np.full((1, 3), 235, np.uint8), 15
-    canvas[4:26, 4:width] //= 4
+    import cv2
+
+    unit = _unit(canvas)
+    white = np.full((1, 3), 235, np.uint8)
+
+    def at(*lengths: float) -> list[int]:
+        return [round(unit * length) for length in lengths]
+
+    top, low, left, right, base, middle = at(4, 26, 4, width, 19, 15)
+    last = "LiDAR edge, projected"
+    words_px = cv2.getTextSize(last, cv2.FONT_HERSHEY_SIMPLEX, 0.42 * unit, max(1, int(unit)))[0][0]
+    canvas[top:low, left : max(right, at(212)[0] + words_px)] //= 4
     for place, (letter, colour) in zip(range(12, 80, 17), COLOURS.items(), strict=False):
-        _write(canvas, letter, (place, 19), colour)
-    canvas[middle, 84:98] = white
-    _write(canvas, "image edge", (104, 19))
-    stamp(canvas, np.array([[196, middle]]), _ring(_RADIUS_PX), white)
-    _write(canvas, "LiDAR edge, projected", (206, 19))
+        _write(canvas, letter, (at(place)[0], base), colour, unit=unit)
+    begin, end, first, ring, second = at(84, 98, 104, 196, 206)
+    canvas[middle : middle + max(1, round(unit)), begin:end] = white
+    _write(canvas, "image edge", (first, base), unit=unit)
+    stamp(canvas, np.array([[ring, middle]]), _ring(_RADIUS_PX * unit), white)
+    _write(canvas, last, (second, base), unit=unit)

@@ -87,11 +87,12 @@ def _scale(canvas: UInt8, low: float, high: float, by: By) -> None:
     import cv2
 
     height, width = canvas.shape[:2]
-    unit = max(1.0, width / 1200)
+    # Pages show wide pictures smaller.
+    unit = max(1.0, width / 800)
     if width < 200 or height < 60:
         return
     bar_w, bar_h, margin = int(150 * unit), int(10 * unit), int(8 * unit)
-    font, thick = 0.4 * unit, max(1, round(unit))
+    font, thick = 0.4 * unit, max(1, int(unit))
     texts = [f"{by} {low:.3g}", f"{high:.3g}{_UNITS[by]}"]
     (left, text_h), (right, _) = (cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, font, thick)[0] for text in texts)
     bottom = height - margin

@@ -100,6 +100,12 @@ class SortedTable {
 const number = (title, value, cell, more = {}) => ({ title, value, cell, ...more });
 const words = (title, value, more = {}) => ({ title, value, cell: value, text: true, ...more });
 
+// "0.250 deg 5.0 cm" below each other.
+function twoLines(text) {
+  const [first, second] = (text ?? NONE).split(/(?<=deg) /);
+  return second === undefined ? first : [first, make("span", { class: "range" }, second)];
+}
+
 function withRange(triple, metric, sign = false) {
   if (!triple) return NONE;
   const plus = (value) => (sign && value > 0 ? "+" : "") + fixed(value, metric);
@@ -143,7 +149,7 @@ function showRows() {
     columns.push(number("verdict", (row) => row.trusted ?? null, (row) => row.trust ?? NONE, { long: true }),
       number("trusted, wrong", (row) => row.trustedWrong ?? null, (row) => String(row.trustedWrong ?? NONE)));
   if (group().rows.some((row) => row.likely))
-    columns.push(number("likely 2/3", (row) => row.likelySize ?? null, (row) => row.likely ?? NONE, { long: true }));
+    columns.push(number("likely 2/3", (row) => row.likelySize ?? null, (row) => twoLines(row.likely)));
   if (group().rows.some((row) => row.held))
     ["held 2/3", "held 19/20"].forEach((title, bound) =>
       columns.push(number(title, (row) => (row.held ? row.heldRotations[bound] : null), (row) => (row.held ? row.held[bound] : NONE))));
@@ -168,7 +174,7 @@ function showWorst() {
       make("h3", {}, labels[run.row], run.trust ? make("span", { class: `tag ${doubt(run)}` }, run.trust) : null),
       make("div", { class: "quiet" }, `${run.place}, seed ${run.seed} `, make("button", { type: "button", onclick: () => openRun(run) }, "all about it")),
       make("p", {}, said),
-      ...run.pictures.slice(0, 1).map(compare));
+      ...run.pictures.slice(0, 1).map((picture) => compare(picture, run.frames.length > 0)));
   }));
   at("worst-section").hidden = !worst.length;
   at("more-worst").hidden = worst.length <= state.cards;
@@ -254,6 +260,9 @@ function byRow(metric) {
     .filter((row) => row.runs.length);
 }
 
+const narrow = matchMedia("(max-width: 700px)");
+// Names of frames differ at their end; on a phone the whole of them would leave no room for the plot.
+const shortened = (name) => (narrow.matches && name.length > 14 ? `…${name.slice(-13)}` : name);
 const plotting = typeof Plotly !== "undefined";
 
 function showBoxes() {
@@ -263,7 +272,7 @@ function showBoxes() {
   const least = sizes.reduce((a, b) => Math.min(a, b), Infinity);
   const value = (run) => (log ? Math.max(sizeOf(run, metric), least) : errorOf(run, metric));
   const scale = log ? { type: "log", tickvals: LOG_TICKS, ticktext: LOG_TEXTS } : {};
-  const name = log ? { text: title(metric).text.replace(" error", ", size of the error") } : title(metric);
+  const name = log ? { text: `|${nameOf(metric)} error| [${unit(metric)}]` } : title(metric);
   const traces = rows.map((row) => ({
     type: "box", orientation: "h", name: plain(row.label), boxpoints: "outliers", whiskerwidth: 0.4,
     x: row.runs.map((run) => factor(metric) * value(run)), y0: plain(row.label),
@@ -297,7 +306,7 @@ function showFrames() {
   });
   Plotly.react("frames", traces, { ...layout, height: Math.max(130 + 46 * rows.length, 110 + Math.max(22, 6 * rows.length) * places.length + 22 * rows.length),
     xaxis: { ...axis, type: "log", title: title(metric), tickvals: LOG_TICKS, ticktext: LOG_TEXTS },
-    yaxis: { ...axis, range: [places.length - 0.4, -0.6], tickvals: places.map((_, i) => i), ticktext: places.map(plain) } }, config);
+    yaxis: { ...axis, range: [places.length - 0.4, -0.6], tickvals: places.map((_, i) => i), ticktext: places.map(shortened).map(plain) } }, config);
 }
 
 function showRounds() {
@@ -314,7 +323,7 @@ function showRounds() {
   })) : []));
   const x = { ...axis, title: { text: "round" }, dtick: 1 };
   const scale = (what) => (group().logRounds.includes(what) ? { type: "log" } : { rangemode: "tozero" });
-  Plotly.react("rounds", traces, { ...layout, height: 400 + 10 * labels.length, grid: { rows: 1, columns: 2, pattern: "independent" },
+  Plotly.react("rounds", traces, { ...layout, height: narrow.matches ? 480 + 26 * labels.length : 400 + 10 * labels.length, grid: { rows: narrow.matches ? 2 : 1, columns: narrow.matches ? 1 : 2, pattern: "independent" },
     xaxis: x, xaxis2: x, yaxis: { ...axis, title: { text: "matches" }, ...scale("matches") },
     yaxis2: { ...axis, title: { text: "mean residual [px]" }, ...scale("residual") } }, config);
 }
@@ -360,7 +369,7 @@ function detail(run) {
   const parts = [make("p", {}, make("b", { class: run.solved ? "" : "failed" }, run.status), run.reason ? `: ${run.reason}` : "")];
   const why = run.why === run.reason ? "" : run.why;
   if (run.trust) parts.push(make("p", {}, make("b", { class: doubt(run) }, run.trust), why ? `${run.trust === "trusted" ? "; remark" : ""}: ${why}` : ""));
-  parts.push(...run.pictures.map(compare));
+  parts.push(...run.pictures.map((picture) => compare(picture)));
   const facts = [];
   const rows = data.metrics.map((metric, i) => [`${nameOf(metric)} [${unit(metric)}]`, i < 2 ? fixed(run.start[i], metric) : "", fixed(run.errors[i], metric)]);
   facts.push(block("Error", simpleTable(["", "start", "end"], rows)));
@@ -385,7 +394,7 @@ function detail(run) {
 }
 
 // Both pictures on top of each other: left of the edge the one before, right of it the one after.
-function compare({ frame, before, after }) {
+function compare({ frame, before, after }, named = true) {
   const edge = make("div", { class: "edge" });
   const over = make("img", { src: data.pictures[before], alt: `edges at the start, ${frame}`, draggable: "false" });
   const slider = make("input", { class: "slider", type: "range", min: 0, max: 100, step: 0.5, value: 50, "aria-label": "before to after" });
@@ -405,7 +414,7 @@ function compare({ frame, before, after }) {
     make("span", { class: "name before" }, "before"), make("span", { class: "name after" }, "after"));
   slider.addEventListener("input", move);
   move();
-  return make("div", {}, make("div", { class: "quiet" }, frame), box, slider);
+  return make("div", {}, named ? make("div", { class: "quiet" }, frame) : null, box, slider);
 }
 
 // ---- choices
@@ -466,6 +475,7 @@ at("theme").addEventListener("click", () => {
   showPlots();
 });
 dark.addEventListener("change", showPlots);
+narrow.addEventListener("change", showPlots);
 at("no-plots").textContent = data.noPlots;
 for (const id of ["errors-title", "plots", "rounds-section"]) at(id).hidden = !plotting;
 at("no-plots").hidden = plotting;
