@@ -24,14 +24,14 @@ def test_by_range_near_is_red_and_far_is_blue() -> None:
 
 
 def test_the_scale_is_twice_as_large_on_a_picture_that_a_page_shows_at_half_its_size() -> None:
-    widths = []
+    heights = []
     for width in (800, 1600):
         camera = Camera.pinhole(100.0, 100.0, width / 2, width / 4, width, width // 2)
         xyz = np.array([[0.0, -1.0, 5.0], [0.0, -1.0, 50.0]])
         picture = draw_sweep(np.full((width // 2, width, 3), 120, np.uint8), Cloud(xyz), camera, np.eye(4))
-        lowest = picture[-1].astype(int)
-        widths.append(int((lowest < lowest[-1]).any(axis=1).sum()))
-    assert abs(widths[1] - 2 * widths[0]) <= 8
+        rim = picture[:, 0].astype(int)
+        heights.append(int((rim < rim[0]).any(axis=1).sum()))
+    assert abs(heights[1] - 2 * heights[0]) <= 8
 
 
 def test_by_reflectance_high_is_yellow_wherever_it_is() -> None:

@@ -19,12 +19,15 @@ def part(name: str) -> str:
 
 
 def filled(template: str, parts: Mapping[str, str], scripts: Sequence[str]) -> str:
-    """Return the template with its places {{name}} filled; only `scripts` may run, and nothing may be loaded."""
+    """Return the page of a template with its places {{name}} filled; only `scripts` may run, and nothing may be loaded.
+
+    Head and style that all pages share are put around it; parts have a `title`, and a `style` of their own.
+    """
     policy = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'; "
     policy += "script-src " + " ".join(map(_source_hash, scripts))
     # The places are found in the template alone: none of the parts is searched.
-    head, *rest = part(template).split("{{")
-    found = {"policy": policy, **parts}
+    head, *rest = part("shell.html").replace("{{body}}", part(template)).split("{{")
+    found = {"policy": policy, **parts, "style": part("shell.css") + parts["style"]}
     return head + "".join(found[name] + text for name, text in (piece.split("}}", 1) for piece in rest))
 
 

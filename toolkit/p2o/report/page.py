@@ -60,7 +60,13 @@ def page(summaries: Sequence[Summary], pictures: Pictures, library: str) -> str:
         "noPlots": "" if library else f"{NO_PLOTS}. The figures beside this page, PNG and SVG, show the same.",
     }
     script = part("page.js")
-    parts = {"style": part("page.css"), "library": library, "script": script, "data": _json(data)}
+    parts = {
+        "title": "p2o report",
+        "style": part("page.css"),
+        "library": library,
+        "script": script,
+        "data": _json(data),
+    }
     return filled("page.html", parts, scripts=(library, script))
 
 
