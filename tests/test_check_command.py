@@ -56,6 +56,22 @@ def test_an_extrinsic_in_a_file_that_slipped_is_off(
         assert "yaw +1.5" in said or "yaw +1.4" in said
 
 
+def test_check_and_watch_take_the_same_words_name_each_frame_and_refuse_unknown_ones(
+    frames: list[p2o.Frame], truth: np.ndarray
+) -> None:
+    told: list[tuple[str, int, int]] = []
+    words = {"frames": "1", "extractor": "depth/rings", "seed": 4, "on_frame": lambda *said: told.append(said)}
+    found = p2o.check(frames, truth, **words)
+    assert told == [(frames[1].name, 0, 1)]
+    seen = p2o.watch(frames, truth, **{**words, "frames": None}, settle=1)
+    assert told[1:] == [(frames[0].name, 0, 2), (frames[1].name, 1, 2)]
+    for recipe in (found.recipe, seen.recipe):
+        assert (recipe["extractor"], recipe["seed"]) == ("depth/rings", 4)
+    for look in (p2o.check, p2o.watch):
+        with pytest.raises(TypeError, match="unexpected keyword argument 'perturb'"):
+            look(frames, truth, perturb="1deg")
+
+
 def test_an_answer_that_is_asked_for_and_cannot_be_given_is_status_1(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["check", DATA, "--extrinsic", "truth", "--frames", "0", "--notice", "0.001deg 0.1mm"]
     assert main(words) == 0

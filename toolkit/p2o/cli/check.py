@@ -78,36 +78,37 @@ def command(
 
     from p2o.results.check import Holding
     from p2o.results.result_json import check_to_dict
-    from p2o.run.check import check, watch
+    from p2o.run.check import Words, check, watch
 
     _check_words(watching, notice, {"--alarms-per-hour": alarms_per_hour, "--rate": rate_hz, "--settle": settle})
     stdout = sys.stdout
     with contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext():
-        words = {"frames": frames, "extractor": extractor, "matcher": matcher, "seed": seed}
+        words: Words = {
+            "frames": frames,
+            "extractor": extractor,
+            "matcher": matcher,
+            "options": settings or None,
+            "seed": seed,
+            "registry": load(plugin, block),
+        }
         found: Check | Watch
-        registry = load(plugin, block)
-        chosen = settings or None
         if watching:
             found = watch(
                 data,
                 extrinsic,
-                **words,  # type: ignore[arg-type]
-                options=chosen,
+                **words,
                 alarms_per_hour=0.1 if alarms_per_hour is None else alarms_per_hour,
                 rate_hz=rate_hz,
                 settle=20 if settle is None else settle,
-                registry=registry,
             )
         else:
             found = check(
                 data,
                 extrinsic,
-                **words,  # type: ignore[arg-type]
-                options=chosen,
+                **words,
                 notice=notice,
                 alarm_rate=alarm_rate,
                 power=power,
-                registry=registry,
             )
     if as_json:
         stdout.write(json.dumps(check_to_dict(found), indent=1, allow_nan=False, ensure_ascii=False) + "\n")

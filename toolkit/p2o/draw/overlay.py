@@ -171,7 +171,7 @@ def _stamp_faded(canvas: UInt8, edges: ImageEdges) -> None:
 
 def _unit(canvas: UInt8) -> float:
     """Return how many times larger than usual words are."""
-    return max(1.0, canvas.shape[1] / _PX_A_UNIT)
+    return max(1.0, float(canvas.shape[1]) / _PX_A_UNIT)
 
 
 def _write(

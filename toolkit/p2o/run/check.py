@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
@@ -31,38 +31,46 @@ Tell = Callable[[str, int, int], None]
 """Is told the name of a frame, how many are done, and of how many."""
 
 
+class Words(TypedDict, total=False):
+    """What `check` and `watch` have in common: which frames are looked at, and by which methods.
+
+    All but `on_frame` are as in `p2o.calibrate`; what is left out, or None, takes the default of `Recipe`.
+    """
+
+    frames: str | None
+    extractor: str | None
+    matcher: str | None
+    options: Mapping[str, Mapping[str, Any]] | Sequence[str] | None
+    seed: int | None
+    on_frame: Tell | None
+    registry: Registry | None
+
+
 def check(
     data: Data,
     extrinsic: Float | str,
     *,
-    frames: str | None = None,
-    extractor: str | None = None,
-    matcher: str | None = None,
-    options: Mapping[str, Mapping[str, Any]] | Sequence[str] | None = None,
     notice: str | None = None,
     alarm_rate: float = 0.01,
     power: float = 0.95,
-    seed: int | None = None,
-    on_frame: Tell | None = None,
-    registry: Registry | None = None,
+    **words: Unpack[Words],
 ) -> Check:
     """Return whether an extrinsic holds on frames, all taken together; the same as `p2o check`.
 
     `extrinsic` is camera_from_lidar (4, 4), or `truth`, `start` or a file (`p2o.run.extrinsic`). `notice` says which
     errors have to be noticed ("0.3deg 3cm"): where the frames do not allow that, the answer is that nobody can tell.
     At most `alarm_rate` of right extrinsics are called off, and a share `power` of errors as large as an axis's limit
-    is noticed. The other words are those of `p2o.calibrate`.
+    is noticed. `words` are frames, extractor, matcher, options, seed and registry as in `p2o.calibrate`, and
+    `on_frame`, which is told each frame (`Words`).
 
     Raises a P2OError for anything wrong with the words, the data or the plugins, and for an extrinsic that is the
     inverse of what it should be.
     """
     rates = _rates(notice, alarm_rate, power)
-    opened = _Opened.of(data, frames, extractor, matcher, options, seed, registry)
+    opened = _Opened.of(data, words)
     views: list[View] = []
     read: list[Frame] = []
-    tell = on_frame or (lambda name, done, total: None)
-    for done, frame in enumerate(opened.frames()):
-        tell(frame.name, done, len(opened.indices))
+    for frame in opened.frames():
         views.append(opened.pipeline.prepare(frame.without_truth()))
         read.append(frame)
     one_camera(read)
@@ -80,16 +88,10 @@ def watch(
     data: Data,
     extrinsic: Float | str,
     *,
-    frames: str | None = None,
-    extractor: str | None = None,
-    matcher: str | None = None,
-    options: Mapping[str, Mapping[str, Any]] | Sequence[str] | None = None,
     alarms_per_hour: float = 0.1,
     rate_hz: float | None = None,
     settle: int = 20,
-    seed: int | None = None,
-    on_frame: Tell | None = None,
-    registry: Registry | None = None,
+    **words: Unpack[Words],
 ) -> Watch:
     """Return when an extrinsic slipped over a drive, whose frames are taken in their order; `p2o check --watch`.
 
@@ -99,7 +101,7 @@ def watch(
 
     Raises InputError as `check`, and for fewer frames than have to settle.
     """
-    opened = _Opened.of(data, frames, extractor, matcher, options, seed, registry)
+    opened = _Opened.of(data, words)
     count = len(opened.indices)
     if settle < 1 or count <= settle:
         raise InputError(
@@ -108,7 +110,6 @@ def watch(
             got=count,
             hint="take more frames of the drive, or `p2o check` without --watch",
         )
-    tell = on_frame or (lambda name, done, total: None)
     names: list[str] = []
     times: list[float | None] = []
     steps: list[EdgeStep | None] = []
@@ -116,7 +117,6 @@ def watch(
     warnings: tuple[str, ...] = ()
     cameras: set[str] = set()
     for done, frame in enumerate(opened.frames()):
-        tell(frame.name, done, count)
         if done == 0:
             pose, said = _pose(extrinsic, [frame])
             told = check_direction(frame.cloud, frame.camera, pose, name="the extrinsic", where=_named(extrinsic))
@@ -159,19 +159,13 @@ class _Opened:
     dataset: Any
     indices: Sequence[int]
     pipeline: Pipeline
+    tell: Tell
 
     @classmethod
-    def of(
-        cls,
-        data: Data,
-        frames: str | None,
-        extractor: str | None,
-        matcher: str | None,
-        options: Mapping[str, Mapping[str, Any]] | Sequence[str] | None,
-        seed: int | None,
-        registry: Registry | None,
-    ) -> _Opened:
-        settings = None
+    def of(cls, data: Data, words: Words) -> _Opened:
+        for word in words.keys() - Words.__annotations__.keys():
+            raise TypeError(f"unexpected keyword argument '{word}'")
+        options, settings = words.get("options"), None
         if options is not None:
             if isinstance(options, Mapping):
                 settings = {k: dict(v) for k, v in options.items()}
@@ -179,13 +173,14 @@ class _Opened:
                 settings = parse_settings(options)
         recipe = Recipe.of(
             data=data if isinstance(data, str) else None,
-            frames=frames,
-            extractor=extractor,
-            matcher=matcher,
+            frames=words.get("frames"),
+            extractor=words.get("extractor"),
+            matcher=words.get("matcher"),
             options=settings,
-            seed=seed,
+            seed=words.get("seed"),
             joint=True,
         )
+        registry = words.get("registry")
         plan = recipe.resolve(Registry.load() if registry is None else registry)
         method = plan.parts["matcher"].offer.method
         if "pairs" not in method.gives:
@@ -199,7 +194,8 @@ class _Opened:
         dataset = plan.dataset() if isinstance(data, str) else plan.joined(given)
         pipeline = plan.calibrator()
         assert isinstance(pipeline, Pipeline)
-        return cls(plan, dataset, selected(dataset, recipe.frames)[1], pipeline)
+        tell = words.get("on_frame") or (lambda name, done, total: None)
+        return cls(plan, dataset, selected(dataset, recipe.frames)[1], pipeline, tell)
 
     @property
     def stamp(self) -> dict[str, Any]:
@@ -208,9 +204,10 @@ class _Opened:
 
     def frames(self) -> Any:
         """Give the frames, one by one; raises InputError for one that lacks what the methods need."""
-        for index in self.indices:
+        for done, index in enumerate(self.indices):
             frame = frame_at(self.dataset, index)
             self.plan.check_frame(frame)
+            self.tell(frame.name, done, len(self.indices))
             yield frame
 
 
