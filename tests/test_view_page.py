@@ -228,6 +228,37 @@ def test_a_folder_of_a_run_shows_where_it_began_and_ended(tmp_path: Path, monkey
         assert np.allclose(session.pose, row["camera_from_lidar"])
 
 
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("[]", "no results of p2o run"),
+        ('{"results": []}', "no results of p2o run"),
+        ('{"results": [{"frames": 3}]}', "run.json"),
+        ("{", "run.json"),
+    ],
+)
+def test_a_folder_whose_run_cannot_be_read_is_told(
+    content: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "run.json").write_text(content)
+    assert main(view(tmp_path, str(tmp_path))) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert said in line
+
+
+def test_a_run_of_frames_of_python_asks_where_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import p2o
+
+    run = p2o.calibrate(FRAME, calibrator="spy", witness="none", registry=p2o.Registry.load(extra_files=[STAGE]))
+    (tmp_path / "run.json").write_text(json.dumps(run.as_dict()))
+    assert main(view(tmp_path, str(tmp_path))) == 2
+    assert f"p2o view DATASET:PATH --run {tmp_path}" in capsys.readouterr().err
+    session = looked_at(monkeypatch, view(tmp_path, "fake:", "--run", str(tmp_path)))
+    assert session.result is None, "no frame of these data is called as the one of the run"
+
+
 def test_frames_without_any_start_are_looked_at_from_a_guess(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bare = stage.frame().without_truth()
     monkeypatch.setattr(stage, "frame", lambda: bare)

@@ -87,8 +87,12 @@ def command(
     if of_run or run_dir is not None:
         told = ShownRun.of(expanded(source if of_run else str(run_dir)))
         results = told.results
+        if of_run and told.data is None:
+            raise InputError(
+                "the run does not say where its frames are", where=source, hint=f"p2o view DATASET:PATH --run {source}"
+            )
         if of_run:
-            data, options = told.data, {**told.options, **options}
+            data, options = str(told.data), {**told.options, **options}
     elif ":" not in source:
         raise InputError(
             "this is no folder of a run, and no dataset is named",
@@ -120,9 +124,9 @@ def command(
 
 @dataclass(frozen=True, eq=False)
 class ShownRun:
-    """What a folder of `p2o run --out` says: where its frames are, and the results by frame."""
+    """What a folder of `p2o run --out` says: results by frame, and where its frames are (None for those of Python)."""
 
-    data: str
+    data: str | None
     options: Mapping[str, Any]
     results: Mapping[str, Result]
 
@@ -143,13 +147,10 @@ class ShownRun:
             found = [result_from_dict(row) for row in rows]
         recipe = found[0].recipe
         data, options = recipe.get("data"), recipe.get("options")
-        if not isinstance(data, str):
-            raise InputError(
-                "the run does not say where its frames are", where=path, hint=f"p2o view DATASET:PATH --run {root}"
-            )
         own = options.get("data") if isinstance(options, Mapping) else None
         options = dict(own) if isinstance(own, Mapping) else {}
-        return cls(data, options, {frame: result for result in found for frame in result.frames})
+        said = data if isinstance(data, str) else None
+        return cls(said, options, {frame: result for result in found for frame in result.frames})
 
 
 @dataclass(frozen=True, eq=False)
