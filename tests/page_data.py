@@ -39,7 +39,7 @@ def written(root: Path) -> Path:
     _write_rigs(root)
     _write_bag(root)
     matrix = " ".join(repr(float(value)) for value in truth.ravel())
-    for name in ("calib.yaml", "extrinsic.yaml"):
+    for name in ("calib.yaml", "extrinsic.yaml", "start.yaml"):
         (root / name).write_text(f"camera_from_lidar: [{', '.join(matrix.split())}]\n")
     (root / "camchain.yaml").write_text(json.dumps({"cam0": _KALIBR, "cam1": _KALIBR}))
     xyz = frames[0].cloud.xyz[::97]

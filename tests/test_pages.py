@@ -68,6 +68,7 @@ ONLY_CHECKED = (
     (r"^p2o report (out|p2o-out)", "it needs what such a study has left; the tutorial's is reported"),
     (r"^p2o (train|labels) p2ornet", "an hour"),
     (r"^p2o pick ", "somebody clicks"),
+    (r"^p2o view ", "somebody looks; tests/test_view_page.py"),
     (r"--data DATA | COMMAND$| \.\.\.$", "it leaves words to the reader"),
     (r"^p2o train learned-steps|--set extractor\.weights=trained/", "tests/test_example_plugin.py, on whole frames"),
     (r"--watch", "minutes: more frames than 20"),

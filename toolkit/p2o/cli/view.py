@@ -63,7 +63,7 @@ def command(
     p2o view out                                       what `p2o run --out out` found
     p2o run --data folder:PATH --start start.yaml      from the pose that was written
 
-    The page shows the cloud, the camera with its picture at the start, at the result and at the pose of now, and the
+    The page shows the cloud, the camera with its image at the start, at the result and at the pose of now, and the
     sweep on the image; sliders turn and shift it. Ctrl-C here ends it. With --host 0.0.0.0 everyone who reaches this
     machine sees your frames: there is no password. Needs viser: pip install "viser>=1.1".
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)

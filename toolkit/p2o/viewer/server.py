@@ -121,9 +121,9 @@ class ViewServer:
             for name, colour in _COLOUR_NAMES.items():
                 self.shows[name] = gui.add_checkbox(f"{name} ({colour})", True)
                 self.shows[name].on_update(lambda _: self._do(lambda: None))
-            self.shows["picture"] = gui.add_checkbox("picture in space", True)
+            self.shows["picture"] = gui.add_checkbox("image in space", True)
             self.shows["picture"].on_update(lambda _: self._do(lambda: None))
-            look = gui.add_button("look through the camera", hint="It puts the picture away, which hides the sweep.")
+            look = gui.add_button("look through the camera", hint="It puts the image away, which hides the sweep.")
             look.on_click(self._look_through)
         panel = gui.add_panel()
         with panel.add_tab("sweep on image"):
