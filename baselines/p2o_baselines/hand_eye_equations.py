@@ -195,7 +195,7 @@ def lengths(camera_from_lidar: Float, steps: Steps) -> Float:
 
 
 def first_guess(steps: Steps) -> tuple[Float, Float]:
-    """Return an extrinsic (4, 4) in closed form, and the information (3, 3) of its rotation (left update, 1 / rad^2)."""
+    """Return an extrinsic (4, 4) in closed form, and the information (3, 3) of its rotation (left update, rad^-2)."""
     turn_a, turn_b = steps.camera_turn, steps.lidar_turn
     sigma_turn = np.sqrt(np.trace(steps.covariance[:, :3, :3], axis1=1, axis2=2) / 3 + steps.lidar_rad**2)
     travel = np.maximum(steps.travel_m, _LEAST_M)

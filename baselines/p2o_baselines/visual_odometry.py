@@ -14,7 +14,9 @@ nothing; `parallax_px` tells.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import p2o
@@ -58,6 +60,19 @@ def followed(
     corners = cv2.goodFeaturesToTrack(np.ascontiguousarray(first), most, 0.005, apart_px, mask=free)
     if corners is None:
         return np.zeros((0, 2)), np.zeros((0, 2))
+    here = corners.reshape(-1, 2).astype(np.float64)
+    there = follow(first, second, here)
+    keep = np.isfinite(there).all(axis=1)
+    return here[keep], there[keep]
+
+
+def follow(first: UInt8, second: UInt8, uv: Float) -> Float:
+    """Return where places (N, 2) px of one grey picture are in another, NaN where they do not come back."""
+    import cv2
+
+    if not len(uv):
+        return np.zeros((0, 2))
+    corners = np.ascontiguousarray(uv, np.float32).reshape(-1, 1, 2)
     options = {
         "winSize": (21, 21),
         "maxLevel": 5,
@@ -67,7 +82,22 @@ def followed(
     back, again, _ = cv2.calcOpticalFlowPyrLK(second, first, there, None, **options)
     far = np.linalg.norm((back - corners).reshape(-1, 2), axis=1)
     keep = (found.ravel() > 0) & (again.ravel() > 0) & (far < _BACK_PX)
-    return corners.reshape(-1, 2)[keep].astype(np.float64), there.reshape(-1, 2)[keep].astype(np.float64)
+    return np.where(keep[:, None], there.reshape(-1, 2).astype(np.float64), np.nan)
+
+
+def follow_on(pictures: Sequence[UInt8], uv: Float) -> Float:
+    """Return where places (N, 2) px of the first of several grey pictures are in each of the others, (K, N, 2).
+
+    They are followed from picture to picture; NaN from where they are lost.
+    """
+    found = np.full((max(len(pictures) - 1, 0), len(uv), 2), np.nan)
+    here = np.asarray(uv, np.float64)
+    for number, (first, second) in enumerate(pairwise(pictures)):
+        known = np.isfinite(here).all(axis=1)
+        there = np.full_like(here, np.nan)
+        there[known] = follow(first, second, here[known])
+        found[number] = here = there
+    return found
 
 
 def camera_step(first_rays: Float, second_rays: Float, focal_px: float) -> CameraStep | None:
