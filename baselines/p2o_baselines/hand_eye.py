@@ -9,7 +9,8 @@ After Ishikawa, Oishi, Ikeuchi, LiDAR and Camera Calibration using Motions Estim
    own.
 3. Sensor fusion odometry: points of the sweeps, projected by the extrinsic, are followed in later pictures and tell the
    camera's motion in metres (`lidar_tracks`); then the least squares again. Both are repeated until nothing changes.
-4. How camera and LiDAR turn over time tells the delay between them (`sensor_delay`). It is told, not corrected.
+4. Ours: all corners, with the depth that the sweeps give them, in one least squares (`corner_depths`).
+5. How camera and LiDAR turn over time tells the delay between them (`sensor_delay`). It is told, not corrected.
 
 What the motion leaves open is told with the result: a car on flat ground leaves the height open. Such a direction, and
 nothing else, is taken from the start, unless `fill` says otherwise.
@@ -24,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Literal
 
 import numpy as np
@@ -32,6 +33,7 @@ import p2o
 from p2o import Result, Status
 from p2o.arrays import Bool, Float, UInt8
 
+from p2o_baselines.corner_depths import Followed, refined
 from p2o_baselines.hand_eye_equations import HandEye, OpenDirection, Steps, first_guess, solved
 from p2o_baselines.lidar_tracks import MetricStep, metric_step, trackable
 from p2o_baselines.sensor_delay import Delay, Drive, delay_of
@@ -39,8 +41,14 @@ from p2o_baselines.visual_odometry import camera_step, follow_on, followed
 
 _TURN_RAD = np.radians(0.05)
 """Deviation of a camera's turn by corners alone, an axis: it only weighs turns against directions of motion."""
-_LIDAR_RAD, _LIDAR_M = np.radians(0.03), 0.01
+_LIDAR_RAD, _LIDAR_M = np.radians(0.01), 0.003
 """Deviations of a LiDAR's step from frame to frame, an axis."""
+_THEN_M = 0.3
+"""Sweeps are aligned again without what is farther than this from the other sweep: traffic draws steps by centimetres."""
+_MAP_M = 0.5
+"""Cubes of the map of KISS-ICP: with its usual metre, turns are wrong by a tenth of a degree."""
+_ENOUGH = 300
+"""Corners that a first motion rests on."""
 _STILL_RAD, _STILL_M = np.radians(0.2), 0.05
 """Steps that turn and move less than this tell nothing."""
 
@@ -56,9 +64,12 @@ class HandEyeOptions(p2o.Options):
     least_steps: int = p2o.field(3, ge=2, le=1000, help="Fewer steps from frame to frame are too few.")
     corners: int = p2o.field(1000, ge=50, le=100_000, help="Corners of a picture that are followed, at most.")
     points: int = p2o.field(600, ge=50, le=100_000, help="LiDAR points of a sweep that are followed, at most.")
-    rounds: int = p2o.field(10, ge=0, le=100, help="Turns of odometry with LiDAR points, at most; 0 for none.")
+    rounds: int = p2o.field(3, ge=0, le=100, help="Turns of odometry with LiDAR points, at most; 0 for none.")
     tolerance_deg: float = p2o.field(0.005, gt=0, le=5, help="A turn that changes the rotation less is the last.")
     tolerance_m: float = p2o.field(0.002, gt=0, le=1, help="The same for the translation.")
+    joint: bool = p2o.field(
+        True, help="At last, one least squares over all corners with the sweeps' depth; false for the paper's end."
+    )
     open_deg: float = p2o.field(2.0, gt=0, le=90, help="A rotation known no better than this is open.")
     open_m: float = p2o.field(0.25, gt=0, le=10, help="A place known no better than this along a direction is open.")
     fill: bool = p2o.field(True, help="Take what the motion leaves open from the start; else refuse.")
@@ -161,14 +172,25 @@ class HandEyeCalibration:
             return Result(
                 names, start, start, Status.NOT_OBSERVABLE, "the LiDAR stands still: motion is all that hand-eye has"
             )
-        motions = corner_motions(runs, options)
+        tracks = [corner_tracks(run, options) for run in runs]
+        motions = corner_motions(runs, tracks, options)
         matches = {"steps": count, "spans": len(motions.steps)}
         if len(motions.steps) < options.least_steps:
             reason = f"the camera's motion is known in {len(motions.steps)} of {count} steps: its pictures hardly tell"
             return Result(names, start, start, Status.TOO_FEW_MATCHES, reason, matches=matches)
         found, motions, status = self._found(runs, motions, start)
+        off_px = motions.off_px
+        if options.joint:
+            openings = found.open_directions(over_deg=options.open_deg, over_m=options.open_m)
+            joint = refined(list(chain.from_iterable(tracks)), found.filled(start, openings).camera_from_lidar)
+            if joint is None:
+                reason = "the sweeps give too few corners of the pictures a depth"
+                return Result(names, start, start, Status.TOO_FEW_MATCHES, reason, matches=matches)
+            found = replace(found, camera_from_lidar=joint.camera_from_lidar, covariance=joint.covariance)
+            matches["corners"], off_px = joint.corners, joint.off_px
+            status = Status.CONVERGED if joint.settled else Status.ROUNDS_SPENT
         openings = found.open_directions(over_deg=options.open_deg, over_m=options.open_m)
-        matches = {"steps": count, "spans": len(motions.steps), "points": motions.points}
+        matches |= {"spans": len(motions.steps), "points": motions.points}
         said = _said(runs, found)
         if openings and not options.fill:
             reason = f"the motion does not tell {_listed(openings)}; {said}"
@@ -186,7 +208,7 @@ class HandEyeCalibration:
             covariance=found.covariance,
             accuracy=None if openings else accuracy(found.covariance),
             matches=matches,
-            residual_px={"tracks": motions.off_px},
+            residual_px={"tracks": off_px},
             time=None if delay is None else p2o.TimeOffset(delay.delay_s, delay.sigma_s, used=False),
             intrinsics=cameras.pop() if len(cameras) == 1 else None,
             warnings=told,
@@ -243,25 +265,39 @@ def lidar_poses(moments: Sequence[Moment], how: str) -> Float:
     from p2o.frames.lidar_odometry import poses_by_gicp, poses_by_kiss_icp
 
     clouds = [p2o.Cloud(moment.xyz) for moment in moments]
-    return np.array(poses_by_gicp(clouds) if how == "gicp" else poses_by_kiss_icp(clouds))
+    return np.array(
+        poses_by_gicp(clouds, then_m=_THEN_M) if how == "gicp" else poses_by_kiss_icp(clouds, voxel_m=_MAP_M)
+    )
 
 
-def corner_motions(runs: Sequence[Run], options: HandEyeOptions) -> Motions:
-    """Return all steps with the camera's motion by corners alone, up to scale."""
+def corner_tracks(run: Run, options: HandEyeOptions) -> list[Followed]:
+    """Return the corners of each picture of a run but the last, and where they are in the pictures after it."""
+    found = []
+    for first, later in run.spans(options.span):
+        here, there = run.moments[first], [run.moments[number] for number in later]
+        corners, _ = followed(here.grey, there[0].grey, most=options.corners, masked=here.masked)
+        places = follow_on([here.grey, *(moment.grey for moment in there)], corners)
+        rays = np.array([_rays(moment.camera, uv) for moment, uv in zip(there, places, strict=True)])
+        lidar = np.array([run.lidar_step(first, second) for second in later])
+        found.append(Followed(here.camera, here.xyz, corners, here.camera.rays(corners), rays, lidar))
+    return found
+
+
+def corner_motions(runs: Sequence[Run], tracks: Sequence[Sequence[Followed]], options: HandEyeOptions) -> Motions:
+    """Return steps to the next and to the farthest frame with the camera's motion by corners alone, up to scale."""
     rows, single, points, squares = [], [], 0, 0.0
-    for run in runs:
+    for run, each in zip(runs, tracks, strict=True):
         turns: list[Float | None] = []
-        for first, later in run.spans(options.span):
-            here = run.moments[first]
-            corners, _ = followed(here.grey, run.moments[later[0]].grey, most=options.corners, masked=here.masked)
-            pictures = [run.moments[number].grey for number in (first, *later)]
-            rays = here.camera.rays(corners)
+        for (first, later), track in zip(run.spans(options.span), each, strict=True):
             turns.append(None)
-            for second, there in zip(later, follow_on(pictures, corners), strict=True):
-                camera = run.moments[second].camera
-                step = camera_step(rays, _rays(camera, there), camera.focal_px)
+            for second in sorted({later[0], later[-1]}):
+                there = track.there[second - first - 1]
+                kept = np.flatnonzero(np.isfinite(there).all(axis=1))
+                # So many are enough to begin with.
+                kept = kept[:: max(len(kept) // _ENOUGH, 1)]
+                step = camera_step(track.rays[kept], there[kept], run.moments[second].camera.focal_px)
                 if step is None:
-                    break
+                    continue
                 if second == first + 1:
                     turns[-1] = step.second_from_first[:3, :3]
                 # Without parallax the direction of motion means nothing.
@@ -307,9 +343,7 @@ def fused_steps(
         yield second, step
 
 
-def delay_between(
-    runs: Sequence[Run], motions: Motions, camera_from_lidar: Float, longest_s: float
-) -> Delay | None:
+def delay_between(runs: Sequence[Run], motions: Motions, camera_from_lidar: Float, longest_s: float) -> Delay | None:
     """Return how much later than its sweeps the camera is, None where its turns do not tell."""
     drives = [
         Drive.of(np.array([m.time_s for m in run.moments]), turns, run.world_from_lidar, span_s=0.5)
@@ -356,9 +390,7 @@ def _moves(run: Run, span: int) -> bool:
 
 def _said(runs: Sequence[Run], found: HandEye) -> str:
     """Return in words what the result rests on."""
-    way_m = sum(
-        p2o.se3.distance_m(run.lidar_step(first, later[0])) for run in runs for first, later in run.spans(1)
-    )
+    way_m = sum(p2o.se3.distance_m(run.lidar_step(first, later[0])) for run in runs for first, later in run.spans(1))
     turn_deg = sum(p2o.se3.angle_deg(run.lidar_step(first, later[0])) for run in runs for first, later in run.spans(1))
     return (
         f"the motions of both sensors over {way_m:.1f} m and {turn_deg:.0f} deg of turns agree to {found.off_deg:.3f} "
@@ -410,9 +442,7 @@ def _require(options: HandEyeOptions) -> None:
         import kiss_icp  # noqa: F401
 
 
-_CITE = (
-    "Ishikawa, Oishi, Ikeuchi, LiDAR and Camera Calibration using Motions Estimated by Sensor Fusion Odometry, IROS 2018"
-)
+_CITE = "Ishikawa, Oishi, Ikeuchi, LiDAR and Camera Calibration using Motions Estimated by Sensor Fusion Odometry, IROS 2018"
 METHOD = p2o.Method(
     name="hand-eye",
     build=build,

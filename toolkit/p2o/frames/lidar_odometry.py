@@ -18,12 +18,16 @@ On KITTI it is 0.98 for the next sweep and 0.86 for one 4 m on; 8 m on, where th
 """
 
 
-def poses_by_gicp(clouds: Sequence[Cloud], *, voxel_m: float = 0.25, max_distance_m: float = 1.0) -> tuple[Float, ...]:
+def poses_by_gicp(
+    clouds: Sequence[Cloud], *, voxel_m: float = 0.25, max_distance_m: float = 1.0, then_m: float | None = None
+) -> tuple[Float, ...]:
     """Return world_from_lidar (4, 4) of each sweep of a sequence; the world is the frame of the first.
 
     Each sweep is aligned with the one before it by small_gicp, beginning where constant velocity leads to; errors add
     up along the way. The sweeps, in order of time, are taken as they are: corrected for motion they give the poses at
-    the times that they were corrected to. Points are thinned to cubes of `voxel_m`, and paired up to `max_distance_m`.
+    the times that they were corrected to. Points are thinned to cubes of `voxel_m`, and paired up to `max_distance_m`;
+    with `then_m` each alignment is done again with pairs up to this smaller distance, which leaves out what moves by
+    itself.
 
     Raises ModuleNotFoundError without the package (pip install small-gicp), InputError where two sweeps in turn
     do not overlap.
@@ -55,6 +59,17 @@ def poses_by_gicp(clouds: Sequence[Cloud], *, voxel_m: float = 0.25, max_distanc
                     expected=f">= {_MIN_SHARE:.0%} of the points within {max_distance_m:g} m of each other",
                     got=f"{share:.0%}" + ("" if found.converged else ", and no minimum"),
                     hint="take sweeps that follow one another",
+                )
+            if then_m is not None:
+                found = small_gicp.align(
+                    before[0],
+                    points,
+                    before[1],
+                    found.T_target_source,
+                    max_correspondence_distance=then_m,
+                    max_iterations=50,
+                    rotation_epsilon=1e-5,
+                    translation_epsilon=1e-5,
                 )
             step = _rigid(found.T_target_source)
             poses.append(poses[-1] @ step)
