@@ -62,6 +62,14 @@ def p2o_matchers() -> Iterator[Method]:
 @hookimpl
 def p2o_calibrators() -> Iterator[Method]:
     """Offer the whole methods."""
-    from p2o_baselines import atop, cues, line_time, picked
+    from p2o_baselines import atop, cues, hand_eye, line_time, picked
 
-    yield from (atop.METHOD, cues.METHOD, line_time.METHOD, picked.METHOD)
+    yield from (atop.METHOD, cues.METHOD, hand_eye.METHOD, line_time.METHOD, picked.METHOD)
+
+
+@hookimpl
+def p2o_initializers() -> Iterator[Method]:
+    """Offer the initializers."""
+    from p2o_baselines import hand_eye
+
+    yield hand_eye.START

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -66,19 +67,28 @@ class Pipeline:
     def prepare(self, frame: Frame) -> View:
         """Return the features of one frame; the truth is not looked at."""
         image, cloud = self.image_extractor(image_at_scale(frame.image)), self.cloud_extractor(frame.cloud)
-        return self.view(frame.name, frame.camera, image, cloud, frame.twist)
+        own = getattr(self.initializer, "prepare", None)
+        prepared = None if own is None else own(frame.without_truth())
+        return self.view(frame.name, frame.camera, image, cloud, frame.twist, prepared)
 
     extract = prepare  # its older name
 
     def view(
-        self, name: str, camera: Camera, image: ImageFeatures, cloud: CloudFeatures, twist: Float | None = None
+        self,
+        name: str,
+        camera: Camera,
+        image: ImageFeatures,
+        cloud: CloudFeatures,
+        twist: Float | None = None,
+        prepared: Any = None,
     ) -> View:
         """Return what the stages see of one frame: what its extractors found, and its velocity (6,) where known.
 
-        `camera` is that of the frame, image features are of the picture that is looked at (`p2o.frames.scale`).
+        `camera` is that of the frame, image features are of the picture that is looked at (`p2o.frames.scale`);
+        `prepared` is what the initializer prepared of the frame.
         """
         options, seen_by = self.options, camera_at_scale(camera)
-        view = View(name, seen_by, image, cloud, twist, None if seen_by is camera else camera)
+        view = View(name, seen_by, image, cloud, twist, None if seen_by is camera else camera, prepared)
         view = patched(view, options.missing_edges, options.missing_radius_px, options.seed)
         return view if self.directed else view.without_sides()
 

@@ -21,7 +21,8 @@ class View:
     """The features of one frame with the camera that saw it.
 
     `twist` (6,) is the velocity of the LiDAR in its own frame (rad/s, m/s) where it is known. `full_size` is the camera
-    that the frame came with, where its picture was looked at smaller (`p2o.frames.scale`), else None.
+    that the frame came with, where its picture was looked at smaller (`p2o.frames.scale`), else None. `prepared` is
+    what the initializer prepared of the frame, where it does.
     """
 
     name: str
@@ -30,6 +31,7 @@ class View:
     cloud: CloudFeatures
     twist: Float | None = None
     full_size: Camera | None = None
+    prepared: Any = None
 
     @property
     def image_edges(self) -> ImageEdges:

@@ -290,6 +290,14 @@ def _initializer(offer: Offer, stage: Callable[..., Any]) -> Any:
         if np.shape(sigma) != (2,) or not (np.isfinite(sigma).all() and np.all(np.asarray(sigma) > 0)):
             raise _fault(offer, f"start_sigma is {sigma!r}", "degrees and metres, both above zero")
         propose.start_sigma = tuple(map(float, sigma))  # type: ignore[attr-defined]
+    own = getattr(stage, "prepare", None)
+    if own is not None:
+
+        def prepare(frame: Frame, /) -> Any:
+            with _watch(offer, f"preparing {frame.name}"):
+                return own(frame.without_truth())
+
+        propose.prepare = prepare  # type: ignore[attr-defined]
     return propose
 
 

@@ -45,6 +45,9 @@ class Initializer(Protocol):
 
     One that takes the given start to be about right may say so with an attribute `start_sigma`: one deviation about
     (deg) and along (m) each axis. The start is then weighed in at the end (`Result.start_weight`).
+
+    One that needs more than features (a drive's pictures, sweeps and times) may have a method `prepare(frame)` as a
+    `Calibrator` has: what it returns is in `View.prepared`, and is kept alike.
     """
 
     def __call__(self, views: Sequence[View], camera_from_lidar: Float, /) -> list[Float]: ...

@@ -30,6 +30,7 @@ INPUTS = {
     "extractor": "image",
     "cloud": "cloud",
     "calibrator": "frame",
+    "init": "frame",
     "witness": "image",
     "witness-cloud": "sweep",
 }
@@ -77,6 +78,8 @@ class Assembly:
         if "calibrator" in built:
             whole: GuardedCalibrator = built["calibrator"]
             return cls(whole, {"calibrator": whole.prepare, **stages}, options)
+        if (prepare := getattr(built["init"], "prepare", None)) is not None:
+            stages["init"] = prepare
         needs = parts["matcher"].offer.method.needs
         pipeline = Pipeline(
             image_extractor=stages["extractor"],
@@ -126,7 +129,7 @@ class Assembly:
         """Return the result of what was prepared: name, camera and twist of each frame, and its pieces by stage."""
         if isinstance(self.calibrator, Pipeline):
             views = [
-                self.calibrator.view(name, camera, piece["extractor"], piece["cloud"], twist)
+                self.calibrator.view(name, camera, piece["extractor"], piece["cloud"], twist, piece.get("init"))
                 for (name, camera, twist), piece in zip(frames, pieces, strict=True)
             ]
             return self.calibrator.solve(views, camera_from_lidar)

@@ -25,7 +25,8 @@ def missing_words(needs: Iterable[str], upstream: Sequence[Offer]) -> list[tuple
         elif word.startswith("cloud-") and Kind.CLOUD_EXTRACTOR in by_kind:
             givers = [by_kind[Kind.CLOUD_EXTRACTOR]]
         else:
-            givers = list(upstream)
+            # What frames hold is the dataset's to give, all else the extractors'.
+            givers = [o for o in upstream if (o.kind == Kind.DATASET) == (word in HELD)] or list(upstream)
         for giver in givers:
             # What a frame may hold is only known when it is read; a dataset that declares nothing may give anything.
             maybe = giver.kind == Kind.DATASET and (word in HELD or not giver.method.gives)
@@ -75,18 +76,21 @@ def misfit_of(offers: Mapping[str, Offer], held: frozenset[str] | None = None) -
         "cloud": data,
         "calibrator": data,
         "matcher": extractors,
-        "init": extractors,
+        "init": [*extractors, *data],
         "solver": [offers["matcher"]] if "matcher" in offers else [],
     }
     for stage, before in upstream.items():
         if stage not in offers or not before:
             continue
-        needs = offers[stage].method.needs
+        needs = frozenset(offers[stage].method.needs)
+        if stage == "init" and not data:
+            # Frames are not known yet: what they hold is asked when they are.
+            needs -= HELD.keys()
         for word, giver in missing_words(needs, before):
             return word, giver, offers[stage]
-        if held is not None and before[0].kind == Kind.DATASET:
-            for word in sorted((needs & HELD.keys()) - held - before[0].method.gives):
-                return word, before[0], offers[stage]
+        if held is not None and before[-1].kind == Kind.DATASET:
+            for word in sorted((needs & HELD.keys()) - held - before[-1].method.gives):
+                return word, before[-1], offers[stage]
     return None
 
 

@@ -265,7 +265,14 @@ def piece_keys(plan: Plan, facts: Facts) -> dict[str, str]:
 def prepared_stages(plan: Plan) -> tuple[str, ...]:
     """Return the stages of a plan that prepare something which may be kept."""
     stages = [stage for stage in INPUTS if stage in plan.parts]
-    return tuple(s for s in stages if s != "calibrator" or built(plan.parts[s]).prepares)
+    return tuple(stage for stage in stages if _prepares(plan.parts[stage], stage))
+
+
+def _prepares(part: Part, stage: str) -> bool:
+    """Return whether a stage prepares something of frames that may be kept: extractors always do."""
+    if stage == "calibrator":
+        return bool(built(part).prepares)
+    return stage != "init" or hasattr(built(part), "prepare")
 
 
 def _filled(row: StoredRow, result: Result) -> StoredRow:
@@ -436,7 +443,7 @@ def _piece(cache: FeatureCache, key: str, source: Source, part: Part, stage: str
         features, seconds = kept.features, kept.seconds
     else:
         frame, method = _frame(source), built(part)
-        prepare = method.prepare if stage == "calibrator" else method
+        prepare = method.prepare if stage in ("calibrator", "init") else method
         began = time.perf_counter()
         features = prepare(given(frame, stage))
         seconds = time.perf_counter() - began
