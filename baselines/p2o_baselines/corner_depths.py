@@ -72,7 +72,7 @@ def refined(groups: Sequence[Followed], camera_from_lidar: Float, *, iterations:
         size = np.abs(update)
         update *= min(1.0, 0.05 / max(float(size[:3].max()), 1e-12), 0.3 / max(float(size[3:].max()), 1e-12))
         pose = p2o.se3.exp(update) @ pose
-        small = np.linalg.norm(update[:3]) < 2e-5 and np.linalg.norm(update[3:]) < 5e-4
+        small = np.linalg.norm(update[:3]) < 1e-4 and np.linalg.norm(update[3:]) < 2e-3
         if small and number > 3:
             settled = True
             break

@@ -47,7 +47,7 @@ _THEN_M = 0.3
 """Sweeps are aligned again without what is farther from the other one: traffic draws steps by centimetres."""
 _MAP_M = 0.5
 """Cubes of the map of KISS-ICP: with its usual metre, turns are wrong by a tenth of a degree."""
-_ENOUGH = 300
+_ENOUGH = 200
 """Corners that a first motion rests on."""
 _STILL_RAD, _STILL_M = np.radians(0.2), 0.05
 """Steps that turn and move less than this tell nothing."""
@@ -64,7 +64,7 @@ class HandEyeOptions(p2o.Options):
     least_steps: int = p2o.field(3, ge=2, le=1000, help="Fewer steps from frame to frame are too few.")
     corners: int = p2o.field(1000, ge=50, le=100_000, help="Corners of a picture that are followed, at most.")
     points: int = p2o.field(600, ge=50, le=100_000, help="LiDAR points of a sweep that are followed, at most.")
-    rounds: int = p2o.field(3, ge=0, le=100, help="Turns of odometry with LiDAR points, at most; 0 for none.")
+    rounds: int = p2o.field(2, ge=0, le=100, help="Turns of odometry with LiDAR points, at most; 0 for none.")
     tolerance_deg: float = p2o.field(0.005, gt=0, le=5, help="A turn that changes the rotation less is the last.")
     tolerance_m: float = p2o.field(0.002, gt=0, le=1, help="The same for the translation.")
     joint: bool = p2o.field(
@@ -447,7 +447,7 @@ def _require(options: HandEyeOptions) -> None:
 
 _EXAMPLE = p2o.Example(
     "synthetic:?place=street&frames_per_scene=6&period_s=0.2&speed_m_s=4&swing_deg=25&tilt_deg=3&sway=0&right=false"
-    "&width_px=621&height_px=188&lidar=hdl-32e",
+    "&seed=1",
     perturb="10deg 0.5m",
     joint=True,
 )

@@ -1,0 +1,192 @@
+"""`hand-eye`: what is consecutive, what is refused, and an extrinsic from motion alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import p2o
+import pytest
+from p2o.cli import main
+from p2o.testing import stage
+from p2o_baselines import corner_depths, hand_eye
+from p2o_baselines.corner_depths import Followed
+
+CAMERA = p2o.Camera.pinhole(700.0, 700.0, 620.0, 180.0, 1242, 375)
+TRUTH = p2o.se3.exp(np.array([0.05, -0.08, 0.06, 0.0, 0.0, 0.0])) @ p2o.se3.make(
+    [[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]], [0.06, -0.35, -0.27]
+)
+DRIVE = (
+    "synthetic:?place=street&frames_per_scene=7&period_s=0.2&speed_m_s=4&swing_deg=25&tilt_deg=3&sway=0&right=false"
+    "&seed=1"
+)
+
+
+def method(**options: object) -> hand_eye.HandEyeCalibration:
+    return hand_eye.HandEyeCalibration(hand_eye.HandEyeOptions(**options))
+
+
+def moment(number: int, sequence: str = "drive", time_s: float | None = None) -> hand_eye.Moment:
+    pose = p2o.se3.exp(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    time_s = 0.1 * number if time_s is None else time_s
+    return hand_eye.Moment(
+        f"{sequence}/{number}", sequence, time_s, CAMERA, np.zeros((8, 8), np.uint8), None, np.ones((5, 3)), pose
+    )
+
+
+# ---- which frames
+
+
+def test_stretches_end_where_time_is_missing_and_where_a_drive_ends() -> None:
+    times = (0.0, 0.1, 0.2, 5.0, 5.1, 9.0)
+    moments = [moment(number, time_s=time_s) for number, time_s in enumerate(times)]
+    found = hand_eye.consecutive([*reversed(moments), moment(0, "other"), moment(1, "other")], 0.5)
+    assert [[each.name for each in group] for group in found] == [
+        ["drive/0", "drive/1", "drive/2"],
+        ["drive/3", "drive/4"],
+        ["other/0", "other/1"],
+    ]
+
+
+def test_frames_that_are_not_consecutive_are_too_few() -> None:
+    frames = [moment(number, time_s=3.0 * number) for number in range(8)]
+    result = method(lidar="given").solve(frames, TRUTH)
+    assert result.status is p2o.Status.TOO_FEW_MATCHES
+    assert "0 steps between consecutive frames, of 8 frames" in result.reason
+    assert "calibrated jointly" in result.reason
+
+
+def test_a_rig_that_stands_still_is_refused() -> None:
+    result = method(lidar="given").solve([moment(number) for number in range(8)], TRUTH)
+    assert result.status is p2o.Status.NOT_OBSERVABLE
+    assert "stands still" in result.reason
+
+
+def test_a_frame_of_no_drive_is_refused() -> None:
+    with pytest.raises(p2o.InputError, match="no drive"):
+        method().prepare(stage.frame())
+    with pytest.raises(p2o.InputError, match="no pose of the LiDAR"):
+        method(lidar="given").prepare(replace(stage.drive()[0], lidar_world_from_lidar=None))
+
+
+def test_the_initializer_says_why_there_is_no_start() -> None:
+    views = [replace(stage.view(), prepared=moment(0)), stage.view()]
+    with pytest.raises(p2o.InputError, match="no start from motion: 0 steps"):
+        hand_eye.HandEyeStart(hand_eye.HandEyeOptions())(views, TRUTH)
+
+
+# ---- corners with the sweeps' depth
+
+
+def room(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Points on the walls and the floor of a corridor, in the world, (N, 3) m."""
+    along = rng.uniform(4, 40, count)
+    across, up = rng.uniform(-5, 5, count), rng.uniform(-1.7, 4, count)
+    wall = rng.integers(0, 3, count)
+    y = np.where(wall == 0, 5.0, np.where(wall == 1, -5.0, across))
+    return np.stack([along, y, np.where(wall == 2, -1.7, up)], axis=1)
+
+
+def groups(tangents: np.ndarray, noise_px: float = 0.0) -> list[Followed]:
+    """Exact tracks of things in a corridor while the LiDAR goes by tangents (N, 6) from its first place."""
+    rng, found = np.random.default_rng(0), []
+    for tangent in tangents:
+        lidar = p2o.se3.exp(tangent)
+        sweep, things = room(rng, 20000), room(rng, 400)
+        here, there = (
+            p2o.se3.apply(TRUTH, things),
+            p2o.se3.apply(TRUTH @ lidar, things),
+        )
+        uv = CAMERA.project(here)
+        seen = CAMERA.in_image(uv) & CAMERA.in_image(CAMERA.project(there)) & (here[:, 2] > 0.1)
+        later = CAMERA.project(there[seen]) + noise_px * rng.normal(size=(int(seen.sum()), 2))
+        found.append(Followed(CAMERA, sweep, uv[seen], CAMERA.rays(uv[seen]), CAMERA.rays(later)[None], lidar[None]))
+    return found
+
+
+def tangents(turn: float = 0.12, tilt: float = 0.05) -> np.ndarray:
+    rng = np.random.default_rng(1)
+    out = np.zeros((10, 6))
+    out[:, :2], out[:, 2] = rng.uniform(-tilt, tilt, (10, 2)), rng.uniform(-turn, turn, 10)
+    out[:, 3] = -rng.uniform(0.5, 1.0, 10)
+    return out
+
+
+@pytest.mark.parametrize("off", [[0.0] * 6, [0.03, -0.03, 0.03, 0.3, -0.2, 0.3], [0, 0, 0, -0.6, 0, 0]])
+def test_corners_tell_the_extrinsic_from_half_a_metre_away(off: list[float]) -> None:
+    found = corner_depths.refined(groups(tangents(), 0.1), p2o.se3.exp(np.array(off)) @ TRUTH)
+    left = p2o.se3.log(found.camera_from_lidar @ p2o.se3.inverse(TRUTH))
+    assert found.settled
+    assert np.degrees(np.linalg.norm(left[:3])) < 0.1
+    assert np.linalg.norm(left[3:]) < 0.03
+    assert np.abs(left / np.sqrt(np.diag(found.covariance))).max() < 5
+
+
+def test_where_the_ground_is_flat_the_sweeps_depth_tells_the_height() -> None:
+    """Motion alone leaves it open (`test_hand_eye_equations`); things at the wrong height get a wrong distance."""
+    lower = p2o.se3.make(translation=(0.0, 0.3, 0.0)) @ TRUTH
+    found = corner_depths.refined(groups(tangents(tilt=0.0), 0.1), lower)
+    assert abs(p2o.se3.log(found.camera_from_lidar @ p2o.se3.inverse(TRUTH))[4]) < 0.02
+
+
+def test_too_few_corners_tell_nothing() -> None:
+    (group, *_) = groups(tangents())
+    few = replace(group, uv=group.uv[:10], rays=group.rays[:10], there=group.there[:, :10])
+    assert corner_depths.refined([few], TRUTH) is None
+
+
+# ---- the whole method
+
+
+@pytest.fixture(scope="module")
+def drive() -> list[p2o.Frame]:
+    return list(p2o.Recipe.of(data=DRIVE).resolve(p2o.Registry.load()).dataset())
+
+
+def test_no_start_is_needed(drive: list[p2o.Frame]) -> None:
+    calibrator, truth = method(lidar="given", open_m=10.0, open_deg=90.0), drive[0].camera_from_lidar
+    moments = [calibrator.prepare(frame.without_truth()) for frame in drive]
+    one, other = (calibrator.solve(moments, start) for start in (np.eye(4), truth))
+    np.testing.assert_array_equal(one.camera_from_lidar, other.camera_from_lidar)
+    error = p2o.pose_error(one.camera_from_lidar, truth)
+    assert error.rotation_deg < 0.3
+    assert error.translation_m < 0.1
+    assert one.covariance.shape == (6, 6)
+    assert one.matches["steps"] == 6
+    assert abs(one.time.offset_s) < 0.02
+
+
+def test_an_open_direction_is_said_and_taken_from_the_start_or_refused(drive: list[p2o.Frame]) -> None:
+    """With a bound so low that everything is open, the result is the start."""
+    truth = drive[0].camera_from_lidar
+    start = p2o.se3.exp(np.array([0.01, 0.02, -0.01, 0.1, 0.05, -0.1])) @ truth
+    options = {"lidar": "given", "rounds": 0, "open_deg": 1e-6, "open_m": 1e-6}
+    moments = [method(**options).prepare(frame) for frame in drive[:5]]
+    filled = method(**options).solve(moments, start)
+    assert filled.status.solved
+    assert p2o.se3.angle_deg(filled.camera_from_lidar @ p2o.se3.inverse(start)) < 0.05
+    assert "taken from the start" in filled.reason
+    assert filled.warnings
+    assert filled.accuracy is None
+    refused = method(**options, fill=False).solve(moments, start)
+    assert refused.status is p2o.Status.NOT_OBSERVABLE
+    assert "the motion does not tell the rotation about" in refused.reason
+    np.testing.assert_array_equal(refused.camera_from_lidar, start)
+
+
+def test_it_hands_its_result_to_the_matcher(drive: list[p2o.Frame]) -> None:
+    words = {"extractor": "canny/rings", "matcher": "nearest", "init": "hand-eye"}
+    recipe = p2o.Recipe.of(data=None, **words, options={"init": {"lidar": "given"}, "pipeline": {"rounds": 1}})
+    pipeline = recipe.resolve(p2o.Registry.load()).calibrator()
+    truth = drive[0].camera_from_lidar
+    far = p2o.se3.exp(np.array([0.2, -0.2, 0.2, 0.5, -0.5, 0.5])) @ truth
+    result = pipeline(drive[:5], far)
+    assert result.status.solved
+    error = p2o.pose_error(result.camera_from_lidar, truth)
+    assert error.rotation_deg < 1.5
+    assert error.translation_m < 0.4
+
+
+def test_a_frame_of_no_drive_has_no_motion_to_start_from(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "--init", "hand-eye", "--extractor", "canny/rings", "--matcher", "nearest"]) == 2
+    assert "the frame has no frame-time; hand-eye needs it" in capsys.readouterr().err
