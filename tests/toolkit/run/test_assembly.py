@@ -99,6 +99,51 @@ def test_a_plain_function_of_frames_is_a_whole_method_too_and_keeps_nothing() ->
     np.testing.assert_allclose(plan.assembly()([stage.frame()], START).camera_from_lidar, TRUTH, atol=1e-12)
 
 
+class Own:
+    """An initializer that prepares frames, and remembers what it was shown and what it found in the views."""
+
+    def __init__(self) -> None:
+        self.shown, self.found = [], []
+
+    def prepare(self, frame: Frame) -> str:
+        self.shown.append(frame)
+        return f"of {frame.name}"
+
+    def __call__(self, views: list[p2o.View], start: np.ndarray) -> list[np.ndarray]:
+        self.found.extend(view.prepared for view in views)
+        return [start]
+
+
+def with_own(own: Own) -> Registry:
+    class Plugin:
+        @p2o.hookimpl
+        def p2o_initializers(self):
+            yield Method(name="own", build=lambda options: own, summary="Prepares.", needs={"sequence"})
+
+    import p2o_plugins.hooks
+
+    return Registry.of(p2o_plugins.hooks, Plugin())
+
+
+def test_an_initializer_may_prepare_frames_and_finds_that_in_its_views() -> None:
+    own = Own()
+    plan = Recipe.of(data=None, extractor="depth/rings", init="own").resolve(with_own(own))
+    assembly = plan.assembly()
+    assert assembly.kept == ("extractor", "cloud", "init")
+    assembly(stage.drive(), START)
+    assert [frame.camera_from_lidar for frame in own.shown] == [None, None, None]
+    assert own.found[:3] == ["of stage/0", "of stage/1", "of stage/2"]
+    assembly.calibrator(stage.drive()[:1], START)
+    assert own.found[-1] == "of stage/0", "the pipeline by itself does the same"
+
+
+def test_what_frames_hold_is_asked_for_initializers_too() -> None:
+    plan = Recipe.of(data=None, extractor="depth/rings", init="own").resolve(with_own(Own()))
+    plan.check_frame(stage.drive()[0])
+    with pytest.raises(InputError, match="the frame has no sequence; own needs it"):
+        plan.check_frame(stage.frame())
+
+
 def test_stages_with_edges_need_no_witness() -> None:
     plan = Recipe.of(data=None, extractor="depth/rings", init="given").resolve(registry(Claims(TRUTH)))
     assert not set(plan.parts) & set(WITNESS)
