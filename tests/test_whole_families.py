@@ -34,7 +34,7 @@ from p2o.work.parallel import Workers
 from tests.test_architecture import HEAVY, Source, hidden_names
 
 FOLDER = Path(__file__).with_name("family_plugins")
-FAMILIES = {"hand-eye": "hand_eye", "checkerboard": "checkerboard", "regressor": "regressor"}
+FAMILIES = {"hand-eye-poses": "hand_eye", "checkerboard": "checkerboard", "regressor": "regressor"}
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ def test_a_run_ends_near_the_truth(family: Family, capsys: pytest.CaptureFixture
 def test_without_a_word_about_it_results_are_checked_by_the_default_witness(
     of: Callable[[str], Family], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    done = of("hand-eye").run(capsys, "--frames", "0-3")
+    done = of("hand-eye-poses").run(capsys, "--frames", "0-3")
     assert done["status"] == "converged", done["reason"]
     assert done["agreement"]["odds_ratio"] > 1
     assert set(done["recipe"]["options"]) >= {"witness", "witness-cloud"}
@@ -239,7 +239,7 @@ def test_a_study_resumes_and_prepares_every_frame_once(
 def test_a_row_of_a_study_is_what_a_run_gives(
     of: Callable[[str], Family], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    family = of("hand-eye")
+    family = of("hand-eye-poses")
     [row] = [row for row in Bench(family, tmp_path).start().rows if row.seed == 0]
     run = family.run(capsys, "--witness", "depth/rings", "--seed", "0")
     np.testing.assert_allclose(row.estimate, run["camera_from_lidar"], atol=1e-9)
@@ -260,7 +260,7 @@ def moments(camera_from_lidar: Any, steps: Any, sequence: str = "drive") -> list
     for step in se3.exp(np.reshape(steps, (-1, 6))):
         lidar.append(lidar[-1] @ step)
     camera = [camera_from_lidar @ pose @ se3.inverse(camera_from_lidar) for pose in lidar]
-    Moment = plugin("hand-eye").Moment
+    Moment = plugin("hand-eye-poses").Moment
     return [Moment(str(number), sequence, *poses) for number, poses in enumerate(zip(lidar, camera, strict=True))]
 
 
@@ -276,7 +276,7 @@ TURNS = np.random.default_rng(0).normal(size=(5, 6)) * [0.2, 0.2, 0.2, 1, 1, 1]
 
 def test_exact_motions_give_the_exact_extrinsic_from_any_start() -> None:
     for start in (TRUTH, OPPOSITE):
-        result = built("hand-eye").solve(moments(TRUTH, TURNS), start)
+        result = built("hand-eye-poses").solve(moments(TRUTH, TURNS), start)
         assert result.status is Status.CONVERGED
         np.testing.assert_allclose(result.camera_from_lidar, TRUTH, atol=1e-9)
 
@@ -290,8 +290,8 @@ def test_several_drives_are_used_together_and_never_mixed() -> None:
     ]
     parts = [moments(TRUTH, steps, f"drive {number}") for number, steps in enumerate(drives)]
     for part in parts:
-        assert not built("hand-eye").solve(part, OPPOSITE).status.solved
-    result = built("hand-eye").solve([moment for part in parts for moment in part], OPPOSITE)
+        assert not built("hand-eye-poses").solve(part, OPPOSITE).status.solved
+    result = built("hand-eye-poses").solve([moment for part in parts for moment in part], OPPOSITE)
     np.testing.assert_allclose(result.camera_from_lidar, TRUTH, atol=1e-9)
 
 
@@ -307,22 +307,22 @@ def test_several_drives_are_used_together_and_never_mixed() -> None:
 def test_motions_that_leave_the_extrinsic_open_return_the_start_with_a_reason(
     steps: Any, status: Status, word: str
 ) -> None:
-    result = built("hand-eye").solve(moments(TRUTH, steps), OPPOSITE)
+    result = built("hand-eye-poses").solve(moments(TRUTH, steps), OPPOSITE)
     assert result.status is status
     assert word in result.reason
     np.testing.assert_array_equal(result.camera_from_lidar, OPPOSITE)
 
 
 def test_hand_eye_needs_no_start(of: Callable[[str], Family]) -> None:
-    near, far = (of("hand-eye").solve(perturb=perturb) for perturb in ("0deg 0m", "180deg 100m"))
+    near, far = (of("hand-eye-poses").solve(perturb=perturb) for perturb in ("0deg 0m", "180deg 100m"))
     assert far.status is Status.CONVERGED
     np.testing.assert_array_equal(near.camera_from_lidar, far.camera_from_lidar)
 
 
 def test_frames_without_poses_are_refused_before_anything_runs() -> None:
     registry = Registry.load(extra_files=[FOLDER / "hand_eye.py"])
-    with pytest.raises(p2o.InputError, match="hand-eye needs it"):
-        p2o.calibrate(stage.frame(), calibrator="hand-eye", registry=registry)
+    with pytest.raises(p2o.InputError, match="hand-eye-poses needs it"):
+        p2o.calibrate(stage.frame(), calibrator="hand-eye-poses", registry=registry)
 
 
 # ---- checkerboards

@@ -9,7 +9,7 @@ hand-eye equations in turn (`hand_eye`), an X half a metre off can agree with it
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import p2o
@@ -25,6 +25,8 @@ _RIDGE_PX = 1.5
 """Neighbours closer together than this tell no slope."""
 _USUAL_PX = 0.5
 _CHANGE = 1e-4
+_DRIFT_RAD, _DRIFT_M = np.radians(0.01), 0.005
+"""How wrong LiDAR odometry may be in every step alike, an axis."""
 _FLOOR_RAD, _FLOOR_M = 1.0, 30.0
 
 
@@ -91,6 +93,9 @@ def refined(groups: Sequence[Followed], camera_from_lidar: Float, *, iterations:
     spread = parts.T @ parts * len(parts) / max(len(parts) - 6, 1)
     longer = count / max(sum(term.corners for term in terms), 1)
     covariance = inverse @ spread @ inverse + inverse * max(square / max(2 * total, 1e-9), 1e-4) * longer
+    # LiDAR odometry that is wrong by the same in every step, which no residual shows.
+    swayed = inverse @ sum((_by_lidar(group, pose, width_px) for group in groups), np.zeros((6, 6)))
+    covariance += swayed @ np.diag(np.repeat([_DRIFT_RAD**2, _DRIFT_M**2], 3)) @ swayed.T
     # What nothing tells is open, however well it fits.
     covariance += np.linalg.inv(normal / max(square / max(2 * total, 1e-9), 1e-4) + floor)
     return Joint(pose, 0.5 * (covariance + covariance.T), count, float(np.sqrt(square / max(total, 1e-9))), settled)
@@ -132,6 +137,21 @@ def _terms(group: Followed, pose: Float, width_px: float) -> _Terms:
         len(off),
         int(known.any(axis=0).sum()),
     )
+
+
+def _by_lidar(group: Followed, pose: Float, width_px: float) -> Float:
+    """Return how the gradient (6,) changes with a left update (6,) of the LiDAR's step from frame to frame."""
+    longer = np.arange(1, len(group.lidar) + 1)[:, None]
+    out = np.zeros((6, 6))
+    for axis in range(6):
+        change = np.zeros(6)
+        change[axis] = _CHANGE
+        both = [
+            _terms(replace(group, lidar=p2o.se3.exp(sign * change * longer) @ group.lidar), pose, width_px).gradient
+            for sign in (1, -1)
+        ]
+        out[:, axis] = (both[0] - both[1]) / (2 * _CHANGE)
+    return out
 
 
 def _neighbours(group: Followed, pose: Float) -> tuple[Int, Int]:

@@ -134,7 +134,7 @@ def p2o_calibrators():
     noise = "odometry_noise_deg=0.01&odometry_noise_m=0.001"
     small = "width_px=414&height_px=125&lidar=hdl-32e&right=false"
     yield p2o.Method(
-        name="hand-eye",
+        name="hand-eye-poses",
         build=HandEye,
         options=HandEyeOptions,
         summary="Extrinsic from the motions of both sensors on one drive, without a start.",
