@@ -23,6 +23,7 @@ are ours.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, pairwise
@@ -160,6 +161,7 @@ class HandEyeCalibration:
 
     def solve(self, prepared: Sequence[Moment], camera_from_lidar: Float) -> Result:
         """Return the extrinsic that the motion of all frames tells; of the start, what it leaves open."""
+        began = time.perf_counter()
         options, start = self.options, np.asarray(camera_from_lidar, np.float64)
         names = tuple(moment.name for moment in prepared)
         groups = consecutive(prepared, options.gap_s)
@@ -214,6 +216,7 @@ class HandEyeCalibration:
             residual_px={"tracks": off_px},
             time=None if delay is None else p2o.TimeOffset(delay.delay_s, delay.sigma_s, used=False),
             intrinsics=cameras.pop() if len(cameras) == 1 else None,
+            seconds={"motion": time.perf_counter() - began},
             warnings=told,
         )
 

@@ -24,7 +24,7 @@ def registry() -> Registry:
     return Registry.load()
 
 
-@pytest.mark.parametrize("name", STUDIES)
+@pytest.mark.parametrize("name", [*STUDIES, "motion", "motion-drive"])
 def test_every_row_fits_together(name: str, registry: Registry) -> None:
     assert check_study(find_study(name, registry).study, registry)
 
@@ -35,6 +35,10 @@ def test_a_rival_is_the_same_in_every_study(registry: Registry) -> None:
         common = first.keys() & other.keys()
         assert len(common) > 5
         assert {name: first[name] for name in common} == {name: other[name] for name in common}
+
+
+def test_both_studies_of_motion_have_the_same_methods(registry: Registry) -> None:
+    assert variants("motion", registry) == variants("motion-drive", registry)
 
 
 def test_every_matcher_of_the_baselines_is_among_them(registry: Registry) -> None:
