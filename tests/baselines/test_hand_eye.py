@@ -156,6 +156,18 @@ def test_no_start_is_needed(drive: list[p2o.Frame]) -> None:
     assert abs(one.time.offset_s) < 0.02
 
 
+def test_a_motion_that_contradicts_the_pictures_is_said(drive: list[p2o.Frame]) -> None:
+    """The LiDAR is said to go a fifth farther than it does."""
+    calibrator, truth = method(lidar="given"), drive[0].camera_from_lidar
+    moments = []
+    for frame in drive[:5]:
+        pose = np.array(frame.lidar_world_from_lidar)
+        pose[:3, 3] *= 1.2
+        moments.append(calibrator.prepare(replace(frame, lidar_world_from_lidar=pose)))
+    result = calibrator.solve(moments, truth)
+    assert any("contradicts that of the pictures" in text for text in result.warnings)
+
+
 def test_an_open_direction_is_said_and_taken_from_the_start_or_refused(drive: list[p2o.Frame]) -> None:
     """With a bound so low that everything is open, the result is the start."""
     truth = drive[0].camera_from_lidar
