@@ -1,0 +1,385 @@
+"""What may be a board in a sweep: plane pieces of its size, with nothing of their plane beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import p2o
+from p2o import se3
+from p2o.arrays import Bool, Float, Int
+from p2o.frames.rings import told_rings
+
+from p2o_baselines.boards.rectangle import Rectangle, fitted, inside_m
+
+_LEAST_RINGS, _LEAST_POINTS = 3, 15
+_BREAK = 3.5  # a gap of azimuth by so many usual steps ends a run
+_STEEPEST = 2.5  # tangent of the angle from head on up to which a board is looked for
+_SIGMAS = 3.0
+_LEAST_FILLED, _MOST_BESIDE = 0.85, 0.35
+"""Of the rays that meet the board's place so many must lie on it, and of those just beside it no more."""
+_BESIDE_M = 0.12
+_LEAST_AREA, _MOST_AREA = 0.35, 1.3
+"""Of the board's area, that of the hull of the rays on it: rings leave its upper and lower ends open."""
+_FLOOR_M = 0.004  # no range is taken to scatter less about a plane, whatever the fit says
+
+
+@dataclass(frozen=True)
+class BoardInSweep:
+    """A plane piece of a sweep that may be a board of a size.
+
+    `xyz` (N, 3) m are its points in the LiDAR frame, `normal` (3,) looks at the LiDAR, normal . x = `offset_m`, the
+    points scatter about it by `sigma_m`. `lidar_from_board` (4, 4) is its pose with the longer side along the board's
+    own; turned by half a turn about the normal it fits as well (a quarter where it is square). `spread` (3,) are the
+    deviations of its middle along x and y of the board in m, and of its turn in rad. `ends` (K, 3) are where rings
+    leave it, `side` (K,) over which side of the outline (0: y = -h/2, 1: x = w/2, 2: y = h/2, 3: x = -w/2), `ends_m`
+    (K,) how sure that is across the side. `wrong_m` is the misfit of the outline for each ray at the border.
+    """
+
+    size_m: tuple[float, float]
+    xyz: Float
+    normal: Float
+    offset_m: float
+    sigma_m: float
+    lidar_from_board: Float
+    spread: Float
+    ends: Float
+    side: Int
+    ends_m: Float
+    wrong_m: float
+
+    @property
+    def middle(self) -> Float:
+        """The middle (3,) of its points."""
+        return np.asarray(self.xyz.mean(axis=0))
+
+
+@dataclass(frozen=True)
+class Rays:
+    """A sweep by rings: points (N, 3) sorted by ring and azimuth, their `ring` and `azimuth`, and the usual `step`."""
+
+    xyz: Float
+    ring: Int
+    azimuth: Float
+    step_rad: float
+
+    @property
+    def run(self) -> Int:
+        """The number (N,) of the run that each point is of: neighbours in a ring without a jump between them."""
+        distance = np.linalg.norm(self.xyz, axis=1)
+        gap = np.diff(self.azimuth)
+        apart = np.linalg.norm(np.diff(self.xyz, axis=0), axis=1)
+        near = np.minimum(distance[1:], distance[:-1])
+        # A steep plane makes neighbours farther apart than their directions, and so does the noise of ranges.
+        reach = near * np.abs(gap) * np.hypot(1, _STEEPEST) + 0.1
+        new = (np.diff(self.ring) != 0) | (gap > _BREAK * self.step_rad) | (apart > reach)
+        return np.concatenate([[0], np.cumsum(new)])
+
+
+def rays_of(cloud: p2o.Cloud, farthest_m: float) -> Rays:
+    """Return the returns nearer than `farthest_m` by rings; raises RingsUnknownError where rings are not known."""
+    xyz = cloud.as_measured()
+    azimuth = np.arctan2(xyz[:, 1], xyz[:, 0])
+    ring = cloud.ring
+    if ring is None:
+        flat = np.hypot(xyz[:, 0], xyz[:, 1])
+        ring, _ = told_rings(np.mod(azimuth, 2 * np.pi).astype(np.float32), (xyz[:, 2] / flat).astype(np.float32))
+    # The seam lies where the fewest near returns are, so that no board is cut.
+    near = np.linalg.norm(xyz, axis=1) < farthest_m
+    counts = np.histogram(azimuth[near], bins=180, range=(-np.pi, np.pi))[0]
+    seam = (np.argmin(counts) + 0.5) / 180 * 2 * np.pi
+    azimuth = np.mod(azimuth - seam, 2 * np.pi)
+    order = np.lexsort((azimuth, ring))
+    step = np.diff(azimuth[order])
+    step = step[(np.diff(ring[order]) == 0) & (step > 1e-5)]
+    return Rays(xyz[order], ring[order], azimuth[order], float(np.median(step)) if len(step) else 0.003)
+
+
+def boards_in_sweep(
+    cloud: p2o.Cloud, sizes_m: Sequence[tuple[float, float]], *, farthest_m: float, sigma_m: float
+) -> tuple[BoardInSweep, ...]:
+    """Return what may be boards of some sizes, best outlines first for each size; twice where two sizes fit.
+
+    `sigma_m` is how much ranges may scatter about a board at most.
+    """
+    rays = rays_of(cloud, farthest_m)
+    near = np.linalg.norm(rays.xyz, axis=1) < farthest_m
+    found: list[BoardInSweep] = []
+    for size in dict.fromkeys(sizes_m):
+        of_size: list[BoardInSweep] = []
+        taken = np.zeros(len(near), np.bool_)
+        for plane in _planes(rays, near, taken, size, sigma_m):
+            board = _outlined(rays, plane, size, sigma_m)
+            taken[plane.on] = True
+            if board is not None and not any(np.linalg.norm(board.middle - b.middle) < min(size) / 2 for b in of_size):
+                of_size.append(board)
+                taken |= np.linalg.norm(rays.xyz - board.middle, axis=1) < min(size) / 2
+        found += sorted(of_size, key=lambda board: board.wrong_m)
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class _Plane:
+    """A plane normal . x = offset through some points (N,) of the rays."""
+
+    normal: Float
+    offset: float
+    on: Int
+
+
+def _planes(rays: Rays, near: Bool, taken: Bool, size_m: tuple[float, float], sigma_m: float) -> Iterator[_Plane]:
+    """Give planes through runs of about the board's length and what lies near, longest runs first."""
+    from scipy.spatial import cKDTree
+
+    diagonal, run = float(np.hypot(*size_m)), rays.run
+    pieces = list(_pieces(rays, run, near, diagonal, sigma_m))
+    if not pieces:
+        return
+    index = np.concatenate(pieces)
+    which = np.repeat(np.arange(len(pieces)), [len(piece) for piece in pieces])
+    tree = cKDTree(rays.xyz[index])
+    least = 0.5 * min(size_m)
+    length = np.array([np.linalg.norm(rays.xyz[piece[-1]] - rays.xyz[piece[0]]) for piece in pieces])
+    for at in np.argsort(-length, kind="stable"):
+        piece = pieces[at]
+        if length[at] < least or len(piece) < 5 or taken[piece].mean() > 0.5:
+            continue
+        xyz = rays.xyz[piece]
+        about = index[tree.query_ball_point(xyz.mean(axis=0), diagonal)]
+        about = np.sort(about)
+        others = np.unique(which[np.isin(index, about)])
+        plane = _through(rays, piece, [pieces[k] for k in others if k != at], about, sigma_m)
+        if plane is not None:
+            yield plane
+
+
+def _pieces(rays: Rays, run: Int, near: Bool, longest_m: float, sigma_m: float) -> Iterator[Int]:
+    """Give the points of straight pieces of runs that are no longer than the board's diagonal."""
+    starts = np.flatnonzero(np.r_[True, np.diff(run) != 0])
+    for first, end in zip(starts, np.r_[starts[1:], len(run)], strict=True):
+        if end - first >= 3 and near[first:end].any():
+            for piece in _straight(rays.xyz, first, end, 2.5 * sigma_m):
+                if len(piece) >= 3 and np.linalg.norm(rays.xyz[piece[-1]] - rays.xyz[piece[0]]) < 1.15 * longest_m:
+                    yield piece
+
+
+def _straight(xyz: Float, first: int, end: int, most_m: float) -> Iterator[Int]:
+    """Give straight pieces of points first to end: cut where one is farthest from the line of the ends, while far."""
+    waiting = [(first, end)]
+    while waiting:
+        a, b = waiting.pop()
+        if b - a < 3:
+            continue
+        line = xyz[b - 1] - xyz[a]
+        size = np.linalg.norm(line)
+        off = xyz[a:b] - xyz[a]
+        if size > 0:
+            off = off - np.outer(off @ line / size**2, line)
+        away = np.linalg.norm(off, axis=1)
+        at = int(np.argmax(away))
+        if away[at] <= most_m or not 0 < at < b - a - 1:
+            yield np.arange(a, b)
+        else:
+            waiting += [(a + at, b), (a, a + at + 1)]
+
+
+def _through(rays: Rays, piece: Int, others: Sequence[Int], about: Int, sigma_m: float) -> _Plane | None:
+    """Return the plane through a piece of a ring, and another piece, on which most of the points `about` lie."""
+    xyz, ring = rays.xyz[about], rays.ring[about]
+    middle = rays.xyz[piece].mean(axis=0)
+    along = np.linalg.svd(rays.xyz[piece] - middle)[2][0]
+    third = np.array([rays.xyz[other].mean(axis=0) for other in others if rays.ring[other[0]] != rays.ring[piece[0]]])
+    if not len(third):
+        return None
+    normals = np.cross(along, third - middle)
+    size = np.linalg.norm(normals, axis=1)
+    normals = normals[size > 0.03] / size[size > 0.03, None]
+    if not len(normals):
+        return None
+    near = np.abs((xyz - middle) @ normals.T) < 2 * sigma_m
+    normal = normals[np.argmax(near.sum(axis=0))]
+    on = np.abs((xyz - middle) @ normal) < 2 * sigma_m
+    offset = float(normal @ middle)
+    for _ in range(3):
+        if on.sum() < _LEAST_POINTS or len(np.unique(ring[on])) < _LEAST_RINGS:
+            return None
+        points = xyz[on]
+        centre = points.mean(axis=0)
+        values, vectors = np.linalg.eigh(np.cov((points - centre).T))
+        normal, offset = vectors[:, 0], float(vectors[:, 0] @ centre)
+        if values[1] < 1e-4 or np.sqrt(values[0]) > sigma_m:
+            return None
+        on = np.abs(xyz @ normal - offset) < max(_SIGMAS * float(np.sqrt(values[0])), 2 * _FLOOR_M)
+    view = abs(normal @ middle) / np.linalg.norm(middle)
+    if view < 1 / np.hypot(1, _STEEPEST):
+        return None
+    return _Plane(normal, offset, about[on]) if offset < 0 else _Plane(-normal, -offset, about[on])
+
+
+def _outlined(rays: Rays, plane: _Plane, size_m: tuple[float, float], sigma_m: float) -> BoardInSweep | None:
+    """Return the board in a plane; None where no outline of its size has the plane's points inside and no others."""
+    normal, diagonal = plane.normal, float(np.hypot(*size_m))
+    points = rays.xyz[plane.on]
+    scatter = float(np.sqrt(np.mean((points @ normal - plane.offset) ** 2)))
+    within = max(_SIGMAS * scatter, 2 * sigma_m)
+    centre = points.mean(axis=0)
+    # Every ray that meets the plane near the board, whatever it hit.
+    distance = np.linalg.norm(rays.xyz, axis=1)
+    direction = rays.xyz / np.maximum(distance, 1e-9)[:, None]
+    towards = direction @ normal
+    with np.errstate(divide="ignore", invalid="ignore"):
+        meets = plane.offset / towards
+    index = np.flatnonzero((towards < -0.02) & np.isfinite(meets))
+    index = index[np.linalg.norm(direction[index] * meets[index, None] - centre, axis=1) < 1.3 * diagonal]
+    if len(index) < _LEAST_POINTS:
+        return None
+    hits = direction[index] * meets[index, None]
+    # What stands before the board hides it: such a ray says nothing.
+    off = rays.xyz[index] @ normal - plane.offset
+    clear = off < within
+    index, hits, off = index[clear], hits[clear], off[clear]
+    on = np.abs(off) < within
+    x_axis = np.cross(normal, [0.0, 0.0, 1.0])
+    x_axis = np.array([1.0, 0, 0]) if np.linalg.norm(x_axis) < 0.1 else x_axis / np.linalg.norm(x_axis)
+    y_axis = np.cross(normal, x_axis)
+    xy = (hits - centre) @ np.stack([x_axis, y_axis], axis=1)
+    far = np.linalg.norm(xy, axis=1) > 0.75 * diagonal
+    if far.any() and on[far].mean() > _MOST_BESIDE:  # a piece of a wall
+        return None
+    joined = _joined(xy, on, rays.ring[index])
+    if joined.sum() < _LEAST_POINTS:
+        return None
+    extent = np.ptp(xy[joined], axis=0)
+    if extent.max() > 1.25 * diagonal or extent.max() < 0.5 * min(size_m):
+        return None
+    if not _LEAST_AREA < _area(xy[joined]) / (size_m[0] * size_m[1]) < _MOST_AREA:
+        return None
+    gap = _gap_m(xy[joined], rays.ring[index][joined])
+    rng = np.random.default_rng(len(index))
+    place = fitted(xy, joined, size_m, max(gap, 0.05), rng)
+    deep = inside_m(xy, np.array(place[:3]), size_m)
+    inside, beside = deep > 0.02, (deep < -0.02) & (deep > -_BESIDE_M)
+    ours = on & inside
+    if ours.sum() < _LEAST_POINTS or len(np.unique(rays.ring[index][ours])) < _LEAST_RINGS:
+        return None
+    if on[inside].mean() < _LEAST_FILLED or beside.sum() < 4 or on[beside].mean() > _MOST_BESIDE:
+        return None
+    # The plane once more, by the points inside of the outline alone.
+    xyz = rays.xyz[index[ours]]
+    middle = xyz.mean(axis=0)
+    values, vectors = np.linalg.eigh((xyz - middle).T @ (xyz - middle) / (len(xyz) - 3))
+    normal = vectors[:, 0] * -np.sign(vectors[:, 0] @ middle)
+    lidar_from_board = _pose(centre, x_axis, y_axis, normal, middle, place)
+    border = np.abs(deep) < max(gap, 0.05)
+    board = BoardInSweep(
+        size_m,
+        xyz,
+        normal,
+        float(normal @ middle),
+        max(float(np.sqrt(values[0])), _FLOOR_M),
+        lidar_from_board,
+        np.sqrt(np.diag(place.covariance)),
+        np.zeros((0, 3)),
+        np.zeros(0, np.int64),
+        np.zeros(0),
+        place.wrong_m / max(int(border.sum()), 1),
+    )
+    return _with_ends(board, rays)
+
+
+def _joined(xy: Float, on: Bool, ring: Int) -> Bool:
+    """Return which rays (N,) on the plane hang together with most of the others."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    index = np.flatnonzero(on)
+    out = np.zeros(len(on), np.bool_)
+    if not len(index):
+        return out
+    reach = 1.3 * max(_gap_m(xy[index], ring[index]), 0.03)
+    pairs = cKDTree(xy[index]).query_pairs(reach, output_type="ndarray")
+    graph = coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(index), len(index)))
+    label = connected_components(graph, directed=False)[1]
+    out[index[label == np.bincount(label).argmax()]] = True
+    return out
+
+
+def _area(xy: Float) -> float:
+    """Return the area of the hull of points (N, 2); 0 where they lie on a line."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return float(ConvexHull(xy).volume)
+    except QhullError:
+        return 0.0
+
+
+def _gap_m(xy: Float, ring: Int) -> float:
+    """Return how far apart rings are, in the median, on the plane where they meet it at `xy` (N, 2)."""
+    middles = np.array([xy[ring == each].mean(axis=0) for each in np.unique(ring)])
+    if len(middles) < 2:
+        return 0.3
+    apart = np.linalg.norm(np.diff(middles, axis=0), axis=1)
+    return float(np.clip(np.median(apart), 0.01, 0.4))
+
+
+def _pose(centre: Float, x_axis: Float, y_axis: Float, normal: Float, middle: Float, place: Rectangle) -> Float:
+    """Return lidar_from_board (4, 4) of a rectangle in a plane; z of the board looks away from the LiDAR."""
+    cosine, sine = np.cos(place.turn_rad), np.sin(place.turn_rad)
+    along = cosine * x_axis + sine * y_axis
+    along = along - (along @ normal) * normal
+    along /= np.linalg.norm(along)
+    where = centre + place.x_m * x_axis + place.y_m * y_axis
+    where = where - ((where - middle) @ normal) * normal
+    return se3.make(np.stack([along, np.cross(-normal, along), -normal], axis=1), where)
+
+
+def _with_ends(board: BoardInSweep, rays: Rays) -> BoardInSweep:
+    """Return the board with where rings leave it: between the last ray on it and the first that is not."""
+    normal, width, height = board.normal, *board.size_m
+    board_from_lidar = se3.inverse(board.lidar_from_board)
+    distance = np.linalg.norm(rays.xyz, axis=1)
+    direction = rays.xyz / np.maximum(distance, 1e-9)[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        meets = board.offset_m / (direction @ normal)
+    meets = np.where(np.isfinite(meets) & (meets > 0), meets, 1e6)
+    hits = direction * meets[:, None]
+    own = se3.apply(board_from_lidar, hits)
+    deep = np.minimum(width / 2 - np.abs(own[:, 0]), height / 2 - np.abs(own[:, 1]))
+    off = rays.xyz @ normal - board.offset_m
+    on = (np.abs(off) < _SIGMAS * board.sigma_m) & (deep > -0.1)
+    hidden = (off > _SIGMAS * board.sigma_m) & (deep > -0.2)
+    ends, sides, sure = [], [], []
+    for ring in np.unique(rays.ring[on]):
+        members = np.flatnonzero(rays.ring == ring)
+        mine = members[on[members]]
+        if len(mine) < 3:
+            continue
+        for last, way in ((mine[0], -1), (mine[-1], 1)):
+            first = last + way
+            if not 0 <= first < len(on) or rays.ring[first] != ring or hidden[first]:
+                continue
+            step = hits[first] - hits[last]
+            usual = distance[last] * rays.step_rad / max(abs(direction[last] @ normal), 0.2)
+            if np.linalg.norm(step) > 2.5 * usual:  # no ray came back from just beyond: half a usual step
+                towards = hits[last] - hits[last - way]
+                size = np.linalg.norm(towards)
+                step = towards * min(usual / size, 1.0) if size > 0 else towards
+            end = hits[last] + step / 2
+            at = se3.apply(board_from_lidar, end[None])[0]
+            away = np.array([-at[1] - height / 2, at[0] - width / 2, at[1] - height / 2, -at[0] - width / 2])
+            side = int(np.argmin(np.abs(away)))
+            if np.abs(away[side]) > 0.06 or np.sort(np.abs(away))[1] < 0.04:  # another end, or at a corner
+                continue
+            across = abs(se3.apply(board_from_lidar, (hits[last] + step)[None])[0][1 - side % 2] - at[1 - side % 2])
+            ends.append(end)
+            sides.append(side)
+            sure.append(float(np.hypot(2 * across / np.sqrt(12), 0.003)))
+    return replace(
+        board,
+        ends=np.reshape(ends, (-1, 3)),
+        side=np.array(sides, np.int64),
+        ends_m=np.array(sure, np.float64),
+    )
