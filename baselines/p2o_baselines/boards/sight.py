@@ -1,0 +1,50 @@
+"""What a frame has to do with boards: those in its picture, and what may be boards in its sweep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import p2o
+from p2o import Checkerboard
+
+from p2o_baselines.boards.board_in_picture import BoardInPicture, boards_in_picture
+from p2o_baselines.boards.board_in_sweep import BoardInSweep, boards_in_sweep
+
+
+class BoardOptions(p2o.Options):
+    """Options of every method of boards: what is looked at, and how exact the sensors are."""
+
+    farthest_m: float = p2o.field(12.0, gt=0, le=200, help="Boards are looked for so far from the LiDAR.")
+    scatter_m: float = p2o.field(0.04, gt=0, le=1, help="Ranges scatter about a board by no more than this.")
+    range_bias_m: float = p2o.field(
+        0.01, ge=0, le=1, help="Deviation of an error that all ranges share, for the likely error."
+    )
+    camera_px: float = p2o.field(
+        0.5, ge=0, le=100, help="Deviation of the camera's calibration in pixels, for the likely error."
+    )
+    worst_deg: float = p2o.field(5.0, gt=0, le=180, help="Results less sure than this about some axis are refused.")
+    worst_m: float = p2o.field(0.5, gt=0, le=100, help="Results less sure than this along some axis are refused.")
+
+
+@dataclass(frozen=True)
+class Sight:
+    """One frame: `asked` says which boards were looked for, `boards` those in the picture, `patches` in the sweep."""
+
+    name: str
+    asked: str
+    boards: tuple[BoardInPicture, ...]
+    patches: tuple[BoardInSweep, ...]
+
+
+def sight_of(frame: p2o.Frame, options: BoardOptions) -> Sight:
+    """Return what a frame shows of its checkerboards; the sweep is searched only where the picture shows one."""
+    targets = [target for target in frame.targets if isinstance(target, Checkerboard)]
+    asked = ", ".join(
+        f"{t.columns} x {t.rows} corners on {t.width_m:g} x {t.height_m:g} m" for t in dict.fromkeys(targets)
+    )
+    boards = boards_in_picture(frame.image, targets)
+    sizes = [(board.target.width_m, board.target.height_m) for board in boards]
+    patches = (
+        boards_in_sweep(frame.cloud, sizes, farthest_m=options.farthest_m, sigma_m=options.scatter_m) if sizes else ()
+    )
+    return Sight(frame.name, asked or "none", boards, patches)
