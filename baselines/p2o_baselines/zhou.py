@@ -66,14 +66,14 @@ def closed(pairs: Sequence[Pair], rough: Float) -> Float:
             to.append(along * min(length, 1.0))
             of.append(direction)
             lines.append((ends.mean(axis=0), at, across))
-    if np.linalg.svd(np.array(of), compute_uv=False)[1] < 0.1:
+    if np.linalg.matrix_rank(np.array(of), tol=0.1) < 2:
         return rough  # one plane and no line: what follows says that it is open
     rotation = turned(np.array(to), np.array(of))
     # n . (R m + t) = d for planes, and the same across each line.
     rows = [(pair.board.normal, pair.board.offset_m, pair.patch.middle) for pair in pairs]
     rows += [(across, float(across @ at), middle) for middle, at, across in lines]
     directions = np.array([direction for direction, _, _ in rows])
-    if np.linalg.svd(directions, compute_uv=False)[-1] < 0.05 or len(directions) < 3:
+    if np.linalg.matrix_rank(directions, tol=0.05) < 3:
         return rough
     rest = np.array([offset - direction @ rotation @ middle for direction, offset, middle in rows])
     return se3.make(rotation, np.linalg.lstsq(directions, rest, rcond=None)[0])

@@ -22,6 +22,10 @@ _LEAST_FILLED, _MOST_BESIDE = 0.85, 0.35
 _BESIDE_M = 0.12
 _LEAST_AREA, _MOST_AREA = 0.35, 1.3
 """Of the board's area, that of the hull of the rays on it: rings leave its upper and lower ends open."""
+_LEAST_FOR_CONE, _CONE_RAD, _HIGHEST_M = 100, 0.002, 0.5
+"""A ring is a cone if it has so many points and half of them lie so near to it, seen from the axis."""
+_FAR_M = 1e4
+_THIN_M = 0.03  # returns so near to a plane are on it, however little it scatters
 _FLOOR_M = 0.004  # no range is taken to scatter less about a plane, whatever the fit says
 
 
@@ -57,12 +61,31 @@ class BoardInSweep:
 
 @dataclass(frozen=True)
 class Rays:
-    """A sweep by rings: points (N, 3) sorted by ring and azimuth, their `ring` and `azimuth`, and the usual `step`."""
+    """A sweep by rings: points (N, 3) sorted by ring and azimuth, their `ring` and `azimuth`, and the usual `step`.
+
+    Beams start at `height_m` (N,) on the z axis: those of some sensors cross it beside the origin.
+    """
 
     xyz: Float
     ring: Int
     azimuth: Float
     step_rad: float
+    height_m: Float
+
+    def meet(self, normal: Float, offset_m: float) -> tuple[Float, Float]:
+        """Return where each ray meets the plane normal . x = offset, (N, 3), and the cosine (N,) at which it does.
+
+        What does not meet it before the sensor is far away.
+        """
+        start = np.zeros_like(self.xyz)
+        start[:, 2] = self.height_m
+        way = self.xyz - start
+        way /= np.maximum(np.linalg.norm(way, axis=1), 1e-9)[:, None]
+        cosine = way @ normal
+        with np.errstate(divide="ignore", invalid="ignore"):
+            length = (offset_m - start @ normal) / cosine
+        length = np.where(np.isfinite(length) & (length > 0), np.minimum(length, _FAR_M), _FAR_M)
+        return start + way * length[:, None], cosine
 
     @property
     def run(self) -> Int:
@@ -93,7 +116,28 @@ def rays_of(cloud: p2o.Cloud, farthest_m: float) -> Rays:
     order = np.lexsort((azimuth, ring))
     step = np.diff(azimuth[order])
     step = step[(np.diff(ring[order]) == 0) & (step > 1e-5)]
-    return Rays(xyz[order], ring[order], azimuth[order], float(np.median(step)) if len(step) else 0.003)
+    xyz, ring = xyz[order], ring[order]
+    return Rays(xyz, ring, azimuth[order], float(np.median(step)) if len(step) else 0.003, _heights(xyz, ring))
+
+
+def _heights(xyz: Float, ring: Int) -> Float:
+    """Return the height (N,) on the z axis at which the beam of each point starts: that of the cone of its ring.
+
+    A ring obeys z = height + rise * (distance from the axis). Where it does not, or tells it badly, height is 0.
+    """
+    out, flat = np.zeros(len(xyz)), np.hypot(xyz[:, 0], xyz[:, 1])
+    for each in np.unique(ring):
+        mine = ring == each
+        rows = np.column_stack([np.ones(mine.sum()), flat[mine]])
+        if len(rows) < _LEAST_FOR_CONE:
+            continue
+        # A beam's noise of angle grows with the distance.
+        weight = 1 / np.maximum(flat[mine], 1.0)
+        (height, rise), *_ = np.linalg.lstsq(rows * weight[:, None], xyz[mine, 2] * weight, rcond=None)
+        off = np.abs(xyz[mine, 2] - height - rise * flat[mine]) * weight
+        if np.median(off) < _CONE_RAD and abs(height) < _HIGHEST_M:
+            out[mine] = height
+    return out
 
 
 def boards_in_sweep(
@@ -222,19 +266,14 @@ def _outlined(rays: Rays, plane: _Plane, size_m: tuple[float, float], sigma_m: f
     normal, diagonal = plane.normal, float(np.hypot(*size_m))
     points = rays.xyz[plane.on]
     scatter = float(np.sqrt(np.mean((points @ normal - plane.offset) ** 2)))
-    within = max(_SIGMAS * scatter, 2 * sigma_m)
+    within = max(_SIGMAS * scatter, _THIN_M)
     centre = points.mean(axis=0)
     # Every ray that meets the plane near the board, whatever it hit.
-    distance = np.linalg.norm(rays.xyz, axis=1)
-    direction = rays.xyz / np.maximum(distance, 1e-9)[:, None]
-    towards = direction @ normal
-    with np.errstate(divide="ignore", invalid="ignore"):
-        meets = plane.offset / towards
-    index = np.flatnonzero((towards < -0.02) & np.isfinite(meets))
-    index = index[np.linalg.norm(direction[index] * meets[index, None] - centre, axis=1) < 1.3 * diagonal]
+    hits, cosine = rays.meet(normal, plane.offset)
+    index = np.flatnonzero((cosine < -0.02) & (np.linalg.norm(hits - centre, axis=1) < 1.3 * diagonal))
     if len(index) < _LEAST_POINTS:
         return None
-    hits = direction[index] * meets[index, None]
+    hits = hits[index]
     # What stands before the board hides it: such a ray says nothing.
     off = rays.xyz[index] @ normal - plane.offset
     clear = off < within
@@ -340,17 +379,13 @@ def _with_ends(board: BoardInSweep, rays: Rays) -> BoardInSweep:
     """Return the board with where rings leave it: between the last ray on it and the first that is not."""
     normal, width, height = board.normal, *board.size_m
     board_from_lidar = se3.inverse(board.lidar_from_board)
-    distance = np.linalg.norm(rays.xyz, axis=1)
-    direction = rays.xyz / np.maximum(distance, 1e-9)[:, None]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        meets = board.offset_m / (direction @ normal)
-    meets = np.where(np.isfinite(meets) & (meets > 0), meets, 1e6)
-    hits = direction * meets[:, None]
+    hits, cosine = rays.meet(normal, board.offset_m)
+    distance = np.linalg.norm(hits, axis=1)
     own = se3.apply(board_from_lidar, hits)
     deep = np.minimum(width / 2 - np.abs(own[:, 0]), height / 2 - np.abs(own[:, 1]))
-    off = rays.xyz @ normal - board.offset_m
-    on = (np.abs(off) < _SIGMAS * board.sigma_m) & (deep > -0.1)
-    hidden = (off > _SIGMAS * board.sigma_m) & (deep > -0.2)
+    off, within = rays.xyz @ normal - board.offset_m, max(_SIGMAS * board.sigma_m, _THIN_M)
+    on = (np.abs(off) < within) & (deep > -0.1)
+    hidden = (off > within) & (deep > -0.2)
     ends, sides, sure = [], [], []
     for ring in np.unique(rays.ring[on]):
         members = np.flatnonzero(rays.ring == ring)
@@ -362,7 +397,7 @@ def _with_ends(board: BoardInSweep, rays: Rays) -> BoardInSweep:
             if not 0 <= first < len(on) or rays.ring[first] != ring or hidden[first]:
                 continue
             step = hits[first] - hits[last]
-            usual = distance[last] * rays.step_rad / max(abs(direction[last] @ normal), 0.2)
+            usual = distance[last] * rays.step_rad / max(abs(cosine[last]), 0.2)
             if np.linalg.norm(step) > 2.5 * usual:  # no ray came back from just beyond: half a usual step
                 towards = hits[last] - hits[last - way]
                 size = np.linalg.norm(towards)
