@@ -9,7 +9,8 @@ from planes and lines, every plane and every line with one vote.
 
 Departures: the picture's lines come from the board's size and its corners, not from edges in the picture. The sweep's
 board is found by its size (`boards.board_in_sweep`), its lines through where rings leave it, half a step beyond the last
-return; a side that fewer than three rings cross gives none. Frames may differ in what they show; pairs are those that
+return; a side that fewer than three rings cross gives none. The
+LiDAR's spot moves all ends outwards: by how much is told by opposite sides, and taken off. Frames may differ in what they show; pairs are those that
 one pose explains in most of them. The board's size is known: the paper's similarity transform is left out.
 """
 
@@ -79,10 +80,32 @@ def closed(pairs: Sequence[Pair], rough: Float) -> Float:
     return se3.make(rotation, np.linalg.lstsq(directions, rest, rcond=None)[0])
 
 
-def misfits(pair: Pair, pose: Float) -> Block:
-    """Return distances of points from the plane and of ends from their lines, each set with one vote."""
+def outset_m(pairs: Sequence[Pair], pose: Float) -> float:
+    """Return by how much ends lie outside of the outline where rings cross opposite sides; 0 where none do.
+
+    A spot that touches the board comes back from it: that widens a board, and moves one with one side seen.
+    """
+    found = []
+    for pair in pairs:
+        middle = pair.board.camera_from_board[:3, 3]
+        outwards: dict[int, list[float]] = {}
+        for mine, at, _, across in sides(pair):
+            sign = np.sign((at - middle) @ across)
+            off = sign * ((se3.apply(pose, pair.patch.ends[mine]) - at) @ across)
+            outwards.setdefault(int(pair.patch.side[mine][0]) % 2, []).append(float(np.median(off)))
+        found += [sum(pair_of) / 2 for pair_of in outwards.values() if len(pair_of) == 2]
+    return float(np.median(found)) if found else 0.0
+
+
+def misfits(pair: Pair, pose: Float, outset: float = 0.0) -> Block:
+    """Return distances of points from the plane and of ends from their lines, each set with one vote.
+
+    Lines are taken to lie `outset` m beyond the sides.
+    """
     blocks = [off_plane(pair, pose, 1 / np.sqrt(len(pair.patch.xyz)))]
-    for mine, at, _, across in sides(pair):
+    middle = pair.board.camera_from_board[:3, 3]
+    for mine, side, _, across in sides(pair):
+        at = side + np.sign((side - middle) @ across) * outset * across
         ends = se3.apply(pose, pair.patch.ends[mine])
         rays = pair.patch.ends[mine] @ pose[:3, :3].T
         rays = rays / np.linalg.norm(rays, axis=1)[:, None]
@@ -101,11 +124,12 @@ def misfits(pair: Pair, pose: Float) -> Block:
 
 
 def cost(pairs: Sequence[Pair], pose: Float) -> Cost:
-    """Return the cost of the paper; it has no weights that depend on the pose."""
-    return misfits
+    """Return the cost of the paper, with the width of the LiDAR's spot as it is at a pose."""
+    outset = outset_m(pairs, pose)
+    return lambda pair, at: misfits(pair, at, outset)
 
 
-WAY = Way(least=1, planes_only=False, closed=closed, cost=cost)
+WAY = Way(least=1, planes_only=False, closed=closed, cost=cost, rounds=2)
 
 
 def build(options: BoardOptions) -> p2o.Calibrator:

@@ -13,8 +13,8 @@ from p2o.arrays import Float
 from p2o_baselines.boards.pairing import Pair
 
 _STEPS, _DAMPING = 50, 1e-6
-_LEAST_FOR_SCATTER = 4
-"""From so many boards on their scatter widens the likely error; of fewer it says little."""
+_LEAST_FREEDOM = 3
+"""From so many degrees of freedom on the scatter of boards widens the likely error; fewer say little."""
 
 
 class Block(NamedTuple):
@@ -82,8 +82,8 @@ def covariance_of(
 ) -> Float | None:
     """Return the covariance (6, 6) of a left update of a pose (rad, m); None where boards leave it open.
 
-    Its parts are the noise of sweeps and corners as every board has it by itself, more where boards scatter by more
-    (left out in turn), and errors that all boards share: of ranges, and of the camera's calibration.
+    Its parts are the noise of sweeps and corners as every board has it by itself, more where boards disagree by
+    more, and errors that all boards share: of ranges, and of the camera's calibration.
     """
     blocks = [cost(pair, pose) for pair in pairs]
     hessian = np.asarray(sum(block.by_update.T @ block.by_update for block in blocks))
@@ -96,7 +96,7 @@ def covariance_of(
         own = block.by_update.T @ block.by_update
         noise += block.by_update.T @ block.covariance @ block.by_update + own @ pair.board.covariance @ own
     covariance = inverse @ noise @ inverse
-    covariance = covariance * max(1.0, _scatter(blocks, hessian, covariance))
+    covariance = covariance * max(1.0, _scatter(pairs, blocks))
     bias = inverse @ np.asarray(sum(block.by_update.T @ block.by_bias for block in blocks))
     shared = range_bias_m**2 * np.outer(bias, bias)
     turn = camera_px / float(np.median([pair.board.px_per_rad for pair in pairs]))
@@ -106,19 +106,20 @@ def covariance_of(
     return np.asarray(covariance + shared)
 
 
-def _scatter(blocks: Sequence[Block], hessian: Float, covariance: Float) -> float:
-    """Return how much wider poses scatter where each board is left out in turn than the covariance says."""
-    if len(blocks) < _LEAST_FOR_SCATTER:
-        return 1.0
-    whitener = np.linalg.inv(np.linalg.cholesky(covariance + 1e-18 * np.eye(6)))
-    total, count = 0.0, 0
-    for block in blocks:
-        left = hessian - block.by_update.T @ block.by_update
-        if np.linalg.cond(left) > 1e12:
-            continue
-        step = whitener @ np.linalg.solve(left, block.by_update.T @ block.residuals)
-        total += float(step @ step)
-        count += 1
-    if count < _LEAST_FOR_SCATTER:
-        return 1.0
-    return total * (count - 1) / count / 6
+def _scatter(pairs: Sequence[Pair], blocks: Sequence[Block]) -> float:
+    """Return how much more boards disagree with a pose than their noise says, as a factor of variances.
+
+    What a board says of the pose is its slope there; noise of its sweep and of its pose in the picture spread that.
+    """
+    total, freedom = 0.0, -6
+    for pair, block in zip(pairs, blocks, strict=True):
+        slope = block.by_update.T @ block.residuals
+        own = block.by_update.T @ block.by_update
+        noise = block.by_update.T @ block.covariance @ block.by_update + own @ pair.board.covariance @ own
+        scale = 1 / np.sqrt(np.maximum(np.diag(noise), 1e-30))
+        values, vectors = np.linalg.eigh(noise * np.outer(scale, scale))
+        told = values > 1e-6 * values[-1]
+        along = vectors[:, told].T @ (scale * slope)
+        total += float(np.sum(along**2 / values[told]))
+        freedom += int(told.sum())
+    return total / freedom if freedom >= _LEAST_FREEDOM else 1.0

@@ -24,6 +24,8 @@ _LEAST_AREA, _MOST_AREA = 0.35, 1.3
 """Of the board's area, that of the hull of the rays on it: rings leave its upper and lower ends open."""
 _LEAST_FOR_CONE, _CONE_RAD, _HIGHEST_M = 100, 0.002, 0.5
 """A ring is a cone if it has so many points and half of them lie so near to it, seen from the axis."""
+_MOST_SIDE_M, _LEAST_TRIM_M = 0.03, 0.015
+"""A side whose ends lie farther from the outline is none of the board's; ends this near to the others are kept."""
 _FAR_M = 1e4
 _THIN_M = 0.03  # returns so near to a plane are on it, however little it scatters
 _FLOOR_M = 0.004  # no range is taken to scatter less about a plane, whatever the fit says
@@ -292,11 +294,14 @@ def _outlined(rays: Rays, plane: _Plane, size_m: tuple[float, float], sigma_m: f
     extent = np.ptp(xy[joined], axis=0)
     if extent.max() > 1.25 * diagonal or extent.max() < 0.5 * min(size_m):
         return None
-    if not _LEAST_AREA < _area(xy[joined]) / (size_m[0] * size_m[1]) < _MOST_AREA:
+    filled = _area(xy[joined]) / (size_m[0] * size_m[1])
+    if not _LEAST_AREA < filled < _MOST_AREA:
         return None
     gap = _gap_m(xy[joined], rays.ring[index][joined])
     rng = np.random.default_rng(len(index))
-    place = fitted(xy, joined, size_m, max(gap, 0.05), rng)
+    # A board that the sweep sees in part may reach as far as it is not seen.
+    reach = max(gap, 0.05, 0.6 * (1 - filled) * max(size_m))
+    place = fitted(xy, joined, size_m, reach, rng)
     deep = inside_m(xy, np.array(place[:3]), size_m)
     inside, beside = deep > 0.02, (deep < -0.02) & (deep > -_BESIDE_M)
     ours = on & inside
@@ -386,7 +391,7 @@ def _with_ends(board: BoardInSweep, rays: Rays) -> BoardInSweep:
     off, within = rays.xyz @ normal - board.offset_m, max(_SIGMAS * board.sigma_m, _THIN_M)
     on = (np.abs(off) < within) & (deep > -0.1)
     hidden = (off > within) & (deep > -0.2)
-    ends, sides, sure = [], [], []
+    ends, sides, sure, offs = [], [], [], []
     for ring in np.unique(rays.ring[on]):
         members = np.flatnonzero(rays.ring == ring)
         mine = members[on[members]]
@@ -411,10 +416,14 @@ def _with_ends(board: BoardInSweep, rays: Rays) -> BoardInSweep:
             across = abs(se3.apply(board_from_lidar, (hits[last] + step)[None])[0][1 - side % 2] - at[1 - side % 2])
             ends.append(end)
             sides.append(side)
+            offs.append(away[side])
             sure.append(float(np.hypot(2 * across / np.sqrt(12), 0.003)))
-    return replace(
-        board,
-        ends=np.reshape(ends, (-1, 3)),
-        side=np.array(sides, np.int64),
-        ends_m=np.array(sure, np.float64),
-    )
+    which, spread_m, beside_m = np.array(sides, np.int64), np.array(sure, np.float64), np.array(offs, np.float64)
+    # Hands and arms beside a board move single ends outwards, or a whole side.
+    keep = np.zeros(len(which), np.bool_)
+    for side in np.unique(which):
+        mine = which == side
+        middle = np.median(beside_m[mine])
+        if abs(middle) < _MOST_SIDE_M:
+            keep |= mine & (np.abs(beside_m - middle) < np.maximum(_SIGMAS * spread_m, _LEAST_TRIM_M))
+    return replace(board, ends=np.reshape(ends, (-1, 3))[keep], side=which[keep], ends_m=spread_m[keep])

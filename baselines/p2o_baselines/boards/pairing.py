@@ -57,7 +57,7 @@ def by_outline(sights: Sequence[Sight], start: Float) -> Iterable[Float]:
     """Give a pose for each board with each piece of its size, in each way it may be turned."""
     for sight in sights:
         for board in sight.boards:
-            for patch in _of_size(sight, board):
+            for patch in of_size(sight, board):
                 for turn in turns(patch.size_m):
                     yield facing(board.camera_from_board) @ se3.inverse(patch.lidar_from_board @ turn)
 
@@ -103,7 +103,8 @@ def paired(sights: Sequence[Sight], start: Float, hypotheses: Hypotheses = by_ou
     return Pairing(tuple(_pair(*match, pose) for match in near), pose, tuple(others))
 
 
-def _of_size(sight: Sight, board: BoardInPicture) -> list[BoardInSweep]:
+def of_size(sight: Sight, board: BoardInPicture) -> list[BoardInSweep]:
+    """Return the pieces of a sweep that have the size of a board."""
     size = (board.target.width_m, board.target.height_m)
     return [patch for patch in sight.patches if np.allclose(patch.size_m, size)]
 
@@ -116,7 +117,7 @@ def _matches(
     for number, sight in enumerate(sights):
         free = list(range(len(sight.patches)))
         for board in sight.boards:
-            mine = _of_size(sight, board)
+            mine = of_size(sight, board)
             near = []
             for at in free:
                 patch = sight.patches[at]
