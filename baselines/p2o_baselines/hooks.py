@@ -62,9 +62,10 @@ def p2o_matchers() -> Iterator[Method]:
 @hookimpl
 def p2o_calibrators() -> Iterator[Method]:
     """Offer the whole methods."""
-    from p2o_baselines import atop, cues, hand_eye, line_time, picked
+    from p2o_baselines import atop, cues, geiger, hand_eye, koo, line_time, mirzaei, picked, zhou
 
-    yield from (atop.METHOD, cues.METHOD, hand_eye.METHOD, line_time.METHOD, picked.METHOD)
+    yield from (atop.METHOD, cues.METHOD, geiger.METHOD, hand_eye.METHOD, koo.METHOD, line_time.METHOD)
+    yield from (mirzaei.METHOD, picked.METHOD, zhou.METHOD)
 
 
 @hookimpl

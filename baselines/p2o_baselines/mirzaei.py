@@ -9,7 +9,7 @@ least three boards that face different ways are needed, as the paper's analysis 
 
 Departures: the paper also tells the intrinsics of the LiDAR's beams, which here are the sensor's own; it finds the
 stationary points by a resultant matrix, here they are the ends of Newton's method from 72 rotations, which cover all of
-them within 45 deg. Boards are found and paired by the shared room `boards`: the paper's are marked by hand.
+them within 56 deg. Boards are found and paired by the shared room `boards`: the paper's are marked by hand.
 """
 
 from __future__ import annotations

@@ -113,7 +113,7 @@ def rays_of(cloud: p2o.Cloud, farthest_m: float) -> Rays:
     # The seam lies where the fewest near returns are, so that no board is cut.
     near = np.linalg.norm(xyz, axis=1) < farthest_m
     counts = np.histogram(azimuth[near], bins=180, range=(-np.pi, np.pi))[0]
-    seam = (np.argmin(counts) + 0.5) / 180 * 2 * np.pi
+    seam = (np.argmin(counts) + 0.5) / 180 * 2 * np.pi - np.pi
     azimuth = np.mod(azimuth - seam, 2 * np.pi)
     order = np.lexsort((azimuth, ring))
     step = np.diff(azimuth[order])

@@ -73,9 +73,7 @@ class BoardMethod:
             cost = way.cost(pairs, pose)
             pose = adjusted(pairs, cost, pose)
         cost = way.cost(pairs, pose)
-        covariance = covariance_of(
-            pairs, cost, pose, range_bias_m=options.range_bias_m, camera_px=options.camera_px
-        )
+        covariance = covariance_of(pairs, cost, pose, range_bias_m=options.range_bias_m, camera_px=options.camera_px)
         unsure = _unsure(covariance, pose, options)
         if covariance is None or unsure:
             return _refused(told, Status.NOT_OBSERVABLE, unsure)
@@ -139,8 +137,7 @@ def _too_few(sights: Sequence[Sight], pairing: Pairing | None, way: Way) -> str:
     shown = sum(len(sight.boards) for sight in sights)
     facing = " that face different ways" if way.planes_only else ""
     return (
-        f"{count} of {shown} boards in pictures are found in sweeps by one pose, "
-        f"{way.least} or more{facing} are needed"
+        f"{count} of {shown} boards in pictures are found in sweeps by one pose, {way.least} or more{facing} are needed"
     )
 
 
@@ -150,7 +147,9 @@ def _flat(pairs: Sequence[Pair]) -> str:
     values = np.linalg.svd(normals, compute_uv=False) / np.sqrt(len(normals))
     least = np.sin(np.radians(_LEAST_TURN_DEG))
     if values[1] < least:
-        return f"all {len(pairs)} boards are parallel within {_LEAST_TURN_DEG:g} deg: turn them left, right, up and down"
+        return (
+            f"all {len(pairs)} boards are parallel within {_LEAST_TURN_DEG:g} deg: turn them left, right, up and down"
+        )
     if values[2] < least / 3:
         return f"the normals of all {len(pairs)} boards lie in one plane: tilt some of them the other way too"
     return ""
@@ -181,17 +180,12 @@ def _remarks(sights: Sequence[Sight], pairing: Pairing) -> tuple[str, ...]:
     none = [sight.name for sight in sights if not sight.boards]
     if none:
         lines.append(f"pictures in which no board is found: {', '.join(none[:5])} ({len(none)})")
-    if len(pairing.others) > 1:
-        lines.append(
-            f"{len(pairing.others)} poses fit the boards about as well, one of them turned: "
-            "the nearest to the start is taken"
-        )
+    if pairing.others:
+        lines.append(f"{1 + len(pairing.others)} poses fit the boards about as well: the nearest to the start is taken")
     return tuple(lines)
 
 
 def _off_m(pairs: Sequence[Pair], pose: Float) -> float:
     """Return the root mean square distance in m of the points of sweeps from the planes of pictures."""
-    off = [
-        (p2o.se3.apply(pose, pair.patch.xyz) @ pair.board.normal - pair.board.offset_m) for pair in pairs
-    ]
+    off = [(p2o.se3.apply(pose, pair.patch.xyz) @ pair.board.normal - pair.board.offset_m) for pair in pairs]
     return float(np.sqrt(np.mean(np.concatenate(off) ** 2)))

@@ -1,0 +1,203 @@
+"""Methods of boards over the number of poses, and targetless p2o beside them: docs/comparison-targets.md.
+
+    python benchmarks/boards.py [--rig vlp16-1 ...] [--real build/data/rigs] [--kept FOLDER]
+
+For every rig, method and number of poses: frames are drawn at random (seed 0), the start is off by 5 deg and 30 cm (2 deg
+and 10 cm for targetless p2o). Printed are means and medians of errors, how many were refused, of how many two of three
+bounds of the likely error held, and the mean error about and along each axis of the camera. `--draw FILE` draws what is
+found in the first frame of a simulated rig instead.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from p2o import Checkerboard, Frame, Registry, Result, pose_error, se3
+from p2o.arrays import Float
+from p2o.geometry.perturb import parse_perturbation
+from p2o.run.recipe import Recipe
+from p2o.work.cache import FeatureCache, content_hash
+from p2o_baselines import geiger, koo, mirzaei, zhou
+from p2o_baselines.boards.pairing import paired
+from p2o_baselines.boards.sight import BoardOptions, Sight
+
+METHODS = {"zhou": zhou.METHOD, "koo": koo.METHOD, "geiger": geiger.METHOD, "mirzaei": mirzaei.METHOD}
+POSES, DRAWS = (1, 2, 3, 5, 10, 20), 10
+FREE_POSES, FREE_DRAWS = (1, 5, 20), (5, 2, 1)
+ACFR_BOARD = Checkerboard(5, 7, 0.095, 0.61, 0.85)
+_YARD = "synthetic:?targets=checkerboard&place=yard&frames_per_scene=20&right=false&width_px=1242&height_px=700"
+
+
+@dataclass(frozen=True)
+class BoardRig:
+    """One pair of sensors: its frames, the board that they show where they do not say it, and its weights."""
+
+    data: str
+    board: Checkerboard | None = None
+    weights: str = "kitti"
+
+    def frame(self, frame: Frame) -> Frame:
+        """Return the frame, with what it shows."""
+        return frame if self.board is None else replace(frame, targets=(self.board,))
+
+
+def rigs(real: Path) -> dict[str, BoardRig]:
+    """Return the rigs by name; real ones only where they are there."""
+    found = {
+        f"{name}-{seed}": BoardRig(f"{_YARD}&lidar={lidar}&seed={seed}")
+        for name, lidar in (("vlp16", "vlp-16"), ("hdl64", "hdl-64e"))
+        for seed in (1, 2)
+    }
+    if (real / "acfr_vlp16").is_dir():
+        found = {"acfr_vlp16": BoardRig(f"folder:{real / 'acfr_vlp16'}", ACFR_BOARD), **found}
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """What the methods of boards, and p2o, found in each frame, and the truth camera_from_lidar (4, 4)."""
+
+    sights: list[Sight]
+    views: list[Any]
+    truth: Float
+
+
+def prepared(rig: BoardRig, kept: Path, free: bool) -> Prepared:
+    """Return what is found in the frames of a rig; it is kept in a folder, by what was asked."""
+    plan = Recipe.of(data=rig.data, options={"extractor": {"weights": rig.weights}}).resolve(Registry.load())
+    dataset, pipeline, stage = plan.dataset(), plan.calibrator(), zhou.METHOD.build(BoardOptions())
+    cache = FeatureCache(kept)
+    sights, views, truth = [], [], np.eye(4)
+    for number in range(len(dataset)):
+        key = content_hash(["boards", rig.data, number, free])
+        found = cache.get(key)
+        if found is None:
+            frame = rig.frame(dataset[number])
+            cache.put(key, (stage.prepare(frame), pipeline.prepare(frame) if free else 0, frame.camera_from_lidar), 0.0)
+            found = cache.get(key)
+        assert found is not None
+        sight, view, truth = found.features
+        sights.append(sight)
+        views.append(view)
+    return Prepared(sights, views, truth)
+
+
+def row(name: str, method: str, poses: int, results: Sequence[Result], truth: Float) -> str:
+    """Return a line of the table."""
+    solved = [result for result in results if result.status.solved]
+    head = f"| {name} | {method} | {poses} | {len(results) - len(solved)} of {len(results)} |"
+    if not solved:
+        return head + "  |  |  |  |"
+    errors = [pose_error(result.camera_from_lidar, truth) for result in solved]
+    deg, cm = np.array([e.rotation_deg for e in errors]), 100 * np.array([e.translation_m for e in errors])
+    pairs = [(e, r.accuracy) for e, r in zip(errors, solved, strict=True) if r.accuracy is not None]
+    held = [
+        sum(e.rotation_deg <= a.rotation_deg for e, a in pairs),
+        sum(e.translation_m <= a.translation_m for e, a in pairs),
+    ]
+    axes = {k: float(np.mean([e.per_axis[k] for e in errors])) for k in errors[0].per_axis}
+    turn = " / ".join(f"{axes[k]:+.2f}" for k in ("pitch_deg", "yaw_deg", "roll_deg"))
+    shift = " / ".join(f"{100 * axes[k]:+.1f}" for k in ("x_m", "y_m", "z_m"))
+    return (
+        f"{head} {deg.mean():.2f} / {np.median(deg):.2f} | {cm.mean():.1f} / {np.median(cm):.1f} | "
+        f"{held[0]}, {held[1]} of {len(pairs)} | {turn}, {shift} |"
+    )
+
+
+def solve(stage: Any, found: Sequence[Any], truth: Float, poses: int, draws: int, start: str) -> list[Result]:
+    """Return the results of so many draws; one where all frames are drawn."""
+    rng = np.random.default_rng(0)
+    out = []
+    for _ in range(1 if poses == len(found) else draws):
+        chosen = np.sort(rng.choice(len(found), poses, replace=False))
+        at = parse_perturbation(start).start(truth, rng)
+        out.append(stage.solve([found[number] for number in chosen], at))
+    return out
+
+
+def boards(name: str, rig: BoardRig, kept: Path) -> None:
+    """Print the rows of the methods of boards."""
+    found = prepared(rig, kept, False)
+    seen, pieces = sum(bool(s.boards) for s in found.sights), sum(bool(s.patches) for s in found.sights)
+    print(f"<!-- {name}: {seen} pictures and {pieces} sweeps of {len(found.sights)} show boards -->", flush=True)
+    for method, offered in METHODS.items():
+        stage = offered.build(offered.options())
+        for poses in POSES:
+            results = solve(stage, found.sights, found.truth, poses, DRAWS, "5deg 0.3m")
+            print(row(name, method, poses, results, found.truth), flush=True)
+
+
+def targetless(name: str, rig: BoardRig, kept: Path) -> None:
+    """Print the rows of targetless p2o."""
+    found = prepared(rig, kept, True)
+    plan = Recipe.of(data=rig.data, options={"extractor": {"weights": rig.weights}}).resolve(Registry.load())
+    pipeline = plan.calibrator()
+    for poses, draws in zip(FREE_POSES, FREE_DRAWS, strict=True):
+        results = solve(pipeline, found.views, found.truth, poses, draws, "2deg 0.1m")
+        print(row(name, "targetless p2o", poses, results, found.truth), flush=True)
+
+
+def draw(rig: BoardRig, path: Path) -> None:
+    """Draw corners and axes of the board in the picture, and the sweep's points, ends and outline at the truth."""
+    import cv2
+
+    frame = rig.frame(Recipe.of(data=rig.data).resolve(Registry.load()).dataset()[0])
+    assert frame.camera_from_lidar is not None
+    sight = zhou.METHOD.build(BoardOptions()).prepare(frame)
+    pairing = paired([sight], frame.camera_from_lidar)
+    canvas = (0.75 * frame.image.rgb).astype(np.uint8)
+
+    def dots(xyz: Float, colour: tuple[int, int, int], size: int) -> None:
+        for u, v in frame.camera.project(xyz):
+            cv2.circle(canvas, (round(float(u)), round(float(v))), size, colour, -1, cv2.LINE_AA)
+
+    def line(xyz: Float, colour: tuple[int, int, int], closed: bool) -> None:
+        uv = np.rint(frame.camera.project(xyz)).astype(np.int32)
+        cv2.polylines(canvas, [uv], closed, colour, 2, cv2.LINE_AA)
+
+    for pair in () if pairing is None else pairing.pairs:
+        patch, board, truth = pair.patch, pair.board, frame.camera_from_lidar
+        dots(se3.apply(truth, patch.xyz), (80, 200, 255), 1)
+        dots(se3.apply(truth, patch.ends), (255, 60, 60), 4)
+        line(se3.apply(truth @ pair.lidar_from_board, board.target.outline), (255, 200, 0), True)
+        dots(se3.apply(board.camera_from_board, board.target.corners), (60, 255, 60), 3)
+        for axis, colour in enumerate(((255, 80, 80), (80, 255, 80), (120, 120, 255))):
+            tip = 0.25 * np.eye(3)[axis] * (-1 if axis == 2 else 1)
+            line(se3.apply(board.camera_from_board, np.stack([np.zeros(3), tip])), colour, False)
+        u, v = frame.camera.project(se3.apply(board.camera_from_board, board.target.outline)).mean(axis=0)
+        left, top = max(int(u) - 330, 0), max(int(v) - 260, 0)
+        canvas = canvas[top : top + 520, left : left + 660]
+    cv2.imwrite(str(path), cv2.resize(canvas, None, fx=1.5, fy=1.5)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 80])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rig", nargs="*", help="names of rigs (default: all)")
+    parser.add_argument("--real", type=Path, default=Path("build/data/rigs"), help="folder of the real rigs")
+    parser.add_argument("--kept", type=Path, default=Path("build/boards-kept"), help="folder of what was found")
+    parser.add_argument("--only", choices=("boards", "targetless"), help="leave the other rows out")
+    parser.add_argument("--draw", type=Path, help="draw the first frame of the first rig into this file instead")
+    arguments = parser.parse_args()
+    known = rigs(arguments.real)
+    chosen = {name: known[name] for name in arguments.rig or known}
+    if arguments.draw is not None:
+        draw(next(iter(chosen.values())), arguments.draw)
+        return
+    print(
+        "| rig | method | poses | refused | deg, mean / median | cm, mean / median | likely error held | mean by axis |"
+    )
+    print("|---|---|---|---|---|---|---|---|")
+    for name, rig in chosen.items():
+        if arguments.only != "targetless":
+            boards(name, rig, arguments.kept)
+        if arguments.only != "boards":
+            targetless(name, rig, arguments.kept)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,282 @@
+"""Methods of boards: exact without noise, as good as noise lets them be, and refused in words where they must be."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from p2o import Camera, Checkerboard, Registry, Result, Status, pose_error, se3
+from p2o.arrays import Float
+from p2o.run.recipe import Recipe
+from p2o_baselines import geiger, koo, mirzaei, zhou
+from p2o_baselines.boards.board_in_picture import boards_in_picture
+from p2o_baselines.boards.board_in_sweep import boards_in_sweep
+from p2o_baselines.boards.closed_form import from_planes, turned
+from p2o_baselines.boards.pairing import Pair, paired, turns
+from p2o_baselines.boards.sight import Sight
+from scipy.spatial.transform import Rotation
+
+from tests.baselines.board_scene import (
+    AWAY,
+    BOARD,
+    CAMERA,
+    FISHEYE,
+    TRUTH,
+    frame,
+    in_picture,
+    in_sweep,
+    pairs,
+    picture,
+    poses,
+    sights,
+    sweep,
+)
+
+METHODS = {"zhou": zhou.METHOD, "koo": koo.METHOD, "geiger": geiger.METHOD, "mirzaei": mirzaei.METHOD}
+SIZE = (BOARD.width_m, BOARD.height_m)
+ACFR = Path(os.environ.get("P2O_DATA", "build/data")) / "rigs/acfr_vlp16"
+
+
+def solved(method: str, seen: list[Sight], start: Float = AWAY) -> Result:
+    offered = METHODS[method]
+    result: Result = offered.build(offered.options()).solve(seen, start)
+    return result
+
+
+def test_the_rotation_of_directions_is_exact_and_never_a_mirror_image() -> None:
+    rotation = se3.exp(np.array([0.4, -1.0, 2.0, 0, 0, 0]))[:3, :3]
+    flat = np.array([[1.0, 0, 0], [0, 1, 0]])  # a mirror image fits these as well
+    assert turned(flat @ rotation.T, flat) == pytest.approx(rotation, abs=1e-12)
+
+
+def test_three_planes_give_the_pose_in_closed_form() -> None:
+    normals = np.array([[0.0, 0, -1], [0.6, 0, -0.8], [0, 0.6, -0.8]])
+    offsets = np.array([-3.0, -2.5, -4.0])
+    there = normals @ TRUTH[:3, :3].T
+    # A point of a plane is normal * offset; its image tells the offset there.
+    beyond = np.sum(there * se3.apply(TRUTH, normals * offsets[:, None]), axis=1)
+    assert from_planes(there, beyond, normals, offsets) == pytest.approx(TRUTH, abs=1e-12)
+
+
+@pytest.mark.parametrize("method", [zhou, koo, mirzaei])
+def test_closed_forms_recover_the_pose_of_boards_without_noise(method: object) -> None:
+    found = method.closed(pairs(poses(4)), AWAY)  # type: ignore[attr-defined]
+    error = pose_error(found, TRUTH)
+    assert error.rotation_deg < 1e-5
+    assert error.translation_m < 1e-6
+
+
+def test_one_board_with_its_four_sides_gives_the_pose_in_closed_form() -> None:
+    error = pose_error(zhou.closed(pairs(poses(1)), AWAY), TRUTH)
+    assert error.rotation_deg < 1e-5
+    assert error.translation_m < 1e-6
+
+
+def test_three_boards_and_pieces_give_the_pose_of_their_combination() -> None:
+    found = pairs(poses(3))
+    pose = geiger.posed([pair.board for pair in found], [pair.patch for pair in found])
+    assert pose is not None
+    assert pose == pytest.approx(TRUTH, abs=1e-6)
+    swapped = [found[k].patch for k in (1, 0, 2)]
+    assert (
+        geiger.posed([pair.board for pair in found], swapped) is None
+        or pose_error(
+            geiger.posed([pair.board for pair in found], swapped),
+            TRUTH,  # type: ignore[arg-type]
+        ).translation_m
+        > 0.1
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_rotation_is_too_far_for_the_minima_of_the_polynomial(seed: int) -> None:
+    turn = se3.make(Rotation.random(random_state=seed).as_matrix(), [0.3, -0.2, 0.5])
+    found = [
+        replace(pair, patch=in_sweep(turn @ se3.inverse(TRUTH) @ pair.board.camera_from_board))
+        for pair in pairs(poses(5, seed))
+    ]
+    assert mirzaei.closed(found, np.eye(4)) == pytest.approx(TRUTH @ se3.inverse(turn), abs=1e-5)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_boards_without_noise_are_solved_to_the_truth_from_any_start(method: str) -> None:
+    far = se3.exp(np.array([0.5, -0.4, 0.3, 0.5, -0.5, 0.4])) @ TRUTH
+    result = solved(method, sights(poses(5)), far)
+    assert result.status is Status.CONVERGED, result.reason
+    error = pose_error(result.camera_from_lidar, TRUTH)
+    assert error.rotation_deg < 1e-4
+    assert error.translation_m < 1e-5
+    assert result.matches["boards"] == 5
+    assert result.accuracy is not None
+    assert result.covariance is not None
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_noise_moves_a_pose_by_no_more_than_its_likely_error_says(method: str) -> None:
+    # A plane of 96 points that scatter by 2 cm over 1.0 x 0.8 m tilts by 0.02 / sqrt(96) / 0.25 = 0.5 deg and moves by
+    # 2 mm; ten of them, by a third of both. Three deviations of that bound the error.
+    result = solved(method, sights(poses(10), noise_px=0.2, noise_m=0.02))
+    error = pose_error(result.camera_from_lidar, TRUTH)
+    assert error.rotation_deg < 3 * 0.5 / np.sqrt(10) * np.sqrt(3)
+    assert error.translation_m < 0.03
+    assert result.accuracy is not None
+    assert error.rotation_deg < 1.6 * result.accuracy.rotation_deg_95
+    assert error.translation_m < 1.6 * result.accuracy.translation_m_95
+
+
+def test_far_and_oblique_boards_weigh_less_where_covariances_say_so() -> None:
+    near, far = pairs([se3.make(None, [0, 0, 2.0]), se3.make(None, [0, 0, 6.0])], noise_px=0.2, noise_m=0.01)
+    cost = koo.cost([near, far], TRUTH)
+    blocks = [cost(pair, TRUTH).by_update for pair in (near, far)]
+    assert np.linalg.norm(blocks[0][:, 3:]) > 2 * np.linalg.norm(blocks[1][:, 3:])
+
+
+@pytest.mark.parametrize("method", ["koo", "geiger", "mirzaei"])
+def test_fewer_than_three_boards_are_refused_by_methods_of_planes(method: str) -> None:
+    result = solved(method, sights(poses(2)))
+    assert result.status is Status.TOO_FEW_MATCHES
+    assert "of 2 boards" in result.reason
+    assert "3 or more that face different ways are needed" in result.reason
+    assert np.array_equal(result.camera_from_lidar, AWAY)
+
+
+@pytest.mark.parametrize("method", ["koo", "mirzaei"])
+def test_boards_that_all_face_one_way_are_refused(method: str) -> None:
+    parallel = [se3.make(None, [x, 0.1 * x, 3.0 + x]) for x in (-0.5, 0.0, 0.5, 1.0)]
+    result = solved(method, sights(parallel))
+    assert result.status is Status.NOT_OBSERVABLE
+    assert "parallel" in result.reason
+
+
+def test_boards_that_turn_about_one_axis_only_are_refused_where_planes_are_all() -> None:
+    upright = [se3.make(None, [0.3 * k, 0, 3.0]) @ se3.exp(np.array([0, 0.3 * k, 0, 0, 0, 0])) for k in (-2, -1, 1, 2)]
+    result = solved("koo", sights(upright))
+    assert result.status is Status.NOT_OBSERVABLE
+    assert "lie in one plane" in result.reason
+
+
+def test_one_board_whose_upper_and_lower_side_no_ring_crosses_is_refused() -> None:
+    seen = sights(poses(1))[0]
+    patch = seen.patches[0]
+    upright = patch.side % 2 == 1
+    patch = replace(patch, ends=patch.ends[upright], side=patch.side[upright], ends_m=patch.ends_m[upright])
+    result = solved("zhou", [replace(seen, patches=(patch,))])
+    assert result.status is Status.NOT_OBSERVABLE
+    assert "leave a direction of the pose open" in result.reason
+
+
+def test_pictures_and_sweeps_without_boards_are_told_apart() -> None:
+    seen = sights(poses(1))[0]
+    nobody = solved("zhou", [replace(seen, asked="none", boards=())])
+    assert "state it in `targets` of frame.yaml" in nobody.reason
+    no_picture = solved("zhou", [replace(seen, boards=())])
+    assert no_picture.status is Status.NO_FEATURES
+    assert "no picture of 1 shows a board" in no_picture.reason
+    no_sweep = solved("zhou", [replace(seen, patches=())])
+    assert no_sweep.status is Status.NO_FEATURES
+    assert "no sweep has a plane piece of 1 x 0.8 m" in no_sweep.reason
+
+
+def test_of_several_pieces_the_one_is_the_board_that_one_pose_explains_in_all_frames() -> None:
+    wrong = in_sweep(se3.inverse(TRUTH) @ se3.make(None, [1.5, 0.3, 4.0]))
+    seen = [replace(sight, patches=(wrong, *sight.patches)) for sight in sights(poses(4))]
+    far = se3.exp(np.array([0.5, -0.4, 0.3, 0.5, -0.5, 0.4])) @ TRUTH
+    pairing = paired(seen, far)
+    assert pairing is not None
+    assert all(pair.patch is sight.patches[1] for pair, sight in zip(pairing.pairs, seen, strict=True))
+    assert pose_error(pairing.camera_from_lidar, TRUTH).rotation_deg < 0.01
+
+
+def test_one_board_may_be_turned_by_half_a_turn_and_the_start_says_which_it_is() -> None:
+    seen = sights(poses(1))
+    assert len(turns(SIZE)) == 2
+    assert len(turns((1.0, 1.0))) == 4
+    result = solved("zhou", seen)
+    assert pose_error(result.camera_from_lidar, TRUTH).rotation_deg < 1e-4
+    assert any("2 poses fit the boards about as well" in line for line in result.warnings)
+    around = se3.exp(np.array([0, 0, np.pi, 0, 0, 0]))
+    pair = Pair(0, seen[0].boards[0], seen[0].patches[0], np.eye(4))
+    middle = pair.board.camera_from_board
+    other = middle @ around @ se3.inverse(middle) @ TRUTH
+    assert pose_error(solved("zhou", seen, other).camera_from_lidar, other).rotation_deg < 1e-4
+
+
+@pytest.mark.parametrize("camera", [CAMERA, FISHEYE], ids=["pinhole", "fisheye"])
+def test_a_board_is_found_in_a_picture_of_any_camera(camera: Camera) -> None:
+    truth = poses(1, seed=3)[0]
+    found = boards_in_picture(picture(camera, truth), [BOARD])
+    assert len(found) == 1
+    # Corners to a tenth of a pixel; 35 of them over 150 px or more tell the board to some mm and a fraction of a deg.
+    assert found[0].uv == pytest.approx(camera.project(se3.apply(found[0].camera_from_board, BOARD.corners)), abs=0.3)
+    assert found[0].rms_px < 0.15
+    assert found[0].normal == pytest.approx(-truth[:3, 2], abs=0.02)
+    assert found[0].camera_from_board[:3, 3] == pytest.approx(truth[:3, 3], abs=0.02)
+
+
+def test_no_board_of_another_pattern_is_found() -> None:
+    truth = poses(1, seed=3)[0]
+    assert boards_in_picture(picture(CAMERA, truth), [Checkerboard(9, 6, 0.1, 1.2, 1.0)]) == ()
+    assert boards_in_picture(picture(CAMERA, None), [BOARD]) == ()
+
+
+def test_the_covariance_of_a_board_in_a_picture_is_its_spread() -> None:
+    truth = poses(1, seed=5)[0]
+    found = [in_picture(truth, noise_px=0.3, seed=seed) for seed in range(200)]
+    steps = np.array([se3.log(board.camera_from_board @ se3.inverse(truth)) for board in found])
+    told = np.sqrt(np.mean([np.diag(board.covariance) for board in found], axis=0))
+    # 200 draws tell a deviation to 5 %, three of that.
+    assert steps.std(axis=0) == pytest.approx(told, rel=0.15)
+
+
+@pytest.mark.parametrize("apex_m", [0.0, 0.2])
+def test_a_board_is_found_in_a_sweep_by_its_size_alone(apex_m: float) -> None:
+    truth = poses(1, seed=2)[0]
+    found = boards_in_sweep(sweep(truth, 0.015, apex_m=apex_m), [SIZE], farthest_m=12, sigma_m=0.04)
+    there = se3.inverse(TRUTH) @ truth
+    best = min(found, key=lambda board: float(np.linalg.norm(board.lidar_from_board[:3, 3] - there[:3, 3])))
+    # Rings are 1 deg apart, so 7 cm on the board, and turned sides cross several: a third of that for the middle.
+    assert best.lidar_from_board[:3, 3] == pytest.approx(there[:3, 3], abs=0.025)
+    assert np.degrees(np.arccos(min(1.0, abs(best.normal @ there[:3, 2])))) < 1.0
+    assert best.sigma_m == pytest.approx(0.015, rel=0.3)
+    assert len(best.ends) >= 6
+
+
+def test_a_wall_and_a_board_of_another_size_are_none() -> None:
+    truth = poses(1, seed=2)[0]
+    assert boards_in_sweep(sweep(None, 0.015), [SIZE], farthest_m=12, sigma_m=0.04) == ()
+    assert boards_in_sweep(sweep(truth, 0.015), [(1.6, 1.3)], farthest_m=12, sigma_m=0.04) == ()
+    assert boards_in_sweep(sweep(truth, 0.015), [(0.5, 0.4)], farthest_m=12, sigma_m=0.04) == ()
+
+
+def test_drawn_frames_are_calibrated_from_picture_and_sweep() -> None:
+    seen = [frame(number, pose) for number, pose in enumerate(poses(6, seed=1))]
+    for name, offered in METHODS.items():
+        stage = offered.build(offered.options())
+        prepared = [stage.prepare(each) for each in seen] if name == "zhou" else prepared
+        result = stage.solve(prepared, AWAY)
+        assert result.status is Status.CONVERGED, f"{name}: {result.reason}"
+        error = pose_error(result.camera_from_lidar, TRUTH)
+        # Ranges off by 1.5 cm over some 300 points a board: tilts of 0.2 deg, of which six average to 0.1.
+        assert error.rotation_deg < 0.4, name
+        assert error.translation_m < 0.03, name
+
+
+@pytest.mark.skipif(not ACFR.is_dir(), reason=f"{ACFR} is not there")
+def test_boards_of_a_fisheye_and_a_vlp16_are_found_and_calibrated() -> None:
+    board = Checkerboard(5, 7, 0.095, 0.61, 0.85)
+    dataset = Recipe.of(data=f"folder:{ACFR}").resolve(Registry.load()).dataset()
+    stage = zhou.METHOD.build(zhou.METHOD.options())
+    frames = [replace(dataset[number], targets=(board,)) for number in (0, 3, 9, 14)]
+    prepared = [stage.prepare(each) for each in frames]
+    assert all(len(sight.boards) == 1 and sight.patches for sight in prepared)
+    truth = frames[0].camera_from_lidar
+    assert truth is not None
+    result = stage.solve(prepared, se3.exp(np.array([0.1, -0.1, 0.1, 0.1, 0.1, 0.1])) @ truth)
+    assert result.matches["boards"] == 4
+    error = pose_error(result.camera_from_lidar, truth)
+    # The reference is good to 0.3 deg and 2 cm, four boards to some 0.5 deg and 2 cm: three of both together.
+    assert error.rotation_deg < 1.75
+    assert error.translation_m < 0.085
