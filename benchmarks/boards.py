@@ -2,10 +2,10 @@
 
     python benchmarks/boards.py [--rig vlp16-1 ...] [--real build/data/rigs] [--kept FOLDER]
 
-For every rig, method and number of poses: frames are drawn at random (seed 0), the start is off by 5 deg and 30 cm (2 deg
-and 10 cm for targetless p2o). Printed are means and medians of errors, how many were refused, of how many two of three
-bounds of the likely error held, and the mean error about and along each axis of the camera. `--draw FILE` draws what is
-found in the first frame of a simulated rig instead.
+For every rig, method and number of poses: frames are drawn at random (seed 0), the start is off by 5 deg and 30 cm (2
+deg and 10 cm for targetless p2o). Printed are means and medians of errors, how many were refused, of how many two of
+three bounds of the likely error held, and the mean error about and along each axis of the camera. `--draw FILE` draws
+what is found in the first frame of a simulated rig instead.
 """
 
 from __future__ import annotations

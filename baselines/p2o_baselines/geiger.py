@@ -7,10 +7,10 @@ pose (rotation by normals, translation by offsets). Combinations of three are dr
 frames; those whose angles between normals differ are dropped, the others judged by how many boards find a piece where
 they should be. From the best, iterated closest points move the returns onto the boards.
 
-Departures: the paper has a stereo pair and dense points of its boards; here each board is the rectangle that its corners
-and size give, and a return's closest point lies in that rectangle. Its prototype filters for corners and its growing of
-regions are OpenCV's detector and the shared room `boards`; of several poses that fit about as well the one nearest to
-the start is given, where the paper gives them all.
+Departures: the paper has a stereo pair and dense points of its boards; here each board is the rectangle that its
+corners and size give, and a return's closest point lies in that rectangle. Its prototype filters for corners and its
+growing of regions are OpenCV's detector and the shared room `boards`; of several poses that fit about as well the one
+nearest to the start is given, where the paper gives them all.
 """
 
 from __future__ import annotations

@@ -3,14 +3,14 @@
     p2o run --data folder:BOARDS --joint --calibrator koo
 
 Both sensors give each board as a plane with an analytic covariance: the picture from the noise of corners through the
-pose of the board, the sweep from the noise of ranges through the fit. The pose brings planes onto planes (two angles and
-a distance a board), each weighed by the inverse of both covariances together, so that a far, small or oblique board says
-as much as it knows. At least three boards that face different ways are needed. The start of the least squares is the
-closed form of planes; weights are taken anew at its end, three times.
+pose of the board, the sweep from the noise of ranges through the fit. The pose brings planes onto planes (two angles
+and a distance a board), each weighed by the inverse of both covariances together, so that a far, small or oblique
+board says as much as it knows. At least three boards that face different ways are needed. The start of the least
+squares is the closed form of planes; weights are taken anew at its end, three times.
 
-Departures: the noise of corners and ranges is that of each board's own fit, not a figure of the sensor; distances count
-at the middle of the sweep's points, where angles and distance of a plane are independent. Boards are found and paired by
-the shared room `boards`.
+Departures: the noise of corners and ranges is that of each board's own fit, not a figure of the sensor; distances
+count at the middle of the sweep's points, where angles and distance of a plane are independent. Boards are found and
+paired by the shared room `boards`.
 """
 
 from __future__ import annotations

@@ -3,13 +3,13 @@
     p2o run --data folder:BOARDS --joint --calibrator mirzaei
 
 Every point of a board lies in the plane that its picture gives. The sum of squared distances is, with the translation
-solved for, a polynomial of fourth degree in the rotation's quaternion. All its minima are found, so no start is needed,
-and the least one that has the boards before both sensors is taken; Levenberg and Marquardt finish on the same sum. At
-least three boards that face different ways are needed, as the paper's analysis of what can be told says.
+solved for, a polynomial of fourth degree in the rotation's quaternion. All its minima are found, so no start is
+needed, and the least one that has the boards before both sensors is taken; Levenberg and Marquardt finish on the same
+sum. At least three boards that face different ways are needed, as the paper's analysis of what can be told says.
 
 Departures: the paper also tells the intrinsics of the LiDAR's beams, which here are the sensor's own; it finds the
-stationary points by a resultant matrix, here they are the ends of Newton's method from 72 rotations, which cover all of
-them within 56 deg. Boards are found and paired by the shared room `boards`: the paper's are marked by hand.
+stationary points by a resultant matrix, here they are the ends of Newton's method from 72 rotations, which cover all
+of them within 56 deg. Boards are found and paired by the shared room `boards`: the paper's are marked by hand.
 """
 
 from __future__ import annotations

@@ -2,16 +2,16 @@
 
     p2o run --data folder:BOARDS --joint --calibrator zhou
 
-Each board gives a plane and up to four lines to both sensors, and one board can do: its normal and two directions tell
-the rotation, points in the plane and on the lines the rest. The closed form of the paper (rotation by singular values
-of directions and normals, translation by linear least squares) starts Levenberg and Marquardt on the distances of points
-from planes and lines, every plane and every line with one vote.
+Each board gives a plane and up to four lines to both sensors, and one board can do: its normal and two directions
+tell the rotation, points in the plane and on the lines the rest. The closed form of the paper (rotation by singular
+values of directions and normals, translation by linear least squares) starts Levenberg and Marquardt on the distances
+of points from planes and lines, every plane and every line with one vote.
 
 Departures: the picture's lines come from the board's size and its corners, not from edges in the picture. The sweep's
-board is found by its size (`boards.board_in_sweep`), its lines through where rings leave it, half a step beyond the last
-return; a side that fewer than three rings cross gives none. The
-LiDAR's spot moves all ends outwards: by how much is told by opposite sides, and taken off. Frames may differ in what they show; pairs are those that
-one pose explains in most of them. The board's size is known: the paper's similarity transform is left out.
+board is found by its size (`boards.board_in_sweep`), its lines through where rings leave it, half a step beyond the
+last return; a side that fewer than three rings cross gives none. The LiDAR's spot moves all ends outwards: by how
+much is told by opposite sides, and taken off. Frames may differ in what they show; pairs are those that one pose
+explains in most of them. The board's size is known: the paper's similarity transform is left out.
 """
 
 from __future__ import annotations

@@ -118,7 +118,7 @@ def picture(camera: Camera, camera_from_board: Float | None) -> Image:
 
 
 def sweep(camera_from_board: Float | None, noise_m: float, seed: int = 0, apex_m: float = 0.0) -> Cloud:
-    """Return a sweep of 40 rings, 1 deg apart, of the board before a wall 9 m off and a post; beams start at `apex_m`."""
+    """Return a sweep of 40 rings, 1 deg apart, of the board before a wall 9 m off and a post, from `apex_m` up."""
     rng = np.random.default_rng(seed)
     elevation, azimuth = np.meshgrid(np.radians(np.arange(-20, 20)), np.radians(np.arange(-50, 50, 0.2)), indexing="ij")
     way = np.stack(

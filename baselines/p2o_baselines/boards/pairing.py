@@ -90,12 +90,12 @@ def paired(sights: Sequence[Sight], start: Float, hypotheses: Hypotheses = by_ou
                 pose = _refined(near, pose)
             near = _matches(sights, pose, *_NARROW) or near
         found.append((len(near), _misfit(near, pose), pose, near))
-    if not found:
+    most = max((count for count, *_ in found), default=0)
+    if not most:
         return None
-    most = max(count for count, *_ in found)
     least = min(misfit for count, misfit, *_ in found if count == most)
     alike = [each for each in found if each[0] == most and each[1] < least + _ALIKE * most]
-    count, _, pose, near = min(alike, key=lambda each: (_from_start(each[2], start), each[1]))
+    _, _, pose, near = min(alike, key=lambda each: (_from_start(each[2], start), each[1]))
     others: list[Float] = []
     for each in alike:
         if not any(_close(each[2], known) for known in (pose, *others)):
