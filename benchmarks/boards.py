@@ -30,6 +30,7 @@ METHODS = {"zhou": zhou.METHOD, "koo": koo.METHOD, "geiger": geiger.METHOD, "mir
 POSES, DRAWS = (1, 2, 3, 5, 10, 20), 10
 FREE_POSES, FREE_DRAWS = (1, 5, 20), (5, 2, 1)
 ACFR_BOARD = Checkerboard(5, 7, 0.095, 0.61, 0.85)
+_SIDE_PX = 560
 _YARD = "synthetic:?targets=checkerboard&place=yard&frames_per_scene=20&right=false&width_px=1242&height_px=700"
 
 
@@ -143,36 +144,58 @@ def targetless(name: str, rig: BoardRig, kept: Path) -> None:
 
 
 def draw(rig: BoardRig, path: Path) -> None:
-    """Draw corners and axes of the board in the picture, and the sweep's points, ends and outline at the truth."""
+    """Draw what is found of a board: corners and axes in the picture, points, ends and outline of the sweep in both.
+
+    On the left all on the picture, at the truth; on the right the sweep alone, seen along the board's normal.
+    """
     import cv2
 
     frame = rig.frame(Recipe.of(data=rig.data).resolve(Registry.load()).dataset()[0])
-    assert frame.camera_from_lidar is not None
-    sight = zhou.METHOD.build(BoardOptions()).prepare(frame)
-    pairing = paired([sight], frame.camera_from_lidar)
-    canvas = (0.75 * frame.image.rgb).astype(np.uint8)
+    truth, camera = frame.camera_from_lidar, frame.camera
+    assert truth is not None
+    pairing = paired([zhou.METHOD.build(BoardOptions()).prepare(frame)], truth)
+    assert pairing is not None
+    pair = pairing.pairs[0]
+    board, patch = pair.board, pair.patch
+    outline = camera.project(se3.apply(board.camera_from_board, board.target.outline))
+    middle, half = (outline.max(axis=0) + outline.min(axis=0)) / 2, 0.75 * np.ptp(outline, axis=0).max()
+    scale = _SIDE_PX / (2 * half)
+    shrunk = np.array([[scale, 0, scale * (half - middle[0])], [0, scale, scale * (half - middle[1])]])
+    bright = np.clip(1.4 * frame.image.rgb, 0, 255).astype(np.uint8)
+    left = cv2.warpAffine(bright, shrunk, (_SIDE_PX, _SIDE_PX), flags=cv2.INTER_CUBIC)
+    right = np.full((_SIDE_PX, _SIDE_PX, 3), 255, np.uint8)
+    per_m = _SIDE_PX / (1.5 * max(patch.size_m))
 
-    def dots(xyz: Float, colour: tuple[int, int, int], size: int) -> None:
-        for u, v in frame.camera.project(xyz):
+    def seen(xyz: Float) -> Float:
+        return np.asarray(camera.project(se3.apply(truth, xyz)) @ shrunk[:, :2].T + shrunk[:, 2])
+
+    def along(xyz: Float) -> Float:
+        own = se3.apply(se3.inverse(pair.lidar_from_board), xyz)
+        return np.asarray(own[:, :2] * per_m + _SIDE_PX / 2)
+
+    def dots(canvas: Any, uv: Float, colour: tuple[int, int, int], size: int) -> None:
+        for u, v in uv:
             cv2.circle(canvas, (round(float(u)), round(float(v))), size, colour, -1, cv2.LINE_AA)
 
-    def line(xyz: Float, colour: tuple[int, int, int], closed: bool) -> None:
-        uv = np.rint(frame.camera.project(xyz)).astype(np.int32)
-        cv2.polylines(canvas, [uv], closed, colour, 2, cv2.LINE_AA)
+    def line(canvas: Any, uv: Float, colour: tuple[int, int, int], closed: bool) -> None:
+        cv2.polylines(canvas, [np.rint(uv).astype(np.int32)], closed, colour, 2, cv2.LINE_AA)
 
-    for pair in () if pairing is None else pairing.pairs:
-        patch, board, truth = pair.patch, pair.board, frame.camera_from_lidar
-        dots(se3.apply(truth, patch.xyz), (80, 200, 255), 1)
-        dots(se3.apply(truth, patch.ends), (255, 60, 60), 4)
-        line(se3.apply(truth @ pair.lidar_from_board, board.target.outline), (255, 200, 0), True)
-        dots(se3.apply(board.camera_from_board, board.target.corners), (60, 255, 60), 3)
-        for axis, colour in enumerate(((255, 80, 80), (80, 255, 80), (120, 120, 255))):
-            tip = 0.25 * np.eye(3)[axis] * (-1 if axis == 2 else 1)
-            line(se3.apply(board.camera_from_board, np.stack([np.zeros(3), tip])), colour, False)
-        u, v = frame.camera.project(se3.apply(board.camera_from_board, board.target.outline)).mean(axis=0)
-        left, top = max(int(u) - 330, 0), max(int(v) - 260, 0)
-        canvas = canvas[top : top + 520, left : left + 660]
-    cv2.imwrite(str(path), cv2.resize(canvas, None, fx=1.5, fy=1.5)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 80])
+    for canvas, place in ((left, seen), (right, along)):
+        dots(canvas, place(patch.xyz), (40, 140, 255), 1)
+        line(canvas, place(se3.apply(pair.lidar_from_board, board.target.outline)), (255, 160, 0), True)
+        dots(canvas, place(patch.ends), (230, 30, 30), 4)
+    dots(
+        left,
+        camera.project(se3.apply(board.camera_from_board, board.target.corners)) @ shrunk[:, :2].T + shrunk[:, 2],
+        (60, 255, 60),
+        4,
+    )
+    for axis, colour in enumerate(((255, 60, 60), (60, 255, 60), (110, 110, 255))):
+        tip = 0.3 * np.eye(3)[axis] * (-1 if axis == 2 else 1)
+        ends = camera.project(se3.apply(board.camera_from_board, np.stack([np.zeros(3), tip])))
+        line(left, ends @ shrunk[:, :2].T + shrunk[:, 2], colour, False)
+    both = np.concatenate([left, right], axis=1)
+    cv2.imwrite(str(path), both[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 80])
 
 
 def main() -> None:
