@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import p2o
-from p2o import Accuracy, Result, Status
+from p2o import Accuracy, Result, Status, se3
 from p2o.arrays import Float
-from p2o.calibration.accuracy import deviations, place_by_update
 
 from p2o_baselines.boards.adjustment import Cost, adjusted, covariance_of
 from p2o_baselines.boards.pairing import Hypotheses, Pair, Pairing, by_outline, paired
@@ -94,13 +93,22 @@ class BoardMethod:
 
 def likely(covariance: Float, camera_from_lidar: Float) -> Accuracy:
     """Return how wrong a pose (4, 4) is whose left update has a covariance (6, 6)."""
-    by_update = place_by_update(camera_from_lidar)
-    axes = np.sqrt(np.diag(by_update @ covariance @ by_update.T))
-    rotation_deg, translation_m = deviations(covariance, camera_from_lidar)
+    axes = by_axis(covariance, camera_from_lidar)
+    rotation_deg, translation_m = float(np.degrees(np.linalg.norm(axes[:3]))), float(np.linalg.norm(axes[3:]))
     pitch, yaw, roll = np.degrees(axes[:3]).tolist()
     return Accuracy(
         rotation_deg, translation_m, _RARE * rotation_deg, _RARE * translation_m, roll, pitch, yaw, *axes[3:].tolist()
     )
+
+
+def by_axis(covariance: Float, camera_from_lidar: Float) -> Float:
+    """Return deviations (6,) about the camera's axes in rad and of the LiDAR's place along them in m.
+
+    A turn w about the camera moves the LiDAR at t by w x t, which counts as translation.
+    """
+    by_update = np.eye(6)
+    by_update[3:, :3] = -se3.skew(camera_from_lidar[:3, 3])
+    return np.sqrt(np.diag(by_update @ covariance @ by_update.T))
 
 
 def _refused(result: Result, status: Status, reason: str) -> Result:
@@ -159,8 +167,7 @@ def _unsure(covariance: Float | None, pose: Float, options: BoardOptions) -> str
     """Return in words that a pose is too unsure, and in what; "" where it is not."""
     if covariance is None or not np.isfinite(covariance).all():
         return "the boards leave a direction of the pose open: more of them, or sides that rings cross, are needed"
-    by_update = place_by_update(pose)
-    axes = np.sqrt(np.diag(by_update @ covariance @ by_update.T))
+    axes = by_axis(covariance, pose)
     deg, metres = float(np.degrees(axes[:3].max())), float(axes[3:].max())
     if deg > options.worst_deg or metres > options.worst_m:
         return (
@@ -187,5 +194,5 @@ def _remarks(sights: Sequence[Sight], pairing: Pairing) -> tuple[str, ...]:
 
 def _off_m(pairs: Sequence[Pair], pose: Float) -> float:
     """Return the root mean square distance in m of the points of sweeps from the planes of pictures."""
-    off = [(p2o.se3.apply(pose, pair.patch.xyz) @ pair.board.normal - pair.board.offset_m) for pair in pairs]
+    off = [(se3.apply(pose, pair.patch.xyz) @ pair.board.normal - pair.board.offset_m) for pair in pairs]
     return float(np.sqrt(np.mean(np.concatenate(off) ** 2)))
