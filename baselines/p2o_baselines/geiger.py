@@ -123,7 +123,7 @@ def build(options: GeigerOptions) -> p2o.Calibrator:
     return BoardMethod(options, Way(3, True, closed, cost, hypotheses=hypotheses))
 
 
-_BOARDS = "targets=checkerboard&place=yard&frames_per_scene=4&boards=3&board=a1&width_px=900&height_px=500"
+_BOARDS = "targets=checkerboard&place=yard&frames_per_scene=10&width_px=621&height_px=350&right=false&lidar=hdl-64e"
 METHOD = p2o.Method(
     name="geiger",
     build=build,
@@ -132,7 +132,5 @@ METHOD = p2o.Method(
     needs=frozenset({"targets"}),
     cite="Geiger, Moosmann, Car and Schuster, Automatic camera and range sensor calibration using a single shot, "
     "ICRA 2012",
-    example=p2o.Example(
-        f"synthetic:?{_BOARDS}&right=false&lidar=hdl-64e&holder=stand", "10deg 0.3m", "0.5deg 0.06m", joint=True
-    ),
+    example=p2o.Example(f"synthetic:?{_BOARDS}", "10deg 0.3m", "0.5deg 0.06m", joint=True),
 )
