@@ -132,5 +132,5 @@ METHOD = p2o.Method(
     needs=frozenset({"targets"}),
     cite="Geiger, Moosmann, Car and Schuster, Automatic camera and range sensor calibration using a single shot, "
     "ICRA 2012",
-    example=p2o.Example(f"synthetic:?{_BOARDS}", "10deg 0.3m", "0.5deg 0.06m", joint=True),
+    example=p2o.Example(f"synthetic:?{_BOARDS}", "10deg 0.3m", "0.9deg 0.06m", joint=True),
 )

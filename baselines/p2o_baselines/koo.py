@@ -103,5 +103,5 @@ METHOD = p2o.Method(
     needs=frozenset({"targets"}),
     cite="Koo, Kang, Jang and Doh, Analytic plane covariances construction for precise planarity-based extrinsic "
     "calibration of camera and LiDAR, ICRA 2020",
-    example=p2o.Example(f"synthetic:?{_BOARDS}", "10deg 0.3m", "0.3deg 0.05m", joint=True),
+    example=p2o.Example(f"synthetic:?{_BOARDS}", "10deg 0.3m", "0.5deg 0.05m", joint=True),
 )

@@ -137,5 +137,5 @@ METHOD = p2o.Method(
     needs=frozenset({"targets"}),
     cite="Mirzaei, Kottas and Roumeliotis, 3D LIDAR-camera intrinsic and extrinsic calibration: identifiability and "
     "analytical least-squares-based initialization, IJRR 2012",
-    example=p2o.Example(f"synthetic:?{_BOARDS}", "10deg 0.3m", "0.3deg 0.05m", joint=True),
+    example=p2o.Example(f"synthetic:?{_BOARDS}", "10deg 0.3m", "0.9deg 0.06m", joint=True),
 )

@@ -137,7 +137,7 @@ def build(options: BoardOptions) -> p2o.Calibrator:
     return BoardMethod(options, WAY)
 
 
-_BOARDS = "targets=checkerboard&place=yard&frames_per_scene=6&width_px=621&height_px=350&right=false&lidar=hdl-64e"
+_BOARDS = "targets=checkerboard&place=yard&frames_per_scene=10&width_px=621&height_px=350&right=false&lidar=hdl-64e"
 METHOD = p2o.Method(
     name="zhou",
     build=build,
@@ -146,5 +146,5 @@ METHOD = p2o.Method(
     needs=frozenset({"targets"}),
     cite="Zhou, Li and Kaess, Automatic extrinsic calibration of a camera and a 3D LiDAR using line and plane "
     "correspondences, IROS 2018",
-    example=p2o.Example(f"synthetic:?{_BOARDS}", "10deg 0.3m", "0.3deg 0.03m", joint=True),
+    example=p2o.Example(f"synthetic:?{_BOARDS}", "10deg 0.3m", "0.8deg 0.06m", joint=True),
 )
