@@ -108,7 +108,7 @@ def by_axis(covariance: Float, camera_from_lidar: Float) -> Float:
     """
     by_update = np.eye(6)
     by_update[3:, :3] = -se3.skew(camera_from_lidar[:3, 3])
-    return np.sqrt(np.diag(by_update @ covariance @ by_update.T))
+    return np.asarray(np.sqrt(np.diag(by_update @ covariance @ by_update.T)))
 
 
 def _refused(result: Result, status: Status, reason: str) -> Result:
