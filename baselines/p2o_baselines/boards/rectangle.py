@@ -10,6 +10,7 @@ from p2o.arrays import Bool, Float
 _TURNS, _MOVES = 24, 5
 _CAP_M = 0.15  # a ray that is on the wrong side by more counts as that: a hand, a stand
 _SAMPLES = 600
+_DEPTHS_AT_ONCE = 20_000  # so many stay in the cache of one core
 _SHARPNESS_M = 0.004
 """Rectangles whose rays are on the wrong side by so much more, on average of the border's rays, are e times less
 likely: it is what the noise of angles and the size of a spot leave open."""
@@ -40,6 +41,11 @@ def inside_m(xy: Float, place: Float, size_m: tuple[float, float]) -> Float:
 
 def wrong_m(xy: Float, on: Bool, place: Float, size_m: tuple[float, float]) -> Float:
     """Return by how much rays lie on the wrong side of rectangles (..., 3), summed over rays: (...)."""
+    place = np.asarray(place, np.float64)
+    at_once = max(1, _DEPTHS_AT_ONCE // max(1, len(xy)))
+    if place.ndim > 1 and len(place) > at_once:
+        parts = [wrong_m(xy, on, place[first : first + at_once], size_m) for first in range(0, len(place), at_once)]
+        return np.concatenate(parts)
     deep = inside_m(xy, place, size_m)
     return np.asarray(np.clip(np.where(on, -deep, deep), 0.0, _CAP_M).sum(axis=-1))
 

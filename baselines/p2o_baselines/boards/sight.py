@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import p2o
 from p2o import Checkerboard
@@ -44,7 +46,18 @@ def sight_of(frame: p2o.Frame, options: BoardOptions) -> Sight:
     )
     boards = boards_in_picture(frame.image, targets)
     sizes = [(board.target.width_m, board.target.height_m) for board in boards]
-    patches = (
-        boards_in_sweep(frame.cloud, sizes, farthest_m=options.farthest_m, sigma_m=options.scatter_m) if sizes else ()
-    )
+    patches = _patches(frame.cloud, tuple(sizes), options) if sizes else ()
     return Sight(frame.name, asked or "none", boards, patches)
+
+
+_known: WeakKeyDictionary[p2o.Cloud, dict[Hashable, tuple[BoardInSweep, ...]]] = WeakKeyDictionary()
+"""What was found in sweeps that are still in use: the search takes seconds, and all methods of boards ask the same."""
+
+
+def _patches(
+    cloud: p2o.Cloud, sizes_m: tuple[tuple[float, float], ...], options: BoardOptions
+) -> tuple[BoardInSweep, ...]:
+    found, asked = _known.setdefault(cloud, {}), (sizes_m, options.farthest_m, options.scatter_m)
+    if asked not in found:
+        found[asked] = boards_in_sweep(cloud, sizes_m, farthest_m=options.farthest_m, sigma_m=options.scatter_m)
+    return found[asked]
