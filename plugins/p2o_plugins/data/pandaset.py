@@ -241,7 +241,7 @@ def _read(options: PandasetOptions, entry: tuple[_Rig, str, Path, Path]) -> Fram
     cloud, cloud_warnings, span_ns = _sweep(options, sweep_path, moment_ns)
     cloud = moved_cloud(cloud, se3.inverse(lidar.at(moment_ns)))
     twist = _twist(lidar, span_ns)
-    # Times without the velocity would say that the sweep is as measured.
+    # Times without the velocity would say that the sweep is raw.
     cloud = replace(cloud, time_s=None) if twist is None or cloud.time_s is None else replace(cloud, twist=twist)
     return Frame(
         f"{sequence.name}/{rig.name}/{number}",

@@ -96,13 +96,13 @@ def test_pose_and_velocity_of_the_lidar_come_from_the_poses_of_the_car(tmp_path:
     assert np.abs(frame.cloud.as_measured() - measured()[0]).max() < 1e-4
 
 
-def test_without_poses_the_sweep_stays_as_measured_and_says_so(tmp_path: Path) -> None:
+def test_without_poses_the_sweep_stays_raw_and_says_so(tmp_path: Path) -> None:
     drive = Drive(tmp_path)
     del drive.texts[f"data_poses/{DRIVE}/poses.txt"]
     frame = dataset(drive.write())[0]
     assert frame.twist is None
     assert frame.lidar_world_from_lidar is None
-    assert "the sweep is as measured" in frame.warnings[0]
+    assert "the sweep is raw" in frame.warnings[0]
     assert frame.cloud.time_s is not None
     assert np.array_equal(frame.cloud.xyz, measured()[0])
     Drive(tmp_path).write()
