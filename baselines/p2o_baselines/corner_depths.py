@@ -15,6 +15,8 @@ import numpy as np
 import p2o
 from p2o.arrays import Float, Int
 
+from p2o_baselines.lidar_tracks import across
+
 _NEIGHBOURS = 6
 _REACH_PX = 12.0
 """Points of the sweep farther from a corner say nothing of its distance."""
@@ -178,7 +180,7 @@ def _off_px(group: Followed, rows: Int, neighbours: Int, pose: Float, *, centre:
     Neighbours weigh by how near they are at the pose `centre`.
     """
     rays = group.rays[rows] / np.linalg.norm(group.rays[rows], axis=1)[:, None]
-    basis = _across(rays)
+    basis = across(rays)
     focal_px = group.camera.focal_px
 
     def ways(camera_from_lidar: Float) -> tuple[Float, Float]:
@@ -204,13 +206,5 @@ def _off_px(group: Followed, rows: Int, neighbours: Int, pose: Float, *, centre:
         seen = there[rows][known]
         seen = seen / np.linalg.norm(seen, axis=1)[:, None]
         way = moved[known] / np.linalg.norm(moved[known], axis=1)[:, None]
-        out[number, known] = np.einsum("nij,nj->ni", _across(seen), way) * focal_px
+        out[number, known] = np.einsum("nij,nj->ni", across(seen), way) * focal_px
     return out
-
-
-def _across(rays: Float) -> Float:
-    """Return two directions (N, 2, 3) across each of rays (N, 3) of length 1."""
-    helper = np.where(np.abs(rays[:, :1]) < 0.7, np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, 1.0, 0.0]]))
-    one = np.cross(rays, helper)
-    one /= np.linalg.norm(one, axis=1)[:, None]
-    return np.stack([one, np.cross(rays, one)], axis=1)

@@ -100,11 +100,7 @@ def metric_step(xyz: Float, rays: Float, focal_px: float, guess: Float) -> Metri
     xyz, rays = xyz[known], rays[known] / np.linalg.norm(rays[known], axis=1)[:, None]
     if len(xyz) < _FEWEST:
         return None
-    # Two directions across each ray.
-    helper = np.where(np.abs(rays[:, :1]) < 0.7, np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, 1.0, 0.0]]))
-    one = np.cross(rays, helper)
-    one /= np.linalg.norm(one, axis=1)[:, None]
-    basis = np.stack([one, np.cross(rays, one)], axis=1)
+    basis = across(rays)
     pose = np.array(guess, np.float64)
 
     def equations(pose: Float, width_px: float) -> tuple[Float, Float, Float]:
@@ -139,3 +135,11 @@ def metric_step(xyz: Float, rays: Float, focal_px: float, guess: Float) -> Metri
     off_px = float(np.sqrt(square[agree].mean()))
     covariance = np.linalg.inv(normal + 1e-9 * np.trace(normal) * np.eye(6)) * max(off_px, 0.05) ** 2 / 2
     return MetricStep(pose, covariance, int(agree.sum()), off_px)
+
+
+def across(rays: Float) -> Float:
+    """Return two directions (N, 2, 3) across each of rays (N, 3) of length 1."""
+    helper = np.where(np.abs(rays[:, :1]) < 0.7, np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, 1.0, 0.0]]))
+    one = np.cross(rays, helper)
+    one /= np.linalg.norm(one, axis=1)[:, None]
+    return np.stack([one, np.cross(rays, one)], axis=1)

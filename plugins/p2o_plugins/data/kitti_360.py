@@ -31,7 +31,7 @@ from p2o_plugins.data.kitti_stamps import read_stamps
 from p2o_plugins.data.lazy_frames import LazyFrames
 from p2o_plugins.data.mei_camera import MeiLens, mei_camera
 from p2o_plugins.data.name_choice import Words, chosen
-from p2o_plugins.data.velodyne_file import NOT_UNTWISTED, SWEEP_S, read_sweep
+from p2o_plugins.data.velodyne_file import SWEEP_S, compensated, read_sweep
 
 RECTIFIED = {"image_00": "data_rect", "image_01": "data_rect"}
 FISHEYES = {"image_02": "data_rgb", "image_03": "data_rgb"}
@@ -216,17 +216,14 @@ def _read(options: Kitti360Options, entry: tuple[_Drive, str, Path, Path]) -> Fr
     moment_ns = drive.time_ns(frame) + round(options.image_delay_s * _SECOND)
     pose, twist, lacking = _motion(drive, moment_ns)
     warnings += cloud_warnings
-    if options.deskew and twist is not None:
-        cloud = cloud.untwisted(twist)
-    else:
-        warnings += (NOT_UNTWISTED + (f": {lacking}" if options.deskew else ""),)
+    cloud, remarks = compensated(cloud, twist, asked=options.deskew, lacking=lacking)
     return Frame(
         f"{drive.name}/{camera_name}/{image_path.stem}",
         image,
         cloud,
         camera_from_lidar=extrinsic,
         twist=twist,
-        warnings=warnings,
+        warnings=(*warnings, *remarks),
         sequence=drive.name,
         time_s=(moment_ns - drive.time_ns(0)) / _SECOND,
         # No pose of the camera: it would be this one and the truth.

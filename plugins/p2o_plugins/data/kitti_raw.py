@@ -23,7 +23,7 @@ from p2o_plugins.data.kitti_image import read_rectified, without_radial_error
 from p2o_plugins.data.kitti_oxts import has_fix, lidar_pose, read_packet, twist_of
 from p2o_plugins.data.kitti_stamps import read_stamp, read_stamps, seconds_of
 from p2o_plugins.data.lazy_frames import LazyFrames
-from p2o_plugins.data.velodyne_file import IMAGE_DELAY_S, NOT_UNTWISTED, SWEEP_S, read_sweep
+from p2o_plugins.data.velodyne_file import IMAGE_DELAY_S, SWEEP_S, compensated, read_sweep
 
 _DRIVE = re.compile(r"(\d{4}_\d\d_\d\d)_drive_(\d{4})_(sync|extract)", re.ASCII)
 # Half a turn apart a sweep belongs to another image; KITTI's cameras are stamped 10 ms after straight ahead.
@@ -136,17 +136,14 @@ def _read(options: KittiRawOptions, entry: tuple[_Drive, Path, Path]) -> Frame:
     image = without_radial_error(image, RadialError(*options.radial_error))
     if cloud.time_s is not None:
         cloud = replace(cloud, time_s=cloud.time_s - delay_s)
-    if options.deskew and twist is not None:
-        cloud = cloud.untwisted(twist)
-    else:
-        warnings += (NOT_UNTWISTED + (f": no {oxts.missing}" if options.deskew else ""),)
+    cloud, remarks = compensated(cloud, twist, asked=options.deskew, lacking=f"no {oxts.missing}")
     return Frame(
         f"{drive.name}/{image_path.stem}",
         image,
         cloud,
         camera_from_lidar=extrinsic,
         twist=twist,
-        warnings=warnings,
+        warnings=(*warnings, *remarks),
         sequence=drive.name,
         time_s=_time_s(image_path),
         # No pose of the camera: it would be this one and the truth.

@@ -69,3 +69,13 @@ def raise_elevation(xyz: Float, angle_deg: float) -> Float:
     cos, sin = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
     scale = cos - sin * xyz[:, 2] / np.where(flat > 0, flat, np.inf)
     return np.column_stack([xyz[:, :2] * scale[:, None], xyz[:, 2] * cos + flat * sin])
+
+
+def compensated(cloud: Cloud, twist: Float | None, *, asked: bool, lacking: str) -> tuple[Cloud, tuple[str, ...]]:
+    """Return a sweep motion-compensated for its velocity (6,), or as it is with a remark why not.
+
+    `asked` says whether it shall be, `lacking` what there is no velocity for want of.
+    """
+    if asked and twist is not None:
+        return cloud.untwisted(twist), ()
+    return cloud, (NOT_UNTWISTED + (f": {lacking}" if asked else ""),)
