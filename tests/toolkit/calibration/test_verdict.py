@@ -93,6 +93,14 @@ def test_without_witnesses_a_claim_is_doubtful_and_its_own_reasons_stay() -> Non
     assert [reason.doubt for reason in found.verdict.reasons] == [Doubt.RIVAL_POSE, Doubt.NOT_CHECKED]
 
 
+def test_a_method_that_says_itself_how_far_off_it_may_be_is_doubtful_whatever_the_witness_sees() -> None:
+    views = [edge_scene.view(seed=i) for i in range(2)]
+    unsure = replace(claimed(TRUTH), accuracy=Accuracy(2.6, 0.3, 5.0, 0.6))
+    assert [reason.doubt for reason in witnessed(unsure, views, OPTIONS).verdict.reasons] == [Doubt.TOO_UNSURE]
+    told = replace(unsure, verdict=Verdict((Reason(Doubt.TOO_UNSURE, "own words"),)))
+    assert [reason.text for reason in witnessed(told, views, OPTIONS).verdict.reasons] == ["own words"]
+
+
 def test_what_is_refused_or_has_its_own_agreement_is_left_alone() -> None:
     views = [edge_scene.view()]
     refused = claimed(TRUTH, Status.NOT_OBSERVABLE)

@@ -113,13 +113,16 @@ def _unsure(accuracy: Accuracy | None, options: PipelineOptions) -> list[Reason]
 def witnessed(result: Result, views: Sequence[View], options: PipelineOptions) -> Result:
     """Return a result that its method could not check, with the agreement of the edges of `views` at its pose.
 
-    The views are those of extractors that had no part in the calibration: what a network or a hand-eye method claims is
-    held against edges. Results that are not solved, or have an agreement, are returned as they are.
+    It is doubtful, too, where its method's own likely error says that it may be far off. The views are those of
+    extractors that had no part in the calibration: what a network or a hand-eye method claims is held against edges.
+    Results that are not solved, or have an agreement, are returned as they are.
     """
     if not result.status.solved or result.agreement is not None:
         return result
     seen = [view.as_seen_from(result.camera_from_lidar).without_hidden(result.camera_from_lidar) for view in views]
     agreed = agreement_of(seen, result.camera_from_lidar)
     kept = tuple(reason for reason in result.verdict.reasons if reason.doubt is not Doubt.NOT_CHECKED)
-    verdict = Verdict((*kept, *_meeting(agreed, options)))
+    said = {reason.doubt for reason in kept}
+    unsure = [reason for reason in _unsure(result.accuracy, options) if reason.doubt not in said]
+    verdict = Verdict((*kept, *_meeting(agreed, options), *unsure))
     return replace(result, agreement=agreed, verdict=verdict)
