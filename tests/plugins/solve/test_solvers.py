@@ -263,3 +263,12 @@ def test_every_option_is_described_and_bounded_options_refuse_nonsense(method: M
         assert field.description, name
         with pytest.raises(ValueError):
             method.options(**{name: -1})
+
+
+def test_the_squares_that_ceres_sums_are_the_huber_cost_and_slope_with_it() -> None:
+    residuals = np.array([-30.0, -2.5, -2.0, -0.3, 0.0, 1.9, 2.1, 400.0])
+    roots, slope = ceres.robust_roots(residuals, 2.0)
+    size = np.abs(residuals)
+    np.testing.assert_allclose(roots**2 / 2, np.where(size > 2, 2 * (size - 1), size**2 / 2), rtol=1e-12)
+    by_hand = (ceres.robust_roots(residuals + 1e-6, 2.0)[0] - ceres.robust_roots(residuals - 1e-6, 2.0)[0]) / 2e-6
+    np.testing.assert_allclose(slope, by_hand, atol=1e-6)
