@@ -2,9 +2,9 @@
 
 The problem is synthetic: 24 frames of 600 pairs, 1 px of noise, one line in five wrong, start 1 deg and 5 cm off. All
 solvers minimise the same cost from the same start with their default options, and again with the default tolerances
-of SciPy and Ceres (1e-8 and 1e-6). GTSAM (`pip install gtsam`, left out where it is not there) minimises it in two ways:
+of SciPy and Ceres (1e-8 and 1e-6). GTSAM (`pip install gtsam`, else left out) minimises it in two ways:
 all pairs as one custom factor, and a compiled projection factor for each pair, whose noise is 1 across the line and 1e4
-along it, with the point held by a hard constraint. Then 64 single frames: `lm` on one after the other, and a batched one
+along it, with the point held by a hard constraint. Then 64 single frames: `lm` on one after another, and a batched one
 that takes every step for all of them at once. Printed are medians of runs that take turns, as ratios to lm of the same
 turn, and how far each answer lies from that of lm.
 """
