@@ -62,10 +62,26 @@ def p2o_matchers() -> Iterator[Method]:
 @hookimpl
 def p2o_calibrators() -> Iterator[Method]:
     """Offer the whole methods."""
-    from p2o_baselines import atop, cues, geiger, hand_eye, koo, line_time, mirzaei, picked, zhou
+    from p2o_baselines import (
+        atop,
+        calibnet,
+        calibrcnn,
+        cues,
+        geiger,
+        hand_eye,
+        koo,
+        lccnet,
+        line_time,
+        mirzaei,
+        picked,
+        regnet,
+        rggnet,
+        zhou,
+    )
 
     yield from (atop.METHOD, cues.METHOD, geiger.METHOD, hand_eye.METHOD, koo.METHOD, line_time.METHOD)
     yield from (mirzaei.METHOD, picked.METHOD, zhou.METHOD)
+    yield from (calibnet.METHOD, calibrcnn.METHOD, lccnet.METHOD, regnet.METHOD, rggnet.METHOD)
 
 
 @hookimpl

@@ -1,0 +1,77 @@
+"""Two branches of Network in Network and a dual quaternion, in five stages: `regnet`, after Schneider et al. 2017."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from p2o_baselines.regressors.decalibration import LCCNET
+from p2o_baselines.regressors.design import Design
+from p2o_baselines.regressors.method import regressor
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from p2o_baselines.regressors.batch import Batch
+    from p2o_baselines.regressors.parts import PairNetwork
+
+
+def network(size: str) -> PairNetwork:
+    """Return the network: Network in Network for each sensor, two more blocks over both, fully connected layers."""
+    from torch import nn
+
+    from p2o_baselines.regressors import parts
+
+    nin = parts.network_in_network
+    if size == "paper":
+
+        def branch(inputs: int, widths: tuple[int, int, int]) -> nn.Sequential:
+            a, b, c = widths
+            pools = [nn.MaxPool2d(3, 2, 1) for _ in widths]
+            return nn.Sequential(nin(inputs, a, 11, 4), pools[0], nin(a, b, 5, 1), pools[1], nin(b, c, 3, 1), pools[2])
+
+        return parts.PairNetwork(
+            picture=branch(3, (96, 256, 384)),
+            sweep=branch(1, (48, 128, 192)),
+            join=parts.Beside(),
+            trunk=nn.Sequential(nin(576, 512, 5, 1), nin(512, 512, 3, 1), nn.MaxPool2d(3, 2, 1)),
+            features=512 * 6 * 19,
+            hidden=(512, 256),
+            outputs=(4, 4),
+            tell_reach=False,
+        )
+
+    def small(inputs: int) -> nn.Sequential:
+        return nn.Sequential(nin(inputs, 16, 5, 2), nin(16, 32, 3, 2), nin(32, 48, 3, 2))
+
+    return parts.PairNetwork(
+        picture=small(3),
+        sweep=small(1),
+        join=parts.Beside(),
+        trunk=nn.Sequential(nin(96, 64, 5, 1), nin(64, 64, 3, 2), parts.convolution(64, 24, 1)),
+        features=24 * 3 * 10,
+        hidden=(128, 64),
+        outputs=(4, 4),
+    )
+
+
+def loss(raw: Tensor, said: Tensor, batch: Batch) -> Tensor:
+    """Return the squared distance of dual quaternions."""
+    from p2o_baselines.regressors import losses
+
+    return losses.dual_quaternion(raw, batch, said)
+
+
+DESIGN = Design(
+    name="regnet",
+    network=network,
+    loss=loss,
+    form="dual-quaternion",
+    stages=LCCNET,
+    pictures={"small": (48, 160), "paper": (352, 1216)},
+)
+METHOD = regressor(
+    DESIGN,
+    summary="Two branches of a network say how wrong the start is as a dual quaternion, in five stages.",
+    cite="Schneider, Piewak, Stiller and Franke, RegNet: multimodal sensor registration using deep neural networks, "
+    "IV 2017",
+)

@@ -1,0 +1,1 @@
+"""What networks that regress an extrinsic share: wrong starts, sweeps as pictures, labels, training, staged use."""

@@ -1,0 +1,58 @@
+"""A regressor as a method: built, trained and labelled in one way; nothing heavy is imported before it is used."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence, Set
+from pathlib import Path
+
+import p2o
+from p2o.arrays import UInt8
+
+from p2o_baselines.regressors.design import Design
+from p2o_baselines.regressors.options import PRESETS, RegressorOptions, TrainingOptions
+
+
+def label(frame: p2o.Frame) -> bytes:
+    """Return the content of a label file of a frame; raises InputError where the frame teaches nothing."""
+    from p2o_baselines.regressors.lesson import lesson_of
+
+    return lesson_of(frame).packed()
+
+
+def draw(path: Path) -> UInt8:
+    """Return the picture (H, W, 3) of a label file."""
+    from p2o_baselines.regressors.lesson import Lesson, picture
+
+    return picture(Lesson.load(path))
+
+
+def regressor(design: Design, *, summary: str, cite: str, needs: Set[str] = frozenset()) -> p2o.Method:
+    """Return the calibrator of a design."""
+
+    def build(options: RegressorOptions) -> p2o.Calibrator:
+        from p2o_baselines.regressors import staged
+
+        return staged.build(design, options)
+
+    def train(
+        options: TrainingOptions,
+        groups: Sequence[p2o.TrainingGroup],
+        validation: Sequence[Path],
+        out: Path,
+        report: Callable[[p2o.TrainingProgress], None],
+    ) -> Path:
+        from p2o_baselines.regressors import training
+
+        return training.train(design, options, groups, validation, out, report)
+
+    return p2o.Method(
+        name=design.name,
+        build=build,
+        options=RegressorOptions,
+        summary=summary,
+        needs=needs,
+        cite=cite,
+        trainer=p2o.Trainer(
+            options=TrainingOptions, presets=PRESETS, label=label, draw=draw, train=train, label_version=1
+        ),
+    )
