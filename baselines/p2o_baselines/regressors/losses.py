@@ -102,3 +102,31 @@ def same_rig(said: Tensor, batch: Batch) -> Tensor:
     extrinsic = (said @ batch.start)[known]
     camera, lidar = batch.hand_eye[known].unbind(1)
     return loss + geodesic(camera @ extrinsic, extrinsic @ lidar, batch.reach[known])
+
+
+def matching(picture: Tensor, sweep: Tensor, size: tuple[int, int], batch: Batch) -> Tensor:
+    """Return how hard it is to tell by features where a point of the sweep belongs in the picture (cross entropy).
+
+    Features of the sweep (B, F, h, w) where points are drawn at the start, those of the picture where they belong;
+    among the places of all points of a frame, the own one is to be the most alike. Places nearer than a cell are
+    neither right nor wrong. `size` is that of the maps that the network sees.
+    """
+    true = poses.apply(batch.correction, batch.xyz)
+    here, there = (_cells(xyz, batch.intrinsics, size) for xyz in (batch.xyz, true))
+    inside = ((here.abs() < 1).all(-1) & (there.abs() < 1).all(-1) & (batch.xyz[..., 2] > 0.5)).to(sweep.dtype)
+    a = F.normalize(F.grid_sample(sweep, here[:, :, None], align_corners=False)[..., 0], dim=1)
+    b = F.normalize(F.grid_sample(picture, there[:, :, None], align_corners=False)[..., 0], dim=1)
+    alike = 10.0 * a.transpose(1, 2) @ b
+    apart = ((there[:, :, None] - there[:, None]) * there.new_tensor(picture.shape[:1:-1]) / 2).norm(dim=-1)
+    own = torch.eye(apart.shape[1], dtype=torch.bool, device=apart.device)
+    out = ((apart < 1.0) & ~own) | (inside[:, None] == 0)
+    alike = alike.masked_fill(out & ~own, -30.0)
+    target = torch.arange(apart.shape[1], device=apart.device).expand(len(apart), -1)
+    wrong = F.cross_entropy(alike.transpose(1, 2), target, reduction="none")
+    return (inside * wrong).sum() / inside.sum().clamp_min(1.0)
+
+
+def _cells(xyz: Tensor, intrinsics: Tensor, size: tuple[int, int]) -> Tensor:
+    """Return where points (B, P, 3) fall, -1..1 from border to border of maps of `size` (h, w)."""
+    uv = xyz[..., :2] / xyz[..., 2:].clamp_min(0.5) * intrinsics[:, None, :2] + intrinsics[:, None, 2:]
+    return (uv + 0.5) * 2 / uv.new_tensor([size[1], size[0]]) - 1

@@ -36,6 +36,12 @@ class TrainingOptions(p2o.Options):
     weight_decay: float = field(0.01, ge=0, le=1, help="Decoupled weight decay.")
     average: float = field(0.998, ge=0, lt=1, help="Decay of the running average of weights that is kept; 0: off.")
     points: int = field(256, ge=16, le=65536, help="Points of a sample by which losses compare clouds.")
+    match: float = field(
+        0.0,
+        ge=0,
+        le=100,
+        help="Weight of a loss that makes features of a point alike in sweep and picture; no paper has it.",
+    )
     from_weights: str = field("", help="Begin from these weights of the same method and size: a file.")
     branches: str = field("", help="Begin with what fits of branches and trunk in another method's weights: a file.")
     validate_every: int = field(250, ge=1, help="Steps from one validation (and checkpoint) to the next.")

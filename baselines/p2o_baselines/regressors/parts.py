@@ -190,16 +190,23 @@ class PairNetwork(nn.Module):
             nn.init.normal_(head[-1].weight, std=1e-3)
             nn.init.zeros_(head[-1].bias)
 
-    def forward(self, picture: Tensor, sweep: Tensor, reach: Tensor, window: int = 1) -> Tensor:
-        """Return raw numbers (B, n) of pictures (B, 3, h, w) in 0..1 and sweeps (B, C, h, w); reach (B, 2) rad, m."""
-        joined = self.join(self.picture((picture - _MEAN) / _DEVIATION), self.sweep(sweep))
-        x = self.trunk(joined).flatten(1)
+    def features(self, picture: Tensor, sweep: Tensor) -> tuple[Tensor, Tensor]:
+        """Return what the branches make of pictures (B, 3, h, w) in 0..1 and sweeps (B, C, h, w)."""
+        return self.picture((picture - _MEAN) / _DEVIATION), self.sweep(sweep)
+
+    def said(self, picture: Tensor, sweep: Tensor, reach: Tensor, window: int = 1) -> Tensor:
+        """Return raw numbers (B, n) of features; reach (B, 2) in rad and m, windows of neighbours."""
+        x = self.trunk(self.join(picture, sweep)).flatten(1)
         if self.tell_reach:
             x = torch.cat([x, reach.log()], dim=1)
         x = self.hidden(x)
         if self.memory is not None:
             x = self.memory(x.reshape(-1, window, x.shape[1]))[0].flatten(0, 1)
         return torch.cat([head(x) for head in self.heads], dim=1)
+
+    def forward(self, picture: Tensor, sweep: Tensor, reach: Tensor, window: int = 1) -> Tensor:
+        """Return raw numbers (B, n) of pictures (B, 3, h, w) in 0..1 and sweeps (B, C, h, w)."""
+        return self.said(*self.features(picture, sweep), reach, window)
 
 
 def parameters(network: nn.Module) -> int:

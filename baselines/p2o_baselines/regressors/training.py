@@ -18,6 +18,7 @@ from p2o.files.input_file import expanded
 from p2o.files.whole_file import write_whole
 from torch import Tensor, nn
 
+from p2o_baselines.regressors import losses
 from p2o_baselines.regressors.batch import Batch, correction
 from p2o_baselines.regressors.decalibration import Reach
 from p2o_baselines.regressors.design import Design
@@ -110,7 +111,7 @@ def train(
     checks = [shrunk(Lesson.load(path), design.pictures[options.size], 1.0) for path in validation]
     kept = average if options.average else network.state_dict()
     log = _Log(out, start)
-    losses: list[float] = []
+    spent: list[float] = []
     began = saved = time.monotonic()
     with ThreadPoolExecutor(1) as ahead:
         coming = ahead.submit(school.batch, start)
@@ -120,7 +121,7 @@ def train(
                 coming = ahead.submit(school.batch, step + 1)
             for group in optimizer.param_groups:
                 group["lr"] = rate(options, step)
-            losses.append(_step(network, optimizer, Batch.of(samples, design.window, device), design))
+            spent.append(_step(network, optimizer, Batch.of(samples, design.window, device), design, options.match))
             if options.average:
                 _move_average(average, network, min(options.average, (step + 1) / (step + 10)))
             done = step + 1
@@ -129,10 +130,10 @@ def train(
                 judged = _with_state(design, options, kept, device)
                 found = validate(judged, checks, school, device) if checks else None
                 progress = TrainingProgress(
-                    done, options.iterations, float(np.mean(losses)), found, time.monotonic() - began
+                    done, options.iterations, float(np.mean(spent)), found, time.monotonic() - began
                 )
                 log.add(progress, rate(options, step))
-                losses = []
+                spent = []
                 trained = Trained(
                     design.name, options.size, tuple(school.reaches), {"steps": str(done), "seed": str(options.seed)}
                 )
@@ -155,25 +156,32 @@ def rate(options: TrainingOptions, step: int) -> float:
 
 def validate(network: PairNetwork, lessons: Sequence[Lesson], school: School, device: torch.device) -> float:
     """Return the mean loss over held-out lessons, each from a few wrong starts that are always the same."""
-    losses = []
+    found = []
     with torch.inference_mode():
         for number, lesson in enumerate(lessons):
             rng = np.random.default_rng([7, number])
             samples = [
                 each for _ in range(_CHECKED) for each in school.seen([lesson] * school.design.window, rng, _STILL)
             ]
-            losses.append(float(_loss(network, Batch.of(samples, school.design.window, device), school.design)))
-    return float(np.mean(losses))
+            found.append(float(_loss(network, Batch.of(samples, school.design.window, device), school.design)))
+    return float(np.mean(found))
 
 
-def _loss(network: PairNetwork, batch: Batch, design: Design) -> Tensor:
-    raw = network(batch.picture, batch.sweep, batch.reach, batch.window)
-    return design.loss(raw, correction(raw, batch.reach, design.form), batch)
+def _loss(network: PairNetwork, batch: Batch, design: Design, match: float = 0.0) -> Tensor:
+    picture, sweep = network.features(batch.picture, batch.sweep)
+    raw = network.said(picture, sweep, batch.reach, batch.window)
+    loss = design.loss(raw, correction(raw, batch.reach, design.form), batch)
+    if match:
+        height, width = batch.picture.shape[2:]
+        loss = loss + match * losses.matching(picture, sweep, (height, width), batch)
+    return loss
 
 
-def _step(network: PairNetwork, optimizer: torch.optim.Optimizer, batch: Batch, design: Design) -> float:
+def _step(
+    network: PairNetwork, optimizer: torch.optim.Optimizer, batch: Batch, design: Design, match: float = 0.0
+) -> float:
     network.train()
-    loss = _loss(network, batch, design)
+    loss = _loss(network, batch, design, match)
     optimizer.zero_grad(set_to_none=True)
     loss.backward()  # type: ignore[no-untyped-call]
     nn.utils.clip_grad_norm_(network.parameters(), 5.0)
