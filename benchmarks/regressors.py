@@ -1,0 +1,276 @@
+"""Measure learned regressors on frames of their rig and of others, and draw their stages at work.
+
+    python benchmarks/regressors.py                                        # every figure of the page, into p2o-out
+    python benchmarks/regressors.py --methods lccnet,p2o --conditions raw,turned
+    python benchmarks/regressors.py --gallery docs/gallery                 # the picture, of a synthetic frame
+
+Figures of docs/comparison-learned.md: one line of JSON a result in OUT/results.jsonl, which is gone on with where it is
+there, and tables from all of them.
+
+Conditions: `raw` 24 test frames of KITTI raw; `odometry` 13 frames of odometry 00 that no training saw; then the same
+test frames of raw with another LiDAR frame (`reexpressed`), the camera turned on its place (`turned`: picture and
+truth; `zoomed`: the smaller window of that without the turn), cut to their middle (`cut`), with a grey picture (`grey`)
+and with the picture of another frame (`swapped`); `waymo`, `nuscenes`, and rigs simulated at random (`simulated`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import p2o
+from p2o import se3
+from p2o.arrays import Float
+
+METHODS = ("regnet", "calibnet", "rggnet", "calibrcnn", "lccnet")
+PROTOCOLS = ("calibdepth", "projfusion-15-15", "lccnet-20")
+FIRST = {"calibdepth": 2, "projfusion-15-15": 2, "lccnet-20": 1}
+"""Stage to begin with, of five stages: the nearest that is as wide as the protocol's starts about each axis."""
+TURN_DEG, CUT = 5.0, 0.7
+ODOMETRY_SEEN = 12
+"""Frames of odometry 00, from the first, that the shipped weights have seen."""
+SIMULATED = "synthetic:?rig=random&place=street&scenes=12&seed=271&right=false&megapixels=0.5"
+
+
+def test_frames(folder: Path) -> list[p2o.Frame]:
+    """Return the test frames of KITTI raw, motion-compensated where the speed can be told."""
+    split = json.loads(Path(__file__).with_name("splits.json").read_text())["test"]
+    data = frames_of(f"kitti-raw:{folder}/kitti_raw?speed_from_disparity=true")
+    return [frame for frame in data if frame.name in split]
+
+
+def frames_of(data: str) -> Iterator[p2o.Frame]:
+    """Yield all frames of a dataset."""
+    yield from p2o.Recipe.of(data=data).resolve(p2o.Registry.load()).dataset()
+
+
+def reexpressed(frame: p2o.Frame, rng: np.random.Generator) -> p2o.Frame:
+    """Return the frame with its sweep in another LiDAR frame, turned and shifted by chance, and the truth with it."""
+    turn, shift = rng.normal(size=(2, 3))
+    other = se3.exp(np.r_[turn, shift])
+    cloud = replace(frame.cloud, xyz=se3.apply(other, frame.cloud.xyz), twist=None)
+    return replace(frame, cloud=cloud, camera_from_lidar=frame.camera_from_lidar @ se3.inverse(other))
+
+
+def turned(frame: p2o.Frame, rng: np.random.Generator) -> p2o.Frame:
+    """Return the frame as a camera sees it that is turned on its place by up to 5 deg about each axis.
+
+    A turn on the place changes a picture by a homography, exactly. The focal length grows until no border shows.
+    """
+    import cv2
+
+    camera = frame.camera
+    fx, fy, cx, cy = camera.params
+    turn = se3.exp(np.r_[np.radians(rng.uniform(-TURN_DEG, TURN_DEG, 3)), 0, 0, 0])[:3, :3]
+    old = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    width, height = camera.width, camera.height
+    corners = np.array([[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]], np.float64)
+    # Frames of one camera stay so: the window is a smaller one, the field of view the one that a turn leaves.
+    zoom = 1.0
+    while zoom < 4.0:
+        new = np.array([[zoom * fx, 0, cx], [0, zoom * fy, cy], [0, 0, 1]])
+        back = np.column_stack([corners, np.ones(4)]) @ (old @ turn.T @ np.linalg.inv(new)).T
+        uv = back[:, :2] / back[:, 2:]
+        if (uv >= 0).all() and (uv <= [width - 1, height - 1]).all():
+            break
+        zoom *= 1.02
+    rgb = cv2.warpPerspective(frame.image.rgb, new @ turn @ np.linalg.inv(old), (width, height))
+    image = p2o.Image(np.asarray(rgb, np.uint8), p2o.Camera.pinhole(zoom * fx, zoom * fy, cx, cy, width, height))
+    return replace(frame, image=image, camera_from_lidar=se3.make(turn, np.zeros(3)) @ frame.camera_from_lidar)
+
+
+def zoomed(frame: p2o.Frame, rng: np.random.Generator) -> p2o.Frame:
+    """Return the frame with the same window as `turned` draws for it, but not turned: what the zoom alone does."""
+    other = turned(frame, rng)
+    return cut(frame, float(other.camera.params[0] / frame.camera.params[0]))
+
+
+def cut(frame: p2o.Frame, zoom: float = 1 / CUT) -> p2o.Frame:
+    """Return the frame cut to its middle, with the intrinsics of the cut."""
+    camera = frame.camera
+    width, height = round(camera.width / zoom), round(camera.height / zoom)
+    left, top = (camera.width - width) // 2, (camera.height - height) // 2
+    fx, fy, cx, cy = camera.params
+    rgb = np.ascontiguousarray(frame.image.rgb[top : top + height, left : left + width])
+    return replace(frame, image=p2o.Image(rgb, p2o.Camera.pinhole(fx, fy, cx - left, cy - top, width, height)))
+
+
+def with_picture(frame: p2o.Frame, rgb: Any) -> p2o.Frame:
+    """Return the frame with another picture of the same size."""
+    height, width = frame.image.rgb.shape[:2]
+    out = np.full((height, width, 3), 118, np.uint8)
+    if rgb is not None:
+        out[: min(height, len(rgb)), : min(width, rgb.shape[1])] = rgb[:height, :width]
+    return replace(frame, image=p2o.Image(out, frame.camera))
+
+
+def conditions(folder: Path) -> Mapping[str, Callable[[], list[p2o.Frame]]]:
+    """Return the frames of each condition, made when they are asked for."""
+    raw: list[p2o.Frame] = []
+
+    def test() -> list[p2o.Frame]:
+        if not raw:
+            raw.extend(test_frames(folder))
+        return raw
+
+    def changed(how: Callable[[p2o.Frame, np.random.Generator], p2o.Frame]) -> Callable[[], list[p2o.Frame]]:
+        return lambda: [how(frame, np.random.default_rng([9, i])) for i, frame in enumerate(test())]
+
+    return {
+        "raw": test,
+        "odometry": lambda: list(frames_of(f"kitti-odometry:{folder}/kitti_odometry"))[ODOMETRY_SEEN:],
+        "reexpressed": changed(reexpressed),
+        "turned": changed(turned),
+        "zoomed": changed(zoomed),
+        "cut": changed(lambda frame, rng: cut(frame)),
+        "grey": changed(lambda frame, rng: with_picture(frame, None)),
+        "swapped": lambda: [with_picture(f, test()[(i + 7) % len(test())].image.rgb) for i, f in enumerate(test())],
+        "waymo": lambda: list(frames_of(f"folder:{folder}/rigs/waymo")),
+        "nuscenes": lambda: list(frames_of(f"folder:{folder}/rigs/nuscenes")),
+        "simulated": lambda: list(frames_of(SIMULATED)),
+    }
+
+
+def measured(
+    method: str, frames: Sequence[p2o.Frame], protocol: str, weights: Path | None, joint: int = 1
+) -> Iterator[dict[str, Any]]:
+    """Yield a record of each calibration: errors of start and result by camera axis."""
+    if method == "p2o":
+        words: dict[str, Any] = {"init": "far"}
+        if protocol != "lccnet-20":
+            words["options"] = {"init": {"reach_deg": 15.0, "reach_m": 0.3}}
+    else:
+        said: dict[str, Any] = {"first": FIRST[protocol]}
+        if weights is not None:
+            said["weights"] = str(weights / f"{method}-small.safetensors")
+        words = {"calibrator": method, "witness": "none", "options": {"calibrator": said}}
+    groups = [frames[i : i + joint] for i in range(0, len(frames), joint)]
+    for number, group in enumerate(groups):
+        run = p2o.calibrate(list(group), protocol=protocol, seed=number, joint=joint > 1, **words)
+        for row in run.rows:
+            result = row.result
+            off = [axes(pose, row.truth) for pose in (result.start, result.camera_from_lidar)]
+            yield {
+                "frame": group[0].name,
+                "status": str(result.status),
+                "trusted": bool(result.verdict.trusted),
+                "start": off[0],
+                "end": off[1],
+                "seconds": float(sum(result.seconds.values())),
+            }
+        for failed in run.failed:
+            yield {"frame": failed.frame, "status": failed.reason, "trusted": False, "start": None, "end": None}
+
+
+def axes(pose: Float, truth: Float) -> list[float]:
+    """Return the error of a pose: rotation vector of pose truth^-1 in deg, shift of the LiDAR in m, in the camera."""
+    off = pose @ se3.inverse(truth)
+    return [*np.degrees(se3.rotation_vector(off[:3, :3])).tolist(), *(pose[:3, 3] - truth[:3, 3]).tolist()]
+
+
+def table(records: Sequence[dict[str, Any]], protocol: str, joint: int) -> str:
+    """Return the rows of a protocol as Markdown."""
+    lines = [
+        "| condition | method | frames | start deg, cm | rotation deg, mean / median | translation cm, mean / median "
+        "| pitch, yaw, roll, share of the start's | x, y, z | nearer |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    kept = [r for r in records if r["protocol"] == protocol and r["joint"] == joint]
+    for condition, method in dict.fromkeys((r["condition"], r["method"]) for r in kept):
+        rows = [r for r in kept if (r["condition"], r["method"]) == (condition, method) and r["start"]]
+        start, end = (np.array([r[name] for r in rows]) for name in ("start", "end"))
+        size = [(np.linalg.norm(x[:, :3], axis=1), 100 * np.linalg.norm(x[:, 3:], axis=1)) for x in (start, end)]
+        left = np.abs(end).mean(0) / np.abs(start).mean(0)
+        nearer = int(((size[1][0] < size[0][0]) & (size[1][1] < size[0][1])).sum())
+        lines.append(
+            f"| {condition} | {method} | {len(rows)} | {size[0][0].mean():.2f}, {size[0][1].mean():.1f} "
+            f"| {size[1][0].mean():.2f} / {np.median(size[1][0]):.2f} "
+            f"| {size[1][1].mean():.1f} / {np.median(size[1][1]):.1f} "
+            f"| {' '.join(f'{x:.2f}' for x in left[:3])} | {' '.join(f'{x:.2f}' for x in left[3:])} "
+            f"| {nearer} of {len(rows)} |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, default=Path("build/data"), help="folder with kitti_raw, rigs and so on")
+    parser.add_argument("--out", type=Path, default=Path("p2o-out/regressors"), help="folder of the results")
+    parser.add_argument("--methods", default=",".join((*METHODS, "p2o")), help="parted by commas; p2o is the default")
+    parser.add_argument("--protocols", default=",".join(PROTOCOLS))
+    parser.add_argument("--conditions", default="", help="parted by commas; all of them if left out")
+    parser.add_argument("--weights", type=Path, help="folder of METHOD-small.safetensors, for those shipped")
+    parser.add_argument("--joint", type=int, default=1, help="frames that are calibrated together")
+    parser.add_argument("--gallery", type=Path, help="draw into this folder, measure nothing")
+    said = parser.parse_args()
+    if said.gallery:
+        draw(said.gallery / "regressor.jpg", said.weights)
+        return
+    said.out.mkdir(parents=True, exist_ok=True)
+    path = said.out / "results.jsonl"
+    records = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    done = {(r["condition"], r["method"], r["protocol"], r["joint"]) for r in records}
+    ways = conditions(said.data)
+    for condition in said.conditions.split(",") if said.conditions else ways:
+        frames: list[p2o.Frame] = []
+        for method in said.methods.split(","):
+            for protocol in said.protocols.split(","):
+                key = {"condition": condition, "method": method, "protocol": protocol, "joint": said.joint}
+                if tuple(key.values()) in done:
+                    continue
+                frames = frames or ways[condition]()
+                found = [{**key, **each} for each in measured(method, frames, protocol, said.weights, said.joint)]
+                records += found
+                with path.open("a") as file:
+                    file.writelines(json.dumps(each) + "\n" for each in found)
+                print(*key.values(), f"{len(found)} results", flush=True)
+    for protocol in said.protocols.split(","):
+        print(f"\n{protocol}\n\n{table(records, protocol, said.joint)}")
+
+
+def draw(path: Path, weights: Path | None) -> None:
+    """Write the picture of a synthetic frame: what a network sees at the start, after stages, and at the truth."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+    from p2o_baselines.lccnet import DESIGN
+    from p2o_baselines.regressors import staged
+    from p2o_baselines.regressors.options import RegressorOptions
+
+    frame = next(frames_of("synthetic:?scenes=1&place=street&seed=5&right=false&exposure_ev=0"))
+    options = RegressorOptions(weights=str(weights / "lccnet-small.safetensors") if weights else "small")
+    method = staged.build(DESIGN, options)
+    glance = method.prepare(frame)
+    truth = frame.camera_from_lidar
+    start = se3.exp(np.r_[np.radians([9.0, -7.0, 8.0]), 0.15, -0.1, 0.15]) @ truth
+    poses = [each[0] for each in method.poses([glance], start)]
+    panels = [("the start", poses[0])]
+    panels += [(f"after {n} of {len(poses) - 1} stages", poses[n]) for n in (1, len(poses) - 1)] + [
+        ("the truth", truth)
+    ]
+    figure, rows = plt.subplots(len(panels), 2, figsize=(12.4, 2.0 * len(panels)), layout="constrained")
+    for (name, pose), (left, right) in zip(panels, rows, strict=True):
+        [near] = glance.drawn(pose)
+        left.imshow(np.where(near > 0, near, np.nan), cmap="turbo", vmin=0, vmax=1, interpolation="nearest")
+        off = np.linalg.norm(axes(pose, truth)[:3])
+        left.set_title(f"the sweep at {name}" + (f", {off:.1f} deg off" if pose is not truth else ""), fontsize=10)
+        right.imshow(frame.image.rgb)
+        there = se3.apply(pose, frame.cloud.xyz)
+        uv = frame.camera.project(there)
+        seen = frame.camera.in_image(uv)
+        right.scatter(*uv[seen].T, c=np.log(there[seen, 2]), cmap="turbo_r", s=0.3)
+        right.set_xlim(0, frame.camera.width)
+        right.set_ylim(frame.camera.height, 0)
+        for panel in (left, right):
+            panel.set_axis_off()
+    figure.savefig(path, dpi=90, pil_kwargs={"quality": 72})
+
+
+if __name__ == "__main__":
+    main()
