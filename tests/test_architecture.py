@@ -105,9 +105,14 @@ HEAVY = {
     "viser",
 }
 NETWORK = "p2o_plugins.p2ornet"
-"""The one folder that may import heavy packages on import: methods import it when they need it."""
-LIGHT = {f"{NETWORK}.options", f"{NETWORK}.shipped"}
-"""The modules of it that a method's declaration needs, so they must be light."""
+REGRESSORS = "p2o_baselines.regressors"
+NETWORKS = (NETWORK, REGRESSORS)
+"""The folders that may import heavy packages on import: methods import them when they need them."""
+LIGHT = {f"{NETWORK}.options", f"{NETWORK}.shipped"} | {
+    f"{REGRESSORS}.{name}"
+    for name in ("decalibration", "design", "glance", "lesson", "method", "options", "sample", "sweep_map")
+}
+"""The modules of them that a method's declaration needs, so they must be light."""
 MAY_IMPORT = {"image": {"p2ornet"}, "p2ornet": {"cloud"}}
 """Which folders of p2o_plugins use others: the network is of the image side, and learns from sweeps."""
 
@@ -141,7 +146,7 @@ class Source:
 
     @property
     def of_the_network(self) -> bool:
-        return self.module.startswith(f"{NETWORK}.")
+        return self.module.startswith(tuple(f"{network}." for network in NETWORKS))
 
     @property
     def light(self) -> bool:
@@ -345,7 +350,7 @@ def test_heavy_packages_are_imported_inside_functions() -> None:
 
 def test_the_network_is_imported_inside_functions() -> None:
     def is_heavy(module: str) -> bool:
-        inside = module == NETWORK or module.startswith(f"{NETWORK}.")
+        inside = module == NETWORK or module.startswith(tuple(f"{network}." for network in NETWORKS))
         return inside and not any(module == light or module.startswith(f"{light}.") for light in LIGHT)
 
     offenders = [

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import p2o
+
 from p2o_baselines.regressors.decalibration import CALIBNET
 from p2o_baselines.regressors.design import Design
-from p2o_baselines.regressors.method import regressor
+from p2o_baselines.regressors.method import OTHER_RIG, built, trainer
+from p2o_baselines.regressors.options import RegressorOptions
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -66,9 +69,20 @@ DESIGN = Design(
     needs_true_map=True,
     pictures={"small": (48, 160), "paper": (375, 1242)},
 )
-METHOD = regressor(
-    DESIGN,
+
+
+def build(options: RegressorOptions) -> p2o.Calibrator:
+    """Return the calibrator."""
+    return built(DESIGN, options)
+
+
+METHOD = p2o.Method(
+    name="calibnet",
+    build=build,
+    options=RegressorOptions,
     summary="A network learns corrections by how its points and depth maps meet the true ones.",
     cite="Iyer, Ram, Murthy and Krishna, CalibNet: geometrically supervised extrinsic calibration using 3D spatial "
     "transformer networks, IROS 2018",
+    expected_failures=OTHER_RIG,
+    trainer=trainer(DESIGN),
 )

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import p2o
+
 from p2o_baselines.regressors.decalibration import CALIBNET
 from p2o_baselines.regressors.design import Design
-from p2o_baselines.regressors.method import regressor
+from p2o_baselines.regressors.method import OTHER_RIG, built, trainer
+from p2o_baselines.regressors.options import RegressorOptions
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -69,9 +72,20 @@ DESIGN = Design(
     pictures={"small": (48, 160), "paper": (375, 1242)},
     window=3,
 )
-METHOD = regressor(
-    DESIGN,
+
+
+def build(options: RegressorOptions) -> p2o.Calibrator:
+    """Return the calibrator."""
+    return built(DESIGN, options)
+
+
+METHOD = p2o.Method(
+    name="calibrcnn",
+    build=build,
+    options=RegressorOptions,
     summary="A recurrent network says how wrong the start is from the frames of a drive together.",
     cite="Shi, Zhu, Zhang, Cheng and Chen, CalibRCNN: calibrating camera and LiDAR by recurrent convolutional neural "
     "network and geometric constraints, IROS 2020",
+    expected_failures=OTHER_RIG,
+    trainer=trainer(DESIGN),
 )

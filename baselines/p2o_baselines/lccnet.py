@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import p2o
+
 from p2o_baselines.regressors.decalibration import LCCNET
 from p2o_baselines.regressors.design import Design
-from p2o_baselines.regressors.method import regressor
+from p2o_baselines.regressors.method import OTHER_RIG, built, trainer
+from p2o_baselines.regressors.options import RegressorOptions
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -68,8 +71,19 @@ DESIGN = Design(
     stages=LCCNET,
     pictures={"small": (48, 160), "paper": (256, 512)},
 )
-METHOD = regressor(
-    DESIGN,
+
+
+def build(options: RegressorOptions) -> p2o.Calibrator:
+    """Return the calibrator."""
+    return built(DESIGN, options)
+
+
+METHOD = p2o.Method(
+    name="lccnet",
+    build=build,
+    options=RegressorOptions,
     summary="A network with a cost volume says how wrong the start is, in five stages.",
     cite="Lv, Wang, Dou, Ye and Wang, LCCNet: LiDAR and camera self-calibration using cost volume network, CVPRW 2021",
+    expected_failures=OTHER_RIG,
+    trainer=trainer(DESIGN),
 )

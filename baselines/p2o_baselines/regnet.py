@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import p2o
+
 from p2o_baselines.regressors.decalibration import LCCNET
 from p2o_baselines.regressors.design import Design
-from p2o_baselines.regressors.method import regressor
+from p2o_baselines.regressors.method import OTHER_RIG, built, trainer
+from p2o_baselines.regressors.options import RegressorOptions
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -69,9 +72,20 @@ DESIGN = Design(
     stages=LCCNET,
     pictures={"small": (48, 160), "paper": (352, 1216)},
 )
-METHOD = regressor(
-    DESIGN,
+
+
+def build(options: RegressorOptions) -> p2o.Calibrator:
+    """Return the calibrator."""
+    return built(DESIGN, options)
+
+
+METHOD = p2o.Method(
+    name="regnet",
+    build=build,
+    options=RegressorOptions,
     summary="Two branches of a network say how wrong the start is as a dual quaternion, in five stages.",
     cite="Schneider, Piewak, Stiller and Franke, RegNet: multimodal sensor registration using deep neural networks, "
     "IV 2017",
+    expected_failures=OTHER_RIG,
+    trainer=trainer(DESIGN),
 )

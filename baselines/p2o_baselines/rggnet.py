@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import p2o
+
 from p2o_baselines.regressors.decalibration import CALIBNET
 from p2o_baselines.regressors.design import Design
-from p2o_baselines.regressors.method import regressor
+from p2o_baselines.regressors.method import OTHER_RIG, built, trainer
+from p2o_baselines.regressors.options import RegressorOptions
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -69,10 +72,21 @@ DESIGN = Design(
     pictures={"small": (48, 160), "paper": (160, 640)},
     channels=("x", "y", "z", "reflectance", "nearness"),
 )
-METHOD = regressor(
-    DESIGN,
+
+
+def build(options: RegressorOptions) -> p2o.Calibrator:
+    """Return the calibrator."""
+    return built(DESIGN, options)
+
+
+METHOD = p2o.Method(
+    name="rggnet",
+    build=build,
+    options=RegressorOptions,
     summary="A network that also sees places and reflectance learns by distances on SE(3).",
+    needs=frozenset({"intensity"}),
     cite="Yuan, Guo and Wang, RGGNet: tolerance aware LiDAR-camera online calibration with geometric deep learning and "
     "generative model, RA-L 2020",
-    needs=frozenset({"intensity"}),
+    expected_failures=OTHER_RIG,
+    trainer=trainer(DESIGN),
 )

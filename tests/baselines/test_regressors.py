@@ -406,7 +406,7 @@ def test_weights_of_another_method_and_what_is_none_are_refused(tmp_path: Path) 
     lying = written(replace(rggnet.DESIGN, name="calibnet"), tmp_path / "lying.safetensors")
     with pytest.raises(InputError, match="no weights of calibnet"):
         read_weights(lying, calibnet.DESIGN)
-    with pytest.raises(InputError, match="comes without weights of size paper"):
+    with pytest.raises(p2o.MethodUnavailable, match="comes without weights of size paper"):
         weights_files("paper", calibnet.DESIGN)
 
 

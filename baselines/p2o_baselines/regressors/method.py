@@ -1,8 +1,8 @@
-"""A regressor as a method: built, trained and labelled in one way; nothing heavy is imported before it is used."""
+"""What the methods share: how they are built, labelled and trained; nothing heavy is imported before it is used."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import p2o
@@ -26,13 +26,22 @@ def draw(path: Path) -> UInt8:
     return picture(Lesson.load(path))
 
 
-def regressor(design: Design, *, summary: str, cite: str, needs: Set[str] = frozenset()) -> p2o.Method:
-    """Return the calibrator of a design."""
+OTHER_RIG = tuple(
+    (check, "a network knows the rig that it has learnt, and the stage is another")
+    for check in ("calibrator_comes_near_the_truth", "what_is_solved_is_no_start")
+)
+"""Checks that weights of one rig cannot pass on another one."""
 
-    def build(options: RegressorOptions) -> p2o.Calibrator:
-        from p2o_baselines.regressors import staged
 
-        return staged.build(design, options)
+def built(design: Design, options: RegressorOptions) -> p2o.Calibrator:
+    """Return the calibrator of a design with the weights that its options name."""
+    from p2o_baselines.regressors import staged
+
+    return staged.build(design, options)
+
+
+def trainer(design: Design) -> p2o.Trainer:
+    """Return how a design is trained."""
 
     def train(
         options: TrainingOptions,
@@ -45,14 +54,4 @@ def regressor(design: Design, *, summary: str, cite: str, needs: Set[str] = froz
 
         return training.train(design, options, groups, validation, out, report)
 
-    return p2o.Method(
-        name=design.name,
-        build=build,
-        options=RegressorOptions,
-        summary=summary,
-        needs=needs,
-        cite=cite,
-        trainer=p2o.Trainer(
-            options=TrainingOptions, presets=PRESETS, label=label, draw=draw, train=train, label_version=1
-        ),
-    )
+    return p2o.Trainer(options=TrainingOptions, presets=PRESETS, label=label, draw=draw, train=train, label_version=1)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import p2o
 import torch
-from p2o import InputError
+from p2o import InputError, MethodUnavailable
 from p2o.files.input_file import expanded, read_bytes
 from p2o.files.parsed_text import parse_json
 from p2o.files.whole_file import write_whole
@@ -100,15 +100,14 @@ def read_weights(path: Path, design: Design) -> tuple[PairNetwork, Trained]:
 
 
 def weights_files(said: str, design: Design) -> list[Path]:
-    """Return the files that the option `weights` names; raises where a method has none of that name."""
+    """Return the files that the option `weights` names; raises where a method comes without."""
     if said in design.pictures:
         path = FOLDER / f"{design.name}-{said}.safetensors"
         if not path.is_file():
-            raise InputError(
+            raise MethodUnavailable(
                 f"{design.name} comes without weights of size {said}",
                 where="weights",
                 expected="a file that p2o train wrote",
-                got=said,
                 hint=f"p2o train {design.name} --data ... --out DIR, then weights=DIR/weights.safetensors",
             )
         return [path]
