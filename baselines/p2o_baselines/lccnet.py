@@ -25,13 +25,13 @@ def network(size: str) -> PairNetwork:
     from p2o_baselines.regressors import parts
 
     if size == "paper":
-        trunk = parts.DenseTrunk(81)
+        estimator = parts.DenseTrunk(81)
         return parts.PairNetwork(
             picture=parts.resnet18(3),
             sweep=parts.resnet18(1),
             join=parts.CostVolume(4),
-            trunk=trunk,
-            features=trunk.outputs * 8 * 16,
+            trunk=estimator,
+            features=estimator.outputs * 8 * 16,
             hidden=(512,),
             outputs=(4, 3),
             apart=256,

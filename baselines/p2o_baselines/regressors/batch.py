@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 import torch.nn.functional as F
-from p2o.arrays import Float
+from p2o.arrays import UInt8
 from torch import Tensor
 
 from p2o_baselines.regressors import poses
@@ -42,16 +42,21 @@ class Batch:
         def stacked(name: str) -> Tensor:
             return torch.from_numpy(np.stack([getattr(each, name) for each in samples])).to(device).float()
 
-        names = ("sweep", "reach", "correction", "xyz", "intrinsics", "true_nearness", "hand_eye", "start")
         return cls(
             pictures([each.rgb for each in samples], device),
-            *map(stacked, names[:0]),
-            **{n: stacked(n) for n in names},
-            window=window,
+            stacked("sweep"),
+            stacked("reach"),
+            stacked("correction"),
+            stacked("xyz"),
+            stacked("intrinsics"),
+            stacked("true_nearness"),
+            stacked("hand_eye"),
+            stacked("start"),
+            window,
         )
 
 
-def pictures(rgb: Sequence[Float], device: torch.device) -> Tensor:
+def pictures(rgb: Sequence[UInt8], device: torch.device) -> Tensor:
     """Return pictures (B, 3, h, w) in 0..1 of (h, w, 3) uint8."""
     return torch.from_numpy(np.stack(rgb)).to(device).permute(0, 3, 1, 2).float() / 255
 

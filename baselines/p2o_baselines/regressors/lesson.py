@@ -53,7 +53,7 @@ class Lesson:
     @classmethod
     def load(cls, path: Path) -> Lesson:
         """Return what `packed` wrote; raises InputError where the file is something else."""
-        shapes = {"focal": (2,), "centre": (2,)}
+        shapes: dict[str, tuple[int, ...]] = {"focal": (2,), "centre": (2,)}
         poses = ("camera_from_lidar", "camera_world_from_camera", "lidar_world_from_lidar")
         shapes |= dict.fromkeys(poses, (4, 4))
         try:
@@ -79,9 +79,8 @@ def lesson_of(frame: p2o.Frame) -> Lesson:
     there = se3.apply(frame.camera_from_lidar, cloud.xyz)
     fx, fy, cx, cy = camera.params
     beside = np.tan(np.radians(np.minimum(_BESIDE_DEG + np.degrees(np.arctan([cx / fx, cy / fy])), 85.0)))
-    near = (there[:, 2] > 0.3) & (np.abs(there[:, :2]) < beside * there[:, 2:]).all(axis=1)
-    near = np.flatnonzero(near)
-    near = np.random.default_rng(0).permutation(near)[:_MOST_POINTS]
+    beheld = (there[:, 2] > 0.3) & (np.abs(there[:, :2]) < beside * there[:, 2:]).all(axis=1)
+    near = np.random.default_rng(0).permutation(np.flatnonzero(beheld))[:_MOST_POINTS]
     if camera.in_image(camera.project(there[near])).sum() < _LEAST_POINTS:
         raise InputError(
             "the frame teaches nothing",

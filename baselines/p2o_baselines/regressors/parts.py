@@ -184,11 +184,11 @@ class PairNetwork(nn.Module):
         self.heads = nn.ModuleList()
         for count in outputs:
             own = [*dense([last, apart])] if apart else []
-            self.heads.append(nn.Sequential(*own, nn.Linear(apart or last, count)))
-        for head in self.heads:
+            end = nn.Linear(apart or last, count)
             # A network that has learnt nothing corrects nothing.
-            nn.init.normal_(head[-1].weight, std=1e-3)
-            nn.init.zeros_(head[-1].bias)
+            nn.init.normal_(end.weight, std=1e-3)
+            nn.init.zeros_(end.bias)
+            self.heads.append(nn.Sequential(*own, end))
 
     def features(self, picture: Tensor, sweep: Tensor) -> tuple[Tensor, Tensor]:
         """Return what the branches make of pictures (B, 3, h, w) in 0..1 and sweeps (B, C, h, w)."""

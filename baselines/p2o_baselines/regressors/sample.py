@@ -144,7 +144,7 @@ def sample(
         np.array([np.radians(seen.reach[0]), seen.reach[1]]),
         at_start[chosen],
         grid,
-        true,
+        np.asarray(true, np.float64),
         hand_eye(before, lesson, camera_from_camera, seen),
         seen.wrong @ camera_from_camera @ lesson.camera_from_lidar,
     )

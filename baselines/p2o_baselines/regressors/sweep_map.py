@@ -55,4 +55,4 @@ def drawn(
             out[number, place] = 0.0 if reflectance is None else reflectance[rows]
         elif xyz is not None:
             out[number, place] = xyz[rows, "xyz".index(channel)] / _PLACE_M
-    return out.reshape(len(channels), height, width)
+    return np.asarray(out.reshape(len(channels), height, width))
