@@ -1,4 +1,18 @@
-"""Losses of geometry instead of numbers: `calibnet`, after Iyer et al. 2018."""
+"""Losses of geometry instead of numbers: `--calibrator calibnet`, after Iyer et al. 2018.
+
+    p2o run --data kitti-raw:PATH --calibrator calibnet
+    p2o train calibnet --data kitti-raw:PATH --out trained
+
+A branch of ResNet-18 for the picture, one half as wide for the sweep drawn at the start, convolutions over both, a
+rotation vector and a shift. What is learnt is not the distance from the true numbers: points that are moved as the
+network says should lie where the true ones do (Chamfer distance), at the depth that the map of the true sweep has where
+they fall (photometric loss of depth). Used over and over (`calibrator.rounds`).
+
+Departures: points look up the true map, instead of being drawn onto one (the 3D spatial transformer the other way
+round); the distance of each point from itself is a third loss, since the two others alone hardly pull from far, and the
+earth mover's distance of the authors' code is left out; nearness instead of depth. Three ranges from the published one
+inwards. `small`: one network for all of them, which is told the reach, 48 x 160 px.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,16 @@
-"""A memory over the frames of a drive, which share one rig: `calibrcnn`, after Shi et al. 2020."""
+"""A memory over the frames of a drive, which share one rig: `--calibrator calibrcnn`, after Shi et al. 2020.
+
+    p2o run --data kitti-raw:PATH --calibrator calibrcnn --joint
+    p2o train calibrcnn --data kitti-raw:PATH --out trained
+
+Branches and convolutions as CalibNet's, then two LSTMs over three frames of a drive that follow each other, a rotation
+vector and a shift for each. Losses: that of the correction, and the geometry of neighbours: they have one extrinsic X,
+and where the motions A of the camera and B of the LiDAR between them are known, A X = X B.
+
+Departures: sizes of layers of ours, as the publication was not at hand and its code is not public; the consistency of
+poses stands for its synthetic views and epipolar lines. Three ranges from the published one inwards. A single frame is
+a window of one. `small`: one network for all ranges, which is told the reach, 48 x 160 px.
+"""
 
 from __future__ import annotations
 

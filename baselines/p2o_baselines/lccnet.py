@@ -1,4 +1,18 @@
-"""A cost volume between the features of both sensors, in five stages: `lccnet`, after Lv et al. 2021."""
+"""A cost volume between the features of both sensors: `--calibrator lccnet`, after Lv et al. 2021.
+
+    p2o run --data kitti-raw:PATH --calibrator lccnet
+    p2o train lccnet --data kitti-raw:PATH --out trained          # --preset paper on a GPU, a stage at a time
+
+Branches of ResNet-18 see the picture and the sweep drawn at the start; PWC-Net's cost volume tells how alike each cell
+of one is to the 81 cells around it in the other, its dense estimator and two layers for each head make a quaternion and
+a shift of it. Five networks for five ranges of starts (20 deg and 1.5 m to 1 deg and 0.1 m) follow each other; frames
+together give the median. Losses: smooth L1 of the shift, the angle of the quaternions, and the distance of points.
+
+Departures: nearness on a logarithmic scale instead of depth; points next to the car are not left out; losses count in
+the reach of the stage. `small` has one network for all stages, which is told the reach, branches of 48 channels at an
+eighth of 48 x 160 px, four convolutions after the volume, and sees the sweep's features beside it. Its shipped weights
+were trained with `match`, which no paper has.
+"""
 
 from __future__ import annotations
 

@@ -48,7 +48,8 @@ def points(said: Tensor, batch: Batch) -> Tensor:
     """
     found, true = poses.apply(said, batch.xyz), poses.apply(batch.correction, batch.xyz)
     off = ((found - true).square().sum(-1) + 1e-12).sqrt()
-    return ((off / true.norm(dim=-1).clamp_min(5.0)).mean(1) / batch.reach[:, 0]).mean()
+    depth: Tensor = true.norm(dim=-1).clamp_min(5.0)
+    return ((off / depth).mean(1) / batch.reach[:, 0]).mean()
 
 
 def chamfer(said: Tensor, batch: Batch, most: int = 128) -> Tensor:
@@ -58,7 +59,7 @@ def chamfer(said: Tensor, batch: Batch, most: int = 128) -> Tensor:
     """
     found, true = (poses.apply(pose, batch.xyz[:, :most]) for pose in (said, batch.correction))
     off = (torch.cdist(found, true, compute_mode="donot_use_mm_for_euclid_dist").square() + 1e-12).sqrt()
-    depth = true.norm(dim=-1).clamp_min(5.0)
+    depth: Tensor = true.norm(dim=-1).clamp_min(5.0)
     there, back = off.min(2).values / depth, off.min(1).values / depth
     return ((0.5 * (there + back)).mean(1) / batch.reach[:, 0]).mean()
 
