@@ -30,7 +30,8 @@ from p2o.arrays import Float
 METHODS = ("regnet", "calibnet", "rggnet", "calibrcnn", "lccnet")
 PROTOCOLS = ("calibdepth", "projfusion-15-15", "lccnet-20")
 FIRST = {"calibdepth": 2, "projfusion-15-15": 2, "lccnet-20": 1}
-"""Stage to begin with, of five stages: the nearest that is as wide as the protocol's starts about each axis."""
+"""Stage that methods of five stages begin with: the nearest about as wide as the starts; others use all of theirs."""
+FIVE_STAGES = ("regnet", "lccnet")
 TURN_DEG, CUT = 3.0, 0.7
 ODOMETRY_SEEN = 12
 """Frames of odometry 00, from the first, that the shipped weights have seen."""
@@ -129,7 +130,7 @@ def measured(
         if protocol != "lccnet-20":
             words["options"] = {"init": {"reach_deg": 15.0, "reach_m": 0.3}}
     else:
-        said: dict[str, Any] = {"first": FIRST[protocol]}
+        said: dict[str, Any] = {"first": FIRST[protocol] if method in FIVE_STAGES else 1}
         if weights is not None:
             said["weights"] = str(weights / f"{method}-small.safetensors")
         words = {"calibrator": method, "witness": "none", "options": {"calibrator": said}}

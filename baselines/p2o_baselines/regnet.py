@@ -4,9 +4,9 @@
     p2o train regnet --data kitti-raw:PATH --out trained
 
 Network in Network for the picture and, with half of the channels, for the sweep drawn at the start; two more blocks
-over both, fully connected layers of 512 and 256, eight numbers: the dual quaternion that undoes the error of the start, by
-its squared distance. Five networks for five ranges of starts follow each other, as published; the filter over time that
-came after them is the median of frames together.
+over both, fully connected layers of 512 and 256, eight numbers: the dual quaternion that undoes the error of the start,
+by its squared distance. Five networks for five ranges of starts follow each other, as published; the filter over time
+that came after them is the median of frames together.
 
 Departures: sizes of kernels and a pooling of ours where the publication was not at hand; nearness instead of depth;
 both parts of the dual quaternion count in the reach of the stage. `small`: one network for all stages, which is told

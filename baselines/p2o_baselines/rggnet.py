@@ -4,8 +4,8 @@
     p2o train rggnet --data kitti-raw:PATH --out trained
 
 Branches of ResNet-50 after a pooling, their means beside each other, layers of 2048, 1024 and 512, a rotation vector
-and a shift. The sweep is drawn as five maps: places x, y, z in the LiDAR's frame, reflectance and nearness. The loss is the
-geodesic distance on SE(3), by a metric that moving both poses leaves alone.
+and a shift. The sweep is drawn as five maps: places x, y, z in the LiDAR's frame, reflectance and nearness. The loss is
+the geodesic distance on SE(3), by a metric that moving both poses leaves alone.
 
 Departures: the tolerance term, by a variational autoencoder and with a weight of 1e-9 in the authors' settings, is left
 out; the metric counts in the reach of the stage; no tanh bounds the rotation. Three ranges from the published one
