@@ -243,8 +243,9 @@ def draw(path: Path, weights: Path | None) -> None:
     for (name, pose), (left, right) in zip(panels, rows, strict=True):
         [near] = glance.drawn(pose)
         left.imshow(np.where(near > 0, near, np.nan), cmap="turbo", vmin=0, vmax=1, interpolation="nearest")
-        off = np.linalg.norm(axes(pose, truth)[:3])
-        left.set_title(f"the sweep at {name}" + (f", {off:.1f} deg off" if pose is not truth else ""), fontsize=10)
+        pitch, yaw, roll = axes(pose, truth)[:3]
+        off = "" if pose is truth else f": off by pitch {pitch:.1f}, yaw {yaw:.1f}, roll {roll:.1f} deg"
+        left.set_title(f"the sweep {name}{off}", fontsize=10)
         right.imshow(frame.image.rgb)
         there = se3.apply(pose, frame.cloud.xyz)
         uv = frame.camera.project(there)
