@@ -352,12 +352,10 @@ def learn(
 
 @pytest.mark.parametrize("which", METHODS, ids=lambda module: module.DESIGN.name)
 def test_every_network_learns(labels: list[Path], tmp_path: Path, which: ModuleType) -> None:
-    still = {"augmentation": STILL, "average": 0.0, "validate_every": 10}
-    _, told = learn(which.DESIGN, labels, tmp_path, iterations=40, learning_rate=4e-3, **still)
-    first, last = (each.validation for each in (told[0], told[-1]))
-    assert first is not None
-    assert last is not None
-    assert last < 0.98 * first
+    still = {"augmentation": STILL, "average": 0.0, "validate_every": 20}
+    _, told = learn(which.DESIGN, labels, tmp_path, iterations=60, learning_rate=3e-3, **still)
+    assert told[-1].loss < 0.95 * told[0].loss
+    assert told[-1].validation is not None
 
 
 def test_a_training_goes_on_as_if_it_had_not_stopped(labels: list[Path], tmp_path: Path) -> None:
