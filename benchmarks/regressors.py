@@ -18,7 +18,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -158,27 +158,66 @@ def axes(pose: Float, truth: Float) -> list[float]:
     return [*np.degrees(se3.rotation_vector(off[:3, :3])).tolist(), *(pose[:3, 3] - truth[:3, 3]).tolist()]
 
 
+@dataclass(frozen=True)
+class Tally:
+    """Errors of one method in one condition: start and end (N, 6) as `axes` gives them."""
+
+    start: Float
+    end: Float
+
+    @classmethod
+    def of(cls, records: Sequence[dict[str, Any]]) -> Tally:
+        """Return the errors of records; a frame without a result counts with nothing."""
+        rows = [record for record in records if record["start"]]
+        return cls(*(np.array([row[name] for row in rows]).reshape(-1, 6) for name in ("start", "end")))
+
+    @staticmethod
+    def sizes(errors: Float) -> tuple[Float, Float]:
+        """Return angles (N,) in deg and lengths (N,) in cm."""
+        return np.linalg.norm(errors[:, :3], axis=1), 100 * np.linalg.norm(errors[:, 3:], axis=1)
+
+    @property
+    def rotation(self) -> str:
+        """Mean and median angle."""
+        deg, _ = self.sizes(self.end)
+        return f"{deg.mean():.2f} / {np.median(deg):.2f}"
+
+    @property
+    def translation(self) -> str:
+        """Mean and median length."""
+        _, cm = self.sizes(self.end)
+        return f"{cm.mean():.1f} / {np.median(cm):.1f}"
+
+    @property
+    def left(self) -> str:
+        """What is left of the start's pitch, yaw and roll, as shares of the means."""
+        return " ".join(f"{x:.2f}" for x in (np.abs(self.end).mean(0) / np.abs(self.start).mean(0))[:3])
+
+
 def table(records: Sequence[dict[str, Any]], protocol: str, joint: int) -> str:
-    """Return the rows of a protocol as Markdown."""
-    lines = [
-        "| condition | method | frames | start deg, cm | rotation deg, mean / median | translation cm, mean / median "
-        "| pitch, yaw, roll, share of the start's | x, y, z | nearer |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
+    """Return tables of a protocol as Markdown: rotation, what is left by axis, translation; a column a method."""
     kept = [r for r in records if r["protocol"] == protocol and r["joint"] == joint]
-    for condition, method in dict.fromkeys((r["condition"], r["method"]) for r in kept):
-        rows = [r for r in kept if (r["condition"], r["method"]) == (condition, method) and r["start"]]
-        start, end = (np.array([r[name] for r in rows]) for name in ("start", "end"))
-        size = [(np.linalg.norm(x[:, :3], axis=1), 100 * np.linalg.norm(x[:, 3:], axis=1)) for x in (start, end)]
-        left = np.abs(end).mean(0) / np.abs(start).mean(0)
-        nearer = int(((size[1][0] < size[0][0]) & (size[1][1] < size[0][1])).sum())
-        lines.append(
-            f"| {condition} | {method} | {len(rows)} | {size[0][0].mean():.2f}, {size[0][1].mean():.1f} "
-            f"| {size[1][0].mean():.2f} / {np.median(size[1][0]):.2f} "
-            f"| {size[1][1].mean():.1f} / {np.median(size[1][1]):.1f} "
-            f"| {' '.join(f'{x:.2f}' for x in left[:3])} | {' '.join(f'{x:.2f}' for x in left[3:])} "
-            f"| {nearer} of {len(rows)} |"
-        )
+    methods = [m for m in (*METHODS, "p2o") if any(r["method"] == m for r in kept)]
+    tallies: dict[tuple[str, str], Tally] = {}
+    for r in kept:
+        same = (r["condition"], r["method"])
+        if same not in tallies:
+            tallies[same] = Tally.of([k for k in kept if (k["condition"], k["method"]) == same])
+    lines = []
+    for what in ("rotation", "left", "translation"):
+        lines += [
+            f"{what}",
+            "",
+            f"| condition | frames | start | {' | '.join(methods)} |",
+            "|---" * (len(methods) + 3) + "|",
+        ]
+        for condition in dict.fromkeys(r["condition"] for r in kept):
+            first = next(t for (c, _), t in tallies.items() if c == condition)
+            deg, cm = first.sizes(first.start)
+            start = {"rotation": f"{deg.mean():.2f}", "translation": f"{cm.mean():.1f}", "left": "1 1 1"}[what]
+            cells = [getattr(tallies[condition, m], what) if (condition, m) in tallies else "" for m in methods]
+            lines.append(f"| {condition} | {len(first.end)} | {start} | {' | '.join(cells)} |")
+        lines.append("")
     return "\n".join(lines)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Sequence
 from contextlib import suppress
@@ -25,7 +26,7 @@ from p2o_baselines.regressors.lesson import Lesson, flat, lesson_of, picture
 from p2o_baselines.regressors.options import Augmentation, RegressorOptions, TrainingOptions
 from p2o_baselines.regressors.sample import View, sample, view
 from p2o_baselines.regressors.staged import Stage, StagedRegressor
-from p2o_baselines.regressors.weights_file import Trained, read_weights, weights_files, write_weights
+from p2o_baselines.regressors.weights_file import FOLDER, Trained, read_weights, weights_files, write_weights
 
 METHODS: tuple[ModuleType, ...] = (calibnet, calibrcnn, lccnet, regnet, rggnet)
 DATA = "synthetic:?scenes=2&place=street&width_px=414&height_px=125&lidar=hdl-32e&right=false"
@@ -485,3 +486,38 @@ def test_a_view_is_drawn_within_what_its_options_say() -> None:
         assert np.degrees(np.arccos((np.trace(seen.turn) - 1) / 2)) <= 5 * np.sqrt(3)
         assert np.allclose(seen.other_lidar, np.eye(4))
     assert not np.allclose(view(CALIBNET, Augmentation(reexpress=True), rng).other_lidar, np.eye(4))
+
+
+# ---- shipped weights
+
+
+SHIPPED = [which for which in METHODS if (FOLDER / f"{which.DESIGN.name}-small.safetensors").is_file()]
+
+
+def test_shipped_weights_are_small_and_say_what_may_be_done_with_them() -> None:
+    files = sorted(FOLDER.glob("*.safetensors"))
+    assert {path.stem for path in files} == {f"{which.DESIGN.name}-small" for which in SHIPPED}
+    assert sum(path.stat().st_size for path in files) < 10e6
+    for which in SHIPPED:
+        _, trained = read_weights(*weights_files("small", which.DESIGN), which.DESIGN)
+        assert trained.about["licence"].startswith("research only")
+        assert trained.size == "small"
+
+
+@pytest.mark.real
+@pytest.mark.parametrize("which", SHIPPED, ids=lambda module: module.DESIGN.name)
+def test_shipped_networks_come_nearer_on_frames_of_their_rig_that_they_have_not_seen(
+    kitti_raw: Path, which: ModuleType
+) -> None:
+    test = json.loads((Path(__file__).parents[2] / "benchmarks/splits.json").read_text())["test"]
+    ran = p2o.calibrate(
+        f"kitti-raw:{kitti_raw}",
+        frames=",".join(test[::6]),
+        calibrator=which.DESIGN.name,
+        perturb="euler camera 10deg 0.25m",
+        witness="none",
+        seed=3,
+    )
+    off = [(row.start_error.rotation_deg, row.error.rotation_deg) for row in ran.rows if row.error and row.start_error]
+    assert len(off) == 4
+    assert np.mean([end for _, end in off]) < 0.6 * np.mean([start for start, _ in off])
