@@ -274,10 +274,9 @@ def draw(path: Path, weights: Path | None) -> None:
     truth = frame.camera_from_lidar
     start = se3.exp(np.r_[np.radians([9.0, -7.0, 8.0]), 0.15, -0.1, 0.15]) @ truth
     poses = [each[0] for each in method.poses([glance], start)]
-    panels = [("the start", poses[0])]
-    panels += [(f"after {n} of {len(poses) - 1} stages", poses[n]) for n in (1, len(poses) - 1)] + [
-        ("the truth", truth)
-    ]
+    last = len(poses) - 1
+    panels = [("at the start", poses[0]), (f"after 1 of {last} stages", poses[1]), (f"after all {last}", poses[last])]
+    panels.append(("at the truth", truth))
     figure, rows = plt.subplots(len(panels), 2, figsize=(12.4, 2.0 * len(panels)), layout="constrained")
     for (name, pose), (left, right) in zip(panels, rows, strict=True):
         [near] = glance.drawn(pose)
