@@ -192,7 +192,10 @@ def test_no_two_frames_share_a_file() -> None:
     ("words", "text"),
     [
         (["pupul", "--data", "named:"], "did you mean pupil"),
-        (["stone", "--data", "named:"], "cannot be trained; expected one of: p2ornet, pupil"),
+        (
+            ["stone", "--data", "named:"],
+            "cannot be trained; expected one of: calibnet, calibrcnn, lccnet, p2ornet, pupil, regnet, rggnet",
+        ),
         (["pupil", "--data", "named:?names="], "no frame is chosen"),
         (["pupil", "--data", "named:?blank=d1/1"], "d1/1: the frame teaches nothing"),
         (["pupil"], "--data"),
