@@ -12,7 +12,7 @@ import pytest
 import yaml
 from p2o import Camera, Cloud, Frame, Image, InputError, se3
 from p2o.cli import main
-from p2o.frames.target import Checkerboard, HoleBoard
+from p2o.frames.target import Box, Checkerboard, HoleBoard, Sphere
 from p2o.host.registry import Registry
 from p2o.run.recipe import open_dataset
 from p2o.simulate import write_folder, write_kitti_raw, write_vkitti2
@@ -79,7 +79,12 @@ def test_the_folder_layout_keeps_start_times_sky_and_unknown_depth(tmp_path: Pat
 
 def test_the_folder_layout_says_when_and_where_a_frame_of_a_drive_was_and_what_boards_it_shows(tmp_path: Path) -> None:
     poses = [se3.exp(np.array([0.1, 0.2, 0.3, 1.0, 2.0, 3.0]) * scale) for scale in (1.0, -0.5)]
-    targets = (Checkerboard(7, 4, 0.1, 0.9, 0.6), HoleBoard(1.0, 0.8, ((-0.2, 0.0, 0.1), (0.2, 0.1, 0.12))))
+    targets = (
+        Checkerboard(7, 4, 0.1, 0.9, 0.6),
+        HoleBoard(1.0, 0.8, ((-0.2, 0.0, 0.1), (0.2, 0.1, 0.12))),
+        Sphere(0.25),
+        Box(0.9, 0.7, 0.5),
+    )
     frame = replace(
         staged(),
         sequence="drive 1",
@@ -95,7 +100,11 @@ def test_the_folder_layout_says_when_and_where_a_frame_of_a_drive_was_and_what_b
     np.testing.assert_array_equal(entry["camera_world_from_camera"], frame.camera_world_from_camera)
     checkerboard = {"columns": 7, "rows": 4, "square_m": 0.1, "width_m": 0.9, "height_m": 0.6}
     holes = {"width_m": 1.0, "height_m": 0.8, "holes": [[-0.2, 0.0, 0.1], [0.2, 0.1, 0.12]]}
-    assert entry["targets"] == [{"kind": "checkerboard", **checkerboard}, {"kind": "holes", **holes}]
+    bodies = [
+        {"kind": "sphere", "radius_m": 0.25},
+        {"kind": "box", "width_m": 0.9, "height_m": 0.7, "depth_m": 0.5},
+    ]
+    assert entry["targets"] == [{"kind": "checkerboard", **checkerboard}, {"kind": "holes", **holes}, *bodies]
     again = read("folder", tmp_path)[0]
     assert (again.sequence, again.time_s, again.targets) == ("drive 1", 2.5, targets)
     np.testing.assert_allclose(again.lidar_world_from_lidar, poses[0], atol=1e-12)

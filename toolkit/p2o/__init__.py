@@ -37,8 +37,10 @@ if TYPE_CHECKING:
     from p2o.frames.frame import Frame as Frame
     from p2o.frames.image import Image as Image
     from p2o.frames.scale import image_at_scale as image_at_scale
+    from p2o.frames.target import Box as Box
     from p2o.frames.target import Checkerboard as Checkerboard
     from p2o.frames.target import HoleBoard as HoleBoard
+    from p2o.frames.target import Sphere as Sphere
     from p2o.frames.target import Target as Target
     from p2o.geometry import se3 as se3
     from p2o.geometry.camera import Camera as Camera
@@ -126,7 +128,7 @@ _HOME = {
     "run.check": ["check", "watch"],
     "run.recipe": ["Recipe"],
     "host.registry": ["Registry"],
-    "frames.target": ["Checkerboard", "HoleBoard", "Target"],
+    "frames.target": ["Box", "Checkerboard", "HoleBoard", "Sphere", "Target"],
     "results.check": ["AxisCheck", "Check", "Holding", "Slip", "Watch", "WatchedFrame"],
     "results.evidence": ["Agreement", "Judged", "Rival", "StartWeight"],
     "results.result": [

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from p2o import (
+    Box,
     Camera,
     Checkerboard,
     Dataset,
@@ -19,6 +20,7 @@ from p2o import (
     InputError,
     Method,
     Options,
+    Sphere,
     Target,
     UnknownNameError,
     field,
@@ -92,7 +94,34 @@ class HolesEntry(Options):
         return HoleBoard(self.width_m, self.height_m, self.holes)
 
 
-_TARGETS: dict[str, type[CheckerboardEntry | HolesEntry]] = {"checkerboard": CheckerboardEntry, "holes": HolesEntry}
+class SphereEntry(Options):
+    """A target of kind sphere in frame.yaml."""
+
+    radius_m: float = field(..., gt=0, le=100, help="Radius of the sphere in metres.")
+
+    def target(self) -> Sphere:
+        """Return the target."""
+        return Sphere(self.radius_m)
+
+
+class BoxEntry(Options):
+    """A target of kind box in frame.yaml."""
+
+    width_m: float = field(..., gt=0, le=100, help="Width of the box in metres.")
+    height_m: float = field(..., gt=0, le=100, help="Height of the box in metres.")
+    depth_m: float = field(..., gt=0, le=100, help="Depth of the box in metres.")
+
+    def target(self) -> Box:
+        """Return the target."""
+        return Box(self.width_m, self.height_m, self.depth_m)
+
+
+_TARGETS: dict[str, type[CheckerboardEntry | HolesEntry | SphereEntry | BoxEntry]] = {
+    "checkerboard": CheckerboardEntry,
+    "holes": HolesEntry,
+    "sphere": SphereEntry,
+    "box": BoxEntry,
+}
 
 
 class FrameEntry(Options):

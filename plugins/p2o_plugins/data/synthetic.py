@@ -36,6 +36,7 @@ _INDOORS_M = (0.6, 1.4)
 
 
 _Shift = Annotated[float, Field(ge=-100, le=100)]
+_Side = Annotated[float, Field(gt=0, le=4)]
 _Turn = Annotated[float, Field(ge=-360, le=360)]
 _Word = Literal["front", "left", "right", "back"]
 _TO_THE_LEFT_DEG: dict[str, float] = {"": 0, "front": 0, "left": 60, "right": -60, "back": 180}
@@ -93,12 +94,15 @@ class SyntheticOptions(Options):
     odometry_noise_m: float = field(
         0.0, ge=0, le=10, help="Deviation of each step of the odometry in metres an axis, camera and LiDAR each."
     )
-    targets: Literal["none", "checkerboard", "holes"] = field(
-        "none", help="Boards ahead of the car, in another pose in each frame; frames then tell their geometry."
+    targets: Literal["none", "checkerboard", "holes", "sphere", "box"] = field(
+        "none",
+        help="Boards, balls or boxes ahead of the car, in another pose in each frame; frames then tell their geometry.",
     )
-    boards: int = field(1, ge=1, le=8, help="Number of boards in view, all of one kind.")
-    holder: Literal["person", "stand"] = field("person", help="Who or what holds each board.")
-    board: Literal["a0", "a1", "a2"] = field("a0", help="Named size of the boards, which the next options change.")
+    boards: int = field(1, ge=1, le=8, help="Number of targets in view, all of one kind; balls and boxes by colour.")
+    holder: Literal["person", "stand"] = field(
+        "person", help="Who or what holds each board; balls and boxes are always on a pole."
+    )
+    board: Literal["a0", "a1", "a2"] = field("a0", help="Named size of the targets, which the next options change.")
     columns: int | None = field(None, ge=1, le=40, help="Inner corners, or holes, along a row; null is the board's.")
     rows: int | None = field(None, ge=1, le=40, help="Inner corners, or holes, down a column; null is the board's.")
     square_m: float | None = field(
@@ -110,6 +114,10 @@ class SyntheticOptions(Options):
     )
     board_height_m: float | None = field(
         None, gt=0, le=4, help="Height of the board in metres; null is the named one's, or fits a changed pattern."
+    )
+    sphere_radius_m: float | None = field(None, gt=0, le=2, help="Radius of balls in metres; null is the named one's.")
+    box_size_m: tuple[_Side, _Side, _Side] | None = field(
+        None, help="Width, height, depth of boxes in metres; null is the named one's."
     )
     rig: Literal["fixed", "random", "random-rings"] = field(
         "fixed",
@@ -400,6 +408,8 @@ def _target(options: SyntheticOptions) -> Any:
         hole_radius_m=options.hole_radius_m,
         width_m=options.board_width_m,
         height_m=options.board_height_m,
+        radius_m=options.sphere_radius_m,
+        size_m=options.box_size_m,
     )
 
 
@@ -608,6 +618,6 @@ METHOD = Method(
     name="synthetic",
     build=build,
     options=SyntheticOptions,
-    summary="Synthetic roads, halls, rooms with exact truth: image, right image, depth, sweep of seven LiDARs, boards.",
+    summary="Synthetic roads, halls, rooms with exact truth: image, right image, depth, seven LiDARs, targets.",
     gives=frozenset({"right", "depth", "truth", "rings", "intensity", "time", "twist"}),
 )

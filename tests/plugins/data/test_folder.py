@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from p2o import Camera, Checkerboard, HoleBoard, InputError, UnknownNameError, se3
+from p2o import Box, Camera, Checkerboard, HoleBoard, InputError, Sphere, UnknownNameError, se3
 from p2o.formats.calibration import Calibration
 from p2o.formats.files import formats
 from p2o.geometry.pose_text import read_extrinsic
@@ -320,6 +320,8 @@ def test_a_folder_without_frames_says_what_it_should_hold(tmp_path: Path) -> Non
         dataset(tmp_path)
 
 
+BALL = {"kind": "sphere", "radius_m": 0.25}
+CUBOID = {"kind": "box", "width_m": 0.9, "height_m": 0.7, "depth_m": 0.5}
 BOARD = {"kind": "checkerboard", "columns": 7, "rows": 5, "square_m": 0.1, "width_m": 1.0, "height_m": 0.8}
 HOLES = {"kind": "holes", "width_m": 1.2, "height_m": 0.8, "holes": [[-0.4, 0.0, 0.1], [0.4, 0.1, 0.12]]}
 
@@ -357,11 +359,13 @@ def test_the_time_of_the_frame_and_that_of_the_image_among_the_points_are_two_th
     assert dataset(tmp_path)[0].time_s is None
 
 
-def test_targets_are_boards_with_corners_or_holes(tmp_path: Path) -> None:
-    write_frame(tmp_path, targets=[BOARD, HOLES])
+def test_targets_are_boards_with_corners_or_holes_balls_and_boxes(tmp_path: Path) -> None:
+    write_frame(tmp_path, targets=[BOARD, HOLES, BALL, CUBOID])
     assert dataset(tmp_path)[0].targets == (
         Checkerboard(7, 5, 0.1, 1.0, 0.8),
         HoleBoard(1.2, 0.8, ((-0.4, 0.0, 0.1), (0.4, 0.1, 0.12))),
+        Sphere(0.25),
+        Box(0.9, 0.7, 0.5),
     )
 
 
@@ -369,13 +373,18 @@ def test_targets_are_boards_with_corners_or_holes(tmp_path: Path) -> None:
     ("target", "message"),
     [
         ({**BOARD, "kind": "chekerboard"}, "unknown kind of target 'chekerboard'; .*did you mean checkerboard"),
-        ({k: v for k, v in BOARD.items() if k != "kind"}, r"targets\.0\.kind is not said; .*checkerboard or holes"),
+        (
+            {k: v for k, v in BOARD.items() if k != "kind"},
+            r"targets\.0\.kind is not said; .*or sphere or box",
+        ),
         ({k: v for k, v in BOARD.items() if k != "square_m"}, r"targets\.0\.square_m is not said"),
         ({k: v for k, v in HOLES.items() if k != "height_m"}, r"targets\.0\.height_m is not said"),
         ({**BOARD, "width_m": 0}, r"targets\.0\.width_m is out of bounds; expected greater than 0; got 0"),
         ({**BOARD, "width_m": 0.3}, "the checkerboard is smaller than its pattern"),
         ({**BOARD, "size": 3}, r"unknown key of targets\.0 'size'; expected one of: columns, .* square_m"),
         ({**HOLES, "square_m": 3}, r"unknown key of targets\.0 'square_m'; expected one of: height_m, holes, width_m"),
+        ({**BALL, "radius_m": -1}, r"targets\.0\.radius_m is out of bounds; expected greater than 0; got -1"),
+        ({k: v for k, v in CUBOID.items() if k != "depth_m"}, r"targets\.0\.depth_m is not said"),
         ({**HOLES, "holes": []}, r"targets\.0\.holes is out of bounds"),
         ({**HOLES, "holes": [[0, 0]]}, r"targets\.0\.holes\.0"),
         ({**HOLES, "holes": [[0, 0, -0.1]]}, "a hole board has holes of some size"),
@@ -434,7 +443,7 @@ def test_a_damaged_frame_of_a_sequence_is_refused_when_it_is_read_and_not_before
 
 def test_an_unknown_kind_of_target_is_an_unknown_name(tmp_path: Path) -> None:
     write_frame(tmp_path, targets=[{**HOLES, "kind": "hole"}])
-    with pytest.raises(UnknownNameError, match="one of: checkerboard, holes; did you mean holes"):
+    with pytest.raises(UnknownNameError, match="one of: box, checkerboard, holes, sphere; did you mean holes"):
         dataset(tmp_path)[0]
 
 

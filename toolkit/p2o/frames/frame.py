@@ -13,7 +13,7 @@ from p2o.arrays import Float, checked
 from p2o.errors import InputError, printable
 from p2o.frames.cloud import Cloud
 from p2o.frames.image import Image
-from p2o.frames.target import Checkerboard, HoleBoard, Target
+from p2o.frames.target import Target
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
 
@@ -67,10 +67,13 @@ class Frame:
         if self.camera_name:
             check_camera_name(self.camera_name, where=self.name)
         object.__setattr__(self, "targets", tuple(self.targets))
-        strange = [target for target in self.targets if not isinstance(target, Checkerboard | HoleBoard)]
+        strange = [target for target in self.targets if not isinstance(target, Target)]
         if strange:
             raise InputError(
-                "a target is none", where=self.name, expected="Checkerboard or HoleBoard", got=type(strange[0]).__name__
+                "a target is none",
+                where=self.name,
+                expected="Checkerboard, HoleBoard, Sphere or Box",
+                got=type(strange[0]).__name__,
             )
 
     @property

@@ -82,7 +82,52 @@ class HoleBoard:
         return _outline(self.width_m, self.height_m)
 
 
-Target = Checkerboard | HoleBoard
+@dataclass(frozen=True)
+class Sphere:
+    """A ball of `radius_m`; its frame has the origin in the middle."""
+
+    radius_m: float
+
+    def __post_init__(self) -> None:
+        _require_size("sphere", self.radius_m)
+
+    @property
+    def outline(self) -> Float:
+        """The eight corners (8, 3) m of the cube around it."""
+        return _corners(self.radius_m, self.radius_m, self.radius_m)
+
+
+@dataclass(frozen=True)
+class Box:
+    """A cuboid: `width_m` along x, `height_m` along y, `depth_m` along z of its frame, whose origin is in the middle.
+
+    Half turns about these axes leave it as it is; where two sizes are equal so do more.
+    """
+
+    width_m: float
+    height_m: float
+    depth_m: float
+
+    def __post_init__(self) -> None:
+        _require_size("box", self.width_m, self.height_m, self.depth_m)
+
+    @property
+    def size_m(self) -> Float:
+        """Width, height and depth (3,) m."""
+        return np.array([self.width_m, self.height_m, self.depth_m])
+
+    @property
+    def outline(self) -> Float:
+        """The eight corners (8, 3) m; corner i lies at +x where bit 0 of i is set, at +y for bit 1, at +z for bit 2."""
+        return _corners(self.width_m / 2, self.height_m / 2, self.depth_m / 2)
+
+
+Target = Checkerboard | HoleBoard | Sphere | Box
+
+
+def _corners(x: float, y: float, z: float) -> Float:
+    signs = np.array([[i & 1, i >> 1 & 1, i >> 2] for i in range(8)]) * 2.0 - 1.0
+    return np.asarray(signs * [x, y, z])
 
 
 def _outline(width_m: float, height_m: float) -> Float:

@@ -7,7 +7,9 @@ from p2o.geometry.perturb import wrong_start as wrong_start
 from p2o.simulate.air import Air as Air
 from p2o.simulate.board_places import Rig as Rig
 from p2o.simulate.board_places import boards_in_view as boards_in_view
+from p2o.simulate.boards import BOXES as BOXES
 from p2o.simulate.boards import CHECKERBOARDS as CHECKERBOARDS
+from p2o.simulate.boards import SPHERES as SPHERES
 from p2o.simulate.boards import Board as Board
 from p2o.simulate.boards import target_of as target_of
 from p2o.simulate.boards import thing_of as thing_of

@@ -6,9 +6,10 @@ from typing import Literal
 
 import numpy as np
 
-from p2o.frames.target import Checkerboard
+from p2o.frames.target import Box, Checkerboard, HoleBoard, Sphere
 from p2o.geometry import se3
 from p2o.simulate.boards import THICKNESS_M, Board
+from p2o.simulate.bodies import pole_below
 from p2o.simulate.classes import Class
 from p2o.simulate.mesh import tubes
 from p2o.simulate.palette import DARK_STEEL
@@ -23,12 +24,16 @@ def held_by(kind: Holder, board: Board, ground_m: float, rng: np.random.Generato
     """Return what holds a board above the ground at height `ground_m`; nothing of it shows before the pattern.
 
     People stand behind a checkerboard, but beside a board with holes, through which the background has to be seen.
+    Balls and boxes are always on a pole.
     """
-    return _person(board, ground_m, rng) if kind == "person" else _stand(board, ground_m)
+    if isinstance(board.target, Sphere | Box):
+        return pole_below(board.centre, ground_m)
+    person = kind == "person"
+    return _person(board, board.target, ground_m, rng) if person else _stand(board, board.target, ground_m)
 
 
-def _person(board: Board, ground_m: float, rng: np.random.Generator) -> Thing:
-    target, tall, side = board.target, rng.uniform(1.6, 1.9), float(rng.choice([-1.0, 1.0]))
+def _person(board: Board, target: Checkerboard | HoleBoard, ground_m: float, rng: np.random.Generator) -> Thing:
+    tall, side = rng.uniform(1.6, 1.9), float(rng.choice([-1.0, 1.0]))
     away = board.world_from_board[:3, 2] * [1.0, 1.0, 0.0]
     away /= np.linalg.norm(away)
     yaw = float(np.arctan2(-away[1], -away[0]))
@@ -49,9 +54,9 @@ def _person(board: Board, ground_m: float, rng: np.random.Generator) -> Thing:
     return placed(holder(rng, tall, hands), feet[0], feet[1], ground_m, yaw_deg=float(np.degrees(yaw)))
 
 
-def _stand(board: Board, ground_m: float) -> Thing:
+def _stand(board: Board, target: Checkerboard | HoleBoard, ground_m: float) -> Thing:
     """Return a pole on three feet below the middle of the board, and a bar along its back."""
-    target, behind = board.target, THICKNESS_M + 0.02
+    behind = THICKNESS_M + 0.02
     # Straight down, as far as the board reaches.
     down = -board.world_from_board[2, :2]
     half = np.array([target.width_m, target.height_m]) / 2

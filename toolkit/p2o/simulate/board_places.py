@@ -1,4 +1,4 @@
-"""Where boards stand: ahead of the rig, in view of its camera, in free space, and elsewhere in each frame."""
+"""Where boards and bodies stand: before the rig, in its camera's view, in free space, elsewhere in each frame."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ import numpy as np
 
 from p2o.arrays import Float
 from p2o.errors import InputError
-from p2o.frames.target import Checkerboard, Target
+from p2o.frames.target import Box, Checkerboard, Sphere, Target
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
 from p2o.simulate.board_holders import Holder, held_by
 from p2o.simulate.boards import Board, thing_of
+from p2o.simulate.bodies import turned_to
 from p2o.simulate.classes import Class
 from p2o.simulate.place import Thing
 from p2o.simulate.scene import Scene
@@ -22,6 +23,8 @@ NEAR_M, FAR_M = 2.0, 8.0
 _SQUARE_PX = 9.0
 _HOLE_PX = 16.0
 # Pixels of a square across, and of a hole, which have to be left at the distance of a board.
+_BODY_FAR = 20.0
+# Bodies stand no farther than so many times half of their size: few rings of a LiDAR meet them there.
 _TURN_DEG, _TILT_DEG, _ROLL_DEG = 40.0, 25.0, 15.0
 # Boards are turned about the vertical, tilted and rolled by at most so much from facing the camera.
 _MARGIN = 0.015
@@ -62,7 +65,7 @@ def boards_in_view(
         board, ground_m = _free_place(scene, rig, target, holder, share, boards, len(targets), rng)
         boards.append(board)
         person = np.random.default_rng([*seed, 2**20 + index])
-        things += [thing_of(board), held_by(holder, board, ground_m, person)]
+        things += [thing_of(board, index), held_by(holder, board, ground_m, person)]
     return tuple(boards), tuple(things)
 
 
@@ -102,7 +105,14 @@ def _free_place(
 def _far_m(target: Target, camera: Camera) -> float:
     if isinstance(target, Checkerboard):
         return camera.focal_px * target.square_m / _SQUARE_PX
+    if isinstance(target, Sphere | Box):
+        return _BODY_FAR * _half_m(target)
     return camera.focal_px * 2 * min(radius for *_, radius in target.holes) / _HOLE_PX
+
+
+def _half_m(target: Sphere | Box) -> float:
+    """Return the radius of a sphere, half of the middle side of a box."""
+    return target.radius_m if isinstance(target, Sphere) else float(np.median(target.size_m)) / 2
 
 
 def _drawn(rig: Rig, target: Target, distance: float, across: float, rng: np.random.Generator) -> Board:
@@ -111,6 +121,11 @@ def _drawn(rig: Rig, target: Target, distance: float, across: float, rng: np.ran
     pixel = [across * (camera.width - 1), rng.uniform(0.2, 0.8) * (camera.height - 1)]
     ray = np.nan_to_num(camera.rays(np.array([pixel]))[0])
     centre = se3.apply(rig.world_from_camera, distance * ray[None] / max(ray[2], 0.3))[0]
+    if isinstance(target, Sphere):
+        return Board(target, se3.make(translation=centre))
+    if isinstance(target, Box):
+        towards = rig.world_from_camera[:3, 3] - centre
+        return Board(target, se3.make(turned_to(towards / np.linalg.norm(towards), rng), centre))
     away = (centre - rig.world_from_camera[:3, 3]) * [1.0, 1.0, 0.0]
     away /= np.linalg.norm(away)
     down = np.array([0.0, 0.0, -1.0])
@@ -138,7 +153,9 @@ def _is_free(scene: Scene, rig: Rig, board: Board, ground_m: float, holder: Hold
     uv = camera.project(se3.apply(se3.inverse(rig.world_from_camera), outline))
     if not camera.in_image(uv, margin_px=-_MARGIN * camera.width).all():
         return False
-    points, taken = _room(board, ground_m, holder), [_room(other, ground_m, holder) for other in others]
+    rig_at = rig.world_from_camera[:3, 3]
+    points = _room(board, ground_m, holder, rig_at)
+    taken = [_room(other, ground_m, holder, rig_at) for other in others]
     for origin in (rig.world_from_camera[:3, 3], rig.world_from_lidar[:3, 3]):
         ways, length = _ways(points, origin)
         if (scene.cast(origin, ways).distance_m < length).any():
@@ -152,8 +169,15 @@ def _is_free(scene: Scene, rig: Rig, board: Board, ground_m: float, holder: Hold
     return True
 
 
-def _room(board: Board, ground_m: float, holder: Holder) -> Float:
+def _room(board: Board, ground_m: float, holder: Holder, rig_at: Float) -> Float:
     """Return points (N, 3) around a board and its holder, down to the ground."""
+    if isinstance(board.target, Sphere | Box):
+        around = board.centre + 1.2 * (board.outline - board.centre)
+        feet = np.column_stack([around[:, :2], np.full(len(around), ground_m + 0.15)])
+        away = (board.centre - rig_at) * [1.0, 1.0, 0.0]
+        points = np.concatenate([around, feet, around + _BEHIND_M * away / np.linalg.norm(away)])
+        points[:, 2] = np.maximum(points[:, 2], ground_m + 0.15)
+        return points
     beside = 0.7 if holder == "person" and not isinstance(board.target, Checkerboard) else 0.15
     half = np.array([board.target.width_m / 2 + beside, board.target.height_m / 2 + 0.05])
     grid = np.stack(np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-1, 1, 5)), -1).reshape(-1, 2) * half

@@ -1,4 +1,4 @@
-"""Calibration targets as things: checkerboards and boards with holes, thin, with exact geometry."""
+"""Calibration targets as things: thin boards with squares or holes, balls and boxes, with exact geometry."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ import numpy as np
 
 from p2o.arrays import Float
 from p2o.errors import InputError
-from p2o.frames.target import Checkerboard, HoleBoard, Target
+from p2o.frames.target import Box, Checkerboard, HoleBoard, Sphere, Target
 from p2o.geometry import se3
+from p2o.simulate.bodies import body_parts
 from p2o.simulate.classes import Class
 from p2o.simulate.mesh import Mesh, join, quads
 from p2o.simulate.place import Thing
@@ -32,6 +33,11 @@ _HOLES: Mapping[str, tuple[float, float]] = MappingProxyType(
     {"a0": (0.4, 0.12), "a1": (0.28, 0.085), "a2": (0.2, 0.06)}
 )
 # Distance between the centres of neighbouring holes and their radius in metres, two holes each way.
+SPHERES: Mapping[str, Sphere] = MappingProxyType({"a0": Sphere(0.3), "a1": Sphere(0.2), "a2": Sphere(0.125)})
+BOXES: Mapping[str, Box] = MappingProxyType(
+    {"a0": Box(0.9, 0.7, 0.5), "a1": Box(0.65, 0.5, 0.35), "a2": Box(0.45, 0.35, 0.25)}
+)
+"""Balls and boxes of these names: about as large as the boards."""
 _SIDES = 96  # of the polygon that stands for a hole: 0.05 % of its radius from the circle
 
 WHITE = Material("board white", (0.75, 0.75, 0.74), contrast=0.1, reflectance=0.8, pattern="plain")
@@ -48,17 +54,17 @@ class Board:
 
     @property
     def centre(self) -> Float:
-        """The middle of its front (3,) m in the world."""
+        """The middle (3,) m of a board's front, or of a body, in the world."""
         return self.world_from_board[:3, 3]
 
     @property
     def outline(self) -> Float:
-        """The four corners (4, 3) m of the board in the world."""
+        """The four corners (4, 3) m of a board in the world, or the eight (8, 3) of what encloses a body."""
         return se3.apply(self.world_from_board, self.target.outline)
 
 
 def target_of(
-    kind: Literal["checkerboard", "holes"],
+    kind: Literal["checkerboard", "holes", "sphere", "box"],
     name: str,
     *,
     columns: int | None = None,
@@ -67,14 +73,21 @@ def target_of(
     hole_radius_m: float | None = None,
     width_m: float | None = None,
     height_m: float | None = None,
+    radius_m: float | None = None,
+    size_m: tuple[float, float, float] | None = None,
 ) -> Target:
     """Return the target of a named size, with what is given in place of its own.
 
     `columns` x `rows` are inner corners, `square_m` the side of a square; for holes their number, and the distance
     between centres. A board whose pattern is given, but not its size, is half a square wider than the pattern.
+    `radius_m` is of a sphere, `size_m` width, height and depth of a box.
 
     Raises InputError where the pattern does not fit on the board.
     """
+    if kind == "sphere":
+        return SPHERES[name] if radius_m is None else Sphere(radius_m)
+    if kind == "box":
+        return BOXES[name] if size_m is None else Box(*size_m)
     paper = CHECKERBOARDS[name]
     own_pattern = not (columns is None and rows is None and square_m is None)
     if kind == "checkerboard":
@@ -93,16 +106,21 @@ def target_of(
     return HoleBoard(*size, tuple((float(u), float(v), radius) for v in y for u in x))
 
 
-def thing_of(board: Board) -> Thing:
-    """Return the parts of a board where it stands.
+def thing_of(board: Board, number: int = 0) -> Thing:
+    """Return the parts of a board or body where it stands; `number` chooses the colour of a body.
 
     Raises InputError for holes that overlap, or almost touch one another or the rim.
     """
-    target = board.target
     return [
         Part(Mesh(se3.apply(board.world_from_board, mesh.vertices), mesh.faces), material, kind=Class.BOARD)
-        for mesh, material in (_checkerboard(target) if isinstance(target, Checkerboard) else _holes(target))
+        for mesh, material in _parts(board.target, number)
     ]
+
+
+def _parts(target: Target, number: int) -> list[tuple[Mesh, Material]]:
+    if isinstance(target, Checkerboard):
+        return _checkerboard(target)
+    return _holes(target) if isinstance(target, HoleBoard) else body_parts(target, number)
 
 
 def _checkerboard(target: Checkerboard) -> list[tuple[Mesh, Material]]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from p2o.frames.cloud import Cloud
 from p2o.frames.frame import Frame
-from p2o.frames.target import Checkerboard, Target
+from p2o.frames.target import Box, Checkerboard, Sphere, Target
 from p2o.simulate.write_file import png, write_file
 
 
@@ -74,7 +74,11 @@ def write(frames: Iterable[Frame], root: Path) -> Iterator[str]:
 
 def _described(target: Target) -> dict[str, Any]:
     """Return a target as plain numbers."""
+    if isinstance(target, Sphere):
+        return {"kind": "sphere", "radius_m": float(target.radius_m)}
     size = {"width_m": float(target.width_m), "height_m": float(target.height_m)}
+    if isinstance(target, Box):
+        return {"kind": "box", **size, "depth_m": float(target.depth_m)}
     if isinstance(target, Checkerboard):
         pattern = {"columns": int(target.columns), "rows": int(target.rows), "square_m": float(target.square_m)}
         return {"kind": "checkerboard", **pattern, **size}
