@@ -70,6 +70,7 @@ def p2o_calibrators() -> Iterator[Method]:
         geiger,
         hand_eye,
         koo,
+        kuemmerle,
         lccnet,
         line_time,
         mirzaei,
@@ -82,6 +83,7 @@ def p2o_calibrators() -> Iterator[Method]:
     yield from (atop.METHOD, cues.METHOD, geiger.METHOD, hand_eye.METHOD, koo.METHOD, line_time.METHOD)
     yield from (mirzaei.METHOD, picked.METHOD, zhou.METHOD)
     yield from (calibnet.METHOD, calibrcnn.METHOD, lccnet.METHOD, regnet.METHOD, rggnet.METHOD)
+    yield from (kuemmerle.METHOD,)
 
 
 @hookimpl

@@ -1,0 +1,91 @@
+"""Regions of one strong colour in a picture: what may be a body, which has to have a colour of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from p2o.arrays import Bool, Float, UInt8
+
+Single = NDArray[np.float32]
+_HUES, _WINDOW = range(0, 180, 10), 10
+"""Middles of windows of hue in OpenCV's half degrees, and how far each reaches to either side."""
+_SATURATIONS, _LEAST_VALUE = (80, 140), 20
+_LARGEST = 0.4  # of the picture; larger is a wall or the sky
+
+
+class Region(NamedTuple):
+    """A connected region: its `area` in pixels, its outer `contour` (N, 2) px, and which pixels (H, W) are in it."""
+
+    area: float
+    contour: Float
+    inside: Bool
+
+
+def regions(rgb: UInt8, least_px: float) -> Iterator[Region]:
+    """Give regions of similar hue and some saturation, of at least `least_px` pixels; the same thing may come twice."""
+    import cv2
+
+    hsv = cv2.cvtColor(cv2.GaussianBlur(rgb, (3, 3), 0), cv2.COLOR_RGB2HSV)
+    hue, saturation, value = (hsv[..., channel].astype(np.int16) for channel in range(3))
+    height, width = hue.shape
+    for least in _SATURATIONS:
+        strong = (saturation >= least) & (value >= _LEAST_VALUE)
+        for middle in _HUES:
+            mask = strong & (np.abs((hue - middle + 90) % 180 - 90) <= _WINDOW)
+            opened = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+            found, _ = cv2.findContours(opened, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+            for outline in found:
+                area = float(cv2.contourArea(outline))
+                if least_px <= area <= _LARGEST * height * width:
+                    inside = cv2.drawContours(np.zeros((height, width), np.uint8), [outline], 0, 1, -1)
+                    yield Region(area, outline.reshape(-1, 2).astype(np.float64), inside.astype(bool))
+
+
+def at_border(uv: Float, width: int, height: int) -> Bool:
+    """Return which pixels (N, 2) lie at the border of a picture, where a region is cut off."""
+    return np.asarray((uv < 2).any(axis=1) | (uv > np.array([width, height]) - 3).any(axis=1))
+
+
+def step_at(light: Single, uv: Float, most_px: float, least_step: float = 0.02) -> Float:
+    """Return where along lines of samples (N, K, 2) px, from inside to outside, the colour steps: (N,) in 0..K-1.
+
+    The colour is taken along the way from the mean of the first samples to that of the last ones; the step is where it
+    crosses half of that. `light` (H, W, 3) is linear, because a lens smears light: the curve of sRGB would shift steps
+    by a third of a pixel. NaN where there is none, or not one within `most_px` samples of the middle.
+    """
+    import cv2
+
+    places = uv.astype(np.float32)
+    seen = cv2.remap(light, places[..., 0], places[..., 1], cv2.INTER_LINEAR).astype(np.float64)
+    count, end = seen.shape[1], max(2, seen.shape[1] // 4)
+    inner, outer = seen[:, :end].mean(axis=1), seen[:, -end:].mean(axis=1)
+    way = inner - outer
+    size = np.linalg.norm(way, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.einsum("nkc,nc->nk", seen - outer[:, None], way) / size[:, None] ** 2
+    above = share >= 0.5
+    crosses = above[:, :-1] & ~above[:, 1:]
+    at = np.argmax(crosses, axis=1)
+    rows = np.arange(len(seen))
+    high, low = share[rows, at], share[rows, at + 1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        out = at + (high - 0.5) / (high - low)
+    # Several crossings are texture, not a step.
+    bad = (crosses.sum(axis=1) != 1) | (size < least_step) | (np.abs(out - (count - 1) / 2) > most_px)
+    return np.where(bad, np.nan, out)
+
+
+def linear_light(rgb: UInt8) -> Single:
+    """Return the light (H, W, 3) that a picture of sRGB stands for."""
+    return np.asarray(_linear()[rgb])
+
+
+@lru_cache(maxsize=1)
+def _linear() -> Single:
+    """Return the light, 0 to 1, that each 8-bit value of sRGB stands for."""
+    value = np.arange(256) / 255
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)

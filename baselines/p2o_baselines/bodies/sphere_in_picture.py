@@ -1,0 +1,172 @@
+"""Spheres in a picture of any camera: their contours, as the cones of rays that touch them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import p2o
+from p2o import Sphere
+from p2o.arrays import Float
+
+from p2o_baselines.bodies.colour_regions import Region, Single, at_border, linear_light, regions, step_at
+
+_LEAST_RADIUS_PX = 7.0
+_AROUND, _REACH_PX, _STEPS_A_PX = 180, 5.0, 4
+"""How many places of a contour are looked at, and how far and how finely across it."""
+_LEAST_FIT, _LEAST_AROUND = 0.75, 0.7
+"""Of a region's outline, and of all directions around its middle, so much must lie on one cone."""
+_FLOOR_PX = 0.1  # no place of a contour is taken to be better known
+_TOGETHER = 3.0  # so many neighbours share one error, since the lens and JPEG smear steps
+
+
+@dataclass(frozen=True)
+class SphereInPicture:
+    """A ball as a picture shows it: rays (N, 3) that touch it, and the cone about `axis` (3,) of half angle `half_rad`.
+
+    `sigma_rad` is how much rays scatter about the cone, one by one as if each were independent; `px_per_rad` the scale
+    of the picture there.
+    """
+
+    target: Sphere
+    rays: Float
+    axis: Float
+    half_rad: float
+    sigma_rad: float
+    px_per_rad: float
+
+    @property
+    def centre(self) -> Float:
+        """The middle (3,) m in the camera frame: as far off as the radius and the cone say."""
+        return self.axis * self.target.radius_m / np.sin(self.half_rad)
+
+
+def cone_of(rays: Float) -> tuple[Float, float]:
+    """Return axis (3,) and half angle in rad of the cone nearest to unit rays (N, 3).
+
+    Tips of unit rays of a cone lie in the plane axis . x = cos(half angle): linear, and then least squares on angles.
+    """
+    normal = np.linalg.lstsq(rays, np.ones(len(rays)), rcond=None)[0]
+    axis = normal / np.linalg.norm(normal)
+    half = float(np.arccos(np.clip(1 / np.linalg.norm(normal), -1, 1)))
+    for _ in range(10):
+        angle, by_axis = _angles(rays, axis)
+        rows = np.column_stack([by_axis, -np.ones(len(rays))])
+        step = np.linalg.lstsq(rows, half - angle, rcond=None)[0]
+        axis = axis + step[:3]
+        axis, half = axis / np.linalg.norm(axis), half + float(step[3])
+        if np.abs(step).max() < 1e-13:
+            break
+    return axis, half
+
+
+def _angles(rays: Float, axis: Float) -> tuple[Float, Float]:
+    """Return angles (N,) of rays from an axis and their derivatives (N, 3) by the axis, across it."""
+    cosine = rays @ axis
+    sine = np.linalg.norm(np.cross(rays, axis), axis=1)
+    by_axis = -(rays - cosine[:, None] * axis) / np.maximum(sine, 1e-9)[:, None]
+    return np.arctan2(sine, cosine), by_axis
+
+
+def spheres_in_picture(image: p2o.Image, targets: Sequence[p2o.Target]) -> tuple[SphereInPicture, ...]:
+    """Return what may be balls of `targets` in a picture: regions of one colour whose outline is that of a cone.
+
+    Where targets are of several sizes each region is given once for each.
+    """
+    sizes = list(dict.fromkeys(target for target in targets if isinstance(target, Sphere)))
+    if not sizes:
+        return ()
+    found: list[SphereInPicture] = []
+    light = linear_light(image.rgb)
+    for region in regions(image.rgb, np.pi * _LEAST_RADIUS_PX**2):
+        ball = _ball(light, image.camera, region, sizes[0])
+        if ball is None:
+            continue
+        same = [n for n, known in enumerate(found) if known.axis @ ball.axis > np.cos(0.5 * known.half_rad)]
+        if not same:
+            found.append(ball)
+        elif len(ball.rays) > len(found[same[0]].rays):
+            found[same[0]] = ball
+    return tuple(
+        SphereInPicture(size, b.rays, b.axis, b.half_rad, b.sigma_rad, b.px_per_rad) for size in sizes for b in found
+    )
+
+
+def _ball(light: Single, camera: p2o.Camera, region: Region, size: Sphere) -> SphereInPicture | None:
+    """Return the ball of a region; None where its outline is no cone's, or is cut off by the picture's border."""
+    uv = region.contour[~at_border(region.contour, camera.width, camera.height)]
+    if len(uv) < 0.8 * len(region.contour) or _too_long(region):
+        return None
+    rays = camera.rays(uv)
+    rays = rays[np.isfinite(rays).all(axis=1)]
+    if len(rays) < 20:
+        return None
+    scale = np.sqrt(region.area / np.pi)  # radius in pixels
+    axis, half = cone_of(rays)
+    for _ in range(4):  # without what sticks out, such as the pole
+        off = np.abs(_angles(rays, axis)[0] - half)
+        kept = off < max(2.5 * float(np.median(off)), 1.0 * half / scale)
+        if kept.sum() < 12:
+            return None
+        axis, half = cone_of(rays[kept])
+    if not 0 < half < 1.0:
+        return None
+    off_px = np.abs(_angles(rays, axis)[0] - half) * scale / half
+    if (off_px < 1.5 + 0.02 * scale).mean() < _LEAST_FIT:
+        return None
+    return _refined(light, camera, axis, half, size)
+
+
+def _too_long(region: Region) -> bool:
+    low, high = region.contour.min(axis=0), region.contour.max(axis=0)
+    wide, tall = high - low + 1
+    return bool(max(wide, tall) > 2.5 * min(wide, tall) or region.area < 0.5 * wide * tall)
+
+
+def _refined(light: Single, camera: p2o.Camera, axis: Float, half: float, size: Sphere) -> SphereInPicture | None:
+    """Return the ball by steps of colour along the radii of its cone, to a fraction of a pixel."""
+    for _ in range(2):
+        side = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+        side /= np.linalg.norm(side)
+        other = np.cross(axis, side)
+        turn = 2 * np.pi * np.arange(_AROUND) / _AROUND
+        radial = np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * other
+
+        def uv_at(angle: Float, radial: Float = radial, axis: Float = axis) -> Float:
+            rays = np.cos(angle)[..., None] * axis + np.sin(angle)[..., None] * radial[:, None]
+            return np.asarray(camera.project(rays))
+
+        near = uv_at(np.array([half - 1e-4, half + 1e-4]))
+        if not np.isfinite(near).all():
+            return None
+        per_rad = np.linalg.norm(near[:, 1] - near[:, 0], axis=1) / 2e-4
+        reach = min(_REACH_PX, 0.4 * half * float(np.median(per_rad)))
+        steps = np.linspace(-reach, reach, 2 * round(reach * _STEPS_A_PX) + 1)
+        angle = half + steps / per_rad[:, None]
+        places = uv_at(angle)
+        if not np.isfinite(places).all():
+            return None
+        at = step_at(light, places, 0.5 * (len(steps) - 1) * 0.7)
+        told = np.isfinite(at)
+        if told.mean() < _LEAST_AROUND:
+            return None
+        where = np.interp(at[told], np.arange(len(steps)), steps)
+        angles = half + where / per_rad[told]
+        rays = np.cos(angles)[:, None] * axis + np.sin(angles)[:, None] * radial[told]
+        for _ in range(4):
+            axis, half = cone_of(rays)
+            off = _angles(rays, axis)[0] - half
+            spread = 1.4826 * float(np.median(np.abs(off)))
+            rays = rays[np.abs(off) < max(3.0 * spread, 0.3 * _FLOOR_PX / float(np.median(per_rad)))]
+        if len(rays) < _LEAST_AROUND * 0.85 * _AROUND:
+            return None
+    scale = float(np.median(per_rad))
+    off = _angles(rays, axis)[0] - half
+    rms = float(np.sqrt(np.mean(off**2)))
+    if rms * scale > 0.6 + 0.004 * half * scale:
+        return None
+    # Places nearer to each other than the lens's spot are one measurement.
+    apart_px = 2 * np.pi * half * scale / _AROUND
+    together = max(1.0, _TOGETHER / apart_px)
+    return SphereInPicture(size, rays, axis, half, max(rms, _FLOOR_PX / scale) * float(np.sqrt(together)), scale)

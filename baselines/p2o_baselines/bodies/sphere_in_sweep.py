@@ -1,0 +1,169 @@
+"""Spheres of known radius in a sweep: fitted by their points, and checked by the rays that meet or miss them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import p2o
+from p2o.arrays import Bool, Float, Int
+
+from p2o_baselines.boards.board_in_sweep import Rays, rays_of
+from p2o_baselines.bodies.standing import standing
+
+_LEAST_POINTS, _LEAST_RINGS = 10, 3
+_TRIPLES = 300
+_LEAST_HIT, _MOST_BESIDE = 0.8, 0.4
+"""Of the rays well inside of the outline so many end on the ball, and of those just beside it no more near it."""
+_STEEPEST = 0.25  # cosine to the surface below which a return is a graze
+_ANGLE_RAD = 0.001  # deviation of a beam's direction, with what its spot does on a curved surface
+_FLOOR_M = 0.004
+
+
+@dataclass(frozen=True)
+class SphereInSweep:
+    """A ball in a sweep: its points `xyz` (N, 3) m in the LiDAR frame, its `centre` (3,) and how sure that is (3, 3).
+
+    Ranges scatter by `sigma_m`; `free_radius_m` is the radius that its points would have by themselves, and
+    `radius_sigma_m` how well they tell it.
+    """
+
+    radius_m: float
+    xyz: Float
+    centre: Float
+    covariance: Float
+    sigma_m: float
+    free_radius_m: float
+    radius_sigma_m: float
+
+
+def off_sphere(xyz: Float, centre: Float, radius_m: float, sigma_m: float) -> tuple[Float, Float]:
+    """Return distances (N,) of points from a sphere in m, and their deviations (N,): ranges matter less at a slant."""
+    out = xyz - centre
+    distance = np.linalg.norm(out, axis=1)
+    far = np.linalg.norm(xyz, axis=1)
+    facing = -np.einsum("ni,ni->n", out, xyz) / np.maximum(distance * far, 1e-9)
+    across = np.sqrt(np.clip(1 - facing**2, 0, 1))
+    return distance - radius_m, np.hypot(sigma_m * facing, _ANGLE_RAD * far * across)
+
+
+def fitted_sphere(xyz: Float, centre: Float, radius_m: float, sigma_m: float, free: bool = False) -> Float:
+    """Return the centre (3,) of the sphere nearest to points (N, 3), next to a given one; with `free`, radius too (4,).
+
+    Gauss and Newton on distances by their deviations.
+    """
+    place = np.r_[centre, radius_m] if free else np.array(centre, np.float64)
+    for _ in range(30):
+        out = xyz - place[:3]
+        distance = np.maximum(np.linalg.norm(out, axis=1), 1e-9)
+        off, sigma = off_sphere(xyz, place[:3], float(place[3]) if free else radius_m, sigma_m)
+        rows = -out / distance[:, None]
+        rows = np.column_stack([rows, -np.ones(len(rows))]) if free else rows
+        step = np.linalg.lstsq(rows / sigma[:, None], -off / sigma, rcond=None)[0]
+        step *= min(1.0, 0.5 * radius_m / max(float(np.linalg.norm(step)), 1e-12))
+        place = place + step
+        if np.abs(step).max() < 1e-10:
+            break
+    return place
+
+
+def covariance_of_fit(xyz: Float, centre: Float, radius_m: float, sigma_m: float, free: bool = False) -> Float:
+    """Return the covariance (3, 3) of a centre, or with `free` (4, 4) of centre and radius, by the noise of ranges."""
+    out = xyz - centre
+    rows = -out / np.linalg.norm(out, axis=1)[:, None]
+    rows = np.column_stack([rows, -np.ones(len(rows))]) if free else rows
+    _, sigma = off_sphere(xyz, centre, radius_m, sigma_m)
+    return np.asarray(np.linalg.pinv((rows / sigma[:, None]).T @ (rows / sigma[:, None])))
+
+
+def spheres_in_sweep(
+    cloud: p2o.Cloud, radii_m: Sequence[float], *, farthest_m: float, sigma_m: float
+) -> tuple[SphereInSweep, ...]:
+    """Return what may be balls of some radii; `sigma_m` is how much ranges may scatter at most."""
+    rays = rays_of(cloud, farthest_m)
+    found: list[SphereInSweep] = []
+    for radius in dict.fromkeys(radii_m):
+        used = np.zeros(len(rays.xyz), np.bool_)
+        for about in standing(rays, farthest_m, 2.2 * radius, used):
+            ball = _ball(rays, about, radius, sigma_m)
+            if ball is not None:
+                found.append(ball)
+                used |= np.linalg.norm(rays.xyz - ball.centre, axis=1) < 1.3 * radius
+    return tuple(found)
+
+
+def _ball(rays: Rays, about: Int, radius: float, sigma_m: float) -> SphereInSweep | None:
+    """Return the ball that most of some points lie on; None where rays say that it is none."""
+    xyz = rays.xyz[about]
+    centres = _through(xyz, radius, np.random.default_rng(len(xyz)))
+    if not len(centres):
+        return None
+    off = np.abs(np.linalg.norm(xyz[None] - centres[:, None], axis=2) - radius)
+    most = int(np.argmax((off < 2 * sigma_m).sum(axis=1)))
+    centre, sigma = centres[most], sigma_m
+    for _ in range(5):
+        away, spread = off_sphere(xyz, centre, radius, sigma)
+        facing = np.einsum("ni,ni->n", centre - xyz, xyz) / np.linalg.norm(xyz, axis=1) / radius
+        on = (np.abs(away) < np.maximum(3 * spread, 2 * _FLOOR_M)) & (facing > _STEEPEST)
+        if on.sum() < _LEAST_POINTS or len(np.unique(rays.ring[about[on]])) < _LEAST_RINGS:
+            return None
+        centre = fitted_sphere(xyz[on], centre, radius, sigma)
+        away, spread = off_sphere(xyz[on], centre, radius, sigma)
+        freedom = max(int(on.sum()) - 3, 1)
+        sigma = float(np.clip(sigma * np.sqrt(np.sum((away / spread) ** 2) / freedom), _FLOOR_M, sigma_m))
+    if np.median(np.abs(away)) > sigma_m or not _stands(rays, centre, radius, max(4 * sigma, 0.03)):
+        return None
+    points = xyz[on]
+    free = fitted_sphere(points, centre, radius, sigma, free=True)
+    told = covariance_of_fit(points, free[:3], float(free[3]), sigma, free=True)
+    return SphereInSweep(
+        radius,
+        points,
+        centre,
+        covariance_of_fit(points, centre, radius, sigma),
+        sigma,
+        float(free[3]),
+        float(np.sqrt(told[3, 3])),
+    )
+
+
+def _through(xyz: Float, radius: float, rng: np.random.Generator) -> Float:
+    """Return centres (K, 3) of spheres through triples of points, on the far side from the sensor."""
+    three = xyz[rng.integers(0, len(xyz), (_TRIPLES, 3))]
+    a, b = three[:, 1] - three[:, 0], three[:, 2] - three[:, 0]
+    normal = np.cross(a, b)
+    twice = np.einsum("ni,ni->n", normal, normal)
+    good = twice > (0.05 * radius**2) ** 2
+    a, b, normal, twice, origin = a[good], b[good], normal[good], twice[good], three[good, 0]
+    squares = np.einsum("ni,ni->n", a, a)[:, None], np.einsum("ni,ni->n", b, b)[:, None]
+    foot = np.cross(squares[0] * b - squares[1] * a, normal) / (2 * twice[:, None])
+    high = radius**2 - np.einsum("ni,ni->n", foot, foot)
+    near = high > 0
+    unit = normal[near] / np.sqrt(twice[near])[:, None]
+    middle = origin[near] + foot[near]
+    sign = np.sign(np.einsum("ni,ni->n", unit, middle))
+    return np.asarray(middle + (sign * np.sqrt(high[near]))[:, None] * unit)
+
+
+def _stands(rays: Rays, centre: Float, radius: float, within_m: float) -> bool:
+    """Whether rays well inside of a ball's outline end on it, and those beside it go past."""
+    start = np.zeros_like(rays.xyz)
+    start[:, 2] = rays.height_m
+    way = rays.xyz - start
+    distance = np.linalg.norm(way, axis=1)
+    way = way / np.maximum(distance, 1e-9)[:, None]
+    to = centre - start
+    along = np.einsum("ni,ni->n", way, to)
+    miss = np.sqrt(np.maximum(np.einsum("ni,ni->n", to, to) - along**2, 0)) / radius
+    ahead = along > 0
+    inside: Bool = ahead & (miss < 0.85)
+    expected = along - radius * np.sqrt(np.maximum(1 - miss**2, 0))
+    hits = np.abs(distance - expected) < within_m + 0.3 * radius * miss**4
+    hidden = distance < expected - within_m - 0.05
+    judged = inside & ~hidden
+    beside = ahead & (miss > 1.15) & (miss < 1.7)
+    near = np.abs(distance - along) < 1.5 * radius
+    if judged.sum() < _LEAST_POINTS or (hidden.sum() > 0 and (inside & hidden).sum() > 0.4 * inside.sum()):
+        return False
+    return bool(hits[judged].mean() >= _LEAST_HIT and (not beside.any() or near[beside].mean() <= _MOST_BESIDE))
