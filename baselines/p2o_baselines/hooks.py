@@ -75,6 +75,7 @@ def p2o_calibrators() -> Iterator[Method]:
         line_time,
         mirzaei,
         picked,
+        pusztai,
         regnet,
         rggnet,
         zhou,
@@ -83,7 +84,7 @@ def p2o_calibrators() -> Iterator[Method]:
     yield from (atop.METHOD, cues.METHOD, geiger.METHOD, hand_eye.METHOD, koo.METHOD, line_time.METHOD)
     yield from (mirzaei.METHOD, picked.METHOD, zhou.METHOD)
     yield from (calibnet.METHOD, calibrcnn.METHOD, lccnet.METHOD, regnet.METHOD, rggnet.METHOD)
-    yield from (kuemmerle.METHOD,)
+    yield from (kuemmerle.METHOD, pusztai.METHOD)
 
 
 @hookimpl

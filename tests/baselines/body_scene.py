@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from p2o import Box, Camera, Cloud, Frame, Image, Sphere, se3
 from p2o.arrays import Float
+from p2o.simulate.bodies import turned_to
 
 CAMERA = Camera.pinhole(700.0, 700.0, 499.5, 299.5, 1000, 600)
 FISHEYE = Camera("OPENCV_FISHEYE", 1000, 600, (420.0, 420.0, 499.5, 299.5, -0.03, 0.01, 0.0, 0.0))
@@ -39,16 +42,22 @@ def meets_box(start: Float, way: Float, sensor_from_box: Float, size_m: Float) -
     return np.where((far < leave) & (far > 0), far, np.inf), enter.argmax(axis=1)
 
 
+_PLACES = [(k / 8 - 7 / 16, (3 * k % 8) / 8 - 7 / 16) for k in range(8)]
+
+
+@cache
+def _rays(camera: Camera) -> list[Float]:
+    v, u = np.mgrid[: camera.height, : camera.width].astype(np.float64)
+    return [camera.rays(np.stack([u + x, v + y], -1).reshape(-1, 2)) for x, y in _PLACES]
+
+
 def picture(camera: Camera, things: list[Float], target: Sphere | Box, noise: float = 0.0) -> Image:
-    """Return a picture of bodies before grey, 16 rays a pixel where there is an outline; sRGB.
+    """Return a picture of bodies before grey, eight rays a pixel, in sRGB.
 
     `things` are the middles (3,) m of balls, or camera_from_box (4, 4), each of its own colour.
     """
-    v, u = np.mgrid[: camera.height, : camera.width].astype(np.float64)
     total = np.zeros((camera.height * camera.width, 3))
-    places = [(a, b) for a in (-0.375, -0.125, 0.125, 0.375) for b in (-0.375, -0.125, 0.125, 0.375)]
-    for across, down in places:
-        rays = camera.rays(np.stack([u + across, v + down], -1).reshape(-1, 2))
+    for rays in _rays(camera):
         light = np.full((len(rays), 3), (GREY / 255) ** 2.2)
         for index, thing in enumerate(things):
             tone: Float | float = 1.0
@@ -58,7 +67,7 @@ def picture(camera: Camera, things: list[Float], target: Sphere | Box, noise: fl
                 at, axis = meets_box(np.zeros(3), rays, thing, target.size_m)
                 tone = np.array(TONES)[axis][np.isfinite(at)][:, None]
             light[np.isfinite(at)] = tone * (COLOURS[index % 3] / 255) ** 2.2
-        total += light / len(places)
+        total += light / len(_PLACES)
     value = np.where(total <= 0.0031308, 12.92 * total, 1.055 * total ** (1 / 2.4) - 0.055) * 255
     value += np.random.default_rng(0).normal(0, 1, value.shape) * noise
     return Image(np.clip(np.rint(value), 0, 255).astype(np.uint8).reshape(camera.height, camera.width, 3), camera)
@@ -98,3 +107,14 @@ def frame(number: int, things: list[Float], target: Sphere | Box, noise_m: float
         camera_from_lidar=TRUTH,
         targets=(target,) * len(things),
     )
+
+
+def corner_on(count: int, seed: int = 0) -> list[Float]:
+    """Return camera_from_box (4, 4) of boxes 2.5 to 4 m ahead that turn a corner to us."""
+    rng = np.random.default_rng(seed)
+    out = []
+    for _ in range(count):
+        depth = rng.uniform(2.5, 4)
+        centre = np.array([*(rng.uniform(-0.3, 0.3, 2) * [1.0, 0.5] * depth), depth])
+        out.append(se3.make(turned_to(-centre / np.linalg.norm(centre), rng), centre))
+    return out

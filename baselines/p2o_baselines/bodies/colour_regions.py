@@ -13,7 +13,7 @@ from p2o.arrays import Bool, Float, UInt8
 Single = NDArray[np.float32]
 _HUES, _WINDOW = range(0, 180, 10), 10
 """Middles of windows of hue in OpenCV's half degrees, and how far each reaches to either side."""
-_SATURATIONS, _LEAST_VALUE = (80, 140), 20
+_SATURATIONS, _LEAST_VALUE = (80, 140), 12
 _LARGEST = 0.4  # of the picture; larger is a wall or the sky
 
 
@@ -29,7 +29,7 @@ def regions(rgb: UInt8, least_px: float) -> Iterator[Region]:
     """Give regions of similar hue and some saturation, of at least `least_px` pixels; the same thing may come twice."""
     import cv2
 
-    hsv = cv2.cvtColor(cv2.GaussianBlur(rgb, (3, 3), 0), cv2.COLOR_RGB2HSV)
+    hsv = cv2.cvtColor(cv2.GaussianBlur(rgb, (5, 5), 0), cv2.COLOR_RGB2HSV)
     hue, saturation, value = (hsv[..., channel].astype(np.int16) for channel in range(3))
     height, width = hue.shape
     for least in _SATURATIONS:
@@ -50,17 +50,20 @@ def at_border(uv: Float, width: int, height: int) -> Bool:
     return np.asarray((uv < 2).any(axis=1) | (uv > np.array([width, height]) - 3).any(axis=1))
 
 
-def step_at(light: Single, uv: Float, most_px: float, least_step: float = 0.02) -> Float:
+def step_at(light: Single, uv: Float, most: float, *, least_step: float = 0.006, smooth: int = 3) -> Float:
     """Return where along lines of samples (N, K, 2) px, from inside to outside, the colour steps: (N,) in 0..K-1.
 
     The colour is taken along the way from the mean of the first samples to that of the last ones; the step is where it
     crosses half of that. `light` (H, W, 3) is linear, because a lens smears light: the curve of sRGB would shift steps
-    by a third of a pixel. NaN where there is none, or not one within `most_px` samples of the middle.
+    by a third of a pixel. NaN where there is none, or not one within `most` samples of the middle.
+
+    `smooth` lines beside each other are averaged first, so each shares its error with as many.
     """
     import cv2
 
     places = uv.astype(np.float32)
-    seen = cv2.remap(light, places[..., 0], places[..., 1], cv2.INTER_LINEAR).astype(np.float64)
+    seen = cv2.remap(light, places[..., 0], places[..., 1], cv2.INTER_LINEAR)
+    seen = cv2.blur(seen, (3, smooth), borderType=cv2.BORDER_REPLICATE).astype(np.float64)
     count, end = seen.shape[1], max(2, seen.shape[1] // 4)
     inner, outer = seen[:, :end].mean(axis=1), seen[:, -end:].mean(axis=1)
     way = inner - outer
@@ -75,7 +78,7 @@ def step_at(light: Single, uv: Float, most_px: float, least_step: float = 0.02) 
     with np.errstate(divide="ignore", invalid="ignore"):
         out = at + (high - 0.5) / (high - low)
     # Several crossings are texture, not a step.
-    bad = (crosses.sum(axis=1) != 1) | (size < least_step) | (np.abs(out - (count - 1) / 2) > most_px)
+    bad = (crosses.sum(axis=1) != 1) | (size < least_step) | (np.abs(out - (count - 1) / 2) > most)
     return np.where(bad, np.nan, out)
 
 

@@ -18,7 +18,7 @@ _AROUND, _REACH_PX, _STEPS_A_PX = 180, 5.0, 4
 _LEAST_FIT, _LEAST_AROUND = 0.75, 0.7
 """Of a region's outline, and of all directions around its middle, so much must lie on one cone."""
 _FLOOR_PX = 0.1  # no place of a contour is taken to be better known
-_TOGETHER = 3.0  # so many neighbours share one error, since the lens and JPEG smear steps
+_TOGETHER = 3.0  # so many neighbours, or pixels, share one error: they are averaged, and the lens smears steps
 
 
 @dataclass(frozen=True)
@@ -168,5 +168,5 @@ def _refined(light: Single, camera: p2o.Camera, axis: Float, half: float, size: 
         return None
     # Places nearer to each other than the lens's spot are one measurement.
     apart_px = 2 * np.pi * half * scale / _AROUND
-    together = max(1.0, _TOGETHER / apart_px)
+    together = max(_TOGETHER, _TOGETHER / apart_px)
     return SphereInPicture(size, rays, axis, half, max(rms, _FLOOR_PX / scale) * float(np.sqrt(together)), scale)

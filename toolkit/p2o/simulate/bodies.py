@@ -14,17 +14,17 @@ from p2o.simulate.place import Thing
 from p2o.simulate.scene import Material, Part
 
 COLOURS = {
-    "magenta": (0.36, 0.02, 0.24),
-    "blue": (0.03, 0.07, 0.42),
-    "green": (0.03, 0.28, 0.05),
-    "red": (0.42, 0.03, 0.03),
-    "orange": (0.5, 0.16, 0.01),
-    "teal": (0.01, 0.24, 0.26),
-    "violet": (0.14, 0.04, 0.36),
-    "lime": (0.2, 0.32, 0.01),
+    "magenta": (0.55, 0.04, 0.36),
+    "blue": (0.05, 0.11, 0.6),
+    "green": (0.05, 0.42, 0.08),
+    "red": (0.6, 0.05, 0.05),
+    "orange": (0.65, 0.21, 0.02),
+    "teal": (0.02, 0.36, 0.4),
+    "violet": (0.24, 0.07, 0.58),
+    "lime": (0.3, 0.48, 0.02),
 }
 """Colours of bodies, linear RGB: the first body of a frame has the first one, and so on."""
-TONES = (1.0, 0.62, 0.36)
+TONES = (1.0, 0.74, 0.55)
 """How light the faces of a box across its x, y and z axis are, so that each edge shows in any light."""
 _HALVINGS = 6
 """Of the edges of an octahedron's faces: the faces of a ball then lie at most 0.02 % of its radius inside of it."""

@@ -1,0 +1,207 @@
+"""Boxes: corners and cuboids as geometry says, the exact pose without noise, and refusals in words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from p2o import Box, Camera, Result, Status, pose_error, se3
+from p2o.arrays import Float
+from p2o_baselines import pusztai
+from p2o_baselines.bodies.box_in_picture import BoxInPicture, boxes_in_picture, fitted_box, flat_at
+from p2o_baselines.bodies.box_in_sweep import BoxInSweep, Face, boxes_in_sweep, corner_planes
+from p2o_baselines.bodies.box_pairing import BoxSight
+from p2o_baselines.bodies.box_shape import around, near_corner, symmetries
+
+from tests.baselines.body_scene import AWAY, CAMERA, CUBOID, FISHEYE, TRUTH, corner_on, frame, picture, sweep
+
+SIZE = CUBOID.size_m
+
+
+def seen(camera_from_box: Float, noise_px: float = 0.0, seed: int = 0) -> BoxInPicture:
+    """Return a box as a picture shows it, its seven corners off by noise."""
+    corner = near_corner(se3.inverse(camera_from_box)[:3, 3], SIZE)
+    assert corner is not None
+    vertex = np.array([*around(corner)[0], corner])
+    flat = flat_at(CAMERA, CAMERA.project(camera_from_box[None, :3, 3])[0])
+    assert flat is not None
+    uv = flat.seen(se3.apply(camera_from_box, CUBOID.outline[vertex]))
+    uv = uv + np.random.default_rng(seed).normal(0, 1, uv.shape) * noise_px
+    covariance = np.tile(np.eye(2) * max(noise_px, 0.05) ** 2, (7, 1, 1))
+    box = fitted_box(BoxInPicture(CUBOID, flat, uv, covariance, vertex, camera_from_box, 0.0, None))
+    assert box is not None
+    return box
+
+
+def scanned(camera_from_box: Float, noise: float = 0.0, seed: int = 0) -> BoxInSweep:
+    """Return the same box as a sweep shows it, its pose off by noise (rad, m) about its middle."""
+    pose = se3.inverse(TRUTH) @ camera_from_box
+    about = se3.make(translation=pose[:3, 3])
+    sigma = np.repeat([1.0, 0.3], 3) * max(noise, 1e-3)
+    step = np.random.default_rng(seed).normal(0, 1, 6) * np.repeat([1.0, 0.3], 3) * noise
+    moved = np.eye(6)
+    moved[3:, :3] = se3.skew(pose[:3, 3])
+    face = Face(np.zeros((30, 3)), np.eye(3)[0], 0.0, 0.01)
+    found = about @ se3.exp(step) @ se3.inverse(about) @ pose
+    return BoxInSweep(tuple(SIZE), found, moved @ np.diag(sigma**2) @ moved.T, 0.01, (face, face, face))
+
+
+def sights(boxes: list[Float], noise_px: float = 0.0, noise: float = 0.0) -> list[BoxSight]:
+    return [
+        BoxSight(f"pose{k}", "a box", (seen(pose, noise_px, k),), (scanned(pose, noise, k),))
+        for k, pose in enumerate(boxes)
+    ]
+
+
+def solved(found: list[BoxSight], start: Float = AWAY, **options: float) -> Result:
+    result: Result = pusztai.METHOD.build(pusztai.METHOD.options(**options)).solve(found, start)
+    return result
+
+
+@pytest.mark.parametrize(("size", "count"), [((0.9, 0.7, 0.5), 4), ((0.9, 0.7, 0.7), 8), ((0.7, 0.7, 0.7), 24)])
+def test_turns_that_leave_a_box_alike_leave_its_corners_in_place(size: tuple[float, ...], count: int) -> None:
+    turns = symmetries(np.array(size))
+    corners = {tuple(c) for c in Box(*size).outline.round(6)}
+    assert len(turns) == count
+    assert all({tuple(c) for c in se3.apply(turn, Box(*size).outline).round(6)} == corners for turn in turns)
+    assert len({tuple(turn.ravel().round(6)) for turn in turns}) == count
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_outline_of_a_box_is_the_hull_of_its_corners(seed: int) -> None:
+    import cv2
+
+    pose = corner_on(1, seed)[0]
+    corner = near_corner(se3.inverse(pose)[:3, 3], SIZE)
+    assert corner is not None
+    uv = CAMERA.project(se3.apply(pose, CUBOID.outline))
+    hull = cv2.convexHull(uv.astype(np.float32), returnPoints=False).ravel().tolist()
+    ring = around(corner)[0]
+    first = hull.index(ring[0])
+    turned = hull[first:] + hull[:first]
+    assert ring in (turned, [turned[0], *turned[:0:-1]])
+    assert np.linalg.norm(se3.apply(pose, CUBOID.outline), axis=1).argmin() == corner
+
+
+def test_three_faces_are_found_and_meet_in_the_corner() -> None:
+    rng = np.random.default_rng(0)
+    pose = se3.inverse(TRUTH) @ corner_on(1)[0]
+    eye = np.sign(se3.inverse(pose)[:3, 3])
+    points = []
+    for axis in range(3):
+        on = rng.uniform(-0.4, 0.4, (60, 3)) * SIZE  # none so near to an edge that it lies on two faces
+        on[:, axis] = eye[axis] * SIZE[axis] / 2
+        points.append(on)
+    found = corner_planes(se3.apply(pose, np.concatenate(points)), 0.01, rng)
+    assert found is not None
+    normals, offsets, members = found
+    assert np.abs(normals @ normals.T) == pytest.approx(np.eye(3), abs=1e-9)
+    assert np.linalg.solve(normals, offsets) == pytest.approx(se3.apply(pose, (eye * SIZE / 2)[None])[0], abs=1e-9)
+    assert sorted(len(m) for m in members) == [60, 60, 60]
+
+
+@pytest.mark.parametrize("count", [1, 4])
+def test_boxes_without_noise_give_the_pose_exactly(count: int) -> None:
+    result = solved(sights(corner_on(count)))
+    assert result.status is Status.CONVERGED, result.reason
+    error = pose_error(result.camera_from_lidar, TRUTH)
+    assert np.radians(error.rotation_deg) < 1e-6
+    assert error.translation_m < 1e-6
+    assert result.matches["corners"] == 7 * count
+
+
+def test_a_box_that_is_turned_to_itself_in_the_sweep_gives_the_same_pose() -> None:
+    plain = sights(corner_on(3))
+    for turn in symmetries(SIZE):
+        found = [
+            replace(s, sweeps=(replace(s.sweeps[0], lidar_from_box=s.sweeps[0].lidar_from_box @ turn),)) for s in plain
+        ]
+        assert solved(found).camera_from_lidar == pytest.approx(TRUTH, abs=1e-6)
+
+
+def test_of_the_ways_one_box_may_be_turned_the_start_takes_the_nearest_and_says_so() -> None:
+    (box,) = corner_on(1)
+    far = box @ symmetries(SIZE)[1] @ se3.inverse(box) @ TRUTH
+    if np.linalg.norm(far[:3, 3]) < 3:
+        assert pose_error(solved(sights([box]), far).camera_from_lidar, far).rotation_deg < 1e-3
+        assert any("poses fit the boxes about as well" in line for line in solved(sights([box])).warnings)
+    # Three boxes that are turned differently leave one pose.
+    assert pose_error(solved(sights(corner_on(3)), far).camera_from_lidar, TRUTH).rotation_deg < 1e-3
+
+
+def test_noise_moves_a_pose_by_what_its_covariance_says() -> None:
+    size = []
+    for seed in range(10):
+        result = solved(sights(corner_on(5, seed), 0.3, 0.004), range_bias_m=0, camera_px=0)
+        step = se3.log(result.camera_from_lidar @ se3.inverse(TRUTH))
+        size.append(step @ np.linalg.solve(result.covariance, step))
+    # A sum of six squares: 6 on average, to 1.1 over ten draws; a scatter that widens makes it smaller.
+    assert 2.0 < np.mean(size) < 9.5
+
+
+def test_a_box_elsewhere_in_a_sweep_is_left_out() -> None:
+    found = sights(corner_on(3))
+    other = scanned(se3.make(translation=[1.2, 0.3, 0.5]) @ corner_on(1, 9)[0])
+    found[1] = replace(found[1], sweeps=(other, *found[1].sweeps))
+    assert solved(found).camera_from_lidar == pytest.approx(TRUTH, abs=1e-6)
+
+
+def test_frames_without_boxes_are_told_apart() -> None:
+    found = sights(corner_on(2))
+    assert "state it in `targets`" in solved([replace(s, asked="none", pictures=()) for s in found]).reason
+    assert "no picture of 2 shows" in solved([replace(s, pictures=()) for s in found]).reason
+    nothing = solved([replace(s, sweeps=()) for s in found])
+    assert nothing.status is Status.NO_FEATURES
+    assert "no sweep has" in nothing.reason
+    assert np.array_equal(nothing.camera_from_lidar, AWAY)
+
+
+def test_sweeps_and_pictures_of_other_places_are_refused() -> None:
+    found = sights(corner_on(2))
+    far = [replace(s, sweeps=(scanned(se3.make(translation=[0, 0, 5]) @ corner_on(1, 5)[0]),)) for s in found]
+    result = solved(far)
+    assert result.status is Status.TOO_FEW_MATCHES
+    assert "within 3 m of each other" in result.reason
+
+
+@pytest.mark.parametrize("camera", [CAMERA, FISHEYE], ids=["pinhole", "fisheye"])
+def test_a_box_is_found_in_a_picture_of_any_camera(camera: Camera) -> None:
+    (truth,) = corner_on(1, 3)
+    (box,) = boxes_in_picture(picture(camera, [truth], CUBOID, noise=2.0), [CUBOID])
+    off = [truth @ turn @ se3.inverse(box.camera_from_box) for turn in symmetries(SIZE)]
+    assert min(se3.angle_deg(step) for step in off) < 0.3
+    assert box.camera_from_box[:3, 3] == pytest.approx(truth[:3, 3], abs=0.01)
+    corners = box.flat.seen(se3.apply(truth, CUBOID.outline))
+    assert max(np.linalg.norm(corners - uv, axis=1).min() for uv in box.uv) < 0.5
+    assert len(box.uv) == 7
+    assert boxes_in_picture(picture(camera, [truth], CUBOID), [Box(0.9, 0.4, 0.4)]) == ()
+
+
+def test_a_box_is_found_in_a_sweep_and_one_of_another_size_is_not() -> None:
+    (truth,) = corner_on(1, 3)
+    there = sweep([truth], CUBOID, 0.015)
+    (box,) = boxes_in_sweep(there, [tuple(SIZE)], farthest_m=12, sigma_m=0.04)
+    pose = se3.inverse(TRUTH) @ truth
+    assert box.lidar_from_box[:3, 3] == pytest.approx(pose[:3, 3], abs=0.01)
+    off = [pose @ turn @ se3.inverse(box.lidar_from_box) for turn in symmetries(SIZE)]
+    assert min(se3.angle_deg(step) for step in off) < 1.0
+    assert box.corner == pytest.approx(se3.apply(pose, CUBOID.outline)[_nearest(pose)], abs=0.02)
+    for size in ((0.9, 0.7, 0.9), (0.6, 0.5, 0.4)):
+        assert boxes_in_sweep(there, [size], farthest_m=12, sigma_m=0.04) == ()
+    assert boxes_in_sweep(sweep([], CUBOID, 0.015), [tuple(SIZE)], farthest_m=12, sigma_m=0.04) == ()
+
+
+def _nearest(pose: Float) -> int:
+    return int(np.linalg.norm(se3.apply(pose, CUBOID.outline), axis=1).argmin())
+
+
+def test_drawn_frames_are_calibrated_from_picture_and_sweep() -> None:
+    method = pusztai.METHOD.build(pusztai.METHOD.options())
+    prepared = [method.prepare(frame(k, [pose], CUBOID)) for k, pose in enumerate(corner_on(2, 3))]
+    result = method.solve(prepared, AWAY)
+    assert result.status is Status.CONVERGED, result.reason
+    error = pose_error(result.camera_from_lidar, TRUTH)
+    # Corners by some hundred points a face off by 1.5 cm: 3 mm each, so 0.2 deg over a box.
+    assert error.rotation_deg < 0.5
+    assert error.translation_m < 0.03
