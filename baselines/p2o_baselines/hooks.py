@@ -68,6 +68,7 @@ def p2o_calibrators() -> Iterator[Method]:
         calibrcnn,
         cues,
         geiger,
+        gong,
         hand_eye,
         koo,
         kuemmerle,
@@ -84,7 +85,7 @@ def p2o_calibrators() -> Iterator[Method]:
     yield from (atop.METHOD, cues.METHOD, geiger.METHOD, hand_eye.METHOD, koo.METHOD, line_time.METHOD)
     yield from (mirzaei.METHOD, picked.METHOD, zhou.METHOD)
     yield from (calibnet.METHOD, calibrcnn.METHOD, lccnet.METHOD, regnet.METHOD, rggnet.METHOD)
-    yield from (kuemmerle.METHOD, pusztai.METHOD)
+    yield from (gong.METHOD, kuemmerle.METHOD, pusztai.METHOD)
 
 
 @hookimpl

@@ -41,7 +41,7 @@ def around(corner: int) -> tuple[list[int], list[tuple[int, int]]]:
 
 
 def enters(start: Float, way: Float, half: Float) -> tuple[Float, Int, Bool]:
-    """Return how far along rays (N, 3) a box of half sizes (3,) is met in its frame, across which axis, and if at all."""
+    """Return how far along rays (N, 3) in its frame a box of half sizes (3,) is met, across which axis, and whether."""
     with np.errstate(divide="ignore", invalid="ignore"):
         one, two = ((sign * half - start) / way for sign in (-1.0, 1.0))
     low, high = np.fmin(one, two), np.fmax(one, two)

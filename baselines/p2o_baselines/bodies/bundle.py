@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -73,7 +74,7 @@ def adjusted(
         tried = [place + part.rest - part.back @ step for place, part in zip(places, parts, strict=True)]
         total = _cost(bodies, trial, tried)
         if total <= least * (1 + 1e-12):
-            done = np.abs(step).max() < 1e-10 and least - total <= 1e-10 * (1 + least)
+            done = np.abs(step).max() < 1e-8 or least - total <= 1e-9 * least
             pose, places, least, damping = trial, tried, total, max(damping / 10, 1e-12)
             if done:
                 break
@@ -92,11 +93,11 @@ def _cost(bodies: Sequence[Body], pose: Float, own: Sequence[Float]) -> float:
 
 def _part(body: Body, pose: Float, own: Float, damping: float = 0.0) -> _Part:
     at = body.residuals(pose, own, 0.0)
+    plus, minus = _nudges()
     by_pose = np.stack(
         [
-            (body.residuals(se3.exp(step) @ pose, own, 0.0) - body.residuals(se3.exp(-step) @ pose, own, 0.0))
-            / (2 * _STEP)
-            for step in _STEP * np.eye(6)
+            (body.residuals(up @ pose, own, 0.0) - body.residuals(down @ pose, own, 0.0)) / (2 * _STEP)
+            for up, down in zip(plus, minus, strict=True)
         ],
         axis=1,
     )
@@ -119,6 +120,14 @@ def _part(body: Body, pose: Float, own: Float, damping: float = 0.0) -> _Part:
         by_pose.T @ by_bias - through @ (by_own.T @ by_bias),
         inverse @ (by_own.T @ by_pose),
         -inverse @ (by_own.T @ at),
+    )
+
+
+@lru_cache(maxsize=1)
+def _nudges() -> tuple[Float, Float]:
+    """Return small steps (6, 4, 4) along each direction of a pose, and back."""
+    return np.array([se3.exp(step) for step in _STEP * np.eye(6)]), np.array(
+        [se3.exp(-step) for step in _STEP * np.eye(6)]
     )
 
 

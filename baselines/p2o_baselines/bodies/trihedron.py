@@ -1,0 +1,134 @@
+"""Trihedra: three planes that meet in a point, in a sweep, and the three edges between them, in a picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from p2o import se3
+from p2o.arrays import Float
+
+from p2o_baselines.bodies.box_in_picture import BoxInPicture, Flat, Line, meeting
+from p2o_baselines.bodies.box_in_sweep import BoxInSweep, Face
+from p2o_baselines.bodies.box_shape import near_corner
+
+
+@dataclass(frozen=True)
+class TrihedronInSweep:
+    """Planes normal . x = offset of three faces: `normals` (3, 3) towards the LiDAR, `offsets` (3,) m.
+
+    `middles` (3, 3) m are those of their points, `roots` (3, 3, 3) take (two turns in rad, a shift in m) of each plane
+    about its middle to deviations. `ways` (3, 3) are the edges, from the corner out: edge k lies in the planes that
+    are not k.
+    """
+
+    normals: Float
+    offsets: Float
+    middles: Float
+    roots: Float
+    ways: Float
+
+    @property
+    def corner(self) -> Float:
+        """Where the three planes meet (3,) m."""
+        return np.linalg.solve(self.normals, self.offsets)
+
+    def moved(self, own: Float) -> TrihedronInSweep:
+        """Return it with its planes moved by `own` (9,): two turns in rad and a shift in m of each, one by one."""
+        normals, offsets = self.normals.copy(), self.offsets.copy()
+        for k, (one, two, shift) in enumerate(own.reshape(3, 3)):
+            first, second = tangents(self.normals[k])
+            normal = self.normals[k] + one * first + two * second
+            normals[k] = normal / np.linalg.norm(normal)
+            on = self.middles[k] + (self.offsets[k] - self.normals[k] @ self.middles[k]) * self.normals[k]
+            offsets[k] = normals[k] @ on + shift
+        ways = edges_of(normals, self.ways)
+        return TrihedronInSweep(normals, offsets, self.middles, self.roots, ways)
+
+
+@dataclass(frozen=True)
+class TrihedronInPicture:
+    """The three edges of a corner in a flat view, `ways` (3, 2) along them from the corner out."""
+
+    flat: Flat
+    lines: tuple[Line, Line, Line]
+    ways: Float
+
+    @cached_property
+    def corner(self) -> Float:
+        """Where the edges meet (2,) px."""
+        place = meeting(self.lines)
+        assert place is not None
+        return place[0]
+
+    @cached_property
+    def places(self) -> tuple[Float, Float]:
+        """Unit rays (3, 2, 3) of two places of each edge whose errors are independent, and these (3,) in rad.
+
+        A line's errors are a shift and a turn about its middle: they are so as far out as both are alike.
+        """
+        ends = []
+        for line in self.lines:
+            half = line.across_px / max(line.turn_rad, 1e-9)
+            ends.append([line.at - half * line.along, line.at + half * line.along])
+        across = np.array([line.across_px for line in self.lines])
+        return self.flat.rays(np.array(ends)), np.sqrt(2) * across / self.flat.scale_px
+
+    @cached_property
+    def interpretation(self) -> Float:
+        """Unit normals (3, 3) in the camera frame of the planes through the camera and each edge."""
+        ends = np.array([[line.at, line.at + 100.0 * line.along] for line in self.lines])
+        rays = self.flat.rays(ends)
+        normal = np.cross(rays[:, 0], rays[:, 1])
+        return np.asarray(normal / np.linalg.norm(normal, axis=1)[:, None])
+
+
+def tangents(normal: Float) -> tuple[Float, Float]:
+    """Return two unit vectors (3,) across a normal and each other."""
+    first = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
+    first /= np.linalg.norm(first)
+    return first, np.cross(normal, first)
+
+
+def edges_of(normals: Float, like: Float | None = None) -> Float:
+    """Return the edges (3, 3) of three planes, unit: edge k is that of the two others; signs as `like` has them.
+
+    Without `like`, edge k goes to the side of plane k that is away from where its normal looks: a corner seen from
+    outside.
+    """
+    ways = np.cross(np.roll(normals, -1, axis=0), np.roll(normals, -2, axis=0))
+    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    side = -np.einsum("ki,ki->k", ways, normals) if like is None else np.einsum("ki,ki->k", ways, like)
+    return np.asarray(ways * np.where(side < 0, -1.0, 1.0)[:, None])
+
+
+def of_faces(faces: tuple[Face, Face, Face]) -> TrihedronInSweep:
+    """Return the trihedron of three faces of a solid, each plane by its own points."""
+    normals = np.array([face.normal for face in faces])
+    middles = np.array([face.xyz.mean(axis=0) for face in faces])
+    roots = []
+    for face, middle in zip(faces, middles, strict=True):
+        first, second = tangents(face.normal)
+        off = face.xyz - middle
+        rows = np.column_stack([off @ first, off @ second, np.ones(len(off))]) / face.sigma_m
+        roots.append(np.linalg.cholesky(rows.T @ rows).T)
+    return TrihedronInSweep(
+        normals, np.array([face.offset_m for face in faces]), middles, np.array(roots), edges_of(normals)
+    )
+
+
+def of_sweep(box: BoxInSweep) -> TrihedronInSweep:
+    """Return the trihedron of the corner that a box turns to the LiDAR."""
+    return of_faces(box.faces)
+
+
+def of_picture(box: BoxInPicture) -> TrihedronInPicture | None:
+    """Return the trihedron of the corner that a box turns to the camera; None where an edge of it does not show."""
+    corner = near_corner(se3.inverse(box.camera_from_box)[:3, 3], box.target.size_m)
+    if corner is None or box.edges is None:
+        return None
+    seen = box.flat.seen(se3.apply(box.camera_from_box, box.target.outline))
+    out = np.array([seen[corner ^ (1 << axis)] - seen[corner] for axis in range(3)])
+    ways = np.array([line.along * np.sign(line.along @ way) for line, way in zip(box.edges, out, strict=True)])
+    return TrihedronInPicture(box.flat, box.edges, ways)
