@@ -284,7 +284,8 @@ def line_through(uv: Float, apart_px: float, least: float) -> Line | None:
     independent = max(1.0, on.sum() * min(1.0, apart_px / _TOGETHER_PX))
     sigma = max(rms, _FLOOR_PX)
     reach = float(np.sqrt(np.mean(((uv[on] - at) @ along) ** 2)))
-    return Line(at, along, sigma / np.sqrt(independent), sigma / np.sqrt(independent) / max(reach, 1.0))
+    across_px = sigma / float(np.sqrt(independent))
+    return Line(at, along, across_px, across_px / max(reach, 1.0))
 
 
 def meeting(lines: Sequence[Line]) -> tuple[Float, Float] | None:

@@ -18,11 +18,10 @@ _LARGEST = 0.4  # of the picture; larger is a wall or the sky
 
 
 class Region(NamedTuple):
-    """A connected region: its `area` in pixels, its outer `contour` (N, 2) px, and which pixels (H, W) are in it."""
+    """A connected region: its `area` in pixels and its outer `contour` (N, 2) px."""
 
     area: float
     contour: Float
-    inside: Bool
 
 
 def regions(rgb: UInt8, least_px: float) -> Iterator[Region]:
@@ -41,8 +40,7 @@ def regions(rgb: UInt8, least_px: float) -> Iterator[Region]:
             for outline in found:
                 area = float(cv2.contourArea(outline))
                 if least_px <= area <= _LARGEST * height * width:
-                    inside = cv2.drawContours(np.zeros((height, width), np.uint8), [outline], 0, 1, -1)
-                    yield Region(area, outline.reshape(-1, 2).astype(np.float64), inside.astype(bool))
+                    yield Region(area, outline.reshape(-1, 2).astype(np.float64))
 
 
 def at_border(uv: Float, width: int, height: int) -> Bool:

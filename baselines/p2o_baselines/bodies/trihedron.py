@@ -34,15 +34,24 @@ class TrihedronInSweep:
         """Where the three planes meet (3,) m."""
         return np.linalg.solve(self.normals, self.offsets)
 
+    @cached_property
+    def _across(self) -> Float:
+        return np.array([tangents(normal) for normal in self.normals])
+
+    @cached_property
+    def _feet(self) -> Float:
+        """Where the planes are nearest to the middles of their points (3, 3)."""
+        off = self.offsets - np.einsum("ki,ki->k", self.normals, self.middles)
+        return np.asarray(self.middles + off[:, None] * self.normals)
+
     def moved(self, own: Float) -> TrihedronInSweep:
         """Return it with its planes moved by `own` (9,): two turns in rad and a shift in m of each, one by one."""
         normals, offsets = self.normals.copy(), self.offsets.copy()
         for k, (one, two, shift) in enumerate(own.reshape(3, 3)):
-            first, second = tangents(self.normals[k])
+            first, second = self._across[k]
             normal = self.normals[k] + one * first + two * second
-            normals[k] = normal / np.linalg.norm(normal)
-            on = self.middles[k] + (self.offsets[k] - self.normals[k] @ self.middles[k]) * self.normals[k]
-            offsets[k] = normals[k] @ on + shift
+            normals[k] = normal / np.sqrt(normal @ normal)
+            offsets[k] = normals[k] @ self._feet[k] + shift
         ways = edges_of(normals, self.ways)
         return TrihedronInSweep(normals, offsets, self.middles, self.roots, ways)
 
@@ -86,9 +95,12 @@ class TrihedronInPicture:
 
 def tangents(normal: Float) -> tuple[Float, Float]:
     """Return two unit vectors (3,) across a normal and each other."""
-    first = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
-    first /= np.linalg.norm(first)
-    return first, np.cross(normal, first)
+    x, y, z = normal
+    sign = 1.0 if z >= 0 else -1.0  # Duff et al. 2017
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    first = np.array([1.0 + sign * x * x * a, sign * b, -sign * x])
+    return first, np.array([b, sign + y * y * a, -y])
 
 
 def edges_of(normals: Float, like: Float | None = None) -> Float:
