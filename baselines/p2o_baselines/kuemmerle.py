@@ -4,8 +4,8 @@
 
 A ball looks alike from everywhere: its contour in the picture is a cone of rays that touch it, its returns lie on a
 sphere. The pose that takes middles of spheres onto those of cones starts one least squares on all: how far each ray of
-a contour is from the ball, how far each return is from it, both by their noise, with the place of every ball unknown
-beside the pose. Three balls that are not on a line are needed, in one frame or in several.
+a contour is from the ball, how much too long each range is for it, both by their noise, with the place of every ball
+unknown beside the pose. Three balls that are not on a line are needed, in one frame or in several.
 
 Departures: the paper estimates the intrinsics of cameras and several sensors in the same problem; here they are given,
 there are two sensors, and the pose alone is asked for (`camera_px` is how wrong the intrinsics may be, for the likely
@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import p2o
@@ -27,7 +28,7 @@ from p2o_baselines.boards.board_method import likely
 from p2o_baselines.bodies.body_options import BodyOptions, refused, too_unsure
 from p2o_baselines.bodies.bundle import adjusted
 from p2o_baselines.bodies.sphere_in_picture import spheres_in_picture
-from p2o_baselines.bodies.sphere_in_sweep import off_sphere, spheres_in_sweep
+from p2o_baselines.bodies.sphere_in_sweep import off_sphere, range_sigma, spheres_in_sweep
 from p2o_baselines.bodies.sphere_pairing import SpherePair, SphereSight, paired_spheres
 
 _LEAST = 3
@@ -54,14 +55,18 @@ class Ball:
         return self.pair.picture.px_per_rad
 
     def residuals(self, camera_from_lidar: Float, own: Float, bias_m: float) -> Float:
-        """Return angles of the contour's rays from the ball, then distances of returns from it, in deviations."""
+        """Return angles of the contour's rays from the ball, then how much too long ranges are, in deviations."""
         picture, sweep = self.pair.picture, self.pair.sweep
         angles = off_cone(picture.rays, se3.apply(camera_from_lidar, own[None])[0], sweep.radius_m)
-        xyz = sweep.xyz * (1 - bias_m / np.linalg.norm(sweep.xyz, axis=1))[:, None] if bias_m else sweep.xyz
-        # Deviations stay those of the fit to the sweep alone.
-        _, sigma = off_sphere(sweep.xyz, sweep.centre, sweep.radius_m, sweep.sigma_m)
-        off = np.linalg.norm(xyz - own, axis=1) - sweep.radius_m
-        return np.concatenate([angles / picture.sigma_rad, off / sigma])
+        off, _, _ = off_sphere(sweep.xyz, own, sweep.radius_m)
+        return np.concatenate([angles / picture.sigma_rad, (off - bias_m) / self._sigma])
+
+    @cached_property
+    def _sigma(self) -> Float:
+        """Deviations (N,) of ranges, as they are at the fit to the sweep alone."""
+        sweep = self.pair.sweep
+        _, _, facing = off_sphere(sweep.xyz, sweep.centre, sweep.radius_m)
+        return range_sigma(sweep.xyz, facing, sweep.sigma_m)
 
 
 def off_cone(rays: Float, centre: Float, radius_m: float) -> Float:
@@ -171,7 +176,7 @@ def _too_few(sights: Sequence[SphereSight]) -> tuple[Status, str]:
         )
     return Status.TOO_FEW_MATCHES, (
         f"no pose brings three spheres of sweeps onto those of pictures, of {count} that both sensors see: "
-        "is the size in `targets` right?"
+        "is the size in `targets` right, and are they off one line?"
     )
 
 

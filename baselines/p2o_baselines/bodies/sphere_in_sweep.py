@@ -16,7 +16,8 @@ _LEAST_POINTS, _LEAST_RINGS = 10, 3
 _TRIPLES = 300
 _LEAST_HIT, _MOST_BESIDE = 0.8, 0.4
 """Of the rays well inside of the outline so many end on the ball, and of those just beside it no more near it."""
-_STEEPEST = 0.25  # cosine to the surface below which a return is a graze
+STEEPEST, _LEAST_FACING = 0.2, 0.4
+"""Cosine to the surface that grazing rays are taken to have, and below which a return is not used."""
 _ANGLE_RAD = 0.001  # deviation of a beam's direction, with what its spot does on a curved surface
 _FLOOR_M = 0.004
 
@@ -38,30 +39,39 @@ class SphereInSweep:
     radius_sigma_m: float
 
 
-def off_sphere(xyz: Float, centre: Float, radius_m: float, sigma_m: float) -> tuple[Float, Float]:
-    """Return distances (N,) of points from a sphere in m, and their deviations (N,): ranges matter less at a slant."""
-    out = xyz - centre
-    distance = np.linalg.norm(out, axis=1)
+def off_sphere(xyz: Float, centre: Float, radius_m: float) -> tuple[Float, Float, Float]:
+    """Return by how much (N,) m ranges are too long for a sphere, how that changes (N, 3) with it, and the cosines.
+
+    Ranges are noisy, not places: at a slant the distance of a point from the sphere would be biased. The cosine (N,) of
+    incidence is that of the ray, not below `STEEPEST`.
+    """
     far = np.linalg.norm(xyz, axis=1)
-    facing = -np.einsum("ni,ni->n", out, xyz) / np.maximum(distance * far, 1e-9)
-    across = np.sqrt(np.clip(1 - facing**2, 0, 1))
-    return distance - radius_m, np.hypot(sigma_m * facing, _ANGLE_RAD * far * across)
+    way = xyz / np.maximum(far, 1e-9)[:, None]
+    along = way @ centre
+    half = np.sqrt(np.maximum(radius_m**2 - (centre @ centre - along**2), (STEEPEST * radius_m) ** 2))
+    by_centre = ((along - half)[:, None] * way - centre) / half[:, None]
+    return far - along + half, by_centre, half / radius_m
+
+
+def range_sigma(xyz: Float, facing: Float, sigma_m: float) -> Float:
+    """Return deviations (N,) m of ranges: their noise, and the beams' angles where they meet the ball at a slant."""
+    slant = np.sqrt(np.clip(1 - facing**2, 0, 1)) / facing
+    return np.hypot(sigma_m, _ANGLE_RAD * np.linalg.norm(xyz, axis=1) * slant)
 
 
 def fitted_sphere(xyz: Float, centre: Float, radius_m: float, sigma_m: float, free: bool = False) -> Float:
     """Return the centre (3,) of the sphere nearest to points (N, 3), next to a given one; with `free`, radius too (4,).
 
-    Gauss and Newton on distances by their deviations.
+    Gauss and Newton on ranges by their deviations.
     """
     place = np.r_[centre, radius_m] if free else np.array(centre, np.float64)
-    for _ in range(30):
-        out = xyz - place[:3]
-        distance = np.maximum(np.linalg.norm(out, axis=1), 1e-9)
-        off, sigma = off_sphere(xyz, place[:3], float(place[3]) if free else radius_m, sigma_m)
-        rows = -out / distance[:, None]
-        rows = np.column_stack([rows, -np.ones(len(rows))]) if free else rows
+    for _ in range(60):
+        radius = float(place[3]) if free else radius_m
+        off, rows, facing = off_sphere(xyz, place[:3], radius)
+        sigma = range_sigma(xyz, facing, sigma_m)
+        rows = np.column_stack([rows, 1 / facing]) if free else rows
         step = np.linalg.lstsq(rows / sigma[:, None], -off / sigma, rcond=None)[0]
-        step *= min(1.0, 0.5 * radius_m / max(float(np.linalg.norm(step)), 1e-12))
+        step *= min(1.0, 0.3 * radius_m / max(float(np.linalg.norm(step)), 1e-12))
         place = place + step
         if np.abs(step).max() < 1e-10:
             break
@@ -70,11 +80,10 @@ def fitted_sphere(xyz: Float, centre: Float, radius_m: float, sigma_m: float, fr
 
 def covariance_of_fit(xyz: Float, centre: Float, radius_m: float, sigma_m: float, free: bool = False) -> Float:
     """Return the covariance (3, 3) of a centre, or with `free` (4, 4) of centre and radius, by the noise of ranges."""
-    out = xyz - centre
-    rows = -out / np.linalg.norm(out, axis=1)[:, None]
-    rows = np.column_stack([rows, -np.ones(len(rows))]) if free else rows
-    _, sigma = off_sphere(xyz, centre, radius_m, sigma_m)
-    return np.asarray(np.linalg.pinv((rows / sigma[:, None]).T @ (rows / sigma[:, None])))
+    _, rows, facing = off_sphere(xyz, centre, radius_m)
+    rows = np.column_stack([rows, 1 / facing]) if free else rows
+    rows = rows / range_sigma(xyz, facing, sigma_m)[:, None]
+    return np.asarray(np.linalg.pinv(rows.T @ rows))
 
 
 def spheres_in_sweep(
@@ -103,15 +112,17 @@ def _ball(rays: Rays, about: Int, radius: float, sigma_m: float) -> SphereInSwee
     most = int(np.argmax((off < 2 * sigma_m).sum(axis=1)))
     centre, sigma = centres[most], sigma_m
     for _ in range(5):
-        away, spread = off_sphere(xyz, centre, radius, sigma)
-        facing = np.einsum("ni,ni->n", centre - xyz, xyz) / np.linalg.norm(xyz, axis=1) / radius
-        on = (np.abs(away) < np.maximum(3 * spread, 2 * _FLOOR_M)) & (facing > _STEEPEST)
+        away, _, facing = off_sphere(xyz, centre, radius)
+        spread = range_sigma(xyz, facing, sigma)
+        # Chosen by rays, which noise does not move, not by where the returns are.
+        on = (np.abs(away) < np.maximum(3 * spread, 2 * _FLOOR_M)) & (facing > _LEAST_FACING)
         if on.sum() < _LEAST_POINTS or len(np.unique(rays.ring[about[on]])) < _LEAST_RINGS:
             return None
         centre = fitted_sphere(xyz[on], centre, radius, sigma)
-        away, spread = off_sphere(xyz[on], centre, radius, sigma)
+        away, _, facing = off_sphere(xyz[on], centre, radius)
         freedom = max(int(on.sum()) - 3, 1)
-        sigma = float(np.clip(sigma * np.sqrt(np.sum((away / spread) ** 2) / freedom), _FLOOR_M, sigma_m))
+        total = float(np.sum((away / range_sigma(xyz[on], facing, sigma)) ** 2))
+        sigma = float(np.clip(sigma * np.sqrt(total / freedom), _FLOOR_M, sigma_m))
     if np.median(np.abs(away)) > sigma_m or not _stands(rays, centre, radius, max(4 * sigma, 0.03)):
         return None
     points = xyz[on]
