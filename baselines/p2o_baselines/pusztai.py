@@ -36,9 +36,10 @@ from p2o_baselines.bodies.box_pairing import (
 )
 from p2o_baselines.bodies.bundle import adjusted
 
-_MOST_RMS = 5.0
-"""Corners that are farther off than so many times their deviations, root mean square, are those of another box."""
-_MOST_OFF_PX = 4.0
+_MOST_OFF_PX, _MOST_MOVED = 4.0, 5.0
+"""Corners that are farther off than this, or cuboids that had to be moved by so many deviations, are of other boxes."""
+_LEAST_SHARE, _LEAST_SEEN = 0.5, 3
+"""Of so many boxes that both sensors see, this share agrees on a pose, or their size is wrong."""
 
 
 @dataclass(frozen=True)
@@ -59,21 +60,23 @@ class Cuboid:
         return self.pair.picture.flat.scale_px
 
     @cached_property
-    def _weights(self) -> tuple[Float, Float]:
-        """Roots of the information of the corners (K, 2, 2), and of the sweep's pose (6, 6)."""
-        picture, sweep = self.pair.picture, self.pair.sweep
-        root = np.linalg.inv(np.linalg.cholesky(sweep.covariance + 1e-14 * np.eye(6)))
-        return np.linalg.inv(np.linalg.cholesky(picture.covariance)), root
+    def root(self) -> Float:
+        """What takes moves (6,) of the sweep's pose to deviations."""
+        return np.linalg.inv(np.linalg.cholesky(self.pair.sweep.covariance + 1e-14 * np.eye(6)))
+
+    @cached_property
+    def _whitened(self) -> Float:
+        """What takes offsets (K, 2) of corners to deviations (K, 2, 2)."""
+        return np.linalg.inv(np.linalg.cholesky(self.pair.picture.covariance))
 
     def residuals(self, camera_from_lidar: Float, own: Float, bias_m: float) -> Float:
         """Return how far corners are from where the picture has them, and the pose from the sweep's, in deviations."""
-        corners, root = self._weights
         off = corner_offsets(self.pair, camera_from_lidar @ se3.exp(own))
         middle = self.pair.sweep.lidar_from_box[:3, 3]
         prior = own.copy()
         prior[3:] += bias_m * middle / np.linalg.norm(middle)  # ranges too long: the box is nearer
-        whole = np.einsum("kij,kj->ki", corners, np.nan_to_num(off, nan=1e3)).ravel()
-        return np.concatenate([whole, root @ prior])
+        whole = np.einsum("kij,kj->ki", self._whitened, np.nan_to_num(off, nan=1e3)).ravel()
+        return np.concatenate([whole, self.root @ prior])
 
 
 def corner_offsets(pair: BoxPair, camera_from_lidar: Float) -> Float:
@@ -126,6 +129,13 @@ class Pusztai:
             matches={"boxes": len(pairs), "corners": corners, "points": sum(pair.sweep.points for pair in pairs)},
             warnings=remarks_of(prepared, pairing),
         )
+        both = sum(min(len(sight.pictures), len(sight.sweeps)) for sight in prepared)
+        if both >= _LEAST_SEEN and len(pairs) < _LEAST_SHARE * both:
+            return refused(
+                told,
+                Status.TOO_FEW_MATCHES,
+                f"{len(pairs)} of {both} boxes that both sensors see agree on a pose: is the size in `targets` right?",
+            )
         fit = adjusted(
             [Cuboid(pair) for pair in pairs],
             from_corners(pairs, pairing.camera_from_lidar),
@@ -163,12 +173,12 @@ def _wrong(pairs: Sequence[BoxPair], pose: Float, own: Sequence[Float]) -> str:
     """Return in words that boxes of sweeps and pictures do not fit each other, moved as they may be."""
     off = [corner_offsets(pair, pose @ se3.exp(step)) for pair, step in zip(pairs, own, strict=True)]
     rms = float(np.sqrt(np.mean(np.sum(np.nan_to_num(np.concatenate(off), nan=1e3) ** 2, axis=1))))
-    size = [np.linalg.norm(step[:3]) for step in own]
-    if rms < _MOST_OFF_PX and np.median(size) < np.radians(_MOST_RMS):
+    moved = [np.linalg.norm(Cuboid(pair).root @ step) / np.sqrt(6) for pair, step in zip(pairs, own, strict=True)]
+    if rms < _MOST_OFF_PX and np.median(moved) < _MOST_MOVED:
         return ""
     return (
-        f"corners of {len(pairs)} boxes lie {rms:.1f} px off at the best pose: sweeps and pictures show other boxes, "
-        "or the size in `targets` is wrong"
+        f"corners of {len(pairs)} boxes lie {_off_px(pairs, pose):.1f} px off at the best pose: sweeps and pictures "
+        "show other boxes, or the size in `targets` is wrong"
     )
 
 

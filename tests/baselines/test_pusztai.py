@@ -165,6 +165,27 @@ def test_sweeps_and_pictures_of_other_places_are_refused() -> None:
     assert "within 3 m of each other" in result.reason
 
 
+def test_boxes_of_another_size_than_targets_say_are_told() -> None:
+    # A box said to be a quarter larger: pictures have it a quarter farther off, sweeps have its near corner in place.
+    large, near = Box(*(1.25 * SIZE)), []
+    for sight, truth in zip(sights(corner_on(4)), corner_on(4), strict=True):
+        (box,), (scan,) = sight.pictures, sight.sweeps
+        farther, anchored = truth.copy(), scan.lidar_from_box.copy()
+        farther[:3, 3] *= 1.25
+        corner = CUBOID.outline[_nearest(scan.lidar_from_box)]
+        anchored[:3, 3] -= 0.25 * anchored[:3, :3] @ corner
+        near.append(
+            replace(
+                sight,
+                pictures=(replace(box, target=large, camera_from_box=farther),),
+                sweeps=(replace(scan, size_m=tuple(large.size_m), lidar_from_box=anchored),),
+            )
+        )
+    result = solved(near)
+    assert result.status is Status.TOO_FEW_MATCHES
+    assert "size in `targets`" in result.reason
+
+
 @pytest.mark.parametrize("camera", [CAMERA, FISHEYE], ids=["pinhole", "fisheye"])
 def test_a_box_is_found_in_a_picture_of_any_camera(camera: Camera) -> None:
     (truth,) = corner_on(1, 3)

@@ -139,6 +139,8 @@ _FORMS: tuple[dict[str, Any], ...] = (
         "targets": [
             {"kind": "checkerboard", "columns": 7, "rows": 5, "square_m": 0.1, "width_m": 1.2, "height_m": 0.8},
             {"kind": "holes", "width_m": 1.0, "height_m": 1.0, "holes": [[0.0, 0.0, 0.1]]},
+            {"kind": "sphere", "radius_m": 0.3},
+            {"kind": "box", "width_m": 0.9, "height_m": 0.7, "depth_m": 0.5},
         ]
     },
 )

@@ -11,7 +11,7 @@ import p2o
 from p2o import Box, Camera, se3
 from p2o.arrays import Float, Int
 
-from p2o_baselines.bodies.box_shape import around, near_corner
+from p2o_baselines.bodies.box_shape import around, near_corner, symmetries
 from p2o_baselines.bodies.colour_regions import Region, Single, at_border, linear_light, regions, step_at
 
 _LEAST_AREA_PX = 900.0
@@ -381,8 +381,6 @@ def _again(light: Single, camera: Camera, box: BoxInPicture) -> BoxInPicture | N
 
 
 def _other(a: BoxInPicture, b: BoxInPicture) -> bool:
-    from p2o_baselines.bodies.box_shape import symmetries
-
     turned = (a.camera_from_box @ turn @ se3.inverse(b.camera_from_box) for turn in symmetries(a.target.size_m))
     return min(se3.angle_deg(step) for step in turned) > 5.0
 

@@ -22,15 +22,15 @@ _LEAST_HIT, _MOST_BESIDE = 0.88, 0.3
 """Of the rays that meet the box so many end on it, and of those that pass just beside it no more end near it."""
 _LEAST_OF_FACE = 0.6  # of all rays that meet one face
 _RIM_M = 0.03  # rays nearer to the outline than this are not asked
-_ANGLE_RAD = 0.001
+_ANGLE_RAD = 0.001  # deviation of a beam's direction
 _FLOOR_M = 0.004
 
 
 @dataclass(frozen=True)
 class Face:
-    """Points (N, 3) m of a face, its plane normal . x = offset with the normal towards the LiDAR, and its noise.
+    """Points (N, 3) m of a face, the plane normal . x = offset through them alone, and how much ranges scatter.
 
-    `covariance` (3, 3) is that of the normal's two turns about `axes` (2, 3) in rad and of the offset at `middle` in m.
+    The normal looks at the LiDAR.
     """
 
     xyz: Float

@@ -15,6 +15,7 @@ from p2o_baselines.bodies.body_options import BodyOptions
 from p2o_baselines.bodies.box_in_picture import BoxInPicture, boxes_in_picture
 from p2o_baselines.bodies.box_in_sweep import BoxInSweep, boxes_in_sweep
 from p2o_baselines.bodies.box_shape import symmetries
+from p2o_baselines.bodies.sphere_pairing import from_points
 
 _LEVER_M = 3.0  # sensors are no farther apart
 _WIDE, _NARROW = (0.5, 15.0), (0.25, 8.0)
@@ -145,8 +146,6 @@ def _matches(sights: Sequence[BoxSight], pose: Float, within_m: float, within_de
 
 def _refined(pairs: Sequence[BoxPair]) -> Float:
     """Return the pose that takes the corners of boxes of sweeps nearest to those of pictures."""
-    from p2o_baselines.bodies.sphere_pairing import from_points
-
     to = np.concatenate([se3.apply(p.picture.camera_from_box, p.picture.target.outline) for p in pairs])
     return from_points(to, np.concatenate([se3.apply(p.lidar_from_box, p.picture.target.outline) for p in pairs]))
 

@@ -16,7 +16,7 @@ _LEAST_POINTS, _LEAST_RINGS = 10, 3
 _TRIPLES = 300
 _LEAST_HIT, _MOST_BESIDE = 0.8, 0.4
 """Of the rays well inside of the outline so many end on the ball, and of those just beside it no more near it."""
-STEEPEST, _LEAST_FACING = 0.2, 0.4
+STEEPEST, _LEAST_FACING = 0.2, 0.3
 """Cosine to the surface that grazing rays are taken to have, and below which a return is not used."""
 _ANGLE_RAD = 0.001  # deviation of a beam's direction, with what its spot does on a curved surface
 _FLOOR_M = 0.004
