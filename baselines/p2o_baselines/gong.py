@@ -12,7 +12,7 @@ Departures: of the paper its abstract was at hand (a trihedron's geometric const
 squares), so that these constraints and weights are ours. The paper takes any corner of a room or a house; here corners
 are those of boxes in `targets`, found in picture and sweep by the shared room `bodies` (by colour in the picture, by
 size in the sweep; the pose uses neither). Corners of rooms are not searched for. The start tells which edge is which:
-it may be some 15 deg off.
+it may be some 20 deg off.
 """
 
 from __future__ import annotations
