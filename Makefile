@@ -6,7 +6,7 @@ CASES ?= 20000
 SEED ?= 0
 SOURCES := $(shell find toolkit plugins baselines -name '*.py' -o -name '*.toml' -o -name '*.html' -o -name '*.css' -o -name '*.js') pyproject.toml README.md
 
-.PHONY: run test fuzz dev lint docs clean
+.PHONY: run test fuzz bench dev lint docs clean
 
 # torch==2.13.0 of the default index brings CUDA on Linux; where disk is short: make PIP_ARGS="--extra-index-url CPU_INDEX"
 $(VENV)/.locked: requirements.lock
@@ -31,6 +31,11 @@ test: $(VENV)/.installed
 # Mutated inputs at every door (docs/reliability.md): make fuzz CASES=20000 SEED=0
 fuzz: $(VENV)/.installed
 	$(VENV)/bin/python -m tests.fuzz --cases $(CASES) --seed $(SEED) --jobs $(JOBS)
+
+# What each step costs, beside the reference of this machine where there is one (docs/performance.md):
+# make bench BENCH="--keep build/bench/reference.json"; make bench BENCH="--against-commit REV"
+bench: $(VENV)/.locked
+	$(VENV)/bin/python benchmarks/bench.py $(if $(BENCH),$(BENCH),$(if $(wildcard build/bench/reference.json),--against build/bench/reference.json))
 
 lint: $(VENV)/.locked
 	$(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check . && $(VENV)/bin/mypy

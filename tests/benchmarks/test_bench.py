@@ -1,0 +1,40 @@
+"""The table of `benchmarks/bench.py`, made from given numbers: nothing is timed here."""
+
+from __future__ import annotations
+
+import numpy as np
+from bench import Cost, differences, kept, least, machine, table, to_keep
+
+
+def test_of_several_repeats_the_least_of_each_number_counts() -> None:
+    assert least([Cost(2.0, 5.0, 300.0), Cost(3.0, 4.0, 200.0)]) == Cost(2.0, 4.0, 200.0)
+
+
+def test_rows_stand_beside_their_reference_with_ratios() -> None:
+    lines = table({"rings": Cost(0.02, 0.03, 150.4)}, {"rings": Cost(0.04, 0.03)}, "before").splitlines()
+    assert lines[0] == "|  | processor s | wall s | peak MiB | processor s, before | ratio | wall s, before | ratio |"
+    assert lines[2] == "| rings | 0.020 | 0.030 | 150 | 0.040 | 0.50 | 0.030 | 1.00 |"
+
+
+def test_a_row_that_the_reference_lacks_has_no_ratio() -> None:
+    lines = table({"new": Cost(1.5, 2.0)}, {"old": Cost(1.0, 1.0)}, "before").splitlines()
+    assert lines[2] == "| new | 1.50 | 2.00 |  |  |  |  |  |"
+
+
+def test_without_a_reference_there_are_no_ratios() -> None:
+    assert table({"rings": Cost(0.02, 0.03)}, {}).splitlines()[2] == "| rings | 0.020 | 0.030 |  |"
+
+
+def test_what_is_kept_comes_back_with_the_machine_it_is_of() -> None:
+    rows = {"`p2o run`": Cost(4.5, 3.25, 512.0)}
+    assert kept(to_keep(rows)) == (machine(), rows)
+
+
+def test_differences_of_poses_are_told_with_whose_are_nearer_the_truth() -> None:
+    moved = np.eye(4)
+    moved[0, 3] = 0.0015
+    ours = {"a": {"pose": moved.tolist(), "said": ["converged", "trusted"], "error": [0.1, 0.01]}}
+    theirs = {"a": {"pose": np.eye(4).tolist(), "said": ["converged", "doubtful"], "error": [0.2, 0.02]}}
+    line = differences(ours, theirs)
+    assert "1 poses, apart at most 0.00000 deg and 1.500 mm; 1 with another status or verdict" in line
+    assert "mean error 0.1000 deg and 10.00 mm, before 0.2000 deg and 20.00 mm" in line
