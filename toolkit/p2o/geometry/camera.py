@@ -1,4 +1,4 @@
-"""The camera: any pycolmap model behind one interface, with a fast pinhole path."""
+"""The camera: any pycolmap model behind one interface, the usual ones in closed form (`p2o.geometry.projection`)."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from p2o.arrays import Bool, Float
 from p2o.errors import InputError, UnknownNameError
+from p2o.geometry.projection import LENSES, Projection
 from p2o.native import import_keeping_signals
 
 if TYPE_CHECKING:
@@ -74,8 +75,9 @@ class Camera:
                 expected=f"-{_MAX_PARAMETER:g} to {_MAX_PARAMETER:g}",
                 got=self.params,
             )
-        if self.model == _PINHOLE:
-            count_ok, focal = len(self.params) == 4, self.params[:2]
+        lens = LENSES.get(self.model)
+        if lens is not None and (len(self.params) == lens.count or self.model == _PINHOLE):
+            count_ok, focal = len(self.params) == lens.count, self.params[: lens.focal]
         else:
             pycolmap = import_keeping_signals("pycolmap")
             names = sorted(m for m in pycolmap.CameraModelId.__members__ if m != "INVALID")
@@ -108,8 +110,13 @@ class Camera:
 
     @property
     def is_pinhole(self) -> bool:
-        """True where the fast pinhole path is used."""
+        """True for a camera without distortion."""
         return self.model == _PINHOLE
+
+    @cached_property
+    def _closed(self) -> Projection | None:
+        """The projection in closed form; None for models that pycolmap projects."""
+        return Projection(LENSES[self.model], self.params) if self.model in LENSES else None
 
     @cached_property
     def _colmap(self) -> pycolmap.Camera:
@@ -133,15 +140,21 @@ class Camera:
         # Where a lens is the same all around the axis, one direction tells all.
         azimuth = np.linspace(-np.pi, np.pi, 1 if self._is_radial else 64, endpoint=False)
         sine, cosine, one = np.sin(angle), np.cos(angle), np.ones_like(azimuth)
-        ray = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), cosine * one], axis=-1)
-        outward = np.stack([cosine * np.cos(azimuth), cosine * np.sin(azimuth), -sine * one], axis=-1)
-        around = np.broadcast_to(np.stack([-np.sin(azimuth), np.cos(azimuth), 0 * azimuth], axis=-1), ray.shape)
-        step = 1e-5
-        at = np.stack([ray + step * outward, ray - step * outward, ray + step * around, ray - step * around])
-        uv = np.asarray(self._colmap.img_from_cam(at.reshape(-1, 3))).reshape(*at.shape[:-1], 2)
-        a, b = uv[0] - uv[1], uv[2] - uv[3]
-        with np.errstate(invalid="ignore"):
-            one_to_one = (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0] > 0).all(axis=1)
+        if self._closed is not None:
+            tangent = np.tan(angle)
+            with np.errstate(over="ignore", invalid="ignore"):
+                u_a, u_b, v_a, v_b = self._closed.slopes(tangent * np.cos(azimuth), tangent * np.sin(azimuth))
+                one_to_one = (u_a * v_b - u_b * v_a > 0).all(axis=1)
+        else:
+            ray = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), cosine * one], axis=-1)
+            outward = np.stack([cosine * np.cos(azimuth), cosine * np.sin(azimuth), -sine * one], axis=-1)
+            around = np.broadcast_to(np.stack([-np.sin(azimuth), np.cos(azimuth), 0 * azimuth], axis=-1), ray.shape)
+            step = 1e-5
+            at = np.stack([ray + step * outward, ray - step * outward, ray + step * around, ray - step * around])
+            uv = np.asarray(self._colmap.img_from_cam(at.reshape(-1, 3))).reshape(*at.shape[:-1], 2)
+            a, b = uv[0] - uv[1], uv[2] - uv[3]
+            with np.errstate(invalid="ignore"):
+                one_to_one = (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0] > 0).all(axis=1)
         if one_to_one.all():
             return np.inf
         return float(np.tan(angle[max(int(np.argmin(one_to_one)) - 1, 0), 0]))
@@ -155,13 +168,18 @@ class Camera:
 
     def resized(self, width: int, height: int) -> Camera:
         """Return the camera of the same picture with another number of pixels."""
-        camera = self._colmap.__copy__()
-        camera.rescale(width, height)
-        params = np.array(camera.params)
+        grown = np.array([width / self.width, height / self.height])
+        if self._closed is not None:
+            focal = self._closed.lens.focal
+            params, index = np.array(self.params), [focal, focal + 1]
+            params[:focal] *= grown if focal == 2 else grown.mean()
+        else:
+            camera = self._colmap.__copy__()
+            camera.rescale(width, height)
+            params, index = np.array(camera.params), list(camera.principal_point_idxs())
         # COLMAP counts from the corner of the first pixel.
-        index = list(camera.principal_point_idxs())
         before = np.array(self.params)[index] + 0.5
-        params[index] = before * [width / self.width, height / self.height] - 0.5
+        params[index] = before * grown - 0.5
         return Camera(self.model, width, height, tuple(params))
 
     def project(self, xyz: Float) -> Float:
@@ -181,6 +199,10 @@ class Camera:
             uv *= (fx, fy)
             uv += (cx, cy)
             return uv
+        if self._closed is not None:
+            uv = np.empty((*xyz.shape[:-1], 2))
+            uv[..., 0], uv[..., 1] = self.pixels_of(xyz[..., 0], xyz[..., 1], xyz[..., 2])
+            return uv
         flat = np.ascontiguousarray(xyz.reshape(-1, 3))
         uv = np.array(self._colmap.img_from_cam(flat), dtype=np.float64)
         with np.errstate(invalid="ignore"):
@@ -188,11 +210,24 @@ class Camera:
         uv[~seen] = np.nan
         return uv.reshape(*xyz.shape[:-1], 2)
 
+    def pixels_of(self, x: Float, y: Float, z: Float) -> tuple[Float, Float]:
+        """Return pixels u, v of coordinates x, y, z of any one shape, as `project` does, in their own precision."""
+        closed = self._closed
+        if closed is None:
+            uv = self.project(np.stack([x, y, z], axis=-1)).astype(x.dtype)
+            return uv[..., 0], uv[..., 1]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            inverse = 1 / np.where(z > _MIN_DEPTH_M, z, z.dtype.type(np.nan))
+            a, b = x * inverse, y * inverse
+            if np.isfinite(self._max_tangent):
+                a = np.where(a * a + b * b <= self._max_tangent**2, a, a.dtype.type(np.nan))
+            return closed.pixels(a, b)
+
     def project_with_jacobian(self, xyz: Float) -> tuple[Float, Float]:
         """Return pixels (N, 2) and their derivatives (N, 2, 3) in px/m with respect to points (N, 3).
 
-        Both are NaN for points that are not seen. Analytic for the pinhole; central differences of pycolmap's
-        projection, with steps of a millionth of the distance, for every other model.
+        Both are NaN for points that are not seen. Analytic for models in closed form; central differences of
+        pycolmap's projection, with steps of a millionth of the distance, for the others.
         """
         xyz = np.asarray(xyz, dtype=np.float64)
         uv = self.project(xyz)
@@ -205,6 +240,14 @@ class Camera:
             jacobian[:, 0, 2] = -(uv[:, 0] - cx) * inverse_depth
             jacobian[:, 1, 2] = -(uv[:, 1] - cy) * inverse_depth
             jacobian[np.isnan(inverse_depth)] = np.nan
+            return uv, jacobian
+        if self._closed is not None:
+            inverse_depth = 1.0 / np.where(np.isnan(uv[:, 0]), np.nan, xyz[:, 2])
+            a, b = xyz[:, 0] * inverse_depth, xyz[:, 1] * inverse_depth
+            u_a, u_b, v_a, v_b = self._closed.slopes(a, b)
+            for row, (by_a, by_b) in enumerate(((u_a, u_b), (v_a, v_b))):
+                jacobian[:, row, 0], jacobian[:, row, 1] = by_a * inverse_depth, by_b * inverse_depth
+                jacobian[:, row, 2] = -(by_a * a + by_b * b) * inverse_depth
             return uv, jacobian
         step = 1e-6 * np.linalg.norm(xyz, axis=1)
         for axis in range(3):

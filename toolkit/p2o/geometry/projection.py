@@ -1,0 +1,146 @@
+"""How rays become pixels: the usual camera models in closed form, for whole arrays at once.
+
+The models are COLMAP's (src/colmap/sensor/models.h), parameters in its order; pixels here count as the principal point
+does. What is not in `LENSES` is left to pycolmap. All functions keep the precision of the arrays they are given.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from p2o.arrays import Float
+
+_ON_AXIS = 1e-6
+"""Up to this square of a tangent the slope of a fisheye's factor is that on the axis: quotients lose their digits."""
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Where the parameters of a camera model are.
+
+    `focal` is how many focal lengths come first; the principal point follows. `radial` are the places of the
+    coefficients of even powers of the tangent, or of the angle where the model is a `fisheye`, `below` those of the
+    polynomial it is divided by, `tangential` those of p1 and p2. `count` is how many parameters there are.
+    """
+
+    focal: int
+    count: int
+    radial: tuple[int, ...] = ()
+    below: tuple[int, ...] = ()
+    tangential: tuple[int, ...] = ()
+    fisheye: bool = False
+
+
+LENSES = {
+    "SIMPLE_PINHOLE": Lens(1, 3),
+    "PINHOLE": Lens(2, 4),
+    "SIMPLE_RADIAL": Lens(1, 4, (3,)),
+    "RADIAL": Lens(1, 5, (3, 4)),
+    "OPENCV": Lens(2, 8, (4, 5), tangential=(6, 7)),
+    "FULL_OPENCV": Lens(2, 12, (4, 5, 8), (9, 10, 11), (6, 7)),
+    "SIMPLE_RADIAL_FISHEYE": Lens(1, 4, (3,), fisheye=True),
+    "RADIAL_FISHEYE": Lens(1, 5, (3, 4), fisheye=True),
+    "OPENCV_FISHEYE": Lens(2, 8, (4, 5, 6, 7), fisheye=True),
+}
+
+
+@dataclass(frozen=True)
+class Projection:
+    """A lens with its parameters: from the plane z = 1 to pixels."""
+
+    lens: Lens
+    params: tuple[float, ...]
+
+    @property
+    def focal(self) -> tuple[float, float]:
+        """Focal lengths in pixels, right and down."""
+        return self.params[0], self.params[self.lens.focal - 1]
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """The principal point in pixels."""
+        return self.params[self.lens.focal], self.params[self.lens.focal + 1]
+
+    def pixels(self, a: Float, b: Float) -> tuple[Float, Float]:
+        """Return pixels u, v of points of the plane z = 1, a = x / z and b = y / z, of any one shape."""
+        (fx, fy), (cx, cy) = self.focal, self.centre
+        square = a * a + b * b
+        factor = self._factor(square)
+        u, v = a * factor, b * factor
+        if any(self._tangential):
+            p1, p2 = self._tangential
+            u += 2 * p1 * a * b + p2 * (square + 2 * a * a)
+            v += 2 * p2 * a * b + p1 * (square + 2 * b * b)
+        u *= fx
+        v *= fy
+        u += cx
+        v += cy
+        return u, v
+
+    def slopes(self, a: Float, b: Float) -> tuple[Float, Float, Float, Float]:
+        """Return the derivatives du/da, du/db, dv/da, dv/db in pixels at points of the plane z = 1."""
+        fx, fy = self.focal
+        factor, steepness = self._factor_and_slope(a * a + b * b)
+        mixed = 2 * a * b * steepness
+        u_a, v_b, u_b, v_a = factor + 2 * a * a * steepness, factor + 2 * b * b * steepness, mixed, mixed
+        if any(self._tangential):
+            p1, p2 = self._tangential
+            u_a = u_a + 2 * p1 * b + 6 * p2 * a
+            v_b = v_b + 2 * p2 * a + 6 * p1 * b
+            both = 2 * p1 * a + 2 * p2 * b
+            u_b, v_a = u_b + both, v_a + both
+        return fx * u_a, fx * u_b, fy * v_a, fy * v_b
+
+    @property
+    def _tangential(self) -> tuple[float, ...]:
+        return tuple(self.params[i] for i in self.lens.tangential)
+
+    def _factor(self, square: Float) -> Float:
+        """Return what a radius is stretched by; `square` is that of the tangent of the angle from the axis."""
+        radial, below = self._coefficients
+        if self.lens.fisheye:
+            tangent = np.sqrt(np.maximum(square, _ON_AXIS**2))
+            angle = np.arctan(tangent)
+            return np.asarray(angle * _polynomial(radial, angle * angle) / tangent)
+        above = _polynomial(radial, square)
+        return above / _polynomial(below, square) if any(below) else above
+
+    def _factor_and_slope(self, square: Float) -> tuple[Float, Float]:
+        """Return what a radius is stretched by, and the derivative of that by the square."""
+        radial, below = self._coefficients
+        factor = self._factor(square)
+        if self.lens.fisheye:
+            angle = np.arctan(np.sqrt(square))
+            angle *= angle
+            turn = (_polynomial(radial, angle) + 2 * angle * _slope(radial, angle)) / (1 + square)
+            away = np.maximum(square, _ON_AXIS)
+            return factor, np.where(square < _ON_AXIS, radial[0] - 1 / 3, (turn - factor) / (2 * away))
+        slope = _slope(radial, square)
+        if not any(below):
+            return factor, slope
+        return factor, (slope - factor * _slope(below, square)) / _polynomial(below, square)
+
+    @property
+    def _coefficients(self) -> tuple[list[float], list[float]]:
+        return [self.params[i] for i in self.lens.radial], [self.params[i] for i in self.lens.below]
+
+
+def _polynomial(coefficients: list[float], x: Float) -> Float:
+    """Return 1 + c1 x + c2 x^2 + ..."""
+    value = np.zeros_like(x)
+    for coefficient in reversed(coefficients):
+        value += coefficient
+        value *= x
+    value += 1
+    return value
+
+
+def _slope(coefficients: list[float], x: Float) -> Float:
+    """Return the derivative of the polynomial by x."""
+    value = np.zeros_like(x)
+    for power in range(len(coefficients), 0, -1):
+        value *= x
+        value += power * coefficients[power - 1]
+    return value
