@@ -78,6 +78,19 @@ def test_listing_imports_no_package_that_methods_need() -> None:
     loaded = {name.partition(".")[0] for name in done.stderr.split()}
     assert "p2o_plugins" in loaded
     assert not loaded & {"torch", "cv2", "kornia", "pycolmap", "pyceres", "matplotlib"}
+    assert "scipy.optimize" not in done.stderr.split()
+
+
+def test_a_run_imports_no_reports_and_no_package_that_it_does_not_need() -> None:
+    words = ["run", "--data", "synthetic:?megapixels=0.1", "--extractor", "depth/rings", "--perturb", "1deg 0.05m"]
+    code = "import sys; from p2o.cli import main; "
+    code += f"print(main({words})); print(*sys.modules, file=sys.stderr)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = done.stderr.split()
+    assert "p2o.run.run" in loaded
+    assert not {"p2o.report", "p2o.study", "scipy.optimize"} & set(loaded)
+    packages = {name.partition(".")[0] for name in loaded}
+    assert not packages & {"torch", "kornia", "pycolmap", "pyceres", "matplotlib", "joblib"}
 
 
 @pytest.mark.parametrize("command", ["", *_COMMANDS, "data list", "data check"])

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import p2o
 from p2o.arrays import Float
-from scipy.optimize import minimize
 
 from p2o_plugins.solve.scalar_cost import ScalarCost, StepOptions
 
@@ -30,6 +29,8 @@ class BfgsOptions(StepOptions):
 
 def build(options: BfgsOptions) -> p2o.Solver:
     """Return the solver `(Problem, camera_from_lidar (4, 4)) -> Solution`."""
+    # Imported here: every run lists this method, few use it.
+    from scipy.optimize import minimize
 
     def solve(problem: p2o.Problem, camera_from_lidar: Float) -> p2o.Solution:
         start = np.asarray(camera_from_lidar, dtype=np.float64)

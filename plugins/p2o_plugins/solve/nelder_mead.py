@@ -8,7 +8,6 @@ import numpy as np
 import p2o
 from p2o.arrays import Float
 from p2o.problems.chart import pose_at
-from scipy.optimize import minimize
 
 
 class NelderMeadOptions(p2o.Options):
@@ -29,6 +28,9 @@ def build(options: NelderMeadOptions) -> p2o.Solver:
     """Return the solver `(Problem, camera_from_lidar (4, 4)) -> Solution`, without covariance."""
     unit = np.repeat([np.radians(options.simplex_deg), options.simplex_m], 3)
     corners = np.vstack([np.zeros(6), np.eye(6)])
+
+    # Imported here: every run lists this method, few use it.
+    from scipy.optimize import minimize
 
     def solve(problem: p2o.Problem, camera_from_lidar: Float) -> p2o.Solution:
         start = np.asarray(camera_from_lidar, dtype=np.float64)

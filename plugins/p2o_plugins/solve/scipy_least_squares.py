@@ -9,7 +9,6 @@ import p2o
 from p2o.arrays import Float
 from p2o.problems.chart import left_from_chart, pose_at
 from p2o.problems.normal_equations import judged, linearise, require_residuals
-from scipy.optimize import least_squares
 
 
 class ScipyOptions(p2o.Options):
@@ -26,6 +25,8 @@ class ScipyOptions(p2o.Options):
 
 def build(options: ScipyOptions) -> p2o.Solver:
     """Return the solver `(LeastSquares, camera_from_lidar (4, 4)) -> Solution`."""
+    # Imported here: every run lists this method, few use it.
+    from scipy.optimize import least_squares
 
     def solve(problem: p2o.Problem, camera_from_lidar: Float) -> p2o.Solution:
         pairs = require_residuals(problem, "scipy")

@@ -16,6 +16,7 @@ from p2o.errors import InputError, P2OError, printable
 
 if TYPE_CHECKING:
     from p2o.cli.exports import Export
+    from p2o.cli.out_dir import OutDir
     from p2o.geometry.perturb import Perturbation
     from p2o.results.result import Result
     from p2o.results.rig import RigResult
@@ -116,7 +117,6 @@ def command(
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     with _stdout_kept_for_json(as_json) as stdout:
         from p2o.cli.exports import Export, check_apart
-        from p2o.cli.out_dir import OutDir
         from p2o.cli.summary import describe, describe_failed, describe_rig, describe_run
         from p2o.files.file_names import distinct_names
         from p2o.run.protocol import protocol_of
@@ -133,7 +133,12 @@ def command(
         if settings:
             words["options"] = parse_settings(settings)
         plan = Recipe.of(**words).resolve(registry)
-        folder = None if out is None else OutDir.prepared(out)
+        folder: OutDir | None = None
+        if out is not None:
+            # Imported here: pictures and pages take longer to load than the rest, and most runs draw none.
+            from p2o.cli.out_dir import OutDir
+
+            folder = OutDir.prepared(out)
         writers = [Export.of(text, registry) for text in exports]
         rows: list[Row] = []
         failed: list[FailedFrame] = []

@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING
 from p2o.errors import InputError, UnknownNameError, printable
 from p2o.files.input_file import expanded
 from p2o.files.whole_file import write_whole
-from p2o.report.summary import Summary, summarise_study
-from p2o.study.store import Store
 
 if TYPE_CHECKING:
     from p2o.host.registry import Registry
+    from p2o.report.summary import Summary
 
 Tell = Callable[[str, int, int], None]
 """Is told what is drawn, how many pictures or figures are done, and of how many."""
@@ -82,6 +81,10 @@ def write_report(
 
 def _summaries(folder: Path, names: Sequence[str]) -> list[Summary]:
     """Return the summaries of the studies, those without a single run left out unless asked for by name."""
+    # Imported here: the page of a run shares this room, and needs no studies.
+    from p2o.report.summary import summarise_study
+    from p2o.study.store import Store
+
     with Store.open(folder, create=False) as store:
         known = {study.name: study for study in store.studies()}
         for name in names:
