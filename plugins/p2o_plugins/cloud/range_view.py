@@ -189,5 +189,6 @@ METHOD = Method(
     options=RangeViewOptions,
     summary="Occlusion edges with direction of clouds without rings, from jumps between returns nearest in angle.",
     gives=frozenset({"cloud-edges", "side", "cloud-points"}),
+    parallel=True,
     cite="Wang et al., P2O-Calib, 2023, Sec. III-C",
 )

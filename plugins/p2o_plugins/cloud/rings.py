@@ -290,5 +290,6 @@ METHOD = Method(
     options=RingsOptions,
     summary="Occlusion edges with direction from range jumps along rings and columns of a spinning LiDAR.",
     gives=frozenset({"cloud-edges", "side", "cloud-points"}),
+    parallel=True,
     cite="Wang et al., P2O-Calib, 2023, Sec. III-C",
 )

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -123,22 +124,44 @@ def long_enough(pixel: Float, side: Any, size: tuple[int, int], min_line_px: int
 
 
 def probabilities(network: P2ORNet, rgb: UInt8) -> Float:
-    """Return class probabilities (inclinations, 3, H, W) of every pair of pixels of a picture (H, W, 3)."""
+    """Return class probabilities (inclinations, 3, H, W) of every pair of pixels of a picture (H, W, 3).
+
+    The processor computes them on one thread: other numbers of threads give other last bits, and several pictures at
+    once use several cores better.
+    """
     import torch
 
     device = next(network.parameters()).device
-    with torch.inference_mode():
+    with torch.inference_mode(), _one_thread():
         x = torch.from_numpy(np.array(rgb, order="C")).to(device).permute(2, 0, 1)[None]
         x = x.to(torch.float32).div_(255).contiguous(memory_format=torch.channels_last)
         p = network(x).softmax(dim=2)[0]
     return np.asarray(p.cpu().numpy(), dtype=np.float32)
 
 
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Hold PyTorch to one thread; the number is this thread's own, others keep theirs."""
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
 def folded(network: P2ORNet) -> P2ORNet:
-    """Return the network with its batch norms folded into the convolutions before them: the same, and quicker."""
+    """Return the network with its batch norms folded into the convolutions before them: the same, and quicker.
+
+    1x1 convolutions become products of matrices: the same on one thread, without copies.
+    """
     import torch
     from torch import nn
     from torch.nn.utils.fusion import fuse_conv_bn_eval
+
+    from p2o_plugins.p2ornet.network import Pointwise
 
     def fold(module: nn.Module) -> None:
         last: tuple[str, nn.Module] | None = None
@@ -151,6 +174,10 @@ def folded(network: P2ORNet) -> P2ORNet:
 
     with torch.no_grad():
         fold(network.eval())
+        for module in list(network.modules()):
+            for name, child in module.named_children():
+                if Pointwise.fits(child):
+                    module._modules[name] = Pointwise(child)
     return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
 
 
@@ -211,6 +238,7 @@ METHOD = Method(
     options=P2ORNetOptions,
     summary="Directed occlusion edges of one picture, labelled by a network.",
     gives={"image-edges", "side"},
+    parallel=True,
     trainer=Trainer(options=TrainingOptions, presets=PRESETS, label=label, draw=draw, train=train, label_version=3),
     cite="Wang et al., P2O-Calib, 2023, Sec. III-B; Qiu, Xiao, Wang, Marlet, P2ORM, ECCV 2020",
 )

@@ -39,6 +39,28 @@ class Up(nn.Module):
         return y
 
 
+class Pointwise(nn.Module):
+    """A 1x1 convolution of one picture as a product of matrices, for maps with channels last.
+
+    On one thread PyTorch computes these convolutions so, too, but copies each map first.
+    """
+
+    def __init__(self, convolution: nn.Conv2d) -> None:
+        super().__init__()
+        self.weight, self.bias = nn.Parameter(convolution.weight[:, :, 0, 0].contiguous()), convolution.bias
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return maps (N, outputs, H, W) of maps (N, inputs, H, W)."""
+        return F.linear(x.permute(0, 2, 3, 1), self.weight, self.bias).permute(0, 3, 1, 2)
+
+    @staticmethod
+    def fits(module: nn.Module) -> bool:
+        """Return whether a module is a convolution that this can stand in for."""
+        if not isinstance(module, nn.Conv2d) or module.kernel_size != (1, 1):
+            return False
+        return module.stride == (1, 1) and module.padding == (0, 0) and module.groups == 1
+
+
 class P2ORNet(nn.Module):
     """A U-Net over an encoder, with one 3-class head per inclination.
 

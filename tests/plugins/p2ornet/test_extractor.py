@@ -16,7 +16,7 @@ from p2o_plugins.image import depth
 from p2o_plugins.image.p2ornet import METHOD, P2ORNetOptions, build, folded, probabilities
 from p2o_plugins.p2ornet.network import P2ORNet
 from p2o_plugins.p2ornet.shipped import SHIPPED, path_of
-from p2o_plugins.p2ornet.weights import Shape, save_weights
+from p2o_plugins.p2ornet.weights import Shape, load_weights, save_weights
 from torch import nn
 
 THIN = Shape("efficientnet-lite0", (8, 4, 4, 4, 4), 2)
@@ -195,6 +195,21 @@ def test_probabilities_are_those_of_the_network_in_any_memory_layout() -> None:
     rgb.flags.writeable = False
     np.testing.assert_array_equal(probabilities(network, rgb), direct)
     np.testing.assert_allclose(probabilities(folded(network), rgb), direct, atol=1e-4)
+
+
+@pytest.mark.parametrize("weights", sorted(SHIPPED))
+def test_the_number_of_threads_does_not_change_a_single_bit(weights: str) -> None:
+    network = folded(load_weights(path_of(weights))[0])
+    rgb = np.random.default_rng(0).integers(0, 256, (96, 320, 3), dtype=np.uint8)
+    before, found = torch.get_num_threads(), []
+    try:
+        for threads in (1, 2, 3):
+            torch.set_num_threads(threads)
+            found.append(probabilities(network, rgb))
+    finally:
+        torch.set_num_threads(before)
+    for other in found[1:]:
+        np.testing.assert_array_equal(found[0], other)
 
 
 @pytest.mark.parametrize("weights", sorted(SHIPPED))

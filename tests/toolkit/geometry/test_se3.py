@@ -43,6 +43,19 @@ def test_exp_is_the_matrix_exponential(angle: float) -> None:
         np.testing.assert_allclose(se3.exp(tangent), expm(generator(tangent)), rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-4, 0.0099, 0.0101, 1.0, np.pi, 5.0])
+def test_one_tangent_has_the_transform_that_it_has_in_a_stack(angle: float) -> None:
+    tangent = np.array([0.6 * angle, 0.0, -0.8 * angle, 3.0, -20.0, 0.5])
+    np.testing.assert_allclose(se3.exp(tangent), se3.exp(tangent[None])[0], rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e200])
+def test_one_tangent_that_is_no_motion_gives_what_it_gives_in_a_stack(value: float) -> None:
+    tangent = np.array([value, 0, 0, 0, 0, 0])
+    with np.errstate(all="ignore"):
+        np.testing.assert_array_equal(se3.exp(tangent), se3.exp(tangent[None])[0])
+
+
 def test_exp_undoes_log_for_half_a_turn() -> None:
     half = se3.make(np.diag([1.0, -1.0, -1.0]), [1, 2, 3])
     np.testing.assert_allclose(se3.exp(se3.log(half)), half, atol=1e-12)

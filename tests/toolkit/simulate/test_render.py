@@ -100,7 +100,7 @@ def test_sky_has_no_normal_no_instance_and_its_own_class() -> None:
 def test_the_number_of_cores_does_not_change_a_single_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     pictures = []
     for cores in (1, 3):
-        monkeypatch.setattr("p2o.simulate.threads._cores", lambda cores=cores: cores)
+        monkeypatch.setattr("p2o.simulate.threads.cores", lambda cores=cores: cores)
         pictures.append(render(walls(), Camera.pinhole(300.0, 300.0, 200.0, 100.0, 401, 201), WORLD_FROM_CAMERA))
     assert pictures[0].light.tobytes() == pictures[1].light.tobytes()
 

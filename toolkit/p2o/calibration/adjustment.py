@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy import sparse
 
 from p2o.arrays import Float, Int
 from p2o.errors import InputError
@@ -211,7 +210,7 @@ class _Model:
         return out
 
     def linearised(self, pose: Float, state: Float) -> tuple[Float, Any, Float]:
-        """Return derivatives by pose and shared state (K, 6 + S), by motions (K, 2 F), sparse, and residuals (K,).
+        """Return derivatives by pose and shared state (K, 6 + S), by motions (K, 2 F) and residuals (K,).
 
         All are zero where a point is unseen.
         """
@@ -248,10 +247,14 @@ class _Model:
         return time_s * way.by_speed[3:], time_s * np.cross(way.by_turn[:3], self.problem.xyz)
 
     def _spread(self, own: Float) -> Any:
-        """Return derivatives by the own motion (K, 2) as a sparse matrix (K, 2 F) of all."""
+        """Return derivatives by the own motion (K, 2) as a matrix (K, 2 F) of all, sparse where there are several."""
         count = len(own)
         if self.prior is None:
-            return sparse.csr_array((count, 0))
+            return np.zeros((count, 0))
+        if len(self.motions) == 1:
+            return own
+        from scipy import sparse
+
         columns = 2 * self.problem.frame[:, None] + np.array([0, 1])
         at = (own.ravel(), columns.ravel(), np.arange(0, 2 * count + 1, 2))
         return sparse.csr_array(at, shape=(count, self.motions.size))
@@ -314,10 +317,14 @@ class _Model:
 
 
 def _normal(rows: Float, own: Any, weight: Float) -> Float:
-    """Return A^T W A (N, N) of A = [rows, own], the second part sparse."""
+    """Return A^T W A (N, N) of A = [rows, own], the second part sparse where it is of several frames."""
     heavy = rows * weight[:, None]
     mixed = np.asarray((own.T @ heavy).T)
-    return np.block([[heavy.T @ rows, mixed], [mixed.T, (own.T @ (own * weight[:, None])).toarray()]])
+    return np.block([[heavy.T @ rows, mixed], [mixed.T, _dense(own.T @ (own * weight[:, None]))]])
+
+
+def _dense(matrix: Any) -> Float:
+    return np.asarray(matrix.toarray() if hasattr(matrix, "toarray") else matrix)
 
 
 def _projected(rows: Float, own: Any, values: Float) -> Float:
@@ -380,8 +387,10 @@ def _summed(problem: PointToLine, rows: Float, own: Any, residuals: Float, group
     """Return the gradient (G, N) of the robust sum by group of pairs; `group` (K,) holds their numbers."""
     psi = problem.weight * np.clip(residuals, -problem.huber_px, problem.huber_px)
     count, groups = len(problem), int(group.max()) + 1
+    from scipy import sparse
+
     members = sparse.csr_array((psi, (group, np.arange(count))), shape=(groups, count))
-    return np.hstack([np.asarray(members @ rows), (members @ own).toarray()])
+    return np.hstack([np.asarray(members @ rows), _dense(members @ own)])
 
 
 def _symmetric(matrix: Float) -> Float:

@@ -15,6 +15,7 @@ from typing import Any
 import click
 
 from p2o.errors import LONGEST, InputError, P2OError, one_line
+from p2o.native import keep_freed_memory
 
 _COMMANDS = {
     "run": "Calibrate frames: find the transform from the LiDAR to the camera.",
@@ -117,6 +118,7 @@ def _be_a_program(debug: bool) -> None:
         # A name that the terminal's encoding lacks is shown as an escape.
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
+    keep_freed_memory()
     # Warnings of NumPy and others speak to who wrote the code; what users have to know is in results and errors.
     if not (debug or sys.warnoptions):
         warnings.simplefilter("ignore")

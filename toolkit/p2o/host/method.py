@@ -43,7 +43,8 @@ class Method:
     by the side they name, unprefixed ones (side) by both sides. `cite` names the source. `extra` is the extra of
     p2o-calib, or the package, that has to be installed for it. `expected_failures` maps names of conformance checks
     that the method is known to fail to the reason. `trainer` says how the method learns, where it does. `example` is
-    what a method of frames that the test stage does not have (targets, drives) promises to succeed on.
+    what a method of frames that the test stage does not have (targets, drives) promises to succeed on. With `parallel`
+    an extractor may be called from several threads at once and gives the same: several frames then use all cores.
     """
 
     name: str
@@ -57,6 +58,7 @@ class Method:
     expected_failures: tuple[tuple[str, str], ...] = ()
     trainer: Trainer | None = None
     example: Example | None = None
+    parallel: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "needs", frozenset(self.needs))

@@ -21,6 +21,7 @@ from p2o.frames.scale import camera_at_scale, image_at_scale
 from p2o.geometry.camera import Camera
 from p2o.options import Options
 from p2o.results.result import Result
+from p2o.run.for_each import for_each
 
 if TYPE_CHECKING:
     from p2o.host.guard import GuardedCalibrator
@@ -54,12 +55,13 @@ class Assembly:
     """The methods of a plan, built: a `Pipeline` of stages or a whole method, and the extractors of the witness.
 
     `stages` are what prepares something of a frame, by stage; those in `kept` may be kept by the content that they look
-    at (`INPUTS`).
+    at (`INPUTS`). Where all of them are `parallel`, several frames are prepared at once.
     """
 
     calibrator: Pipeline | GuardedCalibrator
     stages: Mapping[str, Callable[[Any], Any]]
     options: PipelineOptions
+    parallel: bool = False
 
     @classmethod
     def of(
@@ -75,11 +77,13 @@ class Assembly:
         stages: dict[str, Callable[[Any], Any]] = {
             stage: remembering(built[stage]) for stage in ("extractor", "cloud", *WITNESS) if stage in built
         }
+        parallel = all(parts[stage].offer.method.parallel for stage in INPUTS if stage in built and stage != "init")
         if "calibrator" in built:
             whole: GuardedCalibrator = built["calibrator"]
-            return cls(whole, {"calibrator": whole.prepare, **stages}, options)
+            return cls(whole, {"calibrator": whole.prepare, **stages}, options, parallel)
         if (prepare := getattr(built["init"], "prepare", None)) is not None:
             stages["init"] = prepare
+            parallel = parallel and parts["init"].offer.method.parallel
         needs = parts["matcher"].offer.method.needs
         pipeline = Pipeline(
             image_extractor=stages["extractor"],
@@ -91,7 +95,7 @@ class Assembly:
             directed="side" in needs,
             needs=frozenset(needs | parts["init"].offer.method.needs),
         )
-        return cls(pipeline, stages, options)
+        return cls(pipeline, stages, options, parallel)
 
     @property
     def kept(self) -> tuple[str, ...]:
@@ -106,10 +110,7 @@ class Assembly:
 
         clock = Clock()
         with clock.of("extract"):
-            pieces = [
-                {stage: find(given(frame, stage)) for stage, find in self.stages.items() if stage not in WITNESS}
-                for frame in frames
-            ]
+            pieces = for_each(self._pieces, frames, parallel=self.parallel)
         result = self.calibrated(
             [(frame.name, frame.camera, frame.twist) for frame in frames], pieces, camera_from_lidar
         )
@@ -119,6 +120,10 @@ class Assembly:
                 result = witnessed(result, views, self.options)
         warnings = tuple(f"{frame.name}: {text}" for frame in frames for text in frame.warnings)
         return replace(result, seconds={**clock.seconds, **result.seconds}, warnings=(*warnings, *result.warnings))
+
+    def _pieces(self, frame: Frame) -> dict[str, Any]:
+        """Return what the stages prepare of a frame, by stage; the witness looks at frames later."""
+        return {stage: find(given(frame, stage)) for stage, find in self.stages.items() if stage not in WITNESS}
 
     def calibrated(
         self,

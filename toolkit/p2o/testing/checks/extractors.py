@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -94,6 +95,17 @@ def features_are_those_that_are_given(subject: Subject) -> None:
 def features_repeat(subject: Subject) -> None:
     """The same input gives the same features, bit for bit, also from a freshly built stage."""
     require_repeated(subject)
+
+
+@CHECKS.of()
+def calls_at_once_find_the_same(subject: Subject) -> None:
+    """A method that says `parallel` finds the same when several threads ask it at once."""
+    if not subject.offer.method.parallel:
+        raise NotApplicable("it does not say parallel: it is asked by one thread at a time")
+    stage_of, data = subject.built(), seen(subject)
+    with ThreadPoolExecutor(2) as pool:
+        for found in pool.map(stage_of, [data] * 4):
+            require_equal(subject.once(look).features, found, "the features of calls at once differ")
 
 
 @CHECKS.of(_of_other_kinds)
