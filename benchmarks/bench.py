@@ -241,7 +241,9 @@ def step_poses(data: str, frames: str, joint: bool) -> dict[str, Any]:
 def surroundings(tree: Path, **more: str) -> dict[str, str]:
     """Return the environment in which the packages of a tree are the ones that are imported."""
     path = os.pathsep.join(str(tree / room) for room in ("toolkit", "plugins", "baselines"))
-    return {**os.environ, "PYTHONPATH": path, **more}
+    # Installed packages are compiled once: so are these, wherever their sources are.
+    compiled = {"PYTHONDONTWRITEBYTECODE": "", "PYTHONPYCACHEPREFIX": str(HOME / "compiled")}
+    return {**os.environ, "PYTHONPATH": path, **compiled, **more}
 
 
 def of_step(tree: Path, step: str, data: str, count: int) -> dict[str, Cost]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from p2o import DirectedCost, Initializer, Method, View, field, se3
 from p2o.arrays import Float
 
-from p2o_plugins.initialize.search import NarrowOptions, coarse_maps, narrow
+from p2o_plugins.initialize.search import MOST_VIEWS, NarrowOptions, coarse_maps, narrow
 
 
 class GridOptions(NarrowOptions):
@@ -36,13 +37,20 @@ def build(options: GridOptions) -> Initializer:
             scale=max(1, int(options.grid_px // 10)),
             margin_px=float(margin),
             max_points=options.grid_points,
+            max_views=MOST_VIEWS,
         )
         if not coarse.points:
             return [camera_from_lidar]
         starts = [se3.exp(t) @ camera_from_lidar for t in _basins(coarse, camera_from_lidar, options)]
-        narrowed = [narrow(coarse_maps(views, s, options), s, options, rng, options.widest_px) for s in starts]
+        known: dict[tuple[object, ...], Any] = {}
+        narrowed = [narrow(coarse_maps(views, s, options, known), s, options, rng, options.widest_px) for s in starts]
         judge = DirectedCost.of(
-            views, camera_from_lidar, options.narrowest_px, margin_px=float(margin), max_points=options.max_points
+            views,
+            camera_from_lidar,
+            options.narrowest_px,
+            margin_px=float(margin),
+            max_points=options.max_points,
+            max_views=MOST_VIEWS,
         )
         order = np.argsort(judge(np.stack(narrowed)), kind="stable")
         return [narrowed[i] for i in order]

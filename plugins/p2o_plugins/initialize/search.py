@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from p2o import DirectedCost, Initializer, Method, Options, View, field, se3
@@ -47,6 +48,8 @@ _BASIN_SPREAD, _BASIN_POPULATION, _BASIN_GENERATIONS = 0.3, 80, 5
 # Beginnings closer than this, in units of sigma_deg, and ends closer than this, in degrees, are one basin.
 _SEPARATE_SIGMA, _SEPARATE_DEG = 0.5, 0.6
 _DRAWS_AT_ONCE = 500
+MOST_VIEWS = 64
+"""The points of a search come from so many views at most, as maps of more would fill the memory."""
 
 
 def build(options: SearchOptions) -> Initializer:
@@ -99,8 +102,16 @@ def _scattered(maps: DirectedCost, start: Float, options: SearchOptions, rng: np
     ]
 
 
-def coarse_maps(views: Sequence[View], around: Float, options: NarrowOptions) -> dict[int, DirectedCost]:
-    """Return the directed cost at `widest_px` for every scale of maps that narrowing needs, by scale."""
+def coarse_maps(
+    views: Sequence[View],
+    around: Float,
+    options: NarrowOptions,
+    known: dict[tuple[object, ...], Any] | None = None,
+) -> dict[int, DirectedCost]:
+    """Return the directed cost at `widest_px` for every scale of maps that narrowing needs, by scale.
+
+    `known` keeps the maps for the same views around another pose.
+    """
     scales = sorted(
         {
             _scale(options.narrowest_px),
@@ -110,7 +121,14 @@ def coarse_maps(views: Sequence[View], around: Float, options: NarrowOptions) ->
     )
     return {
         scale: DirectedCost.of(
-            views, around, options.widest_px, scale=scale, max_points=options.max_points, smooth=False
+            views,
+            around,
+            options.widest_px,
+            scale=scale,
+            max_points=options.max_points,
+            max_views=MOST_VIEWS,
+            smooth=False,
+            known=known,
         )
         for scale in scales
     }

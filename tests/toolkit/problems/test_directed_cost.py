@@ -171,3 +171,32 @@ def test_few_edges_and_many_have_the_distances_of_a_brute_force_search(truncate_
         asked = rng.integers(0, [found.shape[1], found.shape[0]], (300, 2))
         nearest = np.linalg.norm(asked[:, None] - cells[None], axis=2).min(axis=1) * scale
         assert found[asked[:, 1], asked[:, 0]] == pytest.approx(np.minimum(nearest, truncate_px), abs=1e-5)
+
+
+def test_of_many_views_an_even_subset_is_kept_with_the_numbers_of_its_views() -> None:
+    views = [one_edge(Side.LEFT, Side.LEFT)] * 3 + [one_edge(Side.RIGHT, Side.LEFT)] * 5
+    cost = DirectedCost.of(views, np.eye(4), 20.0, max_views=4)
+    assert [part.view for part in cost.parts] == [0, 2, 4, 6]
+    assert cost.at(np.eye(4)) == pytest.approx(10.0)  # two of the four meet their edge
+    everything = DirectedCost.of(views, np.eye(4), 20.0, max_views=8)
+    assert everything.at(np.eye(4)) == DirectedCost.of(views, np.eye(4), 20.0).at(np.eye(4))
+
+
+def test_maps_that_are_known_are_used_again_and_change_nothing() -> None:
+    view, known = edge_scene.view(), {}
+    near = se3.exp(np.array([0.05, 0, 0, 0, 0, 0])) @ edge_scene.TRUTH
+    first = DirectedCost.of([view], edge_scene.TRUTH, 20.0, known=known)
+    second = DirectedCost.of([view], near, 20.0, known=known)
+    assert second.parts[0].maps is first.parts[0].maps
+    assert second.at(near) == DirectedCost.of([view], near, 20.0).at(near)
+
+
+@pytest.mark.parametrize("camera", CAMERAS, ids=lambda c: c.model)
+@pytest.mark.parametrize("smooth", [True, False])
+def test_many_poses_cost_what_each_costs_alone(camera, smooth: bool) -> None:
+    view = edge_scene.view(camera)
+    draws = np.random.default_rng(0).normal(0, 0.05, (1201, 6))
+    poses = se3.exp(draws) @ edge_scene.TRUTH
+    cost = DirectedCost.of([view], edge_scene.TRUTH, 20.0, smooth=smooth)
+    alone = [cost.at(pose) for pose in poses[::100]]
+    np.testing.assert_allclose(cost(poses)[::100], alone, rtol=1e-5)

@@ -16,6 +16,9 @@ from p2o.problems.directed_cost import DirectedCost
 from p2o.problems.problem import LeastSquares, Problem
 from p2o.results.result import DIRECTED
 
+_MOST_VIEWS = 128
+"""Poses of many frames are judged on so many of them: their maps are what fills the memory of a joint calibration."""
+
 
 class Judge(Protocol):
     """Gives costs to poses. Costs of one call compare; those of different calls need not.
@@ -53,7 +56,8 @@ class DirectedJudge:
     @classmethod
     def of(cls, views: Sequence[View], start: Float, poses: Sequence[Float], truncate_px: float) -> DirectedJudge:
         """Return the judge of all that follows from the start; distances are cut off at `truncate_px`."""
-        return cls(DirectedCost.of(views, start, truncate_px, margin_px=_margin_px(views, start, poses)))
+        margin_px = _margin_px(views, start, poses)
+        return cls(DirectedCost.of(views, start, truncate_px, margin_px=margin_px, max_views=_MOST_VIEWS))
 
     def costs(self, poses: Sequence[Float]) -> list[float]:
         """Return the directed distance of each pose in pixels."""

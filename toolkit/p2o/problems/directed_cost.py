@@ -198,10 +198,20 @@ class DirectedCost:
         scale: int = 1,
         margin_px: float = 0.0,
         max_points: int | None = None,
+        max_views: int | None = None,
         smooth: bool = True,
+        known: dict[tuple[object, ...], Float32] | None = None,
     ) -> DirectedCost:
-        """Return the cost of these views; `max_points` keeps an even subset over all views together."""
+        """Return the cost of these views; `max_points` keeps an even subset over all views together.
+
+        `max_views` keeps an even subset of the views that have points, each of which takes 16 bytes a pixel. Maps that
+        are in `known` are not made again, and new ones are put there: for costs of the same views from several poses.
+        """
         masks = [_near_image(view, around, margin_px) for view in views]
+        seeing = [number for number, mask in enumerate(masks) if mask.any()]
+        if max_views is not None and len(seeing) > max_views:
+            kept = {seeing[number * len(seeing) // max_views] for number in range(max_views)}
+            masks = [mask & (number in kept) for number, mask in enumerate(masks)]
         total = int(sum(m.sum() for m in masks))
         step = 1 if max_points is None else max(1, -(-total // max_points))
         parts = []
@@ -215,7 +225,12 @@ class DirectedCost:
             number = np.zeros(len(Side), np.int64)
             for i, side in enumerate(sides):
                 number[side] = i
-            maps = distance_maps(view, sides, truncate_px, scale, exact=smooth, confidences=CONFIDENCES)
+            key = (number_of_view, tuple(sides), truncate_px, scale, smooth)
+            maps = None if known is None else known.get(key)
+            if maps is None:
+                maps = distance_maps(view, sides, truncate_px, scale, exact=smooth, confidences=CONFIDENCES)
+                if known is not None:
+                    known[key] = maps
             neutral = _neutral(maps, truncate_px)
             # An edge between far apart beams may lie pixels off: it counts by the inverse of its variance in pixels.
             seen_from = se3.apply(around, edges.xyz)
