@@ -110,20 +110,23 @@ class Assembly:
 
         clock = Clock()
         with clock.of("extract"):
-            pieces = for_each(self._pieces, frames, parallel=self.parallel)
-        result = self.calibrated(
-            [(frame.name, frame.camera, frame.twist) for frame in frames], pieces, camera_from_lidar
-        )
+            # Looked at once: very many frames are read again each time.
+            seen = for_each(self._seen, frames, parallel=self.parallel)
+        result = self.calibrated([one for one, _, _ in seen], [pieces for _, pieces, _ in seen], camera_from_lidar)
         if result.status.solved and result.agreement is None:
             with clock.of("witness"):
                 views = [view for frame in frames if (view := self.witness_of_frame(frame)) is not None]
                 result = witnessed(result, views, self.options)
-        warnings = tuple(f"{frame.name}: {text}" for frame in frames for text in frame.warnings)
+        warnings = tuple(text for _, _, texts in seen for text in texts)
         return replace(result, seconds={**clock.seconds, **result.seconds}, warnings=(*warnings, *result.warnings))
 
-    def _pieces(self, frame: Frame) -> dict[str, Any]:
-        """Return what the stages prepare of a frame, by stage; the witness looks at frames later."""
-        return {stage: find(given(frame, stage)) for stage, find in self.stages.items() if stage not in WITNESS}
+    def _seen(self, frame: Frame) -> tuple[tuple[str, Camera, Float | None], dict[str, Any], tuple[str, ...]]:
+        """Return what stays of a frame: its name, camera and twist, its pieces by stage, and its warnings.
+
+        The witness looks at frames later.
+        """
+        pieces = {stage: find(given(frame, stage)) for stage, find in self.stages.items() if stage not in WITNESS}
+        return (frame.name, frame.camera, frame.twist), pieces, tuple(f"{frame.name}: {w}" for w in frame.warnings)
 
     def calibrated(
         self,

@@ -6,6 +6,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,6 +20,7 @@ from p2o.frames.direction import check_direction
 from p2o.frames.frame import Dataset, Frame
 from p2o.frames.selection import select
 from p2o.geometry import se3
+from p2o.geometry.camera import Camera
 from p2o.geometry.pose_error import PoseError, pose_error, summarise
 from p2o.geometry.start_list import StartList, parse_starts
 from p2o.host.registry import Registry
@@ -28,6 +30,7 @@ from p2o.results.rig import RigResult
 from p2o.results.verdict import Trust
 from p2o.run.assembly import Assembly
 from p2o.run.protocol import Protocol, protocol_of
+from p2o.run.read_again import MOST_HELD, ReadAgain, Told, told, without_truth
 from p2o.run.recipe import Plan, Recipe
 from p2o.run.words import parse_settings
 
@@ -160,7 +163,7 @@ class Progress:
     done: int
     total: int
     name: str
-    frames: tuple[Frame, ...]
+    frames: Sequence[Frame]
     assembly: Assembly
     row: Row | None = None
     failed: FailedFrame | None = None
@@ -282,11 +285,11 @@ def run(
     calibrated.
     """
     recipe = plan.recipe
-    told: tuple[str, ...] = ()
+    said_of_start: tuple[str, ...] = ()
     if recipe.start is not None:
         if start is not None:
             raise InputError("a start is given twice, as a pose and in words", expected="one of them")
-        start, told = start_words(recipe.start, "--start")
+        start, said_of_start = start_words(recipe.start, "--start")
     if start is not None:
         if plan.rig is not None:
             raise InputError(
@@ -300,7 +303,7 @@ def run(
     dataset: Sequence[Frame] | Dataset = plan.dataset() if frames is None else plan.joined(frames)
     names, indices = selected(dataset, recipe.frames)
     cameras: dict[int, str] = {}
-    remarks: Mapping[str, tuple[str, ...]] = {"": told}
+    remarks: Mapping[str, tuple[str, ...]] = {"": said_of_start}
     if plan.rig is None:
         groups = [indices] if recipe.joint else [[index] for index in indices]
     else:
@@ -369,15 +372,15 @@ def _caught(work: Callable[..., _T], /, *given: Any) -> _T | P2OError:
         return problem
 
 
-def _usable(plan: Plan, dataset: Sequence[Frame] | Dataset, index: int, name: str, *, joint: bool) -> Frame:
-    """Return a frame that was read and has what the methods need."""
+def _usable(plan: Plan, dataset: Sequence[Frame] | Dataset, index: int, *, names: Mapping[int, str]) -> Frame:
+    """Return a frame that was read and has what the methods need; `names` are of all that are calibrated together."""
     try:
         frame = frame_at(dataset, index)
         plan.check_frame(frame)
     except InputError as problem:
-        if not joint:
+        if len(names) == 1:
             raise
-        hint = f"a joint calibration needs every frame: leave {name} out of --frames, or repair it"
+        hint = f"a joint calibration needs every frame: leave {names[index]} out of --frames, or repair it"
         raise InputError(
             problem.what,
             where=problem.where,
@@ -396,7 +399,8 @@ def _strict() -> bool:
 class _Begin:
     """Where a calibration begins: its frames, the truth where it is known, the start, and what is said about it."""
 
-    frames: tuple[Frame, ...]
+    frames: Sequence[Frame]
+    cameras: frozenset[Camera]
     truth: Float | None
     start: Float
     warnings: tuple[str, ...]
@@ -411,23 +415,26 @@ class _Begin:
         start: Float | None,
         listed: Mapping[int, Float],
     ) -> _Begin:
-        """Read the frames of these indices and names."""
-        frames = tuple(_usable(plan, dataset, index, name, joint=len(chosen) > 1) for index, name in chosen)
-        camera = frames[0].camera_name if plan.rig is not None else one_camera(frames)
-        truth = common_pose(frames, "camera_from_lidar")
-        return cls(frames, truth, *start_of(frames, truth, plan.recipe, start, chosen[0][0], listed), camera)
+        """Read the frames of these indices and names; of very many, each is read again whenever it is looked at."""
+        names = dict(chosen)
+        read = partial(_usable, plan, dataset, names=names)
+        frames: Sequence[Frame] = tuple(map(read, names)) if len(names) <= MOST_HELD else ReadAgain(read, list(names))
+        said = told(frames)
+        camera = said[0].camera_name if plan.rig is not None else one_camera(said)
+        truth = common_pose(said, "camera_from_lidar")
+        begin = start_of(said, truth, plan.recipe, start, chosen[0][0], listed)
+        return cls(frames, frozenset(one.camera for one in said), truth, *begin, camera)
 
 
 def _calibrate_one(assembly: Assembly, begin: _Begin, stamp: Mapping[str, Any]) -> Row:
     frames, truth, start = begin.frames, begin.truth, begin.start
     try:
-        result = assembly([frame.without_truth() for frame in frames], start)
+        result = assembly(without_truth(frames), start)
     except PluginError as problem:
         if _strict():
             raise
         result = Result(tuple(f.name for f in frames), start, start, Status.STAGE_FAILED, str(problem))
-    cameras = {frame.camera for frame in frames}
-    intrinsics = result.camera_of(*cameras) if len(cameras) == 1 else None
+    intrinsics = result.camera_of(*begin.cameras) if len(begin.cameras) == 1 else None
     warnings = (*result.warnings, *begin.warnings)
     result = replace(result, warnings=warnings, intrinsics=intrinsics, **stamp)
     if truth is None:
@@ -445,7 +452,7 @@ def listed_errors(recipe: Recipe, names: Sequence[str], indices: Sequence[int]) 
 
 
 def start_of(
-    frames: tuple[Frame, ...],
+    frames: Sequence[Frame] | Sequence[Told],
     truth: Float | None,
     recipe: Recipe,
     start: Float | None,
@@ -458,6 +465,7 @@ def start_of(
             return start, ()
         # What a file of another tool calls its transform is often the inverse.
         frame = frames[0]
+        assert frame.cloud is not None  # that of the first frame is kept
         return start, check_direction(frame.cloud, frame.camera, start, name="the start", where=recipe.start)
     if recipe.perturb is not None:
         if truth is None:
@@ -485,7 +493,7 @@ def start_of(
     )
 
 
-def one_camera(frames: Sequence[Frame]) -> str:
+def one_camera(frames: Sequence[Frame] | Sequence[Told]) -> str:
     """Return the name of the camera of all frames, empty where they name none; InputError where they name several."""
     named = sorted({frame.camera_name for frame in frames})
     if len(named) > 1:
@@ -502,7 +510,7 @@ def one_camera(frames: Sequence[Frame]) -> str:
 _SAME_DEG, _SAME_M = 1e-3, 1e-4
 
 
-def common_pose(frames: Sequence[Frame], name: str) -> Float | None:
+def common_pose(frames: Sequence[Frame] | Sequence[Told], name: str) -> Float | None:
     """Return the one pose `name` of all frames that know it, or None; InputError where two differ.
 
     Files round each frame's pose by itself: what no calibration can tell apart is one pose.

@@ -1,0 +1,74 @@
+"""Joint calibrations of many frames hold none of them, and find the same as if they held all."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+
+import numpy as np
+import p2o
+import pytest
+from p2o import Frame, Recipe
+from p2o.run.recipe import open_dataset
+
+
+class Counted:
+    """Frames that are made anew whenever they are asked for; `most` is how many were alive at once."""
+
+    def __init__(self, frames: list[Frame]) -> None:
+        self.frames, self.alive, self.most = frames, [], 0
+        self.names = tuple(frame.name for frame in frames)
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, index: int) -> Frame:
+        its = self.frames[index]
+        image = p2o.Image(its.image.rgb.copy(), its.camera, depth_m=its.image.depth_m)
+        frame = Frame(its.name, image, p2o.Cloud(its.cloud.xyz, its.cloud.ring), its.camera_from_lidar)
+        self.alive.append(weakref.ref(image))
+        gc.collect()
+        self.most = max(self.most, sum(one() is not None for one in self.alive))
+        return frame
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[Frame]:
+    dataset = open_dataset("synthetic:?scenes=6&megapixels=0.1", p2o.Registry.load())
+    return [dataset[number] for number in range(6)]
+
+
+def joint(data: Counted) -> p2o.Result:
+    return p2o.calibrate(data, extractor="depth/rings", perturb="1deg 0.05m", joint=True).result
+
+
+def test_many_frames_are_read_again_and_give_the_same(frames: list[Frame], monkeypatch: pytest.MonkeyPatch) -> None:
+    held, again = Counted(frames), Counted(frames)
+    expected = joint(held)
+    monkeypatch.setattr("p2o.run.run.MOST_HELD", 2)
+    found = joint(again)
+    np.testing.assert_array_equal(found.camera_from_lidar, expected.camera_from_lidar)
+    assert found.frames == expected.frames == held.names
+    assert found.warnings == expected.warnings
+    assert held.most == len(frames)
+    assert again.most < len(frames) - 1
+
+
+def test_a_bad_frame_among_many_is_named(frames: list[Frame], monkeypatch: pytest.MonkeyPatch) -> None:
+    class Broken(Counted):
+        def __getitem__(self, index: int) -> Frame:
+            if index == 4:
+                raise p2o.InputError("the image is cut short")
+            return super().__getitem__(index)
+
+    monkeypatch.setattr("p2o.run.run.MOST_HELD", 2)
+    with pytest.raises(
+        p2o.InputError, match=f"cut short; a joint calibration needs every frame: leave {frames[4].name}"
+    ):
+        joint(Broken(frames))
+
+
+def test_recipes_say_whether_their_methods_take_several_frames_at_once() -> None:
+    registry = p2o.Registry.load()
+    for extractor, parallel in (("p2ornet/rings", True), ("p2ornet/range-view", True), ("depth/rings", False)):
+        assert Recipe.of(extractor=extractor).resolve(registry).assembly().parallel == parallel
