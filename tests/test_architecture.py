@@ -24,7 +24,7 @@ ORDINARY = ("p2o_plugins", "p2o_baselines", "p2o_example")
 
 FLOORS = (
     {"errors", "moved", "native"},
-    {"arrays", "files", "options"},
+    {"arrays", "files", "options", "threads"},
     {"geometry"},
     {"frames", "bags"},
     {"features"},

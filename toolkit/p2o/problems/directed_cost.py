@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -14,6 +15,7 @@ from p2o.features.side import Side
 from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
+from p2o.threads import for_each
 
 Float32 = np.ndarray
 
@@ -159,16 +161,20 @@ def _opencv_alone() -> Iterator[None]:
     """Keep OpenCV from handing work of this thread to Intel's IPP.
 
     Its exact distances differ in their last bits with the address of the result in memory, and it is only used where
-    OpenCV has one thread: two runs would not give the same bytes.
+    OpenCV has one thread: two runs would not give the same bytes. The switch is one for all threads.
     """
     import cv2
 
-    before = cv2.ipp.useIPP()
-    cv2.ipp.setUseIPP(False)
-    try:
-        yield
-    finally:
-        cv2.ipp.setUseIPP(before)
+    with _switching:
+        before = cv2.ipp.useIPP()
+        cv2.ipp.setUseIPP(False)
+        try:
+            yield
+        finally:
+            cv2.ipp.setUseIPP(before)
+
+
+_switching = threading.Lock()
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,11 +220,10 @@ class DirectedCost:
             masks = [mask & (number in kept) for number, mask in enumerate(masks)]
         total = int(sum(m.sum() for m in masks))
         step = 1 if max_points is None else max(1, -(-total // max_points))
-        parts = []
-        for number_of_view, (view, mask) in enumerate(zip(views, masks, strict=True)):
-            keep = np.flatnonzero(mask)[::step]
-            if not len(keep):
-                continue
+
+        def part_of(number_of_view: int) -> _Part:
+            """Return the points of a view with their maps."""
+            view, keep = views[number_of_view], np.flatnonzero(masks[number_of_view])[::step]
             keep = keep[np.argsort(view.cloud_edges.side[keep], kind="stable")]
             edges = view.cloud_edges.select(keep)
             sides = [Side(int(s)) for s in np.unique(edges.side)]
@@ -236,7 +241,10 @@ class DirectedCost:
             seen_from = se3.apply(around, edges.xyz)
             distance = np.linalg.norm(seen_from, axis=1)
             weight = edges.weight / (1.0 + (view.camera.focal_px * edges.sigma_m / distance) ** 2)
-            parts.append(_Part(number_of_view, keep, view.camera, seen_from, weight, number[edges.side], maps, neutral))
+            return _Part(number_of_view, keep, view.camera, seen_from, weight, number[edges.side], maps, neutral)
+
+        having = [number for number, mask in enumerate(masks) if mask.any()]
+        parts = for_each(part_of, having, parallel=True)
         return cls(tuple(parts), truncate_px, scale, se3.inverse(around), smooth)
 
     def truncated(self, truncate_px: float) -> DirectedCost:

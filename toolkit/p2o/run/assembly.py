@@ -21,7 +21,7 @@ from p2o.frames.scale import camera_at_scale, image_at_scale
 from p2o.geometry.camera import Camera
 from p2o.options import Options
 from p2o.results.result import Result
-from p2o.run.for_each import for_each
+from p2o.threads import for_each
 
 if TYPE_CHECKING:
     from p2o.host.guard import GuardedCalibrator

@@ -6,12 +6,12 @@ import threading
 
 import pytest
 from p2o.native import cores
-from p2o.run.for_each import for_each
+from p2o.threads import for_each
 
 
 @pytest.fixture(params=[1, 3])
 def core_count(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
-    monkeypatch.setattr("p2o.run.for_each.cores", lambda: request.param)
+    monkeypatch.setattr("p2o.threads.cores", lambda: request.param)
     return request.param
 
 

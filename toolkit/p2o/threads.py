@@ -1,4 +1,4 @@
-"""The same work on each of several frames: one after the other, or on all cores where the work allows it."""
+"""The same work on each of several frames or views: one after the other, or on all cores where the work allows it."""
 
 from __future__ import annotations
 
