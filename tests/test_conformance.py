@@ -166,6 +166,12 @@ def test_an_example_is_asked_of_those_that_have_one() -> None:
     )
 
 
+def test_calls_at_once_are_asked_of_those_that_say_parallel() -> None:
+    assert "calls_at_once_find_the_same" not in names(method(None, gives={"image-edges"}), Kind.IMAGE_EXTRACTOR)
+    parallel = method(None, gives={"image-edges"}, parallel=True)
+    assert "calls_at_once_find_the_same" in names(parallel, Kind.IMAGE_EXTRACTOR)
+
+
 # ---- kinds of features that only a plugin knows
 
 

@@ -77,7 +77,8 @@ class Assembly:
         stages: dict[str, Callable[[Any], Any]] = {
             stage: remembering(built[stage]) for stage in ("extractor", "cloud", *WITNESS) if stage in built
         }
-        parallel = all(parts[stage].offer.method.parallel for stage in INPUTS if stage in built and stage != "init")
+        asked = [stage for stage in built if stage in INPUTS and stage not in (*WITNESS, "init")]
+        parallel = all(parts[stage].offer.method.parallel for stage in asked)
         if "calibrator" in built:
             whole: GuardedCalibrator = built["calibrator"]
             return cls(whole, {"calibrator": whole.prepare, **stages}, options, parallel)

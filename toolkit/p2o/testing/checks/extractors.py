@@ -97,11 +97,9 @@ def features_repeat(subject: Subject) -> None:
     require_repeated(subject)
 
 
-@CHECKS.of()
+@CHECKS.of(lambda method: method.parallel)
 def calls_at_once_find_the_same(subject: Subject) -> None:
     """A method that says `parallel` finds the same when several threads ask it at once."""
-    if not subject.offer.method.parallel:
-        raise NotApplicable("it does not say parallel: it is asked by one thread at a time")
     stage_of, data = subject.built(), seen(subject)
     with ThreadPoolExecutor(2) as pool:
         for found in pool.map(stage_of, [data] * 4):
