@@ -4,6 +4,7 @@ PYTHON ?= python3
 JOBS ?= 2
 CASES ?= 20000
 SEED ?= 0
+BENCH ?= $(if $(wildcard build/bench/reference.json),--against build/bench/reference.json)
 SOURCES := $(shell find toolkit plugins baselines -name '*.py' -o -name '*.toml' -o -name '*.html' -o -name '*.css' -o -name '*.js') pyproject.toml README.md
 
 .PHONY: run test fuzz bench dev lint docs clean
@@ -35,7 +36,7 @@ fuzz: $(VENV)/.installed
 # What each step costs, beside the reference of this machine where there is one (docs/performance.md):
 # make bench BENCH="--keep build/bench/reference.json"; make bench BENCH="--against-commit REV"
 bench: $(VENV)/.locked
-	$(VENV)/bin/python benchmarks/bench.py $(if $(BENCH),$(BENCH),$(if $(wildcard build/bench/reference.json),--against build/bench/reference.json))
+	$(VENV)/bin/python benchmarks/bench.py $(BENCH)
 
 lint: $(VENV)/.locked
 	$(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check . && $(VENV)/bin/mypy
