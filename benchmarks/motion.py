@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 import p2o
 from p2o.arrays import Float
-from p2o_baselines.hand_eye import HandEyeCalibration, HandEyeOptions, Run, fused_steps, lidar_poses
+from p2o_baselines.hand_eye import HandEyeCalibration, HandEyeOptions, fused_steps
 from p2o_baselines.lidar_tracks import trackable
+from p2o_baselines.moments import Run, lidar_poses
 from p2o_baselines.visual_odometry import follow
 
 DRIVE = (

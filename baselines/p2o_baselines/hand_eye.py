@@ -26,17 +26,18 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, pairwise
+from itertools import chain
 from typing import Literal
 
 import numpy as np
 import p2o
 from p2o import Result, Status
-from p2o.arrays import Bool, Float, UInt8
+from p2o.arrays import Float
 
 from p2o_baselines.corner_depths import Followed, refined
 from p2o_baselines.hand_eye_equations import HandEye, OpenDirection, Steps, first_guess, solved
 from p2o_baselines.lidar_tracks import MetricStep, metric_step, trackable
+from p2o_baselines.moments import Moment, Run, accuracy, consecutive, lidar_poses, moment_of, moves
 from p2o_baselines.sensor_delay import Delay, Drive, delay_of
 from p2o_baselines.visual_odometry import camera_step, follow_on, followed
 
@@ -44,16 +45,10 @@ _TURN_RAD = np.radians(0.05)
 """Deviation of a camera's turn by corners alone, an axis: it only weighs turns against directions of motion."""
 _LIDAR_RAD, _LIDAR_M = np.radians(0.01), 0.003
 """Deviations of a LiDAR's step from frame to frame, an axis."""
-_THEN_M = 0.3
-"""Sweeps are aligned again without what is farther from the other one: traffic draws steps by centimetres."""
-_MAP_M = 0.5
-"""Cubes of the map of KISS-ICP: with its usual metre, turns are wrong by a tenth of a degree."""
 _OFF_PX = 1.6
 """Corners are off by 0.8 to 1.3 px where both motions fit, by 2.0 with poses of KITTI's car: few cases."""
 _ENOUGH = 200
 """Corners that a first motion rests on."""
-_STILL_RAD, _STILL_M = np.radians(0.2), 0.05
-"""Steps that turn and move less than this tell nothing."""
 
 
 class HandEyeOptions(p2o.Options):
@@ -77,38 +72,6 @@ class HandEyeOptions(p2o.Options):
     open_m: float = p2o.field(0.25, gt=0, le=10, help="A place known no better than this along a direction is open.")
     fill: bool = p2o.field(True, help="Take what the motion leaves open from the start; else refuse.")
     longest_s: float = p2o.field(0.1, gt=0, le=10, help="Longest delay of the camera that is tried, to either side.")
-
-
-@dataclass(frozen=True, eq=False)
-class Moment:
-    """What is prepared of a frame: when it was taken, its grey picture, and its sweep (N, 3) m at that time."""
-
-    name: str
-    sequence: str
-    time_s: float
-    camera: p2o.Camera
-    grey: UInt8
-    masked: Bool | None
-    xyz: Float
-    world_from_lidar: Float | None
-
-
-@dataclass(frozen=True, eq=False)
-class Run:
-    """Consecutive frames of one drive with the LiDAR's pose (N, 4, 4) at each."""
-
-    moments: tuple[Moment, ...]
-    world_from_lidar: Float
-
-    def spans(self, most: int) -> Iterator[tuple[int, list[int]]]:
-        """Return each frame but the last with the numbers of those up to `most` after it."""
-        count = len(self.moments)
-        for first in range(count - 1):
-            yield first, list(range(first + 1, min(first + most, count - 1) + 1))
-
-    def lidar_step(self, first: int, second: int) -> Float:
-        """Return the motion (4, 4) that takes points of the LiDAR frame of one moment to that of another."""
-        return np.asarray(p2o.se3.inverse(self.world_from_lidar[second]) @ self.world_from_lidar[first])
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,30 +99,11 @@ class HandEyeCalibration:
 
         The sweep is taken as at the time of the picture where the velocity is known.
         """
-        if not frame.sequence or frame.time_s is None:
-            raise p2o.InputError(
-                "the frame is of no drive, and motion is all that hand-eye calibration has",
-                where=frame.name,
-                expected="frames with `sequence` and `time_s`",
-            )
         if self.options.lidar == "given" and frame.lidar_world_from_lidar is None:
             raise p2o.InputError(
                 "the frame holds no pose of the LiDAR", where=frame.name, hint="leave out calibrator.lidar=given"
             )
-        image = p2o.image_at_scale(frame.image)
-        cloud = frame.cloud if frame.sweep is None else frame.sweep
-        if frame.twist is not None:
-            cloud = cloud.untwisted(frame.twist)
-        return Moment(
-            frame.name,
-            frame.sequence,
-            frame.time_s,
-            image.camera,
-            image.grey,
-            image.masked,
-            np.asarray(cloud.xyz),
-            frame.lidar_world_from_lidar,
-        )
+        return moment_of(frame)
 
     def solve(self, prepared: Sequence[Moment], camera_from_lidar: Float) -> Result:
         """Return the extrinsic that the motion of all frames tells; of the start, what it leaves open."""
@@ -175,7 +119,7 @@ class HandEyeCalibration:
             )
             return Result(names, start, start, Status.TOO_FEW_MATCHES, reason, matches={"steps": count})
         runs = [Run(tuple(group), lidar_poses(group, options.lidar)) for group in groups]
-        if not any(_moves(run, options.span) for run in runs):
+        if not any(moves(run, options.span) for run in runs):
             return Result(
                 names, start, start, Status.NOT_OBSERVABLE, "the LiDAR stands still: motion is all that hand-eye has"
             )
@@ -246,39 +190,6 @@ class HandEyeCalibration:
             if p2o.se3.angle_deg(change) < options.tolerance_deg and p2o.se3.distance_m(change) < options.tolerance_m:
                 return found, motions, Status.CONVERGED
         return found, motions, Status.ROUNDS_SPENT if options.rounds else Status.CONVERGED
-
-
-def consecutive(moments: Sequence[Moment], gap_s: float) -> list[list[Moment]]:
-    """Return the frames of each stretch of a drive in which none is farther from the next than `gap_s`, two and more.
-
-    Of frames at one time, as of several cameras, the first counts.
-    """
-    drives: dict[str, dict[float, Moment]] = {}
-    for moment in moments:
-        drives.setdefault(moment.sequence, {}).setdefault(moment.time_s, moment)
-    found: list[list[Moment]] = []
-    for drive in drives.values():
-        ordered = [drive[time_s] for time_s in sorted(drive)]
-        group = ordered[:1]
-        for before, after in pairwise(ordered):
-            if after.time_s - before.time_s > gap_s or after.grey.shape != before.grey.shape:
-                found.append(group)
-                group = []
-            group.append(after)
-        found.append(group)
-    return [group for group in found if len(group) > 1]
-
-
-def lidar_poses(moments: Sequence[Moment], how: str) -> Float:
-    """Return world_from_lidar (N, 4, 4) of consecutive frames."""
-    if how == "given":
-        return np.array([moment.world_from_lidar for moment in moments])
-    from p2o.frames.lidar_odometry import poses_by_gicp, poses_by_kiss_icp
-
-    clouds = [p2o.Cloud(moment.xyz) for moment in moments]
-    return np.array(
-        poses_by_gicp(clouds, then_m=_THEN_M) if how == "gicp" else poses_by_kiss_icp(clouds, voxel_m=_MAP_M)
-    )
 
 
 def corner_tracks(run: Run, options: HandEyeOptions) -> list[Followed]:
@@ -365,16 +276,6 @@ def delay_between(runs: Sequence[Run], motions: Motions, camera_from_lidar: Floa
     return found if found is not None and found.inside and np.isfinite(found.sigma_s) else None
 
 
-def accuracy(covariance: Float) -> p2o.Accuracy:
-    """Return how wrong an extrinsic of a covariance (6, 6) is likely to be, by drawing from it."""
-    drawn = np.random.default_rng(0).multivariate_normal(np.zeros(6), covariance, 4000)
-    turn, move = (np.linalg.norm(drawn[:, part], axis=1) for part in (slice(0, 3), slice(3, 6)))
-    return p2o.Accuracy(
-        *(float(np.degrees(np.quantile(turn, 2 / 3))), float(np.quantile(move, 2 / 3))),
-        *(float(np.degrees(np.quantile(turn, 0.95))), float(np.quantile(move, 0.95))),
-    )
-
-
 def _steps(rows: Sequence[tuple[Float, Float, Float, int]], *, metric: bool) -> Steps:
     camera, lidar, covariance = (
         np.array([row[column] for row in rows]).reshape(-1, size, size) for column, size in ((0, 4), (1, 4), (2, 6))
@@ -390,13 +291,6 @@ def _rays(camera: p2o.Camera, uv: Float) -> Float:
     known = np.isfinite(uv).all(axis=1)
     rays[known] = camera.rays(uv[known])
     return rays
-
-
-def _moves(run: Run, span: int) -> bool:
-    steps = [run.lidar_step(first, later[-1]) for first, later in run.spans(span)]
-    return any(
-        np.radians(p2o.se3.angle_deg(step)) > _STILL_RAD or p2o.se3.distance_m(step) > _STILL_M for step in steps
-    )
 
 
 def _said(runs: Sequence[Run], found: HandEye) -> str:

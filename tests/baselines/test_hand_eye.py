@@ -11,6 +11,7 @@ from p2o.cli import main
 from p2o.testing import stage
 from p2o_baselines import corner_depths, hand_eye
 from p2o_baselines.corner_depths import Followed
+from p2o_baselines.moments import Moment, consecutive
 
 CAMERA = p2o.Camera.pinhole(700.0, 700.0, 620.0, 180.0, 1242, 375)
 TRUTH = p2o.se3.exp(np.array([0.05, -0.08, 0.06, 0.0, 0.0, 0.0])) @ p2o.se3.make(
@@ -26,10 +27,10 @@ def method(**options: object) -> hand_eye.HandEyeCalibration:
     return hand_eye.HandEyeCalibration(hand_eye.HandEyeOptions(**options))
 
 
-def moment(number: int, sequence: str = "drive", time_s: float | None = None) -> hand_eye.Moment:
+def moment(number: int, sequence: str = "drive", time_s: float | None = None) -> Moment:
     pose = p2o.se3.exp(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
     time_s = 0.1 * number if time_s is None else time_s
-    return hand_eye.Moment(
+    return Moment(
         f"{sequence}/{number}", sequence, time_s, CAMERA, np.zeros((8, 8), np.uint8), None, np.ones((5, 3)), pose
     )
 
@@ -40,7 +41,7 @@ def moment(number: int, sequence: str = "drive", time_s: float | None = None) ->
 def test_stretches_end_where_time_is_missing_and_where_a_drive_ends() -> None:
     times = (0.0, 0.1, 0.2, 5.0, 5.1, 9.0)
     moments = [moment(number, time_s=time_s) for number, time_s in enumerate(times)]
-    found = hand_eye.consecutive([*reversed(moments), moment(0, "other"), moment(1, "other")], 0.5)
+    found = consecutive([*reversed(moments), moment(0, "other"), moment(1, "other")], 0.5)
     assert [[each.name for each in group] for group in found] == [
         ["drive/0", "drive/1", "drive/2"],
         ["drive/3", "drive/4"],

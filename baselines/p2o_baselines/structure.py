@@ -1,0 +1,416 @@
+"""The extrinsic at which a sparse map from pictures lies on the surfaces that a LiDAR saw, and both move alike.
+
+For a stretch of a drive there are a visual map, up to scale (`visual_map`), the LiDAR's poses, and its map as small
+planes (`surface_map`). With the extrinsic X, a landmark y in the camera frame of moment k and the scale s_k there, the
+point W_k X^-1 s_k y of the LiDAR's world should lie on the plane next to it, and the camera's steps A from moment to
+moment should be those of the LiDAR: A(s) X = X B.
+
+Both kinds of equations make one least squares over X and the scales (`solved`). Landmarks count once however often they
+are seen; wrong ones and wrong steps are damped (Cauchy); how far both kinds are off scales their weights. Scales of
+neighbouring moments differ little: a visual map of 30 m drifts by a percent. The global search (`searched`) looks for
+the least damped cost over X and one scale in a box around a first guess. All constants are ours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import p2o
+from p2o.arrays import Bool, Float, Int
+
+from p2o_baselines.hand_eye_equations import adjoint
+from p2o_baselines.surface_map import SurfaceMap
+
+_REACH_M = 0.7
+_SURFACE_M = 0.02
+"""Deviation of a plane besides its thickness."""
+_FAR_M = 40.0
+_VAGUE_M = 0.5
+"""Landmarks that are known no better than this are left out."""
+_WIDTHS_M = (0.5, 0.5, 0.5, 0.3, 0.3, 0.3, 0.15, 0.15, 0.15)
+"""Landmarks may be off by so much more at first, for the extrinsic may be."""
+_CAUCHY = 2.0
+_STEP_RAD, _STEP_SHARE, _STEP_M = np.radians(0.02), 0.005, 0.003
+"""Deviations of a step: its turn, its translation by the pictures (a share of it) and by the sweeps."""
+_WALK = 0.01
+"""Deviation of the logarithm of the scale from moment to moment."""
+_DRIFT_RAD, _DRIFT_M = np.radians(0.01), 0.005
+"""How wrong LiDAR odometry may be in every step alike, an axis."""
+_FLOOR_RAD, _FLOOR_M = 1.0, 30.0
+_DELAY_S = 0.01
+_SEARCHED = 500
+"""Landmarks of each stretch that the search looks at."""
+_SEARCH_M = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """A stretch of a drive: landmarks `xyz` (N, 3) as seen, in the camera frame of moment `moment` (N,), up to scale.
+
+    `landmark` (N,) numbers them, `covariance` (N, 3, 3) is theirs. `camera_step` (K-1, 4, 4) is the camera's motion
+    from each moment to the next, up to scale, `world_from_lidar` (K, 4, 4) the LiDAR's poses, `velocity` (K, 6) how it
+    moves at them (rad/s, m/s, in its own frame), and `surfaces` its map.
+    """
+
+    xyz: Float
+    covariance: Float
+    landmark: Int
+    moment: Int
+    camera_step: Float
+    world_from_lidar: Float
+    velocity: Float
+    surfaces: SurfaceMap
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+    @property
+    def lidar_step(self) -> Float:
+        """Motions (K-1, 4, 4) of points in the LiDAR frame from each moment to the next."""
+        return np.asarray(p2o.se3.inverse(self.world_from_lidar[1:]) @ self.world_from_lidar[:-1])
+
+    def later(self, delay_s: float) -> Stretch:
+        """Return the same with the LiDAR where it is so much later, its map staying."""
+        ahead = np.array([p2o.se3.exp(twist * delay_s) for twist in self.velocity])
+        return replace(self, world_from_lidar=self.world_from_lidar @ ahead)
+
+    def nearer(self, scale: float) -> Stretch:
+        """Return the same without what is far, or vague, where the map is about `scale` m a unit."""
+        sigma = np.sqrt(np.trace(self.covariance, axis1=1, axis2=2)) * scale
+        kept = (self.xyz[:, 2] * scale < _FAR_M) & (sigma < _VAGUE_M)
+        return self._select(kept)
+
+    def once(self, most: int) -> Stretch:
+        """Return each landmark as seen from where it is best known, at most so many, evenly spread over the drive."""
+        order = np.lexsort((np.trace(self.covariance, axis1=1, axis2=2), self.xyz[:, 2], self.landmark))
+        first = order[np.concatenate([[True], np.diff(self.landmark[order]) > 0])] if len(order) else order
+        return self._select(np.sort(first[:: max(len(first) // most, 1)]))
+
+    def _select(self, kept: Bool | Int) -> Stretch:
+        return replace(
+            self,
+            xyz=self.xyz[kept],
+            covariance=self.covariance[kept],
+            landmark=self.landmark[kept],
+            moment=self.moment[kept],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Consistency:
+    """The extrinsic at which both maps agree.
+
+    `covariance` (6, 6) is of a left update (rad, m), `scales` (K,) m a unit of each stretch. `landmarks` lie next to a
+    plane, `share` of those that are near enough to be asked; they are off by `off_m`, in the median. Steps differ by
+    `off_deg` and `off_step_m`, root mean squares of those that count. `delay_s` is how much later than its sweeps the
+    camera is, with its deviation, infinite where nothing tells.
+    """
+
+    camera_from_lidar: Float
+    covariance: Float
+    scales: tuple[Float, ...]
+    landmarks: int
+    share: float
+    off_m: float
+    off_deg: float
+    off_step_m: float
+    delay_s: float
+    delay_sigma_s: float
+    settled: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """Sums over one stretch; the first six unknowns are the extrinsic's, the others its logarithms of scales.
+
+    `by_drift` (6 + K, 6) is how the gradient changes with a left update of each step of the LiDAR alike.
+    """
+
+    normal: Float
+    gradient: Float
+    by_drift: Float
+    off: Float
+    sigma: Float
+    near: Bool
+    weight: Float
+    step_off: Float
+    step_sigma: Float
+    step_weight: Float
+
+
+def searched(
+    stretches: Sequence[Stretch],
+    camera_from_lidar: Float,
+    log_scales: Sequence[float],
+    axes: Float,
+    half: Float,
+    *,
+    seed: int,
+    rounds: int,
+) -> tuple[Float, float]:
+    """Return the extrinsic with the least damped cost in a box, and by how much scales are larger there.
+
+    The box is around an extrinsic (4, 4): turns about its `axes` (3, 3, rows, camera frame), the camera's way along
+    its own axes and one factor for all scales, each as far as `half` (7,) rad, m, logarithm. Differential evolution,
+    which always draws the same; the first guess is among its first generation.
+    """
+    from scipy.optimize import differential_evolution
+
+    few = [stretch.once(_SEARCHED) for stretch in stretches]
+    back, turn = camera_from_lidar[:3, :3].T, camera_from_lidar[:3, :3]
+    place = -back @ camera_from_lidar[:3, 3]
+
+    def pose(x: Float) -> Float:
+        rotation = p2o.se3.exp(np.concatenate([x[:3] @ axes, np.zeros(3)]))[:3, :3] @ turn
+        return p2o.se3.make(rotation, -rotation @ (place + back @ x[3:6]))
+
+    def cost(x: Float) -> float:
+        camera = pose(x)
+        return sum(
+            _damped(stretch, camera, np.full(len(stretch.world_from_lidar), log_scale + x[6]))
+            for stretch, log_scale in zip(few, log_scales, strict=True)
+        )
+
+    found = differential_evolution(
+        cost,
+        [(-each, each) for each in half.tolist()],
+        x0=np.zeros(7),
+        popsize=6,
+        maxiter=rounds,
+        tol=1e-4,
+        polish=False,
+        rng=np.random.default_rng(seed),
+    )
+    return pose(found.x), float(found.x[6])
+
+
+def _damped(stretch: Stretch, camera_from_lidar: Float, log_scale: Float) -> float:
+    """Return the truncated cost of landmarks and steps, each kind per piece."""
+    off, sigma, near, _, _, _ = _distances(stretch, camera_from_lidar, log_scale, _SEARCH_M)
+    parts = np.where(near, np.minimum((off / sigma) ** 2, 4.0), 4.0)
+    step_off, step_sigma, _, _ = _steps(stretch, camera_from_lidar, log_scale)
+    # Ten times wider: a box of degrees has to slope everywhere.
+    steps = ((step_off / (10 * step_sigma)) ** 2).mean(axis=1)
+    return float(parts.mean() + np.minimum(steps, 4.0).mean())
+
+
+def solved(
+    stretches: Sequence[Stretch], camera_from_lidar: Float, log_scales: Sequence[float], *, iterations: int = 40
+) -> Consistency | None:
+    """Return the extrinsic that the least squares of all stretches has, from a first one; None with no landmark near.
+
+    `log_scales` are first ones, one a stretch.
+    """
+    pose = np.array(camera_from_lidar, np.float64)
+    scales = [np.full(len(each.world_from_lidar), value) for each, value in zip(stretches, log_scales, strict=True)]
+    settled = False
+    for number in range(iterations):
+        wide = _WIDTHS_M[number] if number < len(_WIDTHS_M) else 0.0
+        parts = [_sums(each, pose, scale, wide) for each, scale in zip(stretches, scales, strict=True)]
+        if not any(part.near.any() for part in parts):
+            return None
+        update, changes, *_ = _newton(parts, scales)
+        size = np.abs(update)
+        update *= min(1.0, 0.05 / max(float(size[:3].max()), 1e-12), 0.2 / max(float(size[3:].max()), 1e-12))
+        pose = p2o.se3.exp(update) @ pose
+        scales = [scale + np.clip(change, -0.1, 0.1) for scale, change in zip(scales, changes, strict=True)]
+        small = np.linalg.norm(update[:3]) < 2e-6 and np.linalg.norm(update[3:]) < 2e-5
+        if small and number >= len(_WIDTHS_M):
+            settled = True
+            break
+    return _told(stretches, pose, scales, settled)
+
+
+def _told(stretches: Sequence[Stretch], pose: Float, scales: Sequence[Float], settled: bool) -> Consistency | None:
+    parts = [_sums(each, pose, scale, 0.0) for each, scale in zip(stretches, scales, strict=True)]
+    if not any(part.near.any() for part in parts):
+        return None
+    _, _, inverse, blocks, drift = _newton(parts, scales)
+    swayed = inverse @ drift
+    covariance = inverse + _by_stretch(inverse, blocks)
+    covariance += swayed @ np.diag(np.repeat([_DRIFT_RAD**2, _DRIFT_M**2], 3)) @ swayed.T
+    off = np.concatenate([np.abs(part.off[part.near]) for part in parts])
+    steps = np.concatenate([part.step_off for part in parts])
+    weight = np.concatenate([part.step_weight for part in parts])
+    square = (weight[:, None] * steps**2).sum(axis=0) / max(float(weight.sum()), 1e-12)
+    near = sum(len(np.unique(each.landmark[part.near])) for each, part in zip(stretches, parts, strict=True))
+    asked = sum(len(np.unique(each.landmark)) for each in stretches)
+    delay_s, delay_sigma_s = _delay(stretches, pose, scales, parts)
+    return Consistency(
+        pose,
+        0.5 * (covariance + covariance.T),
+        tuple(np.exp(scale) for scale in scales),
+        near,
+        near / max(asked, 1),
+        float(np.median(off)),
+        float(np.degrees(np.sqrt(square[:3].sum()))),
+        float(np.sqrt(square[3:].sum())),
+        delay_s,
+        delay_sigma_s,
+        settled,
+    )
+
+
+def _newton(
+    parts: Sequence[_Sums], scales: Sequence[Float]
+) -> tuple[Float, list[Float], Float, list[Float], Float]:
+    """Return the update (6,), those of the scales, the inverse (6, 6) of what is left without scales, each part's
+    share of the gradient (6,) once its scales follow, and how that changes with the LiDAR's steps (6, 6).
+    """
+    normal = np.diag(np.repeat([1 / _FLOOR_RAD**2, 1 / _FLOOR_M**2], 3))
+    gradient, drift, kept, gradients = np.zeros(6), np.zeros((6, 6)), [], []
+    for part, scale in zip(parts, scales, strict=True):
+        walk = np.diff(np.eye(len(scale)), axis=0) / _WALK
+        own = part.normal[6:, 6:] + walk.T @ walk + 1e-9 * np.eye(len(scale))
+        own_gradient = part.gradient[6:] + walk.T @ (walk @ scale)
+        gain = np.linalg.solve(own, part.normal[6:, :6])
+        normal = normal + part.normal[:6, :6] - part.normal[:6, 6:] @ gain
+        share = part.gradient[:6] - gain.T @ own_gradient
+        gradient = gradient + share
+        gradients.append(share)
+        drift = drift + part.by_drift[:6] - gain.T @ part.by_drift[6:]
+        kept.append((own, own_gradient, part.normal[6:, :6]))
+    inverse = np.linalg.inv(normal)
+    update = -inverse @ gradient
+    changes = [-np.linalg.solve(own, right + cross @ update) for own, right, cross in kept]
+    return update, changes, np.asarray(inverse), gradients, drift
+
+
+def _by_stretch(inverse: Float, gradients: Sequence[Float]) -> Float:
+    """Return the covariance (6, 6) by which stretches contradict each other; nothing of one."""
+    if len(gradients) < 2:
+        return np.zeros((6, 6))
+    each = np.array(gradients)
+    return np.asarray(inverse @ (each.T @ each) * len(each) / (len(each) - 1) @ inverse)
+
+
+def _sums(stretch: Stretch, pose: Float, log_scale: Float, wide_m: float) -> _Sums:
+    """Return the sums of one stretch at an extrinsic and scales (K,)."""
+    count = len(stretch.world_from_lidar)
+    off, sigma, near, slope, by_scale, _ = _distances(stretch, pose, log_scale, wide_m)
+    # However often it is seen, a landmark is wrong once.
+    sights = np.bincount(stretch.landmark[near], minlength=int(stretch.landmark.max(initial=0)) + 1)
+    ratio = np.abs(off) / sigma
+    scale = max(float(np.median(ratio[near])) / 0.6745, 1e-6) if near.any() else 1.0
+    if wide_m > 0:
+        scale = max(scale, 1.0)
+    damped = 1.0 / (1.0 + (ratio / (scale * _CAUCHY)) ** 2)
+    weight = np.where(near, damped / np.maximum(sights[stretch.landmark], 1), 0.0)
+    full = weight / (scale * sigma) ** 2
+    normal, gradient = np.zeros((6 + count, 6 + count)), np.zeros(6 + count)
+    normal[:6, :6] = (full[:, None] * slope).T @ slope
+    gradient[:6] = slope.T @ (full * off)
+    diagonal = np.bincount(stretch.moment, full * by_scale**2, minlength=count)
+    normal[range(6, 6 + count), range(6, 6 + count)] = diagonal
+    gradient[6:] = np.bincount(stretch.moment, full * by_scale * off, minlength=count)
+    cross = np.zeros((count, 6))
+    np.add.at(cross, stretch.moment, (full * by_scale)[:, None] * slope)
+    normal[6:, :6], normal[:6, 6:] = cross, cross.T
+    step_off, step_sigma, step_slope, stretching = _steps(stretch, pose, log_scale)
+    ratios = (step_off / step_sigma) ** 2
+    sizes = np.array([np.median(ratios[:, :3].sum(axis=1)), np.median(ratios[:, 3:].sum(axis=1))]) / 2.366
+    sizes = np.maximum(sizes, 1.0 if wide_m > 0 else 1e-12)
+    step_sigma = step_sigma * np.sqrt(np.repeat(sizes, 3))
+    square = ((step_off / step_sigma) ** 2).sum(axis=1) / 6.0
+    step_weight = 1.0 / (1.0 + square / _CAUCHY**2)
+    rows = np.zeros((len(step_off), 6, 6 + count))
+    rows[:, :, :6] = step_slope
+    number = np.arange(len(step_off))
+    rows[number, 3:, 6 + number] = rows[number, 3:, 7 + number] = 0.5 * stretching
+    rows /= step_sigma[:, :, None]
+    normal += np.einsum("n,nij,nik->jk", step_weight, rows, rows)
+    gradient += np.einsum("n,nij,ni->j", step_weight, rows, step_off / step_sigma)
+    moved = p2o.se3.inverse(stretch.lidar_step) @ p2o.se3.inverse(pose)
+    camera_step = stretch.camera_step.copy()
+    camera_step[:, :3, 3] = stretching
+    by_step = -adjoint(camera_step @ pose @ moved @ pose) / step_sigma[:, :, None]
+    by_drift = np.einsum("n,nij,nik->jk", step_weight, rows, by_step)
+    return _Sums(normal, gradient, by_drift, off, sigma, near, weight, step_off, step_sigma, step_weight)
+
+
+def _distances(
+    stretch: Stretch, pose: Float, log_scale: Float, wide_m: float
+) -> tuple[Float, Float, Bool, Float, Float, Int]:
+    """Return how far landmarks (N,) are from the planes next to them, m, the deviations, which have one, how the
+    distance changes with a left update of the extrinsic (N, 6) and with the logarithm of the scale, and which plane.
+    """
+    turn, shift = pose[:3, :3], pose[:3, 3]
+    scale = np.exp(log_scale)[stretch.moment]
+    camera = stretch.xyz * scale[:, None]
+    world = stretch.world_from_lidar[stretch.moment]
+    at = np.einsum("nij,nj->ni", world[:, :3, :3], (camera - shift) @ turn) + world[:, :3, 3]
+    near, cube = stretch.surfaces.near(at, _REACH_M + wide_m)
+    normal = stretch.surfaces.normal[cube]
+    off = ((at - stretch.surfaces.centre[cube]) * normal).sum(axis=1)
+    # The plane's normal in the camera frame.
+    across = np.einsum("ni,nij->nj", normal, world[:, :3, :3]) @ turn.T
+    slope = np.concatenate([np.cross(across, camera), -across], axis=1)
+    own = scale**2 * np.einsum("ni,nij,nj->n", across, stretch.covariance, across)
+    sigma = np.sqrt(stretch.surfaces.thickness_m[cube] ** 2 + _SURFACE_M**2 + own + wide_m**2)
+    return off, sigma, near, slope, (across * camera).sum(axis=1), cube
+
+
+def _steps(stretch: Stretch, pose: Float, log_scale: Float) -> tuple[Float, Float, Float, Float]:
+    """Return by how much camera steps differ from those of the LiDAR (K-1, 6) rad and m, the deviations (K-1, 6), how
+    that changes with a left update (K-1, 6, 6), and with the logarithm of the scale (K-1, 3), for translations.
+    """
+    camera = stretch.camera_step.copy()
+    camera[:, :3, 3] *= np.exp(0.5 * (log_scale[1:] + log_scale[:-1]))[:, None]
+    moved = camera @ pose @ p2o.se3.inverse(stretch.lidar_step) @ p2o.se3.inverse(pose)
+    off = np.array([p2o.se3.log(each) for each in moved])
+    way = camera[:, :3, 3]
+    sigma = np.empty_like(off)
+    sigma[:, :3] = _STEP_RAD
+    sigma[:, 3:] = np.hypot(_STEP_SHARE * np.linalg.norm(way, axis=1), _STEP_M)[:, None]
+    return off, sigma, adjoint(camera) - adjoint(moved), way
+
+
+def _delay(
+    stretches: Sequence[Stretch], pose: Float, scales: Sequence[Float], parts: Sequence[_Sums]
+) -> tuple[float, float]:
+    """Return how much later the camera is than its sweeps, and the deviation: one step of all unknowns with the delay.
+
+    Weights stay; how distances and steps change with it is by differences.
+    """
+    size = 7 + sum(map(len, scales))
+    normal, gradient, begin = np.zeros((size, size)), np.zeros(size), 7
+    normal[range(6), range(6)] += np.repeat([1 / _FLOOR_RAD**2, 1 / _FLOOR_M**2], 3)
+    for stretch, scale, part in zip(stretches, scales, parts, strict=True):
+        count = len(scale)
+        both = [_distances(stretch.later(sign * _DELAY_S), pose, scale, 0.0) for sign in (1, -1)]
+        here = _distances(stretch, pose, scale, 0.0)
+        same = part.near & (both[0][5] == here[5]) & (both[1][5] == here[5]) & both[0][2] & both[1][2]
+        by_delay = np.where(same, both[0][0] - both[1][0], 0.0) / (2 * _DELAY_S)
+        steps = [_steps(stretch.later(sign * _DELAY_S), pose, scale)[0] for sign in (1, -1)]
+        step_by_delay = (steps[0] - steps[1]) / (2 * _DELAY_S) / part.step_sigma
+        ratio = np.abs(part.off[part.near]) / part.sigma[part.near]
+        usual = max(float(np.median(ratio)) / 0.6745, 1e-6) if part.near.any() else 1.0
+        full = part.weight / (usual * part.sigma) ** 2
+        column = np.zeros(6 + count)
+        column[:6] = here[3].T @ (full * by_delay)
+        column[6:] = np.bincount(stretch.moment, full * here[4] * by_delay, minlength=count)
+        _, _, step_slope, way = _steps(stretch, pose, scale)
+        rows = np.zeros((len(step_slope), 6, 6 + count))
+        number = np.arange(len(step_slope))
+        rows[:, :, :6] = step_slope
+        rows[number, 3:, 6 + number] = rows[number, 3:, 7 + number] = 0.5 * way
+        rows /= part.step_sigma[:, :, None]
+        column += np.einsum("n,nij,ni->j", part.step_weight, rows, step_by_delay)
+        index = np.concatenate([np.arange(6), begin + np.arange(count)])
+        walk = np.diff(np.eye(count), axis=0) / _WALK
+        normal[np.ix_(index, index)] += part.normal
+        normal[begin : begin + count, begin : begin + count] += walk.T @ walk + 1e-9 * np.eye(count)
+        gradient[index] += part.gradient
+        gradient[begin : begin + count] += walk.T @ (walk @ scale)
+        normal[index, 6] += column
+        normal[6, index] += column
+        normal[6, 6] += (full * by_delay**2).sum()
+        normal[6, 6] += (part.step_weight[:, None] * step_by_delay**2).sum()
+        gradient[6] += (full * by_delay * part.off).sum()
+        gradient[6] += (part.step_weight[:, None] * step_by_delay * part.step_off / part.step_sigma).sum()
+        begin += count
+    normal[6, 6] += 1e-6
+    inverse = np.linalg.inv(normal)
+    return float(-(inverse[6] @ gradient)), float(np.sqrt(max(inverse[6, 6], 0.0)))
