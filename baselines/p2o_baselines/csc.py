@@ -22,6 +22,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -44,7 +45,6 @@ _SCALE = 0.2
 """The search changes the scale of hand-eye by at most this logarithm."""
 _CONTRADICT_DEG, _CONTRADICT = 0.5, 0.25
 """Steps that differ by more, of their length, are not of one rig."""
-_SPAN_STILL = 4
 
 
 class CscOptions(p2o.Options):
@@ -104,7 +104,7 @@ class CscCalibration:
             runs = [Run(tuple(group), lidar_poses(group, options.lidar)) for group in groups]
         except p2o.InputError as error:
             return refused(Status.TOO_FEW_MATCHES, f"the sweeps make no map: {error}")
-        if not any(moves(run, _SPAN_STILL) for run in runs):
+        if not any(moves(run, _SPAN) for run in runs):
             return refused(Status.NOT_OBSERVABLE, "the LiDAR stands still: structure comes from motion")
         maps = [visual_map_of(run, options.corners) for run in runs]
         known = [(run, each) for run, each in zip(runs, maps, strict=True) if each is not None]
@@ -127,9 +127,7 @@ class CscCalibration:
         pose, more = first, 0.0
         if options.search:
             axes, half = box(information, options)
-            pose, more = searched(
-                stretches, first, log_scales, axes, half, seed=options.seed, rounds=options.search
-            )
+            pose, more = searched(stretches, first, log_scales, axes, half, seed=options.seed, rounds=options.search)
         found = solved(stretches, pose, [scale + more for scale in log_scales])
         if found is None or found.landmarks < options.least_landmarks:
             return refused(
@@ -142,8 +140,8 @@ class CscCalibration:
         if found.off_deg > _CONTRADICT_DEG or found.off_step_m > _CONTRADICT * way_m / counts["steps"]:
             return refused(
                 Status.NOT_OBSERVABLE,
-                f"pictures and sweeps move differently, by {found.off_deg:.1f} deg and {100 * found.off_step_m:.0f} cm a "
-                "step: is each picture of the time of its sweep?",
+                f"pictures and sweeps move differently, by {found.off_deg:.1f} deg and {100 * found.off_step_m:.0f} cm "
+                "a step: is each picture of the time of its sweep?",
             )
         openings = _as_hand_eye(found).open_directions(over_deg=options.open_deg, over_m=options.open_m)
         said = (
@@ -166,19 +164,17 @@ class CscCalibration:
             accuracy=accuracy(found.covariance),
             matches=counts,
             residual_px={"map": float(np.mean([each.off_px for _, each in known]))},
-            time=p2o.TimeOffset(found.delay_s, found.delay_sigma_s, used=False)
-            if found.delay_sigma_s < 0.05
-            else None,
+            time=p2o.TimeOffset(found.delay_s, found.delay_sigma_s, used=False) if found.delay_sigma_s < 0.05 else None,
             intrinsics=cameras.pop() if len(cameras) == 1 else None,
             seconds={"structure": time.perf_counter() - began},
         )
 
 
 def windows(moments: Sequence[Moment], most: int) -> list[list[Moment]]:
-    """Return a stretch cut into equal parts of at most `most` moments, each beginning with the last of the one before."""
+    """Return a stretch cut into equal parts of at most `most` moments; each begins with the last of the one before."""
     parts = max(int(np.ceil((len(moments) - 1) / (most - 1))), 1)
     ends = np.rint(np.linspace(0, len(moments) - 1, parts + 1)).astype(int)
-    return [list(moments[begin : end + 1]) for begin, end in zip(ends[:-1], ends[1:], strict=True)]
+    return [list(moments[begin : end + 1]) for begin, end in pairwise(ends.tolist())]
 
 
 def visual_map_of(run: Run, most: int) -> VisualMap | None:
@@ -188,17 +184,23 @@ def visual_map_of(run: Run, most: int) -> VisualMap | None:
     return visual_map(corner_tracks(greys, camera, masked, most=most), camera.focal_px)
 
 
+def spans(count: int) -> list[tuple[int, int]]:
+    """Return the steps between so many moments: to the next one, and over several."""
+    return [
+        (first, second) for first in range(count - 1) for second in sorted({first + 1, min(first + _SPAN, count - 1)})
+    ]
+
+
 def steps_of(known: Sequence[tuple[Run, VisualMap]]) -> Steps:
     """Return the steps of both sensors between key moments, the camera's up to scale."""
     rows = []
     for run, each in known:
         poses = each.camera_from_world
-        for first in range(len(poses) - 1):
-            for second in sorted({first + 1, min(first + _SPAN, len(poses) - 1)}):
-                camera = poses[second] @ p2o.se3.inverse(poses[first])
-                camera[:3, 3] /= max(float(np.linalg.norm(camera[:3, 3])), 1e-12)
-                lidar = run.lidar_step(int(each.pictures[first]), int(each.pictures[second]))
-                rows.append((camera, lidar, np.sqrt(second - first)))
+        for first, second in spans(len(poses)):
+            camera = poses[second] @ p2o.se3.inverse(poses[first])
+            camera[:3, 3] /= max(float(np.linalg.norm(camera[:3, 3])), 1e-12)
+            lidar = run.lidar_step(int(each.pictures[first]), int(each.pictures[second]))
+            rows.append((camera, lidar, np.sqrt(second - first)))
     longer = np.array([row[2] for row in rows])
     covariance = np.diag(np.repeat([_TURN_RAD**2, _WAY**2], 3))
     return Steps(
@@ -250,10 +252,9 @@ def _log_scale(run: Run, each: VisualMap, camera_from_lidar: Float) -> float:
     """Return the logarithm of how many metres a unit of the visual map is, by the LiDAR's steps at an extrinsic."""
     steps = steps_of([(run, each)])
     poses = each.camera_from_world
-    own = []
-    for first in range(len(poses) - 1):
-        for second in sorted({first + 1, min(first + _SPAN, len(poses) - 1)}):
-            own.append(np.linalg.norm((poses[second] @ p2o.se3.inverse(poses[first]))[:3, 3]))
+    own = [
+        np.linalg.norm((poses[second] @ p2o.se3.inverse(poses[first]))[:3, 3]) for first, second in spans(len(poses))
+    ]
     ratio = lengths(camera_from_lidar, steps) / np.maximum(own, 1e-12)
     return float(np.log(max(float(np.median(ratio)), 1e-6)))
 

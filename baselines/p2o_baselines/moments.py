@@ -65,20 +65,20 @@ def moment_of(frame: p2o.Frame) -> Moment:
             where=frame.name,
             expected="frames with `sequence` and `time_s`",
         )
-        image = p2o.image_at_scale(frame.image)
-        cloud = frame.cloud if frame.sweep is None else frame.sweep
-        if frame.twist is not None:
-            cloud = cloud.untwisted(frame.twist)
-        return Moment(
-            frame.name,
-            frame.sequence,
-            frame.time_s,
-            image.camera,
-            image.grey,
-            image.masked,
-            np.asarray(cloud.xyz),
-            frame.lidar_world_from_lidar,
-        )
+    image = p2o.image_at_scale(frame.image)
+    cloud = frame.cloud if frame.sweep is None else frame.sweep
+    if frame.twist is not None:
+        cloud = cloud.untwisted(frame.twist)
+    return Moment(
+        frame.name,
+        frame.sequence,
+        frame.time_s,
+        image.camera,
+        image.grey,
+        image.masked,
+        np.asarray(cloud.xyz),
+        frame.lidar_world_from_lidar,
+    )
 
 
 def consecutive(moments: Sequence[Moment], gap_s: float) -> list[list[Moment]]:

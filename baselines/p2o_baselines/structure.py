@@ -23,7 +23,7 @@ from p2o.arrays import Bool, Float, Int
 from p2o_baselines.hand_eye_equations import adjoint
 from p2o_baselines.surface_map import SurfaceMap
 
-_REACH_M = 0.7
+_REACH_M = 0.3
 _SURFACE_M = 0.02
 """Deviation of a plane besides its thickness."""
 _FAR_M = 40.0
@@ -31,7 +31,7 @@ _VAGUE_M = 0.5
 """Landmarks that are known no better than this are left out."""
 _WIDTHS_M = (0.5, 0.5, 0.5, 0.3, 0.3, 0.3, 0.15, 0.15, 0.15)
 """Landmarks may be off by so much more at first, for the extrinsic may be."""
-_CAUCHY = 2.0
+_CAUCHY, _STEP_CAUCHY = 1.0, 2.0
 _STEP_RAD, _STEP_SHARE, _STEP_M = np.radians(0.02), 0.005, 0.003
 """Deviations of a step: its turn, its translation by the pictures (a share of it) and by the sweeps."""
 _WALK = 0.01
@@ -39,6 +39,8 @@ _WALK = 0.01
 _DRIFT_RAD, _DRIFT_M = np.radians(0.01), 0.005
 """How wrong LiDAR odometry may be in every step alike, an axis."""
 _FLOOR_RAD, _FLOOR_M = 1.0, 30.0
+_SMALL_RAD, _SMALL_M = 5e-5, 5e-4
+"""Smaller updates come from landmarks that change planes."""
 _DELAY_S = 0.01
 _SEARCHED = 500
 """Landmarks of each stretch that the search looks at."""
@@ -125,11 +127,13 @@ class Consistency:
 class _Sums:
     """Sums over one stretch; the first six unknowns are the extrinsic's, the others its logarithms of scales.
 
-    `by_drift` (6 + K, 6) is how the gradient changes with a left update of each step of the LiDAR alike.
+    `parts` (K, 6 + K) are what the landmarks of each moment, and the step after it, add to the gradient, and `by_drift`
+    (6 + K, 6) is how that changes with a left update of each step of the LiDAR alike.
     """
 
     normal: Float
     gradient: Float
+    parts: Float
     by_drift: Float
     off: Float
     sigma: Float
@@ -211,12 +215,14 @@ def solved(
         parts = [_sums(each, pose, scale, wide) for each, scale in zip(stretches, scales, strict=True)]
         if not any(part.near.any() for part in parts):
             return None
-        update, changes, *_ = _newton(parts, scales)
-        size = np.abs(update)
-        update *= min(1.0, 0.05 / max(float(size[:3].max()), 1e-12), 0.2 / max(float(size[3:].max()), 1e-12))
+        newton = _newton(parts, scales)
+        size = np.abs(newton.update)
+        update = newton.update * min(
+            1.0, 0.05 / max(float(size[:3].max()), 1e-12), 0.2 / max(float(size[3:].max()), 1e-12)
+        )
         pose = p2o.se3.exp(update) @ pose
-        scales = [scale + np.clip(change, -0.1, 0.1) for scale, change in zip(scales, changes, strict=True)]
-        small = np.linalg.norm(update[:3]) < 2e-6 and np.linalg.norm(update[3:]) < 2e-5
+        scales = [scale + np.clip(change, -0.1, 0.1) for scale, change in zip(scales, newton.changes, strict=True)]
+        small = np.linalg.norm(update[:3]) < _SMALL_RAD and np.linalg.norm(update[3:]) < _SMALL_M
         if small and number >= len(_WIDTHS_M):
             settled = True
             break
@@ -227,9 +233,11 @@ def _told(stretches: Sequence[Stretch], pose: Float, scales: Sequence[Float], se
     parts = [_sums(each, pose, scale, 0.0) for each, scale in zip(stretches, scales, strict=True)]
     if not any(part.near.any() for part in parts):
         return None
-    _, _, inverse, blocks, drift = _newton(parts, scales)
-    swayed = inverse @ drift
-    covariance = inverse + _by_stretch(inverse, blocks)
+    newton = _newton(parts, scales)
+    inverse, swayed = newton.inverse, newton.inverse @ newton.drift
+    # What landmarks of one moment have in common counts once a moment.
+    spread = newton.parts.T @ newton.parts * len(newton.parts) / max(len(newton.parts) - 6, 1)
+    covariance = inverse + inverse @ spread @ inverse
     covariance += swayed @ np.diag(np.repeat([_DRIFT_RAD**2, _DRIFT_M**2], 3)) @ swayed.T
     off = np.concatenate([np.abs(part.off[part.near]) for part in parts])
     steps = np.concatenate([part.step_off for part in parts])
@@ -253,37 +261,39 @@ def _told(stretches: Sequence[Stretch], pose: Float, scales: Sequence[Float], se
     )
 
 
-def _newton(
-    parts: Sequence[_Sums], scales: Sequence[Float]
-) -> tuple[Float, list[Float], Float, list[Float], Float]:
-    """Return the update (6,), those of the scales, the inverse (6, 6) of what is left without scales, each part's
-    share of the gradient (6,) once its scales follow, and how that changes with the LiDAR's steps (6, 6).
+@dataclass(frozen=True, eq=False)
+class _Newton:
+    """One step: the `update` (6,), that of the scales, and the `inverse` (6, 6) once scales follow.
+
+    `parts` (M, 6) are the gradients of moments and `drift` (6, 6) how the gradient changes with the LiDAR's steps, both
+    once scales follow.
     """
+
+    update: Float
+    changes: list[Float]
+    inverse: Float
+    parts: Float
+    drift: Float
+
+
+def _newton(sums: Sequence[_Sums], scales: Sequence[Float]) -> _Newton:
     normal = np.diag(np.repeat([1 / _FLOOR_RAD**2, 1 / _FLOOR_M**2], 3))
-    gradient, drift, kept, gradients = np.zeros(6), np.zeros((6, 6)), [], []
-    for part, scale in zip(parts, scales, strict=True):
+    gradient, drift, kept, parts = np.zeros(6), np.zeros((6, 6)), [], []
+    for each, scale in zip(sums, scales, strict=True):
         walk = np.diff(np.eye(len(scale)), axis=0) / _WALK
-        own = part.normal[6:, 6:] + walk.T @ walk + 1e-9 * np.eye(len(scale))
-        own_gradient = part.gradient[6:] + walk.T @ (walk @ scale)
-        gain = np.linalg.solve(own, part.normal[6:, :6])
-        normal = normal + part.normal[:6, :6] - part.normal[:6, 6:] @ gain
-        share = part.gradient[:6] - gain.T @ own_gradient
-        gradient = gradient + share
-        gradients.append(share)
-        drift = drift + part.by_drift[:6] - gain.T @ part.by_drift[6:]
-        kept.append((own, own_gradient, part.normal[6:, :6]))
-    inverse = np.linalg.inv(normal)
+        own = each.normal[6:, 6:] + walk.T @ walk + 1e-9 * np.eye(len(scale))
+        own_gradient = each.gradient[6:] + walk.T @ (walk @ scale)
+        cross = each.normal[6:, :6]
+        gain = np.linalg.solve(own, cross)
+        normal = normal + each.normal[:6, :6] - cross.T @ gain
+        gradient = gradient + each.gradient[:6] - gain.T @ own_gradient
+        parts.append(each.parts[:, :6] - each.parts[:, 6:] @ gain)
+        drift = drift + each.by_drift[:6] - gain.T @ each.by_drift[6:]
+        kept.append((own, own_gradient, cross))
+    inverse = np.asarray(np.linalg.inv(normal))
     update = -inverse @ gradient
     changes = [-np.linalg.solve(own, right + cross @ update) for own, right, cross in kept]
-    return update, changes, np.asarray(inverse), gradients, drift
-
-
-def _by_stretch(inverse: Float, gradients: Sequence[Float]) -> Float:
-    """Return the covariance (6, 6) by which stretches contradict each other; nothing of one."""
-    if len(gradients) < 2:
-        return np.zeros((6, 6))
-    each = np.array(gradients)
-    return np.asarray(inverse @ (each.T @ each) * len(each) / (len(each) - 1) @ inverse)
+    return _Newton(update, changes, inverse, np.concatenate(parts), drift)
 
 
 def _sums(stretch: Stretch, pose: Float, log_scale: Float, wide_m: float) -> _Sums:
@@ -314,7 +324,7 @@ def _sums(stretch: Stretch, pose: Float, log_scale: Float, wide_m: float) -> _Su
     sizes = np.maximum(sizes, 1.0 if wide_m > 0 else 1e-12)
     step_sigma = step_sigma * np.sqrt(np.repeat(sizes, 3))
     square = ((step_off / step_sigma) ** 2).sum(axis=1) / 6.0
-    step_weight = 1.0 / (1.0 + square / _CAUCHY**2)
+    step_weight = 1.0 / (1.0 + square / _STEP_CAUCHY**2)
     rows = np.zeros((len(step_off), 6, 6 + count))
     rows[:, :, :6] = step_slope
     number = np.arange(len(step_off))
@@ -327,7 +337,11 @@ def _sums(stretch: Stretch, pose: Float, log_scale: Float, wide_m: float) -> _Su
     camera_step[:, :3, 3] = stretching
     by_step = -adjoint(camera_step @ pose @ moved @ pose) / step_sigma[:, :, None]
     by_drift = np.einsum("n,nij,nik->jk", step_weight, rows, by_step)
-    return _Sums(normal, gradient, by_drift, off, sigma, near, weight, step_off, step_sigma, step_weight)
+    parts = np.zeros((count, 6 + count))
+    np.add.at(parts[:, :6], stretch.moment, (full * off)[:, None] * slope)
+    parts[range(count), range(6, 6 + count)] = np.bincount(stretch.moment, full * by_scale * off, minlength=count)
+    parts[:-1] += np.einsum("n,nij,ni->nj", step_weight, rows, step_off / step_sigma)
+    return _Sums(normal, gradient, parts, by_drift, off, sigma, near, weight, step_off, step_sigma, step_weight)
 
 
 def _distances(

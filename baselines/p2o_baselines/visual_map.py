@@ -252,9 +252,7 @@ def _off_px(poses: Float, moment: Int, ray: Float, xyz: Float, focal_px: float) 
     return np.where(ahead[:, None], (here[:, :2] / depth[:, None] - ray[:, :2]) * focal_px, 1e6)
 
 
-def _bundle(
-    poses: Float, moment: Int, ray: Float, xyz: Float, landmark: Int, focal_px: float
-) -> tuple[Float, Float]:
+def _bundle(poses: Float, moment: Int, ray: Float, xyz: Float, landmark: Int, focal_px: float) -> tuple[Float, Float]:
     """Return poses (K, 4, 4) and landmarks (M, 3) with the least distances in the pictures, wrong ones damped."""
     pycolmap = import_keeping_signals("pycolmap")
     scene = pycolmap.Reconstruction()
