@@ -66,6 +66,7 @@ def p2o_calibrators() -> Iterator[Method]:
         atop,
         calibnet,
         calibrcnn,
+        csc,
         cues,
         geiger,
         gong,
@@ -82,7 +83,7 @@ def p2o_calibrators() -> Iterator[Method]:
         zhou,
     )
 
-    yield from (atop.METHOD, cues.METHOD, geiger.METHOD, hand_eye.METHOD, koo.METHOD, line_time.METHOD)
+    yield from (atop.METHOD, csc.METHOD, cues.METHOD, geiger.METHOD, hand_eye.METHOD, koo.METHOD, line_time.METHOD)
     yield from (mirzaei.METHOD, picked.METHOD, zhou.METHOD)
     yield from (calibnet.METHOD, calibrcnn.METHOD, lccnet.METHOD, regnet.METHOD, rggnet.METHOD)
     yield from (gong.METHOD, kuemmerle.METHOD, pusztai.METHOD)

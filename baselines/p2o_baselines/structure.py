@@ -39,9 +39,11 @@ _WALK = 0.01
 _DRIFT_RAD, _DRIFT_M = np.radians(0.01), 0.005
 """How wrong LiDAR odometry may be in every step alike, an axis."""
 _FLOOR_RAD, _FLOOR_M = 1.0, 30.0
+_LEAST = 1e-3
+"""Nothing is better than expected by more than this factor."""
 _SMALL_RAD, _SMALL_M = 5e-5, 5e-4
 """Smaller updates come from landmarks that change planes."""
-_DELAY_S = 0.01
+_DELAY_S, _DELAY_TURNS = 0.01, 8
 _SEARCHED = 500
 """Landmarks of each stretch that the search looks at."""
 _SEARCH_M = 0.3
@@ -136,12 +138,12 @@ class _Sums:
     parts: Float
     by_drift: Float
     off: Float
-    sigma: Float
     near: Bool
     weight: Float
     step_off: Float
     step_sigma: Float
     step_weight: Float
+    rows: Float
 
 
 def searched(
@@ -245,7 +247,7 @@ def _told(stretches: Sequence[Stretch], pose: Float, scales: Sequence[Float], se
     square = (weight[:, None] * steps**2).sum(axis=0) / max(float(weight.sum()), 1e-12)
     near = sum(len(np.unique(each.landmark[part.near])) for each, part in zip(stretches, parts, strict=True))
     asked = sum(len(np.unique(each.landmark)) for each in stretches)
-    delay_s, delay_sigma_s = _delay(stretches, pose, scales, parts)
+    delay_s, delay_sigma_s = _delay(stretches, pose, scales)
     return Consistency(
         pose,
         0.5 * (covariance + covariance.T),
@@ -303,7 +305,7 @@ def _sums(stretch: Stretch, pose: Float, log_scale: Float, wide_m: float) -> _Su
     # However often it is seen, a landmark is wrong once.
     sights = np.bincount(stretch.landmark[near], minlength=int(stretch.landmark.max(initial=0)) + 1)
     ratio = np.abs(off) / sigma
-    scale = max(float(np.median(ratio[near])) / 0.6745, 1e-6) if near.any() else 1.0
+    scale = max(float(np.median(ratio[near])) / 0.6745, _LEAST) if near.any() else 1.0
     if wide_m > 0:
         scale = max(scale, 1.0)
     damped = 1.0 / (1.0 + (ratio / (scale * _CAUCHY)) ** 2)
@@ -321,7 +323,7 @@ def _sums(stretch: Stretch, pose: Float, log_scale: Float, wide_m: float) -> _Su
     step_off, step_sigma, step_slope, stretching = _steps(stretch, pose, log_scale)
     ratios = (step_off / step_sigma) ** 2
     sizes = np.array([np.median(ratios[:, :3].sum(axis=1)), np.median(ratios[:, 3:].sum(axis=1))]) / 2.366
-    sizes = np.maximum(sizes, 1.0 if wide_m > 0 else 1e-12)
+    sizes = np.maximum(sizes, 1.0 if wide_m > 0 else _LEAST**2)
     step_sigma = step_sigma * np.sqrt(np.repeat(sizes, 3))
     square = ((step_off / step_sigma) ** 2).sum(axis=1) / 6.0
     step_weight = 1.0 / (1.0 + square / _STEP_CAUCHY**2)
@@ -341,7 +343,7 @@ def _sums(stretch: Stretch, pose: Float, log_scale: Float, wide_m: float) -> _Su
     np.add.at(parts[:, :6], stretch.moment, (full * off)[:, None] * slope)
     parts[range(count), range(6, 6 + count)] = np.bincount(stretch.moment, full * by_scale * off, minlength=count)
     parts[:-1] += np.einsum("n,nij,ni->nj", step_weight, rows, step_off / step_sigma)
-    return _Sums(normal, gradient, parts, by_drift, off, sigma, near, weight, step_off, step_sigma, step_weight)
+    return _Sums(normal, gradient, parts, by_drift, off, near, full, step_off, step_sigma, step_weight, rows)
 
 
 def _distances(
@@ -366,6 +368,15 @@ def _distances(
     return off, sigma, near, slope, (across * camera).sum(axis=1), cube
 
 
+def _small(transforms: Float) -> Float:
+    """Return the tangents (N, 6) of transforms (N, 4, 4) that turn little; to the second order of their turns."""
+    from scipy.spatial.transform import Rotation
+
+    turn, move = Rotation.from_matrix(transforms[:, :3, :3]).as_rotvec(), transforms[:, :3, 3]
+    once = np.cross(turn, move)
+    return np.concatenate([turn, move - 0.5 * once + np.cross(turn, once) / 12.0], axis=1)
+
+
 def _steps(stretch: Stretch, pose: Float, log_scale: Float) -> tuple[Float, Float, Float, Float]:
     """Return by how much camera steps differ from those of the LiDAR (K-1, 6) rad and m, the deviations (K-1, 6), how
     that changes with a left update (K-1, 6, 6), and with the logarithm of the scale (K-1, 3), for translations.
@@ -373,7 +384,7 @@ def _steps(stretch: Stretch, pose: Float, log_scale: Float) -> tuple[Float, Floa
     camera = stretch.camera_step.copy()
     camera[:, :3, 3] *= np.exp(0.5 * (log_scale[1:] + log_scale[:-1]))[:, None]
     moved = camera @ pose @ p2o.se3.inverse(stretch.lidar_step) @ p2o.se3.inverse(pose)
-    off = np.array([p2o.se3.log(each) for each in moved])
+    off = _small(moved)
     way = camera[:, :3, 3]
     sigma = np.empty_like(off)
     sigma[:, :3] = _STEP_RAD
@@ -381,50 +392,59 @@ def _steps(stretch: Stretch, pose: Float, log_scale: Float) -> tuple[Float, Floa
     return off, sigma, adjoint(camera) - adjoint(moved), way
 
 
-def _delay(
-    stretches: Sequence[Stretch], pose: Float, scales: Sequence[Float], parts: Sequence[_Sums]
-) -> tuple[float, float]:
-    """Return how much later the camera is than its sweeps, and the deviation: one step of all unknowns with the delay.
+def _delay(stretches: Sequence[Stretch], pose: Float, scales: Sequence[Float]) -> tuple[float, float]:
+    """Return how much later the camera is than its sweeps, and the deviation: all unknowns with the delay."""
+    delay_s, sigma_s = 0.0, np.inf
+    for _ in range(_DELAY_TURNS):
+        shifted = [stretch.later(delay_s) for stretch in stretches]
+        sums = [_sums(each, pose, scale, 0.0) for each, scale in zip(shifted, scales, strict=True)]
+        update, sigma_s = _with_delay(shifted, pose, scales, sums)
+        pose = p2o.se3.exp(update[:6]) @ pose
+        delay_s += float(np.clip(update[6], -0.05, 0.05))
+        ends = np.cumsum([7, *map(len, scales)])
+        scales = [
+            scale + np.clip(update[begin : begin + len(scale)], -0.1, 0.1)
+            for scale, begin in zip(scales, ends, strict=False)
+        ]
+        if abs(update[6]) < 0.1 * sigma_s:
+            break
+    return delay_s, sigma_s
 
-    Weights stay; how distances and steps change with it is by differences.
+
+def _with_delay(
+    stretches: Sequence[Stretch], pose: Float, scales: Sequence[Float], sums: Sequence[_Sums]
+) -> tuple[Float, float]:
+    """Return the update of the extrinsic, the delay, and all scales (7 + K,), and the deviation of the delay.
+
+    How distances and steps change with the delay is by differences.
     """
-    size = 7 + sum(map(len, scales))
-    normal, gradient, begin = np.zeros((size, size)), np.zeros(size), 7
-    normal[range(6), range(6)] += np.repeat([1 / _FLOOR_RAD**2, 1 / _FLOOR_M**2], 3)
-    for stretch, scale, part in zip(stretches, scales, parts, strict=True):
+    size, begin = 7 + sum(map(len, scales)), 7
+    normal, gradient = np.zeros((size, size)), np.zeros(size)
+    normal[range(7), range(7)] += np.array([1 / _FLOOR_RAD**2] * 3 + [1 / _FLOOR_M**2] * 3 + [1.0])
+    for stretch, scale, part in zip(stretches, scales, sums, strict=True):
         count = len(scale)
-        both = [_distances(stretch.later(sign * _DELAY_S), pose, scale, 0.0) for sign in (1, -1)]
+        ahead, behind = (_distances(stretch.later(sign * _DELAY_S), pose, scale, 0.0) for sign in (1, -1))
         here = _distances(stretch, pose, scale, 0.0)
-        same = part.near & (both[0][5] == here[5]) & (both[1][5] == here[5]) & both[0][2] & both[1][2]
-        by_delay = np.where(same, both[0][0] - both[1][0], 0.0) / (2 * _DELAY_S)
+        same = part.near & (ahead[5] == here[5]) & (behind[5] == here[5]) & ahead[2] & behind[2]
+        by_delay = np.where(same, ahead[0] - behind[0], 0.0) / (2 * _DELAY_S)
         steps = [_steps(stretch.later(sign * _DELAY_S), pose, scale)[0] for sign in (1, -1)]
         step_by_delay = (steps[0] - steps[1]) / (2 * _DELAY_S) / part.step_sigma
-        ratio = np.abs(part.off[part.near]) / part.sigma[part.near]
-        usual = max(float(np.median(ratio)) / 0.6745, 1e-6) if part.near.any() else 1.0
-        full = part.weight / (usual * part.sigma) ** 2
         column = np.zeros(6 + count)
-        column[:6] = here[3].T @ (full * by_delay)
-        column[6:] = np.bincount(stretch.moment, full * here[4] * by_delay, minlength=count)
-        _, _, step_slope, way = _steps(stretch, pose, scale)
-        rows = np.zeros((len(step_slope), 6, 6 + count))
-        number = np.arange(len(step_slope))
-        rows[:, :, :6] = step_slope
-        rows[number, 3:, 6 + number] = rows[number, 3:, 7 + number] = 0.5 * way
-        rows /= part.step_sigma[:, :, None]
-        column += np.einsum("n,nij,ni->j", part.step_weight, rows, step_by_delay)
+        column[:6] = here[3].T @ (part.weight * by_delay)
+        column[6:] = np.bincount(stretch.moment, part.weight * here[4] * by_delay, minlength=count)
+        column += np.einsum("nij,ni->j", part.rows, step_by_delay * part.step_weight[:, None])
         index = np.concatenate([np.arange(6), begin + np.arange(count)])
+        own = np.arange(begin, begin + count)
         walk = np.diff(np.eye(count), axis=0) / _WALK
         normal[np.ix_(index, index)] += part.normal
-        normal[begin : begin + count, begin : begin + count] += walk.T @ walk + 1e-9 * np.eye(count)
+        normal[np.ix_(own, own)] += walk.T @ walk + 1e-9 * np.eye(count)
         gradient[index] += part.gradient
-        gradient[begin : begin + count] += walk.T @ (walk @ scale)
+        gradient[own] += walk.T @ (walk @ scale)
         normal[index, 6] += column
         normal[6, index] += column
-        normal[6, 6] += (full * by_delay**2).sum()
-        normal[6, 6] += (part.step_weight[:, None] * step_by_delay**2).sum()
-        gradient[6] += (full * by_delay * part.off).sum()
+        normal[6, 6] += (part.weight * by_delay**2).sum() + (part.step_weight[:, None] * step_by_delay**2).sum()
+        gradient[6] += (part.weight * by_delay * part.off).sum()
         gradient[6] += (part.step_weight[:, None] * step_by_delay * part.step_off / part.step_sigma).sum()
         begin += count
-    normal[6, 6] += 1e-6
     inverse = np.linalg.inv(normal)
-    return float(-(inverse[6] @ gradient)), float(np.sqrt(max(inverse[6, 6], 0.0)))
+    return -inverse @ gradient, float(np.sqrt(max(inverse[6, 6], 0.0)))
