@@ -47,6 +47,8 @@ _LIDAR_RAD, _LIDAR_M = np.radians(0.01), 0.003
 """Deviations of a LiDAR's step from frame to frame, an axis."""
 _OFF_PX = 1.6
 """Corners are off by 0.8 to 1.3 px where both motions fit, by 2.0 with poses of KITTI's car: few cases."""
+_DRIFT_DEG, _DRIFT_M = 0.03, 0.012
+"""LiDAR odometry that seems wrong by more in every step alike is told."""
 _ENOUGH = 200
 """Corners that a first motion rests on."""
 
@@ -130,7 +132,7 @@ class HandEyeCalibration:
             reason = f"the camera's motion is known in {len(motions.steps)} of {count} steps: its pictures hardly tell"
             return Result(names, start, start, Status.TOO_FEW_MATCHES, reason, matches=matches)
         found, motions, status = self._found(runs, motions, start)
-        off_px = motions.off_px
+        off_px, drift = motions.off_px, np.zeros(6)
         if options.joint:
             openings = found.open_directions(over_deg=options.open_deg, over_m=options.open_m)
             joint = refined(list(chain.from_iterable(tracks)), found.filled(start, openings).camera_from_lidar)
@@ -138,7 +140,7 @@ class HandEyeCalibration:
                 reason = "the sweeps give too few corners of the pictures a depth"
                 return Result(names, start, start, Status.TOO_FEW_MATCHES, reason, matches=matches)
             found = replace(found, camera_from_lidar=joint.camera_from_lidar, covariance=joint.covariance)
-            matches["corners"], off_px = joint.corners, joint.off_px
+            matches["corners"], off_px, drift = joint.corners, joint.off_px, joint.drift
             status = Status.CONVERGED if joint.settled else Status.ROUNDS_SPENT
         openings = found.open_directions(over_deg=options.open_deg, over_m=options.open_m)
         matches |= {"spans": len(motions.steps), "points": motions.points}
@@ -146,9 +148,12 @@ class HandEyeCalibration:
         if openings and not options.fill:
             reason = f"the motion does not tell {_listed(openings)}; {said}"
             return Result(names, start, start, Status.NOT_OBSERVABLE, reason, matches=matches)
-        off = ()
+        off: tuple[str, ...] = ()
         if options.joint and off_px > _OFF_PX:
             off = (f"corners are off by {off_px:.1f} px: the LiDAR's motion contradicts that of the pictures",)
+        if np.degrees(np.linalg.norm(drift[:3])) > _DRIFT_DEG or np.linalg.norm(drift[3:]) > _DRIFT_M:
+            wrong = f"{np.degrees(np.linalg.norm(drift[:3])):.3f} deg and {100 * np.linalg.norm(drift[3:]):.1f} cm"
+            off = (*off, f"the LiDAR's motion seems wrong by {wrong} in every step: likely errors are larger for it")
         told = (f"the motion leaves open {_listed(openings)}: taken from the start",) if openings else ()
         result = found.filled(start, openings)
         delay = delay_between(runs, motions, result.camera_from_lidar, options.longest_s)
