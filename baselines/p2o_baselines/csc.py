@@ -114,15 +114,15 @@ class CscCalibration:
                 Status.TOO_FEW_MATCHES,
                 "the pictures make no map: too few corners can be followed, or they do not follow one another",
             )
-        steps = steps_of(known)
-        first, information = first_guess(steps)
-        log_scales = [_log_scale(run, each, first) for run, each in known]
-        stretches = [
-            stretch
-            for (run, each), log_scale in zip(known, log_scales, strict=True)
-            if (stretch := stretch_of(run, each, float(np.exp(log_scale)), options.cube_m)) is not None
-        ]
-        if len(stretches) < len(known) or sum(map(len, stretches)) < options.least_landmarks:
+        first, information = first_guess(steps_of(known))
+        stretches, log_scales = [], []
+        for run, each in known:
+            log_scale = _log_scale(run, each, first)
+            stretch = stretch_of(run, each, float(np.exp(log_scale)), options.cube_m)
+            if stretch is not None:
+                stretches.append(stretch)
+                log_scales.append(log_scale)
+        if sum(map(len, stretches)) < options.least_landmarks:
             return refused(Status.TOO_FEW_MATCHES, "the sweeps have no planes, or the pictures nothing that is near")
         pose, more = first, 0.0
         if options.search:
