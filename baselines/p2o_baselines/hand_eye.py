@@ -120,7 +120,11 @@ class HandEyeCalibration:
                 f"frames of one drive, at most {options.gap_s:g} s apart, calibrated jointly"
             )
             return Result(names, start, start, Status.TOO_FEW_MATCHES, reason, matches={"steps": count})
-        runs = [Run(tuple(group), lidar_poses(group, options.lidar)) for group in groups]
+        try:
+            runs = [Run(tuple(group), lidar_poses(group, options.lidar)) for group in groups]
+        except p2o.InputError as error:
+            reason = f"the motion of the LiDAR is not known: {error}"
+            return Result(names, start, start, Status.TOO_FEW_MATCHES, reason, matches={"steps": count})
         if not any(moves(run, options.span) for run in runs):
             return Result(
                 names, start, start, Status.NOT_OBSERVABLE, "the LiDAR stands still: motion is all that hand-eye has"

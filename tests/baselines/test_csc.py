@@ -244,6 +244,16 @@ def test_a_standing_car_is_refused() -> None:
     assert "stands still" in result.reason
 
 
+def test_sweeps_that_do_not_fit_together_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    def lost(*_: object) -> None:
+        raise p2o.InputError("sweeps 3 and 4 of the sequence do not fit together")
+
+    monkeypatch.setattr(csc, "lidar_poses", lost)
+    result = method().solve(moments(way()), TRUTH)
+    assert result.status is p2o.Status.TOO_FEW_MATCHES
+    assert "do not fit together" in result.reason
+
+
 def test_pictures_without_corners_make_no_map() -> None:
     result = method().solve(moments(way()), TRUTH)
     assert result.status is p2o.Status.TOO_FEW_MATCHES

@@ -63,6 +63,16 @@ def test_a_rig_that_stands_still_is_refused() -> None:
     assert "stands still" in result.reason
 
 
+def test_sweeps_that_do_not_fit_together_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    def lost(*_: object) -> None:
+        raise p2o.InputError("sweeps 3 and 4 of the sequence do not fit together")
+
+    monkeypatch.setattr(hand_eye, "lidar_poses", lost)
+    result = method().solve([moment(number) for number in range(8)], TRUTH)
+    assert result.status is p2o.Status.TOO_FEW_MATCHES
+    assert "do not fit together" in result.reason
+
+
 def test_a_frame_of_no_drive_is_refused() -> None:
     with pytest.raises(p2o.InputError, match="no drive"):
         method().prepare(stage.frame())

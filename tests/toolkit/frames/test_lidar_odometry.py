@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -68,3 +70,18 @@ def test_sweeps_of_different_places_are_refused() -> None:
     there = Cloud(np.random.default_rng(0).uniform(-8, 8, (2_000, 3)))
     with pytest.raises(InputError, match="sweeps 0 and 1 of the sequence do not fit together"):
         by_gicp([here, there])
+
+
+def test_sweeps_that_only_tremble_about_their_fit_are_one_drive(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pairs that come and go keep small_gicp from standing still to a hundredth of a millimetre."""
+    small_gicp = pytest.importorskip("small_gicp", reason='needs pip install ".[gicp]"')
+    align = small_gicp.align
+
+    def trembling(*arguments: Any, **options: Any) -> SimpleNamespace:
+        found = align(*arguments, **options)
+        still = found.converged and options["rotation_epsilon"] > 1e-5
+        return SimpleNamespace(converged=still, num_inliers=found.num_inliers, T_target_source=found.T_target_source)
+
+    monkeypatch.setattr(small_gicp, "align", trembling)
+    _, pose = poses_by_gicp(drive(2))
+    assert se3.distance_m(se3.inverse(STEP) @ pose) < 0.02

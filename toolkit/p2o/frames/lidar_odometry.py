@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -42,16 +43,7 @@ def poses_by_gicp(
         if before is None:
             poses.append(np.eye(4))
         else:
-            found = small_gicp.align(
-                before[0],
-                points,
-                before[1],
-                step,
-                max_correspondence_distance=max_distance_m,
-                max_iterations=50,
-                rotation_epsilon=1e-5,
-                translation_epsilon=1e-5,
-            )
+            found = _aligned(before, (points, tree), step, max_distance_m)
             share = found.num_inliers / max(points.size(), 1)
             if not found.converged or share < _MIN_SHARE:
                 raise InputError(
@@ -61,20 +53,35 @@ def poses_by_gicp(
                     hint="take sweeps that follow one another",
                 )
             if then_m is not None:
-                found = small_gicp.align(
-                    before[0],
-                    points,
-                    before[1],
-                    found.T_target_source,
-                    max_correspondence_distance=then_m,
-                    max_iterations=50,
-                    rotation_epsilon=1e-5,
-                    translation_epsilon=1e-5,
-                )
+                found = _aligned(before, (points, tree), found.T_target_source, then_m)
             step = _rigid(found.T_target_source)
             poses.append(poses[-1] @ step)
         before = points, tree
     return tuple(poses)
+
+
+def _aligned(before: Any, after: Any, begin: Float, distance_m: float) -> Any:
+    """Return what small_gicp makes of two sweeps, points and tree each, from one transform (4, 4).
+
+    Pairs that come and go may keep it from ever standing still to a hundredth of a millimetre; a tenth will then do.
+    """
+    import small_gicp
+
+    for small in (1e-5, 1e-4):
+        found = small_gicp.align(
+            before[0],
+            after[0],
+            before[1],
+            begin,
+            max_correspondence_distance=distance_m,
+            max_iterations=50,
+            rotation_epsilon=small,
+            translation_epsilon=small,
+        )
+        if found.converged:
+            break
+        begin = found.T_target_source
+    return found
 
 
 def poses_by_kiss_icp(
