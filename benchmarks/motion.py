@@ -36,7 +36,7 @@ DRIVES = (
     "&right=false&seed={seed}"
 )
 _FIRST_SEED = 31
-_WRONG = np.array([0.03, -0.03, 0.02, 0.1, 0.1, -0.2])
+_WRONG = np.array([0.06, -0.06, 0.04, 0.2, 0.2, -0.4])
 """A left update (rad, m) that makes the wrong extrinsic of the picture."""
 
 
@@ -146,7 +146,7 @@ def draw_structure(path: Path, frames: Sequence[p2o.Frame]) -> None:
         landmarks = xyz[own_here] * scale
         uv = here.camera.project(landmarks)
         image = below.scatter(
-            *uv.T, c=landmarks[:, 2], cmap="turbo_r", s=22, vmin=3, vmax=40, edgecolors="white", linewidths=0.5
+            *uv.T, c=landmarks[:, 2], cmap="turbo_r", s=10, vmin=3, vmax=40, edgecolors="white", linewidths=0.3
         )
         below.set_axis_off()
         below.set_title("LiDAR points (small) and landmarks (ringed) by their distance")

@@ -357,7 +357,7 @@ def _require(options: HandEyeOptions) -> None:
 
 
 _EXAMPLE = p2o.Example(
-    "synthetic:?place=street&frames_per_scene=6&period_s=0.2&speed_m_s=4&swing_deg=25&tilt_deg=3&sway=0&right=false"
+    "synthetic:?place=street&frames_per_scene=5&period_s=0.2&speed_m_s=4&swing_deg=25&tilt_deg=3&sway=0&right=false"
     "&seed=1",
     perturb="10deg 0.5m",
     joint=True,
