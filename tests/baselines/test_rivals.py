@@ -24,7 +24,7 @@ def registry() -> Registry:
     return Registry.load()
 
 
-@pytest.mark.parametrize("name", [*STUDIES, "motion", "motion-drive", "learned"])
+@pytest.mark.parametrize("name", [*STUDIES, "motion", "motion-drive", "motion-long", "learned"])
 def test_every_row_fits_together(name: str, registry: Registry) -> None:
     assert check_study(find_study(name, registry).study, registry)
 
