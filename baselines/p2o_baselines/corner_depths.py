@@ -83,7 +83,7 @@ def refined(groups: Sequence[Followed], camera_from_lidar: Float, *, iterations:
         if sum(term.count for term in terms) < _FEWEST:
             return None
         normal, gradient = (np.sum([getattr(term, part) for term in terms], axis=0) for part in ("normal", "gradient"))
-        update = _held(-np.linalg.solve(normal + np.diag(floor), gradient))
+        update = _held(np.asarray(-np.linalg.solve(normal + np.diag(floor), gradient), np.float64))
         pose = p2o.se3.exp(update) @ pose
         small = np.linalg.norm(update[:3]) < 1e-4 and np.linalg.norm(update[3:]) < 2e-3
         if small and number > 3:

@@ -181,7 +181,7 @@ def searched(
 
     found = differential_evolution(
         cost,
-        [(-each, each) for each in half.tolist()],
+        list(zip((-half).tolist(), half.tolist(), strict=True)),
         x0=np.zeros(7),
         popsize=6,
         maxiter=rounds,
@@ -294,7 +294,7 @@ def _newton(sums: Sequence[_Sums], scales: Sequence[Float]) -> _Newton:
         kept.append((own, own_gradient, cross))
     inverse = np.asarray(np.linalg.inv(normal))
     update = -inverse @ gradient
-    changes = [-np.linalg.solve(own, right + cross @ update) for own, right, cross in kept]
+    changes = [np.asarray(-np.linalg.solve(own, right + cross @ update), np.float64) for own, right, cross in kept]
     return _Newton(update, changes, inverse, np.concatenate(parts), drift)
 
 

@@ -191,7 +191,8 @@ def adjusted(tracks: Tracks, pictures: Int, camera_from_world: Float, focal_px: 
         kept = np.bincount(landmark, minlength=len(xyz)) > 1
         xyz = _meeting(poses, moment, ray, landmark, len(xyz))
         kept &= _widest_deg(poses, moment, xyz, landmark) > _ANGLE_DEG
-        moment, ray, landmark = (each[kept[landmark]] for each in (moment, ray, landmark))
+        seen = kept[landmark]
+        moment, ray, landmark = moment[seen], ray[seen], landmark[seen]
         near = np.linalg.norm(_off_px(poses, moment, ray, xyz[landmark], focal_px), axis=1) < off_px
         kept = np.bincount(landmark[near], minlength=len(xyz)) > 1
         near &= kept[landmark]
