@@ -63,11 +63,13 @@ def p2o_matchers() -> Iterator[Method]:
 def p2o_calibrators() -> Iterator[Method]:
     """Offer the whole methods."""
     from p2o_baselines import (
+        acsc,
         atop,
         calibnet,
         calibrcnn,
         csc,
         cues,
+        domhof,
         geiger,
         gong,
         hand_eye,
@@ -80,6 +82,8 @@ def p2o_calibrators() -> Iterator[Method]:
         pusztai,
         regnet,
         rggnet,
+        velas,
+        velo2cam,
         zhou,
     )
 
@@ -87,6 +91,7 @@ def p2o_calibrators() -> Iterator[Method]:
     yield from (mirzaei.METHOD, picked.METHOD, zhou.METHOD)
     yield from (calibnet.METHOD, calibrcnn.METHOD, lccnet.METHOD, regnet.METHOD, rggnet.METHOD)
     yield from (gong.METHOD, kuemmerle.METHOD, pusztai.METHOD)
+    yield from (acsc.METHOD, domhof.METHOD, velas.METHOD, velo2cam.METHOD)
 
 
 @hookimpl

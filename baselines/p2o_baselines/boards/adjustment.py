@@ -22,13 +22,15 @@ class Block(NamedTuple):
 
     `by_update` (K, 6) is by a left update of camera_from_lidar (rad, m), `by_bias` (K,) by an error in m that all
     ranges share, `covariance` (K, K) what noise of the sweep alone makes of them; a pose of the board in the picture
-    that is wrong acts as a wrong pose of the LiDAR does, but for this board alone.
+    that is wrong acts as a wrong pose of the LiDAR does, but for this board alone. With `whole` the covariance holds
+    the picture's noise already.
     """
 
     residuals: Float
     by_update: Float
     by_bias: Float
     covariance: Float
+    whole: bool = False
 
 
 Cost = Callable[[Pair, Float], Block]
@@ -93,8 +95,7 @@ def covariance_of(
     inverse = np.linalg.inv(hessian)
     noise = np.zeros((6, 6))
     for pair, block in zip(pairs, blocks, strict=True):
-        own = block.by_update.T @ block.by_update
-        noise += block.by_update.T @ block.covariance @ block.by_update + own @ pair.board.covariance @ own
+        noise += _noise(pair, block)
     covariance = inverse @ noise @ inverse
     covariance = covariance * max(1.0, _scatter(pairs, blocks))
     bias = inverse @ np.asarray(sum(block.by_update.T @ block.by_bias for block in blocks))
@@ -106,6 +107,15 @@ def covariance_of(
     return np.asarray(covariance + shared)
 
 
+def _noise(pair: Pair, block: Block) -> Float:
+    """Return how noise of sweep and picture spreads the slope (6,) that a board has at a pose, (6, 6)."""
+    noise = block.by_update.T @ block.covariance @ block.by_update
+    if not block.whole:
+        own = block.by_update.T @ block.by_update
+        noise = noise + own @ pair.board.covariance @ own
+    return np.asarray(noise)
+
+
 def _scatter(pairs: Sequence[Pair], blocks: Sequence[Block]) -> float:
     """Return how much more boards disagree with a pose than their noise says, as a factor of variances.
 
@@ -114,8 +124,7 @@ def _scatter(pairs: Sequence[Pair], blocks: Sequence[Block]) -> float:
     total, freedom = 0.0, -6
     for pair, block in zip(pairs, blocks, strict=True):
         slope = block.by_update.T @ block.residuals
-        own = block.by_update.T @ block.by_update
-        noise = block.by_update.T @ block.covariance @ block.by_update + own @ pair.board.covariance @ own
+        noise = _noise(pair, block)
         scale = 1 / np.sqrt(np.maximum(np.diag(noise), 1e-30))
         values, vectors = np.linalg.eigh(noise * np.outer(scale, scale))
         told = values > 1e-6 * values[-1]

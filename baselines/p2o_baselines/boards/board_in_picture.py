@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import p2o
-from p2o import Checkerboard, se3
+from p2o import Checkerboard, HoleBoard, se3
 from p2o.arrays import Float, UInt8
 
 LEAST_CORNER_PX = 0.05
@@ -18,13 +18,14 @@ _GREY = 128
 
 @dataclass(frozen=True)
 class BoardInPicture:
-    """A checkerboard as one picture shows it.
+    """A board as one picture shows it.
 
-    `uv` (N, 2) px are its corners, `camera_from_board` (4, 4) its pose by them, `covariance` (6, 6) that of a left
-    update of the pose (rad, m), `rms_px` how well the corners fit, `px_per_rad` the scale of the picture there.
+    `uv` (N, 2) px are its corners, or edges on the rims of its holes, `camera_from_board` (4, 4) its pose by them,
+    `covariance` (6, 6) that of a left update of the pose (rad, m), `rms_px` how well they fit, `px_per_rad` the scale
+    of the picture there.
     """
 
-    target: Checkerboard
+    target: Checkerboard | HoleBoard
     uv: Float
     camera_from_board: Float
     covariance: Float

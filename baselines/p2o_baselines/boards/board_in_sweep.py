@@ -11,7 +11,7 @@ from p2o import se3
 from p2o.arrays import Bool, Float, Int
 from p2o.frames.rings import told_rings
 
-from p2o_baselines.boards.rectangle import Rectangle, fitted, inside_m
+from p2o_baselines.boards.rectangle import Holes, Rectangle, fitted, inside_m
 
 _LEAST_RINGS, _LEAST_POINTS = 3, 15
 _BREAK = 3.5  # a gap of azimuth by so many usual steps ends a run
@@ -26,6 +26,10 @@ _LEAST_FOR_CONE, _CONE_RAD, _HIGHEST_M = 100, 0.002, 0.5
 """A ring is a cone if it has so many points and half of them lie so near to it, seen from the axis."""
 _MOST_SIDE_M, _LEAST_TRIM_M = 0.03, 0.015
 """A side whose ends lie farther from the outline is none of the board's; ends this near to the others are kept."""
+_LEAST_PIECE = (0.5, 0.25)
+"""Of the shorter side, the shortest piece of a ring that a board is looked for at: without holes, and with."""
+_MOST_GAP_M = 0.3  # rings farther apart are none of a board's
+_LEAST_THROUGH = 0.04  # so many rays, of those on a board with holes, go through its hull
 _FAR_M = 1e4
 _THIN_M = 0.03  # returns so near to a plane are on it, however little it scatters
 _FLOOR_M = 0.004  # no range is taken to scatter less about a plane, whatever the fit says
@@ -149,14 +153,23 @@ def boards_in_sweep(
 
     `sigma_m` is how much ranges may scatter about a board at most.
     """
-    rays = rays_of(cloud, farthest_m)
+    return pieces_of(rays_of(cloud, farthest_m), sizes_m, farthest_m=farthest_m, sigma_m=sigma_m)
+
+
+def pieces_of(
+    rays: Rays, sizes_m: Sequence[tuple[float, float]], *, farthest_m: float, sigma_m: float, holes: Holes = ()
+) -> tuple[BoardInSweep, ...]:
+    """Return what may be boards of some sizes, as `boards_in_sweep` does; rays go through their `holes`.
+
+    Who holds a board with holes stands beside it, so that more of its plane may be beside the board.
+    """
     near = np.linalg.norm(rays.xyz, axis=1) < farthest_m
     found: list[BoardInSweep] = []
     for size in dict.fromkeys(sizes_m):
         of_size: list[BoardInSweep] = []
         taken = np.zeros(len(near), np.bool_)
-        for plane in _planes(rays, near, taken, size, sigma_m):
-            board = _outlined(rays, plane, size, sigma_m)
+        for plane in _planes(rays, near, taken, size, sigma_m, _LEAST_PIECE[bool(holes)]):
+            board = _outlined(rays, plane, size, sigma_m, holes)
             taken[plane.on] = True
             if board is not None and not any(np.linalg.norm(board.middle - b.middle) < min(size) / 2 for b in of_size):
                 of_size.append(board)
@@ -174,7 +187,9 @@ class _Plane:
     on: Int
 
 
-def _planes(rays: Rays, near: Bool, taken: Bool, size_m: tuple[float, float], sigma_m: float) -> Iterator[_Plane]:
+def _planes(
+    rays: Rays, near: Bool, taken: Bool, size_m: tuple[float, float], sigma_m: float, piece_share: float
+) -> Iterator[_Plane]:
     """Give planes through runs of about the board's length and what lies near, longest runs first."""
     from scipy.spatial import cKDTree
 
@@ -185,7 +200,7 @@ def _planes(rays: Rays, near: Bool, taken: Bool, size_m: tuple[float, float], si
     index = np.concatenate(pieces)
     which = np.repeat(np.arange(len(pieces)), [len(piece) for piece in pieces])
     tree = cKDTree(rays.xyz[index])
-    least = 0.5 * min(size_m)
+    least = piece_share * min(size_m)
     length = np.array([np.linalg.norm(rays.xyz[piece[-1]] - rays.xyz[piece[0]]) for piece in pieces])
     for at in np.argsort(-length, kind="stable"):
         piece = pieces[at]
@@ -263,7 +278,9 @@ def _through(rays: Rays, piece: Int, others: Sequence[Int], about: Int, sigma_m:
     return _Plane(normal, offset, about[on]) if offset < 0 else _Plane(-normal, -offset, about[on])
 
 
-def _outlined(rays: Rays, plane: _Plane, size_m: tuple[float, float], sigma_m: float) -> BoardInSweep | None:
+def _outlined(
+    rays: Rays, plane: _Plane, size_m: tuple[float, float], sigma_m: float, holes: Holes
+) -> BoardInSweep | None:
     """Return the board in a plane; None where no outline of its size has the plane's points inside and no others."""
     normal, diagonal = plane.normal, float(np.hypot(*size_m))
     points = rays.xyz[plane.on]
@@ -291,23 +308,28 @@ def _outlined(rays: Rays, plane: _Plane, size_m: tuple[float, float], sigma_m: f
     joined = _joined(xy, on, rays.ring[index])
     if joined.sum() < _LEAST_POINTS:
         return None
+    if holes and (~on & within_hull(xy, xy[joined])).sum() < _LEAST_THROUGH * joined.sum():
+        return None
     extent = np.ptp(xy[joined], axis=0)
-    if extent.max() > 1.25 * diagonal or extent.max() < 0.5 * min(size_m):
+    if extent.max() > (2.2 if holes else 1.25) * diagonal or extent.max() < 0.5 * min(size_m):
         return None
     filled = _area(xy[joined]) / (size_m[0] * size_m[1])
-    if not _LEAST_AREA < filled < _MOST_AREA:
+    if not _LEAST_AREA < filled < (6.0 if holes else _MOST_AREA):
         return None
     gap = _gap_m(xy[joined], rays.ring[index][joined])
     rng = np.random.default_rng(len(index))
     # A board that the sweep sees in part may reach as far as it is not seen.
     reach = max(gap, 0.05, 0.6 * (1 - filled) * max(size_m))
-    place = fitted(xy, joined, size_m, reach, rng)
-    deep = inside_m(xy, np.array(place[:3]), size_m)
-    inside, beside = deep > 0.02, (deep < -0.02) & (deep > -_BESIDE_M)
+    if holes:  # or who holds it makes it larger
+        reach = max(reach, 0.5 * (float(extent.max()) - min(size_m)))
+    place = fitted(xy, joined, size_m, reach, rng, holes)
+    outline = inside_m(xy, np.array(place[:3]), size_m)
+    deep = inside_m(xy, np.array(place[:3]), size_m, holes)
+    inside, beside = deep > 0.02, (outline < -0.02) & (outline > -_BESIDE_M)
     ours = on & inside
     if ours.sum() < _LEAST_POINTS or len(np.unique(rays.ring[index][ours])) < _LEAST_RINGS:
         return None
-    if on[inside].mean() < _LEAST_FILLED or beside.sum() < 4 or on[beside].mean() > _MOST_BESIDE:
+    if on[inside].mean() < _LEAST_FILLED or beside.sum() < 4 or on[beside].mean() > _MOST_BESIDE + 0.1 * bool(holes):
         return None
     # The plane once more, by the points inside of the outline alone.
     xyz = rays.xyz[index[ours]]
@@ -343,11 +365,37 @@ def _joined(xy: Float, on: Bool, ring: Int) -> Bool:
     if not len(index):
         return out
     reach = 1.3 * max(_gap_m(xy[index], ring[index]), 0.03)
-    pairs = cKDTree(xy[index]).query_pairs(reach, output_type="ndarray")
+    pairs = np.concatenate(
+        [cKDTree(xy[index]).query_pairs(reach, output_type="ndarray"), *_bridges(xy, ring, index, reach)]
+    )
     graph = coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(index), len(index)))
     label = connected_components(graph, directed=False)[1]
     out[index[label == np.bincount(label).argmax()]] = True
     return out
+
+
+def _bridges(xy: Float, ring: Int, index: Int, reach_m: float) -> Iterator[Int]:
+    """Give pairs (K, 2) of those `index` (M,) in neighbouring rings that lie farther apart than `reach_m`.
+
+    Between the two blocks of an HDL-64E's lasers, whose beams start at different heights, no ray meets a near board.
+    """
+    from scipy.spatial import cKDTree
+
+    names, which = np.unique(ring, return_inverse=True)
+    if len(names) < 2:
+        return
+    middles = np.stack([np.bincount(which, xy[:, k]) for k in (0, 1)], axis=1) / np.bincount(which)[:, None]
+    way = np.linalg.svd(middles - middles.mean(axis=0))[2][0]
+    order = np.argsort(middles @ way)
+    apart = np.linalg.norm(np.diff(middles[order], axis=0), axis=1)
+    mine = which[index]
+    for at in np.flatnonzero((1.3 * apart > reach_m) & (apart < _MOST_GAP_M)):
+        one, other = (np.flatnonzero(mine == order[k]) for k in (at, at + 1))
+        if len(one) and len(other):
+            near = cKDTree(xy[index[one]]).query_ball_tree(cKDTree(xy[index[other]]), 1.3 * float(apart[at]))
+            pairs = [(one[k], other[j]) for k, found in enumerate(near) for j in found[:1]]
+            if pairs:
+                yield np.array(pairs)
 
 
 def _area(xy: Float) -> float:
@@ -358,6 +406,17 @@ def _area(xy: Float) -> float:
         return float(ConvexHull(xy).volume)
     except QhullError:
         return 0.0
+
+
+def within_hull(xy: Float, of: Float) -> Bool:
+    """Return which points (N, 2) lie within the hull of others; none where these lie on a line."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        sides = ConvexHull(of).equations
+    except QhullError:
+        return np.zeros(len(xy), np.bool_)
+    return np.asarray((xy @ sides[:, :2].T + sides[:, 2]).max(axis=1) < 0)
 
 
 def _gap_m(xy: Float, ring: Int) -> float:

@@ -26,7 +26,9 @@ class Way:
 
     `least` boards are needed, `planes_only` if borders say nothing. `closed(pairs, rough pose)` is the closed form,
     `cost(pairs, pose)` what is then minimised, with weights as they are at a pose; `rounds` is how often these are
-    taken anew. `hypotheses` proposes poses for the choice of pairs.
+    taken anew. `hypotheses` proposes poses for the choice of pairs. `kind` is what it looks for and `beside` what
+    else a piece of a sweep has to show, in words;
+    `sight(frame, options)` finds that.
     """
 
     least: int
@@ -35,6 +37,9 @@ class Way:
     cost: Callable[[Sequence[Pair], Float], Cost]
     rounds: int = 1
     hypotheses: Hypotheses = by_outline
+    kind: str = "checkerboard"
+    beside: str = ""
+    sight: Callable[[p2o.Frame, BoardOptions], Sight] = sight_of
 
 
 @dataclass(frozen=True)
@@ -46,13 +51,13 @@ class BoardMethod:
 
     def prepare(self, frame: p2o.Frame) -> Sight:
         """Return the boards in the picture and what may be boards in the sweep."""
-        return sight_of(frame, self.options)
+        return self.way.sight(frame, self.options)
 
     def solve(self, prepared: Sequence[Sight], camera_from_lidar: Float) -> Result:
         """Return the pose at which the boards of both sensors are the same."""
         options, way, start = self.options, self.way, np.asarray(camera_from_lidar, np.float64)
         blank = Result(tuple(sight.name for sight in prepared), start, start, Status.NO_FEATURES, "")
-        nothing = _nothing(prepared)
+        nothing = _nothing(prepared, way)
         if nothing:
             return _refused(blank, Status.NO_FEATURES, nothing)
         pairing = paired(prepared, start, way.hypotheses)
@@ -73,9 +78,9 @@ class BoardMethod:
             pose = adjusted(pairs, cost, pose)
         cost = way.cost(pairs, pose)
         covariance = covariance_of(pairs, cost, pose, range_bias_m=options.range_bias_m, camera_px=options.camera_px)
-        unsure = _unsure(covariance, pose, options)
-        if covariance is None or unsure:
-            return _refused(told, Status.NOT_OBSERVABLE, unsure)
+        remark = unsure(covariance, pose, options)
+        if covariance is None or remark:
+            return _refused(told, Status.NOT_OBSERVABLE, remark)
         before, after = (_off_m(pairs, each) for each in (start, pose))
         return Result(
             told.frames,
@@ -123,11 +128,11 @@ def _refused(result: Result, status: Status, reason: str) -> Result:
     )
 
 
-def _nothing(sights: Sequence[Sight]) -> str:
+def _nothing(sights: Sequence[Sight], way: Way) -> str:
     """Return in words that there are no boards to pair; "" where there are."""
     asked = next((sight.asked for sight in sights if sight.asked != "none"), "none")
     if asked == "none":
-        return "no frame says that it shows a checkerboard: state it in `targets` of frame.yaml"
+        return f"no frame says that it shows a {way.kind}: state it in `targets` of frame.yaml"
     seen = [sight for sight in sights if sight.boards]
     if not seen:
         return f"no picture of {len(sights)} shows a board of {asked}"
@@ -135,7 +140,7 @@ def _nothing(sights: Sequence[Sight]) -> str:
         sizes = {f"{b.target.width_m:g} x {b.target.height_m:g} m" for sight in seen for b in sight.boards}
         return (
             f"{len(seen)} of {len(sights)} pictures show boards, but no sweep has a plane piece of "
-            f"{' or '.join(sorted(sizes))} that three rings meet and that stands by itself"
+            f"{' or '.join(sorted(sizes))} that three rings meet and that stands by itself{way.beside}"
         )
     return ""
 
@@ -163,7 +168,7 @@ def _flat(pairs: Sequence[Pair]) -> str:
     return ""
 
 
-def _unsure(covariance: Float | None, pose: Float, options: BoardOptions) -> str:
+def unsure(covariance: Float | None, pose: Float, options: BoardOptions) -> str:
     """Return in words that a pose is too unsure, and in what; "" where it is not."""
     if covariance is None or not np.isfinite(covariance).all():
         return "the boards leave a direction of the pose open: more of them, or sides that rings cross, are needed"
@@ -190,6 +195,11 @@ def _remarks(sights: Sequence[Sight], pairing: Pairing) -> tuple[str, ...]:
     if pairing.others:
         lines.append(f"{1 + len(pairing.others)} poses fit the boards about as well: the nearest to the start is taken")
     return tuple(lines)
+
+
+def off_m(pose: Float, other: Float) -> float:
+    """Return how far apart in m two poses (4, 4) put the LiDAR."""
+    return float(np.linalg.norm(pose[:3, 3] - other[:3, 3]))
 
 
 def _off_m(pairs: Sequence[Pair], pose: Float) -> float:

@@ -12,6 +12,8 @@ from p2o.arrays import Float
 from p2o_baselines.boards.board_in_picture import BoardInPicture
 from p2o_baselines.boards.board_in_sweep import BoardInSweep
 from p2o_baselines.boards.closed_form import from_middles
+from p2o_baselines.boards.holes_in_picture import pattern_turns
+from p2o_baselines.boards.holes_in_sweep import HoleBoardInSweep
 from p2o_baselines.boards.sight import Sight
 
 _WIDE, _NARROW = (0.6, 15.0), (0.2, 8.0)
@@ -58,7 +60,7 @@ def by_outline(sights: Sequence[Sight], start: Float) -> Iterable[Float]:
     for sight in sights:
         for board in sight.boards:
             for patch in of_size(sight, board):
-                for turn in turns(patch.size_m):
+                for turn in turns_of(patch):
                     yield facing(board.camera_from_board) @ se3.inverse(patch.lidar_from_board @ turn)
 
 
@@ -66,6 +68,14 @@ def turns(size_m: tuple[float, float]) -> list[Float]:
     """Return the turns (4, 4) about its normal that leave an outline as it is: two, or four of a square."""
     steps = 4 if abs(size_m[0] - size_m[1]) < 0.03 * max(size_m) else 2
     return [se3.exp(np.array([0, 0, 2 * np.pi * k / steps, 0, 0, 0])) for k in range(steps)]
+
+
+def turns_of(patch: BoardInSweep) -> list[Float]:
+    """Return the turns (4, 4) that leave a piece as it is, holes and all."""
+    if not isinstance(patch, HoleBoardInSweep):
+        return turns(patch.size_m)
+    same = turns(patch.size_m)
+    return [turn for turn in pattern_turns(patch.target) if any(np.allclose(turn, each, atol=1e-6) for each in same)]
 
 
 def facing(sensor_from_board: Float) -> Float:
@@ -163,7 +173,7 @@ def _turn(board: BoardInPicture, patch: BoardInSweep, pose: Float) -> Float:
     """Return the turn (4, 4) of a piece that a pose brings nearest to the board's own."""
     at = pose[:3, :3] @ patch.lidar_from_board[:3, :3]
     along = facing(board.camera_from_board)[:3, 0]
-    return max(turns(patch.size_m), key=lambda turn: float(along @ at @ turn[:3, 0]))
+    return max(turns_of(patch), key=lambda turn: float(along @ at @ turn[:3, 0]))
 
 
 def _pair(frame: int, board: BoardInPicture, patch: BoardInSweep, pose: Float) -> Pair:

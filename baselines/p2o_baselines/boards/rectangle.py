@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -9,11 +10,18 @@ from p2o.arrays import Bool, Float
 
 _TURNS, _MOVES = 24, 5
 _CAP_M = 0.15  # a ray that is on the wrong side by more counts as that: a hand, a stand
-_SAMPLES = 600
+_SAMPLES, _FEW = 600, 250
+_HOLE_STEP_M, _HOLE_TURNS = 0.09, 16  # boards with holes are looked for in steps of less than a hole
+_LEAST_ON = 0.7  # of the rays within the best place of the grid so many have to be on the plane
+_RASTER_M = 0.01
 _DEPTHS_AT_ONCE = 20_000  # so many stay in the cache of one core
 _SHARPNESS_M = 0.004
 """Rectangles whose rays are on the wrong side by so much more, on average of the border's rays, are e times less
 likely: it is what the noise of angles and the size of a spot leave open."""
+
+
+Holes = Sequence[tuple[float, float, float]]
+"""Holes of a rectangle: middle and radius of each in m."""
 
 
 class Rectangle(NamedTuple):
@@ -29,33 +37,42 @@ class Rectangle(NamedTuple):
     wrong_m: float
 
 
-def inside_m(xy: Float, place: Float, size_m: tuple[float, float]) -> Float:
-    """Return how deep points (N, 2) lie inside of rectangles (..., 3), negative outside: (..., N) in metres."""
+def inside_m(xy: Float, place: Float, size_m: tuple[float, float], holes: Holes = ()) -> Float:
+    """Return how deep points (N, 2) lie inside of rectangles (..., 3), negative outside: (..., N) in metres.
+
+    `holes` are (x, y, radius) m in the frame of the rectangle; within them is outside.
+    """
     x, y, turn = np.moveaxis(np.asarray(place, np.float64), -1, 0)
     cosine, sine = np.cos(turn)[..., None], np.sin(turn)[..., None]
     across, down = xy[:, 0] - x[..., None], xy[:, 1] - y[..., None]
     own_x, own_y = cosine * across + sine * down, cosine * down - sine * across
     deep = np.minimum(size_m[0] / 2 - np.abs(own_x), size_m[1] / 2 - np.abs(own_y))
+    for u, v, radius in holes:
+        np.minimum(deep, np.sqrt((own_x - u) ** 2 + (own_y - v) ** 2) - radius, out=deep)
     return np.asarray(deep)
 
 
-def wrong_m(xy: Float, on: Bool, place: Float, size_m: tuple[float, float]) -> Float:
+def wrong_m(xy: Float, on: Bool, place: Float, size_m: tuple[float, float], holes: Holes = ()) -> Float:
     """Return by how much rays lie on the wrong side of rectangles (..., 3), summed over rays: (...)."""
     place = np.asarray(place, np.float64)
     at_once = max(1, _DEPTHS_AT_ONCE // max(1, len(xy)))
     if place.ndim > 1 and len(place) > at_once:
-        parts = [wrong_m(xy, on, place[first : first + at_once], size_m) for first in range(0, len(place), at_once)]
+        parts = [
+            wrong_m(xy, on, place[first : first + at_once], size_m, holes) for first in range(0, len(place), at_once)
+        ]
         return np.concatenate(parts)
-    deep = inside_m(xy, place, size_m)
+    deep = inside_m(xy, place, size_m, holes)
     return np.asarray(np.clip(np.where(on, -deep, deep), 0.0, _CAP_M).sum(axis=-1))
 
 
-def fitted(xy: Float, on: Bool, size_m: tuple[float, float], reach_m: float, rng: np.random.Generator) -> Rectangle:
+def fitted(
+    xy: Float, on: Bool, size_m: tuple[float, float], reach_m: float, rng: np.random.Generator, holes: Holes = ()
+) -> Rectangle:
     """Return the rectangle of a size that has the rays `on` the plane inside and the others outside.
 
     `xy` (N, 2) is where rays meet the plane, `reach_m` how far apart rays are there: the search goes as far beyond the
     middle of those on the board. All rectangles that fit about as well are averaged, since rays leave gaps; their
-    spread is the covariance.
+    spread is the covariance. With `holes` rays go through those.
     """
     from scipy.optimize import minimize
 
@@ -64,35 +81,81 @@ def fitted(xy: Float, on: Bool, size_m: tuple[float, float], reach_m: float, rng
     xy, on = xy[told], on[told]
     middle = (xy[on].max(axis=0) + xy[on].min(axis=0)) / 2
     reach_m = max(reach_m, 0.03)
-    offsets = np.linspace(-reach_m, reach_m, _MOVES)
-    turns = np.linspace(0, np.pi, _TURNS, endpoint=False)
+    moves = _MOVES if not holes else max(_MOVES, 2 * int(np.ceil(reach_m / _HOLE_STEP_M)) + 1)
+    offsets = np.linspace(-reach_m, reach_m, moves)
+    turns = np.linspace(0, np.pi, _TURNS if not holes else _HOLE_TURNS, endpoint=False)
     x, y, turn = (each.ravel() for each in np.meshgrid(offsets, offsets, turns, indexing="ij"))
     grid = np.stack([middle[0] + x, middle[1] + y, turn], axis=1)
-    costs = wrong_m(xy, on, grid, size_m)
+    if holes:
+        some = slice(None, None, max(1, len(xy) // _FEW))  # enough to see where to begin
+        costs = _on_raster(xy[some], on[some], middle, offsets, turns, size_m, holes)
+        at = grid[np.argmin(costs)]
+        deep = inside_m(xy, at, size_m, holes)
+        if on[deep > 0.03].mean() < _LEAST_ON or (on & (deep > 0)).sum() < _LEAST_ON * 0.5 * on.sum():
+            return Rectangle(*at.tolist(), np.eye(3), float(wrong_m(xy, on, at, size_m, holes)))
+        # Rays far from the border say nothing more.
+        told = np.abs(inside_m(xy, at, size_m, holes)) < 0.1
+        xy, on = xy[told], on[told]
+    else:
+        costs = wrong_m(xy, on, grid, size_m)
     ends = [
         minimize(
-            lambda place: float(wrong_m(xy, on, place, size_m)),
+            lambda place: float(wrong_m(xy, on, place, size_m, holes)),
             grid[at],
             method="Nelder-Mead",
             options={"xatol": 1e-4, "fatol": 1e-5, "maxiter": 200, "initial_simplex": _simplex(grid[at], reach_m)},
         )
-        for at in np.argsort(costs, kind="stable")[:2]
+        for at in np.argsort(costs, kind="stable")[: 4 if holes else 2]
     ]
     best = min(ends, key=lambda end: float(end.fun))
-    # Rays leave gaps of a ring's distance, within which every rectangle is as good: their middle is taken.
-    place, sizes = np.asarray(best.x), np.array([reach_m, reach_m, 2 * reach_m / max(size_m)])
-    covariance = np.diag(sizes**2)
+    sizes = np.array([reach_m, reach_m, 2 * reach_m / max(size_m)])
+    place, covariance = averaged(lambda places: wrong_m(xy, on, places, size_m, holes), np.asarray(best.x), sizes, rng)
+    return Rectangle(*place.tolist(), covariance, float(wrong_m(xy, on, place, size_m, holes)))
+
+
+def _on_raster(
+    xy: Float, on: Bool, middle: Float, offsets: Float, turns: Float, size_m: tuple[float, float], holes: Holes
+) -> Float:
+    """Return what `wrong_m` does at a grid of offsets and turns, but from a raster of the rectangle."""
+    reach = 0.5 * float(np.hypot(*size_m)) + _CAP_M
+    count = 2 * int(np.ceil(reach / _RASTER_M)) + 1
+    at = (np.arange(count) - count // 2) * _RASTER_M
+    cells = np.stack(np.meshgrid(at, at, indexing="ij"), axis=-1).reshape(-1, 2)
+    deep = inside_m(cells, np.zeros(3), size_m, holes).astype(np.float32)
+    cost = {side: np.clip(deep if side < 0 else -deep, 0, _CAP_M).astype(np.float32) for side in (1, -1)}
+    shifts = np.stack([each.ravel() for each in np.meshgrid(offsets, offsets, indexing="ij")], axis=1)
+    out = np.zeros((len(shifts), len(turns)), np.float32)
+    for column, turn in enumerate(turns):
+        own = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+        moved = (shifts @ own / _RASTER_M).astype(np.float32)
+        for side, mine in ((1, on), (-1, ~on)):
+            seen = ((xy[mine] - middle) @ own / _RASTER_M + count // 2 + 0.5).astype(np.float32)
+            u = np.clip((seen[None, :, 0] - moved[:, :1]).astype(np.int32), 0, count - 1)
+            v = np.clip((seen[None, :, 1] - moved[:, 1:]).astype(np.int32), 0, count - 1)
+            out[:, column] += cost[side][u * np.int32(count) + v].sum(axis=1)
+    return out.ravel()
+
+
+def averaged(
+    wrong: Callable[[Float], Float], best: Float, sizes: Float, rng: np.random.Generator
+) -> tuple[Float, Float]:
+    """Return the mean (3,) and covariance (3, 3) of all places that fit about as well as the best (3,).
+
+    `wrong(places (N, 3))` is by how much rays are on the wrong side, (N,) m. Rays leave gaps of a ring's distance,
+    within which every place is as good: their middle is taken. `sizes` (3,) is how far it is looked.
+    """
+    place, covariance = best, np.diag(sizes**2)
     for _ in range(3):
         samples = place + rng.uniform(-1, 1, (_SAMPLES, 3)) * sizes
-        samples[0] = best.x
-        cost = wrong_m(xy, on, samples, size_m)
+        samples[0] = best
+        cost = wrong(samples)
         weight = np.exp(-(cost - cost.min()) / (2 * _SHARPNESS_M))
         weight /= weight.sum()
         place = weight @ samples
         off = samples - place
         covariance = (weight[:, None] * off).T @ off
         sizes = np.clip(2.5 * np.sqrt(np.diag(covariance)), [1e-3, 1e-3, 1e-3], sizes)
-    return Rectangle(*place.tolist(), covariance, float(wrong_m(xy, on, place, size_m)))
+    return place, covariance
 
 
 def _simplex(place: Float, reach_m: float) -> Float:

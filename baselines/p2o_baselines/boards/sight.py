@@ -7,10 +7,12 @@ from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
 import p2o
-from p2o import Checkerboard
+from p2o import Checkerboard, HoleBoard
 
 from p2o_baselines.boards.board_in_picture import BoardInPicture, boards_in_picture
 from p2o_baselines.boards.board_in_sweep import BoardInSweep, boards_in_sweep
+from p2o_baselines.boards.holes_in_picture import hole_boards_in_picture
+from p2o_baselines.boards.holes_in_sweep import hole_boards_in_sweep
 
 
 class BoardOptions(p2o.Options):
@@ -48,6 +50,26 @@ def sight_of(frame: p2o.Frame, options: BoardOptions) -> Sight:
     sizes = [(board.target.width_m, board.target.height_m) for board in boards]
     patches = _patches(frame.cloud, tuple(sizes), options) if sizes else ()
     return Sight(frame.name, asked or "none", boards, patches)
+
+
+def hole_sight_of(frame: p2o.Frame, options: BoardOptions) -> Sight:
+    """Return what a frame shows of its boards with holes; the sweep is searched only where the picture shows one."""
+    targets = [target for target in frame.targets if isinstance(target, HoleBoard)]
+    asked = ", ".join(
+        f"{len(t.holes)} holes in {t.width_m:g} x {t.height_m:g} m"
+        for t in {(t.width_m, t.height_m, t.holes): t for t in targets}.values()
+    )
+    boards = hole_boards_in_picture(frame.image, targets)
+    kinds = tuple(dict.fromkeys(board.target for board in boards if isinstance(board.target, HoleBoard)))
+    patches = _hole_patches(frame.cloud, kinds, options) if kinds else ()
+    return Sight(frame.name, asked or "none", boards, patches)
+
+
+def _hole_patches(cloud: p2o.Cloud, kinds: tuple[HoleBoard, ...], options: BoardOptions) -> tuple[BoardInSweep, ...]:
+    found, asked = _known.setdefault(cloud, {}), (kinds, options.farthest_m, options.scatter_m)
+    if asked not in found:
+        found[asked] = hole_boards_in_sweep(cloud, kinds, farthest_m=options.farthest_m, sigma_m=options.scatter_m)
+    return found[asked]
 
 
 _known: WeakKeyDictionary[p2o.Cloud, dict[Hashable, tuple[BoardInSweep, ...]]] = WeakKeyDictionary()

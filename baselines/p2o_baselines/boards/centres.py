@@ -1,0 +1,41 @@
+"""Centres of holes in both sensors, and the noise of those of the sweep."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import numpy as np
+from p2o import se3
+from p2o.arrays import Float
+
+from p2o_baselines.boards.adjustment import Block
+from p2o_baselines.boards.holes_in_sweep import HoleBoardInSweep
+from p2o_baselines.boards.pairing import Pair
+
+
+def in_sweep(pair: Pair) -> tuple[Float, Float]:
+    """Return the centres (N, 3) m of the sweep in the picture's order, and their covariance (3N, 3N)."""
+    patch = cast(HoleBoardInSweep, pair.patch)
+    centres = se3.apply(pair.lidar_from_board, patch.target.centres)
+    by_update = moved(centres)
+    return centres, by_update @ patch.covariance @ by_update.T
+
+
+def in_picture(pair: Pair) -> Float:
+    """Return the centres (N, 3) m by the picture, in the camera frame."""
+    return se3.apply(pair.board.camera_from_board, cast(HoleBoardInSweep, pair.patch).target.centres)
+
+
+def moved(xyz: Float) -> Float:
+    """Return how a left update of a pose moves points (N, 3) that it gave, (3N, 6)."""
+    eye = np.broadcast_to(np.eye(3), (len(xyz), 3, 3))
+    return np.concatenate([-se3.skew(xyz), eye], axis=2).reshape(-1, 6)
+
+
+def off_centres(pair: Pair, pose: Float) -> Block:
+    """Return by how much (3N,) in m centres of the sweep lie off those of the picture, all with one weight."""
+    centres, covariance = in_sweep(pair)
+    seen = se3.apply(pose, centres)
+    turn = np.kron(np.eye(len(centres)), pose[:3, :3])
+    rays = centres / np.linalg.norm(centres, axis=1)[:, None]
+    return Block((seen - in_picture(pair)).ravel(), moved(seen), turn @ rays.ravel(), turn @ covariance @ turn.T)
