@@ -1,0 +1,185 @@
+"""Circles first, then edges of the whole scene, `--calibrator velas`, after Velas, Spanel, Materna and Herout 2014.
+
+    p2o run --data folder:BOARDS --calibrator velas
+
+One shot of a board with four round holes. Coarse: the circles' known size and spacing put their centres in space in
+both sensors, and centres go onto centres. Fine: in a small neighbourhood of that pose the correlation of the edge image
+with range discontinuities along the rings of the whole sweep is brought to its most. Rings are needed.
+
+Departures: their coarse pose is a translation alone, from sensors that look the same way; here it is a whole pose
+(`velo2cam`'s closed form), which no start has to lead to. Circles in the picture are found by ellipses and rims, not
+by Hough's transform of circles, which wants a board seen head on. Edge image and jumps are Levinson and Thrun's
+(`inverse_distance`, `ring_discontinuity`), as theirs are but for constants. Their grid about the coarse pose (mean of
+all poses that do better) is here a walk among the 3^6 neighbours with steps that shrink, within bounds. The likely error
+is the scatter of ends over resampled jumps, beside errors that all share. Of several frames correlations are added.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import p2o
+from p2o import Result, Status, se3
+from p2o.arrays import Float
+
+from p2o_baselines.boards.board_method import BoardMethod, likely, off_m, unsure
+from p2o_baselines.boards.sight import BoardOptions, Sight, hole_sight_of
+from p2o_baselines.idt import NEIGHBOURS
+from p2o_baselines.inverse_distance import OnMap, edge_strength, inverse_distance
+from p2o_baselines.ring_discontinuity import ring_jumps
+from p2o_baselines.velo2cam import WAY
+
+_ALPHA, _GAMMA = 1 / 3, 0.9
+_STEPS = ((0.2, 0.02), (0.1, 0.01), (0.05, 0.005))  # deg and m
+_WALK = 12
+_SAMPLES, _PARTS = 8, 24
+"""So many times the jumps are drawn anew, in so many runs of neighbours."""
+
+
+class VelasOptions(BoardOptions):
+    """Options of `velas`."""
+
+    fine_deg: float = p2o.field(1.5, ge=0, le=20, help="The fine search turns by no more than this about an axis.")
+    fine_m: float = p2o.field(0.1, ge=0, le=2, help="The fine search moves by no more than this along an axis.")
+    min_jump_m: float = p2o.field(0.3, ge=0, le=50, help="Smallest step back in range along a ring that counts.")
+    max_points: int = p2o.field(800, ge=50, help="Jumps of a frame that are looked up, at most.")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One frame: what it shows of boards, its camera, the map (H, W) of its edges, jumps (N, 3) m and weights (N,)."""
+
+    sight: Sight
+    camera: p2o.Camera
+    edges: Float
+    xyz: Float
+    weight: Float
+
+
+@dataclass(frozen=True)
+class Velas:
+    """The calibrator."""
+
+    options: VelasOptions
+
+    def prepare(self, frame: p2o.Frame) -> Scene:
+        """Return boards, edges of the picture and jumps of the sweep."""
+        sight = hole_sight_of(frame, self.options)
+        if not sight.boards or not sight.patches:
+            return Scene(sight, frame.camera, np.zeros((1, 1)), np.zeros((0, 3)), np.zeros(0))
+        edges = inverse_distance(edge_strength(frame.image.grey), _ALPHA, _GAMMA)
+        rows, jump_m = ring_jumps(frame.cloud, self.options.min_jump_m, 0.6)
+        return Scene(sight, frame.camera, edges, frame.cloud.xyz[rows], np.sqrt(jump_m))
+
+    def solve(self, prepared: Sequence[Scene], camera_from_lidar: Float) -> Result:
+        """Return the pose by circles, moved to the most correlation of edges."""
+        options = self.options
+        coarse = BoardMethod(options, replace(WAY, rounds=1)).solve([s.sight for s in prepared], camera_from_lidar)
+        if not coarse.status.solved or coarse.covariance is None:
+            return coarse
+        centre = coarse.camera_from_lidar
+        parts = [on_map(scene, centre, options.max_points) for scene in prepared if len(scene.xyz)]
+        pose = best_pose(parts, centre, centre, _STEPS, options)
+        rng = np.random.default_rng(0)
+        ends = []
+        for _ in range(_SAMPLES):
+            drawn = [_resampled(part, rng) for part in parts]
+            ends.append(se3.log(best_pose(drawn, pose, centre, _STEPS[1:], options) @ se3.inverse(pose)))
+        steps = np.array([np.radians(_STEPS[-1][0])] * 3 + [_STEPS[-1][1]] * 3)
+        covariance = np.cov(np.array(ends).T) + np.diag(steps**2 / 3) + self._shared(prepared, pose)
+        remark = unsure(covariance, pose, options)
+        if remark:
+            return replace(coarse, camera_from_lidar=coarse.start, status=Status.NOT_OBSERVABLE, reason=remark)
+        moved = pose @ se3.inverse(centre)
+        return replace(
+            coarse,
+            camera_from_lidar=pose,
+            reason=f"edges move the pose of the circles by {se3.angle_deg(moved):.2f} deg and "
+            f"{100 * off_m(pose, centre):.1f} cm",
+            covariance=covariance,
+            accuracy=likely(covariance, pose),
+            judged=p2o.Judged(
+                "correlation of edges, with its sign turned", "levels", _cost(parts, coarse.start), _cost(parts, pose)
+            ),
+        )
+
+    def _shared(self, prepared: Sequence[Scene], pose: Float) -> Float:
+        """Return the covariance (6, 6) of errors that all edges share: of the camera's calibration."""
+        del pose
+        focal = float(np.median([scene.camera.focal_px for scene in prepared]))
+        turn = self.options.camera_px / focal
+        return np.diag([turn, turn, turn, self.options.range_bias_m, self.options.range_bias_m, 3 * turn]) ** 2
+
+
+def on_map(scene: Scene, camera_from_lidar: Float, most: int) -> OnMap:
+    """Return the jumps that a pose (4, 4) brings near the picture, on the map of its edges."""
+    uv = scene.camera.project(se3.apply(camera_from_lidar, scene.xyz))
+    near = np.flatnonzero(scene.camera.in_image(uv, 50.0))
+    near = near[:: max(1, -(-len(near) // most))]
+    return OnMap(scene.camera, scene.edges, scene.xyz[near], scene.weight[near], float(scene.edges.mean()))
+
+
+def _resampled(part: OnMap, rng: np.random.Generator) -> OnMap:
+    """Return the jumps drawn anew in runs of neighbours, which share what is wrong with them."""
+    runs = np.array_split(np.arange(len(part.xyz)), _PARTS)
+    chosen = np.concatenate([runs[k] for k in rng.integers(0, len(runs), len(runs))])
+    return replace(part, xyz=part.xyz[chosen], weight=part.weight[chosen])
+
+
+def _cost(parts: Sequence[OnMap], pose: Float) -> float:
+    weight = sum(float(part.weight.sum()) for part in parts)
+    return -sum(float(part.sums(pose[None])[0]) for part in parts) / max(weight, 1e-12)
+
+
+def best_pose(
+    parts: Sequence[OnMap], pose: Float, centre: Float, steps: Sequence[tuple[float, float]], options: VelasOptions
+) -> Float:
+    """Return the pose of the most correlation that a walk with shrinking steps reaches, within bounds of `centre`."""
+    most = np.r_[np.full(3, np.radians(options.fine_deg)), np.full(3, options.fine_m)]
+    for deg, metres in steps:
+        around = NEIGHBOURS * np.repeat([np.radians(deg), metres], 3)
+        for _ in range(_WALK):
+            # A turn about the camera that leaves the LiDAR where it is, and a shift.
+            poses = np.concatenate([pose[None], _moved(pose, around)])
+            inside = (np.abs(_apart(poses, centre)) <= most + 1e-9).all(axis=1)
+            poses = poses[inside | (np.arange(len(poses)) == 0)]
+            best = int(np.argmax(sum(part.sums(poses) for part in parts)))
+            if best == 0:
+                break
+            pose = poses[best]
+    return pose
+
+
+def _moved(pose: Float, steps: Float) -> Float:
+    turned = se3.exp(np.concatenate([steps[:, :3], np.zeros((len(steps), 3))], axis=1))
+    out = np.broadcast_to(pose, (len(steps), 4, 4)).copy()
+    out[:, :3, :3] = turned[:, :3, :3] @ pose[:3, :3]
+    out[:, :3, 3] += steps[:, 3:]
+    return out
+
+
+def _apart(poses: Float, centre: Float) -> Float:
+    """Return turns and shifts (B, 6) between poses (B, 4, 4) and another."""
+    turns = se3.rotation_vector(poses[:, :3, :3] @ centre[:3, :3].T)
+    return np.concatenate([turns, poses[:, :3, 3] - centre[:3, 3]], axis=1)
+
+
+def build(options: VelasOptions) -> p2o.Calibrator:
+    """Return the calibrator."""
+    return Velas(options)
+
+
+_BOARDS = (
+    "targets=holes&place=yard&frames_per_scene=3&width_px=621&height_px=350&right=false&lidar=vlp-16&exposure_ev=0"
+)
+METHOD = p2o.Method(
+    name="velas",
+    build=build,
+    options=VelasOptions,
+    summary="One board with round holes: centres first, then edges of picture and sweep in a small neighbourhood.",
+    needs=frozenset({"targets", "rings"}),
+    cite="Velas, Spanel, Materna and Herout, Calibration of RGB camera with Velodyne LiDAR, WSCG 2014",
+    example=p2o.Example(f"synthetic:?{_BOARDS}", "10deg 0.3m", "1.2deg 0.1m", joint=True),
+)
