@@ -26,7 +26,7 @@ from p2o.arrays import Float
 
 from p2o_baselines.boards.adjustment import Block, Cost
 from p2o_baselines.boards.board_method import BoardMethod, Way
-from p2o_baselines.boards.centres import in_picture, in_sweep, moved
+from p2o_baselines.boards.centres import bearings_by_point, in_picture, in_sweep, moved
 from p2o_baselines.boards.holes_in_sweep import HoleBoardInSweep
 from p2o_baselines.boards.pairing import Pair
 from p2o_baselines.boards.sight import BoardOptions, hole_sight_of
@@ -54,15 +54,6 @@ def misfits_of(pair: Pair) -> tuple[Float, Float, Float, Float]:
     spread = by_update @ pair.board.covariance @ by_update.T
     by_camera = whitener(spread + (_OWN_PX / pair.board.px_per_rad) ** 2 * np.eye(len(spread)))
     return centres, by_lidar, seen[:, :2] / seen[:, 2:], by_camera
-
-
-def bearings_by_point(xyz: Float) -> Float:
-    """Return how x / z and y / z change with points (N, 3), as one matrix (2N, 3N)."""
-    from scipy.linalg import block_diag
-
-    return np.asarray(
-        block_diag(*([[1 / z, 0, -x / z**2], [0, 1 / z, -y / z**2]] for x, y, z in xyz)),
-    )
 
 
 def cost(pairs: Sequence[Pair], pose: Float) -> Cost:

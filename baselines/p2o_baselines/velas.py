@@ -10,8 +10,9 @@ Departures: their coarse pose is a translation alone, from sensors that look the
 (`velo2cam`'s closed form), which no start has to lead to. Circles in the picture are found by ellipses and rims, not
 by Hough's transform of circles, which wants a board seen head on. Edge image and jumps are Levinson and Thrun's
 (`inverse_distance`, `ring_discontinuity`), as theirs are but for constants. Their grid about the coarse pose (mean of
-all poses that do better) is here a walk among the 3^6 neighbours with steps that shrink, within bounds. The likely error
-is the scatter of ends over resampled jumps, beside errors that all share. Of several frames correlations are added.
+all poses that do better) is here a walk among the 3^6 neighbours with steps that shrink, within bounds. The likely
+error is the scatter of ends over resampled jumps, beside errors that all share. Of several frames correlations are
+added.
 """
 
 from __future__ import annotations

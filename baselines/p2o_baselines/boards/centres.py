@@ -32,6 +32,15 @@ def moved(xyz: Float) -> Float:
     return np.concatenate([-se3.skew(xyz), eye], axis=2).reshape(-1, 6)
 
 
+def bearings_by_point(xyz: Float) -> Float:
+    """Return how x / z and y / z change with points (N, 3), as one matrix (2N, 3N)."""
+    from scipy.linalg import block_diag
+
+    return np.asarray(
+        block_diag(*([[1 / z, 0, -x / z**2], [0, 1 / z, -y / z**2]] for x, y, z in xyz)),
+    )
+
+
 def off_centres(pair: Pair, pose: Float) -> Block:
     """Return by how much (3N,) in m centres of the sweep lie off those of the picture, all with one weight."""
     centres, covariance = in_sweep(pair)

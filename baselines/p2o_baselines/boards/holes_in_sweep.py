@@ -91,11 +91,11 @@ def _by_holes(rays: Rays, piece: BoardInSweep, target: HoleBoard) -> HoleBoardIn
     base = {field.name: getattr(piece, field.name) for field in fields(BoardInSweep)}
     base["lidar_from_board"] = lidar_from_board
     base["spread"] = np.sqrt(np.diag(covariance))
-    sure = _covariance(piece, lidar_from_board, covariance)
+    sure = pose_covariance(piece, lidar_from_board, covariance)
     return HoleBoardInSweep(**base, target=target, covariance=sure, rim=rim, rim_of=rim_of, inset_m=inset_m)
 
 
-def _covariance(piece: BoardInSweep, lidar_from_board: Float, in_plane: Float) -> Float:
+def pose_covariance(piece: BoardInSweep, lidar_from_board: Float, in_plane: Float) -> Float:
     """Return the covariance (6, 6) of a left update of the pose: its place in the plane, and the plane itself."""
     x_axis, y_axis, normal, origin = lidar_from_board[:3].T
     off = piece.xyz - piece.middle
