@@ -8,11 +8,11 @@ plane, minimised by numbers): that gives the inner corners in space. Corners of 
 from points (PnP) with RANSAC, then Levenberg and Marquardt on bearings.
 
 Departures: theirs is for LiDARs without a repeated pattern (Livox), of which many sweeps of one scene are added up.
-Here a board is found by rings, in one sweep (`boards.board_in_sweep`; join sweeps of a scene before, if frames are of one),
-so a rosette is refused. Their search of the board in the cloud is that shared room's. Which colour comes first is left
-open, since a frame does not say it; half a turn of the board is told by what one pose explains in all frames, or by
-the start. Needs intensities. Squares have to be as large as two rings lie apart, for rows to be told: on a VLP-16 (2
-deg) 7 cm a metre of distance, on an HDL-64E (0.4 deg) 1.5 cm.
+Here a board is found by rings, in one sweep (`boards.board_in_sweep`; join sweeps of a scene before, if frames are of
+one), so a rosette is refused. Their search of the board in the cloud is that shared room's. Which colour comes first
+is left open, since a frame does not say it; half a turn of the board is told by what one pose explains in all frames,
+or by the start. Needs intensities. Squares have to be about as large as two rings lie apart: on a VLP-16 (2 deg) 3.5 cm
+a metre of distance, on an HDL-64E (0.4 deg) 0.7 cm.
 """
 
 from __future__ import annotations
