@@ -22,15 +22,23 @@ from p2o.arrays import Float
 from p2o.geometry.perturb import parse_perturbation
 from p2o.run.recipe import Recipe
 from p2o.work.cache import FeatureCache, content_hash
-from p2o_baselines import geiger, koo, mirzaei, zhou
+from p2o_baselines import acsc, domhof, geiger, koo, mirzaei, velas, velo2cam, zhou
 from p2o_baselines.boards.pairing import paired
 from p2o_baselines.boards.sight import BoardOptions, Sight
 
-METHODS = {"zhou": zhou.METHOD, "koo": koo.METHOD, "geiger": geiger.METHOD, "mirzaei": mirzaei.METHOD}
+METHODS = {
+    "boards": {"zhou": zhou.METHOD, "koo": koo.METHOD, "geiger": geiger.METHOD, "mirzaei": mirzaei.METHOD},
+    "squares": {"acsc": acsc.METHOD},
+    "holes": {"velo2cam": velo2cam.METHOD, "domhof": domhof.METHOD, "velas": velas.METHOD},
+}
+"""Methods by what is prepared for them."""
+FINDERS = {"boards": zhou.METHOD, "squares": acsc.METHOD, "holes": velas.METHOD}
 POSES, DRAWS = (1, 2, 3, 5, 10, 20), 10
 FREE_POSES, FREE_DRAWS = (1, 5, 20), (5, 2, 1)
 ACFR_BOARD = Checkerboard(5, 7, 0.095, 0.61, 0.85)
+SIM_BOARD = Checkerboard(8, 6, 0.07, 0.77, 0.63)
 _SIDE_PX = 560
+_HOLES = "synthetic:?targets=holes&exposure_ev=0&place=yard&frames_per_scene=20&right=false&width_px=1242&height_px=700"
 _YARD = "synthetic:?targets=checkerboard&place=yard&frames_per_scene=20&right=false&width_px=1242&height_px=700"
 
 
@@ -41,6 +49,7 @@ class BoardRig:
     data: str
     board: Checkerboard | None = None
     weights: str = "kitti"
+    kinds: tuple[str, ...] = ("boards", "squares")
 
     def frame(self, frame: Frame) -> Frame:
         """Return the frame, with what it shows."""
@@ -54,38 +63,47 @@ def rigs(real: Path) -> dict[str, BoardRig]:
         for name, lidar in (("vlp16", "vlp-16"), ("hdl64", "hdl-64e"))
         for seed in (1, 2)
     }
+    found |= {
+        f"holes-{name}-{seed}": BoardRig(f"{_HOLES}&lidar={lidar}&seed={seed}", kinds=("holes",))
+        for name, lidar in (("vlp16", "vlp-16"), ("hdl64", "hdl-64e"), ("os1", "os1-64"))
+        for seed in (2,)
+    }
     if (real / "acfr_vlp16").is_dir():
         found = {"acfr_vlp16": BoardRig(f"folder:{real / 'acfr_vlp16'}", ACFR_BOARD), **found}
+    if (real / "boards_sim").is_dir():
+        found["boards_sim"] = BoardRig(f"folder:{real / 'boards_sim'}", SIM_BOARD)
     return found
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """What the methods of boards, and p2o, found in each frame, and the truth camera_from_lidar (4, 4)."""
+    """What a stage found in each frame, and the truth camera_from_lidar (4, 4)."""
 
-    sights: list[Sight]
-    views: list[Any]
+    found: list[Any]
     truth: Float
 
 
-def prepared(rig: BoardRig, kept: Path, free: bool) -> Prepared:
-    """Return what is found in the frames of a rig; it is kept in a folder, by what was asked."""
-    plan = Recipe.of(data=rig.data, options={"extractor": {"weights": rig.weights}}).resolve(Registry.load())
-    dataset, pipeline, stage = plan.dataset(), plan.calibrator(), zhou.METHOD.build(BoardOptions())
+def prepared(rig: BoardRig, kept: Path, kind: str, stage: Any, frames: int | None = None) -> Prepared:
+    """Return what a stage finds in the frames of a rig, or in so many of them; it is kept in a folder, by `kind`."""
+    dataset = Recipe.of(data=rig.data).resolve(Registry.load()).dataset()
     cache = FeatureCache(kept)
-    sights, views, truth = [], [], np.eye(4)
-    for number in range(len(dataset)):
-        key = content_hash(["boards", rig.data, number, free])
+    out, truth = [], np.eye(4)
+    for number in range(len(dataset) if frames is None else frames):
+        key = content_hash([kind, rig.data, number])
         found = cache.get(key)
         if found is None:
             frame = rig.frame(dataset[number])
-            cache.put(key, (stage.prepare(frame), pipeline.prepare(frame) if free else 0, frame.camera_from_lidar), 0.0)
+            cache.put(key, (stage.prepare(frame), frame.camera_from_lidar), 0.0)
             found = cache.get(key)
         assert found is not None
-        sight, view, truth = found.features
-        sights.append(sight)
-        views.append(view)
-    return Prepared(sights, views, truth)
+        seen, truth = found.features
+        out.append(seen)
+    return Prepared(out, truth)
+
+
+def sight_in(found: Any) -> Sight:
+    """Return the boards in what a stage found."""
+    return found if isinstance(found, Sight) else found.sight  # type: ignore[no-any-return]
 
 
 def row(name: str, method: str, poses: int, results: Sequence[Result], truth: Float) -> str:
@@ -121,25 +139,31 @@ def solve(stage: Any, found: Sequence[Any], truth: Float, poses: int, draws: int
     return out
 
 
-def boards(name: str, rig: BoardRig, kept: Path) -> None:
+def boards(name: str, rig: BoardRig, kept: Path, methods: Sequence[str]) -> None:
     """Print the rows of the methods of boards."""
-    found = prepared(rig, kept, False)
-    seen, pieces = sum(bool(s.boards) for s in found.sights), sum(bool(s.patches) for s in found.sights)
-    print(f"<!-- {name}: {seen} pictures and {pieces} sweeps of {len(found.sights)} show boards -->", flush=True)
-    for method, offered in METHODS.items():
-        stage = offered.build(offered.options())
-        for poses in POSES:
-            results = solve(stage, found.sights, found.truth, poses, DRAWS, "5deg 0.3m")
-            print(row(name, method, poses, results, found.truth), flush=True)
+    for kind in rig.kinds:
+        offers = {method: offer for method, offer in METHODS[kind].items() if method in methods}
+        if not offers:
+            continue
+        found = prepared(rig, kept, kind, FINDERS[kind].build(FINDERS[kind].options()))
+        sights = [sight_in(each) for each in found.found]
+        seen, pieces = sum(bool(s.boards) for s in sights), sum(bool(s.patches) for s in sights)
+        print(f"<!-- {name}: {seen} pictures and {pieces} sweeps of {len(sights)} show {kind} -->", flush=True)
+        for method, offered in offers.items():
+            stage = offered.build(offered.options())
+            own = sights if kind == "holes" and method != "velas" else found.found
+            for poses in [count for count in POSES if count <= len(own)]:
+                results = solve(stage, own, found.truth, poses, DRAWS, "5deg 0.3m")
+                print(row(name, method, poses, results, found.truth), flush=True)
 
 
-def targetless(name: str, rig: BoardRig, kept: Path) -> None:
-    """Print the rows of targetless p2o."""
-    found = prepared(rig, kept, True)
+def targetless(name: str, rig: BoardRig, kept: Path, few: bool) -> None:
+    """Print the rows of targetless p2o; only that of five poses, of the first five frames, with `few`."""
     plan = Recipe.of(data=rig.data, options={"extractor": {"weights": rig.weights}}).resolve(Registry.load())
     pipeline = plan.calibrator()
-    for poses, draws in zip(FREE_POSES, FREE_DRAWS, strict=True):
-        results = solve(pipeline, found.views, found.truth, poses, draws, "2deg 0.1m")
+    found = prepared(rig, kept, "p2o", pipeline, 5 if few else None)
+    for poses, draws in zip((5,) if few else FREE_POSES, (1,) if few else FREE_DRAWS, strict=True):
+        results = solve(pipeline, found.found, found.truth, poses, draws, "2deg 0.1m")
         print(row(name, "targetless p2o", poses, results, found.truth), flush=True)
 
 
@@ -204,6 +228,10 @@ def main() -> None:
     parser.add_argument("--real", type=Path, default=Path("build/data/rigs"), help="folder of the real rigs")
     parser.add_argument("--kept", type=Path, default=Path("build/boards-kept"), help="folder of what was found")
     parser.add_argument("--only", choices=("boards", "targetless"), help="leave the other rows out")
+    parser.add_argument(
+        "--methods", nargs="*", default=[m for each in METHODS.values() for m in each], help="their names"
+    )
+    parser.add_argument("--few", action="store_true", help="targetless p2o on the first five frames alone")
     parser.add_argument("--draw", type=Path, help="draw the first frame of the first rig into this file instead")
     arguments = parser.parse_args()
     known = rigs(arguments.real)
@@ -217,9 +245,9 @@ def main() -> None:
     print("|---|---|---|---|---|---|---|---|")
     for name, rig in chosen.items():
         if arguments.only != "targetless":
-            boards(name, rig, arguments.kept)
+            boards(name, rig, arguments.kept, arguments.methods)
         if arguments.only != "boards":
-            targetless(name, rig, arguments.kept)
+            targetless(name, rig, arguments.kept, arguments.few)
 
 
 if __name__ == "__main__":

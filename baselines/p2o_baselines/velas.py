@@ -33,7 +33,7 @@ from p2o_baselines.ring_discontinuity import ring_jumps
 from p2o_baselines.velo2cam import WAY
 
 _ALPHA, _GAMMA = 1 / 3, 0.9
-_STEPS = ((0.2, 0.02), (0.1, 0.01), (0.05, 0.005))  # deg and m
+_STEPS = ((0.2, 0.02), (0.1, 0.01), (0.05, 0.005))  # deg and m; no end is surer than the middle ones
 _WALK = 12
 _SAMPLES, _PARTS = 8, 24
 """So many times the jumps are drawn anew, in so many runs of neighbours."""
@@ -88,8 +88,8 @@ class Velas:
         for _ in range(_SAMPLES):
             drawn = [_resampled(part, rng) for part in parts]
             ends.append(se3.log(best_pose(drawn, pose, centre, _STEPS[1:], options) @ se3.inverse(pose)))
-        steps = np.array([np.radians(_STEPS[-1][0])] * 3 + [_STEPS[-1][1]] * 3)
-        covariance = np.cov(np.array(ends).T) + np.diag(steps**2 / 3) + self._shared(prepared, pose)
+        steps = np.array([np.radians(_STEPS[1][0])] * 3 + [_STEPS[1][1]] * 3)
+        covariance = np.cov(np.array(ends).T) + np.diag(steps**2) + self._shared(prepared)
         remark = unsure(covariance, pose, options)
         if remark:
             return replace(coarse, camera_from_lidar=coarse.start, status=Status.NOT_OBSERVABLE, reason=remark)
@@ -106,9 +106,8 @@ class Velas:
             ),
         )
 
-    def _shared(self, prepared: Sequence[Scene], pose: Float) -> Float:
+    def _shared(self, prepared: Sequence[Scene]) -> Float:
         """Return the covariance (6, 6) of errors that all edges share: of the camera's calibration."""
-        del pose
         focal = float(np.median([scene.camera.focal_px for scene in prepared]))
         turn = self.options.camera_px / focal
         return np.diag([turn, turn, turn, self.options.range_bias_m, self.options.range_bias_m, 3 * turn]) ** 2

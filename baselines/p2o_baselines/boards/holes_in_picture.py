@@ -37,6 +37,7 @@ _SEEN_OF_HOLE, _SEEN, _LEAST_HOLES = 0.35, 0.5, 3
 _LEAST_OUTLINE = 0.4  # and so much of the outline
 _SURE = 0.6  # where so much of both is, nothing better is looked for
 _MOST_RMS, _MOST_RMS_PX, _LEAST_RIM_PX = 0.03, 0.3, 0.1  # the first of the radius
+_ALIKE = 1.12  # poses whose edges scatter so little differently are as good
 _WALLED = 0.08  # sine of the angle between ray and board's normal, outwards
 _CUT = 2.5  # edges farther off than so many deviations are others
 
@@ -86,9 +87,29 @@ def hole_boards_in_picture(image: p2o.Image, targets: Sequence[p2o.Target]) -> t
                 best = (fit[0] * seen, board)
             if best is not None and best[0] > _SURE:
                 break
-        if best is not None:
-            found.append(best[1])
+        told = None if best is None else _told(levels, image.camera, best[1])
+        if told is not None:
+            found.append(told)
     return tuple(found)
+
+
+def _told(levels: Float, camera: p2o.Camera, board: BoardInPicture) -> BoardInPicture | None:
+    """Return the better of the two poses at which a small board looks nearly alike; None where both are as good."""
+    target = board.target
+    assert isinstance(target, HoleBoard)
+    ray = board.camera_from_board[:3, 3] / np.linalg.norm(board.camera_from_board[:3, 3])
+    normal = board.camera_from_board[:3, 2]
+    axis, sine = np.cross(normal, ray), float(np.linalg.norm(np.cross(normal, ray)))
+    if sine < 0.03:
+        return board
+    turn = se3.exp(np.r_[2 * np.arcsin(min(sine, 1.0)) * axis / sine, 0, 0, 0])
+    mirrored = se3.make(turn[:3, :3] @ board.camera_from_board[:3, :3], board.camera_from_board[:3, 3])
+    fit = refined_by_rims(levels, camera, target, mirrored)
+    if fit is None or se3.angle_deg(fit[1].camera_from_board @ se3.inverse(board.camera_from_board)) < 3.0:
+        return board
+    if max(fit[1].rms_px, board.rms_px) < _ALIKE * min(fit[1].rms_px, board.rms_px):
+        return None
+    return fit[1] if fit[1].rms_px < board.rms_px else board
 
 
 def _same(board: BoardInPicture, other: BoardInPicture) -> bool:

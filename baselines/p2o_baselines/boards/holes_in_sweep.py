@@ -21,8 +21,8 @@ _FLOOR_M = 0.002
 """No place of the pattern is taken to be surer than this: angles of beams have errors that a sweep does not show."""
 _MOST_COVERED, _LEAST_EXPLAINED = 0.3, 0.7
 """Of the returns that a solid board would have in its holes no more may be there; of rays through it so many must."""
-_LEAST_RIM, _LEAST_HOLES = 2, 3
-"""A hole counts as seen with so many places on its rim, and so many holes have to be seen."""
+_LEAST_RIM = 2
+"""So many places on the rim of every hole: with a hole that no ring crosses, a pattern may lie beside its own."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def _by_holes(rays: Rays, piece: BoardInSweep, target: HoleBoard) -> HoleBoardIn
     lidar_from_board = np.asarray(piece.lidar_from_board @ moved)
     rim, rim_of = rims(rays, piece, lidar_from_board, target, on)
     seen = np.bincount(rim_of, minlength=len(target.holes)) >= _LEAST_RIM
-    if seen.sum() < _LEAST_HOLES:
+    if not seen.all():
         return None
     base = {field.name: getattr(piece, field.name) for field in fields(BoardInSweep)}
     base["lidar_from_board"] = lidar_from_board
@@ -140,6 +140,8 @@ def fitted_pattern(
         place = np.asarray(end.x)
         insets = [float(wrong_m(xy, on, place, holes, each)) for each in _INSETS_M]
         inset = float(_INSETS_M[np.argmin(insets)])
+    if np.abs(place[:2]).max() > 1.5 * reach_m:  # away from the board, where nothing contradicts
+        return None
     sizes = np.array([reach_m, reach_m, 2 * reach_m / max(target.width_m, target.height_m)])
     place, covariance = averaged(lambda at: wrong_m(xy, on, at, holes, inset), place, sizes, rng)
     deep = inside_m(xy, place, holes) - inset
