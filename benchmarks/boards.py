@@ -23,8 +23,9 @@ from p2o.geometry.perturb import parse_perturbation
 from p2o.run.recipe import Recipe
 from p2o.work.cache import FeatureCache, content_hash
 from p2o_baselines import acsc, domhof, geiger, koo, mirzaei, velas, velo2cam, zhou
+from p2o_baselines.boards.holes_in_sweep import HoleBoardInSweep
 from p2o_baselines.boards.pairing import paired
-from p2o_baselines.boards.sight import BoardOptions, Sight
+from p2o_baselines.boards.sight import Sight
 
 METHODS = {
     "boards": {"zhou": zhou.METHOD, "koo": koo.METHOD, "geiger": geiger.METHOD, "mirzaei": mirzaei.METHOD},
@@ -36,7 +37,6 @@ FINDERS = {"boards": zhou.METHOD, "squares": acsc.METHOD, "holes": velas.METHOD}
 POSES, DRAWS = (1, 2, 3, 5, 10, 20), 10
 FREE_POSES, FREE_DRAWS = (1, 5, 20), (5, 2, 1)
 ACFR_BOARD = Checkerboard(5, 7, 0.095, 0.61, 0.85)
-SIM_BOARD = Checkerboard(8, 6, 0.07, 0.77, 0.63)
 _SIDE_PX = 560
 _HOLES = "synthetic:?targets=holes&exposure_ev=0&place=yard&frames_per_scene=20&right=false&width_px=1242&height_px=700"
 _YARD = "synthetic:?targets=checkerboard&place=yard&frames_per_scene=20&right=false&width_px=1242&height_px=700"
@@ -70,8 +70,6 @@ def rigs(real: Path) -> dict[str, BoardRig]:
     }
     if (real / "acfr_vlp16").is_dir():
         found = {"acfr_vlp16": BoardRig(f"folder:{real / 'acfr_vlp16'}", ACFR_BOARD), **found}
-    if (real / "boards_sim").is_dir():
-        found["boards_sim"] = BoardRig(f"folder:{real / 'boards_sim'}", SIM_BOARD)
     return found
 
 
@@ -167,7 +165,7 @@ def targetless(name: str, rig: BoardRig, kept: Path, few: bool) -> None:
         print(row(name, "targetless p2o", poses, results, found.truth), flush=True)
 
 
-def draw(rig: BoardRig, path: Path) -> None:
+def draw(rig: BoardRig, path: Path, number: int) -> None:
     """Draw what is found of a board: corners and axes in the picture, points, ends and outline of the sweep in both.
 
     On the left all on the picture, at the truth; on the right the sweep alone, seen along the board's normal.
@@ -177,7 +175,8 @@ def draw(rig: BoardRig, path: Path) -> None:
     frame = rig.frame(Recipe.of(data=rig.data).resolve(Registry.load()).dataset()[0])
     truth, camera = frame.camera_from_lidar, frame.camera
     assert truth is not None
-    pairing = paired([zhou.METHOD.build(BoardOptions()).prepare(frame)], truth)
+    finder = FINDERS[rig.kinds[0]]
+    pairing = paired([sight_in(finder.build(finder.options()).prepare(frame))], truth)
     assert pairing is not None
     pair = pairing.pairs[0]
     board, patch = pair.board, pair.patch
@@ -208,11 +207,18 @@ def draw(rig: BoardRig, path: Path) -> None:
         dots(canvas, place(patch.xyz), (40, 140, 255), 1)
         line(canvas, place(se3.apply(pair.lidar_from_board, board.target.outline)), (255, 160, 0), True)
         dots(canvas, place(patch.ends), (230, 30, 30), 4)
+        if isinstance(patch, HoleBoardInSweep):
+            dots(canvas, place(patch.rim), (230, 30, 30), 4)
+            for u, v, radius in patch.target.holes:
+                turn = np.linspace(0, 2 * np.pi, 60)
+                rim = np.stack([u + radius * np.cos(turn), v + radius * np.sin(turn), np.zeros(60)], axis=1)
+                line(canvas, place(se3.apply(pair.lidar_from_board, rim)), (255, 160, 0), True)
+    if isinstance(board.target, Checkerboard):
+        found = camera.project(se3.apply(board.camera_from_board, board.target.corners))
+    else:
+        found = board.uv
     dots(
-        left,
-        camera.project(se3.apply(board.camera_from_board, board.target.corners)) @ shrunk[:, :2].T + shrunk[:, 2],
-        (60, 255, 60),
-        4,
+        left, found @ shrunk[:, :2].T + shrunk[:, 2], (60, 255, 60), 4 if isinstance(board.target, Checkerboard) else 2
     )
     for axis, colour in enumerate(((255, 60, 60), (60, 255, 60), (110, 110, 255))):
         tip = 0.3 * np.eye(3)[axis] * (-1 if axis == 2 else 1)
@@ -232,12 +238,13 @@ def main() -> None:
         "--methods", nargs="*", default=[m for each in METHODS.values() for m in each], help="their names"
     )
     parser.add_argument("--few", action="store_true", help="targetless p2o on the first five frames alone")
-    parser.add_argument("--draw", type=Path, help="draw the first frame of the first rig into this file instead")
+    parser.add_argument("--draw", type=Path, help="draw a frame of the first rig into this file instead")
+    parser.add_argument("--frame", type=int, default=0, help="which frame is drawn")
     arguments = parser.parse_args()
     known = rigs(arguments.real)
     chosen = {name: known[name] for name in arguments.rig or known}
     if arguments.draw is not None:
-        draw(next(iter(chosen.values())), arguments.draw)
+        draw(next(iter(chosen.values())), arguments.draw, arguments.frame)
         return
     print(
         "| rig | method | poses | refused | deg, mean / median | cm, mean / median | likely error held | mean by axis |"

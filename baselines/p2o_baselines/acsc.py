@@ -83,6 +83,20 @@ def closed(pairs: Sequence[Pair], rough: Float) -> Float:
     return se3.make(cv2.Rodrigues(turn)[0], shift.ravel()) if found else rough
 
 
+def kept(pairs: Sequence[Pair], pose: Float) -> list[Pair]:
+    """Return the boards whose corners lie within half a square of where a pose has them; all where hardly any do.
+
+    A pattern that was laid one square beside its own would pull the pose: RANSAC has left it out.
+    """
+    good = []
+    for pair in pairs:
+        of, to = corners(pair)
+        off = float(np.median(np.linalg.norm(se3.apply(pose, of) - to, axis=1)))
+        if off < 0.5 * cast(Checkerboard, pair.board.target).square_m:
+            good.append(pair)
+    return good if 2 * len(good) > len(pairs) else list(pairs)
+
+
 def misfits(pair: Pair, pose: Float) -> Block:
     """Return by how much (2N,) in rad bearings of the sweep's corners are off those of the picture."""
     of, to = corners(pair)
@@ -112,6 +126,7 @@ WAY = Way(
     planes_only=False,
     closed=closed,
     cost=cost,
+    kept=kept,
     beside=" and whose reflectances show its squares",
 )
 

@@ -94,7 +94,7 @@ def build(options: BoardOptions) -> p2o.Calibrator:
     return BoardMethod(options, WAY)
 
 
-_BOARDS = "targets=checkerboard&place=yard&frames_per_scene=10&width_px=621&height_px=350&right=false&lidar=hdl-64e"
+_BOARDS = "targets=checkerboard&place=yard&frames_per_scene=5&width_px=621&height_px=350&right=false&lidar=hdl-64e"
 METHOD = p2o.Method(
     name="koo",
     build=build,

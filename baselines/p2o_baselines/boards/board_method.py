@@ -26,8 +26,8 @@ class Way:
 
     `least` boards are needed, `planes_only` if borders say nothing. `closed(pairs, rough pose)` is the closed form,
     `cost(pairs, pose)` what is then minimised, with weights as they are at a pose; `rounds` is how often these are
-    taken anew. `hypotheses` proposes poses for the choice of pairs. `kind` is what it looks for and `beside` what
-    else a piece of a sweep has to show, in words;
+    taken anew. `hypotheses` proposes poses for the choice of pairs; `kept(pairs, pose)` are those that go on after the
+    closed form. `kind` is what it looks for and `beside` what else a piece of a sweep has to show, in words;
     `sight(frame, options)` finds that.
     """
 
@@ -37,6 +37,7 @@ class Way:
     cost: Callable[[Sequence[Pair], Float], Cost]
     rounds: int = 1
     hypotheses: Hypotheses = by_outline
+    kept: Callable[[Sequence[Pair], Float], Sequence[Pair]] = lambda pairs, pose: pairs
     kind: str = "checkerboard"
     beside: str = ""
     sight: Callable[[p2o.Frame, BoardOptions], Sight] = sight_of
@@ -73,6 +74,8 @@ class BoardMethod:
         if flat:
             return _refused(told, Status.NOT_OBSERVABLE, flat)
         pose = way.closed(pairs, pairing.camera_from_lidar)
+        pairs = tuple(way.kept(pairs, pose))
+        told = replace(told, matches={"boards": len(pairs), "points": sum(len(pair.patch.xyz) for pair in pairs)})
         for _ in range(way.rounds):
             cost = way.cost(pairs, pose)
             pose = adjusted(pairs, cost, pose)
