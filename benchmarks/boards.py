@@ -172,7 +172,7 @@ def draw(rig: BoardRig, path: Path, number: int) -> None:
     """
     import cv2
 
-    frame = rig.frame(Recipe.of(data=rig.data).resolve(Registry.load()).dataset()[0])
+    frame = rig.frame(Recipe.of(data=rig.data).resolve(Registry.load()).dataset()[number])
     truth, camera = frame.camera_from_lidar, frame.camera
     assert truth is not None
     finder = FINDERS[rig.kinds[0]]
