@@ -63,8 +63,10 @@ ONLY_CHECKED = (
     (r"^python benchmarks/", "minutes to hours"),
     (r"^python -c .*build/data|build/data/|@benchmarks/splits|/data/kitti", "frames of KITTI or of other rigs"),
     (r"kitti-odometry:PATH", "frames of KITTI odometry"),
-    (r"--calibrator (zhou|koo|geiger|mirzaei)", "tests/test_conformance.py, on ten frames with boards"),
-    (r"--calibrator (kuemmerle|pusztai|gong)", "tests/test_conformance.py, on a few frames with balls or boxes"),
+    (
+        r"--calibrator (acsc|domhof|geiger|gong|koo|kuemmerle|mirzaei|pusztai|velas|velo2cam|zhou)",
+        "tests/test_conformance.py, on frames with targets",
+    ),
     (r"\b(argoverse2|kitti-360|once|pandaset|waymo):/", "tests/plugins/data/test_public_rigs.py, on small files"),
     (r"^(time )?p2o (ablate (?!--list)|basin)", "minutes to hours"),
     (r"^p2o report (out|p2o-out)", "it needs what such a study has left; the tutorial's is reported"),
