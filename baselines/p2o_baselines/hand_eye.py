@@ -170,6 +170,8 @@ class HandEyeCalibration:
             "; ".join((said, *told, *off)),
             covariance=found.covariance,
             accuracy=None if openings else accuracy(found.covariance),
+            # What the start gave nobody has measured, however well the edges of a witness meet there.
+            verdict=p2o.Verdict(tuple(p2o.Reason(p2o.Doubt.TOO_UNSURE, text) for text in told)),
             matches=matches,
             residual_px={"tracks": off_px},
             time=None if delay is None else p2o.TimeOffset(delay.delay_s, delay.sigma_s, used=False),

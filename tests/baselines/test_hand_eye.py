@@ -194,6 +194,8 @@ def test_an_open_direction_is_said_and_taken_from_the_start_or_refused(drive: li
     assert "taken from the start" in filled.reason
     assert filled.warnings
     assert filled.accuracy is None
+    # A witness adds its agreement to this reason, and does not take it away.
+    assert [reason.doubt for reason in filled.verdict.reasons] == [p2o.Doubt.TOO_UNSURE]
     refused = method(**options, fill=False).solve(moments, start)
     assert refused.status is p2o.Status.NOT_OBSERVABLE
     assert "the motion does not tell the rotation about" in refused.reason
