@@ -253,6 +253,20 @@ def test_a_board_is_found_in_a_sweep_by_its_size_alone(apex_m: float) -> None:
     assert len(best.ends) >= 6
 
 
+@pytest.mark.parametrize("apex_m", [0.0, 0.12])
+def test_a_board_in_a_motion_compensated_sweep_is_where_its_points_are(apex_m: float) -> None:
+    """All is measured 10 ms after the picture from a car that goes on and turns: the board moves with its points."""
+    truth, twist = poses(1, seed=2)[0], np.array([0.0, 0, 0.5, 4.0, 0, 0])
+    still = sweep(truth, 0.015, apex_m=apex_m)
+    raw = replace(still, time_s=np.full(len(still), 0.01))
+    before, after = (
+        boards_in_sweep(cloud, [SIZE], farthest_m=12, sigma_m=0.04)[0] for cloud in (raw, raw.untwisted(twist))
+    )
+    on_time = se3.exp(0.01 * twist)
+    np.testing.assert_allclose(after.xyz, se3.apply(on_time, before.xyz), atol=1e-9)
+    np.testing.assert_allclose(after.lidar_from_board, on_time @ before.lidar_from_board, atol=1e-4)
+
+
 def test_a_wall_and_a_board_of_another_size_are_none() -> None:
     truth = poses(1, seed=2)[0]
     assert boards_in_sweep(sweep(None, 0.015), [SIZE], farthest_m=12, sigma_m=0.04) == ()

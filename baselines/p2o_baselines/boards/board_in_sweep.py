@@ -10,6 +10,7 @@ import p2o
 from p2o import se3
 from p2o.arrays import Bool, Float, Int
 from p2o.frames.rings import told_rings
+from p2o.geometry.motion import moved
 
 from p2o_baselines.boards.rectangle import Holes, Rectangle, fitted, inside_m
 
@@ -69,22 +70,22 @@ class BoardInSweep:
 class Rays:
     """A sweep by rings: points (N, 3) sorted by ring and azimuth, their `ring` and `azimuth`, and the usual `step`.
 
-    Beams start at `height_m` (N,) on the z axis: those of some sensors cross it beside the origin.
+    Rings and azimuths are those of the sweep as it was measured; points, and where their beams `start` (N, 3), are
+    those of the sweep as it is, motion-compensated or raw. Beams of some sensors start above or below the origin.
     """
 
     xyz: Float
     ring: Int
     azimuth: Float
     step_rad: float
-    height_m: Float
+    start: Float
 
     def meet(self, normal: Float, offset_m: float) -> tuple[Float, Float]:
         """Return where each ray meets the plane normal . x = offset, (N, 3), and the cosine (N,) at which it does.
 
         What does not meet it before the sensor is far away.
         """
-        start = np.zeros_like(self.xyz)
-        start[:, 2] = self.height_m
+        start = self.start
         way = self.xyz - start
         way /= np.maximum(np.linalg.norm(way, axis=1), 1e-9)[:, None]
         cosine = way @ normal
@@ -122,8 +123,12 @@ def rays_of(cloud: p2o.Cloud, farthest_m: float) -> Rays:
     order = np.lexsort((azimuth, ring))
     step = np.diff(azimuth[order])
     step = step[(np.diff(ring[order]) == 0) & (step > 1e-5)]
-    xyz, ring = xyz[order], ring[order]
-    return Rays(xyz, ring, azimuth[order], float(np.median(step)) if len(step) else 0.003, _heights(xyz, ring))
+    start = np.zeros_like(xyz)
+    start[order, 2] = _heights(xyz[order], ring[order])
+    if cloud.twist is not None and cloud.time_s is not None:
+        start = moved(cloud.twist, cloud.time_s, start)
+    usual = float(np.median(step)) if len(step) else 0.003
+    return Rays(cloud.xyz[order], ring[order], azimuth[order], usual, start[order])
 
 
 def _heights(xyz: Float, ring: Int) -> Float:

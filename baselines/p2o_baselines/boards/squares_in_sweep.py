@@ -43,7 +43,7 @@ def squares_of(cloud: p2o.Cloud, piece: BoardInSweep, target: Checkerboard) -> S
 
     if cloud.intensity is None:
         return None
-    index = cKDTree(cloud.as_measured()).query(piece.xyz)[1]
+    index = cKDTree(cloud.xyz).query(piece.xyz)[1]
     bright = two_levels(cloud.intensity[index])
     if bright is None:
         return None

@@ -205,8 +205,7 @@ def _fitted(xyz: Float, pose: Float, size: Float, sigma_m: float) -> tuple[Float
 
 def _evidence(rays: Rays, pose: Float, size: Float, within_m: float) -> tuple[float, float]:
     """Return the share of the rays that meet a box that end on it, and of those just beside it that end near it."""
-    start = np.zeros_like(rays.xyz)
-    start[:, 2] = rays.height_m
+    start = rays.start
     near = np.linalg.norm(rays.xyz - start, axis=1)
     way = (rays.xyz - start) / np.maximum(near, 1e-9)[:, None]
     to = pose[:3, 3] - start

@@ -159,8 +159,7 @@ def _through(xyz: Float, radius: float, rng: np.random.Generator) -> Float:
 
 def _stands(rays: Rays, centre: Float, radius: float, within_m: float) -> bool:
     """Whether rays well inside of a ball's outline end on it, and those beside it go past."""
-    start = np.zeros_like(rays.xyz)
-    start[:, 2] = rays.height_m
+    start = rays.start
     way = rays.xyz - start
     distance = np.linalg.norm(way, axis=1)
     way = way / np.maximum(distance, 1e-9)[:, None]
