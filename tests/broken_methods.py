@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -153,6 +154,18 @@ def sees_ghosts(image: p2o.Image) -> p2o.ImageFeatures:
     return p2o.ImageFeatures(features=[found if len(found) else kinds.Spots(np.ones((100_000, 2)))])
 
 
+INSIDE: list[int] = []
+
+
+def alone_only(image: p2o.Image) -> p2o.ImageFeatures:
+    INSIDE.append(1)
+    time.sleep(0.05)
+    crowd = len(INSIDE)
+    INSIDE.pop()
+    found = kinds.spots_of(image)
+    return p2o.ImageFeatures(features=[found.select(slice(None, None, crowd))])
+
+
 def needs_two_points(cloud: p2o.Cloud) -> p2o.CloudFeatures:
     assert cloud.xyz[1].any()
     return p2o.CloudFeatures(features=[kinds.marks_of(cloud)])
@@ -160,6 +173,7 @@ def needs_two_points(cloud: p2o.Cloud) -> p2o.CloudFeatures:
 
 image_method("a kind that is not told of", greys_too, "features_are_those_that_are_given")
 image_method("spots at random", at_random, "features_repeat")
+image_method("spots that threads share", alone_only, "calls_at_once_find_the_same", parallel=True)
 image_method("spots that write", writing(spots), "extractor_input_is_unchanged")
 image_method("spots out of nothing", sees_ghosts, "a_featureless_input_is_no_crash")
 image_method("no frames to look at", spots, "there_are_frames_to_check_it_on", needs={"targets", "twist", "rings"})

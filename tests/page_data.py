@@ -53,6 +53,8 @@ def written(root: Path) -> Path:
     shutil.copy(
         ROOT / "plugins/p2o_plugins/weights/p2ornet-synthetic.safetensors", root / "trained/weights.safetensors"
     )
+    (root / "lccnet").mkdir()
+    shutil.copy(ROOT / "baselines/p2o_baselines/weights/lccnet-small.safetensors", root / "lccnet/weights.safetensors")
     (root / "trained/weights.json").write_text('{"level": 30}')
     return root
 

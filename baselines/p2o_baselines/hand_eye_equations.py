@@ -218,6 +218,15 @@ def first_guess(steps: Steps) -> tuple[Float, Float]:
     return p2o.se3.make(rotation, t), information
 
 
+def _scaled(matrix: Float) -> tuple[Float, Float]:
+    """Return scales (6,) and a matrix (6, 6) between them, of ones on its diagonal, that is never quite singular.
+
+    Turns are known to fractions of a milliradian where the height is open by metres: rounding alone loses it.
+    """
+    scale = 1.0 / np.sqrt(np.diagonal(matrix))
+    return scale, matrix * scale[:, None] * scale + 1e-13 * np.eye(6)
+
+
 def solved(steps: Steps, camera_from_lidar: Float, *, overlap: float = 1.0, iterations: int = 50) -> HandEye:
     """Return the extrinsic with the least squares over all steps, from a first one (4, 4).
 
@@ -230,7 +239,8 @@ def solved(steps: Steps, camera_from_lidar: Float, *, overlap: float = 1.0, iter
     for _ in range(iterations):
         _, normal, gradient, _ = _normal_equations(steps, pose)
         # No floor here: nothing draws to the first pose, damping only holds what is open.
-        update = -np.linalg.solve(normal + floor, gradient)
+        scale, scaled = _scaled(normal + floor)
+        update = -scale * np.linalg.solve(scaled, scale * gradient)
         size = np.abs(update)
         update = update * min(1.0, 0.3 / max(float(size[:3].max()), 1e-12), 1.0 / max(float(size[3:].max()), 1e-12))
         pose = p2o.se3.exp(update) @ pose
@@ -238,7 +248,8 @@ def solved(steps: Steps, camera_from_lidar: Float, *, overlap: float = 1.0, iter
             break
     weight, normal, _, off = _normal_equations(steps, pose)
     freedom = max(float(weight.sum()) / max(overlap, 1.0) - 1.5, 0.5) / max(float(weight.sum()), 1e-9)
-    covariance = np.linalg.inv(normal * freedom + floor)
+    scale, scaled = _scaled(normal * freedom + floor)
+    covariance = scale[:, None] * np.linalg.inv(scaled) * scale
     total = max(float(weight.sum()), 1e-12)
     square = (weight[:, None] * off**2).sum(axis=0) / total
     return HandEye(
