@@ -378,7 +378,7 @@ def _check_python(command: Command, words: list[str], monkeypatch: pytest.Monkey
 def _listed(value: Any) -> list[str]:
     if value is None:
         return []
-    return [part for text in ([value] if isinstance(value, str) else value) for part in str(text).split(",")]
+    return [part for text in ([value] if isinstance(value, str | Path) else value) for part in str(text).split(",")]
 
 
 @pytest.mark.parametrize("page", pages())
