@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from p2o_plugins.cloud.ground_plane import ground_plane
 from p2o_plugins.cloud.open_sky import FAR_M, opened
+from p2o_plugins.cloud.sensor_place import in_sensor_frame, sensor_place
 from p2o_plugins.cloud.sweep import Neighbours, Returns, Sweep, across_rings, along_ring, order_sweep
 
 
@@ -74,6 +75,10 @@ class RingsOptions(JumpOptions):
         help="Things against the open sky seem wider on each side by this share of the step along a ring: beams that "
         "graze them still come back.",
     )
+    find_sensor: bool = field(
+        True,
+        help="Ask the rings where their sensor is, and see edges from there; false: at the origin of the cloud, z up.",
+    )
     without_rings: Literal["range-view", "refuse"] = field(
         "range-view", help="Clouds that do not tell their rings: as `range-view` does, with a warning, or an error."
     )
@@ -105,10 +110,15 @@ def ring_edges(cloud: Cloud, options: RingsOptions) -> CloudFeatures:
 
     Sides are named as a viewer at the sensor with its +z axis up would name them: left is rising azimuth, upper is
     rising elevation. The edge point is the nearer return, moved half a gap towards the background beam; a return may
-    carry several sides and then gives several rows. Missing returns make no edge. Raises RingsUnknownError where
-    the rings cannot be told (see `order_sweep`).
+    carry several sides and then gives several rows. Missing returns make no edge. A sensor that is elsewhere than at
+    the origin (see `sensor_place`) names them from where it is. Raises RingsUnknownError where the rings cannot be told
+    (see `order_sweep`).
     """
     sweep = order_sweep(cloud)
+    place = sensor_place(sweep) if options.find_sensor else None
+    if place is not None:
+        there = options.model_copy(update={"find_sensor": False})
+        return _moved(ring_edges(in_sensor_frame(cloud, place), there), place)
     left, right = along_ring(sweep, options.max_gap_deg)
     upper, lower = (across_rings(sweep, s, 0.5 * options.max_gap_deg, options.max_step_deg) for s in (-1, 1))
     plane = ground_plane(sweep, options.seed) if options.ground_height_m > 0 else None
@@ -147,6 +157,16 @@ def ring_edges(cloud: Cloud, options: RingsOptions) -> CloudFeatures:
         parts.append((xyz, np.full(len(rows), side), weight, sigma, towards_background(xyz, side), time_s))
     edges = CloudEdges(*(np.concatenate(column) for column in zip(*parts, strict=True)))
     return CloudFeatures(edges, surface)
+
+
+def _moved(found: CloudFeatures, cloud_from_sensor: Float) -> CloudFeatures:
+    """Return what was found in the frame of the sensor in that of the cloud, with a remark that says where it is."""
+    x, y, z = cloud_from_sensor[:3, 3]
+    tilt = np.degrees(np.arccos(np.clip(cloud_from_sensor[2, 2], -1, 1)))
+    said = f"the rings say that their sensor is at ({x:.2f}, {y:.2f}, {z:.2f}) m in the frame of the cloud"
+    said += f", tilted by {tilt:.0f} deg" if tilt >= 1 else ""
+    remark = CloudRemarks((f"{said}, and not at its origin: edges are those that are seen from there",))
+    return found.moved(cloud_from_sensor).having(remark)
 
 
 def _sure(sweep: Sweep, neighbours: dict[Side, Neighbours], side: Side, rows: Int, options: RingsOptions) -> Int:

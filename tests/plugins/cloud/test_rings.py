@@ -351,7 +351,8 @@ def test_every_option_changes_the_outcome():
         "open_gap_deg": 60.0,
         "open_wider_beams": 1.0,
     }
-    assert set(changes) | {"without_rings"} == set(RingsOptions.model_fields)
+    # The other two are of clouds that this one is not: without rings, and in another frame than its sensor's.
+    assert set(changes) | {"without_rings", "find_sensor"} == set(RingsOptions.model_fields)
     base = {"neighbour_m": 0.3, "min_neighbours": 4, "open_least_deg": -90.0}
 
     def outcome(**options):
