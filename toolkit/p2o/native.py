@@ -35,6 +35,18 @@ def cores() -> int:
     return min(count, int(asked)) if asked.isdecimal() and int(asked) else count
 
 
+def has_gpu_driver() -> bool:
+    """Return whether a driver of GPUs is installed that PyTorch may compute with; whether there is a GPU, it may tell.
+
+    NVIDIA's driver is a library, AMD's shows as a device of Linux. Looking takes less than a millisecond.
+    """
+    try:
+        ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
+    except OSError:
+        return os.path.exists("/dev/kfd")
+    return True
+
+
 def import_keeping_signals(name: str) -> Any:
     """Return a module that is imported without what it does to requests to end.
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,12 +24,15 @@ from p2o import (
     occlusion,
 )
 from p2o.arrays import Float, UInt8
+from p2o.native import has_gpu_driver
 
 from p2o_plugins.p2ornet.options import PRESETS, TrainingOptions
 from p2o_plugins.p2ornet.shipped import path_of
 
 if TYPE_CHECKING:
-    from p2o_plugins.p2ornet.network import P2ORNet
+    import torch
+
+    from p2o_plugins.p2ornet.design import Shape
 
 
 class P2ORNetOptions(Options):
@@ -48,23 +51,24 @@ class P2ORNetOptions(Options):
         le=255,
         help="Edges are dropped where the picture changes by less than this within 3 px, in grey levels; 0: off.",
     )
-    device: str = field("auto", pattern="^(auto|cpu|cuda(:[0-9]+)?)$", help="auto takes a GPU where there is one.")
+    device: str = field(
+        "auto",
+        pattern="^(auto|cpu|cuda(:[0-9]+)?)$",
+        help="auto takes a GPU where PyTorch sees one, which is asked only where a driver of one is installed; the "
+        "processor needs no PyTorch.",
+    )
 
 
 def build(options: P2ORNetOptions) -> ImageExtractor:
     """Return the extractor; the weights are read here. Raises InputError if they cannot be."""
-    from p2o_plugins.p2ornet.weights import load_weights
-
     path = path_of(options.weights)
-    network, shape = load_weights(path)
-    device = _device(options.device)
-    network = folded(network).to(device)
+    predict, shape = _predictor(options.device, path)
     slope, offset = _calibration(shape.about.get("calibration", "1 0"), path)
 
     def extract(image: Image) -> ImageFeatures:
         from p2o_plugins.p2ornet.thinning import peaks, side_probabilities
 
-        maps = side_probabilities(probabilities(network, image.rgb))
+        maps = side_probabilities(predict(image.rgb))
         # The threshold on confidence, undone through its calibration, keeps the lists short from the start.
         found = peaks(maps, min_score=0.02)
         confidence = calibrated(found.score, slope, offset)
@@ -123,77 +127,37 @@ def long_enough(pixel: Float, side: Any, size: tuple[int, int], min_line_px: int
     return out
 
 
-def probabilities(network: P2ORNet, rgb: UInt8) -> Float:
-    """Return class probabilities (inclinations, 3, H, W) of every pair of pixels of a picture (H, W, 3).
+def _predictor(device: str, path: Path) -> tuple[Callable[[UInt8], Float], Shape]:
+    """Return what makes probabilities of a picture (see `graph.Predictor`) with the weights of a file, and its shape."""
+    from p2o_plugins.p2ornet.weights import load_weights
 
-    The processor computes them on one thread: other numbers of threads give other last bits, and several pictures at
-    once use several cores better.
-    """
+    tensors, shape = load_weights(path)
+    gpu = _gpu(device)
+    if gpu is None:
+        from p2o_plugins.p2ornet.graph import Predictor
+
+        return Predictor(tensors, shape), shape
+    from p2o_plugins.p2ornet.network import P2ORNet, order_probabilities, placed
+
+    return partial(order_probabilities, placed(P2ORNet.of(shape, tensors), gpu)), shape
+
+
+def _gpu(device: str) -> torch.device | None:
+    """Return the GPU that computes, or None for the processor, for which torch is not imported."""
+    if device == "cpu" or (device == "auto" and not has_gpu_driver()):
+        return None
     import torch
 
-    device = next(network.parameters()).device
-    with torch.inference_mode(), _one_thread():
-        x = torch.from_numpy(np.array(rgb, order="C")).to(device).permute(2, 0, 1)[None]
-        x = x.to(torch.float32).div_(255).contiguous(memory_format=torch.channels_last)
-        p = network(x).softmax(dim=2)[0]
-    return np.asarray(p.cpu().numpy(), dtype=np.float32)
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Hold PyTorch to one thread; the number is this thread's own, others keep theirs."""
-    import torch
-
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
-
-
-def folded(network: P2ORNet) -> P2ORNet:
-    """Return the network with its batch norms folded into the convolutions before them: the same, and quicker.
-
-    1x1 convolutions become products of matrices: the same on one thread, without copies.
-    """
-    import torch
-    from torch import nn
-    from torch.nn.utils.fusion import fuse_conv_bn_eval
-
-    from p2o_plugins.p2ornet.network import Pointwise
-
-    def fold(module: nn.Module) -> None:
-        last: tuple[str, nn.Module] | None = None
-        for name, child in list(module.named_children()):
-            if isinstance(child, nn.BatchNorm2d) and last is not None and isinstance(last[1], nn.Conv2d):
-                module._modules[last[0]] = fuse_conv_bn_eval(last[1], child)
-                module._modules[name] = nn.Identity()
-            fold(child)
-            last = (name, child)
-
-    with torch.no_grad():
-        fold(network.eval())
-        for module in list(network.modules()):
-            for name, child in module.named_children():
-                if Pointwise.fits(child):
-                    module._modules[name] = Pointwise(child)
-    return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
-
-
-def _device(name: str) -> Any:
-    import torch
-
-    if name == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    if name != "cpu" and int(name.partition(":")[2] or 0) >= torch.cuda.device_count():
+    if device == "auto":
+        return torch.device("cuda") if torch.cuda.is_available() else None
+    if int(device.partition(":")[2] or 0) >= torch.cuda.device_count():
         raise InputError(
             "there is no such GPU",
             where="device",
             expected=f"cpu, or one of {torch.cuda.device_count()} GPUs",
-            got=name,
+            got=device,
         )
-    return torch.device(name)
+    return torch.device(device)
 
 
 def label(frame: Frame) -> bytes:

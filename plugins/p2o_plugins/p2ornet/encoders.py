@@ -1,10 +1,6 @@
-"""The encoders a P2ORNet can be built with: what turns a picture into feature maps of falling resolution.
+"""The encoders a P2ORNet can be trained with: what turns a picture into feature maps of falling resolution.
 
-Each is a module whose `forward` returns its maps from fine to coarse, `channels` of them at `strides`; odd sizes are
-rounded up at every step. `multiple` is what the size of a picture must be a multiple of for the maps to lie over it as
-they do over pictures of other sizes: SAME padding moves them by half a cell where a size is odd. Normalisation of the
-picture is part of the encoder (`mean`, `std`, per colour of an RGB in 0..1), because it belongs to the weights that the
-encoder was trained with.
+Each is a module whose `forward` returns its maps from fine to coarse, as its `plan` says (`design.EncoderPlan`).
 """
 
 from __future__ import annotations
@@ -15,18 +11,18 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+from p2o_plugins.p2ornet.design import PLANS, Block
 
 
 class Bottleneck(nn.Module):
     """ResNet's bottleneck block, version 1.5 (the stride sits in the 3x3 convolution)."""
 
-    def __init__(self, inputs: int, width: int, stride: int) -> None:
+    def __init__(self, block: Block) -> None:
         super().__init__()
-        outputs = 4 * width
+        inputs, width, outputs, kernel, stride = block[1:]
         self.conv1 = nn.Conv2d(inputs, width, 1, bias=False)
         self.bn1 = nn.BatchNorm2d(width)
-        self.conv2 = nn.Conv2d(width, width, 3, stride, 1, bias=False)
+        self.conv2 = nn.Conv2d(width, width, kernel, stride, 1, bias=False)
         self.bn2 = nn.BatchNorm2d(width)
         self.conv3 = nn.Conv2d(width, outputs, 1, bias=False)
         self.bn3 = nn.BatchNorm2d(outputs)
@@ -46,24 +42,16 @@ class ResNet50(nn.Module):
     """ResNet-50 up to layer3, as P2ORNet uses it (He et al., CVPR 2016); parameter names are torchvision's."""
 
     name = "resnet50"
-    channels = (64, 256, 512, 1024)
-    strides = (2, 4, 8, 16)
-    multiple = 1
-    mean, std = IMAGENET_MEAN, IMAGENET_STD
+    plan = PLANS[name]
 
     def __init__(self) -> None:
         super().__init__()
         self.conv1 = nn.Conv2d(3, 64, 7, 2, 3, bias=False)
         self.bn1 = nn.BatchNorm2d(64)
-        self.layer1 = self._layer(64, 64, 3, 1)
-        self.layer2 = self._layer(256, 128, 4, 2)
-        self.layer3 = self._layer(512, 256, 6, 2)
-
-    @staticmethod
-    def _layer(inputs: int, width: int, count: int, stride: int) -> nn.Sequential:
-        blocks = [Bottleneck(inputs, width, stride)]
-        blocks += [Bottleneck(4 * width, width, 1) for _ in range(count - 1)]
-        return nn.Sequential(*blocks)
+        self.layer1, self.layer2, self.layer3 = (
+            nn.Sequential(*(Bottleneck(block) for block in self.plan.blocks if block.name.startswith(layer)))
+            for layer in ("layer1.", "layer2.", "layer3.")
+        )
 
     def forward(self, x: Tensor) -> list[Tensor]:
         """Return the maps at strides 2, 4, 8 and 16 of normalised pictures (N, 3, H, W)."""
@@ -102,17 +90,17 @@ class SamePadded(nn.Conv2d):
 class InvertedBottleneck(nn.Module):
     """EfficientNet-lite's block: expand, depthwise, project; no squeeze-and-excitation, ReLU6."""
 
-    def __init__(self, inputs: int, outputs: int, kernel: int, stride: int, expand: int) -> None:
+    def __init__(self, block: Block, epsilon: float) -> None:
         super().__init__()
-        width = inputs * expand
-        self.expand = expand != 1
+        inputs, width, outputs, kernel, stride = block[1:]
+        self.expand = width != inputs
         if self.expand:
             self._expand_conv = nn.Conv2d(inputs, width, 1, bias=False)
-            self._bn0 = nn.BatchNorm2d(width, eps=1e-3, momentum=0.01)
+            self._bn0 = nn.BatchNorm2d(width, eps=epsilon, momentum=0.01)
         self._depthwise_conv = SamePadded(width, width, kernel, stride, groups=width, bias=False)
-        self._bn1 = nn.BatchNorm2d(width, eps=1e-3, momentum=0.01)
+        self._bn1 = nn.BatchNorm2d(width, eps=epsilon, momentum=0.01)
         self._project_conv = nn.Conv2d(width, outputs, 1, bias=False)
-        self._bn2 = nn.BatchNorm2d(outputs, eps=1e-3, momentum=0.01)
+        self._bn2 = nn.BatchNorm2d(outputs, eps=epsilon, momentum=0.01)
         self.residual = stride == 1 and inputs == outputs
 
     def forward(self, x: Tensor) -> Tensor:
@@ -124,39 +112,17 @@ class InvertedBottleneck(nn.Module):
         return out
 
 
-_LITE0 = (
-    # repeats, kernel, stride, expansion, outputs
-    (1, 3, 1, 1, 16),
-    (2, 3, 2, 6, 24),
-    (2, 5, 2, 6, 40),
-    (3, 3, 2, 6, 80),
-    (3, 5, 1, 6, 112),
-    (4, 5, 2, 6, 192),
-    (1, 3, 1, 6, 320),
-)
-_LITE0_TAPS = (0, 2, 4, 10, 15)
-"""After which blocks a map is handed on: the last ones of strides 2, 4, 8, 16 and 32."""
-
-
 class EfficientNetLite0(nn.Module):
     """EfficientNet-lite0 without its classifier; parameter names are those of the weights' package."""
 
     name = "efficientnet-lite0"
-    channels = (16, 24, 40, 112, 320)
-    strides = (2, 4, 8, 16, 32)
-    multiple = 32
-    mean, std = (127 / 255,) * 3, (128 / 255,) * 3
+    plan = PLANS[name]
 
     def __init__(self) -> None:
         super().__init__()
         self._conv_stem = SamePadded(3, 32, 3, 2, bias=False)
-        self._bn0 = nn.BatchNorm2d(32, eps=1e-3, momentum=0.01)
-        blocks, inputs = [], 32
-        for repeats, kernel, stride, expand, outputs in _LITE0:
-            for i in range(repeats):
-                blocks.append(InvertedBottleneck(inputs, outputs, kernel, stride if i == 0 else 1, expand))
-                inputs = outputs
-        self._blocks = nn.ModuleList(blocks)
+        self._bn0 = nn.BatchNorm2d(32, eps=self.plan.epsilon, momentum=0.01)
+        self._blocks = nn.ModuleList(InvertedBottleneck(block, self.plan.epsilon) for block in self.plan.blocks)
 
     def forward(self, x: Tensor) -> list[Tensor]:
         """Return the maps at strides 2, 4, 8, 16 and 32 of normalised pictures (N, 3, H, W)."""
@@ -164,7 +130,7 @@ class EfficientNetLite0(nn.Module):
         x = F.relu6(self._bn0(self._conv_stem(x)), inplace=True)
         for number, block in enumerate(self._blocks):
             x = block(x)
-            if number in _LITE0_TAPS:
+            if number in self.plan.taps:
                 maps.append(x)
         return maps
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
 import torch
+from numpy.typing import NDArray
+from p2o.arrays import Float, UInt8
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from p2o_plugins.p2ornet.encoders import EfficientNetLite0, ResNet50
-
-INCLINATIONS = {4: ("east", "south"), 8: ("east", "south", "south_east", "north_east")}
-"""By connectivity, the neighbours whose order against a pixel is told; the order of the heads."""
-CLASSES = 3
-"""Per pair: 0 its first pixel is occluded by the second, 1 neither, 2 the first pixel occludes the second."""
+from p2o_plugins.p2ornet.design import CLASSES, INCLINATIONS, Shape
+from p2o_plugins.p2ornet.encoders import ENCODERS, EfficientNetLite0, ResNet50
 
 
 class DoubleConv(nn.Sequential):
@@ -39,28 +41,6 @@ class Up(nn.Module):
         return y
 
 
-class Pointwise(nn.Module):
-    """A 1x1 convolution of one picture as a product of matrices, for maps with channels last.
-
-    On one thread PyTorch computes these convolutions so, too, but copies each map first.
-    """
-
-    def __init__(self, convolution: nn.Conv2d) -> None:
-        super().__init__()
-        self.weight, self.bias = nn.Parameter(convolution.weight[:, :, 0, 0].contiguous()), convolution.bias
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Return maps (N, outputs, H, W) of maps (N, inputs, H, W)."""
-        return F.linear(x.permute(0, 2, 3, 1), self.weight, self.bias).permute(0, 3, 1, 2)
-
-    @staticmethod
-    def fits(module: nn.Module) -> bool:
-        """Return whether a module is a convolution that this can stand in for."""
-        if not isinstance(module, nn.Conv2d) or module.kernel_size != (1, 1):
-            return False
-        return module.stride == (1, 1) and module.padding == (0, 0) and module.groups == 1
-
-
 class P2ORNet(nn.Module):
     """A U-Net over an encoder, with one 3-class head per inclination.
 
@@ -76,29 +56,43 @@ class P2ORNet(nn.Module):
         self, encoder: ResNet50 | EfficientNetLite0, widths: tuple[int, ...], cell: int = 1, connectivity: int = 4
     ) -> None:
         super().__init__()
+        plan = encoder.plan
         self.encoder, self.cell, self.inclinations = encoder, cell, INCLINATIONS[connectivity]
-        self.register_buffer("mean", torch.tensor(encoder.mean).view(1, 3, 1, 1), persistent=False)
-        self.register_buffer("std", torch.tensor(encoder.std).view(1, 3, 1, 1), persistent=False)
+        self.register_buffer("mean", torch.tensor(plan.mean).view(1, 3, 1, 1), persistent=False)
+        self.register_buffer("std", torch.tensor(plan.std).view(1, 3, 1, 1), persistent=False)
         self.picture = DoubleConv(3 * cell * cell, widths[0])
-        skips = [widths[0], *encoder.channels[:-1]]
-        if encoder.strides[0] == cell:  # the encoder's own finest map has the resolution of the picture's
-            skips = [widths[0] + encoder.channels[0], *encoder.channels[1:-1]]
-        self.middle = DoubleConv(encoder.channels[-1], widths[-1])
+        skips = [widths[0], *plan.channels[:-1]]
+        if plan.strides[0] == cell:  # the encoder's own finest map has the resolution of the picture's
+            skips = [widths[0] + plan.channels[0], *plan.channels[1:-1]]
+        self.middle = DoubleConv(plan.channels[-1], widths[-1])
         below = (*widths[1:-1], widths[-1])
         self.ups = nn.ModuleList(
             Up(lower, skip, width) for lower, skip, width in zip(below, skips, widths[:-1], strict=True)
         )
         self.heads = nn.Conv2d(widths[0], CLASSES * len(self.inclinations) * cell * cell, 1)
 
+    @classmethod
+    def of(cls, shape: Shape, tensors: Mapping[str, NDArray[Any]] | None = None) -> P2ORNet:
+        """Return a network of this shape, with random weights or, ready to predict, with those of a file."""
+        network = cls(ENCODERS[shape.encoder](), shape.widths, shape.cell, shape.connectivity)
+        if tensors is not None:
+            network.load_state_dict({name: torch.from_numpy(value) for name, value in tensors.items()})
+            network.eval()
+        return network
+
+    def tensors(self) -> dict[str, NDArray[Any]]:
+        """Return weights and statistics by name, as a weights file holds them."""
+        return {name: value.detach().cpu().numpy() for name, value in self.state_dict().items()}
+
     def forward(self, rgb: Tensor) -> Tensor:
         """Return logits (N, inclinations, 3, H, W) of pictures (N, 3, H, W) in 0..1, of any size."""
         height, width = rgb.shape[2:]
         x = (rgb - self.mean) / self.std
-        step = max(self.cell, self.encoder.multiple)
+        step = max(self.cell, self.encoder.plan.multiple)
         x = F.pad(x, (0, -width % step, 0, -height % step), mode="replicate")
         maps = self.encoder(x)
         finest = self.picture(F.pixel_unshuffle(x, self.cell))
-        if self.encoder.strides[0] == self.cell:
+        if self.encoder.plan.strides[0] == self.cell:
             maps[0] = torch.cat([finest, maps[0]], dim=1)
         else:
             maps = [finest, *maps]
@@ -114,3 +108,16 @@ def placed(network: P2ORNet, device: torch.device) -> P2ORNet:
     # torch's stubs do not know this argument of Module.to.
     moved: P2ORNet = network.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
     return moved
+
+
+def order_probabilities(network: P2ORNet, rgb: UInt8) -> Float:
+    """Return probabilities (inclinations, 2, H, W) of each pair of pixels of a picture (H, W, 3).
+
+    As `graph.Predictor` does, on the device of the network.
+    """
+    device = next(network.parameters()).device
+    with torch.inference_mode():
+        x = torch.from_numpy(np.array(rgb, order="C")).to(device).permute(2, 0, 1)[None]
+        x = x.to(torch.float32).div_(255).contiguous(memory_format=torch.channels_last)
+        probability = network(x).softmax(dim=2)[0, :, :: CLASSES - 1]
+    return np.asarray(probability.cpu().numpy(), dtype=np.float32)

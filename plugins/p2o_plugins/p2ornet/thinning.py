@@ -27,13 +27,12 @@ class Peaks:
 
 
 def side_probabilities(probability: Float) -> Float:
-    """Return maps (4, H, W) of L, R, U, B from class probabilities (2, 3, H, W) of east and south pairs.
+    """Return maps (4, H, W) of L, R, U, B from probabilities (inclinations, 2, H, W) of east and south pairs first.
 
     The entry at (v, u) is the probability that an edge of the direction runs between that pixel and the next one to
     the right (L, R) or below (U, B); pairs that leave the image are 0, whatever the network says of them.
     """
-    east, south = probability[0], probability[1]
-    maps = np.stack([east[0], east[2], south[0], south[2]])
+    maps = np.array(probability[:2]).reshape(4, *probability.shape[2:])
     maps[:2, :, -1] = 0
     maps[2:, -1] = 0
     return maps

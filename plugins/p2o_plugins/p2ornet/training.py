@@ -21,13 +21,14 @@ from torch import Tensor, nn
 
 from p2o_plugins.p2ornet import calibration
 from p2o_plugins.p2ornet.augment import Crop, crop
+from p2o_plugins.p2ornet.design import Shape
 from p2o_plugins.p2ornet.example import UNKNOWN, Example
 from p2o_plugins.p2ornet.loss import order_loss
-from p2o_plugins.p2ornet.network import P2ORNet, placed
+from p2o_plugins.p2ornet.network import P2ORNet, order_probabilities, placed
 from p2o_plugins.p2ornet.options import Augmentation, TrainingOptions
 from p2o_plugins.p2ornet.shipped import path_of
 from p2o_plugins.p2ornet.thinning import peaks, side_probabilities
-from p2o_plugins.p2ornet.weights import Shape, load_weights, save_weights, write_tensors
+from p2o_plugins.p2ornet.weights import load_weights, save_weights, write_tensors
 
 Group = TrainingGroup
 Progress = TrainingProgress
@@ -96,7 +97,7 @@ def train(
                     progress = Progress(done, options.iterations, float(np.mean(losses)), found, now)
                     log.add(progress, optimizer.param_groups[-1]["lr"])
                     losses = []
-                    save_weights(judged, replace(shape, about={**about, "steps": str(done)}), weights)
+                    save_weights(judged.tensors(), replace(shape, about={**about, "steps": str(done)}), weights)
                 if due or time.monotonic() - saved > CHECKPOINT_S:
                     _save_state(state, options, network, optimizer, average, done)
                     saved = time.monotonic()
@@ -109,7 +110,7 @@ def train(
         settle(judged, settled_on, options, options.settle)
     if checks and options.calibrate:
         finished["calibration"] = calibration_of(judged, checks)
-    save_weights(judged, replace(shape, about=finished), weights)
+    save_weights(judged.tensors(), replace(shape, about=finished), weights)
     return weights
 
 
@@ -121,13 +122,13 @@ def _shares(groups: Sequence[Group]) -> Float:
 def _first(options: TrainingOptions, shape: Shape) -> P2ORNet:
     """Return the network that a training begins with."""
     if not options.from_weights:
-        network = shape.network()
+        network = P2ORNet.of(shape)
         imagenet = options.imagenet_file()
         if imagenet is not None:
             load_imagenet(network, imagenet)
         return network
     path = path_of(options.from_weights)
-    network, found = load_weights(path)
+    tensors, found = load_weights(path)
     if replace(found, about={}) != replace(shape, about={}):
         raise InputError(
             "the weights to begin from are of another network",
@@ -136,7 +137,7 @@ def _first(options: TrainingOptions, shape: Shape) -> P2ORNet:
             got=f"{found.encoder}, widths {found.widths}, connectivity {found.connectivity}",
             hint=f"--encoder {found.encoder}",
         )
-    return network
+    return P2ORNet.of(shape, tensors)
 
 
 def load_imagenet(network: P2ORNet, path: Path) -> None:
@@ -250,7 +251,7 @@ def _move_average(average: dict[str, Tensor], network: P2ORNet, decay: float) ->
 
 
 def _with_state(shape: Shape, state: dict[str, Tensor], device: torch.device) -> P2ORNet:
-    network = shape.network()
+    network = P2ORNet.of(shape)
     network.load_state_dict(state)
     return placed(network, device).eval()
 
@@ -304,13 +305,9 @@ def calibration_of(network: P2ORNet, examples: Sequence[Example]) -> str:
 
 def reached(network: P2ORNet, examples: Sequence[Example]) -> tuple[Float, Bool]:
     """Return the scores (M,) of the edges found in examples and whether they are right (M,), where that is known."""
-    device = next(network.parameters()).device
     parts = []
     for example in examples:
-        with torch.inference_mode():
-            rgb = torch.from_numpy(example.rgb.copy()).permute(2, 0, 1)[None].to(device).float() / 255
-            probability = network(rgb).softmax(dim=2)[0, :2].cpu().numpy()
-        found = peaks(side_probabilities(probability), min_score=0.02)
+        found = peaks(side_probabilities(order_probabilities(network, example.rgb)), min_score=0.02)
         parts.append(calibration.verdicts(found, example))
     return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
 
@@ -332,8 +329,7 @@ def _save_state(
     tensors |= {f"average.{name}": value for name, value in average.items()}
     for number, memory in optimizer.state_dict()["state"].items():
         tensors |= {f"optimizer.{number}.{name}": torch.as_tensor(value) for name, value in memory.items()}
-    # Convolution weights live in channels_last; safetensors wants plain memory.
-    plain = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
+    plain = {name: value.detach().cpu().numpy() for name, value in tensors.items()}
     write_tensors(path, plain, {"step": str(step), **_fingerprint(options)})
 
 

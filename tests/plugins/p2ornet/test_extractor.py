@@ -13,11 +13,11 @@ from p2o import SIDES, Camera, Image, ImageEdges, InputError, Kind, Side, Unknow
 from p2o.testing import checks_for, stage
 from p2o_plugins.data import synthetic
 from p2o_plugins.image import depth
-from p2o_plugins.image.p2ornet import METHOD, P2ORNetOptions, build, folded, probabilities
+from p2o_plugins.image.p2ornet import METHOD, P2ORNetOptions, build
+from p2o_plugins.p2ornet.design import Shape
 from p2o_plugins.p2ornet.network import P2ORNet
 from p2o_plugins.p2ornet.shipped import SHIPPED, path_of
-from p2o_plugins.p2ornet.weights import Shape, load_weights, save_weights
-from torch import nn
+from p2o_plugins.p2ornet.weights import save_weights
 
 THIN = Shape("efficientnet-lite0", (8, 4, 4, 4, 4), 2)
 
@@ -29,7 +29,7 @@ def contrast_network() -> P2ORNet:
     network is random and reaches the heads only faintly.
     """
     torch.manual_seed(3)
-    network = THIN.network().eval()
+    network = P2ORNet.of(THIN).eval()
     faint = 1e-3
     for conv in (network.picture[0], network.picture[3], network.ups[0].conv[0], network.ups[0].conv[3]):
         conv.weight.data.mul_(faint)
@@ -60,7 +60,7 @@ def contrast_network() -> P2ORNet:
 @pytest.fixture(scope="module")
 def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("weights") / "contrast.safetensors"
-    save_weights(contrast_network(), THIN, path)
+    save_weights(contrast_network().tensors(), THIN, path)
     return path
 
 
@@ -161,9 +161,9 @@ def test_tiny_grey_and_odd_pictures_are_no_crash(weights: Path, size: tuple[int,
 
 def test_any_random_network_keeps_its_edges_in_the_image(tmp_path: Path) -> None:
     torch.manual_seed(1)
-    network = THIN.network()
+    network = P2ORNet.of(THIN)
     network.heads.weight.data.mul_(100)  # certain of anything, at borders too
-    save_weights(network, THIN, tmp_path / "wild.safetensors")
+    save_weights(network.tensors(), THIN, tmp_path / "wild.safetensors")
     rgb = np.random.default_rng(0).integers(0, 256, (41, 67, 3), dtype=np.uint8)
     picture = image(rgb)
     found = edges(picture, tmp_path / "wild.safetensors", min_confidence=0.0, min_line_px=1)
@@ -174,42 +174,14 @@ def test_any_random_network_keeps_its_edges_in_the_image(tmp_path: Path) -> None
 
 def test_eight_neighbours_give_the_same_edges_as_their_first_four(weights: Path, tmp_path: Path) -> None:
     shape = replace(THIN, connectivity=8)
-    four, eight = contrast_network(), shape.network().eval()
+    four, eight = contrast_network(), P2ORNet.of(shape).eval()
     state = four.state_dict()
     for name in ("heads.weight", "heads.bias"):
         state[name] = torch.cat([state[name], eight.state_dict()[name][len(state[name]) :]])
     eight.load_state_dict(state)
-    save_weights(eight, shape, tmp_path / "eight.safetensors")
+    save_weights(eight.tensors(), shape, tmp_path / "eight.safetensors")
     picture = image(board())
     np.testing.assert_array_equal(edges(picture, tmp_path / "eight.safetensors").uv, edges(picture, weights).uv)
-
-
-def test_probabilities_are_those_of_the_network_in_any_memory_layout() -> None:
-    network = contrast_network()
-    rgb = np.random.default_rng(0).integers(0, 256, (20, 30, 3), dtype=np.uint8)
-    direct = probabilities(network, rgb)
-    assert direct.shape == (2, 3, 20, 30)
-    np.testing.assert_allclose(direct.sum(axis=1), 1, atol=1e-5)
-    flipped = np.ascontiguousarray(rgb[:, ::-1])
-    np.testing.assert_array_equal(probabilities(network, flipped[:, ::-1]), direct)
-    rgb.flags.writeable = False
-    np.testing.assert_array_equal(probabilities(network, rgb), direct)
-    np.testing.assert_allclose(probabilities(folded(network), rgb), direct, atol=1e-4)
-
-
-@pytest.mark.parametrize("weights", sorted(SHIPPED))
-def test_the_number_of_threads_does_not_change_a_single_bit(weights: str) -> None:
-    network = folded(load_weights(path_of(weights))[0])
-    rgb = np.random.default_rng(0).integers(0, 256, (96, 320, 3), dtype=np.uint8)
-    before, found = torch.get_num_threads(), []
-    try:
-        for threads in (1, 2, 3):
-            torch.set_num_threads(threads)
-            found.append(probabilities(network, rgb))
-    finally:
-        torch.set_num_threads(before)
-    for other in found[1:]:
-        np.testing.assert_array_equal(found[0], other)
 
 
 @pytest.mark.parametrize("weights", sorted(SHIPPED))
@@ -274,14 +246,14 @@ def test_a_folder_or_a_picture_is_no_weights_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize("text", ["", "1", "a b", "1 2 3", "nan 0", "0 1", "-1 0"])
 def test_a_calibration_that_is_none_is_told(text: str, tmp_path: Path) -> None:
     path = tmp_path / "w.safetensors"
-    save_weights(THIN.network(), replace(THIN, about={"calibration": text}), path)
+    save_weights(P2ORNet.of(THIN).tensors(), replace(THIN, about={"calibration": text}), path)
     with pytest.raises(InputError, match="unknown calibration"):
         build(P2ORNetOptions(weights=str(path)))
 
 
 def test_a_calibration_moves_the_confidence_alone(weights: Path, tmp_path: Path) -> None:
     path = tmp_path / "w.safetensors"
-    save_weights(contrast_network(), replace(THIN, about={"calibration": "0.5 -0.2"}), path)
+    save_weights(contrast_network().tensors(), replace(THIN, about={"calibration": "0.5 -0.2"}), path)
     picture = image(board())
     plain, other = (edges(picture, p, min_confidence=0.0) for p in (weights, path))
     np.testing.assert_array_equal(plain.uv, other.uv)
@@ -304,7 +276,3 @@ def test_the_stage_is_not_read_by_building(weights: Path) -> None:
     assert between is not None
     np.testing.assert_array_equal(first.uv, again.uv)
     np.testing.assert_array_equal(first.weight, again.weight)
-
-
-def test_no_batch_norm_is_left_to_run() -> None:
-    assert not any(isinstance(module, nn.BatchNorm2d) for module in folded(contrast_network()).modules())

@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from p2o_plugins.image.p2ornet import folded
+from p2o_plugins.p2ornet.design import EncoderPlan, Shape, tensor_sizes
 from p2o_plugins.p2ornet.encoders import ENCODERS, EfficientNetLite0, ResNet50, SamePadded
 from p2o_plugins.p2ornet.loss import order_loss
 from p2o_plugins.p2ornet.network import P2ORNet
-from p2o_plugins.p2ornet.weights import Shape
 from torch import Tensor, nn
 
 
@@ -23,7 +22,7 @@ def _one_thread_and_seed() -> None:
 def tiny(encoder: str, *, cell: int | None = None, connectivity: int = 4) -> P2ORNet:
     """Return a network whose decoder is thin, in eval mode; the encoder is the real one."""
     cell = {"resnet50": 1, "efficientnet-lite0": 2}[encoder] if cell is None else cell
-    strides = ENCODERS[encoder].strides
+    strides = ENCODERS[encoder].plan.strides
     widths = (4,) * (len(strides) + (strides[0] != cell))
     return P2ORNet(ENCODERS[encoder](), widths, cell, connectivity).eval()
 
@@ -58,7 +57,7 @@ def count(module: nn.Module) -> int:
 def test_the_papers_network_has_the_published_numbers_of_parameters() -> None:
     for connectivity, total in ((4, 22_192_134), (8, 22_192_524)):
         with torch.device("meta"):
-            network = Shape.of("resnet50", connectivity).network()
+            network = P2ORNet.of(Shape.of("resnet50", connectivity))
         assert count(network) == total
         assert count(network.encoder) == 8_543_296
         assert count(network.picture) == 38_976
@@ -69,7 +68,7 @@ def test_the_papers_network_has_the_published_numbers_of_parameters() -> None:
 
 def test_the_small_network_fits_the_promised_file() -> None:
     with torch.device("meta"):
-        network = Shape.of("efficientnet-lite0").network()
+        network = P2ORNet.of(Shape.of("efficientnet-lite0"))
     assert 2 * count(network) < 20e6  # bytes in half precision
     # The classifier and its 1x1 convolution are left out of the 4.65 million of EfficientNet-lite0.
     assert count(network.encoder) == 4_652_008 - 1281 * 1000 - (320 * 1280 + 2 * 1280)
@@ -88,7 +87,7 @@ def test_logits_have_the_size_of_the_picture(encoder: str, size: tuple[int, int]
 @pytest.mark.parametrize("encoder", ENCODERS)
 def test_the_papers_picture_goes_through_at_its_own_size(encoder: str) -> None:
     with torch.device("meta"), torch.inference_mode():
-        assert Shape.of(encoder).network()(torch.zeros(1, 3, 345, 1242)).shape == (1, 2, 3, 345, 1242)
+        assert P2ORNet.of(Shape.of(encoder))(torch.zeros(1, 3, 345, 1242)).shape == (1, 2, 3, 345, 1242)
 
 
 @pytest.mark.parametrize("encoder", ENCODERS)
@@ -96,7 +95,7 @@ def test_maps_of_the_encoder_halve_rounding_up(encoder: str) -> None:
     net = ENCODERS[encoder]().eval()
     with torch.inference_mode():
         maps = net(torch.zeros(1, 3, 45, 74))
-    for found, channels, stride in zip(maps, net.channels, net.strides, strict=True):
+    for found, channels, stride in zip(maps, net.plan.channels, net.plan.strides, strict=True):
         assert found.shape == (1, channels, -(-45 // stride), -(-74 // stride))
 
 
@@ -134,8 +133,7 @@ def shifted_difference(network: P2ORNet, by: int, grid: int) -> float:
 class _Blind(nn.Module):
     """An encoder that sees nothing: what is left of the network is its branch at the picture's resolution."""
 
-    name, channels, strides, multiple = "blind", (2, 2), (2, 4), 1
-    mean, std = (0.5,) * 3, (0.25,) * 3
+    plan = EncoderPlan((2, 2), (2, 4), 1, (0.5,) * 3, (0.25,) * 3, 1e-5, (), ())
 
     def forward(self, x: Tensor) -> list[Tensor]:
         half = x[..., ::2, ::2]
@@ -162,8 +160,8 @@ def test_a_picture_moved_by_the_coarsest_stride_moves_its_logits(encoder: str) -
     for up in network.ups:
         up.deconv.weight.data.mul_(8.0)  # type: ignore[union-attr, operator]  # what is coarse counts
     # Padding with zeros is felt far inside; the rest is exact.
-    grid = 4 * network.encoder.strides[-1] if encoder == "resnet50" else 96
-    by_stride, by_one = (shifted_difference(network, by, grid) for by in (network.encoder.strides[-1], 1))
+    grid = 4 * network.encoder.plan.strides[-1] if encoder == "resnet50" else 96
+    by_stride, by_one = (shifted_difference(network, by, grid) for by in (network.encoder.plan.strides[-1], 1))
     assert by_stride < 0.1
     assert by_one > 3 * by_stride
 
@@ -315,7 +313,7 @@ def test_the_packaged_imagenet_weights_fit_and_see_edges() -> None:
     assert 13 <= int(change[3:-3].argmax()) + 3 <= 17
 
 
-# ---- learning, and folding
+# ---- learning
 
 
 def test_the_papers_network_learns_a_picture_from_random_weights() -> None:
@@ -344,12 +342,18 @@ def test_the_papers_network_learns_a_picture_from_random_weights() -> None:
     assert len(touched) == len(list(network.encoder.parameters()))
 
 
+# ---- what a weights file must hold
+
+
 @pytest.mark.parametrize("encoder", ENCODERS)
-def test_folding_the_batch_norms_changes_nothing(encoder: str) -> None:
-    network = stirred(tiny(encoder, connectivity=8))
-    rgb = picture(45, 62)
-    with torch.inference_mode():
-        before = network(rgb)
-        after = folded(network)(rgb)
-    assert not any(isinstance(module, nn.BatchNorm2d) for module in network.modules())
-    assert float((after - before).abs().max()) < 1e-4 * max(1.0, float(before.abs().max()))
+@pytest.mark.parametrize("cell", [1, 2])
+@pytest.mark.parametrize("connectivity", [4, 8])
+def test_the_tensors_that_the_design_names_are_those_of_the_network(encoder: str, cell: int, connectivity: int) -> None:
+    strides = ENCODERS[encoder].plan.strides
+    widths = (4, 5, 6, 7, 8, 9)[: len(strides) + (strides[0] != cell)]
+    shape = Shape(encoder, widths, cell, connectivity)
+    with torch.device("meta"):
+        state = P2ORNet.of(shape).state_dict()
+    assert tensor_sizes(shape) == {name: tuple(value.shape) for name, value in state.items()}
+    counts = {name for name, value in state.items() if not value.is_floating_point()}
+    assert counts == {name for name in state if name.endswith(".num_batches_tracked")}

@@ -8,18 +8,15 @@ from p2o import SIDES, Side
 from p2o_plugins.image.p2ornet import calibrated, long_enough
 from p2o_plugins.p2ornet.thinning import Peaks, peaks, side_probabilities
 
-# METHODS: the plane (0 east, 1 south) and the class of a pair that says an edge of each side, and its foreground.
-PAIR = {Side.LEFT: (0, 0), Side.RIGHT: (0, 2), Side.UPPER: (1, 0), Side.BOTTOM: (1, 2)}
+PAIR = {Side.LEFT: (0, 0), Side.RIGHT: (0, 1), Side.UPPER: (1, 0), Side.BOTTOM: (1, 1)}
+"""The plane (0 east, 1 south) and the order (0 occluded, 1 occluding) of a pair that says an edge of each side."""
 
 
 def belief(height: int, width: int, pairs: dict[tuple[Side, int, int], float]) -> np.ndarray:
-    """Return class probabilities (2, 3, H, W) that say "none" but for these pairs (side, v, u)."""
-    p = np.zeros((2, 3, height, width))
-    p[:, 1] = 1.0
+    """Return probabilities (2, 2, H, W) of occlusions that are zero but for these pairs (side, v, u)."""
+    p = np.zeros((2, 2, height, width))
     for (side, v, u), value in pairs.items():
-        plane, number = PAIR[side]
-        p[plane, number, v, u] = value
-        p[plane, 1, v, u] = 1 - value
+        p[(*PAIR[side], v, u)] = value
     return p
 
 

@@ -1,0 +1,293 @@
+"""What a P2ORNet is built of, without torch: its shapes, its encoders, and one walk through all of its layers.
+
+The walk (`network`) names every layer with its sizes and leaves to a `Layers` what to make of them: a graph to compute
+with (`graph.py`), or the list of tensors that a weights file must hold (`tensor_sizes`). The module that is trained
+(`network.py`, `encoders.py`) is built from the same blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol, TypeVar
+
+IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+INCLINATIONS = {4: ("east", "south"), 8: ("east", "south", "south_east", "north_east")}
+"""By connectivity, the neighbours whose order against a pixel is told; the order of the heads."""
+CLASSES = 3
+"""Per pair: 0 its first pixel is occluded by the second, 1 neither, 2 the first pixel occludes the second."""
+DECODERS: dict[str, tuple[tuple[int, ...], int]] = {
+    "resnet50": ((64, 64, 64, 256, 512), 1),
+    "efficientnet-lite0": ((32, 48, 64, 96, 128), 2),
+}
+"""By encoder, the widths of the decoder and the side of its finest cells: the paper's, and one a laptop can run."""
+
+
+class Block(NamedTuple):
+    """A bottleneck of an encoder, by the name of its module: `inputs` to `width` to `outputs` channels."""
+
+    name: str
+    inputs: int
+    width: int
+    outputs: int
+    kernel: int
+    stride: int
+
+
+@dataclass(frozen=True)
+class EncoderPlan:
+    """What the rest of the network has to know of an encoder, and its blocks.
+
+    Its maps have `channels` and lie at `strides`, from fine to coarse; odd sizes are rounded up at every step.
+    `multiple` is what the size of a picture must be a multiple of for the maps to lie over it as they do over pictures
+    of other sizes: SAME padding moves them by half a cell where a size is odd. Normalisation of the picture (`mean`,
+    `std`, per colour of an RGB in 0..1) belongs to the weights that the encoder was trained with. `epsilon` is that of
+    its batch norms. A map is handed on after each of the blocks `taps`.
+    """
+
+    channels: tuple[int, ...]
+    strides: tuple[int, ...]
+    multiple: int
+    mean: tuple[float, float, float]
+    std: tuple[float, float, float]
+    epsilon: float
+    blocks: tuple[Block, ...]
+    taps: tuple[int, ...]
+
+
+def _resnet50() -> Iterator[Block]:
+    inputs = 64
+    for layer, (width, count) in enumerate(((64, 3), (128, 4), (256, 6)), start=1):
+        for number in range(count):
+            stride = 2 if layer > 1 and not number else 1
+            yield Block(f"layer{layer}.{number}", inputs, width, 4 * width, 3, stride)
+            inputs = 4 * width
+
+
+_LITE0 = (
+    # repeats, kernel, stride, expansion, outputs
+    (1, 3, 1, 1, 16),
+    (2, 3, 2, 6, 24),
+    (2, 5, 2, 6, 40),
+    (3, 3, 2, 6, 80),
+    (3, 5, 1, 6, 112),
+    (4, 5, 2, 6, 192),
+    (1, 3, 1, 6, 320),
+)
+
+
+def _lite0() -> Iterator[Block]:
+    inputs, at = 32, 0
+    for repeats, kernel, stride, expansion, outputs in _LITE0:
+        for number in range(repeats):
+            yield Block(f"_blocks.{at}", inputs, inputs * expansion, outputs, kernel, 1 if number else stride)
+            inputs, at = outputs, at + 1
+
+
+PLANS: dict[str, EncoderPlan] = {
+    "resnet50": EncoderPlan(
+        channels=(64, 256, 512, 1024),
+        strides=(2, 4, 8, 16),
+        multiple=1,
+        mean=IMAGENET_MEAN,
+        std=IMAGENET_STD,
+        epsilon=1e-5,
+        blocks=tuple(_resnet50()),
+        taps=(2, 6, 12),
+    ),
+    "efficientnet-lite0": EncoderPlan(
+        channels=(16, 24, 40, 112, 320),
+        strides=(2, 4, 8, 16, 32),
+        multiple=32,
+        mean=(127 / 255,) * 3,
+        std=(128 / 255,) * 3,
+        epsilon=1e-3,
+        blocks=tuple(_lite0()),
+        taps=(0, 2, 4, 10, 15),
+    ),
+}
+"""The encoders by the name that a weights file and `p2o train` say."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What a weights file says of its network: see `network.P2ORNet`.
+
+    `about` is free text by key (data, licence, steps).
+    """
+
+    encoder: str
+    widths: tuple[int, ...]
+    cell: int
+    connectivity: int = 4
+    about: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, encoder: str, connectivity: int = 4) -> Shape:
+        """Return the usual shape with this encoder."""
+        widths, cell = DECODERS[encoder]
+        return cls(encoder, widths, cell, connectivity)
+
+    @property
+    def multiple(self) -> int:
+        """What the size of a picture is filled up to a multiple of, in pixels, by repeating its border."""
+        return max(self.cell, PLANS[self.encoder].multiple)
+
+
+Map = TypeVar("Map")
+
+
+class Layers(Protocol[Map]):
+    """What becomes of the layers of the walk. `name` is that of the module which holds the weights.
+
+    Biases are there where no batch norm follows, and in the decoder.
+    """
+
+    def convolution(
+        self,
+        x: Map,
+        name: str,
+        outputs: int,
+        kernel: int = 1,
+        stride: int = 1,
+        *,
+        depthwise: bool = False,
+        same: bool = False,
+        bias: bool = False,
+        norm: str = "",
+        epsilon: float = 1e-5,
+        cell: int = 1,
+        relu: float | None = None,
+    ) -> Map:
+        """Convolve, padded by half a kernel (`same`: as TensorFlow does), then batch norm `norm`, then ReLU to `relu`.
+
+        With a `cell` over 1, the kernel runs over the cells of the picture, whose pixels count as channels.
+        """
+        ...
+
+    def deconvolution(self, x: Map, name: str, outputs: int, like: Map) -> Map:
+        """Double the size of a map to that of another one: a transposed convolution of 3 x 3."""
+        ...
+
+    def pooled(self, x: Map) -> Map:
+        """Return the maximum over 3 x 3 at every second place."""
+        ...
+
+    def added(self, x: Map, y: Map, *, relu: bool) -> Map:
+        """Return the sum of two maps."""
+        ...
+
+    def joined(self, x: Map, y: Map) -> Map:
+        """Return the channels of two maps, those of the first one first."""
+        ...
+
+    def heads(self, x: Map, name: str, inclinations: int, cell: int) -> Map:
+        """Return the answers for each inclination, CLASSES and pixel of a cell: channels in this order, last fastest."""
+        ...
+
+
+INFINITY = float("inf")
+"""The bound of a ReLU without one."""
+
+
+def network(on: Layers[Map], picture: Map, shape: Shape) -> Map:
+    """Return what the heads make of a normalised picture, whose size is a multiple of `shape.multiple`."""
+    plan, cell, widths = PLANS[shape.encoder], shape.cell, shape.widths
+    maps = _ENCODED[shape.encoder](on, picture, plan)
+    finest = _doubled(on, picture, "picture", widths[0], cell)
+    if plan.strides[0] == cell:  # the encoder's own finest map has the resolution of the picture's
+        maps[0] = on.joined(finest, maps[0])
+    else:
+        maps = [finest, *maps]
+    y, inputs = _doubled(on, maps[-1], "middle", widths[-1]), widths[-1]
+    for number in reversed(range(len(maps) - 1)):
+        lifted = on.deconvolution(y, f"ups.{number}.deconv", inputs, maps[number])
+        inputs = widths[number]
+        y = _doubled(on, on.joined(maps[number], lifted), f"ups.{number}.conv", inputs)
+    return on.heads(y, "heads", len(INCLINATIONS[shape.connectivity]), cell)
+
+
+def _doubled(on: Layers[Map], x: Map, name: str, outputs: int, cell: int = 1) -> Map:
+    x = on.convolution(x, f"{name}.0", outputs, 3, bias=True, norm=f"{name}.1", cell=cell, relu=INFINITY)
+    return on.convolution(x, f"{name}.3", outputs, 3, bias=True, norm=f"{name}.4", relu=INFINITY)
+
+
+def _resnet_maps(on: Layers[Map], x: Map, plan: EncoderPlan) -> list[Map]:
+    half = on.convolution(x, "encoder.conv1", 64, 7, 2, norm="encoder.bn1", relu=INFINITY)
+    maps, x = [half], on.pooled(half)
+    for number, block in enumerate(plan.blocks):
+        name, y = f"encoder.{block.name}", x
+        y = on.convolution(y, f"{name}.conv1", block.width, norm=f"{name}.bn1", relu=INFINITY)
+        y = on.convolution(y, f"{name}.conv2", block.width, 3, block.stride, norm=f"{name}.bn2", relu=INFINITY)
+        y = on.convolution(y, f"{name}.conv3", block.outputs, norm=f"{name}.bn3")
+        if block.stride != 1 or block.inputs != block.outputs:
+            down = f"{name}.downsample"
+            x = on.convolution(x, f"{down}.0", block.outputs, 1, block.stride, norm=f"{down}.1")
+        x = on.added(y, x, relu=True)
+        if number in plan.taps:
+            maps.append(x)
+    return maps
+
+
+def _lite0_maps(on: Layers[Map], x: Map, plan: EncoderPlan) -> list[Map]:
+    e, maps = plan.epsilon, []
+    x = on.convolution(x, "encoder._conv_stem", 32, 3, 2, same=True, norm="encoder._bn0", epsilon=e, relu=6)
+    for number, block in enumerate(plan.blocks):
+        name, y, width = f"encoder.{block.name}", x, block.width
+        if width != block.inputs:
+            y = on.convolution(y, f"{name}._expand_conv", width, norm=f"{name}._bn0", epsilon=e, relu=6)
+        y = on.convolution(
+            y, f"{name}._depthwise_conv", width, block.kernel, block.stride,
+            depthwise=True, same=True, norm=f"{name}._bn1", epsilon=e, relu=6,
+        )  # fmt: skip
+        y = on.convolution(y, f"{name}._project_conv", block.outputs, norm=f"{name}._bn2", epsilon=e)
+        x = on.added(x, y, relu=False) if block.stride == 1 and block.inputs == block.outputs else y
+        if number in plan.taps:
+            maps.append(x)
+    return maps
+
+
+_ENCODED = {"resnet50": _resnet_maps, "efficientnet-lite0": _lite0_maps}
+
+
+class _Wanted:
+    """Layers of which nothing is kept but the tensors they need; a map is its number of channels."""
+
+    def __init__(self) -> None:
+        self.tensors: dict[str, tuple[int, ...]] = {}
+
+    def convolution(
+        self, x: int, name: str, outputs: int, kernel: int = 1, stride: int = 1, *, depthwise: bool = False,
+        same: bool = False, bias: bool = False, norm: str = "", epsilon: float = 1e-5, cell: int = 1,
+        relu: float | None = None,
+    ) -> int:  # fmt: skip
+        self.tensors[f"{name}.weight"] = (outputs, 1 if depthwise else x * cell * cell, kernel, kernel)
+        if bias:
+            self.tensors[f"{name}.bias"] = (outputs,)
+        if norm:
+            self.tensors |= {f"{norm}.{part}": (outputs,) for part in ("weight", "bias", "running_mean", "running_var")}
+            self.tensors[f"{norm}.num_batches_tracked"] = ()
+        return outputs
+
+    def deconvolution(self, x: int, name: str, outputs: int, like: int) -> int:
+        self.tensors |= {f"{name}.weight": (x, outputs, 3, 3), f"{name}.bias": (outputs,)}
+        return outputs
+
+    def pooled(self, x: int) -> int:
+        return x
+
+    def added(self, x: int, y: int, *, relu: bool) -> int:
+        return x
+
+    def joined(self, x: int, y: int) -> int:
+        return x + y
+
+    def heads(self, x: int, name: str, inclinations: int, cell: int) -> int:
+        return self.convolution(x, name, inclinations * CLASSES * cell * cell, bias=True)
+
+
+def tensor_sizes(shape: Shape) -> dict[str, tuple[int, ...]]:
+    """Return the sizes of the tensors of a network by name; those named `num_batches_tracked` hold whole numbers."""
+    wanted = _Wanted()
+    network(wanted, 3, shape)
+    return wanted.tensors

@@ -1,0 +1,241 @@
+"""P2ORNet on the processor, without torch: its layers as an ONNX graph, computed by ONNX Runtime.
+
+A graph is made for pictures of one size, in memory, from the tensors of a weights file: batch norms are folded into
+the convolutions before them, and paddings are those of the convolutions.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from p2o.arrays import UInt8
+from p2o.native import cores
+
+from p2o_plugins.p2ornet.design import CLASSES, INFINITY, PLANS, Shape, network
+
+_Float32 = NDArray[np.float32]
+_OPSET, _IR_VERSION = 17, 8
+"""Of 2022: any ONNX Runtime that this package accepts reads them."""
+_PICTURE = "rgb"
+SIZES = 3
+"""For so many sizes of pictures a graph is kept: a rig has few cameras, a drive one."""
+
+
+class Predictor:
+    """A network whose weights are fixed. May be asked by several threads at once; results do not depend on how many.
+
+    One picture uses all cores (`p2o.native.cores`), and so do several at once.
+    """
+
+    def __init__(self, tensors: Mapping[str, _Float32], shape: Shape) -> None:
+        self._tensors, self._shape = tensors, shape
+        self._sessions: OrderedDict[tuple[int, int], Any] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def __call__(self, rgb: UInt8) -> _Float32:
+        """Return probabilities (inclinations, 2, H, W) of each pair of pixels of a picture (H, W, 3).
+
+        That the first pixel of the pair is occluded by the second, and that it occludes it.
+        """
+        height, width = rgb.shape[:2]
+        step = self._shape.multiple
+        filled = np.pad(rgb, ((0, -height % step), (0, -width % step), (0, 0)), mode="edge")
+        (found,) = self._session(filled.shape[0], filled.shape[1]).run(None, {_PICTURE: filled})
+        probability: _Float32 = found.reshape(2, -1, *filled.shape[:2])
+        return probability[:, :, :height, :width].swapaxes(0, 1)
+
+    def _session(self, height: int, width: int) -> Any:
+        """Return the session for pictures of a size; a second thread waits for what the first one makes."""
+        size = (height, width)
+        with self._lock:
+            if size not in self._sessions:
+                self._sessions[size] = session(model(self._tensors, self._shape, size))
+                if len(self._sessions) > SIZES:
+                    self._sessions.popitem(last=False)
+            self._sessions.move_to_end(size)
+            return self._sessions[size]
+
+
+def session(content: bytes) -> Any:
+    """Return a session of ONNX Runtime that computes a model on the processor."""
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads, options.inter_op_num_threads = cores(), 1
+    options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_ALL
+    options.log_severity_level = 3
+    # Threads that have nothing to do sleep: other frames and other programs want the cores.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+
+
+class _Map(NamedTuple):
+    """Values of the graph of the same size, by name and number of channels: more than one where maps are joined."""
+
+    parts: tuple[tuple[str, int], ...]
+    height: int
+    width: int
+
+    @property
+    def name(self) -> str:
+        ((name, _),) = self.parts
+        return name
+
+
+class _Graph:
+    """Layers as nodes of an ONNX graph."""
+
+    def __init__(self, tensors: Mapping[str, _Float32]) -> None:
+        self.tensors = tensors
+        self.nodes: list[Any] = []
+        self.constants: list[Any] = []
+
+    def node(self, kind: str, *inputs: str, **attributes: Any) -> str:
+        """Add a node with one output, and return that one's name."""
+        from onnx import helper
+
+        output = f"v{len(self.nodes)}"
+        self.nodes.append(helper.make_node(kind, list(inputs), [output], **attributes))
+        return output
+
+    def constant(self, values: np.ndarray) -> str:
+        """Add a constant, and return its name."""
+        from onnx import numpy_helper
+
+        name = f"c{len(self.constants)}"
+        self.constants.append(numpy_helper.from_array(np.ascontiguousarray(values), name))
+        return name
+
+    def convolution(
+        self, x: _Map, name: str, outputs: int, kernel: int = 1, stride: int = 1, *, depthwise: bool = False,
+        same: bool = False, bias: bool = False, norm: str = "", epsilon: float = 1e-5, cell: int = 1,
+        relu: float | None = None,
+    ) -> _Map:  # fmt: skip
+        weight = self.tensors[f"{name}.weight"].astype(np.float64)
+        shift = self.tensors[f"{name}.bias"].astype(np.float64) if bias else np.zeros(outputs)
+        if norm:
+            mean, variance, gain, offset = (
+                self.tensors[f"{norm}.{part}"].astype(np.float64)
+                for part in ("running_mean", "running_var", "weight", "bias")
+            )
+            scale = gain / np.sqrt(variance + epsilon)
+            weight, shift = weight * scale[:, None, None, None], (shift - mean) * scale + offset
+        return self._convolved(x, weight, shift, stride, depthwise=depthwise, same=same, cell=cell, relu=relu)
+
+    def _convolved(
+        self, x: _Map, weight: np.ndarray, shift: np.ndarray, stride: int = 1, *, depthwise: bool = False,
+        same: bool = False, cell: int = 1, relu: float | None = None,
+    ) -> _Map:  # fmt: skip
+        """Add a convolution with weights (outputs, inputs, k, k) and shifts (outputs,)."""
+        outputs, _, kernel, _ = weight.shape
+        before = (kernel // 2) * cell
+        if cell > 1:
+            # Channels of a cell are its pixels: the same sums as of a larger kernel that steps from cell to cell.
+            weight = weight.reshape(outputs, -1, cell, cell, kernel, kernel).transpose(0, 1, 4, 2, 5, 3)
+            weight = weight.reshape(outputs, -1, kernel * cell, kernel * cell)
+            stride = cell
+        pads = [before, before, before, before]
+        height, width = -(-x.height // stride), -(-x.width // stride)
+        if same:
+            totals = [max((o - 1) * stride + kernel - i, 0) for o, i in ((height, x.height), (width, x.width))]
+            pads = [t // 2 for t in totals] + [t - t // 2 for t in totals]
+        y, first = "", 0
+        for name, channels in x.parts:
+            # Sums of convolutions instead of one of joined maps: nothing is copied, and maps keep their layout.
+            constants = [weight if depthwise else weight[:, first : first + channels]] + ([] if first else [shift])
+            part = self.node(
+                "Conv",
+                name,
+                *(self.constant(values.astype(np.float32)) for values in constants),
+                kernel_shape=weight.shape[2:],
+                strides=[stride, stride],
+                pads=pads,
+                group=channels if depthwise else 1,
+            )
+            y, first = self.node("Add", y, part) if y else part, first + channels
+        if relu == INFINITY:
+            y = self.node("Relu", y)
+        elif relu is not None:
+            y = self.node("Clip", y, self.constant(np.float32(0)), self.constant(np.float32(relu)))
+        return _Map(((y, outputs),), height, width)
+
+    def deconvolution(self, x: _Map, name: str, outputs: int, like: _Map) -> _Map:
+        y = self.node(
+            "ConvTranspose",
+            x.name,
+            self.constant(self.tensors[f"{name}.weight"]),
+            self.constant(self.tensors[f"{name}.bias"]),
+            kernel_shape=[3, 3],
+            strides=[2, 2],
+            pads=[1, 1, 1, 1],
+            output_padding=[like.height - (2 * x.height - 1), like.width - (2 * x.width - 1)],
+        )
+        return _Map(((y, outputs),), like.height, like.width)
+
+    def pooled(self, x: _Map) -> _Map:
+        y = self.node("MaxPool", x.name, kernel_shape=[3, 3], strides=[2, 2], pads=[1, 1, 1, 1])
+        return _Map(((y, x.parts[0][1]),), (x.height + 1) // 2, (x.width + 1) // 2)
+
+    def added(self, x: _Map, y: _Map, *, relu: bool) -> _Map:
+        total = self.node("Add", x.name, y.name)
+        return x._replace(parts=((self.node("Relu", total) if relu else total, x.parts[0][1]),))
+
+    def joined(self, x: _Map, y: _Map) -> _Map:
+        return x._replace(parts=x.parts + y.parts)
+
+    def heads(self, x: _Map, name: str, inclinations: int, cell: int) -> _Map:
+        """Return the probabilities of the first and of the last class, at the pixels: all inclinations of each."""
+        weight, shift = (self.tensors[f"{name}.{part}"] for part in ("weight", "bias"))
+        weight = weight.reshape(inclinations, CLASSES, -1, *weight.shape[1:])
+        shift = shift.reshape(inclinations, CLASSES, -1)
+        logits = [
+            self._convolved(x, np.concatenate(weight[:, number]), np.concatenate(shift[:, number])).name
+            for number in range(CLASSES)
+        ]
+        highest = self.node("Max", *logits)
+        first, middle, last = (self.node("Exp", self.node("Sub", one, highest)) for one in logits)
+        total = self.node("Add", self.node("Add", first, middle), last)
+        y = self.node("Concat", self.node("Div", first, total), self.node("Div", last, total), axis=1)
+        y = self.node("DepthToSpace", y, blocksize=cell, mode="CRD") if cell > 1 else y
+        return _Map(((y, 2 * inclinations),), cell * x.height, cell * x.width)
+
+
+def model(tensors: Mapping[str, _Float32], shape: Shape, size: tuple[int, int]) -> bytes:
+    """Return an ONNX model: of a picture `rgb` (H, W, 3) uint8 it makes probabilities (1, 2 * inclinations, H, W).
+
+    First come those of all inclinations that the first pixel is occluded, then those that it occludes. `size` (H, W) is
+    that of the picture, a multiple of `shape.multiple`.
+    """
+    from onnx import TensorProto, helper
+
+    graph = _Graph(tensors)
+    last = network(graph, _normalised(graph, shape, size), shape)
+    made = helper.make_graph(
+        graph.nodes,
+        "p2ornet",
+        [helper.make_tensor_value_info(_PICTURE, TensorProto.UINT8, (*size, 3))],
+        [helper.make_tensor_value_info(last.name, TensorProto.FLOAT, [1, last.parts[0][1], *size])],
+        graph.constants,
+    )
+    opsets = [helper.make_opsetid("", _OPSET)]
+    content: bytes = helper.make_model(made, opset_imports=opsets, ir_version=_IR_VERSION).SerializeToString()
+    return content
+
+
+def _normalised(graph: _Graph, shape: Shape, size: tuple[int, int]) -> _Map:
+    """Return the picture as a map of its three colours."""
+    from onnx import TensorProto
+
+    plan = PLANS[shape.encoder]
+    mean, std = np.array(plan.mean), np.array(plan.std)
+    gain, offset = (
+        graph.constant(values.astype(np.float32)[:, None, None]) for values in (1 / (255 * std), -mean / std)
+    )
+    x = graph.node("Cast", graph.node("Transpose", _PICTURE, perm=[2, 0, 1]), to=TensorProto.FLOAT)
+    x = graph.node("Add", graph.node("Mul", x, gain), offset)
+    return _Map(((graph.node("Unsqueeze", x, graph.constant(np.array([0]))), 3),), *size)

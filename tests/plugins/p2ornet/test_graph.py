@@ -1,0 +1,175 @@
+"""The network on the processor: the same probabilities as of the module that is trained, on any number of threads."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from p2o import Camera, Image, ImageEdges
+from p2o.arrays import UInt8
+from p2o_plugins.image.p2ornet import P2ORNetOptions, build
+from p2o_plugins.p2ornet import graph
+from p2o_plugins.p2ornet.design import PLANS, Shape
+from p2o_plugins.p2ornet.graph import Predictor
+from p2o_plugins.p2ornet.network import P2ORNet, order_probabilities
+from p2o_plugins.p2ornet.shipped import SHIPPED, path_of
+from p2o_plugins.p2ornet.weights import load_weights
+from torch import nn
+
+
+@pytest.fixture(autouse=True)
+def _one_thread_of_torch() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def thin(encoder: str, cell: int, connectivity: int) -> Shape:
+    """Return a shape with the real encoder and a decoder of few channels, all of them different."""
+    strides = PLANS[encoder].strides
+    widths = (4, 5, 6, 7, 8, 9)[: len(strides) + (strides[0] != cell)]
+    return Shape(encoder, widths, cell, connectivity)
+
+
+def stirred(shape: Shape) -> P2ORNet:
+    """Return a network of random weights and batch norms whose answers are far from even."""
+    generator = torch.Generator().manual_seed(1)
+    torch.manual_seed(0)
+    network = P2ORNet.of(shape).eval()
+    for module in network.modules():
+        if isinstance(module, nn.BatchNorm2d):
+            module.weight.data.uniform_(0.8, 1.4, generator=generator)
+            module.bias.data.uniform_(-0.3, 0.3, generator=generator)
+            module.running_mean.uniform_(-0.2, 0.2, generator=generator)  # type: ignore[union-attr, operator]
+            module.running_var.uniform_(0.2, 0.6, generator=generator)  # type: ignore[union-attr, operator]
+    for up in network.ups:
+        up.deconv.weight.data.mul_(4.0)  # type: ignore[union-attr, operator]  # what is coarse counts
+    network.heads.weight.data.mul_(8.0)
+    return network
+
+
+def picture(height: int, width: int, seed: int = 0) -> UInt8:
+    """Return a random picture (H, W, 3) with coarse and fine detail."""
+    rng = np.random.default_rng(seed)
+    coarse = np.kron(rng.integers(0, 160, (height // 8 + 1, width // 8 + 1, 3)), np.ones((8, 8, 1), np.int64))
+    return (coarse[:height, :width] + rng.integers(0, 96, (height, width, 3))).astype(np.uint8)
+
+
+# ---- the same as the module that is trained
+
+
+@pytest.mark.parametrize("encoder", PLANS)
+@pytest.mark.parametrize("cell", [1, 2])
+@pytest.mark.parametrize("connectivity", [4, 8])
+def test_the_graph_and_the_module_give_the_same_probabilities(encoder: str, cell: int, connectivity: int) -> None:
+    shape = thin(encoder, cell, connectivity)
+    network = stirred(shape)
+    predict = Predictor(network.tensors(), shape)
+    for size in ((37, 53), (64, 96), (1, 1), (33, 2)):
+        wanted, found = order_probabilities(network, picture(*size)), predict(picture(*size))
+        assert found.shape == wanted.shape == (connectivity // 2, 2, *size)
+        np.testing.assert_allclose(found, wanted, atol=1e-4)
+    assert wanted.std() > 0.01, "the weights make a difference"
+
+
+@pytest.mark.parametrize("weights", sorted(SHIPPED))
+def test_shipped_weights_give_the_same_probabilities_and_nearly_the_same_edges(weights: str) -> None:
+    tensors, shape = load_weights(path_of(weights))
+    network, rgb = P2ORNet.of(shape, tensors), picture(161, 243)
+    np.testing.assert_allclose(Predictor(tensors, shape)(rgb), order_probabilities(network, rgb), atol=1e-4)
+
+
+def test_answers_of_any_size_are_probabilities() -> None:
+    """Logits of hundreds neither overflow nor come out as anything but 0 or 1."""
+    shape = thin("efficientnet-lite0", 2, 4)
+    network = stirred(shape)
+    network.heads.weight.data.mul_(1e4)
+    found = Predictor(network.tensors(), shape)(picture(40, 50))
+    assert np.isfinite(found).all()
+    assert (found.min(), found.max()) == (0, 1)
+    np.testing.assert_allclose(found, order_probabilities(network, picture(40, 50)), atol=1e-2)
+
+
+def test_a_picture_is_read_whatever_its_layout_in_memory() -> None:
+    shape = thin("efficientnet-lite0", 2, 4)
+    predict, rgb = Predictor(stirred(shape).tensors(), shape), picture(40, 50)
+    direct, flipped = predict(rgb), np.ascontiguousarray(rgb[:, ::-1])
+    np.testing.assert_array_equal(predict(flipped[:, ::-1]), direct)
+    rgb.flags.writeable = False
+    np.testing.assert_array_equal(predict(rgb), direct)
+
+
+# ---- threads and sizes
+
+
+@pytest.mark.parametrize("weights", sorted(SHIPPED))
+def test_the_number_of_threads_does_not_change_a_single_bit(weights: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    tensors, shape = load_weights(path_of(weights))
+    found, rgb = [], picture(96, 320)
+    for threads in (1, 2, 3, 4):
+        monkeypatch.setattr(graph, "cores", lambda threads=threads: threads)
+        found.append(Predictor(tensors, shape)(rgb))
+    for other in found[1:]:
+        np.testing.assert_array_equal(found[0], other)
+
+
+def test_pictures_at_once_and_one_after_the_other_give_the_same_bits() -> None:
+    tensors, shape = load_weights(path_of("kitti"))
+    pictures = [picture(64, 96 + 32 * (number % 3), number) for number in range(12)]
+    alone = [Predictor(tensors, shape)(one) for one in pictures]
+    with ThreadPoolExecutor(4) as threads:
+        together = list(threads.map(Predictor(tensors, shape), pictures))
+    for one, other in zip(alone, together, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_graphs_are_made_once_a_size_and_few_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = []
+    original = graph.model
+
+    def counted(tensors: object, shape: Shape, size: tuple[int, int]) -> bytes:
+        made.append(size)
+        return original(tensors, shape, size)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(graph, "model", counted)
+    shape = thin("efficientnet-lite0", 2, 4)
+    predict = Predictor(stirred(shape).tensors(), shape)
+    with ThreadPoolExecutor(4) as threads:
+        list(threads.map(predict, [picture(20 + number, 40) for number in range(8)]))
+    assert made == [(32, 64)]
+    for width in (40, 90, 120, 150, 180, 150):
+        predict(picture(20, width))
+    assert made == [(32, 64), (32, 96), (32, 128), (32, 160), (32, 192)]
+    predict(picture(20, 40))
+    assert made[5:] == [(32, 64)], "the one that was not asked for the longest had to go"
+
+
+# ---- what it takes
+
+
+def edges(weights: Path | str, rgb: UInt8) -> ImageEdges:
+    camera = Camera.pinhole(100, 100, (rgb.shape[1] - 1) / 2, (rgb.shape[0] - 1) / 2, rgb.shape[1], rgb.shape[0])
+    found = build(P2ORNetOptions(weights=str(weights), device="cpu"))(Image(rgb, camera)).edges
+    assert found is not None
+    return found
+
+
+def test_on_the_processor_no_torch_is_imported() -> None:
+    code = (
+        "import sys, numpy as np\n"
+        "from p2o import Camera, Image\n"
+        "from p2o_plugins.image.p2ornet import P2ORNetOptions, build\n"
+        "rgb = np.random.default_rng(0).integers(0, 256, (64, 96, 3), dtype=np.uint8)\n"
+        "image = Image(rgb, Camera.pinhole(100, 100, 47.5, 31.5, 96, 64))\n"
+        "print(len(build(P2ORNetOptions(device='cpu'))(image).edges) >= 0)\n"
+        "print(*(name for name in sys.modules if name.partition('.')[0] in ('torch', 'kornia')))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("True\n\n", "")
