@@ -128,7 +128,7 @@ def long_enough(pixel: Float, side: Any, size: tuple[int, int], min_line_px: int
 
 
 def _predictor(device: str, path: Path) -> tuple[Callable[[UInt8], Float], Shape]:
-    """Return what makes probabilities of a picture (see `graph.Predictor`) with the weights of a file, and its shape."""
+    """Return what makes probabilities of a picture (see `graph.Predictor`) with a weights file, and its shape."""
     from p2o_plugins.p2ornet.weights import load_weights
 
     tensors, shape = load_weights(path)

@@ -182,7 +182,7 @@ class Layers(Protocol[Map]):
         ...
 
     def heads(self, x: Map, name: str, inclinations: int, cell: int) -> Map:
-        """Return the answers for each inclination, CLASSES and pixel of a cell: channels in this order, last fastest."""
+        """Return the answers, whose channels run over inclinations, CLASSES and pixels of a cell, the last fastest."""
         ...
 
 
