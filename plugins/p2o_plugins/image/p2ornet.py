@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from p2o import (
+    SIDES,
     Frame,
     Image,
     ImageEdges,
@@ -21,7 +22,6 @@ from p2o import (
     TrainingGroup,
     TrainingProgress,
     field,
-    occlusion,
 )
 from p2o.arrays import Float, UInt8
 from p2o.native import has_gpu_driver
@@ -105,7 +105,8 @@ def contrast(rgb: UInt8) -> UInt8:
     import cv2
 
     window = np.ones((7, 7), np.uint8)
-    return np.asarray((cv2.dilate(rgb, window) - cv2.erode(rgb, window)).max(axis=2))
+    red, green, blue = cv2.split(cv2.subtract(cv2.dilate(rgb, window), cv2.erode(rgb, window)))
+    return np.asarray(cv2.max(cv2.max(red, green), blue))
 
 
 def calibrated(score: Float, slope: float, offset: float) -> Float:
@@ -116,14 +117,21 @@ def calibrated(score: Float, slope: float, offset: float) -> Float:
 
 def long_enough(pixel: Float, side: Any, size: tuple[int, int], min_line_px: int) -> Any:
     """Return which edge points (N,) belong to connected lines of enough foreground pixels (N, 2)."""
+    import cv2
+
     height, width = size
     u, v = pixel.T.astype(np.int64)
     inside = (u >= 0) & (v >= 0) & (u < width) & (v < height)
-    maps = np.zeros((4, height, width), bool)
-    maps[side[inside], v[inside], u[inside]] = True
-    kept = occlusion.without_short(maps, min_line_px)
     out = np.zeros(len(pixel), bool)
-    out[inside] = kept[side[inside], v[inside], u[inside]]
+    for one in SIDES:
+        own = np.flatnonzero(inside & (side == one))
+        at = v[own] * width + u[own]
+        there = np.zeros(size, np.uint8)
+        there.reshape(-1)[at] = 1
+        _, piece = cv2.connectedComponents(there, connectivity=8)
+        # Pixels are counted, not points, where several points share one.
+        pixels = np.bincount(piece.reshape(-1)[np.unique(at)], minlength=1)
+        out[own] = pixels[piece.reshape(-1)[at]] >= min_line_px
     return out
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from p2o import SIDES, Side
@@ -23,7 +24,8 @@ class Peaks:
 
     def select(self, keep: np.ndarray) -> Peaks:
         """Return the points of a mask."""
-        return Peaks(self.uv[keep], self.side[keep], self.score[keep], self.pixel[keep])
+        at = np.flatnonzero(keep)
+        return Peaks(self.uv.take(at, 0), self.side.take(at), self.score.take(at), self.pixel.take(at, 0))
 
 
 def side_probabilities(probability: Float) -> Float:
@@ -60,24 +62,46 @@ def peaks(maps: Float, min_score: float) -> Peaks:
 
 def _line_peaks(p: Float, min_score: float) -> tuple[Float, Float, Float, Float]:
     """Return line, place of the peak, sub-pixel place and score of the maxima along the rows of p (lines, places)."""
-    margin = ((1, 1), (REACH + 1, REACH + 1))
-    padded = np.pad(p, margin)
-    # Neighbouring lines vote on where the peak is, not on how high it is.
-    smooth = 0.25 * padded[:-2] + 0.5 * padded[1:-1] + 0.25 * padded[2:]
-    smooth[:, 1:-1] = 0.25 * smooth[:, :-2] + 0.5 * smooth[:, 1:-1] + 0.25 * smooth[:, 2:]
-    centre = smooth[:, REACH + 1 : -REACH - 1]
-    width = p.shape[1]
-    highest = centre > 0.02 * min_score
-    for k in range(1, REACH + 1):
-        highest &= centre > smooth[:, REACH + 1 - k : REACH + 1 - k + width]
-        highest &= centre >= smooth[:, REACH + 1 + k : REACH + 1 + k + width]
-    for k in (-REACH, REACH):
-        # It falls to both sides: an even background has no peak, not even at the border of the picture.
-        highest &= centre > 1.001 * smooth[:, REACH + 1 + k : REACH + 1 + k + width]
-    line, place = np.nonzero(highest)
-    window = padded[line[:, None] + 1, place[:, None] + 1 + np.arange(2 * REACH + 1)]
+    lines, places = p.shape
+    inner = (slice(1, -1), slice(REACH + 1, -REACH - 1))
+    # Axes stay in the order that they have in memory, here and in what is computed from it.
+    order: Literal["C", "F"] = "F" if p.strides[0] < p.strides[1] else "C"
+    padded = np.zeros((lines + 2, places + 2 * (REACH + 1)), p.dtype, order)
+    padded[inner] = p
+    # Neighbouring lines vote on where the peak is, not on how high it is. Sums of 16 in all, and not means: that saves
+    # work, and changes no comparison.
+    across = padded[1:-1] + padded[1:-1]
+    across += padded[:-2]
+    across += padded[2:]
+    smooth = across[:, 1:-1] + across[:, 1:-1]
+    smooth += across[:, :-2]
+    smooth += across[:, 2:]
+
+    def beside(k: int) -> Float:
+        return smooth[:, REACH + k : REACH + k + places]
+
+    centre = beside(0)
+    highest = centre > 16 * 0.02 * min_score
+    highest &= centre > beside(-1)
+    highest &= centre >= beside(1)
+    line, place = np.divmod(np.flatnonzero(highest), places)
+    # It falls to both sides: an even background has no peak, not even at the border of the picture.
+    flat, (down, along) = smooth.ravel("K"), _steps(smooth)
+    at = down * line + along * (place + REACH)
+    peak = flat.take(at)
+    falls = peak > 1.001 * np.maximum(flat.take(at - REACH * along), flat.take(at + REACH * along))
+    line, place = line[falls], place[falls]
+    flat, (down, along) = padded.ravel("K"), _steps(padded)
+    at = down * (line + 1) + along * (place + 1)
+    window = flat.take(at[:, None] + along * np.arange(2 * REACH + 1))
     total = window.sum(axis=1)
-    keep = total >= min_score
-    line, place, window, total = line[keep], place[keep], window[keep], total[keep]
+    keep = np.flatnonzero(total >= min_score)
+    line, place, window, total = line.take(keep), place.take(keep), window.take(keep, 0), total.take(keep)
     shift = window @ np.arange(-REACH, REACH + 1) / np.maximum(total, 1e-9)
     return line, place, place + 0.5 + shift, np.minimum(total, 1.0)
+
+
+def _steps(array: Float) -> tuple[int, int]:
+    """Return by how many elements two neighbours along each axis are apart in memory, of an array without gaps."""
+    rows, columns = array.shape
+    return (columns, 1) if array.flags.c_contiguous else (1, rows)
