@@ -99,6 +99,8 @@ HEAVY = {
     "matplotlib",
     "joblib",
     "safetensors",
+    "onnx",
+    "onnxruntime",
     "cma",
     "laspy",
     "pyarrow",
@@ -108,7 +110,7 @@ NETWORK = "p2o_plugins.p2ornet"
 REGRESSORS = "p2o_baselines.regressors"
 NETWORKS = (NETWORK, REGRESSORS)
 """The folders that may import heavy packages on import: methods import them when they need them."""
-LIGHT = {f"{NETWORK}.options", f"{NETWORK}.shipped"} | {
+LIGHT = {f"{NETWORK}.{name}" for name in ("design", "graph", "options", "shipped", "weights")} | {
     f"{REGRESSORS}.{name}"
     for name in ("decalibration", "design", "glance", "lesson", "method", "options", "sample", "sweep_map")
 }

@@ -81,8 +81,10 @@ def test_listing_imports_no_package_that_methods_need() -> None:
     assert "scipy.optimize" not in done.stderr.split()
 
 
-def test_a_run_imports_no_reports_and_no_package_that_it_does_not_need() -> None:
-    words = ["run", "--data", "synthetic:?megapixels=0.1", "--extractor", "depth/rings", "--perturb", "1deg 0.05m"]
+@pytest.mark.parametrize("extractor", ["depth/rings", "p2ornet/rings"])
+def test_a_run_imports_no_reports_and_no_package_that_it_does_not_need(extractor: str) -> None:
+    words = ["run", "--data", "synthetic:?megapixels=0.1", "--extractor", extractor, "--perturb", "1deg 0.05m"]
+    words += ["--set", "image.device=cpu"] if extractor.startswith("p2ornet") else []
     code = "import sys; from p2o.cli import main; "
     code += f"print(main({words})); print(*sys.modules, file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -91,6 +93,14 @@ def test_a_run_imports_no_reports_and_no_package_that_it_does_not_need() -> None
     assert not {"p2o.report", "p2o.study", "scipy.optimize"} & set(loaded)
     packages = {name.partition(".")[0] for name in loaded}
     assert not packages & {"torch", "kornia", "pycolmap", "pyceres", "matplotlib", "joblib"}
+
+
+def test_without_a_driver_of_a_gpu_the_default_run_imports_no_torch() -> None:
+    code = "import sys, p2o.native; p2o.native.has_gpu_driver = lambda: False; from p2o.cli import main; "
+    code += "print(main(['run', '--data', 'synthetic:?megapixels=0.1', '--perturb', '1deg 0.05m'])); "
+    code += "print('torch' in sys.modules, file=sys.stderr)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr.splitlines()[-1] == "False"
 
 
 @pytest.mark.parametrize("command", ["", *_COMMANDS, "data list", "data check"])
