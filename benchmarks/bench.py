@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import importlib.util
 import json
 import os
 import platform
@@ -134,9 +135,13 @@ def peak_mib() -> float:
 def step_frame(data: str, count: int) -> dict[str, Cost]:
     """Measure what a frame goes through, from imports to pictures."""
     clock = Clock()
-    with clock.of("import torch"):
-        import torch
-    torch.set_num_threads(1)
+    with clock.of("import what computes the network"):
+        # Before ONNX Runtime it was torch.
+        if importlib.util.find_spec("p2o_plugins.p2ornet.graph") is None:
+            import torch  # noqa: F401
+        else:
+            import onnx.helper
+            import onnxruntime  # noqa: F401
     with clock.of("import the rest, find the methods"):
         from p2o.host.registry import Registry
         from p2o.run.recipe import Recipe
@@ -168,11 +173,9 @@ def step_frame(data: str, count: int) -> dict[str, Cost]:
 
 def step_grid(data: str, count: int) -> dict[str, Cost]:
     """Measure `grid` from 10 deg away, ten frames jointly, after their extraction."""
-    import torch
     from p2o.host.registry import Registry
     from p2o.run.recipe import Recipe
 
-    torch.set_num_threads(1)
     plan = Recipe.of(data=data, init="grid").resolve(Registry.load())
     assembly, dataset, clock = plan.assembly(), plan.dataset(), Clock()
     frames = [dataset[number] for number in range(min(count, 10))]

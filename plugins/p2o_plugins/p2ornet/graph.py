@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from p2o.arrays import UInt8
+from p2o.arrays import Float, UInt8
 from p2o.native import cores
 
 from p2o_plugins.p2ornet.design import CLASSES, INFINITY, PLANS, Shape, network
@@ -37,7 +37,7 @@ class Predictor:
         self._sessions: OrderedDict[tuple[int, int], Any] = OrderedDict()
         self._lock = threading.Lock()
 
-    def __call__(self, rgb: UInt8) -> _Float32:
+    def __call__(self, rgb: UInt8) -> Float:
         """Return probabilities (inclinations, 2, H, W) of each pair of pixels of a picture (H, W, 3).
 
         That the first pixel of the pair is occluded by the second, and that it occludes it.
@@ -46,7 +46,7 @@ class Predictor:
         step = self._shape.multiple
         filled = np.pad(rgb, ((0, -height % step), (0, -width % step), (0, 0)), mode="edge")
         (found,) = self._session(filled.shape[0], filled.shape[1]).run(None, {_PICTURE: filled})
-        probability: _Float32 = found.reshape(2, -1, *filled.shape[:2])
+        probability: Float = found.reshape(2, -1, *filled.shape[:2])
         return probability[:, :, :height, :width].swapaxes(0, 1)
 
     def _session(self, height: int, width: int) -> Any:
@@ -103,7 +103,7 @@ class _Graph:
         self.nodes.append(helper.make_node(kind, list(inputs), [output], **attributes))
         return output
 
-    def constant(self, values: np.ndarray) -> str:
+    def constant(self, values: NDArray[Any] | np.float32) -> str:
         """Add a constant, and return its name."""
         from onnx import numpy_helper
 

@@ -78,7 +78,8 @@ def _line_peaks(p: Float, min_score: float) -> tuple[Float, Float, Float, Float]
     smooth += across[:, 2:]
 
     def beside(k: int) -> Float:
-        return smooth[:, REACH + k : REACH + k + places]
+        moved: Float = smooth[:, REACH + k : REACH + k + places]
+        return moved
 
     centre = beside(0)
     highest = centre > 16 * 0.02 * min_score
