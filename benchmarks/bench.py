@@ -140,7 +140,7 @@ def step_frame(data: str, count: int) -> dict[str, Cost]:
         if importlib.util.find_spec("p2o_plugins.p2ornet.graph") is None:
             import torch  # noqa: F401
         else:
-            import onnx.helper
+            import onnx.helper  # noqa: F401
             import onnxruntime  # noqa: F401
     with clock.of("import the rest, find the methods"):
         from p2o.host.registry import Registry

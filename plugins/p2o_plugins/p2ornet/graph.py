@@ -128,7 +128,7 @@ class _Graph:
         return self._convolved(x, weight, shift, stride, depthwise=depthwise, same=same, cell=cell, relu=relu)
 
     def _convolved(
-        self, x: _Map, weight: np.ndarray, shift: np.ndarray, stride: int = 1, *, depthwise: bool = False,
+        self, x: _Map, weight: NDArray[Any], shift: NDArray[Any], stride: int = 1, *, depthwise: bool = False,
         same: bool = False, cell: int = 1, relu: float | None = None,
     ) -> _Map:  # fmt: skip
         """Add a convolution with weights (outputs, inputs, k, k) and shifts (outputs,)."""
