@@ -250,7 +250,8 @@ class Plan:
         from importlib.metadata import PackageNotFoundError, version
 
         out = {"python": platform.python_version()}
-        for name in ("p2o-calib", "numpy", "scipy", "opencv-contrib-python-headless", "pycolmap", "pyceres", "torch"):
+        solvers, networks = ("pycolmap", "pyceres"), ("torch", "onnxruntime")
+        for name in ("p2o-calib", "numpy", "scipy", "opencv-contrib-python-headless", *solvers, *networks):
             try:
                 out[name] = version(name)
             except PackageNotFoundError:
