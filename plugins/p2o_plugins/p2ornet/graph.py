@@ -22,8 +22,11 @@ _Float32 = NDArray[np.float32]
 _OPSET, _IR_VERSION = 17, 8
 """Of 2022: any ONNX Runtime that this package accepts reads them."""
 _PICTURE = "rgb"
-SIZES = 3
-"""For so many sizes of pictures a graph is kept: a rig has few cameras, a drive one."""
+KEPT_PX = 1_500_000
+"""Graphs are kept for the sizes of pictures that were asked for last, of so many pixels together, one at least.
+
+A graph keeps the memory that its maps took, 0.5 GB for a million pixels, and is the quicker for it.
+"""
 
 
 class Predictor:
@@ -55,7 +58,7 @@ class Predictor:
         with self._lock:
             if size not in self._sessions:
                 self._sessions[size] = session(model(self._tensors, self._shape, size))
-                if len(self._sessions) > SIZES:
+                while len(self._sessions) > 1 and sum(h * w for h, w in self._sessions) > KEPT_PX:
                     self._sessions.popitem(last=False)
             self._sessions.move_to_end(size)
             return self._sessions[size]

@@ -151,7 +151,7 @@ def test_pictures_at_once_and_one_after_the_other_give_the_same_bits() -> None:
         np.testing.assert_array_equal(one, other)
 
 
-def test_graphs_are_made_once_a_size_and_few_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_graphs_are_made_once_a_size_and_kept_up_to_so_many_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
     made = []
     original = graph.model
 
@@ -160,16 +160,20 @@ def test_graphs_are_made_once_a_size_and_few_are_kept(monkeypatch: pytest.Monkey
         return original(tensors, shape, size)  # type: ignore[arg-type]
 
     monkeypatch.setattr(graph, "model", counted)
+    monkeypatch.setattr(graph, "KEPT_PX", 32 * (128 + 160 + 192))
     shape = thin("efficientnet-lite0", 2, 4)
     predict = Predictor(stirred(shape).tensors(), shape)
     with ThreadPoolExecutor(4) as threads:
         list(threads.map(predict, [picture(20 + number, 40) for number in range(8)]))
     assert made == [(32, 64)]
-    for width in (40, 90, 120, 150, 180, 150):
+    for width in (40, 90, 120, 40, 150, 180, 40, 150):
         predict(picture(20, width))
     assert made == [(32, 64), (32, 96), (32, 128), (32, 160), (32, 192)]
-    predict(picture(20, 40))
-    assert made[5:] == [(32, 64)], "the one that was not asked for the longest had to go"
+    predict(picture(20, 90))
+    assert made[5:] == [(32, 96)], "the one that was not asked for the longest had to go"
+    predict(picture(200, 200))
+    predict(picture(200, 200))
+    assert made[6:] == [(224, 224)], "one is kept, however large"
 
 
 # ---- what it takes
