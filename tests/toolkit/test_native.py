@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+from p2o import native
 
 CODE = """
 import os, signal, sys
@@ -31,3 +32,27 @@ WORK = {
 def test_sigterm_still_interrupts_after(name: str) -> None:
     done = subprocess.run([sys.executable, "-c", CODE.format(work=WORK[name])], capture_output=True, timeout=120)
     assert (done.returncode, done.stdout) == (130, b""), done.stderr.decode()[-500:]
+
+
+@pytest.mark.parametrize(
+    ("platform", "there", "device", "found"),
+    [
+        ("linux", "libcuda.so.1", False, True),
+        ("linux", "", False, False),
+        ("linux", "", True, True),
+        ("win32", "nvcuda.dll", False, True),
+        ("darwin", "", False, False),
+    ],
+)
+def test_a_driver_of_gpus_is_a_library_that_loads_or_a_device(
+    platform: str, there: str, device: bool, found: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def load(name: str) -> object:
+        if name != there:
+            raise OSError(f"{name}: cannot open shared object file")
+        return object()
+
+    monkeypatch.setattr(native.ctypes, "CDLL", load)
+    monkeypatch.setattr(native.sys, "platform", platform)
+    monkeypatch.setattr(native.os.path, "exists", lambda path: device and path == "/dev/kfd")
+    assert native.has_gpu_driver() == found
