@@ -47,7 +47,7 @@ class Predictor:
         """
         height, width = rgb.shape[:2]
         step = self._shape.multiple
-        filled = np.pad(rgb, ((0, -height % step), (0, -width % step), (0, 0)), mode="edge")
+        filled = np.pad(np.ascontiguousarray(rgb), ((0, -height % step), (0, -width % step), (0, 0)), mode="edge")
         (found,) = self._session(filled.shape[0], filled.shape[1]).run(None, {_PICTURE: filled})
         probability: Float = found.reshape(2, -1, *filled.shape[:2])
         return probability[:, :, :height, :width].swapaxes(0, 1)

@@ -123,6 +123,7 @@ def test_a_picture_is_read_whatever_its_layout_in_memory() -> None:
     predict, rgb = Predictor(stirred(shape).tensors(), shape), picture(40, 50)
     direct, flipped = predict(rgb), np.ascontiguousarray(rgb[:, ::-1])
     np.testing.assert_array_equal(predict(flipped[:, ::-1]), direct)
+    np.testing.assert_array_equal(predict(np.asfortranarray(rgb)), direct)
     rgb.flags.writeable = False
     np.testing.assert_array_equal(predict(rgb), direct)
 
