@@ -5,12 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from p2o import Accuracy, Agreement, Doubt, Reason, Result, Rival, Status, Trust, Verdict, se3
+from p2o import Accuracy, Agreement, Doubt, Reason, Rival, Trust, Verdict
 from p2o.calibration.options import PipelineOptions
-from p2o.calibration.verdict import verdict_of, witnessed
-
-from tests import edge_scene
-from tests.edge_scene import TRUTH
+from p2o.calibration.verdict import verdict_of
 
 GOOD, POOR = Agreement(0.3, 0.03, 500, 60), Agreement(0.05, 0.03, 500, 60)
 OPTIONS = PipelineOptions()
@@ -71,40 +68,3 @@ def test_what_may_be_far_off_by_its_own_word_is_doubtful() -> None:
 
 def test_leads_in_another_unit_than_edges_have_no_bound() -> None:
     assert verdict_of(GOOD, rival(0.0, "cost"), (), OPTIONS).trusted
-
-
-def claimed(pose: np.ndarray, status: Status = Status.CONVERGED) -> Result:
-    return Result(("a",), pose, pose, status, "it says so")
-
-
-def test_a_witness_confirms_a_right_pose_and_doubts_a_wrong_one() -> None:
-    views = [edge_scene.view(seed=i) for i in range(2)]
-    right = witnessed(claimed(TRUTH), views, OPTIONS)
-    wrong = witnessed(claimed(se3.exp(np.array([0.05, 0.05, 0.05, 0, 0, 0])) @ TRUTH), views, OPTIONS)
-    assert right.verdict.trusted
-    assert right.agreement.odds_ratio > 5 * wrong.agreement.odds_ratio
-    assert wrong.verdict.trust is Trust.DOUBTFUL
-
-
-def test_without_witnesses_a_claim_is_doubtful_and_its_own_reasons_stay() -> None:
-    own = replace(claimed(TRUTH), verdict=Verdict((Reason(Doubt.RIVAL_POSE, "two"),)))
-    found = witnessed(own, [], OPTIONS)
-    assert found.agreement is None
-    assert [reason.doubt for reason in found.verdict.reasons] == [Doubt.RIVAL_POSE, Doubt.NOT_CHECKED]
-
-
-def test_a_method_that_says_itself_how_far_off_it_may_be_is_doubtful_whatever_the_witness_sees() -> None:
-    views = [edge_scene.view(seed=i) for i in range(2)]
-    unsure = replace(claimed(TRUTH), accuracy=Accuracy(2.6, 0.3, 5.0, 0.6))
-    assert [reason.doubt for reason in witnessed(unsure, views, OPTIONS).verdict.reasons] == [Doubt.TOO_UNSURE]
-    told = replace(unsure, verdict=Verdict((Reason(Doubt.TOO_UNSURE, "own words"),)))
-    assert [reason.text for reason in witnessed(told, views, OPTIONS).verdict.reasons] == ["own words"]
-
-
-def test_what_is_refused_or_has_its_own_agreement_is_left_alone() -> None:
-    views = [edge_scene.view()]
-    refused = claimed(TRUTH, Status.NOT_OBSERVABLE)
-    own = replace(claimed(TRUTH), agreement=POOR)
-    assert witnessed(refused, views, OPTIONS) is refused
-    assert witnessed(own, views, OPTIONS) is own
-    assert refused.verdict.trust is Trust.REFUSED

@@ -9,7 +9,7 @@ import numpy as np
 import p2o
 import pytest
 from p2o import Doubt, Frame, InputError, Kind, Method, Recipe, Registry, Result, Status, UnknownNameError
-from p2o.run.assembly import WITNESS
+from p2o.host.slots import WITNESS
 from p2o.testing import stage
 
 TRUTH = stage.camera_from_lidar()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from p2o.arrays import Float
 from p2o.calibration.agreement import agreement
@@ -15,7 +14,7 @@ from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.results.accuracy import Accuracy
 from p2o.results.evidence import Agreement, Rival
-from p2o.results.result import CameraCheck, Result
+from p2o.results.result import CameraCheck
 from p2o.results.verdict import Doubt, Reason, Verdict
 
 _RIVAL_DEG, _RIVAL_M = 0.5, 0.3
@@ -62,7 +61,7 @@ def verdict_of(
     Doubtful is, too, what may be far off by its own likely error (`accuracy`), whatever else speaks for it. `places` is
     from how many places of the pictures pairs come, None where that is not known.
     """
-    reasons = [*_rivalry(rival, options.min_lead_edges), *_meeting(agreed, options), *_unsure(accuracy, options)]
+    reasons = [*_rivalry(rival, options.min_lead_edges), *meeting(agreed, options), *unsure(accuracy, options)]
     if places is not None and places < _ENOUGH_PLACES:
         text = (
             f"pairs come from {places} places of the picture alone, too few to tell how good the pose is; take more "
@@ -81,7 +80,7 @@ def _rivalry(rival: Rival | None, min_lead_edges: float) -> list[Reason]:
     return [Reason(Doubt.RIVAL_POSE, f"{text} start")]
 
 
-def _meeting(agreed: Agreement | None, options: PipelineOptions) -> list[Reason]:
+def meeting(agreed: Agreement | None, options: PipelineOptions) -> list[Reason]:
     """Return a reason where edges meet little more often than by chance, or there are none to tell."""
     if agreed is None:
         text = "nothing could check that image and sweep meet at this pose: there are no edges of both sensors"
@@ -99,7 +98,7 @@ def _meeting(agreed: Agreement | None, options: PipelineOptions) -> list[Reason]
     ]
 
 
-def _unsure(accuracy: Accuracy | None, options: PipelineOptions) -> list[Reason]:
+def unsure(accuracy: Accuracy | None, options: PipelineOptions) -> list[Reason]:
     """Return a reason where one of twenty such results is further off than may be."""
     if accuracy is None or (
         accuracy.rotation_deg_95 <= options.most_deg and accuracy.translation_m_95 <= options.most_m
@@ -108,21 +107,3 @@ def _unsure(accuracy: Accuracy | None, options: PipelineOptions) -> list[Reason]
     may = f"{accuracy.rotation_deg_95:.2f} deg or {accuracy.translation_m_95:.2f} m"
     text = f"one of twenty such results is {may} off, or more; take more frames together"
     return [Reason(Doubt.TOO_UNSURE, text)]
-
-
-def witnessed(result: Result, views: Sequence[View], options: PipelineOptions) -> Result:
-    """Return a result that its method could not check, with the agreement of the edges of `views` at its pose.
-
-    It is doubtful, too, where its method's own likely error says that it may be far off. The views are those of
-    extractors that had no part in the calibration: what a network or a hand-eye method claims is held against edges.
-    Results that are not solved, or have an agreement, are returned as they are.
-    """
-    if not result.status.solved or result.agreement is not None:
-        return result
-    seen = [view.as_seen_from(result.camera_from_lidar).without_hidden(result.camera_from_lidar) for view in views]
-    agreed = agreement_of(seen, result.camera_from_lidar)
-    kept = tuple(reason for reason in result.verdict.reasons if reason.doubt is not Doubt.NOT_CHECKED)
-    said = {reason.doubt for reason in kept}
-    unsure = [reason for reason in _unsure(result.accuracy, options) if reason.doubt not in said]
-    verdict = Verdict((*kept, *_meeting(agreed, options), *unsure))
-    return replace(result, agreement=agreed, verdict=verdict)

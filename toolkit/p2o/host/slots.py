@@ -101,3 +101,7 @@ METHOD_WORDS = (*STAGED_WORDS, SLOT_OF[Kind.CALIBRATOR].word)
 
 SENSORS = {slot.stage: slot.sensor for slot in SLOTS if slot.sensor}
 """The part of a frame that each extractor looks at, by stage."""
+WITNESS = ("witness", "witness-cloud")
+"""What extracts the edges by which a result is checked whose method has none: stages of a plan."""
+WITNESS_STAGES = {"matcher": "witness-matcher", "solver": "witness-solver", "init": "witness-init"}
+"""The stages of a plan that tell where those edges lead, by what they are of a pipeline."""

@@ -19,6 +19,9 @@ BY_DOUBT: Mapping[Doubt, tuple[str, ...]] = {
     Doubt.RIVAL_POSE: (_MORE, "Or begin nearer to the truth: one frame of a bare road often fits in two places."),
     Doubt.TOO_FEW_PLACES: (_MORE, "Choose frames with edges all over the picture: poles, cars, corners of houses."),
     Doubt.TOO_UNSURE: (_MORE, "See which axis is open below: level edges tell pitch and height, upright ones yaw."),
+    Doubt.LED_AWAY: (
+        "Let edges calibrate the same frames (the defaults of `p2o run`), and compare; or give the method more frames.",
+    ),
     Doubt.CAMERA: (
         "Calibrate the lens anew, or let the edges do it: --set pipeline.camera=refine with many frames together.",
     ),

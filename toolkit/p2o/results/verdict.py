@@ -24,6 +24,7 @@ class Doubt(StrEnum):
     RIVAL_POSE = "rival-pose"
     TOO_FEW_PLACES = "too-few-places"
     TOO_UNSURE = "too-unsure"
+    LED_AWAY = "led-away"
     CAMERA = "camera"
     CONTRADICTION = "contradiction"
     TOO_FEW_CAMERAS = "too-few-cameras"
@@ -37,6 +38,7 @@ class Doubt(StrEnum):
             Doubt.NOT_CHECKED: Trust.DOUBTFUL,
             Doubt.TOO_FEW_PLACES: Trust.DOUBTFUL,
             Doubt.TOO_UNSURE: Trust.DOUBTFUL,
+            Doubt.LED_AWAY: Trust.DOUBTFUL,
             Doubt.CONTRADICTION: Trust.DOUBTFUL,
             Doubt.TOO_FEW_CAMERAS: Trust.DOUBTFUL,
             Doubt.RIVAL_POSE: Trust.AMBIGUOUS,

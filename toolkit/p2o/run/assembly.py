@@ -13,12 +13,13 @@ from weakref import WeakKeyDictionary
 from p2o.arrays import Float
 from p2o.calibration.options import PipelineOptions
 from p2o.calibration.pipeline import Pipeline
-from p2o.calibration.verdict import witnessed
+from p2o.calibration.witness import witnessed
 from p2o.errors import P2OError
 from p2o.features.view import View
 from p2o.frames.frame import Frame
 from p2o.frames.scale import camera_at_scale, image_at_scale
 from p2o.geometry.camera import Camera
+from p2o.host.slots import WITNESS, WITNESS_STAGES
 from p2o.options import Options
 from p2o.results.result import Result
 from p2o.threads import for_each
@@ -37,8 +38,6 @@ INPUTS = {
 }
 """What each stage that prepares something looks at."""
 
-WITNESS = ("witness", "witness-cloud")
-
 
 def given(frame: Frame, stage: str) -> Any:
     """Return the part of a frame that a stage prepares something from, its picture as it is looked at; no truth."""
@@ -55,13 +54,15 @@ class Assembly:
     """The methods of a plan, built: a `Pipeline` of stages or a whole method, and the extractors of the witness.
 
     `stages` are what prepares something of a frame, by stage; those in `kept` may be kept by the content that they look
-    at (`INPUTS`). Where all of them are `parallel`, several frames are prepared at once.
+    at (`INPUTS`). Where all of them are `parallel`, several frames are prepared at once. `witness` is the pipeline that
+    tells where the edges of the witness lead; None where they have no directions.
     """
 
     calibrator: Pipeline | GuardedCalibrator
     stages: Mapping[str, Callable[[Any], Any]]
     options: PipelineOptions
     parallel: bool = False
+    witness: Pipeline | None = None
 
     @classmethod
     def of(
@@ -81,7 +82,7 @@ class Assembly:
         parallel = all(parts[stage].offer.method.parallel for stage in asked)
         if "calibrator" in built:
             whole: GuardedCalibrator = built["calibrator"]
-            return cls(whole, {"calibrator": whole.prepare, **stages}, options, parallel)
+            return cls(whole, {"calibrator": whole.prepare, **stages}, options, parallel, _witness(parts, built))
         if (prepare := getattr(built["init"], "prepare", None)) is not None:
             stages["init"] = prepare
             parallel = parallel and parts["init"].offer.method.parallel
@@ -96,7 +97,7 @@ class Assembly:
             directed="side" in needs,
             needs=frozenset(needs | parts["init"].offer.method.needs),
         )
-        return cls(pipeline, stages, options, parallel)
+        return cls(pipeline, stages, options, parallel, _witness(parts, built))
 
     @property
     def kept(self) -> tuple[str, ...]:
@@ -117,7 +118,7 @@ class Assembly:
         if result.status.solved and result.agreement is None:
             with clock.of("witness"):
                 views = [view for frame in frames if (view := self.witness_of_frame(frame)) is not None]
-                result = witnessed(result, views, self.options)
+                result = witnessed(result, views, self.options, self.witness)
         warnings = tuple(text for _, _, texts in seen for text in texts)
         return replace(result, seconds={**clock.seconds, **result.seconds}, warnings=(*warnings, *result.warnings))
 
@@ -153,7 +154,7 @@ class Assembly:
         # The witness was not asked for by name: where it cannot work, the verdict says that nothing was checked.
         except P2OError:
             return None
-        return View(frame.name, camera_at_scale(frame.camera), image, cloud)
+        return View(frame.name, camera_at_scale(frame.camera), image, cloud, frame.twist)
 
     def view(self, frame: Frame) -> View | None:
         """Return the features to draw of a frame: those of the pipeline, or of the witness; None without either."""
@@ -162,6 +163,16 @@ class Assembly:
             if view.image.edges is not None or not all(stage in self.stages for stage in WITNESS):
                 return view
         return self.witness_of_frame(frame)
+
+
+def _witness(parts: Mapping[str, Part], built: Mapping[str, Any]) -> Pipeline | None:
+    """Return the pipeline that tells where the edges of a witness lead, or None where a plan has none."""
+    if not all(stage in built for stage in (*WITNESS, *WITNESS_STAGES.values())):
+        return None
+    image, cloud = (built[stage] for stage in WITNESS)
+    matcher, solver, initializer = (built[WITNESS_STAGES[stage]] for stage in ("matcher", "solver", "init"))
+    needs = frozenset(need for stage in ("matcher", "init") for need in parts[WITNESS_STAGES[stage]].offer.method.needs)
+    return Pipeline(image, cloud, matcher, solver, initializer, PipelineOptions(), needs=needs)
 
 
 def remembering(extract: Callable[[Any], Any]) -> Callable[[Any], Any]:

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, StrictBool
 from p2o.errors import InputError, UnknownNameError
 from p2o.host.method import Kind, Method
 from p2o.host.registry import Offer, Registry
-from p2o.host.slots import KIND_OF, STAGED_WORDS
+from p2o.host.slots import KIND_OF, STAGED_WORDS, WITNESS, WITNESS_STAGES
 from p2o.host.slots import STAGE_OF as STAGE_OF
 from p2o.host.slots import STAGES as STAGES
 from p2o.host.validation import validated as validated
@@ -99,8 +99,8 @@ class Recipe(BaseModel):
                 raise InputError("both a start and a perturbation are given", expected="one of them")
         names, said = self._names()
         for stage in self.options:
-            if stage not in (*STAGES, *_WITNESS):
-                raise UnknownNameError("stage", stage, (*STAGES, *_WITNESS), where="options")
+            if stage not in (*STAGES, *WITNESS):
+                raise UnknownNameError("stage", stage, (*STAGES, *WITNESS), where="options")
         parts: dict[str, Part] = {}
         for stage, name in names.items():
             values = {**said.get(stage, {}), **self.options.get(stage, {})}
@@ -136,7 +136,7 @@ class Recipe(BaseModel):
         names = _pair("a witness", self.witness or Recipe().extractor)
         found: dict[str, Part] = {}
         try:
-            for stage, kind, name in zip(_WITNESS, (Kind.IMAGE_EXTRACTOR, Kind.CLOUD_EXTRACTOR), names, strict=True):
+            for stage, kind, name in zip(WITNESS, (Kind.IMAGE_EXTRACTOR, Kind.CLOUD_EXTRACTOR), names, strict=True):
                 found[stage] = part_of(registry.find(kind, name), stage, self.options.get(stage, {}), self.seed)
         except UnknownNameError:
             if self.witness is None:
@@ -146,7 +146,26 @@ class Recipe(BaseModel):
         offers = {**beside, "extractor": found["witness"].offer, "cloud": found["witness-cloud"].offer}
         if self.witness is not None:
             check_fit(offers, registry)
-        return found if misfit_of(offers) is None else {}
+        if misfit_of(offers) is not None:
+            return {}
+        return found | self._where_edges_lead(found, offers, registry)
+
+    def _where_edges_lead(
+        self, witness: Mapping[str, Part], offers: Mapping[str, Offer], registry: Registry
+    ) -> dict[str, Part]:
+        """Return the other stages by which a witness tells where its edges lead; none where edges have no sides."""
+        if not all("side" in part.offer.method.gives for part in witness.values()):
+            return {}
+        default = Recipe()
+        try:
+            found = {
+                of: part_of(registry.find(KIND_OF[stage], getattr(default, stage)), of, {}, self.seed)
+                for stage, of in WITNESS_STAGES.items()
+            }
+        except UnknownNameError:
+            return {}
+        beside = {stage: found[of].offer for stage, of in WITNESS_STAGES.items()}
+        return found if misfit_of({**offers, **beside}) is None else {}
 
     def _names(self) -> tuple[dict[str, str], dict[str, dict[str, Any]]]:
         """Return the method name of each stage, and options that the data text holds."""
@@ -175,7 +194,6 @@ class Recipe(BaseModel):
         }, said
 
 
-_WITNESS = ("witness", "witness-cloud")
 _SELDOM = ("accumulate", "rig", "witness", "start")
 
 
@@ -222,7 +240,7 @@ class Plan:
         """Raise InputError where a method needs what this frame does not hold, with what would fit instead."""
         held = frozenset(word for word, find in HELD.items() if find(frame) is not None)
         # The witness is no stage of the method: where a frame lacks what it needs, the verdict says so.
-        offers = {stage: part.offer for stage, part in self.parts.items() if stage not in _WITNESS}
+        offers = {stage: part.offer for stage, part in self.parts.items() if stage not in WITNESS}
         # Frames that are handed over in Python have no dataset: stand in one that gives nothing for certain.
         blank = Method(name="frame", build=dict, summary="Frames of Python.", gives=frozenset({"frames"}))
         offers.setdefault("data", Offer(Kind.DATASET, blank, "", "", ""))

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from p2o.arrays import Float, leaves, parts
-from p2o.calibration.verdict import witnessed
+from p2o.calibration.witness import witnessed
 from p2o.errors import InputError, P2OError
 from p2o.features.view import View
 from p2o.frames.frame import Frame
@@ -31,9 +31,10 @@ from p2o.geometry.camera import Camera
 from p2o.geometry.pose_error import AXES, pose_error
 from p2o.host.method import Kind
 from p2o.host.registry import Registry
+from p2o.host.slots import WITNESS
 from p2o.results.result import Result, Status
 from p2o.results.result_json import result_to_dict
-from p2o.run.assembly import INPUTS, WITNESS, Assembly, given
+from p2o.run.assembly import INPUTS, Assembly, given
 from p2o.run.joined import JoinedFrames
 from p2o.run.recipe import Part, Plan, Recipe, open_dataset
 from p2o.study.store import StoredRow
@@ -335,13 +336,13 @@ def _result(job: Calibration) -> Result:
     seconds = {**result.seconds, "extract": sum(took)}
     if result.status.solved and result.agreement is None:
         views = []
-        for (name, camera, _), (facts, keys) in zip(frames, each, strict=True):
+        for (name, camera, twist), (facts, keys) in zip(frames, each, strict=True):
             # The witness was not asked for by name: where it cannot work, the verdict says that nothing was checked.
             with contextlib.suppress(P2OError):
                 if all(stage in keys for stage in WITNESS):
                     image, cloud = pieces(facts, keys, WITNESS).values()
-                    views.append(View(name, camera_at_scale(camera), image, cloud))
-        result = witnessed(result, views, assembly.options)
+                    views.append(View(name, camera_at_scale(camera), image, cloud, twist))
+        result = witnessed(result, views, assembly.options, assembly.witness)
     warnings = [f"{facts.name}: {text}" for facts in job.facts for text in facts.warnings]
     return replace(result, seconds=seconds, warnings=(*warnings, *result.warnings))
 
