@@ -17,9 +17,10 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
@@ -139,14 +140,18 @@ class Bound:
 
     def axis(self, half: Float) -> int:
         """Return the axis that moves edges most."""
-        return int(np.argmax(half * sum(part.weight @ chart.sum(axis=0) for part, chart in self._parts())))
+        return int(np.argmax(half * self._mean_gain))
 
     def mean_px(self, half: Float) -> float:
         """Return how far a box moves edges on average."""
-        return float(sum(part.weight @ (chart.sum(axis=0) @ half) for part, chart in self._parts()) / self.cost.edges)
+        return float(self._mean_gain @ half)
 
-    def _parts(self) -> Iterator[tuple[object, Float]]:
-        return ((part, gain[0]) for part, gain in zip(self.cost.parts, self._gains, strict=True))
+    @cached_property
+    def _mean_gain(self) -> Float:
+        total = np.zeros(6)
+        for part, (chart, _, _) in zip(self.cost.parts, self._gains, strict=True):
+            total += part.weight @ chart.sum(axis=0)
+        return total / self.cost.edges
 
     def updates(self, centres: Float) -> Float:
         """Return the rotation vectors and shifts (B, 6) of centres."""
@@ -301,18 +306,68 @@ class Proof:
     lowest_px: float
 
 
+def tiles(cost: DirectedCost, turn_rad: float, shift_m: float) -> list[Bound]:
+    """Return bounds on domains that together hold all poses within `turn_rad` and `shift_m`, each small in rotation.
+
+    Bounds on how edges move are of a whole domain: those of large ones are loose.
+    """
+    count = int(np.ceil(turn_rad / _WIDEST_RAD))
+    if count == 1:
+        return [Bound(cost, turn_rad, shift_m)]
+    half, around = turn_rad / count, se3.inverse(cost.lidar_from_around)
+    # Relative to its middle c a rotation exp(w) has the vector of exp(w) exp(-c), not w - c: see `Bound._bend`.
+    wide, maps, out = half * (1 + 1.5 * turn_rad), {}, []
+    for middle in np.stack(np.meshgrid(*[np.arange(1 - count, count, 2) * half] * 3), axis=-1).reshape(-1, 3):
+        turned = se3.exp(np.concatenate([middle, np.zeros(3)]))
+        parts = tuple(replace(part, xyz=se3.apply(turned, part.xyz)) for part in cost.parts)
+        moved = replace(cost, parts=parts, lidar_from_around=se3.inverse(turned @ around))
+        out.append(Bound(moved, wide, shift_m, maps))
+    return out
+
+
+_WIDEST_RAD = np.radians(2.0)
+
+
+def certify_all(bounds: Sequence[Bound], pose: Float, beyond_rad: float, **words: Any) -> Proof:
+    """Return what `certify` says of several domains together; after the first that stays open it stops."""
+    limit_s, whole = words.pop("limit_s", 60.0), None
+    for bound in bounds:
+        proof = certify(
+            bound, pose, beyond_rad, beaten=whole, limit_s=limit_s - (whole.seconds if whole else 0), **words
+        )
+        if whole is not None:
+            proof = replace(
+                proof,
+                boxes=proof.boxes + whole.boxes,
+                looked_at=proof.looked_at + whole.looked_at,
+                seconds=proof.seconds + whole.seconds,
+            )
+        whole = proof
+        if not proof.certain:
+            break
+    assert whole is not None
+    return whole
+
+
 def certify(
-    bound: Bound, pose: Float, beyond_rad: float, *, sample: int | None = None, limit_s: float = 60.0, seed: int = 0
+    bound: Bound,
+    pose: Float,
+    beyond_rad: float,
+    *,
+    beaten: Proof | None = None,
+    sample: int | None = None,
+    limit_s: float = 60.0,
+    seed: int = 0,
 ) -> Proof:
     """Halve boxes level by level until none is left that may hold less than the cost of a pose (4, 4), or time is up.
 
     Boxes within `beyond_rad` of the rotation of that pose are left alone. Where a better pose is met its cost is the
-    one to beat. With `sample` at most so many boxes of a level are halved, at random, and `boxes` estimates what all
-    would come to; nothing is proved then.
+    one to beat, or what `beaten` has found elsewhere. With `sample` at most so many boxes of a level are halved, at
+    random, and `boxes` estimates what all would come to; nothing is proved then.
     """
     began, rng = time.process_time(), np.random.default_rng(seed)
     centres, half, share = np.zeros((1, 6)), bound.half.copy(), 1.0
-    best, cost = pose, float(bound.values(bound.centre_of(pose)[None])[0])
+    best, cost = (pose, bound.cost.at(pose)) if beaten is None else (beaten.pose, beaten.cost_px)
     boxes, looked_at = 0.0, 0
     while True:
         if bound.mean_px(half) <= _LARGE_PX:
@@ -409,8 +464,25 @@ def _sizes(within: Sequence[float]) -> tuple[float, float]:
     return within[0], within[1] if len(within) > 1 else 0.0
 
 
+def proposals(words: argparse.Namespace) -> Callable[[Case], list[Float]]:
+    """Return what proposes poses (4, 4) of a case: the method `search` of the default calibration."""
+    initialize = Recipe.of(data=words.data).resolve(Registry.load()).calibrator().initializer
+
+    def propose(case: Case) -> list[Float]:
+        return [pose for pose in initialize(case.views, case.start) if not np.allclose(pose, case.start)] or [
+            case.start
+        ]
+
+    return propose
+
+
+_FINEST = np.array([np.radians(0.15)] * 3 + [0.02] * 3)
+"""From so near ends are narrowed once more before they are compared, rad and m."""
+
+
 def run_certify(words: argparse.Namespace) -> None:
     turn, shift = _sizes(words.within)
+    propose = proposals(words)
     print(
         "| frames | points | cost, px | error, deg | beyond, deg | certain | boxes | s | best cost | its error, deg |"
     )
@@ -418,13 +490,17 @@ def run_certify(words: argparse.Namespace) -> None:
     for case in cases(words):
         fine, rng = case.cost.truncated(TRUNCATE_PX), np.random.default_rng(words.seed)
         domain = np.array([np.radians(turn)] * 3 + [shift] * 3)
-        pose = from_all_over(case.cost, case.start, domain, rng, 30, domain / 20)
+        pose = from_all_over(case.cost, case.start, domain, rng, 150 if shift else 30, np.minimum(_FINEST, domain))
+        if shift:
+            ends = [descended(fine, at, _FINEST, rng, small=False) for at in propose(case)]
+            pose = _least(fine, [pose, *ends])
         for beyond in words.beyond:
             # Windows are made anew, so that seconds are those of one proof.
-            bound = Bound(fine, float(np.radians(turn)), shift)
-            proof = certify(bound, pose, float(np.radians(beyond)), sample=words.sample, limit_s=words.seconds)
+            bounds = tiles(fine, float(np.radians(turn)), shift)
+            proof = certify_all(bounds, pose, float(np.radians(beyond)), sample=words.sample, limit_s=words.seconds)
             errors = [pose_error(at, case.truth).rotation_deg for at in (pose, proof.pose)]
-            said = "yes" if proof.certain else f"no, at least {proof.lowest_px:.2f} px"
+            said = "yes" if proof.certain else f"no, at least {proof.lowest_px:.3f} px"
+            said = said if words.sample is None else "(sampled)"
             print(
                 f"| {case.name} | {fine.points} | {fine.at(pose):.3f} | {errors[0]:.2f} | {beyond:g} | {said} | "
                 f"{proof.boxes:.2g} | {proof.seconds:.1f} | {proof.cost_px:.3f} | {errors[1]:.2f} |",
@@ -434,19 +510,16 @@ def run_certify(words: argparse.Namespace) -> None:
 
 def run_misses(words: argparse.Namespace) -> None:
     turn, shift = _sizes(words.within)
-    plan = Recipe.of(data=words.data).resolve(Registry.load())
-    initialize = plan.calibrator().initializer
+    propose = proposals(words)
     print("| frames | points | cost at the truth | search | all over | from the truth | errors of the three, deg |")
     print("|---|---|---|---|---|---|---|")
     for case in cases(words):
         fine, rng = case.cost.truncated(TRUNCATE_PX), np.random.default_rng(words.seed)
-        finest = np.array([np.radians(0.15)] * 3 + [0.02] * 3)
-        proposed = [at for at in initialize(case.views, case.start) if not np.allclose(at, case.start)]
         domain = np.array([np.radians(turn)] * 3 + [shift] * 3)
         found = [
-            _least(fine, [descended(fine, at, finest, rng, small=False) for at in proposed or [case.start]]),
-            from_all_over(case.cost, case.start, domain, rng, words.starts, finest),
-            descended(fine, case.truth, finest, rng, small=False),
+            _least(fine, [descended(fine, at, _FINEST, rng, small=False) for at in propose(case)]),
+            from_all_over(case.cost, case.start, domain, rng, words.starts, _FINEST),
+            descended(fine, case.truth, _FINEST, rng, small=False),
         ]
         costs = " | ".join(f"{value:.3f}" for value in fine(np.stack([case.truth, *found])))
         errors = ", ".join(f"{pose_error(at, case.truth).rotation_deg:.2f}" for at in found)

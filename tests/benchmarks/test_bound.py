@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from bound import TOLERANCE_PX, Bound, certify
+from bound import TOLERANCE_PX, Bound, certify, certify_all, tiles
 from p2o import DirectedCost, se3
 
 from tests import edge_scene
@@ -123,3 +123,27 @@ def test_a_sample_of_the_boxes_estimates_how_many_there_are() -> None:
     whole = certify(bound, edge_scene.TRUTH, np.radians(0.4))
     parts = [certify(bound, edge_scene.TRUTH, np.radians(0.4), sample=100, seed=seed).boxes for seed in range(12)]
     assert np.mean(parts) == pytest.approx(whole.boxes, rel=0.3)
+
+
+def test_tiles_hold_every_pose_of_a_wide_domain() -> None:
+    wide = np.radians(5.0)
+    bounds = tiles(cost_around(edge_scene.TRUTH), wide, 0.0)
+    updates = np.concatenate([np.random.default_rng(5).uniform(-wide, wide, (300, 3)), np.zeros((300, 3))], axis=1)
+    for pose in se3.exp(np.concatenate([updates, wide * _CORNERS * [1, 1, 1, 0, 0, 0]])) @ edge_scene.TRUTH:
+        centres = [bound.centre_of(pose) for bound in bounds]
+        assert any((np.abs(at) <= bound.half + 1e-9).all() for at, bound in zip(centres, bounds, strict=True))
+
+
+def test_a_tile_costs_what_the_whole_costs() -> None:
+    cost = cost_around(turned(0.8, -0.6, 0.5))
+    for bound in tiles(cost, np.radians(5.0), 0.0)[::9]:
+        centre = bound.half * [0.3, -0.7, 0.2, 0, 0, 0]
+        pose = bound.poses(centre[None])
+        assert bound.values(centre[None])[0] == pytest.approx(cost(pose)[0], abs=1e-3)
+
+
+def test_the_true_rotation_is_proved_to_be_the_only_one_of_a_wide_domain() -> None:
+    bounds = tiles(cost_around(turned(2.0, -1.6, 1.5)), np.radians(4.0), 0.0)
+    proof = certify_all(bounds, edge_scene.TRUTH, np.radians(1.0))
+    assert proof.certain
+    assert proof.looked_at > len(bounds)
