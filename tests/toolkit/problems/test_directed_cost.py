@@ -200,3 +200,39 @@ def test_many_poses_cost_what_each_costs_alone(camera, smooth: bool) -> None:
     cost = DirectedCost.of([view], edge_scene.TRUTH, 20.0, smooth=smooth)
     alone = [cost.at(pose) for pose in poses[::100]]
     np.testing.assert_allclose(cost(poses)[::100], alone, rtol=1e-5)
+
+
+@pytest.mark.parametrize("camera", CAMERAS, ids=lambda c: c.model)
+@pytest.mark.parametrize("scale", [1, 4])
+def test_the_quick_cost_is_the_mean_of_the_nearest_cells_and_of_the_random_place_outside(camera, scale: int) -> None:
+    view = edge_scene.view(camera)
+    far = np.random.default_rng(1).normal(0, [0.3, 0.3, 0.3, 1, 1, 20], (40, 6))  # some look away, some are beyond
+    poses = se3.exp(far) @ edge_scene.TRUTH
+    cost = DirectedCost.of([view], edge_scene.TRUTH, 20.0, scale=scale, smooth=False)
+    (part,) = cost.parts
+    last = np.array(part.maps.shape[:0:-1]) - 1.001
+    expected, outside = [], 0
+    for pose in poses @ cost.lidar_from_around:
+        cell = camera.project(se3.apply(pose, part.xyz)) / scale
+        inside = ((cell >= 0) & (cell <= last)).all(axis=1)
+        column, row = np.rint(np.where(inside[:, None], cell, 0)).astype(int).T
+        met = np.where(inside, part.maps[part.side_index, row, column], part.neutral[part.side_index])
+        expected.append(np.average(np.minimum(met, 20.0), weights=part.weight))
+        outside += np.count_nonzero(~inside)
+    assert outside > 1000
+    # A point whose pixel is half way between two cells may take either: single precision.
+    np.testing.assert_allclose(cost(poses), expected, atol=5e-3)
+
+
+@pytest.mark.parametrize("smooth", [True, False])
+def test_a_point_half_a_pixel_outside_is_outside(smooth: bool) -> None:
+    camera = edge_scene.PINHOLE
+    image = ImageEdges(np.array([[0.0, 100.0]]), np.array([Side.LEFT]))
+    for u, inside in ((-0.3, False), (0.3, True)):
+        xyz = 10.0 * camera.rays(np.array([[u, 100.0]]))
+        # A second point holds the view: a cost is made of points that are in the image.
+        cloud = CloudEdges(np.concatenate([xyz, [[0.0, 0.0, 10.0]]]), np.array([Side.LEFT, Side.LEFT]))
+        view = View("border", camera, ImageFeatures(image), CloudFeatures(cloud))
+        cost = DirectedCost.of([view], np.eye(4), 20.0, margin_px=1.0, smooth=smooth)
+        # The second one meets nothing within 20 px, and a random place costs nearly as much.
+        assert (cost.at(np.eye(4)) < 10.5) == inside

@@ -344,9 +344,28 @@ def _pixel_matrices(camera: Camera, poses: Float, scale: int) -> Float32:
 
 def _looked_up(part: _Part, matrix: Float32, chunk: slice, side: int, cost: DirectedCost) -> Float32:
     """Return the truncated distances (N, B) of a chunk of points of one direction at all poses."""
-    _, height, width = part.maps.shape
-    points = part.homogeneous[chunk]
-    u, v, z = points @ matrix[0], points @ matrix[1], points @ matrix[2]
+    import cv2
+
+    cells = part.maps[side]
+    u, v = _cells_met(part, matrix, chunk, cost.scale)
+    last_v, last_u = (np.float32(max(size - 1.001, 0.0)) for size in cells.shape)
+    inside = (u >= 0) & (u <= last_u) & (v >= 0) & (v <= last_v)
+    if cost.smooth:
+        value = _interpolated(cells, u, v)
+    else:
+        # One pass of OpenCV: rounding, bounds and look-up.
+        value = cv2.remap(cells, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT)
+    np.clip(value, np.float32(0), np.float32(cost.truncate_px), out=value)
+    if inside.all():
+        return value
+    # OpenCV copies by a mask in a fifth of NumPy's time.
+    out = np.full_like(value, part.neutral[side])
+    return cv2.copyTo(value, inside.view(np.uint8), out)
+
+
+def _cells_met(part: _Part, matrix: Float32, chunk: slice, scale: int) -> tuple[Float32, Float32]:
+    """Return columns and rows (N, B) of the maps where a chunk of points falls at all poses; -1 where unseen."""
+    u, v, z = np.matmul(part.homogeneous[chunk], matrix)
     behind = z < _NEAREST_M if z.min(initial=1.0) < _NEAREST_M else None
     if part.camera.is_pinhole:
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -355,33 +374,32 @@ def _looked_up(part: _Part, matrix: Float32, chunk: slice, side: int, cost: Dire
             v *= z
     else:
         u, v = part.camera.pixels_of(u, v, z)
-        if cost.scale != 1:
-            u /= np.float32(cost.scale)
-            v /= np.float32(cost.scale)
+        if scale != 1:
+            u /= np.float32(scale)
+            v /= np.float32(scale)
+        for at in (u, v):
+            np.copyto(at, np.float32(-1.0), where=np.isnan(at))
     if behind is not None:
-        u[behind] = -1.0
-    # Comparisons with NaN, what is not seen, are false: it is outside.
-    last_u, last_v = np.float32(width - 1.001), np.float32(height - 1.001)
-    inside_u, inside_v = (np.fmax(np.fmin(at, last), np.float32(0)) for at, last in ((u, last_u), (v, last_v)))
-    outside = (inside_u != u) | (inside_v != v)
-    flat = part.maps[side].reshape(-1)
-    if not cost.smooth:
-        value = flat.take(_numbers(np.rint(inside_u, out=inside_u), np.rint(inside_v, out=inside_v), width))
-    else:
-        column, row = np.floor(inside_u), np.floor(inside_v)
-        u, v = inside_u - column, inside_v - row
-        index = _numbers(column, row, width)
-        right, below = (1 if width > 1 else 0), (width if height > 1 else 0)
-        top = flat.take(index)
-        top += (flat.take(index + right) - top) * u
-        value = flat.take(index + below)
-        value += (flat.take(index + (below + right)) - value) * u
-        value -= top
-        value *= v
-        value += top
-    np.minimum(value, np.float32(cost.truncate_px), out=value)
-    np.copyto(value, np.float32(part.neutral[side]), where=outside)
-    return np.asarray(value)
+        u[behind] = v[behind] = -1.0
+    return u, v
+
+
+def _interpolated(cells: Float32, u: Float32, v: Float32) -> Float32:
+    """Return the values of a map (H, W) between its cells at columns and rows (N, B); anything outside the map."""
+    height, width = cells.shape
+    inside_u, inside_v = (np.clip(at, 0, np.float32(max(size - 1.001, 0.0))) for at, size in ((u, width), (v, height)))
+    column, row = np.floor(inside_u), np.floor(inside_v)
+    u, v = inside_u - column, inside_v - row
+    flat, index = cells.reshape(-1), _numbers(column, row, width)
+    right, below = (1 if width > 1 else 0), (width if height > 1 else 0)
+    top = flat.take(index)
+    top += (flat.take(index + right) - top) * u
+    value = flat.take(index + below)
+    value += (flat.take(index + (below + right)) - value) * u
+    value -= top
+    value *= v
+    value += top
+    return value
 
 
 _NEAREST_M = 1e-3
