@@ -47,7 +47,7 @@ class SearchOptions(NarrowOptions):
 _BASIN_SPREAD, _BASIN_POPULATION, _BASIN_GENERATIONS = 0.3, 80, 5
 # Beginnings closer than this, in units of sigma_deg, and ends closer than this, in degrees, are one basin.
 _SEPARATE_SIGMA, _SEPARATE_DEG = 0.5, 0.6
-_DRAWS_AT_ONCE = 500
+_DRAWS_AT_ONCE = 2_000
 MOST_VIEWS = 64
 """The points of a search come from so many views at most, as maps of more would fill the memory."""
 

@@ -81,9 +81,7 @@ class ImageEdges(ImageFeature):
     def trees(self) -> dict[Side, cKDTree]:
         """A KD-tree over the pixels of each occurring direction; rows as in `index`."""
         # Cells are halved in the middle, not at the median: made in half the time, and no slower to search.
-        return {
-            s: cKDTree(self.uv[rows], balanced_tree=False, compact_nodes=False) for s, rows in self.index.items()
-        }
+        return {s: cKDTree(self.uv[rows], balanced_tree=False, compact_nodes=False) for s, rows in self.index.items()}
 
     def without_sides(self) -> ImageEdges:
         """Return the same edges with every direction forgotten."""
