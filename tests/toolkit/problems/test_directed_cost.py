@@ -236,3 +236,13 @@ def test_a_point_half_a_pixel_outside_is_outside(smooth: bool) -> None:
         cost = DirectedCost.of([view], np.eye(4), 20.0, margin_px=1.0, smooth=smooth)
         # The second one meets nothing within 20 px, and a random place costs nearly as much.
         assert (cost.at(np.eye(4)) < 10.5) == inside
+
+
+@pytest.mark.parametrize("poses", [1, 2, 2001])
+def test_many_points_of_one_direction_cost_what_one_does(poses: int) -> None:
+    # OpenCV looks up fewer than 32,768 at a time.
+    view, count = one_edge(Side.LEFT, Side.LEFT), 40_000 if poses < 3 else 50
+    edges = CloudEdges(np.tile([[0.0, 0.0, 10.0]], (count, 1)), np.full(count, Side.LEFT))
+    cost = DirectedCost.of([replace(view, cloud=CloudFeatures(edges))], np.eye(4), 20.0, smooth=False)
+    shifted = np.stack([se3.make(translation=[0.1, 0, 0])] * poses)  # 7 px
+    np.testing.assert_allclose(cost(shifted), np.full(poses, 7.0), rtol=0.02)
