@@ -35,19 +35,19 @@ def exp(tangent: Float) -> Float:
         numbers = tangent.tolist()
         if all(abs(number) < _FARTHEST_M for number in numbers):
             return _exp_of_one(*numbers)
-    omega, rho = tangent[..., :3], tangent[..., 3:]
-    angle = np.linalg.norm(omega, axis=-1)[..., None, None]
-    cross = skew(omega)
-    square = cross @ cross
+    x, y, z, u, v, w = np.ascontiguousarray(np.moveaxis(tangent, -1, 0))
+    square = x * x + y * y + z * z
+    angle = np.sqrt(square)
     # sinc forms stay accurate down to angle zero: sin(t)/t, (1-cos t)/t^2 = sinc(t/2)^2/2, (t-sin t)/t^3 by series.
     a = np.sinc(angle / np.pi)
     b = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
     small = angle < 1e-2
     safe = np.where(small, 1.0, angle)
-    c = np.where(small, 1 / 6 - angle**2 / 120 + angle**4 / 5040, (safe - np.sin(safe)) / safe**3)
+    c = np.where(small, _series(square), (safe - np.sin(safe)) / safe**3)
     out = np.zeros((*tangent.shape[:-1], 4, 4))
-    out[..., :3, :3] = np.eye(3) + a * cross + b * square
-    out[..., :3, 3] = ((np.eye(3) + b * cross + c * square) @ rho[..., None])[..., 0]
+    for i, row in enumerate(_rows(x, y, z, u, v, w, square, a, b, c)):
+        for j, entry in enumerate(row):
+            out[..., i, j] = entry
     out[..., 3, 3] = 1.0
     return out
 
@@ -59,16 +59,27 @@ def _exp_of_one(x: float, y: float, z: float, u: float, v: float, w: float) -> F
     half = 0.5 * angle
     a = math.sin(angle) / angle if angle else 1.0
     b = 0.5 * (math.sin(half) / half) ** 2 if half else 0.5
-    series = 1 / 6 - square / 120 + square * square / 5040
-    c = series if angle < 1e-2 else (angle - math.sin(angle)) / (angle * square)
-    # The square of the cross product's matrix is the outer product of the vector less its square.
-    xx, yy, zz, xy, xz, yz = x * x - square, y * y - square, z * z - square, x * y, x * z, y * z
+    c = _series(square) if angle < 1e-2 else (angle - math.sin(angle)) / (angle * square)
     out = np.empty((4, 4))
-    out[0] = 1 + b * xx, b * xy - a * z, b * xz + a * y, u + b * (y * w - z * v) + c * (xx * u + xy * v + xz * w)
-    out[1] = b * xy + a * z, 1 + b * yy, b * yz - a * x, v + b * (z * u - x * w) + c * (xy * u + yy * v + yz * w)
-    out[2] = b * xz - a * y, b * yz + a * x, 1 + b * zz, w + b * (x * v - y * u) + c * (xz * u + yz * v + zz * w)
+    out[0], out[1], out[2] = _rows(x, y, z, u, v, w, square, a, b, c)
     out[3] = 0.0, 0.0, 0.0, 1.0
     return out
+
+
+def _series(square: Any) -> Any:
+    """Return (t - sin t) / t^3 of small angles t from their squares."""
+    return 1 / 6 - square / 120 + square * square / 5040
+
+
+def _rows(x: Any, y: Any, z: Any, u: Any, v: Any, w: Any, square: Any, a: Any, b: Any, c: Any) -> Any:
+    """Return three rows of a transform from its tangent, numbers or arrays: I + a cross + b cross^2, and V @ rho."""
+    # The square of the cross product's matrix is the outer product of the vector less its square.
+    xx, yy, zz, xy, xz, yz = x * x - square, y * y - square, z * z - square, x * y, x * z, y * z
+    return (
+        (1 + b * xx, b * xy - a * z, b * xz + a * y, u + b * (y * w - z * v) + c * (xx * u + xy * v + xz * w)),
+        (b * xy + a * z, 1 + b * yy, b * yz - a * x, v + b * (z * u - x * w) + c * (xy * u + yy * v + yz * w)),
+        (b * xz - a * y, b * yz + a * x, 1 + b * zz, w + b * (x * v - y * u) + c * (xz * u + yz * v + zz * w)),
+    )
 
 
 def log(transform: Float) -> Float:

@@ -355,7 +355,8 @@ def _looked_up(part: _Part, matrix: Float32, chunk: slice, side: int, cost: Dire
     cells = part.maps[side]
     u, v = _cells_met(part, matrix, chunk, cost.scale)
     last_v, last_u = (np.float32(max(size - 1.001, 0.0)) for size in cells.shape)
-    inside = (u >= 0) & (u <= last_u) & (v >= 0) & (v <= last_v)
+    # Bits order as what they mean does, and those of negative numbers are larger: one comparison tells both ends.
+    inside = (u.view(np.uint32) <= last_u.view(np.uint32)) & (v.view(np.uint32) <= last_v.view(np.uint32))
     if cost.smooth:
         value = _interpolated(cells, u, v)
     else:
