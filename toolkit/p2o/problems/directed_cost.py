@@ -367,7 +367,7 @@ def _looked_up(part: _Part, matrix: Float32, chunk: slice, side: int, cost: Dire
         return value
     # OpenCV copies by a mask in a fifth of NumPy's time.
     out = np.full_like(value, part.neutral[side])
-    return cv2.copyTo(value, inside.view(np.uint8), out)
+    return np.asarray(cv2.copyTo(value, inside.view(np.uint8), out))
 
 
 def _cells_met(part: _Part, matrix: Float32, chunk: slice, scale: int) -> tuple[Float32, Float32]:
