@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import gc
 import weakref
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import p2o
 import pytest
-from p2o import Frame, Recipe
+from p2o import Frame, Kind, Method, Recipe, Registry
+from p2o.cli.out_dir import OutDir
 from p2o.run.recipe import open_dataset
+from p2o.run.run import run
 
 
 class Counted:
@@ -52,6 +58,50 @@ def test_many_frames_are_read_again_and_give_the_same(frames: list[Frame], monke
     assert found.warnings == expected.warnings
     assert held.most == len(frames)
     assert again.most < len(frames) - 1
+
+
+def counting(method: Method, calls: Counter[str]) -> Method:
+    """Return the method under another name; it counts how often it is asked."""
+
+    def build(options: Any) -> Any:
+        stage = method.build(options)
+
+        def counted(data: Any) -> Any:
+            calls[method.name] += 1
+            return stage(data)
+
+        return counted
+
+    return replace(method, name=f"counted-{method.name}", build=build)
+
+
+@pytest.mark.parametrize("focal_px", [700.0, 1400.0], ids=["as it is", "looked at smaller"])
+def test_pictures_of_frames_that_are_read_again_show_features_that_were_found_once(
+    frames: list[Frame], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, focal_px: float
+) -> None:
+    installed, calls = Registry.load(), Counter()
+
+    class Plugin:
+        @p2o.hookimpl
+        def p2o_image_extractors(self):
+            yield counting(installed.find(Kind.IMAGE_EXTRACTOR, "depth").method, calls)
+
+        @p2o.hookimpl
+        def p2o_cloud_extractors(self):
+            yield counting(installed.find(Kind.CLOUD_EXTRACTOR, "rings").method, calls)
+
+    import p2o_plugins.hooks
+
+    monkeypatch.setattr("p2o.run.run.MOST_HELD", 2)
+    recipe = Recipe.of(extractor="counted-depth/counted-rings", perturb="1deg 0.05m", joint=True)
+    plan = recipe.resolve(Registry.of(p2o_plugins.hooks, Plugin()))
+    folder = OutDir.prepared(str(tmp_path)).for_frames([frame.name for frame in frames])
+    cameras = [replace(frame.camera, params=(focal_px, focal_px, *frame.camera.params[2:])) for frame in frames]
+    images = [replace(frame.image, camera=camera) for frame, camera in zip(frames, cameras, strict=True)]
+    read = [replace(frame, image=image) for frame, image in zip(frames, images, strict=True)]
+    run(plan, Counted(read), on_progress=folder.write)
+    assert calls == {"depth": len(frames), "rings": len(frames)}
+    assert len(list(tmp_path.glob("*/after.png"))) == len(frames)
 
 
 def test_a_bad_frame_among_many_is_named(frames: list[Frame], monkeypatch: pytest.MonkeyPatch) -> None:

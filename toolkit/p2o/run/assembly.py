@@ -22,6 +22,7 @@ from p2o.geometry.camera import Camera
 from p2o.host.slots import WITNESS, WITNESS_STAGES
 from p2o.options import Options
 from p2o.results.result import Result
+from p2o.run.read_again import lasting
 from p2o.threads import for_each
 
 if TYPE_CHECKING:
@@ -159,7 +160,9 @@ class Assembly:
     def view(self, frame: Frame) -> View | None:
         """Return the features to draw of a frame: those of the pipeline, or of the witness; None without either."""
         if isinstance(self.calibrator, Pipeline):
-            view = self.calibrator.prepare(frame)
+            # What an initializer prepares is not drawn.
+            found = [self.stages[stage](given(frame, stage)) for stage in ("extractor", "cloud")]
+            view = self.calibrator.view(frame.name, frame.camera, found[0], found[1], frame.twist)
             if view.image.edges is not None or not all(stage in self.stages for stage in WITNESS):
                 return view
         return self.witness_of_frame(frame)
@@ -176,12 +179,16 @@ def _witness(parts: Mapping[str, Part], built: Mapping[str, Any]) -> Pipeline | 
 
 
 def remembering(extract: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Return the extractor with a memory that lasts as long as the image or sweep: pictures reuse its features."""
+    """Return the extractor with a memory that lasts as long as the image or sweep: pictures reuse its features.
+
+    Of frames that are read again it lasts as long as they may be.
+    """
     known: WeakKeyDictionary[Any, Any] = WeakKeyDictionary()
 
     def remembered(data: Any, /) -> Any:
-        if data not in known:
-            known[data] = extract(data)
-        return known[data]
+        key = lasting(data)
+        if key not in known:
+            known[key] = extract(data)
+        return known[key]
 
     return remembered
