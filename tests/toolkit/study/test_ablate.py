@@ -257,9 +257,49 @@ def test_every_job_gives_one_answer_though_workers_die(bench: Bench) -> None:
 
 def test_more_calibrations_than_anyone_can_wait_for_are_refused_before_a_frame_is_read(bench: Bench) -> None:
     text = QUICK.replace("frames = 3", "frames = 20").replace("seeds = 2", "seeds = 10000")
-    with pytest.raises(InputError, match=r"too many calibrations; expected at most 100000; got 200000.*--frames"):
+    with pytest.raises(InputError, match=r"too many calibrations; expected at most 100000; got 200000.*--at-most N"):
         bench.run(text)
+    twice = text.replace("seeds = 10000", "seeds = 15000").replace("frames = 20", "frames = 1")
+    with pytest.raises(InputError, match=r"seeds"):
+        bench.run(twice)
+    rows = "".join(f'[[row]]\nlabel = "r{n}"\ncalibrator = "quick"\n' for n in range(3))
+    with pytest.raises(InputError, match=r"40000 rows times seeds; expected at most 20000; .*--at-most N"):
+        bench.run(text + rows)
     assert bench.calls() == {}
+
+
+def test_more_are_computed_where_they_are_meant_and_then_read_when_they_are_looked_at(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    expected = bench.run(QUICK, out="held")
+    monkeypatch.setattr("p2o.study.ablate.MOST_CALIBRATIONS", 5)
+    with pytest.raises(InputError, match="at most 5; got 6"):
+        bench.run(QUICK)
+    found = bench.run(QUICK, at_most=6)
+    assert not isinstance(found.rows, tuple)
+    assert bits(found.rows) == bits(expected.rows)
+    assert (len(found.rows), len(found.missing)) == (6, 0)
+    file = bench.root / "s.toml"
+    file.write_text(QUICK)
+    words = ["ablate", str(file), "--plugin", str(PLUGIN), "--out", str(bench.root / "out"), "--quiet", "--jobs", "1"]
+    assert main(words) == 2
+    assert main([*words, "--at-most", "6"]) == 0
+
+
+def test_going_on_asks_the_store_as_often_for_many_finished_rows_as_for_few(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+    ask = Store._all
+    monkeypatch.setattr(Store, "_all", lambda store, query, values: asked.append(query) or ask(store, query, values))
+
+    def questions(text: str) -> int:
+        bench.run(text)
+        asked.clear()
+        assert bench.run(text).computed == 0
+        return len(asked)
+
+    assert questions(QUICK) == questions(QUICK.replace("seeds = 2", "seeds = 40"))
 
 
 @pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason='needs pip install ".[dask]"')

@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import sqlite3
 import tempfile
+import tracemalloc
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -324,3 +325,68 @@ def test_another_kind_of_database_is_no_store(tmp_path: Path) -> None:
     connection.close()
     with pytest.raises(InputError, match="not a store"):
         Store.open(tmp_path)
+
+
+def test_a_plan_says_what_is_still_to_be_computed_and_each_calibration_once(tmp_path: Path) -> None:
+    with Store.open(tmp_path) as store:
+        store.put(row("done"))
+        store.put(row("crashed", status="stage-failed"))
+        begun = store.begin(STUDY, planned("new", "done", "crashed", "new", "done", "other"))
+        assert (list(begun.pending), begun.kept) == ([0, 2, 5], 1)
+
+
+def test_a_plan_is_written_as_it_comes_and_never_held(tmp_path: Path) -> None:
+    many = 60_000
+    with Store.open(tmp_path) as store:
+        tracemalloc.start()
+        try:
+            begun = store.begin(STUDY, (Planned(f"{number:064d}", "table2", "ours") for number in range(many)))
+            _, peak = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+        assert list(begun.pending) == list(range(many))
+        assert peak < 50 * many, "a planned calibration alone takes 500 bytes"
+        assert len(store.all_missing("table2")) == many
+
+
+def test_others_write_while_a_plan_is_worked_out(tmp_path: Path) -> None:
+    with Store.open(tmp_path) as store, Store.open(tmp_path) as other:
+
+        def slowly() -> Iterator[Planned]:
+            yield from planned("a")
+            other.put(row("b"))
+            yield from planned("b", "c")
+
+        assert list(store.begin(STUDY, slowly()).pending) == [0, 2]
+
+
+def test_a_plan_that_cannot_be_worked_out_leaves_the_last_one(tmp_path: Path) -> None:
+    def broken() -> Iterator[Planned]:
+        yield from planned("x")
+        raise KeyboardInterrupt
+
+    with Store.open(tmp_path) as store:
+        store.begin(STUDY, planned("a", "b"))
+        with pytest.raises(KeyboardInterrupt):
+            store.begin(STUDY, broken())
+        assert [p.key for p in store.missing("table2")] == ["a", "b"]
+        store.begin(STUDY, planned("c"))
+        assert [p.key for p in store.missing("table2")] == ["c"]
+
+
+def test_rows_that_are_not_held_are_those_of_the_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("p2o.study.store._AT_A_TIME", 3)
+    keys = [f"k{number}" for number in range(8)]
+    with Store.open(tmp_path) as store:
+        store.begin(STUDY, planned(*keys, "missing"))
+        for key in keys:
+            store.put(row(key))
+        rows, missing = store.all_rows("table2"), store.all_missing("table2")
+    assert [r.key for r in rows] == keys
+    assert len(rows) == 8
+    assert [rows[0].key, rows[-1].key] == ["k0", "k7"]
+    assert [r.key for r in rows[2:7:2]] == ["k2", "k4", "k6"]
+    assert [r.key for r in rows[::-1]] == keys[::-1]
+    assert [(p.key, len(missing)) for p in missing] == [("missing", 1)]
+    with pytest.raises(IndexError):
+        rows[8]

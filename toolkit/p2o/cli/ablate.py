@@ -39,6 +39,12 @@ _LINE_EVERY_S = 5.0
     help="Which frames, as in `p2o run`, of one dataset or all (default: as the study says).",
 )
 @click.option("--seeds", metavar="N|LIST", help="How many starts, or which, such as 3,5 (default: as the study says).")
+@click.option(
+    "--at-most",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="So many calibrations are meant, where they are over 100,000.",
+)
 @click.option("--out", type=click.Path(file_okay=False), metavar="DIR", help="Keep rows here (default: p2o-out/STUDY).")
 @click.option("--jobs", type=click.IntRange(min=1), metavar="N", help="Processes to use (default: one a core).")
 @click.option("--backend", type=click.Choice(["loky", "dask", "ray"]), default="loky", help="Where jobs run.")
@@ -54,6 +60,7 @@ def command(
     root: str | None,
     frames: tuple[str, ...],
     seeds: str | None,
+    at_most: int | None,
     out: str | None,
     jobs: int | None,
     backend: Any,
@@ -104,7 +111,14 @@ def command(
     overrides = {name: value for name, value in words.items() if value}
     with progress_shown(quiet) as (say, warn):
         done = ablate(
-            file, folder, plugins=plugins, workers=workers, overrides=overrides, on_progress=say, on_warning=warn
+            file,
+            folder,
+            plugins=plugins,
+            workers=workers,
+            overrides=overrides,
+            at_most=at_most,
+            on_progress=say,
+            on_warning=warn,
         )
     click.echo(f"{file.study.title}\n{table(file.study, done.rows)}")
     if not quiet:
@@ -151,12 +165,15 @@ def _told(done: Ablation, folder: Path) -> str:
     """Return what happened, and what to do with it."""
     kept = len(done.rows) - done.computed
     parts = [f"{done.computed} rows computed", *([f"{kept} were there"] if kept > 0 else [])]
-    crashed = [row for row in done.rows if row.crashed]
+    crashed, first = 0, None
+    for row in done.rows:
+        crashed += row.crashed
+        first = row if first is None and row.crashed else first
     if done.missing:
         parts.append(f"{len(done.missing)} missing")
     lines = [f"{', '.join(parts)}; they are in {folder}"]
-    if crashed:
-        lines.append(f"{len(crashed)} rows crashed, such as {crashed[0].row}, {crashed[0].place}: {crashed[0].reason}")
+    if first is not None:
+        lines.append(f"{crashed} rows crashed, such as {first.row}, {first.place}: {first.reason}")
     if done.interrupted:
         lines.append("interrupted: the same command goes on from here")
     return "\n".join(f"p2o: {printable(line)}" for line in lines)

@@ -13,7 +13,6 @@ from p2o.errors import InputError
 
 _ROTATIONS = "0.5,1,2,4,8"
 _TRANSLATIONS = "0.05,0.15,0.3,0.6"
-_MOST_CALIBRATIONS = 100_000
 
 
 @click.command("basin")
@@ -26,6 +25,12 @@ _MOST_CALIBRATIONS = 100_000
     "--seeds", default=1, show_default=True, type=click.IntRange(1, 1000), help="Starts of each size a frame."
 )
 @click.option("--within", default="0.5deg 0.2m", show_default=True, metavar="SIZE", help="What counts as arrived.")
+@click.option(
+    "--at-most",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="So many calibrations are meant, where they are over 100,000.",
+)
 @click.option("--joint", is_flag=True, help="All frames together.")
 @click.option("--study", metavar="STUDY", help="METHODs may be labels of this study's rows, with their options.")
 @click.option("--out", default="p2o-out/basin", show_default=True, metavar="DIR", help="Keep rows and write here.")
@@ -40,6 +45,7 @@ def command(
     translations: str,
     seeds: int,
     within: str,
+    at_most: int | None,
     joint: bool,
     study: str | None,
     out: str,
@@ -57,7 +63,7 @@ def command(
     from p2o.draw.heat_maps import heat_maps
     from p2o.files.whole_file import write_whole
     from p2o.geometry.perturb import parse_perturbation
-    from p2o.study.ablate import ablate
+    from p2o.study.ablate import MOST_CALIBRATIONS, ablate
     from p2o.study.basin import Contender, Grid, basin_of, basin_study
     from p2o.study.study import find_study
     from p2o.study.worker import Plugins
@@ -72,11 +78,20 @@ def command(
     )
     found = None if study is None else find_study(study, registry).study
     contenders = [Contender.of(name, found, registry) for name in dict.fromkeys(methods)]
-    if len(contenders) * len(grid.cells) * seeds > _MOST_CALIBRATIONS:
-        raise InputError("too many calibrations", where="p2o basin", expected=f"at most {_MOST_CALIBRATIONS} a frame")
+    most, count = MOST_CALIBRATIONS if at_most is None else at_most, len(contenders) * len(grid.cells) * seeds
+    if count > most:
+        raise InputError(
+            "too many calibrations",
+            where="p2o basin",
+            expected=f"at most {most}",
+            got=f"{count} for each frame",
+            hint="ask for fewer sizes, methods or seeds, or say that so many are meant: --at-most N",
+        )
     file = basin_study(contenders, grid, data, frames, seeds, joint)
     with progress_shown(quiet) as (say, warn):
-        done = ablate(file, out, plugins=plugins, workers=Workers(jobs), on_progress=say, on_warning=warn)
+        done = ablate(
+            file, out, plugins=plugins, workers=Workers(jobs), at_most=at_most, on_progress=say, on_warning=warn
+        )
     basins = [basin_of(contender, grid, done.rows) for contender in contenders]
     for basin in basins:
         click.echo(_table(basin, grid))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -59,6 +60,7 @@ class Perturbation:
         return np.asarray(wrong @ truth if self.in_camera else truth @ wrong)
 
 
+@lru_cache(maxsize=256)
 def parse_perturbation(text: str, where: str = "--perturb") -> Perturbation:
     """Return the perturbation that a text such as "2deg 0.15m" (or "2deg,15cm") states; a missing part is zero.
 

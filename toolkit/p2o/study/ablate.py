@@ -6,8 +6,6 @@ Started again after anything, it computes only what is missing. `p2o ablate` and
 from __future__ import annotations
 
 import contextlib
-import json
-import math
 import os
 import re
 import time
@@ -17,29 +15,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from p2o.arrays import Float
-from p2o.errors import InputError, P2OError
-from p2o.frames.selection import select
-from p2o.geometry.pose_error import pose_error
-from p2o.host.guard import GuardedDataset
-from p2o.host.registry import Registry
-from p2o.run.recipe import Plan, open_dataset
-from p2o.run.run import common_pose, listed_errors, start_of
-from p2o.run.words import split_data
+from p2o.errors import InputError
 from p2o.study import worker
-from p2o.study.groups import group_size, groups_of
+from p2o.study.cells import Cell, Cells, FeatureKeys, Opened, opened
 from p2o.study.store import Planned, Store, StoredRow, StoredStudy
-from p2o.study.study import LARGEST_SEED, MOST_SEEDS, StudyFile, StudyRow, check_study, retold
+from p2o.study.study import LARGEST_SEED, MOST_ROWS, MOST_SEEDS, StudyFile, StudyRow, check_study
 from p2o.study.worker import Calibration, Extraction, Facts, Plugins, Reading, Source
-from p2o.work.cache import FeatureCache, content_hash, named_files
+from p2o.work.cache import FeatureCache
 from p2o.work.parallel import Run, Workers
-from p2o.work.sources import code_hash
 
 Phase = Literal["read", "extract", "calibrate"]
-_MOST_CALIBRATIONS = 100_000
-"""Planning so many takes minutes and some 100 MB; a row in the store is some 5 kB."""
-_CORE = ("p2o.calibration.pipeline", "p2o.run.run", "p2o.geometry.pose_error", "p2o.geometry.perturb")
-"""Modules that every row goes through, besides those of its methods."""
+MOST_CALIBRATIONS = 100_000
+"""So many are computed without being asked twice: a nought too many in a file of a few lines is weeks of work."""
 
 
 @dataclass(frozen=True)
@@ -64,11 +51,14 @@ OnWarning = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class Ablation:
-    """What a study came to: `rows` finished, `missing` planned but not computed; `computed` were computed just now."""
+    """What a study came to: `rows` finished, `missing` planned but not computed; `computed` were computed just now.
+
+    Of more than MOST_CALIBRATIONS, rows are not held: they are read from the store whenever they are looked at.
+    """
 
     study: StudyFile
-    rows: tuple[StoredRow, ...]
-    missing: tuple[Planned, ...]
+    rows: Sequence[StoredRow]
+    missing: Sequence[Planned]
     computed: int
     interrupted: bool = False
 
@@ -81,13 +71,15 @@ def ablate(
     workers: Workers | None = None,
     cache: FeatureCache | None = None,
     overrides: Mapping[str, Any] | None = None,
+    at_most: int | None = None,
     on_progress: OnProgress | None = None,
     on_warning: OnWarning | None = None,
 ) -> Ablation:
     """Run a study and return what it came to; the rows are in the store of `folder`, this time's and earlier ones.
 
     `plugins` are those of this process by default, `workers` one job in this process, `cache` the user's cache of
-    features. `overrides` are noted in the store as the words that differ from the study's file. Ctrl-C ends it with
+    features. `overrides` are noted in the store as the words that differ from the study's file. `at_most` says how many
+    calibrations are meant, where they are more than MOST_CALIBRATIONS. Ctrl-C ends it with
     `interrupted`; every finished row is kept. `on_warning` (default: `warnings.warn`) is told which datasets are left
     out, as nothing says where they are, and once that a cache cannot be written, which costs time alone.
 
@@ -100,25 +92,29 @@ def ablate(
     cache = FeatureCache.of_user() if cache is None else cache
     say = on_progress or (lambda progress: None)
     warn = _Once(on_warning or _warn)
-    rows = check_study(study.study, plugins.registry())
+    rows = check_study(study.study, plugins.registry(), MOST_ROWS if at_most is None else max(at_most, MOST_ROWS))
     if absent := [table.name for table in study.study.dataset if table.left_out]:
         (on_warning or _warn)(
             f"left out, as nothing says where they are: {', '.join(absent)} (--root DIR or --data NAME=DATASET:PATH)"
         )
-    opened = _opened(rows, plugins)
+    its = opened(rows, plugins, MOST_CALIBRATIONS if at_most is None else at_most)
+    name = study.study.name
     with Store.open(folder) as store, _turn(store.path.parent) as forward, workers.hired() as run:
         pace = _Pace(say)
         interrupted = False
         try:
             # Where rows are there already, what is missing may need no features.
-            facts = _read(run, opened, cache, say, warn, extract=not store.rows(study.study.name))
-            cells = list(_cells(opened, facts))
-            store.begin(_noted(study, overrides), [cell.planned for cell in cells])
-            _compute(run, store, cells if forward else cells[::-1], cache, pace, warn)
+            facts = _read(run, its, cache, say, warn, extract=not store.count(name))
+            cells = Cells(its, facts)
+            begun = store.begin(_noted(study, rows, overrides), (cell.planned for cell in cells))
+            pending = begun.pending if forward else begun.pending[::-1]
+            _compute(run, store, cells, pending, begun.kept, cache, pace, warn)
         except KeyboardInterrupt:
             interrupted = True
-        name = study.study.name
-        return Ablation(study, tuple(store.rows(name)), tuple(store.missing(name)), pace.computed, interrupted)
+        finished, missing = store.all_rows(name), store.all_missing(name)
+        if len(finished) + len(missing) <= MOST_CALIBRATIONS:
+            finished, missing = tuple(finished), tuple(missing)
+        return Ablation(study, finished, missing, pace.computed, interrupted)
 
 
 class _Once:
@@ -137,141 +133,32 @@ def _warn(text: str) -> None:
     warnings.warn(text, stacklevel=2)
 
 
-def _noted(study: StudyFile, overrides: Mapping[str, Any] | None) -> StoredStudy:
+def _noted(study: StudyFile, rows: Sequence[StudyRow], overrides: Mapping[str, Any] | None) -> StoredStudy:
     # What stands beside rows that are left out has no place in a table.
-    shown = {label for row in study.study.rows() for label in (row.label, row.label.rpartition(" @ ")[0])}
+    shown = {label for row in rows for label in (row.label, row.label.rpartition(" @ ")[0])}
     tables = [table for table in study.study.published if table.beside is None or table.beside in shown]
     published = [table.model_dump(mode="json", exclude_none=True) for table in tables]
     return StoredStudy(study.study.name, study.text, dict(overrides or {}), tuple(published))
 
 
-@dataclass(frozen=True, eq=False)
-class _Method:
-    """The methods of one row and seed: `recipe` (JSON) for workers, `key` the hash of all that acts on a result."""
-
-    recipe: str
-    plan: Plan
-    described: Mapping[str, Any]
-    versions: Mapping[str, str]
-    key: str
-
-    @classmethod
-    def of(
-        cls, row: StudyRow, seed: int, data_options: str, versions: Mapping[str, str], registry: Registry
-    ) -> _Method:
-        recipe = row.recipe(seed)
-        options = {**recipe.options, "data": json.loads(data_options)}
-        if not options["data"]:
-            del options["data"]
-        recipe = recipe.model_copy(update={"options": options})
-        plan = recipe.resolve(registry)
-        described = plan.described()
-        builds = [part.offer.method.build for stage, part in plan.parts.items() if stage != "data"]
-        # Where the frames come from does not act on the result: their content does.
-        acting = {
-            "methods": {stage: p.offer.full_name for stage, p in sorted(plan.parts.items()) if stage != "data"},
-            "options": {stage: values for stage, values in described["options"].items() if stage != "data"},
-            "seed": seed,
-            "perturb": recipe.perturb,
-            "versions": versions,
-            "code": code_hash(*builds, *_CORE),
-            "files": named_files({k: v for k, v in described["options"].items() if k != "data"}),
-        }
-        words = recipe.model_dump(mode="json", exclude_unset=True)
-        return cls(json.dumps(words, sort_keys=True), plan, described, versions, content_hash(acting))
-
-    @property
-    def extractors(self) -> dict[str, tuple[str, str]]:
-        """By a name of method and options: recipe and stage that say how to prepare what may be kept."""
-        parts = {stage: self.plan.parts[stage] for stage in worker.prepared_stages(self.plan)}
-        return {worker.part_name(part): (self.recipe, stage) for stage, part in parts.items()}
-
-
-@dataclass(frozen=True, eq=False)
-class _Opened:
-    """One row with its frames and, by seed, its methods; `listed` are errors of starts from a list, by frame."""
-
-    row: StudyRow
-    sources: tuple[Source, ...]
-    methods: Mapping[int, _Method]
-    listed: Mapping[int, Float]
-
-    @property
-    def first(self) -> _Method:
-        """The methods of the first seed."""
-        return next(iter(self.methods.values()))
-
-
-def _opened(rows: Sequence[StudyRow], plugins: Plugins) -> list[_Opened]:
-    """Return each row with its frames, none of which is read yet."""
-    registry = plugins.registry()
-    datasets: dict[tuple[str, str], GuardedDataset] = {}
-    out = []
-    count = 0
-    for row in rows:
-        data, options = row.dataset.data, _data_options(row, registry)
-        where = f"{row.where}, dataset '{row.dataset.name}'"
-        if (data, options) not in datasets:
-            try:
-                datasets[data, options] = open_dataset(data, registry, json.loads(options))
-            except P2OError as problem:
-                raise retold(problem, where, f"say where they are: --data {data.partition(':')[0]}:PATH") from problem
-        dataset = datasets[data, options]
-        indices = select(dataset.names, row.dataset.frames, where=where, skipped=dataset.skipped)
-        joins = _joins(row.resolve(registry, row.seeds[0]))
-        sources = tuple(Source(plugins, data, options, index, dataset.names[index], joins) for index in indices)
-        # Looked up in the metadata of packages, which takes its time; no seed changes them.
-        versions = row.resolve(registry, row.seeds[0]).versions()
-        size = group_size(row.joint, len(sources))
-        count += len(row.seeds) * math.ceil(len(sources) / size)
-        if count > _MOST_CALIBRATIONS:
-            raise InputError(
-                "the study asks for too many calibrations",
-                where=where,
-                expected=f"at most {_MOST_CALIBRATIONS}",
-                got=f"{count} up to this row",
-                hint="choose fewer frames or seeds: --frames, --seeds",
-            )
-        methods = {seed: _Method.of(row, seed, options, versions, registry) for seed in row.seeds}
-        listed = listed_errors(row.recipe(row.seeds[0]), dataset.names, indices[::size])
-        out.append(_Opened(row, sources, methods, listed))
-    return out
-
-
-def _joins(plan: Plan) -> str:
-    """Return name and options of the method that joins sweeps as JSON, or an empty text."""
-    part = plan.parts.get("accumulate")
-    if part is None:
-        return ""
-    return json.dumps([part.offer.full_name, part.options.model_dump(mode="json")], sort_keys=True)
-
-
-def _data_options(row: StudyRow, registry: Registry) -> str:
-    """Return the dataset's options as JSON; its seed is its own, so that all seeds of a row see the same frames."""
-    options = {**row.dataset.options, **row.words["options"].get("data", {})}
-    fields = row.resolve(registry, row.seeds[0]).parts["data"].options.model_fields
-    if "seed" in fields and "seed" not in split_data(row.dataset.data)[1]:
-        options.setdefault("seed", 0)
-    return json.dumps(options, sort_keys=True)
-
-
 def _read(
-    run: Run, opened: Sequence[_Opened], cache: FeatureCache, say: OnProgress, warn: _Once, *, extract: bool
+    run: Run, rows: Sequence[Opened], cache: FeatureCache, say: OnProgress, warn: _Once, *, extract: bool
 ) -> dict[Source, Facts]:
     """Return what planning has to know about every frame, each read once; `extract` its features at once, too.
 
     Raises InputError where the first frame of a row lacks what the row needs.
     """
     checks: dict[Source, set[str]] = {}
-    firsts: dict[Source, list[_Opened]] = {}
+    firsts: dict[Source, list[Opened]] = {}
     extractors: dict[Source, dict[str, tuple[str, str]]] = {}
-    for entry in opened:
+    for entry in rows:
         firsts.setdefault(entry.sources[0], []).append(entry)
+        own: dict[str, tuple[str, str]] = {}
+        for seed in entry.row.seeds if extract else ():
+            own.update(entry.method(seed).extractors)
         for source in entry.sources:
             checks.setdefault(source, set()).add(entry.first.recipe)
-            wanted = extractors.setdefault(source, {})
-            if extract:
-                wanted.update({name: w for m in entry.methods.values() for name, w in m.extractors.items()})
+            extractors.setdefault(source, {}).update(own)
     jobs = [
         Reading(source, cache.root, tuple(sorted(checks[source])), tuple(wanted.values()))
         # Those that may refuse the study come first.
@@ -290,115 +177,46 @@ def _read(
     return facts
 
 
-@dataclass(frozen=True, eq=False)
-class _Cell:
-    """One calibration to be had: a row of the table, a seed, and the frames; `check` is what frames are checked by."""
-
-    planned: Planned
-    row: StudyRow
-    seed: int
-    joint: int
-    method: _Method
-    check: str
-    facts: tuple[Facts, ...]
-    truth: Float | None
-    start: Float | None
-
-    @property
-    def failure(self) -> tuple[str, str] | None:
-        """Reason and traceback of the first frame that cannot be read, or lacks what the row needs."""
-        for fact in self.facts:
-            if fact.failure is not None:
-                return fact.reason, fact.failure
-            if self.check in fact.misfits:
-                return fact.misfits[self.check], fact.misfits[self.check]
-        return None
-
-    @property
-    def stored(self) -> StoredRow:
-        """The row with all that is known before it is computed."""
-        names = tuple(fact.name for fact in self.facts)
-        before: dict[str, Any] = {}
-        if self.truth is not None and self.start is not None:
-            error = pose_error(self.start, self.truth)
-            before = {"start_rotation_deg": error.rotation_deg, "start_translation_m": error.translation_m}
-        return StoredRow(
-            **{name: getattr(self.planned, name) for name in Planned.__dataclass_fields__},
-            frames=names,
-            joint=self.joint,
-            seed=self.seed,
-            perturb=self.method.described["perturb"],
-            start=self.start,
-            truth=self.truth,
-            recipe={**self.method.described, "frames": ",".join(names), "joint": bool(self.joint)},
-            versions=self.method.versions,
-            inputs={fact.name: dict(fact.inputs) for fact in self.facts},
-            **before,
-        )
-
-
-def _cells(opened: Sequence[_Opened], facts: Mapping[Source, Facts]) -> Iterator[_Cell]:
-    """Return every calibration of the study: by row, then frames, then seed."""
-    for entry in opened:
-        row = entry.row
-        for group in groups_of(row.joint, [facts[source] for source in entry.sources]):
-            for seed in entry.methods:
-                yield _cell(entry, seed, len(group) if row.joint else 0, group)
-
-
-def _cell(entry: _Opened, seed: int, joint: int, group: tuple[Facts, ...]) -> _Cell:
-    row, method = entry.row, entry.methods[seed]
-    truth = start = None
-    if all(fact.failure is None for fact in group):
-        # Facts know the poses of a frame by the same names as the frame.
-        poses: Any = group
-        truth = common_pose(poses, "camera_from_lidar")
-        start, _ = start_of(poses, truth, method.plan.recipe, None, group[0].source.index, entry.listed)
-    key = content_hash(
-        {
-            "method": method.key,
-            "joint": bool(joint),
-            "frames": [{"name": fact.name, **fact.inputs} for fact in group],
-            "start": start,
-            "truth": truth,
-        }
-    )
-    planned = Planned(
-        key=key,
-        study=row.where.removeprefix("study "),
-        row=row.label,
-        section=row.section,
-        dataset=row.dataset.name,
-        **row.said,
-    )
-    return _Cell(planned, row, seed, joint, method, entry.first.recipe, group, truth, start)
-
-
-def _compute(run: Run, store: Store, cells: Sequence[_Cell], cache: FeatureCache, pace: _Pace, warn: _Once) -> None:
-    """Compute what is missing, and keep each row as soon as it is there."""
-    finished = store.finished(cell.planned.key for cell in cells)
-    # Two rows of the table may be one and the same calibration.
-    pending = list({c.planned.key: c for c in cells if c.planned.key not in finished}.values())
-    pace.begin(kept=len(finished), total=len(finished) + len(pending))
+def _compute(
+    run: Run,
+    store: Store,
+    cells: Cells,
+    pending: Sequence[int],
+    kept: int,
+    cache: FeatureCache,
+    pace: _Pace,
+    warn: _Once,
+) -> None:
+    """Compute the cells at these positions, and keep each row as soon as it is there; so many are `kept`."""
+    pace.begin(kept=kept, total=kept + len(pending))
     if not pending:
         return
-    for part in {f"{s} {p}": p for c in pending for s, p in c.method.plan.parts.items() if s != "data"}.values():
-        worker.built(part)  # a package that is missing is told before any work
-    keys = _feature_keys(pending)
-    failures = _extracted(run, pending, keys, cache, pace.say, warn)
+    tried: set[int] = set()
+    for entry, _, seed in map(cells.place, pending):
+        if id(entry) not in tried:
+            tried.add(id(entry))
+            for stage, part in entry.method(seed).plan.parts.items():
+                if stage != "data":
+                    worker.built(part)  # a package that is missing is told before any work
+    keys = FeatureKeys()
+    failures = _extracted(run, cells, pending, keys, cache, pace.say, warn)
     refused: list[StoredRow] = []
 
     def jobs() -> Iterator[Calibration]:
-        for cell in pending:
-            key = cell.planned.key
-            failure = cell.failure or _failed_features(keys.get(key), failures)
+        for position in pending:
+            cell: Cell = cells[position]
+            failure = cell.group.failure
+            own: tuple[Mapping[str, str], ...] = ()
+            if failure is None:
+                own = tuple(keys.of(cell.method, fact) for fact in cell.group.facts)
+                failure = _failed_features(own, failures)
             if failure is not None:
                 refused.append(replace(cell.stored, reason=failure[0], exception=failure[1], finished=worker.now()))
             # Another process that works on the same study may have been faster.
-            elif not store.finished([key]):
-                yield Calibration(cell.stored, cell.method.recipe, cell.facts, cache.root, keys[key])
+            elif not store.finished([cell.planned.key]):
+                yield Calibration(cell.stored, cell.method.recipe, cell.group.facts, cache.root, own)
 
-    pace.begin(kept=len(finished), total=len(finished) + len(pending))
+    pace.begin(kept=kept, total=kept + len(pending))
     with contextlib.closing(run(worker.calibrate, jobs(), worker.uncalibrated)) as rows:
         for row in _with_refused(rows, refused):
             store.put(row)
@@ -415,33 +233,29 @@ def _with_refused(rows: Iterable[StoredRow], refused: list[StoredRow]) -> Iterat
     yield from refused
 
 
-FeatureKeys = Mapping[str, tuple[Mapping[str, str], ...]]
-
-
-def _feature_keys(cells: Sequence[_Cell]) -> FeatureKeys:
-    """Return the keys of what is prepared of each frame, by the key of the cell."""
-    known: dict[tuple[str, Source], dict[str, str]] = {}
-    out = {}
-    for cell in cells:
-        if cell.failure is not None:
-            continue
-        for fact in cell.facts:
-            if (cell.method.key, fact.source) not in known:
-                known[cell.method.key, fact.source] = worker.piece_keys(cell.method.plan, fact)
-        out[cell.planned.key] = tuple(known[cell.method.key, fact.source] for fact in cell.facts)
-    return out
-
-
 def _extracted(
-    run: Run, cells: Sequence[_Cell], keys: FeatureKeys, cache: FeatureCache, say: OnProgress, warn: _Once
+    run: Run,
+    cells: Cells,
+    pending: Sequence[int],
+    keys: FeatureKeys,
+    cache: FeatureCache,
+    say: OnProgress,
+    warn: _Once,
 ) -> dict[str, tuple[str, str]]:
     """Extract the features that are not kept yet, once each; return reason and traceback of those that failed."""
     wanted: dict[Source, dict[str, tuple[str, str, str]]] = {}
-    for cell in cells:
-        for fact, stages in zip(cell.facts, keys.get(cell.planned.key, ()), strict=False):
-            for stage, key in stages.items():
+    looked: set[str] = set()
+    for entry, group, seed in map(cells.place, pending):
+        if group.failure is not None:
+            continue
+        method = entry.method(seed)
+        for fact in group.facts:
+            for stage, key in keys.of(method, fact).items():
+                if key in looked:
+                    continue
+                looked.add(key)
                 if not cache.has(key):
-                    wanted.setdefault(fact.source, {}).setdefault(key, (key, cell.method.recipe, stage))
+                    wanted.setdefault(fact.source, {})[key] = (key, method.recipe, stage)
     jobs = [Extraction(source, cache.root, tuple(tasks.values())) for source, tasks in wanted.items()]
     failures: dict[str, tuple[str, str]] = {}
     with contextlib.closing(run(worker.extract, jobs, worker.unextracted)) as finished:
@@ -453,9 +267,9 @@ def _extracted(
 
 
 def _failed_features(
-    keys: Sequence[Mapping[str, str]] | None, failures: Mapping[str, tuple[str, str]]
+    keys: Sequence[Mapping[str, str]], failures: Mapping[str, tuple[str, str]]
 ) -> tuple[str, str] | None:
-    return next((failures[key] for stages in keys or () for key in stages.values() if key in failures), None)
+    return next((failures[key] for stages in keys for key in stages.values() if key in failures), None)
 
 
 @dataclass

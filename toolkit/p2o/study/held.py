@@ -42,12 +42,15 @@ class Held:
         return " ".join(f"{number}/{self.count}" for number in held) if self.count else "-"
 
 
-def held(rows: Iterable[StoredRow]) -> Held:
+NONE = Held(0, 0, 0, 0, 0)
+
+
+def held(rows: Iterable[StoredRow], before: Held = NONE) -> Held:
     """Return how many of the results kept what they promised; those without a likely error, or a truth, are left out.
 
-    A likely error that is infinite promises nothing, and holds.
+    A likely error that is infinite promises nothing, and holds. Those counted `before` are counted, too.
     """
-    kept: list[tuple[bool, bool, bool, bool]] = []
+    counts = [before.count, before.rotation, before.translation, before.rotation_95, before.translation_95]
     for row in rows:
         pairs = (
             (row.rotation_deg, row.likely_rotation_deg),
@@ -57,8 +60,8 @@ def held(rows: Iterable[StoredRow]) -> Held:
         )
         known = [error <= bound for error, bound in pairs if error is not None and bound is not None]
         if row.solved and len(known) == len(pairs):
-            kept.append((known[0], known[1], known[2], known[3]))
-    return Held(len(kept), *(sum(column) for column in zip(*kept, strict=True)) if kept else (0, 0, 0, 0))
+            counts = [count + kept for count, kept in zip(counts, (True, *known), strict=True)]
+    return Held(*counts)
 
 
 def trusted_wrong(rows: Iterable[StoredRow]) -> int:
@@ -68,8 +71,11 @@ def trusted_wrong(rows: Iterable[StoredRow]) -> int:
 
 def pooled(rows: Iterable[StoredRow]) -> list[str]:
     """Return lines that tell of all rows together whether likely errors held and trust was deserved; none for none."""
-    found = list(rows)
-    kept, lines = held(found), []
+    kept, lines, trusted, far_off = NONE, [], 0, 0
+    for row in rows:
+        kept = held([row], kept)
+        trusted += row.trust is Trust.TRUSTED
+        far_off += trusted_wrong([row])
     if kept.count:
         shares = [
             f"{_share(turned, kept.count)} of rotations and {_share(moved, kept.count)} of translations ({name})"
@@ -79,9 +85,8 @@ def pooled(rows: Iterable[StoredRow]) -> list[str]:
             )
         ]
         lines.append(f"Likely errors of {kept.count} runs held for {', '.join(shares)}")
-    trusted = sum(row.trust is Trust.TRUSTED for row in found)
     if trusted:
-        lines.append(f"Trusted: {trusted} runs, {trusted_wrong(found)} of them {WRONG_TOLD}")
+        lines.append(f"Trusted: {trusted} runs, {far_off} of them {WRONG_TOLD}")
     return lines
 
 

@@ -6,15 +6,17 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import re
 import sqlite3
 import stat
 import threading
 import time
+from array import array
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 from p2o.arrays import Float
 from p2o.errors import InputError
@@ -34,6 +36,8 @@ from p2o.study.columns import (
 )
 
 FILE = "study.sqlite"
+_AT_A_TIME = 1000
+"""So many rows are read at once."""
 _VERSION = 3
 _BUSY_S = 60.0
 _WAIT_S = 1.0
@@ -49,6 +53,7 @@ _OUTER_ERRORS = (
 """Errors of SQLite that come from around the file, not from what is in it."""
 
 _T = TypeVar("_T")
+_Row = TypeVar("_Row", bound="Planned")
 
 
 @dataclass(frozen=True)
@@ -161,6 +166,14 @@ class StoredStudy:
     published: tuple[Mapping[str, Any], ...]
 
 
+@dataclass(frozen=True)
+class Begun:
+    """What a study has before it: the positions in its table that are `pending`; so many different ones are `kept`."""
+
+    pending: array[int]
+    kept: int
+
+
 _LABELS = tuple(f.name for f in fields(Planned))
 _VALUES = tuple(f.name for f in fields(StoredRow) if f.name not in _LABELS)
 _NEW_IN_2 = ("trust", "why", "agreement", *RIVAL, "rival_unit", *LIKELY, "judged")
@@ -207,7 +220,35 @@ _KEYS = {"studies": ("name",), "plan": ("study", "position"), "runs": ("key",)}
 _COLUMN = re.compile(r"\W?\w+\W?( (text|real|integer))?( primary key)?", re.ASCII)
 _OF_SQLITE = re.compile(r"sqlite_(autoindex_(studies|plan|runs)_\d+|stat\d)", re.ASCII)
 _SIDE_FILES = ("", "-wal", "-shm", "-journal")
+_MISSING = "FROM plan WHERE study = ? AND key NOT IN (SELECT key FROM runs)"
 _AWAY = "move it away and run again: features that are cached are not extracted again"
+
+
+class _Read(Sequence[_Row], Generic[_Row]):
+    """Rows of the store in a folder that are read whenever they are looked at."""
+
+    def __init__(self, folder: Path, count: Callable[[Store], int], each: Callable[[Store], Iterator[_Row]]) -> None:
+        self._folder, self._count, self._each = folder, count, each
+
+    def __len__(self) -> int:
+        with Store.open(self._folder, create=False) as store:
+            return self._count(store)
+
+    def __iter__(self) -> Iterator[_Row]:
+        with Store.open(self._folder, create=False) as store:
+            yield from self._each(store)
+
+    def __getitem__(self, number: Any) -> Any:
+        if isinstance(number, slice):
+            start, stop, step = number.indices(len(self))
+            if step < 0:
+                return list(self)[number]
+            return list(itertools.islice(self, start, stop, step))
+        wanted = number if number >= 0 else number + len(self)
+        found = next(itertools.islice(self, wanted, None), None) if wanted >= 0 else None
+        if found is None:
+            raise IndexError(number)
+        return found
 
 
 class Store:
@@ -282,21 +323,48 @@ class Store:
         with contextlib.suppress(sqlite3.Error):
             self._connection.close()
 
-    def begin(self, study: StoredStudy, planned: Sequence[Planned]) -> None:
+    def begin(self, study: StoredStudy, planned: Iterable[Planned]) -> Begun:
         """Note what a study asks for now, in the order of its table; `rows` and `missing` follow it from here on.
 
-        Raises InputError where the file cannot be written.
+        Returns what of it is still to be computed: it is not there, or it raised. Raises InputError where the file
+        cannot be written.
         """
-        marks = ", ".join("?" * (len(_LABELS) + 1))
         columns = ", ".join(("position", *_LABELS))
-        values = [(i, *(to_column(c, getattr(p, c)) for c in _LABELS)) for i, p in enumerate(planned)]
+        self._put_aside(planned, columns)
         with self._transaction():
             self._connection.execute(
                 "INSERT OR REPLACE INTO studies VALUES (?, ?, ?, ?)",
                 (study.name, study.toml, json_text(study.data), json_text(list(study.published))),
             )
             self._connection.execute("DELETE FROM plan WHERE study = ?", (study.name,))
-            self._connection.executemany(f"INSERT INTO plan ({columns}) VALUES ({marks})", values)
+            self._connection.execute(f"INSERT INTO plan ({columns}) SELECT {columns} FROM temp.planned")
+            self._connection.execute("DROP TABLE temp.planned")
+            # Two rows of the table may be one and the same calibration.
+            found = self._connection.execute(
+                "SELECT MIN(position) FROM plan LEFT JOIN runs ON runs.key = plan.key WHERE study = ?"
+                " AND (runs.key IS NULL OR runs.status = ?) GROUP BY plan.key ORDER BY 1",
+                (study.name, Status.STAGE_FAILED.value),
+            )
+            pending = array("q", (position for (position,) in found))
+            [(different,)] = self._connection.execute(
+                "SELECT COUNT(DISTINCT key) FROM plan WHERE study = ?", (study.name,)
+            )
+        return Begun(pending, different - len(pending))
+
+    def _put_aside(self, planned: Iterable[Planned], columns: str) -> None:
+        """Keep what is planned in a table of this connection: others may write while it is worked out."""
+        values = ((i, *(to_column(c, getattr(p, c)) for c in _LABELS)) for i, p in enumerate(planned))
+        with self._alone, _telling(self.path):
+            self._connection.execute("DROP TABLE IF EXISTS temp.planned")
+            self._connection.execute(f"CREATE TEMP TABLE planned ({columns})")
+        insert = f"INSERT INTO temp.planned VALUES ({', '.join('?' * (len(_LABELS) + 1))})"
+        while some := list(itertools.islice(values, _AT_A_TIME)):
+            with self._alone, _telling(self.path):
+                self._connection.execute("BEGIN")
+                try:
+                    self._connection.executemany(insert, some)
+                finally:
+                    self._connection.execute("COMMIT")
 
     def put(self, row: StoredRow) -> None:
         """Write one finished calibration, whole or not at all; one of the same key is replaced.
@@ -318,34 +386,58 @@ class Store:
             found.update(key for (key,) in self._all(query, (Status.STAGE_FAILED.value, *some)))
         return found
 
+    def count(self, study: str) -> int:
+        """Return how much is finished of what the study asks for."""
+        query = "SELECT COUNT(*) FROM plan JOIN runs ON runs.key = plan.key WHERE plan.study = ?"
+        return int(self._all(query, (study,))[0][0])
+
     def rows(self, study: str) -> list[StoredRow]:
         """Return what is finished of what the study asks for, in the order of its table.
 
         Raises InputError for a row that no study has written.
         """
-        columns = (*_LABELS, *_VALUES)
-        # Not from the view, which a foreign file may define as it likes.
-        found = self._all(
-            f"SELECT {', '.join(f'plan.{c}' for c in _LABELS)}, {', '.join(f'runs.{c}' for c in _VALUES)}"
-            " FROM plan JOIN runs ON runs.key = plan.key WHERE plan.study = ? ORDER BY plan.position",
-            (study,),
-        )
-        with self._believing():
-            return [
-                StoredRow(**{c: from_column(c, value) for c, value in zip(columns, row, strict=True)}) for row in found
-            ]
+        return list(self._each_row(study))
 
     def missing(self, study: str) -> list[Planned]:
         """Return what the study asks for and is not there yet, in the order of its table."""
-        query = (
-            f"SELECT {', '.join(_LABELS)} FROM plan WHERE study = ? AND key NOT IN (SELECT key FROM runs)"
-            " ORDER BY position"
+        return list(self._each_missing(study))
+
+    def all_rows(self, study: str) -> Sequence[StoredRow]:
+        """Return what `rows` does, read from the file whenever it is looked at: a million of them are 20 GB."""
+        return _Read(self.path.parent, lambda store: store.count(study), lambda store: store._each_row(study))
+
+    def all_missing(self, study: str) -> Sequence[Planned]:
+        """Return what `missing` does, read from the file whenever it is looked at."""
+        query = f"SELECT COUNT(*) {_MISSING}"
+        return _Read(
+            self.path.parent,
+            lambda store: int(store._all(query, (study,))[0][0]),
+            lambda store: store._each_missing(study),
         )
-        with self._believing():
-            return [
-                Planned(**{c: from_column(c, value) for c, value in zip(_LABELS, row, strict=True)})
-                for row in self._all(query, (study,))
-            ]
+
+    def _each_row(self, study: str) -> Iterator[StoredRow]:
+        # Not from the view, which a foreign file may define as it likes.
+        query = (
+            f"SELECT plan.position, {', '.join((*(f'plan.{c}' for c in _LABELS), *(f'runs.{c}' for c in _VALUES)))}"
+            " FROM plan JOIN runs ON runs.key = plan.key WHERE plan.study = ?"
+        )
+        yield from self._each(StoredRow, (*_LABELS, *_VALUES), query, study)
+
+    def _each_missing(self, study: str) -> Iterator[Planned]:
+        yield from self._each(Planned, _LABELS, f"SELECT position, {', '.join(_LABELS)} {_MISSING}", study)
+
+    def _each(self, kind: type[_Row], columns: Sequence[str], query: str, study: str) -> Iterator[_Row]:
+        """Yield what a query finds that begins with the position, in its order, so many at a time."""
+        query += f" AND plan.position > ? ORDER BY plan.position LIMIT {_AT_A_TIME}"
+        position = -1
+        while found := self._all(query, (study, position)):
+            position = found[-1][0]
+            with self._believing():
+                some = [
+                    kind(**{c: from_column(c, value) for c, value in zip(columns, values, strict=True)})
+                    for _, *values in found
+                ]
+            yield from some
 
     def studies(self) -> list[StoredStudy]:
         """Return the studies of this folder, by name."""

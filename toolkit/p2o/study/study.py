@@ -46,8 +46,8 @@ MOST_SEEDS = 10_000
 """So many starts a row; more would tell nothing that these do not."""
 LARGEST_SEED = 2**32 - 1
 MOST_ROWS = 20_000
-"""So many rows of a table times seeds: each takes milliseconds to be looked up, and a file of a few lines may ask for
-more than anyone can wait for."""
+"""So many rows of a table times seeds, unless more are meant: each takes milliseconds to be looked up, and a file of a
+few lines may ask for more than anyone can wait for."""
 
 
 def _shown_as_it_is(text: str) -> str:
@@ -249,13 +249,13 @@ class Study(_Table):
             changes["product"] = tuple(product.model_copy(update=own) for product in self.product)
         return self.model_copy(update=changes)
 
-    def rows(self) -> list[StudyRow]:
+    def rows(self, at_most: int = MOST_ROWS) -> list[StudyRow]:
         """Return every row of the table, in the order of the file: products first, then explicit rows.
 
-        Raises InputError for clashing names and words, and for more than MOST_ROWS rows times seeds; UnknownNameError
+        Raises InputError for clashing names and words, and for more than `at_most` rows times seeds; UnknownNameError
         for variants and datasets that are not there.
         """
-        return list(_Expansion(self).rows())
+        return list(_Expansion(self, at_most).rows())
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,8 +306,8 @@ def retold(problem: P2OError, where: str, hint: str | None = None) -> P2OError:
 class _Expansion:
     """Turns the tables of a study into rows."""
 
-    def __init__(self, study: Study) -> None:
-        self.study = study
+    def __init__(self, study: Study, at_most: int) -> None:
+        self.study, self.at_most = study, at_most
         self.where = f"study {study.name}"
         self.variants = {variant.name: variant for variant in study.variant}
         self._refuse_twice("variant", [variant.name for variant in study.variant])
@@ -357,8 +357,13 @@ class _Expansion:
                 combined = math.prod(len(values) for values in _axes(scope).values()) * max(1, len(scope.use))
             datasets = len(self.study.dataset if scope.dataset is None else scope.dataset)
             count += combined * datasets * (seeds if isinstance(seeds, int) else len(seeds))
-        if count > MOST_ROWS:
-            self._fail(f"the study asks for {count:.6g} rows times seeds", f"at most {MOST_ROWS}")
+        if count > self.at_most:
+            raise InputError(
+                f"the study asks for {count:.6g} rows times seeds",
+                where=self.where,
+                expected=f"at most {self.at_most}",
+                hint="ask for fewer, or say that so many are meant: --at-most N",
+            )
 
     def _combinations(self, product: Product) -> Iterator[tuple[dict[str, str], tuple[str, ...], str]]:
         """Return words, variants and label of each combination."""
@@ -505,11 +510,11 @@ def _filled(pattern: str, words: Mapping[str, str]) -> str | None:
     return "".join(filled).strip()
 
 
-def check_study(study: Study, registry: Registry) -> list[StudyRow]:
-    """Return the rows of a study after resolving each with every seed's recipe; no data are read.
+def check_study(study: Study, registry: Registry, at_most: int = MOST_ROWS) -> list[StudyRow]:
+    """Return the rows of a study after resolving each with its first seed's recipe; no data are read.
 
     Raises a P2OError that names the row: unknown names, bad options, stages that do not fit (with what would), a
-    variant called like a method, a perturbation that cannot be read.
+    variant called like a method, a perturbation that cannot be read; and as `Study.rows` does.
     """
     for variant in study.variant:
         for word, kind in _KIND_OF_WORD.items():
@@ -525,7 +530,7 @@ def check_study(study: Study, registry: Registry) -> list[StudyRow]:
         if variant.perturb is not None:
             parse_starts(variant.perturb)
     _ = study.limits
-    rows = study.rows()
+    rows = study.rows(at_most)
     for row in rows:
         row.resolve(registry, row.seeds[0])
     return rows

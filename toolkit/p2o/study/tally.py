@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from array import array
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +14,7 @@ from p2o.geometry.perturb import Perturbation
 from p2o.results.verdict import Trust
 from p2o.run.protocol import protocol_of
 from p2o.run.protocol import told as protocol_told
-from p2o.study.held import Held, held, pooled, trusted_wrong
+from p2o.study.held import NONE, Held, held, pooled, trusted_wrong
 from p2o.study.store import StoredRow
 from p2o.study.study import Published, Study
 
@@ -55,36 +57,71 @@ class Tally:
 
 def tallies(rows: Iterable[StoredRow], metrics: Sequence[str], within: Perturbation | None = None) -> list[Tally]:
     """Return one tally for each row of the table, in the order in which they first occur."""
-    by_row: dict[str, list[StoredRow]] = {}
+    by_row: dict[str, _Count] = {}
     for row in rows:
-        by_row.setdefault(row.row, []).append(row)
-    out = []
-    for label, found in by_row.items():
-        errors = {metric: [abs(v) for r in found if (v := getattr(r, metric)) is not None] for metric in metrics}
-        out.append(
-            Tally(
-                row=label,
-                section=found[0].section,
-                count=len(found),
-                solved=sum(r.solved for r in found),
-                crashed=sum(r.crashed for r in found),
-                mean={metric: float(np.mean(v)) if v else float("nan") for metric, v in errors.items()},
-                median={metric: float(np.median(v)) if v else float("nan") for metric, v in errors.items()},
-                trust=trust_of(found),
-                seconds=seconds_of(found),
-                within=None if within is None else sum(near(r, within) for r in found),
-                worse=sum(farther(r) for r in found),
-                held=held(found),
-                trusted_wrong=trusted_wrong(found),
-            )
+        if row.row not in by_row:
+            by_row[row.row] = _Count(row.section, {metric: array("d") for metric in metrics})
+        by_row[row.row].add(row, within)
+    return [count.tally(label, within) for label, count in by_row.items()]
+
+
+@dataclass
+class _Count:
+    """What is counted of one row of the table, calibration by calibration: numbers alone, as there may be a million."""
+
+    section: str
+    errors: Mapping[str, array[float]]
+    seconds: array[float] = field(default_factory=lambda: array("d"))
+    held: Held = NONE
+    trust: Counter[Trust | None] = field(default_factory=Counter)
+    count: int = 0
+    solved: int = 0
+    crashed: int = 0
+    within: int = 0
+    worse: int = 0
+    trusted_wrong: int = 0
+
+    def add(self, row: StoredRow, within: Perturbation | None) -> None:
+        self.count += 1
+        self.solved += row.solved
+        self.crashed += row.crashed
+        self.worse += farther(row)
+        self.within += within is not None and near(row, within)
+        self.trust[row.trust] += 1
+        self.held = held([row], self.held)
+        self.trusted_wrong += trusted_wrong([row])
+        if row.seconds:
+            self.seconds.append(_whole_seconds(row))
+        for metric, known in self.errors.items():
+            if (value := getattr(row, metric)) is not None:
+                known.append(abs(value))
+
+    def tally(self, label: str, within: Perturbation | None) -> Tally:
+        return Tally(
+            row=label,
+            section=self.section,
+            count=self.count,
+            solved=self.solved,
+            crashed=self.crashed,
+            mean={metric: float(np.mean(v)) if v else float("nan") for metric, v in self.errors.items()},
+            median={metric: float(np.median(v)) if v else float("nan") for metric, v in self.errors.items()},
+            trust={trust: self.trust[trust] for trust in Trust if self.trust[trust]},
+            seconds=float(np.median(self.seconds)) if self.seconds else float("nan"),
+            within=None if within is None else self.within,
+            worse=self.worse,
+            held=self.held,
+            trusted_wrong=self.trusted_wrong,
         )
-    return out
 
 
 def seconds_of(rows: Iterable[StoredRow]) -> float:
     """Return the median time of a calibration, the extraction of its features included; NaN where none is known."""
-    known = [sum(value for value in row.seconds.values() if value is not None) for row in rows if row.seconds]
+    known = [_whole_seconds(row) for row in rows if row.seconds]
     return float(np.median(known)) if known else float("nan")
+
+
+def _whole_seconds(row: StoredRow) -> float:
+    return sum(value for value in row.seconds.values() if value is not None)
 
 
 def near(row: StoredRow, within: Perturbation) -> bool:
@@ -162,16 +199,15 @@ def _by_protocol(study: Study, rows: Sequence[StoredRow]) -> list[str]:
     """Return the figures that the protocol reports, a line a row; a refused calibration counts with its start."""
     if study.protocol is None:
         return []
-    protocol, lines = protocol_of(study.protocol), []
-    for label in dict.fromkeys(row.row for row in rows):
-        known = [
-            (row.estimate if row.estimate is not None else row.start, row.truth)
-            for row in rows
-            if row.row == label and row.truth is not None and row.start is not None
-        ]
-        if known:
-            estimates, truths = (np.array(poses) for poses in zip(*known, strict=True))
-            lines.append(f"{label}: {protocol_told(protocol, protocol.figures(estimates, truths))}")
+    protocol = protocol_of(study.protocol)
+    known: dict[str, list[tuple[Any, Any]]] = {}
+    for row in rows:
+        if row.truth is not None and row.start is not None:
+            known.setdefault(row.row, []).append((row.start if row.estimate is None else row.estimate, row.truth))
+    lines = []
+    for label, pairs in known.items():
+        estimates, truths = (np.array(poses) for poses in zip(*pairs, strict=True))
+        lines.append(f"{label}: {protocol_told(protocol, protocol.figures(estimates, truths))}")
     return lines
 
 

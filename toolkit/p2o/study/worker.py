@@ -258,11 +258,6 @@ def now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
-def piece_keys(plan: Plan, facts: Facts) -> dict[str, str]:
-    """Return the key of what each stage of a plan prepares of a frame, for those whose outcome may be kept."""
-    return {stage: features_key(plan.parts[stage], facts.inputs[INPUTS[stage]]) for stage in prepared_stages(plan)}
-
-
 def prepared_stages(plan: Plan) -> tuple[str, ...]:
     """Return the stages of a plan that prepare something which may be kept."""
     stages = [stage for stage in INPUTS if stage in plan.parts]
