@@ -16,6 +16,7 @@ from collections import Counter
 from collections.abc import Callable
 from multiprocessing.process import BaseProcess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import p2o
@@ -27,6 +28,7 @@ from p2o.study.ablate import chosen_seeds
 from p2o.study.store import Store
 from p2o.study.study import Published, RowTable, Study, check_study, parse_study
 from p2o.study.worker import Plugins
+from p2o.work import parallel
 from p2o.work.parallel import Workers
 
 from tests.study_bench import HEAD, PLUGIN, QUICK, STAGED, Bench, bits
@@ -253,6 +255,43 @@ def test_every_job_gives_one_answer_though_workers_die(bench: Bench) -> None:
         (3, P2OError),
         *range(4, 20),
     ]
+
+
+def _asleep(job: float) -> float:
+    """Return the job, which lasts so many seconds."""
+    time.sleep(job)
+    return job
+
+
+def _batches_of(jobs: list[float]) -> list[list[float]]:
+    """Return the jobs that came back together, in the order in which they came."""
+    sizes: list[int] = []
+    told = parallel._Batches.told
+
+    def noted(batches: parallel._Batches, took_s: float, results: list[tuple[int, Any]]) -> list[tuple[int, Any]]:
+        sizes.append(len(results))
+        return told(batches, took_s, results)
+
+    with pytest.MonkeyPatch.context() as patch, Workers(2).hired() as run:
+        patch.setattr(parallel._Batches, "told", noted)
+        done = list(run(_asleep, iter(jobs), lambda job, problem: job))
+    return [[done.pop(0) for _ in range(size)] for size in sizes]
+
+
+def test_short_jobs_go_to_a_worker_several_at_once_and_long_ones_alone() -> None:
+    short = _batches_of([0.001 + n / 1e6 for n in range(300)])
+    assert sum(map(len, short)) == 300
+    assert max(map(len, short)) > 10
+    assert all(batch == sorted(batch) for batch in short), "jobs that follow each other stay together"
+    assert [len(batch) for batch in _batches_of([0.7] * 5)] == [1] * 5
+
+
+def test_of_a_batch_whose_worker_dies_the_other_jobs_are_done(bench: Bench) -> None:
+    """Which of them it was nobody knows: each answers for itself."""
+    head = QUICK.replace("frames = 3", "frames = 40")
+    done = bench.run(head + 'options.calibrator.die_on = "tiny/035"\n', jobs=2)
+    assert {row.frames for row in done.rows if row.crashed} == {("tiny/035",)}
+    assert sum(row.solved for row in done.rows) == 78
 
 
 def test_more_calibrations_than_anyone_can_wait_for_are_refused_before_a_frame_is_read(bench: Bench) -> None:

@@ -32,6 +32,8 @@ _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS
 _TRIES_ALONE = 2
 """How often a job whose worker died is tried again, with no other job beside it."""
 _LOOK_EVERY_S = 0.5
+_BATCH_S, _MOST_IN_BATCH = 1.0, 64
+"""A worker gets so many seconds of jobs at once: it takes them with it where it dies, and they are done again."""
 
 Work = Callable[[Any], Any]
 Lost = Callable[[Any, P2OError], Any]
@@ -126,19 +128,22 @@ class Workers:
         import joblib
 
         done: Any = None
+        batches = _Batches(jobs)
         try:
             # Workers of this machine are children of this process, those of a cluster are not.
             watch = {"initializer": _watch, "initargs": (os.getpid(),)} if self.backend == "loky" else {}
             with joblib.parallel_config(backend=self.backend, **watch):
-                tasks = (joblib.delayed(_numbered)(work, number, job) for number, job in jobs)
+                tasks = (joblib.delayed(_numbered)(work, batch) for batch in batches)
                 if self.backend == "ray":
                     # Its joblib backend hands results back only when a batch is complete.
-                    while batch := list(itertools.islice(tasks, 4 * self.jobs)):
-                        yield from joblib.Parallel(n_jobs=self.jobs, batch_size=1)(batch)
+                    while some := list(itertools.islice(tasks, 4 * self.jobs)):
+                        for took_s, results in joblib.Parallel(n_jobs=self.jobs, batch_size=1)(some):
+                            yield from batches.told(took_s, results)
                     return
                 jobs_at_once = self.jobs if self.backend == "loky" else -1
                 done = joblib.Parallel(n_jobs=jobs_at_once, batch_size=1, return_as="generator_unordered")(tasks)
-                yield from done
+                for took_s, results in done:
+                    yield from batches.told(took_s, results)
         finally:
             if done is not None:
                 done.close()
@@ -220,6 +225,29 @@ class _Waiting:
             del self._taken[number]
 
 
+class _Batches:
+    """Numbered jobs in lists, each of which goes to a worker as one: as many as a worker does in about a second.
+
+    Jobs that follow each other often need the same, and handing one out takes a scheduler milliseconds. How long jobs
+    take is told by those that are done; joblib knows that, too, but makes no batches of jobs of a quarter of a second.
+    """
+
+    def __init__(self, jobs: Iterable[tuple[int, Any]]) -> None:
+        self._jobs = iter(jobs)
+        self._size = 1
+
+    def __iter__(self) -> Iterator[list[tuple[int, Any]]]:
+        while batch := list(itertools.islice(self._jobs, self._size)):
+            yield batch
+
+    def told(self, took_s: float, results: list[tuple[int, Any]]) -> list[tuple[int, Any]]:
+        """Return the results of a batch, having learnt from the time that they took."""
+        fitting = len(results) * _BATCH_S / max(took_s, 1e-6)
+        # A job of a row may take longer than the last ones did: grow by steps, shrink at once.
+        self._size = max(1, int(min(fitting, 2 * len(results), _MOST_IN_BATCH)))
+        return results
+
+
 def _deaths(backend: Backend) -> tuple[type[BaseException], ...]:
     """Return what a backend raises where a worker died, and not the work itself."""
     if backend == "dask":
@@ -247,10 +275,12 @@ def _cluster_lost(workers: Workers, problem: Exception) -> P2OError:
     )
 
 
-def _numbered(work: Work, number: int, job: Any) -> tuple[int, Any]:
-    """Do one job in a worker."""
+def _numbered(work: Work, batch: list[tuple[int, Any]]) -> tuple[float, list[tuple[int, Any]]]:
+    """Do the jobs of a batch in a worker; return how many seconds they took, and what each came to."""
     _set_up_worker()
-    return number, work(job)
+    began = time.perf_counter()
+    results = [(number, work(job)) for number, job in batch]
+    return time.perf_counter() - began, results
 
 
 @cache
