@@ -420,4 +420,5 @@ METHOD = Method(
     options=FolderOptions,
     summary="Your own frames: an image, a sweep and a frame.yaml in one folder each.",
     gives=frozenset({"rings", "intensity", "time"}),
+    parallel=True,
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import threading
 import weakref
 from collections import Counter
 from dataclasses import replace
@@ -116,6 +117,34 @@ def test_a_bad_frame_among_many_is_named(frames: list[Frame], monkeypatch: pytes
         p2o.InputError, match=f"cut short; a joint calibration needs every frame: leave {frames[4].name}"
     ):
         joint(Broken(frames))
+
+
+@pytest.mark.parametrize("parallel", [True, False])
+def test_frames_of_a_joint_calibration_are_read_at_once_where_the_dataset_allows_it(
+    frames: list[Frame], monkeypatch: pytest.MonkeyPatch, parallel: bool
+) -> None:
+    both = threading.Barrier(2)
+    threads: set[int] = set()
+
+    class Meeting(Counted):
+        def __getitem__(self, index: int) -> Frame:
+            threads.add(threading.get_ident())
+            if parallel:
+                both.wait(timeout=30)  # broken unless two are read at the same time
+            return super().__getitem__(index)
+
+    class Plugin:
+        @p2o.hookimpl
+        def p2o_datasets(self):
+            yield Method(name="meeting", build=lambda _: Meeting(frames), summary="Frames.", parallel=parallel)
+
+    import p2o_plugins.hooks
+
+    monkeypatch.setattr("p2o.threads.cores", lambda: 2)
+    words = {"extractor": "depth/rings", "init": "given", "perturb": "1deg 0.05m", "joint": True}
+    plan = Recipe.of(data="meeting:", **words).resolve(Registry.of(p2o_plugins.hooks, Plugin()))
+    assert run(plan).result.frames == tuple(frame.name for frame in frames)
+    assert (len(threads) == 1) == (not parallel)
 
 
 def test_recipes_say_whether_their_methods_take_several_frames_at_once() -> None:

@@ -44,7 +44,8 @@ class Method:
     p2o-calib, or the package, that has to be installed for it. `expected_failures` maps names of conformance checks
     that the method is known to fail to the reason. `trainer` says how the method learns, where it does. `example` is
     what a method of frames that the test stage does not have (targets, drives) promises to succeed on. With `parallel`
-    an extractor may be called from several threads at once and gives the same: several frames then use all cores.
+    an extractor may be called, or a dataset read, from several threads at once and gives the same: several frames then
+    use all cores.
     """
 
     name: str

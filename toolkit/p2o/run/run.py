@@ -33,6 +33,7 @@ from p2o.run.protocol import Protocol, protocol_of
 from p2o.run.read_again import MOST_HELD, ReadAgain, Told, told, without_truth
 from p2o.run.recipe import Plan, Recipe
 from p2o.run.words import parse_settings
+from p2o.threads import for_each
 
 _T = TypeVar("_T")
 
@@ -312,6 +313,7 @@ def run(
     listed = listed_errors(recipe, names, [group[0] for group in groups])
     if on_names is not None:
         on_names([names[index] for index in indices], list(cameras.values()))
+    parallel = frames is None and "accumulate" not in plan.parts and plan.parts["data"].offer.method.parallel
     assembly = plan.assembly()
     stamp = {"recipe": plan.described(), "seed": recipe.seed, "versions": plan.versions()}
     rows: list[Row] = []
@@ -325,7 +327,9 @@ def run(
         first_guess = start
         if plan.rig is not None and recipe.perturb is None:
             first_guess = plan.rig.start_of(camera)
-        begin = tried(_Begin.of, plan, dataset, [(index, names[index]) for index in group], first_guess, listed)
+        begin = tried(
+            _Begin.of, plan, dataset, [(index, names[index]) for index in group], first_guess, listed, parallel
+        )
         row: Row | P2OError
         if isinstance(begin, P2OError):
             row = begin
@@ -414,11 +418,17 @@ class _Begin:
         chosen: Sequence[tuple[int, str]],
         start: Float | None,
         listed: Mapping[int, Float],
+        parallel: bool,
     ) -> _Begin:
-        """Read the frames of these indices and names; of very many, each is read again whenever it is looked at."""
+        """Read the frames of these indices and names; of very many, each is read again whenever it is looked at.
+
+        With `parallel` the dataset may be read by several threads.
+        """
         names = dict(chosen)
         read = partial(_usable, plan, dataset, names=names)
-        frames: Sequence[Frame] = tuple(map(read, names)) if len(names) <= MOST_HELD else ReadAgain(read, list(names))
+        frames: Sequence[Frame] = ReadAgain(read, list(names))
+        if len(names) <= MOST_HELD:
+            frames = tuple(for_each(read, list(names), parallel=parallel))
         said = told(frames)
         camera = said[0].camera_name if plan.rig is not None else one_camera(said)
         truth = common_pose(said, "camera_from_lidar")
