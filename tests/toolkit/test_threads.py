@@ -47,3 +47,11 @@ def test_omp_num_threads_bounds_the_cores(monkeypatch: pytest.MonkeyPatch) -> No
     assert cores() < 100000
     monkeypatch.setenv("OMP_NUM_THREADS", "")
     assert cores() >= 1
+
+
+def test_what_uses_several_cores_by_itself_uses_one_in_each_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("p2o.threads.cores", lambda: 2)
+    alone = cores()
+    assert for_each(lambda _: cores(), [1, 2, 3], parallel=True) == [1, 1, 1]
+    assert for_each(lambda _: cores(), [1, 2, 3], parallel=False) == [alone] * 3
+    assert cores() == alone

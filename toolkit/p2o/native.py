@@ -8,6 +8,8 @@ import importlib
 import os
 import signal
 import sys
+import threading
+from collections.abc import Iterator
 from typing import Any
 
 _TRIM_THRESHOLD, _TOP_PAD, _MMAP_THRESHOLD = -1, -2, -3
@@ -28,8 +30,27 @@ def keep_freed_memory() -> None:
             mallopt(parameter, value)
 
 
+_OF_THREAD = threading.local()
+
+
+@contextlib.contextmanager
+def one_of_several() -> Iterator[None]:
+    """Say that this thread works beside others that use the other cores: within, `cores` is 1 for it."""
+    before = getattr(_OF_THREAD, "one_core", False)
+    _OF_THREAD.one_core = True
+    try:
+        yield
+    finally:
+        _OF_THREAD.one_core = before
+
+
 def cores() -> int:
-    """Return how many cores this process may use: those that the system leaves it, at most OMP_NUM_THREADS."""
+    """Return how many cores this thread may use: those that the system leaves its process, at most OMP_NUM_THREADS.
+
+    A thread that is `one_of_several` may use one.
+    """
+    if getattr(_OF_THREAD, "one_core", False):
+        return 1
     count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     asked = os.environ.get("OMP_NUM_THREADS", "")
     return min(count, int(asked)) if asked.isdecimal() and int(asked) else count

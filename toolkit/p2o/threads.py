@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
-from p2o.native import cores
+from p2o.native import cores, one_of_several
 
 _Given = TypeVar("_Given")
 _Made = TypeVar("_Made")
@@ -15,6 +15,7 @@ def for_each(work: Callable[[_Given], _Made], given: Sequence[_Given], *, parall
     """Return what `work` makes of each, in their order; in threads with `parallel`.
 
     An error is that of the first one that has any, however many fail. With one core nothing is different but the time.
+    What uses several cores by itself uses one in each thread (`p2o.native.cores`).
     """
     threads = min(len(given), cores()) if parallel else 1
     if threads < 2:
@@ -23,7 +24,8 @@ def for_each(work: Callable[[_Given], _Made], given: Sequence[_Given], *, parall
 
     def tried(one: _Given) -> _Made | Exception:
         try:
-            return work(one)
+            with one_of_several():
+                return work(one)
         except Exception as problem:
             return problem
 

@@ -32,12 +32,12 @@ A graph keeps the memory that its maps took, 0.5 GB for a million pixels, and is
 class Predictor:
     """A network whose weights are fixed. May be asked by several threads at once; results do not depend on how many.
 
-    One picture uses all cores (`p2o.native.cores`), and so do several at once.
+    One picture uses all cores; of several at once each uses one (`p2o.native.cores`).
     """
 
     def __init__(self, tensors: Mapping[str, _Float32], shape: Shape) -> None:
         self._tensors, self._shape = tensors, shape
-        self._sessions: OrderedDict[tuple[int, int], Any] = OrderedDict()
+        self._sessions: OrderedDict[tuple[int, int, int], Any] = OrderedDict()
         self._lock = threading.Lock()
 
     def __call__(self, rgb: UInt8) -> Float:
@@ -54,22 +54,23 @@ class Predictor:
 
     def _session(self, height: int, width: int) -> Any:
         """Return the session for pictures of a size; a second thread waits for what the first one makes."""
-        size = (height, width)
+        threads = cores()
+        key = (height, width, threads)
         with self._lock:
-            if size not in self._sessions:
-                self._sessions[size] = session(model(self._tensors, self._shape, size))
-                while len(self._sessions) > 1 and sum(h * w for h, w in self._sessions) > KEPT_PX:
+            if key not in self._sessions:
+                self._sessions[key] = session(model(self._tensors, self._shape, (height, width)), threads)
+                while len(self._sessions) > 1 and sum(h * w for h, w, _ in self._sessions) > KEPT_PX:
                     self._sessions.popitem(last=False)
-            self._sessions.move_to_end(size)
-            return self._sessions[size]
+            self._sessions.move_to_end(key)
+            return self._sessions[key]
 
 
-def session(content: bytes) -> Any:
-    """Return a session of ONNX Runtime that computes a model on the processor."""
+def session(content: bytes, threads: int) -> Any:
+    """Return a session of ONNX Runtime that computes a model on the processor, on so many threads."""
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads, options.inter_op_num_threads = cores(), 1
+    options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
     options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_ALL
     options.log_severity_level = 3
     # Threads that have nothing to do sleep: other frames and other programs want the cores.
