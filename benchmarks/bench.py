@@ -5,7 +5,7 @@
     python benchmarks/bench.py --against-commit 1bf09bd              # both commits in turns, ratios within one run
     python benchmarks/bench.py --against-commit 1bf09bd --poses folder:build/data/rigs/waymo --poses ...
 
-Steps of a frame are measured in one process with one thread (`OMP_NUM_THREADS=1`), the first frame of a process by
+Steps of a frame are measured in one process with one thread (but the simulator's), the first frame of a process by
 itself and the others as the least of several frames; commands in a process of their own, as a user calls them. Of
 several repeats the least counts: other work on the machine only adds. Processor seconds are user and system time of a
 process and its children, peaks are of its memory, of the largest child where it has children.
@@ -37,6 +37,7 @@ HOME = ROOT / "build" / "bench"
 STEPS = ("frame", "grid")
 COMMANDS = ("help", "run", "out", "folder", "joint")
 START = "2deg 0.15m"
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENCV_FOR_THREADS_NUM": "1"}
 
 
 @dataclass(frozen=True)
@@ -257,7 +258,7 @@ def of_step(tree: Path, step: str, data: str, count: int) -> dict[str, Cost]:
 
 def _asked(tree: Path, words: Sequence[str]) -> Any:
     command = [sys.executable, str(Path(__file__).resolve()), *words]
-    done = subprocess.run(command, env=surroundings(tree, OMP_NUM_THREADS="1"), stdout=subprocess.PIPE, check=True)
+    done = subprocess.run(command, env=surroundings(tree, **ONE_THREAD), stdout=subprocess.PIPE, check=True)
     return json.loads(done.stdout.splitlines()[-1])
 
 
