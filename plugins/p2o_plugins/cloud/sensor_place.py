@@ -38,7 +38,7 @@ def sensor_place(sweep: Sweep) -> Float | None:
     over the place (3) and the axis (2); from the three axes of the cloud.
     """
     every = max(1, -(-len(sweep) // _MOST_POINTS))
-    xyz, ring = sweep.cloud.as_measured()[sweep.point[::every]], sweep.ring[::every]
+    xyz, ring = sweep.cloud.select(sweep.point[::every]).as_measured(), sweep.ring[::every]
     if len(xyz) < _FEWEST_POINTS or ring[0] == ring[-1]:
         return None
     flat = np.hypot(xyz[:, 0], xyz[:, 1])
