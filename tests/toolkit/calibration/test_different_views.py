@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from p2o.calibration import different_views
 from p2o.calibration.different_views import standing_still, view_count
 
 
@@ -37,6 +38,13 @@ def test_half_of_what_is_seen_moving_gives_views_between() -> None:
 def test_an_edge_of_another_direction_is_another_edge() -> None:
     xyz, side, frame = edges(2, still=1.0)
     assert view_count(xyz, np.where(frame == 0, side, (side + 1) % 4), frame) == pytest.approx(2.0, abs=0.1)
+
+
+@pytest.mark.parametrize("still", [0.0, 0.5, 1.0])
+def test_some_of_very_many_edges_tell_the_same(monkeypatch: pytest.MonkeyPatch, still: float) -> None:
+    of_all = view_count(*edges(20, still=still))
+    monkeypatch.setattr(different_views, "_MOST_LOOKED_UP", 20_000)
+    assert view_count(*edges(20, still=still)) == pytest.approx(of_all, rel=0.05)
 
 
 @pytest.mark.parametrize("frames", [0, 1])
