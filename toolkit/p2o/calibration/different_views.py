@@ -13,7 +13,7 @@ _LEAST_M = 0.1
 _FEW = 0.5
 """Where less than this share of the frames are views of their own, a user should know."""
 _MOST_LOOKED_UP = 2_000_000
-"""So many edges are looked up in frames at most, every so many-th of them where there are more."""
+"""So many edges are looked up in frames at most; where there are more, some that are drawn."""
 
 
 def view_count(xyz: Float, side: Int8, frame: Int) -> float:
@@ -21,7 +21,7 @@ def view_count(xyz: Float, side: Int8, frame: Int) -> float:
 
     `xyz` (K, 3) are places of edges in m in the LiDAR frame, `side` (K,) their directions and `frame` (K,) the numbers
     of their frames. The mean over all edges of 1 / (in how many frames one of its direction lies where it does), times
-    the number of frames; 0 without edges. Of very many edges in very many frames the mean is over some, evenly chosen.
+    the number of frames; 0 without edges. Of very many edges in very many frames the mean is over some, always the same.
     """
     frames = np.unique(frame)
     if len(frames) < 2:
@@ -30,7 +30,8 @@ def view_count(xyz: Float, side: Int8, frame: Int) -> float:
     bearing = xyz / range_m[:, None] / _SAME_BEARING
     # Sides lie so far apart that no other one is within 1.
     place = np.column_stack([bearing, np.log(range_m) / _SAME_RANGE, 10.0 * side])
-    some = slice(None, None, -(-len(place) * len(frames) // _MOST_LOOKED_UP))
+    most = max(1, _MOST_LOOKED_UP // len(frames))
+    some = slice(None) if len(place) <= most else np.random.default_rng(0).permutation(len(place))[:most]
     asked, own = place[some], frame[some]
     seen_in = np.ones(len(asked))
     for number in frames:
