@@ -21,7 +21,7 @@ def view_count(xyz: Float, side: Int8, frame: Int) -> float:
 
     `xyz` (K, 3) are places of edges in m in the LiDAR frame, `side` (K,) their directions and `frame` (K,) the numbers
     of their frames. The mean over all edges of 1 / (in how many frames one of its direction lies where it does), times
-    the number of frames; 0 without edges. Of very many edges in very many frames the mean is over some, always the same.
+    the number of frames; 0 without edges. Of very many the mean is over some, always the same.
     """
     frames = np.unique(frame)
     if len(frames) < 2:
