@@ -9,7 +9,7 @@ import numpy as np
 import p2o
 import pytest
 from p2o import Doubt, Frame, InputError, Kind, Method, Recipe, Registry, Result, Status, UnknownNameError
-from p2o.host.slots import WITNESS
+from p2o.host.slots import WITNESS, WITNESS_STAGES
 from p2o.testing import stage
 
 TRUTH = stage.camera_from_lidar()
@@ -171,3 +171,10 @@ def test_a_calibrator_that_is_none_names_its_plugin(build, text: str) -> None:
 
 def test_kinds_have_a_hook_each() -> None:
     assert Kind.ACCUMULATOR.hook == "p2o_accumulators"
+
+
+def test_a_resolved_recipe_with_a_witness_resolves_again() -> None:
+    plan = Recipe.of(data="synthetic:", calibrator="csc").resolve(Registry.load())
+    assert set(WITNESS_STAGES.values()) <= set(plan.parts)
+    again = Recipe.of(**plan.described()).resolve(Registry.load())
+    assert set(again.parts) == set(plan.parts)

@@ -257,7 +257,9 @@ class Plan:
         """Return the recipe with every option that took effect, ready for JSON; `Recipe.of(**it)` repeats the run."""
         unused = set(STAGED_WORDS) if self.recipe.calibrator is not None else {"calibrator"}
         words = {k: v for k, v in self.recipe.model_dump(mode="json", exclude=unused).items() if k not in _SELDOM or v}
-        words["options"] = {stage: part.options.model_dump(mode="json") for stage, part in self.parts.items()}
+        # The stages behind a witness follow from the recipe: they have no options of their own.
+        own = {stage: part for stage, part in self.parts.items() if stage not in WITNESS_STAGES.values()}
+        words["options"] = {stage: part.options.model_dump(mode="json") for stage, part in own.items()}
         if self.pipeline is not None:
             words["options"]["pipeline"] = self.pipeline.model_dump(mode="json")
         return words
