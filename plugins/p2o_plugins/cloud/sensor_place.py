@@ -37,10 +37,10 @@ def sensor_place(sweep: Sweep) -> Float | None:
     kept small. Least squares of the elevations of thinned points (Cauchy's weights), each ring about its own mean,
     over the place (3) and the axis (2); from the three axes of the cloud.
     """
-    every = max(1, -(-len(sweep) // _MOST_POINTS))
-    xyz, ring = sweep.cloud.select(sweep.point[::every]).as_measured(), sweep.ring[::every]
-    if len(xyz) < _FEWEST_POINTS or ring[0] == ring[-1]:
+    if len(sweep) < _FEWEST_POINTS or sweep.ring[0] == sweep.ring[-1]:
         return None
+    every = -(-len(sweep) // _MOST_POINTS)
+    xyz, ring = sweep.cloud.select(sweep.point[::every]).as_measured(), sweep.ring[::every]
     flat = np.hypot(xyz[:, 0], xyz[:, 1])
     off = (xyz[:, 2] - sweep.slope[ring] * flat - sweep.offset[ring]) / np.maximum(np.linalg.norm(xyz, axis=1), 1e-6)
     if _scatter(off) < _USUAL_SCATTER:
