@@ -13,6 +13,8 @@ from p2o_plugins.p2ornet.loss import order_loss
 from p2o_plugins.p2ornet.network import P2ORNet
 from torch import Tensor, nn
 
+from tests.plugins.p2ornet.stirred_norms import stir
+
 
 @pytest.fixture(autouse=True)
 def _one_thread_and_seed() -> None:
@@ -29,13 +31,7 @@ def tiny(encoder: str, *, cell: int | None = None, connectivity: int = 4) -> P2O
 
 def stirred(network: P2ORNet) -> P2ORNet:
     """Return the network with batch norms that do something, so that maps differ from place to place."""
-    generator = torch.Generator().manual_seed(1)
-    for module in network.modules():
-        if isinstance(module, nn.BatchNorm2d):
-            module.weight.data.uniform_(0.8, 1.4, generator=generator)
-            module.bias.data.uniform_(-0.3, 0.3, generator=generator)
-            module.running_mean.uniform_(-0.2, 0.2, generator=generator)  # type: ignore[union-attr, operator]
-            module.running_var.uniform_(0.2, 0.6, generator=generator)  # type: ignore[union-attr, operator]
+    stir(network)
     return network
 
 
