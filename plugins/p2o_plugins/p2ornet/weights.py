@@ -60,12 +60,17 @@ def load_weights(path: Path) -> tuple[dict[str, NDArray[Any]], Shape]:
             shape = _shape(file.metadata() or {}, path)
             names = list(file.keys())
             _check_fit({name: _form(file.get_slice(name)) for name in names}, shape, path)
+            if not {file.get_slice(name).get_dtype() for name in names} <= _OF_NUMPY:
+                import ml_dtypes  # noqa: F401  NumPy learns bfloat16 from it
             tensors = {name: _single(file.get_tensor(name)) for name in names}
     except (SafetensorError, OSError) as problem:
         raise InputError("a weights file cannot be read", where=path, expected="safetensors", got=problem) from problem
     if not all(np.isfinite(value).all() for value in tensors.values()):
         raise InputError("weights are not finite", where=path, expected="numbers", got="NaN or infinity")
     return tensors, shape
+
+
+_OF_NUMPY = {"F16", "F32", "F64", "I64"}
 
 
 def _single(value: NDArray[Any]) -> NDArray[Any]:

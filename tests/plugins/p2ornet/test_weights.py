@@ -235,6 +235,16 @@ def test_other_precisions_are_read_too(dtype: torch.dtype, saved: Path, tmp_path
         np.testing.assert_array_equal(tensors[name], wanted.numpy(), strict=True)
 
 
+def test_bfloat16_is_read_whatever_was_imported_before(saved: Path, tmp_path: Path) -> None:
+    path = tmp_path / "w.safetensors"
+    state = {n: value.bfloat16() if value.is_floating_point() else value for n, value in load_file(saved).items()}
+    save_file(state, path, metadata={"kind": "p2ornet", "shape": json.dumps(_shape())})
+    code = "from pathlib import Path; from p2o_plugins.p2ornet.weights import load_weights; "
+    code += f"print(len(load_weights(Path({str(path)!r}))[0]))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert int(done.stdout) == len(state)
+
+
 def test_weights_are_read_without_torch(saved: Path) -> None:
     code = "import sys; from pathlib import Path; from p2o_plugins.p2ornet.weights import load_weights; "
     code += f"load_weights(Path({str(saved)!r})); print('torch' in sys.modules)"
