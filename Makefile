@@ -1,13 +1,13 @@
-# make run: sets up a fresh machine and calibrates the built-in scene.   make test: the same set-up, then the tests.
+# make run: set up a fresh machine and calibrate the built-in scene. make test: the same set-up, then the tests.
 VENV ?= .venv
 PYTHON ?= python3
 JOBS ?= 2
 CASES ?= 20000
 SEED ?= 0
 BENCH ?= $(if $(wildcard build/bench/reference.json),--against build/bench/reference.json)
-SOURCES := $(shell find toolkit plugins baselines -name '*.py' -o -name '*.toml' -o -name '*.html' -o -name '*.css' -o -name '*.js') pyproject.toml README.md
+SOURCES := $(shell find toolkit plugins baselines -name '*.py' -o -name '*.pyi' -o -name '*.toml' -o -name '*.html' -o -name '*.css' -o -name '*.js') pyproject.toml README.md
 
-.PHONY: run test fuzz bench dev lint docs clean
+.PHONY: run test test-system fuzz bench dev lint docs clean
 
 # torch==2.13.0 of the default index brings CUDA on Linux; where disk is short: make PIP_ARGS="--extra-index-url CPU_INDEX"
 $(VENV)/.locked: requirements.lock
@@ -24,10 +24,14 @@ $(VENV)/.installed: $(VENV)/.locked $(SOURCES)
 run: $(VENV)/.installed
 	$(VENV)/bin/p2o run --out p2o-out
 
-# Some processes with one thread each: threads of BLAS and PyTorch that wait for one another cost half of the time.
-# Files stay together in a process, for what they share; who is done first takes over tests of another.
+# One thread per process: BLAS and PyTorch threads of several processes would wait for each other. Tests of one file stay
+# in one process, which shares their fixtures; idle processes take over tests of others.
 test: $(VENV)/.installed
-	OMP_NUM_THREADS=1 P2O_STRICT=1 $(VENV)/bin/python -m pytest -q -n $(JOBS) --dist worksteal
+	OMP_NUM_THREADS=1 P2O_STRICT=1 $(VENV)/bin/python -m pytest -q -n $(JOBS) --dist worksteal -m "not system"
+
+# Fuzzing, killed processes, browsers, the lines of the docs, distributions and long studies.
+test-system: $(VENV)/.installed
+	OMP_NUM_THREADS=1 P2O_STRICT=1 $(VENV)/bin/python -m pytest -q -n $(JOBS) --dist worksteal -m system
 
 # Mutated inputs at every door (docs/reliability.md): make fuzz CASES=20000 SEED=0
 fuzz: $(VENV)/.installed

@@ -14,7 +14,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
-from p2o import Accuracy, PoseError, View, se3
+from p2o import PoseError, View, se3
 from p2o.arrays import Float
 from p2o.frames.selection import select
 from p2o.geometry.perturb import Perturbation, parse_perturbation, wrong_start
@@ -22,6 +22,7 @@ from p2o.geometry.pose_error import pose_error, summarise
 from p2o.host.registry import Registry
 from p2o.results.verdict import Trust, Verdict
 from p2o.run.recipe import Recipe, parse_settings
+from p2o.solving import Accuracy
 from scipy import stats
 
 
@@ -140,7 +141,7 @@ def main() -> None:
                 if not pipeline.directed:
                     own = [view.without_sides() for view in own]
                 if group == "ten":
-                    # Ten frames drawn anew for every seed.
+                    # Ten frames are sampled again for every seed.
                     drawn = np.random.default_rng([seed, 10]).choice(len(own), 10, replace=False)
                     own = [own[i] for i in sorted(drawn)]
                 jobs = (

@@ -7,7 +7,7 @@
 `collect` takes groups of 1, 5 and 10 frames of simulated rigs and of KITTI (`train`, and odometry 00, on which nothing
 was tuned), and gives each group its true extrinsic and ones that are off on one axis by a known amount. It adds a JSON
 line for each case to DIR/rows.jsonl and goes on where it was stopped; features of frames are kept in DIR/features.
-`report` applies the rules of `p2o.calibration.audit` as they are now. `watch` puts slips into the steps of single
+`report` applies the rules of `p2o.confidence.audit` as they are now. `watch` puts slips into the steps of single
 frames of a simulated drive, at many places and on every axis.
 """
 
@@ -23,16 +23,14 @@ from typing import Any
 
 import numpy as np
 from p2o.arrays import Float
-from p2o.calibration.audit import AXES, Evidence, Rates, audit
-from p2o.calibration.cusum import autocorrelation
-from p2o.calibration.edge_step import EdgeStep, edge_step
 from p2o.calibration.options import PipelineOptions
-from p2o.calibration.pipeline import Pipeline
-from p2o.calibration.watch import CLIP, Rule, watched
+from p2o.confidence.audit import AXES, EdgeStep, Evidence, Rates, audit, edge_step
+from p2o.confidence.watch import CLIP, Rule, autocorrelation, watched
 from p2o.geometry import se3
 from p2o.host.registry import Registry
-from p2o.results.check import Check, Holding
+from p2o.results.check import Check, CheckStatus
 from p2o.results.evidence import Agreement
+from p2o.run.pipeline import Pipeline
 from p2o.run.recipe import Recipe
 from verdict_rigs import RIGS, Rig, Seen, seen
 
@@ -103,7 +101,7 @@ def slipped(truth: Float, axis: int, size: float) -> Float:
 
 
 def cases_of(rig: str, count: int, most: int) -> list[Case]:
-    """Return cases of a rig with so many frames: a third right, the others off by all sizes on all axes in turn."""
+    """Return cases of a rig with N frames: a third correct, the others with errors of all sizes on all axes in turn."""
     rng = np.random.default_rng(0)
     sizes = [(axis, s) for s in range(4) for axis in range(6)]
     out: list[Case] = []
@@ -206,15 +204,15 @@ def counted(rows: Sequence[dict[str, Any]], rates: Rates) -> list[str]:
     wrong = [(row, judged(row, rates)) for row in rows if row["axis"] is not None]
     words, others = Counter(check.holding for check in right), Counter(check.holding for _, check in wrong)
     above = [(row, check) for row, check in wrong if _above(row, check)]
-    missed = sum(check.holding is not Holding.OFF for _, check in above)
+    missed = sum(check.holding is not CheckStatus.OFF for _, check in above)
     return [
         str(len(right)),
-        str(words[Holding.OFF]),
-        str(words[Holding.CANNOT_TELL]),
+        str(words[CheckStatus.OFF]),
+        str(words[CheckStatus.CANNOT_TELL]),
         str(len(wrong)),
         str(missed),
         str(len(above)),
-        str(others[Holding.CANNOT_TELL]),
+        str(others[CheckStatus.CANNOT_TELL]),
     ]
 
 
@@ -244,7 +242,7 @@ def _spread(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
 
 
 def _by_size(rows: Sequence[dict[str, Any]], rates: Rates) -> Iterator[str]:
-    """Return how often errors of each size are called off, and on the right axis, by frames together."""
+    """Return the detection rate of errors of each size, and of their axis, in joint calibration of N frames."""
     yield "| error | " + " | ".join(f"{group} frames: off, right axis, of" for group in GROUPS) + " |"
     yield "|---" * (1 + len(GROUPS)) + "|"
     for sizes, turns in ((TURNS_DEG, True), (SHIFTS_M, False)):
@@ -259,8 +257,8 @@ def _by_size(rows: Sequence[dict[str, Any]], rates: Rates) -> Iterator[str]:
                     and (r["axis"] < 3) is turns
                     and abs(r["size"]) == size
                 ]
-                off = sum(check.holding is Holding.OFF for _, check in its)
-                axis = sum(check.axes[row["axis"]].holding is Holding.OFF for row, check in its)
+                off = sum(check.holding is CheckStatus.OFF for _, check in its)
+                axis = sum(check.axes[row["axis"]].holding is CheckStatus.OFF for row, check in its)
                 cells.append(f"{off}, {axis}, {len(its)}")
             yield f"| {size:g} {'deg' if turns else 'm'} | " + " | ".join(cells) + " |"
 
@@ -335,7 +333,7 @@ def false_alarms(correlation: float, hours: int) -> str:
             values[at] = correlation * values[at - 1] + np.sqrt(1 - correlation**2) * fresh[at]
         steps = [EdgeStep(np.eye(4), row, np.eye(6), met, 100) for row in values]
         raised += len(watched(_names(steps), steps, rule).slips)
-    return f"noise as likely errors have it, {hours} hours: {raised} alarms, {rule.alarms_per_hour:g} an hour are meant"
+    return f"noise as likely errors have it, {hours} hours: {raised} alarms, {rule.alarms_per_hour:g} per hour expected"
 
 
 def _slipped(step: EdgeStep | None, at: int, begin: int, axis: int, size: float) -> EdgeStep | None:

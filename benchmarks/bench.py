@@ -1,17 +1,18 @@
-"""What each step of a calibration costs, beside a reference made on the same machine: `make bench`.
+"""Measure the run time of each step of a calibration against a reference on the same machine: `make bench`.
 
     python benchmarks/bench.py --keep build/bench/reference.json     # measure, and keep what was measured
     python benchmarks/bench.py --against build/bench/reference.json  # measure, with ratios to what was kept
     python benchmarks/bench.py --against-commit 1bf09bd              # both commits in turns, ratios within one run
     python benchmarks/bench.py --against-commit 1bf09bd --poses folder:build/data/rigs/waymo --poses ...
 
-Steps of a frame are measured in one process with one thread (but the simulator's), the first frame of a process by
-itself and the others as the least of several frames; commands in a process of their own, as a user calls them. Of
+Steps of a frame are measured in one process with one thread (but the simulator's), the first frame of a process
+separately and the others as the minimum over several frames;
+commands in a process of their own, as a user calls them. Of
 several repeats the least counts: other work on the machine only adds. Processor seconds are user and system time of a
 process and its children, peaks are of its memory, of the largest child where it has children.
 
 With `--poses` nothing is timed: the same frames are calibrated by both commits, and the largest differences of their
-poses are told.
+poses are reported.
 """
 
 from __future__ import annotations
@@ -134,7 +135,7 @@ def peak_mib() -> float:
 
 
 def step_frame(data: str, count: int) -> dict[str, Cost]:
-    """Measure what a frame goes through, from imports to pictures."""
+    """Measure what a frame goes through, from imports to images."""
     clock = Clock()
     with clock.of("import what computes the network"):
         # Before ONNX Runtime it was torch.
@@ -192,7 +193,7 @@ _STAGES = {"initialize": "search", "refine": "rounds", "adjust": "adjustment", "
 
 def solve(pipeline: Any, views: Sequence[tuple[tuple[Any, ...], Any]], clock: Clock) -> None:
     """Measure the way from features to a pose of each frame, whole and stage by stage."""
-    from p2o.calibration import pipeline as module
+    from p2o.run import pipeline as module
 
     class Stages(module.Clock):  # type: ignore[misc,name-defined]
         """The clock of a calibration, which counts processor time for us as well."""

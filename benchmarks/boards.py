@@ -1,10 +1,11 @@
-"""Methods of boards over the number of poses, and targetless p2o beside them: docs/comparison-targets.md.
+"""Compare methods with boards by the number of board poses, and targetless p2o: docs/comparison-targets.md.
 
     python benchmarks/boards.py [--rig vlp16-1 ...] [--real build/data/rigs] [--kept FOLDER]
 
 For every rig, method and number of poses: frames are drawn at random (seed 0), the start is off by 5 deg and 30 cm (2
 deg and 10 cm for targetless p2o). Printed are means and medians of errors, how many were refused, of how many two of
-three bounds of the likely error held, and the mean error about and along each axis of the camera. `--draw FILE` draws
+three bounds of the predicted error covered it, and the mean error about and along each axis of the camera.
+`--draw FILE` draws
 what is found in the first frame of a simulated rig instead.
 """
 
@@ -25,7 +26,7 @@ from p2o.work.cache import FeatureCache, content_hash
 from p2o_baselines import acsc, domhof, geiger, koo, mirzaei, velas, velo2cam, zhou
 from p2o_baselines.boards.holes_in_sweep import HoleBoardInSweep
 from p2o_baselines.boards.pairing import paired
-from p2o_baselines.boards.sight import Sight
+from p2o_baselines.target_method import Sight
 
 METHODS = {
     "boards": {"zhou": zhou.METHOD, "koo": koo.METHOD, "geiger": geiger.METHOD, "mirzaei": mirzaei.METHOD},
@@ -82,7 +83,7 @@ class Prepared:
 
 
 def prepared(rig: BoardRig, kept: Path, kind: str, stage: Any, frames: int | None = None) -> Prepared:
-    """Return what a stage finds in the frames of a rig, or in so many of them; it is kept in a folder, by `kind`."""
+    """Return the results of a stage for the frames of a rig, or for N of them; cached in a folder, by `kind`."""
     dataset = Recipe.of(data=rig.data).resolve(Registry.load()).dataset()
     cache = FeatureCache(kept)
     out, truth = [], np.eye(4)
@@ -127,7 +128,7 @@ def row(name: str, method: str, poses: int, results: Sequence[Result], truth: Fl
 
 
 def solve(stage: Any, found: Sequence[Any], truth: Float, poses: int, draws: int, start: str) -> list[Result]:
-    """Return the results of so many draws; one where all frames are drawn."""
+    """Return the results of N random samples of frames; of one if it contains all frames."""
     rng = np.random.default_rng(0)
     out = []
     for _ in range(1 if poses == len(found) else draws):
@@ -145,7 +146,7 @@ def boards(name: str, rig: BoardRig, kept: Path, methods: Sequence[str]) -> None
             continue
         found = prepared(rig, kept, kind, FINDERS[kind].build(FINDERS[kind].options()))
         sights = [sight_in(each) for each in found.found]
-        seen, pieces = sum(bool(s.boards) for s in sights), sum(bool(s.patches) for s in sights)
+        seen, pieces = sum(bool(s.in_image) for s in sights), sum(bool(s.in_sweep) for s in sights)
         print(f"<!-- {name}: {seen} pictures and {pieces} sweeps of {len(sights)} show {kind} -->", flush=True)
         for method, offered in offers.items():
             stage = offered.build(offered.options())
@@ -166,9 +167,9 @@ def targetless(name: str, rig: BoardRig, kept: Path, few: bool) -> None:
 
 
 def draw(rig: BoardRig, path: Path, number: int) -> None:
-    """Draw what is found of a board: corners and axes in the picture, points, ends and outline of the sweep in both.
+    """Draw what is found of a board: corners and axes in the image, points, ends and outline of the sweep in both.
 
-    On the left all on the picture, at the truth; on the right the sweep alone, seen along the board's normal.
+    On the left all on the image, at the truth; on the right the sweep alone, seen along the board's normal.
     """
     import cv2
 

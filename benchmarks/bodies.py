@@ -60,7 +60,7 @@ def _built(method: Method) -> Calibrator:
 def bodies(rig: str, kept: Path) -> None:
     """Print the rows of the methods of a rig."""
     found, truth = sights(rig, kept)
-    pictures, sweeps = sum(bool(s.pictures) for s in found), sum(bool(s.sweeps) for s in found)
+    pictures, sweeps = sum(bool(s.in_image) for s in found), sum(bool(s.in_sweep) for s in found)
     print(f"<!-- {rig}: {pictures} pictures and {sweeps} sweeps of {len(found)} show bodies -->", flush=True)
     for method in METHODS[rig.split("-")[0]]:
         for poses in POSES:
@@ -81,7 +81,7 @@ def targetless(rig: str) -> None:
 
 
 class Crop:
-    """A square piece of a picture, made larger, and where places of the picture are in it."""
+    """A square piece of an image, made larger, and where places of the image are in it."""
 
     def __init__(self, frame: Frame, uv: Float) -> None:
         import cv2
@@ -97,9 +97,9 @@ class Crop:
 
 
 def draw(path: Path) -> None:
-    """Draw a ball and a box in picture and sweep: green by the picture, blue and orange by the sweep, at the truth.
+    """Draw a ball and a box in image and sweep: green by the image, blue and orange by the sweep, at the truth.
 
-    On the left on the picture; on the right the sweep alone, the ball from its left, the box from the LiDAR.
+    On the left on the image; on the right the sweep alone, the ball from its left, the box from the LiDAR.
     """
     import cv2
 
@@ -122,10 +122,10 @@ def draw(path: Path) -> None:
     assert truth is not None
     sight = _built(kuemmerle.METHOD).prepare(frame)
     ball, there = (
-        sight.pictures[0],
+        sight.in_image[0],
         min(
-            sight.sweeps,
-            key=lambda s: float(np.linalg.norm(se3.apply(truth, s.centre[None])[0] - sight.pictures[0].centre)),
+            sight.in_sweep,
+            key=lambda s: float(np.linalg.norm(se3.apply(truth, s.centre[None])[0] - sight.in_image[0].centre)),
         ),
     )
     middle = se3.apply(truth, there.centre[None])[0]
@@ -156,7 +156,7 @@ def draw(path: Path) -> None:
     pairing = paired_boxes([_built(pusztai.METHOD).prepare(frame)], truth)
     assert pairing is not None
     pair = pairing.pairs[0]
-    outline = pair.picture.target.outline
+    outline = pair.image.target.outline
     edges = [(a, a ^ bit) for a in range(8) for bit in (1, 2, 4) if a < a ^ bit]
     in_picture = camera.project(se3.apply(truth @ pair.lidar_from_box, outline))
     crop = Crop(frame, in_picture)
@@ -176,11 +176,11 @@ def draw(path: Path) -> None:
         if near not in (a, b):  # those of the far corner are hidden
             line(crop.canvas, crop(in_picture[[a, b]]), orange, False, 1)
             line(beside, from_lidar(se3.apply(pair.lidar_from_box, outline[[a, b]])), orange, False)
-    if pair.picture.edges is not None:
-        for edge in pair.picture.edges:
-            ends = pair.picture.flat.rays(np.array([edge.at - 25 * edge.along, edge.at + 25 * edge.along]))
+    if pair.image.edges is not None:
+        for edge in pair.image.edges:
+            ends = pair.image.flat.rays(np.array([edge.at - 25 * edge.along, edge.at + 25 * edge.along]))
             line(crop.canvas, crop(camera.project(ends)), green, False)
-    dots(crop.canvas, crop(camera.project(pair.picture.corner_rays)), green, 5)
+    dots(crop.canvas, crop(camera.project(pair.image.corner_rays)), green, 5)
     both = np.concatenate([top, np.concatenate([crop.canvas, beside], axis=1)])
     cv2.imwrite(str(path), both[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 80])
 

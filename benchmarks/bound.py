@@ -8,7 +8,7 @@
 about the camera's centre) is bounded from below by the mean, over the LiDAR edges, of the least value that the map of
 distances has where the box may move the edge. Boxes whose bound is below the best known cost are halved, those that
 are within `--beyond` deg of the best known pose are left alone. If none is left, no rotation farther away than that,
-within the domain, fits as well. With `--sample` so many boxes of a level are kept, at random, and what it would take is
+within the domain, fits as well. With `--sample` N random boxes of a level are kept, and the total number is
 estimated. `misses` holds the proposals of `search` against the best of many small searches from all over the domain.
 Starts are wrong by four fifths of the domain. Pinhole cameras only.
 """
@@ -246,7 +246,7 @@ class Bound:
             maps = []
             for side, distances in enumerate(np.minimum(part.maps, np.float32(self.cost.truncate_px))):
                 base, neutral = distances.copy(), np.float32(part.neutral[side])
-                # Within half a cell of its end a picture ends.
+                # Within half a cell of its end an image ends.
                 for end in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1]):
                     base[end] = np.minimum(base[end], neutral)
                 maps.append(cv2.copyMakeBorder(base, *[_BORDER] * 4, cv2.BORDER_CONSTANT, value=float(neutral)))
@@ -270,7 +270,7 @@ class Bound:
 
 
 _BORDER = 66
-"""Wider than the widest window: windows that are all outside the picture hold nothing of it."""
+"""Wider than the widest window: windows that are all outside the image hold nothing of it."""
 
 
 def _speeds(a: Float, b: Float, inverse_depth: Float) -> Float:
@@ -329,7 +329,7 @@ _WIDEST_RAD = np.radians(2.0)
 
 
 def certify_all(bounds: Sequence[Bound], pose: Float, beyond_rad: float, **words: Any) -> Proof:
-    """Return what `certify` says of several domains together; after the first that stays open it stops."""
+    """Return the results of `certify` for several domains; stop after the first without a proof."""
     limit_s, whole = words.pop("limit_s", 60.0), None
     for bound in bounds:
         proof = certify(
@@ -361,8 +361,9 @@ def certify(
 ) -> Proof:
     """Halve boxes level by level until none is left that may hold less than the cost of a pose (4, 4), or time is up.
 
-    Boxes within `beyond_rad` of the rotation of that pose are left alone. Where a better pose is met its cost is the
-    one to beat, or what `beaten` has found elsewhere. With `sample` at most so many boxes of a level are halved, at
+    Boxes within `beyond_rad` of the rotation of that pose are left alone. If a better pose is evaluated, its cost
+    is the
+    one to beat, or what `beaten` has found elsewhere. With `sample` at most N boxes of a level are halved, at
     random, and `boxes` estimates what all would come to; nothing is proved then.
     """
     began, rng = time.process_time(), np.random.default_rng(seed)
@@ -495,7 +496,7 @@ def run_certify(words: argparse.Namespace) -> None:
             ends = [descended(fine, at, _FINEST, rng, small=False) for at in propose(case)]
             pose = _least(fine, [pose, *ends])
         for beyond in words.beyond:
-            # Windows are made anew, so that seconds are those of one proof.
+            # Windows are computed again, so that the seconds are those of one proof.
             bounds = tiles(fine, float(np.radians(turn)), shift)
             proof = certify_all(bounds, pose, float(np.radians(beyond)), sample=words.sample, limit_s=words.seconds)
             errors = [pose_error(at, case.truth).rotation_deg for at in (pose, proof.pose)]

@@ -1,10 +1,10 @@
-"""What a cloud in another frame than its sensor's costs: sweeps told in the frame of a car, and in axes of a camera.
+"""Measure the errors for clouds given in another frame than the sensor's: that of a car, or the axes of a camera.
 
     python benchmarks/cloud_frames.py folder:build/data/rigs/waymo kitti-raw:build/data/kitti_raw#:20:5
 
 Each frame is calibrated from the same wrong start (2 deg, 15 cm, of seed 0 and its number), its points, motion, truth
-and start told in its sensor's frame and in others; with the place of the sensor asked of the rings
-(`cloud.find_sensor=true`, the default) and not. Errors are those of the pose in whatever frame it is told.
+and start given in its sensor's frame and in others; with the sensor position estimated from the rings
+(`cloud.find_sensor=true`, the default) and not. Errors are those of the pose in the frame in which it is given.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ START = parse_perturbation("2deg 0.15m")
 
 
 def told_in(frame: Frame, b_from_lidar: Float) -> Frame:
-    """Return a frame whose LiDAR points, motion and truth are told in another frame b, by b_from_lidar (4, 4)."""
+    """Return a frame whose LiDAR points, motion and truth are expressed in another frame b, by b_from_lidar (4, 4)."""
     cloud, truth = frame.cloud, frame.camera_from_lidar
     return replace(
         frame,
@@ -48,7 +48,7 @@ def twist_in(twist: Float | None, b_from_a: Float) -> Float | None:
 
 
 def errors(data: str, frames: str, find_sensor: bool) -> dict[str, list[tuple[float, float, str]]]:
-    """Return, by the frame that clouds are told in, rotation in deg, translation in cm and verdict of each result."""
+    """Return, by the frame in which clouds are given, rotation in deg, translation in cm and verdict of each result."""
     registry = p2o.Registry.load()
     plan = p2o.Recipe.of(options={"cloud": {"find_sensor": find_sensor}}).resolve(registry)
     calibrator = plan.assembly().calibrator

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from joblib import Parallel, delayed
-from p2o.calibration.agreement import NEAR_PX, agreement
+from p2o.confidence.agreement import NEAR_PX, agreement
 from p2o.features.side import SIDES
 from p2o.frames.selection import select
 from p2o.geometry.perturb import parse_perturbation
@@ -97,13 +97,13 @@ def measure(images: Sequence[str], data: str, index: int, perturb: str, seeds: i
         words = {"data": data, "extractor": f"{image}/rings", "matcher": MATCHERS[image], "perturb": perturb}
         plans = [Recipe.of(**words, seed=seed).resolve(registry) for seed in range(seeds)]
         pipelines = [plan.calibrator() for plan in plans]
-        view = pipelines[0].extract(frame)
+        view = pipelines[0].prepare(frame)
         starts = [size.start(truth, np.random.default_rng([seed, index])) for seed in range(seeds)]
         results = [pipeline.solve([view], start) for pipeline, start in zip(pipelines, starts, strict=True)]
         counts = Counter(view.image_edges.side.tolist())
         out[image] = Measured(
             edges={"all": len(view.image_edges), **{side.letter: counts[side] for side in SIDES if counts[side]}},
-            meeting=agreement([pipelines[0]._seen(view, truth)], truth),
+            meeting=agreement(pipelines[0].visible([view], truth).raw, truth),
             errors=tuple(pose_error(result.camera_from_lidar, truth) for result in results),
             statuses=tuple(result.status.value for result in results),
             trusts=tuple(result.verdict.trust for result in results),
@@ -128,7 +128,7 @@ def figures(frames: Sequence[Measured]) -> dict[str, str]:
         if any(counts):
             out[f"image edges a frame, {side}: median (quartiles)"] = spread(counts)
     out["LiDAR edges a frame: median (quartiles)"] = spread([frame.meeting.points for frame in frames])
-    # Edges count alike, whichever frame they are in.
+    # All edges have the same weight, independent of their frame.
     points = np.array([frame.meeting.points for frame in frames], dtype=float)
     for name, word in (("with an image edge", "near"), ("by chance", "chance")):
         shares = np.array([getattr(frame.meeting, word) for frame in frames])

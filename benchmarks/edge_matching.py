@@ -1,4 +1,4 @@
-"""One-to-one matching of edge points: as many pairs within reach of each other as there can be."""
+"""Match edge points one-to-one, with the maximum number of pairs within reach (maximum-cardinality matching)."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def pairs_within(found: Float, true: Float, reach_px: float) -> Pairs:
 def matched_rows(pairs: Pairs, group: Int) -> Bool:
     """Return which found points (rows,) are matched one-to-one; those of higher `group` (rows,) come first.
 
-    For every g the rows of group >= g that are matched are as many as any one-to-one matching of these rows can have:
+    For every g the rows of group >= g that are matched reach the maximum of all one-to-one matchings of these rows:
     a matching that is largest for the first rows grows to one for more rows by augmenting paths, which never free a
     row (the matched sets of rows are a matroid). So one run gives the counts of all thresholds at once.
 

@@ -1,4 +1,4 @@
-"""How good are directed image edges? Scores against exact labels, and agreement with the edges of a LiDAR.
+"""Score directed image edges against exact labels, and their agreement with the edges of a LiDAR.
 
 **Exact labels, as in the papers** (`judge_boundary`; P2ORM, DOOBNet, BSDS): edges are made pixels, predictions above a
 threshold are matched one-to-one with true pixels at most 0.0075 image diagonals away, for 99 thresholds. There an edge
@@ -12,7 +12,7 @@ pixel (the best of those equally near) and match what agrees: that depends on no
 assignments, and a predictor that names the opposite sides scores nothing, also on thin objects.
 
 **Exact labels, strictly** (`judge_sides`): points, not pixels, within 2 px, and the same side; so every point of a
-diagonal outline, where L and U alternate, needs its own side. A tolerance of 9.7 px says nothing about calibration.
+diagonal outline, where L and U alternate, needs its own side. A tolerance of 9.7 px is irrelevant to calibration.
 
 **Ignored edges** (foliage, specks) are neither true nor false: they do not count as missed, and a prediction without a
 true partner does not count as wrong if an ignored edge is within reach, and nearer than every true one.
@@ -84,7 +84,7 @@ class Judged:
     """The predictions of one image, judged: `weight` (N,), `hit` (N,) which are right, `counted` (N,) which count.
 
     `truth` is the number of true edges. Predictions of ignored edges do not count. For every threshold the
-    hits among the predictions above it are as many as a one-to-one matching of them can have.
+    hits among the predictions above it are the maximum of all one-to-one matchings.
     """
 
     weight: Float

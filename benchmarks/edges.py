@@ -37,12 +37,12 @@ from edge_scores import (
 )
 from p2o import SIDES, CloudExtractor, Frame, ImageEdges, ImageExtractor, InputError, P2OError, Side, View
 from p2o.arrays import Bool, Float
-from p2o.calibration.agreement import agreement
+from p2o.confidence.agreement import agreement
 from p2o.frames.selection import select
 from p2o.host.method import Kind
 from p2o.host.registry import Registry
 from p2o.run.recipe import Part, open_dataset, parse_settings, split_data, validated
-from p2o_plugins.data import synthetic
+from p2o_sim import synthetic
 from reliability import Reliability, draw_reliability, reliability
 
 BOUNDARY_SHARE = 0.0075
@@ -132,7 +132,7 @@ def labelled(data: str, frames: str, registry: Registry, leaves: str) -> Iterato
             normals, masked = None, frame.image.masked
         else:
             view = synthetic.view(options, *divmod(index, options.frames_per_scene))
-            frame, normals, masked = view.frame, view.picture.normals, ~view.picture.seen | view.picture.foliage
+            frame, normals, masked = view.frame, view.rendered.normals, ~view.rendered.seen | view.rendered.foliage
         if frame.image.depth_m is None:
             raise InputError("the image has no depth", where=frame.name, expected="data with depth, such as synthetic:")
         mask = masked if leaves == "ignored" else None

@@ -1,4 +1,4 @@
-"""Draw the pictures of docs/how-it-works.md and docs/conventions.md: `python benchmarks/explain.py [--out FOLDER]`.
+"""Draw the figures of docs/how-it-works.md and docs/conventions.md: `python benchmarks/explain.py [--out FOLDER]`.
 
 All of them are made by the tool: one synthetic street (`STREET`), calibrated by the default method from 2 deg and 15 cm
 off; and what errors of the pose do to the points of a sweep, as `pose_error` names them.
@@ -17,7 +17,7 @@ import numpy as np
 import p2o
 from p2o.arrays import Float, UInt8
 from p2o.draw.overlay import COLOURS, before_after, draw
-from p2o.draw.sweep_picture import draw_sweep
+from p2o.draw.sweep_image import draw_sweep
 from p2o.host.method import Kind
 from p2o.run.part import part_of
 from p2o.run.recipe import open_dataset
@@ -62,7 +62,7 @@ class Street:
 
 
 def edges_of_the_image(street: Street) -> UInt8:
-    """Return the picture above the same with the edges that the network finds, as lines two pixels wide."""
+    """Return the image above the same image with the edges detected by the network, as lines two pixels wide."""
     rgb = street.frame.image.rgb
     canvas = (0.35 * rgb).astype(np.uint8)
     edges = street.image_edges
@@ -125,7 +125,7 @@ def ring_of_the_sweep(street: Street, path: Path) -> None:
 
 
 def pairs(street: Street) -> UInt8:
-    """Return a piece of the picture with its pairs at the start: by direction, and beside it with any nearest edge."""
+    """Return a crop of the image with its pairs at the initial guess: by direction, and with any nearest edge."""
     panels = []
     for name, title in (("ogm", "paired by direction"), ("nearest", "paired with the nearest, whatever its direction")):
         registry = p2o.Registry.load()
@@ -307,7 +307,7 @@ def pyplot() -> Any:
 
 
 def saved(fig: Any, path: Path) -> None:
-    # Without the version of matplotlib: the same picture is the same file.
+    # Omit the version of matplotlib, so that the same figure gives the same file.
     fig.savefig(path, bbox_inches="tight", metadata={"Software": None})
     pyplot().close(fig)
 

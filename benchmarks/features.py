@@ -1,6 +1,6 @@
 """Draw what each pair of extractors sees of a synthetic street: `python benchmarks/features.py --gallery docs/gallery`.
 
-For each family a picture features-FAMILY.jpg; in each row the features of the image, and those of the sweep at the
+For each family an image features-FAMILY.jpg; in each row the features of the image, and those of the sweep at the
 true pose on the image. Coloured by direction (L green, R red, U yellow, B blue) where they have one, by intensity, by
 segment, or magenta.
 """
@@ -42,7 +42,7 @@ _MAGENTA = (255, 0, 255)
 
 
 def of_image(frame: Frame, found: ImageFeatures) -> UInt8:
-    """Return the features of the image as a picture (H, W, 3)."""
+    """Return the features of the image as an image (H, W, 3)."""
     canvas = dimmed(frame.image.rgb, frame.camera)
     if found.edges is not None:
         # Edges alone: a sweep without points.
@@ -66,7 +66,7 @@ def of_image(frame: Frame, found: ImageFeatures) -> UInt8:
 
 
 def of_sweep(frame: Frame, found: CloudFeatures) -> UInt8:
-    """Return the features of the sweep at the true pose on the picture (H, W, 3)."""
+    """Return the features of the sweep at the true pose on the image (H, W, 3)."""
     pose = frame.camera_from_lidar
     assert pose is not None
     if found.edges is not None:
@@ -113,14 +113,14 @@ def colours(number: np.ndarray) -> UInt8:
 
 
 def titled(picture: UInt8, text: str) -> UInt8:
-    """Return a picture under a bar with its title."""
+    """Return an image under a bar with its title."""
     bar = np.full((34, picture.shape[1], 3), 24, np.uint8)
     cv2.putText(bar, text, (10, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.75, (235, 235, 235), 1, cv2.LINE_AA)
     return np.concatenate([bar, picture])
 
 
 def main() -> None:
-    """Write the pictures."""
+    """Write the images."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--gallery", type=Path, default=Path("docs/gallery"))
     parser.add_argument("families", nargs="*", metavar="FAMILY", help=f"of {', '.join(FAMILIES)} (default: all)")

@@ -1,8 +1,8 @@
-"""Draw the moving picture of README: a crossing with its sweep at a wrong start, and at the result of p2o.
+"""Draw the animated figure of the README: a crossing with its sweep at a wrong initial guess and at the result of p2o.
 
     python benchmarks/front_page.py --data folder:build/data/rigs/pjlab --frames 2
 
-The frame is no part of the repository: docs/gallery/NOTICE says where it is from and under which licence it is. The
+The frame is no part of the repository: docs/gallery/NOTICE states its source and its licence. The
 start is 2 deg and 15 cm off the published extrinsic; between start and result the pose is only blended.
 """
 
@@ -16,20 +16,21 @@ import cv2
 import numpy as np
 import p2o
 from p2o.arrays import Float, UInt8
-from p2o.draw.sweep_picture import draw_sweep
+from p2o.draw.sweep_image import draw_sweep
 from p2o.files.whole_file import write_whole
 from p2o.run.recipe import open_dataset
+from p2o.solving import image_at_scale
 
 ROWS = (0.19, 0.70)
-"""The part of the picture that is shown: the sweep reaches no higher, and the road below is empty."""
+"""The displayed crop of the image: there are no returns above it, and the road below is empty."""
 HELD_MS = 1600, 3200
 BLENDED = 7
 BLENDED_MS = 70
 
 
 def drawn(frame: p2o.Frame, camera_from_lidar: Float, said: str) -> UInt8:
-    """Return the sweep on the picture that is looked at, cut out, with what is said in its upper left corner."""
-    image = p2o.image_at_scale(frame.image)
+    """Return the sweep drawn on the cropped image, with a caption in the upper left corner."""
+    image = image_at_scale(frame.image)
     swept = draw_sweep(image.rgb, frame.cloud, image.camera, camera_from_lidar)
     top, bottom = (round(share * len(swept)) for share in ROWS)
     small = cv2.addWeighted(swept, 0.85, image.rgb, 0.15, 0)[top:bottom]

@@ -184,7 +184,7 @@ def _start(file: Path, folder: Path, jobs: int) -> subprocess.Popen[bytes]:
 
 
 def _heeds(process: int) -> bool:
-    """Return whether a process has come to where p2o cares for signals, and is not beyond; False where nobody knows."""
+    """Return whether a process is in the part of p2o that handles signals; False if that cannot be determined."""
     try:
         status = Path(f"/proc/{process}/status").read_text()
     except OSError:
@@ -215,7 +215,7 @@ def _difference(found: Mapping[str, Row], expected: Mapping[str, Row]) -> str:
 
 
 def _left(session: int) -> list[str]:
-    """Return the processes of a session that do not end; none where nobody can tell."""
+    """Return the processes of a session that do not end; none if they cannot be listed."""
     until = time.monotonic() + _LEAVE_S
     while (alive := _alive(session)) and time.monotonic() < until:
         time.sleep(0.1)

@@ -1,10 +1,10 @@
-"""Where the network's edges are good and where they are not, on synthetic pictures like and unlike what it has seen.
+"""Where the network's edges are good and where they are not, on synthetic images like and unlike what it has seen.
 
     python benchmarks/limits.py [--weights kitti] [--gallery docs/gallery]
 
-For each kind of picture: precision and recall of the edges surer than 0.5 within 2 px of an exact one of their own side
+For each kind of image: precision and recall of the edges surer than 0.5 within 2 px of an exact one of their own side
 (leaves are neither right nor wrong), their best F over all thresholds, and how many edges there are. With --gallery,
-a picture of each with these edges drawn, as JPEG.
+an image of each with these edges drawn, as JPEG.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from edge_scores import edge_truth, judge_sides, precision_recall, score, togeth
 from p2o import ImageEdges
 from p2o.draw.overlay import COLOURS
 from p2o.features.side import SIDES
-from p2o_plugins.data.synthetic import SyntheticOptions, build
 from p2o_plugins.image.p2ornet import METHOD, P2ORNetOptions
+from p2o_sim.synthetic import SyntheticOptions, build
 
 SURE = 0.5
 CASES: dict[str, dict[str, Any]] = {
@@ -68,7 +68,7 @@ def main() -> None:
 
 
 def drawn(rgb: np.ndarray, edges: ImageEdges) -> np.ndarray:
-    """Return the picture above the same with its surer edges: L green, R red, U yellow, B blue."""
+    """Return the image above the same with its surer edges: L green, R red, U yellow, B blue."""
     canvas = (0.45 * rgb).astype(np.uint8)
     sure = edges.select(edges.weight >= SURE)
     colours = np.array([COLOURS[side.letter] for side in SIDES], np.uint8)

@@ -1,10 +1,10 @@
-"""Peak of memory and seconds of joint calibrations by their number of frames, and of each command.
+"""Measure peak memory and run time of joint calibrations by their number of frames, and of each command.
 
     python benchmarks/memory.py joint [--counts 50 125 250 500] [--distinct 25] [--out]
     python benchmarks/memory.py commands
 
 `joint` calibrates synthetic frames (1242 x 375 px, HDL-64E) jointly, as `p2o run --joint --perturb "2deg 0.15m"` does:
-`--distinct` of them are made once, and stand in a folder dataset under as many names as are asked for. So pictures and
+`--distinct` of them are made once and stored in a folder dataset under the requested number of names. So images and
 sweeps repeat, but p2o reads, holds and solves each name as a frame of its own. `commands` runs each command in a
 process of its own on small data. Peaks are of the largest process of a command; each job of a study has one of its own.
 Frames are kept in build/bench and made again if that folder is away. Seconds are of one run, and of this machine.
@@ -38,7 +38,7 @@ class Peak:
 
 
 def names_of(count: int, distinct: int) -> list[tuple[str, int]]:
-    """Return the name of each of so many frames and the number of the distinct one that it shows."""
+    """Return the name of each of N frames and the number of the distinct frame that it repeats."""
     return [(f"frame-{number:04d}", number % distinct) for number in range(count)]
 
 
@@ -79,7 +79,7 @@ def measured(words: Sequence[str]) -> Peak:
 
 
 def many(count: int, distinct: int) -> str:
-    """Return the dataset of so many names for the distinct frames, made where it is not there yet."""
+    """Return the dataset of N names for the distinct frames, created if it does not exist."""
     source, folder = Path(frames_on_disk(distinct).partition(":")[2]), HOME / f"frames-{count}-of-{distinct}"
     shown = sorted(path for path in source.iterdir() if path.is_dir())
     if not (folder / "complete").exists():
@@ -92,7 +92,7 @@ def many(count: int, distinct: int) -> str:
 
 
 def joint(counts: Sequence[int], distinct: int, pictures: bool) -> dict[int, Peak]:
-    """Return the cost of joint calibrations of so many frames."""
+    """Return the cost of joint calibrations of N frames."""
     data, peaks = many(max(counts), distinct), {}
     for count in counts:
         with tempfile.TemporaryDirectory() as out:

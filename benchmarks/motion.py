@@ -1,11 +1,11 @@
-"""Hand-eye calibration and csc at work, and how honest they are, for docs/comparison-motion.md.
+"""Draw hand-eye calibration and csc, and measure their coverage, for docs/comparison-motion.md.
 
-    python benchmarks/motion.py [--gallery FOLDER]     # draws the pictures
-    python benchmarks/motion.py --coverage 8           # likely errors against true ones on so many simulated drives
+    python benchmarks/motion.py [--gallery FOLDER]     # draws the images
+    python benchmarks/motion.py --coverage 8           # predicted and true errors on N simulated drives
 
 `hand-eye.jpg`: above, LiDAR points of one sweep, projected by the extrinsic that was found, and where they are followed
-to in the next picture; below, the way of both sensors on a simulated drive, each by its own odometry. `csc.jpg`: the
-map of the pictures over the surfaces of the LiDAR's map, from above and in one picture, by a wrong extrinsic and by the
+to in the next image; below, the way of both sensors on a simulated drive, each by its own odometry. `csc.jpg`: the
+map of the images over the surfaces of the LiDAR's map, from above and in one image, by a wrong extrinsic and by the
 one that was found.
 """
 
@@ -19,11 +19,12 @@ from typing import Any
 import numpy as np
 import p2o
 from p2o.arrays import Float
+from p2o.solving import Accuracy
 from p2o_baselines.csc import CscCalibration, CscOptions, visual_map_of
 from p2o_baselines.hand_eye import HandEyeCalibration, HandEyeOptions, fused_steps
 from p2o_baselines.lidar_tracks import trackable
 from p2o_baselines.moments import Moment, Run, lidar_poses
-from p2o_baselines.surface_map import surface_map
+from p2o_baselines.structure import surface_map
 from p2o_baselines.visual_odometry import follow
 
 DRIVE = (
@@ -37,14 +38,14 @@ DRIVES = (
 )
 _FIRST_SEED = 31
 _WRONG = np.array([0.06, -0.06, 0.04, 0.2, 0.2, -0.4])
-"""A left update (rad, m) that makes the wrong extrinsic of the picture."""
+"""A left update (rad, m) that makes the wrong extrinsic of the image."""
 
 
 def coverage(drives: int, frames: int) -> None:
     """Print how errors compare with likely ones, on simulated drives of streets and suburbs in turn."""
     registry = p2o.Registry.load()
     methods: dict[str, Any] = {"hand-eye": HandEyeCalibration(HandEyeOptions()), "csc": CscCalibration(CscOptions())}
-    rows: dict[str, list[tuple[float, float, p2o.Accuracy]]] = {name: [] for name in methods}
+    rows: dict[str, list[tuple[float, float, Accuracy]]] = {name: [] for name in methods}
     silent = dict.fromkeys(methods, 0)
     for number in range(drives):
         place, seed = ("street", "suburb")[number % 2], _FIRST_SEED + number
@@ -69,7 +70,7 @@ def coverage(drives: int, frames: int) -> None:
         print(f"| {name} | {drives} | {silent[name]} | {' | '.join(_shares(each))} |")
 
 
-def _shares(rows: Sequence[tuple[float, float, p2o.Accuracy]]) -> list[str]:
+def _shares(rows: Sequence[tuple[float, float, Accuracy]]) -> list[str]:
     """Return in how many of the calibrations errors are as likely as said: two of three, and 95 %."""
     inside = [
         [turn <= told.rotation_deg for turn, _, told in rows],
@@ -92,7 +93,7 @@ def way_of_camera(run: Run, camera_from_lidar: Float, options: HandEyeOptions) -
 
 
 def draw_structure(path: Path, frames: Sequence[p2o.Frame]) -> None:
-    """Write the picture of csc as JPEG."""
+    """Write the image of csc as JPEG."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -115,13 +116,13 @@ def draw_structure(path: Path, frames: Sequence[p2o.Frame]) -> None:
     figure, places = plt.subplots(
         2, 2, figsize=(13.2, 8.0), height_ratios=[5.0, 2.4], layout="constrained", sharex="row", sharey="row"
     )
-    shown = int(np.argmin(np.abs(seen.pictures - _SHOWN)))
+    shown = int(np.argmin(np.abs(seen.key_frames - _SHOWN)))
     wrong_error = p2o.pose_error(wrong, truth)
     titles = (
         f"a wrong extrinsic, {wrong_error.rotation_deg:.1f} deg and {100 * wrong_error.translation_m:.0f} cm off",
         f"found without a start, {error.rotation_deg:.2f} deg and {100 * error.translation_m:.1f} cm off",
     )
-    steps = p2o.se3.inverse(run.world_from_lidar[seen.pictures[1:]]) @ run.world_from_lidar[seen.pictures[:-1]]
+    steps = p2o.se3.inverse(run.world_from_lidar[seen.key_frames[1:]]) @ run.world_from_lidar[seen.key_frames[:-1]]
     own = seen.camera_from_world[1:] @ p2o.se3.inverse(seen.camera_from_world[:-1])
     for (above, below), pose, title in zip(places.T, (wrong, result.camera_from_lidar), titles, strict=True):
         moved = pose @ steps @ p2o.se3.inverse(pose)
@@ -129,15 +130,15 @@ def draw_structure(path: Path, frames: Sequence[p2o.Frame]) -> None:
         vague = np.sqrt(np.trace(covariance, axis1=1, axis2=2)) * scale
         kept = (vague < 0.5) & (xyz[:, 2] * scale < 40)
         lidar = p2o.se3.apply(p2o.se3.inverse(pose), xyz[kept] * scale)
-        world = run.world_from_lidar[seen.pictures][seen.moment[kept]]
+        world = run.world_from_lidar[seen.key_frames][seen.moment[kept]]
         at = np.einsum("nij,nj->ni", world[:, :3, :3], lidar) + world[:, :3, 3]
         upright = at[:, 2] > -1.2
         above.scatter(*surfaces.centre[walls, :2].T, s=5, c="0.72", label="upright planes of the LiDAR's map")
         above.scatter(*at[upright, :2].T, s=2.0, c="tab:red", label="landmarks of the pictures, above the ground")
         above.plot(*run.world_from_lidar[:, :2, 3].T, "k.-", label="way of the LiDAR")
         above.set(aspect="equal", xlim=(-2, 42), ylim=(-16, 16), xlabel="ahead m", title=title)
-        below.imshow((0.55 * frames[int(seen.pictures[shown])].image.rgb).astype(np.uint8))
-        here = moments[int(seen.pictures[shown])]
+        below.imshow((0.55 * frames[int(seen.key_frames[shown])].image.rgb).astype(np.uint8))
+        here = moments[int(seen.key_frames[shown])]
         points = p2o.se3.apply(pose, here.xyz)
         uv = here.camera.project(points)
         good = here.camera.in_image(uv) & (points[:, 2] > 1)
@@ -158,7 +159,7 @@ def draw_structure(path: Path, frames: Sequence[p2o.Frame]) -> None:
 
 
 def draw(path: Path, frames: Sequence[p2o.Frame]) -> None:
-    """Write the picture of hand-eye calibration as JPEG."""
+    """Write the image of hand-eye calibration as JPEG."""
     import matplotlib
 
     matplotlib.use("Agg")

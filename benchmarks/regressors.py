@@ -2,15 +2,15 @@
 
     python benchmarks/regressors.py                                        # every figure of the page, into p2o-out
     python benchmarks/regressors.py --methods lccnet,p2o --conditions raw,turned
-    python benchmarks/regressors.py --gallery docs/gallery                 # the picture, of a synthetic frame
+    python benchmarks/regressors.py --gallery docs/gallery                 # the image, of a synthetic frame
 
 Figures of docs/comparison-learned.md: one line of JSON a result in OUT/results.jsonl, which is gone on with where it is
 there, and tables from all of them.
 
 Conditions: `raw` 24 test frames of KITTI raw; `odometry` 13 frames of odometry 00 that no training saw; then the same
-test frames of raw with another LiDAR frame (`reexpressed`), the camera turned on its place (`turned`: picture and
-truth), cut to their middle (`cut`), with a grey picture (`grey`)
-and with the picture of another frame (`swapped`); `waymo`, `nuscenes`, and rigs simulated at random (`simulated`).
+test frames of raw with another LiDAR frame (`reexpressed`), the camera turned on its place (`turned`: image and
+truth), cut to their middle (`cut`), with a grey image (`grey`)
+and with the image of another frame (`swapped`); `waymo`, `nuscenes`, and rigs simulated at random (`simulated`).
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ SIMULATED = "synthetic:?rig=random&place=street&scenes=12&seed=271&right=false&m
 
 
 def test_frames(folder: Path) -> list[p2o.Frame]:
-    """Return the test frames of KITTI raw, motion-compensated where the speed can be told."""
+    """Return the test frames of KITTI raw, motion-compensated if the speed is known."""
     split = json.loads(Path(__file__).with_name("splits.json").read_text())["test"]
     data = frames_of(f"kitti-raw:{folder}/kitti_raw?speed_from_disparity=true")
     return [frame for frame in data if frame.name in split]
@@ -51,7 +51,7 @@ def frames_of(data: str) -> Iterator[p2o.Frame]:
 
 
 def reexpressed(frame: p2o.Frame, rng: np.random.Generator) -> p2o.Frame:
-    """Return the frame with its sweep in another LiDAR frame, turned and shifted by chance, and the truth with it."""
+    """Return the frame with its sweep in another LiDAR frame, randomly rotated and translated, and the truth."""
     turn, shift = rng.normal(size=(2, 3))
     other = se3.exp(np.r_[turn, shift])
     cloud = replace(frame.cloud, xyz=se3.apply(other, frame.cloud.xyz), twist=None)
@@ -61,7 +61,7 @@ def reexpressed(frame: p2o.Frame, rng: np.random.Generator) -> p2o.Frame:
 def turned(frame: p2o.Frame, rng: np.random.Generator) -> p2o.Frame:
     """Return the frame as a camera sees it that is turned on its place by up to 3 deg about each axis.
 
-    A turn on the place changes a picture by a homography, exactly; what comes into view is black, and masked.
+    A turn on the place changes an image by a homography, exactly; what comes into view is black, and masked.
     """
     import cv2
 
@@ -87,7 +87,7 @@ def cut(frame: p2o.Frame, zoom: float = 1 / CUT) -> p2o.Frame:
 
 
 def with_picture(frame: p2o.Frame, rgb: Any) -> p2o.Frame:
-    """Return the frame with another picture of the same size."""
+    """Return the frame with another image of the same size."""
     height, width = frame.image.rgb.shape[:2]
     out = np.full((height, width, 3), 118, np.uint8)
     if rgb is not None:
@@ -258,28 +258,28 @@ def main() -> None:
 
 
 def draw(path: Path, weights: Path | None) -> None:
-    """Write the picture of a synthetic frame: what a network sees at the start, after stages, and at the truth."""
+    """Write the image of a synthetic frame: what a network sees at the start, after stages, and at the truth."""
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
     from p2o_baselines.lccnet import DESIGN
-    from p2o_baselines.regressors import staged
+    from p2o_baselines.regressors.method import built
     from p2o_baselines.regressors.options import RegressorOptions
 
     frame = next(frames_of("synthetic:?scenes=1&place=street&seed=5&right=false&exposure_ev=0"))
     options = RegressorOptions(weights=str(weights / "lccnet-small.safetensors") if weights else "small")
-    method = staged.build(DESIGN, options)
-    glance = method.prepare(frame)
+    method = built(DESIGN, options)
+    network_input = method.prepare(frame)
     truth = frame.camera_from_lidar
     start = se3.exp(np.r_[np.radians([9.0, -7.0, 8.0]), 0.15, -0.1, 0.15]) @ truth
-    poses = [each[0] for each in method.poses([glance], start)]
+    poses = [each[0] for each in method.poses([network_input], start)]
     last = len(poses) - 1
     panels = [("at the start", poses[0]), (f"after 1 of {last} stages", poses[1]), (f"after all {last}", poses[last])]
     panels.append(("at the truth", truth))
     figure, rows = plt.subplots(len(panels), 2, figsize=(12.4, 2.0 * len(panels)), layout="constrained")
     for (name, pose), (left, right) in zip(panels, rows, strict=True):
-        [near] = glance.drawn(pose)
+        [near] = network_input.drawn(pose)
         left.imshow(np.where(near > 0, near, np.nan), cmap="turbo", vmin=0, vmax=1, interpolation="nearest")
         pitch, yaw, roll = axes(pose, truth)[:3]
         off = "" if pose is truth else f": off by pitch {pitch:.1f}, yaw {yaw:.1f}, roll {roll:.1f} deg"

@@ -1,6 +1,6 @@
 """Time the LiDAR side on whole sweeps: `python benchmarks/rings.py PATH_TO_KITTI_RAW`.
 
-Prints milliseconds a sweep and their ratio to one numpy argsort of as many numbers in random order, which makes
+Prints milliseconds a sweep and their ratio to one numpy argsort of the same number of random values, which makes
 figures of different machines comparable. Time is that of one core (set OMP_NUM_THREADS=1), without what other
 programs use of it.
 """

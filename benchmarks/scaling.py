@@ -1,15 +1,15 @@
-"""Rows a minute against workers, and what would break first with 1,000 workers and a million rows.
+"""Measure rows per minute by workers, and predict the bottleneck at 1,000 workers and a million rows.
 
     python benchmarks/scaling.py measure [--workers 1 2 4] [--rows 200] [--keep FILE]     # this machine
     python benchmarks/scaling.py plan FILE [--rows 1000000]                               # a simulated scheduler
 
 `measure` runs a study of single synthetic frames from many starts (features kept beforehand, so that rows are
-calibrations alone) with so many processes, and with so many local dask workers where dask is installed, each into a
+calibrations alone) with N processes, and with N local dask workers where dask is installed, each into a
 store of its own. Printed are rows a minute, and what a row costs the process that hands it out: planning, asking the
 store, pickling the job, handing it to a backend and taking it back (jobs that do nothing), and writing the row. `plan`
 takes these times: one scheduler serves every row twice, before and after a worker is busy with it for one of the
 measured times of rows, in the order of arrival. It prints rows a minute and how busy the scheduler is against the
-number of workers, and what a million rows need besides: bytes of plan, of store and of features read.
+number of workers, and the other needs of a million rows: bytes of plan, of store and of features read.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from typing import Any
 
 import numpy as np
 from p2o import P2OError, Registry
-from p2o.study import worker
-from p2o.study.ablate import ablate
-from p2o.study.store import FILE, Store, StoredRow
-from p2o.study.study import find_study
 from p2o.work.cache import FeatureCache, content_hash
 from p2o.work.parallel import Workers
+from p2o_study import worker
+from p2o_study.ablate import ablate
+from p2o_study.store import FILE, Store, StoredRow
+from p2o_study.study import find_study
 
 FRAMES, BARE_JOBS = 4, 400
 STUDY = """
@@ -62,7 +62,7 @@ LINK_BYTES_PER_S = 1.25e9
 
 @dataclass(frozen=True)
 class Speed:
-    """Rows a minute with so many workers of a backend, planning and start of workers included and left out."""
+    """Rows per minute with N workers of a backend, with and without planning and start of workers."""
 
     backend: str
     workers: int
@@ -107,7 +107,7 @@ class Outcome:
 
 
 def simulated(rows: int, workers: int, row_s: Sequence[float], served_s: float, seed: int = 0) -> Outcome:
-    """Return what one scheduler and so many workers make of so many rows.
+    """Return the simulated throughput of one scheduler with N workers and M rows.
 
     The scheduler does one thing at a time, first come first served: half of `served_s` before a row goes out, half when
     it is back. Times of rows are drawn from `row_s`.
@@ -136,12 +136,12 @@ def bare(job: int) -> int:
 
 
 def hand_s(workers: Workers) -> float:
-    """Return seconds a job that does nothing costs whoever hands it out, once workers run."""
+    """Return the seconds that an empty job costs its scheduler, once workers run."""
 
     def lost(job: Any, problem: P2OError) -> Any:
         raise problem
 
-    with workers.hired() as run:
+    with workers.start() as run:
         list(run(bare, range(20), lost))
         began = time.perf_counter()
         list(run(bare, range(BARE_JOBS), lost))
@@ -213,10 +213,10 @@ def measure(counts: Sequence[int], rows: int) -> Costs:
             keys = iter(str(number) for number in range(10**9))
             put_s = per_call(lambda: store.put(replace(row, key=next(keys))), 200)
             ask_s = per_call(lambda: store.finished([next(keys)]), 200)
-        facts = worker.Facts(
+        facts = worker.FrameRecord(
             worker.Source(worker.Plugins(), "synthetic:", "{}", 0, row.place), row.inputs[row.frames[0]]
         )
-        job = worker.Calibration(row, json.dumps(row.recipe), (facts,), Path(kept), ({"image": "0" * 64},))
+        job = worker.CalibrateJob(row, json.dumps(row.recipe), (facts,), Path(kept), ({"image": "0" * 64},))
         sent, back = pickle.dumps(job), pickle.dumps(row)
         pickle_s = per_call(lambda: pickle.dumps(job), 200) + per_call(lambda: pickle.loads(back), 200)  # noqa: S301 (our own)
         plan_s = per_call(lambda: content_hash({"method": row.key, "start": row.start, "truth": row.truth}), 200)
@@ -241,7 +241,7 @@ def _planned(row: StoredRow) -> tuple[str, ...]:
 
 
 def print_measured(costs: Costs) -> None:
-    """Print what was measured, and what the simulated scheduler says of the same workers."""
+    """Print the measurements, and the prediction of the simulated scheduler for the same workers."""
     print("| backend | workers | rows a minute, all in | once running | simulated |")
     print("|---|---|---|---|---|")
     for one in costs.speeds:
@@ -263,7 +263,7 @@ def print_measured(costs: Costs) -> None:
 
 
 def print_plan(costs: Costs, rows: int) -> None:
-    """Print what the simulated scheduler makes of so many rows, and what else they need."""
+    """Print the prediction of the simulated scheduler for N rows, and their other needs."""
     tried = min(rows, 200_000)  # as good as more: it settles within a few thousand rows
     for backend in costs.hand_s:
         print(f"\n{backend}: {1e3 * costs.served_s(backend):.2f} ms of the scheduler for each row\n")

@@ -1,7 +1,7 @@
 """Time the simulator, or draw the gallery of docs/simulator.md: `python benchmarks/simulate.py [--gallery FOLDER]`.
 
 Frames a second at 1242x375 with a sweep of the HDL-64E, by kind of place: on a drive (the place is built once), and
-with a new place for each frame; both with and without the right picture. Wall time on the cores this process may use,
+with a new place for each frame; both with and without the right image. Wall time on the cores this process may use,
 and the CPU time in brackets, which does not depend on what else the machine does.
 """
 
@@ -16,18 +16,18 @@ from typing import Any
 import numpy as np
 from p2o import SIDES, occlusion
 from p2o.draw.overlay import COLOURS, draw_cloud
-from p2o.simulate import labels
-from p2o_plugins.data.synthetic import SyntheticOptions, _drive, build, view
+from p2o_sim import labels
+from p2o_sim.synthetic import SyntheticOptions, _drive, build, view
 
 GALLERY = {"street": 0, "suburb": 2, "highway": 3, "trees": 1}
-"""Seeds of the pictures."""
+"""Seeds of the images."""
 BOARDS: dict[str, dict[str, Any]] = {
     "checkerboard": {"seed": 4},
     "holes": {"seed": 2, "boards": 2, "board": "a1", "holder": "stand"},
 }
-"""Options of the pictures of boards."""
+"""Options of the images of boards."""
 BUILDINGS = {"hall": 2, "room": 0}
-"""Seeds of the pictures of places inside of buildings."""
+"""Seeds of the images of places inside of buildings."""
 PLACES = ("street", "suburb", "highway", "trees", "hall", "room")
 
 
@@ -40,14 +40,14 @@ def timed(options: SyntheticOptions, frames: list[tuple[int, int]]) -> tuple[flo
 
 
 def gallery(folder: Path) -> None:
-    """Write a picture of each kind of place and board, and of one place depth, sweep and labels, as JPEG."""
+    """Write an image of each kind of place and board, and of one place depth, sweep and labels, as JPEG."""
     folder.mkdir(parents=True, exist_ok=True)
     for place, seed in GALLERY.items():
         options = SyntheticOptions(place=place, seed=seed, right=False)
         seen = view(options, 0)
         save(folder / f"{place}.jpg", seen.frame.image.rgb)
         if place == "street":
-            frame, picture = seen.frame, seen.picture
+            frame, picture = seen.frame, seen.rendered
             sweep = draw_cloud(frame.image.rgb, frame.cloud, frame.camera, frame.camera_from_lidar)
             save(folder / "sweep.jpg", sweep)
             orders = labels(picture, frame.camera, mask_foliage=True)

@@ -16,16 +16,16 @@ import p2o
 from p2o.arrays import Float
 from p2o.files.file_names import folder_name
 from p2o.geometry.motion import pose_at
-from p2o.simulate import Class
+from p2o_sim import Class
 
 _KINDS = (Class.CAR, Class.VAN, Class.TRUCK, Class.BUS, Class.PERSON, Class.CYCLIST)
 _LEAST_PX = 80  # objects of which fewer pixels are seen have no rectangle
-_FARTHEST_M = 60.0  # and those farther off no cuboid
+_FARTHEST_M = 60.0  # and more distant ones show no cuboid
 
 
 def boxes_of(view: Any) -> dict[str, Any]:
     """Return what a file of boxes holds (`object_boxes.BoxFile`) of a frame of the simulator."""
-    scene, picture = view.scene, view.picture
+    scene, picture = view.scene, view.rendered
     lidar_from_world = p2o.se3.inverse(view.moment.world_from_lidar)
     points: dict[int, list[Float]] = {}
     kinds: dict[int, Class] = {}
@@ -59,7 +59,7 @@ def _around(xyz: Float) -> dict[str, Any]:
 
 def write_boxes(folder: Path, options: Any) -> list[Path]:
     """Write the boxes of all frames of the simulator's options; return the files."""
-    from p2o_plugins.data import synthetic
+    from p2o_sim import synthetic
 
     folder.mkdir(parents=True, exist_ok=True)
     files = []
@@ -72,7 +72,7 @@ def write_boxes(folder: Path, options: Any) -> list[Path]:
 
 
 def _options(words: str) -> Any:
-    from p2o_plugins.data.synthetic import SyntheticOptions
+    from p2o_sim.synthetic import SyntheticOptions
 
     pairs = (word.partition("=") for word in words.split("&") if word)
     return SyntheticOptions.model_validate({name: value for name, _, value in pairs}, strict=False)

@@ -19,9 +19,10 @@ from statistics import median
 from typing import Any
 
 import numpy as np
-from p2o import Camera, Method, PointToLine, Solution, SolverStatus, se3
+from p2o import Camera, Method, Solution, SolverStatus, se3
 from p2o.arrays import Float
 from p2o.problems.normal_equations import linearise
+from p2o.solving import PointToLine
 from p2o_plugins.solve import ceres, lm, scipy_least_squares
 
 FRAMES, PAIRS, TURNS, SINGLE = 24, 600, 7, 64

@@ -2,7 +2,7 @@
 
     python benchmarks/stereo_bias.py [--data KITTI_RAW] [--pairs 24] [--seed 1] [--fit] [--set min_confidence=0.3 ...]
 
-The pairs are layered: pieces cut from left pictures (or from procedural textures without --data) stand before a
+The pairs are layered: pieces cut from left images (or from procedural textures without --data) stand before a
 background, each on its own disparity plane, and both views are sampled from the same continuous layers, with soft
 borders, gain, noise and JPEG as in real pairs. So the place of every silhouette is known to a hundredth of a pixel.
 """
@@ -187,7 +187,7 @@ def truth_of(layers: list[Layer]) -> tuple[Truth, Float]:
 
 
 def procedural_textures(rng: np.random.Generator) -> list[Float]:
-    """Noise over many scales with patches: a stand-in for street pictures."""
+    """Noise over many scales with patches: a stand-in for street images."""
     out = []
     for _ in range(6):
         picture = np.zeros((HEIGHT, WIDTH, 3), np.float32) + rng.uniform(60, 180, 3).astype(np.float32)
@@ -396,7 +396,7 @@ def main() -> None:
 
 
 def draw(image: Image, edges: ImageEdges, truth: Truth, path: Path) -> None:
-    """Write the picture at twice its size, silhouettes white, edges in the colours of their directions."""
+    """Write the image at twice its size, silhouettes white, edges in the colours of their directions."""
     colours = {Side.LEFT: (0, 255, 0), Side.RIGHT: (0, 0, 255), Side.UPPER: (0, 255, 255), Side.BOTTOM: (255, 0, 0)}
     canvas = cv2.resize(image.rgb[..., ::-1], None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST) // 2 + 50
     for uv, colour in [(truth.uv, dict.fromkeys(SIDES, (255, 255, 255))), (edges.uv, colours)]:

@@ -20,10 +20,10 @@ from p2o.work.cache import FeatureCache, content_hash, features_key
 class Rig:
     """One pair of sensors with frames, or several that are never solved together (`apart`, or by `camera_at`).
 
-    `one_place` tells that all frames show the same surroundings, so that the sweep of another frame is no wrong one;
-    `camera_at` which letter of a frame's name tells its camera.
+    `one_place` states that all frames show the same scene, so that the sweep of another frame is not a wrong pair;
+    `camera_at` which letter of a frame's name identifies its camera.
 
-    `truth_deg` and `truth_m` say how good the truth is. `crop` (width, height) is the middle of the picture that is
+    `truth_deg` and `truth_m` are the accuracy of the truth. `crop` (width, height) is the middle of the image that is
     kept: simulated cameras have one field of view, and a crop is one with a longer lens.
     """
 
@@ -134,7 +134,7 @@ RIGS: Sequence[Rig] = (
 
 
 def cropped(frame: Frame, crop: tuple[int, int] | None) -> Frame:
-    """Return the frame with the middle of its picture alone."""
+    """Return the frame with the middle of its image alone."""
     if crop is None:
         return frame
     camera, (width, height) = frame.camera, crop

@@ -1,7 +1,7 @@
-"""Do likely errors and verdicts hold on sensors that they were not fitted on?
+"""Measure the coverage of predicted errors and verdicts on sensors that they were not fitted on.
 
     python benchmarks/verdicts.py collect --out DIR            # calibrates frames of many rigs: hours
-    python benchmarks/verdicts.py fit --rows DIR               # the law of likely errors, and how it holds
+    python benchmarks/verdicts.py fit --rows DIR               # the error model, and its coverage
     python benchmarks/verdicts.py fit --rows DIR --by lidar    # the same, all rigs with one kind of LiDAR left out
 
 `collect` calibrates frames of simulated and real rigs (`verdict_rigs.py`) from 2 deg / 0.15 m, one at a time and three
@@ -9,7 +9,7 @@ and eight together, and wrong pairs of image and sweep: with the sweep of anothe
 show one place. It adds a JSON line for each to DIR/rows.jsonl, and goes on where it was stopped. `fit` prints, by rig,
 how often the errors are within what the results said (told) and within what a law says that was fitted without this
 rig (left out), with the share of trusted results and of trusted wrong ones; then the law of all rigs, for
-`p2o.calibration.accuracy.LAW`. Errors below that of a rig's own truth count as held.
+`p2o.confidence.accuracy.DEFAULT_ERROR_MODEL`. Errors below that of a rig's own truth count as held.
 """
 
 from __future__ import annotations
@@ -23,17 +23,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import p2o.calibration.pipeline as steps
+import p2o.confidence.assessment as assessment
 from p2o.arrays import Float
-from p2o.calibration.accuracy import Law, likely_accuracy, or_rival, weakness
-from p2o.calibration.shifts import Spread
-from p2o.calibration.verdict import verdict_of
+from p2o.calibration.options import PipelineOptions
+from p2o.confidence.accuracy import ErrorBudget, ErrorModel, likely_accuracy, or_rival, outlier_inflation
+from p2o.confidence.verdict import verdict_of
 from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.geometry.perturb import wrong_start
 from p2o.geometry.pose_error import pose_error
-from p2o.results.accuracy import Accuracy
-from p2o.results.evidence import Agreement, Rival
+from p2o.results.evidence import Accuracy, Agreement, Rival
 from p2o.results.result import Result
 from verdict_rigs import RIGS, Rig, Seen, lidar_of, seen
 
@@ -141,24 +140,24 @@ def collect(out: Path, names: str | None, most: int, splits: str) -> None:
 
 
 class _Recorded:
-    """Records what a pipeline makes its likely error of."""
+    """Record the inputs of a pipeline's predicted error."""
 
-    spread: Spread | None = None
+    spread: ErrorBudget | None = None
 
     def __enter__(self) -> _Recorded:
-        self._made = steps.likely_accuracy
-        steps.likely_accuracy = self._record
+        self._made = assessment.likely_accuracy
+        assessment.likely_accuracy = self._record
         return self
 
     def __exit__(self, *problem: object) -> None:
-        steps.likely_accuracy = self._made
+        assessment.likely_accuracy = self._made
 
-    def _record(self, spread: Spread, *rest: Any) -> Accuracy:
+    def _record(self, spread: ErrorBudget, *rest: Any) -> Accuracy:
         self.spread = spread
         return self._made(spread, *rest)
 
 
-def measured(result: Result, truth: Float, spread: Spread | None) -> dict[str, Any]:
+def measured(result: Result, truth: Float, spread: ErrorBudget | None) -> dict[str, Any]:
     """Return what there is to know about a result, as JSON."""
     error, moved = pose_error(result.camera_from_lidar, truth), se3.inverse(result.start) @ result.camera_from_lidar
     row: dict[str, Any] = {
@@ -189,7 +188,7 @@ class Row:
 
     said: Mapping[str, Any]
     error: Float
-    spread: Spread | None
+    spread: ErrorBudget | None
     pose: Float
 
     @classmethod
@@ -199,7 +198,7 @@ class Row:
         axes = np.array(said["axes"], np.float64)
         axes[:3] = np.radians(axes[:3])
         parts = said["spread"]
-        spread = None if parts is None else Spread(**{name: np.array(part) for name, part in parts.items()})
+        spread = None if parts is None else ErrorBudget(**{name: np.array(part) for name, part in parts.items()})
         return cls(said, axes, spread, np.array(said["pose"]))
 
     @property
@@ -227,12 +226,12 @@ class Row:
         """What the result said."""
         return None if self.said["accuracy"] is None else Accuracy(**self.said["accuracy"])
 
-    def likely(self, law: Law) -> Accuracy | None:
+    def likely(self, law: ErrorModel) -> Accuracy | None:
         """What it says by another law."""
         if self.spread is None:
             return None
         told = likely_accuracy(self.spread, self.pose, self.agreement, law)
-        return or_rival(told, self.rival, steps.PipelineOptions().min_lead_edges)
+        return or_rival(told, self.rival, PipelineOptions().min_lead_edges)
 
     @property
     def rival(self) -> Rival | None:
@@ -255,15 +254,15 @@ class Row:
             translation <= accuracy.translation_m_95,
         ]
 
-    def trusted(self, accuracy: Accuracy | None, options: steps.PipelineOptions) -> bool:
-        """Return whether a result with this likely error would be trusted."""
+    def trusted(self, accuracy: Accuracy | None, options: PipelineOptions) -> bool:
+        """Return whether a result with this predicted error would be trusted."""
         if self.said["status"] not in ("converged", "rounds-spent") or self.said["agreement"] is None:
             return False
         few = "too-few-places" in self.said["doubts"]
         return verdict_of(self.agreement, self.rival, (), options, accuracy, places=0 if few else None).trusted
 
 
-def fitted(rows: Sequence[Row]) -> Law:
+def fitted(rows: Sequence[Row]) -> ErrorModel:
     """Return the law of rows with right pairs, each rig counting as the root of its rows.
 
     Parts and floors make the errors by axis most likely as Student's t; then factors are what holds for
@@ -299,14 +298,14 @@ def fitted(rows: Sequence[Row]) -> Law:
         size = np.linalg.norm(axes[:, part], axis=1)
         size = np.degrees(size) if name == "rotation_deg" else size
         wrong = np.array([row.said[name] if row.said[name] > row.said[good] else 0.0 for row in rows])
-        sizes = (size, size * np.array([weakness(row.agreement) for row in rows]))
+        sizes = (size, size * np.array([outlier_inflation(row.agreement) for row in rows]))
         ratios.append(
             tuple(round(_quantile(wrong / size, weight, share), 2) for size, share in zip(sizes, SHARES, strict=True))
         )
     beyond = np.abs(error) / axes * (np.abs(error) > np.sqrt(known))
     axis = round(_quantile(beyond.ravel(), np.repeat(weight, 6), 0.70), 2)
     numbers = [float(f"{value:.2g}") for value in found]
-    return Law(*numbers, ratios[0], ratios[1], axis)
+    return ErrorModel(*numbers, ratios[0], ratios[1], axis)
 
 
 def _variances(row: Row) -> Float:
@@ -325,8 +324,8 @@ def _quantile(values: Float, weight: Float, share: float) -> float:
 
 
 def report(rows: Sequence[Row], part: Callable[[str], str]) -> str:
-    """Return the tables of likely errors and verdicts, by `part` of the rigs' names, and the law of all."""
-    options, lines = steps.PipelineOptions(), []
+    """Return the tables of predicted errors and verdicts, by `part` of the rigs' names, and the error model of all."""
+    options, lines = PipelineOptions(), []
     head = ("rig", "right, wrong", "told", "left out", "trusted, of right: told", "left out", "off: told", "left out")
     lines += [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
     every: list[list[Any]] = []
@@ -337,10 +336,10 @@ def report(rows: Sequence[Row], part: Callable[[str], str]) -> str:
         every += cells
         lines.append(_line(rig, cells))
     lines.append(_line("all", every))
-    return "\n".join([*lines, "", f"LAW = {fitted(rows)}"])
+    return "\n".join([*lines, "", f"DEFAULT_ERROR_MODEL = {fitted(rows)}"])
 
 
-def _judged(row: Row, law: Law, options: steps.PipelineOptions) -> list[Any]:
+def _judged(row: Row, law: ErrorModel, options: PipelineOptions) -> list[Any]:
     """Return the row, whether its bounds held as told and by the law, and whether it was and would be trusted."""
     likely = row.likely(law)
     solved = likely is not None and row.right

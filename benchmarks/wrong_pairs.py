@@ -32,7 +32,7 @@ def main() -> None:
     )
     dataset, pipeline = plan.dataset(), plan.calibrator()
     frames = [dataset[index] for index in select(dataset.names, arguments.frames)]
-    views = [pipeline.extract(frame) for frame in frames]
+    views = [pipeline.prepare(frame) for frame in frames]
     print(
         "| pair | flagged (doubtful or refused) | or ambiguous | odds ratio, median | error of flagged "
         "| error of others (medians) | likely error, median | required 0.5 deg 15 cm |"

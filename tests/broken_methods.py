@@ -12,8 +12,11 @@ from typing import Any
 import numpy as np
 import p2o
 from p2o import Kind, Method, Registry, se3
+from p2o.calibration_files.calibration import Calibration, CalibrationReader, Source
+from p2o.files.input_file import naming
 from p2o.frames.accumulate import accumulated
 from p2o.host.registry import file_module_name
+from p2o.solving import Doubt, Objective, PointToLine, Reason, Verdict
 from p2o.testing import exact, stage
 from pydantic import field_serializer
 
@@ -286,7 +289,7 @@ def pairs(views: Sequence[p2o.View], pose: Any, reach_px: float, rows: Any = Non
     frame = np.concatenate([np.zeros(0, np.int64), *(np.full(keep.sum(), number) for number in full)])
     cameras = tuple(view.camera for view in views)
     lines = (each(values) for values in (one.xyz, one.centre, one.normal, one.weight, one.side))
-    return p2o.PointToLine(*lines, frame, cameras)
+    return PointToLine(*lines, frame, cameras)
 
 
 EDGES = {"image-edges", "cloud-edges"}
@@ -364,7 +367,7 @@ def cost_method(what: str, cost: Callable[[Any, int], Any], *fails: str) -> None
 
     def match(views: Any, pose: Any, reach_px: float) -> Any:
         number = next(calls)
-        return p2o.Objective(lambda poses: cost(poses, number))
+        return Objective(lambda poses: cost(poses, number))
 
     broken(what, Kind.MATCHER, match, *fails, gives={"objective"}, needs=EDGES)
 
@@ -379,7 +382,7 @@ cost_method("costs by their number", lambda poses, _: away(poses) + 1e-6 * len(p
 broken(
     "a gradient that is none",
     Kind.MATCHER,
-    lambda views, pose, reach_px: p2o.Objective(away, gradient=lambda place: np.zeros(6)),
+    lambda views, pose, reach_px: Objective(away, gradient=lambda place: np.zeros(6)),
     "gradients_agree_with_differences",
     gives={"objective"},
     needs=EDGES,
@@ -487,7 +490,7 @@ class Knowing:
     off: Any = (0.01, 0.001)
     extra: Callable[[], Any] = dict
     name: str = ""
-    verdict: p2o.Verdict | None = None
+    verdict: Verdict | None = None
     tremble: bool = False
     peek: bool = False
     write: bool = False
@@ -510,7 +513,7 @@ class Knowing:
         return p2o.Result(names, start, pose, p2o.Status.CONVERGED, "it knows", verdict=self.verdict)
 
 
-REFUSED = p2o.Verdict((p2o.Reason(p2o.Doubt.NOT_SOLVED, "it is so"),))
+REFUSED = Verdict((Reason(Doubt.NOT_SOLVED, "it is so"),))
 LAX = p2o.Example("fake:?frames=2", within="9deg 9m")
 
 
@@ -656,6 +659,76 @@ dataset("no counting from the end", Forward, drive(), "datasets_are_sequences")
 dataset("what is not held", Frames, [stage.frame()], "frames_hold_what_is_given", gives={"rings", "twist"})
 dataset("time runs back", Frames, drive()[::-1], "times_do_not_fall_in_a_sequence")
 dataset("a pose in no sequence", Frames, drive(sequence=""), "poses_belong_to_a_sequence")
+
+
+# ---- readers of calibration files
+
+
+class Reader(CalibrationReader):
+    """Reads pickled poses, after a head that others do not have."""
+
+    head = b"POSE"
+
+    def recognises(self, source: Source) -> bool:
+        return source.data.startswith(self.head)
+
+    def read(self, source: Source) -> Calibration:
+        try:
+            numbers = np.frombuffer(source.data[len(self.head) :]).reshape(4, 4)
+        except ValueError as problem:
+            raise p2o.InputError("this is not a pose", where=source.path) from problem
+        with naming(source.path):
+            return Calibration(camera_from_lidar=numbers)
+
+    def example(self) -> bytes:
+        return self.head + TRUTH.tobytes()
+
+
+class ReadsAll(Reader):
+    """Recognises any file, and takes those of other formats for empty."""
+
+    def recognises(self, source: Source) -> bool:
+        return True
+
+
+class Estranged(Reader):
+    """Does not recognise its own example."""
+
+    def recognises(self, source: Source) -> bool:
+        return False
+
+
+class Hollow(Reader):
+    """Reads nothing."""
+
+    def read(self, source: Source) -> Calibration:
+        return Calibration()
+
+
+class Restless(Reader):
+    """Reads another pose each time."""
+
+    def read(self, source: Source) -> Calibration:
+        super().read(source)
+        return Calibration(camera_from_lidar=se3.exp(RNG.normal(size=6)))
+
+
+class Unchecked(Reader):
+    """Raises whatever NumPy raises."""
+
+    def read(self, source: Source) -> Calibration:
+        return Calibration(camera_from_lidar=np.frombuffer(source.data[len(self.head) :]).reshape(4, 4))
+
+
+def reader(what: str, kind: type[Reader], *fails: str) -> None:
+    broken(what, Kind.CALIBRATION_READER, kind(), *fails)
+
+
+reader("a reader of any file", ReadsAll, "other_files_are_not_recognised")
+reader("an example of another format", Estranged, "the_example_is_recognised")
+reader("an empty calibration", Hollow, "the_example_holds_a_calibration")
+reader("another pose each time", Restless, "reading_repeats")
+reader("files that break off", Unchecked, "incomplete_files_are_errors_of_the_file")
 
 
 # ---- exporters

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import hypothesis
+import numpy as np
 import pytest
 
 # The same examples each time, no files of them, and no stopwatch.
@@ -20,6 +21,50 @@ hypothesis.settings.load_profile("fixed")
 for _name in ("SIGINT", "SIGHUP"):
     if hasattr(signal, _name) and signal.getsignal(getattr(signal, _name)) is signal.SIG_IGN:
         signal.signal(getattr(signal, _name), signal.default_int_handler)
+
+SYSTEM = {
+    "tests/baselines/test_rivals.py",
+    "tests/baselines/test_table1.py",
+    "tests/benchmarks/test_kills.py",
+    "tests/fuzz/test_contract.py",
+    "tests/fuzz/test_fuzz.py",
+    "tests/p2o_study/test_trouble.py",
+    "tests/test_data_show.py",
+    "tests/test_distribution.py",
+    "tests/test_docs_site.py",
+    "tests/test_example_plugin.py",
+    "tests/test_example_workflow.py",
+    "tests/test_in_browser.py",
+    "tests/test_notebook.py",
+    "tests/test_pages.py",
+    "tests/test_pick_page.py",
+    "tests/test_real_accuracy.py",
+    "tests/test_real_motion.py",
+    "tests/test_report_page.py",
+    "tests/test_ros_bag_page.py",
+    "tests/test_run_page.py",
+    "tests/test_tutorials.py",
+    "tests/test_view_page.py",
+}
+"""Files of system tests: fuzzing, killed processes, browsers, lines of the docs, distributions, long studies."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests of `SYSTEM`, which `make test-system` runs; `make test` runs all others."""
+    root = Path(__file__).parents[1]
+    for item in items:
+        if item.path.relative_to(root).as_posix() in SYSTEM:
+            item.add_marker(pytest.mark.system)
+
+
+@pytest.fixture(autouse=True)
+def _numpy_error_state() -> Iterator[None]:
+    """Fail the test that changes the floating-point error state of NumPy for all later ones."""
+    before = np.geterr()
+    yield
+    after = np.seterr(**before)
+    assert after == before
+
 
 DATA = Path(os.environ.get("P2O_DATA", Path(__file__).parents[1] / "build" / "data"))
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +13,10 @@ import p2o
 from p2o import se3
 from p2o.geometry.pose_error import pose_error
 from p2o.results.verdict import Trust
-from p2o.study.store import Planned, Store, StoredRow, StoredStudy
+from p2o.solving import Round
 from p2o.testing import stage
 from p2o.work.cache import content_hash
+from p2o_study.store import Planned, Store, StoredRow, StoredStudy
 
 TRUTH = se3.make(np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]), [0.0, -0.1, -0.3])
 PLUGIN = str(Path(__file__).with_name("stage_plugin.py"))
@@ -75,13 +78,12 @@ def run_of(
     return StoredRow(f"{study} {row} {frame} {seed}", study, row, **{**common, **values})
 
 
-def rounds(*history: tuple[int, float]) -> tuple[Mapping[str, Any], ...]:
+def rounds(*history: tuple[int, float]) -> tuple[Round, ...]:
     """Return rounds with these numbers of matches and mean residuals, behind one of an initializer."""
-    blank = {"reach_px": 5.0, "cost": 3.0, "step_deg": 0.1, "step_m": 0.01, "accepted": True}
-    first = {**blank, "stage": "initialize", "matches": {}, "mean_residual": None}
+    first = Round("initialize", 5.0, {}, math.nan, 3.0, 0.1, 0.01, accepted=True)
     return (
         first,
-        *({**blank, "stage": "refine", "matches": {"L": n}, "mean_residual": px} for n, px in history),
+        *(replace(first, stage="refine", matches={"L": n}, mean_residual=px) for n, px in history),
     )
 
 
@@ -106,22 +108,24 @@ def _judged(turn: float) -> dict[str, Any]:
     few = "12 pairs within 50 px, at least 30 are needed"
     if abs(turn) > 4:
         return {"status": "too-few-matches", "reason": few, "trust": Trust.REFUSED, "why": few}
-    found: dict[str, Any] = {
-        "trust": Trust.TRUSTED,
-        "why": "",
-        "agreement": 12.5 / (1 + abs(turn)),
-        "judged": {"judge": "directed-distance", "unit": "px", "start": 4.25, "estimate": 3.5},
-        "likely_rotation_deg": 0.25,
-        "likely_translation_m": 0.05,
-        "likely_rotation_deg_95": 0.75,
-        "likely_translation_m_95": 0.15,
+    figures: dict[str, Any] = {
+        "odds_ratio": 12.5 / (1 + abs(turn)),
+        "cost_initial": 4.25,
+        "cost_result": 3.5,
+        "cost_unit": "px",
+        "judge": "directed-distance",
+        "predicted_rotation_deg": 0.25,
+        "predicted_translation_m": 0.05,
+        "predicted_rotation_deg_95": 0.75,
+        "predicted_translation_m_95": 0.15,
     }
+    found: dict[str, Any] = {"trust": Trust.TRUSTED, "why": "", "figures": figures}
     if abs(turn) > 1.5:
         found |= {"trust": Trust.DOUBTFUL, "why": "image and LiDAR edges meet little more often than by chance"}
     elif abs(turn) > 1:
         rival = {"lead": 1.25, "unit": "edges", "rotation_deg": 1.61, "translation_m": 0.2}
         found |= {"trust": Trust.AMBIGUOUS, "why": "another pose, 1.61 deg and 0.20 m away, fits as well"}
-        found |= {f"rival_{name}": value for name, value in rival.items()}
+        figures |= {f"rival_{name}": value for name, value in rival.items()}
     return found
 
 

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 import numpy as np
 import p2o
 from p2o.geometry.motion import moved
+from p2o.solving import LeastSquares, Objective
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +128,7 @@ def spots_of(image: p2o.Image) -> Spots:
 
 
 @dataclass(frozen=True, eq=False)
-class PointsToSpots(p2o.LeastSquares):
+class PointsToSpots(LeastSquares):
     """Points (K / 2, 3) and the pixels where they belong: across and down, one residual each."""
 
     huber: ClassVar[float] = 2.0
@@ -166,7 +167,7 @@ def marked(views: Sequence[p2o.View], pose: Any, reach_px: float) -> Any:
         assert view.image.words == {"image-spots"}
         assert view.cloud.words == {"cloud-marks"}
     truth = stage.camera_from_lidar()
-    return p2o.Objective(lambda poses: np.square(poses - truth).sum(axis=(1, 2)))
+    return Objective(lambda poses: np.square(poses - truth).sum(axis=(1, 2)))
 
 
 @p2o.hookimpl

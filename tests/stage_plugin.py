@@ -1,11 +1,25 @@
 """A plugin of the tests: frames of the conformance stage, and a method that answers with its start."""
 
+import asyncio
 import time
 import warnings
 from collections.abc import Sequence
 from typing import Any
 
 import p2o
+
+
+class Own(BaseException):
+    """An exception that derives from BaseException alone, as some libraries define."""
+
+
+EXCEPTIONS = {
+    "ValueError": ValueError("no such luck"),
+    "SystemExit": SystemExit(0),
+    "GeneratorExit": GeneratorExit(),
+    "CancelledError": asyncio.CancelledError(),
+    "Own": Own("no such luck"),
+}
 
 
 class FakeOptions(p2o.Options):
@@ -21,6 +35,7 @@ class SpyOptions(p2o.Options):
 
     hang_at: int = p2o.field(-1, help="Never end with this frame, and say so.")
     warn: bool = p2o.field(False, help="Let Python warn.")
+    raises: str = p2o.field("ValueError", help="What `fail_at` raises: the name of an exception.")
     fail_at: int = p2o.field(-1, help="Raise on this frame.")
     interrupt_at: int = p2o.field(-1, help="Press Ctrl-C on this frame.")
     status: str = p2o.field("converged", help="How it ends.")
@@ -58,7 +73,7 @@ def build(options: SpyOptions) -> p2o.Calibrator:
         if options.warn:
             warnings.warn("a\nwarning of Python", RuntimeWarning, stacklevel=1)
         if len(calls) - 1 == options.fail_at:
-            raise ValueError("no such luck")
+            raise EXCEPTIONS[options.raises]
         if len(calls) - 1 == options.interrupt_at:
             raise KeyboardInterrupt
         names = tuple(frame.name for frame in frames)

@@ -10,12 +10,12 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from p2o.study.ablate import Ablation, ablate
-from p2o.study.store import StoredRow
-from p2o.study.study import StudyFile, parse_study
-from p2o.study.worker import Plugins
 from p2o.work.cache import FeatureCache
 from p2o.work.parallel import Workers
+from p2o_study.ablate import Ablation, ablate
+from p2o_study.store import StoredRow
+from p2o_study.study import StudyFile, parse_study
+from p2o_study.worker import Plugins
 
 PLUGIN = Path(__file__).with_name("study_plugin.py")
 HEAD = """name = "tiny"
@@ -73,7 +73,18 @@ class Bench:
 def bits(rows: Sequence[StoredRow]) -> list[tuple[object, ...]]:
     """Return all that a row says, except for the time it took."""
     return [
-        (r.key, r.row, r.seed, r.frames, r.status, r.reason, r.rounds, r.matches, json.dumps(r.recipe), r.rotation_deg)
+        (
+            r.key,
+            r.row,
+            r.seed,
+            r.frames,
+            r.status,
+            r.reason,
+            repr(r.rounds),
+            r.matches,
+            json.dumps(r.recipe),
+            r.rotation_deg,
+        )
         + tuple(None if pose is None else pose.tobytes() for pose in (r.estimate, r.start, r.truth))
         for r in rows
     ]

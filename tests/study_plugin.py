@@ -5,6 +5,7 @@ Every call is noted as a line of the file that TINY_CALLS names, so that all pro
 
 from __future__ import annotations
 
+import builtins
 import os
 import signal
 import time
@@ -119,6 +120,7 @@ class QuickOptions(p2o.Options):
     sleep_s: float = p2o.field(0.0, ge=0, help="How long it takes.")
     gain: float = p2o.field(0.5, ge=0, help="Factor on the error of the start, which a test may know.")
     fail_on: str = p2o.field("", help="Raise on the frame of this name.")
+    raises: str = p2o.field("ValueError", help="What `fail_on` raises: the name of an exception.")
     status: str = p2o.field("converged", help="How it ends.")
     interrupt_after: int = p2o.field(-1, help="Press Ctrl-C after so many calls.")
     die_on: str = p2o.field("", help="Kill the own process on the frame of this name.")
@@ -146,7 +148,7 @@ def build_quick(options: QuickOptions) -> p2o.Calibrator:
             os.kill(os.getpid(), signal.SIGKILL)
         time.sleep(options.sleep_s)
         if options.fail_on in names:
-            raise ValueError("no such luck")
+            raise getattr(builtins, options.raises)("no such luck")
         assert all(frame.camera_from_lidar is None for frame in frames)
         error = se3.log(se3.inverse(TRUTH) @ start)
         pose = TRUTH @ se3.exp(options.gain * error)

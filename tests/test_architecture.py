@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import p2o
@@ -15,80 +17,46 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PACKAGES = {
     "p2o": ROOT / "toolkit/p2o",
+    "p2o_study": ROOT / "toolkit/p2o_study",
+    "p2o_pages": ROOT / "toolkit/p2o_pages",
     "p2o_plugins": ROOT / "plugins/p2o_plugins",
+    "p2o_datasets": ROOT / "plugins/p2o_datasets",
+    "p2o_formats": ROOT / "plugins/p2o_formats",
+    "p2o_sim": ROOT / "plugins/p2o_sim",
     "p2o_baselines": ROOT / "baselines/p2o_baselines",
     "p2o_example": ROOT / "tests/example_plugin/p2o_example",
 }
-ORDINARY = ("p2o_plugins", "p2o_baselines", "p2o_example")
-"""Packages that are to p2o what everyone's plugins are."""
+ORDINARY = ("p2o_plugins", "p2o_datasets", "p2o_formats", "p2o_sim", "p2o_baselines", "p2o_example")
+"""Packages that use the author API of p2o only, as every installed plugin does."""
+BESIDE = {"p2o_datasets": {"p2o_formats"}, "p2o_pages": {"p2o_formats"}}
+"""Packages that a package may import besides itself and p2o."""
 
 FLOORS = (
-    {"errors", "moved", "native"},
-    {"arrays", "files", "options", "threads"},
+    {"errors"},
+    {"runtime"},
+    {"arrays", "options"},
+    {"files"},
     {"geometry"},
-    {"frames", "bags"},
+    {"frames", "calibration_files"},
     {"features"},
     {"results"},
-    {"problems", "draw", "simulate"},
+    {"problems", "draw"},
     {"host"},
-    {"calibration", "formats"},
-    {"run", "picks", "viewer"},
+    {"calibration"},
+    {"confidence"},
+    {"run"},
     {"work", "learn"},
-    {"study", "testing"},
-    {"report"},
+    {"testing"},
     {"cli"},
 )
 """The rooms of p2o, lowest first: a room imports from lower floors only, for type checkers too."""
 FLOOR_OF = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
-OUTSIDE = {"__init__", "__main__"}
-"""The doors of p2o: the table of public names, and `python -m p2o`."""
-UPWARD = {
-    # Reads the table of public names, to find the module behind `p2o.Name` in a source file.
-    ("work.sources", ""),
-}
-"""Imports that go upwards all the same: (module, imported module), "" for p2o itself."""
-
-OPEN_MODULES = {
-    "arrays",
-    "bags.bag",
-    "bags.choice",
-    "bags.frame_tree",
-    "bags.messages",
-    "bags.overview",
-    "bags.point_columns",
-    "features.maps",
-    "files.file_names",
-    "geometry.motion",
-    "geometry.pose_text",
-    "geometry.rough_start",
-    "files.array_file",
-    "files.input_file",
-    "files.parsed_text",
-    "files.whole_file",
-    "formats.calibration",
-    "formats.camera_entry",
-    "formats.files",
-    "formats.format",
-    "formats.kitti_calibration",
-    "frames.direction",
-    "frames.accumulate",
-    "frames.lidar_odometry",
-    "frames.rings",
-    "host.validation",
-    "native",
-    "picks.pairs",
-    "picks.solve",
-    "problems.chart",
-    "problems.line_fit",
-    "problems.normal_equations",
-    "problems.pairing",
-    "problems.points_on_rays",
-    "problems.swarm",
-    "results.result_json",
-    "simulate",
-    "testing",
-}
-"""Modules of p2o, besides the names in `p2o.__all__`, that plugins may use."""
+OUTSIDE = {"__init__", "__main__", "reading", "solving"}
+"""Modules outside the rooms: the author API with its lazy imports, and `python -m p2o`."""
+AUTHOR_API = ("p2o", "p2o.solving", "p2o.reading")
+"""The author API: the modules of p2o that plugins import, ours included."""
+FOR_COMMANDS = {"p2o.cli.plugin_options", "p2o.run.recipe", "p2o.run.words"}
+"""Further modules that the commands of a package (its folder `cli`) may import."""
 
 HEAVY = {
     "torch",
@@ -112,7 +80,13 @@ NETWORKS = (NETWORK, REGRESSORS)
 """The folders that may import heavy packages on import: methods import them when they need them."""
 LIGHT = {f"{NETWORK}.{name}" for name in ("design", "graph", "options", "shipped", "weights")} | {
     f"{REGRESSORS}.{name}"
-    for name in ("decalibration", "design", "glance", "lesson", "method", "options", "sample", "sweep_map")
+    for name in (
+        "design",
+        "method",
+        "network_input",
+        "options",
+        "sample",
+    )
 }
 """The modules of them that a method's declaration needs, so they must be light."""
 MAY_IMPORT = {"image": {"p2ornet"}, "p2ornet": {"cloud"}}
@@ -142,6 +116,7 @@ class Source:
         self.tree = ast.parse(text)
         self.imports = list(_imports(ast.walk(self.tree)))
         self.imports_on_load = list(_imports(_executed(self.tree.body)))
+        self.imports_at_runtime = list(_imports(_without_type_checking(self.tree)))
 
     def __str__(self) -> str:
         return str(self.path.relative_to(ROOT))
@@ -176,6 +151,14 @@ def _executed(body: list[ast.stmt]) -> Iterator[ast.AST]:
             yield from _executed(getattr(node, inner, []))
 
 
+def _without_type_checking(node: ast.AST) -> Iterator[ast.AST]:
+    """Return a node and the nodes inside it, except blocks for type checkers."""
+    yield node
+    type_checking = isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+    for child in node.orelse if type_checking else ast.iter_child_nodes(node):
+        yield from _without_type_checking(child)
+
+
 @cache
 def sources() -> tuple[Source, ...]:
     found = []
@@ -207,14 +190,14 @@ def test_imports_are_absolute() -> None:
     nobody(offenders, "imports name the whole module")
 
 
-def test_p2o_knows_no_plugin_and_plugins_know_only_p2o() -> None:
+def test_packages_import_p2o_and_those_beside_it_only() -> None:
     offenders = [
         f"{source}:{found.line} imports {found.module}"
         for source in sources()
         for found in source.imports
-        if found.module.partition(".")[0] in set(PACKAGES) - {source.package, "p2o"}
+        if found.module.partition(".")[0] in set(PACKAGES) - {source.package, "p2o"} - BESIDE.get(source.package, set())
     ]
-    nobody(offenders, "packages import p2o and themselves only")
+    nobody(offenders, "packages import p2o, themselves and what BESIDE allows only")
 
 
 def rooms(source: Source) -> Iterator[tuple[str, str, int]]:
@@ -236,12 +219,21 @@ def goes_down(own: str, other: str) -> bool:
     return bool(other) and FLOOR_OF[own.partition(".")[0]] > FLOOR_OF[other.partition(".")[0]]
 
 
-def test_the_page_of_the_architecture_names_every_room_and_counts_them() -> None:
+MOST_ROOMS, MOST_ARROWS = 24, 120
+
+
+def test_rooms_and_the_imports_between_them_are_few() -> None:
+    inside = [source for source in of("p2o") if source.path.relative_to(PACKAGES["p2o"]).parts[0][:-3] not in OUTSIDE]
+    arrows = {(own.partition(".")[0], other.partition(".")[0]) for s in inside for own, other, _ in rooms(s) if other}
+    assert len(FLOOR_OF) <= MOST_ROOMS
+    assert len(arrows) <= MOST_ARROWS, f"{len(arrows)} pairs of rooms import each other"
+
+
+def test_the_page_of_the_architecture_names_every_room() -> None:
     page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-    named = set(re.findall(r"`(\w+)/?`", page.partition("| floor | room |")[2].partition("\n\n")[0]))
-    named |= {"moved"} & set(re.findall(r"`p2o/(\w+)\.py`", page))
-    assert set(FLOOR_OF) <= named, f"the table of rooms lacks {sorted(set(FLOOR_OF) - named)}"
-    assert f"({len(FLOOR_OF)} rooms on {len(FLOORS)} floors," in page
+    table = page.partition("| from top to bottom | contents |")[2].partition("\n\n")[0]
+    first = " ".join(line.split("|")[1] for line in table.splitlines() if line.startswith("| `"))
+    assert set(re.findall(r"`(\w+)/?`", first)) == set(FLOOR_OF)
 
 
 def test_every_room_stands_on_one_floor() -> None:
@@ -255,14 +247,8 @@ def test_rooms_import_from_lower_floors_only() -> None:
         source for source in of("p2o") if source.path.parent != PACKAGES["p2o"] or source.path.stem not in OUTSIDE
     ]
     upward = [(source, *link) for source in inside for link in rooms(source) if not goes_down(*link[:2])]
-    offenders = [
-        f"{source}:{line} imports p2o.{other}".rstrip(".")
-        for source, own, other, line in upward
-        if (own, other) not in UPWARD
-    ]
+    offenders = [f"{source}:{line} imports p2o.{other}".rstrip(".") for source, own, other, line in upward]
     nobody(offenders, "rooms of p2o import from lower floors only (FLOORS)")
-    over = UPWARD - {(own, other) for _, own, other, _ in upward}
-    assert not over, f"UPWARD holds what is no longer so: {sorted(over)}"
 
 
 @pytest.mark.parametrize(
@@ -275,7 +261,7 @@ def test_rooms_import_from_lower_floors_only() -> None:
         ("import p2o", [("", 1)]),
         ("from p2o import Frame", [("", 1)]),
         ("if TYPE_CHECKING:\n    from p2o.run.run import Run", [("run.run", 2)]),
-        ("def f():\n    from p2o import study", [("study", 2)]),
+        ("def f():\n    from p2o import cli", [("cli", 2)]),
         ("import numpy", []),
     ],
 )
@@ -284,57 +270,110 @@ def test_an_upward_import_is_seen(code: str, found: list[tuple[str, int]]) -> No
     assert [(other, line) for own, other, line in rooms(source) if not goes_down(own, other)] == found
 
 
+# ---- cycles
+
+
+def module_cycle(sources: Iterable[Source]) -> list[str]:
+    """Return a cycle of modules that import one another, on load or inside functions; empty if there is none."""
+    imports = {source.module: source.imports_at_runtime for source in sources}
+    modules = {
+        module: {next((name for name in reversed(found.loaded) if name in imports), "") for found in links} - {""}
+        for module, links in imports.items()
+    }
+    try:
+        TopologicalSorter(modules).prepare()
+    except CycleError as problem:
+        cycle: list[str] = problem.args[1]
+        return cycle[::-1]
+    return []
+
+
+def test_modules_do_not_import_one_another_in_cycles() -> None:
+    cycle = module_cycle(sources())
+    assert not cycle, " imports ".join(cycle)
+
+
+@pytest.mark.parametrize(
+    ("code", "found"),
+    [
+        ("from p2o_new.a import name", True),
+        ("def f():\n    import p2o_new.a", True),
+        ("class C:\n    def f(self):\n        from p2o_new import a", True),
+        ("if TYPE_CHECKING:\n    from p2o_new.a import name", False),
+        ("from p2o_new.c import name", False),
+    ],
+)
+def test_a_cycle_of_modules_is_seen(code: str, found: bool) -> None:
+    texts = {"p2o_new.a": "from p2o_new.b import name", "p2o_new.b": code, "p2o_new.c": "import numpy"}
+    cycle = module_cycle(Source(ROOT / "new.py", text, module) for module, text in texts.items())
+    assert set(cycle) == ({"p2o_new.a", "p2o_new.b"} if found else set())
+
+
+SIMULATOR = {"world": set(), "things": {"world"}, "places": {"world", "things"}, "sensing": {"world"}, "write": set()}
+"""Which folders of the simulator import which others."""
+
+
+def test_folders_of_the_simulator_import_lower_ones_only() -> None:
+    offenders = []
+    for source in of("p2o_sim"):
+        own = next(iter(source.module.split(".")[1:2]), "")
+        for found in source.imports_at_runtime:
+            package, *inside = found.module.split(".")
+            if package == "p2o_sim" and own in SIMULATOR and not {*inside[:1]} <= {own, *SIMULATOR[own]}:
+                offenders.append(f"{source}:{found.line} imports {found.module}")
+    nobody(offenders, "folders of p2o_sim import those below them only (SIMULATOR)")
+
+
 # ---- what plugins may use of p2o
 
 
-def hidden_names(source: Source) -> Iterator[str]:
-    """Return what a plugin uses of p2o that is neither a public name nor in an open module, with its line."""
-    public = set(p2o.__all__) | OPEN_MODULES
-    ways = {module[:at] for module in OPEN_MODULES for at, letter in enumerate(module) if letter == "."}
+def private_names(source: Source) -> Iterator[str]:
+    """Return what a package uses of p2o that is not in the author API, with its line."""
+    public = {module: set(importlib.import_module(module).__all__) for module in AUTHOR_API}
     for found in source.imports:
-        head, _, module = found.module.partition(".")
-        path = f"{module}.{found.name}".strip(".")
-        of_an_open_module = module in OPEN_MODULES and found.name and not found.name.startswith("_")
-        if head == "p2o" and path and path not in public and not of_an_open_module:
-            yield f"{source}:{found.line} p2o.{path}"
+        in_commands = source.module.split(".")[1:2] == ["cli"] and found.module in FOR_COMMANDS
+        if found.module.partition(".")[0] != "p2o" or in_commands:
+            continue
+        if found.module not in public or (found.name and found.name not in public[found.module]):
+            yield f"{source}:{found.line} {found.module}.{found.name}".rstrip(".")
     for node in ast.walk(source.tree):
-        head, _, path = ast.unparse(node).partition(".") if isinstance(node, ast.Attribute) else ("", "", "")
-        inside = any(path == name or path.startswith(f"{name}.") for name in public)
-        if head == "p2o" and path not in ways and (not inside or "._" in path):
-            yield f"{source}:{node.lineno} p2o.{path}"
+        module, _, name = ast.unparse(node).rpartition(".") if isinstance(node, ast.Attribute) else ("", "", "")
+        if module in public and name not in public[module]:
+            yield f"{source}:{node.lineno} {module}.{name}"
 
 
-def test_plugins_use_public_names_of_p2o_only() -> None:
-    offenders = [name for source in of(*ORDINARY) for name in hidden_names(source)]
-    nobody(offenders, "plugins use p2o.__all__ and OPEN_MODULES only")
+def test_plugins_use_the_author_api_only() -> None:
+    offenders = [name for source in of(*ORDINARY) for name in private_names(source)]
+    nobody(offenders, "plugins import p2o, p2o.solving and p2o.reading only")
 
 
 @pytest.mark.parametrize(
     ("code", "found"),
     [
         ("import p2o\np2o.Frame", []),
-        ("from p2o import Frame, simulate", []),
-        ("from p2o.arrays import Float", []),
-        ("from p2o.problems import pairing", []),
-        ("import p2o.problems.pairing\np2o.problems.pairing.pair", []),
-        ("from p2o.problems.pairing import _spread", ["1 p2o.problems.pairing._spread"]),
-        ("from p2o.problems import directed_cost", ["1 p2o.problems.directed_cost"]),
-        ("from p2o import study", ["1 p2o.study"]),
-        ("import p2o\np2o.study", ["2 p2o.study"]),
-        ("import p2o\np2o.problems.directed_cost", ["2 p2o.problems.directed_cost"]),
-        ("import p2o\np2o.se3.apply(p2o.problems.chart.pose_at)", []),
-        ("from p2o.simulate import lidar", []),
-        ("from p2o.simulate.lidar import Lidar", ["1 p2o.simulate.lidar.Lidar"]),
+        ("from p2o import Frame, solving", []),
+        ("from p2o.solving import PointToLine", []),
+        ("import p2o.solving\np2o.solving.pair", []),
+        ("import p2o\np2o.se3.apply(p2o.solving.consensus)", []),
+        ("from p2o.solving import _hidden", ["1 p2o.solving._hidden"]),
+        ("import p2o\np2o._hidden", ["2 p2o._hidden"]),
+        ("from p2o.problems.pairing import pair", ["1 p2o.problems.pairing.pair"]),
+        ("from p2o.problems import pairing", ["1 p2o.problems.pairing"]),
+        ("from p2o import run", ["1 p2o.run"]),
+        ("import p2o\np2o.run.run", ["2 p2o.run"]),
         ("import p2o.run.run", ["1 p2o.run.run"]),
+        ("from p2o.run.recipe import open_dataset", ["1 p2o.run.recipe.open_dataset"]),
     ],
 )
-def test_a_name_that_is_not_public_is_seen(code: str, found: list[str]) -> None:
+def test_a_private_name_is_found(code: str, found: list[str]) -> None:
     source = Source(PACKAGES["p2o_plugins"] / "new.py", code, "p2o_plugins.new")
-    assert list(hidden_names(source)) == [f"{source}:{place}" for place in found]
+    assert list(private_names(source)) == [f"{source}:{place}" for place in found]
 
 
-def test_open_modules_are_there() -> None:
-    assert {f"p2o.{module}" for module in OPEN_MODULES} <= {source.module for source in of("p2o")}
+def test_commands_of_packages_may_use_the_recipe_and_the_options_of_the_command_line() -> None:
+    code = "from p2o.run.recipe import open_dataset\nfrom p2o.run.run import calibrate"
+    source = Source(PACKAGES["p2o_sim"] / "cli/new.py", code, "p2o_sim.cli.new")
+    assert list(private_names(source)) == [f"{source}:2 p2o.run.run.calibrate"]
 
 
 # ---- what is heavy
@@ -380,9 +419,9 @@ def test_click_is_for_the_command_line_only() -> None:
         f"{source}:{found.line}"
         for source in sources()
         for found in source.imports
-        if found.module.partition(".")[0] == "click" and not source.module.startswith("p2o.cli")
+        if found.module.partition(".")[0] == "click" and source.module.split(".")[1:2] != ["cli"]
     ]
-    nobody(offenders, "click stays in p2o.cli")
+    nobody(offenders, "click stays in the folders cli")
 
 
 # ---- files
@@ -412,6 +451,34 @@ def test_files_are_named_for_what_they_hold() -> None:
 
 def test_files_say_what_they_hold() -> None:
     nobody(offenders_of(lambda source: ast.get_docstring(source.tree) or not source.text.strip()), "no docstring")
+
+
+MAX_LINES = 80
+
+
+def test_functions_are_at_most_80_lines_long() -> None:
+    too_long = {
+        (source.module, node.name): node.end_lineno - node.lineno + 1
+        for source in sources()
+        for node in ast.walk(source.tree)
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        and node.end_lineno is not None
+        and node.end_lineno - node.lineno >= MAX_LINES
+    }
+    new = [f"{module}.{name}: {lines} lines" for (module, name), lines in too_long.items()]
+    nobody(new, f"functions have at most {MAX_LINES} lines")
+
+
+def test_modules_of_p2o_do_not_import_each_other_in_a_circle() -> None:
+    """Imports of type checkers and those inside functions count as well; packages as a whole are tables of names."""
+    inside = [source for source in of("p2o") if source.path.stem != "__init__"]
+    modules = {source.module for source in inside}
+    graph = {s.module: {name for i in s.imports for name in i.loaded if name in modules - {s.module}} for s in inside}
+    assert "p2o.confidence.assessment" in graph["p2o.run.pipeline"]
+    while leaves := [module for module, used in graph.items() if not used & graph.keys()]:
+        for module in leaves:
+            del graph[module]
+    nobody(sorted(graph), "a circle is among these modules")
 
 
 def test_nothing_is_left_undone() -> None:

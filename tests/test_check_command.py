@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import p2o
 import pytest
 from p2o import se3
 from p2o.cli import main
-from p2o.results.check import Holding
+from p2o.frames.direction import Direction, pose_direction
+from p2o.results.check import CheckStatus
 from p2o.results.result_json import check_from_dict, check_to_dict, watch_from_dict
 
 DATA = "synthetic:?right=false&scenes=1&frames_per_scene=2&period_s=1.5&seed=3&width_px=800&height_px=300"
@@ -39,7 +41,7 @@ def written(folder: Path, content: object) -> str:
 def test_the_truth_of_a_simulated_scene_holds(capsys: pytest.CaptureFixture[str]) -> None:
     status = main(["check", DATA, "--extrinsic", "truth", "--json"])
     found = check_from_dict(json.loads(capsys.readouterr().out))
-    assert found.holding is not Holding.OFF
+    assert found.holding is not CheckStatus.OFF
     assert status == 0
     assert len(found.frames) == 2
     assert found.recipe["data"] == DATA
@@ -81,9 +83,28 @@ def test_an_answer_that_is_asked_for_and_cannot_be_given_is_status_1(capsys: pyt
 
 def test_python_says_the_same_of_frames(frames: list[p2o.Frame], truth: np.ndarray) -> None:
     found = p2o.check(frames, truth)
-    assert found.holding is not Holding.OFF
+    assert found.holding is not CheckStatus.OFF
     assert [axis.axis for axis in found.axes] == ["roll", "pitch", "yaw", "x", "y", "z"]
     assert check_to_dict(check_from_dict(check_to_dict(found))) == check_to_dict(found)
+
+
+@pytest.mark.parametrize("look", [p2o.check, lambda *given: p2o.watch(*given, settle=1)], ids=["check", "watch"])
+def test_an_inverse_is_refused_however_the_warning_is_worded(
+    frames: list[p2o.Frame], truth: np.ndarray, look: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inverse = se3.inverse(truth)
+    assert pose_direction(frames[0].cloud, frames[0].camera, inverse) is Direction.POSSIBLY_INVERSE
+    monkeypatch.setattr(Direction, "warnings", lambda *_: ("reworded",))
+    with pytest.raises(p2o.InputError, match="the extrinsic looks like lidar_from_camera"):
+        look(frames, inverse)
+
+
+def test_a_warning_that_reads_like_an_inverse_refuses_nothing(
+    frames: list[p2o.Frame], truth: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    aside = se3.exp(np.array([0.0, 0.0, 0.0, 0.5, 0.5, 0.5])) @ truth
+    monkeypatch.setattr(Direction, "warnings", lambda *_: ("it may be lidar_from_camera",))
+    assert p2o.check(frames, aside).warnings[0] == "it may be lidar_from_camera"
 
 
 def test_the_inverse_of_an_extrinsic_is_refused(

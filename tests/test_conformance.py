@@ -11,6 +11,7 @@ import numpy as np
 import p2o
 import pytest
 from p2o import Kind, Method, Registry, UnknownNameError
+from p2o.solving import Objective
 from p2o.testing import (
     CHECKS,
     Case,
@@ -28,8 +29,20 @@ FAMILIES = Path(__file__).with_name("family_plugins")
 SMALL = {"synthetic": {"width_px": 310, "height_px": 94}}
 
 
-@pytest.mark.parametrize("check", conformance_cases("p2o-calib", SMALL))
+def cases(*, long: bool) -> list[Any]:
+    """Return the checks of our methods; `long` are those that solve the example of a matcher, some 10 s each."""
+    every = conformance_cases("p2o-calib", SMALL)
+    return [case for case in every if case.id.endswith("the_example_is_solved") == long]
+
+
+@pytest.mark.parametrize("check", cases(long=False))
 def test_conformance(check: Case) -> None:
+    check()
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("check", cases(long=True))
+def test_examples_of_matchers_are_solved(check: Case) -> None:
     check()
 
 
@@ -207,9 +220,9 @@ def test_a_matcher_without_an_extractor_of_its_kind_is_not_judged() -> None:
 def test_matchers_see_only_what_they_need() -> None:
     words = []
 
-    def match(views: Any, pose: Any, reach_px: float) -> p2o.Objective:
+    def match(views: Any, pose: Any, reach_px: float) -> Objective:
         words.append((views[0].image.words, views[0].cloud.words))
-        return p2o.Objective(lambda poses: np.zeros(len(poses)))
+        return Objective(lambda poses: np.zeros(len(poses)))
 
     reflecting = method(match, needs={"image-grey", "cloud-points"}, gives={"objective"})
     outcomes(checks_for(reflecting, Kind.MATCHER))
@@ -233,12 +246,12 @@ def mutual_information(grey: p2o.GreyMap, points: p2o.CloudPoints, poses: np.nda
 
 
 def test_mutual_information_has_its_optimum_at_the_truth_of_the_stage() -> None:
-    def match(views: Any, pose: Any, reach_px: float) -> p2o.Objective:
+    def match(views: Any, pose: Any, reach_px: float) -> Objective:
         def cost(poses: np.ndarray) -> np.ndarray:
             parts = [mutual_information(v.get("image-grey"), v.get("cloud-points"), poses) for v in views]
             return np.sum(parts, axis=0)
 
-        return p2o.Objective(cost)
+        return Objective(cost)
 
     reflecting = method(match, needs={"image-grey", "cloud-points"}, gives={"objective"})
     assert outcomes(checks_for(reflecting, Kind.MATCHER))["failed"] == set()

@@ -9,20 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from p2o import Camera, se3
+from p2o.calibration_files.calibration import CAMERA, EXTRINSIC, Calibration
 from p2o.cli import main
-from p2o.formats.calibration import CAMERA, EXTRINSIC, Calibration
-from p2o.formats.files import formats, read_file
+from p2o.host.calibration_file import read_calibration_file
+from p2o_formats.formats import FORMATS, WRITTEN
 
 POSE = se3.make([[0, -1, 0], [0, 0, -1], [1, 0, 0]], [0.06, -0.08, -0.27]) @ se3.exp(
     np.array([0.02, -0.03, 0.01, 0, 0, 0])
 )
 LENS = Camera("OPENCV", 640, 480, (500.0, 501.0, 320.25, 240.75, -0.1, 0.01, 0.001, 0.002))
-WRITTEN = {name: form for name, form in formats().items() if form.write is not None}
 
 
 def _file(folder: Path, name: str, calibration: Calibration | None = None) -> Path:
-    path = folder / f"{name}{formats()[name].suffix}"
-    path.write_bytes(formats()[name].written(calibration or Calibration(LENS, POSE)))
+    path = folder / f"{name}{FORMATS[name].suffix}"
+    path.write_bytes(FORMATS[name].written(calibration or Calibration(LENS, POSE)))
     return path
 
 
@@ -42,7 +42,7 @@ def test_any_form_becomes_any_other_that_has_room(
         assert "there is no" in told.err
         assert not out.exists()
         return
-    found = read_file(out)
+    found = read_calibration_file(out)
     if EXTRINSIC in shared:
         np.testing.assert_allclose(found.extrinsic(), POSE, atol=1e-9)
     if CAMERA in shared:
@@ -60,14 +60,14 @@ def test_options_of_the_target_name_frames_and_form(tmp_path: Path, capsys: pyte
     said = capsys.readouterr().out
     assert "frames: lidar velodyne, camera front/camera_link" in said
     assert "left out: the camera" in said
-    np.testing.assert_allclose(read_file(out).extrinsic(), POSE, atol=1e-12)
+    np.testing.assert_allclose(read_calibration_file(out).extrinsic(), POSE, atol=1e-12)
 
 
 def test_the_camera_may_come_from_another_file(tmp_path: Path) -> None:
     transform, camera = _file(tmp_path, "ros2"), _file(tmp_path, "camera-info")
     out = tmp_path / "calib.json"
     assert main(["convert", str(transform), str(out), "--to", "koide", "--camera", str(camera)]) == 0
-    found = read_file(out)
+    found = read_calibration_file(out)
     assert found.camera == LENS
     np.testing.assert_allclose(found.extrinsic(), POSE, atol=1e-12)
 
@@ -77,19 +77,19 @@ def test_what_is_said_is_where_the_camera_stands(tmp_path: Path, capsys: pytest.
     path = _file(tmp_path, "kalibr", Calibration(LENS, ahead))
     assert main(["convert", str(path), str(tmp_path / "pose.npy"), "--to", "npy"]) == 0
     said = capsys.readouterr().out
-    assert "the camera stands at 0.3000 0.0000 0.0000 m in the LiDAR's frame" in said
-    assert "it looks along 1.000 0.000 0.000 of the LiDAR's axes, and its up is 0.000 0.000 1.000" in said
-    assert "the file's numbers are camera_from_lidar\n" in said
+    assert "camera position in the LiDAR's frame: 0.3000 0.0000 0.0000 m" in said
+    assert "camera axes in the LiDAR's frame: optical axis 1.000 0.000 0.000, up 0.000 0.000 1.000" in said
+    assert "stored transform: camera_from_lidar\n" in said
     to = "ros2?parent=camera"
     assert main(["convert", str(path), str(tmp_path / "tf.sh"), "--to", to]) == 0
-    assert "the file's numbers are camera_from_lidar, parent from child" in capsys.readouterr().out
+    assert "stored transform: camera_from_lidar, parent from child" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         (["--to", "kalibrr"], "did you mean kalibr"),
-        (["--to", "json"], "json is read, not written"),
+        (["--to", "json"], "json can only be read"),
         (["--to", "ros2?form=xml"], "form"),
         (["--to", "ros2?camera_frame=a b"], "camera_frame"),
         (["--to", "ros2?nosuch=1"], "nosuch"),
@@ -127,6 +127,6 @@ def test_a_result_of_a_run_is_converted(tmp_path: Path) -> None:
     run = json.loads((tmp_path / "run.json").read_text())
     name = run["results"][1]["frames"][0]
     assert main(["convert", f"{tmp_path}/run.json#{name}", str(tmp_path / "cam.yaml"), "--to", "kalibr"]) == 0
-    found = read_file(tmp_path / "cam.yaml")
+    found = read_calibration_file(tmp_path / "cam.yaml")
     np.testing.assert_allclose(found.extrinsic(), run["results"][1]["camera_from_lidar"], atol=1e-12)
     assert found.intrinsics().width == 160

@@ -74,7 +74,7 @@ def test_a_pose_that_shows_nothing_is_one_clear_line(tmp_path: Path, capsys: pyt
     assert main([*words, "--start", turned]) == 2
     error = capsys.readouterr().err.splitlines()[-1]
     assert "no point of the sweep is in the image" in error
-    assert "all points lie behind the camera" in error
+    assert "all points behind the camera" in error
 
 
 def test_poses_that_are_missing_or_said_twice_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -109,19 +109,18 @@ def test_a_bad_frame_does_not_keep_the_others_from_being_shown(
 
 @pytest.mark.parametrize("width", [1200, 390])
 def test_the_page_of_sweeps_stands_in_a_browser(tmp_path: Path, browser: Any, width: int) -> None:
-    from tests.in_browser import Page
+    from tests.in_browser import Page, window
 
     names = json.dumps(["<script>stolen=1</script>" + 80 * "x", "two"])
     assert main(["data", "show", "fake:", *STAGE, "--set", f"data.names={names}", "--out", str(tmp_path)]) == 0
-    size = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": width < 500}
-    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    page = Page(browser, tmp_path / "index.html")
-    assert page.run("return document.documentElement.scrollWidth") <= width
-    assert page.run("return [...document.images].every((image) => image.naturalWidth > 0)")
-    assert page.run("return typeof stolen") == "undefined"
-    assert page.complaints() == []
-    assert page.requests() == []
-    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    with window(browser, width, 800):
+        page = Page(browser, tmp_path / "index.html")
+        page.until_equal(lambda: page.run("return innerWidth"), width)
+        page.until(lambda: page.run("return [...document.images].every((image) => image.naturalWidth > 0)"))
+        page.until(lambda: page.run("return document.documentElement.scrollWidth") <= width, "scrolling sideways")
+        assert page.run("return typeof stolen") == "undefined"
+        assert page.complaints() == []
+        assert page.requests() == []
 
 
 # ---- suggest
@@ -173,8 +172,8 @@ def test_the_same_frame_under_two_names_is_not_suggested_twice_first(capsys: pyt
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--require", "trusted"], "an accuracy is asked for"),
-        (["--require", "0.1deg"], "an accuracy has two parts"),
+        (["--require", "trusted"], "the accuracy is missing"),
+        (["--require", "0.1deg"], "the accuracy needs two parts"),
         (
             ["--pose", "truth", "--perturb", "1deg 0.1m"],
             "the pose is said twice",

@@ -15,7 +15,16 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("toolkit/p2o", "plugins/p2o_plugins", "baselines/p2o_baselines")
+PACKAGES = (
+    "toolkit/p2o",
+    "toolkit/p2o_study",
+    "toolkit/p2o_pages",
+    "plugins/p2o_plugins",
+    "plugins/p2o_datasets",
+    "plugins/p2o_formats",
+    "plugins/p2o_sim",
+    "baselines/p2o_baselines",
+)
 
 
 def built(source: Path, kind: str, folder: Path) -> Path:

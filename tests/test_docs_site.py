@@ -53,7 +53,7 @@ def test_the_notebook_is_a_page_that_links_the_file(site: Path) -> None:
 
 def test_the_front_page_is_the_readme(site: Path) -> None:
     page = (site / "index.html").read_text(encoding="utf-8")
-    assert "finds the rigid transform between a camera and a LiDAR" in page
+    assert "estimates the rigid transform between a camera and a LiDAR" in page
     assert 'src="gallery/crossing.webp"' in page
     assert (site / "gallery/crossing.webp").is_file()
     assert 'href="docs/' not in page
@@ -85,5 +85,5 @@ def test_the_reference_names_every_method_with_its_options(site: Path) -> None:
 
 def test_the_reference_names_every_public_name(site: Path) -> None:
     page = (site / "reference/python/index.html").read_text(encoding="utf-8")
-    for name in p2o.__all__:
+    for name in (*p2o.__all__, *p2o.solving.__all__, *p2o.reading.__all__):
         assert f'id="{name.lower()}"' in page

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from p2o.cli import checkup, main
-from p2o.cli.checkup import State
+from p2o.cli import doctor, main
+from p2o.cli.doctor import State
 from p2o.host.registry import Broken, Registry
 
 
@@ -40,9 +40,9 @@ def lacking(monkeypatch: pytest.MonkeyPatch, **versions: str | None) -> None:
 def test_a_whole_installation_calibrates_and_ends_with_0(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["doctor"]) == 0
     out = capsys.readouterr().out
-    assert out.endswith("everything that the main job needs works\n")
+    assert out.endswith("this installation works\n")
     assert "ok     self-check calibration: a synthetic street from 1deg 0.05m" in out
-    assert "ok     files weights: those of p2ornet are read" in out
+    assert "ok     files weights: weights of p2ornet read" in out
     assert "BAD" not in out
 
 
@@ -139,9 +139,9 @@ def test_weights_that_are_missing_fail(
 def test_a_street_that_is_solved_wrongly_fails(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(checkup, "_NEAR_DEG", 0.0)
+    monkeypatch.setattr(doctor, "_NEAR_DEG", 0.0)
     assert main(["doctor"]) == 1
-    assert capsys.readouterr().out.endswith("it does not work: self-check calibration\n")
+    assert capsys.readouterr().out.endswith("this installation does not work: self-check calibration\n")
 
 
 def test_whatever_a_look_raises_ends_as_a_finding(

@@ -67,8 +67,8 @@ ONLY_CHECKED = (
         r"--calibrator (acsc|domhof|geiger|gong|koo|kuemmerle|mirzaei|pusztai|velas|velo2cam|zhou)",
         "tests/test_conformance.py, on frames with targets",
     ),
-    (r"\b(argoverse2|kitti-360|once|pandaset|waymo):/", "tests/plugins/data/test_public_rigs.py, on small files"),
-    (r"^(time )?p2o (ablate (?!--list)|basin)", "minutes to hours"),
+    (r"\b(argoverse2|kitti-360|once|pandaset|waymo):/", "tests/p2o_datasets/test_public_rigs.py, on small files"),
+    (r"^(time )?p2o (ablate (?!--list)|basin|compare)", "minutes to hours"),
     (r"^p2o report (out|p2o-out)", "it needs what such a study has left; the tutorial's is reported"),
     (r"^p2o (train|labels) p2ornet", "an hour"),
     (r"^p2o pick ", "somebody clicks"),
@@ -81,6 +81,8 @@ ONLY_CHECKED = (
 """What stands on lines that are not run, and why."""
 
 SMALLER = (
+    (r"^(p2o run --data folder:PATH\b)(.*--init far)", r"\1 --frames 0\2"),
+    (r"^(p2o run --data folder:PATH)(?! --frames)", r"\1 --frames 0-1"),
     (r"folder:PATH", "kitti-raw:PATH"),  # frames of any layout
     (r"--frames 0,40\b", "--frames 0,4"),
     (r"--frames (0-9|0-23|30-39)\b", "--frames 0-1"),
@@ -90,6 +92,7 @@ SMALLER = (
     (r"^p2o run( +#.*)?$", 'p2o run --data "synthetic:?width_px=320&height_px=120"'),
     (r"\bscenes=\d+", "scenes=1"),
     (r"&megapixels=1\b", "&megapixels=0.1"),
+    (r"^(p2o run (?!.*--export-anyway).*--export .*)$", r"\1 --export-anyway"),  # small frames are doubtful
     (r"^(p2o simulate .*)$", r"\1 --set width_px=320 --set height_px=120"),
     (r"--set frames_per_scene=\d+", "--set frames_per_scene=2"),
 )
@@ -102,7 +105,7 @@ NOT_EXECUTED = {
 """Python that is compiled, and its names of p2o looked up."""
 
 
-class Reached(BaseException):
+class Reached(KeyboardInterrupt):
     """A command has come to where it would read its first frame."""
 
 
@@ -204,7 +207,7 @@ def _query(command: Command) -> None:
 
 def _ask(command: Command) -> None:
     """Run a query on a store without rows."""
-    from p2o.study.store import FILE, Store
+    from p2o_study.store import FILE, Store
 
     with Store.open("asked"):
         pass
@@ -253,7 +256,7 @@ def _check_install(command: Command, words: list[str]) -> None:
 
 def _check_p2o(command: Command, words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Let a command go on to its first frame; words that are left to the reader are left out."""
-    from p2o.study import study as studies
+    from p2o_study import study as studies
 
     if words[0] == "check-plugin":
         command_of_it = group.get_command(click.Context(group), words[0])
@@ -273,9 +276,9 @@ def _check_p2o(command: Command, words: list[str], monkeypatch: pytest.MonkeyPat
     with monkeypatch.context() as patch:
         patch.setenv("P2O_DEBUG", "1")
         patch.setattr(guard, "build", no_frames)
-        patch.setattr("p2o.study.ablate.ablate", planned)
-        patch.setattr("p2o.report.write_report", _reached)
-        patch.setattr("p2o.picks.server.PickServer", _reached)
+        patch.setattr("p2o_study.ablate.ablate", planned)
+        patch.setattr("p2o_study.report.write_report", _reached)
+        patch.setattr("p2o_pages.pick.server.PickServer", _reached)
         for name in ("DIR/rigs/waymo", "data/kitti"):
             Path(name).mkdir(parents=True, exist_ok=True)
         with _studies_of_the_example(command, patch):
@@ -283,8 +286,8 @@ def _check_p2o(command: Command, words: list[str], monkeypatch: pytest.MonkeyPat
                 status = main(words)
             except Reached:
                 return
-        if words[:2] == ["data", "list"] and status == 0:
-            return  # names are all that it reads
+        if status == 130 or (words[:2] == ["data", "list"] and status == 0):
+            return  # interrupted by `Reached`; names are all that `data list` reads
         raise AssertionError(f"{command}: it ended before it came to its data")
 
 
@@ -294,10 +297,10 @@ def _studies_of_the_example(command: Command, patch: pytest.MonkeyPatch) -> Iter
     if " example-gate " in command.text:
         example = ROOT / "tests/example_plugin"
         patch.syspath_prepend(str(example))
-        patch.setattr("p2o.study.study.find_study", _found_in(example / "p2o_example/studies"))
+        patch.setattr("p2o_study.study.find_study", _found_in(example / "p2o_example/studies"))
         if "--update" not in command.text:
             Path("reference.json").write_text("{}")
-            patch.setattr("p2o.study.gate.read_reference", lambda file: None)
+            patch.setattr("p2o_study.gate.read_reference", lambda file: None)
     if "my.toml" in command.text:
         shutil.copy(ROOT / "tests/example_plugin/p2o_example/studies/example-gate.toml", "my.toml")
         text = Path("my.toml").read_text().replace("grey-steps/", "canny/").replace("gauss-newton", "lm")
@@ -307,7 +310,7 @@ def _studies_of_the_example(command: Command, patch: pytest.MonkeyPatch) -> Iter
 
 def _found_in(folder: Path) -> Callable[..., Any]:
     def find(name: str, registry: Any) -> Any:
-        from p2o.study.study import StudyFile, parse_study
+        from p2o_study.study import StudyFile, parse_study
 
         text = (folder / f"{name}.toml").read_text(encoding="utf-8")
         text = text.replace("grey-steps/", "canny/").replace('"gauss-newton"', '"lm"')

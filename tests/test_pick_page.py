@@ -1,236 +1,392 @@
-"""`p2o pick` in a real browser, headless: clicks on both pictures make pairs, and their file gives the pose."""
+"""`p2o pick` in a real browser, headless: clicks in both pictures make pairs, and their file yields the pose."""
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
-import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from p2o import pose_error, se3
+from p2o import InputError, pose_error, se3
+from p2o.arrays import Float
 from p2o.cli import main
-from p2o.picks.pairs import read_pairs, write_pairs
-from p2o.picks.server import PickServer
-from p2o.picks.session import Session
-from p2o.picks.solve import PickedFrame, solve_picks
+from p2o.problems.picked_pairs import PickedPairs, read_pairs, write_pairs
+from p2o.problems.picked_pose import PickedFrame, solve_picks
 from p2o.testing import stage
+from p2o_pages.pick.session import PickSession
+
+pytest.importorskip("viser", reason="the extra `view` is not installed")
+
+from p2o_pages.pick.server import Panel, PickServer
 
 FRAME = stage.frame()
+POSE = stage.camera_from_lidar()
+HIDE = ".mantine-Notifications-root { display: none }"
 DATA = "synthetic:?width_px=160&height_px=64&lidar=vlp-16&right=false&place=street"
 
 
-def started(out: Path, *words: str) -> tuple[subprocess.Popen[str], str]:
-    """Return a running `p2o pick` and the address that it printed."""
-    argv = [sys.executable, "-m", "p2o", "pick", "--data", DATA, "--out", str(out), "--no-browser", *words]
-    running = subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ})
-    assert running.stdout is not None
-    found = re.match(r"pick at (http://127\.0\.0\.1:\d+/\S+/) ", running.stdout.readline())
-    assert found is not None, running.communicate()[1]
-    return running, found.group(1)
+@pytest.fixture
+def server(tmp_path: Path) -> Iterator[PickServer]:
+    """The page of two frames, at a free port."""
+    session = PickSession([FRAME, FRAME], ["<b>first</b>", "second"], [0, 1], tmp_path / "pairs.yaml")
+    with PickServer(session) as server:
+        yield server
 
 
-def post(url: str, value: Any) -> Any:
-    from urllib.request import Request, urlopen
-
-    body = json.dumps(value).encode()
-    with urlopen(Request(url, body, {"Content-Type": "application/json"}), timeout=60) as answer:
-        return json.load(answer)
+def press(button: Any) -> None:
+    """Press a button of the page, from here."""
+    button.value = True
 
 
-def test_the_command_ends_when_the_page_is_done_and_its_file_stays(tmp_path: Path) -> None:
-    running, url = started(tmp_path / "pairs.yaml")
-    assert post(f"{url}pairs/0", [{"uv": [5, 6], "xyz": [7, 8, 9]}])["count"] == 1
-    assert post(f"{url}done", {})["count"] == 1
-    said, complaints = running.communicate(timeout=120)
-    assert running.returncode == 0, complaints
-    assert f"1 pairs of 1 frames in {tmp_path / 'pairs.yaml'}" in said
-    assert "--calibrator picked" in said
-    assert len(read_pairs(tmp_path / "pairs.yaml")["scene-0000"]) == 1
+# ---- the pictures in their plane
 
 
-def test_ctrl_c_ends_it_too_and_no_pairs_are_status_1(tmp_path: Path) -> None:
-    running, _ = started(tmp_path / "pairs.yaml")
-    time.sleep(0.5)
-    running.send_signal(signal.SIGINT)
-    said, complaints = running.communicate(timeout=120)
-    assert running.returncode == 1
-    assert "0 pairs" in said
-    assert complaints == ""
-
-
-def test_wrong_words_are_told_before_anything_is_served(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    base = ["pick", "--no-browser", "--data", DATA]
-    assert main([*base, "--out", str(tmp_path / "none" / "pairs.yaml")]) == 2
-    assert "folder of the pairs is missing" in capsys.readouterr().err
-    assert main([*base, "--out", str(tmp_path / "pairs.yaml"), "--frames", "7"]) == 2
-    assert "out of range" in capsys.readouterr().err
-    assert main([*base, "--out", str(tmp_path / "pairs.yaml"), "--port", "70000"]) == 2
-    write_pairs(tmp_path / "pairs.yaml", {})
-    (tmp_path / "pairs.yaml").write_text("[]")
-    assert main([*base, "--out", str(tmp_path / "pairs.yaml")]) == 2
-    assert "another form" in capsys.readouterr().err
+def test_positions_and_pixels_of_a_picture_are_inverse_and_pictures_do_not_overlap(server: PickServer) -> None:
+    assert server.image.bottom < server.sweep.top
+    for picture in (server.image, server.sweep, Panel(7, 3, 5.0, 2)):
+        pixels = np.array([[-0.5, -0.5], [0, 0], [2.3, 1.6], [picture.columns - 0.501, picture.rows - 0.501]])
+        for pixel, position in zip(pixels, picture.position(pixels), strict=True):
+            found = picture.pixel(position)
+            assert found is not None
+            np.testing.assert_allclose(found, pixel, atol=1e-9)
+        for outside in ([-0.6, 0], [0, -0.6], [picture.columns - 0.4, 0], [0, picture.rows - 0.4]):
+            (position,) = picture.position(np.array([outside]))
+            assert picture.pixel(position) is None
+    columns, rows = np.diff(Panel(10, 3, 0.0, 4).position(np.array([[0, 0], [1, 1]])), axis=0)[0]
+    assert rows == pytest.approx(4 * columns)
 
 
 # ---- in a browser
 
 
-class Page:
-    """The page in a browser, with what a person does on it."""
+def opened(driver: Any, server: PickServer) -> Any:
+    """Return the page of a server, ready for clicks."""
+    from tests.in_browser import Page
 
-    def __init__(self, driver: Any, url: str) -> None:
-        self.driver, self.url = driver, url
-        driver.get_log("browser")
-        driver.get_log("performance")
-        driver.get(url)
-        self.until(lambda: "click a point" in self.text("note"))
-
-    def text(self, name: str) -> str:
-        return str(self.driver.execute_script("return document.getElementById(arguments[0]).textContent", name))
-
-    def until(self, true: Any) -> None:
-        from selenium.webdriver.support.ui import WebDriverWait
-
-        WebDriverWait(self.driver, 90).until(lambda _: true())
-
-    def click(self, pane: str, x: float, y: float) -> None:
-        """Click a place of a picture, in its own units from its left upper corner."""
-        from selenium.webdriver import ActionChains
-
-        canvas = self.driver.find_element("id", pane)
-        left, top, scale = json.loads(canvas.get_attribute("data-view"))
-        size = canvas.size
-        at = (left + x * scale - size["width"] / 2, top + y * scale - size["height"] / 2)
-        ActionChains(self.driver).move_to_element_with_offset(canvas, round(at[0]), round(at[1])).click().perform()
-
-    def rows(self) -> list[list[str]]:
-        script = "return [...document.querySelectorAll('#pairs tr')].map(r => [...r.cells].map(c => c.textContent))"
-        return list(self.driver.execute_script(script))
-
-    def off(self) -> list[float]:
-        return [float(row[3]) for row in self.rows() if row[3]]
-
-    def press(self, name: str) -> None:
-        self.driver.find_element("id", name).click()
-
-    def complaints(self) -> list[str]:
-        return [entry["message"] for entry in self.driver.get_log("browser")]
-
-    def elsewhere(self) -> list[str]:
-        """Return the addresses outside of the page's own that were asked for."""
-        events = [json.loads(entry["message"])["message"] for entry in self.driver.get_log("performance")]
-        sent = [e["params"]["request"]["url"] for e in events if e["method"] == "Network.requestWillBeSent"]
-        # The browser's own first page (chrome:) may still be loading its parts.
-        return [url for url in sent if not url.startswith((self.url, "data:", "blob:", "chrome:"))]
+    page = Page(driver, server.url)
+    # Without a GPU viser shows a notification, which covers a part of the image.
+    page.run("document.head.append(Object.assign(document.createElement('style'), {textContent: arguments[0]}))", HIDE)
+    says(page, "Click a point in one view")
+    page.until(lambda: server._viser.get_clients())
+    wait_for_whole(page, server)
+    return page
 
 
-def places(session: Session, count: int) -> list[tuple[list[float], tuple[int, int]]]:
+def wait_for_whole(page: Any, server: PickServer) -> None:
+    """Wait until the page shows the whole views."""
+    page.until(lambda: View(page).shows(np.zeros(2), np.array([100.0, server.sweep.bottom])), "whole views")
+
+
+def says(page: Any, text: str) -> None:
+    """Wait until the page says this, among other words."""
+    page.until(lambda: text in page.run("return document.body.innerText"), text)
+
+
+class View:
+    """The view of the browser: centre (2,) and half the size (2,) in the plane, and the canvas in the window [px]."""
+
+    def __init__(self, page: Any) -> None:
+        distance, up, left, fov_deg, aspect, *self.canvas = page.run(VIEW)
+        # The axes of the browser's scene are -z, -y and -x of ours.
+        self.centre = np.array([-left, -up])
+        self.half = np.tan(np.radians(fov_deg) / 2) * distance * np.array([aspect, 1])
+
+    def shows(self, low: Float, high: Float, tolerance: float = 0.05) -> bool:
+        """Return whether a rectangle is in the middle, and as large as possible."""
+        centred = np.abs(self.centre - (low + high) / 2).max() <= tolerance
+        return bool(centred and abs((self.half - (high - low) / 2).min()) <= tolerance)
+
+    def screen(self, position: Float) -> tuple[int, int]:
+        """Return where a position of the plane is in the window [px]."""
+        left, top, *size = self.canvas
+        x, y = ((position - self.centre) / self.half + 1) / 2 * size + [left, top]
+        return round(x), round(y)
+
+
+VIEW = """
+const { camera, canvas } = window.__viserMutable, box = canvas.getBoundingClientRect();
+return [...camera.position, camera.fov, camera.aspect, box.left, box.top, box.width, box.height];
+"""
+
+
+def click(page: Any, server: PickServer, picture: Panel, pixel: Any) -> None:
+    """Click a pixel of a picture."""
+    from selenium.webdriver.common.actions.action_builder import ActionBuilder
+
+    (position,) = picture.position(np.array([pixel], np.float64))
+    actions = ActionBuilder(page.driver)
+    actions.pointer_action.move_to_location(*View(page).screen(position)).click()
+    actions.perform()
+
+
+def drag(page: Any, low: Float, high: Float) -> None:
+    """Draw a rectangle of the plane, and wait until the page shows it."""
+    from selenium.webdriver.common.actions.action_builder import ActionBuilder
+
+    actions, view = ActionBuilder(page.driver), View(page)
+    actions.pointer_action.move_to_location(*view.screen(low)).pointer_down()
+    actions.pointer_action.move_to_location(*view.screen((low + high) / 2))
+    actions.pointer_action.move_to_location(*view.screen(high)).pointer_up()
+    actions.perform()
+    page.until(lambda: View(page).shows(low, high, 2 * view.half[0] / view.canvas[2]), "zoomed")
+
+
+def places(session: PickSession, count: int, seed: int = 2) -> list[tuple[Float, tuple[int, int]]]:
     """Return pixels of the image and of the range image that show the same points, at different distances."""
-    told = session.described(0)
-    found = []
-    assert FRAME.camera_from_lidar is not None
-    for column in range(2, told["columns"] - 2, 5):
-        for row in range(1, told["rows"], 3):
-            point = session.point(0, column, row)
-            if point is None or (point["column"], point["row"]) != (column, row):
-                continue
-            uv = FRAME.camera.project(se3.apply(FRAME.camera_from_lidar, np.array([point["xyz"]])))[0]
-            if FRAME.camera.in_image(uv, -8):
-                found.append(([float(x) for x in uv], (column, row)))
-    chosen = np.random.default_rng(2).choice(len(found), count, replace=False)
-    return [found[i] for i in chosen]
+    rows, columns = np.nonzero(session.ranges.index >= 0)
+    uv = FRAME.camera.project(se3.apply(POSE, session.ranges.xyz[session.ranges.index[rows, columns]]))
+    seen = np.flatnonzero(FRAME.camera.in_image(uv, -8))
+    chosen = np.random.default_rng(seed).choice(seen, count, replace=False)
+    return [(uv[i], (int(columns[i]), int(rows[i]))) for i in chosen]
 
 
-def test_clicks_make_pairs_that_give_the_pose(browser: Any, tmp_path: Path) -> None:
-    """Nine pairs, one wrong: it is marked, and deleted; the file then gives the extrinsic as well as clicks may."""
-    path = tmp_path / "pairs.yaml"
-    session = Session([FRAME], ["stage"], [0], path)
-    told = session.described(0)
-    chosen = places(session, 10)
-    with PickServer(session) as server:
-        page = Page(browser, server.url)
-        for i, (uv, (column, row)) in enumerate(chosen):
-            wrong = 90 if i == 3 else 0
-            wrong = -wrong if uv[0] > FRAME.camera.width / 2 else wrong
-            first, then = ("image", "range") if i % 2 else ("range", "image")
-            for pane in (first, then):
-                if pane == "image":
-                    page.click("image", uv[0] + 0.5 + wrong, uv[1] + 0.5)
-                else:
-                    page.click("range", column + 0.5, (row + 0.5) * told["stretch"])
-                if pane == first:
-                    page.until(lambda: "now the same point" in page.text("note"))
-            page.until(lambda i=i: f"{i + 1} pairs of this frame, saved" in page.text("note"))
-            assert len(read_pairs(path)["stage"]) == i + 1, "the file is written after every pair"
-        page.until(lambda: "converged: 9 of 10 picks agree" in page.text("result"))
-        page.until(lambda: len(page.off()) == 10)
-        off = page.off()
-        assert off[3] > 40
-        assert max(off[:3] + off[4:]) < 6
-        bad = browser.execute_script(
-            "return [...document.querySelectorAll('#pairs tr.bad td:first-child')].map(c => c.textContent)"
-        )
-        assert bad == ["4"]
-        browser.execute_script("document.querySelectorAll('#pairs button')[3].click()")
-        page.until(lambda: "9 of 9 picks agree" in page.text("result"))
-        kept = read_pairs(path)["stage"]
-        assert len(kept) == 9
-        known = {tuple(np.round(xyz, 6)) for xyz in FRAME.cloud.xyz}
-        assert all(tuple(np.round(xyz, 6)) in known for xyz in kept.xyz)
-        page.press("done")
-        page.until(lambda: "done: 9 pairs" in page.text("note"))
-        assert server.done.wait(5)
-        assert page.complaints() == []
-        assert page.elsewhere() == []
+def test_clicks_make_pairs_that_yield_the_pose(browser: Any, server: PickServer) -> None:
+    """Nine pairs, one wrong: it is marked, then deleted; the file then yields the extrinsic."""
+    session = server.session
+    page = opened(browser, server)
+    for i, (uv, place) in enumerate(places(session, 10)):
+        wrong = 0 if i != 3 else -90 if uv[0] > FRAME.camera.width / 2 else 90
+        both = [(server.image, uv + [wrong, 0]), (server.sweep, place)]
+        for picture, pixel in both if i % 2 else both[::-1]:
+            click(page, server, picture, pixel)
+            if picture is (both if i % 2 else both[::-1])[0][0]:
+                says(page, "now the same point of the " + ("sweep" if i % 2 else "image"))
+        says(page, f"{i + 1} pairs of this frame, saved")
+        assert len(read_pairs(session.path)["<b>first</b>"]) == i + 1, "the file is written after every pair"
+    says(page, "converged: 9 of 10 picks agree")
+    says(page, "predicted error (67 %)")
+    page.until_equal(lambda: page.texts("table.pairs tr.outlier td:first-child"), ["4"])
+    errors = [float(text) for text in page.texts("table.pairs td:last-child")]
+    assert errors[3] > 40
+    assert max(errors[:3] + errors[4:]) < 6
+    server.pair.value = "4"
+    press_text(page, "delete this pair")
+    says(page, "9 of 9 picks agree")
+    wait_for_whole(page, server)
+    kept = read_pairs(session.path)["<b>first</b>"]
+    assert len(kept) == 9
+    known = {tuple(np.round(xyz, 6)) for xyz in FRAME.cloud.xyz}
+    assert all(tuple(np.round(xyz, 6)) in known for xyz in kept.xyz)
+    press_text(page, "done")
+    says(page, "done: 9 pairs")
+    assert server.done.wait(60)
+    assert page.complaints("SEVERE") == []
+    assert page.elsewhere() == []
+    browser.get("about:blank")
     solved = solve_picks([PickedFrame("stage", FRAME.camera, kept)])
     assert solved.camera_from_lidar is not None
-    assert FRAME.camera_from_lidar is not None
-    assert pose_error(solved.camera_from_lidar, FRAME.camera_from_lidar).rotation_deg < 1.0
+    assert pose_error(solved.camera_from_lidar, POSE).rotation_deg < 1.0
 
 
-def test_zoom_layers_frames_and_a_page_that_is_opened_again(browser: Any, tmp_path: Path) -> None:
-    """The second frame is the first with another name; a click while zoomed in is the place that is seen there."""
-    from selenium.webdriver import ActionChains
-    from selenium.webdriver.common.actions.wheel_input import ScrollOrigin
+def press_text(page: Any, text: str) -> None:
+    """Press the button that says this."""
+    script = "[...document.querySelectorAll('button')].find((b) => b.textContent === arguments[0]).click()"
+    page.run(script, text)
+
+
+def test_a_click_in_a_zoomed_picture_is_exact_and_keys_change_view_and_frame(browser: Any, server: PickServer) -> None:
+    """One pixel of the image is many of the screen: the click is within a tenth of a pixel of where it was meant."""
     from selenium.webdriver.common.keys import Keys
-    from selenium.webdriver.support.ui import Select
 
-    session = Session([FRAME, FRAME], ["<b>first</b>", "second"], [0, 1], tmp_path / "pairs.json")
-    told = session.described(0)
-    (uv, (column, row)), *_ = places(session, 1)
-    with PickServer(session) as server:
+    session = server.session
+    page = opened(browser, server)
+    wanted = np.array([117.3, 84.6])
+    (position,) = server.image.position(wanted[None])
+    drag(page, position - 1.5, position + [3.0, 1.5])
+    click(page, server, server.image, wanted)
+    says(page, "now the same point of the sweep")
+    assert session.picked_uv is not None
+    np.testing.assert_allclose(session.picked_uv, wanted, atol=0.1)
+    wait_for_whole(page, server)
+    # Esc discards it; F shows the whole views.
+    page.find("body").send_keys(Keys.ESCAPE)
+    page.until(lambda: session.picked_uv is None)
+    (place,) = server.sweep.position(np.array([(uv := places(session, 1)[0])[1]]))
+    drag(page, place - 2, place + 2)
+    page.find("body").send_keys("f")
+    wait_for_whole(page, server)
+    click(page, server, server.sweep, uv[1])
+    says(page, "now the same point of the image")
+    # Another frame discards it, too.
+    page.find("body").send_keys("n")
+    page.until_equal(lambda: (session.number, server.frames.value), (1, "1: second"))
+    assert session.picked_xyz is None
+    page.find("body").send_keys("n")
+    page.find("body").send_keys("p")
+    page.until_equal(lambda: (session.number, server.frames.value), (0, "0: <b>first</b>"))
+    assert page.complaints("SEVERE") == []
+    assert page.elsewhere() == []
+    browser.get("about:blank")
+
+
+def test_on_a_phone_both_pictures_are_above_the_controls(browser: Any, server: PickServer) -> None:
+    from tests.in_browser import Page, window
+
+    with window(browser, 390, 844):
         page = Page(browser, server.url)
-        canvas = browser.find_element("id", "image")
-        scale = json.loads(canvas.get_attribute("data-view"))[2]
-        for _ in range(3):
-            ActionChains(browser).scroll_from_origin(ScrollOrigin.from_element(canvas), 0, -100).perform()
-        page.until(lambda: json.loads(canvas.get_attribute("data-view"))[2] > 2 * scale)
-        left, top, scale = json.loads(canvas.get_attribute("data-view"))
-        middle = [(canvas.size["width"] / 2 - left) / scale, (canvas.size["height"] / 2 - top) / scale]
-        page.click("image", *middle)
-        page.until(lambda: "now the same point of the sweep" in page.text("note"))
-        Select(browser.find_element("id", "layer")).select_by_visible_text("bearing")
-        page.click("range", column + 0.5, (row + 0.5) * told["stretch"])
-        page.until(lambda: "1 pairs of this frame, saved" in page.text("note"))
-        kept = read_pairs(tmp_path / "pairs.json")["<b>first</b>"]
-        assert kept.uv[0] == pytest.approx([middle[0] - 0.5, middle[1] - 0.5], abs=1 / scale)
-        # A point that waits is forgotten with Esc, and in another frame.
-        page.press("fit")
-        page.click("image", uv[0] + 0.5, uv[1] + 0.5)
-        browser.find_element("tag name", "body").send_keys(Keys.ESCAPE)
-        page.click("range", column + 0.5, (row + 0.5) * told["stretch"])
-        page.until(lambda: "now the same point of the image" in page.text("note"))
-        page.press("next")
-        page.until(lambda: "click a point" in page.text("note"))
-        assert page.rows() == []
-        page = Page(browser, server.url)
-        assert Select(browser.find_element("id", "frame")).first_selected_option.text == "<b>first</b> (1)"
-        assert len(page.rows()) == 1
-        assert page.complaints() == []
-        assert page.elsewhere() == []
+        says(page, "Click a point in one view")
+        page.until(lambda: server._viser.get_clients())
+        low, high = np.zeros(2), np.array([100.0, server.sweep.bottom])
+
+        def visible() -> bool:
+            (left, top), (right, bottom) = (View(page).screen(corner) for corner in (low, high))
+            return left >= -1 and top >= -1 and right <= 391 and bottom <= 0.4 * 844 + 1
+
+        page.until(visible)
+    browser.get("about:blank")
+
+
+# ---- what is pressed
+
+
+def test_layers_are_shown_and_pairs_are_selected_and_deleted(server: PickServer) -> None:
+    session = server.session
+    for each in places(session, 3):
+        session.pick_pixel(each[0])
+        session.pick_point(*each[1])
+    server.show()
+    assert server.frames.value == "0: <b>first</b> (3)"
+    assert server.pair.options == ("none", "1", "2", "3")
+    press(server.delete)
+    assert len(session.pairs) == 3, "none is selected"
+    expected = np.delete(session.pairs.uv, 1, axis=0)
+    server.pair.value = "2"
+    press(server.delete)
+    np.testing.assert_array_equal(session.pairs.uv, expected)
+    assert (server.pair.value, server.pair.options) == ("none", ("none", "1", "2"))
+    drawn = server._viser.scene.get_handle_by_name("/sweep").image
+    server.layer.value = "bearing"
+    after = server._viser.scene.get_handle_by_name("/sweep").image
+    assert after.shape == drawn.shape
+    assert not np.array_equal(after, drawn)
+    rows, columns = session.ranges.index.shape
+    times = after.shape[1] // columns
+    assert after.shape[0] == rows * session.ranges.stretch * times
+    np.testing.assert_array_equal(after[:: session.ranges.stretch * times, ::times], session.ranges.drawn("bearing"))
+
+
+def test_errors_are_shown_and_the_frame_stays(tmp_path: Path) -> None:
+    class Broken(list[Any]):
+        def __getitem__(self, index: Any) -> Any:
+            if index:
+                raise InputError("<the image> is missing") if index == 1 else ValueError("odd")
+            return FRAME
+
+    path = tmp_path / "pairs.yaml"
+    write_pairs(path, {"a": PickedPairs(np.full((4, 2), 5000.0), FRAME.cloud.xyz[:4])})
+    with PickServer(PickSession(Broken(), ["a", "b", "c"], [0, 1, 2], path)) as server:
+        assert "outside of the image" in server.status.content
+        for frame, text in (("1: b", "&lt;the image&gt; is missing"), ("2: c", "unexpected ValueError: odd")):
+            server.frames.value = frame
+            assert text in server.status.content
+            assert server.session.number == 0
+            assert server.frames.value == "0: a (4)"
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "http://127.0.0.1:1", None])
+def test_other_pages_get_no_connection_and_nothing_is_published(server: PickServer, origin: str | None) -> None:
+    from websockets.exceptions import InvalidStatus
+    from websockets.sync.client import connect
+
+    address = server.url.replace("http", "ws")
+    assert address.startswith("ws://127.0.0.1:"), "this machine only"
+    with pytest.raises(InvalidStatus, match="403"):
+        connect(address, origin=origin, subprotocols=["viser-v1.1.1"])
+    connect(address, origin=server.url.rstrip("/"), subprotocols=["viser-v1.1.1"]).close()
+    assert server._viser.request_share_url() is None
+
+
+# ---- the command
+
+
+def started(out: Path) -> tuple[subprocess.Popen[str], str]:
+    """Return a running `p2o pick` and the address that it printed."""
+    argv = [sys.executable, "-m", "p2o", "pick", "--data", DATA, "--out", str(out), "--no-browser"]
+    running = subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ})
+    assert running.stdout is not None
+    printed = re.match(r"pick at (http://127\.0\.0\.1:\d+/) ", running.stdout.readline())
+    assert printed is not None, running.communicate()[1]
+    return running, printed.group(1)
+
+
+def test_the_command_ends_when_the_page_is_done_and_its_file_stays(browser: Any, tmp_path: Path) -> None:
+    from tests.in_browser import Page
+
+    write_pairs(tmp_path / "pairs.yaml", {"scene-0000": PickedPairs(np.array([[5.0, 6]]), np.array([[7.0, 8, 9]]))})
+    running, url = started(tmp_path / "pairs.yaml")
+    page = Page(browser, url)
+    says(page, "Click a point in one view")
+    press_text(page, "done")
+    printed, complaints = running.communicate(timeout=120)
+    browser.get("about:blank")
+    assert running.returncode == 0, complaints
+    assert f"1 pairs of 1 frames in {tmp_path / 'pairs.yaml'}" in printed
+    assert "--calibrator picked" in printed
+    assert len(read_pairs(tmp_path / "pairs.yaml")["scene-0000"]) == 1
+
+
+def test_ctrl_c_ends_it_too_and_no_pairs_are_status_1(tmp_path: Path) -> None:
+    running, _ = started(tmp_path / "pairs.yaml")
+    running.send_signal(signal.SIGINT)
+    printed, complaints = running.communicate(timeout=120)
+    assert running.returncode == 1
+    assert "0 pairs" in printed
+    assert complaints == ""
+
+
+def wrong_folder(path: Path) -> list[str]:
+    return ["--out", str(path / "none" / "pairs.yaml")]
+
+
+def wrong_frames(path: Path) -> list[str]:
+    return ["--out", str(path / "pairs.yaml"), "--frames", "7"]
+
+
+def wrong_port(path: Path) -> list[str]:
+    return ["--out", str(path / "pairs.yaml"), "--port", "70000"]
+
+
+def wrong_file(path: Path) -> list[str]:
+    (path / "pairs.yaml").write_text("[]")
+    return ["--out", str(path / "pairs.yaml")]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (wrong_folder, "folder of the pairs is missing"),
+        (wrong_frames, "out of range"),
+        (wrong_port, "70000"),
+        (wrong_file, "another form"),
+    ],
+)
+def test_wrong_input_is_an_error_before_anything_is_served(
+    words: Callable[[Path], list[str]], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["pick", "--no-browser", "--data", DATA, *words(tmp_path)]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_a_port_in_use_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        words = ["pick", "--no-browser", "--data", DATA, "--out", str(tmp_path / "pairs.yaml"), "--port", str(port)]
+        assert main(words) == 2
+    assert f"127.0.0.1:{port}: the port cannot be used" in capsys.readouterr().err
+
+
+def test_without_viser_one_line_names_the_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "viser", None)
+    assert main(["pick", "--no-browser", "--data", DATA, "--out", str(tmp_path / "pairs.yaml")]) != 0
+    [line] = capsys.readouterr().err.splitlines()
+    assert "p2o pick needs the package viser" in line
+    assert line.endswith('run: pip install "viser>=1.1"')

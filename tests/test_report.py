@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import subprocess
 import sys
@@ -13,17 +14,17 @@ import numpy as np
 import pytest
 from p2o import InputError, Registry, UnknownNameError
 from p2o.cli import main
-from p2o.report import write_report
-from p2o.report.bootstrap import MIN_FRAMES, interval
-from p2o.report.figures import figures_of
-from p2o.report.log_axis import differ_much, lifted
-from p2o.report.page import _evidence
-from p2o.report.rounds import convergence
-from p2o.report.summary import Measured, Published, summarise_study
-from p2o.report.tables import latex, markdown
-from p2o.report.worst import what_went_wrong, worst_run
+from p2o.results.figures import figure_lines
 from p2o.results.verdict import Trust
-from p2o.study.store import Planned, Store, StoredRow, StoredStudy
+from p2o_study.report import write_report
+from p2o_study.report.bootstrap import MIN_FRAMES, interval
+from p2o_study.report.figures import figures_of
+from p2o_study.report.series import convergence, differ_much, lifted
+from p2o_study.report.summary import Measured, summarise_study
+from p2o_study.report.tables import latex, markdown
+from p2o_study.report.worst import outcome_text, worst_run
+from p2o_study.store import Planned, Store, StoredRow, StoredStudy
+from p2o_study.study import Published
 
 from tests.fake_study import PLUGIN, PUBLISHED, planned, rounds, run_of, staged, table2, write_store
 
@@ -47,7 +48,7 @@ def test_the_value_of_an_interval_is_the_mean_or_median_of_all_runs() -> None:
 
 def test_a_median_of_weighted_values_is_that_of_the_values_repeated() -> None:
     """An odd and an even number of runs a frame, drawn several times: numpy's median of the written-out sample."""
-    from p2o.report.bootstrap import _statistics
+    from p2o_study.report.bootstrap import _statistics
 
     rng = np.random.default_rng(0)
     values = np.sort(rng.normal(size=9))
@@ -148,27 +149,28 @@ def test_what_came_near_the_truth_and_what_went_away_from_it_is_counted_where_th
     assert summarise_study(odd, runs).groups[0].measured[0].within is None, "a store may come from anywhere"
 
 
-def test_likely_errors_that_held_and_trusted_results_that_are_wrong_are_counted() -> None:
+def test_coverage_of_predicted_errors_and_false_accepts_are_counted() -> None:
     """Turns of 0.4 and 1.5 deg, likely 0.5 and at most 1.2: one holds each bound, one neither and is over 1 deg."""
-    likely = {"likely_rotation_deg": 0.5, "likely_translation_m": 0.2}
-    likely |= {"likely_rotation_deg_95": 1.2, "likely_translation_m_95": 0.3}
-    runs = frames(1, "ours", [0.4, 1.5], trust=Trust.TRUSTED, **likely)
+    bounds = {"predicted_rotation_deg": 0.5, "predicted_translation_m": 0.2}
+    bounds |= {"predicted_rotation_deg_95": 1.2, "predicted_translation_m_95": 0.3}
+    runs = frames(1, "ours", [0.4, 1.5], trust=Trust.TRUSTED, figures=bounds)
     summary = summarise_study(STUDY, runs)
     [row] = summary.groups[0].measured
-    assert (row.held.two_thirds, row.held.nineteen_twentieths, row.trusted_wrong) == ("1/2 2/2", "1/2 2/2", 1)
+    assert (row.coverage.text_67, row.coverage.text_95, row.false_accepts) == ("1/2 2/2", "1/2 2/2", 1)
     text = markdown([summary], lambda _: ())
-    assert "| verdict | trusted, wrong | likely 2/3 | held 2/3 | held 19/20 |" in text
+    assert "| verdict | false accepts | predicted 67 % | coverage 67 % | coverage 95 % |" in text
     assert "| 2 trusted | 1 | 0.500 deg 20.0 cm | 1/2 2/2 | 1/2 2/2 |" in text
-    assert "Trusted: 2 runs, 1 of them over 1 deg or 30 cm off" in text
+    assert "Trusted: 2 runs, 1 of them with an error above 1 deg or 30 cm" in text
     assert "Trusted: 2 runs" in latex([summary])
-    silent = [replace(run, likely_rotation_deg=None) for run in runs]
-    assert "| held 2/3 |" not in markdown([summarise_study(STUDY, silent)], lambda _: ())
+    silent = [replace(run, figures={}) for run in runs]
+    assert "| coverage 67 % |" not in markdown([summarise_study(STUDY, silent)], lambda _: ())
 
 
 def test_an_offset_in_time_is_among_the_evidence_of_a_run() -> None:
-    [run] = frames(1, "ours", [0.4], time_offset_s=0.0041, time_sigma_s=0.0012, time_use="used")
-    assert ("time", "images later than told by +4.1 ms (+-1.2), used") in _evidence(run)
-    assert "time" not in dict(_evidence(replace(run, time_offset_s=None)))
+    figures = {"time_offset_s": 0.0041, "time_sigma_s": 0.0012, "time_use": "corrected"}
+    line = ("time", "images later than their timestamps by +4.1 ms, sigma 1.2 ms, corrected")
+    assert line in figure_lines(figures)
+    assert "time" not in dict(figure_lines({}))
 
 
 def test_a_run_that_raised_or_is_not_there_makes_a_row_incomplete_and_never_bold() -> None:
@@ -339,14 +341,15 @@ def test_verdicts_are_counted_in_tables_where_there_are_any() -> None:
 
 
 def test_costs_that_are_not_finite_are_no_figures(tmp_path: Path) -> None:
-    """Stores hold JSON, in which infinities are texts."""
     pytest.importorskip("plotly")
     first, second = rounds((900, 18.0))
-    run = run_of("a", "f0", 0, 1.0, 0.1, rounds=(first, {**second, "cost": "inf"}, {**second, "mean_residual": "inf"}))
+    run = run_of(
+        "a", "f0", 0, 1.0, 0.1, rounds=(first, replace(second, cost=math.inf), replace(second, mean_residual=math.inf))
+    )
     assert convergence([run]).residual_px.tolist() == [[18.0]] * 3
-    judged = {"judge": "directed-distance", "unit": "px", "start": "inf", "estimate": None}
-    html = write_report(write_store(tmp_path, [replace(run, judged=judged)]))[0].read_text()
-    assert "inf px at the start, - px at the end" in html
+    figures = {"judge": "directed-distance", "cost_unit": "px", "cost_initial": math.inf, "cost_result": None}
+    html = write_report(write_store(tmp_path, [replace(run, figures=figures)]))[0].read_text()
+    assert "inf px at the initial guess, by directed-distance" in html
 
 
 # ---- figures
@@ -441,7 +444,7 @@ def test_names_are_no_formulas() -> None:
     """matplotlib reads $...$ as mathematics and refuses what is none."""
     pytest.importorskip("matplotlib")
     runs = frames(5, r"$\nonsense{$", [1.0])
-    from p2o.report.figures import rendered
+    from p2o_study.report.figures import rendered
 
     for _, _, figure in figures_of(summarise_study(replace(STUDY, toml="title = '$x$ $\\frac$'"), runs)):
         assert rendered(figure, "png").startswith(b"\x89PNG")
@@ -459,7 +462,7 @@ def test_the_worst_run_has_the_largest_turn_then_the_worst_verdict_and_is_the_fi
     assert worst_run(unknown) is unknown[1]
 
 
-BOUND = {"likely_rotation_deg_95": 0.75, "likely_translation_m_95": 0.25}
+BOUND = {"figures": {"predicted_rotation_deg_95": 0.75, "predicted_translation_m_95": 0.25}}
 
 
 @pytest.mark.parametrize(
@@ -468,53 +471,59 @@ BOUND = {"likely_rotation_deg_95": 0.75, "likely_translation_m_95": 0.25}
         (
             1.5,
             {"trust": Trust.TRUSTED, **BOUND},
-            "It is still 1.50 deg and 10.0 cm off, from a start that is 2.00 deg and 15.0 cm off. It was called "
-            "trusted, which it should not have been. 19 of 20 such results should be within 0.75 deg and 25.0 cm, and "
-            "it is not.",
+            "The error is still large: 1.50 deg and 10.0 cm; error of the initial guess: 2.00 deg and 15.0 cm. "
+            "The verdict is trusted, a false accept. The predicted error (95 %) is 0.75 deg and 25.0 cm, less than "
+            "the error.",
         ),
         (
             2.5,
-            {"trust": Trust.DOUBTFUL, "why": "edges meet by chance"},
-            "It went away from the truth and is 2.50 deg and 10.0 cm off, from a start that is 2.00 deg and 15.0 cm "
-            "off. It was called doubtful: edges meet by chance.",
+            {"trust": Trust.DOUBTFUL, "why": "edges agree at random"},
+            "The result is worse than the initial guess: error 2.50 deg and 10.0 cm; error of the initial guess: "
+            "2.00 deg and 15.0 cm. The verdict is doubtful: edges agree at random.",
         ),
         (
             0.5,
             {"trust": Trust.TRUSTED, **BOUND},
-            "Nothing went wrong: it is 0.50 deg and 10.0 cm off, from a start that is 2.00 deg and 15.0 cm off. It was "
-            "called trusted. 19 of 20 such results should be within 0.75 deg and 25.0 cm, and it is.",
+            "The result is good: error 0.50 deg and 10.0 cm; error of the initial guess: 2.00 deg and 15.0 cm. The "
+            "verdict is trusted. The predicted error (95 %) is 0.75 deg and 25.0 cm, which covers the error.",
         ),
         (
             2.0,
             {"status": "too-few-matches", "reason": "12 pairs"},
-            "It was refused (too-few-matches): 12 pairs. The start stays, which is 2.00 deg and 10.0 cm off.",
+            "The run was refused (too-few-matches): 12 pairs. The result is the initial guess, error 2.00 deg and "
+            "10.0 cm.",
         ),
-        (1.0, {"status": "stage-failed", "reason": "", "exception": "Traceback\nNo luck\n"}, "It raised: No luck."),
+        (
+            1.0,
+            {"status": "stage-failed", "reason": "", "exception": "Traceback\nNo luck\n"},
+            "The run raised: No luck.",
+        ),
         (
             1.0,
             {"rotation_deg": None, "translation_m": None, "trust": Trust.AMBIGUOUS, "why": "", **BOUND},
-            "How wrong it is nobody knows: there is no truth. It was called ambiguous. 19 of 20 such results should be "
-            "within 0.75 deg and 25.0 cm.",
+            "The error is unknown: there is no ground truth. The verdict is ambiguous. The predicted error (95 %) is "
+            "0.75 deg and 25.0 cm.",
         ),
     ],
 )
-def test_what_went_wrong_is_told_in_words(turn: float, values: dict[str, object], said: str) -> None:
-    assert what_went_wrong(replace(run_of("a", "f", 0, turn, 0.1), **values)) == said
+def test_the_outcome_of_a_run_is_described_in_words(turn: float, values: dict[str, object], said: str) -> None:
+    assert outcome_text(replace(run_of("a", "f", 0, turn, 0.1), **values)) == said
 
 
-def test_the_median_likely_error_of_a_row_is_in_its_tables() -> None:
+def test_the_median_predicted_error_of_a_row_is_in_its_tables() -> None:
     """Runs of 0.2, 0.3 and 0.7 deg say so; one that was refused promises nothing, nor does the second row."""
-    likely = [{"likely_rotation_deg": size, "likely_translation_m": size / 10} for size in (0.2, 0.3, 0.7, 9.0)]
-    runs = [run_of("a", f"f{i}", 0, 1.0, 0.1, **values) for i, values in enumerate(likely)]
+    sizes = (0.2, 0.3, 0.7, 9.0)
+    predicted = [{"predicted_rotation_deg": size, "predicted_translation_m": size / 10} for size in sizes]
+    runs = [run_of("a", f"f{i}", 0, 1.0, 0.1, figures=values) for i, values in enumerate(predicted)]
     runs[3] = replace(runs[3], status="no-edges")
     summary = summarise_study(STUDY, [*runs, *frames(3, "b", [1.0])])
-    assert [dict(row.likely) for row in summary.groups[0].measured] == [
+    assert [dict(row.predicted) for row in summary.groups[0].measured] == [
         {"rotation_deg": 0.3, "translation_m": pytest.approx(0.03)},
         {},
     ]
     lines = [[c.strip() for c in line.split("|")[1:-1]] for line in markdown([summary], lambda _: ()).splitlines()]
     [head] = [line for line in lines if "not solved" in line]
-    cells = {line[0]: line[head.index("likely 2/3")] for line in lines if len(line) == len(head)}
+    cells = {line[0]: line[head.index("predicted 67 %")] for line in lines if len(line) == len(head)}
     assert (cells["a"], cells["b"]) == ("0.300 deg 3.0 cm", "-")
 
 
@@ -587,7 +596,7 @@ def pictures_in(folder: Path) -> tuple[list[str], list[list[dict[str, object]]]]
 
     html = (folder / "report" / "report.html").read_text()
     data = json.loads(re.search(r'id="data">(.*?)</script>', html, re.DOTALL)[1])
-    return data["pictures"], [run["pictures"] for run in data["studies"][0]["groups"][0]["runs"]]
+    return data["images"], [run["overlays"] for run in data["studies"][0]["groups"][0]["runs"]]
 
 
 def test_pictures_are_drawn_from_the_users_data_worst_frames_first(tmp_path: Path) -> None:
@@ -669,14 +678,14 @@ def refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
 
 def test_a_folder_without_a_store_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("plotly")
-    assert "there is no study" in refused(["report", str(tmp_path / "nothing")], capsys)
+    assert "the store is missing" in refused(["report", str(tmp_path / "nothing")], capsys)
     assert not (tmp_path / "nothing").exists()
 
 
 def test_an_empty_store_and_a_study_without_runs_are_told(tmp_path: Path) -> None:
     pytest.importorskip("plotly")
     Store.open(tmp_path).close()
-    with pytest.raises(InputError, match=r"there is no study in the store.*p2o ablate STUDY"):
+    with pytest.raises(InputError, match=r"the store has no study with a finished run.*p2o ablate STUDY"):
         write_report(tmp_path)
     write_store(tmp_path, [], missing=[planned(table2(1, 1)[0])])
     with pytest.raises(InputError, match=r"study 'table2' has no finished run yet.*p2o ablate table2"):
@@ -704,7 +713,7 @@ def test_frames_that_the_data_lack_are_told(tmp_path: Path, capsys: pytest.Captu
     pytest.importorskip("plotly")
     write_store(tmp_path, staged())
     line = refused(["report", str(tmp_path), "--plugin", PLUGIN, "--data", "fake:?frames=1"], capsys)
-    assert "2 of 3 frames of dataset 'fake' are not in these data; expected drive/0002, ...; got 1 frames" in line
+    assert "2 of 3 frames of dataset 'fake' are missing from the data; expected drive/0002, ...; got 1 frames" in line
     assert not (tmp_path / "report" / "report.html").exists()
 
 
@@ -713,7 +722,7 @@ def test_frames_with_other_content_are_told(tmp_path: Path, capsys: pytest.Captu
     runs = [replace(run, inputs={run.frames[0]: {"image": "0" * 64}}) for run in staged()]
     write_store(tmp_path, runs)
     line = refused(["report", str(tmp_path), "--plugin", PLUGIN, "--data", "fake:?frames=3"], capsys)
-    assert "the image of this frame is not the one that the study saw" in line
+    assert "the image of this frame differs from that of the study" in line
 
 
 @pytest.mark.parametrize("text", ["streets=fake:", "fak=fake:"])

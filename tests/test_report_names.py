@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 from p2o.cli import main
-from p2o.report import write_report
-from p2o.report.figures import figure_names, figures_of
-from p2o.report.summary import summarise_study
-from p2o.report.tables import latex, markdown
-from p2o.study.store import Planned, StoredStudy
+from p2o_study.report import write_report
+from p2o_study.report.figures import figure_names, figures_of
+from p2o_study.report.summary import summarise_study
+from p2o_study.report.tables import latex, markdown
+from p2o_study.store import Planned, StoredStudy
 
 from tests.fake_study import TOML, run_of, write_store
 

@@ -14,8 +14,9 @@ import yaml
 from p2o import InputError, se3
 from p2o.cli import main
 from p2o.results.result_json import result_from_dict
+from p2o.run.run import Run
 from p2o.testing import stage
-from p2o_plugins.data.synthetic import SyntheticOptions, truth_at
+from p2o_sim.synthetic import SyntheticOptions, truth_at
 
 PLUGIN = Path(__file__).with_name("stage_plugin.py")
 SPY = ["--plugin", str(PLUGIN), "--calibrator", "spy", "--witness", "none"]
@@ -49,8 +50,11 @@ def test_two_cameras_of_a_rig_are_calibrated_each_and_in_common(
 ) -> None:
     words = ["run", "--data", STREET, "--extractor", "depth/rings", "--rig", str(rig_file), "--json"]
     out, export = tmp_path / "out", tmp_path / "{camera}.json"
-    assert main([*words, "--out", str(out), "--export", f"json:{export}", "--require", "trusted"]) == 0
+    exports = ["--export", f"json:{export}", "--export", f"kitti:{tmp_path}/{{camera}}.txt"]
+    assert main([*words, "--out", str(out), *exports, "--require", "trusted"]) == 0
     run = json.loads(capsys.readouterr().out)
+    stated = [(entry["frame"], entry["form"], entry["trust"], entry["written"]) for entry in run.pop("exports")]
+    assert stated == [(name, form, "trusted", True) for name in ("front", "left") for form in ("json", "kitti")]
     assert set(run) == {"results", "failed", "rig", "summary"}
     assert [row["camera"] for row in run["results"]] == ["front", "left"]
     assert [row["frames"] for row in run["results"]] == [["scene-0000/front"], ["scene-0000/left"]]
@@ -151,7 +155,7 @@ def test_a_camera_with_a_bad_frame_fails_and_the_others_are_calibrated(
         (["--rig", "--joint"], "--rig: a rig has one result for each camera; expected no --joint beside it"),
         (["--rig", ""], "--rig: the rig file has no name"),
         (["--rig", "nowhere.yaml"], "nowhere.yaml"),
-        (["--rig", "--export", "json:one.json"], "expected a path with {camera} in it; got json:one.json"),
+        (["--rig", "--export", "json:one.json"], "expected a path that contains {camera}; got json:one.json"),
         (["--joint"], "hint"),
     ],
 )
@@ -171,7 +175,7 @@ def test_wrong_words_are_told_in_one_line(words: list[str], message: str, capsys
 def test_in_python_a_start_beside_a_rig_and_frames_that_name_no_camera_are_refused() -> None:
     registry = p2o.Registry.load(extra_files=[PLUGIN])
 
-    def run(*names: tuple[str, str], **words: Any) -> p2o.Run:
+    def run(*names: tuple[str, str], **words: Any) -> Run:
         return p2o.calibrate(list(frames(*names)), calibrator="spy", witness="none", registry=registry, **words)
 
     assert [row.camera for row in run(("a", "L"), ("b", "R"), ("c", "L"), rig=True).rows] == ["L", "R"]

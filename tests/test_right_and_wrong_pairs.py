@@ -8,11 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import Frame, View
-from p2o.calibration.accuracy import deviations
-from p2o.calibration.pipeline import Pipeline
 from p2o.geometry.perturb import wrong_start
-from p2o.geometry.pose_error import pose_error
+from p2o.geometry.pose_error import deviations, pose_error
 from p2o.host.registry import Registry
+from p2o.run.pipeline import Pipeline
 from p2o.run.recipe import Recipe
 
 DATA = "synthetic:?scenes=4&seed=58&right=false&width_px=828&height_px=250"

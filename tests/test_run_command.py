@@ -39,6 +39,40 @@ def named(*names: str) -> str:
     return f"fake:?names={json.dumps(names)}"
 
 
+# ---- plugins that raise what is no error
+
+
+@pytest.mark.parametrize("raised", ["SystemExit", "GeneratorExit", "CancelledError", "Own"])
+def test_whatever_a_method_raises_is_a_failed_result_that_names_it(
+    raised: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("--json", "--set", "calibrator.fail_at=1", "--set", f"calibrator.raises={raised}")
+    assert main(spy("fake:?frames=3", *words)) == 1
+    results = json.loads(capsys.readouterr().out)["results"]
+    assert [result["status"] for result in results] == ["converged", "stage-failed", "converged"]
+    assert results[1]["reason"].startswith(
+        f"plugin stage_plugin.py: calibrator 'spy' raised {raised} while calibrating"
+    )
+
+
+def test_a_method_that_is_interrupted_is_interrupted(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(spy("fake:?frames=3", "--json", "--set", "calibrator.interrupt_at=1")) == 130
+    assert len(json.loads(capsys.readouterr().out)["results"]) == 1
+
+
+def test_an_exit_outside_of_methods_is_a_defect_and_no_success(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def leave(*_: object, **__: object) -> None:
+        raise SystemExit(0)
+
+    monkeypatch.setattr("p2o.run.run.run", leave)
+    for debug in "01":
+        monkeypatch.setenv("P2O_DEBUG", debug)
+        assert main(spy("fake:?frames=3")) == 70
+        assert capsys.readouterr().err.splitlines()[-1].startswith("p2o: error: unexpected SystemExit: 0")
+
+
 # ---- bad frames among good ones
 
 
@@ -119,7 +153,7 @@ def test_a_refused_result_is_not_exported_and_the_others_are(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = spy("fake:", "--set", "calibrator.fail_at=0", "--export", f"kitti:{tmp_path}/{{frame}}.txt")
-    assert main(words) == 1
+    assert main([*words, "--export-anyway"]) == 1
     assert "p2o: not exported: " in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["drive_0001.txt"]
 
@@ -151,12 +185,15 @@ def test_a_name_of_its_own_stays_as_it_reads() -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--export", "json:{tmp}/one.json"], "several results do not fit in one file"),
-        (["--export", "json:{tmp}/{{frame}}", "--export", "kitti:{tmp}/{{frame}}"], "two outputs would be one file"),
-        (["--out", "{tmp}/o", "--export", "kitti:{tmp}/o/{{frame}}/result.json"], "two outputs would be one file"),
-        (["--export", "json:{tmp}/no/{{frame}}.json"], "the folder of the export is missing; make it first: mkdir -p"),
-        (["--export", "json:~nosuch/{{frame}}"], "there is no such home folder"),
-        (["--out", "~nosuch/out"], "there is no such home folder"),
+        (["--export", "json:{tmp}/one.json"], "several results need several files"),
+        (["--export", "json:{tmp}/{{frame}}", "--export", "kitti:{tmp}/{{frame}}"], "two outputs have the same file"),
+        (["--out", "{tmp}/o", "--export", "kitti:{tmp}/o/{{frame}}/result.json"], "two outputs have the same file"),
+        (
+            ["--export", "json:{tmp}/no/{{frame}}.json"],
+            "the folder of the export is missing; create it first: mkdir -p",
+        ),
+        (["--export", "json:~nosuch/{{frame}}"], "the home folder of an unknown user"),
+        (["--out", "~nosuch/out"], "the home folder of an unknown user"),
         (["--out", "/dev/null/out"], "cannot write the results"),
         (["--out", "{tmp}/" + 300 * "x"], "File name too long"),
     ],
@@ -194,7 +231,7 @@ def test_words_that_are_not_utf_8_are_told_before_any_work(tmp_path: Path) -> No
     done = subprocess.run(command, capture_output=True, check=False)
     assert done.returncode == 2
     assert done.stdout == b""
-    assert done.stderr.startswith(b"p2o: error: the command holds bytes that are not UTF-8; got folder:")
+    assert done.stderr.startswith(b"p2o: error: the command contains bytes that are not UTF-8; got folder:")
     assert rb"\udcff" in done.stderr
 
 

@@ -12,8 +12,8 @@ import numpy as np
 import p2o
 import pytest
 from p2o.cli import main
-from p2o.draw.brightness import brightened, display_gamma
-from p2o.formats.files import start_words
+from p2o.draw.overlay import brightened, display_gamma
+from p2o.host.calibration_file import read_initial_guess
 from p2o.results.advice import BY_DOUBT, BY_STATUS, next_steps
 from p2o.results.result_json import result_from_dict
 from p2o.results.verdict import Doubt, Reason, Verdict
@@ -65,13 +65,13 @@ def test_the_poses_of_the_page_are_the_result_whichever_is_pasted(quick: Path, t
     x, y, z, *quaternion = map(float, found["camera_from_lidar, x y z [m], quaternion x y z w"].split())
     own = tmp_path / "pose.yaml"
     own.write_text(f"camera_from_lidar: {{translation_m: {[x, y, z]}, rotation_xyzw: {quaternion}}}\n")
-    np.testing.assert_allclose(start_words(str(own))[0], pose, atol=1e-9)
+    np.testing.assert_allclose(read_initial_guess(str(own))[0], pose, atol=1e-9)
     ros = tmp_path / "static.txt"
     ros.write_text(found["ROS 2"] + "\n")
-    np.testing.assert_allclose(start_words(str(ros))[0], pose, atol=1e-9)
+    np.testing.assert_allclose(read_initial_guess(str(ros))[0], pose, atol=1e-9)
     rpy = next(text for name, text in boxes if name.startswith("camera_from_lidar, roll"))
     own.write_text(f"camera_from_lidar: {{translation_m: {[x, y, z]}, rpy_deg: {[*map(float, rpy.split())]}}}\n")
-    np.testing.assert_allclose(start_words(str(own))[0], pose, atol=1e-9)
+    np.testing.assert_allclose(read_initial_guess(str(own))[0], pose, atol=1e-9)
 
 
 def test_the_page_holds_its_pictures_and_asks_for_nothing(quick: Path) -> None:
@@ -102,7 +102,7 @@ def test_a_page_of_many_frames_is_of_bounded_size_and_says_where_the_others_are(
     html = (tmp_path / "result.html").read_text()
     assert html.count('<figure class="slides">') == 8 * 3
     assert html.count("<article") == 11
-    assert "Pictures of 1 frames lie beside this page: drive_0010" in html
+    assert "Overlays of 1 frames are in the folder of this page: drive_0010" in html
 
 
 def test_a_joint_result_shows_its_frames_and_a_failed_frame_its_reason(tmp_path: Path) -> None:
@@ -117,7 +117,7 @@ def test_a_joint_result_shows_its_frames_and_a_failed_frame_its_reason(tmp_path:
 
 
 def test_a_rig_has_a_table_of_its_cameras(quick: Path) -> None:
-    from p2o.report.run_page import run_page
+    from p2o.draw.run_page import run_page
 
     run = json.loads((quick / "run.json").read_text())
     cameras = [{"name": f"<{name}>", "rotation_deg": 0.5, "translation_m": 0.02, "left_out": ""} for name in "ab"]
@@ -156,7 +156,7 @@ def test_a_run_json_that_is_none_is_one_clear_line(
 
 def test_what_belongs_to_studies_is_refused_for_a_run(quick: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["report", str(quick), "--study", "zoo"]) == 2
-    assert "a run has no studies" in capsys.readouterr().err
+    assert "a run without studies" in capsys.readouterr().err
 
 
 def test_every_doubt_and_every_refusal_has_an_advice() -> None:
@@ -209,22 +209,23 @@ def hostile_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_page_stands_in_a_browser(
     folder: str, width: int, height: int, request: pytest.FixtureRequest, browser: Any
 ) -> None:
-    from tests.in_browser import Page
+    from tests.in_browser import Page, window
 
-    size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
-    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    page = Page(browser, request.getfixturevalue(folder) / "result.html")
-    assert page.run("return innerWidth") == width
-    assert page.run("return document.documentElement.scrollWidth") <= width, "no scrolling sideways"
-    assert page.run("return [...document.images].every((image) => image.naturalWidth > 0)")
-    assert page.run("return typeof stolen") == "undefined"
-    # Pictures keep the form of the image.
-    form = "const i = document.images[0]; return (i.clientWidth / i.clientHeight) / (i.naturalWidth / i.naturalHeight)"
-    assert page.run(form) == pytest.approx(1, abs=0.02)
-    shown = "return getComputedStyle(document.querySelectorAll('.compare img')[1]).clipPath"
-    middle = page.run(shown)
-    page.run("const s = document.querySelector('.slider'); s.value = 100; s.dispatchEvent(new Event('input'));")
-    assert page.run(shown) != middle
-    assert page.complaints() == []
-    assert page.requests() == []
-    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    path = request.getfixturevalue(folder) / "result.html"
+    with window(browser, width, height):
+        page = Page(browser, path)
+        page.until_equal(lambda: page.run("return innerWidth"), width)
+        page.until(lambda: page.run("return [...document.images].every((image) => image.naturalWidth > 0)"))
+        page.until(lambda: page.run("return document.documentElement.scrollWidth") <= width, "scrolling sideways")
+        assert page.run("return typeof stolen") == "undefined"
+        # Pictures keep the form of the image.
+        form = (
+            "const i = document.images[0]; return i.clientWidth * i.naturalHeight / (i.clientHeight * i.naturalWidth)"
+        )
+        page.until_equal(lambda: page.run(form), pytest.approx(1, abs=0.02))
+        shown = "return getComputedStyle(document.querySelectorAll('.compare img')[1]).clipPath"
+        middle = page.run(shown)
+        page.run("const s = document.querySelector('.slider'); s.value = 100; s.dispatchEvent(new Event('input'));")
+        page.until(lambda: page.run(shown) != middle)
+        assert page.complaints() == []
+        assert page.requests() == []

@@ -12,12 +12,14 @@ import pytest
 import yaml
 from p2o import Camera, Cloud, Frame, Image, InputError, se3
 from p2o.cli import main
-from p2o.frames.target import Box, Checkerboard, HoleBoard, Sphere
+from p2o.frames.frame import Box, Checkerboard, HoleBoard, Sphere
 from p2o.host.registry import Registry
 from p2o.run.recipe import open_dataset
-from p2o.simulate import write_folder, write_kitti_raw, write_vkitti2
-from p2o.simulate.write_file import write_file
 from p2o.testing import stage
+from p2o_sim.write import folder as write_folder
+from p2o_sim.write import kitti_raw as write_kitti_raw
+from p2o_sim.write import vkitti2 as write_vkitti2
+from p2o_sim.write.files import write_file
 
 SMALL = ["--set", "width_px=160", "--set", "height_px=64"]
 WRITERS = {"kitti-raw": write_kitti_raw, "vkitti2": write_vkitti2, "folder": write_folder}
@@ -194,7 +196,7 @@ def test_a_moving_sweep_is_written_as_measured_and_read_corrected_with_its_veloc
 def test_a_moving_lidar_that_turns_the_other_way_does_not_fit_kitti(tmp_path: Path) -> None:
     frame = moving(np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0]))
     other = replace(frame, cloud=replace(frame.cloud, time_s=-frame.cloud.time_s))
-    with pytest.raises(InputError, match="turns clockwise"):
+    with pytest.raises(InputError, match="rotates clockwise"):
         written("kitti-raw", tmp_path, other)
 
 
@@ -251,7 +253,7 @@ def test_the_vkitti2_layout_keeps_pictures_camera_depth_in_centimetres_and_maske
 @pytest.mark.parametrize(
     ("layout", "change", "text"),
     [
-        ("kitti-raw", {"camera_from_lidar": None}, "needs the true extrinsic"),
+        ("kitti-raw", {"camera_from_lidar": None}, "needs the ground truth"),
         ("kitti-raw", {"cloud": Cloud(stage.frame().cloud.xyz)}, "needs a ring for every point"),
         ("kitti-raw", {"cloud": stage.frame().cloud.select(stage.frame().cloud.ring < 16)}, "32 to 64 rings"),
         (
@@ -342,7 +344,7 @@ def test_a_folder_in_use_is_left_alone_unless_forced(tmp_path: Path, capsys: pyt
         (["--layout", "kitti-raw", "--set", "colour=red"], "unknown data option 'colour'"),
         (["--layout", "kitti-raw", "--set", "scenes=0"], "scenes is out of bounds"),
         (["--layout", "kitti-raw", "--set", "scenes"], "FIELD=VALUE"),
-        (["--layout", "kitti-raw", "--set", "deskew=false"], "written raw in any case"),
+        (["--layout", "kitti-raw", "--set", "deskew=false"], "always written raw"),
         (["--layout", "nuscenes"], "kitti-raw"),
         ([], "--layout"),
     ],
@@ -360,5 +362,5 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest.
     for out in (tmp_path / "file", tmp_path / "file" / "below"):
         assert main(["simulate", str(out), "--layout", "folder", *SMALL]) == 2
         error = capsys.readouterr().err
-        assert "cannot write the dataset" in error
+        assert "cannot write the data set" in error
         assert str(tmp_path / "file") in error

@@ -19,16 +19,16 @@ from p2o import Kind
 from p2o.cli import main
 from p2o.host import guard
 from p2o.host.registry import Offer
-from p2o.study import worker
-from p2o.study.ablate import Ablation, ablate
-from p2o.study.study import StudyFile, parse_study
-from p2o.study.worker import Plugins
 from p2o.testing import Case, checks_for
 from p2o.work.cache import FeatureCache
 from p2o.work.parallel import Workers
-from p2o_plugins.data import synthetic
+from p2o_sim import synthetic
+from p2o_study import worker
+from p2o_study.ablate import Ablation, ablate
+from p2o_study.study import StudyFile, parse_study
+from p2o_study.worker import Plugins
 
-from tests.test_architecture import Source, hidden_names
+from tests.test_architecture import Source, private_names
 
 FOLDER = Path(__file__).with_name("family_plugins")
 SMALL = "synthetic:?seed=0&place=yard&width_px=621&height_px=188&right=false&exposure_ev=0"
@@ -142,8 +142,8 @@ def _each_frame_once() -> Iterator[None]:
 @pytest.fixture(autouse=True)
 def _nothing_remembered() -> None:
     """What another test has left in this process would hide calls."""
-    worker._memory.clear()
-    worker._frames.clear()
+    worker._features.values.clear()
+    worker._frames.values.clear()
     worker._stages.clear()
 
 
@@ -156,7 +156,7 @@ class Bench:
 
     def study(self, more: str = "", out: str = "out") -> Ablation:
         """Run the study of the family and return what it came to."""
-        worker._memory.clear()
+        worker._features.values.clear()
         worker._stages.clear()
         text = self.family.study(more)
         plugins = Plugins(files=(str(self.family.path),))
@@ -243,4 +243,4 @@ def test_conformance(check: Case) -> None:
 def test_a_family_is_one_short_file_that_uses_public_names_of_p2o_only(file: Path) -> None:
     text = file.read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 150
-    assert list(hidden_names(Source(file, text, f"p2o_plugins.{file.stem}"))) == []
+    assert list(private_names(Source(file, text, f"p2o_plugins.{file.stem}"))) == []

@@ -117,7 +117,7 @@ def test_an_interrupt_says_that_the_same_command_goes_on(
 ) -> None:
     monkeypatch.setattr(Shown, "step", interrupted)
     assert pupil(tmp_path) == 130
-    assert "same command goes on" in capsys.readouterr().err
+    assert "same command continues" in capsys.readouterr().err
 
 
 def interrupted(self: Shown, progress: Any) -> None:
@@ -196,15 +196,15 @@ def test_no_two_frames_share_a_file() -> None:
             ["stone", "--data", "named:"],
             "cannot be trained; expected one of: calibnet, calibrcnn, lccnet, p2ornet, pupil, regnet, rggnet",
         ),
-        (["pupil", "--data", "named:?names="], "no frame is chosen"),
+        (["pupil", "--data", "named:?names="], "no frame is selected"),
         (["pupil", "--data", "named:?blank=d1/1"], "d1/1: the frame teaches nothing"),
         (["pupil"], "--data"),
         (["pupil", "--data", "named:", "--frames", "0", "--frames", "1"], "one for each --data (1); got 2"),
         (["pupil", "--data", "named:", "--share", "1", "--share", "1"], "one for each --data (1); got 2"),
         (["pupil", "--data", "named:", "--share", "0"], "--share"),
-        (["pupil", "--data", "a=named:", "--data", "a=named:"], "two data of one name"),
-        (["pupil", "--data", "named:", "--validate", "d9/*"], "no frame is held out"),
-        (["pupil", "--data", "named:", "--validate", "*"], "every frame is held out"),
+        (["pupil", "--data", "a=named:", "--data", "a=named:"], "two data sets with the same name"),
+        (["pupil", "--data", "named:", "--validate", "d9/*"], "the pattern matches no frame"),
+        (["pupil", "--data", "named:", "--validate", "*"], "all frames are held out"),
         (["pupil", "--data", "named:", "--preset", "lang"], "did you mean long"),
         (["pupil", "--data", "named:", "--encoder", "vgg"], "unknown train option 'encoder'"),
         (["pupil", "--data", "named:", "--set", "steps=0"], "train.steps is out of bounds"),

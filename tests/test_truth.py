@@ -17,7 +17,7 @@ from p2o.host.registry import Registry
 from p2o.run.run import calibrate
 
 from . import bag_files
-from .plugins.data.kitti_files import (
+from .p2o_datasets.kitti_files import (
     HEIGHT,
     PROJECTIONS,
     R_RECT,

@@ -1,4 +1,4 @@
-"""`p2o view`: the page in a real browser, headless, its sliders, who may connect, and the command's words."""
+"""`p2o view`: the page in a real headless browser, its sliders, connections, and the command."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,14 +17,14 @@ import numpy as np
 import pytest
 from p2o import Camera, se3
 from p2o.cli import main
-from p2o.formats.files import start_words
 from p2o.geometry.nudge import Nudge
+from p2o.host.calibration_file import read_initial_guess
 from p2o.testing import stage
-from p2o.viewer.session import KnownPose, Opened, ViewSession
+from p2o_pages.view.session import KnownPose, Opened, ViewSession
 
 pytest.importorskip("viser", reason="the extra `view` is not installed")
 
-from p2o.viewer.server import ViewServer, _high_enough
+from p2o_pages.view.server import ViewServer, _vertical_fov_rad
 
 STAGE = str(Path(__file__).with_name("stage_plugin.py"))
 FRAME = stage.frame()
@@ -61,45 +60,40 @@ def press(button: Any) -> None:
 
 def test_the_page_is_up_and_a_slider_changes_the_sweep_on_its_image_at_once(browser: Any, server: ViewServer) -> None:
     from selenium.webdriver.common.keys import Keys
-    from selenium.webdriver.support.ui import WebDriverWait
 
-    def until(true: Any) -> None:
-        WebDriverWait(browser, 60).until(lambda _: true())
+    from tests.in_browser import Page
 
     def picture() -> str:
         script = "return [...document.images].filter((i) => i.naturalWidth === 480).map((i) => i.src)[0] ?? ''"
-        return str(browser.execute_script(script))
+        return str(page.run(script))
 
-    def said() -> str:
-        return str(browser.execute_script("return document.body.innerText"))
+    def says(text: str) -> None:
+        page.until(lambda: text in page.run("return document.body.innerText"), text)
 
-    browser.get_log("browser")
-    browser.get_log("performance")
-    browser.get(server.url)
-    until(lambda: "begin at the start" in said() and picture())
+    page = Page(browser, server.url)
+    says("begin at the start")
     for text in ("turn x (right) [deg]", "shift z (forward) [m]", "write start.yaml", "(trusted)", "(<b>begin</b>)"):
-        assert text in said(), text
-    before = picture()
+        says(text)
+    before = page.until(picture)
     server.sliders["turn y"].value = 2.0
-    until(lambda: picture() not in ("", before))
-    assert "2.00 deg and" in said()
+    page.until(lambda: picture() not in ("", before))
+    says("2.00 deg and")
     pose = Nudge("camera", (0.0, 2.0, 0.0)).applied(RESULT)
     assert np.array_equal(server.session.pose, pose)
     assert np.array_equal(server.overlay.image, server.session.shown.overlay(pose))
     # A person writes a number beside a slider.
-    fields = "[...document.querySelectorAll('input[type=text]')].filter((i) => i.value === '0' && i.offsetWidth)"
-    field = browser.execute_script(f"return {fields}[0]")
+    fields = "[...document.querySelectorAll('input[type=text]')].filter((i) => i.offsetWidth)"
+    # Sliders of turns are the first ones: x, y, z.
+    page.until_equal(lambda: page.run(f"return {fields}.slice(0, 3).map((i) => i.value)"), ["0", "2", "0"])
+    field = page.run(f"return {fields}[0]")
     before = picture()
     field.click()
     field.send_keys(Keys.END, Keys.BACKSPACE, "1.5", Keys.ENTER)
-    until(lambda: picture() not in ("", before))
-    assert server.session.nudge == Nudge("camera", (1.5, 2.0, 0.0))
-    complaints = [entry["message"] for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
-    assert complaints == []
-    events = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
-    asked = {e["params"]["request"]["url"] for e in events if e["method"] == "Network.requestWillBeSent"}
+    page.until_equal(lambda: server.session.nudge, Nudge("camera", (1.5, 2.0, 0.0)))
+    page.until(lambda: picture() not in ("", before))
+    assert page.complaints("SEVERE") == []
+    assert page.elsewhere() == []
     browser.get("about:blank")
-    assert all(url.startswith((server.url, "data:", "blob:", "chrome:")) for url in asked), asked
 
 
 # ---- what is pressed
@@ -129,7 +123,7 @@ def test_other_axes_are_named_on_the_sliders_and_keep_the_pose(server: ViewServe
 def test_the_button_writes_what_start_reads(server: ViewServer) -> None:
     server.sliders["shift y"].value = 0.1
     press(server.write)
-    assert np.allclose(start_words(str(server.session.out))[0], server.session.pose, rtol=0, atol=1e-12)
+    assert np.allclose(read_initial_guess(str(server.session.out))[0], server.session.pose, rtol=0, atol=1e-12)
     assert "start.yaml: p2o run --start" in server.status.content
 
 
@@ -140,14 +134,14 @@ def test_the_cloud_has_the_colours_that_are_chosen_and_poses_can_be_hidden(serve
         assert np.array_equal(server.cloud.colors, expected)
     server.shows["result"].value = False
     assert (server._frustum["start"].visible, server._frustum["result"].visible) == (True, False)
-    server.shows["picture"].value = False
-    assert (server._frustum["now"].visible, server._frustum["picture"].visible) == (True, False)
+    server.shows["image"].value = False
+    assert (server._frustum["now"].visible, server._frustum["image"].visible) == (True, False)
 
 
 def test_a_view_through_the_camera_holds_the_whole_image_in_any_window() -> None:
     camera = Camera.pinhole(100.0, 100.0, 199.5, 99.5, 400, 200)
-    assert np.isclose(_high_enough(camera, 4.0), np.pi / 2), "a wide window: the image is 200 px high, 90 deg"
-    assert np.isclose(np.tan(_high_enough(camera, 1.0) / 2), 2.0), "a square one: its 400 px of width have to fit"
+    assert np.isclose(_vertical_fov_rad(camera, 4.0), np.pi / 2), "a wide window: the image is 200 px high, 90 deg"
+    assert np.isclose(np.tan(_vertical_fov_rad(camera, 1.0) / 2), 2.0), "a square one: its 400 px of width have to fit"
 
 
 def test_another_frame_keeps_the_pose_and_a_calibration_gives_it_a_result(server: ViewServer) -> None:
@@ -192,13 +186,12 @@ def test_ctrl_c_ends_it(tmp_path: Path) -> None:
     assert running.stdout is not None
     line = running.stdout.readline()
     assert re.match(r"view at http://127\.0\.0\.1:\d+/ \(Ctrl-C here ends it\)", line), running.communicate()[1]
-    time.sleep(0.3)
     running.send_signal(signal.SIGINT)
     said, complaints = running.communicate(timeout=60)
     assert (running.returncode, said, complaints) == (0, "", "")
 
 
-def looked_at(monkeypatch: pytest.MonkeyPatch, words: list[str]) -> ViewSession:
+def opened_session(monkeypatch: pytest.MonkeyPatch, words: list[str]) -> ViewSession:
     """Return the session that a command would serve."""
     seen: list[ViewSession] = []
 
@@ -207,7 +200,7 @@ def looked_at(monkeypatch: pytest.MonkeyPatch, words: list[str]) -> ViewSession:
             seen.append(session)
             raise KeyboardInterrupt
 
-    monkeypatch.setattr("p2o.viewer.server.ViewServer", Seen)
+    monkeypatch.setattr("p2o_pages.view.server.ViewServer", Seen)
     assert main(words) == 130
     [session] = seen
     return session
@@ -219,12 +212,12 @@ def test_a_folder_of_a_run_shows_where_it_began_and_ended(tmp_path: Path, monkey
     assert main([*run, "--perturb", "2deg 0.1m", "--out", str(tmp_path / "out")]) == 0
     row = json.loads((tmp_path / "out" / "run.json").read_text())["results"][0]
     for words in ([str(tmp_path / "out")], ["fake:?frames=3", "--frames", "1", "--run", str(tmp_path / "out")]):
-        session = looked_at(monkeypatch, view(tmp_path, *words))
+        session = opened_session(monkeypatch, view(tmp_path, *words))
         assert session.names == ("drive/0001",)
-        assert session.start.said == "where the run began"
+        assert session.start.description == "the initial guess of the run"
         assert np.allclose(session.start.camera_from_lidar, row["start"])
         assert session.result is not None
-        assert session.result.said.startswith(row["verdict"]["trust"])
+        assert session.result.description.startswith(row["verdict"]["trust"])
         assert np.allclose(session.pose, row["camera_from_lidar"])
 
 
@@ -255,17 +248,19 @@ def test_a_run_of_frames_of_python_asks_where_they_are(
     (tmp_path / "run.json").write_text(json.dumps(run.as_dict()))
     assert main(view(tmp_path, str(tmp_path))) == 2
     assert f"p2o view DATASET:PATH --run {tmp_path}" in capsys.readouterr().err
-    session = looked_at(monkeypatch, view(tmp_path, "fake:", "--run", str(tmp_path)))
+    session = opened_session(monkeypatch, view(tmp_path, "fake:", "--run", str(tmp_path)))
     assert session.result is None, "no frame of these data is called as the one of the run"
 
 
 def test_frames_without_any_start_are_looked_at_from_a_guess(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bare = stage.frame().without_truth()
     monkeypatch.setattr(stage, "frame", lambda: bare)
-    session = looked_at(monkeypatch, view(tmp_path, "fake:"))
-    assert session.start.said.startswith("a guess, for nobody says any: roughly x forward")
-    told = looked_at(monkeypatch, view(tmp_path, "fake:", "--start", "roughly x forward, z up; camera looks left"))
-    assert told.start.said == "the pose of roughly x forward, z up; camera looks left"
+    session = opened_session(monkeypatch, view(tmp_path, "fake:"))
+    assert session.start.description.startswith("a guess, as none is given: roughly x forward")
+    given = opened_session(
+        monkeypatch, view(tmp_path, "fake:", "--start", "roughly x forward, z up; camera looks left")
+    )
+    assert given.start.description == "the pose of roughly x forward, z up; camera looks left"
 
 
 @pytest.mark.parametrize(

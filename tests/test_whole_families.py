@@ -23,15 +23,15 @@ from p2o.geometry.perturb import parse_perturbation
 from p2o.host.guard import GuardedCalibrator
 from p2o.run.recipe import open_dataset
 from p2o.run.words import split_data
-from p2o.study import worker
-from p2o.study.ablate import Ablation, ablate
-from p2o.study.study import StudyFile, parse_study
-from p2o.study.worker import Plugins
 from p2o.testing import checks_for, stage
 from p2o.work.cache import FeatureCache
 from p2o.work.parallel import Workers
+from p2o_study import worker
+from p2o_study.ablate import Ablation, ablate
+from p2o_study.study import StudyFile, parse_study
+from p2o_study.worker import Plugins
 
-from tests.test_architecture import HEAVY, Source, hidden_names
+from tests.test_architecture import HEAVY, Source, private_names
 
 FOLDER = Path(__file__).with_name("family_plugins")
 FAMILIES = {"hand-eye-poses": "hand_eye", "checkerboard": "checkerboard", "regressor": "regressor"}
@@ -85,8 +85,8 @@ def offer_of(name: str) -> Any:
 def _no_others(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.delenv("P2O_PLUGINS", raising=False)
     # What another test has left in this process would hide that something is prepared.
-    worker._memory.clear()
-    worker._frames.clear()
+    worker._features.values.clear()
+    worker._frames.values.clear()
     with threadpoolctl.threadpool_limits(1):
         yield
 
@@ -123,7 +123,7 @@ def test_a_family_is_one_short_file_on_public_names(name: str) -> None:
     path = FOLDER / f"{FAMILIES[name]}.py"
     source = Source(path, path.read_text(encoding="utf-8"), f"p2o_example.{FAMILIES[name]}")
     assert len(source.text.splitlines()) <= 150
-    assert list(hidden_names(source)) == []
+    assert list(private_names(source)) == []
     assert not {found.module.partition(".")[0] for found in source.imports_on_load} & HEAVY
 
 
@@ -190,8 +190,9 @@ class Bench:
 
     def start(self) -> Ablation:
         """Run the study, or go on with it, as a fresh process would."""
-        worker._memory.clear()
-        worker._frames.clear()
+        worker._features.values.clear()
+        worker._frames.values.clear()
+        worker._stages.clear()
         file = StudyFile(parse_study(self.text), self.text, "test")
         plugins = Plugins(files=(str(self.family.plugin),))
         return ablate(
@@ -221,7 +222,7 @@ def test_a_study_resumes_and_prepares_every_frame_once(
         assert row.solved, row.reason
         assert row.rotation_deg < within.angle_deg
         assert row.translation_m < within.distance_m
-        assert row.agreement is not None
+        assert row.figures["odds_ratio"] is not None
         assert row.trust in ("trusted", "doubtful")
     assert bench.start().computed == 0
 
@@ -243,7 +244,7 @@ def test_a_row_of_a_study_is_what_a_run_gives(
     [row] = [row for row in Bench(family, tmp_path).start().rows if row.seed == 0]
     run = family.run(capsys, "--witness", "depth/rings", "--seed", "0")
     np.testing.assert_allclose(row.estimate, run["camera_from_lidar"], atol=1e-9)
-    assert row.agreement == pytest.approx(run["agreement"]["odds_ratio"], rel=0.01)
+    assert row.figures["odds_ratio"] == pytest.approx(run["agreement"]["odds_ratio"], rel=0.01)
 
 
 # ---- hand-eye

@@ -1,58 +1,143 @@
-"""Objects that both sensors box, laid upon each other by two particle swarms: `atop`, after Sun et al. 2022.
+"""Align objects that both sensors detect, by two particle swarms: `--calibrator atop`, after Sun et al. 2022.
 
     p2o run --calibrator atop --set calibrator.boxes=FOLDER
 
-What is left out, because it is learned: the network that predicts the overlap of both fields of view, the detectors,
-and the matching of objects by attention. Boxes are given, a file a frame (`object_boxes`), or written from the
-simulator (`python benchmarks/simulated_boxes.py`). A cuboid and a rectangle of one kind belong together at a pose
-where each is the other's nearest.
+Learned parts are left out: the network that predicts the overlap of the fields of view, the detectors, and the
+attention that matches objects. Boxes are read from one file per frame (`BoxFile`) or written from the simulator
+(`python benchmarks/simulated_boxes.py`). A cuboid and a rectangle of the same class match at a pose if each is the
+other's nearest.
 
-1. Ground: lower faces of cuboids are put onto the plane of the ground (RANSAC), if that is within `ground_m`: boxes by
-   eye and by detectors float.
-2. First swarm, over the whole range: the middles of the lower and upper edges of a projected cuboid and of its
-   rectangle, apart by how many heights of the rectangle, at most one.
-3. Second swarm, over `second_share` of the range: one minus the overlap (intersection over union) of the rectangle
-   around the projected cuboid with its own.
-Costs are means over the cuboids that are in the picture at the start, so that no pose gains by losing one.
+1. Ground: the lower faces of cuboids are moved onto the ground plane (RANSAC) if it is within `ground_m`, because
+   annotated and detected boxes float.
+2. First swarm, over the whole range: the distance between the middles of the lower and upper edges of a projected
+   cuboid and of its rectangle, in heights of the rectangle, truncated at one.
+3. Second swarm, over `second_share` of the range: one minus the intersection over union of the bounding rectangle of
+   the projected cuboid and the matched rectangle.
 
-The figures of the swarms, and the two costs, are ours; the paper's code is not public.
+Costs are means over the cuboids that are in the image at the initial extrinsic, so that a pose cannot gain by losing
+one.
+
+The parameters of the swarms and both costs are ours; the code of the paper is not public.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import p2o
-from p2o import Judged, Result, Status
-from p2o.arrays import Bool, Float
-from p2o.problems.chart import pose_at
-from p2o.problems.swarm import swarmed
+from p2o import Bool, Float, Result, Status, field
+from p2o.reading import existing_folder, folder_name, parse_json, read_text, validated
+from p2o.solving import Judged, pose_from_chart, swarmed
+from pydantic import BaseModel, ConfigDict, Field
 
-from p2o_baselines.ground import ground_of
-from p2o_baselines.object_boxes import Objects, read_objects
+from p2o_baselines.cloud_segments import ground_of
+from p2o_baselines.target_method import refused
 
-_MARGIN_PX = 100.0  # cuboids whose middle is so far outside of the picture at the start count too
+Positive = Annotated[float, Field(gt=0)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Rectangle(_Strict):
+    """An object in the image."""
+
+    kind: str
+    uv: tuple[float, float, float, float]
+
+
+class Cuboid(_Strict):
+    """An object in the sweep."""
+
+    kind: str
+    centre: tuple[float, float, float]
+    size: tuple[Positive, Positive, Positive]
+    yaw_deg: float = 0.0
+
+    @property
+    def corners(self) -> Float:
+        """The corners (8, 3) m, the four lower ones first."""
+        x, y, z = (np.array(sign) * half for sign, half in zip(_SIGNS, np.array(self.size) / 2, strict=True))
+        cos, sin = np.cos(np.radians(self.yaw_deg)), np.sin(np.radians(self.yaw_deg))
+        return np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=1) + np.array(self.centre)
+
+
+_SIGNS = ((1, 1, -1, -1) * 2, (1, -1, 1, -1) * 2, (-1,) * 4 + (1,) * 4)
+
+
+class BoxFile(_Strict):
+    """The content of the file of a frame, with lengths in metres of the LiDAR frame.
+
+        {"boxes": [{"kind": "car", "uv": [604.0, 170.5, 660.0, 220.0]}],
+         "cuboids": [{"kind": "car", "centre": [21.3, 1.9, -0.9], "size": [4.2, 1.8, 1.5], "yaw_deg": 3.0}]}
+
+    `uv` is left, top, right, bottom in px; `yaw_deg` turns the length from x towards y.
+    """
+
+    boxes: tuple[Rectangle, ...] = ()
+    cuboids: tuple[Cuboid, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Objects:
+    """Boxes (N, 4) px and corners of cuboids (M, 8, 3) m; `same_kind` (M, N) is True for pairs of the same class."""
+
+    boxes: Float
+    corners: Float
+    same_kind: Float
+
+    @classmethod
+    def of(cls, file: BoxFile) -> Objects:
+        """Return the objects of a file."""
+        same_kind = [[cuboid.kind == box.kind for box in file.boxes] for cuboid in file.cuboids]
+        return cls(
+            np.reshape([box.uv for box in file.boxes], (-1, 4)),
+            np.reshape([cuboid.corners for cuboid in file.cuboids], (-1, 8, 3)),
+            np.reshape(np.array(same_kind, np.float64), (len(file.cuboids), len(file.boxes))),
+        )
+
+
+def read_objects(folder: str, name: str) -> Objects | None:
+    """Return the objects of the frame `name` from FOLDER/NAME.json; None without such a file.
+
+    Characters that a file name cannot have are replaced by `_` (2011_09_26_0005_0000000010.json). Raises InputError for
+    a missing folder and for an invalid file.
+    """
+    path = existing_folder(Path(folder), "boxes") / f"{folder_name(name)}.json"
+    if not path.exists():
+        return None
+    values = parse_json(read_text(path, "file of boxes"), "file of boxes", path)
+    if not isinstance(values, dict):
+        expected = '{"boxes": [], "cuboids": []}'
+        raise p2o.InputError("the file of boxes is not a JSON object", where=path, expected=expected)
+    return Objects.of(validated(BoxFile, values, where=path))
+
+
+_MARGIN_PX = 100.0  # cuboids whose middle is so far outside of the image at the start count too
 
 
 class AtopOptions(p2o.Options):
     """Options of `atop`."""
 
-    boxes: str = p2o.field("", help="Folder of the boxes of both sensors, NAME.json a frame.")
-    range_deg: float = p2o.field(3.0, gt=0, le=180, help="Half width of the first swarm's box in each rotation.")
-    range_m: float = p2o.field(0.2, gt=0, le=100, help="Half width of the first swarm's box in each shift.")
-    second_share: float = p2o.field(0.3, gt=0, le=1, help="Size of the second swarm's box as a share of the first's.")
-    particles: int = p2o.field(80, ge=2, le=100_000, help="Particles of each swarm.")
-    steps: int = p2o.field(80, ge=1, le=100_000, help="Steps of each swarm.")
-    ground_m: float = p2o.field(0.5, ge=0, le=10, help="Cuboids that end so near to the ground are put onto it.")
-    least_objects: int = p2o.field(3, ge=1, help="Fewer matched objects, over all frames, are too few.")
-    seed: int = p2o.field(0, ge=0, help="Seed of the swarms, and of the ground planes that are tried.")
+    boxes: str = field("", help="Folder of the boxes of both sensors, NAME.json a frame.")
+    range_deg: float = field(3.0, gt=0, le=180, help="Half width of the first swarm's box in each rotation.")
+    range_m: float = field(0.2, gt=0, le=100, help="Half width of the first swarm's box in each shift.")
+    second_share: float = field(0.3, gt=0, le=1, help="Size of the second swarm's box as a share of the first's.")
+    particles: int = field(80, ge=2, le=100_000, help="Particles of each swarm.")
+    steps: int = field(80, ge=1, le=100_000, help="Steps of each swarm.")
+    ground_m: float = field(0.5, ge=0, le=10, help="Cuboids that end so near to the ground are put onto it.")
+    least_objects: int = field(3, ge=1, help="Fewer matched objects, over all frames, are too few.")
+    seed: int = field(0, ge=0, help="Seed of the swarms, and of the ground planes that are tried.")
 
 
 @dataclass(frozen=True, eq=False)
 class Road:
-    """What is prepared of a frame: its name, its camera, and the ground (4,) under its sweep, empty where unknown."""
+    """The prepared part of a frame: name, camera, and the ground plane (4,) of its sweep, empty if unknown."""
 
     name: str
     camera: p2o.Camera
@@ -61,23 +146,20 @@ class Road:
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """One frame with its objects; costs are told for `corners` (M, 8, 3) of cuboids near the picture."""
+    """One frame with its objects; costs are evaluated for the `corners` (M, 8, 3) of cuboids near the image."""
 
     camera: p2o.Camera
     boxes: Float
     corners: Float
-    alike: Bool
+    same_kind: Bool
 
     def apart(self, poses: Float) -> tuple[Float, Float]:
-        """Return for poses (B, 4, 4) how far cuboids are from boxes (B, M, N), in heights, and one minus their overlap.
-
-        Both are 1 at most, and 1 for what is not of one kind.
-        """
+        """Return distances of cuboids from boxes (B, M, N) in heights and 1 - overlap, 1 for other kinds."""
         uv = self.camera.project(p2o.se3.apply(poses, self.corners.reshape(-1, 3)))
         uv = uv.reshape(len(poses), -1, 8, 2)
         low, high = uv.min(axis=2)[:, :, None], uv.max(axis=2)[:, :, None]
         size = np.array([self.camera.width - 1.0, self.camera.height - 1.0])
-        # Rectangles end at the border of the picture.
+        # Rectangles end at the border of the image.
         low, high = np.clip(low, 0.0, size), np.clip(high, 0.0, size)
         first, last = self.boxes[:, :2], self.boxes[:, 2:]
         height = np.maximum(last[:, 1] - first[:, 1], 1.0)
@@ -87,7 +169,7 @@ class Sight:
         shared = np.prod(np.maximum(np.minimum(high, last) - np.maximum(low, first), 0.0), axis=-1)
         whole = np.prod(high - low, axis=-1) + np.prod(last - first, axis=-1) - shared
         overlap = shared / np.maximum(whole, 1e-9)
-        known = self.alike & np.isfinite(off)
+        known = self.same_kind & np.isfinite(off)
         return np.where(known, np.minimum(off, 1.0), 1.0), np.where(known, 1.0 - overlap, 1.0)
 
     def costs(self, poses: Float, *, overlap: bool) -> Float:
@@ -99,7 +181,7 @@ class Sight:
 
 
 def grounded(corners: Float, ground: Float, within_m: float) -> Float:
-    """Return corners (M, 8, 3) of cuboids whose lower faces lie on the ground (4,), where they are nearly there."""
+    """Return corners (M, 8, 3) of cuboids with lower faces moved onto the ground plane (4,) if they are close to it."""
     if not len(ground) or not len(corners):
         return corners
     height = (corners[:, :4] @ ground[:3] + ground[3]).mean(axis=1)
@@ -111,7 +193,7 @@ def grounded(corners: Float, ground: Float, within_m: float) -> Float:
 
 @dataclass(frozen=True)
 class Atop:
-    """The whole method."""
+    """The calibrator."""
 
     options: AtopOptions
 
@@ -122,15 +204,15 @@ class Atop:
         return Road(frame.name, frame.camera, np.zeros(0) if ground is None else ground)
 
     def solve(self, prepared: Sequence[Road], camera_from_lidar: Float) -> Result:
-        """Return the pose at which the boxes of both sensors lie upon each other."""
+        """Return the pose that aligns the boxes of both sensors."""
         options, start = self.options, np.asarray(camera_from_lidar, np.float64)
         blank = Result(tuple(road.name for road in prepared), start, start, Status.NO_FEATURES, "")
         if not options.boxes:
-            return _refused(blank, Status.NO_FEATURES, "no boxes are given: --set calibrator.boxes=FOLDER")
+            return refused(blank, "no boxes are given: --set calibrator.boxes=FOLDER")
         objects = [(road, read_objects(options.boxes, road.name)) for road in prepared]
-        sights = [each for road, found in objects if found is not None and (each := self._sight(road, found, start))]
+        sights = [each for road, boxes in objects if boxes is not None and (each := self._sight(road, boxes, start))]
         if not sights:
-            return _refused(blank, Status.NO_FEATURES, "no frame has objects of one kind in picture and sweep")
+            return refused(blank, "no frame has objects of one kind in image and sweep")
 
         def cost(poses: Float, overlap: bool) -> Float:
             return np.concatenate([sight.costs(poses, overlap=overlap) for sight in sights], axis=1).mean(axis=1)
@@ -140,50 +222,39 @@ class Atop:
         pose = self._swarm(lambda poses: cost(poses, True), pose, half * options.second_share, rng)
         matched = sum(int((sight.costs(pose[None], overlap=True) < 0.7).sum()) for sight in sights)
         before, after = (float(cost(each[None], True)[0]) for each in (start, pose))
-        judged = Judged("atop", "1 - overlap", before, after)
-        known = replace(blank, matches={"objects": matched}, judged=judged)
+        known = replace(blank, matches={"objects": matched}, judged=Judged("atop", "1 - overlap", before, after))
         if matched < options.least_objects:
-            return _refused(known, Status.TOO_FEW_MATCHES, f"{matched} objects, {options.least_objects} are needed")
+            return refused(known, f"{matched} objects, {options.least_objects} are needed", Status.TOO_FEW_MATCHES)
         if not after < before:
-            return _refused(known, Status.NO_IMPROVEMENT, "no pose lays boxes better upon each other than the start")
+            reason = "no pose has a higher overlap of boxes than the initial extrinsic"
+            return refused(known, reason, Status.NO_IMPROVEMENT)
         reason = f"{matched} objects overlap by {1 - after:.2f} on average"
-        return Result(known.frames, start, pose, Status.CONVERGED, reason, matches=known.matches, judged=judged)
+        return replace(known, camera_from_lidar=pose, status=Status.CONVERGED, verdict=None, reason=reason)
 
     def _swarm(self, cost: Callable[[Float], Float], start: Float, half: Float, rng: np.random.Generator) -> Float:
-        options = self.options
-        found, _, _ = swarmed(
-            lambda places: cost(pose_at(start, places)),
-            -half,
-            half,
-            rng,
-            first=np.zeros(6),
-            particles=options.particles,
-            moves=options.steps,
-        )
-        return pose_at(start, found)
+        def charted(places: Float) -> Float:
+            return cost(pose_from_chart(start, places))
+
+        count, moves = self.options.particles, self.options.steps
+        best, _, _ = swarmed(charted, -half, half, rng, first=np.zeros(6), particles=count, moves=moves)
+        return pose_from_chart(start, best)
 
     def _sight(self, road: Road, objects: Objects, start: Float) -> Sight | None:
         corners = grounded(objects.corners, road.ground, self.options.ground_m)
         middle = road.camera.project(p2o.se3.apply(start, corners.mean(axis=1)))
         near = road.camera.in_image(middle, _MARGIN_PX)
-        near &= objects.alike.any(axis=1) if objects.alike.size else False
+        near &= objects.same_kind.any(axis=1) if objects.same_kind.size else False
         if not near.any():
             return None
-        return Sight(road.camera, objects.boxes, corners[near], objects.alike[near] > 0)
+        return Sight(road.camera, objects.boxes, corners[near], objects.same_kind[near] > 0)
 
 
-def _refused(result: Result, status: Status, reason: str) -> Result:
-    return Result(
-        result.frames, result.start, result.start, status, reason, matches=result.matches, judged=result.judged
-    )
-
-
-_BOXES = "the boxes of objects are files of the user, and the stage has none"
+_BOXES = "the boxes of objects are files of the user, which the stage lacks"
 METHOD = p2o.Method(
     name="atop",
     build=Atop,
     options=AtopOptions,
-    summary="Objects that both sensors box are laid upon each other by two particle swarms.",
+    summary="Aligns detected objects of both sensors by two particle swarms.",
     cite="Sun et al., ATOP: an attention-to-optimization approach for automatic LiDAR-camera calibration, T-IV 2022",
     expected_failures=(("calibrator_comes_near_the_truth", _BOXES),),
 )

@@ -1,10 +1,10 @@
-"""Grey-level edges without direction, `--extractor canny`: where most of the paper's rivals start."""
+"""Extract grey-level edges without direction, `--extractor canny`: the input of most edge-based baselines."""
 
 from __future__ import annotations
 
 import numpy as np
-from p2o import Image, ImageEdges, ImageExtractor, ImageFeatures, InputError, Method, Options, Side, field, occlusion
-from p2o.arrays import Bool
+import p2o
+from p2o import Bool, Image, ImageEdges, ImageFeatures, InputError, Options, Side, field, occlusion
 
 
 class CannyOptions(Options):
@@ -12,33 +12,33 @@ class CannyOptions(Options):
 
     low: float = field(50.0, ge=0, help="Edges are followed down to this gradient (3x3 Sobel, 8 times grey levels/px).")
     high: float = field(150.0, gt=0, help="An edge needs this gradient somewhere (3x3 Sobel, 8 times grey levels/px).")
-    blur_sigma_px: float = field(1.4, ge=0, le=20, help="Width of the Gaussian blur before, in pixels; 0 for none.")
+    blur_sigma_px: float = field(1.4, ge=0, le=20, help="Width of the Gaussian blur in pixels; 0 for none.")
     min_length_px: int = field(10, ge=1, help="Connected edges of fewer pixels than this are dropped.")
 
 
-def check_thresholds(options: CannyOptions, where: str) -> None:
+def check_thresholds(low: float, high: float, where: str) -> None:
     """Raise InputError if `low` exceeds `high`."""
-    if options.low > options.high:
+    if low > high:
         raise InputError(
             "the thresholds are in the wrong order",
             where=where,
-            expected=f"low <= high = {options.high:g}",
-            got=f"low = {options.low:g}",
+            expected=f"low <= high = {high:g}",
+            got=f"low = {low:g}",
             hint="set both --set extractor.low and extractor.high",
         )
 
 
 def edge_pixels(image: Image, options: CannyOptions) -> Bool:
-    """Return which pixels (H, W) of an image are edges; masked ones are none."""
+    """Return the mask (H, W) of edge pixels; masked pixels of the image are no edges."""
     import cv2
 
     grey = image.grey
     if options.blur_sigma_px > 0:
         grey = cv2.GaussianBlur(grey, (0, 0), options.blur_sigma_px)
-    found = cv2.Canny(grey, options.low, options.high, L2gradient=True) > 0
+    edges = cv2.Canny(grey, options.low, options.high, L2gradient=True) > 0
     if image.masked is not None:
-        found &= ~image.masked
-    return occlusion.without_short(found[None], options.min_length_px)[0]
+        edges &= ~image.masked
+    return occlusion.without_short(edges[None], options.min_length_px)[0]
 
 
 def edges_of(pixels: Bool) -> ImageFeatures:
@@ -48,13 +48,13 @@ def edges_of(pixels: Bool) -> ImageFeatures:
     return ImageFeatures(ImageEdges(uv, np.full(len(uv), Side.NONE, np.int8)))
 
 
-def build(options: CannyOptions) -> ImageExtractor:
+def build(options: CannyOptions) -> p2o.ImageExtractor:
     """Return the extractor; raises InputError if `low` exceeds `high`."""
-    check_thresholds(options, "canny")
+    check_thresholds(options.low, options.high, "canny")
     return lambda image: edges_of(edge_pixels(image, options))
 
 
-METHOD = Method(
+METHOD = p2o.Method(
     name="canny",
     build=build,
     options=CannyOptions,

@@ -1,28 +1,26 @@
-"""Points of a sweep with normal, reflectance and segment as a feature: what CalibAnything wants alike within a mask."""
+"""Segments of a sweep: points with normal, reflectance and segment as a feature, planes, clusters, and the ground."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
-import p2o
-from p2o.arrays import Float, Int, checked
-from p2o.geometry.motion import moved
+from p2o import Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from p2o_baselines.point_feature import PointFeature
+
 _SCORED = 4000  # points that planes are tried on
 _TRIED = 300  # planes that are tried for each that is taken
+_POLISHED = 5  # least squares through the points of the ground
 
 
 @dataclass(frozen=True, eq=False)
-class CloudSegments(p2o.CloudFeature):
-    """Points `xyz` (N, 3) m with unit `normal` (N, 3), `strength` (N,) 0 to 1 and `segment` (N,), -1 for none.
-
-    `time_s` (N,) is when a point of a raw sweep was measured, in seconds from the image.
-    """
+class CloudSegments(PointFeature):
+    """Points (N, 3) m with unit normals (N, 3), strength 0 to 1, segment or -1, and time (s) in a raw sweep, (N,)."""
 
     word: ClassVar[str] = "cloud-segments"
 
@@ -32,52 +30,9 @@ class CloudSegments(p2o.CloudFeature):
     segment: Int
     time_s: Float | None = None
 
-    def __post_init__(self) -> None:
-        count = len(self.xyz)
-        for name, shape, kind in (
-            ("xyz", (count, 3), np.float64),
-            ("normal", (count, 3), np.float64),
-            ("strength", (count,), np.float64),
-            ("segment", (count,), np.int64),
-            ("time_s", (count,), np.float64),
-        ):
-            value = getattr(self, name)
-            if value is not None:
-                object.__setattr__(self, name, checked(f"{name} of the cloud segments", value, shape, kind))
-
-    def __len__(self) -> int:
-        return len(self.xyz)
-
-    def select(self, keep: Any) -> CloudSegments:
-        """Return the points of a mask or index."""
-        time_s = None if self.time_s is None else self.time_s[keep]
-        return CloudSegments(self.xyz[keep], self.normal[keep], self.strength[keep], self.segment[keep], time_s)
-
-    def moved(self, b_from_lidar: Float) -> CloudSegments:
-        """Return the points in another frame b, by a (4, 4) rigid transform."""
-        normal = self.normal @ b_from_lidar[:3, :3].T
-        return replace(self, xyz=p2o.se3.apply(b_from_lidar, self.xyz), normal=normal)
-
-    def untwisted(self, twist: Float) -> CloudSegments:
-        """Return the points as if measured at time 0 from a LiDAR that moves with constant `twist` (6,)."""
-        if self.time_s is None:
-            return self
-        normal = moved(twist, self.time_s, self.normal, directions=True)
-        return replace(self, xyz=moved(twist, self.time_s, self.xyz), normal=normal)
-
-    @property
-    def times_s(self) -> Float | None:
-        """When each point of a raw sweep was measured."""
-        return self.time_s
-
-    @property
-    def places(self) -> Float:
-        """The points themselves."""
-        return self.xyz
-
 
 def one_a_voxel(xyz: Float, size_m: float) -> Int:
-    """Return the index of one point in each cube of `size_m` that holds any of the points (N, 3), in their order."""
+    """Return the index of one point per occupied cube of `size_m`, in the order of the points (N, 3)."""
     cells = np.floor(xyz / size_m).astype(np.int64)
     cells -= cells.min(axis=0)
     span = cells.max(axis=0) + 1
@@ -88,8 +43,7 @@ def one_a_voxel(xyz: Float, size_m: float) -> Int:
 def normals_of(xyz: Float, neighbours: int) -> Float:
     """Return unit normals (N, 3) of points (N, 3): across the flattest direction of the nearest ones, to the origin."""
     count = min(neighbours, len(xyz))
-    _, near = cKDTree(xyz).query(xyz, k=count)
-    near = near.reshape(len(xyz), count)
+    near = cKDTree(xyz).query(xyz, k=count)[1].reshape(len(xyz), count)
     mean, second = np.zeros((len(xyz), 3)), np.zeros((len(xyz), 3, 3))
     for column in near.T:
         step = xyz[column] - xyz
@@ -104,17 +58,11 @@ def normals_of(xyz: Float, neighbours: int) -> Float:
 def planes_of(
     xyz: Float, normal: Float, rng: np.random.Generator, *, least: int, band_m: float, normal_weight: float
 ) -> Int:
-    """Return the plane (N,) that each point lies on, -1 for none: the largest ones that hold `least` points or more.
-
-    The distance of a point is weighted as in PCL: (1 - w) times its distance, plus w times the angle of its normal.
-    """
-    plane, left = np.full(len(xyz), -1), np.arange(len(xyz))
-    number = 0
+    """Return the plane (N,) of each point, -1 for none, by PCL's weighted distances: at least `least` points each."""
+    plane, left, number = np.full(len(xyz), -1), np.arange(len(xyz)), 0
     while len(left) >= max(least, 3):
         sample = left[rng.integers(len(left), size=min(_SCORED, len(left)))]
-        corners = xyz[left[rng.integers(len(left), size=(_TRIED, 3))]]
-        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        size = np.linalg.norm(across, axis=1)
+        across, size, corners = _through_triples(xyz[left], rng)
         good = size > 1e-6
         if not good.any():
             break
@@ -122,11 +70,51 @@ def planes_of(
         offset = np.sum(across * origin, axis=1)
         off = _distance(xyz[sample], normal[sample], across, offset, normal_weight)
         best = int(np.argmax(np.count_nonzero(off < band_m, axis=0)))
-        held = _distance(xyz[left], normal[left], across[[best]], offset[[best]], normal_weight)[:, 0] < band_m
-        if np.count_nonzero(held) < least:
+        inside = _distance(xyz[left], normal[left], across[[best]], offset[[best]], normal_weight)[:, 0] < band_m
+        if np.count_nonzero(inside) < least:
             break
-        plane[left[held]] = number
-        left, number = left[~held], number + 1
+        plane[left[inside]] = number
+        left, number = left[~inside], number + 1
+    return plane
+
+
+def _through_triples(xyz: Float, rng: np.random.Generator) -> tuple[Float, Float, Float]:
+    """Return normals (P, 3) of planes through random triples of points (N, 3), their lengths (P,), and the triples."""
+    corners = xyz[rng.integers(len(xyz), size=(_TRIED, 3))]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return normal, np.linalg.norm(normal, axis=1), corners
+
+
+def ground_of(
+    xyz: Float, rng: np.random.Generator, *, band_m: float = 0.2, max_tilt_deg: float = 20.0, reach_m: float = 40.0
+) -> Float | None:
+    """Return the plane (4,) n, d with |n| = 1 and n . x + d the height (m) above the ground, or None.
+
+    `xyz` (N, 3) is in the LiDAR frame, z roughly up. The plane has the most points within `band_m` of all that are
+    tilted by less than `max_tilt_deg` and lie below the sensor; it is then fitted by least squares.
+    """
+    near = xyz[np.hypot(xyz[:, 0], xyz[:, 1]) < reach_m]
+    if len(near) < 10:
+        return None
+    sample = near[rng.integers(len(near), size=min(_SCORED, len(near)))]
+    normal, size, corners = _through_triples(near, rng)
+    normal = normal / np.maximum(size, 1e-12)[:, None]
+    normal = np.where(normal[:, 2:] < 0, -normal, normal)
+    height = -np.sum(normal * corners[:, 0], axis=1)
+    good = (size > 1e-3) & (normal[:, 2] > np.cos(np.radians(max_tilt_deg))) & (height > 0)
+    if not good.any():
+        return None
+    normal, height = normal[good], height[good]
+    best = int(np.argmax(np.count_nonzero(np.abs(sample @ normal.T + height) < band_m, axis=0)))
+    plane = np.append(normal[best], height[best])
+    for _ in range(_POLISHED):
+        inside = near[np.abs(near @ plane[:3] + plane[3]) < band_m]
+        if len(inside) < 3:
+            return None
+        centre = inside.mean(axis=0)
+        across = np.linalg.svd((inside - centre).T @ (inside - centre))[0][:, 2]
+        across = -across if across[2] < 0 else across
+        plane = np.append(across, -across @ centre)
     return plane
 
 
@@ -137,10 +125,7 @@ def _distance(xyz: Float, normal: Float, across: Float, offset: Float, weight: f
 
 
 def clusters_of(xyz: Float, tolerance_m: float, least: int, most: int) -> Int:
-    """Return the cluster (N,) of each point, -1 for none: points that steps of `tolerance_m` or less lead between.
-
-    Clusters of fewer than `least` or more than `most` points are none.
-    """
+    """Return the Euclidean cluster (N,) of each point, -1 for none and for clusters with too few or too many points."""
     if not len(xyz):
         return np.zeros(0, np.int64)
     pairs = cKDTree(xyz).query_pairs(tolerance_m, output_type="ndarray")

@@ -1,16 +1,16 @@
-"""Lanes and poles of the sweep on those of the picture: `crlf`, after Ma et al. 2021, without its network.
+"""Align lanes and poles of the sweep with those of the image: `crlf`, after Ma et al. 2021, without its network.
 
     p2o run --extractor lane-pole/lane-pole --matcher crlf --solver random-shrink --init given
             --set pipeline.rounds=1
 
-The cost is minus the share of points of lanes that fall on lanes of the picture, plus that of poles, each kind counting
-half where both are there. A point beside a mask counts by its distance, from 1 on the mask to 0 at `soft_px`; one
-outside of the picture counts nothing, so that no pose gains by losing points.
+The cost is minus the share of lane points on lanes of the image, plus that of pole points, each class with weight one
+half if both exist. The score of a point falls linearly with its distance from the mask, from 1 on the mask to 0 at
+`soft_px`; points outside the image score 0, so that a pose cannot gain by losing points.
 
 Departures from the paper and its code (PJLab lidar2camera/auto_calib): masks by shape instead of a network
-(`lane_pole_image`); no start from three lines (P3L), the given one is taken; a linear fall instead of a mask that is
-grown (grey level over 55); the search is `random-shrink` (theirs draws 10000 poses a round, and mixes up degrees and
-metres in its ranges).
+(`lane_pole_image`); the given initial extrinsic instead of one from three lines (P3L); a linear fall-off instead of a
+dilated mask (grey level over 55); `random-shrink` as the search (the original draws 10000 poses per round and confuses
+degrees and metres in its ranges).
 """
 
 from __future__ import annotations
@@ -20,20 +20,21 @@ from dataclasses import dataclass
 
 import numpy as np
 import p2o
-from p2o.arrays import Float
+from p2o import Float, field
+from p2o.solving import Objective
 
 from p2o_baselines.lane_pole_cloud import LANE, POLE, LanePolePoints
 from p2o_baselines.lane_pole_image import FAR_PX, LanePoleMap
 
-_AT_ONCE = 1 << 18  # points of several poses that are looked up together
+_AT_ONCE = 1 << 18  # number of points of several poses that are sampled in one call
 
 
 class CrlfOptions(p2o.Options):
-    """Options of `crlf`; all ours."""
+    """Options of `crlf`; all defaults are ours."""
 
-    soft_px: float = p2o.field(6.0, gt=0.5, le=FAR_PX, help="A point so far from its mask counts nothing.")
-    points: int = p2o.field(4000, ge=10, le=1_000_000, help="Points of a frame that are taken, spread evenly.")
-    margin_px: float = p2o.field(60.0, ge=0, le=1000, help="Points so far outside of the picture are taken too.")
+    soft_px: float = field(6.0, gt=0.5, le=FAR_PX, help="Distance from the mask at which a point scores 0.")
+    points: int = field(4000, ge=10, le=1_000_000, help="Largest number of points per frame, evenly sampled.")
+    margin_px: float = field(60.0, ge=0, le=1000, help="Margin around the image in which points are used.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,10 +49,11 @@ class LanePoleView:
     soft_px: float
 
     @classmethod
-    def of(
-        cls, camera: p2o.Camera, away: LanePoleMap, points: LanePolePoints, pose: Float, options: CrlfOptions
-    ) -> LanePoleView | None:
-        """Return the frame as seen at a pose; None where no kind is in both picture and sweep."""
+    def of(cls, view: p2o.View, pose: Float, options: CrlfOptions) -> LanePoleView | None:
+        """Return the frame projected at a pose; None if no class is in both image and sweep."""
+        camera, away, points = view.camera, view.get(LanePoleMap.word), view.get(LanePolePoints.word)
+        if away is None or points is None or not len(points):
+            return None
         near = camera.in_image(camera.project(p2o.se3.apply(pose, points.xyz)), options.margin_px)
         for kind in (LANE, POLE):
             if not (away.values[..., kind] < FAR_PX).any():
@@ -64,7 +66,7 @@ class LanePoleView:
         return cls(camera, away, points.xyz, points.kind, weight, options.soft_px)
 
     def share(self, poses: Float) -> Float:
-        """Return the share (B,) of the points that lie on their masks at poses (B, 4, 4)."""
+        """Return the share (B,) of points on their masks at poses (B, 4, 4)."""
         size = max(1, _AT_ONCE // len(self.xyz))
         return np.concatenate([self._share(poses[i : i + size]) for i in range(0, len(poses), size)])
 
@@ -78,19 +80,13 @@ class LanePoleView:
 def build(options: CrlfOptions) -> p2o.Matcher:
     """Return the matcher `(views, camera_from_lidar (4, 4), reach_px) -> Objective`: minus the mean share."""
 
-    def posed(view: p2o.View, pose: Float) -> LanePoleView | None:
-        away, points = view.get(LanePoleMap.word), view.get(LanePolePoints.word)
-        if away is None or points is None or not len(points):
-            return None
-        return LanePoleView.of(view.camera, away, points, pose, options)
-
-    def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> p2o.Objective:
-        known = [each for view in views if (each := posed(view, camera_from_lidar)) is not None]
+    def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> Objective:
+        known = [each for view in views if (each := LanePoleView.of(view, camera_from_lidar, options)) is not None]
 
         def cost(poses: Float) -> Float:
             return -np.mean([each.share(poses) for each in known], axis=0) if known else np.zeros(len(poses))
 
-        return p2o.Objective(cost)
+        return Objective(cost)
 
     return match
 
@@ -99,7 +95,7 @@ METHOD = p2o.Method(
     name="crlf",
     build=build,
     options=CrlfOptions,
-    summary="Points of lanes and poles lie on lanes and poles of the picture.",
+    summary="Aligns points of lanes and poles with lanes and poles of the image.",
     needs={"image-lane-pole", "cloud-lane-pole"},
     gives={"objective"},
     cite="Ma et al., CRLF: automatic calibration and refinement based on line feature, arXiv 2103.04558, 2021",

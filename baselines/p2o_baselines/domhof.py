@@ -1,39 +1,37 @@
-"""Extrinsic and board poses in one least squares, `--calibrator domhof`, after Domhof, Kooij and Gavrila 2019, 2021.
+"""Estimate extrinsic and board poses jointly, `--calibrator domhof`, after Domhof, Kooij and Gavrila 2019, 2021.
 
-    p2o run --data folder:BOARDS --joint --calibrator domhof
+Each board is an unknown pose. Each sensor observes the centres of its four holes with a covariance: the sweep in 3D,
+the camera in pixels. Extrinsic and board poses maximise the likelihood of all detections (pose and structure estimation
+with known structure, the dimensions of the board). Board poses are eliminated in each step, so the cost is a function
+of the extrinsic alone.
 
-Each board is an unknown pose, each sensor sees the centres of its four holes with a covariance: the sweep in space, the
-camera as pixels. Extrinsic and board poses together make all detections most likely (their pose and structure
-estimation, with the structure known: the board's drawing). Board poses are solved for inside of each step, so what is
-minimised is a function of the extrinsic alone.
-
-Departures: their boards also carry a corner reflector for a radar, and they calibrate three sensors or more at once,
-with loops between them; this is the part of one LiDAR and one camera, where their minimally and fully connected graphs
-are the same. Their camera is a stereo pair, or one whose ellipses' middles are taken for the pictures of centres, which
-they are not (off by a part of a pixel for oblique boards); here pixels are those of the pose that fits all rims.
-Covariances are those of each detection, theirs a figure for each sensor. Boards are found by the shared room `boards`.
+Departures: the original boards also carry a radar reflector, and three or more sensors are calibrated with loops
+between them; this is the case of one LiDAR and one camera, in which minimally and fully connected graphs are equal. The
+original camera is a stereo pair, or one in which the centre of an ellipse is used as the image of the hole's centre,
+which is wrong by a fraction of a pixel for oblique boards; here pixels are those of the pose that fits all rims.
+Covariances are per detection instead of per sensor. Boards are detected by the shared package `boards`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
 import p2o
-from p2o import se3
-from p2o.arrays import Float
+from p2o import Float, se3
 
+from p2o_baselines import examples
 from p2o_baselines.boards.adjustment import Block, Cost
-from p2o_baselines.boards.board_method import BoardMethod, Way
-from p2o_baselines.boards.centres import bearings_by_point, in_picture, in_sweep, moved
+from p2o_baselines.boards.board_method import BoardMethod
 from p2o_baselines.boards.holes_in_sweep import HoleBoardInSweep
 from p2o_baselines.boards.pairing import Pair
-from p2o_baselines.boards.sight import BoardOptions, hole_sight_of
-from p2o_baselines.velo2cam import closed
+from p2o_baselines.boards.residuals import bearings_by_point, in_picture, in_sweep, moved
+from p2o_baselines.target_method import TargetOptions
+from p2o_baselines.velo2cam import ALGORITHM as CLOSED_FORM
 
-_OWN_M, _OWN_PX = 0.002, 0.1
-"""Noise that each centre has for itself, beside that of its whole board."""
+_OWN_M, _OWN_PX = 0.002, 0.1  # independent noise of each centre, in addition to the noise common to a board
 _STEPS = 4
 
 
@@ -42,11 +40,8 @@ def whitener(covariance: Float) -> Float:
     return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
 
-def misfits_of(pair: Pair) -> tuple[Float, Float, Float, Float]:
-    """Return what a board's detections are: centres (N, 3) m and their whitener, bearings (N, 2) and theirs.
-
-    Bearings are x / z and y / z of the camera, so that no lens model is in the way.
-    """
+def detections_of(pair: Pair) -> tuple[Float, Float, Float, Float]:
+    """Return centres (N, 3) m with whitening matrix, and bearings x / z, y / z (N, 2) of any lens with theirs."""
     centres, noise = in_sweep(pair)
     by_lidar = whitener(noise + _OWN_M**2 * np.eye(len(noise)))
     seen = in_picture(pair)
@@ -59,9 +54,9 @@ def misfits_of(pair: Pair) -> tuple[Float, Float, Float, Float]:
 def cost(pairs: Sequence[Pair], pose: Float) -> Cost:
     """Return the cost with every board at the pose that suits its detections best."""
     del pose
-    detected = {id(pair): misfits_of(pair) for pair in pairs}
+    detected = {id(pair): detections_of(pair) for pair in pairs}
 
-    def misfits(pair: Pair, pose: Float) -> Block:
+    def residuals(pair: Pair, pose: Float) -> Block:
         centres, by_lidar, bearings, by_camera = detected[id(pair)]
         drawing = cast(HoleBoardInSweep, pair.patch).target.centres
         board = pair.lidar_from_board
@@ -77,40 +72,24 @@ def cost(pairs: Sequence[Pair], pose: Float) -> Cost:
         by_pose = np.concatenate([np.zeros((len(by_lidar), 6)), by_point @ moved(seen)])
         rays = centres / np.linalg.norm(centres, axis=1)[:, None]
         by_bias = np.r_[-by_lidar @ rays.ravel(), np.zeros(len(by_camera))]
-        # What the board's own pose can take up says nothing of the extrinsic.
+        # Components that the board's own pose can absorb contain no information on the extrinsic.
         basis = np.linalg.qr(by_board)[0]
         keep = np.eye(len(off)) - basis @ basis.T
         return Block(keep @ off, keep @ by_pose, keep @ by_bias, keep, whole=True)
 
-    return misfits
+    return residuals
 
 
-WAY = Way(
-    least=1,
-    planes_only=False,
-    closed=closed,
-    cost=cost,
-    kind="board with holes",
-    beside=" and through whose holes rays go",
-    sight=hole_sight_of,
-)
+ALGORITHM = replace(CLOSED_FORM, cost=cost)
 
 
-def build(options: BoardOptions) -> p2o.Calibrator:
-    """Return the calibrator."""
-    return BoardMethod(options, WAY)
-
-
-_BOARDS = (
-    "targets=holes&place=yard&frames_per_scene=3&width_px=621&height_px=350&right=false&lidar=vlp-16&exposure_ev=0"
-)
 METHOD = p2o.Method(
     name="domhof",
-    build=build,
-    options=BoardOptions,
-    summary="Boards with round holes: extrinsic and board poses together, each detection with its covariance.",
+    build=lambda options: BoardMethod(options, ALGORITHM),
+    options=TargetOptions,
+    summary="Boards with round holes: joint estimation of extrinsic and board poses with covariances of detections.",
     needs=frozenset({"targets"}),
     cite="Domhof, Kooij and Gavrila, An extrinsic calibration tool for radar, camera and lidar, ICRA 2019; A joint "
     "extrinsic calibration tool for radar, camera and lidar, T-IV 2021",
-    example=p2o.Example(f"synthetic:?{_BOARDS}", "10deg 0.3m", "0.9deg 0.06m", joint=True),
+    example=examples.hole_boards("0.9deg 0.06m"),
 )

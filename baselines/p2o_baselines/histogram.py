@@ -1,21 +1,139 @@
-"""Joint histograms of what two sensors measure, for many poses at once, and how much one tells of the other.
+"""Joint histograms of the values of two sensors for many poses at once, and the information that they share.
 
-Rows count the levels of the LiDAR, columns those of the picture. From counts (B, R, C) to shares (B, R, C), which add
-up to one, lead three estimators: plain, smoothed by Gaussian kernels, and shrunk towards equal shares. Measures are
-costs: lower is better. All of them say their derivatives, so that costs of poses can be differentiated.
+Rows are the levels of the LiDAR, columns those of the image. Three estimators convert counts (B, R, C) to probabilities
+(B, R, C), which add up to one: plain, smoothed by Gaussian kernels, and shrunk towards equal probabilities. Measures
+are costs: lower is better. All return their derivatives, so that costs of poses can be differentiated.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from p2o.arrays import Float, Int
+from p2o import Bool, Float, Int
 
-_LEAST_ENTROPY = 1e-9
-"""Below this nothing varies, and neither sensor can tell anything of the other."""
+
+@dataclass(frozen=True, eq=False)
+class Tap:
+    """A share of every point: level (...), weight (...), its derivatives (..., 2) by u, v; weights add up to one."""
+
+    level: Int
+    weight: Float
+    slope: Float | None = None
+
+
+class Levels(Protocol):
+    """A image of which every pixel has a level from 0 to `count` - 1."""
+
+    @property
+    def count(self) -> int: ...
+
+    def shown(self, uv: Float, /) -> Bool:
+        """Return which positions (..., 2) can be sampled."""
+        ...
+
+    def taps(self, uv: Float, /, *, slopes: bool = False) -> Iterator[Tap]:
+        """Yield the shares of points at places (..., 2), all of which are shown."""
+        ...
+
+
+def _within(uv: Float, shape: tuple[int, ...], border: float) -> Bool:
+    u, v, far_u, far_v = uv[..., 0], uv[..., 1], shape[1] - 1 - border, shape[0] - 1 - border
+    with np.errstate(invalid="ignore"):
+        return np.asarray((u >= border) & (v >= border) & (u <= far_u) & (v <= far_v))
+
+
+@dataclass(frozen=True, eq=False)
+class Hard:
+    """The level of the nearest pixel; `level` (H, W) int. Quick, and a staircase over poses."""
+
+    level: Int
+    count: int
+
+    def shown(self, uv: Float) -> Bool:
+        return _within(uv, self.level.shape, -0.499)
+
+    def taps(self, uv: Float, *, slopes: bool = False) -> Iterator[Tap]:
+        u, v = np.moveaxis(np.rint(uv).astype(np.intp), -1, 0)
+        yield Tap(self.level[v, u], np.ones(u.shape), np.zeros(uv.shape) if slopes else None)
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """Bilinear grey values, divided between the two nearest levels; `value` (H, W) in levels."""
+
+    value: Float
+    count: int
+
+    def shown(self, uv: Float) -> Bool:
+        return _within(uv, self.value.shape, 0.0)
+
+    def taps(self, uv: Float, *, slopes: bool = False) -> Iterator[Tap]:
+        height, width = self.value.shape
+        u, v = uv[..., 0], uv[..., 1]
+        column, row = np.minimum(u.astype(np.intp), width - 2), np.minimum(v.astype(np.intp), height - 2)
+        fu, fv = u - column, v - row
+        flat, place = self.value.ravel(), row * width + column
+        a, b, c, d = flat[place], flat[place + 1], flat[place + width], flat[place + width + 1]
+        value = (a * (1 - fu) + b * fu) * (1 - fv) + (c * (1 - fu) + d * fu) * fv
+        low = np.clip(value.astype(np.intp), 0, self.count - 2)
+        share = value - low
+        slope = np.stack([(b - a) * (1 - fv) + (d - c) * fv, (c - a) * (1 - fu) + (d - b) * fu], -1) if slopes else None
+        yield Tap(low, 1 - share, None if slope is None else -slope)
+        yield Tap(low + 1, share, slope)
+
+
+@dataclass(frozen=True, eq=False)
+class Spline:
+    """Every pixel has one level (H, W) int; a point is shared among 4x4 by cubic B-splines, after Koide et al."""
+
+    level: Int
+    count: int
+
+    def shown(self, uv: Float) -> Bool:
+        return _within(uv, self.level.shape, 1.0)
+
+    def taps(self, uv: Float, *, slopes: bool = False) -> Iterator[Tap]:
+        height, width = self.level.shape
+        u, v = uv[..., 0], uv[..., 1]
+        column, row = np.minimum(u.astype(np.intp), width - 3), np.minimum(v.astype(np.intp), height - 3)
+        over_u, over_v = cubic(u - column), cubic(v - row)
+        du, dv = (cubic_slope(u - column), cubic_slope(v - row)) if slopes else (None, None)
+        flat, place = self.level.ravel(), row * width + column
+        for j in range(4):
+            for i in range(4):
+                level = flat[place + ((j - 1) * width + i - 1)]
+                slope = None if du is None or dv is None else np.stack([du[i] * over_v[j], over_u[i] * dv[j]], -1)
+                yield Tap(level, over_u[i] * over_v[j], slope)
+
+
+def cubic(f: Float) -> tuple[Float, Float, Float, Float]:
+    """Return the weights of pixels -1, 0, 1, 2 at f (...) from 0 to 1 between 0 and 1: uniform cubic B-spline."""
+    g = 1 - f
+    return g**3 / 6, (4 - 3 * f**2 * (2 - f)) / 6, (4 - 3 * g**2 * (2 - g)) / 6, f**3 / 6
+
+
+def cubic_slope(f: Float) -> tuple[Float, Float, Float, Float]:
+    """Return the derivatives of `cubic` by f."""
+    g = 1 - f
+    return -(g**2) / 2, f * (3 * f - 4) / 2, -g * (3 * g - 4) / 2, f**2 / 2
+
+
+_LEAST_ENTROPY = 1e-9  # entropy below which a sensor is constant and carries no information
+
+
+def by_rank(values: Float) -> Float:
+    """Return values of any shape replaced by their rank, in (0, 1); equal ones share the mean of their ranks."""
+    flat = np.sort(values, axis=None)
+    below, up_to = (np.searchsorted(flat, values, side) for side in ("left", "right"))
+    return np.asarray((below + up_to) / (2.0 * max(flat.size, 1)))
+
+
+def ranked_levels(values: Float, bins: int) -> Int:
+    """Return values of any shape as equally frequent levels 0 to `bins` - 1 (histogram equalisation)."""
+    return np.asarray((by_rank(values) * bins).astype(np.int64))
 
 
 def joint_counts(row: Int, column: Int, weight: Float, rows: int, columns: int) -> Float:
@@ -32,7 +150,7 @@ class Estimator(Protocol):
     """Turns counts into shares."""
 
     def shares(self, counts: Float, /) -> Float:
-        """Return shares (B, R, C) of counts (B, R, C); zero where nothing was counted."""
+        """Return probabilities (B, R, C) of counts (B, R, C); zero without counts."""
         ...
 
     def slope(self, counts: Float, by_shares: Float, /) -> Float:
@@ -53,10 +171,7 @@ class Plain:
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """Shares smoothed by a kernel for each axis: matrices `over_rows` (R, R) and `over_columns` (C, C).
-
-    A column of these is where the counts of one level go; it adds up to one.
-    """
+    """Probabilities smoothed by kernels for both axes, (R, R) and (C, C), whose columns distribute a level."""
 
     over_rows: Float
     over_columns: Float
@@ -77,10 +192,10 @@ class Smoothed:
 
 @dataclass(frozen=True)
 class Shrunk:
-    """Shares between those of the counts and equal ones, t = 1 / (R C): p = k t + (1 - k) p_counts.
+    """Probabilities between the relative counts and equal ones, t = 1 / (R C): p = k t + (1 - k) p_counts.
 
-    k = (1 - sum p^2) / ((n - 1) sum (t - p)^2), cut off at 0 and 1: the James-Stein estimator of Hausser and Strimmer
-    (JMLR 2009), which Pandey et al. take in 2015. Few counts are drawn far towards equal shares.
+    k = (1 - sum p^2) / ((n - 1) sum (t - p)^2), limited to 0 and 1: the James-Stein estimator of Hausser and Strimmer
+    (JMLR 2009), which Pandey et al. use in 2015. Few counts are shrunk strongly.
     """
 
     def share_of_target(self, counts: Float) -> Float:
@@ -91,8 +206,8 @@ class Shrunk:
 
     def shares(self, counts: Float) -> Float:
         k = self.share_of_target(counts)[:, None, None]
-        there = counts.sum(axis=(-2, -1), keepdims=True) > 0
-        return np.where(there, k / counts[0].size + (1 - k) * Plain().shares(counts), 0.0)
+        counted = counts.sum(axis=(-2, -1), keepdims=True) > 0
+        return np.where(counted, k / counts[0].size + (1 - k) * Plain().shares(counts), 0.0)
 
     def slope(self, counts: Float, by_shares: Float) -> Float:
         p, target, total = Plain().shares(counts), 1 / counts.size, float(counts.sum())
@@ -131,9 +246,8 @@ class Entropies:
 
     @classmethod
     def of(cls, shares: Float) -> Entropies:
-        return cls(
-            entropy(shares.sum(axis=-1)), entropy(shares.sum(axis=-2)), entropy(shares.reshape(*shares.shape[:-2], -1))
-        )
+        whole = entropy(shares.reshape(*shares.shape[:-2], -1))
+        return cls(entropy(shares.sum(axis=-1)), entropy(shares.sum(axis=-2)), whole)
 
 
 def entropy(shares: Float) -> Float:
@@ -143,9 +257,7 @@ def entropy(shares: Float) -> Float:
 
 @dataclass(frozen=True)
 class Measure:
-    """A cost of entropies: `value` of (rows, columns, both), its `weights` the derivatives by the three; `worst` is it
-    where one sensor tells nothing of the other.
-    """
+    """A cost of entropies, its derivatives by a single one and by both, and its value if nothing is shared."""
 
     value: Callable[[Entropies], Float]
     weights: Callable[[Entropies], tuple[float, float]]
@@ -163,19 +275,13 @@ class Measure:
         if entropies.both <= _LEAST_ENTROPY:
             return np.zeros_like(shares)
         single, both = self.weights(entropies)
-        log_both, log_rows, log_columns = (
-            np.log(np.maximum(p, 1e-12))
-            for p in (shares, shares.sum(axis=1, keepdims=True), shares.sum(axis=0, keepdims=True))
-        )
+        margins = (shares, shares.sum(axis=1, keepdims=True), shares.sum(axis=0, keepdims=True))
+        log_both, log_rows, log_columns = (np.log(np.maximum(p, 1e-12)) for p in margins)
         # The derivative of -p log p is -log p - 1; the ones move nothing where the sum stays.
         return np.asarray(-both * log_both - single * (log_rows + log_columns))
 
 
-MI = Measure(
-    value=lambda h: h.both - h.rows - h.columns,
-    weights=lambda h: (-1.0, 1.0),
-    worst=0.0,
-)
+MI = Measure(value=lambda h: h.both - h.rows - h.columns, weights=lambda h: (-1.0, 1.0), worst=0.0)
 """Minus mutual information: H(X, Y) - H(X) - H(Y), from -log of the number of levels to 0."""
 
 NMI = Measure(

@@ -1,27 +1,44 @@
-"""Costs of poses by what a picture and the points of a sweep tell of one another: for mi, nmi and nid."""
+"""Costs of poses from the information that an image and a sweep share: for mi, nmi and nid."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import p2o
-from p2o.arrays import Bool, Float, Int
+from p2o import Bool, Float, Int
+from p2o.solving import Objective
 
-from p2o_baselines.histogram import Estimator, Measure, joint_counts
-from p2o_baselines.picture_levels import Levels
+from p2o_baselines.histogram import Estimator, Levels, Measure, joint_counts
 
-_CHUNK, _CELLS = 1 << 17, 1 << 22
-"""Points, and cells of histograms, that are worked on at once."""
+From = TypeVar("From")
+Made = TypeVar("Made")
+
+
+def remembered(make: Callable[[From], Made]) -> Callable[[From], Made]:
+    """Return `make` with its results kept as long as its argument lives."""
+    known: WeakKeyDictionary[From, Made] = WeakKeyDictionary()
+
+    def look_up(feature: From) -> Made:
+        if feature not in known:
+            known[feature] = make(feature)
+        return known[feature]
+
+    return look_up
+
+
+_CHUNK, _CELLS = 1 << 17, 1 << 22  # points, and cells of histograms, that are worked on at once
 _MARGIN_DEG = 5.0
-"""Points so far out of the picture are kept as well: other poses may bring them in."""
+"""Margin around the image of points that are kept, because other poses may project them into the image."""
 _MAX_CONDITION = 1e8
 
 
 @dataclass(frozen=True, eq=False)
 class SeenPoints:
-    """Points `xyz` (N, 3) m of one sweep, each with a `row` (N,) of the histogram, and the picture that saw them."""
+    """Points `xyz` (N, 3) m of one sweep, each with a `row` (N,) of the histogram, and the image that saw them."""
 
     camera: p2o.Camera
     levels: Levels
@@ -30,7 +47,7 @@ class SeenPoints:
     rows: int
 
     def counts(self, poses: Float) -> Float:
-        """Return joint histograms (B, R, C) at poses (B, 4, 4) of the points that each of them puts in the picture."""
+        """Return joint histograms (B, R, C) at poses (B, 4, 4) of the points that each of them puts in the image."""
         size = max(1, min(_CHUNK // max(len(self.xyz), 1), _CELLS // (self.rows * self.levels.count)))
         return np.concatenate([self._counts(poses[i : i + size]) for i in range(0, len(poses), size)])
 
@@ -44,10 +61,7 @@ class SeenPoints:
         return out
 
     def scores(self, pose: Float, by_counts: Float) -> Float:
-        """Return derivatives (N, 6) by a left update of a pose (4, 4), of a sum with derivatives (R, C) by counts.
-
-        Those of a point are its own share of the sum's; points out of the picture have none.
-        """
+        """Return each visible point's derivatives (N, 6) by a left update, of a sum with derivatives (R, C)."""
         xyz = p2o.se3.apply(pose, self.xyz)
         uv = self.camera.project(xyz)
         seen = np.flatnonzero(self.levels.shown(uv))
@@ -78,9 +92,9 @@ class Information:
         parts = zip(self.groups, self.estimators, strict=True)
         return np.mean([self._costs(group, estimator, poses) for group, estimator in parts], axis=0)
 
-    def objective(self) -> p2o.Objective:
+    def objective(self) -> Objective:
         """Return the cost as what matchers give."""
-        return p2o.Objective(self.cost)
+        return Objective(self.cost)
 
     def _costs(self, group: Sequence[SeenPoints], estimator: Estimator, poses: Float) -> Float:
         """Return the costs (B,) of one group."""
@@ -90,17 +104,14 @@ class Information:
 
 
 class SmoothInformation(Information):
-    """The same where counts are smooth over poses: with a gradient, and the Cramer-Rao bound."""
+    """The same for counts that are smooth functions of the pose: with a gradient and the Cramer-Rao bound."""
 
-    def objective(self) -> p2o.Objective:
+    def objective(self) -> Objective:
         """Return the cost with its gradient and covariance as what matchers give."""
-        return p2o.Objective(self.cost, self.gradient, self.covariance)
+        return Objective(self.cost, self.gradient, self.covariance)
 
     def gradient(self, pose: Float) -> Float:
-        """Return the derivatives (6,) of the cost by a left update (rad, m) of a pose (4, 4).
-
-        That points enter and leave the picture is not in it.
-        """
+        """Return the derivatives (6,) of the cost by a left update (rad, m) of a pose, for the points in view."""
         out = np.zeros(6)
         for group, estimator in zip(self.groups, self.estimators, strict=True):
             counts = counts_of(group, pose[None])[0]
@@ -110,11 +121,7 @@ class SmoothInformation(Information):
         return out / max(len(self.groups), 1)
 
     def covariance(self, pose: Float) -> Float | None:
-        """Return the Cramer-Rao bound (6, 6) of a left update (rad, m) at a pose (4, 4), None where it is singular.
-
-        The Fisher matrix is the sum over points of s s^T, with s the derivative of log p(reflectance, grey); p is that
-        of the pose and held fast, and points count as independent, which neighbours are not: the bound is low.
-        """
+        """Return the Cramer-Rao bound (6, 6) of a left update, too low for dependent points; None if singular."""
         fisher = np.zeros((6, 6))
         for group, estimator in zip(self.groups, self.estimators, strict=True):
             shares = estimator.shares(counts_of(group, pose[None]))[0]
@@ -137,7 +144,7 @@ def counts_of(group: Sequence[SeenPoints], poses: Float) -> Float:
     return np.sum([part.counts(poses) for part in group], axis=0)
 
 
-# ---- which points take part
+# ---- selection of points
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,8 +160,8 @@ class Sighting:
         """Return the sighting with the points of a mask or index."""
         return Sighting(self.camera, self.grey, self.xyz[keep], self.value[keep])
 
-    def near_picture(self, pose: Float, most: int) -> Sighting:
-        """Return the points in the picture at a pose or near it, `most` of them spread evenly."""
+    def near_image(self, pose: Float, most: int) -> Sighting:
+        """Return the points in the image at a pose or near it, `most` of them spread evenly."""
         margin_px = self.camera.focal_px * float(np.tan(np.radians(_MARGIN_DEG)))
         uv = self.camera.project(p2o.se3.apply(pose, self.xyz))
         near = np.flatnonzero(self.camera.in_image(uv, margin_px))
@@ -163,7 +170,7 @@ class Sighting:
         return self.select(near)
 
     def visible(self, pose: Float, cell_px: float, slack_m: float) -> Sighting:
-        """Return the points that no other one hides at a pose: those at most `slack_m` behind the nearest of a cell."""
+        """Return the visible points at a pose: those at most `slack_m` behind the nearest of a cell."""
         xyz = p2o.se3.apply(pose, self.xyz)
         cell = np.floor((self.camera.project(xyz) + 0.5) / cell_px)
         known = np.isfinite(cell).all(axis=1)
@@ -177,11 +184,7 @@ class Sighting:
 
 
 def sightings(views: Sequence[p2o.View], value: str = "reflectance") -> Iterator[Sighting]:
-    """Yield what views have of grey values and points; those that lack either are passed over.
-
-    `value` is that of the points: their "reflectance", or of their "normals" the slope: the angle to the z axis of the
-    LiDAR frame in degrees, 0 for what lies level and 90 for what stands upright.
-    """
+    """Yield grey values and points of views with both; `value` is reflectance, or for normals the slope in deg."""
     for view in views:
         grey, points = view.get("image-grey"), view.get("cloud-points")
         if grey is None or points is None or not len(points):

@@ -1,7 +1,4 @@
-"""Inverse distance transforms of edge images, and how well weighted points of a sweep lie on them.
-
-What the methods `idt` and `line-idt` share.
-"""
+"""Inverse distance transforms of edge images, and their mean at points of a sweep: for `idt` and `line-idt`."""
 
 from __future__ import annotations
 
@@ -11,9 +8,10 @@ from typing import ClassVar
 
 import numpy as np
 import p2o
-from p2o.arrays import Float
+from p2o import Float, field
+from p2o.solving import Objective
 
-_CHUNK = 1 << 17  # points looked up at once, over all poses: about what a core's cache holds
+_CHUNK = 1 << 17  # number of points sampled at once, over all poses: about the size of a core's cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +31,8 @@ def edge_strength(grey: Float) -> Float:
 
 
 def spread(strength: Float, gamma: float) -> Float:
-    """Return max over all pixels (x, y) of strength gamma^max(|x - u|, |y - v|) at every pixel (u, v), (H, W).
-
-    Exact, by one raster pass down and one up: each takes the best of the half of the eight neighbours that came before.
-    """
-    lost = -np.log(gamma)  # a pixel; in logarithms what is lost adds up
+    """Return max of strength gamma^max(|x - u|, |y - v|) over all pixels at every pixel (H, W): two raster passes."""
+    lost = -np.log(gamma)  # per pixel; in logarithms the losses add up
     at = lost * np.arange(strength.shape[1])
     with np.errstate(divide="ignore"):  # no edge at all
         out = np.log(np.asarray(strength, np.float64))
@@ -56,19 +51,13 @@ def spread(strength: Float, gamma: float) -> Float:
 
 
 def inverse_distance(strength: Float, alpha: float, gamma: float) -> Float:
-    """Return alpha E + (1 - alpha) max E gamma^distance (H, W) of an edge image E (H, W): Eq. 1 of Levinson and Thrun.
-
-    The distance is Chebyshev's, max(|x - u|, |y - v|).
-    """
+    """Return alpha E + (1 - alpha) max E gamma^distance of edges E (H, W), by Chebyshev: Levinson's Eq. 1."""
     return np.asarray(alpha * strength + (1 - alpha) * spread(strength, gamma))
 
 
 @dataclass(frozen=True, eq=False)
 class OnMap:
-    """Points of one view: `xyz` (N, 3) m in the LiDAR frame with `weight` (N,), and the map (H, W) of its image.
-
-    `neutral` is what a point outside of the image finds: the mean of the map.
-    """
+    """Points (N, 3) m of one view with weights (N,), the map (H, W) of its image, and the value outside, its mean."""
 
     camera: p2o.Camera
     values: Float
@@ -83,27 +72,25 @@ class OnMap:
         return np.concatenate([self._at(poses[i : i + size]) @ self.weight for i in range(0, len(poses), size)])
 
     def _at(self, poses: Float) -> Float:
-        u, v = projected(self.camera, poses, self.xyz)
-        return looked_up(self.values, u, v, self.neutral)
+        return sampled(self.values, *projected(self.camera, poses, self.xyz), self.neutral)
 
 
 def projected(camera: p2o.Camera, poses: Float, xyz: Float) -> tuple[Float, Float]:
-    """Return u and v (B, N) in px of points (N, 3) m at poses (B, 4, 4); NaN where nothing is seen."""
+    """Return u and v (B, N) in px of points (N, 3) m at poses (B, 4, 4); NaN if they are not projected."""
     if not camera.is_pinhole:
         uv = camera.project(p2o.se3.apply(poses, xyz))
         return uv[..., 0], uv[..., 1]
     fx, fy, cx, cy = camera.params
     matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]) @ poses[:, :3]
     # One product for all poses, far quicker than one for each.
-    u, v, depth = np.moveaxis(
-        (matrix.reshape(-1, 4) @ np.vstack([xyz.T, np.ones(len(xyz))])).reshape(len(poses), 3, -1), 1, 0
-    )
+    xyz1 = np.vstack([xyz.T, np.ones(len(xyz))])
+    u, v, depth = np.moveaxis((matrix.reshape(-1, 4) @ xyz1).reshape(len(poses), 3, -1), 1, 0)
     inverse = np.divide(1.0, depth, out=np.full(depth.shape, np.nan), where=depth > 1e-6)
     return u * inverse, v * inverse
 
 
-def looked_up(values: Float, u: Float, v: Float, outside: float) -> Float:
-    """Return a map (H, W) at pixels u and v (...), bilinear; `outside` the picture, and where they are NaN."""
+def sampled(values: Float, u: Float, v: Float, outside: float) -> Float:
+    """Sample a map (H, W) bilinearly at pixels u and v (...); `outside` is used beyond the image and for NaN."""
     height, width = values.shape
     with np.errstate(invalid="ignore"):
         inside = (u >= 0) & (v >= 0) & (u <= width - 1) & (v <= height - 1)
@@ -113,7 +100,7 @@ def looked_up(values: Float, u: Float, v: Float, outside: float) -> Float:
     u -= column
     v -= row
     flat, index = values.ravel(), row * np.int32(width) + column
-    # On the last column and row the share of what lies beyond is zero.
+    # On the last column and row the weight of the values beyond the border is zero.
     right, below = column < width - 1, np.int32(width) * (row < height - 1)
     upper, lower = flat[index], flat[index + below]
     upper += u * (flat[index + right] - upper)
@@ -132,17 +119,35 @@ def mean_on_maps(parts: Sequence[OnMap], poses: Float) -> Float:
 def on_maps(
     views: Sequence[p2o.View], camera_from_lidar: Float, max_points: int, margin_px: float = 100.0
 ) -> list[OnMap]:
-    """Return the cloud edges of all views with the maps of their images, `max_points` of each view at most.
-
-    They are those that a pose (4, 4) brings into the image or within `margin_px` of it, spread evenly over their order.
-    Views without edges or map are left out.
-    """
+    """Return the cloud edges within `margin_px` of images at a pose, at most `max_points` each, with the maps."""
     parts = []
     for view in views:
-        found, edges = view.get(InverseDistanceMap.word), view.cloud_edges
-        if found is None or not len(edges):
+        distance_map, edges = view.get(InverseDistanceMap.word), view.cloud_edges
+        if distance_map is None or not len(edges):
             continue
         uv = view.camera.project(p2o.se3.apply(camera_from_lidar, edges.xyz))
         near = edges.select(view.camera.in_image(uv, margin_px)).thinned(max_points)
-        parts.append(OnMap(view.camera, found.values, near.xyz, near.weight, float(found.values.mean())))
+        parts.append(OnMap(view.camera, distance_map.values, near.xyz, near.weight, float(distance_map.values.mean())))
     return parts
+
+
+class MapOptions(p2o.Options):
+    """Options of inverse distance maps."""
+
+    alpha: float = field(1 / 3, ge=0, le=1, help="Share of the edge image itself in the map.")
+    gamma: float = field(0.98, gt=0.5, lt=1, help="What is left of an edge one pixel away from it.")
+
+
+def map_features(strength: Float, options: MapOptions) -> p2o.ImageFeatures:
+    """Return the inverse distance map of an edge image (H, W) as features."""
+    return p2o.ImageFeatures(features=[InverseDistanceMap(inverse_distance(strength, options.alpha, options.gamma))])
+
+
+def map_matcher(max_points: int) -> p2o.Matcher:
+    """Return the matcher `(views, camera_from_lidar (4, 4), reach_px) -> Objective`: minus the mean of the maps."""
+
+    def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> Objective:
+        parts = on_maps(views, camera_from_lidar, max_points)
+        return Objective(lambda poses: -mean_on_maps(parts, poses), reach_independent=True)
+
+    return match

@@ -1,14 +1,14 @@
-"""Lines through the nearest image edges, where sweep and image run the same way, `--matcher knn-line`.
+"""Match the nearest image edges as lines of the same direction, `--matcher knn-line`.
 
 The matcher of Yuan et al., Pixel-level Extrinsic Self Calibration of High Resolution LiDAR and Camera in Targetless
-Environments, RA-L 2021, after hku-mars/livox_camera_calib: the five nearest image edges, all within the reach; their
-main direction is the line, that of the five nearest projected cloud edges has to be within 30 deg of it; one cloud edge
-a pixel, the mean of those that fall there. Residual: the distance across the line (their 2D residual has no more).
-Solver `lm`. They shrink the reach from 30 to 11 px in steps of one: here the pipeline shrinks it.
+Environments, RA-L 2021, after hku-mars/livox_camera_calib: the principal direction of the five nearest image edges
+within the reach is the line; that of the five nearest projected cloud edges has to be within 30 deg of it; cloud edges
+in the same pixel are averaged. Residual: the distance across the line (their 2D residual has no more information).
+Solver `lm`. The original shrinks the reach from 30 to 11 px in steps of one; here the pipeline shrinks it.
 
-Departures: lines go through the nearest image edge, as theirs; a Huber kernel of 2 px, where the released code has
-none; no weights by beam and pixel noise (their code computes none either); every lens of p2o, where theirs leaves out
-k3. Their rough stage, a search over rotations, is what `--init search` is for.
+Departures: lines go through the nearest image edge, as in the original; a Huber kernel of 2 px, where the released code
+has none; no weights by beam and pixel noise (their code computes none either); all lens models of p2o, where the
+original ignores k3. Its rough stage, a search over rotations, corresponds to `--init search`.
 """
 
 from __future__ import annotations
@@ -17,27 +17,25 @@ from collections.abc import Sequence
 
 import numpy as np
 import p2o
-from p2o.arrays import Float
-from p2o.problems.line_fit import fit_lines
-from p2o.problems.pairing import Pairs, assemble
+from p2o import Float, field
+from p2o.solving import Pairs, PointToLine, assemble, fit_lines
 from scipy.spatial import cKDTree
 
 
 class KnnLineOptions(p2o.Options):
     """Options of `knn-line`."""
 
-    neighbours: int = p2o.field(5, ge=2, le=100, help="Image edges, and projected cloud edges, that tell a direction.")
-    max_angle_deg: float = p2o.field(30.0, gt=0, le=90, help="Largest angle between the two directions.")
-    huber_px: float = p2o.field(2.0, gt=0, help="Residual from which a pair counts linearly and no longer squared.")
+    neighbours: int = field(5, ge=2, le=100, help="Nearest edges, of image and cloud, that determine a direction.")
+    max_angle_deg: float = field(30.0, gt=0, le=90, help="Largest angle between the two directions.")
+    huber_px: float = field(2.0, gt=0, help="Residual from which a pair counts linearly and no longer squared.")
 
 
 def build(options: KnnLineOptions) -> p2o.Matcher:
     """Return the matcher `(views, camera_from_lidar (4, 4), reach_px) -> PointToLine`."""
 
-    def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> p2o.PointToLine:
-        return assemble(
-            views, [_pairs(v, camera_from_lidar, reach_px, options) for v in views], options.huber_px, False
-        )
+    def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> PointToLine:
+        pairs = [_pairs(view, camera_from_lidar, reach_px, options) for view in views]
+        return assemble(views, pairs, options.huber_px, False)
 
     return match
 
@@ -49,14 +47,14 @@ def _pairs(view: p2o.View, pose: Float, reach_px: float, options: KnnLineOptions
         return _paired(cloud.select(np.zeros(0, np.int64)), np.zeros((0, 2)), np.zeros((0, 2)))
     uv = view.camera.project(p2o.se3.apply(pose, cloud.xyz))
     limit = np.nextafter(reach_px, np.inf)  # the tree's own bound is exclusive
-    distance, found = cKDTree(image).query(uv, k=count, distance_upper_bound=limit)
+    distance, neighbours = cKDTree(image).query(uv, k=count, distance_upper_bound=limit)
     rows = np.flatnonzero(np.asarray(distance)[:, -1] <= reach_px)
-    lines = fit_lines(image[np.asarray(found)[rows]])
+    lines = fit_lines(image[np.asarray(neighbours)[rows]])
     own = fit_lines(uv[np.asarray(cKDTree(uv).query(uv, k=count)[1])[rows]])
-    alike = np.abs((lines.normal * own.normal).sum(axis=1)) >= np.cos(np.radians(options.max_angle_deg))
-    alike &= (lines.along > 0) & (own.along > 0)
-    rows, normal = rows[alike], lines.normal[alike]
-    return _paired(cloud.select(rows), image[np.asarray(found)[rows, 0]], normal)
+    parallel = np.abs((lines.normal * own.normal).sum(axis=1)) >= np.cos(np.radians(options.max_angle_deg))
+    parallel &= (lines.along > 0) & (own.along > 0)
+    rows, normal = rows[parallel], lines.normal[parallel]
+    return _paired(cloud.select(rows), image[np.asarray(neighbours)[rows, 0]], normal)
 
 
 def one_a_pixel(view: p2o.View, pose: Float) -> p2o.CloudEdges:

@@ -1,16 +1,14 @@
-"""Planes of checkerboards weighed by their covariances, `--calibrator koo`, after Koo, Kang, Jang and Doh 2020.
+"""Align planes of checkerboards weighted by their covariances, `--calibrator koo`, after Koo, Kang, Jang and Doh 2020.
 
-    p2o run --data folder:BOARDS --joint --calibrator koo
+Both sensors observe each board as a plane with an analytic covariance: the image from the noise of corners through the
+pose of the board, the sweep from the noise of ranges through the fit. The pose aligns the planes (two angles and a
+distance per board), weighted by the inverse sum of both covariances, so that far, small or oblique boards have the
+influence they deserve. At least three boards with different orientations are needed. The least squares starts from the
+closed form of planes; weights are updated three times.
 
-Both sensors give each board as a plane with an analytic covariance: the picture from the noise of corners through the
-pose of the board, the sweep from the noise of ranges through the fit. The pose brings planes onto planes (two angles
-and a distance a board), each weighed by the inverse of both covariances together, so that a far, small or oblique
-board says as much as it knows. At least three boards that face different ways are needed. The start of the least
-squares is the closed form of planes; weights are taken anew at its end, three times.
-
-Departures: the noise of corners and ranges is that of each board's own fit, not a figure of the sensor; distances
-count at the middle of the sweep's points, where angles and distance of a plane are independent. Boards are found and
-paired by the shared room `boards`.
+Departures: the noise of corners and ranges is that of each board's own fit, not a parameter of the sensor; distances
+are evaluated at the centroid of the sweep's points, where angles and distance of a plane are uncorrelated. Boards are
+detected and paired by the shared package `boards`.
 """
 
 from __future__ import annotations
@@ -19,22 +17,17 @@ from collections.abc import Sequence
 
 import numpy as np
 import p2o
-from p2o import se3
-from p2o.arrays import Float
+from p2o import Float, se3
 
+from p2o_baselines import examples
 from p2o_baselines.boards.adjustment import Block, Cost
-from p2o_baselines.boards.board_method import BoardMethod, Way
-from p2o_baselines.boards.closed_form import from_planes
-from p2o_baselines.boards.pairing import Pair
-from p2o_baselines.boards.sight import BoardOptions
+from p2o_baselines.boards.board_method import BoardAlgorithm, BoardMethod
+from p2o_baselines.boards.pairing import Pair, from_planes
+from p2o_baselines.target_method import TargetOptions
 
 
 def plane_noise(xyz: Float, normal: Float, sigma_m: float) -> tuple[Float, Float]:
-    """Return two directions (2, 3) in a plane and the variances (3,) of its tilt about them and of its distance.
-
-    A plane through points (N, 3) that scatter by `sigma_m` tilts by sigma / sqrt(N) over their spread; its distance is
-    that at their middle, where it is independent of the tilt.
-    """
+    """Return directions (2, 3) in a plane, variances (3,) of its tilt about them and of its distance at the middle."""
     off = xyz - xyz.mean(axis=0)
     off = off - np.outer(off @ normal, normal)
     values, vectors = np.linalg.eigh(off.T @ off)
@@ -42,10 +35,7 @@ def plane_noise(xyz: Float, normal: Float, sigma_m: float) -> tuple[Float, Float
 
 
 def off_planes(pair: Pair, pose: Float) -> tuple[Float, Float, Float, Float]:
-    """Return residuals (3,), their derivative (3, 6) by a left update, (3,) by range, and variances (3,) by the sweep.
-
-    Residuals are two tilts in rad and the distance in m of the sweep's plane from that of the picture.
-    """
+    """Return two tilts (rad) and the distance (m) of planes (3,), by a left update (3, 6), by range, and variances."""
     normal, middle = pair.board.normal, pair.patch.middle
     ways, variances = plane_noise(pair.patch.xyz, pair.patch.normal, pair.patch.sigma_m)
     ways = ways @ pose[:3, :3].T
@@ -59,7 +49,7 @@ def off_planes(pair: Pair, pose: Float) -> tuple[Float, Float, Float, Float]:
 
 
 def closed(pairs: Sequence[Pair], rough: Float) -> Float:
-    """Return the pose (4, 4) that takes the planes of sweeps onto those of pictures, all with one weight."""
+    """Return the pose (4, 4) that takes the planes of sweeps onto those of images, all with one weight."""
     del rough
     return from_planes(
         np.array([pair.board.normal for pair in pairs]),
@@ -77,31 +67,25 @@ def cost(pairs: Sequence[Pair], pose: Float) -> Cost:
         whole = np.diag(variances) + by_update @ pair.board.covariance @ by_update.T
         whiteners[id(pair)] = np.linalg.inv(np.linalg.cholesky(whole))
 
-    def misfits(pair: Pair, pose: Float) -> Block:
+    def residuals(pair: Pair, pose: Float) -> Block:
         residuals, by_update, by_bias, variances = off_planes(pair, pose)
         whitener = whiteners[id(pair)]
         noise = whitener @ np.diag(variances) @ whitener.T
         return Block(whitener @ residuals, whitener @ by_update, whitener @ by_bias, noise)
 
-    return misfits
+    return residuals
 
 
-WAY = Way(least=3, planes_only=True, closed=closed, cost=cost, rounds=3)
+ALGORITHM = BoardAlgorithm(least=3, planes_only=True, closed=closed, cost=cost, rounds=3)
 
 
-def build(options: BoardOptions) -> p2o.Calibrator:
-    """Return the calibrator."""
-    return BoardMethod(options, WAY)
-
-
-_BOARDS = "targets=checkerboard&place=yard&frames_per_scene=5&width_px=621&height_px=350&right=false&lidar=hdl-64e"
 METHOD = p2o.Method(
     name="koo",
-    build=build,
-    options=BoardOptions,
-    summary="Planes of checkerboards onto planes, weighed by analytic covariances of both sensors.",
+    build=lambda options: BoardMethod(options, ALGORITHM),
+    options=TargetOptions,
+    summary="Aligns planes of checkerboards, weighted by analytic covariances of both sensors.",
     needs=frozenset({"targets"}),
     cite="Koo, Kang, Jang and Doh, Analytic plane covariances construction for precise planarity-based extrinsic "
     "calibration of camera and LiDAR, ICRA 2020",
-    example=p2o.Example(f"synthetic:?{_BOARDS}", "10deg 0.3m", "0.5deg 0.05m", joint=True),
+    example=examples.checkerboards("0.5deg 0.05m"),
 )

@@ -1,19 +1,19 @@
-"""Edges that form lines, circles and squares, `--extractor lcs/CLOUD`: a filter of Canny's edges.
+"""Keep the edges that form lines, circles and squares, `--extractor lcs/CLOUD`: a filter of Canny's edges.
 
 After Tafrishi et al., Line-circle-square (LCS): a multilayered geometric filter for edge-based detection, RAS 2021. It
-is no calibration method: it takes clutter (leaves, gravel, texture) out of the edges before any matcher of edges
+is not a calibration method: it removes clutter (leaves, gravel, texture) from the edges before a matcher of edges
 without direction uses them, `nearest` or `gmm`.
 
-From the paper is the idea alone: layers of shapes, each of which keeps the edges that it explains. Its text was not at
-hand; how each shape is told, and all constants, are ours.
+Only the idea is from the paper: layers of shapes, each of which keeps the edges that it explains. Its text was not at
+hand; the detection of each shape and all constants are ours.
 
-1. Edges of `canny`, linked to chains and cut where they bend (`edge_chains`).
-2. Lines: pieces of a chain of `min_line_px` and more that a straight line fits.
-3. Circles: runs of pieces that one circle fits over `min_arc_deg` and more.
-4. Squares: what is too short for a line still counts where four pieces meet at right angles, end to end, and opposite
-   ones are parallel. Slanted views are quadrilaterals, hence `square_deg` and `max_aspect`.
+1. Edges of `canny`, linked to chains and split at bends (after Kovesi; Douglas and Peucker).
+2. Lines: pieces of a chain of `min_line_px` and more that fit a straight line.
+3. Circles: runs of pieces that fit one circle over `min_arc_deg` and more.
+4. Squares: pieces too short for a line are kept if four of them meet at right angles, end to end, and opposite ones are
+   parallel. Oblique views are quadrilaterals, hence `square_deg` and `max_aspect`.
 
-The filter of the paper follows shapes over the frames of a film as well; this one looks at single pictures.
+The filter of the paper also tracks shapes over the frames of a video; this one processes single images.
 """
 
 from __future__ import annotations
@@ -21,80 +21,182 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass
 from itertools import pairwise
+from math import hypot
+from typing import NamedTuple
 
 import numpy as np
 import p2o
-from p2o.arrays import Bool, Float, Int
+from p2o import Bool, Float, Int, field
 from scipy.ndimage import maximum_filter
 from scipy.spatial import cKDTree
 
 from p2o_baselines.canny import CannyOptions, check_thresholds, edge_pixels, edges_of
-from p2o_baselines.edge_chains import arc_of, chains, cut, line_rms_px
 
-_CRUMB_PX = 2
-"""Chains of so few pixels are corners of staircases that a chain cut short; they go with the shape that they touch."""
+_AROUND = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, -1), (-1, 1))
+"""The eight neighbours of a pixel, those that share a side first."""
+_BEYOND = tuple((dv, du) for dv in range(-2, 3) for du in range(-2, 3) if max(abs(dv), abs(du)) == 2)
+"""The sixteen pixels around those."""
+_STRAIGHT = 0.9  # cosine of the largest turn of a chain across a junction
+_LOOK_BACK = 5  # number of last pixels that determine the direction of a chain
+
+
+def chains(pixels: Bool) -> list[Int]:
+    """Return the 8-connected chains (M, 2), u and v, of edge pixels (H, W), each pixel in one, through junctions."""
+    # A border of zeros makes bounds checks unnecessary.
+    free = np.pad(np.asarray(pixels, np.bool_), 1)
+    around = sum(np.roll(free, step, axis=(0, 1)).astype(np.int8) for step in _AROUND)
+    v, u = np.nonzero(free)
+    ends_first = np.argsort(around[v, u] > 1, kind="stable")
+    left = set(zip(v.tolist(), u.tolist(), strict=True))
+    linked = []
+    for pixel in zip(v[ends_first].tolist(), u[ends_first].tolist(), strict=True):
+        if pixel not in left:
+            continue
+        left.discard(pixel)
+        chain = _walk([pixel], left)[::-1]
+        linked.append(np.array(_walk(chain, left), np.int64)[:, ::-1] - 1)
+    return linked
+
+
+def _walk(chain: list[tuple[int, int]], left: set[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Extend the chain from its last pixel, removing the pixels from `left`, and return it."""
+    while True:
+        (row, column), back = chain[-1], chain[max(len(chain) - _LOOK_BACK, 0)]
+        direction = (row - back[0], column - back[1])
+        near = [step for step in _AROUND if (row + step[0], column + step[1]) in left]
+        if not near and len(chain) >= _LOOK_BACK:
+            # A chain that crosses has taken the pixel between.
+            beyond = [step for step in _BEYOND if (row + step[0], column + step[1]) in left]
+            near = [step for step in beyond if _along(direction, step) > _STRAIGHT]
+        if not near:
+            return chain
+        # Straight on; of equals the one that shares a side, so that no corner of a staircase is left behind.
+        step = max(near, key=lambda step: _along(direction, step)) if len(near) > 1 else near[0]
+        chain.append((row + step[0], column + step[1]))
+        left.discard(chain[-1])
+
+
+def _along(direction: tuple[int, int], step: tuple[int, int]) -> float:
+    """Return the cosine of the angle between a step and the direction of a chain; 0 if the chain has none yet."""
+    product = direction[0] * step[0] + direction[1] * step[1]
+    return product / (hypot(*direction) * hypot(*step) or 1.0)
+
+
+def cut(chain: Int, off_px: float) -> tuple[Int, Int]:
+    """Return a chain (M, 2), if closed from a bend, and the indices (K,) of its corners: no pixel is `off_px` off."""
+    corners = _bends(chain, off_px)
+    closed = len(chain) > 8 and np.abs(chain[0] - chain[-1]).max() <= 2
+    if closed and len(corners) > 2:
+        chain = np.roll(chain, -int(corners[1]), axis=0)
+        corners = _bends(chain, off_px)
+    return chain, corners
+
+
+def _bends(chain: Int, off_px: float) -> Int:
+    """Return the indices (K,) of Douglas and Peucker's corners of a chain (M, 2), its first and last among them."""
+    keep, open_yet = {0, len(chain) - 1}, [(0, len(chain) - 1)]
+    while open_yet:
+        first, last = open_yet.pop()
+        if last - first < 2:
+            continue
+        chord, between = chain[last] - chain[first], chain[first + 1 : last] - chain[first]
+        length = float(np.hypot(*chord))
+        # From the point itself where both ends are one.
+        across = np.abs(chord[0] * between[:, 1] - chord[1] * between[:, 0])
+        off = across / length if length > 2 else np.hypot(*between.T)
+        far = int(np.argmax(off))
+        if off[far] >= off_px:
+            keep.add(first + 1 + far)
+            open_yet += [(first, first + 1 + far), (first + 1 + far, last)]
+    return np.array(sorted(keep), np.int64)
+
+
+def line_rms_px(uv: Float) -> float:
+    """Return the root mean square distance of pixels (M, 2) from the line that fits them best."""
+    offset = uv - uv.mean(axis=0)
+    return float(np.sqrt(max(np.linalg.eigvalsh(offset.T @ offset)[0], 0.0) / len(uv)))
+
+
+class Arc(NamedTuple):
+    """A circle fitted to pixels: its radius, the residual, and the angle that the arc covers."""
+
+    radius_px: float
+    rms_px: float
+    angle_deg: float
+
+
+def arc_of(uv: Float) -> Arc:
+    """Return the circle that fits pixels (M, 2) of a chain best, by Kasa's fit; of infinite radius for a line."""
+    middle = uv.mean(axis=0)
+    offset = uv - middle
+    rows = np.column_stack([2 * offset, np.ones(len(offset))])
+    solution, _, rank, _ = np.linalg.lstsq(rows, (offset**2).sum(axis=1), rcond=1e-9)
+    if rank < 3:
+        return Arc(np.inf, 0.0, 0.0)
+    radius = float(np.sqrt(max(solution[2] + solution[:2] @ solution[:2], 0.0)))
+    spoke = offset - solution[:2]
+    off = np.hypot(*spoke.T) - radius
+    turn = np.diff(np.unwrap(np.arctan2(spoke[:, 1], spoke[:, 0])))
+    return Arc(radius, float(np.sqrt((off**2).mean())), float(np.degrees(abs(turn.sum()))))
+
+
+_CRUMB_PX = 2  # chains of so few pixels are corners of staircases; they go with the shape that they touch
 
 
 class LcsOptions(CannyOptions):
     """Options of `lcs`: those of `canny`, and of each layer."""
 
-    bend_px: float = p2o.field(1.5, ge=0.5, le=20, help="Chains are cut where a pixel is so far from the chord.")
-    fit_px: float = p2o.field(
-        0.6, gt=0, le=20, help="Pixels of a shape are no farther from it than this, root mean square."
-    )
-    min_line_px: float = p2o.field(30.0, ge=2, help="Shortest line that counts by itself, in pixels.")
-    min_arc_deg: float = p2o.field(180.0, gt=0, le=360, help="Smallest part of a circle that counts.")
-    min_radius_px: float = p2o.field(5.0, ge=1, help="Radius of the smallest circle, in pixels.")
-    max_radius_px: float = p2o.field(200.0, ge=1, help="Radius of the largest circle, in pixels.")
-    min_side_px: float = p2o.field(8.0, ge=2, help="Shortest side of a square, in pixels.")
-    corner_px: float = p2o.field(5.0, ge=1, le=100, help="Sides of a square end so near to each other.")
-    square_deg: float = p2o.field(20.0, gt=0, lt=45, help="Largest difference of its angles from right ones.")
-    max_aspect: float = p2o.field(3.0, ge=1, help="Longest side of a square over its shortest one.")
+    bend_px: float = field(1.5, ge=0.5, le=20, help="Split chains where a pixel is this far from the chord.")
+    fit_px: float = field(0.6, gt=0, le=20, help="Largest root mean square distance of pixels from their shape.")
+    min_line_px: float = field(30.0, ge=2, help="Shortest line in pixels.")
+    min_arc_deg: float = field(180.0, gt=0, le=360, help="Smallest part of a circle that counts.")
+    min_radius_px: float = field(5.0, ge=1, help="Radius of the smallest circle, in pixels.")
+    max_radius_px: float = field(200.0, ge=1, help="Radius of the largest circle, in pixels.")
+    min_side_px: float = field(8.0, ge=2, help="Shortest side of a square, in pixels.")
+    corner_px: float = field(5.0, ge=1, le=100, help="Largest gap between the sides of a square.")
+    square_deg: float = field(20.0, gt=0, lt=45, help="Largest difference of its angles from right ones.")
+    max_aspect: float = field(3.0, ge=1, help="Longest side of a square over its shortest one.")
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A straight run of edge pixels (M, 2); `way` (2,) leads from the first to the last of them."""
+    """A straight run of edge pixels (M, 2)."""
 
     pixels: Int
 
     @property
-    def way(self) -> Float:
-        """From the first pixel to the last."""
+    def direction(self) -> Float:
+        """From the first pixel to the last (2,)."""
         return np.asarray(self.pixels[-1] - self.pixels[0], np.float64)
 
     @property
     def length_px(self) -> float:
         """From the first pixel to the last, straight."""
-        return float(np.hypot(*self.way))
+        return float(np.hypot(*self.direction))
 
 
 def build(options: LcsOptions) -> p2o.ImageExtractor:
     """Return the extractor; raises InputError if `low` exceeds `high`."""
-    check_thresholds(options, "lcs")
+    check_thresholds(options.low, options.high, "lcs")
     return lambda image: edges_of(shapes(edge_pixels(image, options), options))
 
 
 def shapes(pixels: Bool, options: LcsOptions) -> Bool:
     """Return which edge pixels (H, W) form lines, circles and squares."""
-    kept = np.zeros(pixels.shape, np.bool_)
-    crumbs = np.zeros(pixels.shape, np.bool_)
+    kept, crumbs = np.zeros(pixels.shape, np.bool_), np.zeros(pixels.shape, np.bool_)
     pieces: list[Piece] = []
     for chain in chains(pixels):
         if len(chain) <= _CRUMB_PX:
             crumbs[chain[:, 1], chain[:, 0]] = True
             continue
         turned, corners = cut(chain, options.bend_px)
-        straight = [
-            piece
-            for first, last in pairwise(corners.tolist())
-            if (piece := Piece(turned[first : last + 1])).length_px >= options.min_side_px
-            and line_rms_px(piece.pixels) <= options.fit_px
-        ]
-        lines = [piece for piece in straight if piece.length_px >= options.min_line_px]
-        for found in (*(piece.pixels for piece in lines), *arcs(turned, corners, options)):
-            kept[found[:, 1], found[:, 0]] = True
-        # A line that is long enough by itself may be a side as well.
+        runs = (Piece(turned[first : last + 1]) for first, last in pairwise(corners.tolist()))
+        straight = [run for run in runs if run.length_px >= options.min_side_px]
+        straight = [run for run in straight if line_rms_px(run.pixels) <= options.fit_px]
+        lines = [piece.pixels for piece in straight if piece.length_px >= options.min_line_px]
+        for shape in (*lines, *arcs(turned, corners, options)):
+            kept[shape[:, 1], shape[:, 0]] = True
+        # A line that is long enough alone may also be a side.
         pieces += straight
     for piece in squares(pieces, options):
         kept[piece.pixels[:, 1], piece.pixels[:, 0]] = True
@@ -103,24 +205,22 @@ def shapes(pixels: Bool, options: LcsOptions) -> Bool:
 
 def arcs(chain: Int, corners: Int, options: LcsOptions) -> list[Int]:
     """Return the runs of pixels (M, 2) of a chain, from corner to corner, that one circle fits."""
-    found, first = [], 0
+    runs, first = [], 0
     while first < len(corners) - 1:
         best, last = None, first + 1
         while last < len(corners):
             run = chain[corners[first] : corners[last] + 1]
             arc = arc_of(run)
-            # Two pieces are the least that tell a circle from a line.
+            # At least two pieces are needed to distinguish a circle from a line.
             if last > first + 1 and not (arc.rms_px <= options.fit_px and arc.radius_px <= options.max_radius_px):
                 break
             if arc.radius_px >= options.min_radius_px and arc.angle_deg >= options.min_arc_deg:
                 best = (last, run)
             last += 1
-        if best is None:
-            first += 1
-        else:
-            first = best[0]
-            found.append(best[1])
-    return found
+        if best is not None:
+            runs.append(best[1])
+        first = first + 1 if best is None else best[0]
+    return runs
 
 
 def squares(pieces: list[Piece], options: LcsOptions) -> list[Piece]:
@@ -136,17 +236,15 @@ def squares(pieces: list[Piece], options: LcsOptions) -> list[Piece]:
         if one // 2 != other // 2 and _angle_deg(pieces[one // 2], pieces[other // 2]) >= 90 - options.square_deg:
             beside[one].append(other)
             beside[other].append(one)
-    found: set[int] = set()
+    members: set[int] = set()
     for side in range(len(pieces)):
         for left in beside[2 * side]:
             for right in beside[2 * side + 1]:
-                # The far ends of both neighbours meet both ends of the fourth side.
+                # The far ends of both neighbours coincide with both ends of the fourth side.
                 across = {end // 2 for end in beside[left ^ 1]} & {end // 2 for end in beside[right ^ 1]}
-                four = [(side, left // 2, right // 2, fourth) for fourth in across - {side}]
-                found.update(
-                    number for each in four if _is_square([pieces[i] for i in each], options) for number in each
-                )
-    return [pieces[number] for number in sorted(found)]
+                fours = [(side, left // 2, right // 2, fourth) for fourth in across - {side}]
+                members.update(*(four for four in fours if _is_square([pieces[k] for k in four], options)))
+    return [pieces[number] for number in sorted(members)]
 
 
 def _is_square(sides: list[Piece], options: LcsOptions) -> bool:
@@ -163,7 +261,7 @@ def _is_square(sides: list[Piece], options: LcsOptions) -> bool:
 
 def _angle_deg(one: Piece, other: Piece) -> float:
     """Return the angle between two pieces, 0 to 90 degrees."""
-    a, b = one.way, other.way
+    a, b = one.direction, other.direction
     return float(np.degrees(np.arctan2(abs(a[0] * b[1] - a[1] * b[0]), abs(a @ b))))
 
 

@@ -1,13 +1,11 @@
-"""The camera's metric motion, from LiDAR points that are followed in its pictures (sensor fusion odometry).
+"""Estimate the metric motion of the camera from LiDAR points tracked in its images (sensor fusion odometry).
 
-After Ishikawa et al. 2018: points of the sweep are projected by the present extrinsic into the picture that belongs to
-it, followed by Lucas and Kanade's method to later pictures, and the motion is what makes the points, as things in the
-first camera frame, lie on the rays on which they are seen later: perspective-n-point, refined by the angles between
-rays.
+After Ishikawa et al. 2018: points of the sweep are projected by the current extrinsic into its image and tracked to
+later images by the method of Lucas and Kanade. The motion aligns the points in the first camera frame with the rays of
+their tracks: perspective-n-point, refined by the angles between rays.
 
-Which points: those where the picture has a corner, one in each cell, none that other surfaces hide from the camera or
-that lies at a step in depth, for there a small error of the extrinsic takes another thing's depth. All constants are
-ours.
+Points are selected where the image has a corner, one per cell, except points that other surfaces occlude or that lie at
+a depth discontinuity, where a small error of the extrinsic assigns the depth of another object. All constants are ours.
 """
 
 from __future__ import annotations
@@ -16,23 +14,19 @@ from dataclasses import dataclass
 
 import numpy as np
 import p2o
-from p2o.arrays import Bool, Float, UInt8
+from p2o import Bool, Float, UInt8
+from p2o.solving import hidden
 
 _NEAR_M, _FAR_M = 2.0, 80.0
 _MARGIN_PX = 12.0
-_STEP = 0.12
-"""Neighbours whose depth differs by a larger share lie on something else."""
-_USUAL_PX = 0.4
-"""Points that were followed well are off by about this."""
+_STEP = 0.12  # neighbours whose depth differs by a larger share belong to another object
+_USUAL_PX = 0.4  # typical residual of a well tracked point
 _FEWEST = 20
 
 
 @dataclass(frozen=True, eq=False)
 class MetricStep:
-    """A motion of the camera in metres: `second_from_first` (4, 4), with its covariance (6, 6), left update (rad, m).
-
-    `points` agree with it; they are off by `off_px`, root mean square.
-    """
+    """Metric motion (4, 4) of the camera, covariance (6, 6) of a left update (rad, m), inliers, residual."""
 
     second_from_first: Float
     covariance: Float
@@ -50,10 +44,7 @@ def trackable(
     most: int = 800,
     cell_px: float = 10.0,
 ) -> tuple[Float, Float]:
-    """Return LiDAR points worth following: where they are in a grey picture (M, 2) px, and in the camera frame (M, 3).
-
-    `xyz` (N, 3) is the sweep in the LiDAR frame, at the time of the picture.
-    """
+    """Select points of a sweep (N, 3) to track: positions in a grey image (M, 2) px and in the camera frame (M, 3)."""
     import cv2
     from scipy.spatial import cKDTree
 
@@ -68,17 +59,14 @@ def trackable(
     depth = np.concatenate([distance, [np.nan]])[neighbours]
     known = np.isfinite(away)
     apart = np.where(known, np.abs(depth / distance[:, None] - 1), 0.0).max(axis=1)
-    inside = (
-        (uv > _MARGIN_PX).all(axis=1)
-        & (uv[:, 0] < camera.width - 1 - _MARGIN_PX)
-        & (uv[:, 1] < camera.height - 1 - _MARGIN_PX)
-    )
+    last = [camera.width - 1 - _MARGIN_PX, camera.height - 1 - _MARGIN_PX]
+    inside = (uv > _MARGIN_PX).all(axis=1) & (uv < last).all(axis=1)
     good = inside & (apart < _STEP) & (known.sum(axis=1) > 3) & (distance > _NEAR_M) & (distance < _FAR_M)
     pixel = np.clip(np.rint(uv).astype(np.int64), 0, [camera.width - 1, camera.height - 1])
     corner = cv2.cornerMinEigenVal(np.ascontiguousarray(grey), 7)[pixel[:, 1], pixel[:, 0]]
     if masked is not None:
         good &= ~masked[pixel[:, 1], pixel[:, 0]]
-    good[good] = ~p2o.hidden(source[good], source, camera, camera_from_lidar)
+    good[good] = ~hidden(source[good], source, camera, camera_from_lidar)
     good &= corner > 0.002 * float(np.quantile(corner, 0.99))
     rows = np.flatnonzero(good)
     # The best corner of each cell, then the best cells.
@@ -91,11 +79,7 @@ def trackable(
 
 
 def metric_step(xyz: Float, rays: Float, focal_px: float, guess: Float) -> MetricStep | None:
-    """Return the motion (4, 4) that brings points (N, 3) of the first camera frame onto rays (N, 3) of the second.
-
-    It begins at a `guess`; angles between points and rays count, in pixels (a radian is `focal_px`), and wrong ones are
-    damped (Cauchy). None where fewer than twenty points agree.
-    """
+    """Return the motion (4, 4) of points (N, 3) onto rays (N, 3) near a guess, by Cauchy; None with few inliers."""
     known = np.isfinite(rays).all(axis=1)
     xyz, rays = xyz[known], rays[known] / np.linalg.norm(rays[known], axis=1)[:, None]
     if len(xyz) < _FEWEST:
@@ -106,11 +90,11 @@ def metric_step(xyz: Float, rays: Float, focal_px: float, guess: Float) -> Metri
     def equations(pose: Float, width_px: float) -> tuple[Float, Float, Float]:
         moved = p2o.se3.apply(pose, xyz)
         distance = np.maximum(np.linalg.norm(moved, axis=1), 1e-6)
-        way = moved / distance[:, None]
-        off = np.einsum("nij,nj->ni", basis, way) * focal_px
+        direction = moved / distance[:, None]
+        off = np.einsum("nij,nj->ni", basis, direction) * focal_px
         # Behind the camera the angle is far larger than its sine.
-        off[(way * rays).sum(axis=1) < 0] = 1e3
-        slope = np.einsum("nij,njk->nik", basis, np.eye(3) - np.einsum("ni,nj->nij", way, way))
+        off[(direction * rays).sum(axis=1) < 0] = 1e3
+        slope = np.einsum("nij,njk->nik", basis, np.eye(3) - np.einsum("ni,nj->nij", direction, direction))
         slope *= (focal_px / distance)[:, None, None]
         jacobian = np.concatenate([-slope @ p2o.se3.skew(moved), slope], axis=2)
         weight = 1.0 / (1.0 + (off**2).sum(axis=1) / width_px**2)

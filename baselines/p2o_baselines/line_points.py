@@ -1,25 +1,25 @@
-"""Depth discontinuities of one sweep or several that lie along lines, `--extractor IMAGE/line-points`.
+"""Extract depth discontinuities along lines from one or several sweeps, `--extractor IMAGE/line-points`.
 
 After Zhang et al., Line-Based Automatic Extrinsic Calibration of LiDAR and Camera, ICRA 2021, who accumulate the
 discontinuity points of three successive sweeps and keep those that form lines. All constants are ours.
 
-- A sweep with rings: steps back along its rings, as in `ring-discontinuity`.
-- A cloud without rings, such as several sweeps joined (`--accumulate poses --set accumulate.past=2 --set
-  accumulate.future=0`): the picture that the cloud makes seen from its origin, one cell `cell_deg` wide; in each cell
-  that steps back to the next one, the point nearest to it.
-- A point is kept where it and its neighbours within a radius spread along one direction: the largest eigenvalue of
-  their covariance has at least `min_straight` of the trace. It weighs the root of its step, as Levinson and Thrun have
-  it.
+- A sweep with rings: range jumps along its rings, as in `ring-discontinuity`.
+- A cloud without rings, such as accumulated sweeps (`--accumulate poses --set accumulate.past=2 --set
+  accumulate.future=0`): its range image from the origin with cells of `cell_deg`; the nearest point of each cell in
+  front of a jump to the next cell.
+- A point is kept if the neighbours within a radius are distributed along one direction: the largest eigenvalue of their
+  covariance is at least `min_straight` of the trace. Its weight is the square root of its jump, as in Levinson and
+  Thrun.
 
-Departures: the published filter is not known to us in detail; occlusion by the way from LiDAR to camera is left to the
-pipeline.
+Departures: the published filter is not known to us in detail; occlusion due to the offset between LiDAR and camera is
+handled by the pipeline.
 """
 
 from __future__ import annotations
 
 import numpy as np
 import p2o
-from p2o.arrays import Bool, Float, Int
+from p2o import Bool, Float, Int, field
 from scipy.ndimage import grey_erosion
 from scipy.spatial import cKDTree
 
@@ -29,62 +29,50 @@ from p2o_baselines.ring_discontinuity import edges_at, ring_jumps
 class LinePointsOptions(p2o.Options):
     """Options of `line-points`."""
 
-    min_jump_m: float = p2o.field(0.5, ge=0, help="Smallest step back in range, in metres.")
-    min_jump_share: float = p2o.field(0.03, ge=0, help="Added to that step: this share of the range.")
-    max_gap_deg: float = p2o.field(
-        0.6, gt=0, lt=90, help="Points of a ring further apart in azimuth are no neighbours."
-    )
-    cell_deg: float = p2o.field(
-        0.2, gt=0, le=5, help="Width of a cell of the picture that a cloud without rings makes."
-    )
-    max_range_m: float = p2o.field(60.0, gt=1, help="Points farther than this are left out.")
-    radius_m: float = p2o.field(0.3, gt=0, help="Radius in which neighbours of a point are looked at, in metres.")
-    radius_share: float = p2o.field(0.02, ge=0, help="The radius is at least this share of the range.")
-    min_neighbours: int = p2o.field(2, ge=1, help="Neighbours within the radius that a point of a line has.")
-    min_straight: float = p2o.field(0.7, gt=0, le=1, help="Share of the spread that lies along one direction.")
+    min_jump_m: float = field(0.5, ge=0, help="Smallest range jump, in metres.")
+    min_jump_share: float = field(0.03, ge=0, help="Added to the smallest jump, as a share of the range.")
+    max_gap_deg: float = field(0.6, gt=0, lt=90, help="Largest azimuth between neighbours on a ring.")
+    cell_deg: float = field(0.2, gt=0, le=5, help="Width of a cell of the range image of a cloud without rings.")
+    max_range_m: float = field(60.0, gt=1, help="Drop points farther than this.")
+    radius_m: float = field(0.3, gt=0, help="Radius of the neighbourhood of a point, in metres.")
+    radius_share: float = field(0.02, ge=0, help="The radius is at least this share of the range.")
+    min_neighbours: int = field(2, ge=1, help="Least number of neighbours within the radius.")
+    min_straight: float = field(0.7, gt=0, le=1, help="Least share of the variance along one direction.")
 
 
-def build(options: LinePointsOptions) -> p2o.CloudExtractor:
-    """Return the extractor."""
-
-    def extract(cloud: p2o.Cloud) -> p2o.CloudFeatures:
-        rows, jump_m = discontinuities(cloud, options)
-        xyz = cloud.xyz[rows]
-        range_m = np.linalg.norm(xyz, axis=1)
-        keep = (jump_m > options.min_jump_m + options.min_jump_share * range_m) & (range_m <= options.max_range_m)
-        rows, xyz, range_m = rows[keep], xyz[keep], range_m[keep]
-        radius_m = np.maximum(options.radius_m, options.radius_share * range_m)
-        line = along_lines(xyz, radius_m, options.min_neighbours, options.min_straight)
-        return p2o.CloudFeatures(edges_at(cloud, rows[line], np.sqrt(jump_m[keep][line])))
-
-    return extract
+def extract(cloud: p2o.Cloud, options: LinePointsOptions) -> p2o.CloudFeatures:
+    """Return the points in front of range jumps along lines."""
+    rows, jump_m = discontinuities(cloud, options)
+    xyz = cloud.xyz[rows]
+    range_m = np.linalg.norm(xyz, axis=1)
+    keep = (jump_m > options.min_jump_m + options.min_jump_share * range_m) & (range_m <= options.max_range_m)
+    rows, xyz, range_m = rows[keep], xyz[keep], range_m[keep]
+    radius_m = np.maximum(options.radius_m, options.radius_share * range_m)
+    line = along_lines(xyz, radius_m, options.min_neighbours, options.min_straight)
+    return p2o.CloudFeatures(edges_at(cloud, rows[line], np.sqrt(jump_m[keep][line])))
 
 
 def discontinuities(cloud: p2o.Cloud, options: LinePointsOptions) -> tuple[Int, Float]:
-    """Return the points (M,) before a step back in range, and the steps (M,) m: by rings, else in a picture."""
+    """Return the points (M,) before a step back in range, and the steps (M,) m: by rings, else in an image."""
     if cloud.ring is not None:
         return ring_jumps(cloud, options.min_jump_m, options.max_gap_deg)
-    return picture_jumps(cloud.xyz, np.radians(options.cell_deg), options.min_jump_m)
+    return range_image_jumps(cloud.xyz, np.radians(options.cell_deg), options.min_jump_m)
 
 
-def picture_jumps(xyz: Float, cell: float, min_jump_m: float) -> tuple[Int, Float]:
-    """Return rows and steps back (M,) m of the points next to background in the picture that a cloud (N, 3) makes.
-
-    Columns are `cell` rad wide, rows twice as high. Two cells beside an edge have to show background, so that a gap
-    between points of the far surface is none of the near one.
-    """
+def range_image_jumps(xyz: Float, cell: float, min_jump_m: float) -> tuple[Int, Float]:
+    """Return rows and jumps (M,) m of points before background in two cells of the range image of a cloud (N, 3)."""
     distance = np.linalg.norm(xyz, axis=1)
     rows = np.flatnonzero(distance > 0.5)
     place = np.column_stack([-np.arctan2(xyz[rows, 1], xyz[rows, 0]), -np.arcsin(xyz[rows, 2] / distance[rows])])
     at = np.floor((place - [-np.pi, -np.pi / 2]) / [cell, 2 * cell]).astype(np.int64)
     width, height = int(2 * np.pi / cell) + 1, int(np.pi / (2 * cell)) + 1
-    # Far points first, so that the nearest of each cell stays; those that are equally far are told by their place.
+    # Far points are written first, so that the nearest of each cell remains; equal ranges are ordered by position.
     order = np.lexsort((place[:, 1], place[:, 0], -distance[rows]))
     near = np.full((height, width), np.inf)
     near[at[order, 1], at[order, 0]] = distance[rows][order]
-    # A cell without points between cells with some is a gap: it shows what is nearer of the two.
+    # An empty cell between occupied cells is a gap: it takes the nearer of the two ranges.
     shown = np.where(np.isfinite(near), near, grey_erosion(near, size=(1, 3), mode="wrap"))
-    found, steps = [], []
+    chosen_rows, steps = [], []
     for sign in (-1, 1):
         one, two = (np.roll(shown, -count * sign, axis=1)[at[:, 1], at[:, 0]] for count in (1, 2))
         beside = np.minimum(one, two)
@@ -95,17 +83,14 @@ def picture_jumps(xyz: Float, cell: float, min_jump_m: float) -> tuple[Int, Floa
         some = some[outward]
         first = np.ones(len(some), np.bool_)
         first[1:] = (np.diff(at[some], axis=0) != 0).any(axis=1)
-        found.append(rows[some[first]])
+        chosen_rows.append(rows[some[first]])
         steps.append(jump[some[first]])
-    chosen, where = np.unique(np.concatenate(found), return_index=True)
+    chosen, where = np.unique(np.concatenate(chosen_rows), return_index=True)
     return chosen, np.concatenate(steps)[where]
 
 
 def along_lines(xyz: Float, radius_m: Float, min_neighbours: int, min_straight: float) -> Bool:
-    """Return which points (N, 3) have at least `min_neighbours` others within their radius (N,) that lie along a line.
-
-    They do where the covariance of all of them has at least `min_straight` of its trace in its largest eigenvalue.
-    """
+    """Return the points (N, 3) whose neighbours within their radius (N,) are enough and distributed along a line."""
     if len(xyz) <= min_neighbours:
         return np.zeros(len(xyz), np.bool_)
     near = cKDTree(xyz).query_ball_point(xyz, radius_m, return_sorted=True)
@@ -125,9 +110,9 @@ def along_lines(xyz: Float, radius_m: Float, min_neighbours: int, min_straight: 
 
 METHOD = p2o.Method(
     name="line-points",
-    build=build,
+    build=lambda options: lambda cloud: extract(cloud, options),
     options=LinePointsOptions,
-    summary="Points before a step back in range that lie along lines, of one sweep or of several joined ones.",
+    summary="Points in front of range jumps along lines, of one or several accumulated sweeps.",
     gives={"cloud-edges"},
     cite="Zhang et al., Line-Based Automatic Extrinsic Calibration of LiDAR and Camera, ICRA 2021",
 )

@@ -1,18 +1,18 @@
-"""Delay of the camera by odometry of both sensors, then `line-idt`: `--calibrator line-time --joint`.
+"""Estimate the camera delay by odometry of both sensors, then run `line-idt`: `--calibrator line-time --joint`.
 
 After Wang et al., Temporal and Spatial Online Integrated Calibration for Camera and LiDAR, ITSC 2022, the successor of
-`line-idt` (Zhang et al. 2021) by the same idea: time first, space second.
+`line-idt` (Zhang et al. 2021): first time, then space.
 
-1. Time: visual odometry between successive pictures (`visual_odometry`), poses of the LiDAR from the frames; the delay
-   is the shift at which both turn alike (`sensor_delay`). The rotation of the start, which is about right, tells the
-   axes; nothing else of the start matters here.
-2. Sweeps are moved to the moments of their pictures, by the delay and the motion of the LiDAR.
-3. Space: the stages of `line-idt`, its cloud side `line-points` and a solver, on all frames together.
+1. Time: visual odometry between successive images (`visual_odometry`) and LiDAR poses from the frames; the delay is the
+   time shift at which the rotations of both agree (`sensor_delay`). The rotation of the initial extrinsic, which is
+   approximately right, aligns the axes; its translation has no effect here.
+2. Sweeps are moved to the times of their images, by the delay and the motion of the LiDAR.
+3. Space: the stages of `line-idt`, its cloud side `line-points` and a solver, on all frames jointly.
 
-Departures: the text of the paper was not at hand. That turns are compared rather than whole motions (their scale is
-not known), least squares, the parabola, its deviation, and when a drive tells nothing, are ours; so is what comes from
-`line-idt`. They publish an online method, which follows a delay as it changes; this one takes it as constant. The
-witness that checks the result sees sweeps where they were, not where the delay puts them.
+Departures: the text of the paper was not at hand. Comparing rotations instead of whole motions (their scale is
+unknown), least squares, the parabola, its standard deviation, and the test of observability are ours, as are the parts
+of `line-idt`. The original is an online method that tracks a changing delay; here it is constant. The independent check
+of the result uses sweeps at their nominal times, without the delay.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from typing import Literal
 
 import numpy as np
 import p2o
-from p2o import Result, Status
-from p2o.arrays import Bool, Float, UInt8
-from p2o.geometry.motion import pose_at
+from p2o import Bool, Float, Result, Status, UInt8, field
+from p2o.reading import pose_at
+from p2o.solving import Pipeline
 
 from p2o_baselines.sensor_delay import Delay, Drive, delay_of, twists
 from p2o_baselines.visual_odometry import camera_step, followed
@@ -35,22 +35,20 @@ from p2o_baselines.visual_odometry import camera_step, followed
 class LineTimeOptions(p2o.Options):
     """Options of `line-time`."""
 
-    longest_s: float = p2o.field(0.2, gt=0, le=10, help="Longest delay that is tried, to either side.")
-    step_s: float = p2o.field(0.005, gt=0, le=1, help="Delays that are tried lie so far apart.")
-    gap_s: float = p2o.field(0.5, gt=0, le=60, help="Pictures farther apart in time are not compared.")
-    span_s: float = p2o.field(0.5, ge=0, le=60, help="Turns between pictures up to so far apart are compared.")
-    least_steps: int = p2o.field(4, ge=2, help="Fewer steps from picture to picture are too few.")
-    sigma_s: float = p2o.field(0.02, gt=0, le=10, help="A delay with a larger standard deviation is not told.")
-    explained: float = p2o.field(
-        0.5, ge=0, lt=1, help="Share of the camera's turns, squared, that have to be the LiDAR's as well."
-    )
-    corners: int = p2o.field(1500, ge=50, le=100_000, help="Corners of a picture that are followed, at most.")
-    solver: Literal["grid729", "coordinate"] = p2o.field("grid729", help="Solver of the second half.")
+    longest_s: float = field(0.2, gt=0, le=10, help="Longest delay that is tried, to either side.")
+    step_s: float = field(0.005, gt=0, le=1, help="Spacing of the evaluated delays.")
+    gap_s: float = field(0.5, gt=0, le=60, help="Largest time between compared images.")
+    span_s: float = field(0.5, ge=0, le=60, help="Largest time over which rotations are compared.")
+    least_steps: int = field(4, ge=2, help="Fewer steps from image to image are too few.")
+    sigma_s: float = field(0.02, gt=0, le=10, help="Refuse delays with a larger standard deviation.")
+    explained: float = field(0.5, ge=0, lt=1, help="Least share of the camera's squared turns in the LiDAR's.")
+    corners: int = field(1500, ge=50, le=100_000, help="Largest number of corners tracked per image.")
+    solver: Literal["grid729", "coordinate"] = field("grid729", help="Solver of the second half.")
 
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """What is prepared of a frame: when and where it was taken, its grey picture, and the features of `line-idt`."""
+    """The prepared part of a frame: time, pose, grey image, and the features of `line-idt`."""
 
     sequence: str
     time_s: float
@@ -62,77 +60,68 @@ class Moment:
 
 @dataclass(frozen=True)
 class LineTime:
-    """The whole method; `space` are the stages of the second half."""
+    """The calibrator; `space` are the stages of the second half."""
 
     options: LineTimeOptions
-    space: p2o.Pipeline
+    space: Pipeline
 
     def prepare(self, frame: p2o.Frame) -> Moment:
-        """Return what both halves need of a frame. Raises InputError where it has no sequence, time or LiDAR pose."""
+        """Return the part of a frame that is used. Raises InputError if it has no sequence, time or LiDAR pose."""
         if not frame.sequence or frame.time_s is None or frame.lidar_world_from_lidar is None:
-            raise p2o.InputError(
-                "the frame is of no drive", where=frame.name, expected="sequence, time and pose of the LiDAR"
-            )
-        view = self.space.prepare(frame)
-        image = frame.image
+            expected = "sequence, time and pose of the LiDAR"
+            raise p2o.InputError("the frame belongs to no drive", where=frame.name, expected=expected)
+        image, view = frame.image, self.space.prepare(frame)
         return Moment(frame.sequence, frame.time_s, frame.lidar_world_from_lidar, image.grey, image.masked, view)
 
     def solve(self, prepared: Sequence[Moment], camera_from_lidar: Float) -> Result:
-        """Return the pose of all frames together, each sweep moved by the delay that they tell."""
+        """Return the pose from all frames, with each sweep moved by the estimated delay."""
         names = tuple(moment.view.name for moment in prepared)
         start = np.asarray(camera_from_lidar, np.float64)
-        drives = drives_of(prepared)
-        found = delay_of(
-            [turns_of(drive, self.options) for drive in drives],
-            start,
-            longest_s=self.options.longest_s,
-            step_s=self.options.step_s,
-        )
-        counts = {"steps": 0 if found is None else found.steps}
-        trouble = self._trouble(found, sum(map(len, drives)))
-        if found is None or trouble is not None:
+        drives, options = drives_of(prepared), self.options
+        turns = [turns_of(drive, options) for drive in drives]
+        delay = delay_of(turns, start, longest_s=options.longest_s, step_s=options.step_s)
+        counts = {"steps": 0 if delay is None else delay.steps}
+        trouble = self._trouble(delay, sum(map(len, drives)))
+        if delay is None or trouble is not None:
             status, reason = trouble or (Status.TOO_FEW_MATCHES, "no steps")
             return Result(names, start, start, status, reason, matches=counts)
-        told = (
-            f"pictures were taken {1e3 * abs(found.delay_s):.1f} +- {1e3 * found.sigma_s:.1f} ms "
-            f"{'after' if found.delay_s >= 0 else 'before'} their sweeps, as {found.steps} steps tell"
+        summary = (
+            f"images were taken {1e3 * abs(delay.delay_s):.1f} +- {1e3 * delay.sigma_s:.1f} ms "
+            f"{'after' if delay.delay_s >= 0 else 'before'} their sweeps, as {delay.steps} steps tell"
         )
-        views = [view for drive in drives for view in synchronised(drive, found.delay_s)]
+        views = [view for drive in drives for view in synchronised(drive, delay.delay_s)]
         result = self.space.solve(views, start)
         known = {*names} - {view.name for view in views}
         alone = (f"left out, for their drives have no other frame: {', '.join(sorted(known))}",) if known else ()
         return replace(
             result,
             frames=names,
-            reason=f"{told}; {result.reason}",
+            reason=f"{summary}; {result.reason}",
             matches={**counts, **result.matches},
-            warnings=(*result.warnings, told, *alone),
+            warnings=(*result.warnings, summary, *alone),
         )
 
-    def _trouble(self, found: Delay | None, frames: int) -> tuple[Status, str] | None:
-        """Return why the delay is not known, or None where it is."""
+    def _trouble(self, delay: Delay | None, frames: int) -> tuple[Status, str] | None:
+        """Return why the delay is unknown; None if it is known."""
         options = self.options
-        if found is None or found.steps < options.least_steps:
+        longest = f"{options.longest_s:g} s"
+        if delay is None or delay.steps < options.least_steps:
             return Status.TOO_FEW_MATCHES, (
-                f"{0 if found is None else found.steps} steps between pictures of one drive, of {frames} frames, lie "
-                f"{options.longest_s:g} s and more within its poses; {options.least_steps} are needed, calibrated "
-                "jointly"
+                f"{0 if delay is None else delay.steps} steps between images of one drive, of {frames} frames, lie "
+                f"{longest} and more within its poses; {options.least_steps} are needed, calibrated jointly"
             )
-        if found.explained < options.explained:
+        if delay.explained < options.explained:
             return Status.NOT_OBSERVABLE, (
-                f"no delay of up to {options.longest_s:g} s lays the turns of camera and LiDAR upon each other: they "
-                f"share {max(found.explained, 0):.0%} of them; drive so that it turns, and check what times belong to"
+                f"no delay of up to {longest} lays the turns of camera and LiDAR upon each other: they share "
+                f"{max(delay.explained, 0):.0%} of them; drive so that it turns, and check what times belong to"
             )
-        if not found.inside:
-            return Status.NOT_OBSERVABLE, (
-                f"the delay is {options.longest_s:g} s or longer, the longest that is tried: calibrator.longest_s"
-            )
-        if not found.sigma_s <= options.sigma_s:
-            known = f"to {1e3 * found.sigma_s:.0f} ms only" if np.isfinite(found.sigma_s) else "not at all"
-            return Status.NOT_OBSERVABLE, (
-                f"the drive turns too little, or too evenly, to tell the delay: it is known {known}; drive curves to "
-                "either side"
-            )
+        if not delay.inside:
+            reason = f"the delay is {longest} or longer, the longest that is tried: calibrator.longest_s"
+            return Status.NOT_OBSERVABLE, reason
+        if not delay.sigma_s <= options.sigma_s:
+            known = f"to {1e3 * delay.sigma_s:.0f} ms only" if np.isfinite(delay.sigma_s) else "not at all"
+            reason = f"the drive turns too little, or too evenly, to tell the delay: it is known {known}"
+            return Status.NOT_OBSERVABLE, f"{reason}; drive curves to either side"
         return None
 
 
@@ -153,12 +142,12 @@ def turns_of(drive: Sequence[Moment], options: LineTimeOptions) -> Drive:
 
 
 def _step(first: Moment, second: Moment, options: LineTimeOptions) -> Float | None:
-    """Return the rotation (3, 3) of the camera between two pictures, None where they do not tell."""
+    """Return the rotation (3, 3) of the camera between two images; None if they do not determine it."""
     if second.time_s - first.time_s > options.gap_s or first.grey.shape != second.grey.shape:
         return None
-    here, there = followed(first.grey, second.grey, most=options.corners, masked=first.masked)
+    uv_first, uv_second = followed(first.grey, second.grey, most=options.corners, masked=first.masked)
     camera = first.view.camera
-    step = camera_step(camera.rays(here), second.view.camera.rays(there), camera.focal_px)
+    step = camera_step(camera.rays(uv_first), second.view.camera.rays(uv_second), camera.focal_px)
     return None if step is None else step.second_from_first[:3, :3]
 
 
@@ -170,18 +159,12 @@ def synchronised(drive: Sequence[Moment], delay_s: float) -> list[p2o.View]:
 
 
 def build(options: LineTimeOptions) -> p2o.Calibrator:
-    """Return the calibrator. Raises UnknownNameError where no plugin with the solver is loaded."""
-    recipe = p2o.Recipe.of(
-        data=None,
-        extractor="line-idt/line-points",
-        matcher="line-idt",
-        solver=options.solver,
-        init="given",
-        witness="none",
-    )
-    stages = recipe.resolve(p2o.Registry.load()).calibrator()
-    assert isinstance(stages, p2o.Pipeline)
-    return LineTime(options, stages)
+    """Return the calibrator. Raises UnknownNameError if no plugin with the solver is loaded."""
+    stages = {"extractor": "line-idt/line-points", "matcher": "line-idt", "solver": options.solver, "init": "given"}
+    recipe = p2o.Recipe.of(data=None, **stages, witness="none")
+    space = recipe.resolve(p2o.Registry.load()).calibrator()
+    assert isinstance(space, Pipeline)
+    return LineTime(options, space)
 
 
 _THREE_FRAMES = "the drive of the stage has three frames a second apart, and a delay takes more"

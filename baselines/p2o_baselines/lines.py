@@ -1,16 +1,16 @@
-"""Lines of the sweep on planes through lines of the image, `--extractor lsd/plane-lines --matcher lines`.
+"""Align lines of the sweep with planes through lines of the image, `--extractor lsd/plane-lines --matcher lines`.
 
 Moghadam, Bosse and Zlot, Line-based Extrinsic Calibration of Range and Image Sensors, ICRA 2013. A line of the image
-and the camera's centre span a plane with the unit normal n. A 3D line with point p and direction d lies in it where n .
-(R d) = 0 and n . (R p + t) = 0. Each 3D line takes the nearest image line; the robust sum over both residuals of all
-pairs is minimised (solver `lm`), and pairs are looked for anew.
+and the camera's centre span a plane with the unit normal n. A 3D line with point p and direction d lies in it if n . (R
+d) = 0 and n . (R p + t) = 0. Each 3D line is matched with the nearest image line; the robust sum over both residuals of
+all pairs is minimised (solver `lm`), and lines are matched again.
 
-Made for dense clouds of indoor scenes; `--accumulate poses` and streets with houses come nearest to that.
+Intended for dense clouds of indoor scenes; `--accumulate poses` and streets with buildings are closest to that.
 
-Departures: what is nearest is said by the reach of the round, an angle, and an overlap (theirs is not known to us in
-detail). Residuals are in pixels: the offset is divided by the range of the point and times the focal length; the
-direction too, times half the length of the 3D line, so that it is by how much the ends are off, and short lines, whose
-direction is unsure, do not outweigh long ones. The start is given, as theirs.
+Departures: nearest is defined by the reach of the round, an angle, and an overlap (the original is not known to us in
+detail). Residuals are in pixels: the offset is divided by the range of the point and multiplied by the focal length;
+the direction is also multiplied by half the length of the 3D line, so that it is the error at the ends and short lines
+with uncertain direction have less influence. The initial extrinsic is given, as in the original.
 """
 
 from __future__ import annotations
@@ -20,22 +20,20 @@ from dataclasses import dataclass
 
 import numpy as np
 import p2o
-from p2o.arrays import Float, Int
+from p2o import Float, Int, field
+from p2o.solving import LeastSquares
 
 
 class LinesOptions(p2o.Options):
     """Options of `lines`."""
 
-    max_angle_deg: float = p2o.field(8.0, gt=0, le=90, help="Largest angle in the image between lines that are paired.")
-    huber_px: float = p2o.field(2.0, gt=0, help="Residual from which a pair counts linearly and no longer squared.")
+    max_angle_deg: float = field(8.0, gt=0, le=90, help="Largest angle in the image between lines that are paired.")
+    huber_px: float = field(2.0, gt=0, help="Residual from which a pair counts linearly and no longer squared.")
 
 
 @dataclass(frozen=True, eq=False)
-class LinesInPlanes(p2o.LeastSquares):
-    """Residuals scale normal . (R vector + whole t): offsets where `whole` is 1, directions where it is 0.
-
-    `vector` (K, 3) m in the LiDAR frame, `normal` (K, 3) unit in the camera frame, `scale` (K,) px/m, `whole` (K,).
-    """
+class LinesInPlanes(LeastSquares):
+    """Residuals scale normal . (R vector + whole t) px: offsets where `whole` (K,) is 1, directions where it is 0."""
 
     vector: Float
     normal: Float
@@ -68,17 +66,17 @@ class LinesInPlanes(p2o.LeastSquares):
 
     def _turned(self, pose: Float) -> Float:
         """Return R vector + whole t, (..., K, 3)."""
+        pose = np.asarray(pose, np.float64)
         turned = self.vector @ np.swapaxes(pose[..., :3, :3], -1, -2)
         return np.asarray(turned + self.whole[:, None] * pose[..., None, :3, 3])
 
     def residuals(self, camera_from_lidar: Float) -> Float:
         """Return signed residuals in pixels, (K,) for one pose or (B, K) for several."""
-        turned = self._turned(np.asarray(camera_from_lidar, np.float64))
-        return np.asarray(self.scale * (turned * self.normal).sum(axis=-1))
+        return np.asarray(self.scale * (self._turned(camera_from_lidar) * self.normal).sum(axis=-1))
 
     def residuals_with_jacobian(self, camera_from_lidar: Float) -> tuple[Float, Float]:
         """Return residuals (K,) and derivatives (K, 6) for a left update exp(delta) @ camera_from_lidar."""
-        turned = self._turned(np.asarray(camera_from_lidar, np.float64))
+        turned = self._turned(camera_from_lidar)
         by_turn, by_shift = np.cross(turned, self.normal), self.whole[:, None] * self.normal
         jacobian = self.scale[:, None] * np.concatenate([by_turn, by_shift], axis=1)
         return np.asarray(self.scale * (turned * self.normal).sum(axis=-1)), jacobian
@@ -97,11 +95,7 @@ def build(options: LinesOptions) -> p2o.Matcher:
 
 
 def nearest_lines(uv: Float, ends: Float, reach_px: float, max_angle_deg: float) -> Int:
-    """Return for each projected segment (M, 2, 2) px the row of the nearest of `ends` (N, 2, 2) px, -1 for none.
-
-    Both its ends are within `reach_px` of the line, the angle between them is small enough, and its middle lies beside
-    the segment, or beyond its end by `reach_px` at most. NaN (not in view) has none.
-    """
+    """Return the row of the nearest of `ends` for each projected segment (M, 2, 2) px, -1 for none beside it."""
     out = np.full(len(uv), -1)
     if not len(uv) or not len(ends):
         return out
@@ -133,15 +127,13 @@ def _rows(view: p2o.View, pose: Float, reach_px: float, options: LinesOptions) -
     pairs = np.flatnonzero(chosen >= 0)
     normal = np.cross(*np.moveaxis(view.camera.rays(image.ends[chosen[pairs]]), 1, 0))
     length = np.linalg.norm(normal, axis=1, keepdims=True)
-    told = np.isfinite(length[:, 0]) & (length[:, 0] > 1e-9)
-    pairs, normal = pairs[told], normal[told] / length[told]
+    finite = np.isfinite(length[:, 0]) & (length[:, 0] > 1e-9)
+    pairs, normal = pairs[finite], normal[finite] / length[finite]
     ends = cloud.ends[pairs]
     point, half = ends.mean(axis=1), 0.5 * (ends[:, 1] - ends[:, 0])
-    scale = view.camera.focal_px / np.linalg.norm(p2o.se3.apply(pose, point), axis=1)
-    one = np.ones(len(pairs))
-    offsets = np.column_stack([point, normal, scale, one])
-    directions = np.column_stack([half, normal, scale, 0 * one])
-    return np.concatenate([offsets, directions])
+    scale, one = view.camera.focal_px / np.linalg.norm(p2o.se3.apply(pose, point), axis=1), np.ones(len(pairs))
+    rows = ([point, normal, scale, one], [half, normal, scale, 0 * one])
+    return np.concatenate([np.column_stack(each) for each in rows])
 
 
 METHOD = p2o.Method(

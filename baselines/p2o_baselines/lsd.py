@@ -1,8 +1,8 @@
-"""Line segments of the grey image, `--extractor lsd/CLOUD`: as undirected edges, and as segments.
+"""Detect line segments of the grey image, `--extractor lsd/CLOUD`: as undirected edges and as segments.
 
-Von Gioi et al., LSD: A Line Segment Detector, Image Processing On Line 2, 2012, in the form of OpenCV, with its own
-settings. Edges are points one pixel apart along the segments, each of weight 1. Segments that touch masked pixels are
-left out, and so are those shorter than `min_length_px` (ours).
+Von Gioi et al., LSD: A Line Segment Detector, Image Processing On Line 2, 2012, in OpenCV's implementation with its
+default settings. Edges are points one pixel apart along the segments, each of weight 1. Segments that touch masked
+pixels or are shorter than `min_length_px` (ours) are dropped.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 import p2o
-from p2o.arrays import Float, checked
+from p2o import Float, field
+from p2o.solving import checked
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,19 +38,19 @@ class ImageLines(p2o.ImageFeature):
 class LsdOptions(p2o.Options):
     """Options of `lsd`."""
 
-    min_length_px: float = p2o.field(10.0, ge=0, help="Shortest segment that is kept, in pixels.")
+    min_length_px: float = field(10.0, ge=0, help="Shortest segment that is kept, in pixels.")
 
 
 def segments(image: p2o.Image, min_length_px: float) -> Float:
     """Return the segments (N, 2, 2) px of an image that are long enough and touch no masked pixel."""
     import cv2
 
-    found = cv2.createLineSegmentDetector().detect(np.ascontiguousarray(image.grey))[0]
-    if found is None:
+    detected = cv2.createLineSegmentDetector().detect(np.ascontiguousarray(image.grey))[0]
+    if detected is None:
         return np.zeros((0, 2, 2))
     # The detector may reach half a pixel beyond the border.
     last = np.array([image.camera.width - 1, image.camera.height - 1], np.float64)
-    ends = np.clip(found.reshape(-1, 2, 2).astype(np.float64), 0.0, last)
+    ends = np.clip(detected.reshape(-1, 2, 2).astype(np.float64), 0.0, last)
     ends = ends[np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) >= max(min_length_px, 1e-6)]
     if image.masked is None or not len(ends):
         return ends
@@ -59,7 +60,7 @@ def segments(image: p2o.Image, min_length_px: float) -> Float:
 
 
 def points_along(ends: Float) -> tuple[Float, Any]:
-    """Return points (M, 2) about one pixel apart along segments (N, 2, 2), both ends included, and whose they are."""
+    """Return points (M, 2) about one pixel apart along segments (N, 2, 2), both ends included, and their segment."""
     count = np.ceil(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)).astype(np.int64) + 1
     segment = np.repeat(np.arange(len(ends)), count)
     number = np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count)
@@ -67,21 +68,17 @@ def points_along(ends: Float) -> tuple[Float, Any]:
     return (1 - share) * ends[segment, 0] + share * ends[segment, 1], segment
 
 
-def build(options: LsdOptions) -> p2o.ImageExtractor:
-    """Return the extractor."""
-
-    def extract(image: p2o.Image) -> p2o.ImageFeatures:
-        ends = segments(image, options.min_length_px)
-        uv, _ = points_along(ends)
-        edges = p2o.ImageEdges(uv, np.full(len(uv), p2o.Side.NONE, np.int8))
-        return p2o.ImageFeatures(edges, features=[ImageLines(ends)])
-
-    return extract
+def extract(image: p2o.Image, options: LsdOptions) -> p2o.ImageFeatures:
+    """Return the line segments of an image, and edges along them."""
+    ends = segments(image, options.min_length_px)
+    uv, _ = points_along(ends)
+    edges = p2o.ImageEdges(uv, np.full(len(uv), p2o.Side.NONE, np.int8))
+    return p2o.ImageFeatures(edges, features=[ImageLines(ends)])
 
 
 METHOD = p2o.Method(
     name="lsd",
-    build=build,
+    build=lambda options: lambda image: extract(image, options),
     options=LsdOptions,
     summary="Line segments of the grey image, and edges without direction along them.",
     gives={"image-edges", "image-lines"},

@@ -1,20 +1,21 @@
-"""Points within one mask should agree in normal, reflectance and segment: `mask-consistency`, after CalibAnything.
+"""Maximise the consistency of points within each mask: `mask-consistency`, after CalibAnything.
 
     p2o run --extractor masks/attributes --matcher mask-consistency --solver random-shrink --init given
             --set pipeline.rounds=1
 
-Each mask gets three scores of the points that a pose puts into it, and each frame costs
-2 - 0.3 S_n - 0.2 S_r - 0.5 S_s - 0.0001 (number of masks that count), the scores being means over masks weighted by
-points: S_n is the mean |n_a . n_b| over all pairs of normals, S_r one minus the deviation of reflectance, S_s the sum
-of the segments' shares, largest first, times 1, 1/2, 1/4 and so on. A mask counts with at least 10 points and a tenth
-of the points that its size lets expect. A frame costs 2 where no mask counts, or where the lowest tenth of the picture
-that points reach holds less than a tenth of the usual density.
+Each mask has three scores of the points projected into it, and each frame costs 2 - 0.3 S_n - 0.2 S_r - 0.5 S_s -
+0.0001 (number of valid masks), where the scores are means over masks weighted by points: S_n is the mean |n_a . n_b|
+over all pairs of normals, S_r one minus the standard deviation of reflectance, S_s the sum of the segments' shares,
+largest first, times 1, 1/2, 1/4 and so on. A mask is valid with at least 10 points and a tenth of the points expected
+for its size. A frame costs 2 without valid masks, or if the lowest tenth of the image covered by points has less than a
+tenth of the usual density.
 
-Departures from the paper and its code (OpenCalib/CalibAnything): masks are OpenCV's graph segments where `masks` names
-no folder (the paper's are SAM's); normals are counted in cells of about 15 deg, each with the mean direction of its
-normals, so that S_n is exact for flat surfaces and off by some thousandths else; segments beyond the sixth largest of a
-mask are left out of S_s (they have 1/64 of the weight or less); at most `points` points are taken; the band that points
-reach is measured, theirs is a setting. The weights, and all thresholds not named above, are those of the code.
+Departures from the paper and its code (OpenCalib/CalibAnything): masks are OpenCV's graph segments if `masks` names no
+folder (the paper uses SAM); normals are counted in cells of about 15 deg, each with the mean direction of its normals,
+so that S_n is exact for flat surfaces and has an error of some thousandths elsewhere; segments beyond the sixth largest
+of a mask are ignored in S_s (they have 1/64 of the weight or less); at most `points` points are used; the image rows
+covered by points are measured, in the original they are a setting. The weights, and all thresholds not named above, are
+those of the code.
 """
 
 from __future__ import annotations
@@ -24,36 +25,33 @@ from dataclasses import dataclass
 
 import numpy as np
 import p2o
-from p2o.arrays import Float, Int
+from p2o import Float, Int, field
+from p2o.solving import Objective
 
 from p2o_baselines.cloud_segments import CloudSegments
-from p2o_baselines.image_masks import ImageMasks, masks_of, read_masks
+from p2o_baselines.masks import ImageMasks, masks_of, read_masks
 
-_MARGIN_PX = 300.0  # points so far outside of the picture may be brought in by another pose (code)
-_LARGEST = 6  # segments of a mask that S_s looks at
-_AT_ONCE = 1 << 18  # points of several poses that are looked up together
+_MARGIN_PX = 300.0  # points so far outside of the image may be brought in by another pose (code)
+_LARGEST = 6  # number of segments of a mask that S_s evaluates
+_AT_ONCE = 1 << 18  # number of points of several poses that are sampled in one call
 
 
 class MaskOptions(p2o.Options):
     """Options of `mask-consistency`; weights and limits are those of the code."""
 
-    masks: str = p2o.field(
-        "", help="Folder of masks that replace the extractor's: NAME.png, or a folder NAME of one PNG a mask, a frame."
-    )
-    normal_weight: float = p2o.field(0.3, ge=0, le=1, help="Weight of the agreement of normals.")
-    strength_weight: float = p2o.field(0.2, ge=0, le=1, help="Weight of the agreement of reflectance.")
-    segment_weight: float = p2o.field(0.5, ge=0, le=1, help="Weight of the agreement of segments.")
-    mask_weight: float = p2o.field(1e-4, ge=0, le=1, help="What each mask that counts takes off the cost.")
-    least_points: int = p2o.field(10, ge=2, help="Masks with fewer points do not count.")
-    least_density: float = p2o.field(
-        0.1, ge=0, le=1, help="Masks with a smaller share of the usual density do not count."
-    )
-    points: int = p2o.field(8000, ge=100, le=1_000_000, help="Points of a frame that are taken, spread evenly.")
+    masks: str = field("", help="Folder of masks instead of the extractor's: NAME.png, or NAME/*.png with one each.")
+    normal_weight: float = field(0.3, ge=0, le=1, help="Weight of the agreement of normals.")
+    strength_weight: float = field(0.2, ge=0, le=1, help="Weight of the agreement of reflectance.")
+    segment_weight: float = field(0.5, ge=0, le=1, help="Weight of the agreement of segments.")
+    mask_weight: float = field(1e-4, ge=0, le=1, help="Reduction of the cost for each valid mask.")
+    least_points: int = field(10, ge=2, help="Masks with fewer points do not count.")
+    least_density: float = field(0.1, ge=0, le=1, help="Masks with a smaller share of the usual density are ignored.")
+    points: int = field(8000, ge=100, le=1_000_000, help="Largest number of points per frame, evenly sampled.")
 
 
 @dataclass(frozen=True)
 class Scores:
-    """Agreement (..., M) of the points of each of M masks, 0 to 1, and how many points tell it (..., M)."""
+    """Agreement (..., M) of the points of each of M masks, 0 to 1, and the number of points (..., M)."""
 
     normal: Float
     strength: Float
@@ -62,15 +60,11 @@ class Scores:
     segmented: Float
 
 
-def scores_of(cell: Float, alike: Float, strength: Float, squared: Float, segment: Float) -> Scores:
-    """Return the agreement of masks, given how many of their points (..., M, K) have normals of each of K cells.
-
-    `alike` (K, K) are the |n_a . n_b| of the cells, `strength` and `squared` (..., M) the sums of the reflectance and
-    of its square, `segment` (..., M, S) how many points are of each segment.
-    """
+def scores_of(cell: Float, cosines: Float, strength: Float, squared: Float, segment: Float) -> Scores:
+    """Return the agreement of masks from points by direction cell (..., M, K), reflectance, and segment."""
     count = cell.sum(axis=-1)
     many = np.maximum(count, 1.0)
-    normal = np.sum((cell @ alike) * cell, axis=-1) / many**2
+    normal = np.sum((cell @ cosines) * cell, axis=-1) / many**2
     mean = strength / many
     deviation = np.sqrt(np.maximum(squared / many - mean**2, 0.0))
     segmented = segment.sum(axis=-1)
@@ -81,19 +75,14 @@ def scores_of(cell: Float, alike: Float, strength: Float, squared: Float, segmen
 
 
 def cells_of(normal: Float, across: int = 6) -> tuple[Int, Float]:
-    """Return in which cell (N,) of directions each normal (N, 3) lies, up to its sign, and |n_a . n_b| of all cells.
-
-    Cells are squares on the faces of a cube; each stands for the mean of its normals.
-    """
+    """Return the direction cell (N,) of each normal (N, 3) on a cube, up to its sign, and |n_a . n_b| of all cells."""
     axis = np.argmax(np.abs(normal), axis=1)
     rows = np.arange(len(normal))
     upright = normal * np.where(normal[rows, axis] < 0, -1.0, 1.0)[:, None]
     high = np.maximum(upright[rows, axis], 1e-12)
-    a, b = upright[rows, (axis + 1) % 3] / high, upright[rows, (axis + 2) % 3] / high
-    place = [
-        np.clip(((np.arctan(value) / (np.pi / 2) + 0.5) * across).astype(np.int64), 0, across - 1) for value in (a, b)
-    ]
-    _, cell = np.unique((axis * across + place[0]) * across + place[1], return_inverse=True)
+    angles = (np.arctan(upright[rows, (axis + step) % 3] / high) / (np.pi / 2) for step in (1, 2))
+    u, v = (np.clip(((angle + 0.5) * across).astype(np.int64), 0, across - 1) for angle in angles)
+    _, cell = np.unique((axis * across + u) * across + v, return_inverse=True)
     count = int(cell.max(initial=0)) + 1
     mean = np.stack([np.bincount(cell, upright[:, k], count) for k in range(3)], axis=1)
     mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
@@ -102,16 +91,13 @@ def cells_of(normal: Float, across: int = 6) -> tuple[Int, Float]:
 
 @dataclass(frozen=True, eq=False)
 class MaskedView:
-    """One frame: its masks, the points near the picture at the pose it was posed at, and what is usual there.
-
-    `per_px` is the usual number of points a pixel, `floor_v` (2,) the rows of the lowest tenth that points reach.
-    """
+    """One frame: masks, points, their usual number per pixel, and the rows (2,) of the lowest tenth they cover."""
 
     camera: p2o.Camera
     masks: ImageMasks
     points: CloudSegments
     cell: Int
-    alike: Float
+    cosines: Float
     segment: Int
     segments: int
     per_px: float
@@ -122,7 +108,7 @@ class MaskedView:
     def of(
         cls, camera: p2o.Camera, masks: ImageMasks, points: CloudSegments, pose: Float, options: MaskOptions
     ) -> MaskedView | None:
-        """Return the frame as seen at a pose; None where no point is in the picture."""
+        """Return the frame projected at a pose; None if no point is in the image."""
         near = camera.in_image(camera.project(p2o.se3.apply(pose, points.xyz)), _MARGIN_PX)
         points = points.select(near).thinned(options.points)
         uv = camera.project(p2o.se3.apply(pose, points.xyz)) if len(points) else np.zeros((0, 2))
@@ -135,8 +121,8 @@ class MaskedView:
         known, number = np.unique(points.segment, return_inverse=True)
         none = int(known[0] == -1)
         segments = max(len(known) - none, 1)
-        cell, alike = cells_of(points.normal)
-        return cls(camera, masks, points, cell, alike, number - none, segments, per_px, floor, options)
+        cell, cosines = cells_of(points.normal)
+        return cls(camera, masks, points, cell, cosines, number - none, segments, per_px, floor, options)
 
     def cost(self, poses: Float) -> Float:
         """Return the cost (B,) of poses (B, 4, 4)."""
@@ -157,18 +143,15 @@ class MaskedView:
         group, point = pose[row] * len(self.masks) + label[row, layer], point[row]
         shape = (len(poses), len(self.masks))
 
-        def summed(values: Float | None, more: Int | None = None, count: int = 1) -> Float:
-            place = group if more is None else group * count + more
-            total = np.bincount(place, values, len(poses) * len(self.masks) * count).astype(np.float64)
-            return total.reshape(*shape, count) if more is not None else total.reshape(shape)
+        def summed(values: Float | None, place: Int = group, *count: int) -> Float:
+            total = np.bincount(place, values, int(np.prod((*shape, *count))))
+            return total.astype(np.float64).reshape(*shape, *count)
 
-        strength = self.points.strength[point]
-        cell = summed(None, self.cell[point], len(self.alike))
-        segment = self.segment[point]
+        strength, segment, kinds = self.points.strength[point], self.segment[point], len(self.cosines)
         known = segment >= 0
-        counted = np.bincount(group[known] * self.segments + segment[known], minlength=np.prod(shape) * self.segments)
-        by_segment = counted.reshape(*shape, self.segments).astype(np.float64)
-        return scores_of(cell, self.alike, summed(strength), summed(strength**2), by_segment), floor
+        cell = summed(None, group * kinds + self.cell[point], kinds)
+        by_segment = summed(None, group[known] * self.segments + segment[known], self.segments)
+        return scores_of(cell, self.cosines, summed(strength), summed(strength**2), by_segment), floor
 
     def _cost(self, poses: Float) -> Float:
         options = self.options
@@ -176,14 +159,14 @@ class MaskedView:
         usual = self.masks.area_px * self.per_px
         counts = (scores.count >= options.least_points) & (scores.count >= options.least_density * usual)
         weight, segmented = np.where(counts, scores.count, 0.0), np.where(counts, scores.segmented, 0.0)
-        total, told = weight.sum(axis=1), segmented.sum(axis=1)
+        total, per_mask = weight.sum(axis=1), segmented.sum(axis=1)
         gain = options.normal_weight * np.sum(scores.normal * weight, axis=1)
         gain += options.strength_weight * np.sum(scores.strength * weight, axis=1)
         gain /= np.maximum(total, 1.0)
-        gain += options.segment_weight * np.sum(scores.segment * segmented, axis=1) / np.maximum(told, 1.0)
+        gain += options.segment_weight * np.sum(scores.segment * segmented, axis=1) / np.maximum(per_mask, 1.0)
         gain += options.mask_weight * counts.sum(axis=1)
         enough = floor >= 0.1 * self.per_px * 0.1 * self.camera.height * self.camera.width
-        return np.asarray(np.where((total > 0) & (told > 0) & enough, 2.0 - gain, 2.0))
+        return np.asarray(np.where((total > 0) & (per_mask > 0) & enough, 2.0 - gain, 2.0))
 
 
 def build(options: MaskOptions) -> p2o.Matcher:
@@ -192,8 +175,7 @@ def build(options: MaskOptions) -> p2o.Matcher:
 
     def masks(view: p2o.View) -> ImageMasks | None:
         if not options.masks:
-            found: ImageMasks | None = view.get(ImageMasks.word)
-            return found
+            return view.get(ImageMasks.word)
         shape = (view.camera.height, view.camera.width)
         if (view.name, shape) not in read:
             least_px = min(shape[0] * shape[1] / 1200, 2000)
@@ -202,17 +184,16 @@ def build(options: MaskOptions) -> p2o.Matcher:
 
     def masked(view: p2o.View, pose: Float) -> MaskedView | None:
         shapes, points = masks(view), view.get(CloudSegments.word)
-        if shapes is None or points is None or not len(shapes):
-            return None
-        return MaskedView.of(view.camera, shapes, points, pose, options)
+        known = shapes is not None and points is not None and len(shapes)
+        return MaskedView.of(view.camera, shapes, points, pose, options) if known else None
 
-    def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> p2o.Objective:
+    def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> Objective:
         known = [masked(view, camera_from_lidar) for view in views]
 
         def cost(poses: Float) -> Float:
             return np.mean([np.full(len(poses), 2.0) if each is None else each.cost(poses) for each in known], axis=0)
 
-        return p2o.Objective(cost)
+        return Objective(cost)
 
     return match
 

@@ -1,38 +1,143 @@
-"""Masks by colour alone, `--extractor masks/attributes`: OpenCV's graph segments and superpixels, without a network.
+"""Segment an image by colour, `--extractor masks/attributes`: OpenCV's graph segments and superpixels, no network.
 
-They stand in for the masks of a segmentation network (SAM in CalibAnything): the graph segments of Felzenszwalb and
-Huttenlocher at several scales, which overlap as SAM's parts and wholes do, and if wanted the superpixels SLIC or SEEDS.
-Masks that a network made are read by the matcher `mask-consistency` from a folder.
+These masks replace those of a segmentation network (SAM in CalibAnything): the graph segments of Felzenszwalb and
+Huttenlocher at several scales, which overlap like the parts and wholes of SAM, and optionally the superpixels SLIC or
+SEEDS. Masks of a network are read from a folder by the matcher `mask-consistency`.
 """
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar, Literal
 
 import numpy as np
 import p2o
-from p2o.arrays import Int, UInt8
+from p2o import Bool, Int, UInt8, field
+from p2o.reading import existing_folder, folder_name, naming, read_bytes
+from p2o.solving import checked
 
-from p2o_baselines.image_masks import masks_of, parts_of
+LAYERS = 4
+"""Masks that may cover one pixel, as in the released code of CalibAnything."""
+
+
+@dataclass(frozen=True, eq=False)
+class ImageMasks(p2o.ImageFeature):
+    """Masks of one image: up to L numbers that cover a pixel (H, W, L), -1 for none, and areas (M,) in px."""
+
+    word: ClassVar[str] = "image-masks"
+
+    labels: Int
+    area_px: Int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "labels", checked("labels of the masks", self.labels, (None, None, None), np.int64))
+        object.__setattr__(self, "area_px", checked("areas of the masks", self.area_px, (None,), np.int64))
+
+    def __len__(self) -> int:
+        return len(self.area_px)
+
+
+def masks_of(shapes: Sequence[Bool], size: tuple[int, int], most: int, least_px: float) -> ImageMasks:
+    """Return the `most` largest masks of a `size` (H, W) with at least `least_px` pixels; there may be none.
+
+    Of a mask that covers more than 2 % of the image only a band of 30 px + 1 / share inside its border is kept, as in
+    the released code of CalibAnything. A pixel has at most `LAYERS` masks, the smallest ones first.
+    """
+    sizes = [int(np.count_nonzero(shape)) for shape in shapes]
+    chosen = [k for k in np.argsort(sizes, kind="stable")[::-1].tolist() if sizes[k] >= max(least_px, 1)][:most]
+    chosen.reverse()
+    labels = np.full((*size, LAYERS), -1, np.int64)
+    areas: list[int] = []
+    for shape in (bordered(np.asarray(shapes[k], np.bool_)) for k in chosen):
+        rows, columns = np.nonzero(shape)
+        free = labels[rows, columns] < 0
+        rows, columns, layer = (values[free.any(axis=1)] for values in (rows, columns, np.argmax(free, axis=1)))
+        labels[rows, columns, layer] = len(areas)
+        areas.append(len(rows))
+    return ImageMasks(labels, np.array(areas, np.int64))
+
+
+def bordered(shape: Bool) -> Bool:
+    """Return a mask (H, W), of a large one only the band along its border, that of the image not counted."""
+    import cv2
+
+    share = float(shape.mean())
+    if share < 0.02:
+        return shape
+    width = 2 * int(30 + 1 / share) + 3
+    inner = cv2.erode(shape.astype(np.uint8), np.ones((width, width), np.uint8), borderValue=1)
+    return np.asarray(shape & (inner == 0))
+
+
+def parts_of(labels: Int) -> list[Bool]:
+    """Return a mask (H, W) for each number of a label image (H, W) that is not negative."""
+    return [labels == number for number in np.unique(labels[labels >= 0])]
+
+
+def read_masks(folder: str, name: str, shape: tuple[int, int]) -> list[Bool]:
+    """Return the masks (H, W) of the frame `name` in a folder: one file per frame, or a folder with one PNG per mask.
+
+    `FOLDER/NAME.png` is a label image, 8 or 16 bit grey with 0 for no mask, or RGB with black for none;
+    `FOLDER/NAME/*.png` are masks, whose pixels above half of the largest value are set. NAME is that of the frame, or
+    the same with every character that a file name cannot have replaced by `_` (2011_09_26_0005_0000000010).
+
+    Raises InputError if there is neither, and if a mask has another size than the image.
+    """
+    root = existing_folder(Path(folder), "masks")
+    for stem in dict.fromkeys((name, folder_name(name))):
+        one, many = root / f"{stem}.png", root / stem
+        if one.exists():
+            return parts_of(_numbered(_mask_image(one, shape)))
+        if many.is_dir():
+            images = [_mask_image(file, shape) for file in sorted(many.glob("*.png"))]
+            return [_numbered(each) >= 0 if each.ndim == 3 else each > each.max(initial=1) / 2 for each in images]
+    raise p2o.InputError(
+        "there are no masks of this frame",
+        where=root,
+        expected=f"{folder_name(name)}.png, or a folder {folder_name(name)} of one PNG a mask",
+        got="neither",
+    )
+
+
+def _numbered(image: UInt8) -> Int:
+    """Return the numbers (H, W) of a label image, -1 where it is 0 or black."""
+    if image.ndim == 3:
+        image = image.astype(np.int64) @ np.array([1, 1 << 16, 1 << 32])
+    return image.astype(np.int64) - 1
+
+
+def _mask_image(path: Path, shape: tuple[int, int]) -> UInt8:
+    """Return the image (H, W) or (H, W, 3) of a file as it is written; one whose channels are equal is grey."""
+    import cv2
+
+    with naming(path):
+        image = cv2.imdecode(np.frombuffer(read_bytes(path, "mask"), np.uint8), cv2.IMREAD_UNCHANGED)
+        if image is None:
+            raise p2o.InputError("the mask is no image", expected="a PNG file")
+        image = image[..., :3] if image.ndim == 3 else image
+        if image.ndim == 3 and (image == image[..., :1]).all():
+            image = image[..., 0]
+        if image.shape[:2] != shape:
+            size, got = (f"{width}x{height} px" for height, width in (shape, image.shape[:2]))
+            raise p2o.InputError("the mask has another size than the image", expected=size, got=got)
+    return np.asarray(image)
 
 
 class MasksOptions(p2o.Options):
     """Options of `masks`."""
 
-    graph_scales: tuple[float, ...] = p2o.field(
-        (100.0, 400.0, 1500.0), max_length=3, help="Scales k of the graph segments: larger ones give larger segments."
-    )
-    graph_sigma_px: float = p2o.field(0.5, gt=0, le=10, help="Width of the blur before the graph segments.")
-    superpixels: Literal["none", "slic", "seeds"] = p2o.field("none", help="Superpixels that are taken as masks too.")
-    superpixel_px: int = p2o.field(60, ge=8, le=500, help="Size of a superpixel.")
-    least_share: float = p2o.field(
-        1 / 1200, gt=0, lt=1, help="Masks of a smaller share of the image, or 2000 px if that is less, are left out."
-    )
-    most: int = p2o.field(255, ge=1, le=2000, help="Only so many masks count, the largest ones.")
+    graph_scales: tuple[float, ...] = field((100.0, 400.0, 1500.0), max_length=3, help="Scales k of graph segments.")
+    graph_sigma_px: float = field(0.5, gt=0, le=10, help="Width of the blur before the graph segments.")
+    superpixels: Literal["none", "slic", "seeds"] = field("none", help="Superpixels that are used as further masks.")
+    superpixel_px: int = field(60, ge=8, le=500, help="Size of a superpixel.")
+    least_share: float = field(1 / 1200, gt=0, lt=1, help="Least share of a mask, or 2000 px if that is less.")
+    most: int = field(255, ge=1, le=2000, help="Largest number of masks; the largest masks are kept.")
 
 
 def graph_segments(rgb: UInt8, scale: float, sigma_px: float, least_px: float) -> Int:
-    """Return the label image (H, W) of the graph segments of a picture (H, W, 3)."""
+    """Return the label image (H, W) of the graph segments of an image (H, W, 3)."""
     import cv2
 
     segmenter = cv2.ximgproc.segmentation.createGraphSegmentation(sigma_px, scale, max(1, int(least_px)))
@@ -40,35 +145,35 @@ def graph_segments(rgb: UInt8, scale: float, sigma_px: float, least_px: float) -
 
 
 def superpixels(rgb: UInt8, kind: str, size_px: int) -> Int:
-    """Return the label image (H, W) of the superpixels `slic` or `seeds` of a picture (H, W, 3)."""
+    """Return the label image (H, W) of the superpixels `slic` or `seeds` of an image (H, W, 3)."""
     import cv2
 
     lab = cv2.cvtColor(rgb, cv2.COLOR_RGB2Lab)
     height, width = lab.shape[:2]
     if kind == "slic":
-        found = cv2.ximgproc.createSuperpixelSLIC(lab, cv2.ximgproc.SLICO, size_px, 10.0)
-        found.iterate(10)
-        found.enforceLabelConnectivity(25)
+        superpixels = cv2.ximgproc.createSuperpixelSLIC(lab, cv2.ximgproc.SLICO, size_px, 10.0)
+        superpixels.iterate(10)
+        superpixels.enforceLabelConnectivity(25)
     else:
         count = max(2, round(height * width / size_px**2))
-        found = cv2.ximgproc.createSuperpixelSEEDS(width, height, 3, count, 4)
-        found.iterate(lab, 10)
-    return np.asarray(found.getLabels(), np.int64)
+        superpixels = cv2.ximgproc.createSuperpixelSEEDS(width, height, 3, count, 4)
+        superpixels.iterate(lab, 10)
+    return np.asarray(superpixels.getLabels(), np.int64)
 
 
 def build(options: MasksOptions) -> p2o.ImageExtractor:
-    """Return the extractor; raises InputError if nothing is to be looked for."""
+    """Return the extractor; raises InputError if no kind of mask is enabled."""
     if not options.graph_scales and options.superpixels == "none":
-        raise p2o.InputError("no kind of mask is chosen", where="masks", expected="graph_scales, superpixels or both")
+        raise p2o.InputError("no kind of mask is enabled", where="masks", expected="graph_scales, superpixels or both")
 
     def extract(image: p2o.Image) -> p2o.ImageFeatures:
         least_px = min(options.least_share * image.grey.size, 2000)
         layers = [graph_segments(image.rgb, k, options.graph_sigma_px, least_px) for k in options.graph_scales]
         if options.superpixels != "none":
             layers.append(superpixels(image.rgb, options.superpixels, options.superpixel_px))
-        found = [shape for layer in layers for shape in parts_of(layer)]
-        # One mask that is the whole picture tells nothing.
-        shapes = [shape for shape in found if not shape.all()]
+        regions = (shape for layer in layers for shape in parts_of(layer))
+        # A single mask of the whole image contains no information.
+        shapes = [shape for shape in regions if not shape.all()]
         return p2o.ImageFeatures(features=[masks_of(shapes, image.grey.shape, options.most, least_px)])
 
     return extract

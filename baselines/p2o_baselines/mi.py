@@ -1,14 +1,14 @@
-"""Mutual information of reflectance and grey value, `--matcher mi`, after Pandey et al. (AAAI 2012; JFR 2015).
+"""Maximise mutual information of reflectance and grey value, `--matcher mi`, after Pandey et al. (AAAI 2012; JFR 2015).
 
-All points that fall into the picture, of all frames, are counted in one joint histogram of 256 by 256 levels, which is
+All points projected into the image, of all frames, are counted in one joint histogram of 256 by 256 levels, which is
 smoothed by a Gaussian kernel of Silverman's width on each axis (1.06 sigma n^(-1/5)) or, after the paper of 2015,
-shrunk towards equal shares (`estimator=james-stein`). Made for `--solver barzilai-borwein`, the paper's, with
-`--set pipeline.rounds=1`; results carry the Cramer-Rao bound as covariance.
+shrunk towards equal probabilities (`estimator=james-stein`). Intended for the paper's `--solver barzilai-borwein` with
+`--set pipeline.rounds=1`; results have the Cramer-Rao bound as covariance.
 
-Departures, ours: a grey value between two levels is shared by both, so that the cost has a gradient (theirs is
-numeric); kernels are those of the pose that the matcher is asked at; reflectances are spread over the levels from their
-thousandth to their 999th thousandth part. As in the paper no point counts as hidden, and what leaves the picture is not
-counted.
+Departures: a grey value between two levels is divided between both, so that the cost has an analytic gradient
+(numerical in the original); kernels are those of the pose at which the matcher is called; reflectances are scaled to
+the levels between their 0.1 % and 99.9 % quantiles. As in the paper, occlusion is ignored and points outside the image
+are not counted.
 """
 
 from __future__ import annotations
@@ -17,40 +17,33 @@ from collections.abc import Sequence
 from typing import Literal
 
 import p2o
-from p2o.arrays import Float
+from p2o import Float, field
+from p2o.solving import Objective
 
-from p2o_baselines.boards_in_a_yard import boards_in_a_yard
-from p2o_baselines.histogram import MI, Estimator, Shrunk, Smoothed
-from p2o_baselines.information import SeenPoints, SmoothInformation, Span, counts_of, sightings
-from p2o_baselines.picture_levels import Linear
-from p2o_baselines.remembered import remembered
+from p2o_baselines import examples
+from p2o_baselines.histogram import MI, Estimator, Linear, Shrunk, Smoothed
+from p2o_baselines.information import SeenPoints, SmoothInformation, Span, counts_of, remembered, sightings
 
 
 class MiOptions(p2o.Options):
     """Options of `mi`."""
 
-    bins: int = p2o.field(256, ge=2, le=1024, help="Levels of grey, and of reflectance.")
-    estimator: Literal["kernel", "james-stein"] = p2o.field(
+    bins: int = field(256, ge=2, le=1024, help="Levels of grey, and of reflectance.")
+    estimator: Literal["kernel", "james-stein"] = field(
         "kernel", help="Shares of levels: smoothed by a Gaussian kernel, or shrunk towards equal shares."
     )
-    bandwidth: float = p2o.field(
-        1.06, gt=0, le=10, help="Width of the kernel as a multiple of sigma n^(-1/5); 1.06 is Silverman's."
-    )
-    points: int = p2o.field(20_000, ge=100, le=10_000_000, help="Points of each view that count, at most.")
+    bandwidth: float = field(1.06, gt=0, le=10, help="Kernel width over sigma n^(-1/5); 1.06 is Silverman's.")
+    points: int = field(20_000, ge=100, le=10_000_000, help="Largest number of points per view.")
 
 
 def build(options: MiOptions) -> p2o.Matcher:
     """Return the matcher `(views, camera_from_lidar (4, 4), reach_px) -> Objective`: minus mutual information."""
+    levels = remembered(lambda grey: Linear(grey.values * ((options.bins - 1) / 255), options.bins))
 
-    def levels_of(grey: p2o.GreyMap) -> Linear:
-        return Linear(grey.values * ((options.bins - 1) / 255), options.bins)
-
-    levels = remembered(levels_of)
-
-    def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> p2o.Objective:
-        found = list(sightings(views))
-        span = Span.of([sighting.value for sighting in found])
-        near = [sighting.near_picture(camera_from_lidar, options.points) for sighting in found]
+    def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> Objective:
+        all_sightings = list(sightings(views))
+        span = Span.of([sighting.value for sighting in all_sightings])
+        near = [sighting.near_image(camera_from_lidar, options.points) for sighting in all_sightings]
         group = tuple(
             SeenPoints(s.camera, levels(s.grey), s.xyz, span.levels(s.value, options.bins), options.bins)
             for s in near
@@ -60,8 +53,7 @@ def build(options: MiOptions) -> p2o.Matcher:
             return SmoothInformation((), (), MI).objective()
         estimator: Estimator = Shrunk()
         if options.estimator == "kernel":
-            counts = counts_of(group, camera_from_lidar[None])[0]
-            estimator = Smoothed.by_silverman(counts, options.bandwidth)
+            estimator = Smoothed.by_silverman(counts_of(group, camera_from_lidar[None])[0], options.bandwidth)
         return SmoothInformation((group,), (estimator,), MI).objective()
 
     return match
@@ -76,5 +68,7 @@ METHOD = p2o.Method(
     gives={"objective"},
     cite="Pandey, McBride, Savarese and Eustice, Automatic targetless extrinsic calibration of a 3D LiDAR and camera "
     "by maximizing mutual information, AAAI 2012; Journal of Field Robotics 32, 2015",
-    example=boards_in_a_yard(4, "barzilai-borwein", "pipeline.rounds=1", perturb="2deg 0.1m", within="0.15deg 0.02m"),
+    example=examples.information(
+        4, "barzilai-borwein", "pipeline.rounds=1", perturb="2deg 0.1m", within="0.15deg 0.02m"
+    ),
 )

@@ -1,15 +1,13 @@
-"""Points on planes, solved for all poses at once, `--calibrator mirzaei`, after Mirzaei, Kottas and Roumeliotis 2012.
+"""Align points with planes, globally: `--calibrator mirzaei`, after Mirzaei, Kottas and Roumeliotis 2012.
 
-    p2o run --data folder:BOARDS --joint --calibrator mirzaei
+Every point of a board lies in the plane observed by the image. With the translation eliminated, the sum of squared
+distances is a polynomial of fourth degree in the quaternion of the rotation. All its minima are found, so no initial
+guess is needed, and the least one with the boards in front of both sensors is used; Levenberg-Marquardt refines the
+same sum. At least three boards with different orientations are needed (observability analysis of the paper).
 
-Every point of a board lies in the plane that its picture gives. The sum of squared distances is, with the translation
-solved for, a polynomial of fourth degree in the rotation's quaternion. All its minima are found, so no start is
-needed, and the least one that has the boards before both sensors is taken; Levenberg and Marquardt finish on the same
-sum. At least three boards that face different ways are needed, as the paper's analysis of what can be told says.
-
-Departures: the paper also tells the intrinsics of the LiDAR's beams, which here are the sensor's own; it finds the
-stationary points by a resultant matrix, here they are the ends of Newton's method from 72 rotations, which cover all
-of them within 56 deg. Boards are found and paired by the shared room `boards`: the paper's are marked by hand.
+Departures: the paper also estimates the intrinsics of the LiDAR's beams, which are given here; it finds the stationary
+points by a resultant matrix, here by Newton's method from 72 rotations that cover all rotations within 56 deg. Boards
+are detected and paired by the shared package `boards`; those of the paper are marked by hand.
 """
 
 from __future__ import annotations
@@ -18,23 +16,19 @@ from collections.abc import Sequence
 
 import numpy as np
 import p2o
-from p2o import se3
-from p2o.arrays import Float
+from p2o import Float, se3
 
-from p2o_baselines.boards.adjustment import Block, Cost
-from p2o_baselines.boards.board_method import BoardMethod, Way
+from p2o_baselines import examples
+from p2o_baselines.boards.board_method import BoardAlgorithm, BoardMethod, same_cost
 from p2o_baselines.boards.pairing import Pair
-from p2o_baselines.boards.point_to_plane import off_plane
-from p2o_baselines.boards.sight import BoardOptions
+from p2o_baselines.boards.residuals import off_plane
+from p2o_baselines.target_method import TargetOptions
 
 _NEWTON_STEPS = 60
 
 
 def form_of(pairs: Sequence[Pair]) -> tuple[Float, Float]:
-    """Return the sum of squares as a form (10, 10) of the rotation's entries and 1, and how (3, 10) these give t.
-
-    A residual is n . (R p + t) - d, linear in R's nine entries (row by row) and in t.
-    """
+    """Return the squares of n . (R p + t) - d as a form (10, 10) of R's entries and 1, and how (3, 10) these give t."""
     gram = np.zeros((13, 13))
     for pair in pairs:
         normal, xyz = pair.board.normal, pair.patch.xyz
@@ -60,13 +54,12 @@ def minima(form: Float) -> list[tuple[float, Float]]:
         slope = np.einsum("bai,ij,bj->ba", first, form, entries)
         hessian = np.einsum("bai,ij,bcj->bac", first, form, first)
         pulled = (entries @ form)[:, :9].reshape(-1, 3, 3)
-        twice = 0.5 * (
-            np.einsum("axy,cyz->acxz", generators, generators) + np.einsum("cxy,ayz->acxz", generators, generators)
-        )
+        twice = np.einsum("axy,cyz->acxz", generators, generators)
+        twice = 0.5 * (twice + twice.swapaxes(0, 1))
         hessian = hessian + np.einsum("bxw,acxz,bzw->bac", pulled, twice, rotations)
         least = np.linalg.eigvalsh(hessian)[:, 0]
         size = np.trace(hessian, axis1=1, axis2=2)
-        # Newton goes to saddles too: what is not convex is made so.
+        # Newton's method also converges to saddles: make the Hessian positive definite.
         shift = np.maximum(damping * np.abs(size), 1e-9 * np.abs(size) - 1.5 * np.minimum(least, 0.0))
         step = -np.linalg.solve(hessian + shift[:, None, None] * np.eye(3), slope[..., None])[..., 0]
         step *= np.minimum(1.0, 0.5 / np.maximum(np.linalg.norm(step, axis=1), 1e-12))[:, None]
@@ -102,40 +95,23 @@ def closed(pairs: Sequence[Pair], rough: Float) -> Float:
     best: tuple[float, Float] | None = None
     for value, rotation in minima(form):
         pose = se3.make(rotation, by_entries @ np.r_[rotation.ravel(), 1.0])
-        # The normals of both sensors look at them: a pose that turns them round is the mirror's.
+        # The normals of both sensors point towards them: a pose that reverses the normals is the mirrored solution.
         faces = all(pose[:3, :3] @ pair.patch.normal @ pair.board.normal > 0 for pair in pairs)
         if faces and (best is None or value < best[0]):
             best = (value, pose)
     return rough if best is None else best[1]
 
 
-def misfits(pair: Pair, pose: Float) -> Block:
-    """Return the distances of points from their plane."""
-    return off_plane(pair, pose)
+ALGORITHM = BoardAlgorithm(least=3, planes_only=True, closed=closed, cost=same_cost(off_plane))
 
 
-def cost(pairs: Sequence[Pair], pose: Float) -> Cost:
-    """Return the sum of squares of the paper."""
-    del pairs, pose
-    return misfits
-
-
-WAY = Way(least=3, planes_only=True, closed=closed, cost=cost)
-
-
-def build(options: BoardOptions) -> p2o.Calibrator:
-    """Return the calibrator."""
-    return BoardMethod(options, WAY)
-
-
-_BOARDS = "targets=checkerboard&place=yard&frames_per_scene=5&width_px=621&height_px=350&right=false&lidar=hdl-64e"
 METHOD = p2o.Method(
     name="mirzaei",
-    build=build,
-    options=BoardOptions,
-    summary="Points of checkerboards on their planes: all minima of the polynomial, no start needed.",
+    build=lambda options: BoardMethod(options, ALGORITHM),
+    options=TargetOptions,
+    summary="Aligns points of checkerboards with planes: all minima of the polynomial, no initial guess needed.",
     needs=frozenset({"targets"}),
     cite="Mirzaei, Kottas and Roumeliotis, 3D LIDAR-camera intrinsic and extrinsic calibration: identifiability and "
     "analytical least-squares-based initialization, IJRR 2012",
-    example=p2o.Example(f"synthetic:?{_BOARDS}", "10deg 0.3m", "0.9deg 0.06m", joint=True),
+    example=examples.checkerboards("0.9deg 0.06m"),
 )

@@ -7,10 +7,10 @@ from typing import TypeVar
 
 import numpy as np
 import p2o
-from p2o.arrays import Bool, Float
-from p2o.problems.pairing import PairingOptions, assemble, pair
+from p2o import Bool, Float
+from p2o.solving import PairingOptions, PointToLine, assemble, pair
 
-from p2o_baselines.remembered import remembered
+from p2o_baselines.information import remembered
 
 Edges = TypeVar("Edges", p2o.ImageEdges, p2o.CloudEdges)
 
@@ -39,19 +39,11 @@ def build(options: NearestOptions) -> p2o.Matcher:
     image_edges: Callable[[p2o.ImageEdges], p2o.ImageEdges] = remembered(undirected)
     cloud_edges: Callable[[p2o.CloudEdges], p2o.CloudEdges] = remembered(undirected)
 
-    def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> p2o.PointToLine:
-        pairs = [
-            pair(
-                view.camera,
-                image_edges(view.image_edges),
-                cloud_edges(view.cloud_edges),
-                [p2o.Side.NONE],
-                camera_from_lidar,
-                reach_px,
-                options,
-            )
-            for view in views
-        ]
+    def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> PointToLine:
+        pairs = []
+        for view in views:
+            image, cloud = image_edges(view.image_edges), cloud_edges(view.cloud_edges)
+            pairs.append(pair(view.camera, image, cloud, [p2o.Side.NONE], camera_from_lidar, reach_px, options))
         return assemble(views, pairs, options.huber_px, balance=False)
 
     return match

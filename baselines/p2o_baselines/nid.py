@@ -1,57 +1,50 @@
-"""Normalised information distance of what the camera sees, `--matcher nid`, after Koide et al. (ICRA 2023).
+"""Minimise the normalised information distance of visible points, `--matcher nid`, after Koide et al. (ICRA 2023).
 
-Reflectance and grey, both equalised, in 16 levels; every point is shared among 4x4 pixels by cubic B-splines, each of
-which counts in the level of its grey; the cost is (H(X, Y) - MI) / H(X, Y), its mean over frames, with analytic
-derivatives. Points that others hide (more than 0.1 m behind the nearest one of their pixel) are chosen anew in every
-round. Made for `--solver bfgs`, whose box of 2 deg and 0.2 m is the paper's, with
-`--set pipeline.reach_px=5 --set pipeline.tolerance_deg=0.5 --set pipeline.tolerance_m=0.1`: the paper's outer loop, ten
-rounds at most. The paper joins sweeps first: use `--accumulate poses` where frames are of a drive.
+Reflectance and grey, both equalised, in 16 levels; every point is distributed over 4x4 pixels by cubic B-splines, each
+of which counts in the level of its grey; the cost is (H(X, Y) - MI) / H(X, Y), its mean over frames, with analytic
+derivatives. Occluded points (more than 0.1 m behind the nearest one of their pixel) are determined again in every
+round. Intended for `--solver bfgs`, whose box of 2 deg and 0.2 m is the paper's, with `--set pipeline.reach_px=5 --set
+pipeline.tolerance_deg=0.5 --set pipeline.tolerance_m=0.1`: the outer loop of the paper, at most ten rounds. The paper
+accumulates sweeps first: use `--accumulate poses` for the frames of a drive.
 
-Departures: its start from SuperGlue matches is left out (weights that may not be used freely); points that lie a little
-out of the picture take part, since they may come in; logarithms need no offset of 1e-6, as empty cells count nothing;
-the mean over frames is their sum.
+Departures: its initial guess from SuperGlue matches is left out (the licence of the weights is restricted); points
+slightly outside the image are included, since they may enter it; logarithms need no offset of 1e-6, because empty cells
+do not contribute; the mean over frames replaces the sum.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 import p2o
-from p2o.arrays import Float
+from p2o import Float, field
+from p2o.solving import Objective
 
-from p2o_baselines.boards_in_a_yard import boards_in_a_yard
-from p2o_baselines.histogram import NID, Plain
-from p2o_baselines.information import SeenPoints, SmoothInformation, sightings
-from p2o_baselines.picture_levels import Spline
-from p2o_baselines.rank import by_rank
-from p2o_baselines.remembered import remembered
+from p2o_baselines import examples
+from p2o_baselines.histogram import NID, Plain, Spline, ranked_levels
+from p2o_baselines.information import SeenPoints, SmoothInformation, remembered, sightings
 
 
 class NidOptions(p2o.Options):
     """Options of `nid`."""
 
-    bins: int = p2o.field(16, ge=2, le=256, help="Levels of grey, and of reflectance.")
-    cell_px: float = p2o.field(1.0, gt=0, le=64, help="Cells in which the nearest point hides others, in pixels.")
-    slack_m: float = p2o.field(0.1, ge=0, le=100, help="Points are seen that are at most so far behind the nearest.")
-    points: int = p2o.field(50_000, ge=100, le=10_000_000, help="Points of each view that count, at most.")
+    bins: int = field(16, ge=2, le=256, help="Levels of grey, and of reflectance.")
+    cell_px: float = field(1.0, gt=0, le=64, help="Cell size of the occlusion test, in pixels.")
+    slack_m: float = field(0.1, ge=0, le=100, help="Largest distance of a visible point behind the nearest one.")
+    points: int = field(50_000, ge=100, le=10_000_000, help="Largest number of points per view.")
 
 
 def build(options: NidOptions) -> p2o.Matcher:
     """Return the matcher `(views, camera_from_lidar (4, 4), reach_px) -> Objective`: the information distance."""
+    levels = remembered(lambda grey: Spline(ranked_levels(grey.values, options.bins), options.bins))
 
-    def levels_of(grey: p2o.GreyMap) -> Spline:
-        return Spline((by_rank(grey.values) * options.bins).astype(np.int64), options.bins)
-
-    levels = remembered(levels_of)
-
-    def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> p2o.Objective:
+    def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> Objective:
         groups = []
         for sighting in sightings(views):
             seen = sighting.visible(camera_from_lidar, options.cell_px, options.slack_m)
-            s = seen.near_picture(camera_from_lidar, options.points)
+            s = seen.near_image(camera_from_lidar, options.points)
             if len(s.xyz):
-                row = (by_rank(s.value) * options.bins).astype(np.int64)
+                row = ranked_levels(s.value, options.bins)
                 groups.append((SeenPoints(s.camera, levels(s.grey), s.xyz, row, options.bins),))
         return SmoothInformation(tuple(groups), (Plain(),) * len(groups), NID).objective()
 
@@ -67,7 +60,7 @@ METHOD = p2o.Method(
     gives={"objective"},
     cite="Koide, Oishi, Yokozuka and Banno, General, single-shot, target-less, and automatic LiDAR-camera extrinsic "
     "calibration toolbox, ICRA 2023",
-    example=boards_in_a_yard(
+    example=examples.information(
         4,
         "bfgs",
         "pipeline.reach_px=5",

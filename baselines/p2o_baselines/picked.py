@@ -1,13 +1,13 @@
-"""Points that a person picked in image and sweep, `--calibrator picked`, after Scaramuzza, Harati and Siegwart 2007.
+"""Calibrate from manually picked points, `--calibrator picked`, after Scaramuzza, Harati and Siegwart 2007.
 
-The paper shows the sweep as a bearing-angle image, in which a person finds the corners that the camera sees, and takes
-the pose from pairs of points by a perspective-n-point method, refined by Levenberg-Marquardt on the angles between the
-two rays of each pair. So does this, with `p2o pick` for the picture and the clicks.
+In the paper, a person picks corners in a bearing-angle image of the sweep and in the camera image; the pose follows
+from the pairs by a perspective-n-point method, refined by Levenberg-Marquardt on the angles between the two rays of
+each pair. `p2o pick` provides both images.
 
-Ours: three-point poses with RANSAC (the paper trusts its picks); angles weighted by the scale of the image at each
-pick, so that they are pixels; picks that do not agree are left out and told; every pick is left out in turn, and the
-spread of the poses is the covariance. Points on a line or in a plane are refused. Pairs of several frames taken
-together (`--joint`) give one pose. The start is not used.
+Ours: three-point poses with RANSAC (the paper has no outlier rejection); angles weighted by the scale of the image at
+each pick, so that residuals are in pixels; outliers are excluded and reported; the covariance is the spread of the
+poses in leave-one-out. Points on a line or in a plane are refused. Pairs of several frames (`--joint`) give one pose.
+The initial extrinsic is not used.
 """
 
 from __future__ import annotations
@@ -18,38 +18,47 @@ from pathlib import Path
 
 import numpy as np
 import p2o
-from p2o.arrays import Float
-from p2o.picks.pairs import Pairs, read_pairs
-from p2o.picks.solve import PickedFrame, Solved, picks_off_px, solve_picks
+from p2o import Float, field
+from p2o.reading import expanded
+from p2o.solving import (
+    Doubt,
+    Judged,
+    PickedFrame,
+    PickedPairs,
+    PickedPose,
+    Reason,
+    Rival,
+    Verdict,
+    picks_off_px,
+    read_pairs,
+    solve_picks,
+)
 
 EXAMPLE = Path(__file__).with_name("picked-example.yaml")
-"""Pairs of the first frame of `synthetic:`, 1.5 px and 1 cm beside the truth, two of twelve wrong."""
+"""Pairs of the first frame of `synthetic:` with noise of 1.5 px and 1 cm; two of twelve are wrong."""
 
-_ODD, _ODD_PX = 4.0, 4.0
-"""A pick is told of that the others put so many times as far off as is usual, and so many pixels at least."""
+_MOST_OFF, _MOST_OFF_PX = 4.0, 4.0  # a pick is reported whose error predicted by the others exceeds both
 
 
 class PickedOptions(p2o.Options):
     """Options of `picked`."""
 
-    pairs: str = p2o.field(
-        "example", help="File of picked pairs, YAML or JSON (`p2o pick` writes it); example: those of `synthetic:`."
-    )
-    reach_px: float = p2o.field(10.0, gt=0, le=1000, help="Picks that are off by more pixels than this are left out.")
-    trials: int = p2o.field(500, ge=1, le=100_000, help="Triples of picks that are tried, at most.")
-    seed: int = p2o.field(0, ge=0, help="Seed of the triples, where there are more.")
+    pairs: str = field("example", help="File of picked pairs, YAML or JSON, of `p2o pick`; example: of `synthetic:`.")
+    reach_px: float = field(10.0, gt=0, le=1000, help="Largest residual of an inlier, in pixels.")
+    trials: int = field(500, ge=1, le=100_000, help="Triples of picks that are tried, at most.")
+    seed: int = field(0, ge=0, help="Seed of the sampled triples.")
 
 
 @dataclass(frozen=True)
 class Picked:
-    """The whole method: `frames` are all pairs of the file by name of frame."""
+    """The calibrator: `frames` are all pairs of the file by name of frame."""
 
     options: PickedOptions
-    frames: Mapping[str, Pairs]
+    frames: Mapping[str, PickedPairs]
 
     def prepare(self, frame: p2o.Frame) -> PickedFrame:
-        """Return the pairs of a frame, none where the file has none, and its camera."""
-        return PickedFrame(frame.name, frame.camera, self.frames.get(frame.name, Pairs.none()))
+        """Return the pairs of a frame, empty if the file has none, and its camera."""
+        return PickedFrame(frame.name, frame.camera, self.frames.get(frame.name, PickedPairs.none()))
 
     def solve(self, prepared: Sequence[PickedFrame], camera_from_lidar: Float) -> p2o.Result:
         """Return the pose that all pairs give together."""
@@ -76,13 +85,13 @@ class Picked:
             covariance=solved.covariance,
             accuracy=solved.accuracy,
             residual_px=dict(zip(_names(solved), solved.off_px.tolist(), strict=True)),
-            judged=p2o.Judged("picks", "px", float(np.sqrt((before**2).mean())), solved.rms_px),
+            judged=Judged("picks", "px", float(np.sqrt((before**2).mean())), solved.rms_px),
             **_rivalry(solved),
         )
 
 
-def _names(solved: Solved) -> list[str]:
-    """Return what each pick is called: its number, after the name of its frame where there are several."""
+def _names(solved: PickedPose) -> list[str]:
+    """Return the name of each pick: its number, after the name of its frame if there are several frames."""
     several, count, names = len(solved.frames) > 1, dict.fromkeys(range(len(solved.frames)), 0), []
     for frame in solved.frame_of.tolist():
         count[frame] += 1
@@ -90,43 +99,47 @@ def _names(solved: Solved) -> list[str]:
     return names
 
 
-def _remarks(solved: Solved, prepared: Sequence[PickedFrame]) -> list[str]:
-    """Return a line for each pick that was left out, or that the others contradict."""
+def _remarks(solved: PickedPose, prepared: Sequence[PickedFrame]) -> list[str]:
+    """Return a line for each pick that is an outlier or that the others contradict."""
     places = np.concatenate([frame.pairs.uv for frame in prepared])
     typical, lines = float(np.median(solved.left_out_px[solved.agrees])) if solved.agrees.any() else 0.0, []
-    for name, (u, v), off, alone, agrees in zip(
-        _names(solved), places, solved.off_px, solved.left_out_px, solved.agrees, strict=True
-    ):
+    rows = zip(_names(solved), places, solved.off_px, solved.left_out_px, solved.agrees, strict=True)
+    for name, (u, v), off, alone, agrees in rows:
         at = f"{name} at ({u:.1f}, {v:.1f})"
         if not agrees and np.isfinite(off):
-            lines.append(f"{at} is {off:.1f} px off" + (", left out" if solved.camera_from_lidar is not None else ""))
-        elif alone > max(_ODD * typical, _ODD_PX):
-            lines.append(f"{at} is {alone:.1f} px off by the other picks alone: look at it again")
+            lines.append(f"{at} is {off:.1f} px off" + (", an outlier" if solved.camera_from_lidar is not None else ""))
+        elif alone > max(_MOST_OFF * typical, _MOST_OFF_PX):
+            lines.append(f"{at} is {alone:.1f} px off in the pose of the other picks: check it")
     return lines
 
 
-def _rivalry(solved: Solved) -> dict[str, object]:
-    """Return the fields of a result that tell of another pose which the picks may show as well."""
+def _rivalry(solved: PickedPose) -> dict[str, object]:
+    """Return the fields of a result that describe a second pose which fits the picks."""
     if solved.rival is None or solved.camera_from_lidar is None:
         return {}
     pose, rms_px = solved.rival
     step = p2o.se3.inverse(pose) @ solved.camera_from_lidar
     away = p2o.se3.angle_deg(step), p2o.se3.distance_m(step)
-    rival = p2o.Rival(rms_px - solved.rms_px, "px", *away)
+    rival = Rival(rms_px - solved.rms_px, "px", *away)
     text = f"another pose, {away[0]:.2f} deg and {away[1]:.2f} m away, fits the picks nearly as well; pick more points"
-    return {"rival": rival, "verdict": p2o.Verdict((p2o.Reason(p2o.Doubt.RIVAL_POSE, text),))}
+    return {"rival": rival, "verdict": Verdict((Reason(Doubt.RIVAL_POSE, text),))}
 
 
 def build(options: PickedOptions) -> p2o.Calibrator:
-    """Return the calibrator; the file is read here. Raises InputError if it cannot be."""
-    return Picked(options, read_pairs(EXAMPLE if options.pairs == "example" else options.pairs))
+    """Return the calibrator; the file is read here. Raises InputError if it is invalid."""
+    return Picked(options, read_pairs(_pairs_file(options)))
+
+
+def _pairs_file(options: PickedOptions) -> Path:
+    return EXAMPLE if options.pairs == "example" else expanded(options.pairs)
 
 
 METHOD = p2o.Method(
     name="picked",
     build=build,
+    data_files=lambda options: [_pairs_file(options)],
     options=PickedOptions,
-    summary="Pixels and LiDAR points that a person paired: RANSAC, least squares on angles, leave-one-out spread.",
+    summary="Manually picked pairs of pixels and LiDAR points: RANSAC, angular least squares, jackknife covariance.",
     cite="Scaramuzza, Harati and Siegwart, Extrinsic self calibration of a camera and a 3D laser range finder from "
     "natural scenes, IROS 2007",
     example=p2o.Example("synthetic:", "5deg 0.5m", "0.3deg 0.06m"),

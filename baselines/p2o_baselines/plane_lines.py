@@ -1,14 +1,15 @@
-"""Straight 3D lines of a cloud, `--extractor lsd/plane-lines`: where planes meet, and along the borders of surfaces.
+"""Extract straight 3D lines, `--extractor lsd/plane-lines`: plane intersections and borders of surfaces.
 
 The LiDAR side of Moghadam, Bosse and Zlot, Line-based Extrinsic Calibration of Range and Image Sensors, ICRA 2013, who
-take them from the dense cloud of a spinning 2D laser indoors.
+use the dense cloud of a spinning 2D laser indoors.
 
-- Plane intersections: the edges of `voxel-planes`, one segment a voxel.
-- Depth borders: the points of `line-points`, grown into segments: from each point not yet taken, the direction of its
+- Plane intersections: the edges of `voxel-planes`, one segment per voxel.
+- Depth borders: the points of `line-points`, grown into segments: from each unused point, the direction of its
   neighbours, then every free point within `line_m` of that line without a gap; a segment has at least `min_points`
   points and is `min_length_m` long.
 
-All constants are ours but those of the voxels. Departures: their borders come from the edges of segmented planes.
+All constants except those of the voxels are ours. Departures: the borders of the original are the edges of segmented
+planes.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 import p2o
-from p2o.arrays import Float, checked
+from p2o import Float, field
+from p2o.solving import checked
 from scipy.spatial import cKDTree
 
 from p2o_baselines import line_points, voxel_planes
@@ -56,29 +58,29 @@ class CloudLines(p2o.CloudFeature):
 class PlaneLinesOptions(p2o.Options):
     """Options of `plane-lines`."""
 
-    planes: bool = p2o.field(True, help="Lines where planes meet.")
-    borders: bool = p2o.field(True, help="Lines along the borders of surfaces.")
-    voxel_m: float = p2o.field(1.0, gt=0, le=20, help="Side of the voxels in which planes are looked for.")
-    radius_m: float = p2o.field(1.0, gt=0, le=20, help="Neighbours this near tell the direction of a border.")
-    line_m: float = p2o.field(0.06, gt=0, le=2, help="Points this near to a line belong to it.")
-    gap_m: float = p2o.field(0.8, gt=0, le=20, help="A longer gap between its points ends a border.")
-    min_points: int = p2o.field(4, ge=3, help="Least points of a border.")
-    min_length_m: float = p2o.field(0.5, gt=0, le=20, help="Least length of a border.")
-    max_range_m: float = p2o.field(40.0, gt=1, help="Lines farther than this are left out.")
+    planes: bool = field(True, help="Extract intersections of planes.")
+    borders: bool = field(True, help="Extract borders of surfaces.")
+    voxel_m: float = field(1.0, gt=0, le=20, help="Size of the voxels in which planes are fitted.")
+    radius_m: float = field(1.0, gt=0, le=20, help="Radius around a point that determines the direction of a border.")
+    line_m: float = field(0.06, gt=0, le=2, help="Largest distance of a point from its line.")
+    gap_m: float = field(0.8, gt=0, le=20, help="Largest gap between the points of a border.")
+    min_points: int = field(4, ge=3, help="Least number of points of a border.")
+    min_length_m: float = field(0.5, gt=0, le=20, help="Least length of a border.")
+    max_range_m: float = field(40.0, gt=1, help="Drop lines farther than this.")
 
 
 def build(options: PlaneLinesOptions) -> p2o.CloudExtractor:
     """Return the extractor."""
     voxels = voxel_planes.VoxelPlanesOptions(voxel_m=options.voxel_m, max_range_m=options.max_range_m)
-    borders = line_points.build(line_points.LinePointsOptions(max_range_m=options.max_range_m))
+    borders = line_points.METHOD.build(line_points.LinePointsOptions(max_range_m=options.max_range_m))
 
     def extract(cloud: p2o.Cloud) -> p2o.CloudFeatures:
-        found = [ends for _, ends in voxel_planes.plane_edges(cloud.xyz, voxels)] if options.planes else []
+        segments = [ends for _, ends in voxel_planes.plane_edges(cloud.xyz, voxels)] if options.planes else []
         if options.borders:
             edges = borders(cloud).edges
             assert edges is not None
-            found += list(grown(edges.xyz, options))
-        return p2o.CloudFeatures(features=[CloudLines(np.reshape(found, (-1, 2, 3)))])
+            segments += list(grown(edges.xyz, options))
+        return p2o.CloudFeatures(features=[CloudLines(np.reshape(segments, (-1, 2, 3)))])
 
     return extract
 
@@ -119,14 +121,14 @@ def _direction(xyz: Float) -> Float:
 def _along(xyz: Float, free: Any, centre: Float, along: Float, seed: int, options: PlaneLinesOptions) -> Any:
     """Return the free points near the line that are joined with the one nearest to the seed without a gap."""
     offset = xyz - centre
-    way = offset @ along
-    off = np.linalg.norm(offset - way[:, None] * along, axis=1)
+    along_m = offset @ along
+    off = np.linalg.norm(offset - along_m[:, None] * along, axis=1)
     rows = np.flatnonzero(free & (off <= options.line_m))
     if not len(rows):
         return rows
-    rows = rows[np.argsort(way[rows], kind="stable")]
-    piece = np.concatenate([[0], np.cumsum(np.diff(way[rows]) > options.gap_m)])
-    nearest = np.abs(way[rows] - way[seed]).argmin()
+    rows = rows[np.argsort(along_m[rows], kind="stable")]
+    piece = np.concatenate([[0], np.cumsum(np.diff(along_m[rows]) > options.gap_m)])
+    nearest = np.abs(along_m[rows] - along_m[seed]).argmin()
     return rows[piece == piece[nearest]]
 
 
@@ -134,7 +136,7 @@ METHOD = p2o.Method(
     name="plane-lines",
     build=build,
     options=PlaneLinesOptions,
-    summary="Segments where planes meet and along the borders of surfaces.",
+    summary="Line segments at intersections of planes and at borders of surfaces.",
     gives={"cloud-lines"},
     cite="Moghadam, Bosse and Zlot, Line-based Extrinsic Calibration of Range and Image Sensors, ICRA 2013",
 )

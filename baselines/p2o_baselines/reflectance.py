@@ -4,50 +4,35 @@ from __future__ import annotations
 
 import numpy as np
 import p2o
-from p2o.arrays import Float
+from p2o import Float, field
 from scipy.spatial import cKDTree
 
-from p2o_baselines.rank import by_rank
+from p2o_baselines.histogram import by_rank
+from p2o_baselines.point_feature import raw_times, rows_in_range
 
 
 class ReflectanceOptions(p2o.Options):
     """Options of `reflectance`."""
 
-    min_range_m: float = p2o.field(1.5, ge=0, le=1000, help="Nearer points are left out: the own car.")
-    max_range_m: float = p2o.field(80.0, gt=1, le=1000, help="Points farther off are left out.")
-    points: int = p2o.field(
-        400_000, ge=100, le=10_000_000, help="Points that are kept at most, spread evenly; joined sweeps have many."
-    )
-    equalise: bool = p2o.field(
-        False,
-        help="Replace intensities by their ranks, 0 to 1: all values are equally frequent then. Matchers that want "
-        "equal shares equalise by themselves.",
-    )
-    normal_neighbours: int = p2o.field(
-        0, ge=0, le=200, help="Find surface normals from so many neighbours (3 or more); 0 finds none."
-    )
+    min_range_m: float = field(1.5, ge=0, le=1000, help="Drop points nearer than this, on the car itself.")
+    max_range_m: float = field(80.0, gt=1, le=1000, help="Drop points farther than this.")
+    points: int = field(400_000, ge=100, le=10_000_000, help="Largest number of points, evenly sampled.")
+    equalise: bool = field(False, help="Replace intensities by ranks; matchers that need that do it themselves.")
+    normal_neighbours: int = field(0, ge=0, le=200, help="Neighbours for surface normals (3 or more); 0: none.")
 
 
-def build(options: ReflectanceOptions) -> p2o.CloudExtractor:
-    """Return the extractor `Cloud -> CloudFeatures` with `cloud-points`."""
-
-    def extract(cloud: p2o.Cloud) -> p2o.CloudFeatures:
-        distance = np.linalg.norm(cloud.xyz, axis=1)
-        near = np.flatnonzero((distance >= options.min_range_m) & (distance <= options.max_range_m))
-        # In the order of their places: points in another order are the same sweep.
-        near = near[np.lexsort(cloud.xyz[near].T)]
-        xyz = cloud.xyz[near]
-        normal = None
-        if options.normal_neighbours and len(near) >= max(options.normal_neighbours, 3):
-            normal = normals(xyz, max(options.normal_neighbours, 3))
-        intensity = None if cloud.intensity is None else cloud.intensity[near]
-        if intensity is not None and options.equalise:
-            intensity = by_rank(intensity)
-        time_s = None if cloud.time_s is None or cloud.twist is not None else cloud.time_s[near]
-        found = p2o.CloudPoints(xyz, intensity, normal, time_s)
-        return p2o.CloudFeatures(points=found.thinned(options.points))
-
-    return extract
+def extract(cloud: p2o.Cloud, options: ReflectanceOptions) -> p2o.CloudFeatures:
+    """Return `cloud-points` of a sweep."""
+    near = rows_in_range(cloud, options.max_range_m, options.min_range_m)
+    xyz = cloud.xyz[near]
+    normal = None
+    if options.normal_neighbours and len(near) >= max(options.normal_neighbours, 3):
+        normal = normals(xyz, max(options.normal_neighbours, 3))
+    intensity = None if cloud.intensity is None else cloud.intensity[near]
+    if intensity is not None and options.equalise:
+        intensity = by_rank(intensity)
+    points = p2o.CloudPoints(xyz, intensity, normal, raw_times(cloud, near))
+    return p2o.CloudFeatures(points=points.thinned(options.points))
 
 
 def normals(xyz: Float, neighbours: int) -> Float:
@@ -61,7 +46,7 @@ def normals(xyz: Float, neighbours: int) -> Float:
 
 METHOD = p2o.Method(
     name="reflectance",
-    build=build,
+    build=lambda options: lambda cloud: extract(cloud, options),
     options=ReflectanceOptions,
     summary="Points with their intensity within bounds of range, on demand with normals.",
     needs={"intensity"},

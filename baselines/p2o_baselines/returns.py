@@ -1,37 +1,32 @@
-"""Returns of a sweep as they are, `--extractor .../returns`: for methods that look at depth alone."""
+"""Return the points of a sweep unchanged, `--extractor .../returns`: for methods that use depth alone."""
 
 from __future__ import annotations
 
-import numpy as np
 import p2o
+from p2o import field
+
+from p2o_baselines.point_feature import raw_times, rows_in_range
 
 
 class ReturnsOptions(p2o.Options):
     """Options of `returns`."""
 
-    points: int = p2o.field(60_000, ge=100, le=10_000_000, help="Points of a sweep that are kept, spread evenly.")
-    max_range_m: float = p2o.field(80.0, gt=1, le=1000, help="Points farther off are left out.")
+    points: int = field(60_000, ge=100, le=10_000_000, help="Largest number of points per sweep, evenly sampled.")
+    max_range_m: float = field(80.0, gt=1, le=1000, help="Drop points farther than this.")
 
 
-def build(options: ReturnsOptions) -> p2o.CloudExtractor:
-    """Return the extractor of the points of a sweep, in the order of their places."""
-
-    def extract(cloud: p2o.Cloud) -> p2o.CloudFeatures:
-        near = np.flatnonzero(np.linalg.norm(cloud.xyz, axis=1) <= options.max_range_m)
-        # Sorted by place: points in another order are the same sweep.
-        near = near[np.lexsort(cloud.xyz[near].T)]
-        time_s = None if cloud.time_s is None or cloud.twist is not None else cloud.time_s[near]
-        strength = None if cloud.intensity is None else cloud.intensity[near]
-        found = p2o.CloudPoints(cloud.xyz[near], strength, time_s=time_s)
-        return p2o.CloudFeatures(points=found.thinned(options.points))
-
-    return extract
+def extract(cloud: p2o.Cloud, options: ReturnsOptions) -> p2o.CloudFeatures:
+    """Return the points of a sweep, in the order of their places."""
+    near = rows_in_range(cloud, options.max_range_m)
+    strength = None if cloud.intensity is None else cloud.intensity[near]
+    points = p2o.CloudPoints(cloud.xyz[near], strength, time_s=raw_times(cloud, near))
+    return p2o.CloudFeatures(points=points.thinned(options.points))
 
 
 METHOD = p2o.Method(
     name="returns",
-    build=build,
+    build=lambda options: lambda cloud: extract(cloud, options),
     options=ReturnsOptions,
-    summary="The returns of the sweep, spread evenly.",
+    summary="The returns of the sweep, evenly sampled.",
     gives={"cloud-points"},
 )

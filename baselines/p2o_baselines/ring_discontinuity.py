@@ -1,34 +1,33 @@
-"""Depth discontinuities along the rings of a spinning LiDAR, `--extractor IMAGE/ring-discontinuity`.
+"""Extract depth discontinuities along the rings of a spinning LiDAR, `--extractor IMAGE/ring-discontinuity`.
 
-Levinson and Thrun, Automatic Online Calibration of Cameras and Lasers, RSS 2013, Sec. III: each point weighs
-X_i = max(d_(i-1) - d_i, d_(i+1) - d_i, 0)^0.5, d the range and i - 1, i + 1 its neighbours on the ring, so that only
-the nearer side of a jump counts; points whose jump is 0.3 m or less are left out (the figure is theirs as we know it).
+Levinson and Thrun, Automatic Online Calibration of Cameras and Lasers, RSS 2013, Sec. III: the weight of a point is X_i
+= max(d_(i-1) - d_i, d_(i+1) - d_i, 0)^0.5, d the range and i - 1, i + 1 its neighbours on the ring, so that only the
+nearer side of a jump counts; points with a jump of at most 0.3 m are dropped (their figure, as far as we know).
 
-Departures: neighbours further apart than `max_gap_deg` are no neighbours (a pulse that did not come back makes no
-jump); of points of one ring under one azimuth the nearest counts.
+Departures: points further apart than `max_gap_deg` are not neighbours (a pulse without a return is no jump); of points
+of one ring with the same azimuth the nearest is used.
 """
 
 from __future__ import annotations
 
 import numpy as np
 import p2o
-from p2o.arrays import Float, Int
+from p2o import Float, Int, field
+
+from p2o_baselines.point_feature import raw_times
 
 
 class RingDiscontinuityOptions(p2o.Options):
     """Options of `ring-discontinuity`."""
 
-    min_jump_m: float = p2o.field(0.3, ge=0, help="Smallest step back in range to a neighbour on the ring, in metres.")
-    power: float = p2o.field(0.5, gt=0, le=2, help="Power of the step that a point weighs.")
-    max_gap_deg: float = p2o.field(0.6, gt=0, lt=90, help="Points further apart in azimuth are no neighbours.")
-    max_range_m: float = p2o.field(100.0, gt=1, help="Points farther than this are left out.")
+    min_jump_m: float = field(0.3, ge=0, help="Smallest range jump to a neighbour on the ring, in metres.")
+    power: float = field(0.5, gt=0, le=2, help="Exponent of the jump in the weight of a point.")
+    max_gap_deg: float = field(0.6, gt=0, lt=90, help="Largest azimuth between neighbours on a ring.")
+    max_range_m: float = field(100.0, gt=1, help="Drop points farther than this.")
 
 
 def ring_jumps(cloud: p2o.Cloud, min_jump_m: float, max_gap_deg: float) -> tuple[Int, Float]:
-    """Return the points (M,) from which the range steps back by more than `min_jump_m` along their ring, and the steps.
-
-    Points come ring by ring, by rising azimuth. Rings are closed; ranges and azimuths are those that were measured.
-    """
+    """Return the points (M,) in front of measured range jumps above `min_jump_m` on closed rings, and the jumps."""
     xyz = cloud.as_measured()
     ring = np.zeros(len(xyz), np.int64) if cloud.ring is None else cloud.ring
     range_m, azimuth = np.linalg.norm(xyz, axis=1), np.arctan2(xyz[:, 1], xyz[:, 0])
@@ -43,7 +42,7 @@ def ring_jumps(cloud: p2o.Cloud, min_jump_m: float, max_gap_deg: float) -> tuple
     after = np.arange(1, len(order) + 1)
     after[last] = first
     step = np.mod(azimuth[order[after]] - azimuth[order], 2 * np.pi)
-    back = range_m[order[after]] - range_m[order]  # positive where the next point lies behind
+    back = range_m[order[after]] - range_m[order]  # positive where the next point is farther away
     back[(step > np.radians(max_gap_deg)) | (after == np.arange(len(order)))] = 0.0
     jump = np.maximum(back, 0.0)
     np.maximum.at(jump, after, -back)
@@ -52,28 +51,23 @@ def ring_jumps(cloud: p2o.Cloud, min_jump_m: float, max_gap_deg: float) -> tuple
 
 
 def edges_at(cloud: p2o.Cloud, rows: Int, weight: Float) -> p2o.CloudEdges:
-    """Return points of a cloud as edges without direction, with their times where the sweep is raw."""
-    time_s = None if cloud.time_s is None or cloud.twist is not None else cloud.time_s[rows]
+    """Return points of a cloud as edges without direction, with their times for a raw sweep."""
     none = np.full(len(rows), p2o.Side.NONE, np.int8)
-    return p2o.CloudEdges(cloud.xyz[rows], none, weight, time_s=time_s)  # type: ignore[arg-type]  # None means 0
+    return p2o.CloudEdges(cloud.xyz[rows], none, weight, time_s=raw_times(cloud, rows))  # type: ignore[arg-type]  # None means 0
 
 
-def build(options: RingDiscontinuityOptions) -> p2o.CloudExtractor:
-    """Return the extractor."""
-
-    def extract(cloud: p2o.Cloud) -> p2o.CloudFeatures:
-        rows, jump_m = ring_jumps(cloud, options.min_jump_m, options.max_gap_deg)
-        near = np.linalg.norm(cloud.xyz[rows], axis=1) <= options.max_range_m
-        return p2o.CloudFeatures(edges_at(cloud, rows[near], jump_m[near] ** options.power))
-
-    return extract
+def extract(cloud: p2o.Cloud, options: RingDiscontinuityOptions) -> p2o.CloudFeatures:
+    """Return the points in front of range jumps along their ring."""
+    rows, jump_m = ring_jumps(cloud, options.min_jump_m, options.max_gap_deg)
+    near = np.linalg.norm(cloud.xyz[rows], axis=1) <= options.max_range_m
+    return p2o.CloudFeatures(edges_at(cloud, rows[near], jump_m[near] ** options.power))
 
 
 METHOD = p2o.Method(
     name="ring-discontinuity",
-    build=build,
+    build=lambda options: lambda cloud: extract(cloud, options),
     options=RingDiscontinuityOptions,
-    summary="Points before a step back in range along their ring, weighed by the root of the step.",
+    summary="Points in front of range jumps along their ring, weighted by the root of the jump.",
     needs={"rings"},
     gives={"cloud-edges"},
     cite="Levinson and Thrun, Automatic Online Calibration of Cameras and Lasers, RSS 2013",

@@ -1,9 +1,9 @@
-"""How much later than its sweep a picture was taken, from how camera and LiDAR turn on one drive.
+"""Estimate the delay of the camera relative to the LiDAR from the rotations of both on one drive.
 
-A delay shifts the turns of one sensor in time against those of the other. So the LiDAR's poses are asked at shifted
-times (rotations between poses by SLERP), and the shift counts at which both turn alike. Turns are vectors
-along their axes; those of the LiDAR are taken into the camera frame by a rotation that is about right: one that is 1
-degree off changes 0.02 % of them. A drive that does not turn, or turns evenly, tells nothing.
+A delay shifts the rotations of one sensor in time relative to the other. The LiDAR's poses are interpolated at shifted
+times (SLERP), and the delay is the shift at which both rotations agree. Rotations are rotation vectors; those of the
+LiDAR are expressed in the camera frame by an approximate extrinsic rotation, whose error of 1 degree changes them by
+0.02 %. A drive without rotation, or with constant rotation, does not determine the delay.
 """
 
 from __future__ import annotations
@@ -14,23 +14,22 @@ from typing import NamedTuple
 
 import numpy as np
 import p2o
-from p2o.arrays import Bool, Float, Int
+from p2o import Bool, Float, Int
 
 _RISE = 6.0
-"""Other delays fit worse than the best one by so many times the root of how many numbers are compared.
+"""Other delays must fit worse than the best one by this multiple of the root of the number of residuals.
 
-Ours: where a drive turns evenly, noise alone makes it 2 to 4; where it tells the delay to 20 ms, it is 11 and more.
+Ours: with constant rotation, noise alone makes it 2 to 4; if the delay is determined to 20 ms, it is 11 and more.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """How both sensors turn on one drive.
+    """Rotations of both sensors on one drive.
 
-    `turn` (N, 3) are the rotation vectors (rad, camera frame) by which points turn in the camera from `begin_s` (N,) to
-    `end_s` (N,), the times of two pictures, and `steps` (N, 2) the first and the last of the steps from picture to
-    picture that they are made of. `pose_s` (M,) are the rising times at which the LiDAR's pose is known, and
-    `world_from_lidar` (M, 4, 4) its poses then.
+    `turn` (N, 3) are the rotation vectors (rad, camera frame) of points in the camera from `begin_s` (N,) to `end_s`
+    (N,), the times of two images, and `steps` (N, 2) the first and the last of the steps from image to image that they
+    consist of. `pose_s` (M,) are the increasing times of the known LiDAR poses `world_from_lidar` (M, 4, 4).
     """
 
     begin_s: Float
@@ -44,12 +43,8 @@ class Drive:
     def of(
         cls, times_s: Float, second_from_first: Sequence[Float | None], world_from_lidar: Float, *, span_s: float
     ) -> Drive:
-        """Return the turns between all pictures that are at most `span_s` apart, and those of single steps.
-
-        `second_from_first` are the rotations (3, 3) from each picture to the next, None where it is not known; pictures
-        and poses have the same times (M,).
-        """
-        begin, end, turn, steps = [], [], [], []
+        """Return the rotations (3, 3) of steps, None if unknown, combined between images at most `span_s` apart."""
+        rows, steps = [], []
         for first in range(len(second_from_first)):
             whole = np.eye(3)
             for last in range(first, len(second_from_first)):
@@ -57,18 +52,12 @@ class Drive:
                 if step is None or (last > first and times_s[last + 1] - times_s[first] > span_s):
                     break
                 whole = step @ whole
-                begin.append(times_s[first])
-                end.append(times_s[last + 1])
-                turn.append(p2o.se3.rotation_vector(whole))
+                rows.append((times_s[first], times_s[last + 1], *p2o.se3.rotation_vector(whole)))
                 steps.append((first, last))
-        return cls(
-            np.array(begin, np.float64),
-            np.array(end, np.float64),
-            np.reshape(turn, (-1, 3)),
-            np.reshape(np.array(steps, np.int64), (-1, 2)),
-            np.asarray(times_s, np.float64),
-            np.asarray(world_from_lidar, np.float64),
-        )
+        table = np.reshape(np.array(rows, np.float64), (-1, 5))
+        numbers = np.reshape(np.array(steps, np.int64), (-1, 2))
+        poses = np.asarray(world_from_lidar, np.float64)
+        return cls(table[:, 0], table[:, 1], table[:, 2:], numbers, np.asarray(times_s, np.float64), poses)
 
     def within(self, longest_s: float) -> Bool:
         """Return which turns (N,) the poses cover at every delay of at most `longest_s`."""
@@ -81,20 +70,18 @@ class Drive:
         from scipy.spatial.transform import Rotation, Slerp
 
         poses = Slerp(self.pose_s, Rotation.from_matrix(self.world_from_lidar[:, :3, :3]))
-        first, second = (
-            poses(np.clip(times[chosen] + delay_s, self.pose_s[0], self.pose_s[-1]))
-            for times in (self.begin_s, self.end_s)
-        )
+        ends = (np.clip(times[chosen] + delay_s, *self.pose_s[[0, -1]]) for times in (self.begin_s, self.end_s))
+        first, second = (poses(times) for times in ends)
         return np.asarray((second.inv() * first).as_rotvec(), np.float64)
 
 
 @dataclass(frozen=True)
 class Delay:
-    """Pictures were taken `delay_s` after what their times say by the LiDAR's clock, give or take `sigma_s`.
+    """Images were taken `delay_s` after their time stamps by the LiDAR's clock, with standard deviation `sigma_s`.
 
-    So many `steps` from picture to picture tell so. Turns agree to `off_deg` a step (root mean square); `explained`
-    is the share of the camera's turns (squared) that are the LiDAR's as well. `inside` is False where the best delay
-    is the longest one that was tried.
+    `steps` is the number of steps from image to image. Rotations agree to `off_deg` per step (root mean square);
+    `explained` is the share of the camera's squared rotations that the LiDAR explains. `inside` is False if the best
+    delay is at the limit of the search range.
     """
 
     delay_s: float
@@ -108,58 +95,52 @@ class Delay:
 def delay_of(
     drives: Sequence[Drive], camera_from_lidar: Float, *, longest_s: float = 0.2, step_s: float = 0.005
 ) -> Delay | None:
-    """Return the delay of the camera that all drives tell together; None where no turn is covered by poses.
+    """Return the delay of the camera estimated from all drives; None if no rotation is covered by poses.
 
-    `camera_from_lidar` (4, 4) is about right in rotation. Delays of up to `longest_s` are tried, `step_s` apart, and a
-    parabola around the best one tells where the squares are least. A turn of n steps weighs 1/n, for errors of
-    odometry add up; turns that are off by much more than most weigh less (Huber). `sigma_s` is the larger one of what
-    the squares' bend says and of the jackknife over steps, which knows of what lies between poses as well; infinite
-    where other delays fit about as well, as on a drive that turns evenly.
-
-    Turns of several steps are there for the LiDAR's noise: between two poses it is smaller than at them, which draws
-    the delay of single steps to between the poses.
+    `camera_from_lidar` (4, 4) has an approximate rotation. Delays of up to `longest_s` are evaluated, `step_s` apart,
+    and a parabola through the best ones gives the minimum. A rotation over n steps has weight 1/n, because errors of
+    odometry add up; several steps reduce the noise of the LiDAR, which is smaller between two poses than at them and
+    biases the delay of single steps. Outliers are downweighted (Huber). `sigma_s` is the larger of two estimates: from
+    the curvature of the squares and from the jackknife over steps; infinite if other delays fit equally well.
     """
     chosen = [drive.within(longest_s) for drive in drives]
     if not any(each.any() for each in chosen):
         return None
-    turns = np.concatenate([drive.turn[each] for drive, each in zip(drives, chosen, strict=True)])
-    steps = _numbered([drive.steps[each] for drive, each in zip(drives, chosen, strict=True)])
+    pairs = list(zip(drives, chosen, strict=True))
+    turns = np.concatenate([drive.turn[each] for drive, each in pairs])
+    steps = _numbered([drive.steps[each] for drive, each in pairs])
     half = max(int(np.ceil(longest_s / step_s - 1e-9)), 1)
     delays_s = np.linspace(-longest_s, longest_s, 2 * half + 1)
 
     def off(delay_s: float) -> Float:
-        there = [drive.lidar_turn(delay_s, each) for drive, each in zip(drives, chosen, strict=True)]
-        return np.linalg.norm(turns - np.concatenate(there) @ camera_from_lidar[:3, :3].T, axis=1)
+        lidar_turns = np.concatenate([drive.lidar_turn(delay_s, each) for drive, each in pairs])
+        return np.linalg.norm(turns - lidar_turns @ camera_from_lidar[:3, :3].T, axis=1)
 
-    lasting = steps[:, 1] - steps[:, 0] + 1.0
-    every = np.array([off(delay_s) for delay_s in delays_s]) / np.sqrt(lasting)
+    span = steps[:, 1] - steps[:, 0] + 1.0
+    every = np.array([off(delay_s) for delay_s in delays_s]) / np.sqrt(span)
     weight = np.ones(len(turns))
     for _ in range(3):
         best = int(np.argmin((weight * every**2).sum(axis=1)))
         usual = max(1.5 * float(np.median(every[best])), 1e-9)
         weight = np.minimum(1.0, usual / np.maximum(every[best], 1e-12))
     parts = weight * every**2
-    low = _lowest(delays_s, parts.sum(axis=1))
+    squares = parts.sum(axis=1)
+    low = _lowest(delays_s, squares)
     used = np.unique(np.concatenate([np.arange(first, last + 1) for first, last in steps.tolist()]))
-    # Turns overlap: no more is known than what single steps tell, three numbers each.
+    # Rotations overlap: the information is limited to that of the single steps, three numbers each.
     variance = low.least / float(weight.sum()) / 3.0 * len(turns) / max(len(used) - 1, 1)
-    rise = (float(np.median(parts.sum(axis=1))) - low.least) / max(low.least, 1e-18) * np.sqrt(3 * len(used))
+    rise = (float(np.median(squares)) - low.least) / max(low.least, 1e-18) * np.sqrt(3 * len(used))
     usual_s = float(np.median(np.concatenate([np.diff(drive.pose_s) for drive in drives])))
-    bend = _bend(delays_s, parts.sum(axis=1), low, usual_s)
+    bend = _bend(delays_s, squares, low, usual_s)
     sigma_s = float(np.sqrt(2 * variance / bend)) if bend > 0 and rise > _RISE else np.inf
-    all_of_it = float((weight * (turns**2).sum(axis=1) / lasting).sum())
-    return Delay(
-        low.delay_s,
-        max(sigma_s, _spread_s(delays_s, parts, steps, used)),
-        len(used),
-        float(np.degrees(np.sqrt(low.least / weight.sum()))),
-        1.0 - low.least / all_of_it if all_of_it > 0 else 0.0,
-        low.inside,
-    )
+    sigma_s = max(sigma_s, _spread_s(delays_s, parts, steps, used))
+    off_deg = float(np.degrees(np.sqrt(low.least / weight.sum())))
+    whole = float((weight * (turns**2).sum(axis=1) / span).sum())
+    return Delay(low.delay_s, sigma_s, len(used), off_deg, 1.0 - low.least / whole if whole > 0 else 0.0, low.inside)
 
 
 def _numbered(steps: Sequence[Int]) -> Int:
-    """Return the steps (N, 2) of several drives as those of one, none shared."""
+    """Concatenate the steps (N, 2) of several drives without shared indices."""
     first, out = 0, []
     for each in steps:
         out.append(each + first)
@@ -176,7 +157,7 @@ class _Lowest(NamedTuple):
 
 
 def _lowest(delays_s: Float, squares: Float) -> _Lowest:
-    """Return where squares (D,) at delays (D,) in equal steps are lowest, by a parabola around the best one."""
+    """Return the delay of the minimum of squares (D,) at equally spaced delays (D,), by a parabola."""
     best = int(np.argmin(squares))
     at = int(np.clip(best, 1, len(delays_s) - 2))
     before, here, after = (float(each) for each in squares[at - 1 : at + 2])
@@ -189,10 +170,7 @@ def _lowest(delays_s: Float, squares: Float) -> _Lowest:
 
 
 def _bend(delays_s: Float, squares: Float, low: _Lowest, period_s: float) -> float:
-    """Return the second derivative (1/s^2) of the squares (D,) about their lowest point, over a period to either side.
-
-    Between poses the squares swell with the noise of the LiDAR, with the period of the poses, and that tells nothing.
-    """
+    """Return the second derivative (1/s^2) of squares (D,) at their minimum, over one period of the poses."""
     grid_s = float(delays_s[1] - delays_s[0])
     reach_s = max(min(period_s, float(delays_s[-1]) - abs(low.delay_s)), grid_s)
     sides = np.interp([low.delay_s - reach_s, low.delay_s + reach_s], delays_s, squares)
@@ -201,19 +179,16 @@ def _bend(delays_s: Float, squares: Float, low: _Lowest, period_s: float) -> flo
 
 def _spread_s(delays_s: Float, parts: Float, steps: Int, used: Int) -> float:
     """Return the jackknife's deviation of the delay: from leaving out each step of squares (D, N) in turn."""
-    found = []
+    curvatures = []
     for step in used:
         other = (steps[:, 0] > step) | (steps[:, 1] < step)
         if other.any():
-            found.append(_lowest(delays_s, parts[:, other].sum(axis=1)).delay_s)
-    return float(np.sqrt((len(found) - 1) * np.var(found))) if len(found) > 1 else np.inf
+            curvatures.append(_lowest(delays_s, parts[:, other].sum(axis=1)).delay_s)
+    return float(np.sqrt((len(curvatures) - 1) * np.var(curvatures))) if len(curvatures) > 1 else np.inf
 
 
 def twists(times_s: Float, world_from_lidar: Float, *, backwards: bool) -> Float:
-    """Return the velocity (M, 6) at each pose (M, 4, 4), rad/s and m/s in the LiDAR frame, of a drive of at least two.
-
-    It is that towards the next pose, or since the last one (`backwards`); the one at the end is its neighbour's.
-    """
+    """Return the velocity (M, 6) rad/s and m/s at each pose, towards the next one, or since the last (`backwards`)."""
     steps = p2o.se3.inverse(world_from_lidar[:-1]) @ world_from_lidar[1:]
     rates = np.array([p2o.se3.log(step) for step in steps]) / np.diff(times_s)[:, None]
     return np.concatenate([rates[:1], rates] if backwards else [rates, rates[-1:]])

@@ -1,14 +1,14 @@
-"""The extrinsic at which a sparse map from pictures lies on the surfaces that a LiDAR saw, and both move alike.
+"""Estimate the extrinsic that aligns a sparse visual map with the surfaces of the LiDAR's map and both motions.
 
-For a stretch of a drive there are a visual map, up to scale (`visual_map`), the LiDAR's poses, and its map as small
-planes (`surface_map`). With the extrinsic X, a landmark y in the camera frame of moment k and the scale s_k there, the
-point W_k X^-1 s_k y of the LiDAR's world should lie on the plane next to it, and the camera's steps A from moment to
-moment should be those of the LiDAR: A(s) X = X B.
+A stretch of a drive has a visual map, up to scale (`visual_map`), the LiDAR's poses, and its map as small planes
+(`surface_map`). With the extrinsic X, a landmark y in the camera frame of time k and the scale s_k there, the point W_k
+X^-1 s_k y of the LiDAR's world should lie on the nearest plane, and the steps A of the camera should be those B of the
+LiDAR: A(s) X = X B.
 
-Both kinds of equations make one least squares over X and the scales (`solved`). Landmarks count once however often they
-are seen; wrong ones and wrong steps are damped (Cauchy); how far both kinds are off scales their weights. Scales of
-neighbouring moments differ little: a visual map of 30 m drifts by a percent. The global search (`searched`) looks for
-the least damped cost over X and one scale in a box around a first guess. All constants are ours.
+Both kinds of equations make one least squares over X and the scales (`solved`). Each landmark counts once; outlier
+landmarks and steps are damped (Cauchy); the scatter of both kinds scales their weights. Scales of neighbouring times
+are similar: a visual map of 30 m drifts by a percent. The global search (`searched`) minimises the damped cost over X
+and one scale in a box around an initial guess. All constants are ours.
 """
 
 from __future__ import annotations
@@ -18,44 +18,91 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import p2o
-from p2o.arrays import Bool, Float, Int
+from p2o import Bool, Float, Int
+from scipy.spatial import cKDTree
 
 from p2o_baselines.hand_eye_equations import adjoint
-from p2o_baselines.surface_map import SurfaceMap
+
+_LEAST_POINTS = 12  # points of a plane
+_THICK_M = 0.05
+_WIDE_M = 0.05
+_FLATTER = 2.5  # least ratio of width to thickness of a plane
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceMap:
+    """Cubes of the world, found by `tree`: centre (N, 3) m of the points, normal, thickness, and which are `flat`."""
+
+    centre: Float
+    normal: Float
+    thickness_m: Float
+    flat: Bool
+    tree: cKDTree
+
+    def near(self, xyz: Float, reach_m: float) -> tuple[Bool, Int]:
+        """Return which points (N, 3) have a plane next to them within `reach_m`, and its cube (N,)."""
+        away, cube = self.tree.query(xyz, distance_upper_bound=reach_m)
+        has_plane = np.isfinite(away)
+        cube = np.where(has_plane, cube, 0)
+        return has_plane & self.flat[cube], cube
+
+
+def surface_map(
+    sweeps: Sequence[Float], world_from_lidar: Float, *, cube_m: float = 0.5, near_m: float = 2.5, far_m: float = 60.0
+) -> SurfaceMap | None:
+    """Return the map of sweeps (N, 3) at poses (K, 4, 4) from points `near_m` to `far_m` away; None if empty."""
+    parts = []
+    for xyz, pose in zip(sweeps, world_from_lidar, strict=True):
+        distance = np.linalg.norm(xyz, axis=1)
+        parts.append(p2o.se3.apply(pose, xyz[(distance > near_m) & (distance < far_m)]))
+    points = np.concatenate(parts)
+    if not len(points):
+        return None
+    cell = np.floor(points / cube_m).astype(np.int64)
+    key = (cell - cell.min(axis=0)) @ np.array([1 << 40, 1 << 20, 1])
+    _, cube, count = np.unique(key, return_inverse=True, return_counts=True)
+    centre = np.stack([np.bincount(cube, points[:, axis]) / count for axis in range(3)], axis=1)
+    off = points - centre[cube]
+    spread = np.zeros((len(count), 3, 3))
+    for one in range(3):
+        for two in range(one, 3):
+            spread[:, one, two] = spread[:, two, one] = np.bincount(cube, off[:, one] * off[:, two]) / count
+    enough = count >= _LEAST_POINTS
+    if not enough.any():
+        return None
+    values, axes = np.linalg.eigh(spread[enough])
+    sizes = np.sqrt(np.maximum(values, 0.0))
+    flat = (sizes[:, 0] < _THICK_M) & (sizes[:, 1] > _WIDE_M) & (sizes[:, 1] > _FLATTER * sizes[:, 0])
+    return SurfaceMap(centre[enough], axes[:, :, 0], sizes[:, 0], flat, cKDTree(centre[enough]))
+
 
 _REACH_M = 0.3
-_SURFACE_M = 0.02
-"""Deviation of a plane besides its thickness."""
+_SURFACE_M = 0.02  # standard deviation of a plane in addition to its thickness
 _FAR_M = 40.0
-_VAGUE_M = 0.5
-"""Landmarks that are known no better than this are left out."""
+_VAGUE_M = 0.5  # landmarks with a larger standard deviation are left out
 _WIDTHS_M = (0.5, 0.5, 0.5, 0.3, 0.3, 0.3, 0.15, 0.15, 0.15)
-"""Landmarks may be off by so much more at first, for the extrinsic may be."""
+"""Additional tolerance of landmarks in the first iterations, for the error of the extrinsic."""
 _CAUCHY, _STEP_CAUCHY = 1.0, 2.0
 _STEP_RAD, _STEP_SHARE, _STEP_M = np.radians(0.02), 0.005, 0.003
-"""Deviations of a step: its turn, its translation by the pictures (a share of it) and by the sweeps."""
-_WALK = 0.01
-"""Deviation of the logarithm of the scale from moment to moment."""
+"""Deviations of a step: its turn, its translation by the images (a share of it) and by the sweeps."""
+_WALK = 0.01  # deviation of the logarithm of the scale from moment to moment
 _DRIFT_RAD, _DRIFT_M = np.radians(0.01), 0.005
-"""How wrong LiDAR odometry may be in every step alike, an axis."""
-_FLOOR_RAD, _FLOOR_M = 1.0, 30.0
-_LEAST = 1e-3
-"""Nothing is better than expected by more than this factor."""
-_SMALL_RAD, _SMALL_M = 5e-5, 5e-4
-"""Smaller updates come from landmarks that change planes."""
+"""Standard deviation per axis of an error common to all steps of LiDAR odometry."""
+_FLOOR = np.repeat([1 / 1.0**2, 1 / 30.0**2], 3)  # prior information of the extrinsic (rad, m)
+_LEAST = 1e-3  # limit of the factor by which residuals may be smaller than expected
+_SMALL_RAD, _SMALL_M = 5e-5, 5e-4  # updates smaller than this are caused by landmarks that change planes
 _DELAY_S, _DELAY_TURNS = 0.01, 8
-_SEARCHED = 500
-"""Landmarks of each stretch that the search looks at."""
+_SEARCHED = 500  # landmarks of each stretch that the search evaluates
 _SEARCH_M = 0.3
 
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """A stretch of a drive: landmarks `xyz` (N, 3) as seen, in the camera frame of moment `moment` (N,), up to scale.
+    """A stretch of a drive: landmarks `xyz` (N, 3) in the camera frame of time `moment` (N,), up to scale.
 
-    `landmark` (N,) numbers them, `covariance` (N, 3, 3) is theirs. `camera_step` (K-1, 4, 4) is the camera's motion
-    from each moment to the next, up to scale, `world_from_lidar` (K, 4, 4) the LiDAR's poses, `velocity` (K, 6) how it
-    moves at them (rad/s, m/s, in its own frame), and `surfaces` its map.
+    `landmark` (N,) numbers them, `covariance` (N, 3, 3) is theirs. `camera_step` (K-1, 4, 4) is the motion of the
+    camera from each time to the next, up to scale, `world_from_lidar` (K, 4, 4) the LiDAR's poses, `velocity` (K, 6)
+    its velocity (rad/s, m/s, in its own frame), and `surfaces` its map.
     """
 
     xyz: Float
@@ -76,40 +123,35 @@ class Stretch:
         return np.asarray(p2o.se3.inverse(self.world_from_lidar[1:]) @ self.world_from_lidar[:-1])
 
     def later(self, delay_s: float) -> Stretch:
-        """Return the same with the LiDAR where it is so much later, its map staying."""
+        """Return the same with the LiDAR poses at a later time and the same map."""
         ahead = np.array([p2o.se3.exp(twist * delay_s) for twist in self.velocity])
         return replace(self, world_from_lidar=self.world_from_lidar @ ahead)
 
     def nearer(self, scale: float) -> Stretch:
-        """Return the same without what is far, or vague, where the map is about `scale` m a unit."""
+        """Return the same without far or uncertain landmarks, if the map has about `scale` m per unit."""
         sigma = np.sqrt(np.trace(self.covariance, axis1=1, axis2=2)) * scale
         kept = (self.xyz[:, 2] * scale < _FAR_M) & (sigma < _VAGUE_M)
         return self._select(kept)
 
     def once(self, most: int) -> Stretch:
-        """Return each landmark as seen from where it is best known, at most so many, evenly spread over the drive."""
+        """Return each landmark at the time of its smallest uncertainty, at most `most`, distributed over the drive."""
         order = np.lexsort((np.trace(self.covariance, axis1=1, axis2=2), self.xyz[:, 2], self.landmark))
         first = order[np.concatenate([[True], np.diff(self.landmark[order]) > 0])] if len(order) else order
         return self._select(np.sort(first[:: max(len(first) // most, 1)]))
 
     def _select(self, kept: Bool | Int) -> Stretch:
-        return replace(
-            self,
-            xyz=self.xyz[kept],
-            covariance=self.covariance[kept],
-            landmark=self.landmark[kept],
-            moment=self.moment[kept],
-        )
+        names = ("xyz", "covariance", "landmark", "moment")
+        return replace(self, **{name: getattr(self, name)[kept] for name in names})
 
 
 @dataclass(frozen=True, eq=False)
 class Consistency:
     """The extrinsic at which both maps agree.
 
-    `covariance` (6, 6) is of a left update (rad, m), `scales` (K,) m a unit of each stretch. `landmarks` lie next to a
-    plane, `share` of those that are near enough to be asked; they are off by `off_m`, in the median. Steps differ by
-    `off_deg` and `off_step_m`, root mean squares of those that count. `delay_s` is how much later than its sweeps the
-    camera is, with its deviation, infinite where nothing tells.
+    `covariance` (6, 6) is that of a left update (rad, m), `scales` (K,) m per unit of each stretch. `landmarks` lie
+    next to a plane, `share` of those near enough to be compared; `off_m` is their median distance. Steps differ by
+    `off_deg` and `off_step_m`, root mean squares of the inliers. `delay_s` is the delay of the camera relative to its
+    sweeps, with its standard deviation, infinite if it is not observable.
     """
 
     camera_from_lidar: Float
@@ -127,11 +169,7 @@ class Consistency:
 
 @dataclass(frozen=True, eq=False)
 class _Sums:
-    """Sums over one stretch; the first six unknowns are the extrinsic's, the others its logarithms of scales.
-
-    `parts` (K, 6 + K) are what the landmarks of each moment, and the step after it, add to the gradient, and `by_drift`
-    (6 + K, 6) is how that changes with a left update of each step of the LiDAR alike.
-    """
+    """Sums over one stretch, its landmarks and steps; unknowns are the extrinsic (6) and logarithms of scales."""
 
     normal: Float
     gradient: Float
@@ -156,11 +194,11 @@ def searched(
     seed: int,
     rounds: int,
 ) -> tuple[Float, float]:
-    """Return the extrinsic with the least damped cost in a box, and by how much scales are larger there.
+    """Return the extrinsic with the least damped cost in a box, and the common logarithmic change of the scales.
 
-    The box is around an extrinsic (4, 4): turns about its `axes` (3, 3, rows, camera frame), the camera's way along
-    its own axes and one factor for all scales, each as far as `half` (7,) rad, m, logarithm. Differential evolution,
-    which always draws the same; the first guess is among its first generation.
+    The box is around an extrinsic (4, 4): rotations about its `axes` (3, 3, rows, camera frame), translations of the
+    camera along its own axes and one factor for all scales, each up to `half` (7,) rad, m, logarithm. Differential
+    evolution with a fixed seed; the initial guess is in its first generation.
     """
     from scipy.optimize import differential_evolution
 
@@ -173,13 +211,12 @@ def searched(
         return p2o.se3.make(rotation, -rotation @ (place + back @ x[3:6]))
 
     def cost(x: Float) -> float:
+        pairs = zip(few, log_scales, strict=True)
+        scales = ((stretch, np.full(len(stretch.world_from_lidar), log_scale + x[6])) for stretch, log_scale in pairs)
         camera = pose(x)
-        return sum(
-            _damped(stretch, camera, np.full(len(stretch.world_from_lidar), log_scale + x[6]))
-            for stretch, log_scale in zip(few, log_scales, strict=True)
-        )
+        return sum(_damped(stretch, camera, scale) for stretch, scale in scales)
 
-    found = differential_evolution(
+    optimum = differential_evolution(
         cost,
         list(zip((-half).tolist(), half.tolist(), strict=True)),
         x0=np.zeros(7),
@@ -189,7 +226,7 @@ def searched(
         polish=False,
         rng=np.random.default_rng(seed),
     )
-    return pose(found.x), float(found.x[6])
+    return pose(optimum.x), float(optimum.x[6])
 
 
 def _damped(stretch: Stretch, camera_from_lidar: Float, log_scale: Float) -> float:
@@ -205,10 +242,7 @@ def _damped(stretch: Stretch, camera_from_lidar: Float, log_scale: Float) -> flo
 def solved(
     stretches: Sequence[Stretch], camera_from_lidar: Float, log_scales: Sequence[float], *, iterations: int = 40
 ) -> Consistency | None:
-    """Return the extrinsic that the least squares of all stretches has, from a first one; None with no landmark near.
-
-    `log_scales` are first ones, one a stretch.
-    """
+    """Return the least-squares extrinsic of all stretches from initial values; None without landmarks near planes."""
     pose = np.array(camera_from_lidar, np.float64)
     scales = [np.full(len(each.world_from_lidar), value) for each, value in zip(stretches, log_scales, strict=True)]
     settled = False
@@ -219,19 +253,20 @@ def solved(
             return None
         newton = _newton(parts, scales)
         size = np.abs(newton.update)
-        update = newton.update * min(
-            1.0, 0.05 / max(float(size[:3].max()), 1e-12), 0.2 / max(float(size[3:].max()), 1e-12)
-        )
+        limit = min(1.0, 0.05 / max(float(size[:3].max()), 1e-12), 0.2 / max(float(size[3:].max()), 1e-12))
+        update = newton.update * limit
         pose = p2o.se3.exp(update) @ pose
         scales = [scale + np.clip(change, -0.1, 0.1) for scale, change in zip(scales, newton.changes, strict=True)]
         small = np.linalg.norm(update[:3]) < _SMALL_RAD and np.linalg.norm(update[3:]) < _SMALL_M
         if small and number >= len(_WIDTHS_M):
             settled = True
             break
-    return _told(stretches, pose, scales, settled)
+    return _with_covariance(stretches, pose, scales, settled)
 
 
-def _told(stretches: Sequence[Stretch], pose: Float, scales: Sequence[Float], settled: bool) -> Consistency | None:
+def _with_covariance(
+    stretches: Sequence[Stretch], pose: Float, scales: Sequence[Float], settled: bool
+) -> Consistency | None:
     parts = [_sums(each, pose, scale, 0.0) for each, scale in zip(stretches, scales, strict=True)]
     if not any(part.near.any() for part in parts):
         return None
@@ -246,30 +281,17 @@ def _told(stretches: Sequence[Stretch], pose: Float, scales: Sequence[Float], se
     weight = np.concatenate([part.step_weight for part in parts])
     square = (weight[:, None] * steps**2).sum(axis=0) / max(float(weight.sum()), 1e-12)
     near = sum(len(np.unique(each.landmark[part.near])) for each, part in zip(stretches, parts, strict=True))
-    asked = sum(len(np.unique(each.landmark)) for each in stretches)
-    delay_s, delay_sigma_s = _delay(stretches, pose, scales)
-    return Consistency(
-        pose,
-        0.5 * (covariance + covariance.T),
-        tuple(np.exp(scale) for scale in scales),
-        near,
-        near / max(asked, 1),
-        float(np.median(off)),
-        float(np.degrees(np.sqrt(square[:3].sum()))),
-        float(np.sqrt(square[3:].sum())),
-        delay_s,
-        delay_sigma_s,
-        settled,
-    )
+    share = near / max(sum(len(np.unique(each.landmark)) for each in stretches), 1)
+    off_deg, off_step_m = float(np.degrees(np.sqrt(square[:3].sum()))), float(np.sqrt(square[3:].sum()))
+    of_maps, off_m = tuple(np.exp(scale) for scale in scales), float(np.median(off))
+    delay = _delay(stretches, pose, scales)
+    covariance = 0.5 * (covariance + covariance.T)
+    return Consistency(pose, covariance, of_maps, near, share, off_m, off_deg, off_step_m, *delay, settled)
 
 
 @dataclass(frozen=True, eq=False)
 class _Newton:
-    """One step: the `update` (6,), that of the scales, and the `inverse` (6, 6) once scales follow.
-
-    `parts` (M, 6) are the gradients of moments and `drift` (6, 6) how the gradient changes with the LiDAR's steps, both
-    once scales follow.
-    """
+    """One step: update (6,), that of scales, inverse (6, 6), gradients (M, 6) and drift (6, 6) when scales follow."""
 
     update: Float
     changes: list[Float]
@@ -279,7 +301,7 @@ class _Newton:
 
 
 def _newton(sums: Sequence[_Sums], scales: Sequence[Float]) -> _Newton:
-    normal = np.diag(np.repeat([1 / _FLOOR_RAD**2, 1 / _FLOOR_M**2], 3))
+    normal = np.diag(_FLOOR)
     gradient, drift, kept, parts = np.zeros(6), np.zeros((6, 6)), [], []
     for each, scale in zip(sums, scales, strict=True):
         walk = np.diff(np.eye(len(scale)), axis=0) / _WALK
@@ -302,7 +324,7 @@ def _sums(stretch: Stretch, pose: Float, log_scale: Float, wide_m: float) -> _Su
     """Return the sums of one stretch at an extrinsic and scales (K,)."""
     count = len(stretch.world_from_lidar)
     off, sigma, near, slope, by_scale, _ = _distances(stretch, pose, log_scale, wide_m)
-    # However often it is seen, a landmark is wrong once.
+    # The residuals of a landmark are correlated, so that an outlier counts once for all its observations.
     sights = np.bincount(stretch.landmark[near], minlength=int(stretch.landmark.max(initial=0)) + 1)
     ratio = np.abs(off) / sigma
     scale = max(float(np.median(ratio[near])) / 0.6745, _LEAST) if near.any() else 1.0
@@ -349,9 +371,7 @@ def _sums(stretch: Stretch, pose: Float, log_scale: Float, wide_m: float) -> _Su
 def _distances(
     stretch: Stretch, pose: Float, log_scale: Float, wide_m: float
 ) -> tuple[Float, Float, Bool, Float, Float, Int]:
-    """Return how far landmarks (N,) are from the planes next to them, m, the deviations, which have one, how the
-    distance changes with a left update of the extrinsic (N, 6) and with the logarithm of the scale, and which plane.
-    """
+    """Return distances (N,) m from the nearest planes, deviations, which have one, changes by update, scale, index."""
     turn, shift = pose[:3, :3], pose[:3, 3]
     scale = np.exp(log_scale)[stretch.moment]
     camera = stretch.xyz * scale[:, None]
@@ -370,26 +390,22 @@ def _distances(
 
 def _small(transforms: Float) -> Float:
     """Return the tangents (N, 6) of transforms (N, 4, 4) that turn little; to the second order of their turns."""
-    from scipy.spatial.transform import Rotation
-
-    turn, move = Rotation.from_matrix(transforms[:, :3, :3]).as_rotvec(), transforms[:, :3, 3]
+    turn, move = p2o.se3.rotation_vector(transforms[:, :3, :3]), transforms[:, :3, 3]
     once = np.cross(turn, move)
     return np.concatenate([turn, move - 0.5 * once + np.cross(turn, once) / 12.0], axis=1)
 
 
 def _steps(stretch: Stretch, pose: Float, log_scale: Float) -> tuple[Float, Float, Float, Float]:
-    """Return by how much camera steps differ from those of the LiDAR (K-1, 6) rad and m, the deviations (K-1, 6), how
-    that changes with a left update (K-1, 6, 6), and with the logarithm of the scale (K-1, 3), for translations.
-    """
+    """Return the differences of both sensors' steps (K-1, 6) rad and m, deviations, and changes by update and scale."""
     camera = stretch.camera_step.copy()
     camera[:, :3, 3] *= np.exp(0.5 * (log_scale[1:] + log_scale[:-1]))[:, None]
     moved = camera @ pose @ p2o.se3.inverse(stretch.lidar_step) @ p2o.se3.inverse(pose)
     off = _small(moved)
-    way = camera[:, :3, 3]
+    translation = camera[:, :3, 3]
     sigma = np.empty_like(off)
     sigma[:, :3] = _STEP_RAD
-    sigma[:, 3:] = np.hypot(_STEP_SHARE * np.linalg.norm(way, axis=1), _STEP_M)[:, None]
-    return off, sigma, adjoint(camera) - adjoint(moved), way
+    sigma[:, 3:] = np.hypot(_STEP_SHARE * np.linalg.norm(translation, axis=1), _STEP_M)[:, None]
+    return off, sigma, adjoint(camera) - adjoint(moved), translation
 
 
 def _delay(stretches: Sequence[Stretch], pose: Float, scales: Sequence[Float]) -> tuple[float, float]:
@@ -401,11 +417,9 @@ def _delay(stretches: Sequence[Stretch], pose: Float, scales: Sequence[Float]) -
         update, sigma_s = _with_delay(shifted, pose, scales, sums)
         pose = p2o.se3.exp(update[:6]) @ pose
         delay_s += float(np.clip(update[6], -0.05, 0.05))
-        ends = np.cumsum([7, *map(len, scales)])
-        scales = [
-            scale + np.clip(update[begin : begin + len(scale)], -0.1, 0.1)
-            for scale, begin in zip(scales, ends, strict=False)
-        ]
+        ends = np.cumsum([7, *map(len, scales)])[:-1]
+        changes = (update[begin : begin + len(scale)] for scale, begin in zip(scales, ends, strict=True))
+        scales = [scale + np.clip(change, -0.1, 0.1) for scale, change in zip(scales, changes, strict=True)]
         if abs(update[6]) < 0.1 * sigma_s:
             break
     return delay_s, sigma_s
@@ -414,13 +428,10 @@ def _delay(stretches: Sequence[Stretch], pose: Float, scales: Sequence[Float]) -
 def _with_delay(
     stretches: Sequence[Stretch], pose: Float, scales: Sequence[Float], sums: Sequence[_Sums]
 ) -> tuple[Float, float]:
-    """Return the update of the extrinsic, the delay, and all scales (7 + K,), and the deviation of the delay.
-
-    How distances and steps change with the delay is by differences.
-    """
+    """Return the update of extrinsic, delay (by differences) and scales (7 + K,), and the deviation of the delay."""
     size, begin = 7 + sum(map(len, scales)), 7
     normal, gradient = np.zeros((size, size)), np.zeros(size)
-    normal[range(7), range(7)] += np.array([1 / _FLOOR_RAD**2] * 3 + [1 / _FLOOR_M**2] * 3 + [1.0])
+    normal[range(7), range(7)] += np.array([*_FLOOR, 1.0])
     for stretch, scale, part in zip(stretches, scales, sums, strict=True):
         count = len(scale)
         ahead, behind = (_distances(stretch.later(sign * _DELAY_S), pose, scale, 0.0) for sign in (1, -1))

@@ -1,16 +1,16 @@
-"""Depth that is filled in along the picture changes where the picture does: `tv-fusion`, after Castorena et al. 2016.
+"""Align depth edges with image edges by total variation: `tv-fusion`, after Castorena et al. 2016.
 
     p2o run --extractor smoothness/returns --matcher tv-fusion --solver random-shrink --init given
             --set pipeline.rounds=1 --set solver.samples=60
 
-At each pose the sweep is projected onto a coarse grid and filled in by weighted total variation (`total_variation`),
-the weights being small where the picture has edges. The cost is the share of the filled map's variation that lies where
-the picture is smooth: sum w |grad psi| / sum |grad psi|. No reflectance, no features, one frame or several.
+At each pose the sweep is projected onto a coarse grid and interpolated by weighted total variation (`total_variation`),
+with small weights at edges of the image. The cost is the share of the variation of the depth map in smooth parts of the
+image: sum w |grad psi| / sum |grad psi|. No reflectance, no features, one frame or several.
 
-Departures from the paper: depth is its logarithm, so that a step from 5 to 10 m counts as one from 20 to 40; the cost
-is divided by the variation without weights, since the plain sum is least where few points are in view; the inner
-problem is solved by 40 steps of a primal-dual method (theirs FISTA) at `cell_px`; pixels more than two cells from any
-point are not counted. The outer search is any solver of an objective. Grid, weights and strength are ours.
+Departures from the paper: the logarithm of depth is used, so that a step from 5 to 10 m equals one from 20 to 40; the
+cost is divided by the variation without weights, since the plain sum is least with few points in view; the inner
+problem is solved by 40 steps of a primal-dual method (FISTA in the original) at `cell_px`; pixels more than two cells
+from any point are not counted. The outer search is any solver of an objective. Grid, weights and strength are ours.
 """
 
 from __future__ import annotations
@@ -20,22 +20,67 @@ from dataclasses import dataclass
 
 import numpy as np
 import p2o
-from p2o.arrays import Bool, Float
+from p2o import Bool, Float, field
+from p2o.solving import Objective
 from scipy.ndimage import binary_dilation
 
 from p2o_baselines.smoothness import SmoothMap
-from p2o_baselines.total_variation import filled, gradient
 
-_MARGIN_PX = 100.0  # points so far outside of the picture may be brought in by another pose
+
+def gradient(values: Float) -> tuple[Float, Float]:
+    """Return forward differences of maps (..., H, W) down and across, 0 in the last row and column."""
+    down, across = np.zeros_like(values), np.zeros_like(values)
+    np.subtract(values[..., 1:, :], values[..., :-1, :], out=down[..., :-1, :])
+    np.subtract(values[..., :, 1:], values[..., :, :-1], out=across[..., :, :-1])
+    return down, across
+
+
+def divergence(down: Float, across: Float) -> Float:
+    """Return minus the adjoint of `gradient`."""
+    out = down + across
+    out[..., 1:, :] -= down[..., :-1, :]
+    out[..., :, 1:] -= across[..., :, :-1]
+    return out
+
+
+def variation(values: Float, weight: Float) -> Float:
+    """Return the weighted total variation (...) of maps (..., H, W): 0 for constant ones."""
+    down, across = gradient(values)
+    return np.asarray(np.sum(weight * np.hypot(down, across), axis=(-2, -1)))
+
+
+def filled(depth: Float, known: Bool, weight: Float, strength: float, iterations: int) -> Float:
+    """Return the maps psi (..., H, W) of least 1/2 |psi - depth|^2 + strength TV(psi), by Chambolle and Pock (2011)."""
+    step = 1.0 / np.sqrt(8.0)
+    many = np.maximum(known.sum(axis=(-2, -1), keepdims=True), 1)
+    mean = np.where(known, depth, 0.0).sum(axis=(-2, -1), keepdims=True) / many
+    psi = np.where(known, depth, mean)
+    ahead, down, across = psi.copy(), np.zeros_like(psi), np.zeros_like(psi)
+    pull, most = np.where(known, step, 0.0), strength * weight
+    given = pull * np.where(known, depth, 0.0)
+    for _ in range(iterations):
+        steps = gradient(ahead)
+        down += step * steps[0]
+        across += step * steps[1]
+        shrink = np.maximum(np.hypot(down, across) / np.maximum(most, 1e-12), 1.0)
+        down /= shrink
+        across /= shrink
+        before = psi
+        psi = (psi + step * divergence(down, across) + given) / (1.0 + pull)
+        ahead = 2 * psi - before
+    return psi
+
+
+_MARGIN_PX = 100.0  # points so far outside of the image may be brought in by another pose
 _AT_ONCE = 1 << 18  # cells of several maps that are filled together
 
 
 class FusionOptions(p2o.Options):
     """Options of `tv-fusion`."""
 
-    cell_px: float = p2o.field(6.0, ge=1, le=100, help="Pixels to a cell of the grid that is filled.")
-    strength: float = p2o.field(0.02, gt=0, le=100, help="Weight of the variation against the measured log depth.")
-    iterations: int = p2o.field(40, ge=1, le=10_000, help="Steps of the inner problem.")
+    cell_px: float = field(6.0, ge=1, le=100, help="Pixels to a cell of the grid that is filled.")
+    strength: float = field(0.02, gt=0, le=100, help="Weight of the variation against the measured log depth.")
+    iterations: int = field(40, ge=1, le=10_000, help="Steps of the inner problem.")
 
 
 def coarse(weight: Float, cell_px: float) -> Float:
@@ -50,7 +95,7 @@ def coarse(weight: Float, cell_px: float) -> Float:
 
 @dataclass(frozen=True, eq=False)
 class FusedView:
-    """One frame: the weights (h, w) on its grid and the points (N, 3) near its picture."""
+    """One frame: the weights (h, w) on its grid and the points (N, 3) near its image."""
 
     camera: p2o.Camera
     weight: Float
@@ -58,22 +103,22 @@ class FusedView:
     options: FusionOptions
 
     def maps(self, poses: Float) -> tuple[Float, Bool]:
-        """Return the log depth (B, h, w) of the nearest point in each cell, and where there is one."""
-        there = p2o.se3.apply(poses, self.xyz)
-        uv = self.camera.project(there)
+        """Return the log depth (B, h, w) of the nearest point in each cell, and the mask of occupied cells."""
+        in_camera = p2o.se3.apply(poses, self.xyz)
+        uv = self.camera.project(in_camera)
         pose, point = np.nonzero(self.camera.in_image(uv))
         rows, columns = self.weight.shape
         u, v = (np.maximum(uv[pose, point], 0.0) / self.options.cell_px).astype(np.int64).T
         place = (pose * rows + np.minimum(v, rows - 1)) * columns + np.minimum(u, columns - 1)
         depth = np.full(len(poses) * rows * columns, np.inf)
-        np.minimum.at(depth, place, there[pose, point, 2])
+        np.minimum.at(depth, place, in_camera[pose, point, 2])
         known = np.isfinite(depth)
         log = np.log(np.maximum(np.where(known, depth, 1.0), 0.1))
         shape = (len(poses), rows, columns)
         return log.reshape(shape), known.reshape(shape)
 
     def cost(self, poses: Float) -> Float:
-        """Return the share (B,) of the variation that lies where the picture is smooth."""
+        """Return the share (B,) of the variation in smooth parts of the image."""
         size = max(1, _AT_ONCE // max(self.weight.size, len(self.xyz)))
         return np.concatenate([self._cost(poses[i : i + size]) for i in range(0, len(poses), size)])
 
@@ -99,13 +144,13 @@ def build(options: FusionOptions) -> p2o.Matcher:
         weight = coarse(smooth.values, options.cell_px)
         return FusedView(view.camera, weight, points.xyz[near], options) if near.any() else None
 
-    def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> p2o.Objective:
+    def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> Objective:
         known = [each for view in views if (each := posed(view, camera_from_lidar)) is not None]
 
         def cost(poses: Float) -> Float:
             return np.mean([each.cost(poses) for each in known], axis=0) if known else np.ones(len(poses))
 
-        return p2o.Objective(cost)
+        return Objective(cost)
 
     return match
 
@@ -114,7 +159,7 @@ METHOD = p2o.Method(
     name="tv-fusion",
     build=build,
     options=FusionOptions,
-    summary="Depth that is filled in along the picture changes where the picture does.",
+    summary="Aligns edges of interpolated depth with edges of the image.",
     needs={"image-smoothness", "cloud-points"},
     gives={"objective"},
     cite="Castorena et al., Autocalibration of LIDAR and optical cameras via edge alignment, ICASSP 2016",

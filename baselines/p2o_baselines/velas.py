@@ -1,18 +1,16 @@
-"""Circles first, then edges of the whole scene, `--calibrator velas`, after Velas, Spanel, Materna and Herout 2014.
+"""Align circles, then edges of the whole scene, `--calibrator velas`, after Velas, Spanel, Materna and Herout 2014.
 
-    p2o run --data folder:BOARDS --calibrator velas
+One frame of a board with four round holes. Coarse: the known size and spacing of the circles give their centres in both
+sensors, which are aligned. Fine: near that pose the correlation of the edge image with range discontinuities along the
+rings of the whole sweep is maximised. Rings are needed.
 
-One shot of a board with four round holes. Coarse: the circles' known size and spacing put their centres in space in
-both sensors, and centres go onto centres. Fine: in a small neighbourhood of that pose the correlation of the edge image
-with range discontinuities along the rings of the whole sweep is brought to its most. Rings are needed.
-
-Departures: their coarse pose is a translation alone, from sensors that look the same way; here it is a whole pose
-(`velo2cam`'s closed form), which no start has to lead to. Circles in the picture are found by ellipses and rims, not
-by Hough's transform of circles, which wants a board seen head on. Edge image and jumps are Levinson and Thrun's
-(`inverse_distance`, `ring_discontinuity`), as theirs are but for constants. Their grid about the coarse pose (mean of
-all poses that do better) is here a walk among the 3^6 neighbours with steps that shrink, within bounds. The likely
-error is the scatter of ends over resampled jumps, beside errors that all share. Of several frames correlations are
-added.
+Departures: the coarse pose of the original is a translation of sensors with the same orientation; here it is a full
+pose (closed form of `velo2cam`) without an initial guess. Circles in the image are detected by ellipses and rims, not
+by Hough's transform of circles, which needs a frontal board. Edge image and jumps are Levinson and Thrun's
+(`inverse_distance`, `ring_discontinuity`), as in the original except for constants. Its grid around the coarse pose
+(mean of all better poses) is replaced by a walk among the 3^6 neighbours with decreasing steps, within bounds. The
+predicted error is the scatter of results over resampled jumps plus common errors. The correlations of several frames
+are added.
 """
 
 from __future__ import annotations
@@ -22,30 +20,30 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import p2o
-from p2o import Result, Status, se3
-from p2o.arrays import Float
+from p2o import Float, Result, Status, field, se3
+from p2o.solving import Judged
 
-from p2o_baselines.boards.board_method import BoardMethod, likely, off_m, unsure
-from p2o_baselines.boards.sight import BoardOptions, Sight, hole_sight_of
+from p2o_baselines import examples
+from p2o_baselines.boards.board_method import REMEDY, BoardMethod, hole_sight_of, off_m
 from p2o_baselines.idt import NEIGHBOURS
 from p2o_baselines.inverse_distance import OnMap, edge_strength, inverse_distance
 from p2o_baselines.ring_discontinuity import ring_jumps
-from p2o_baselines.velo2cam import WAY
+from p2o_baselines.target_method import Sight, TargetOptions, accuracy_of, uncertainty
+from p2o_baselines.velo2cam import ALGORITHM
 
 _ALPHA, _GAMMA = 1 / 3, 0.9
 _STEPS = ((0.2, 0.02), (0.1, 0.01), (0.05, 0.005))  # deg and m; no end is surer than the middle ones
 _WALK = 12
-_SAMPLES, _PARTS = 8, 24
-"""So many times the jumps are drawn anew, in so many runs of neighbours."""
+_SAMPLES, _PARTS = 8, 24  # number of resamplings of the jumps, and of the blocks of neighbours that are resampled
 
 
-class VelasOptions(BoardOptions):
+class VelasOptions(TargetOptions):
     """Options of `velas`."""
 
-    fine_deg: float = p2o.field(1.5, ge=0, le=20, help="The fine search turns by no more than this about an axis.")
-    fine_m: float = p2o.field(0.1, ge=0, le=2, help="The fine search moves by no more than this along an axis.")
-    min_jump_m: float = p2o.field(0.3, ge=0, le=50, help="Smallest step back in range along a ring that counts.")
-    max_points: int = p2o.field(800, ge=50, help="Jumps of a frame that are looked up, at most.")
+    fine_deg: float = field(1.5, ge=0, le=20, help="The fine search turns by no more than this about an axis.")
+    fine_m: float = field(0.1, ge=0, le=2, help="The fine search moves by no more than this along an axis.")
+    min_jump_m: float = field(0.3, ge=0, le=50, help="Smallest range jump along a ring.")
+    max_points: int = field(800, ge=50, help="Largest number of jumps per frame.")
 
 
 @dataclass(frozen=True)
@@ -66,9 +64,9 @@ class Velas:
     options: VelasOptions
 
     def prepare(self, frame: p2o.Frame) -> Scene:
-        """Return boards, edges of the picture and jumps of the sweep."""
+        """Return boards, edges of the image and jumps of the sweep."""
         sight = hole_sight_of(frame, self.options)
-        if not sight.boards or not sight.patches:
+        if not sight.in_image or not sight.in_sweep:
             return Scene(sight, frame.camera, np.zeros((1, 1)), np.zeros((0, 3)), np.zeros(0))
         edges = inverse_distance(edge_strength(frame.image.grey), _ALPHA, _GAMMA)
         rows, jump_m = ring_jumps(frame.cloud, self.options.min_jump_m, 0.6)
@@ -76,34 +74,31 @@ class Velas:
 
     def solve(self, prepared: Sequence[Scene], camera_from_lidar: Float) -> Result:
         """Return the pose by circles, moved to the most correlation of edges."""
-        options = self.options
-        coarse = BoardMethod(options, replace(WAY, rounds=1)).solve([s.sight for s in prepared], camera_from_lidar)
+        options, sights = self.options, [scene.sight for scene in prepared]
+        coarse = BoardMethod(options, replace(ALGORITHM, rounds=1)).solve(sights, camera_from_lidar)
         if not coarse.status.solved or coarse.covariance is None:
             return coarse
         centre = coarse.camera_from_lidar
         parts = [on_map(scene, centre, options.max_points) for scene in prepared if len(scene.xyz)]
         pose = best_pose(parts, centre, centre, _STEPS, options)
         rng = np.random.default_rng(0)
-        ends = []
-        for _ in range(_SAMPLES):
-            drawn = [_resampled(part, rng) for part in parts]
-            ends.append(se3.log(best_pose(drawn, pose, centre, _STEPS[1:], options) @ se3.inverse(pose)))
+        drawn = ([_resampled(part, rng) for part in parts] for _ in range(_SAMPLES))
+        ends = [se3.log(best_pose(each, pose, centre, _STEPS[1:], options) @ se3.inverse(pose)) for each in drawn]
         steps = np.array([np.radians(_STEPS[1][0])] * 3 + [_STEPS[1][1]] * 3)
         covariance = np.cov(np.array(ends).T) + np.diag(steps**2) + self._shared(prepared)
-        remark = unsure(covariance, pose, options)
-        if remark:
-            return replace(coarse, camera_from_lidar=coarse.start, status=Status.NOT_OBSERVABLE, reason=remark)
+        doubt = uncertainty(covariance, pose, REMEDY, options)
+        if doubt:
+            return replace(coarse, camera_from_lidar=coarse.start, status=Status.NOT_OBSERVABLE, reason=doubt)
         moved = pose @ se3.inverse(centre)
+        by = f"{se3.angle_deg(moved):.2f} deg and {100 * off_m(pose, centre):.1f} cm"
+        costs = (_cost(parts, coarse.start), _cost(parts, pose))
         return replace(
             coarse,
             camera_from_lidar=pose,
-            reason=f"edges move the pose of the circles by {se3.angle_deg(moved):.2f} deg and "
-            f"{100 * off_m(pose, centre):.1f} cm",
+            reason=f"edges move the pose of the circles by {by}",
             covariance=covariance,
-            accuracy=likely(covariance, pose),
-            judged=p2o.Judged(
-                "correlation of edges, with its sign turned", "levels", _cost(parts, coarse.start), _cost(parts, pose)
-            ),
+            accuracy=accuracy_of(covariance, pose),
+            judged=Judged("correlation of edges, with its sign turned", "levels", *costs),
         )
 
     def _shared(self, prepared: Sequence[Scene]) -> Float:
@@ -114,7 +109,7 @@ class Velas:
 
 
 def on_map(scene: Scene, camera_from_lidar: Float, most: int) -> OnMap:
-    """Return the jumps that a pose (4, 4) brings near the picture, on the map of its edges."""
+    """Return the jumps that a pose (4, 4) brings near the image, on the map of its edges."""
     uv = scene.camera.project(se3.apply(camera_from_lidar, scene.xyz))
     near = np.flatnonzero(scene.camera.in_image(uv, 50.0))
     near = near[:: max(1, -(-len(near) // most))]
@@ -122,7 +117,7 @@ def on_map(scene: Scene, camera_from_lidar: Float, most: int) -> OnMap:
 
 
 def _resampled(part: OnMap, rng: np.random.Generator) -> OnMap:
-    """Return the jumps drawn anew in runs of neighbours, which share what is wrong with them."""
+    """Resample the jumps in blocks of neighbours, whose errors are correlated."""
     runs = np.array_split(np.arange(len(part.xyz)), _PARTS)
     chosen = np.concatenate([runs[k] for k in rng.integers(0, len(runs), len(runs))])
     return replace(part, xyz=part.xyz[chosen], weight=part.weight[chosen])
@@ -166,20 +161,12 @@ def _apart(poses: Float, centre: Float) -> Float:
     return np.concatenate([turns, poses[:, :3, 3] - centre[:3, 3]], axis=1)
 
 
-def build(options: VelasOptions) -> p2o.Calibrator:
-    """Return the calibrator."""
-    return Velas(options)
-
-
-_BOARDS = (
-    "targets=holes&place=yard&frames_per_scene=3&width_px=621&height_px=350&right=false&lidar=vlp-16&exposure_ev=0"
-)
 METHOD = p2o.Method(
     name="velas",
-    build=build,
+    build=Velas,
     options=VelasOptions,
-    summary="One board with round holes: centres first, then edges of picture and sweep in a small neighbourhood.",
+    summary="One board with round holes: centres first, then edges of image and sweep in a small neighbourhood.",
     needs=frozenset({"targets", "rings"}),
     cite="Velas, Spanel, Materna and Herout, Calibration of RGB camera with Velodyne LiDAR, WSCG 2014",
-    example=p2o.Example(f"synthetic:?{_BOARDS}", "10deg 0.3m", "1.2deg 0.1m", joint=True),
+    example=examples.hole_boards("1.2deg 0.1m"),
 )

@@ -1,13 +1,13 @@
-"""A sparse map from the pictures of a drive, up to scale: poses of the camera and landmarks, by corners alone.
+"""Build a sparse map from the images of a drive, up to scale: camera poses and landmarks, from corners alone.
 
-1. Corners are followed from picture to picture, new ones begin where there are none (`corner_tracks`).
-2. Moments far enough apart that corners move between them (parallax) are key moments. Essential matrices tell the
-   camera's step from each to the next (`visual_odometry`); landmarks that two steps share tell their common scale.
-3. Landmarks are where the rays of a track meet; one bundle adjustment (pycolmap, with a robust loss) over all poses and
-   landmarks, then again without what is far off.
+1. Corners are tracked from image to image, and new ones are detected in empty regions (`corner_tracks`).
+2. Key frames are far enough apart for parallax. Essential matrices give the step of the camera from each to the next
+   (`visual_odometry`); landmarks that two steps share give their relative scale.
+3. Landmarks are triangulated from tracks; one bundle adjustment (pycolmap, with a robust loss) over all poses and
+   landmarks follows, then another one without outliers.
 
-COLMAP's own incremental mapping was tried and left: on a simulated street with traffic it lost the way where the car
-turned (looked at once, no command). All constants are ours.
+COLMAP's own incremental mapping was rejected: on a synthetic street with traffic it lost track where the car turned
+(one trial, no command). All constants are ours.
 """
 
 from __future__ import annotations
@@ -18,54 +18,50 @@ from itertools import pairwise
 
 import numpy as np
 import p2o
-from p2o.arrays import Bool, Float, Int, UInt8
-from p2o.native import import_keeping_signals
+from p2o import Bool, Float, Int, UInt8
+from p2o.solving import import_keeping_signals
 
 from p2o_baselines.visual_odometry import CameraStep, camera_step, follow
 
 _APART_PX = 8.0
-_PARALLAX_PX = 2.0
-"""Corners move by this much, in the median, from one key moment to the next."""
-_SHARED = 12
-"""Landmarks that two steps need in common for their scales to be compared."""
+_PARALLAX_PX = 2.0  # median motion of corners from one key frame to the next
+_SHARED = 12  # landmarks that two steps need in common for their scales to be compared
 _LOSS_PX = 0.4
-_OFF_PX = (6.0, 2.0)
-"""Sights farther off than this are left out, before the first and before the second adjustment."""
-_ANGLE_DEG = 0.7
-"""Rays of a landmark that meet at less do not say where."""
+_OFF_PX = (6.0, 2.0)  # larger residuals are dropped before the first and before the second adjustment
+_ANGLE_DEG = 0.7  # least angle between the rays of a landmark that determines its position
 _USUAL_PX = 0.3
 
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """Corners followed through pictures: sight n is of `track` (N,) in picture `picture` (N,), along `ray` (N, 3)."""
+    """Corners tracked through images: observation n is of `track` (N,) in image `image` (N,), along `ray` (N, 3)."""
 
     track: Int
-    picture: Int
+    image: Int
     ray: Float
 
-    def of(self, picture: int) -> tuple[Int, Float]:
-        """Return the tracks (M,), rising, and their rays (M, 3) in one picture."""
-        here = self.picture == picture
+    def of(self, image: int) -> tuple[Int, Float]:
+        """Return the tracks (M,), rising, and their rays (M, 3) in one image."""
+        here = self.image == image
         return self.track[here], self.ray[here]
 
     def shared(self, first: int, second: int) -> tuple[Int, Float, Float]:
-        """Return the tracks (M,) that two pictures share, and their rays (M, 3) in each."""
+        """Return the tracks (M,) that two images share, and their rays (M, 3) in each."""
         (one, one_ray), (other, other_ray) = self.of(first), self.of(second)
-        both, here, there = np.intersect1d(one, other, assume_unique=True, return_indices=True)
-        return both, one_ray[here], other_ray[there]
+        both, here, later = np.intersect1d(one, other, assume_unique=True, return_indices=True)
+        return both, one_ray[here], other_ray[later]
 
 
 @dataclass(frozen=True, eq=False)
 class VisualMap:
     """Poses and landmarks in a world of unknown scale.
 
-    `pictures` (K,) are the numbers of the key moments, `camera_from_world` (K, 4, 4) their poses. Landmark m is at
-    `xyz` (M, 3) with the covariance (M, 3, 3) that its sights leave; sight n is of `landmark` (N,) in key moment
-    `moment` (N,). They are off by `off_px`, root mean square.
+    `key_frames` (K,) are the numbers of images, `camera_from_world` (K, 4, 4) their poses. Landmark m is at `xyz` (M,
+    3) with covariance (M, 3, 3); observation n is of `landmark` (N,) in key frame `moment` (N,). `off_px` is the root
+    mean square residual.
     """
 
-    pictures: Int
+    key_frames: Int
     camera_from_world: Float
     xyz: Float
     covariance: Float
@@ -77,7 +73,7 @@ class VisualMap:
         return len(self.xyz)
 
     def in_camera(self) -> tuple[Float, Float]:
-        """Return the landmark of each sight in its camera frame (N, 3), and its covariance there (N, 3, 3)."""
+        """Return the landmark of each observation in its camera frame (N, 3), and its covariance there (N, 3, 3)."""
         pose = self.camera_from_world[self.moment]
         turn = pose[:, :3, :3]
         here = np.einsum("nij,nj->ni", turn, self.xyz[self.landmark]) + pose[:, :3, 3]
@@ -85,24 +81,25 @@ class VisualMap:
 
 
 def corner_tracks(
-    pictures: Sequence[UInt8], camera: p2o.Camera, masked: Sequence[Bool | None], *, most: int = 1500
+    images: Sequence[UInt8], camera: p2o.Camera, masked: Sequence[Bool | None], *, most: int = 1500
 ) -> Tracks:
-    """Return the corners of grey pictures (H, W) that follow one another, at most so many in each."""
+    """Return the tracked corners of consecutive grey images (H, W), at most `most` in each."""
     import cv2
 
     uv, track, next_track = np.zeros((0, 2)), np.zeros(0, np.int64), 0
     tracks, numbers, places = [], [], []
-    for number, (picture, hidden) in enumerate(zip(pictures, masked, strict=True)):
+    for number, (image, hidden) in enumerate(zip(images, masked, strict=True)):
         if number:
-            there = follow(pictures[number - 1], picture, uv)
-            kept = np.isfinite(there).all(axis=1)
-            uv, track = there[kept], track[kept]
-        free = np.full(picture.shape, 255, np.uint8) if hidden is None else np.where(hidden, 0, 255).astype(np.uint8)
+            tracked = follow(images[number - 1], image, uv)
+            kept = np.isfinite(tracked).all(axis=1)
+            uv, track = tracked[kept], track[kept]
+        free = np.full(image.shape, 255, np.uint8) if hidden is None else np.where(hidden, 0, 255).astype(np.uint8)
         for u, v in np.rint(uv).astype(int).tolist():
             cv2.circle(free, (u, v), int(_APART_PX), 0, -1)
         if len(uv) < most:
-            found = cv2.goodFeaturesToTrack(np.ascontiguousarray(picture), most - len(uv), 0.005, _APART_PX, mask=free)
-            new = np.zeros((0, 2)) if found is None else found.reshape(-1, 2).astype(np.float64)
+            grey = np.ascontiguousarray(image)
+            corners = cv2.goodFeaturesToTrack(grey, most - len(uv), 0.005, _APART_PX, mask=free)
+            new = np.zeros((0, 2)) if corners is None else corners.reshape(-1, 2).astype(np.float64)
             uv = np.concatenate([uv, new])
             track = np.concatenate([track, next_track + np.arange(len(new))])
             next_track += len(new)
@@ -110,52 +107,46 @@ def corner_tracks(
         numbers.append(np.full(len(track), number))
         places.append(uv)
     rays = camera.rays(np.concatenate(places))
-    # On the plane one unit ahead; what is beside or behind the camera is left out.
+    # On the plane at unit depth; points beside or behind the camera are omitted.
     ahead = np.isfinite(rays).all(axis=1) & (rays[:, 2] > 0.1)
     rays = rays[ahead] / rays[ahead, 2:]
     return Tracks(np.concatenate(tracks)[ahead], np.concatenate(numbers)[ahead], rays)
 
 
 def visual_map(tracks: Tracks, focal_px: float) -> VisualMap | None:
-    """Return the map of the first stretch of pictures in which steps follow one another; None where there is none.
-
-    `focal_px` is the size of a radian in pixels.
-    """
-    pictures, steps = key_steps(tracks, focal_px)
-    if len(steps) < 2:
-        return None
-    poses = chained(tracks, pictures, steps)
+    """Return the map of the first images with consecutive steps, `focal_px` the size of a radian, or None."""
+    key_frames, steps = key_steps(tracks, focal_px)
+    poses = chained(tracks, key_frames, steps) if len(steps) > 1 else []
     if len(poses) < 3:
         return None
-    return adjusted(tracks, np.array(pictures[: len(poses)]), np.array(poses), focal_px)
+    return adjusted(tracks, np.array(key_frames[: len(poses)]), np.array(poses), focal_px)
 
 
 def key_steps(tracks: Tracks, focal_px: float) -> tuple[list[int], list[CameraStep]]:
-    """Return the pictures of key moments and the camera's step from each to the next; they end where none is known."""
-    last = int(tracks.picture.max(initial=0))
-    pictures: list[int] = [0]
+    """Return the images of key frames and the camera's step from each to the next, up to the first unknown step."""
+    key_frames: list[int] = [0]
     steps: list[CameraStep] = []
-    for number in range(1, last + 1):
-        _, here, there = tracks.shared(pictures[-1], number)
-        step = camera_step(here, there, focal_px) if len(here) else None
+    for number in range(1, int(tracks.image.max(initial=0)) + 1):
+        _, here, later = tracks.shared(key_frames[-1], number)
+        step = camera_step(here, later, focal_px) if len(here) else None
         if step is None:
             break
         if step.parallax_px >= _PARALLAX_PX:
-            pictures.append(number)
+            key_frames.append(number)
             steps.append(step)
-    return pictures, steps
+    return key_frames, steps
 
 
-def chained(tracks: Tracks, pictures: Sequence[int], steps: Sequence[CameraStep]) -> list[Float]:
-    """Return camera_from_world (4, 4) of key moments, the first step one unit long; they end where scales are lost."""
+def chained(tracks: Tracks, key_frames: Sequence[int], steps: Sequence[CameraStep]) -> list[Float]:
+    """Return camera_from_world (4, 4) of key frames with a first step of unit length, up to the first unknown scale."""
     poses = [np.eye(4), np.array(steps[0].second_from_first)]
     length = 1.0
     for number, (before, after) in enumerate(pairwise(steps), start=1):
-        first, here, second = pictures[number - 1 : number + 2]
-        one, one_ray, one_there = tracks.shared(first, here)
-        other, other_ray, other_there = tracks.shared(here, second)
-        near = _depths(one_ray, one_there, before.second_from_first)[1] * length
-        far = _depths(other_ray, other_there, after.second_from_first)[0]
+        first, here, second = key_frames[number - 1 : number + 2]
+        one, *one_rays = tracks.shared(first, here)
+        other, *other_rays = tracks.shared(here, second)
+        near = _depths(*one_rays, before.second_from_first)[1] * length
+        far = _depths(*other_rays, after.second_from_first)[0]
         _, row, column = np.intersect1d(one, other, assume_unique=True, return_indices=True)
         ratio = near[row] / far[column]
         ratio = ratio[np.isfinite(ratio) & (ratio > 0)]
@@ -168,23 +159,23 @@ def chained(tracks: Tracks, pictures: Sequence[int], steps: Sequence[CameraStep]
     return poses
 
 
-def _depths(here: Float, there: Float, second_from_first: Float) -> tuple[Float, Float]:
+def _depths(here: Float, later: Float, second_from_first: Float) -> tuple[Float, Float]:
     """Return the distances along z (N,) from both cameras of what two rays (N, 3), z = 1, see; NaN with no parallax."""
-    turned, way = here @ second_from_first[:3, :3].T, second_from_first[:3, 3]
-    # depth * turned + way lies along there
-    left, right = np.cross(there, turned), -np.cross(there, np.broadcast_to(way, there.shape))
+    turned, direction = here @ second_from_first[:3, :3].T, second_from_first[:3, 3]
+    # depth * turned + direction is parallel to `later`
+    left, right = np.cross(later, turned), -np.cross(later, np.broadcast_to(direction, later.shape))
     square = (left**2).sum(axis=1)
     depth = (left * right).sum(axis=1) / np.maximum(square, 1e-18)
     depth = np.where((square > 1e-7) & (depth > 0), depth, np.nan)
-    return depth, depth * turned[:, 2] + way[2]
+    return depth, depth * turned[:, 2] + direction[2]
 
 
-def adjusted(tracks: Tracks, pictures: Int, camera_from_world: Float, focal_px: float) -> VisualMap | None:
-    """Return the map that one bundle adjustment makes of poses (K, 4, 4) that are about right; None if it is empty."""
-    place = np.full(int(tracks.picture.max()) + 1, -1)
-    place[pictures] = np.arange(len(pictures))
-    used = place[tracks.picture] >= 0
-    moment, ray = place[tracks.picture[used]], tracks.ray[used]
+def adjusted(tracks: Tracks, key_frames: Int, camera_from_world: Float, focal_px: float) -> VisualMap | None:
+    """Return the map after bundle adjustment of approximate poses (K, 4, 4); None if it is empty."""
+    place = np.full(int(tracks.image.max()) + 1, -1)
+    place[key_frames] = np.arange(len(key_frames))
+    used = place[tracks.image] >= 0
+    moment, ray = place[tracks.image[used]], tracks.ray[used]
     _, landmark = np.unique(tracks.track[used], return_inverse=True)
     poses, xyz = np.array(camera_from_world), np.zeros((int(landmark.max(initial=-1)) + 1, 3))
     for off_px in _OFF_PX:
@@ -207,46 +198,40 @@ def adjusted(tracks: Tracks, pictures: Int, camera_from_world: Float, focal_px: 
     moment, ray, off = moment[near], ray[near], off[near]
     numbers, landmark = np.unique(landmark[near], return_inverse=True)
     xyz = xyz[numbers]
-    return VisualMap(
-        np.asarray(pictures),
-        poses,
-        xyz,
-        _covariances(poses, moment, landmark, xyz, focal_px),
-        landmark,
-        moment,
-        float(np.sqrt((off**2).sum(axis=1).mean())) if len(off) else 0.0,
-    )
+    covariance = _covariances(poses, moment, landmark, xyz, focal_px)
+    off_px = float(np.sqrt((off**2).sum(axis=1).mean())) if len(off) else 0.0
+    return VisualMap(np.asarray(key_frames), poses, xyz, covariance, landmark, moment, off_px)
 
 
 def _meeting(poses: Float, moment: Int, ray: Float, landmark: Int, count: int) -> Float:
-    """Return the points (count, 3) nearest to all rays of each landmark; NaN where rays are parallel."""
+    """Return the points (count, 3) nearest to all rays of each landmark; NaN for parallel rays."""
     back = p2o.se3.inverse(poses)[moment]
-    way = np.einsum("nij,nj->ni", back[:, :3, :3], ray / np.linalg.norm(ray, axis=1)[:, None])
-    across = np.eye(3) - np.einsum("ni,nj->nij", way, way)
+    direction = np.einsum("nij,nj->ni", back[:, :3, :3], ray / np.linalg.norm(ray, axis=1)[:, None])
+    across = np.eye(3) - np.einsum("ni,nj->nij", direction, direction)
     normal, right = np.zeros((count, 3, 3)), np.zeros((count, 3))
     np.add.at(normal, landmark, across)
     np.add.at(right, landmark, np.einsum("nij,nj->ni", across, back[:, :3, 3]))
     flat = np.linalg.eigvalsh(normal)[:, 0] < 1e-7
     normal[flat] = np.eye(3)
-    found = np.linalg.solve(normal, right[..., None])[..., 0]
-    found[flat] = np.nan
-    return np.asarray(found)
+    points = np.linalg.solve(normal, right[..., None])[..., 0]
+    points[flat] = np.nan
+    return np.asarray(points)
 
 
 def _widest_deg(poses: Float, moment: Int, xyz: Float, landmark: Int) -> Float:
-    """Return the widest angle between the first ray of each landmark and any other one, degrees."""
+    """Return the largest angle in degrees between the first ray of each landmark and any other one."""
     centre = p2o.se3.inverse(poses)[moment, :3, 3]
-    way = xyz[landmark] - centre
-    way /= np.maximum(np.linalg.norm(way, axis=1), 1e-12)[:, None]
+    direction = xyz[landmark] - centre
+    direction /= np.maximum(np.linalg.norm(direction, axis=1), 1e-12)[:, None]
     first = np.zeros((len(xyz), 3))
-    first[landmark[::-1]] = way[::-1]
+    first[landmark[::-1]] = direction[::-1]
     cosine = np.full(len(xyz), 1.0)
-    np.minimum.at(cosine, landmark, np.nan_to_num((way * first[landmark]).sum(axis=1), nan=1.0))
+    np.minimum.at(cosine, landmark, np.nan_to_num((direction * first[landmark]).sum(axis=1), nan=1.0))
     return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
 
 
 def _off_px(poses: Float, moment: Int, ray: Float, xyz: Float, focal_px: float) -> Float:
-    """Return how far points (N, 3) lie from the rays (N, 3) on which they are seen, (N, 2) px; far where behind."""
+    """Return residuals (N, 2) px of points (N, 3) from their observed rays (N, 3); large behind the camera."""
     here = np.einsum("nij,nj->ni", poses[moment, :3, :3], xyz) + poses[moment, :3, 3]
     ahead = np.isfinite(here).all(axis=1) & (here[:, 2] > 1e-3)
     depth = np.where(ahead, here[:, 2], 1.0)
@@ -254,13 +239,12 @@ def _off_px(poses: Float, moment: Int, ray: Float, xyz: Float, focal_px: float) 
 
 
 def _bundle(poses: Float, moment: Int, ray: Float, xyz: Float, landmark: Int, focal_px: float) -> tuple[Float, Float]:
-    """Return poses (K, 4, 4) and landmarks (M, 3) with the least distances in the pictures, wrong ones damped."""
+    """Return poses (K, 4, 4) and landmarks (M, 3) with the least reprojection errors and a robust loss."""
     pycolmap = import_keeping_signals("pycolmap")
     scene = pycolmap.Reconstruction()
     # Rays are on a plane: whatever the lens, a pinhole does.
-    camera = pycolmap.Camera(
-        camera_id=1, model="SIMPLE_PINHOLE", width=10_000, height=10_000, params=[focal_px, 5000.0, 5000.0]
-    )
+    model = {"model": "SIMPLE_PINHOLE", "width": 10_000, "height": 10_000, "params": [focal_px, 5000.0, 5000.0]}
+    camera = pycolmap.Camera(camera_id=1, **model)
     scene.add_camera_with_trivial_rig(camera)
     uv = ray[:, :2] * focal_px + 5000.0
     row = np.zeros(len(moment), np.int64)
@@ -277,9 +261,8 @@ def _bundle(poses: Float, moment: Int, ray: Float, xyz: Float, landmark: Int, fo
         for sight in sights:
             track.add_element(int(moment[sight]) + 1, int(row[sight]))
         identities.append(scene.add_point3D(point, track))
-    options = pycolmap.BundleAdjustmentOptions(
-        refine_focal_length=False, refine_extra_params=False, print_summary=False
-    )
+    fixed = {"refine_focal_length": False, "refine_extra_params": False, "print_summary": False}
+    options = pycolmap.BundleAdjustmentOptions(**fixed)
     options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
     options.ceres.loss_function_scale = _LOSS_PX
     # More threads add up in another order each time.
@@ -291,12 +274,12 @@ def _bundle(poses: Float, moment: Int, ray: Float, xyz: Float, landmark: Int, fo
         config.add_image(number + 1)
     config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
     pycolmap.create_default_bundle_adjuster(options, config, scene).solve()
-    found = [np.vstack([scene.images[n + 1].cam_from_world().matrix(), [0, 0, 0, 1]]) for n in range(len(poses))]
-    return np.array(found), np.array([scene.points3D[identity].xyz for identity in identities])
+    poses_out = [np.vstack([scene.images[n + 1].cam_from_world().matrix(), [0, 0, 0, 1]]) for n in range(len(poses))]
+    return np.array(poses_out), np.array([scene.points3D[identity].xyz for identity in identities])
 
 
 def _covariances(poses: Float, moment: Int, landmark: Int, xyz: Float, focal_px: float) -> Float:
-    """Return the covariance (M, 3, 3) that sights off by a usual error leave to each landmark, poses taken as known."""
+    """Return the covariance (M, 3, 3) of each landmark from typical residuals, with fixed poses."""
     turn = poses[moment, :3, :3]
     here = np.einsum("nij,nj->ni", turn, xyz[landmark]) + poses[moment, :3, 3]
     depth = np.maximum(here[:, 2], 1e-3)

@@ -1,21 +1,21 @@
-"""Edges where planes of a dense cloud meet, voxel by voxel, `--extractor canny-long/voxel-planes`.
+"""Extract edges where planes of a dense cloud meet, voxel by voxel, `--extractor canny-long/voxel-planes`.
 
 Yuan et al., Pixel-level Extrinsic Self Calibration of High Resolution LiDAR and Camera in Targetless Environments, RA-L
 2021: depth-continuous edges, because the edges of foreground objects are widened by the beam. Constants after
 hku-mars/livox_camera_calib, outdoors:
 
-- points thinned to 0.02 m, voxels of 1 m with more than 50 points;
-- planes by random samples, 0.015 m, at least 60 points, at most 5 a voxel;
-- pairs of planes that meet at 30 to 150 deg, cut where their line leaves the voxel, sampled;
-- a sample is kept where one plane has a point within 0.03 m of it and the other within 0.06 m; more than 10 samples a
+- points downsampled to 0.02 m, voxels of 1 m with more than 50 points;
+- planes by RANSAC, 0.015 m, at least 60 points, at most 5 per voxel;
+- pairs of planes at 30 to 150 deg, their line cut at the border of the voxel and sampled;
+- a sample is kept if one plane has a point within 0.03 m of it and the other within 0.06 m; more than 10 samples per
   line.
 
-For clouds of 1e5 points a frame and more: Livox units that stand, or `--accumulate poses`. A single sweep of a spinning
-LiDAR gives next to nothing, on KITTI nothing at all.
+For clouds of 1e5 points per frame and more: static Livox units, or `--accumulate poses`. A single sweep of a spinning
+LiDAR gives almost no edges, on KITTI none.
 
 Departures: 200 samples of three points instead of 500; lines are sampled every `sample_m` = 0.02 m instead of 0.005 m
-(neighbours within a pixel are merged in their code); the two nearness thresholds grow with the density of the voxel's
-points (`near_share`, off at 0), since sweeps joined from a moving car are sparser and noisier than theirs.
+(neighbours within a pixel are merged in their code); the two distance thresholds grow with the point spacing of the
+voxel (`near_share`, off at 0), since sweeps accumulated from a moving car are sparser and noisier than theirs.
 """
 
 from __future__ import annotations
@@ -25,41 +25,35 @@ from itertools import combinations
 
 import numpy as np
 import p2o
-from p2o.arrays import Float, Int
-from p2o.frames.accumulate import one_per_voxel
+from p2o import Float, Int, field
+from p2o.solving import one_per_voxel
 from scipy.spatial import cKDTree
 
 
 class VoxelPlanesOptions(p2o.Options):
     """Options of `voxel-planes`."""
 
-    voxel_m: float = p2o.field(1.0, gt=0, le=20, help="Side of a voxel in metres (outdoors; indoors 0.5).")
-    thin_m: float = p2o.field(0.02, gt=0, le=1, help="Cubes of this side keep one point.")
-    min_points: int = p2o.field(50, ge=3, help="Voxels with no more points than this are passed over.")
-    plane_m: float = p2o.field(0.015, gt=0, le=1, help="Points this near to a plane belong to it (indoors 0.02).")
-    plane_points: int = p2o.field(60, ge=3, help="Least points of a plane (indoors 30).")
-    max_planes: int = p2o.field(5, ge=2, le=50, help="Planes of a voxel at most (indoors 8).")
-    samples: int = p2o.field(200, ge=1, le=10_000, help="Random samples of three points for each plane.")
-    min_angle_deg: float = p2o.field(30.0, ge=0, lt=90, help="Least angle between two planes (indoors 45).")
-    near_m: float = p2o.field(0.03, gt=0, le=1, help="One plane has a point this near to an edge, the other twice.")
-    near_share: float = p2o.field(1.0, ge=0, le=10, help="Or within this share of the usual gap between its points.")
-    sample_m: float = p2o.field(0.02, gt=0, le=1, help="Way between samples of an edge.")
-    min_samples: int = p2o.field(
-        10, ge=1, help="Edges with no more samples than this are dropped; of 5 mm of way each."
-    )
-    max_range_m: float = p2o.field(60.0, gt=1, help="Points farther than this are left out.")
-    seed: int = p2o.field(0, ge=0, help="Seed of the random samples.")
+    voxel_m: float = field(1.0, gt=0, le=20, help="Side of a voxel in metres (outdoors; indoors 0.5).")
+    thin_m: float = field(0.02, gt=0, le=1, help="Cubes of this side keep one point.")
+    min_points: int = field(50, ge=3, help="Voxels with no more points than this are passed over.")
+    plane_m: float = field(0.015, gt=0, le=1, help="Points this near to a plane belong to it (indoors 0.02).")
+    plane_points: int = field(60, ge=3, help="Least points of a plane (indoors 30).")
+    max_planes: int = field(5, ge=2, le=50, help="Planes of a voxel at most (indoors 8).")
+    samples: int = field(200, ge=1, le=10_000, help="Random samples of three points for each plane.")
+    min_angle_deg: float = field(30.0, ge=0, lt=90, help="Least angle between two planes (indoors 45).")
+    near_m: float = field(0.03, gt=0, le=1, help="Farthest point of one plane from an edge; twice that of the other.")
+    near_share: float = field(1.0, ge=0, le=10, help="Or within this share of the usual gap between its points.")
+    sample_m: float = field(0.02, gt=0, le=1, help="Distance between samples of an edge.")
+    min_samples: int = field(10, ge=1, help="Drop edges with at most this many samples of 5 mm each.")
+    max_range_m: float = field(60.0, gt=1, help="Drop points farther than this.")
+    seed: int = field(0, ge=0, help="Seed of the random samples.")
 
 
-def build(options: VoxelPlanesOptions) -> p2o.CloudExtractor:
-    """Return the extractor."""
-
-    def extract(cloud: p2o.Cloud) -> p2o.CloudFeatures:
-        parts = [xyz for xyz, _ in plane_edges(cloud.xyz, options)]
-        xyz = np.concatenate(parts) if parts else np.zeros((0, 3))
-        return p2o.CloudFeatures(p2o.CloudEdges(xyz, np.full(len(xyz), p2o.Side.NONE, np.int8)))
-
-    return extract
+def extract(cloud: p2o.Cloud, options: VoxelPlanesOptions) -> p2o.CloudFeatures:
+    """Return the edges where planes of a sweep meet."""
+    parts = [xyz for xyz, _ in plane_edges(cloud.xyz, options)]
+    xyz = np.concatenate(parts) if parts else np.zeros((0, 3))
+    return p2o.CloudFeatures(p2o.CloudEdges(xyz, np.full(len(xyz), p2o.Side.NONE, np.int8)))
 
 
 def plane_edges(xyz: Float, options: VoxelPlanesOptions) -> Iterator[tuple[Float, Float]]:
@@ -73,7 +67,7 @@ def plane_edges(xyz: Float, options: VoxelPlanesOptions) -> Iterator[tuple[Float
     for rows in np.split(order, new):
         if len(rows) <= options.min_points:
             continue
-        # A seed by place: other voxels do not change what is drawn in this one.
+        # Seed by position, so that other voxels do not change the random samples of this one.
         rng = np.random.default_rng([options.seed, *(cell[rows[0]] & 0xFFFFFFFF).tolist()])
         planes = list(_planes(xyz[rows], rng, options))
         low = cell[rows[0]] * options.voxel_m
@@ -114,19 +108,17 @@ def _most_inside(xyz: Float, rng: np.random.Generator, options: VoxelPlanesOptio
 
 
 def _edge(one: Plane, two: Plane, low: Float, options: VoxelPlanesOptions) -> Iterator[tuple[Float, Float]]:
-    """Yield samples and ends of the line where two planes meet within the voxel that begins at `low` (3,), if any."""
-    cosine = abs(float(one[0] @ two[0]))
-    if cosine > np.cos(np.radians(options.min_angle_deg)):
+    """Yield samples and ends of the line where two planes meet within the voxel with the corner `low` (3,), if any."""
+    if abs(float(one[0] @ two[0])) > np.cos(np.radians(options.min_angle_deg)):
         return
     along = np.cross(one[0], two[0])
     along /= np.linalg.norm(along)
     middle = low + 0.5 * options.voxel_m
     # The point of both planes that is nearest to the middle of the voxel.
-    system = np.vstack([one[0], two[0], along])
-    point = np.linalg.solve(system, [one[1], two[1], along @ middle])
+    point = np.linalg.solve(np.vstack([one[0], two[0], along]), [one[1], two[1], along @ middle])
     with np.errstate(divide="ignore", invalid="ignore"):
-        ways = (np.stack([low, low + options.voxel_m]) - point) / along
-    first, last = np.nanmax(ways.min(axis=0)), np.nanmin(ways.max(axis=0))
+        reach = (np.stack([low, low + options.voxel_m]) - point) / along
+    first, last = np.nanmax(reach.min(axis=0)), np.nanmin(reach.max(axis=0))
     if not first < last:
         return
     at = np.arange(first, last, options.sample_m)
@@ -146,13 +138,13 @@ def _edge(one: Plane, two: Plane, low: Float, options: VoxelPlanesOptions) -> It
 
 METHOD = p2o.Method(
     name="voxel-planes",
-    build=build,
+    build=lambda options: lambda cloud: extract(cloud, options),
     options=VoxelPlanesOptions,
-    summary="Edges where two planes of a voxel of a dense cloud meet.",
+    summary="Intersections of two planes in a voxel of a dense cloud.",
     gives={"cloud-edges"},
     cite="Yuan et al., Pixel-level Extrinsic Self Calibration of High Resolution LiDAR and Camera, RA-L 2021",
     expected_failures=(
-        ("cloud_edges_lie_on_outlines", "it looks for edges inside of which nothing is hidden; outlines are others"),
-        ("cloud_edges_lie_on_surfaces", "no two planes of the stage meet, so it has no edges there"),
+        ("cloud_edges_lie_on_outlines", "it extracts edges between planes, not occluding outlines"),
+        ("cloud_edges_lie_on_surfaces", "no two planes of the stage intersect, so it has no edges"),
     ),
 )

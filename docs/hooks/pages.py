@@ -114,8 +114,7 @@ def _helped(command: click.Command, context: click.Context, level: int) -> Itera
 def methods() -> str:
     """Return the page of every method that p2o brings, with its options, by kind."""
     from p2o.calibration.options import PipelineOptions
-    from p2o.host.guard import requirement
-    from p2o.host.registry import Registry
+    from p2o.host.registry import Registry, requirement
     from p2o.host.slots import SLOT_OF
 
     registry = Registry.load(plugins=["p2o-calib"])
@@ -164,15 +163,18 @@ def _md(text: str) -> str:
 
 
 def python() -> str:
-    """Return the page of every public name with its signature and what it says of itself."""
+    """Return the page of the author API: every public name with its signature and docstring."""
     import p2o
 
-    text = ["# Python", "", "Every name of `import p2o`. Arrays are NumPy's; poses are (4, 4), see conventions.", ""]
-    for name in sorted(p2o.__all__):
-        value = getattr(p2o, name)
-        signature = f"p2o.{name}{_signature(value)}"
-        about = inspect.getdoc(value) or ""
-        text += [f"## {name}", "", "```python", _wrapped(signature), "```", "", about.replace("<", "&lt;"), ""]
+    text = ["# Python", "", "The author API. Arrays are NumPy's; poses are (4, 4), see conventions.", ""]
+    for module in (p2o, p2o.solving, p2o.reading):
+        text += [f"## Module {module.__name__}", "", inspect.getdoc(module) or "", ""]
+        for name in sorted(module.__all__):
+            value = getattr(module, name)
+            signature = f"{module.__name__}.{name}{_signature(value)}"
+            documented = inspect.ismodule(value) or inspect.isclass(value) or inspect.isfunction(value)
+            about = (inspect.getdoc(value) or "") if documented else f"`{value!r}`"
+            text += [f"### {name}", "", "```python", _wrapped(signature), "```", "", about.replace("<", "&lt;"), ""]
     return "\n".join(text)
 
 

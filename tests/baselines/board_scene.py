@@ -8,7 +8,7 @@ from p2o.arrays import Float
 from p2o_baselines.boards.board_in_picture import BoardInPicture, refined
 from p2o_baselines.boards.board_in_sweep import BoardInSweep
 from p2o_baselines.boards.pairing import Pair
-from p2o_baselines.boards.sight import Sight
+from p2o_baselines.target_method import Sight
 
 BOARD = Checkerboard(7, 5, 0.1, 1.0, 0.8)
 CAMERA = Camera.pinhole(700.0, 700.0, 499.5, 299.5, 1000, 600)
@@ -67,7 +67,6 @@ def in_sweep(lidar_from_board: Float, noise_m: float = 0.0, seed: int = 0) -> Bo
         float(normal @ middle),
         max(noise_m, 0.001),
         lidar_from_board,
-        np.full(3, 0.01),
         se3.apply(lidar_from_board, ends),
         np.repeat(np.arange(4), 5),
         np.full(20, 0.005),

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 from p2o import Box, Camera, Cloud, Frame, Image, Sphere, se3
 from p2o.arrays import Float
-from p2o.simulate.bodies import turned_to
+from p2o_sim.things.bodies import turned_to
 
 CAMERA = Camera.pinhole(700.0, 700.0, 499.5, 299.5, 1000, 600)
 FISHEYE = Camera("OPENCV_FISHEYE", 1000, 600, (420.0, 420.0, 499.5, 299.5, -0.03, 0.01, 0.0, 0.0))

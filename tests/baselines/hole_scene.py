@@ -7,7 +7,7 @@ from p2o import Camera, Cloud, Frame, HoleBoard, Image, se3
 from p2o.arrays import Float
 from p2o_baselines.boards.board_in_picture import BoardInPicture
 from p2o_baselines.boards.holes_in_sweep import HoleBoardInSweep
-from p2o_baselines.boards.sight import Sight
+from p2o_baselines.target_method import Sight
 
 from tests.baselines.board_scene import CAMERA, TRUTH
 
@@ -33,7 +33,6 @@ def in_sweep(lidar_from_board: Float, target: HoleBoard = HOLES) -> HoleBoardInS
         float(normal @ xyz.mean(axis=0)),
         0.005,
         lidar_from_board,
-        np.full(3, 0.005),
         np.zeros((0, 3)),
         np.zeros(0, np.int64),
         np.zeros(0),
@@ -42,7 +41,6 @@ def in_sweep(lidar_from_board: Float, target: HoleBoard = HOLES) -> HoleBoardInS
         np.diag([3e-3, 3e-3, 3e-3, 4e-3, 4e-3, 4e-3]) ** 2,
         np.zeros((0, 3)),
         np.zeros(0, np.int64),
-        0.0,
     )
 
 

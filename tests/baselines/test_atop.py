@@ -6,9 +6,8 @@ import numpy as np
 import p2o
 import pytest
 from p2o.errors import InputError
-from p2o.problems.chart import pose_at
-from p2o_baselines.atop import Atop, AtopOptions, Road, Sight, grounded
-from p2o_baselines.object_boxes import BoxFile, Cuboid, Objects, read_objects
+from p2o.problems.problem import pose_from_chart
+from p2o_baselines.atop import Atop, AtopOptions, BoxFile, Cuboid, Objects, Road, Sight, grounded, read_objects
 
 CAMERA = p2o.Camera.pinhole(500.0, 500.0, 400.0, 150.0, 800, 300)
 TRUTH = p2o.se3.make([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]], (0.1, -0.1, -0.3))
@@ -39,7 +38,7 @@ def scene(lift_m=0.0):
 def solved(tmp_path, content, start=None, **options):
     """Return the result of one frame with these boxes."""
     (tmp_path / "a_b.json").write_text(json.dumps(content))
-    start = pose_at(TRUTH, np.array([0.02, -0.02, 0.015, 0.06, -0.05, 0.08])) if start is None else start
+    start = pose_from_chart(TRUTH, np.array([0.02, -0.02, 0.015, 0.06, -0.05, 0.08])) if start is None else start
     method = Atop(AtopOptions(boxes=str(tmp_path), **options))
     return method.solve([Road("a/b", CAMERA, GROUND)], start)
 
@@ -52,7 +51,7 @@ def far(result):
 
 def test_objects_lie_upon_each_other_at_the_truth():
     objects = Objects.of(BoxFile.model_validate(scene()))
-    sight = Sight(CAMERA, objects.boxes, objects.corners, objects.alike > 0)
+    sight = Sight(CAMERA, objects.boxes, objects.corners, objects.same_kind > 0)
     for overlap in (False, True):
         assert np.allclose(sight.costs(TRUTH[None], overlap=overlap), 0.0, atol=1e-9)
 
@@ -62,7 +61,7 @@ def test_objects_of_other_kinds_do_not_belong_together():
     for box in content["boxes"]:
         box["kind"] = "person"
     objects = Objects.of(BoxFile.model_validate(content))
-    sight = Sight(CAMERA, objects.boxes, objects.corners, objects.alike > 0)
+    sight = Sight(CAMERA, objects.boxes, objects.corners, objects.same_kind > 0)
     assert (sight.costs(TRUTH[None], overlap=True) == 1.0).all()
 
 
@@ -100,7 +99,7 @@ def test_the_truth_is_not_improved_upon(tmp_path):
 @pytest.mark.parametrize(
     ("content", "what"),
     [
-        ([], "no table"),
+        ([], "not a JSON object"),
         ({"boxes": [{"kind": "car", "uv": [1, 2, 3]}]}, "uv"),
         ({"cuboids": [{"kind": "car", "centre": [0, 0, 0], "size": [1, 0, 1]}]}, "size"),
         ({"cubes": []}, "cubes"),

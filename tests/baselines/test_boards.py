@@ -14,9 +14,8 @@ from p2o.run.recipe import Recipe
 from p2o_baselines import geiger, koo, mirzaei, zhou
 from p2o_baselines.boards.board_in_picture import boards_in_picture
 from p2o_baselines.boards.board_in_sweep import boards_in_sweep
-from p2o_baselines.boards.closed_form import from_planes, turned
-from p2o_baselines.boards.pairing import Pair, paired, turns
-from p2o_baselines.boards.sight import Sight
+from p2o_baselines.boards.pairing import Pair, from_planes, paired, turned, turns
+from p2o_baselines.target_method import Sight
 from scipy.spatial.transform import Rotation
 
 from tests.baselines.board_scene import (
@@ -139,7 +138,7 @@ def test_fewer_than_three_boards_are_refused_by_methods_of_planes(method: str) -
     result = solved(method, sights(poses(2)))
     assert result.status is Status.TOO_FEW_MATCHES
     assert "of 2 boards" in result.reason
-    assert "3 or more that face different ways are needed" in result.reason
+    assert "3 or more with different orientations are needed" in result.reason
     assert np.array_equal(result.camera_from_lidar, AWAY)
 
 
@@ -147,7 +146,7 @@ def test_boards_that_no_pose_brings_together_are_refused() -> None:
     seen = sights(poses(3))
     # Three pieces whose normals enclose other angles than those of the boards.
     other = [in_sweep(se3.inverse(TRUTH) @ pose) for pose in poses(3, seed=9)]
-    result = solved("geiger", [replace(sight, patches=(piece,)) for sight, piece in zip(seen, other, strict=True)])
+    result = solved("geiger", [replace(sight, in_sweep=(piece,)) for sight, piece in zip(seen, other, strict=True)])
     assert result.status is Status.TOO_FEW_MATCHES
     assert "0 of 3 boards" in result.reason
 
@@ -169,33 +168,33 @@ def test_boards_that_turn_about_one_axis_only_are_refused_where_planes_are_all()
 
 def test_one_board_whose_upper_and_lower_side_no_ring_crosses_is_refused() -> None:
     seen = sights(poses(1))[0]
-    patch = seen.patches[0]
+    patch = seen.in_sweep[0]
     upright = patch.side % 2 == 1
     patch = replace(patch, ends=patch.ends[upright], side=patch.side[upright], ends_m=patch.ends_m[upright])
-    result = solved("zhou", [replace(seen, patches=(patch,))])
+    result = solved("zhou", [replace(seen, in_sweep=(patch,))])
     assert result.status is Status.NOT_OBSERVABLE
-    assert "leave a direction of the pose open" in result.reason
+    assert "a direction of the pose is not observable" in result.reason
 
 
 def test_pictures_and_sweeps_without_boards_are_told_apart() -> None:
     seen = sights(poses(1))[0]
-    nobody = solved("zhou", [replace(seen, asked="none", boards=())])
-    assert "state it in `targets` of frame.yaml" in nobody.reason
-    no_picture = solved("zhou", [replace(seen, boards=())])
+    nobody = solved("zhou", [replace(seen, asked="none", in_image=())])
+    assert "add it to `targets` of frame.yaml" in nobody.reason
+    no_picture = solved("zhou", [replace(seen, in_image=())])
     assert no_picture.status is Status.NO_FEATURES
-    assert "no picture of 1 shows a board" in no_picture.reason
-    no_sweep = solved("zhou", [replace(seen, patches=())])
+    assert "none of 1 images shows a board" in no_picture.reason
+    no_sweep = solved("zhou", [replace(seen, in_sweep=())])
     assert no_sweep.status is Status.NO_FEATURES
-    assert "no sweep has a plane piece of 1 x 0.8 m" in no_sweep.reason
+    assert "no sweep has an isolated plane of 1 x 0.8 m" in no_sweep.reason
 
 
 def test_of_several_pieces_the_one_is_the_board_that_one_pose_explains_in_all_frames() -> None:
     wrong = in_sweep(se3.inverse(TRUTH) @ se3.make(None, [1.5, 0.3, 4.0]))
-    seen = [replace(sight, patches=(wrong, *sight.patches)) for sight in sights(poses(4))]
+    seen = [replace(sight, in_sweep=(wrong, *sight.in_sweep)) for sight in sights(poses(4))]
     far = se3.exp(np.array([0.5, -0.4, 0.3, 0.5, -0.5, 0.4])) @ TRUTH
     pairing = paired(seen, far)
     assert pairing is not None
-    assert all(pair.patch is sight.patches[1] for pair, sight in zip(pairing.pairs, seen, strict=True))
+    assert all(pair.patch is sight.in_sweep[1] for pair, sight in zip(pairing.pairs, seen, strict=True))
     assert pose_error(pairing.camera_from_lidar, TRUTH).rotation_deg < 0.01
 
 
@@ -205,9 +204,9 @@ def test_one_board_may_be_turned_by_half_a_turn_and_the_start_says_which_it_is()
     assert len(turns((1.0, 1.0))) == 4
     result = solved("zhou", seen)
     assert pose_error(result.camera_from_lidar, TRUTH).rotation_deg < 1e-4
-    assert any("2 poses fit the boards about as well" in line for line in result.warnings)
+    assert any("2 poses fit the boards equally well" in line for line in result.warnings)
     around = se3.exp(np.array([0, 0, np.pi, 0, 0, 0]))
-    pair = Pair(0, seen[0].boards[0], seen[0].patches[0], np.eye(4))
+    pair = Pair(0, seen[0].in_image[0], seen[0].in_sweep[0], np.eye(4))
     middle = pair.board.camera_from_board
     other = middle @ around @ se3.inverse(middle) @ TRUTH
     assert pose_error(solved("zhou", seen, other).camera_from_lidar, other).rotation_deg < 1e-4
@@ -294,7 +293,7 @@ def test_boards_of_a_fisheye_and_a_vlp16_are_found_and_calibrated() -> None:
     stage = zhou.METHOD.build(zhou.METHOD.options())
     frames = [replace(dataset[number], targets=(board,)) for number in (0, 3, 9, 14)]
     prepared = [stage.prepare(each) for each in frames]
-    assert all(len(sight.boards) == 1 and sight.patches for sight in prepared)
+    assert all(len(sight.in_image) == 1 and sight.in_sweep for sight in prepared)
     truth = frames[0].camera_from_lidar
     assert truth is not None
     result = stage.solve(prepared, se3.exp(np.array([0.1, -0.1, 0.1, 0.1, 0.1, 0.1])) @ truth)

@@ -3,9 +3,9 @@
 import numpy as np
 import p2o
 import pytest
-from p2o.problems.chart import pose_at
+from p2o.problems.problem import pose_from_chart
 from p2o_baselines import crlf, lane_pole_cloud, lane_pole_image
-from p2o_baselines.ground import ground_of
+from p2o_baselines.cloud_segments import ground_of
 from p2o_baselines.lane_pole_cloud import LANE, POLE, LanePoleCloudOptions, LanePolePoints
 from p2o_baselines.lane_pole_image import FAR_PX, LanePoleImageOptions, LanePoleMap
 
@@ -57,14 +57,14 @@ def test_a_ceiling_is_no_ground():
 
 
 def test_lanes_are_what_reflects_on_the_road():
-    found = lane_pole_cloud.build(LanePoleCloudOptions())(road(lanes=(-2.0, 2.0))).get("cloud-lane-pole")
+    found = lane_pole_cloud.METHOD.build(LanePoleCloudOptions())(road(lanes=(-2.0, 2.0))).get("cloud-lane-pole")
     lane = found.xyz[found.kind == LANE]
     assert len(lane) > 100
     assert (np.abs(np.abs(lane[:, 1]) - 2.0) < 0.1).all()
 
 
 def test_a_road_that_is_all_alike_has_no_lanes():
-    assert len(lane_pole_cloud.build(LanePoleCloudOptions())(road()).get("cloud-lane-pole")) == 0
+    assert len(lane_pole_cloud.METHOD.build(LanePoleCloudOptions())(road()).get("cloud-lane-pole")) == 0
 
 
 def test_poles_stand_alone_and_walls_are_none():
@@ -72,7 +72,7 @@ def test_poles_stand_alone_and_walls_are_none():
     y, z = np.meshgrid(np.arange(-8.0, -4.0, 0.1), np.arange(-1.7, 2.0, 0.1))
     wall = np.column_stack([np.full(y.size, 20.0), y.ravel(), z.ravel()])
     both = p2o.Cloud(np.concatenate([cloud.xyz, wall]), intensity=np.append(cloud.intensity, np.full(len(wall), 0.3)))
-    found = lane_pole_cloud.build(LanePoleCloudOptions())(both).get("cloud-lane-pole")
+    found = lane_pole_cloud.METHOD.build(LanePoleCloudOptions())(both).get("cloud-lane-pole")
     pole = found.xyz[found.kind == POLE]
     assert len(pole) >= 20
     assert np.allclose(pole[:, :2], [12.0, 3.0])
@@ -108,11 +108,11 @@ def test_a_point_counts_by_its_distance_from_the_mask(away_px, share):
 def test_it_solves_a_road_with_lanes_and_poles():
     lanes, poles = (-3.5, 0.5, 3.5), [(9.0, 4.5), (12.0, -5.0), (16.0, 6.0), (20.0, -7.0)]
     image = lane_pole_image.build(LanePoleImageOptions())(picture(lanes, poles))
-    cloud = lane_pole_cloud.build(LanePoleCloudOptions())(road(lanes, poles))
+    cloud = lane_pole_cloud.METHOD.build(LanePoleCloudOptions())(road(lanes, poles))
     problem = crlf.build(crlf.CrlfOptions())([p2o.View("road", CAMERA, image, cloud)], TRUTH, 10.0)
     from p2o_plugins.solve import random_shrink
 
-    start = pose_at(TRUTH, np.array([0.01, -0.012, 0.008, 0.03, -0.02, 0.03]))
+    start = pose_from_chart(TRUTH, np.array([0.01, -0.012, 0.008, 0.03, -0.02, 0.03]))
     options = random_shrink.RandomShrinkOptions(range_deg=1.5, range_m=0.08, samples=120)
     found = random_shrink.build(options)(problem, start).camera_from_lidar @ p2o.se3.inverse(TRUTH)
     # Lines of 5 px are 0.7 deg wide: the middle is not told any better by a share of points on them.

@@ -10,11 +10,11 @@ import p2o
 import pytest
 from p2o.testing import stage
 from p2o_baselines import csc
+from p2o_baselines import moments as drives
 from p2o_baselines.hand_eye_equations import HandEye, Steps, first_guess
 from p2o_baselines.hand_eye_equations import solved as by_motion
 from p2o_baselines.moments import Moment
-from p2o_baselines.structure import Consistency, Stretch, searched, solved
-from p2o_baselines.surface_map import SurfaceMap, surface_map
+from p2o_baselines.structure import Consistency, Stretch, SurfaceMap, searched, solved, surface_map
 from p2o_baselines.visual_map import Tracks, visual_map
 from scipy.spatial import cKDTree
 
@@ -88,7 +88,7 @@ def left_update(found: Consistency) -> np.ndarray:
 
 def openings(found: Consistency) -> list[str]:
     none = np.zeros(0)
-    as_hand_eye = HandEye(found.camera_from_lidar, found.covariance, none, none, 0.0, 0.0)
+    as_hand_eye = HandEye(found.camera_from_lidar, found.covariance, none, 0.0, 0.0)
     return [str(each) for each in as_hand_eye.open_directions(over_deg=2.0, over_m=0.25)]
 
 
@@ -241,14 +241,14 @@ def test_frames_far_apart_are_too_few() -> None:
 def test_a_standing_car_is_refused() -> None:
     result = method().solve(moments(np.tile(np.eye(4), (9, 1, 1))), TRUTH)
     assert result.status is p2o.Status.NOT_OBSERVABLE
-    assert "stands still" in result.reason
+    assert "is static" in result.reason
 
 
 def test_sweeps_that_do_not_fit_together_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     def lost(*_: object) -> None:
         raise p2o.InputError("sweeps 3 and 4 of the sequence do not fit together")
 
-    monkeypatch.setattr(csc, "lidar_poses", lost)
+    monkeypatch.setattr(drives, "lidar_poses", lost)
     result = method().solve(moments(way()), TRUTH)
     assert result.status is p2o.Status.TOO_FEW_MATCHES
     assert "do not fit together" in result.reason
@@ -257,7 +257,7 @@ def test_sweeps_that_do_not_fit_together_are_refused(monkeypatch: pytest.MonkeyP
 def test_pictures_without_corners_make_no_map() -> None:
     result = method().solve(moments(way()), TRUTH)
     assert result.status is p2o.Status.TOO_FEW_MATCHES
-    assert "the pictures make no map" in result.reason
+    assert "the images make no map" in result.reason
 
 
 def test_a_map_without_planes_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import p2o
 import pytest
+from p2o.solving import Objective
 from p2o_baselines import cues
 from scipy.optimize import approx_fprime
 
@@ -53,7 +54,7 @@ def test_the_slope_is_that_of_the_cost() -> None:
     def height_slope(pose: np.ndarray) -> np.ndarray:
         return np.array([pose[1, 3], -pose[0, 3], 0, 0, 0, 1])
 
-    height = p2o.Objective(lambda poses: poses[:, 2, 3], height_slope)
+    height = Objective(lambda poses: poses[:, 2, 3], height_slope)
     both = cues._Sum(start(), np.diag([1e4, 2e4, 3e4, 40.0, 50.0, 60.0]), height, 20.0)
     for place in np.random.default_rng(0).normal(size=(3, 6)):
         np.testing.assert_allclose(both.slope(place), approx_fprime(place, both.cost, 1e-6), atol=1e-5)

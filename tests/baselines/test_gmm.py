@@ -8,7 +8,7 @@ import numpy as np
 import p2o
 import pytest
 from p2o.testing import stage
-from p2o_baselines.gmm import METHOD, GmmOptions, Mixture, build, mixtures, scattered
+from p2o_baselines.gmm import METHOD, Gmm, GmmOptions, Mixture, mixtures, scattered
 
 
 def test_one_edge_pixel_makes_a_gaussian() -> None:
@@ -67,7 +67,7 @@ def test_equal_weights_of_the_image_are_the_special_case_of_unequal_ones() -> No
 
 
 def test_the_width_shrinks_with_the_reach_down_to_its_limit() -> None:
-    match, view, truth = build(GmmOptions()), stage.view(), stage.camera_from_lidar()
+    match, view, truth = Gmm(GmmOptions()), stage.view(), stage.camera_from_lidar()
     aside = p2o.se3.exp(np.array([0.0, 0.02, 0, 0, 0, 0])) @ truth  # 6 px
     wide, narrow, least = (match([view], truth, reach).cost(aside[None])[0] for reach in (50.0, 10.0, 1.0))
     assert wide < narrow

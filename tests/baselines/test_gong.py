@@ -7,11 +7,11 @@ import pytest
 from p2o import Status, pose_error, se3
 from p2o.arrays import Float
 from p2o_baselines import gong
-from p2o_baselines.bodies.box_in_picture import Line, flat_at, meeting
+from p2o_baselines.bodies.box_in_picture import Line, flat_at, intersection
 from p2o_baselines.bodies.box_in_sweep import Face
 from p2o_baselines.bodies.bundle import adjusted
 from p2o_baselines.bodies.trihedron import TrihedronInPicture, edges_of, of_faces
-from p2o_baselines.gong import Corner, edge_offsets, rotation_of, told_by, translation_of
+from p2o_baselines.gong import Corner, edge_offsets, matched, rotation_of, translation_of
 
 from tests.baselines.body_scene import AWAY, CAMERA, CUBOID, TRUTH, corner_on, frame
 
@@ -87,11 +87,11 @@ def test_lines_meet_in_a_point_whose_covariance_is_that_of_their_errors() -> Non
         Line(np.array([1.0, 0.0]), np.array([1.0, 0.0]), 0.3, 0.0),
         Line(np.array([4.0, 5.0]), np.array([0.0, 1.0]), 0.4, 0.0),
     ]
-    place = meeting(lines)
+    place = intersection(lines)
     assert place is not None
     assert place[0] == pytest.approx([4.0, 0.0])
     assert place[1] == pytest.approx(np.diag([0.4**2, 0.3**2]) + np.eye(2) * 0.05**2)
-    assert meeting([lines[0], Line(np.zeros(2), np.array([1.0, 0.05]), 0.1, 0.0)]) is None
+    assert intersection([lines[0], Line(np.zeros(2), np.array([1.0, 0.05]), 0.1, 0.0)]) is None
 
 
 @pytest.mark.parametrize("count", [2, 5])
@@ -102,12 +102,12 @@ def test_any_three_planes_give_the_pose_in_closed_form_without_noise(count: int)
     error = pose_error(pose, TRUTH)
     assert np.radians(error.rotation_deg) < 1e-6
     assert error.translation_m < 1e-6
-    assert all(np.abs(edge_offsets(c.picture, c.sweep, TRUTH)).max() < 1e-6 for c in found)
+    assert all(np.abs(edge_offsets(c.image, c.sweep, TRUTH)).max() < 1e-6 for c in found)
 
 
 def test_one_view_leaves_the_place_along_the_ray_of_its_corner_open() -> None:
     (corner,) = corners(1)
-    normal = corner.picture.interpretation
+    normal = corner.image.interpretation
     values, ways = np.linalg.svd(normal)[1:]
     at = se3.apply(TRUTH, corner.sweep.corner[None])[0]
     assert values[2] < 1e-9
@@ -119,15 +119,13 @@ def test_one_view_leaves_the_place_along_the_ray_of_its_corner_open() -> None:
 def test_the_start_tells_which_edge_is_which() -> None:
     found = corners(3)
     mixed = [gong._numbered(c.sweep, order) for c, order in zip(found, [(1, 2, 0), (2, 1, 0), (0, 2, 1)], strict=True)]
-    told = told_by(
-        AWAY, [(c.frame, c.picture) for c in found], {c.frame: [s] for c, s in zip(found, mixed, strict=True)}
-    )
+    told = matched(AWAY, [(c.frame, c.image) for c in found], {c.frame: [s] for c, s in zip(found, mixed, strict=True)})
     assert len(told) == 3
     for corner, truth in zip(told, found, strict=True):
         assert corner.sweep.ways == pytest.approx(truth.sweep.ways)
     # A start that is half a turn off has none of them.
     around = TRUTH @ se3.exp(np.array([0, 0, np.pi, 0, 0, 0]))
-    assert told_by(around, [(c.frame, c.picture) for c in found], {c.frame: [c.sweep] for c in found}) == []
+    assert matched(around, [(c.frame, c.image) for c in found], {c.frame: [c.sweep] for c in found}) == []
 
 
 def test_noise_moves_a_pose_by_what_its_covariance_says() -> None:

@@ -8,8 +8,10 @@ import numpy as np
 import p2o
 import pytest
 from p2o.cli import main
+from p2o.solving import Doubt
 from p2o.testing import stage
 from p2o_baselines import corner_depths, hand_eye
+from p2o_baselines import moments as drives
 from p2o_baselines.corner_depths import Followed
 from p2o_baselines.moments import Moment, consecutive
 
@@ -60,14 +62,14 @@ def test_frames_that_are_not_consecutive_are_too_few() -> None:
 def test_a_rig_that_stands_still_is_refused() -> None:
     result = method(lidar="given").solve([moment(number) for number in range(8)], TRUTH)
     assert result.status is p2o.Status.NOT_OBSERVABLE
-    assert "stands still" in result.reason
+    assert "is static" in result.reason
 
 
 def test_sweeps_that_do_not_fit_together_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     def lost(*_: object) -> None:
         raise p2o.InputError("sweeps 3 and 4 of the sequence do not fit together")
 
-    monkeypatch.setattr(hand_eye, "lidar_poses", lost)
+    monkeypatch.setattr(drives, "lidar_poses", lost)
     result = method().solve([moment(number) for number in range(8)], TRUTH)
     assert result.status is p2o.Status.TOO_FEW_MATCHES
     assert "do not fit together" in result.reason
@@ -142,7 +144,7 @@ def test_where_the_ground_is_flat_the_sweeps_depth_tells_the_height() -> None:
 
 def test_too_few_corners_tell_nothing() -> None:
     (group, *_) = groups(tangents())
-    few = replace(group, uv=group.uv[:10], rays=group.rays[:10], there=group.there[:, :10])
+    few = replace(group, uv=group.uv[:10], rays=group.rays[:10], later=group.later[:, :10])
     assert corner_depths.refined([few], TRUTH) is None
 
 
@@ -191,14 +193,14 @@ def test_an_open_direction_is_said_and_taken_from_the_start_or_refused(drive: li
     filled = method(**options).solve(moments, start)
     assert filled.status.solved
     assert p2o.se3.angle_deg(filled.camera_from_lidar @ p2o.se3.inverse(start)) < 0.05
-    assert "taken from the start" in filled.reason
+    assert "kept from the start" in filled.reason
     assert filled.warnings
     assert filled.accuracy is None
     # A witness adds its agreement to this reason, and does not take it away.
-    assert [reason.doubt for reason in filled.verdict.reasons] == [p2o.Doubt.TOO_UNSURE]
+    assert [reason.doubt for reason in filled.verdict.reasons] == [Doubt.TOO_UNSURE]
     refused = method(**options, fill=False).solve(moments, start)
     assert refused.status is p2o.Status.NOT_OBSERVABLE
-    assert "the motion does not tell the rotation about" in refused.reason
+    assert "not observable from motion: the rotation about" in refused.reason
     np.testing.assert_array_equal(refused.camera_from_lidar, start)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import p2o
 import pytest
-from p2o_baselines.hand_eye_equations import Steps, first_guess, rotation_from, solved, translation_from
+from p2o_baselines.hand_eye_equations import Steps, first_guess, lengths, rotation_from, solved, translation_from
 
 TRUTH = p2o.se3.exp(np.array([0.1, -0.05, 0.08, 0.0, 0.0, 0.0])) @ p2o.se3.make(
     [[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]], [0.06, -0.35, -0.27]
@@ -54,7 +54,9 @@ def test_exact_motion_tells_the_extrinsic_exactly(metric: bool, seed: int) -> No
     off = p2o.se3.log(found.camera_from_lidar @ p2o.se3.inverse(TRUTH))
     assert np.abs(off).max() < 1e-6
     np.testing.assert_allclose(
-        found.length_m, np.linalg.norm((TRUTH @ made.lidar @ p2o.se3.inverse(TRUTH))[:, :3, 3], axis=1), atol=1e-6
+        lengths(found.camera_from_lidar, made),
+        np.linalg.norm((TRUTH @ made.lidar @ p2o.se3.inverse(TRUTH))[:, :3, 3], axis=1),
+        atol=1e-6,
     )
     assert found.open_directions(over_deg=1.0, over_m=0.1) == ()
 

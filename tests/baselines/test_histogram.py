@@ -14,11 +14,11 @@ from p2o_baselines.histogram import (
     Plain,
     Shrunk,
     Smoothed,
+    by_rank,
     entropy,
     joint_counts,
     kernel,
 )
-from p2o_baselines.rank import by_rank
 
 RNG = np.random.default_rng(0)
 COUNTS = RNG.integers(0, 9, (5, 6, 8)).astype(float)

@@ -9,12 +9,12 @@ import pytest
 from p2o import Camera, Checkerboard, Cloud, HoleBoard, Result, Status, pose_error, se3
 from p2o.arrays import Float
 from p2o_baselines import acsc, domhof, velas, velo2cam
+from p2o_baselines.acsc import fitted_squares, squares_of, two_levels
 from p2o_baselines.boards.board_in_sweep import boards_in_sweep
 from p2o_baselines.boards.holes_in_picture import circle_poses, ellipses_of, hole_boards_in_picture
 from p2o_baselines.boards.holes_in_sweep import fitted_pattern, hole_boards_in_sweep
 from p2o_baselines.boards.pairing import turns_of
-from p2o_baselines.boards.sight import BoardOptions, Sight
-from p2o_baselines.boards.squares_in_sweep import fitted_squares, squares_of, two_levels
+from p2o_baselines.target_method import Sight, TargetOptions
 
 from tests.baselines import board_scene
 from tests.baselines.board_scene import AWAY, CAMERA, FISHEYE, TRUTH, poses
@@ -102,7 +102,7 @@ def test_a_board_with_holes_is_found_in_a_sweep() -> None:
     assert found[0].lidar_from_board[:3, 3] == pytest.approx(there[:3, 3], abs=0.012)
     assert turned_away(found[0].lidar_from_board, there) < 1.0
     assert set(found[0].rim_of.tolist()) == {0, 1, 2, 3}
-    away = np.linalg.norm(found[0].rim - found[0].centres[found[0].rim_of], axis=1)
+    away = np.linalg.norm(found[0].rim - se3.apply(found[0].lidar_from_board, HOLES.centres)[found[0].rim_of], axis=1)
     assert np.median(away) == pytest.approx(0.12, abs=0.01)
 
 
@@ -156,9 +156,9 @@ def test_boards_without_noise_are_solved_to_the_truth(method: str) -> None:
 
 def test_a_board_that_its_own_covariance_calls_poor_pulls_the_joint_pose_less() -> None:
     seen = sights(poses(4))
-    wrong = se3.exp(np.array([0.0, 0, 0, 0.0, 0.0, 0.08])) @ seen[0].boards[0].camera_from_board
-    poor = replace(seen[0].boards[0], camera_from_board=wrong, covariance=np.diag([0.05] * 3 + [0.2] * 3) ** 2)
-    seen = [replace(seen[0], boards=(poor,)), *seen[1:]]
+    wrong = se3.exp(np.array([0.0, 0, 0, 0.0, 0.0, 0.08])) @ seen[0].in_image[0].camera_from_board
+    poor = replace(seen[0].in_image[0], camera_from_board=wrong, covariance=np.diag([0.05] * 3 + [0.2] * 3) ** 2)
+    seen = [replace(seen[0], in_image=(poor,)), *seen[1:]]
     errors = {name: pose_error(solved(name, seen).camera_from_lidar, TRUTH).translation_m for name in METHODS}
     assert errors["domhof"] < 0.3 * errors["velo2cam"]
 
@@ -169,7 +169,7 @@ def test_a_square_board_fits_four_ways_and_the_start_says_which() -> None:
     assert len(turns_of(in_sweep(OBLIQUE, HOLES))) == 2
     result = solved("velo2cam", seen)
     assert pose_error(result.camera_from_lidar, TRUTH).rotation_deg < 1e-4
-    assert any("4 poses fit the boards about as well" in line for line in result.warnings)
+    assert any("4 poses fit the boards equally well" in line for line in result.warnings)
     quarter = OBLIQUE @ se3.exp(np.array([0, 0, np.pi / 2, 0, 0, 0])) @ se3.inverse(OBLIQUE) @ TRUTH
     assert pose_error(solved("velo2cam", seen, quarter).camera_from_lidar, quarter).rotation_deg < 1e-4
 
@@ -182,9 +182,9 @@ def test_a_board_whose_holes_lie_otherwise_after_half_a_turn_fits_one_way() -> N
 @pytest.mark.parametrize("method", METHODS)
 def test_what_no_frame_shows_is_said_in_words(method: str) -> None:
     seen = sights(poses(1))[0]
-    nobody = solved(method, [replace(seen, asked="none", boards=())])
-    assert "shows a board with holes: state it in `targets`" in nobody.reason
-    no_sweep = solved(method, [replace(seen, patches=())])
+    nobody = solved(method, [replace(seen, asked="none", in_image=())])
+    assert "shows a board with holes: add it to `targets`" in nobody.reason
+    no_sweep = solved(method, [replace(seen, in_sweep=())])
     assert no_sweep.status is Status.NO_FEATURES
     assert "through whose holes rays go" in no_sweep.reason
     assert np.array_equal(no_sweep.camera_from_lidar, AWAY)
@@ -192,7 +192,7 @@ def test_what_no_frame_shows_is_said_in_words(method: str) -> None:
 
 def test_frames_that_contradict_are_refused() -> None:
     other = [in_sweep(se3.inverse(TRUTH) @ pose) for pose in poses(3, seed=9)]
-    seen = [replace(sight, patches=(piece,)) for sight, piece in zip(sights(poses(3)), other, strict=True)]
+    seen = [replace(sight, in_sweep=(piece,)) for sight, piece in zip(sights(poses(3)), other, strict=True)]
     result = solved("velo2cam", seen)
     assert result.matches.get("boards", 0) < 3
 
@@ -246,9 +246,9 @@ def test_squares_are_laid_where_returns_are_dark() -> None:
 
 def test_a_sweep_without_intensities_shows_no_squares_and_is_refused_in_a_line() -> None:
     seen = board_scene.frame(0, poses(1, seed=1)[0])
-    stage = acsc.METHOD.build(BoardOptions())
+    stage = acsc.METHOD.build(TargetOptions())
     prepared = stage.prepare(seen)
-    assert prepared.sight.patches == ()
+    assert prepared.sight.in_sweep == ()
     result = stage.solve([prepared], AWAY)
     assert result.status is Status.NO_FEATURES
     assert "no sweep has intensities" in result.reason
@@ -257,7 +257,7 @@ def test_a_sweep_without_intensities_shows_no_squares_and_is_refused_in_a_line()
 
 
 def test_corners_of_drawn_boards_are_calibrated() -> None:
-    stage = acsc.METHOD.build(BoardOptions())
+    stage = acsc.METHOD.build(TargetOptions())
     prepared = []
     for number, pose in enumerate(poses(6, seed=1)[:3]):
         seen = board_scene.frame(number, pose)
@@ -266,7 +266,7 @@ def test_corners_of_drawn_boards_are_calibrated() -> None:
         on = np.abs(own[:, 2]) < 0.1
         intensity = np.where(on, _squares(own[:, :2]), 0.3)
         prepared.append(stage.prepare(replace(seen, cloud=replace(seen.cloud, intensity=intensity))))
-    assert all(each.sight.patches for each in prepared)
+    assert all(each.sight.in_sweep for each in prepared)
     result = stage.solve(prepared, AWAY)
     assert result.status is Status.CONVERGED, result.reason
     error = pose_error(result.camera_from_lidar, TRUTH)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import p2o
 import pytest
+from p2o.solving import Objective
 from p2o.testing import stage
 from p2o_baselines.idt import RIGHT, WRONG, IdtOptions, build, probability_right, share_of_worse
-from p2o_baselines.inverse_distance import edge_strength, inverse_distance, looked_up, spread
-from p2o_baselines.line_points import along_lines, picture_jumps
+from p2o_baselines.inverse_distance import edge_strength, inverse_distance, sampled, spread
+from p2o_baselines.line_points import along_lines, range_image_jumps
 from p2o_baselines.ring_discontinuity import ring_jumps
 
 
@@ -44,7 +45,7 @@ def test_the_strength_of_an_edge_is_its_largest_step_to_a_neighbour() -> None:
 def test_maps_are_looked_up_between_pixels_and_outside() -> None:
     values = np.arange(12.0).reshape(3, 4)
     u, v = np.array([0.5, 3.0, 3.0, -0.1, np.nan]), np.array([1.0, 2.0, 0.25, 1.0, 1.0])
-    np.testing.assert_allclose(looked_up(values, u, v, -7.0), [4.5, 11.0, 4.0, -7.0, -7.0])
+    np.testing.assert_allclose(sampled(values, u, v, -7.0), [4.5, 11.0, 4.0, -7.0, -7.0])
 
 
 def ring_of(ranges: list[float], step_deg: float = 0.2) -> p2o.Cloud:
@@ -78,7 +79,7 @@ def test_a_joined_cloud_shows_its_jumps_in_a_picture() -> None:
     y, z = (a.ravel() for a in np.meshgrid(np.linspace(-3, 3, 901), np.linspace(-1, 1, 61)))
     wall = np.column_stack([np.full(y.shape, 12.0), y, z])
     post = np.column_stack([np.full(y.shape, 6.0), y, z])[np.abs(y) < 0.3]
-    rows, jump = picture_jumps(np.vstack([wall, post]), np.radians(0.2), 0.5)
+    rows, jump = range_image_jumps(np.vstack([wall, post]), np.radians(0.2), 0.5)
     found = np.vstack([wall, post])[rows]
     assert (found[:, 0] == 6.0).all()
     assert np.abs(np.abs(found[:, 1]) - 0.3).max() < 0.021  # within a cell of the post's sides
@@ -99,7 +100,7 @@ def test_a_point_that_leaves_the_image_is_neither_won_nor_lost() -> None:
 
 def test_the_share_of_worse_neighbours_is_one_at_the_bottom_of_a_bowl() -> None:
     truth = stage.camera_from_lidar()
-    bowl = p2o.Objective(lambda poses: ((poses - truth) ** 2).sum(axis=(1, 2)))
+    bowl = Objective(lambda poses: ((poses - truth) ** 2).sum(axis=(1, 2)))
     assert share_of_worse(bowl, truth) == 1.0
     aside = p2o.se3.exp(np.array([0, 0, 0, 1.0, 0, 0])) @ truth
     assert share_of_worse(bowl, aside) == pytest.approx(0.5, abs=0.17)  # better by a step of x alone

@@ -10,6 +10,7 @@ import numpy as np
 import p2o
 import pytest
 from p2o import se3
+from p2o.solving import Objective
 from p2o.testing import stage
 from p2o_baselines import gom, grey, mi, nid, nmi, reflectance
 from p2o_baselines.gom import gradients
@@ -28,12 +29,12 @@ smooth = pytest.mark.parametrize(
 def views() -> list[p2o.View]:
     """Return the stage as the extractors see it."""
     frame = stage.frame()
-    image = grey.build(grey.GreyOptions(blur_sigma_px=2.0))(frame.image)
-    cloud = reflectance.build(reflectance.ReflectanceOptions())(frame.cloud)
+    image = grey.METHOD.build(grey.GreyOptions(blur_sigma_px=2.0))(frame.image)
+    cloud = reflectance.METHOD.build(reflectance.ReflectanceOptions())(frame.cloud)
     return [p2o.View("stage", stage.camera(), image, cloud)]
 
 
-def problem(method: ModuleType, seen: list[p2o.View], pose: np.ndarray = OFF, **options: Any) -> p2o.Objective:
+def problem(method: ModuleType, seen: list[p2o.View], pose: np.ndarray = OFF, **options: Any) -> Objective:
     return method.build(method.METHOD.options(**options))(seen, pose, 5.0)
 
 
@@ -143,10 +144,10 @@ def test_points_far_out_of_the_picture_are_left_out_and_others_thinned_evenly() 
     camera = p2o.Camera.pinhole(100.0, 100.0, 50.0, 50.0, 101, 101)
     x = np.linspace(-20, 20, 401)
     xyz = np.column_stack([x, np.zeros(401), np.full(401, 10.0)])
-    seen = Sighting(camera, p2o.GreyMap(np.zeros((101, 101))), xyz, x).near_picture(np.eye(4), 10**6)
+    seen = Sighting(camera, p2o.GreyMap(np.zeros((101, 101))), xyz, x).near_image(np.eye(4), 10**6)
     # 50 px and 5 degrees of a focal length of 100 px to either side, 0.1 m a pixel.
     assert np.abs(seen.value).max() == pytest.approx(10 * (0.505 + np.tan(np.radians(5))), abs=0.1)
-    assert len(seen.near_picture(np.eye(4), 7).value) == 7
+    assert len(seen.near_image(np.eye(4), 7).value) == 7
 
 
 def test_values_beyond_the_span_go_to_its_ends() -> None:
@@ -174,7 +175,7 @@ def test_gradients_of_a_slope_are_the_slope() -> None:
 
 def test_normals_are_those_of_the_surface_and_look_at_the_lidar() -> None:
     exact = stage.view().get("cloud-points")
-    found = reflectance.build(reflectance.ReflectanceOptions(normal_neighbours=12))(stage.frame().cloud)
+    found = reflectance.METHOD.build(reflectance.ReflectanceOptions(normal_neighbours=12))(stage.frame().cloud)
     points = found.get("cloud-points")
     order = np.lexsort(exact.xyz.T)
     assert points.xyz == pytest.approx(exact.xyz[order])
@@ -185,7 +186,7 @@ def test_normals_are_those_of_the_surface_and_look_at_the_lidar() -> None:
 
 def test_reflectance_keeps_its_bounds_and_ranks() -> None:
     options = reflectance.ReflectanceOptions(min_range_m=8, max_range_m=15, points=500, equalise=True)
-    points = reflectance.build(options)(stage.frame().cloud).get("cloud-points")
+    points = reflectance.METHOD.build(options)(stage.frame().cloud).get("cloud-points")
     distance = np.linalg.norm(points.xyz, axis=1)
     assert len(points) == 500
     assert distance.min() >= 8
@@ -198,14 +199,17 @@ def test_an_equalised_picture_uses_more_of_its_greys(equalise: str) -> None:
     rgb = np.repeat((100 + stage.frame().image.rgb // 8), 1)
     dull = replace(stage.frame().image, rgb=rgb.reshape(stage.frame().image.rgb.shape), right=None, baseline_m=None)
     spread = [
-        grey.build(grey.GreyOptions(equalise=how))(dull).get("image-grey").values.std() for how in ("none", equalise)
+        grey.METHOD.build(grey.GreyOptions(equalise=how))(dull).get("image-grey").values.std()
+        for how in ("none", equalise)
     ]
     assert spread[1] > 1.5 * spread[0]
 
 
 def test_a_bilateral_filter_smooths_texture() -> None:
     rough, smoothed = (
-        grey.build(grey.GreyOptions(bilateral_px=size, blur_sigma_px=0))(stage.frame().image).get("image-grey").values
+        grey.METHOD.build(grey.GreyOptions(bilateral_px=size, blur_sigma_px=0))(stage.frame().image)
+        .get("image-grey")
+        .values
         for size in (0, 9)
     )
     patch = np.s_[200:230, 200:280]

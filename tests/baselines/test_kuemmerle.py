@@ -11,7 +11,8 @@ from p2o.arrays import Float
 from p2o_baselines import kuemmerle
 from p2o_baselines.bodies.sphere_in_picture import SphereInPicture, cone_of, spheres_in_picture
 from p2o_baselines.bodies.sphere_in_sweep import SphereInSweep, fitted_sphere, spheres_in_sweep
-from p2o_baselines.bodies.sphere_pairing import SphereSight, paired_spheres
+from p2o_baselines.kuemmerle import paired_spheres
+from p2o_baselines.target_method import Sight
 
 from tests.baselines.body_scene import AWAY, BALL, CAMERA, FISHEYE, TRUTH, frame, picture, sweep
 
@@ -58,15 +59,15 @@ def scanned(centre: Float, noise_m: float = 0.0, seed: int = 0) -> SphereInSweep
     return SphereInSweep(RADIUS, xyz, found, np.eye(3) * 1e-6, sigma, RADIUS, 0.01)
 
 
-def sights(places: list[Float], noise_px: float = 0.0, noise_m: float = 0.0) -> list[SphereSight]:
+def sights(places: list[Float], noise_px: float = 0.0, noise_m: float = 0.0) -> list[Sight]:
     """Return a frame for each ball."""
     return [
-        SphereSight(f"pose{k}", "a sphere", (seen(place, noise_px, k),), (scanned(place, noise_m, k),))
+        Sight(f"pose{k}", "a sphere", (seen(place, noise_px, k),), (scanned(place, noise_m, k),))
         for k, place in enumerate(places)
     ]
 
 
-def solved(found: list[SphereSight], start: Float = AWAY) -> Result:
+def solved(found: list[Sight], start: Float = AWAY) -> Result:
     result: Result = kuemmerle.METHOD.build(kuemmerle.METHOD.options()).solve(found, start)
     return result
 
@@ -114,7 +115,7 @@ def test_noise_moves_a_pose_by_what_its_covariance_says() -> None:
     for seed in range(12):
         places = [np.array([rng.uniform(-0.3, 0.3) * z, rng.uniform(-0.3, 0.3) * z, z]) for z in rng.uniform(2, 5, 8)]
         found = [
-            SphereSight(f"{k}", "", (seen(p, 0.3, 100 * seed + k),), (scanned(p, 0.02, 100 * seed + k),))
+            Sight(f"{k}", "", (seen(p, 0.3, 100 * seed + k),), (scanned(p, 0.02, 100 * seed + k),))
             for k, p in enumerate(places)
         ]
         # No errors that all bodies share: noise alone.
@@ -131,11 +132,11 @@ def test_noise_moves_a_pose_by_what_its_covariance_says() -> None:
 def test_one_wrong_ball_in_a_sweep_is_left_out() -> None:
     found = sights(PLACES)
     wrong = scanned(PLACES[3] + [1.0, 0.5, 0.3])
-    found[0] = replace(found[0], sweeps=(wrong, *found[0].sweeps))
+    found[0] = replace(found[0], in_sweep=(wrong, *found[0].in_sweep))
     result = solved(found)
     assert pose_error(result.camera_from_lidar, TRUTH).translation_m < 1e-6
     pairs, _ = paired_spheres(found)
-    assert pairs[0].sweep is found[0].sweeps[1]
+    assert pairs[0].sweep is found[0].in_sweep[1]
 
 
 def test_fewer_than_three_balls_and_balls_on_a_line_are_refused() -> None:
@@ -150,14 +151,14 @@ def test_fewer_than_three_balls_and_balls_on_a_line_are_refused() -> None:
 
 def test_frames_without_balls_are_told_apart() -> None:
     found = sights(PLACES)
-    assert "state it in `targets`" in solved([replace(s, asked="none", pictures=()) for s in found]).reason
-    assert "no picture of 4 shows" in solved([replace(s, pictures=()) for s in found]).reason
-    assert "no sweep has" in solved([replace(s, sweeps=()) for s in found]).reason
+    assert "add it to `targets`" in solved([replace(s, asked="none", in_image=()) for s in found]).reason
+    assert "none of 4 images shows" in solved([replace(s, in_image=()) for s in found]).reason
+    assert "no sweep has" in solved([replace(s, in_sweep=()) for s in found]).reason
 
 
 def test_balls_of_another_size_than_targets_say_are_told() -> None:
     found = [
-        replace(s, sweeps=(replace(s.sweeps[0], free_radius_m=0.28, radius_sigma_m=0.004),)) for s in sights(PLACES)
+        replace(s, in_sweep=(replace(s.in_sweep[0], free_radius_m=0.28, radius_sigma_m=0.004),)) for s in sights(PLACES)
     ]
     result = solved(found)
     assert result.status is Status.TOO_FEW_MATCHES

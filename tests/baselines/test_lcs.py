@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import p2o
 import pytest
-from p2o_baselines import canny, edge_chains, lcs
+from p2o_baselines import canny, lcs
 
 BACKGROUND = 40
 LINE, CIRCLE, SQUARE, CLUTTER = (
@@ -121,7 +121,7 @@ def test_thresholds_in_the_wrong_order_are_refused() -> None:
 
 def test_every_pixel_is_in_one_chain_and_neighbours_touch() -> None:
     pixels = canny.edge_pixels(image(shown()), lcs.LcsOptions())
-    found = edge_chains.chains(pixels)
+    found = lcs.chains(pixels)
     every = np.concatenate(found)
     assert len(np.unique(every, axis=0)) == len(every) == pixels.sum()
     assert pixels[every[:, 1], every[:, 0]].all()
@@ -133,12 +133,12 @@ def test_every_pixel_is_in_one_chain_and_neighbours_touch() -> None:
 
 def test_a_chain_is_cut_where_it_bends() -> None:
     bent = np.array([[u, 0] for u in range(20)] + [[19, v] for v in range(1, 15)])
-    _, corners = edge_chains.cut(bent, 1.5)
+    _, corners = lcs.cut(bent, 1.5)
     assert corners.tolist() == [0, 19, 33]
 
 
 def test_the_circle_of_points_on_an_arc_is_found() -> None:
     angle = np.radians(np.linspace(20, 170, 60))
-    arc = edge_chains.arc_of(np.column_stack([100 + 25 * np.cos(angle), 40 + 25 * np.sin(angle)]))
+    arc = lcs.arc_of(np.column_stack([100 + 25 * np.cos(angle), 40 + 25 * np.sin(angle)]))
     np.testing.assert_allclose(arc, [25.0, 0.0, 150.0], atol=1e-6)
-    assert edge_chains.arc_of(np.column_stack([np.arange(30), np.arange(30)])).radius_px == np.inf
+    assert lcs.arc_of(np.column_stack([np.arange(30), np.arange(30)])).radius_px == np.inf

@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 import p2o
 import pytest
+from p2o.solving import LeastSquares
 from p2o.testing import stage
 from p2o_baselines import canny_long, knn_line, lines, lsd, plane_lines, voxel_planes
 from p2o_baselines.lsd import ImageLines
@@ -102,7 +103,7 @@ def test_derivatives_of_lines_are_those_of_their_residuals() -> None:
     pose = p2o.se3.exp(np.array([0.01, -0.008, 0.012, 0.04, -0.03, 0.05])) @ stage.camera_from_lidar()
     problem = lines.build(lines.LinesOptions())([line_view()], pose, 30.0)
     residuals, jacobian = problem.residuals_with_jacobian(pose)
-    expected, differences = p2o.LeastSquares.residuals_with_jacobian(problem, pose)
+    expected, differences = LeastSquares.residuals_with_jacobian(problem, pose)
     np.testing.assert_allclose(residuals, expected)
     np.testing.assert_allclose(jacobian, differences, rtol=1e-6, atol=1e-5)
 

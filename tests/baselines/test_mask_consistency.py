@@ -6,8 +6,8 @@ from p2o.errors import InputError
 from p2o.testing import stage
 from p2o_baselines import attributes, masks
 from p2o_baselines.cloud_segments import clusters_of, normals_of, one_a_voxel, planes_of
-from p2o_baselines.image_masks import bordered, masks_of, read_masks
 from p2o_baselines.mask_consistency import cells_of, scores_of
+from p2o_baselines.masks import bordered, masks_of, read_masks
 
 
 def scored(normal, strength, segment):
@@ -162,6 +162,6 @@ def test_superpixels_and_graph_segments_can_be_mixed():
 
 
 def test_reflectance_is_scaled_by_its_largest_value():
-    found = attributes.build(attributes.AttributesOptions())(stage.frame().cloud).get("cloud-segments")
+    found = attributes.METHOD.build(attributes.AttributesOptions())(stage.frame().cloud).get("cloud-segments")
     assert found.strength.max() == pytest.approx(1.0)
     assert (found.segment >= 0).mean() > 0.5

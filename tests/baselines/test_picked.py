@@ -6,13 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from p2o import Cloud, Doubt, Frame, Image, InputError, Registry, Result, Status, Trust, calibrate, pose_error, se3
+from p2o import Cloud, Frame, Image, InputError, Registry, Result, Status, calibrate, pose_error, se3
 from p2o.cli import main
-from p2o.picks.pairs import Pairs, write_pairs
+from p2o.problems.picked_pairs import PickedPairs, write_pairs
 from p2o.results.result_json import result_from_dict, result_to_dict
+from p2o.solving import Doubt, Trust
 from p2o_baselines.picked import EXAMPLE, METHOD, PickedOptions
 
-from tests.toolkit.picks.rig import CAMERAS, TRUTH, moved, picks
+from tests.p2o_pages.pick.rig import CAMERAS, TRUTH, moved, picks
 
 PINHOLE = CAMERAS["pinhole"]
 START = se3.exp(np.array([0.05, -0.08, 0.02, 0.3, -0.2, 0.4])) @ TRUTH
@@ -23,7 +24,7 @@ def frame(name: str = "street") -> Frame:
     return Frame(name, image, Cloud(np.array([[5.0, 0, 0]])))
 
 
-def result(tmp_path: Path, *names: str, **frames: Pairs) -> Result:
+def result(tmp_path: Path, *names: str, **frames: PickedPairs) -> Result:
     """Return what the method makes of frames (all of them unless named) with these pairs."""
     write_pairs(tmp_path / "pairs.yaml", frames)
     stage = METHOD.build(PickedOptions(pairs=str(tmp_path / "pairs.yaml")))
@@ -51,7 +52,7 @@ def test_wrong_picks_are_left_out_and_named(tmp_path: Path) -> None:
     assert len(found.warnings) == 2
     assert found.warnings[0].startswith("pick 4 at (")
     assert found.warnings[1].startswith("pick 7 at (")
-    assert all("px off, left out" in text for text in found.warnings)
+    assert all("px off, an outlier" in text for text in found.warnings)
     assert found.residual_px["pick 4"] == pytest.approx(60, rel=0.3)
 
 
@@ -60,7 +61,7 @@ def test_a_pick_within_reach_that_the_others_contradict_is_named(tmp_path: Path)
     assert found.matches == {"picks": 14}
     (text,) = found.warnings
     assert text.startswith("pick 6 at (")
-    assert "by the other picks alone" in text
+    assert "in the pose of the other picks" in text
 
 
 def test_frames_together_give_one_pose_and_picks_are_told_apart(tmp_path: Path) -> None:
@@ -91,7 +92,7 @@ def test_too_few_picks_and_a_line_of_them_return_the_start(tmp_path: Path) -> No
     few = result(tmp_path, street=picks(PINHOLE, 3))
     assert few.status is Status.TOO_FEW_MATCHES
     seen = np.linspace(-2, 2, 7)[:, None] * [1.0, 0.2, 0] + [0, 0, 9.0]
-    line = result(tmp_path, street=Pairs(PINHOLE.project(seen), se3.apply(se3.inverse(TRUTH), seen)))
+    line = result(tmp_path, street=PickedPairs(PINHOLE.project(seen), se3.apply(se3.inverse(TRUTH), seen)))
     assert line.status is Status.NOT_OBSERVABLE
     for found in (few, line):
         np.testing.assert_array_equal(found.camera_from_lidar, START)
@@ -103,7 +104,7 @@ def test_a_second_pose_that_fits_as_well_makes_the_result_ambiguous(tmp_path: Pa
     board = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0.04]])
     seen = se3.apply(se3.exp(np.array([0.05, 0.1, 0, 0, 0, 10.0])), board)
     noise = np.random.default_rng(0).normal(0, 1.0, (4, 2))
-    found = result(tmp_path, street=Pairs(PINHOLE.project(seen) + noise, se3.apply(se3.inverse(TRUTH), seen)))
+    found = result(tmp_path, street=PickedPairs(PINHOLE.project(seen) + noise, se3.apply(se3.inverse(TRUTH), seen)))
     assert found.rival is not None
     assert found.rival.rotation_deg > 0.5
     assert [reason.doubt for reason in found.verdict.reasons] == [Doubt.RIVAL_POSE]
@@ -127,7 +128,7 @@ def test_the_example_runs_from_the_command_line(capsys: pytest.CaptureFixture[st
     said = capsys.readouterr().out
     assert "10 of 12 picks agree" in said
     assert "pick 4 at (253.8, 257.3)" in said
-    assert "left out" in said
+    assert "an outlier" in said
 
 
 def test_the_words_of_a_recipe_reach_the_method(tmp_path: Path) -> None:

@@ -10,9 +10,16 @@ from p2o import Box, Camera, Result, Status, pose_error, se3
 from p2o.arrays import Float
 from p2o_baselines import pusztai
 from p2o_baselines.bodies.box_in_picture import BoxInPicture, boxes_in_picture, fitted_box, flat_at
-from p2o_baselines.bodies.box_in_sweep import BoxInSweep, Face, boxes_in_sweep, corner_planes
-from p2o_baselines.bodies.box_pairing import BoxSight
-from p2o_baselines.bodies.box_shape import around, near_corner, symmetries
+from p2o_baselines.bodies.box_in_sweep import (
+    BoxInSweep,
+    Face,
+    around,
+    boxes_in_sweep,
+    corner_planes,
+    near_corner,
+    symmetries,
+)
+from p2o_baselines.target_method import Sight
 
 from tests.baselines.body_scene import AWAY, CAMERA, CUBOID, FISHEYE, TRUTH, corner_on, frame, picture, sweep
 
@@ -47,14 +54,14 @@ def scanned(camera_from_box: Float, noise: float = 0.0, seed: int = 0) -> BoxInS
     return BoxInSweep(tuple(SIZE), found, moved @ np.diag(sigma**2) @ moved.T, 0.01, (face, face, face))
 
 
-def sights(boxes: list[Float], noise_px: float = 0.0, noise: float = 0.0) -> list[BoxSight]:
+def sights(boxes: list[Float], noise_px: float = 0.0, noise: float = 0.0) -> list[Sight]:
     return [
-        BoxSight(f"pose{k}", "a box", (seen(pose, noise_px, k),), (scanned(pose, noise, k),))
+        Sight(f"pose{k}", "a box", (seen(pose, noise_px, k),), (scanned(pose, noise, k),))
         for k, pose in enumerate(boxes)
     ]
 
 
-def solved(found: list[BoxSight], start: Float = AWAY, **options: float) -> Result:
+def solved(found: list[Sight], start: Float = AWAY, **options: float) -> Result:
     result: Result = pusztai.METHOD.build(pusztai.METHOD.options(**options)).solve(found, start)
     return result
 
@@ -115,7 +122,8 @@ def test_a_box_that_is_turned_to_itself_in_the_sweep_gives_the_same_pose() -> No
     plain = sights(corner_on(3))
     for turn in symmetries(SIZE):
         found = [
-            replace(s, sweeps=(replace(s.sweeps[0], lidar_from_box=s.sweeps[0].lidar_from_box @ turn),)) for s in plain
+            replace(s, in_sweep=(replace(s.in_sweep[0], lidar_from_box=s.in_sweep[0].lidar_from_box @ turn),))
+            for s in plain
         ]
         assert solved(found).camera_from_lidar == pytest.approx(TRUTH, abs=1e-6)
 
@@ -125,7 +133,7 @@ def test_of_the_ways_one_box_may_be_turned_the_start_takes_the_nearest_and_says_
     far = box @ symmetries(SIZE)[1] @ se3.inverse(box) @ TRUTH
     if np.linalg.norm(far[:3, 3]) < 3:
         assert pose_error(solved(sights([box]), far).camera_from_lidar, far).rotation_deg < 1e-3
-        assert any("poses fit the boxes about as well" in line for line in solved(sights([box])).warnings)
+        assert any("poses fit the boxes equally well" in line for line in solved(sights([box])).warnings)
     # Three boxes that are turned differently leave one pose.
     assert pose_error(solved(sights(corner_on(3)), far).camera_from_lidar, TRUTH).rotation_deg < 1e-3
 
@@ -143,15 +151,15 @@ def test_noise_moves_a_pose_by_what_its_covariance_says() -> None:
 def test_a_box_elsewhere_in_a_sweep_is_left_out() -> None:
     found = sights(corner_on(3))
     other = scanned(se3.make(translation=[1.2, 0.3, 0.5]) @ corner_on(1, 9)[0])
-    found[1] = replace(found[1], sweeps=(other, *found[1].sweeps))
+    found[1] = replace(found[1], in_sweep=(other, *found[1].in_sweep))
     assert solved(found).camera_from_lidar == pytest.approx(TRUTH, abs=1e-6)
 
 
 def test_frames_without_boxes_are_told_apart() -> None:
     found = sights(corner_on(2))
-    assert "state it in `targets`" in solved([replace(s, asked="none", pictures=()) for s in found]).reason
-    assert "no picture of 2 shows" in solved([replace(s, pictures=()) for s in found]).reason
-    nothing = solved([replace(s, sweeps=()) for s in found])
+    assert "add it to `targets`" in solved([replace(s, asked="none", in_image=()) for s in found]).reason
+    assert "none of 2 images shows" in solved([replace(s, in_image=()) for s in found]).reason
+    nothing = solved([replace(s, in_sweep=()) for s in found])
     assert nothing.status is Status.NO_FEATURES
     assert "no sweep has" in nothing.reason
     assert np.array_equal(nothing.camera_from_lidar, AWAY)
@@ -159,17 +167,17 @@ def test_frames_without_boxes_are_told_apart() -> None:
 
 def test_sweeps_and_pictures_of_other_places_are_refused() -> None:
     found = sights(corner_on(2))
-    far = [replace(s, sweeps=(scanned(se3.make(translation=[0, 0, 5]) @ corner_on(1, 5)[0]),)) for s in found]
+    far = [replace(s, in_sweep=(scanned(se3.make(translation=[0, 0, 5]) @ corner_on(1, 5)[0]),)) for s in found]
     result = solved(far)
     assert result.status is Status.TOO_FEW_MATCHES
-    assert "within 3 m of each other" in result.reason
+    assert "less than 3 m between the sensors" in result.reason
 
 
 def test_boxes_of_another_size_than_targets_say_are_told() -> None:
     # A box said to be a quarter larger: pictures have it a quarter farther off, sweeps have its near corner in place.
     large, near = Box(*(1.25 * SIZE)), []
     for sight, truth in zip(sights(corner_on(4)), corner_on(4), strict=True):
-        (box,), (scan,) = sight.pictures, sight.sweeps
+        (box,), (scan,) = sight.in_image, sight.in_sweep
         farther, anchored = truth.copy(), scan.lidar_from_box.copy()
         farther[:3, 3] *= 1.25
         corner = CUBOID.outline[_nearest(scan.lidar_from_box)]
@@ -177,8 +185,8 @@ def test_boxes_of_another_size_than_targets_say_are_told() -> None:
         near.append(
             replace(
                 sight,
-                pictures=(replace(box, target=large, camera_from_box=farther),),
-                sweeps=(replace(scan, size_m=tuple(large.size_m), lidar_from_box=anchored),),
+                in_image=(replace(box, target=large, camera_from_box=farther),),
+                in_sweep=(replace(scan, size_m=tuple(large.size_m), lidar_from_box=anchored),),
             )
         )
     result = solved(near)
@@ -207,7 +215,8 @@ def test_a_box_is_found_in_a_sweep_and_one_of_another_size_is_not() -> None:
     assert box.lidar_from_box[:3, 3] == pytest.approx(pose[:3, 3], abs=0.01)
     off = [pose @ turn @ se3.inverse(box.lidar_from_box) for turn in symmetries(SIZE)]
     assert min(se3.angle_deg(step) for step in off) < 1.0
-    assert box.corner == pytest.approx(se3.apply(pose, CUBOID.outline)[_nearest(pose)], abs=0.02)
+    corner = np.linalg.solve([face.normal for face in box.faces], [face.offset_m for face in box.faces])
+    assert corner == pytest.approx(se3.apply(pose, CUBOID.outline)[_nearest(pose)], abs=0.02)
     for size in ((0.9, 0.7, 0.9), (0.6, 0.5, 0.4)):
         assert boxes_in_sweep(there, [size], farthest_m=12, sigma_m=0.04) == ()
     assert boxes_in_sweep(sweep([], CUBOID, 0.015), [tuple(SIZE)], farthest_m=12, sigma_m=0.04) == ()

@@ -17,19 +17,31 @@ import torch
 from p2o import InputError, Recipe, Registry, Status, TrainingGroup, TrainingProgress, se3
 from p2o.arrays import Float
 from p2o_baselines import calibnet, calibrcnn, lccnet, regnet, rggnet
-from p2o_baselines.regressors import decalibration, losses, method, parts, poses, staged, sweep_map, training
+from p2o_baselines.regressors import losses, method, parts, poses, staged, training
+from p2o_baselines.regressors import network_input as inputs
 from p2o_baselines.regressors.batch import Batch, correction
-from p2o_baselines.regressors.decalibration import CALIBNET, LCCNET
-from p2o_baselines.regressors.design import NUMBERS, Design
-from p2o_baselines.regressors.glance import Glance, Window, glance_of
-from p2o_baselines.regressors.lesson import Lesson, flat, lesson_of, picture
+from p2o_baselines.regressors.design import CALIBNET, LCCNET, Design
+from p2o_baselines.regressors.method import FOLDER, weights_files
+from p2o_baselines.regressors.network_input import Crop, NetworkInput, network_input_of
 from p2o_baselines.regressors.options import Augmentation, RegressorOptions, TrainingOptions
-from p2o_baselines.regressors.sample import View, sample, view
+from p2o_baselines.regressors.sample import (
+    Reach,
+    Sample,
+    View,
+    augment,
+    draw_view,
+    error,
+    flat,
+    labelled_image,
+    sample_of,
+)
 from p2o_baselines.regressors.staged import Stage, StagedRegressor
-from p2o_baselines.regressors.weights_file import FOLDER, Trained, read_weights, weights_files, write_weights
+from p2o_baselines.regressors.weights_file import Trained, read_weights, write_weights
 
 METHODS: tuple[ModuleType, ...] = (calibnet, calibrcnn, lccnet, regnet, rggnet)
 DATA = "synthetic:?scenes=2&place=street&width_px=414&height_px=125&lidar=hdl-32e&right=false"
+NUMBERS = {"rotation-vector": 6, "quaternion": 7, "dual-quaternion": 8}
+"""Outputs of a network by the form of its pose."""
 STILL = Augmentation(zoom=1, mirror=False, light=0, thin=1)
 SIZE = (48, 160)
 
@@ -71,29 +83,31 @@ def test_a_sweep_is_drawn_where_the_cameras_own_model_projects_it(frames: list[p
     if model == "opencv":
         camera = p2o.Camera("OPENCV", 414, 125, (*frame.camera.params, -0.1, 0.02, 0.001, 0.0))
         frame = replace(frame, image=replace(frame.image, camera=camera, right=None, baseline_m=None))
-    glance = glance_of(frame, SIZE, 10**6)
+    network_input = network_input_of(frame, SIZE, 10**6)
     pose = some_pose(np.random.default_rng(1), 0.03, 0.1) @ frame.camera_from_lidar
     there = se3.apply(pose, frame.cloud.xyz)
-    cells = np.rint(Window.of(frame.camera, SIZE).cells(frame.camera.project(there), SIZE))
-    [found] = glance.drawn(pose)
+    cells = np.rint(Crop.of(frame.camera, SIZE).cells(frame.camera.project(there), SIZE))
+    [found] = network_input.drawn(pose)
     assert (found > 0).sum() > 500
     for v, u in np.argwhere(found > 0)[::7]:
-        inside = (cells == [u, v]).all(axis=1) & (there[:, 2] <= sweep_map.FARTHEST_M)
-        assert found[v, u] == pytest.approx(sweep_map.nearness(there[inside, 2].min()), abs=1e-5)
+        inside = (cells == [u, v]).all(axis=1) & (there[:, 2] <= inputs.FARTHEST_M)
+        assert found[v, u] == pytest.approx(inputs.nearness(there[inside, 2].min()), abs=1e-5)
 
 
 def test_nearness_tells_the_depth_and_falls_with_it() -> None:
     depth = np.array([2.0, 3.7, 20.0, 79.0])
-    near = sweep_map.nearness(depth)
+    near = inputs.nearness(depth)
     assert (np.diff(near) < 0).all()
     assert near[0] == 1
-    assert near.min() >= sweep_map.FAINTEST
-    assert sweep_map.depth_of(near) == pytest.approx(depth)
+    assert near.min() >= inputs.FAINTEST
+    # The formula solved for the depth.
+    lost = (1 - near) / (1 - inputs.FAINTEST)
+    assert inputs.NEAREST_M * (inputs.FARTHEST_M / inputs.NEAREST_M) ** lost == pytest.approx(depth)
 
 
 def test_a_window_cuts_and_never_stretches() -> None:
     for width, height in ((1242, 375), (1600, 900), (600, 960)):
-        window = Window.of(p2o.Camera.pinhole(700, 700, width / 2, height / 2, width, height), SIZE)
+        window = Crop.of(p2o.Camera.pinhole(700, 700, width / 2, height / 2, width, height), SIZE)
         assert window.width / window.height == pytest.approx(SIZE[1] / SIZE[0])
         corners = np.array([[window.left - 0.5, window.top - 0.5]]) + [[0, 0], [window.width, window.height]]
         assert window.cells(corners, SIZE) == pytest.approx(np.array([[-0.5, -0.5], [159.5, 47.5]]))
@@ -104,14 +118,14 @@ def test_a_window_cuts_and_never_stretches() -> None:
 def test_a_start_that_is_corrected_by_the_inverse_of_its_error_is_the_truth() -> None:
     rng = np.random.default_rng(3)
     for reach in LCCNET:
-        truth, wrong = some_pose(rng), decalibration.error(reach, rng)
-        assert decalibration.corrected(decalibration.start(truth, wrong), se3.inverse(wrong)) == pytest.approx(truth)
+        truth, wrong = some_pose(rng), error(reach, rng)
+        assert se3.inverse(wrong) @ wrong @ truth == pytest.approx(truth)
         assert np.abs(wrong[:3, 3]).max() <= reach[1]
         assert se3.angle_deg(wrong) <= np.sqrt(3) * reach[0]
 
 
-def painted(rng: np.random.Generator) -> Lesson:
-    """Return a lesson whose picture and reflectance are both one smooth function of the direction of sight."""
+def painted(rng: np.random.Generator) -> Sample:
+    """Return a sample whose picture and reflectance are both one smooth function of the direction of sight."""
     height, width, focal = 150, 500, 300.0
     v, u = np.indices((height, width))
     ray = np.stack([(u - 249.5) / focal, (v - 74.5) / focal, np.ones_like(u, dtype=float)], axis=-1)
@@ -124,16 +138,16 @@ def painted(rng: np.random.Generator) -> Lesson:
     xyz = directions * rng.uniform(5, 40, (60_000, 1))
     rgb = np.repeat(np.rint(255 * paint(ray))[..., None], 3, axis=2).astype(np.uint8)
     nan = np.full((4, 4), np.nan)
-    return Lesson("x", "", rgb, np.array([focal, focal]), np.array([249.5, 74.5]), xyz, paint(xyz), np.eye(4), nan, nan)
+    return Sample("x", "", rgb, np.array([focal, focal]), np.array([249.5, 74.5]), xyz, paint(xyz), np.eye(4), nan, nan)
 
 
 @pytest.mark.parametrize("changed", [{}, {"zoom": 2.0}, {"mirror": True}, {"turn_deg": 8.0}])
 def test_cuts_mirrors_and_turns_change_picture_and_sweep_alike(changed: dict[str, float]) -> None:
     rng = np.random.default_rng(5)
-    lesson, augmentation = painted(rng), STILL.model_copy(update={"most_points": 60_000, **changed})
+    sample, augmentation = painted(rng), STILL.model_copy(update={"most_points": 60_000, **changed})
     for _ in range(4):
-        seen = replace(view([(5.0, 0.5)], augmentation, rng), wrong=np.eye(4))
-        made = sample(lesson, seen, SIZE, ("reflectance",), 16, augmentation, rng)
+        seen = replace(draw_view([(5.0, 0.5)], augmentation, rng), wrong=np.eye(4))
+        made = augment(sample, seen, SIZE, ("reflectance",), 16, augmentation, rng)
         inner = made.rgb[..., 0] > 0
         known = (made.sweep[0] > 0) & inner
         assert known.sum() > 1000
@@ -144,16 +158,16 @@ def test_cuts_mirrors_and_turns_change_picture_and_sweep_alike(changed: dict[str
 
 def test_a_sample_is_undone_by_its_correction() -> None:
     rng = np.random.default_rng(6)
-    lesson = painted(rng)
-    seen = view([(10.0, 0.5)], STILL, rng)
-    made = sample(lesson, seen, SIZE, ("nearness",), 64, STILL, rng)
-    right = sample(lesson, replace(seen, wrong=np.eye(4)), SIZE, ("nearness",), 64, STILL, np.random.default_rng(7))
+    sample = painted(rng)
+    seen = draw_view([(10.0, 0.5)], STILL, rng)
+    made = augment(sample, seen, SIZE, ("nearness",), 64, STILL, rng)
+    right = augment(sample, replace(seen, wrong=np.eye(4)), SIZE, ("nearness",), 64, STILL, np.random.default_rng(7))
     assert right.sweep[0] == pytest.approx(right.true_nearness)
     assert np.abs(made.sweep[0] - made.true_nearness).mean() > 0.05
     back = se3.apply(made.correction, made.xyz)
-    lines = np.cross(back[:, None] / np.linalg.norm(back, axis=1)[:, None, None], lesson.xyz[None])
+    lines = np.cross(back[:, None] / np.linalg.norm(back, axis=1)[:, None, None], sample.xyz[None])
     assert np.linalg.norm(lines, axis=2).min(axis=1).max() < 1e-3
-    assert made.correction @ made.start == pytest.approx(lesson.camera_from_lidar)
+    assert made.correction @ made.start == pytest.approx(sample.camera_from_lidar)
 
 
 def test_a_lens_is_taken_out_of_a_lesson(frames: list[p2o.Frame]) -> None:
@@ -167,17 +181,17 @@ def test_a_lens_is_taken_out_of_a_lesson(frames: list[p2o.Frame]) -> None:
         assert near.min() - 1 <= rgb[v, u].mean() <= near.max() + 1
 
 
-def test_a_lesson_is_what_was_written_and_can_be_drawn(frames: list[p2o.Frame], labels: list[Path]) -> None:
-    lesson = Lesson.load(labels[0])
-    assert lesson.name == frames[0].name
-    assert lesson.rgb.shape == (125, 414, 3)
-    assert lesson.camera_from_lidar == pytest.approx(frames[0].camera_from_lidar)
-    assert picture(lesson).shape == lesson.rgb.shape
-    with pytest.raises(InputError, match="teaches nothing"):
-        lesson_of(frames[0].without_truth())
+def test_a_sample_is_what_was_written_and_can_be_drawn(frames: list[p2o.Frame], labels: list[Path]) -> None:
+    sample = Sample.load(labels[0])
+    assert sample.name == frames[0].name
+    assert sample.rgb.shape == (125, 414, 3)
+    assert sample.camera_from_lidar == pytest.approx(frames[0].camera_from_lidar)
+    assert labelled_image(sample).shape == sample.rgb.shape
+    with pytest.raises(InputError, match="cannot be used for training"):
+        sample_of(frames[0].without_truth())
     (labels[0].parent / "broken.npz").write_bytes(b"x")
-    with pytest.raises(InputError, match="file of labels cannot be read"):
-        Lesson.load(labels[0].parent / "broken.npz")
+    with pytest.raises(InputError, match="label file cannot be read"):
+        Sample.load(labels[0].parent / "broken.npz")
 
 
 # ---- what networks say
@@ -233,11 +247,11 @@ def test_the_geodesic_loss_is_zero_at_the_truth_and_left_invariant() -> None:
     assert float(losses.geodesic(a, b, 2 * reach)) == pytest.approx(0.5 * float(losses.geodesic(a, b, reach)), rel=1e-3)
 
 
-def lessons_batch(window: int = 1, reach: decalibration.Reach = (5.0, 0.3)) -> Batch:
+def lessons_batch(window: int = 1, reach: Reach = (5.0, 0.3)) -> Batch:
     rng = np.random.default_rng(11)
-    lesson = painted(rng)
-    seen = view([reach], STILL, rng)
-    made = [sample(lesson, seen, SIZE, ("nearness",), 128, STILL, rng) for _ in range(4)]
+    sample = painted(rng)
+    seen = draw_view([reach], STILL, rng)
+    made = [augment(sample, seen, SIZE, ("nearness",), 128, STILL, rng) for _ in range(4)]
     return Batch.of(made, window, torch.device("cpu"))
 
 
@@ -299,17 +313,17 @@ def test_a_cost_volume_is_highest_at_the_shift() -> None:
 
 @pytest.mark.parametrize("which", METHODS, ids=lambda module: module.DESIGN.name)
 def test_networks_of_both_sizes_are_as_large_as_the_page_says(which: ModuleType) -> None:
-    design: Design = which.DESIGN
+    own: Design = which.DESIGN
     page = (Path(__file__).parents[2] / "docs/comparison-learned.md").read_text(encoding="utf-8")
-    row = re.search(rf"^\| `{design.name}` \|(.*)\|$", page, re.MULTILINE)
+    row = re.search(rf"^\| `{own.name}` \|(.*)\|$", page, re.MULTILINE)
     assert row is not None
     for size in ("paper", "small"):
         with torch.device("meta"):
-            network = design.network(size)
-            height, width = design.pictures[size]
-            seen = torch.zeros(2, 3, height, width), torch.zeros(2, len(design.channels), height, width)
-            assert network.eval()(*seen, torch.ones(2, 2), 2).shape == (2, NUMBERS[design.form])
-        assert f"{parts.parameters(network) / 1e6:.2f}" in row[1]
+            network = own.network(size)
+            height, width = own.inputs[size]
+            seen = torch.zeros(2, 3, height, width), torch.zeros(2, len(own.channels), height, width)
+            assert network.eval()(*seen, torch.ones(2, 2), 2).shape == (2, NUMBERS[own.form])
+        assert f"{sum(each.numel() for each in network.parameters()) / 1e6:.2f}" in row[1]
         assert f"{height} x {width}" in row[1]
 
 
@@ -320,8 +334,8 @@ def test_only_networks_that_see_places_notice_another_lidar_frame(frames: list[p
     frame = frames[0]
     moved = replace(frame, cloud=replace(frame.cloud, xyz=se3.apply(other, frame.cloud.xyz)))
     start = frame.camera_from_lidar @ some_pose(np.random.default_rng(14), 0.02, 0.1)
-    a = glance_of(frame, SIZE, 10**6).drawn(start, channels)
-    b = glance_of(moved, SIZE, 10**6).drawn(start @ se3.inverse(other), channels)
+    a = network_input_of(frame, SIZE, 10**6).drawn(start, channels)
+    b = network_input_of(moved, SIZE, 10**6).drawn(start @ se3.inverse(other), channels)
     # Points on the border between two cells may change sides by rounding.
     same = [np.mean(np.abs(x - y) > 1e-4) < 1e-3 for x, y in zip(a, b, strict=True)]
     assert same == [channel not in ("x", "y", "z") for channel in channels]
@@ -376,17 +390,17 @@ def test_a_training_goes_on_as_if_it_had_not_stopped(labels: list[Path], tmp_pat
 
 def test_branches_of_one_method_begin_another(labels: list[Path], tmp_path: Path) -> None:
     first, _ = learn(calibnet.DESIGN, labels, tmp_path / "a", iterations=5)
-    network = training._first(calibrcnn.DESIGN, TrainingOptions(branches=str(first)))
+    network = training._initial_network(calibrcnn.DESIGN, TrainingOptions(branches=str(first)))
     taken, _ = read_weights(first, calibnet.DESIGN)
     assert torch.equal(network.picture[0][0].weight, taken.picture[0][0].weight)
     with pytest.raises(InputError, match="another method"):
-        training._first(calibrcnn.DESIGN, TrainingOptions(from_weights=str(first)))
+        training._initial_network(calibrcnn.DESIGN, TrainingOptions(from_weights=str(first)))
 
 
 # ---- weights and use
 
 
-def written(which: Design, path: Path, stages: tuple[decalibration.Reach, ...] = CALIBNET) -> Path:
+def written(which: Design, path: Path, stages: tuple[Reach, ...] = CALIBNET) -> Path:
     write_weights(which.network("small"), Trained(which.name, "small", stages), path)
     return path
 
@@ -396,7 +410,7 @@ def test_weights_of_another_method_and_what_is_none_are_refused(tmp_path: Path) 
     network, trained = read_weights(good, calibnet.DESIGN)
     assert trained.stages == CALIBNET
     assert not network.training
-    with pytest.raises(InputError, match="weights are those of another method") as caught:
+    with pytest.raises(InputError, match="weights belong to another method") as caught:
         read_weights(good, rggnet.DESIGN)
     assert caught.value.hint == "--calibrator calibnet"
     (tmp_path / "no.safetensors").write_bytes(b"\xff" * 100)
@@ -404,10 +418,11 @@ def test_weights_of_another_method_and_what_is_none_are_refused(tmp_path: Path) 
         read_weights(tmp_path / "no.safetensors", calibnet.DESIGN)
     with pytest.raises(InputError, match=r"cannot be read|missing|no such|not found|is not there"):
         read_weights(tmp_path / "absent.safetensors", calibnet.DESIGN)
-    lying = written(replace(rggnet.DESIGN, name="calibnet"), tmp_path / "lying.safetensors")
+    lying = tmp_path / "lying.safetensors"
+    write_weights(rggnet.DESIGN.network("small"), Trained("calibnet", "small", CALIBNET), lying)
     with pytest.raises(InputError, match="no weights of calibnet"):
         read_weights(lying, calibnet.DESIGN)
-    with pytest.raises(p2o.MethodUnavailable, match="comes without weights of size paper"):
+    with pytest.raises(p2o.MethodUnavailable, match="has no shipped weights of size paper"):
         weights_files("paper", calibnet.DESIGN)
 
 
@@ -470,9 +485,9 @@ def test_one_bad_frame_does_not_move_the_median() -> None:
 
 
 def test_frames_of_one_drive_are_looked_at_together() -> None:
-    def seen(group: str) -> Glance:
+    def seen(group: str) -> NetworkInput:
         blank = p2o.Camera.pinhole(100, 100, 79.5, 23.5, 160, 48)
-        return Glance("x", group, blank, np.zeros((48, 160, 3), np.uint8), np.zeros((0, 3)), np.zeros(0))
+        return NetworkInput("x", group, blank, np.zeros((48, 160, 3), np.uint8), np.zeros((0, 3)), np.zeros(0))
 
     assert staged.windows([seen(group) for group in "aaaabb"], 3) == [[0, 1, 2], [3], [4, 5]]
     assert staged.windows([seen("a")] * 2, 1) == [[0], [1]]
@@ -481,11 +496,11 @@ def test_frames_of_one_drive_are_looked_at_together() -> None:
 def test_a_view_is_drawn_within_what_its_options_say() -> None:
     rng = np.random.default_rng(16)
     for _ in range(20):
-        seen: View = view(CALIBNET, Augmentation(zoom=1.3, turn_deg=5), rng)
+        seen: View = draw_view(CALIBNET, Augmentation(zoom=1.3, turn_deg=5), rng)
         assert 1 <= seen.zoom <= 1.3
         assert np.degrees(np.arccos((np.trace(seen.turn) - 1) / 2)) <= 5 * np.sqrt(3)
         assert np.allclose(seen.other_lidar, np.eye(4))
-    assert not np.allclose(view(CALIBNET, Augmentation(reexpress=True), rng).other_lidar, np.eye(4))
+    assert not np.allclose(draw_view(CALIBNET, Augmentation(reexpress=True), rng).other_lidar, np.eye(4))
 
 
 # ---- shipped weights

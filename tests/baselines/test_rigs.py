@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from p2o import InputError, Registry
-from p2o.study.study import BY_CAMERA, check_study, find_study
+from p2o_study.study import BY_CAMERA, check_study, find_study
 
 REGISTRY = Registry.load()
 STUDY = find_study("rigs", REGISTRY).study

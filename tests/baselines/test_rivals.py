@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from p2o import Registry
 from p2o.cli import main
-from p2o.report import write_report
-from p2o.study.store import Store
-from p2o.study.study import check_study, find_study
+from p2o_study.report import write_report
+from p2o_study.store import Store
+from p2o_study.study import check_study, find_study
 
 STUDIES = ("rivals", "rivals-00", "rivals-drive")
 SMALL = "synthetic:?scenes=1&width_px=310&height_px=94&place=street&right=false&lidar=hdl-32e"

@@ -9,10 +9,10 @@ import pytest
 from p2o import Registry, pose_error
 from p2o.cli import main
 from p2o.geometry.pose_error import AXES
-from p2o.simulate import write_vkitti2
-from p2o.study.store import Store
-from p2o.study.study import check_study, find_study
 from p2o.testing import stage
+from p2o_sim.write import vkitti2 as write_vkitti2
+from p2o_study.store import Store
+from p2o_study.study import check_study, find_study
 
 STUDY = find_study("table1", Registry.load())
 NAMES = [f"test{i}" for i in range(1, 6)]
@@ -37,7 +37,7 @@ def test_the_rows_are_those_of_the_paper(data: str | None) -> None:
         options = plan.parts["data"].options
         assert (options.lidar, options.noise_m, options.angle_noise_deg) == (lidar, noise_m, angle_noise_deg)
         assert not options.mask_foliage
-        assert plan.pipeline.missing_edges == missing
+        assert row.damage(row.seeds[0]).missing_edges == missing
         assert plan.recipe.perturb == "2deg 0.15m"
         assert plan.recipe.extractor == "depth/rings"
         assert data is not None or options.scenes >= 40
@@ -56,7 +56,7 @@ def test_it_prints_means_and_medians_beside_the_papers_and_refused_frames_count(
     monkeypatch.setenv("P2O_CACHE", str(tmp_path / "cache"))
     monkeypatch.delenv("P2O_PLUGINS", raising=False)
     list(write_vkitti2.write([stage.frame()] * 3, tmp_path / "data"))
-    few = "options.pipeline.missing_edges = 0.45"
+    few = "options.damage.missing_edges = 0.45"
     text = STUDY.text.replace('init = "search"', 'init = "given"')
     file = tmp_path / "table1.toml"
     file.write_text(text.replace(few, f"{few}\noptions.pipeline.min_matches = 1000000"))

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from p2o_baselines.total_variation import divergence, filled, gradient, variation
-from p2o_baselines.tv_fusion import coarse
+from p2o_baselines.tv_fusion import coarse, divergence, filled, gradient, variation
 
 ONES = np.ones((12, 16))
 

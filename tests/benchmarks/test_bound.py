@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from bound import TOLERANCE_PX, Bound, certify, certify_all, tiles
-from p2o import DirectedCost, se3
+from p2o import se3
+from p2o.solving import DirectedCost
 
 from tests import edge_scene
 

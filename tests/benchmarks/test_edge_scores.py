@@ -328,16 +328,15 @@ def test_the_truth_lies_between_foreground_and_background_and_leaves_are_ignored
 
 
 def test_the_depth_extractor_agrees_with_its_own_truth_and_a_wrong_sign_shows() -> None:
-    from p2o.simulate import Class
-    from p2o_plugins.data import synthetic
     from p2o_plugins.image import depth
+    from p2o_sim import Class, synthetic
 
     options = synthetic.SyntheticOptions(seed=5, width_px=621, height_px=188, right=False)
     view = synthetic.view(options, 0)
     image = view.frame.image
-    true = edge_truth(image.depth_m, image.camera, normals=view.picture.normals, masked=view.picture.foliage)
+    true = edge_truth(image.depth_m, image.camera, normals=view.rendered.normals, masked=view.rendered.foliage)
     assert len(true.edges) > 500
-    assert (view.picture.classes == Class.FOLIAGE).any()
+    assert (view.rendered.classes == Class.FOLIAGE).any()
     found = depth.build(depth.DepthOptions())(image).edges
     reach = 0.0075 * np.hypot(621, 188)
     plain, directed = judge_boundary(found, true, reach)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import p2o
-from p2o.arrays import Float, Int
+from p2o import Float, Int
 from scipy.ndimage import grey_closing
 
 

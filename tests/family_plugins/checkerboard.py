@@ -10,8 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import p2o
-from p2o import Checkerboard, Result, Status, se3
-from p2o.arrays import Bool, Float
+from p2o import Bool, Checkerboard, Float, Result, Status, se3
 
 
 class BoardOptions(p2o.Options):

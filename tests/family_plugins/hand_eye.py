@@ -13,8 +13,8 @@ from itertools import combinations
 
 import numpy as np
 import p2o
-from p2o import Judged, Result, Status, se3
-from p2o.arrays import Float
+from p2o import Float, Result, Status, se3
+from p2o.solving import Judged
 
 
 class HandEyeOptions(p2o.Options):

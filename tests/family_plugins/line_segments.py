@@ -86,7 +86,7 @@ def cloud_lines(cloud):
 
 
 @dataclass(frozen=True, eq=False)
-class PointsOnLines(p2o.LeastSquares):
+class PointsOnLines(p2o.solving.LeastSquares):
     """Points with lines of the picture: `rows` (K, 7) hold xyz m, unit normal, offset px and number of the view."""
 
     rows: np.ndarray

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import p2o
-from p2o.arrays import Float, Int
+from p2o import Float, Int
+from p2o.solving import Objective, hidden
 from scipy.ndimage import gaussian_filter
 
 
@@ -96,7 +97,7 @@ def build_information(options: InformationOptions) -> p2o.Matcher:
         if grey is None or points is None or points.intensity is None:
             return None
         keep = view.camera.in_image(view.camera.project(p2o.se3.apply(pose, points.xyz)))
-        keep &= ~p2o.hidden(points.xyz, points.xyz, view.camera, pose)
+        keep &= ~hidden(points.xyz, points.xyz, view.camera, pose)
         if not keep.any():
             return None
         strength = points.intensity[keep]
@@ -106,13 +107,13 @@ def build_information(options: InformationOptions) -> p2o.Matcher:
         blurred = replace(grey, values=gaussian_filter(grey.values, options.blur * reach_px))
         return Seen(view.camera, blurred, points.xyz[keep], level, options)
 
-    def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> p2o.Objective:
+    def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> Objective:
         known = [part for view in views if (part := seen(view, camera_from_lidar, reach_px)) is not None]
 
         def cost(poses: Float) -> Float:
             return -np.mean([part.information(poses) for part in known], axis=0) if known else np.zeros(len(poses))
 
-        return p2o.Objective(cost)
+        return Objective(cost)
 
     return match
 

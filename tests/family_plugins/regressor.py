@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 import p2o
-from p2o import Result, Status, se3
-from p2o.arrays import Float, UInt8
+from p2o import Float, Result, Status, UInt8, se3
 
 WIDTH, HEIGHT = 128, 40
 UNIT = np.array([0.03, 0.03, 0.03, 0.1, 0.1, 0.1])  # what the outputs of the network count in: radians and metres

@@ -14,8 +14,8 @@ from p2o import Camera
 from p2o.cli import main
 
 from tests import bag_files
-from tests.plugins.data import argoverse2_files, kitti_360_files, once_files, pandaset_files, waymo_files
-from tests.plugins.data.nuscenes_files import Tree
+from tests.p2o_datasets import argoverse2_files, kitti_360_files, once_files, pandaset_files, waymo_files
+from tests.p2o_datasets.nuscenes_files import Tree
 
 STUDY = """name = "small"
 title = "A small study"

@@ -629,10 +629,10 @@ def pairs(rng: Random, bases: Bases, home: Path) -> Case:
 def calibration(rng: Random, bases: Bases, home: Path) -> Case:
     """A calibration file of any form, with wrong bytes or values, converted to any other."""
     from p2o import Camera
-    from p2o.formats.calibration import Calibration
-    from p2o.formats.files import formats
+    from p2o.calibration_files.calibration import Calibration
+    from p2o_formats.formats import FORMATS
 
-    written = {name: form for name, form in formats().items() if form.write is not None}
+    written = {name: form for name, form in FORMATS.items() if form.write is not None}
     name, form = rng.choice(list(written.items()))
     camera = Camera("OPENCV", 160, 96, (92.0, 93.0, 80.0, 48.0, 0.1, 0.01, 0.0, 0.001))
     data = form.written(Calibration(camera, np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])))

@@ -1,4 +1,4 @@
-"""What every array between stages is checked for when a dataclass is made, and the way to all arrays in a value."""
+"""Array types, the validation of arrays in dataclasses, and iteration over the arrays of a nested value."""
 
 from __future__ import annotations
 
@@ -21,16 +21,14 @@ Int8 = NDArray[np.int8]
 def checked(name: str, value: Any, shape: tuple[int | None, ...], dtype: Any, *, finite: bool = True) -> Any:
     """Return `value` as a read-only, C-contiguous array of `dtype` after checking its shape.
 
-    `shape` has one entry an axis; None allows any length. Memory is shared where no conversion is needed.
-
-    Raises InputError if the value is not numeric, has another shape, or (with `finite`) holds NaN or infinity.
+    `shape` has one entry per axis; None allows any length. Memory is shared if no conversion is needed. Raises
+    InputError if the value is not numeric, has another shape, or (with `finite`) contains NaN or infinity.
     """
     try:
         array = np.ascontiguousarray(value, dtype=dtype)
     except (TypeError, ValueError) as problem:
-        raise InputError(
-            f"{name} is not an array of numbers", expected=np.dtype(dtype).name, got=type(value).__name__
-        ) from problem
+        text = f"{name} is not an array of numbers"
+        raise InputError(text, expected=np.dtype(dtype).name, got=type(value).__name__) from problem
     if np.ndim(value) != len(shape) or any(
         want is not None and want != have for want, have in zip(shape, array.shape, strict=True)
     ):
@@ -38,16 +36,15 @@ def checked(name: str, value: Any, shape: tuple[int | None, ...], dtype: Any, *,
         raise InputError(f"{name} has the wrong shape", expected=wanted, got=np.shape(value))
     if finite and array.dtype.kind == "f" and not np.isfinite(array).all():
         bad = int(array.size - np.isfinite(array).sum())
-        raise InputError(
-            f"{name} holds values that are not finite", expected="finite numbers", got=f"{bad} NaN or infinite"
-        )
+        text = f"{name} contains values that are not finite"
+        raise InputError(text, expected="finite numbers", got=f"{bad} NaN or infinite")
     view = array.view()
     view.flags.writeable = False
     return view
 
 
 def parts(value: Any) -> list[tuple[Any, Any]] | None:
-    """Return what a dataclass, mapping, list or tuple is made of, with field, key or place; None for all else."""
+    """Return the parts of a dataclass, mapping, list or tuple with field, key or index; None for other types."""
     if is_dataclass(value) and not isinstance(value, type):
         return [(field.name, getattr(value, field.name)) for field in fields(value)]
     if isinstance(value, Mapping):
@@ -56,7 +53,7 @@ def parts(value: Any) -> list[tuple[Any, Any]] | None:
 
 
 def leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
-    """Return all that is inside of a value and has no parts itself, arrays among it, each named "field.place.key"."""
+    """Yield the leaves of a nested value, such as arrays, each with its path "field.index.key"."""
     inner = parts(value)
     if inner is None:
         yield name, value

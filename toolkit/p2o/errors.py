@@ -1,4 +1,4 @@
-"""The one family of errors a user can meet: each says what, where, expected, got and what to do next."""
+"""The exceptions for users: each states the fault, its place, expected and actual value, and the next step."""
 
 from __future__ import annotations
 
@@ -7,29 +7,30 @@ import unicodedata
 from collections.abc import Iterable
 
 _UNSEEN = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
-"""Categories of characters that a terminal obeys instead of showing them, or that no encoding holds."""
+"""Unicode categories of characters that terminals interpret or that cannot be encoded."""
 _JOINERS = "\u200c\u200d"
-"""Characters of these categories that ordinary words of some languages hold."""
+"""Characters of these categories that occur in words of some languages."""
 LONGEST = 1000
-"""So many characters of each part of an error are shown."""
+"""Maximum number of characters of each part of an error."""
 
 
 def printable(text: object, longest: int | None = None) -> str:
-    """Return a text that a terminal only shows: control and direction characters and surrogates as Python escapes.
+    """Return a text with control and direction characters and surrogates as Python escapes, safe for terminals.
 
-    With `longest`, the middle of a longer text is left out. Names of frames and files come from outside: one of them
-    must not move the cursor, change colours, or end a program that prints it.
+    With `longest`, the middle of a longer text is left out. Names of frames and files are untrusted: they must not
+    move the cursor, change colours or cause encoding errors.
     """
-    said = _text(text)
-    if longest is not None and len(said) > longest:
-        said = f"{said[: longest // 2]} ... {said[-(longest // 2) :]}"
-    if said.isascii() and said.isprintable():
-        return said
-    return "".join(c if c in _JOINERS or unicodedata.category(c) not in _UNSEEN else _escaped(c) for c in said)
+    shown = _text(text)
+    if longest is not None and len(shown) > longest:
+        shown = f"{shown[: longest // 2]} ... {shown[-(longest // 2) :]}"
+    if shown.isascii() and shown.isprintable():
+        return shown
+    hidden = {c for c in set(shown) - set(_JOINERS) if unicodedata.category(c) in _UNSEEN}
+    return "".join(c.encode("unicode_escape", "surrogatepass").decode() if c in hidden else c for c in shown)
 
 
 def one_line(text: object, longest: int | None = None) -> str:
-    """Return a text as `printable`, in one line: white space of any kind is one blank."""
+    """Return a text as `printable`, with each sequence of white space replaced by one blank."""
     return printable(" ".join(_text(text).split()), longest)
 
 
@@ -40,26 +41,16 @@ def _text(value: object) -> str:
         return "a number of too many digits to write"
 
 
-def _escaped(character: str) -> str:
-    return character.encode("unicode_escape", "surrogatepass").decode("ascii")
-
-
 class P2OError(Exception):
-    """Root of all errors that p2o raises on purpose; its text is one line, ready to show, and has a bound.
+    """Base of all exceptions for users; the text is one printable line of limited length.
 
-    `exit_code` is what the command line returns for it: 2 for wrong input or usage.
+    `exit_code` is the exit status of the command line: 2 for wrong input or usage.
     """
 
     exit_code = 2
 
     def __init__(
-        self,
-        what: str,
-        *,
-        where: object = None,
-        expected: object = None,
-        got: object = None,
-        hint: str | None = None,
+        self, what: str, *, where: object = None, expected: object = None, got: object = None, hint: str | None = None
     ) -> None:
         self.what, self.where, self.expected, self.got, self.hint = what, where, expected, got, hint
         text = "" if where is None else f"{one_line(where, LONGEST)}: "
@@ -71,15 +62,15 @@ class P2OError(Exception):
 
 
 class InputError(P2OError):
-    """A file, array or option from outside is not what it must be."""
+    """A file, array or option is invalid."""
 
 
 class UnknownNameError(InputError):
-    """A method, option, dataset, frame or split that does not exist; names the nearest ones, then the `advice`."""
+    """A method, option, dataset, frame or split does not exist; the text suggests similar names, then `advice`."""
 
     def __init__(self, kind: str, name: str, known: Iterable[str], *, where: object = None, hint: str = "") -> None:
         self.kind, self.name, self.known, self.advice = kind, name, sorted(known), hint
-        # Comparing takes time by length and number: nobody mistypes a page of text.
+        # The time of the comparison grows with length and number, hence the limits.
         near = difflib.get_close_matches(name, self.known[:5000], n=3, cutoff=0.5) if len(name) <= 200 else []
         listed = ", ".join(self.known[:20]) + (", ..." if len(self.known) > 20 else "")
         hints = [f"did you mean {' or '.join(near)}?"] if near else []
@@ -93,8 +84,8 @@ class UnknownNameError(InputError):
 
 
 class PluginError(P2OError):
-    """A plugin fails to import, clashes with another, raises, or returns what it must not."""
+    """A plugin fails to import, clashes with another one, raises, or returns an invalid value."""
 
 
 class MethodUnavailable(P2OError):  # noqa: N818  (a state of the installation, not a defect)
-    """A method needs a package that is not installed; the text tells the pip command."""
+    """A method needs a package that is not installed; the text contains the pip command."""

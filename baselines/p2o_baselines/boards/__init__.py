@@ -1,1 +1,1 @@
-"""Boards that both sensors see: found in picture and sweep, told apart, and what each says about the pose."""
+"""Boards as targets: detection in image and sweep, assignment, and least squares."""

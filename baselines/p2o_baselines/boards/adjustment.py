@@ -1,29 +1,25 @@
-"""Least squares on what boards say, and how sure the pose is: noise, boards that scatter, errors that all share."""
+"""Least squares on the residuals of boards, and the covariance of the pose: noise, scatter, and common errors."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from p2o import se3
-from p2o.arrays import Float
+from p2o import Float, se3
 
 from p2o_baselines.boards.pairing import Pair
 
 _STEPS, _DAMPING = 50, 1e-6
-_LEAST_FREEDOM = 3
-"""From so many degrees of freedom on the scatter of boards widens the likely error; fewer say little."""
+_LEAST_FREEDOM = 3  # least degrees of freedom from which the scatter of targets scales the covariance
 
 
 class Block(NamedTuple):
-    """What one board says at a pose: residuals (K,), and how these change.
+    """Residuals (K,) of one board at a pose, and their derivatives.
 
-    `by_update` (K, 6) is by a left update of camera_from_lidar (rad, m), `by_bias` (K,) by an error in m that all
-    ranges share, `covariance` (K, K) what noise of the sweep alone makes of them; a pose of the board in the picture
-    that is wrong acts as a wrong pose of the LiDAR does, but for this board alone. With `whole` the covariance holds
-    the picture's noise already.
+    `by_update` (K, 6) is the derivative by a left update of camera_from_lidar (rad, m), `by_bias` (K,) that by an error
+    in m common to all ranges, `covariance` (K, K) that of the residuals due to noise of the sweep alone; with `whole`
+    it includes the noise of the image, which acts like an error of the LiDAR's pose, independent for each board.
     """
 
     residuals: Float
@@ -34,15 +30,6 @@ class Block(NamedTuple):
 
 
 Cost = Callable[[Pair, Float], Block]
-
-
-@dataclass(frozen=True)
-class Fit:
-    """The pose (4, 4) of a least cost, the covariance (6, 6) of a left update of it (rad, m), and the cost's root."""
-
-    camera_from_lidar: Float
-    covariance: Float
-    rms: float
 
 
 def adjusted(pairs: Sequence[Pair], cost: Cost, pose: Float) -> Float:
@@ -73,42 +60,40 @@ def _sum(blocks: Sequence[Block]) -> float:
     return float(sum(block.residuals @ block.residuals for block in blocks))
 
 
-def information(pairs: Sequence[Pair], cost: Cost, pose: Float) -> Float:
-    """Return the Gauss-Newton matrix (6, 6) of a cost."""
-    blocks = [cost(pair, pose) for pair in pairs]
-    return np.asarray(sum(block.by_update.T @ block.by_update for block in blocks))
-
-
 def covariance_of(
     pairs: Sequence[Pair], cost: Cost, pose: Float, *, range_bias_m: float, camera_px: float
 ) -> Float | None:
-    """Return the covariance (6, 6) of a left update of a pose (rad, m); None where boards leave it open.
-
-    Its parts are the noise of sweeps and corners as every board has it by itself, more where boards disagree by
-    more, and errors that all boards share: of ranges, and of the camera's calibration.
-    """
+    """Return the covariance (6, 6) of a left update (rad, m): noise by scatter, common errors; None if undetermined."""
     blocks = [cost(pair, pose) for pair in pairs]
     hessian = np.asarray(sum(block.by_update.T @ block.by_update for block in blocks))
-    scale = np.repeat([1.0, 3.0], 3)  # a metre is as much as a third of a radian: boards are some 3 m away
-    if np.linalg.cond(hessian * np.outer(scale, scale)) > 1e8:
+    if not is_determined(hessian):
         return None
     inverse = np.linalg.inv(hessian)
-    noise = np.zeros((6, 6))
-    for pair, block in zip(pairs, blocks, strict=True):
-        noise += _noise(pair, block)
-    covariance = inverse @ noise @ inverse
-    covariance = covariance * max(1.0, _scatter(pairs, blocks))
+    noises = [_noise(pair, block) for pair, block in zip(pairs, blocks, strict=True)]
+    covariance = inverse @ sum(noises, np.zeros((6, 6))) @ inverse
+    gradients = (block.by_update.T @ block.residuals for block in blocks)
+    covariance = covariance * max(1.0, variance_factor(zip(gradients, noises, strict=True)))
     bias = inverse @ np.asarray(sum(block.by_update.T @ block.by_bias for block in blocks))
-    shared = range_bias_m**2 * np.outer(bias, bias)
-    turn = camera_px / float(np.median([pair.board.px_per_rad for pair in pairs]))
-    distance = float(np.median([np.linalg.norm(pair.board.camera_from_board[:3, 3]) for pair in pairs]))
-    # A shifted picture turns the camera; a wrong scale of the same size at its border moves boards in depth.
-    shared += np.diag([turn, turn, turn, 0, 0, turn * distance]) ** 2
-    return np.asarray(covariance + shared)
+    camera_rad = camera_px / float(np.median([pair.board.px_per_rad for pair in pairs]))
+    distance_m = float(np.median([np.linalg.norm(pair.board.camera_from_board[:3, 3]) for pair in pairs]))
+    return np.asarray(covariance + shared_errors(bias, range_bias_m, camera_rad, distance_m))
+
+
+def shared_errors(bias: Float, range_bias_m: float, camera_rad: float, distance_m: float) -> Float:
+    """Return the covariance (6, 6) of a left update by range bias (6,) per m and by intrinsics, common to targets."""
+    # An offset of the principal point rotates the camera; a scale error of that size moves targets in depth.
+    camera = np.diag([camera_rad, camera_rad, camera_rad, 0, 0, camera_rad * distance_m]) ** 2
+    return np.asarray(camera + range_bias_m**2 * np.outer(bias, bias))
+
+
+def is_determined(hessian: Float) -> bool:
+    """Return whether a Gauss-Newton matrix (6, 6) of rotation in rad and translation in m determines the pose."""
+    scale = np.repeat([1.0, 3.0], 3)  # one radian corresponds to 3 m, the typical distance of a target
+    return bool(np.isfinite(hessian).all() and np.linalg.cond(hessian * np.outer(scale, scale)) <= 1e8)
 
 
 def _noise(pair: Pair, block: Block) -> Float:
-    """Return how noise of sweep and picture spreads the slope (6,) that a board has at a pose, (6, 6)."""
+    """Return how noise of sweep and image spreads the slope (6,) that a board has at a pose, (6, 6)."""
     noise = block.by_update.T @ block.covariance @ block.by_update
     if not block.whole:
         own = block.by_update.T @ block.by_update
@@ -116,19 +101,14 @@ def _noise(pair: Pair, block: Block) -> Float:
     return np.asarray(noise)
 
 
-def _scatter(pairs: Sequence[Pair], blocks: Sequence[Block]) -> float:
-    """Return how much more boards disagree with a pose than their noise says, as a factor of variances.
-
-    What a board says of the pose is its slope there; noise of its sweep and of its pose in the picture spread that.
-    """
+def variance_factor(gradients: Iterable[tuple[Float, Float]]) -> float:
+    """Return the reduced chi-square of gradients (6,) with covariances (6, 6); 1 with few degrees of freedom."""
     total, freedom = 0.0, -6
-    for pair, block in zip(pairs, blocks, strict=True):
-        slope = block.by_update.T @ block.residuals
-        noise = _noise(pair, block)
+    for gradient, noise in gradients:
         scale = 1 / np.sqrt(np.maximum(np.diag(noise), 1e-30))
         values, vectors = np.linalg.eigh(noise * np.outer(scale, scale))
-        told = values > 1e-6 * values[-1]
-        along = vectors[:, told].T @ (scale * slope)
-        total += float(np.sum(along**2 / values[told]))
-        freedom += int(told.sum())
+        observable = values > 1e-6 * values[-1]
+        along = vectors[:, observable].T @ (scale * gradient)
+        total += float(np.sum(along**2 / values[observable]))
+        freedom += int(observable.sum())
     return total / freedom if freedom >= _LEAST_FREEDOM else 1.0

@@ -1,7 +1,7 @@
-"""Boards with round holes in a picture: ellipses propose where they are, rims say it exactly.
+"""Detect boards with round holes in an image: ellipses give candidates, rims give the exact pose.
 
-The picture of a circle is an ellipse, whose middle is not the picture of the circle's middle. So nothing here relies on
-middles of ellipses: rims of all holes together are brought onto edges of the picture, which is exact for any camera.
+The image of a circle is an ellipse, whose centre is not the image of the circle's centre. Therefore centres of ellipses
+are not used: the rims of all holes are fitted together to edges of the image, which is exact for any camera model.
 """
 
 from __future__ import annotations
@@ -13,33 +13,32 @@ from typing import NamedTuple
 
 import numpy as np
 import p2o
-from p2o import HoleBoard, se3
-from p2o.arrays import Bool, Float, Int
+from p2o import Bool, Float, HoleBoard, Int, se3
 
 from p2o_baselines.boards.board_in_picture import BoardInPicture
 
-_LEVELS = (9, 14, 22, 35, 55)  # steps of so many levels from pixel to pixel end a plain area
-_BAND_PX = 1.3  # outlines lie so far outside of the steps that they go round
+_LEVELS = (9, 14, 22, 35, 55)  # steps of N grey levels between neighbouring pixels end a uniform area
+_BAND_PX = 1.3  # distance of the traced outline outside the steps
 _LEAST_RADIUS_PX, _LEAST_RATIO = 5.0, 0.4  # smaller or more oblique ellipses are none
-_OFF_ELLIPSE = 0.05  # an outline lies so near to its ellipse, as a share of its radius
+_OFF_ELLIPSE = 0.05  # maximum distance of an outline from its ellipse, as a fraction of the radius
 _MOST_ELLIPSES, _MOST_TRIED = 80, 12
 _APART = 0.12  # distances between holes are as they should be within this share
-_MATCHED = 0.35  # an ellipse is a hole's if it lies so near, as a share of the radius
+_MATCHED = 0.35  # maximum distance of an ellipse from that of a hole, as a fraction of the radius
 _FREE_PLACES = 8
-_RIM, _SIDE = 48, 40  # places round a hole, and along each side, that are looked at
+_RIM, _SIDE = 48, 40  # number of samples around a hole, and along each side
 _STEP_PX = 0.5
 _GRID, _PLAIN_STEP, _NEAR_PX, _MOST_MARKED = 16, 12.0, 3, 0.3
-"""Between holes a board is plain: of so many places each way this share at most lies on steps of so many levels."""
+"""Between holes a board is uniform: samples each way, largest share on edges, and the edge threshold in grey levels."""
 _LEAST_STEP, _LEAST_SHARE = 5.0, 0.3
-"""An edge is a step by so many levels a pixel, and by this share of the largest step there."""
+"""Least gradient of an edge in levels per pixel, and relative to the largest one there."""
 _SEEN_OF_HOLE, _SEEN, _LEAST_HOLES = 0.35, 0.5, 3
-"""So much of a hole's rim, and of all rims, has to be edges, and so many holes have to be seen."""
+"""Least share of edges on the rim of a hole, and on all rims, and least number of visible holes."""
 _LEAST_OUTLINE = 0.4  # and so much of the outline
-_SURE = 0.6  # where so much of both is, nothing better is looked for
+_SURE = 0.6  # stop the search if both values exceed this
 _MOST_RMS, _MOST_RMS_PX, _LEAST_RIM_PX = 0.03, 0.3, 0.1  # the first of the radius
-_ALIKE = 1.12  # poses whose edges scatter so little differently are as good
+_POSE_RATIO = 1.12  # poses whose edges scatter so little differently are as good
 _WALLED = 0.08  # sine of the angle between ray and board's normal, outwards
-_CUT = 2.5  # edges farther off than so many deviations are others
+_CUT = 2.5  # edges beyond N standard deviations belong to other objects
 
 
 class Ellipses(NamedTuple):
@@ -56,10 +55,7 @@ class Ellipses(NamedTuple):
 
 
 class Rims(NamedTuple):
-    """Places on rims: which `hole` (K,) each is of, pixels `uv` (K, 2), outward unit normals (K, 2), points (K, 3).
-
-    `walled` (K,) tells where the board's own thickness shows inside of the rim.
-    """
+    """Samples on rims: hole (K,), pixels (K, 2), outward normals (K, 2), points (K, 3), and if a wall is visible."""
 
     hole: Int
     uv: Float
@@ -69,64 +65,59 @@ class Rims(NamedTuple):
 
 
 def hole_boards_in_picture(image: p2o.Image, targets: Sequence[p2o.Target]) -> tuple[BoardInPicture, ...]:
-    """Return the boards with holes of `targets` that are found in a picture of any camera model, each once at most."""
+    """Detect the boards with holes of `targets` in an image of any camera model, each at most once."""
     boards = [target for target in targets if isinstance(target, HoleBoard) and len(target.holes) >= _LEAST_HOLES]
     if not boards:
         return ()
     ellipses = ellipses_of(image)
     levels, steps = np.asarray(image.rgb, np.float32), _steps(image)
-    found: list[BoardInPicture] = []
+    detected: list[BoardInPicture] = []
     for target in boards:
         best: tuple[float, BoardInPicture] | None = None
         for pose in _proposed(ellipses, target, image.camera, steps):
             fit = refined_by_rims(levels, image.camera, target, pose)
-            if fit is None or any(_same(fit[1], known) for known in found):
+            if fit is None or any(_same(fit[1], known) for known in detected):
                 continue
             seen, board = _turned_by_outline(levels, image.camera, fit[1])
             if seen > _LEAST_OUTLINE and (best is None or fit[0] * seen > best[0]):
                 best = (fit[0] * seen, board)
             if best is not None and best[0] > _SURE:
                 break
-        told = None if best is None else _told(levels, image.camera, best[1])
-        if told is not None:
-            found.append(told)
-    return tuple(found)
+        chosen = None if best is None else _unambiguous(levels, image.camera, best[1])
+        if chosen is not None:
+            detected.append(chosen)
+    return tuple(detected)
 
 
-def _told(levels: Float, camera: p2o.Camera, board: BoardInPicture) -> BoardInPicture | None:
-    """Return the better of the two poses at which a small board looks nearly alike; None where both are as good."""
-    target = board.target
+def _unambiguous(levels: Float, camera: p2o.Camera, board: BoardInPicture) -> BoardInPicture | None:
+    """Return the better of the two nearly equivalent poses of a small board; None if both fit equally well."""
+    target, own = board.target, board.camera_from_board
     assert isinstance(target, HoleBoard)
-    ray = board.camera_from_board[:3, 3] / np.linalg.norm(board.camera_from_board[:3, 3])
-    normal = board.camera_from_board[:3, 2]
-    axis, sine = np.cross(normal, ray), float(np.linalg.norm(np.cross(normal, ray)))
+    axis = np.cross(own[:3, 2], own[:3, 3] / np.linalg.norm(own[:3, 3]))
+    sine = float(np.linalg.norm(axis))
     if sine < 0.03:
         return board
     turn = se3.exp(np.r_[2 * np.arcsin(min(sine, 1.0)) * axis / sine, 0, 0, 0])
-    mirrored = se3.make(turn[:3, :3] @ board.camera_from_board[:3, :3], board.camera_from_board[:3, 3])
-    fit = refined_by_rims(levels, camera, target, mirrored)
-    if fit is None or se3.angle_deg(fit[1].camera_from_board @ se3.inverse(board.camera_from_board)) < 3.0:
+    fit = refined_by_rims(levels, camera, target, se3.make(turn[:3, :3] @ own[:3, :3], own[:3, 3]))
+    if fit is None or se3.angle_deg(fit[1].camera_from_board @ se3.inverse(own)) < 3.0:
         return board
-    if max(fit[1].rms_px, board.rms_px) < _ALIKE * min(fit[1].rms_px, board.rms_px):
+    if max(fit[1].rms_px, board.rms_px) < _POSE_RATIO * min(fit[1].rms_px, board.rms_px):
         return None
     return fit[1] if fit[1].rms_px < board.rms_px else board
 
 
 def _same(board: BoardInPicture, other: BoardInPicture) -> bool:
-    """Whether two boards are one: the middle of one lies on the other."""
+    """Return whether two boards are the same: the centre of one lies on the other."""
     apart = np.linalg.norm(board.camera_from_board[:3, 3] - other.camera_from_board[:3, 3])
     return bool(apart < min(board.target.width_m, board.target.height_m) / 2)
 
 
 def ellipses_of(image: p2o.Image) -> Ellipses:
-    """Return outlines of gaps in plain areas that are ellipses, as the camera's rays see them.
-
-    A board is plain, whatever is seen through its holes: their rims are steps all round.
-    """
+    """Return outlines of gaps in uniform areas that are ellipses, in the rays of the camera: candidates of rims."""
     import cv2
 
     rows: list[tuple[float, float, float, float, float, float]] = []
-    # Noise ends no plain area: a dark picture is brightened, and smoothed where it is flat.
+    # Noise ends no plain area: a dark image is brightened, and smoothed where it is flat.
     bright = image.rgb.astype(np.float32) * (200 / max(float(np.quantile(image.rgb, 0.98)), 20.0))
     smooth = cv2.bilateralFilter(np.clip(bright, 0, 255).astype(np.uint8), 7, 25, 2)
     change = cv2.morphologyEx(smooth, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)).max(axis=2)
@@ -147,7 +138,7 @@ def ellipses_of(image: p2o.Image) -> Ellipses:
 
 
 def _ellipse(outline: Int, camera: p2o.Camera) -> tuple[float, float, float, float, float, float] | None:
-    """Return misfit, middle, half axes and turn of the ellipse that an outline (N, 1, 2) px is; None if it is none."""
+    """Return residual, centre, half axes and rotation of the ellipse of an outline (N, 1, 2) px; None if it is none."""
     import cv2
 
     rays = camera.rays(outline[:, 0].astype(np.float64))
@@ -182,10 +173,7 @@ def _round(outline: Int) -> bool:
 
 
 def circle_poses(ellipses: Ellipses) -> tuple[Float, Float]:
-    """Return middles (N, 2, 3) and normals (N, 2, 3) of the two circles of radius 1 that look like each ellipse.
-
-    Middles are in the camera frame, normals look at the camera: the classical solution by the axes of the cone.
-    """
+    """Return middles and normals (N, 2, 3) of both circles of radius 1 that look like each ellipse, by the cone."""
     cosine, sine = np.cos(ellipses.turn), np.sin(ellipses.turn)
     turn = np.stack([np.stack([cosine, -sine], -1), np.stack([sine, cosine], -1)], -2)
     inner = turn @ (np.eye(2) / ellipses.axes[:, None, :] ** 2) @ turn.transpose(0, 2, 1)
@@ -222,7 +210,7 @@ def _through_section(cone: Float, normal: Float) -> Float:
 
 
 def _steps(image: p2o.Image) -> tuple[Bool, Bool]:
-    """Return where the picture has steps (H, W), and where one is near."""
+    """Return the edges (H, W) of the image, and the pixels near them."""
     import cv2
 
     kernel = np.ones((3, 3), np.uint8)
@@ -242,7 +230,7 @@ def _between(target: HoleBoard) -> Float:
 
 
 def _score(camera: p2o.Camera, target: HoleBoard, pose: Float, between: Float, steps: tuple[Bool, Bool]) -> float:
-    """Return how much of the rims has steps near it, less what the board between holes has; -1 where that is much."""
+    """Return the share of the rims near edges minus that of the area between holes; -1 if the latter is large."""
     rims = rims_at(camera, target, pose)
     if rims is None or _radius_px(rims) < _LEAST_RADIUS_PX:
         return -1.0
@@ -263,33 +251,32 @@ def _proposed(ellipses: Ellipses, target: HoleBoard, camera: p2o.Camera, steps: 
     centres, radii = target.centres, np.array([radius for *_, radius in target.holes])
     middles, normals = circle_poses(ellipses)
     rays = middles / np.linalg.norm(middles, axis=2)[..., None]
-    found: list[tuple[float, Float]] = []
+    scored_poses: list[tuple[float, Float]] = []
     between = _between(target)
     for first, second in permutations(range(len(centres)), 2):
         gap = centres[second] - centres[first]
         for side in range(2):
             at, normal = radii[first] * middles[:, side], normals[:, side]
-            # Where the ray of each other ellipse meets the plane of this one; its ray by the circle that is most alike.
+            # Intersect the ray of each other ellipse, that of its most similar circle, with the plane of this one.
             with np.errstate(divide="ignore", invalid="ignore"):
-                alike = np.argmax(np.einsum("ai,bsi->abs", normal, normals), axis=2)
-                ray = rays[np.arange(count)[None], alike]
+                similar = np.argmax(np.einsum("ai,bsi->abs", normal, normals), axis=2)
+                ray = rays[np.arange(count)[None], similar]
                 reach = np.sum(at * normal, axis=1)[:, None] / np.einsum("ai,abi->ab", normal, ray)
                 away = reach[..., None] * ray - at[:, None]
-                far = np.linalg.norm(away, axis=2)
-                fits = np.abs(far / np.linalg.norm(gap) - 1) < _APART
+                fits = np.abs(np.linalg.norm(away, axis=2) / np.linalg.norm(gap) - 1) < _APART
             for a, b in np.argwhere(fits & ~np.eye(count, dtype=np.bool_)):
                 pose = _by_direction(at[a], normal[a], centres[first], gap, away[a, b])
                 hits, misfit = _explained(ellipses, pose, centres, radii)
                 if hits >= 2:
                     score = _score(camera, target, pose, between, steps)
                     if score > 0:
-                        found.append((score + 0.1 * hits - 0.02 * misfit, pose))
-    found.sort(key=lambda each: -each[0])
+                        scored_poses.append((score + 0.1 * hits - 0.02 * misfit, pose))
+    scored_poses.sort(key=lambda each: -each[0])
     given: list[Float] = []
-    for _, pose in found:
+    for _, pose in scored_poses:
         if len(given) >= _MOST_TRIED:
             return
-        if not any(_alike(pose, known, centres) for known in given):
+        if not any(_same_holes(pose, known, centres) for known in given):
             given.append(pose)
             yield pose
 
@@ -300,14 +287,14 @@ def _by_direction(at: Float, normal: Float, centre: Float, gap: Float, away: Flo
     along = away - (away @ z) * z
     along /= np.linalg.norm(along)
     cosine, sine = gap[:2] / np.linalg.norm(gap[:2])
-    # gap = x cosine + y sine lies along `along`, with y = z x x.
+    # gap = x cosine + y sine is measured along `along`, with y = z x x.
     x = cosine * along - sine * np.cross(z, along)
     rotation = np.stack([x, np.cross(z, x), z], axis=1)
     return se3.make(rotation, at - rotation @ centre)
 
 
 def _explained(ellipses: Ellipses, pose: Float, centres: Float, radii: Float) -> tuple[int, float]:
-    """Return how many holes have an ellipse where a pose puts them, and how far these are off, as shares of radii."""
+    """Return the number of holes with an ellipse at the projected position, and the distances relative to radii."""
     xyz = se3.apply(pose, centres)
     if (xyz[:, 2] < 0.2).any():
         return 0, np.inf
@@ -319,7 +306,7 @@ def _explained(ellipses: Ellipses, pose: Float, centres: Float, radii: Float) ->
     return int(near.sum()), float(nearest[near].sum())
 
 
-def _alike(pose: Float, other: Float, centres: Float) -> bool:
+def _same_holes(pose: Float, other: Float, centres: Float) -> bool:
     """Whether two poses put holes at the same places, whichever is which."""
     a, b = se3.apply(pose, centres), se3.apply(other, centres)
     nearest = np.linalg.norm(a[:, None] - b[None], axis=2).min(axis=1)
@@ -329,10 +316,7 @@ def _alike(pose: Float, other: Float, centres: Float) -> bool:
 def refined_by_rims(
     levels: Float, camera: p2o.Camera, target: HoleBoard, pose: Float
 ) -> tuple[float, BoardInPicture] | None:
-    """Return the board at the pose next to a given one whose rims lie on edges, and how much of its rims does.
-
-    `levels` (H, W, 3) is the picture. None where too little of the rims is edges.
-    """
+    """Return the share of the rims on edges of `levels` (H, W, 3) and the board refined near a pose, or None."""
     rims, off, kept, sigma, hessian = None, np.zeros(0), np.zeros(0, np.bool_), 1.0, np.eye(7)
     for turn in range(12):
         rims = rims_at(camera, target, pose)
@@ -351,13 +335,10 @@ def refined_by_rims(
     assert rims is not None
     of_hole = np.array([kept[rims.hole == k].mean() for k in range(len(target.holes))])
     share = float(kept.mean())
-    if (
-        share < _SEEN
-        or (of_hole > _SEEN_OF_HOLE).sum() < _LEAST_HOLES
-        or sigma > max(_MOST_RMS_PX, _MOST_RMS * _radius_px(rims))
-    ):
+    too_few = share < _SEEN or (of_hole > _SEEN_OF_HOLE).sum() < _LEAST_HOLES
+    if too_few or sigma > max(_MOST_RMS_PX, _MOST_RMS * _radius_px(rims)):
         return None
-    # What is seen through a hole shifts stretches of its rim together: a rim counts as so many places only.
+    # The background seen through a hole shifts sections of its rim together: only N samples of a rim are independent.
     places = min(_FREE_PLACES, 2 * np.pi * _radius_px(rims)) / _RIM
     covariance = max(sigma, _LEAST_RIM_PX) ** 2 * np.linalg.pinv(hessian)[:6, :6] / places
     uv = rims.uv[kept] + off[kept, None] * rims.normal[kept]
@@ -368,15 +349,11 @@ def refined_by_rims(
 
 
 def _step(camera: p2o.Camera, rims: Rims, off: Float, kept: Bool) -> tuple[Float, float, Bool, Float]:
-    """Return the change (7,) of the pose, and of all rims outwards in px, that brings rims onto edges.
-
-    With it come the deviation of edges in px, which places (K,) count, and the normal matrix (7, 7): bright boards
-    shine over their rims, so all holes look smaller by about as much, and that is solved for too.
-    """
+    """Return the step (7,) of pose and bloom that moves rims onto edges, deviation, samples, normal matrix (7, 7)."""
     _, by_point = camera.project_with_jacobian(rims.xyz)
     across = np.einsum("ki,kij->kj", rims.normal, by_point)
     rows = np.concatenate([np.cross(rims.xyz, across), across, np.ones((len(across), 1))], axis=1)
-    # A wall that is as bright as the board looks like more of it: such places follow what the others say.
+    # A wall as bright as the board appears to extend it: such samples follow the other samples.
     sure = kept & ~rims.walled
     sure = sure if sure.sum() > 0.3 * kept.sum() else kept
     weight = sure.astype(np.float64)
@@ -389,18 +366,17 @@ def _step(camera: p2o.Camera, rims: Rims, off: Float, kept: Bool) -> tuple[Float
         sigma = max(1.4826 * float(np.median(rest[sure])), 0.02)
         weight = np.where((sure if turn < 4 else kept) & (rest < _CUT * sigma), 1.0, 0.0)
     good = weight > 0
-    freedom = max(int(good.sum()) - 7, 1)
-    rms = float(np.sqrt((rest[good] ** 2).sum() / freedom))
+    rms = float(np.sqrt((rest[good] ** 2).sum() / max(int(good.sum()) - 7, 1)))
     return solution, rms, good, (rows * weight[:, None]).T @ rows
 
 
 def _radius_px(rims: Rims) -> float:
-    """Return about how large holes are in the picture."""
+    """Return about how large holes are in the image."""
     return float(np.median([np.ptp(rims.uv[rims.hole == k], axis=0).mean() / 2 for k in np.unique(rims.hole)]))
 
 
 def rims_at(camera: p2o.Camera, target: HoleBoard, pose: Float) -> Rims | None:
-    """Return places on the rims of a board at a pose (4, 4); None where some are not seen."""
+    """Return samples on the rims of a board at a pose (4, 4); None if some are not visible."""
     angle = 2 * np.pi * np.arange(_RIM) / _RIM
     circle = np.stack([np.cos(angle), np.sin(angle), np.zeros(_RIM)], axis=1)
     radii = np.array([radius for *_, radius in target.holes])
@@ -411,17 +387,15 @@ def rims_at(camera: p2o.Camera, target: HoleBoard, pose: Float) -> Rims | None:
 
 
 def _places(camera: p2o.Camera, pose: Float, own: Float, tangent: Float, which: Int, middles: Float) -> Rims | None:
-    """Return places `own` (P, M, 3) of the board with directions along the rim, seen at a pose."""
+    """Return samples `own` (P, M, 3) of the board with directions along the rim, projected at a pose."""
     xyz = se3.apply(pose, own.reshape(-1, 3))
     uv = camera.project(xyz)
     ahead = camera.project(se3.apply(pose, (own + 1e-4 * tangent).reshape(-1, 3)))
     centre = camera.project(se3.apply(pose, middles))[which]
-    if not (np.isfinite(uv).all() and np.isfinite(ahead).all() and np.isfinite(centre).all()):
+    if not all(np.isfinite(each).all() for each in (uv, ahead, centre)) or not camera.in_image(uv, 30.0).all():
         return None
-    if not camera.in_image(uv, 30.0).all():
-        return None
-    way = ahead - uv
-    normal = np.stack([way[:, 1], -way[:, 0]], axis=1)
+    direction = ahead - uv
+    normal = np.stack([direction[:, 1], -direction[:, 0]], axis=1)
     normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]
     normal *= np.sign(np.sum(normal * (uv - centre), axis=1))[:, None]
     outwards = xyz - se3.apply(pose, middles)[which]
@@ -430,26 +404,20 @@ def _places(camera: p2o.Camera, pose: Float, own: Float, tangent: Float, which: 
 
 
 def edge_offsets(levels: Float, rims: Rims, reach_px: float) -> Float:
-    """Return how far outwards (K,) in px the board ends next to each place; NaN where no edge is near.
-
-    The first clear step counts that comes from the board, since behind a rim there is its own wall, and what is seen
-    through the hole.
-    """
+    """Return the outward distance (K,) px of the first clear edge seen from the board; NaN without one nearby."""
     import cv2
 
     along = np.arange(reach_px, -reach_px - 1e-9, -_STEP_PX)
-    places = rims.uv[:, None] + along[None, :, None] * rims.normal[:, None]
-    maps = places.astype(np.float32)
+    maps = (rims.uv[:, None] + along[None, :, None] * rims.normal[:, None]).astype(np.float32)
     seen = cv2.remap(levels, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     seen = np.asarray(seen, np.float64)
     smooth = seen.copy()
     smooth[:, 1:-1] = 0.25 * seen[:, :-2] + 0.5 * seen[:, 1:-1] + 0.25 * seen[:, 2:]
     slope = np.zeros(seen.shape[:2])
     slope[:, 1:-1] = np.linalg.norm(smooth[:, 2:] - smooth[:, :-2], axis=2) / (2 * _STEP_PX)
-    largest = slope.max(axis=1)
     top = np.zeros(slope.shape, np.bool_)
     top[:, 1:-1] = (slope[:, 1:-1] >= slope[:, :-2]) & (slope[:, 1:-1] > slope[:, 2:])
-    clear = top & (slope > np.maximum(_LEAST_STEP, _LEAST_SHARE * largest)[:, None])
+    clear = top & (slope > np.maximum(_LEAST_STEP, _LEAST_SHARE * slope.max(axis=1))[:, None])
     first = np.argmax(clear, axis=1)
     rows = np.arange(len(first))
     before, at, after = (slope[rows, np.clip(first + k, 0, slope.shape[1] - 1)] for k in (-1, 0, 1))
@@ -460,7 +428,7 @@ def edge_offsets(levels: Float, rims: Rims, reach_px: float) -> Float:
 
 
 def pattern_turns(target: HoleBoard) -> list[Float]:
-    """Return the turns (4, 4) about its normal that leave the holes of a board as they are."""
+    """Return the rotations (4, 4) about its normal that map the holes of a board onto themselves."""
     out = []
     holes = np.array(target.holes)
     for quarter in range(4):
@@ -472,25 +440,20 @@ def pattern_turns(target: HoleBoard) -> list[Float]:
 
 
 def _turned_by_outline(levels: Float, camera: p2o.Camera, board: BoardInPicture) -> tuple[float, BoardInPicture]:
-    """Return the board turned, in a way that leaves its holes as they are, so that its outline lies on edges best.
-
-    With it comes the share of the outline that does.
-    """
+    """Return the share of the outline on edges, and the board rotated by the symmetry of its holes with the most."""
     target = board.target
     assert isinstance(target, HoleBoard)
     best, chosen = -1.0, board.camera_from_board
+    corners, share = target.outline, np.linspace(0.06, 0.94, _SIDE)[None, :, None]
+    side = np.roll(corners, -1, axis=0) - corners
+    own = corners[:, None] + share * side[:, None]
+    tangent = np.broadcast_to((side / np.linalg.norm(side, axis=1)[:, None])[:, None], own.shape)
     for turn in pattern_turns(target):
         pose = board.camera_from_board @ turn
-        corners = target.outline
-        share = np.linspace(0.06, 0.94, _SIDE)[None, :, None]
-        way = np.roll(corners, -1, axis=0) - corners
-        own = corners[:, None] + share * way[:, None]
-        tangent = np.broadcast_to((way / np.linalg.norm(way, axis=1)[:, None])[:, None], own.shape)
         sides = _places(camera, pose, own, tangent, np.repeat(np.zeros(4, np.int64), _SIDE), np.zeros((1, 3)))
         if sides is None:
             continue
-        inwards = sides._replace(normal=-sides.normal)
-        off = edge_offsets(levels, inwards, 3.0)
+        off = edge_offsets(levels, sides._replace(normal=-sides.normal), 3.0)
         seen = float(np.mean(np.isfinite(off)))
         if seen > best + 0.02:
             best, chosen = seen, pose

@@ -1,49 +1,39 @@
-"""Boards with round holes in a sweep: pieces of their size, and where rays go through them."""
+"""Detect boards with round holes in a sweep: segments of their size, and rays that pass through the holes."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import p2o
-from p2o import HoleBoard, se3
-from p2o.arrays import Bool, Float, Int
+from p2o import Bool, Float, HoleBoard, Int, se3
 
-from p2o_baselines.boards.board_in_sweep import BoardInSweep, Rays, pieces_of, rays_of, within_hull
-from p2o_baselines.boards.rectangle import averaged
+from p2o_baselines.boards.board_in_sweep import BoardInSweep, Rays, pieces_of, rays_of, ring_gap_m, within_hull
+from p2o_baselines.boards.rectangle import averaged, in_frame, minimised
 
 _SIGMAS, _THIN_M = 3.0, 0.03
 _CAP_M = 0.06  # a ray that is on the wrong side of a rim by more counts as that: a hand, an echo between two surfaces
 _MOVES, _TURNS, _TURN_RAD = 7, 7, np.radians(9.0)
 _INSETS_M = np.linspace(-0.01, 0.03, 9)
-_FLOOR_M = 0.002
-"""No place of the pattern is taken to be surer than this: angles of beams have errors that a sweep does not show."""
+_FLOOR_M = 0.002  # of the standard deviation of the pattern: a sweep does not show the angular errors of beams
 _MOST_COVERED, _LEAST_EXPLAINED = 0.3, 0.7
-"""Of the returns that a solid board would have in its holes no more may be there; of rays through it so many must."""
-_LEAST_RIM = 2
-"""So many places on the rim of every hole: with a hole that no ring crosses, a pattern may lie beside its own."""
+"""Largest share of returns in holes, relative to a solid board, and least share of rays that pass through them."""
+_LEAST_RIM = 2  # least number of samples on the rim of every hole: without them a pattern may be shifted
 
 
 @dataclass(frozen=True)
 class HoleBoardInSweep(BoardInSweep):
-    """A plane piece of a sweep that may be a board with holes.
+    """A plane segment of a sweep that may be a board with holes.
 
-    `lidar_from_board` is told by the holes. `covariance` (6, 6) is that of a left update of it (rad, m), `rim` (K, 3)
-    are the places between returns from the board and rays through it, `rim_of` (K,) the hole of each, `inset_m` is by
-    how much holes look smaller than they are: the LiDAR's spot touches their rims.
+    `lidar_from_board` is determined by the holes. `covariance` (6, 6) is that of a left update of it (rad, m), `rim`
+    (K, 3) are the points between returns from the board and rays through it, `rim_of` (K,) the hole of each.
     """
 
     target: HoleBoard
     covariance: Float
     rim: Float
     rim_of: Int
-    inset_m: float
-
-    @property
-    def centres(self) -> Float:
-        """The centres (N, 3) m of its holes in the LiDAR frame."""
-        return se3.apply(self.lidar_from_board, self.target.centres)
 
 
 def hole_boards_in_sweep(
@@ -51,24 +41,24 @@ def hole_boards_in_sweep(
 ) -> tuple[HoleBoardInSweep, ...]:
     """Return what may be boards of these kinds; `sigma_m` is how much ranges may scatter about a board at most."""
     rays = rays_of(cloud, farthest_m)
-    found = []
-    for target in dict.fromkeys(targets):
-        size = (target.width_m, target.height_m)
-        for piece in pieces_of(rays, [size], farthest_m=farthest_m, sigma_m=sigma_m, holes=target.holes):
-            board = _by_holes(rays, piece, target)
-            if board is not None:
-                found.append(board)
-    return tuple(found)
+    boards = (
+        _by_holes(rays, piece, target)
+        for target in dict.fromkeys(targets)
+        for piece in pieces_of(
+            rays, [(target.width_m, target.height_m)], farthest_m=farthest_m, sigma_m=sigma_m, holes=target.holes
+        )
+    )
+    return tuple(board for board in boards if board is not None)
 
 
 def _by_holes(rays: Rays, piece: BoardInSweep, target: HoleBoard) -> HoleBoardInSweep | None:
-    """Return a piece moved in its plane so that rays go through its holes; None where they do not."""
+    """Return a segment moved in its plane so that rays pass through its holes; None if they do not."""
     hits, cosine = rays.meet(piece.normal, piece.offset_m)
     own = se3.apply(se3.inverse(piece.lidar_from_board), hits)[:, :2]
     off = rays.xyz @ piece.normal - piece.offset_m
     within = max(_SIGMAS * piece.sigma_m, _THIN_M)
     half = np.array(piece.size_m) / 2
-    # What stands before the board hides it: such a ray says nothing.
+    # Objects in front of the board occlude it: such a ray is not informative.
     near = (np.abs(own) < half + 0.1).all(axis=1) & (cosine < -0.02) & (off < within)
     on = near & (off > -within)
     if on.sum() < 10:
@@ -76,23 +66,25 @@ def _by_holes(rays: Rays, piece: BoardInSweep, target: HoleBoard) -> HoleBoardIn
     inner = on & (np.abs(own) < half).all(axis=1)
     index = np.flatnonzero(near & within_hull(own, own[inner]))
     xy, hit = own[index], on[index]
-    gap = float(np.clip(_gap_m(own[on], rays.ring[on]), 0.02, 0.25))
+    gap = float(np.clip(ring_gap_m(own[on], rays.ring[on], 0.25), 0.02, 0.25))
     best = fitted_pattern(xy, hit, target, max(0.05, 0.7 * gap), np.random.default_rng(len(index)))
     if best is None:
         return None
-    place, covariance, inset_m = best
+    place, covariance, _ = best
+    lidar_from_board = moved_in_plane(piece, place)
+    rim, rim_of = rims(rays, piece, lidar_from_board, target, on)
+    if not (np.bincount(rim_of, minlength=len(target.holes)) >= _LEAST_RIM).all():
+        return None
+    sure = pose_covariance(piece, lidar_from_board, covariance)
+    base = {**vars(piece), "lidar_from_board": lidar_from_board}
+    return HoleBoardInSweep(**base, target=target, covariance=sure, rim=rim, rim_of=rim_of)
+
+
+def moved_in_plane(piece: BoardInSweep, place: Float) -> Float:
+    """Return the pose (4, 4) of a piece after a shift and a rotation (3,) m and rad in its plane."""
     moved = se3.exp(np.array([0, 0, place[2], 0, 0, 0]))
     moved[:2, 3] = place[:2]
-    lidar_from_board = np.asarray(piece.lidar_from_board @ moved)
-    rim, rim_of = rims(rays, piece, lidar_from_board, target, on)
-    seen = np.bincount(rim_of, minlength=len(target.holes)) >= _LEAST_RIM
-    if not seen.all():
-        return None
-    base = {field.name: getattr(piece, field.name) for field in fields(BoardInSweep)}
-    base["lidar_from_board"] = lidar_from_board
-    base["spread"] = np.sqrt(np.diag(covariance))
-    sure = pose_covariance(piece, lidar_from_board, covariance)
-    return HoleBoardInSweep(**base, target=target, covariance=sure, rim=rim, rim_of=rim_of, inset_m=inset_m)
+    return np.asarray(piece.lidar_from_board @ moved)
 
 
 def pose_covariance(piece: BoardInSweep, lidar_from_board: Float, in_plane: Float) -> Float:
@@ -108,36 +100,28 @@ def pose_covariance(piece: BoardInSweep, lidar_from_board: Float, in_plane: Floa
     whole = np.zeros((6, 6))
     whole[:3, :3] = in_plane + np.diag([_FLOOR_M, _FLOOR_M, 2 * _FLOOR_M]) ** 2
     whole[3:, 3:] = np.diag(piece.sigma_m**2 / np.array([values[2], values[1], len(off)]))
-    ways = np.array(moves).T
-    return np.asarray(ways @ whole @ ways.T)
+    tangents = np.array(moves).T
+    return np.asarray(tangents @ whole @ tangents.T)
 
 
 def fitted_pattern(
     xy: Float, on: Bool, target: HoleBoard, reach_m: float, rng: np.random.Generator
 ) -> tuple[Float, Float, float] | None:
-    """Return where holes are: x, y and turn (3,) in m and rad, their covariance (3, 3), and the inset of rims in m.
+    """Return the pose of holes: x, y and rotation (3,) in m and rad, covariance (3, 3), and inset of rims in m.
 
-    `xy` (N, 2) is where rays meet the board's plane in its frame by the outline, `on` (N,) which come back from it; the
-    search goes as far as `reach_m`. None where rays go through elsewhere, or come back from within holes.
+    `xy` (N, 2) are the intersections of rays with the plane in the frame of the outline, `on` (N,) those that return
+    from it; the search range is `reach_m`. None if rays pass through elsewhere, or return from within holes.
     """
-    from scipy.optimize import minimize
-
     holes = np.array(target.holes)
     offsets = np.linspace(-reach_m, reach_m, _MOVES)
-    starts = quarter_turns(target)
-    turns = np.concatenate([start + np.linspace(-_TURN_RAD, _TURN_RAD, _TURNS) for start in starts])
+    turns = [start + np.linspace(-_TURN_RAD, _TURN_RAD, _TURNS) for start in quarter_turns(target)]
+    turns = np.concatenate(turns)
     grid = np.stack([each.ravel() for each in np.meshgrid(offsets, offsets, turns, indexing="ij")], axis=1)
     costs = wrong_m(xy, on, grid, holes, 0.0)
     inset, place = 0.0, grid[np.argmin(costs)]
+    steps = [reach_m / 3, reach_m / 3, 0.03]
     for _ in range(2):
-        step = np.diag([reach_m / 3, reach_m / 3, 0.03])
-        end = minimize(
-            lambda at, inset=inset: float(wrong_m(xy, on, at, holes, inset)),
-            place,
-            method="Nelder-Mead",
-            options={"xatol": 1e-4, "fatol": 1e-5, "initial_simplex": np.vstack([place, place + step])},
-        )
-        place = np.asarray(end.x)
+        place = np.asarray(minimised(lambda at, inset=inset: wrong_m(xy, on, at, holes, inset), place, steps).x)
         insets = [float(wrong_m(xy, on, place, holes, each)) for each in _INSETS_M]
         inset = float(_INSETS_M[np.argmin(insets)])
     if np.abs(place[:2]).max() > 1.5 * reach_m:  # away from the board, where nothing contradicts
@@ -156,7 +140,7 @@ def fitted_pattern(
 
 
 def quarter_turns(target: HoleBoard) -> list[float]:
-    """Return the turns in rad about its normal that leave the outline as it is and move holes elsewhere; 0 is one."""
+    """Return the rotations in rad about the normal that keep the outline and move the holes; 0 is included."""
     square = abs(target.width_m - target.height_m) < 0.03 * max(target.width_m, target.height_m)
     holes, out, known = np.array(target.holes), [], []
     for quarter in range(0, 4, 1 if square else 2):
@@ -170,11 +154,8 @@ def quarter_turns(target: HoleBoard) -> list[float]:
 
 
 def inside_m(xy: Float, place: Float, holes: Float) -> Float:
-    """Return how deep points (N, 2) lie within the nearest hole at places (..., 3), negative outside: (..., N) m."""
-    x, y, turn = np.moveaxis(np.asarray(place, np.float64), -1, 0)
-    cosine, sine = np.cos(turn)[..., None], np.sin(turn)[..., None]
-    across, down = xy[:, 0] - x[..., None], xy[:, 1] - y[..., None]
-    own_x, own_y = cosine * across + sine * down, cosine * down - sine * across
+    """Return the depth of points (N, 2) within the nearest hole at poses (..., 3), negative outside: (..., N) m."""
+    own_x, own_y = in_frame(xy, place)
     deep = np.full(own_x.shape, -np.inf)
     for u, v, radius in holes:
         np.maximum(deep, radius - np.sqrt((own_x - u) ** 2 + (own_y - v) ** 2), out=deep)
@@ -182,21 +163,13 @@ def inside_m(xy: Float, place: Float, holes: Float) -> Float:
 
 
 def wrong_m(xy: Float, on: Bool, place: Float, holes: Float, inset_m: float) -> Float:
-    """Return by how much rays lie on the wrong side of rims at places (..., 3), summed over rays: (...) m."""
+    """Return the summed distances of rays on the wrong side of rims at poses (..., 3): (...) m."""
     deep = inside_m(xy, place, holes) - inset_m
     return np.asarray(np.clip(np.where(on, deep, -deep), 0.0, _CAP_M).sum(axis=-1))
 
 
-def _gap_m(xy: Float, ring: Int) -> float:
-    """Return how far apart rings are on the board."""
-    middles = np.array([xy[ring == each].mean(axis=0) for each in np.unique(ring)])
-    if len(middles) < 2:
-        return 0.25
-    return float(np.median(np.linalg.norm(np.diff(middles, axis=0), axis=1)))
-
-
 def rims(rays: Rays, piece: BoardInSweep, lidar_from_board: Float, target: HoleBoard, on: Bool) -> tuple[Float, Int]:
-    """Return where rings leave the board at holes (K, 3) m, and at which (K,): half a step beyond the last return."""
+    """Return the ends of rings at holes (K, 3) m, half a step beyond the last return, and the hole of each (K,)."""
     hits, cosine = rays.meet(piece.normal, piece.offset_m)
     own = se3.apply(se3.inverse(lidar_from_board), hits)[:, :2]
     holes = np.array(target.holes)
@@ -207,10 +180,10 @@ def rims(rays: Rays, piece: BoardInSweep, lidar_from_board: Float, target: HoleB
         usual = np.linalg.norm(hits[mine], axis=1) * rays.step_rad / np.maximum(np.abs(cosine[mine]), 0.2)
         place = np.searchsorted(members, mine)
         for last, at, step in zip(mine, place, usual, strict=True):
-            for way in (-1, 1):
-                if not 0 <= at + way < len(members):
+            for side in (-1, 1):
+                if not 0 <= at + side < len(members):
                     continue
-                following = members[at + way]
+                following = members[at + side]
                 towards = hits[following] - hits[last]
                 size = float(np.linalg.norm(towards))
                 if (on[following] and size < 2.5 * step) or size < 1e-9:

@@ -1,51 +1,46 @@
-"""A rectangle of known size in a plane, from which rays meet the plane inside of it and which outside."""
+"""Fit a rectangle of known size in a plane to the rays that intersect the plane inside and outside of it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from p2o.arrays import Bool, Float
+from p2o import Bool, Float
 
 _TURNS, _MOVES = 24, 5
-_CAP_M = 0.15  # a ray that is on the wrong side by more counts as that: a hand, a stand
+_CAP_M = 0.15  # limit of the cost of a ray on the wrong side: a hand or a stand may extend the board
 _SAMPLES, _FEW = 600, 250
-_HOLE_STEP_M, _HOLE_TURNS = 0.09, 16  # boards with holes are looked for in steps of less than a hole
-_LEAST_ON = 0.7  # of the rays within the best place of the grid so many have to be on the plane
+_HOLE_STEP_M, _HOLE_TURNS = 0.09, 16  # the search step for boards with holes is smaller than a hole
+_LEAST_ON = 0.7  # minimum fraction of the rays within the best grid position that are on the plane
 _RASTER_M = 0.01
-_DEPTHS_AT_ONCE = 20_000  # so many stay in the cache of one core
-_SHARPNESS_M = 0.004
-"""Rectangles whose rays are on the wrong side by so much more, on average of the border's rays, are e times less
-likely: it is what the noise of angles and the size of a spot leave open."""
-
+_DEPTHS_AT_ONCE = 20_000  # number of rays that fit in the cache of one core
+_SHARPNESS_M = 0.004  # increase of the mean residual at the border that lowers the likelihood by a factor e
 
 Holes = Sequence[tuple[float, float, float]]
 """Holes of a rectangle: middle and radius of each in m."""
 
 
 class Rectangle(NamedTuple):
-    """Middle `x_m`, `y_m` and `turn_rad` of the first side in the plane, their `covariance` (3, 3), and the misfit.
-
-    `wrong_m` is by how much rays lie on the wrong side of the border, summed.
-    """
+    """Centre `x_m`, `y_m` and rotation `turn_rad` of the first side; `wrong_m` sums distances on the wrong side."""
 
     x_m: float
     y_m: float
     turn_rad: float
-    covariance: Float
     wrong_m: float
 
 
-def inside_m(xy: Float, place: Float, size_m: tuple[float, float], holes: Holes = ()) -> Float:
-    """Return how deep points (N, 2) lie inside of rectangles (..., 3), negative outside: (..., N) in metres.
-
-    `holes` are (x, y, radius) m in the frame of the rectangle; within them is outside.
-    """
+def in_frame(xy: Float, place: Float) -> tuple[Float, Float]:
+    """Return both coordinates (..., N) of points (N, 2) in frames at places (..., 3): x, y and rotation."""
     x, y, turn = np.moveaxis(np.asarray(place, np.float64), -1, 0)
     cosine, sine = np.cos(turn)[..., None], np.sin(turn)[..., None]
     across, down = xy[:, 0] - x[..., None], xy[:, 1] - y[..., None]
-    own_x, own_y = cosine * across + sine * down, cosine * down - sine * across
+    return cosine * across + sine * down, cosine * down - sine * across
+
+
+def inside_m(xy: Float, place: Float, size_m: tuple[float, float], holes: Holes = ()) -> Float:
+    """Return the depth of points (N, 2) in rectangles (..., 3) outside their holes, negative outside: (..., N) m."""
+    own_x, own_y = in_frame(xy, place)
     deep = np.minimum(size_m[0] / 2 - np.abs(own_x), size_m[1] / 2 - np.abs(own_y))
     for u, v, radius in holes:
         np.minimum(deep, np.sqrt((own_x - u) ** 2 + (own_y - v) ** 2) - radius, out=deep)
@@ -53,14 +48,12 @@ def inside_m(xy: Float, place: Float, size_m: tuple[float, float], holes: Holes 
 
 
 def wrong_m(xy: Float, on: Bool, place: Float, size_m: tuple[float, float], holes: Holes = ()) -> Float:
-    """Return by how much rays lie on the wrong side of rectangles (..., 3), summed over rays: (...)."""
+    """Return the summed distances of rays on the wrong side of rectangles (..., 3): (...)."""
     place = np.asarray(place, np.float64)
     at_once = max(1, _DEPTHS_AT_ONCE // max(1, len(xy)))
     if place.ndim > 1 and len(place) > at_once:
-        parts = [
-            wrong_m(xy, on, place[first : first + at_once], size_m, holes) for first in range(0, len(place), at_once)
-        ]
-        return np.concatenate(parts)
+        parts = (place[first : first + at_once] for first in range(0, len(place), at_once))
+        return np.concatenate([wrong_m(xy, on, part, size_m, holes) for part in parts])
     deep = inside_m(xy, place, size_m, holes)
     return np.asarray(np.clip(np.where(on, -deep, deep), 0.0, _CAP_M).sum(axis=-1))
 
@@ -70,15 +63,13 @@ def fitted(
 ) -> Rectangle:
     """Return the rectangle of a size that has the rays `on` the plane inside and the others outside.
 
-    `xy` (N, 2) is where rays meet the plane, `reach_m` how far apart rays are there: the search goes as far beyond the
-    middle of those on the board. All rectangles that fit about as well are averaged, since rays leave gaps; their
-    spread is the covariance. With `holes` rays go through those.
+    `xy` (N, 2) are the intersections of rays with the plane, `reach_m` their spacing there, which is the search range
+    around the centre of those on the board. All rectangles that fit about equally well are averaged, since rays leave
+    gaps; with `holes`, rays pass through those.
     """
-    from scipy.optimize import minimize
-
-    # Rays that no outline near here has on the wrong side say nothing.
-    told = np.linalg.norm(xy - xy[on].mean(axis=0), axis=1) < 0.5 * np.hypot(*size_m) + 2 * reach_m
-    xy, on = xy[told], on[told]
+    # Rays that are on the correct side for every outline near this position are not informative.
+    nearby = np.linalg.norm(xy - xy[on].mean(axis=0), axis=1) < 0.5 * np.hypot(*size_m) + 2 * reach_m
+    xy, on = xy[nearby], on[nearby]
     middle = (xy[on].max(axis=0) + xy[on].min(axis=0)) / 2
     reach_m = max(reach_m, 0.03)
     moves = _MOVES if not holes else max(_MOVES, 2 * int(np.ceil(reach_m / _HOLE_STEP_M)) + 1)
@@ -92,25 +83,21 @@ def fitted(
         at = grid[np.argmin(costs)]
         deep = inside_m(xy, at, size_m, holes)
         if on[deep > 0.03].mean() < _LEAST_ON or (on & (deep > 0)).sum() < _LEAST_ON * 0.5 * on.sum():
-            return Rectangle(*at.tolist(), np.eye(3), float(wrong_m(xy, on, at, size_m, holes)))
-        # Rays far from the border say nothing more.
-        told = np.abs(inside_m(xy, at, size_m, holes)) < 0.1
-        xy, on = xy[told], on[told]
+            return Rectangle(*at.tolist(), float(wrong_m(xy, on, at, size_m, holes)))
+        # Rays far from the border add no information.
+        near_border = np.abs(deep) < 0.1
+        xy, on = xy[near_border], on[near_border]
     else:
         costs = wrong_m(xy, on, grid, size_m)
+    steps = [reach_m / 3, reach_m / 3, 0.05]
     ends = [
-        minimize(
-            lambda place: float(wrong_m(xy, on, place, size_m, holes)),
-            grid[at],
-            method="Nelder-Mead",
-            options={"xatol": 1e-4, "fatol": 1e-5, "maxiter": 200, "initial_simplex": _simplex(grid[at], reach_m)},
-        )
+        minimised(lambda place: wrong_m(xy, on, place, size_m, holes), grid[at], steps, maxiter=200)
         for at in np.argsort(costs, kind="stable")[: 4 if holes else 2]
     ]
     best = min(ends, key=lambda end: float(end.fun))
     sizes = np.array([reach_m, reach_m, 2 * reach_m / max(size_m)])
-    place, covariance = averaged(lambda places: wrong_m(xy, on, places, size_m, holes), np.asarray(best.x), sizes, rng)
-    return Rectangle(*place.tolist(), covariance, float(wrong_m(xy, on, place, size_m, holes)))
+    place, _ = averaged(lambda places: wrong_m(xy, on, places, size_m, holes), np.asarray(best.x), sizes, rng)
+    return Rectangle(*place.tolist(), float(wrong_m(xy, on, place, size_m, holes)))
 
 
 def _on_raster(
@@ -139,11 +126,7 @@ def _on_raster(
 def averaged(
     wrong: Callable[[Float], Float], best: Float, sizes: Float, rng: np.random.Generator
 ) -> tuple[Float, Float]:
-    """Return the mean (3,) and covariance (3, 3) of all places that fit about as well as the best (3,).
-
-    `wrong(places (N, 3))` is by how much rays are on the wrong side, (N,) m. Rays leave gaps of a ring's distance,
-    within which every place is as good: their middle is taken. `sizes` (3,) is how far it is looked.
-    """
+    """Return mean and covariance of all poses (3,) within `sizes` that fit about as well as the best, by `wrong` m."""
     place, covariance = best, np.diag(sizes**2)
     for _ in range(3):
         samples = place + rng.uniform(-1, 1, (_SAMPLES, 3)) * sizes
@@ -158,5 +141,10 @@ def averaged(
     return place, covariance
 
 
-def _simplex(place: Float, reach_m: float) -> Float:
-    return np.asarray(place + np.vstack([np.zeros(3), np.diag([reach_m / 3, reach_m / 3, 0.05])]))
+def minimised(cost: Callable[[Float], Float], place: Float, steps: Sequence[float], **options: float) -> Any:
+    """Return SciPy's minimum of a cost near a place (3,): Nelder and Mead, with initial `steps` (3,)."""
+    from scipy.optimize import minimize
+
+    simplex = np.vstack([place, place + np.diag(steps)])
+    settings = {"xatol": 1e-4, "fatol": 1e-5, "initial_simplex": simplex, **options}
+    return minimize(lambda at: float(cost(at)), place, method="Nelder-Mead", options=settings)

@@ -1,1 +1,1 @@
-"""Solid bodies of known size: balls, boxes and their corners, in pictures and in sweeps."""
+"""Solid bodies of known size: balls, boxes and their corners, in images and in sweeps."""

@@ -1,28 +1,26 @@
-"""Boxes in a picture of any camera: the six corners of their outline and the one nearest to us, where edges meet."""
+"""Detect boxes in an image of any camera: the six corners of their outline and the nearest corner inside it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
 import p2o
-from p2o import Box, Camera, se3
-from p2o.arrays import Float, Int
+from p2o import Box, Camera, Float, Int, se3
 
-from p2o_baselines.bodies.box_shape import around, near_corner, symmetries
+from p2o_baselines.bodies.box_in_sweep import around, near_corner, symmetries
 from p2o_baselines.bodies.colour_regions import Region, Single, at_border, linear_light, regions, step_at
 
 _LEAST_AREA_PX = 900.0
 _REACH_PX, _STEPS_A_PX = 5.0, 4
 _ENDS = 0.08  # this share of an edge is left out at either end, where another edge is near
 _LEAST_PLACES, _LEAST_SHARE = 6, 0.35
-"""An edge is known where so many places of it, and this share of them, show a step of colour on one line."""
+"""Least number of samples of an edge, and least share of them, with a colour step on one line."""
 _LEAST_SIDES, _ROUGH_PX = 4, 1.5
-"""Of the outline's six sides so many must show by themselves; the others are the region's, so good at first."""
-_MOST_ROUGH_PX, _MOST_RMS_PX, _FLOOR_PX = 4.0, 1.0, 0.1
-"""Corners fit the box to so much at first, and in the end."""
+"""Least number of the outline's six sides that are detected as edges; the others are those of the region."""
+_MOST_ROUGH_PX, _MOST_RMS_PX, _FLOOR_PX = 4.0, 1.0, 0.1  # largest residual of corners at first, and in the end
 _LEAST_CORNERS = 5
 _SMOOTH = 5
 _TOGETHER_PX = 5.0  # places nearer to each other than this share one error
@@ -52,10 +50,7 @@ class Flat:
 
 @dataclass(frozen=True)
 class Line:
-    """A straight edge in a flat view: a point `at` (2,), `along` (2,), and how its places scatter about it.
-
-    `across_px` is how sure it is across itself at that point, `turn_rad` about it.
-    """
+    """A straight edge in a flat view through `at` along `along` (2,), with the deviations there and of direction."""
 
     at: Float
     along: Float
@@ -70,11 +65,11 @@ class Line:
 
 @dataclass(frozen=True)
 class BoxInPicture:
-    """A box as a picture shows it, by the corners of its outline and, where its edges show, the nearest corner.
+    """A box in an image: the corners of its outline and, if its edges are visible, the nearest corner.
 
-    `uv` (K, 2) px are corners in the view `flat`, `covariance` (K, 2, 2) px^2 theirs, `vertex` (K,) which of the box
-    they are; `edges` are the three lines of the nearest corner, None where they do not show. `camera_from_box` (4, 4)
-    is the pose that fits the corners, to `rms_px`; turned as `box_shape.symmetries` say it fits as well.
+    `uv` (K, 2) px are corners in the view `flat`, `covariance` (K, 2, 2) px^2 theirs, `vertex` (K,) their numbers;
+    `edges` are the three lines of the nearest corner, None if they are not visible. `camera_from_box` (4, 4) is the
+    pose that fits the corners, to `rms_px`; the rotations of `symmetries` fit equally well.
     """
 
     target: Box
@@ -91,21 +86,16 @@ class BoxInPicture:
         """Unit rays (K, 3) of the corners in the camera frame."""
         return self.flat.rays(self.uv)
 
-    @property
-    def corner_px(self) -> Float:
-        """How sure each corner (K,) is, along its worse direction."""
-        return np.asarray(np.sqrt(np.linalg.eigvalsh(self.covariance)[:, -1]))
-
 
 def boxes_in_picture(image: p2o.Image, targets: Sequence[p2o.Target]) -> tuple[BoxInPicture, ...]:
-    """Return what may be boxes of `targets` in a picture: regions of one colour whose outline is that of a corner."""
+    """Return what may be boxes of `targets` in an image: regions of one colour whose outline is that of a corner."""
     sizes = list(dict.fromkeys(target for target in targets if isinstance(target, Box)))
     if not sizes:
         return ()
     light = linear_light(image.rgb)
-    found: list[BoxInPicture] = []
+    detected: list[BoxInPicture] = []
     for region in regions(image.rgb, _LEAST_AREA_PX):
-        if any(box.edges is not None and _covers(box, image.camera, region) for box in found):
+        if any(box.edges is not None and _covers(box, image.camera, region) for box in detected):
             continue
         outline = _outline(light, image.camera, region)
         if outline is None:
@@ -114,16 +104,16 @@ def boxes_in_picture(image: p2o.Image, targets: Sequence[p2o.Target]) -> tuple[B
             box = _posed(light, image.camera, size, *outline)
             if box is None:
                 continue
-            same = [n for n, b in enumerate(found) if b.target == size and _near(b, box)]
+            same = [n for n, b in enumerate(detected) if b.target == size and _near(b, box)]
             if not same:
-                found.append(box)
-            elif (len(box.uv), -box.rms_px) > (len(found[same[0]].uv), -found[same[0]].rms_px):
-                found[same[0]] = box
-    return tuple(found)
+                detected.append(box)
+            elif (len(box.uv), -box.rms_px) > (len(detected[same[0]].uv), -detected[same[0]].rms_px):
+                detected[same[0]] = box
+    return tuple(detected)
 
 
 def _covers(box: BoxInPicture, camera: Camera, region: Region) -> bool:
-    """Whether a region is about the outline of a box that was found already."""
+    """Return whether a region is about the outline of a box that was detected before."""
     corners = camera.project(se3.apply(box.camera_from_box, box.target.outline))
     low, high = corners.min(axis=0), corners.max(axis=0)
     off = np.abs(np.concatenate([region.contour.min(axis=0) - low, region.contour.max(axis=0) - high]))
@@ -137,7 +127,7 @@ def _near(a: BoxInPicture, b: BoxInPicture) -> bool:
 
 
 def _outline(light: Single, camera: Camera, region: Region) -> tuple[Flat, list[Line]] | None:
-    """Return a flat view of a region and the six sides of its outline, in turn; None where it has no six."""
+    """Return a flat view of a region and the six sides of its outline, in order; None if it has no six sides."""
     import cv2
 
     if at_border(region.contour, camera.width, camera.height).mean() > 0.02:
@@ -167,10 +157,10 @@ def _outline(light: Single, camera: Camera, region: Region) -> tuple[Flat, list[
             sides.append(_rough(first, last) if line is None else line)
         if shown < _LEAST_SIDES:
             return None
-        meets = [meeting([sides[k - 1], sides[k]]) for k in range(6)]
-        if any(place is None for place in meets):
-            return None
+        meets = [intersection([sides[k - 1], sides[k]]) for k in range(6)]
         new = np.array([place[0] for place in meets if place is not None])
+        if len(new) < 6:
+            return None
         if np.abs(new - six).max() > 0.25 * np.sqrt(hull_area):
             return None
         six = new
@@ -178,13 +168,13 @@ def _outline(light: Single, camera: Camera, region: Region) -> tuple[Flat, list[
 
 
 def _rough(first: Float, last: Float) -> Line:
-    """Return the side of a region's outline as it is, which is some pixels off."""
+    """Return the side of a region's outline without refinement, accurate to some pixels."""
     length = max(float(np.linalg.norm(last - first)), 1.0)
     return Line((first + last) / 2, (last - first) / length, _ROUGH_PX, 4 * _ROUGH_PX / length)
 
 
 def flat_at(camera: Camera, uv: Float) -> Flat | None:
-    """Return the flat view about a pixel (2,), of the picture's own scale there; None outside of the lens."""
+    """Return the flat view around a pixel (2,) with the scale of the image there; None outside the lens."""
     rays = camera.rays(uv + np.array([[0.0, 0], [1, 0], [0, 1]]))
     if not np.isfinite(rays).all():
         return None
@@ -201,10 +191,7 @@ def _area(ring: Float) -> float:
 
 
 def _six(hull: Float) -> Float | None:
-    """Return the hexagon (6, 2) around a convex ring (N, 2) that is left when short sides are taken away one by one.
-
-    The side goes whose neighbours, made longer until they meet, add the least area.
-    """
+    """Return the hexagon (6, 2) around a convex ring (N, 2): sides whose removal adds the least area are removed."""
     ring = [np.asarray(point) for point in hull]
     while len(ring) > 6:
         best: tuple[float, int, Float] | None = None
@@ -223,9 +210,8 @@ def _six(hull: Float) -> Float | None:
         if best is None:
             return None
         _, k, where = best
-        after_k = (k + 1) % len(ring)
         ring[k] = where
-        del ring[after_k]
+        del ring[(k + 1) % len(ring)]
     return np.array(ring) if len(ring) == 6 else None
 
 
@@ -240,10 +226,7 @@ def edge_line(
     least_step: float = 0.006,
     reach_px: float = _REACH_PX,
 ) -> Line | None:
-    """Return the line of an edge near the piece from `first` to `last` (2,) of a flat view; None where none shows.
-
-    `inside` (2,) is a place on that side of the edge from which samples start.
-    """
+    """Return the line of an edge near a segment (2,) of a flat view, sampled from the side of `inside`, or None."""
     along = last - first
     length = float(np.linalg.norm(along))
     if length < 8.0:
@@ -260,15 +243,15 @@ def edge_line(
     if not np.isfinite(places).all():
         return None
     at = step_at(light, places, 0.5 * (len(steps) - 1) * 0.85, least_step=least_step, smooth=_SMOOTH)
-    told = np.isfinite(at)
-    if told.sum() < max(_LEAST_PLACES, _LEAST_SHARE * count):
+    known = np.isfinite(at)
+    if known.sum() < max(_LEAST_PLACES, _LEAST_SHARE * count):
         return None
-    uv = middles[told] + np.interp(at[told], np.arange(len(steps)), steps)[:, None] * across
+    uv = middles[known] + np.interp(at[known], np.arange(len(steps)), steps)[:, None] * across
     return line_through(uv, length / count, _LEAST_SHARE * count)
 
 
 def line_through(uv: Float, apart_px: float, least: float) -> Line | None:
-    """Return the line nearest to places (N, 2), without what lies off it; None where fewer than `least` lie on it."""
+    """Return the line nearest to points (N, 2) without outliers; None if fewer than `least` are inliers."""
     on = np.ones(len(uv), np.bool_)
     for _ in range(6):
         at = uv[on].mean(axis=0)
@@ -288,29 +271,28 @@ def line_through(uv: Float, apart_px: float, least: float) -> Line | None:
     return Line(at, along, across_px, across_px / max(reach, 1.0))
 
 
-def meeting(lines: Sequence[Line]) -> tuple[Float, Float] | None:
-    """Return where lines meet (2,), least squares, and its covariance (2, 2); None where they are nearly parallel."""
-    normal = np.array([line.normal for line in lines])
+def intersection(lines: Sequence[Line]) -> tuple[Float, Float] | None:
+    """Return the intersection of lines (2,) by least squares and its covariance (2, 2); None if nearly parallel."""
+    normal, offset = np.array([line.normal for line in lines]), np.array([line.normal @ line.at for line in lines])
     if np.linalg.svd(normal)[1][1] < 0.15:
         return None
-    place = np.linalg.lstsq(normal, np.array([line.normal @ line.at for line in lines]), rcond=None)[0]
+    place = np.linalg.lstsq(normal, offset, rcond=None)[0]
     for _ in range(2):
         sigma = np.array([np.hypot(line.across_px, line.turn_rad * ((place - line.at) @ line.along)) for line in lines])
         rows = normal / sigma[:, None]
-        place = np.linalg.lstsq(rows, np.array([line.normal @ line.at for line in lines]) / sigma, rcond=None)[0]
+        place = np.linalg.lstsq(rows, offset / sigma, rcond=None)[0]
     # Lenses and blur leave no corner better known than this.
     return place, np.linalg.inv(rows.T @ rows) + np.eye(2) * (0.5 * _FLOOR_PX) ** 2
 
 
 def _posed(light: Single, camera: Camera, size: Box, flat: Flat, sides: list[Line]) -> BoxInPicture | None:
-    """Return the box at the pose that fits its outline, and whose edges show where they should."""
+    """Return the box at the pose that fits its outline and has edges at the projected positions."""
     import cv2
 
-    meets = [meeting([sides[k - 1], sides[k]]) for k in range(6)]
-    uv = np.array([place[0] for place in meets if place is not None])
-    covariance = np.array([place[1] for place in meets if place is not None])
-    if len(uv) < 6:
+    meets = [place for k in range(6) if (place := intersection([sides[k - 1], sides[k]])) is not None]
+    if len(meets) < 6:
         return None
+    uv, covariance = (np.array(each) for each in zip(*meets, strict=True))
     options: list[tuple[float, int, BoxInPicture]] = []
     for parity in (0, 1):
         for order in permutations(range(3)):
@@ -338,7 +320,7 @@ def _posed(light: Single, camera: Camera, size: Box, flat: Flat, sides: list[Lin
                 options.append(_with_edges(light, camera, again))
     if not options:
         return None
-    # Three edges that show tell which corner is the near one; else the outline alone must.
+    # Three visible edges identify the near corner; otherwise the outline alone has to.
     best = min(options, key=lambda each: (-each[1], each[0]))
     rivals = [each for each in options if each[1] == best[1] and each is not best]
     if best[1] < 3 and any(each[0] < 2 * best[0] + 0.3 and _other(each[2], best[2]) for each in rivals):
@@ -347,37 +329,25 @@ def _posed(light: Single, camera: Camera, size: Box, flat: Flat, sides: list[Lin
 
 
 def _again(light: Single, camera: Camera, box: BoxInPicture) -> BoxInPicture | None:
-    """Return the box by the sides of its outline as they show near where its pose has them, each for itself."""
+    """Return the box fitted to the sides of its outline, each refined separately near its projected position."""
     corner = near_corner(se3.inverse(box.camera_from_box)[:3, 3], box.target.size_m)
     if corner is None:
         return None
     ring = around(corner)[0]
-    seen = box.flat.seen(se3.apply(box.camera_from_box, box.target.outline))
-    six = seen[ring]
+    six = box.flat.seen(se3.apply(box.camera_from_box, box.target.outline))[ring]
     reach = float(np.clip(2 * box.rms_px, 2.5, _REACH_PX))
     middle = six.mean(axis=0)
     sides = [edge_line(light, camera, box.flat, six[k], six[(k + 1) % 6], middle, reach_px=reach) for k in range(6)]
-    uv, covariance, vertex = [], [], []
+    corners = []
     for k in range(6):
         two = [line for line in (sides[k - 1], sides[k]) if line is not None]
-        place = meeting(two) if len(two) == 2 else None
+        place = intersection(two) if len(two) == 2 else None
         if place is not None and np.linalg.norm(place[0] - six[k]) < 3 * reach:
-            uv.append(place[0])
-            covariance.append(place[1])
-            vertex.append(ring[k])
-    if len(uv) < _LEAST_CORNERS - 1:
+            corners.append((*place, ring[k]))
+    if len(corners) < _LEAST_CORNERS - 1:
         return None
-    more = BoxInPicture(
-        box.target,
-        box.flat,
-        np.array(uv),
-        np.array(covariance),
-        np.array(vertex),
-        box.camera_from_box,
-        box.rms_px,
-        None,
-    )
-    return fitted_box(more)
+    uv, covariance, vertex = (np.array(each) for each in zip(*corners, strict=True))
+    return fitted_box(replace(box, uv=uv, covariance=covariance, vertex=vertex, edges=None))
 
 
 def _other(a: BoxInPicture, b: BoxInPicture) -> bool:
@@ -386,11 +356,7 @@ def _other(a: BoxInPicture, b: BoxInPicture) -> bool:
 
 
 def _numbered(parity: int, order: tuple[int, ...], rightward: bool) -> Int:
-    """Return which corners of the box the six of an outline are, if those of a parity end the near corner's edges.
-
-    `order` says which axes these edges are along. Seen from outside, the axes x, y, z at corner 7 turn against the way
-    from x to y of a picture; at corner 0, its mirror image, with it. `rightward` says that the six turn that way.
-    """
+    """Return the vertices of an outline's corners from the axes and parity of the nearest corner's edges."""
     even = order in ((0, 1, 2), (1, 2, 0), (2, 0, 1))
     corner = 7 if even != rightward else 0
     ends = [corner ^ (1 << axis) for axis in order]
@@ -411,9 +377,8 @@ def fitted_box(box: BoxInPicture) -> BoxInPicture | None:
         here = off(pose)
         if not np.isfinite(here).all():
             return None
-        jacobian = np.stack(
-            [(off(se3.exp(s) @ pose) - off(se3.exp(-s) @ pose)) / 2e-6 for s in 1e-6 * np.eye(6)], axis=1
-        )
+        steps = 1e-6 * np.eye(6)
+        jacobian = np.stack([(off(se3.exp(s) @ pose) - off(se3.exp(-s) @ pose)) / 2e-6 for s in steps], axis=1)
         if not np.isfinite(jacobian).all():
             return None
         step = np.linalg.lstsq(jacobian, -here, rcond=None)[0]
@@ -422,49 +387,36 @@ def fitted_box(box: BoxInPicture) -> BoxInPicture | None:
         if np.abs(step).max() < 1e-10:
             break
     rms = float(np.sqrt(np.mean(np.sum((box.flat.seen(se3.apply(pose, xyz)) - box.uv) ** 2, axis=1))))
-    eye = se3.inverse(pose)[:3, 3]
     if not np.isfinite(rms):
         return None
-    corner = near_corner(eye, box.target.size_m)
+    corner = near_corner(se3.inverse(pose)[:3, 3], box.target.size_m)
     if corner is None or not set(box.vertex.tolist()) <= {*around(corner)[0], corner}:
         return None
-    return BoxInPicture(box.target, box.flat, box.uv, box.covariance, box.vertex, pose, rms, box.edges)
+    return replace(box, camera_from_box=pose, rms_px=rms)
 
 
 def _with_edges(light: Single, camera: Camera, box: BoxInPicture) -> tuple[float, int, BoxInPicture]:
-    """Return the misfit of a box, how many of its near corner's edges show, and it with that corner where they do."""
+    """Return the residual of a box, the number of visible edges of its nearest corner, and the box with that corner."""
     corner = near_corner(se3.inverse(box.camera_from_box)[:3, 3], box.target.size_m)
     if corner is None:
         return box.rms_px, 0, box
     ring, ends = around(corner)
     seen = box.flat.seen(se3.apply(box.camera_from_box, box.target.outline))
-    lines = []
+    lines, reach = [], max(_REACH_PX, 2 * box.rms_px)
     for number, (start, end) in enumerate(ends):
-        inside = seen[ring[2 * number - 1]]  # a corner of one of the two faces beside the edge
-        line = edge_line(
-            light,
-            camera,
-            box.flat,
-            seen[start],
-            seen[end],
-            inside,
-            least_step=_INNER_STEP,
-            reach_px=max(_REACH_PX, 2 * box.rms_px),
-        )
+        inside, first, last = seen[ring[2 * number - 1]], seen[start], seen[end]  # a corner of a face beside the edge
+        line = edge_line(light, camera, box.flat, first, last, inside, least_step=_INNER_STEP, reach_px=reach)
         if line is not None:
             lines.append(line)
-    place = meeting(lines) if len(lines) >= 2 else None
+    place = intersection(lines) if len(lines) >= 2 else None
     if place is None or np.linalg.norm(place[0] - seen[corner]) > 3 + 2 * box.rms_px:
         return box.rms_px, 0, box
-    more = BoxInPicture(
-        box.target,
-        box.flat,
-        np.vstack([box.uv, place[0]]),
-        np.concatenate([box.covariance, place[1][None]]),
-        np.r_[box.vertex, corner],
-        box.camera_from_box,
-        box.rms_px,
-        (lines[0], lines[1], lines[2]) if len(lines) == 3 else None,
+    more = replace(
+        box,
+        uv=np.vstack([box.uv, place[0]]),
+        covariance=np.concatenate([box.covariance, place[1][None]]),
+        vertex=np.r_[box.vertex, corner],
+        edges=(lines[0], lines[1], lines[2]) if len(lines) == 3 else None,
     )
     better = fitted_box(more)
     if better is None or better.rms_px > _MOST_RMS_PX:

@@ -4,23 +4,57 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import permutations
+from itertools import permutations, product
 
 import numpy as np
 import p2o
-from p2o import se3
-from p2o.arrays import Float, Int
+from p2o import Bool, Float, Int, se3
 
-from p2o_baselines.boards.board_in_sweep import Rays, rays_of
-from p2o_baselines.bodies.box_shape import enters
-from p2o_baselines.bodies.standing import standing
+from p2o_baselines.boards.board_in_sweep import Rays, rays_of, standing
+
+_EQUAL = 0.03  # sides that differ by less of the larger one are taken for equal
+
+
+def symmetries(size_m: Float) -> list[Float]:
+    """Return the rotations (4, 4) that map a box of `size_m` (3,) onto itself: four, eight, or 24 for a cube."""
+    out = []
+    for order in permutations(range(3)):
+        if any(abs(size_m[a] - size_m[b]) > _EQUAL * max(size_m[a], size_m[b]) for a, b in enumerate(order)):
+            continue
+        for signs in product((1.0, -1.0), repeat=3):
+            turn = np.eye(4)
+            turn[:3, :3] = np.diag(signs) @ np.eye(3)[list(order)]
+            if np.linalg.det(turn[:3, :3]) > 0:
+                out.append(turn)
+    return out
+
+
+def near_corner(eye: Float, size_m: Float) -> int | None:
+    """Return the corner of a box whose three faces are visible from `eye` (3,) in its frame; None if fewer are."""
+    out = np.abs(eye) > size_m / 2
+    return int(np.sum((eye > 0) * np.array([1, 2, 4]))) if out.all() else None
+
+
+def around(corner: int) -> tuple[list[int], list[tuple[int, int]]]:
+    """Return the six corners around a visible one, first, third and fifth those of x, y, z, and the three edges."""
+    x, y, z = corner ^ 1, corner ^ 2, corner ^ 4
+    return [x, corner ^ 3, y, corner ^ 6, z, corner ^ 5], [(corner, x), (corner, y), (corner, z)]
+
+
+def enters(start: Float, direction: Float, half: Float) -> tuple[Float, Int, Bool]:
+    """Return the distance along rays (N, 3) to a box of half sizes (3,) in its frame, the axis, and the hits."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        one, two = ((sign * half - start) / direction for sign in (-1.0, 1.0))
+    low, high = np.fmin(one, two), np.fmax(one, two)
+    enter, leave = low.max(axis=1), high.min(axis=1)
+    return enter, low.argmax(axis=1), (enter < leave) & (leave > 0)
+
 
 _LEAST_POINTS, _LEAST_FACE = 25, 6
 _TRIPLES = 400
-_SQUARE_COSINE = 0.3  # normals of two faces found by RANSAC enclose 90 deg, give or take 17
-_LEAST_HIT, _MOST_BESIDE = 0.88, 0.3
-"""Of the rays that meet the box so many end on it, and of those that pass just beside it no more end near it."""
-_LEAST_OF_FACE = 0.6  # of all rays that meet one face
+_SQUARE_COSINE = 0.3  # normals of two faces by RANSAC enclose 90 deg, give or take 17
+_LEAST_HIT, _MOST_BESIDE = 0.88, 0.3  # of the rays towards the box that end on it, and of those beside it that do
+_LEAST_OF_FACE = 0.6  # minimum fraction of all rays that intersect one face
 _RIM_M = 0.03  # rays nearer to the outline than this are not asked
 _ANGLE_RAD = 0.001  # deviation of a beam's direction
 _FLOOR_M = 0.004
@@ -28,10 +62,7 @@ _FLOOR_M = 0.004
 
 @dataclass(frozen=True)
 class Face:
-    """Points (N, 3) m of a face, the plane normal . x = offset through them alone, and how much ranges scatter.
-
-    The normal looks at the LiDAR.
-    """
+    """Points (N, 3) m of a face, its plane normal . x = offset towards the LiDAR, and how much ranges scatter."""
 
     xyz: Float
     normal: Float
@@ -41,10 +72,7 @@ class Face:
 
 @dataclass(frozen=True)
 class BoxInSweep:
-    """A box in a sweep: its pose `lidar_from_box` (4, 4), `covariance` (6, 6) of a left update of it, its `faces`.
-
-    Turned as `box_shape.symmetries` say it fits as well.
-    """
+    """A box in a sweep: its pose (4, 4) up to `symmetries`, covariance (6, 6) of a left update, faces."""
 
     size_m: tuple[float, float, float]
     lidar_from_box: Float
@@ -53,14 +81,8 @@ class BoxInSweep:
     faces: tuple[Face, Face, Face]
 
     @property
-    def corner(self) -> Float:
-        """The corner (3,) m that is nearest to the LiDAR: where its three faces meet."""
-        normals = np.array([face.normal for face in self.faces])
-        return np.linalg.solve(normals, np.array([face.offset_m for face in self.faces]))
-
-    @property
     def points(self) -> int:
-        """How many returns lie on its faces."""
+        """Return the number of returns on its faces."""
         return sum(len(face.xyz) for face in self.faces)
 
 
@@ -69,24 +91,21 @@ def boxes_in_sweep(
 ) -> tuple[BoxInSweep, ...]:
     """Return what may be boxes of some sizes that show three faces; `sigma_m` is how much ranges scatter at most."""
     rays = rays_of(cloud, farthest_m)
-    found: list[BoxInSweep] = []
+    detected: list[BoxInSweep] = []
     for size in dict.fromkeys(sizes_m):
         used = np.zeros(len(rays.xyz), np.bool_)
         diagonal = float(np.linalg.norm(size))
         for about in standing(rays, farthest_m, diagonal, used):
             box = _box(rays, about, np.array(size), sigma_m)
             if box is not None:
-                found.append(box)
+                detected.append(box)
                 used |= np.linalg.norm(rays.xyz - box.lidar_from_box[:3, 3], axis=1) < 0.6 * diagonal
-    return tuple(found)
+    return tuple(detected)
 
 
 def corner_planes(xyz: Float, sigma_m: float, rng: np.random.Generator) -> tuple[Float, Float, list[Int]] | None:
-    """Return normals (3, 3), offsets (3,) and the points of three faces that stand square to each other, by RANSAC."""
-    left = np.arange(len(xyz))
-    normals: list[Float] = []
-    offsets: list[float] = []
-    members: list[Int] = []
+    """Return normals (3, 3), offsets (3,) and points of three orthogonal faces, by RANSAC."""
+    left, normals, offsets, members = np.arange(len(xyz)), [], [], []
     for _ in range(3):
         if len(left) < _LEAST_FACE:
             return None
@@ -107,17 +126,17 @@ def corner_planes(xyz: Float, sigma_m: float, rng: np.random.Generator) -> tuple
         on = near[:, best]
         if on.sum() < _LEAST_FACE:
             return None
-        at, way = part[on].mean(axis=0), np.linalg.svd(part[on] - part[on].mean(axis=0))[2][2]
-        way = -way if way @ at > 0 else way
-        normals.append(way)
-        offsets.append(float(way @ at))
+        at, direction = part[on].mean(axis=0), np.linalg.svd(part[on] - part[on].mean(axis=0))[2][2]
+        direction = -direction if direction @ at > 0 else direction
+        normals.append(direction)
+        offsets.append(float(direction @ at))
         members.append(left[on])
         left = left[~on]
     return np.array(normals), np.array(offsets), members
 
 
 def _box(rays: Rays, about: Int, size: Float, sigma_m: float) -> BoxInSweep | None:
-    """Return the box of a size that most of some points lie on; None where rays say that it is none."""
+    """Return the box of a size that contains most of some points; None if rays contradict it."""
     if len(about) < _LEAST_POINTS:
         return None
     xyz = rays.xyz[about]
@@ -139,9 +158,7 @@ def _box(rays: Rays, about: Int, size: Float, sigma_m: float) -> BoxInSweep | No
         hit, beside = _evidence(rays, fitted[0], size, max(4 * fitted[1], 0.03))
         if hit >= _LEAST_HIT and beside <= _MOST_BESIDE and (best is None or hit - beside > best[0]):
             best = (hit - beside, *fitted)
-    if best is None:
-        return None
-    return _told(xyz, best[1], size, best[2])
+    return None if best is None else _with_faces(xyz, best[1], size, best[2])
 
 
 def _placed(axes: Float, corner: Float, size: Float) -> Float:
@@ -154,10 +171,7 @@ def _placed(axes: Float, corner: Float, size: Float) -> Float:
 
 
 def _assigned(xyz: Float, pose: Float, size: Float, within_m: float) -> tuple[Float, Int]:
-    """Return distances (N,) of points from the nearest of the three faces towards the LiDAR, and which (N,), else -1.
-
-    Points beside the face are of none.
-    """
+    """Return distances (N,) of points from the nearest visible face, and its number (N,), -1 beside all faces."""
     box_from_lidar = se3.inverse(pose)
     own, eye = se3.apply(box_from_lidar, xyz), box_from_lidar[:3, 3]
     off = own * np.sign(eye) - size / 2
@@ -204,21 +218,19 @@ def _fitted(xyz: Float, pose: Float, size: Float, sigma_m: float) -> tuple[Float
 
 
 def _evidence(rays: Rays, pose: Float, size: Float, within_m: float) -> tuple[float, float]:
-    """Return the share of the rays that meet a box that end on it, and of those just beside it that end near it."""
+    """Return the share of rays towards a box that end on it, and of those just beside it that end near it."""
     start = rays.start
     near = np.linalg.norm(rays.xyz - start, axis=1)
-    way = (rays.xyz - start) / np.maximum(near, 1e-9)[:, None]
+    direction = (rays.xyz - start) / np.maximum(near, 1e-9)[:, None]
     to = pose[:3, 3] - start
-    along = np.einsum("ni,ni->n", way, to)
-    miss = np.linalg.norm(to - along[:, None] * way, axis=1)
+    along = np.einsum("ni,ni->n", direction, to)
+    miss = np.linalg.norm(to - along[:, None] * direction, axis=1)
     chosen = (along > 0) & (miss < 0.5 * float(np.linalg.norm(size)) + 0.25)
-    start, way, near = start[chosen], way[chosen], near[chosen]
+    start, direction, near = start[chosen], direction[chosen], near[chosen]
     box_from_lidar = se3.inverse(pose)
-    begin, ways = se3.apply(box_from_lidar, start), way @ box_from_lidar[:3, :3].T
-    expected, axis, _ = enters(begin, ways, size / 2)
-    _, _, inner = enters(begin, ways, size / 2 - _RIM_M)
-    _, _, outer = enters(begin, ways, size / 2 + _RIM_M)
-    _, _, further = enters(begin, ways, size / 2 + 0.15)
+    begin, ahead = se3.apply(box_from_lidar, start), direction @ box_from_lidar[:3, :3].T
+    expected, axis, _ = enters(begin, ahead, size / 2)
+    inner, outer, further = (enters(begin, ahead, size / 2 + margin)[2] for margin in (-_RIM_M, _RIM_M, 0.15))
     hidden = inner & (near < expected - within_m - 0.05)
     asked = inner & ~hidden
     if asked.sum() < _LEAST_POINTS or hidden.sum() > 0.3 * inner.sum():
@@ -226,15 +238,16 @@ def _evidence(rays: Rays, pose: Float, size: Float, within_m: float) -> tuple[fl
     on = np.abs(near - expected) < within_m
     hit = float(on[asked].mean())
     # A face that is nearly all behind something is a strip of two others.
-    if any(on[inner & (axis == face)].mean() < _LEAST_OF_FACE for face in range(3) if (inner & (axis == face)).any()):
+    of_faces = (inner & (axis == face) for face in range(3))
+    if any(on[face].mean() < _LEAST_OF_FACE for face in of_faces if face.any()):
         return 0.0, 1.0
     beside = further & ~outer
-    ends = se3.apply(box_from_lidar, start[beside] + way[beside] * near[beside, None])
+    ends = se3.apply(box_from_lidar, start[beside] + direction[beside] * near[beside, None])
     close = (np.abs(ends) < size / 2 + 0.2).all(axis=1)
     return hit, float(close.mean()) if beside.any() else 0.0
 
 
-def _told(xyz: Float, pose: Float, size: Float, sigma: float) -> BoxInSweep | None:
+def _with_faces(xyz: Float, pose: Float, size: Float, sigma: float) -> BoxInSweep | None:
     """Return the box at a pose, with its faces and how sure it is."""
     _, face = _assigned(xyz, pose, size, max(3 * sigma, 2 * _FLOOR_M))
     on = face >= 0
@@ -250,6 +263,4 @@ def _told(xyz: Float, pose: Float, size: Float, sigma: float) -> BoxInSweep | No
         normal = -normal if normal @ middle > 0 else normal
         faces.append(Face(points, normal, float(normal @ middle), sigma))
     width, height, depth = size.tolist()
-    return BoxInSweep(
-        (width, height, depth), pose, np.linalg.pinv(rows.T @ rows), sigma, (faces[0], faces[1], faces[2])
-    )
+    return BoxInSweep((width, height, depth), pose, np.linalg.pinv(rows.T @ rows), sigma, tuple(faces))

@@ -1,4 +1,4 @@
-"""One pose with what is unknown of each body beside it: least squares, and how sure the pose is."""
+"""Joint least squares of one pose and the unknowns of each body, and the covariance of the pose."""
 
 from __future__ import annotations
 
@@ -8,18 +8,17 @@ from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
-from p2o import se3
-from p2o.arrays import Float
+from p2o import Float, se3
+
+from p2o_baselines.boards.adjustment import is_determined, shared_errors, variance_factor
 
 _STEPS, _STEP = 40, 1e-6
-_LEAST_FREEDOM = 3
-"""From so many degrees of freedom on the scatter of bodies widens the likely error; fewer say little."""
 
 
 class Body(Protocol):
-    """What one body says: `count` unknowns of its own, and residuals in deviations at a pose.
+    """Residuals of one body in standard deviations at a pose, with `count` unknowns of its own.
 
-    `distance_m` from the camera and `px_per_rad` are for errors of the camera that all bodies share.
+    `distance_m` from the camera and `px_per_rad` determine the effect of common errors of the camera.
     """
 
     @property
@@ -35,10 +34,7 @@ class Body(Protocol):
 
 @dataclass(frozen=True)
 class Fit:
-    """The pose (4, 4) of the least sum of squares, the unknowns of each body, the covariance (6, 6) of a left update.
-
-    `covariance` (rad, m) is None where the bodies leave the pose open.
-    """
+    """The least-squares pose (4, 4), the unknowns of each body, and the covariance (6, 6) if determined."""
 
     camera_from_lidar: Float
     own: tuple[Float, ...]
@@ -47,10 +43,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class _Part:
-    """What is left of one body when its own unknowns are solved for, `slope` (6,) and `hessian` (6, 6) of the pose.
-
-    `bias` (6,) is the slope by an error in m that all ranges share, `back` and `rest` give the unknowns' own step.
-    """
+    """Slope, hessian and slope by range bias (m) of a pose without a body's own unknowns, and their own step."""
 
     slope: Float
     hessian: Float
@@ -92,25 +85,16 @@ def _cost(bodies: Sequence[Body], pose: Float, own: Sequence[Float]) -> float:
 
 
 def _part(body: Body, pose: Float, own: Float, damping: float = 0.0) -> _Part:
-    at = body.residuals(pose, own, 0.0)
-    plus, minus = _nudges()
-    by_pose = np.stack(
-        [
-            (body.residuals(up @ pose, own, 0.0) - body.residuals(down @ pose, own, 0.0)) / (2 * _STEP)
-            for up, down in zip(plus, minus, strict=True)
-        ],
-        axis=1,
-    )
+    at, (plus, minus) = body.residuals(pose, own, 0.0), _nudges()
+    forward = [body.residuals(up @ pose, own, 0.0) for up in plus]
+    backward = [body.residuals(down @ pose, own, 0.0) for down in minus]
+    by_pose = (np.stack(forward, axis=1) - np.stack(backward, axis=1)) / (2 * _STEP)
     by_bias = (body.residuals(pose, own, _STEP) - body.residuals(pose, own, -_STEP)) / (2 * _STEP)
     if not body.count:
         return _Part(by_pose.T @ at, by_pose.T @ by_pose, by_pose.T @ by_bias, np.zeros((0, 6)), np.zeros(0))
-    by_own = np.stack(
-        [
-            (body.residuals(pose, own + step, 0.0) - body.residuals(pose, own - step, 0.0)) / (2 * _STEP)
-            for step in _STEP * np.eye(body.count)
-        ],
-        axis=1,
-    )
+    steps = _STEP * np.eye(body.count)
+    both = [(body.residuals(pose, own + step, 0.0), body.residuals(pose, own - step, 0.0)) for step in steps]
+    by_own = np.stack([(ahead - behind) / (2 * _STEP) for ahead, behind in both], axis=1)
     inner = by_own.T @ by_own
     inverse = np.linalg.pinv(inner + damping * np.diag(np.diag(inner)))
     through = by_pose.T @ by_own @ inverse
@@ -126,38 +110,21 @@ def _part(body: Body, pose: Float, own: Float, damping: float = 0.0) -> _Part:
 @lru_cache(maxsize=1)
 def _nudges() -> tuple[Float, Float]:
     """Return small steps (6, 4, 4) along each direction of a pose, and back."""
-    return np.array([se3.exp(step) for step in _STEP * np.eye(6)]), np.array(
-        [se3.exp(-step) for step in _STEP * np.eye(6)]
-    )
+    steps = _STEP * np.eye(6)
+    return np.array([se3.exp(step) for step in steps]), np.array([se3.exp(-step) for step in steps])
 
 
 def _covariance(
     bodies: Sequence[Body], pose: Float, own: Sequence[Float], range_bias_m: float, camera_px: float
 ) -> Float | None:
-    """Return noise, more of it where bodies disagree by more, and errors of ranges and camera that all share."""
+    """Return the covariance of noise, scaled by the scatter of bodies, and of common errors of ranges and camera."""
     parts = [_part(body, pose, place) for body, place in zip(bodies, own, strict=True)]
     hessian = np.asarray(sum(part.hessian for part in parts))
-    scale = np.repeat([1.0, 3.0], 3)  # a metre is as much as a third of a radian: bodies are some 3 m away
-    if not np.isfinite(hessian).all() or np.linalg.cond(hessian * np.outer(scale, scale)) > 1e8:
+    if not is_determined(hessian):
         return None
     inverse = np.linalg.inv(hessian)
-    covariance = inverse * max(1.0, _scatter(parts))
+    covariance = inverse * max(1.0, variance_factor((part.slope, part.hessian) for part in parts))
     bias = inverse @ np.asarray(sum(part.bias for part in parts))
-    turn = camera_px / float(np.median([body.px_per_rad for body in bodies]))
-    distance = float(np.median([body.distance_m for body in bodies]))
-    # A shifted picture turns the camera; a wrong scale of the same size at its border moves bodies in depth.
-    shared = np.diag([turn, turn, turn, 0, 0, turn * distance]) ** 2 + range_bias_m**2 * np.outer(bias, bias)
-    return np.asarray(covariance + shared)
-
-
-def _scatter(parts: Sequence[_Part]) -> float:
-    """Return how much more bodies disagree with a pose than their noise says, as a factor of variances."""
-    total, freedom = 0.0, -6
-    for part in parts:
-        size = 1 / np.sqrt(np.maximum(np.diag(part.hessian), 1e-30))
-        values, vectors = np.linalg.eigh(part.hessian * np.outer(size, size))
-        told = values > 1e-6 * values[-1]
-        along = vectors[:, told].T @ (size * part.slope)
-        total += float(np.sum(along**2 / values[told]))
-        freedom += int(told.sum())
-    return total / freedom if freedom >= _LEAST_FREEDOM else 1.0
+    camera_rad = camera_px / float(np.median([body.px_per_rad for body in bodies]))
+    distance_m = float(np.median([body.distance_m for body in bodies]))
+    return np.asarray(covariance + shared_errors(bias, range_bias_m, camera_rad, distance_m))

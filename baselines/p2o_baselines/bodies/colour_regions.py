@@ -1,20 +1,18 @@
-"""Regions of one strong colour in a picture: what may be a body, which has to have a colour of its own."""
+"""Segment regions of one saturated colour in an image as candidates of bodies, which need a distinct colour."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from p2o.arrays import Bool, Float, UInt8
+from p2o import Bool, Float, UInt8
 
 Single = NDArray[np.float32]
-_HUES, _WINDOW = range(0, 180, 10), 10
-"""Middles of windows of hue in OpenCV's half degrees, and how far each reaches to either side."""
+_HUES, _WINDOW = range(0, 180, 10), 10  # middles and half widths of windows of hue, in OpenCV's half degrees
 _SATURATIONS, _LEAST_VALUE = (80, 140), 12
-_LARGEST = 0.4  # of the picture; larger is a wall or the sky
+_LARGEST = 0.4  # of the image; larger is a wall or the sky
 
 
 class Region(NamedTuple):
@@ -25,7 +23,7 @@ class Region(NamedTuple):
 
 
 def regions(rgb: UInt8, least_px: float) -> Iterator[Region]:
-    """Give regions of similar hue and some saturation, of at least `least_px` pixels; the same thing may come twice."""
+    """Yield regions of similar hue and some saturation with at least `least_px` pixels; an object may occur twice."""
     import cv2
 
     hsv = cv2.cvtColor(cv2.GaussianBlur(rgb, (5, 5), 0), cv2.COLOR_RGB2HSV)
@@ -36,26 +34,25 @@ def regions(rgb: UInt8, least_px: float) -> Iterator[Region]:
         for middle in _HUES:
             mask = strong & (np.abs((hue - middle + 90) % 180 - 90) <= _WINDOW)
             opened = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-            found, _ = cv2.findContours(opened, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-            for outline in found:
+            contours, _ = cv2.findContours(opened, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+            for outline in contours:
                 area = float(cv2.contourArea(outline))
                 if least_px <= area <= _LARGEST * height * width:
                     yield Region(area, outline.reshape(-1, 2).astype(np.float64))
 
 
 def at_border(uv: Float, width: int, height: int) -> Bool:
-    """Return which pixels (N, 2) lie at the border of a picture, where a region is cut off."""
+    """Return which pixels (N, 2) lie at the border of an image, where a region is truncated."""
     return np.asarray((uv < 2).any(axis=1) | (uv > np.array([width, height]) - 3).any(axis=1))
 
 
 def step_at(light: Single, uv: Float, most: float, *, least_step: float = 0.006, smooth: int = 3) -> Float:
-    """Return where along lines of samples (N, K, 2) px, from inside to outside, the colour steps: (N,) in 0..K-1.
+    """Return the position (N,) in 0..K-1 of the colour step along samples (N, K, 2) px, from inside to outside.
 
-    The colour is taken along the way from the mean of the first samples to that of the last ones; the step is where it
-    crosses half of that. `light` (H, W, 3) is linear, because a lens smears light: the curve of sRGB would shift steps
-    by a third of a pixel. NaN where there is none, or not one within `most` samples of the middle.
-
-    `smooth` lines beside each other are averaged first, so each shares its error with as many.
+    The colour is projected onto the difference between the means of the first and the last samples; the step is where
+    it crosses half of that. `light` (H, W, 3) is linear, because a lens blurs light: the sRGB curve would shift steps
+    by a third of a pixel. `smooth` adjacent lines are averaged first, so that their errors are correlated. NaN without
+    a step within `most` samples of the middle.
     """
     import cv2
 
@@ -64,10 +61,10 @@ def step_at(light: Single, uv: Float, most: float, *, least_step: float = 0.006,
     seen = cv2.blur(seen, (3, smooth), borderType=cv2.BORDER_REPLICATE).astype(np.float64)
     count, end = seen.shape[1], max(2, seen.shape[1] // 4)
     inner, outer = seen[:, :end].mean(axis=1), seen[:, -end:].mean(axis=1)
-    way = inner - outer
-    size = np.linalg.norm(way, axis=1)
+    gradient = inner - outer
+    size = np.linalg.norm(gradient, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = np.einsum("nkc,nc->nk", seen - outer[:, None], way) / size[:, None] ** 2
+        share = np.einsum("nkc,nc->nk", seen - outer[:, None], gradient) / size[:, None] ** 2
     above = share >= 0.5
     crosses = above[:, :-1] & ~above[:, 1:]
     at = np.argmax(crosses, axis=1)
@@ -81,12 +78,7 @@ def step_at(light: Single, uv: Float, most: float, *, least_step: float = 0.006,
 
 
 def linear_light(rgb: UInt8) -> Single:
-    """Return the light (H, W, 3) that a picture of sRGB stands for."""
-    return np.asarray(_linear()[rgb])
-
-
-@lru_cache(maxsize=1)
-def _linear() -> Single:
-    """Return the light, 0 to 1, that each 8-bit value of sRGB stands for."""
+    """Return the light (H, W, 3), 0 to 1, that an image of sRGB stands for."""
     value = np.arange(256) / 255
-    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    light = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    return np.asarray(light[rgb])

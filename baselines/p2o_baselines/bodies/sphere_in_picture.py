@@ -1,33 +1,26 @@
-"""Spheres in a picture of any camera: their contours, as the cones of rays that touch them."""
+"""Spheres in an image of any camera: their contours, as the cones of rays that touch them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import p2o
-from p2o import Sphere
-from p2o.arrays import Float
+from p2o import Float, Sphere
 
 from p2o_baselines.bodies.colour_regions import Region, Single, at_border, linear_light, regions, step_at
 
 _LEAST_RADIUS_PX = 7.0
-_AROUND, _REACH_PX, _STEPS_A_PX = 180, 5.0, 4
-"""How many places of a contour are looked at, and how far and how finely across it."""
-_LEAST_FIT, _LEAST_AROUND = 0.75, 0.7
-"""Of a region's outline, and of all directions around its middle, so much must lie on one cone."""
+_AROUND, _REACH_PX, _STEPS_A_PX = 180, 5.0, 4  # number of samples of a contour, and range and spacing across it
+_LEAST_FIT, _LEAST_AROUND = 0.75, 0.7  # least share of a region's outline, and of all directions, on one cone
 _FLOOR_PX = 0.1  # no place of a contour is taken to be better known
-_TOGETHER = 3.0  # so many neighbours, or pixels, share one error: they are averaged, and the lens smears steps
+_TOGETHER = 3.0  # number of neighbours, or pixels, with a common error: they are averaged, and the lens blurs steps
 
 
 @dataclass(frozen=True)
 class SphereInPicture:
-    """A ball as a picture shows it: rays (N, 3) that touch it, and the cone about `axis` (3,) of half angle `half_rad`.
-
-    `sigma_rad` is how much rays scatter about the cone, one by one as if each were independent; `px_per_rad` the scale
-    of the picture there.
-    """
+    """A sphere in an image: tangent rays (N, 3) and their cone, its scatter in rad, and the image's scale."""
 
     target: Sphere
     rays: Float
@@ -38,15 +31,12 @@ class SphereInPicture:
 
     @property
     def centre(self) -> Float:
-        """The middle (3,) m in the camera frame: as far off as the radius and the cone say."""
+        """Return the centre (3,) m in the camera frame, at the distance that follows from radius and cone."""
         return self.axis * self.target.radius_m / np.sin(self.half_rad)
 
 
 def cone_of(rays: Float) -> tuple[Float, float]:
-    """Return axis (3,) and half angle in rad of the cone nearest to unit rays (N, 3).
-
-    Tips of unit rays of a cone lie in the plane axis . x = cos(half angle): linear, and then least squares on angles.
-    """
+    """Return axis (3,) and half angle (rad) of the cone nearest to unit rays (N, 3): their tips lie in a plane."""
     normal = np.linalg.lstsq(rays, np.ones(len(rays)), rcond=None)[0]
     axis = normal / np.linalg.norm(normal)
     half = float(np.arccos(np.clip(1 / np.linalg.norm(normal), -1, 1)))
@@ -70,31 +60,26 @@ def _angles(rays: Float, axis: Float) -> tuple[Float, Float]:
 
 
 def spheres_in_picture(image: p2o.Image, targets: Sequence[p2o.Target]) -> tuple[SphereInPicture, ...]:
-    """Return what may be balls of `targets` in a picture: regions of one colour whose outline is that of a cone.
-
-    Where targets are of several sizes each region is given once for each.
-    """
+    """Return candidates of spheres in an image, one per size: regions of one colour with the outline of a cone."""
     sizes = list(dict.fromkeys(target for target in targets if isinstance(target, Sphere)))
     if not sizes:
         return ()
-    found: list[SphereInPicture] = []
+    detected: list[SphereInPicture] = []
     light = linear_light(image.rgb)
     for region in regions(image.rgb, np.pi * _LEAST_RADIUS_PX**2):
         ball = _ball(light, image.camera, region, sizes[0])
         if ball is None:
             continue
-        same = [n for n, known in enumerate(found) if known.axis @ ball.axis > np.cos(0.5 * known.half_rad)]
+        same = [n for n, known in enumerate(detected) if known.axis @ ball.axis > np.cos(0.5 * known.half_rad)]
         if not same:
-            found.append(ball)
-        elif len(ball.rays) > len(found[same[0]].rays):
-            found[same[0]] = ball
-    return tuple(
-        SphereInPicture(size, b.rays, b.axis, b.half_rad, b.sigma_rad, b.px_per_rad) for size in sizes for b in found
-    )
+            detected.append(ball)
+        elif len(ball.rays) > len(detected[same[0]].rays):
+            detected[same[0]] = ball
+    return tuple(replace(ball, target=size) for size in sizes for ball in detected)
 
 
 def _ball(light: Single, camera: p2o.Camera, region: Region, size: Sphere) -> SphereInPicture | None:
-    """Return the ball of a region; None where its outline is no cone's, or is cut off by the picture's border."""
+    """Return the sphere of a region; None if its outline is no cone, or truncated by the border of the image."""
     uv = region.contour[~at_border(region.contour, camera.width, camera.height)]
     if len(uv) < 0.8 * len(region.contour) or _too_long(region):
         return None
@@ -104,7 +89,7 @@ def _ball(light: Single, camera: p2o.Camera, region: Region, size: Sphere) -> Sp
         return None
     scale = np.sqrt(region.area / np.pi)  # radius in pixels
     axis, half = cone_of(rays)
-    for _ in range(4):  # without what sticks out, such as the pole
+    for _ in range(4):  # without protrusions, such as the pole
         off = np.abs(_angles(rays, axis)[0] - half)
         kept = off < max(2.5 * float(np.median(off)), 1.0 * half / scale)
         if kept.sum() < 12:
@@ -143,17 +128,15 @@ def _refined(light: Single, camera: p2o.Camera, axis: Float, half: float, size: 
         per_rad = np.linalg.norm(near[:, 1] - near[:, 0], axis=1) / 2e-4
         reach = min(_REACH_PX, 0.4 * half * float(np.median(per_rad)))
         steps = np.linspace(-reach, reach, 2 * round(reach * _STEPS_A_PX) + 1)
-        angle = half + steps / per_rad[:, None]
-        places = uv_at(angle)
+        places = uv_at(half + steps / per_rad[:, None])
         if not np.isfinite(places).all():
             return None
         at = step_at(light, places, 0.5 * (len(steps) - 1) * 0.7)
-        told = np.isfinite(at)
-        if told.mean() < _LEAST_AROUND:
+        known = np.isfinite(at)
+        if known.mean() < _LEAST_AROUND:
             return None
-        where = np.interp(at[told], np.arange(len(steps)), steps)
-        angles = half + where / per_rad[told]
-        rays = np.cos(angles)[:, None] * axis + np.sin(angles)[:, None] * radial[told]
+        angles = half + np.interp(at[known], np.arange(len(steps)), steps) / per_rad[known]
+        rays = np.cos(angles)[:, None] * axis + np.sin(angles)[:, None] * radial[known]
         for _ in range(4):
             axis, half = cone_of(rays)
             off = _angles(rays, axis)[0] - half

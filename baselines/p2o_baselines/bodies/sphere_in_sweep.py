@@ -1,4 +1,4 @@
-"""Spheres of known radius in a sweep: fitted by their points, and checked by the rays that meet or miss them."""
+"""Fit spheres of known radius to the points of a sweep, and check them by the rays that hit or miss them."""
 
 from __future__ import annotations
 
@@ -7,27 +7,25 @@ from dataclasses import dataclass
 
 import numpy as np
 import p2o
-from p2o.arrays import Bool, Float, Int
+from p2o import Bool, Float, Int
 
-from p2o_baselines.boards.board_in_sweep import Rays, rays_of
-from p2o_baselines.bodies.standing import standing
+from p2o_baselines.boards.board_in_sweep import Rays, rays_of, standing
 
 _LEAST_POINTS, _LEAST_RINGS = 10, 3
 _TRIPLES = 300
 _LEAST_HIT, _MOST_BESIDE = 0.8, 0.4
-"""Of the rays well inside of the outline so many end on the ball, and of those just beside it no more near it."""
-STEEPEST, _LEAST_FACING = 0.2, 0.3
-"""Cosine to the surface that grazing rays are taken to have, and below which a return is not used."""
-_ANGLE_RAD = 0.001  # deviation of a beam's direction, with what its spot does on a curved surface
+"""Least share of rays well inside the outline that end on the sphere, and largest share of those beside it near it."""
+_STEEPEST, _LEAST_FACING = 0.2, 0.3
+"""Cosine to the surface that grazing rays are assumed to have, and below which a return is not used."""
+_ANGLE_RAD = 0.001  # standard deviation of a beam's direction, with the effect of its footprint on a curved surface
 _FLOOR_M = 0.004
 
 
 @dataclass(frozen=True)
 class SphereInSweep:
-    """A ball in a sweep: its points `xyz` (N, 3) m in the LiDAR frame, its `centre` (3,) and how sure that is (3, 3).
+    """A sphere in a sweep: its points `xyz` (N, 3) m in the LiDAR frame, its `centre` (3,) and covariance (3, 3).
 
-    Ranges scatter by `sigma_m`; `free_radius_m` is the radius that its points would have by themselves, and
-    `radius_sigma_m` how well they tell it.
+    `sigma_m` is the scatter of ranges, `free_radius_m` the radius fitted to the points, with its deviation.
     """
 
     radius_m: float
@@ -40,30 +38,23 @@ class SphereInSweep:
 
 
 def off_sphere(xyz: Float, centre: Float, radius_m: float) -> tuple[Float, Float, Float]:
-    """Return by how much (N,) m ranges are too long for a sphere, how that changes (N, 3) with it, and the cosines.
-
-    Ranges are noisy, not places: at a slant the distance of a point from the sphere would be biased. The cosine (N,) of
-    incidence is that of the ray, not below `STEEPEST`.
-    """
+    """Return how much (N,) m ranges are too long for a sphere, the change (N, 3) with its centre, and cosines."""
     far = np.linalg.norm(xyz, axis=1)
-    way = xyz / np.maximum(far, 1e-9)[:, None]
-    along = way @ centre
-    half = np.sqrt(np.maximum(radius_m**2 - (centre @ centre - along**2), (STEEPEST * radius_m) ** 2))
-    by_centre = ((along - half)[:, None] * way - centre) / half[:, None]
+    direction = xyz / np.maximum(far, 1e-9)[:, None]
+    along = direction @ centre
+    half = np.sqrt(np.maximum(radius_m**2 - (centre @ centre - along**2), (_STEEPEST * radius_m) ** 2))
+    by_centre = ((along - half)[:, None] * direction - centre) / half[:, None]
     return far - along + half, by_centre, half / radius_m
 
 
 def range_sigma(xyz: Float, facing: Float, sigma_m: float) -> Float:
-    """Return deviations (N,) m of ranges: their noise, and the beams' angles where they meet the ball at a slant."""
+    """Return standard deviations (N,) m of ranges: their noise, and that of beam angles at oblique incidence."""
     slant = np.sqrt(np.clip(1 - facing**2, 0, 1)) / facing
     return np.hypot(sigma_m, _ANGLE_RAD * np.linalg.norm(xyz, axis=1) * slant)
 
 
 def fitted_sphere(xyz: Float, centre: Float, radius_m: float, sigma_m: float, free: bool = False) -> Float:
-    """Return the centre (3,) of the sphere nearest to points (N, 3), next to a given one; with `free`, radius too (4,).
-
-    Gauss and Newton on ranges by their deviations.
-    """
+    """Return the centre (3,) of the nearest sphere to points (N, 3) by Gauss-Newton on ranges; with `free`, (4,)."""
     place = np.r_[centre, radius_m] if free else np.array(centre, np.float64)
     for _ in range(60):
         radius = float(place[3]) if free else radius_m
@@ -91,19 +82,19 @@ def spheres_in_sweep(
 ) -> tuple[SphereInSweep, ...]:
     """Return what may be balls of some radii; `sigma_m` is how much ranges may scatter at most."""
     rays = rays_of(cloud, farthest_m)
-    found: list[SphereInSweep] = []
+    detected: list[SphereInSweep] = []
     for radius in dict.fromkeys(radii_m):
         used = np.zeros(len(rays.xyz), np.bool_)
         for about in standing(rays, farthest_m, 2.2 * radius, used):
             ball = _ball(rays, about, radius, sigma_m)
             if ball is not None:
-                found.append(ball)
+                detected.append(ball)
                 used |= np.linalg.norm(rays.xyz - ball.centre, axis=1) < 1.3 * radius
-    return tuple(found)
+    return tuple(detected)
 
 
 def _ball(rays: Rays, about: Int, radius: float, sigma_m: float) -> SphereInSweep | None:
-    """Return the ball that most of some points lie on; None where rays say that it is none."""
+    """Return the sphere that contains most of some points; None if rays contradict it."""
     xyz = rays.xyz[about]
     centres = _through(xyz, radius, np.random.default_rng(len(xyz)))
     if not len(centres):
@@ -127,16 +118,10 @@ def _ball(rays: Rays, about: Int, radius: float, sigma_m: float) -> SphereInSwee
         return None
     points = xyz[on]
     free = fitted_sphere(points, centre, radius, sigma, free=True)
-    told = covariance_of_fit(points, free[:3], float(free[3]), sigma, free=True)
-    return SphereInSweep(
-        radius,
-        points,
-        centre,
-        covariance_of_fit(points, centre, radius, sigma),
-        sigma,
-        float(free[3]),
-        float(np.sqrt(told[3, 3])),
-    )
+    free_covariance = covariance_of_fit(points, free[:3], float(free[3]), sigma, free=True)
+    covariance = covariance_of_fit(points, centre, radius, sigma)
+    radius_sigma = float(np.sqrt(free_covariance[3, 3]))
+    return SphereInSweep(radius, points, centre, covariance, sigma, float(free[3]), radius_sigma)
 
 
 def _through(xyz: Float, radius: float, rng: np.random.Generator) -> Float:
@@ -158,13 +143,13 @@ def _through(xyz: Float, radius: float, rng: np.random.Generator) -> Float:
 
 
 def _stands(rays: Rays, centre: Float, radius: float, within_m: float) -> bool:
-    """Whether rays well inside of a ball's outline end on it, and those beside it go past."""
+    """Return whether rays well inside a sphere's outline end on it, and those beside it pass."""
     start = rays.start
-    way = rays.xyz - start
-    distance = np.linalg.norm(way, axis=1)
-    way = way / np.maximum(distance, 1e-9)[:, None]
+    direction = rays.xyz - start
+    distance = np.linalg.norm(direction, axis=1)
+    direction = direction / np.maximum(distance, 1e-9)[:, None]
     to = centre - start
-    along = np.einsum("ni,ni->n", way, to)
+    along = np.einsum("ni,ni->n", direction, to)
     miss = np.sqrt(np.maximum(np.einsum("ni,ni->n", to, to) - along**2, 0)) / radius
     ahead = along > 0
     inside: Bool = ahead & (miss < 0.85)

@@ -1,4 +1,4 @@
-"""Trihedra: three planes that meet in a point, in a sweep, and the three edges between them, in a picture."""
+"""Detect trihedra: three intersecting planes in a sweep, and the three edges between them, in an image."""
 
 from __future__ import annotations
 
@@ -6,21 +6,19 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from p2o import se3
-from p2o.arrays import Float
+from p2o import Float, se3
 
-from p2o_baselines.bodies.box_in_picture import BoxInPicture, Flat, Line, meeting
-from p2o_baselines.bodies.box_in_sweep import BoxInSweep, Face
-from p2o_baselines.bodies.box_shape import near_corner
+from p2o_baselines.bodies.box_in_picture import BoxInPicture, Flat, Line, intersection
+from p2o_baselines.bodies.box_in_sweep import Face, near_corner
 
 
 @dataclass(frozen=True)
 class TrihedronInSweep:
     """Planes normal . x = offset of three faces: `normals` (3, 3) towards the LiDAR, `offsets` (3,) m.
 
-    `middles` (3, 3) m are those of their points, `roots` (3, 3, 3) take (two turns in rad, a shift in m) of each plane
-    about its middle to deviations. `ways` (3, 3) are the edges, from the corner out: edge k lies in the planes that
-    are not k.
+    `middles` (3, 3) m are the centroids of their points, `roots` (3, 3, 3) convert (two rotations in rad, a translation
+    in m) of each plane about its centroid to standard deviations. `ways` (3, 3) are the directions of the edges, away
+    from the corner: edge k lies in the planes that are not k.
     """
 
     normals: Float
@@ -31,7 +29,7 @@ class TrihedronInSweep:
 
     @property
     def corner(self) -> Float:
-        """Where the three planes meet (3,) m."""
+        """Return the intersection of the three planes (3,) m."""
         return np.linalg.solve(self.normals, self.offsets)
 
     @cached_property
@@ -40,7 +38,7 @@ class TrihedronInSweep:
 
     @cached_property
     def _feet(self) -> Float:
-        """Where the planes are nearest to the middles of their points (3, 3)."""
+        """Return the points of the planes nearest to the centroids of their points (3, 3)."""
         off = self.offsets - np.einsum("ki,ki->k", self.normals, self.middles)
         return np.asarray(self.middles + off[:, None] * self.normals)
 
@@ -66,17 +64,14 @@ class TrihedronInPicture:
 
     @cached_property
     def corner(self) -> Float:
-        """Where the edges meet (2,) px."""
-        place = meeting(self.lines)
+        """Return the intersection of the edges (2,) px."""
+        place = intersection(self.lines)
         assert place is not None
         return place[0]
 
     @cached_property
     def places(self) -> tuple[Float, Float]:
-        """Unit rays (3, 2, 3) of two places of each edge whose errors are independent, and these (3,) in rad.
-
-        A line's errors are a shift and a turn about its middle: they are so as far out as both are alike.
-        """
+        """Return unit rays (3, 2, 3) of two points of each edge with independent errors, and these (3,) in rad."""
         ends = []
         for line in self.lines:
             half = line.across_px / max(line.turn_rad, 1e-9)
@@ -87,28 +82,22 @@ class TrihedronInPicture:
     @cached_property
     def interpretation(self) -> Float:
         """Unit normals (3, 3) in the camera frame of the planes through the camera and each edge."""
-        ends = np.array([[line.at, line.at + 100.0 * line.along] for line in self.lines])
-        rays = self.flat.rays(ends)
+        rays = self.flat.rays(np.array([[line.at, line.at + 100.0 * line.along] for line in self.lines]))
         normal = np.cross(rays[:, 0], rays[:, 1])
         return np.asarray(normal / np.linalg.norm(normal, axis=1)[:, None])
 
 
 def tangents(normal: Float) -> tuple[Float, Float]:
-    """Return two unit vectors (3,) across a normal and each other."""
+    """Return two unit vectors (3,) orthogonal to a normal and to each other."""
     x, y, z = normal
     sign = 1.0 if z >= 0 else -1.0  # Duff et al. 2017
     a = -1.0 / (sign + z)
     b = x * y * a
-    first = np.array([1.0 + sign * x * x * a, sign * b, -sign * x])
-    return first, np.array([b, sign + y * y * a, -y])
+    return np.array([1.0 + sign * x * x * a, sign * b, -sign * x]), np.array([b, sign + y * y * a, -y])
 
 
 def edges_of(normals: Float, like: Float | None = None) -> Float:
-    """Return the edges (3, 3) of three planes, unit: edge k is that of the two others; signs as `like` has them.
-
-    Without `like`, edge k goes to the side of plane k that is away from where its normal looks: a corner seen from
-    outside.
-    """
+    """Return the unit edges (3, 3) of three planes, each of the two others; towards `like`, else seen from outside."""
     ways = np.cross(np.roll(normals, -1, axis=0), np.roll(normals, -2, axis=0))
     ways /= np.linalg.norm(ways, axis=1)[:, None]
     side = -np.einsum("ki,ki->k", ways, normals) if like is None else np.einsum("ki,ki->k", ways, like)
@@ -125,22 +114,16 @@ def of_faces(faces: tuple[Face, Face, Face]) -> TrihedronInSweep:
         off = face.xyz - middle
         rows = np.column_stack([off @ first, off @ second, np.ones(len(off))]) / face.sigma_m
         roots.append(np.linalg.cholesky(rows.T @ rows).T)
-    return TrihedronInSweep(
-        normals, np.array([face.offset_m for face in faces]), middles, np.array(roots), edges_of(normals)
-    )
-
-
-def of_sweep(box: BoxInSweep) -> TrihedronInSweep:
-    """Return the trihedron of the corner that a box turns to the LiDAR."""
-    return of_faces(box.faces)
+    offsets = np.array([face.offset_m for face in faces])
+    return TrihedronInSweep(normals, offsets, middles, np.array(roots), edges_of(normals))
 
 
 def of_picture(box: BoxInPicture) -> TrihedronInPicture | None:
-    """Return the trihedron of the corner that a box turns to the camera; None where an edge of it does not show."""
+    """Return the trihedron of the box corner facing the camera; None if one of its edges is not visible."""
     corner = near_corner(se3.inverse(box.camera_from_box)[:3, 3], box.target.size_m)
     if corner is None or box.edges is None:
         return None
     seen = box.flat.seen(se3.apply(box.camera_from_box, box.target.outline))
     out = np.array([seen[corner ^ (1 << axis)] - seen[corner] for axis in range(3)])
-    ways = np.array([line.along * np.sign(line.along @ way) for line, way in zip(box.edges, out, strict=True)])
+    ways = np.array([line.along * np.sign(line.along @ edge) for line, edge in zip(box.edges, out, strict=True)])
     return TrihedronInPicture(box.flat, box.edges, ways)

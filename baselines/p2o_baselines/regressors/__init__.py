@@ -1,1 +1,1 @@
-"""What networks that regress an extrinsic share: wrong starts, sweeps as pictures, labels, training, staged use."""
+"""Networks that regress an extrinsic: decalibration, projected sweeps, labels, training and staged inference."""

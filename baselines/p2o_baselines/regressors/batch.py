@@ -3,28 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
 import torch.nn.functional as F
-from p2o.arrays import UInt8
+from p2o import UInt8
 from torch import Tensor
 
 from p2o_baselines.regressors import poses
-from p2o_baselines.regressors.sample import Sample
+from p2o_baselines.regressors.sample import AugmentedSample
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Samples, windows one after the other: `window` neighbours are frames of one drive.
+    """Samples in windows one after the other: `window` consecutive samples are frames of one drive.
 
-    `picture` (B, 3, h, w) in 0..1, `sweep` (B, C, h, w), `reach` (B, 2) in rad and m; `correction` (B, 4, 4), `xyz`
-    (B, P, 3), `intrinsics` (B, 4), `true_nearness` (B, h, w), `hand_eye` (B, 2, 4, 4) and `start` (B, 4, 4) as in
-    `Sample`.
+    `image` (B, 3, h, w) in 0..1, `sweep` (B, C, h, w), `reach` (B, 2) in rad and m; `correction` (B, 4, 4), `xyz` (B,
+    P, 3), `intrinsics` (B, 4), `true_nearness` (B, h, w), `hand_eye` (B, 2, 4, 4) and `start` (B, 4, 4) as in
+    `AugmentedSample`.
     """
 
-    picture: Tensor
+    image: Tensor
     sweep: Tensor
     reach: Tensor
     correction: Tensor
@@ -36,36 +36,21 @@ class Batch:
     window: int = 1
 
     @classmethod
-    def of(cls, samples: Sequence[Sample], window: int, device: torch.device) -> Batch:
+    def of(cls, samples: Sequence[AugmentedSample], window: int, device: torch.device) -> Batch:
         """Return the batch of samples."""
-
-        def stacked(name: str) -> Tensor:
-            return torch.from_numpy(np.stack([getattr(each, name) for each in samples])).to(device).float()
-
-        return cls(
-            pictures([each.rgb for each in samples], device),
-            stacked("sweep"),
-            stacked("reach"),
-            stacked("correction"),
-            stacked("xyz"),
-            stacked("intrinsics"),
-            stacked("true_nearness"),
-            stacked("hand_eye"),
-            stacked("start"),
-            window,
-        )
+        arrays = {f.name: np.stack([getattr(each, f.name) for each in samples]) for f in fields(AugmentedSample)}
+        image = image_tensor(arrays.pop("rgb"), device)
+        tensors = {name: torch.from_numpy(array).to(device).float() for name, array in arrays.items()}
+        return cls(image, **tensors, window=window)
 
 
-def pictures(rgb: Sequence[UInt8], device: torch.device) -> Tensor:
-    """Return pictures (B, 3, h, w) in 0..1 of (h, w, 3) uint8."""
-    return torch.from_numpy(np.stack(rgb)).to(device).permute(0, 3, 1, 2).float() / 255
+def image_tensor(rgb: UInt8, device: torch.device) -> Tensor:
+    """Return images (B, 3, h, w) in 0..1 of (B, h, w, 3) uint8."""
+    return torch.from_numpy(rgb).to(device).permute(0, 3, 1, 2).float() / 255
 
 
 def correction(raw: Tensor, reach: Tensor, form: str) -> Tensor:
-    """Return the corrections (B, 4, 4) that raw numbers (B, n) are, which count in the reach (B, 2) of their stage.
-
-    All zero is no correction, in every form.
-    """
+    """Return the corrections (B, 4, 4) of raw numbers (B, n), in units of the reach (B, 2); zero is none."""
     turn, shift = reach[:, :1], reach[:, 1:]
     if form == "rotation-vector":
         return poses.pose(poses.rotation(raw[:, :3] * turn), raw[:, 3:] * shift)

@@ -1,4 +1,4 @@
-"""What one regressor is: its network in each size, what it sees, how its numbers are a pose, and its loss."""
+"""Define a regressor: its inputs, its initial errors for training, the parametrisation of the pose, and its method."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from p2o_baselines.regressors.decalibration import Reach
-from p2o_baselines.regressors.glance import Size
-from p2o_baselines.regressors.sweep_map import Channel
+from p2o_baselines.regressors.network_input import Channel, Size
+from p2o_baselines.regressors.sample import Reach
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -18,25 +17,40 @@ if TYPE_CHECKING:
 
 Form = Literal["rotation-vector", "quaternion", "dual-quaternion"]
 """How the numbers that a network gives are a pose."""
-NUMBERS: Mapping[str, int] = {"rotation-vector": 6, "quaternion": 7, "dual-quaternion": 8}
+
+LCCNET: tuple[Reach, ...] = ((20.0, 1.5), (10.0, 1.0), (5.0, 0.5), (2.0, 0.2), (1.0, 0.1))
+"""The five stages of LCCNet, and of RegNet before it, from the widest."""
+CALIBNET: tuple[Reach, ...] = ((10.0, 0.25), (5.0, 0.2), (2.0, 0.1))
+"""Range of CalibNet and its successors, and two smaller ranges for its iterations."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Design:
-    """A regressor before it is trained.
+    """A regressor before training; its network and loss are the functions of its name in `networks` and `losses`.
 
-    `network(size)` returns the network with weights of chance; `loss(said, batch)` the loss (), `said` being its raw
-    numbers (B, n) and the corrections (B, 4, 4) that they are. `stages` are the published ranges of starts, `pictures`
-    what each size sees. `window` frames of a drive are looked at together, where there are so many. `needs_true_map`
-    says that the loss asks for `Batch.true_nearness`.
+    `stages` are the published ranges of initial errors, `inputs` the input size of each network size. `window` frames
+    of a drive, if that many exist, are processed together. `needs_true_map` states that the loss uses
+    `Batch.true_nearness`.
     """
 
     name: str
-    network: Callable[[str], PairNetwork]
-    loss: Callable[[Tensor, Tensor, Batch], Tensor]
     form: Form
     stages: Sequence[Reach]
-    pictures: Mapping[str, Size]
+    inputs: Mapping[str, Size]
     channels: Sequence[Channel] = ("nearness",)
     window: int = 1
     needs_true_map: bool = False
+
+    @property
+    def network(self) -> Callable[[str], PairNetwork]:
+        """The function of a size that returns the network with random weights."""
+        from p2o_baselines.regressors import networks
+
+        return getattr(networks, self.name)  # type: ignore[no-any-return]
+
+    @property
+    def loss(self) -> Callable[[Tensor, Tensor, Batch], Tensor]:
+        """The loss () of raw outputs (B, n), the corrections (B, 4, 4) they represent, and the batch."""
+        from p2o_baselines.regressors import losses
+
+        return getattr(losses, self.name)  # type: ignore[no-any-return]

@@ -10,43 +10,38 @@ from pydantic import field_validator
 
 
 class Augmentation(p2o.Options):
-    """How much what a network learns from differs from the frames that it comes from."""
+    """Augmentation of the samples of a training."""
 
-    zoom: float = field(1.25, ge=1, le=4, help="Windows of a picture are enlarged by up to this, with its intrinsics.")
-    mirror: bool = field(True, help="Mirror half of the frames: picture and points.")
+    zoom: float = field(1.25, ge=1, le=4, help="Largest zoom of random crops, with adapted intrinsics.")
+    mirror: bool = field(True, help="Mirror half of the frames: image and points.")
     light: float = field(1.0, ge=0, le=3, help="Strength of changes of exposure, contrast, colour, noise; 0: off.")
-    most_points: int = field(20_000, ge=100, help="Points of a sweep at most, half of those of a KITTI sweep ahead.")
-    thin: float = field(0.5, gt=0, le=1, help="Keep at least this share of them.")
+    most_points: int = field(20_000, ge=100, help="Largest number of points per sweep; KITTI has twice as much.")
+    thin: float = field(0.5, gt=0, le=1, help="Least share of these points that is kept.")
     turn_deg: float = field(
-        0.0, ge=0, le=30, help="Turn the camera by up to this about each axis: frames of other rigs. No paper does."
+        0.0, ge=0, le=30, help="Largest random rotation about each axis: other rigs (not in papers)."
     )
-    reexpress: bool = field(False, help="Express sweeps in a LiDAR frame drawn by chance. No paper does.")
+    reexpress: bool = field(False, help="Express sweeps in a random LiDAR frame (not in the papers).")
 
 
 class TrainingOptions(p2o.Options):
     """How a network is trained; the defaults are for a laptop without a GPU."""
 
-    size: Literal["small", "paper"] = field("small", help="The network: one that trains on a CPU, or the paper's.")
+    size: Literal["small", "paper"] = field("small", help="Network size: for training on a CPU, or that of the paper.")
     stages: tuple[tuple[float, float], ...] = field(
-        (), help="Ranges of starts, deg and m about and along each axis, from the widest; empty: those of the method."
+        (), help="Ranges of initial errors, deg and m per axis, largest first; empty: those of the method."
     )
     iterations: int = field(6000, ge=1, help="Steps of the optimiser.")
-    batch: int = field(16, ge=1, le=1024, help="Samples in each step; of windows, frames.")
+    batch: int = field(16, ge=1, le=1024, help="Samples per step; frames if the method uses windows.")
     learning_rate: float = field(1.5e-3, gt=0, le=1, help="Highest learning rate.")
     weight_decay: float = field(0.01, ge=0, le=1, help="Decoupled weight decay.")
-    average: float = field(0.998, ge=0, lt=1, help="Decay of the running average of weights that is kept; 0: off.")
-    points: int = field(256, ge=16, le=65536, help="Points of a sample by which losses compare clouds.")
-    match: float = field(
-        0.0,
-        ge=0,
-        le=100,
-        help="Weight of a loss that makes features of a point alike in sweep and picture; no paper has it.",
-    )
-    from_weights: str = field("", help="Begin from these weights of the same method and size: a file.")
-    branches: str = field("", help="Begin with what fits of branches and trunk in another method's weights: a file.")
+    average: float = field(0.998, ge=0, lt=1, help="Decay of the exponential moving average of the weights; 0: off.")
+    points: int = field(256, ge=16, le=65536, help="Points per sample in losses that compare clouds.")
+    match: float = field(0.0, ge=0, le=100, help="Weight of a loss that matches features of both sensors (ours).")
+    from_weights: str = field("", help="File of initial weights of the same method and size.")
+    branches: str = field("", help="File of any method's weights: initial branches and trunk, if of the same shape.")
     validate_every: int = field(250, ge=1, help="Steps from one validation (and checkpoint) to the next.")
-    seed: int = field(0, ge=0, le=2**63 - 1, help="Seed of the first weights and of all that is drawn.")
-    augmentation: Augmentation = field(Augmentation(), help="How much samples differ from frames.")
+    seed: int = field(0, ge=0, le=2**63 - 1, help="Seed of initial weights and of sampling.")
+    augmentation: Augmentation = field(Augmentation(), help="Augmentation of the samples.")
 
     @field_validator("stages")
     @classmethod
@@ -68,14 +63,12 @@ class RegressorOptions(p2o.Options):
 
     weights: str = field(
         "small",
-        help="small (shipped, where the method has them; for research only), or files that p2o train wrote, parted by "
-        "commas, from the widest stage to the nearest.",
+        help="small (shipped weights, if available; for research only), or files written by p2o train, separated by "
+        "commas, from the largest range to the smallest.",
     )
-    first: int = field(
-        1, ge=1, le=100, help="Stage to begin with, counted from 1: starts that are near need no wide one."
-    )
-    rounds: int = field(1, ge=1, le=100, help="Times that every stage is used.")
+    first: int = field(1, ge=1, le=100, help="First stage, counted from 1: small initial errors need no large range.")
+    rounds: int = field(1, ge=1, le=100, help="Number of applications of each stage.")
     median: Literal["end", "each"] = field(
-        "end", help="Frames together: the median of their results, at the end (as published) or after each stage."
+        "end", help="Joint calibration: median of the frames at the end (as published) or after each stage."
     )
-    device: str = field("auto", pattern="^(auto|cpu|cuda(:[0-9]+)?)$", help="auto takes a GPU where there is one.")
+    device: str = field("auto", pattern="^(auto|cpu|cuda(:[0-9]+)?)$", help="auto uses a GPU if there is one.")

@@ -1,4 +1,4 @@
-"""Parts of which the networks are made: branches, cost volume, trunks, heads; and how they are put together."""
+"""Parts of the networks: branches, cost volume, trunks, heads, and their composition."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _MEAN, _DEVIATION = 0.45, 0.225
 def convolution(
     inputs: int, outputs: int, kernel: int = 3, stride: int = 1, *, norm: bool = True, slope: float = 0.1
 ) -> nn.Sequential:
-    """Return a convolution, batch norm where wanted, and a leaky ReLU (slope 0: ReLU)."""
+    """Return a convolution, optional batch norm, and a leaky ReLU (slope 0: ReLU)."""
     layers: list[nn.Module] = [nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2, bias=not norm)]
     layers += [nn.BatchNorm2d(outputs)] if norm else []
     return nn.Sequential(*layers, nn.LeakyReLU(slope) if slope else nn.ReLU())
@@ -36,24 +36,15 @@ class Block(nn.Module):
     def __init__(self, inputs: int, outputs: int, stride: int = 1, inner: int = 0, slope: float = 0.1) -> None:
         super().__init__()
         if inner:
-            self.body = nn.Sequential(
-                convolution(inputs, inner, 1, slope=slope),
-                convolution(inner, inner, 3, stride, slope=slope),
-                nn.Conv2d(inner, outputs, 1, bias=False),
-                nn.BatchNorm2d(outputs),
-            )
+            first = [convolution(inputs, inner, 1, slope=slope), convolution(inner, inner, 3, stride, slope=slope)]
+            last = nn.Conv2d(inner, outputs, 1, bias=False)
         else:
-            self.body = nn.Sequential(
-                convolution(inputs, outputs, 3, stride, slope=slope),
-                nn.Conv2d(outputs, outputs, 3, padding=1, bias=False),
-                nn.BatchNorm2d(outputs),
-            )
-        same = stride == 1 and inputs == outputs
-        self.skip = (
-            nn.Identity()
-            if same
-            else nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride, bias=False), nn.BatchNorm2d(outputs))
-        )
+            first = [convolution(inputs, outputs, 3, stride, slope=slope)]
+            last = nn.Conv2d(outputs, outputs, 3, padding=1, bias=False)
+        self.body = nn.Sequential(*first, last, nn.BatchNorm2d(outputs))
+        self.skip: nn.Module = nn.Identity()
+        if stride != 1 or inputs != outputs:
+            self.skip = nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride, bias=False), nn.BatchNorm2d(outputs))
         self.slope = slope
 
     def forward(self, x: Tensor) -> Tensor:
@@ -81,20 +72,14 @@ def resnet50(inputs: int) -> nn.Sequential:
     return nn.Sequential(*layers)
 
 
-SMALL = (16, 24, 40, 48)
-"""Widths of the small branch."""
-
-
 def small_branch(inputs: int) -> nn.Sequential:
     """Return a branch for a CPU: 48 channels at an eighth of the size, 55 thousand weights."""
-    a, b, c, d = SMALL
-    return nn.Sequential(
-        convolution(inputs, a, 5, 2), convolution(a, b, 3, 2), Block(b, b), convolution(b, c, 3, 2), convolution(c, d)
-    )
+    first = [convolution(inputs, 16, 5, 2), convolution(16, 24, 3, 2), Block(24, 24)]
+    return nn.Sequential(*first, convolution(24, 40, 3, 2), convolution(40, 48))
 
 
 class CostVolume(nn.Module):
-    """How alike each cell of one map is to the cells of another within `reach` cells: PWC-Net's correlation."""
+    """Correlation of each cell of one map with the cells of another within `reach` cells: PWC-Net's cost volume."""
 
     def __init__(self, reach: int = 4) -> None:
         super().__init__()
@@ -109,14 +94,14 @@ class CostVolume(nn.Module):
 
 
 class Beside(nn.Module):
-    """Both maps one above the other, as channels."""
+    """Concatenation of both maps as channels."""
 
     def forward(self, a: Tensor, b: Tensor) -> Tensor:
         return torch.cat([a, b], dim=1)
 
 
 class CostVolumeBeside(nn.Module):
-    """A cost volume with some channels of the sweep's map beside it."""
+    """A cost volume concatenated with the sweep's map."""
 
     def __init__(self, reach: int = 4) -> None:
         super().__init__()
@@ -152,20 +137,19 @@ def dense(sizes: Sequence[int], dropout: float = 0.0) -> nn.Sequential:
 
 
 class PairNetwork(nn.Module):
-    """A branch for the picture, one for the sweep, what joins them, a trunk, a head; maybe a memory over frames.
+    """Branches for image and sweep, their join, a trunk, heads, and optionally a recurrent memory over frames.
 
-    `features` is how many numbers the trunk leaves, `hidden` the layers after it; rotation and shift have a last
-    layer each, after one of their own of `apart` numbers where that is above zero. With `tell_reach` the head is told
-    the reach of the stage, so that one network serves several.
+    `features` is the number of outputs of the trunk, `hidden` the sizes of the layers after it; rotation and
+    translation have separate last layers, each after a layer of size `apart` if that is above zero. With `tell_reach`
+    the range of the stage is an input of the head, so that one network serves several stages.
     """
 
     def __init__(
         self,
-        *,
-        picture: nn.Module,
-        sweep: nn.Module,
+        branches: Sequence[nn.Module],
         join: nn.Module,
         trunk: nn.Module,
+        *,
         features: int,
         hidden: Sequence[int],
         outputs: tuple[int, int],
@@ -175,7 +159,7 @@ class PairNetwork(nn.Module):
         tell_reach: bool = True,
     ) -> None:
         super().__init__()
-        self.picture, self.sweep, self.join, self.trunk = picture, sweep, join, trunk
+        (self.picture, self.sweep), self.join, self.trunk = branches, join, trunk
         self.tell_reach = tell_reach
         self.hidden = dense([features + 2 * tell_reach, *hidden], dropout)
         last = hidden[-1] if hidden else features + 2 * tell_reach
@@ -185,18 +169,18 @@ class PairNetwork(nn.Module):
         for count in outputs:
             own = [*dense([last, apart])] if apart else []
             end = nn.Linear(apart or last, count)
-            # A network that has learnt nothing corrects nothing.
+            # An untrained network predicts no correction.
             nn.init.normal_(end.weight, std=1e-3)
             nn.init.zeros_(end.bias)
             self.heads.append(nn.Sequential(*own, end))
 
-    def features(self, picture: Tensor, sweep: Tensor) -> tuple[Tensor, Tensor]:
-        """Return what the branches make of pictures (B, 3, h, w) in 0..1 and sweeps (B, C, h, w)."""
-        return self.picture((picture - _MEAN) / _DEVIATION), self.sweep(sweep)
+    def features(self, image: Tensor, sweep: Tensor) -> tuple[Tensor, Tensor]:
+        """Return what the branches make of images (B, 3, h, w) in 0..1 and sweeps (B, C, h, w)."""
+        return self.picture((image - _MEAN) / _DEVIATION), self.sweep(sweep)
 
-    def said(self, picture: Tensor, sweep: Tensor, reach: Tensor, window: int = 1) -> Tensor:
+    def regress(self, image: Tensor, sweep: Tensor, reach: Tensor, window: int = 1) -> Tensor:
         """Return raw numbers (B, n) of features; reach (B, 2) in rad and m, windows of neighbours."""
-        x = self.trunk(self.join(picture, sweep)).flatten(1)
+        x = self.trunk(self.join(image, sweep)).flatten(1)
         if self.tell_reach:
             x = torch.cat([x, reach.log()], dim=1)
         x = self.hidden(x)
@@ -204,11 +188,6 @@ class PairNetwork(nn.Module):
             x = self.memory(x.reshape(-1, window, x.shape[1]))[0].flatten(0, 1)
         return torch.cat([head(x) for head in self.heads], dim=1)
 
-    def forward(self, picture: Tensor, sweep: Tensor, reach: Tensor, window: int = 1) -> Tensor:
-        """Return raw numbers (B, n) of pictures (B, 3, h, w) in 0..1 and sweeps (B, C, h, w)."""
-        return self.said(*self.features(picture, sweep), reach, window)
-
-
-def parameters(network: nn.Module) -> int:
-    """Return how many weights a network learns."""
-    return sum(p.numel() for p in network.parameters())
+    def forward(self, image: Tensor, sweep: Tensor, reach: Tensor, window: int = 1) -> Tensor:
+        """Return raw numbers (B, n) of images (B, 3, h, w) in 0..1 and sweeps (B, C, h, w)."""
+        return self.regress(*self.features(image, sweep), reach, window)

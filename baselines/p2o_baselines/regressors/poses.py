@@ -29,7 +29,7 @@ def rotation(vector: Tensor) -> Tensor:
 
 
 def angle_of(matrix: Tensor) -> Tensor:
-    """Return the angles (...,) in rad of rotations (..., 3, 3); gradients stay finite at none."""
+    """Return the angles (...,) in rad of rotations (..., 3, 3); gradients are finite at zero rotation."""
     sine = 0.5 * torch.stack(
         [
             matrix[..., 2, 1] - matrix[..., 1, 2],

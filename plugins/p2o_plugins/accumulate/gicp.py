@@ -1,11 +1,10 @@
-"""Accumulator `gicp`: joins sweeps by poses that small_gicp finds from sweep to sweep."""
+"""Accumulator `gicp`: join sweeps by poses that small_gicp estimates from sweep to sweep."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from functools import partial
 
 import p2o
-from p2o.arrays import Float
 
 from p2o_plugins.accumulate.joining import Joining, JoiningOptions
 
@@ -14,20 +13,18 @@ class GicpOptions(JoiningOptions):
     """Options of `gicp`."""
 
     align_voxel_m: float = p2o.field(
-        0.25, gt=0, le=10, help="Cubes in metres that sweeps are thinned to before they are aligned."
+        0.25, gt=0, le=10, help="Voxel size in metres to which sweeps are downsampled before alignment."
     )
     max_distance_m: float = p2o.field(1.0, gt=0, le=20, help="Points of two sweeps are paired up to this distance.")
 
 
 def build(options: GicpOptions) -> p2o.Accumulator:
     """Return the accumulator `(frames, number) -> Cloud`."""
-    import small_gicp  # noqa: F401  (a missing package is told before any frame is read)
-    from p2o.frames.lidar_odometry import poses_by_gicp
+    import small_gicp  # noqa: F401  (report a missing package before any frame is read)
+    from p2o.solving import poses_by_gicp
 
-    def poses(clouds: Sequence[p2o.Cloud]) -> Sequence[Float]:
-        return poses_by_gicp(clouds, voxel_m=options.align_voxel_m, max_distance_m=options.max_distance_m)
-
-    return Joining(options, poses)
+    voxel_m, max_distance_m = options.align_voxel_m, options.max_distance_m
+    return Joining(options, partial(poses_by_gicp, voxel_m=voxel_m, max_distance_m=max_distance_m))
 
 
 METHOD = p2o.Method(

@@ -1,4 +1,4 @@
-"""What all accumulators share: their options, and how sweeps are joined once their poses are known."""
+"""Join the sweeps of neighbouring frames by their poses, with the options that all accumulators have."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import p2o
-from p2o.arrays import Float
-from p2o.frames.accumulate import accumulated
+from p2o import Float
+from p2o.solving import accumulated
 
 
 class JoiningOptions(p2o.Options):
-    """How many sweeps are joined, and what of them is kept."""
+    """Number of sweeps to join, and the points of them to keep."""
 
     past: int = p2o.field(2, ge=0, le=200, help="Frames before the frame whose sweeps are joined to its own.")
     future: int = p2o.field(2, ge=0, le=200, help="Frames after it.")
@@ -25,10 +25,10 @@ class JoiningOptions(p2o.Options):
 
 @dataclass(frozen=True)
 class Joining:
-    """The stage: joins sweeps by the poses of their frames, or by those that `poses` finds from them.
+    """Join sweeps by the poses of their frames, or by those that `poses` estimates.
 
-    `poses` takes the sweeps of a sequence in order, each as at the time of its frame where the velocity is known, and
-    returns world_from_lidar (4, 4) of each.
+    `poses` takes the sweeps of a sequence in order, corrected to the time of their frames where the velocity is known,
+    and returns world_from_lidar (4, 4) of each.
     """
 
     options: JoiningOptions
@@ -36,18 +36,18 @@ class Joining:
 
     @property
     def past(self) -> int:
-        """Frames wanted before a frame."""
+        """Number of frames to join before a frame."""
         return self.options.past
 
     @property
     def future(self) -> int:
-        """Frames wanted after it."""
+        """Number of frames to join after a frame."""
         return self.options.future
 
     def __call__(self, frames: Sequence[p2o.Frame], number: int) -> p2o.Cloud:
         """Return the sweeps of all frames in the LiDAR frame of frame `number`, its own first."""
         if self.poses is not None:
-            found = self.poses([f.cloud if f.twist is None else f.cloud.untwisted(f.twist) for f in frames])
-            frames = [replace(f, lidar_world_from_lidar=pose) for f, pose in zip(frames, found, strict=True)]
+            poses = self.poses([f.cloud if f.twist is None else f.cloud.untwisted(f.twist) for f in frames])
+            frames = [replace(f, lidar_world_from_lidar=pose) for f, pose in zip(frames, poses, strict=True)]
         options = self.options
         return accumulated(frames[number], frames, voxel_m=options.voxel_m, max_range_m=options.max_range_m)

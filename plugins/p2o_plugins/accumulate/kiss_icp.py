@@ -1,11 +1,10 @@
-"""Accumulator `kiss-icp`: joins sweeps by poses that KISS-ICP finds against a map of the sweeps before."""
+"""Accumulator `kiss-icp`: join sweeps by poses that KISS-ICP estimates against a map of earlier sweeps."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from functools import partial
 
 import p2o
-from p2o.arrays import Float
 
 from p2o_plugins.accumulate.joining import Joining, JoiningOptions
 
@@ -19,13 +18,11 @@ class KissIcpOptions(JoiningOptions):
 
 def build(options: KissIcpOptions) -> p2o.Accumulator:
     """Return the accumulator `(frames, number) -> Cloud`."""
-    import kiss_icp  # noqa: F401  (a missing package is told before any frame is read)
-    from p2o.frames.lidar_odometry import poses_by_kiss_icp
+    import kiss_icp  # noqa: F401  (report a missing package before any frame is read)
+    from p2o.solving import poses_by_kiss_icp
 
-    def poses(clouds: Sequence[p2o.Cloud]) -> Sequence[Float]:
-        return poses_by_kiss_icp(clouds, voxel_m=options.map_voxel_m, max_range_m=options.map_range_m)
-
-    return Joining(options, poses)
+    voxel_m, max_range_m = options.map_voxel_m, options.map_range_m
+    return Joining(options, partial(poses_by_kiss_icp, voxel_m=voxel_m, max_range_m=max_range_m))
 
 
 METHOD = p2o.Method(

@@ -7,11 +7,7 @@ from p2o import Accumulator, Method
 from p2o_plugins.accumulate.joining import Joining, JoiningOptions
 
 
-class PosesOptions(JoiningOptions):
-    """Options of `poses`."""
-
-
-def build(options: PosesOptions) -> Accumulator:
+def build(options: JoiningOptions) -> Accumulator:
     """Return the accumulator `(frames, number) -> Cloud`."""
     return Joining(options)
 
@@ -19,7 +15,7 @@ def build(options: PosesOptions) -> Accumulator:
 METHOD = Method(
     name="poses",
     build=build,
-    options=PosesOptions,
+    options=JoiningOptions,
     summary="Joins sweeps of a sequence by the poses of the LiDAR that the data give.",
     needs={"sequence", "lidar-pose"},
     gives={"dense"},

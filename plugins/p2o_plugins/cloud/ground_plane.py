@@ -1,23 +1,23 @@
-"""The ground under a sweep, by RANSAC (paper Sec. III-C)."""
+"""Estimate the ground plane of a sweep by RANSAC (paper Sec. III-C)."""
 
 from __future__ import annotations
 
 import numpy as np
-from p2o.arrays import Float
+from p2o import Float
 
 from p2o_plugins.cloud.sweep import Returns
 
-# Returns looked at, planes tried, half thickness of the ground, distance within which roads are about flat, least
-# squares steps, and the share of returns that may lie well under the ground (ditches, embankments).
+# Sampled returns, RANSAC hypotheses, half thickness of the ground, range within which roads are approximately flat,
+# least-squares steps, and the maximum fraction of returns well below the ground (ditches, embankments).
 _SAMPLE, _TRIALS, _BAND_M, _REACH_M, _POLISH, _MOST_UNDER = 3000, 200, 0.15, 40.0, 3, 0.25
 
 
 def ground_plane(sweep: Returns, seed: int, max_tilt_deg: float = 30.0, min_share: float = 0.1) -> Float | None:
-    """Return the plane (4,) n, d with |n| = 1 and n . x + d the height in metres over the ground, or None.
+    """Return the plane (4,) n, d with |n| = 1 and n . x + d the height in metres above the ground, or None.
 
-    The plane leans at most `max_tilt_deg` from the sensor's xy plane and holds at least `min_share` of the returns
-    within 40 m, most of the others lying on one side of it; otherwise there is no ground. Upside-down sensors find it
-    above them. LiDAR frame, metres.
+    The inclination to the sensor's xy plane is at most `max_tilt_deg`; the plane contains at least `min_share` of the
+    returns within 40 m, and most other returns are on one side of it; otherwise None. For an upside-down sensor the
+    ground is above it. LiDAR frame, metres.
     """
     rng = np.random.default_rng(seed)
     rows = np.flatnonzero(sweep.flat_m < _REACH_M)
@@ -41,7 +41,7 @@ def ground_plane(sweep: Returns, seed: int, max_tilt_deg: float = 30.0, min_shar
         centre = inside.mean(axis=0)
         axes = np.linalg.eigh((inside - centre).T @ (inside - centre))[1]
         plane = np.append(axes[:, 0], -axes[:, 0] @ centre)
-    # The sensor stands over the ground, whichever way up it is mounted.
+    # The sensor is above the ground, also if it is mounted upside down.
     plane = plane if plane[3] > 0 else -plane
     height = picked @ plane[:3] + plane[3]
     share = float(np.mean(np.abs(height) < _BAND_M))

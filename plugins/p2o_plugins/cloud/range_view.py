@@ -1,19 +1,18 @@
-"""Directed occlusion edges of a cloud without rings, from where its beams start."""
+"""Detect directed occlusion edges of a cloud without rings, in the range view from the origin of its beams."""
 
 from __future__ import annotations
 
 import numpy as np
-from p2o import Cloud, CloudEdges, CloudExtractor, CloudFeatures, CloudRemarks, Method, Side, field
-from p2o.arrays import Float, Int
+from p2o import Cloud, CloudEdges, CloudExtractor, CloudFeatures, CloudRemarks, Float, Int, Method, Side, field
 
 from p2o_plugins.cloud.ground_plane import ground_plane
-from p2o_plugins.cloud.rings import JumpOptions, in_company, share_met, support_of, towards_background
+from p2o_plugins.cloud.jumps import JumpOptions, edges_of, reliable_jumps, towards_background
 from p2o_plugins.cloud.scattered import Around, Scattered, ahead_of, around, in_front, kept, neighbour, scattered
-from p2o_plugins.cloud.sweep import Neighbours, Single
+from p2o_plugins.cloud.sweep import Neighbours, Single, turn_to
 
 
 class RangeViewOptions(JumpOptions):
-    """What counts as an occlusion edge of a cloud whose rings nobody knows."""
+    """Criteria for an occlusion edge of a cloud with unknown rings."""
 
     origin_m: tuple[float, float, float] = field(
         (0.0, 0.0, 0.0),
@@ -33,19 +32,15 @@ class RangeViewOptions(JumpOptions):
 
 def build(options: RangeViewOptions) -> CloudExtractor:
     """Return the extractor."""
-
-    def extract(cloud: Cloud) -> CloudFeatures:
-        return range_view_edges(cloud, options)
-
-    return extract
+    return lambda cloud: range_view_edges(cloud, options)
 
 
 def range_view_edges(cloud: Cloud, options: RangeViewOptions) -> CloudFeatures:
-    """Return the occlusion edges and thinned surface points of a cloud in any order, LiDAR frame, metres.
+    """Return the occlusion edges and thinned surface points of an unordered cloud, LiDAR frame, metres.
 
     Sides, jumps, signs and shifts are those of `rings`; neighbours are the returns nearest in angle within 45 degrees
-    of a side. Whether the surface goes on past a return is told by the plane through those around it that lie away from
-    the neighbour. Returns behind a surface that goes on around them are left out first.
+    of a side. Whether the surface continues beyond a return is decided by the plane through the surrounding returns on
+    the opposite side of the neighbour. Returns behind a surface that continues around them are removed first.
     """
     origin = np.array(options.origin_m)
     seen = scattered(cloud, options.origin_m)
@@ -58,74 +53,60 @@ def range_view_edges(cloud: Cloud, options: RangeViewOptions) -> CloudFeatures:
     neighbours = {side: neighbour(seen, near, side, options.max_spacings) for side in _SIDES}
     plane = ground_plane(seen, options.seed) if options.ground_height_m > 0 else None
     step = float(seen.spacing[1])
-    measured_s = cloud.time_s if cloud.twist is None else None
     parts = []
     for side in _SIDES:
         rows = jumps_between(seen, near, neighbours[side], side, options)
-        support = support_of(seen, neighbours, side, rows, options)
-        met = share_met(side, step)
-        keep = support >= options.min_support * met
-        if plane is not None:
-            keep &= seen.xyz(rows) @ plane[:3] + plane[3] > options.ground_height_m
-        rows, support = rows[keep], support[keep]
-        others = options.min_neighbours and max(1, round(options.min_neighbours * met))
-        keep = in_company(seen, rows, others, step, options)
-        rows, support = rows[keep], support[keep]
+        rows, support = reliable_jumps(seen, neighbours, side, rows, plane, step, options)
         ray = seen.xyz(rows) - origin
         background = towards_background(ray, side)
-        # Halfway to the neighbour, as far as it lies to this side.
+        # Halfway to the neighbour, counting only the component towards this side.
         gap, own = neighbours[side].gap[rows].astype(np.float64), own_step(seen, near, rows, side, options)
         gap = np.where(gap > _STRIP * own, own, gap)
         gap *= seen.flat_m[rows] if side in _LEVEL else seen.range_m[rows]
         xyz = ray + options.shift_beams * gap[:, None] * background + origin
         weight = support if options.weigh else np.ones(len(rows))
-        time_s = np.zeros(len(rows)) if measured_s is None else measured_s[seen.point[rows]]
-        parts.append((xyz, np.full(len(rows), side), weight, gap / np.sqrt(12), background, time_s))
-    edges = CloudEdges(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        parts.append((rows, side, xyz, weight, gap / np.sqrt(12), background))
     every = slice(None, None, -(-len(seen) // options.max_points)) if options.max_points else slice(0)
-    return CloudFeatures(edges, seen.xyz(every), features=remarks)
+    return CloudFeatures(edges_of(seen, parts), seen.xyz(every), features=remarks)
 
 
-# Share of returns that lie behind others, at most, seen from where their beams start: 2 to 4 % for single sensors,
-# 4 to 5 % for merged ones from their midst, 9 % and more from the ground below them.
+# Maximum fraction of returns that are hidden behind others as seen from the origin of their beams: 2 to 4 % for single
+# sensors, 4 to 5 % for merged ones from the centre between them, 9 % and more from the ground below them.
 _MOST_HIDDEN = 0.07
 
 
 def _about_origin(hidden: float, options: RangeViewOptions) -> tuple[CloudRemarks, ...]:
-    """Return a remark where more of the returns are hidden than from any place near the sensor."""
+    """Return a warning if more of the returns are hidden than from any place near the sensor."""
     if hidden <= _MOST_HIDDEN:
         return ()
     place = " ".join(f"{v:g}" for v in options.origin_m)
-    return (
-        CloudRemarks(
-            (
-                f"{100 * hidden:.0f} % of the points lie behind others, seen from ({place}): if the beams do not start "
-                "there, say where with --extractor IMAGE/range-view --set cloud.origin_m=[x,y,z]",
-            )
-        ),
+    text = (
+        f"{100 * hidden:.0f} % of the points lie behind others, seen from ({place}): if the beams do not start there, "
+        "say where with --extractor IMAGE/range-view --set cloud.origin_m=[x,y,z]"
     )
+    return (CloudRemarks((text,)),)
 
 
 _LEVEL = (Side.LEFT, Side.RIGHT)
-# From so many of its own steps to the background, a strip beyond a surface was not seen.
+# A background step of at least N spacings of the surface means that a strip beyond the surface was not scanned.
 _STRIP = 2.0
-# Returns of a surface that tell how densely they lie.
+# Number of returns of a surface from which its spacing is estimated.
 _OWN = 6
 _SIDES = (Side.LEFT, Side.RIGHT, Side.UPPER, Side.BOTTOM)
-# Returns of one surface that tell its plane, at least, and how firmly it stays put where they hardly do.
+# Minimum number of returns of one surface to estimate its plane, and the regularisation for nearly singular cases.
 _FEWEST, _FIRMNESS = 3, 1e-2
 
 
 def jumps_between(seen: Scattered, near: Around, behind: Neighbours, side: Side, options: RangeViewOptions) -> Int:
-    """Return the rows whose neighbour on `side` lies further away by a step that no single surface explains."""
+    """Return the rows whose neighbour on `side` is farther away by a step that no single surface explains."""
     r = seen.range_m
     jump = r[behind.row] - r
     rows = np.flatnonzero(behind.known & (jump > options.min_jump_m + options.min_jump_share * r))
     if options.open_share > 0:
-        beyond, there = ahead_of(near, rows, side, options.max_spacings)
+        beyond, ahead = ahead_of(near, rows, side, options.max_spacings)
         leap = 0.5 * (options.min_jump_m + options.min_jump_share * r[rows])
-        far = there & (r[beyond] - r[rows, None] > leap[:, None])
-        rows = rows[far.sum(axis=1) >= options.open_share * there.sum(axis=1)]
+        far = ahead & (r[beyond] - r[rows, None] > leap[:, None])
+        rows = rows[far.sum(axis=1) >= options.open_share * ahead.sum(axis=1)]
     if options.slant_ratio > 0 and len(rows):
         predicted = _continued(seen, near, rows, behind.row[rows], jump[rows], options)
         rows = rows[~(jump[rows] <= options.slant_ratio * (predicted - r[rows]))]
@@ -137,28 +118,29 @@ def jumps_between(seen: Scattered, near: Around, behind: Neighbours, side: Side,
 
 
 def own_step(seen: Scattered, near: Around, rows: Int, side: Side, options: RangeViewOptions) -> Single:
-    """Return the usual step (M,) in rad towards `side` between the returns of the surfaces that `rows` lie on.
+    """Return the typical step (M,) in rad towards `side` between the returns of the surfaces of `rows`.
 
-    Infinite where there are too few. A surface ends within a step of its last return. The way to the background may be
-    much longer: sensors elsewhere (merged clouds, several sweeps) leave a strip unseen behind every outline.
+    Infinite if there are too few returns. A surface ends within one step of its last return. The step to the background
+    may be much larger: sensors at other positions (merged clouds, several sweeps) leave an unscanned strip behind every
+    outline.
     """
     r = seen.range_m[rows, None]
     same = np.abs(seen.range_m[near.row[rows]] - r) < options.min_jump_m + options.min_jump_share * r
     away = np.partition(np.where(same, near.away[rows], np.float32(np.inf)), _OWN - 1, axis=1)[:, _OWN - 1]
-    # So many returns fill the half of a circle that is not beyond the outline.
+    # Number of returns that fill the half circle on the near side of the outline.
     step: Single = away * np.float32(np.sqrt(0.5 * np.pi / _OWN) * seen.spacing[0 if side in _LEVEL else 1])
     return step
 
 
 def _continued(seen: Scattered, near: Around, rows: Int, to: Int, jump: Float, options: RangeViewOptions) -> Float:
-    """Return the ranges (M,) that the surfaces of `rows` have in the directions of `to`, NaN where they cannot be told.
+    """Return the ranges (M,) of the surfaces of `rows` in the directions of `to`, NaN where they are not observable.
 
-    On a plane the inverse range is linear in the angle (to second order). The plane is that of the returns around a row
-    that lie away from `to` and differ from the row in range by about the step `jump` (M,) between the two at most.
+    On a plane the inverse range is linear in the angle (to second order). The plane is fitted to the returns around a
+    row on the opposite side of `to` whose range differs from the row by at most about the step `jump` (M,) between the
+    two.
     """
     inverse = 1 / seen.range_m.astype(np.float64)
-    turn = seen.azimuth[rows] - seen.azimuth[to]
-    turn = np.where(turn > np.pi, turn - _TURN, np.where(turn < -np.pi, turn + _TURN, turn))
+    turn = turn_to(seen.azimuth[rows], seen.azimuth[to])
     ahead = np.column_stack([turn / seen.spacing[0], (seen.elevation[to] - seen.elevation[rows]) / seen.spacing[1]])
     right, up, other = near.right[rows], near.up[rows], near.row[rows]
     r = seen.range_m[rows, None]
@@ -166,7 +148,7 @@ def _continued(seen: Scattered, near: Around, rows: Int, to: Int, jump: Float, o
     away = np.isfinite(near.away[rows]) & (right * ahead[:, :1] + up * ahead[:, 1:] <= 0)
     away &= other_m - r < jump[:, None]
     same = away & (r - other_m < jump[:, None])
-    # Where surfaces are seen at a grazing angle, few returns are that near.
+    # Surfaces at a grazing angle have few returns within this distance.
     few = same.sum(axis=1) < _FEWEST
     same[few] = (away & (r - other_m < 2 * jump[:, None]))[few]
     rise = np.where(same, inverse[other] - inverse[rows, None], 0.0)
@@ -175,12 +157,9 @@ def _continued(seen: Scattered, near: Around, rows: Int, to: Int, jump: Float, o
     p, q = (right * rise).sum(1), (up * rise).sum(1)
     det = a * c - b * b
     slope = np.column_stack([c * p - b * q, a * q - b * p]) / det[:, None]
-    there = inverse[rows] + (slope * ahead).sum(axis=1)
-    ranges = np.where(there > 1e-6, 1 / np.maximum(there, 1e-6), 1e6)
+    continued = inverse[rows] + (slope * ahead).sum(axis=1)
+    ranges = np.where(continued > 1e-6, 1 / np.maximum(continued, 1e-6), 1e6)
     return np.where(same.sum(axis=1) >= _FEWEST, ranges, np.nan)
-
-
-_TURN = 2 * np.pi
 
 
 METHOD = Method(

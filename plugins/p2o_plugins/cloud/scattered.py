@@ -1,36 +1,35 @@
-"""Returns in no order: which lie in front, and which are neighbours to the left, right, above and below."""
+"""Order a cloud without rings: visible returns, and the neighbours to the left, right, above and below."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from p2o import Cloud, Side
-from p2o.arrays import Bool, Float, Int
+from p2o import Bool, Cloud, Float, Int, Side
 from scipy.spatial import cKDTree
 
-from p2o_plugins.cloud.sweep import Neighbours, Returns, Single
+from p2o_plugins.cloud.sweep import Neighbours, Returns, Single, azimuth_of, turn_to
 
-_TURN = 2 * np.pi
-# Of returns within this angle only the nearest counts: dual returns, double points, several sweeps of one ray.
+# Within this angle only the nearest return is kept: dual returns, duplicates, several sweeps of one ray.
 _SAME_RAY_DEG = 0.01
-# First by cells as fine as this, so that many returns of one ray are not compared pair by pair.
+# Returns are first grouped in cells of this size, so that returns of one ray are not compared pairwise.
 _FINE_RAY_DEG = 0.001
-# Returns whose spacing is looked at, and how many around each: enough to reach the next ring of 16, ten beams away.
+# Number of returns whose spacing is measured, and of neighbours of each: enough to reach the next ring of 16, ten beams
+# away.
 _SAMPLE, _AROUND = 2000, 192
-# Returns around each that are looked at, in units of the spacing.
+# Number of nearest returns per return, with distances in units of the spacing.
 _NEAREST = 24
-# A return is hidden where nearer ones lie around it: in so many of the eight directions, within so many spacings.
+# A return is hidden if nearer returns surround it: in at least N of the eight directions, within M spacings.
 _ENCLOSED, _AROUND_SPACINGS = 6, 2.5
-# Spacings are told from no fewer returns, and are no finer than this.
+# Minimum number of returns to estimate spacings, and lower limit of the spacing.
 _FEWEST, _FINEST = 10, np.radians(0.01)
 
 
 @dataclass(frozen=True, eq=False)
 class Scattered(Returns):
-    """The returns by rising azimuth, then elevation; of several in one direction the nearest.
+    """The returns by increasing azimuth, then elevation; of several in one direction only the nearest.
 
-    `elevation` (N,) rad. `spacing` (2,) rad: the usual step in azimuth and in elevation from one return to the next.
+    `elevation` (N,) rad. `spacing` (2,) rad: the typical step in azimuth and in elevation between neighbouring returns.
     """
 
     elevation: Single
@@ -39,10 +38,10 @@ class Scattered(Returns):
 
 @dataclass(frozen=True, eq=False)
 class Around:
-    """The returns nearest in angle to each return, near ones first.
+    """The returns nearest in angle to each return, in increasing distance.
 
-    `row` (N, K) are their rows; `right` and `up` (N, K) how many spacings they lie to its right and above it;
-    `away` (N, K) both together, inf where there is none.
+    `row` (N, K) are their rows; `right` and `up` (N, K) their offsets to the right and upwards in spacings; `away` (N,
+    K) the distance of both combined, inf where there is no return.
     """
 
     row: Int
@@ -52,16 +51,13 @@ class Around:
 
 
 def scattered(cloud: Cloud, origin_m: tuple[float, float, float]) -> Scattered:
-    """Return the returns as seen from where the beams start; those on the upright axis there have no azimuth."""
+    """Return the returns as seen from the origin of the beams, without those on the vertical axis (no azimuth)."""
     x, y, z = np.ascontiguousarray((cloud.as_measured() - np.array(origin_m)).T, dtype=np.float32)
-    flat = np.sqrt(x * x + y * y)
-    azimuth = np.arctan2(y, x)
-    azimuth[azimuth < 0] += np.float32(_TURN)
-    azimuth[azimuth >= np.float32(_TURN)] = 0.0
+    flat, azimuth = np.sqrt(x * x + y * y), azimuth_of(x, y)
     elevation, range_m = np.arctan2(z, flat), np.sqrt(flat * flat + z * z)
     point = np.flatnonzero(flat > 1e-3)
     cell = np.floor(np.column_stack([azimuth[point], elevation[point]]) / np.float32(np.radians(_FINE_RAY_DEG)))
-    # By cell, then range, then place, whatever order the points came in.
+    # Sort by cell, then range, then position, so that the result does not depend on the order of the points.
     order = np.lexsort((elevation[point], azimuth[point], range_m[point], cell[:, 1], cell[:, 0]))
     cell, point = cell[order], point[order]
     point = point[np.append(True, (np.diff(cell, axis=0) != 0).any(axis=1))[: len(point)]]
@@ -71,14 +67,15 @@ def scattered(cloud: Cloud, origin_m: tuple[float, float, float]) -> Scattered:
 
 
 def around(seen: Scattered) -> Around:
-    """Return what lies around each return."""
+    """Return the neighbours of each return."""
     return _around(seen, np.arange(len(seen)), _NEAREST, seen.spacing)
 
 
 def in_front(seen: Scattered, near: Around, min_jump_m: float, min_jump_share: float) -> Bool:
-    """Return which returns (N,) are the surface that is seen; the others lie behind one that goes on around them.
+    """Return a mask (N,) of the visible returns; the others are behind a surface that continues around them.
 
-    So do returns of a second sensor, or of other places that were joined, which saw past it.
+    Hidden returns also come from a second sensor, or from other positions of an accumulated sweep, with another
+    viewpoint.
     """
     r, other = seen.range_m[:, None], seen.range_m[near.row]
     nearer = (other + min_jump_m + min_jump_share * other < r) & (near.away <= _AROUND_SPACINGS)
@@ -91,7 +88,7 @@ def in_front(seen: Scattered, near: Around, min_jump_m: float, min_jump_share: f
 
 
 def kept(seen: Scattered, near: Around, keep: Bool) -> tuple[Scattered, Around]:
-    """Return the returns of a mask (N,), and what of them lies around each; the others count as missing."""
+    """Return the returns of a mask (N,), and their neighbours; the others count as missing."""
     columns = (seen.point, seen.range_m, seen.flat_m, seen.azimuth, seen.elevation)
     row = near.row[keep]
     away = np.where(keep[row], near.away[keep], np.float32(np.inf))
@@ -101,29 +98,29 @@ def kept(seen: Scattered, near: Around, keep: Bool) -> tuple[Scattered, Around]:
 
 
 def neighbour(seen: Scattered, near: Around, side: Side, max_spacings: float) -> Neighbours:
-    """Return the nearest return in the quarter of directions around a side, and how far it lies to that side.
+    """Return the nearest return in the quadrant around a side, and its distance to that side.
 
-    Unknown where there is none within `max_spacings`, counted in wider spacings where returns are fewer.
+    Unknown if there is none within `max_spacings`, counted in wider spacings where returns are sparser.
     """
-    forward, there = _towards(near, np.arange(len(seen)), side)
-    first = there.argmax(axis=1)
+    forward, in_quadrant = _towards(near, np.arange(len(seen)), side)
+    first = in_quadrant.argmax(axis=1)
     every = np.arange(len(seen))
     fourth = np.partition(near.away, min(3, near.away.shape[1] - 1), axis=1)[:, min(3, near.away.shape[1] - 1)]
     sparse = np.where(np.isfinite(fourth), np.maximum(fourth, 1.0), 1.0)
-    known = there[every, first] & (near.away[every, first] <= max_spacings * sparse)
+    known = in_quadrant[every, first] & (near.away[every, first] <= max_spacings * sparse)
     step = seen.spacing[0 if side in (Side.LEFT, Side.RIGHT) else 1]
     row = np.where(known, near.row[every, first], 0)
     return Neighbours(row, known, (forward[every, first] * step).astype(np.float32))
 
 
 def ahead_of(near: Around, rows: Int, side: Side, max_spacings: float) -> tuple[Int, Bool]:
-    """Return the returns (M, K) around each of `rows` (M,), and which lie on a side of it within `max_spacings`."""
-    _, there = _towards(near, rows, side)
-    return near.row[rows], there & (near.away[rows] <= max_spacings)
+    """Return the neighbours (M, K) of each of `rows` (M,), and a mask of those on a side within `max_spacings`."""
+    _, in_quadrant = _towards(near, rows, side)
+    return near.row[rows], in_quadrant & (near.away[rows] <= max_spacings)
 
 
 def _first_of_ray(azimuth: Single, elevation: Single, range_m: Single) -> Bool:
-    """Return which returns have none nearer in their direction."""
+    """Return a mask of the returns without a nearer one in their direction."""
     keep = np.ones(len(azimuth), bool)
     if len(azimuth) < 2:
         return keep
@@ -136,41 +133,40 @@ def _first_of_ray(azimuth: Single, elevation: Single, range_m: Single) -> Bool:
 
 
 def _towards(near: Around, rows: Int, side: Side) -> tuple[Single, Bool]:
-    """Return how far to a side the returns (M, K) around each of `rows` lie, and which within 45 degrees of it."""
+    """Return the distance of the neighbours (M, K) of `rows` to a side, and a mask of those within 45 degrees of it."""
     ahead, beside = (near.right, near.up) if side in (Side.LEFT, Side.RIGHT) else (near.up, near.right)
     forward = ahead[rows] if side in (Side.RIGHT, Side.UPPER) else -ahead[rows]
     return forward, (forward > 0) & (np.abs(beside[rows]) <= forward) & np.isfinite(near.away[rows])
 
 
 def _around(seen: Scattered, rows: Int, count: int, spacing: Float) -> Around:
-    """Return the `count` returns nearest to each of `rows` (M,), steps counted in `spacing` (2,) rad.
+    """Return the `count` returns nearest to each of `rows` (M,), with steps in units of `spacing` (2,) rad.
 
-    Directions are wound around a cylinder, on which azimuth has no seam.
+    Directions are mapped to a cylinder, on which azimuth has no seam.
     """
     across, up = spacing
-    place = np.column_stack([np.cos(seen.azimuth) / across, np.sin(seen.azimuth) / across, seen.elevation / up]).astype(
-        np.float64
-    )
-    # One more is asked for than there is, so that shapes are the same for few returns: it is infinitely far.
+    cylinder = (np.cos(seen.azimuth) / across, np.sin(seen.azimuth) / across, seen.elevation / up)
+    place = np.column_stack(cylinder).astype(np.float64)
+    # Query one more neighbour than exists, so that shapes are equal for few returns: its distance is infinite.
     distance, row = cKDTree(place, balanced_tree=False, compact_nodes=False).query(place[rows], k=count + 1)
     mine = row == rows[:, None]
-    # The return itself comes first, but for others in the very same place.
+    # The first neighbour is the return itself, unless others have exactly the same position.
     mine[:, -1] |= ~mine.any(axis=1)
     distance, row = (values[~mine].reshape(len(rows), count) for values in (distance, row))
-    there = row < len(seen)
-    row = np.where(there, row, 0)
-    turn = seen.azimuth[rows, None] - seen.azimuth[row]
-    turn = np.where(turn > np.pi, turn - _TURN, np.where(turn < -np.pi, turn + _TURN, turn))
+    exists = row < len(seen)
+    row = np.where(exists, row, 0)
+    turn = turn_to(seen.azimuth[rows, None], seen.azimuth[row])
     lift = seen.elevation[row] - seen.elevation[rows, None]
-    away = np.where(there, distance, np.inf).astype(np.float32)
+    away = np.where(exists, distance, np.inf).astype(np.float32)
     return Around(row, (turn / across).astype(np.float32), (lift / up).astype(np.float32), away)
 
 
 def _spacing(seen: Scattered) -> Float:
-    """Return the usual steps (2,) rad in azimuth and in elevation between neighbours.
+    """Return the typical steps (2,) rad in azimuth and in elevation between neighbours.
 
-    Each is the median way to the nearest return within 45 degrees of level, and of upright. Beams of a ring lie so
-    close that the next ring would not be among the nearest, so it is looked for among those that do not lie level.
+    Each is the median distance to the nearest return within 45 degrees of the horizontal or the vertical. The beams of
+    a ring are so dense that the next ring would not be among the nearest, so that it is searched among the neighbours
+    outside the horizontal sector.
     """
     if len(seen) < _FEWEST:
         return np.full(2, np.radians(1.0))
@@ -179,10 +175,10 @@ def _spacing(seen: Scattered) -> Float:
     level, upright = np.abs(near.right), np.abs(near.up)
     steps = []
     for ahead, beside in ((level, upright), (upright, level)):
-        there = (ahead >= beside) & (ahead > 0) & np.isfinite(near.away)
-        found = there.any(axis=1)
-        first = there.argmax(axis=1)[found]
-        steps.append(float(np.median(ahead[found, first])) if found.any() else np.nan)
+        in_sector = (ahead >= beside) & (ahead > 0) & np.isfinite(near.away)
+        any_ahead = in_sector.any(axis=1)
+        first = in_sector.argmax(axis=1)[any_ahead]
+        steps.append(float(np.median(ahead[any_ahead, first])) if any_ahead.any() else np.nan)
     across, up = steps
     across = up if np.isnan(across) else across
     up = across if np.isnan(up) else up

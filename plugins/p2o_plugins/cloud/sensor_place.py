@@ -1,8 +1,8 @@
-"""Where in the frame of a cloud the sensor was, told by its rings: each is a cone whose tip is the sensor.
+"""Estimate the position of the sensor in the frame of a cloud from its rings: each is a cone with its apex there.
 
-Drivers give points in the sensor's own frame. Others give them in that of the car (`base_link`), where beams start one
-or two metres from the origin, or in axes of a camera. Azimuth, elevation and range mean nothing there, and neither
-does what they tell of edges.
+Drivers publish points in the sensor's own frame. Other sources publish them in the frame of the car (`base_link`),
+where beams start one or two metres from the origin, or in the axes of a camera. Azimuth, elevation and range about the
+origin are meaningless in such a frame, and so are the edges derived from them.
 """
 
 from __future__ import annotations
@@ -11,31 +11,32 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from p2o import Cloud, se3
-from p2o.arrays import Float, Int
+from p2o import Cloud, Float, Int, se3
 
 from p2o_plugins.cloud.sweep import Sweep
 
 _MOST_POINTS = 3000
 _STEPS = 30
-# Nothing is looked for where rings scatter less than this about cones with tips near the origin.
+# No estimate is made if the scatter of the rings about cones with an apex near the origin is below this.
 _USUAL_SCATTER = np.radians(0.1)
-# A place is told where rings scatter about its cones by at most these; nearer places are the sensor's own lasers.
+# An estimate is accepted if the scatter of the rings about its cones is at most this; smaller offsets are those of the
+# sensor's own lasers.
 _MOST_SCATTER, _MOST_SHARE = np.radians(0.35), 0.4
 _LEAST_AWAY_M, _FARTHEST_M, _LEAST_TILT = 0.5, 10.0, np.radians(5)
-# Its standard error is this at most; returns of one surface err together, as if they were a tenth as many.
+# Maximum standard error of the position; errors of returns on one surface are correlated, equivalent to a tenth of
+# their number.
 _MOST_SIGMA_M, _INDEPENDENT = 0.1, 0.1
 _FEWEST_POINTS, _FINEST = 200, np.radians(0.02)
-# An axis nearer than this to the cloud's own z points the same way.
+# An axis within this angle of the cloud's own z axis is treated as parallel to it.
 _UPRIGHT = np.cos(np.radians(60))
 
 
 def sensor_place(sweep: Sweep) -> Float | None:
-    """Return cloud_from_sensor (4, 4) where the beams of a sweep plainly start elsewhere than its frame says, or None.
+    """Return cloud_from_sensor (4, 4) if the beams of a sweep clearly do not start at the origin, or None.
 
-    The frame says that they start at the origin and turn about the z axis. The turn about the sensor's axis is free and
-    kept small. Least squares of the elevations of thinned points (Cauchy's weights), each ring about its own mean,
-    over the place (3) and the axis (2); from the three axes of the cloud.
+    The frame assumes that beams start at the origin and rotate about the z axis. The rotation about the sensor's axis
+    is unobservable and kept small. Least squares of the elevations of thinned points (Cauchy weights), each ring about
+    its own mean, over the position (3) and the axis (2); from the three axes of the cloud as initial guesses.
     """
     if len(sweep) < _FEWEST_POINTS or sweep.ring[0] == sweep.ring[-1]:
         return None
@@ -47,17 +48,17 @@ def sensor_place(sweep: Sweep) -> Float | None:
         return None
     least = min(_MOST_SCATTER, _MOST_SHARE * _Cones.of(np.eye(4), xyz, ring).scatter)
     for start in _starts(xyz, ring):
-        found = _fitted(start, xyz, ring)
-        if found is None or found.sigma_m > _MOST_SIGMA_M or found.away_m > _FARTHEST_M:
+        fit = _fitted(start, xyz, ring)
+        if fit is None or fit.sigma_m > _MOST_SIGMA_M or fit.away_m > _FARTHEST_M:
             continue
-        if found.cones.scatter < least:
+        if fit.cones.scatter < least:
             break
-        if start is _AXES[0] and found.away_m < _LEAST_AWAY_M:
-            # It is where it is said to be: something else than its place bends the rings, such as motion.
+        if start is _AXES[0] and fit.away_m < _LEAST_AWAY_M:
+            # The sensor is at the origin: something other than its position bends the rings, such as motion.
             return None
     else:
         return None
-    cloud_from_sensor = se3.inverse(_upright(found))
+    cloud_from_sensor = se3.inverse(_upright(fit))
     tilt = np.arccos(np.clip(cloud_from_sensor[2, 2], -1, 1))
     if np.linalg.norm(cloud_from_sensor[:3, 3]) < _LEAST_AWAY_M and tilt < _LEAST_TILT:
         return None
@@ -65,21 +66,20 @@ def sensor_place(sweep: Sweep) -> Float | None:
 
 
 def in_sensor_frame(cloud: Cloud, cloud_from_sensor: Float) -> Cloud:
-    """Return the cloud in the frame of its sensor; the twist is that of the sensor then."""
+    """Return the cloud in the frame of its sensor, with the twist transformed to that of the sensor."""
     sensor_from_cloud = se3.inverse(cloud_from_sensor)
     twist = cloud.twist
     if twist is not None:
-        # X^-1 exp(twist t) X: the angular velocity turns, the velocity is that of the sensor's place.
+        # X^-1 exp(twist t) X: the angular velocity is rotated, the velocity is that of the sensor's position.
         turning, place = twist[:3], cloud_from_sensor[:3, 3]
         velocity = twist[3:] + np.cross(turning, place)
-        twist = np.concatenate([turning, velocity]).reshape(2, 3) @ cloud_from_sensor[:3, :3]
-        twist = twist.ravel()
+        twist = (np.concatenate([turning, velocity]).reshape(2, 3) @ cloud_from_sensor[:3, :3]).ravel()
     return replace(cloud, xyz=se3.apply(sensor_from_cloud, cloud.xyz), twist=twist)
 
 
 @dataclass(frozen=True, eq=False)
 class _Cones:
-    """Points (N, 3) as seen from a place: `off` (N,) rad their elevations about the mean of their ring."""
+    """Points (N, 3) as seen from a position: `off` (N,) rad are their elevations about the mean of their ring."""
 
     xyz: Float
     elevation: Float
@@ -89,44 +89,38 @@ class _Cones:
 
     @classmethod
     def of(cls, sensor_from_cloud: Float, xyz: Float, ring: Int, weight: Float | None = None) -> _Cones:
-        """Look from a place; `weight` (N,) is for the means, equal without."""
+        """Return the elevations as seen from a position; `weight` (N,) applies to the ring means, equal if omitted."""
         seen = se3.apply(sensor_from_cloud, xyz)
         flat = np.maximum(np.hypot(seen[:, 0], seen[:, 1]), 1e-6)
         elevation = np.arctan2(seen[:, 2], flat)
         weight = np.ones(len(xyz)) if weight is None else weight
         off = _about_mean(elevation, ring, weight)
         scatter = _scatter(off)
-        # Cauchy's weights, at twice the scatter.
+        # Cauchy weights with twice the scatter as scale.
         weight = 1 / (1 + np.square(off / (2 * scatter + 1e-6)))
         return cls(seen, elevation, off, weight, scatter)
 
 
 def _scatter(off: Float) -> float:
-    """Return the standard deviation of values about zero, by their median."""
+    """Return the robust standard deviation of values about zero, from the median of their magnitudes."""
     return 1.4826 * float(np.median(np.abs(off)))
 
 
 def _about_mean(values: Float, ring: Int, weight: Float) -> Float:
-    """Return values (N,) less the weighted mean of their ring."""
+    """Return values (N,) minus the weighted mean of their ring."""
     count = int(ring.max()) + 1
-    mean = np.bincount(ring, weight * values, minlength=count) / np.maximum(
-        np.bincount(ring, weight, minlength=count), 1e-12
-    )
-    return np.asarray(values - mean[ring])
+    total, of_weights = (np.bincount(ring, w, minlength=count) for w in (weight * values, weight))
+    return np.asarray(values - (total / np.maximum(of_weights, 1e-12))[ring])
 
 
-def _turned_to(axis: int) -> Float:
-    """Return the transform (4, 4) that makes an axis of the cloud the sensor's z."""
-    return se3.make(np.roll(np.eye(3), 2 - axis, axis=0))
-
-
-_AXES = tuple(_turned_to(axis) for axis in (2, 1, 0))
+_AXES = tuple(se3.make(np.roll(np.eye(3), 2 - axis, axis=0)) for axis in (2, 1, 0))
+"""Transforms (4, 4) that map the axes z, y, x of the cloud to the sensor's z axis."""
 _GRID_M = np.stack(np.meshgrid([0, -2, -1, 1, 2], [0, -1, 1], [0, 1, 2, 3, -1, -2], indexing="ij"), -1).reshape(-1, 3)
 _PROMISING = 3
 
 
 def _starts(xyz: Float, ring: Int) -> Iterator[Float]:
-    """Yield poses sensor_from_cloud (4, 4) to fit from: the origin, then places around it, by axis."""
+    """Yield initial poses sensor_from_cloud (4, 4) of the fit: the origin, then positions around it, by axis."""
     yield from _AXES
     places = [axis @ se3.make(None, -place) for axis in _AXES for place in _GRID_M]
     scatter = [_Cones.of(place, xyz[::4], ring[::4]).scatter for place in places]
@@ -135,7 +129,7 @@ def _starts(xyz: Float, ring: Int) -> Iterator[Float]:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """A place: `sensor_from_cloud` (4, 4), the cones that it sees, and the standard error of the place in metres."""
+    """A position: `sensor_from_cloud` (4, 4), the elevations from it, and its standard error in metres."""
 
     sensor_from_cloud: Float
     cones: _Cones
@@ -143,12 +137,12 @@ class _Fit:
 
     @property
     def away_m(self) -> float:
-        """How far the place is from the origin of the cloud."""
+        """Return the distance of the position from the origin of the cloud in metres."""
         return float(np.linalg.norm(self.sensor_from_cloud[:3, 3]))
 
 
 def _fitted(start: Float, xyz: Float, ring: Int) -> _Fit | None:
-    """Return the place at which least squares end that begin at a pose sensor_from_cloud (4, 4); None if singular."""
+    """Return the least-squares position from an initial pose sensor_from_cloud (4, 4); None if singular."""
     pose, weight = start, None
     information = np.eye(5)
     for _ in range(_STEPS):
@@ -164,7 +158,7 @@ def _fitted(start: Float, xyz: Float, ring: Int) -> _Fit | None:
             step = -np.linalg.solve(information + 1e-9 * np.diag(np.diag(information)), right)
         except np.linalg.LinAlgError:
             return None
-        # No step longer than a metre or half a radian.
+        # Limit steps to one metre and half a radian.
         step /= max(1.0, float(np.linalg.norm(step[2:])), 2 * float(np.linalg.norm(step[:2])))
         pose = se3.exp(np.array([step[0], step[1], 0.0, *step[2:]])) @ pose
         if np.abs(step).max() < 1e-3:
@@ -178,7 +172,7 @@ def _fitted(start: Float, xyz: Float, ring: Int) -> _Fit | None:
 
 
 def _upright(fit: _Fit) -> Float:
-    """Return the transform with its axis up: as z is, as -y is (axes of a camera), or away from most returns."""
+    """Return the transform with its axis up: towards z, towards -y (axes of a camera), or away from most returns."""
     _, y, z = fit.sensor_from_cloud[2, :3]
     down = z < 0 if abs(z) > _UPRIGHT else y > 0 if abs(y) > _UPRIGHT else float(np.median(fit.cones.elevation)) > 0
     over = np.diag([1.0, -1.0, -1.0, 1.0])

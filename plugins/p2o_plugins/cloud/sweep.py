@@ -1,4 +1,4 @@
-"""A sweep put in order: which beam gave each return, and which returns are its neighbours."""
+"""Order a sweep: the beam of each return, and its neighbouring returns."""
 
 from __future__ import annotations
 
@@ -7,26 +7,25 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from p2o import Cloud
-from p2o.arrays import Bool, Float, Int
-from p2o.frames.rings import told_rings
+from p2o import Bool, Cloud, Float, Int
+from p2o.reading import told_rings
 
 Single = NDArray[np.float32]
 
-_TURN = 2 * np.pi
-# Two returns of one ring closer than this are one ray seen twice (dual return, double point).
+TURN = 2 * np.pi
+# Two returns of one ring closer than this angle belong to one ray (dual return, duplicate).
 _SAME_RAY_DEG = 0.01
-# No sensor's lasers leave it further above or below its origin.
+# Maximum offset of a sensor's lasers above or below its origin.
 _LARGEST_OFFSET_M = 0.3
 
 
 @dataclass(frozen=True, eq=False)
 class Returns:
-    """The returns of one sweep in some order.
+    """The returns of one sweep in a defined order.
 
-    `point` (N,) is each return's row in the cloud; `range_m` (N,) from where the beams start, `flat_m` (N,) from the
-    upright axis there; `azimuth` (N,) rad in [0, 2 pi), rising counter-clockwise seen from +z. These are single
-    precision: 4 micrometres at 80 m.
+    `point` (N,) is each return's row in the cloud; `range_m` (N,) from the origin of the beams, `flat_m` (N,) from the
+    vertical axis through it; `azimuth` (N,) rad in [0, 2 pi), increasing counter-clockwise seen from +z. These are
+    single precision: 4 micrometres at 80 m.
     """
 
     cloud: Cloud
@@ -46,10 +45,10 @@ class Returns:
 
 @dataclass(frozen=True, eq=False)
 class Sweep(Returns):
-    """The returns ring by ring from the highest to the lowest, each ring by rising azimuth.
+    """The returns ring by ring from the highest to the lowest, each ring by increasing azimuth.
 
-    `ring` (N,) 0 is the highest; `start` (R + 1,) first row of each ring. `slope` and `offset` (R,): each ring lies on
-    the cone z = slope * flat_m + offset. Beams start at the origin.
+    `ring` (N,) 0 is the highest; `start` (R + 1,) first row of each ring. `slope` and `offset` (R,): the points of each
+    ring are on the cone z = slope * flat_m + offset. Beams start at the origin.
     """
 
     ring: Int
@@ -62,13 +61,18 @@ class Sweep(Returns):
 class Neighbours:
     """The next return on one side of each return.
 
-    `row` (N,) is its row; `known` (N,) is False where nothing came back there (then `row` is any row); `gap` (N,) rad
-    the angle between the two beams.
+    `row` (N,) is its row; `known` (N,) is False where there is no return (then `row` is arbitrary); `gap` (N,) rad the
+    angle between the two beams.
     """
 
     row: Int
     known: Bool
     gap: Single
+
+    @property
+    def median_gap(self) -> float:
+        """The median gap of every eighth known neighbour in rad, 0 without any."""
+        return float(np.median(self.gap[self.known][::8])) if self.known.any() else 0.0
 
 
 def order_sweep(cloud: Cloud) -> Sweep:
@@ -78,9 +82,7 @@ def order_sweep(cloud: Cloud) -> Sweep:
     RingsUnknownError where neither tells them.
     """
     x, y, z = np.ascontiguousarray(cloud.as_measured().T, dtype=np.float32)
-    azimuth = np.arctan2(y, x)
-    azimuth[azimuth < 0] += np.float32(_TURN)
-    azimuth[azimuth >= np.float32(_TURN)] = 0.0
+    azimuth = azimuth_of(x, y)
     flat = np.sqrt(x * x + y * y)
     label = told_rings(azimuth, z / np.maximum(flat, 1e-6))[0] if cloud.ring is None else _compact(cloud.ring)
     count = int(label.max()) + 1
@@ -90,8 +92,8 @@ def order_sweep(cloud: Cloud) -> Sweep:
     rank[top_down] = np.arange(count)
     ring = rank[label]
     range_m = np.sqrt(flat * flat + z * z)
-    key = ring * _TURN + azimuth
-    # Stable sorting merges runs: next to nothing for points that come in order.
+    key = ring * TURN + azimuth
+    # Stable sorting merges runs and is therefore fast for points that are already ordered.
     point = np.argsort(key, kind="stable")
     point = point[_nearest_of_ray(range_m[point], flat[point], azimuth[point], ring[point])]
     range_m, flat, azimuth, ring = range_m[point], flat[point], azimuth[point], ring[point]
@@ -99,8 +101,22 @@ def order_sweep(cloud: Cloud) -> Sweep:
     return Sweep(cloud, point, range_m, flat, azimuth, ring, start, slope[top_down], offset[top_down])
 
 
+def azimuth_of(x: Single, y: Single) -> Single:
+    """Return the azimuths of points in rad, in [0, 2 pi)."""
+    azimuth = np.arctan2(y, x)
+    azimuth[azimuth < 0] += np.float32(TURN)
+    azimuth[azimuth >= np.float32(TURN)] = 0.0
+    return azimuth
+
+
+def turn_to(azimuth: Single, other: Single) -> Single:
+    """Return the angles from other azimuths to `azimuth` in rad, -pi to pi."""
+    turn = azimuth - other
+    return np.where(turn > np.pi, turn - TURN, np.where(turn < -np.pi, turn + TURN, turn))
+
+
 def _compact(label: Int) -> Int:
-    """Return labels 0, 1, 2, ... in the order of the given ones."""
+    """Return labels 0, 1, 2, ... in the order of the given labels."""
     low, high = int(label.min()), int(label.max())
     if high - low > 65535:
         return np.unique(label, return_inverse=True)[1]
@@ -110,26 +126,26 @@ def _compact(label: Int) -> Int:
 
 
 def _cones(label: Int, flat: Single, z: Single, count: int) -> tuple[Float, Float]:
-    """Return slope and offset (R,) of z = slope * flat + offset for each ring, the offset drawn to zero.
+    """Return slope and offset (R,) of z = slope * flat + offset for each ring, with a zero-mean prior on the offset.
 
-    Sensors whose lasers do not meet in the origin (HDL-64E: 0.12 to 0.2 m above it) need the offset; where all
-    returns of a ring have about one distance it cannot be told from the slope, and zero is the better guess.
+    Sensors whose lasers do not intersect at the origin (HDL-64E: 0.12 to 0.2 m above it) need the offset; if all
+    returns of a ring have nearly the same range, offset and slope cannot be separated, and zero is the better estimate.
     """
     d, h = flat.astype(np.float64), z.astype(np.float64)
     n, sd, sz, sdd, sdz = (np.bincount(label, w, minlength=count) for w in (None, d, h, d * d, d * h))
-    prior = (0.05 / 0.3) ** 2  # 5 cm of scatter about the cone, offsets of 0.3 m
+    prior = (0.05 / 0.3) ** 2  # Standard deviations: 5 cm about the cone, 0.3 m of the offsets.
     det = np.maximum(sdd * (n + prior) - sd * sd, 1e-12)
     slope, offset = (sdz * (n + prior) - sd * sz) / det, (sdd * sz - sd * sdz) / det
-    # A sweep that was corrected for motion, by whom it does not say, meets flat ground in a plane, not in a cone.
+    # In a motion-corrected sweep a beam intersects flat ground in a plane curve that is not on a cone.
     plane = np.abs(offset) > _LARGEST_OFFSET_M
     return np.where(plane, sdz / np.maximum(sdd, 1e-12), slope), np.where(plane, 0.0, offset)
 
 
 def _from_top(slope: Float, rise: Float) -> Int:
-    """Return the labels from the highest ring to the lowest, by the slopes of their cones or their mean rise (R,).
+    """Return the labels from the highest ring to the lowest, by the slopes of their cones or their mean elevation (R,).
 
-    Labels that run up or down nearly everywhere by either are trusted over the fitted slopes, which few returns make
-    unsure, and so does motion that the sweep was corrected for.
+    Labels that are monotonic nearly everywhere in one of these take precedence over the fitted slopes, which are
+    uncertain for few returns and for motion-corrected sweeps.
     """
     count = len(slope)
     if count > 2:
@@ -143,7 +159,7 @@ def _from_top(slope: Float, rise: Float) -> Int:
 
 
 def _nearest_of_ray(range_m: Single, flat_m: Single, azimuth: Single, ring: Int) -> Bool:
-    """Return which of the ordered returns are the nearest of their ray; those on the z axis have no azimuth."""
+    """Return a mask of the ordered returns that are the nearest of their ray; those on the z axis have no azimuth."""
     beside: Bool = flat_m > 1e-3
     same = (np.diff(azimuth) < np.radians(_SAME_RAY_DEG)) & (ring[1:] == ring[:-1])
     keep = np.ones(len(ring), bool)
@@ -157,10 +173,10 @@ def _nearest_of_ray(range_m: Single, flat_m: Single, azimuth: Single, ring: Int)
 
 
 def along_ring(sweep: Sweep, max_gap_deg: float) -> tuple[Neighbours, Neighbours]:
-    """Return the left (rising azimuth) and right neighbours on the ring.
+    """Return the left (increasing azimuth) and right neighbours on the ring.
 
-    Unknown where the azimuth gap is wider than `max_gap_deg`. Rings are closed: the last return of a ring has its
-    first as left neighbour (on KITTI this seam is straight ahead).
+    Unknown where the azimuth gap is wider than `max_gap_deg`. Rings are closed: the last return of a ring has its first
+    as left neighbour (on KITTI this seam is straight ahead).
     """
     count = len(sweep)
     left, right = np.arange(1, count + 1), np.arange(-1, count - 1)
@@ -169,7 +185,7 @@ def along_ring(sweep: Sweep, max_gap_deg: float) -> tuple[Neighbours, Neighbours
     left[last], right[first] = first, last
     gap = np.empty_like(sweep.azimuth)
     gap[:-1] = np.diff(sweep.azimuth)
-    gap[last] = sweep.azimuth[first] - sweep.azimuth[last] + np.float32(_TURN)
+    gap[last] = sweep.azimuth[first] - sweep.azimuth[last] + np.float32(TURN)
     known = gap <= np.radians(max_gap_deg)
     return Neighbours(left, known, gap), Neighbours(right, known[right], gap[right])
 
@@ -181,16 +197,16 @@ def across_rings(sweep: Sweep, step: int, max_azimuth_deg: float, max_step_deg: 
     `gap` is the angle between the two rings.
     """
     count, rings, reach = len(sweep), len(sweep.slope), np.radians(max_azimuth_deg)
-    key = sweep.ring * _TURN + sweep.azimuth
-    query = key + step * _TURN
-    # One sorted list holds all rings, so one search finds the place of every return on its next ring.
+    key = sweep.ring * TURN + sweep.azimuth
+    query = key + step * TURN
+    # All rings share one sorted list, so that one search returns the position of every return on its next ring.
     place = np.searchsorted(key, query)
     after, before = np.minimum(place, count - 1), np.maximum(place - 1, 0)
     gap_after, gap_before = np.abs(key[after] - query), np.abs(query - key[before])
     row = np.where(gap_before < gap_after, before, after)
     known = np.minimum(gap_before, gap_after) <= reach
-    # Near the seam the neighbour may lie at the other end of its ring, and the list continues on another ring.
-    edge = np.flatnonzero((sweep.azimuth < reach) | (sweep.azimuth > _TURN - reach))
+    # Near the seam the neighbour may be at the other end of its ring, where the list continues with another ring.
+    edge = np.flatnonzero((sweep.azimuth < reach) | (sweep.azimuth > TURN - reach))
     target = np.clip(sweep.ring[edge] + step, 0, rings - 1)
     first, end = sweep.start[target], sweep.start[target + 1]
     filled = np.flatnonzero(end > first)
@@ -198,11 +214,11 @@ def across_rings(sweep: Sweep, step: int, max_azimuth_deg: float, max_step_deg: 
     size = end - first
     both = first[:, None] + (place[at, None] - first[:, None] + np.array([-1, 0])) % size[:, None]
     away = np.abs(sweep.azimuth[both] - sweep.azimuth[at, None])
-    away = np.minimum(away, _TURN - away)
+    away = np.minimum(away, TURN - away)
     best = away.argmin(axis=1)
     known[edge] = False
     row[at], known[at] = both[np.arange(len(at)), best], away.min(axis=1, initial=np.inf) <= reach
-    # At the distance at which both mostly meet something, where the cones are sure.
+    # At the median range of the returns, where the cones are well determined.
     away_m = np.maximum(np.bincount(sweep.ring, sweep.flat_m, rings) / np.maximum(np.diff(sweep.start), 1), 1.0)
     middle = np.sqrt(away_m[1:] * away_m[:-1])
     above, below = (np.arctan(sweep.slope[part] + sweep.offset[part] / middle) for part in (np.s_[:-1], np.s_[1:]))

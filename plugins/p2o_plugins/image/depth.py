@@ -1,4 +1,4 @@
-"""The oracle: directed occlusion edges from the depth map that comes with the image, `--extractor depth`."""
+"""Extract directed occlusion edges from the depth map that comes with the image (`--extractor depth`)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from p2o import Image, ImageEdges, ImageExtractor, ImageFeatures, InputError, Me
 
 
 class DepthOptions(Options):
-    """What counts as an occlusion edge of a depth map."""
+    """Criteria for an occlusion edge of a depth map."""
 
     min_jump_m: float = field(0.4, gt=0, help="Smallest step in distance from foreground to background, in metres.")
     relative_jump: float = field(
@@ -25,9 +25,9 @@ class DepthOptions(Options):
 def build(options: DepthOptions) -> ImageExtractor:
     """Return the extractor; raises InputError for an image without depth.
 
-    The labels are those of the paper's training data (Sec. III-B, IV-A). Pairs whose hiding pixel is masked give no
-    edge. Depth must be dense: the rule looks at four pixels in a row, and unknown ones never make an edge, so sparse
-    truth (KITTI's disparity maps, one pixel in four) gives next to nothing.
+    The labels are those of the paper's training data (Sec. III-B, IV-A). Pairs whose occluding pixel is masked give no
+    edge. The depth map must be dense: the rule compares four consecutive pixels, and unknown pixels never form an edge,
+    so that sparse ground truth (KITTI's disparity maps, one pixel in four) yields almost no edges.
     """
     background = np.array([Side(s).background for s in range(4)], dtype=np.float64)
 
@@ -36,8 +36,8 @@ def build(options: DepthOptions) -> ImageExtractor:
             raise InputError(
                 "the image has no depth",
                 where="depth",
-                expected="depth_m beside the picture",
-                got="a picture alone",
+                expected="depth_m beside the image",
+                got="an image alone",
                 hint="use rendered data such as --data synthetic, or another extractor such as --extractor canny/rings",
             )
         orders = occlusion.occlusion_orders(
@@ -51,8 +51,8 @@ def build(options: DepthOptions) -> ImageExtractor:
         maps = occlusion.without_short(occlusion.side_maps(orders), options.min_length_px)
         uv, side = occlusion.edges_from_maps(maps)
         if options.subpixel:
-            # The silhouette lies somewhere between the centres of the two pixels: half-way is right on average,
-            # while the foreground pixel is always inside, which makes every object a pixel too narrow.
+            # The true outline is between the centres of the two pixels. Their midpoint is unbiased on average, whereas
+            # the centre of the foreground pixel would make every object one pixel too narrow.
             uv = uv + 0.5 * background[side]
         return ImageFeatures(ImageEdges(uv, side))
 

@@ -1,4 +1,4 @@
-"""Disparity of a rectified pair, kept where both views agree on it."""
+"""Estimate the disparity of a rectified pair, with a left-right consistency check."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from p2o.arrays import Bool, UInt8
+from p2o import Bool, UInt8
 
 Map = NDArray[np.float32]
 _T = TypeVar("_T", bound=np.generic)
@@ -15,11 +15,11 @@ _T = TypeVar("_T", bound=np.generic)
 
 @dataclass(frozen=True, eq=False)
 class PairView:
-    """One picture of a rectified pair, oriented so that it is the left one (the right one is given mirrored).
+    """One image of a rectified pair, oriented as the left one (the right image is stored mirrored).
 
-    `own` and `other` (H, W, 4): red, green, blue, and the horizontal derivative of the luma, in grey levels, the
-    exposure of `other` brought to that of `own`. `disparity` (H, W) px has no gaps; `known` (H, W) tells the pixels
-    where both views agree on it.
+    `own` and `other` (H, W, 4): red, green, blue, and the horizontal derivative of the luma, in grey levels; the
+    exposure of `other` is scaled to that of `own`. `disparity` (H, W) px has no gaps; `known` (H, W) marks the pixels
+    at which both views agree.
     """
 
     own: Map
@@ -28,19 +28,17 @@ class PairView:
     known: Bool
 
 
-def both_views(
-    left: UInt8, right: UInt8, count: int, block: int, tolerance_px: float = 1.0
-) -> tuple[PairView, PairView]:
-    """Return the left view of pictures (H, W, 3) and the mirrored right view, for which left and right change places.
+def both_views(left: UInt8, right: UInt8, count: int, block: int) -> tuple[PairView, PairView]:
+    """Return the left view of images (H, W, 3) and the mirrored right view, in which left and right are exchanged.
 
-    A pixel is `known` where its match leads back to it within `tolerance_px`; `count` and `block` as in `match`.
+    A pixel is `known` if its match maps back to it within 1 px; `count` and `block` as in `match`.
     """
     import cv2
 
     mirrored_left, mirrored_right = _mirror(left), _mirror(right)
     from_left, from_right = match(left, right, count, block), match(mirrored_right, mirrored_left, count, block)
-    known_left = consistent(from_left, _mirror(from_right), tolerance_px)
-    known_right = consistent(from_right, _mirror(from_left), tolerance_px)
+    known_left = consistent(from_left, _mirror(from_right), tolerance_px=1.0)
+    known_right = consistent(from_right, _mirror(from_left), tolerance_px=1.0)
     gain = _gain(left, right, from_left, known_left)
     own = _with_derivative(left)
     other = _with_derivative(np.clip(right.astype(np.float32) * gain, 0, 255))
@@ -56,7 +54,7 @@ def both_views(
 
 
 def match(left: UInt8, right: UInt8, count: int, block: int) -> Map:
-    """Return the disparity (H, W) of the left picture in px by semi-global matching; NaN where there is none.
+    """Return the disparity (H, W) of the left image in px by semi-global matching; NaN where there is no match.
 
     `count` disparities from 0 (a multiple of 16), windows of `block` px. Hirschmueller, TPAMI 2008.
     """
@@ -76,14 +74,15 @@ def match(left: UInt8, right: UInt8, count: int, block: int) -> Map:
         speckleRange=2,
         mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
     )
-    # SGBM gives nothing in the first columns, whose match may lie outside: pad both pictures on the left.
+    # SGBM returns no disparity for the first columns, whose match may be outside the image: pad both images on the
+    # left.
     padded = [cv2.copyMakeBorder(p, 0, 0, count, 0, cv2.BORDER_REPLICATE) for p in (left, right)]
     raw = matcher.compute(*padded)[:, count:]
     return np.where(raw < 0, np.float32(np.nan), raw.astype(np.float32) / 16)
 
 
 def consistent(disparity: Map, other: Map, tolerance_px: float) -> Bool:
-    """Return where (H, W) the disparity of the left view leads to a pixel of the right view that leads back."""
+    """Return a mask (H, W) of the pixels that pass the left-right consistency check."""
     height, width = disparity.shape
     at = np.arange(width) - disparity
     inside = np.isfinite(at) & (at >= -0.5)
@@ -96,8 +95,8 @@ def consistent(disparity: Map, other: Map, tolerance_px: float) -> Bool:
 def fill_with_background(disparity: Map, known: Bool) -> Map:
     """Return disparity (H, W) with the unknown runs of each row filled by the smaller disparity at their two ends.
 
-    What the other camera does not see is background. A run that touches the border takes the one end it has; rows
-    without any value become 0 (infinitely far).
+    Pixels that are hidden from the other camera belong to the background. A run that touches the border takes the value
+    of its only end; rows without any value become 0 (infinitely far).
     """
     width = disparity.shape[1]
     column = np.arange(width)
@@ -110,10 +109,11 @@ def fill_with_background(disparity: Map, known: Bool) -> Map:
 
 
 def ground(view: PairView, tolerance_px: float = 0.7) -> tuple[float, float, float] | None:
-    """Return (a, b, c) of the ground, whose disparity is a + b u + c v px at pixel (u, v), or None where none is seen.
+    """Return (a, b, c) of the ground, whose disparity is a + b u + c v px at pixel (u, v), or None without ground.
 
-    The plane that most pixels of the lower half agree with (RANSAC with a fixed seed, then least squares), if it is a
-    fifth of them, comes nearer downwards (c at least 0.05) and hardly leans sideways (b at most c / 2).
+    The plane with the most inliers in the lower half of the image (RANSAC with a fixed seed, then least squares), if
+    the inliers are at least a fifth of the pixels, the disparity grows downwards (c at least 0.05) and the lateral
+    slope is small (b at most c / 2).
     """
     height = len(view.disparity)
     v, u = np.nonzero(view.known[height // 2 :])
@@ -144,7 +144,7 @@ def _mirror(array: NDArray[_T]) -> NDArray[_T]:
 
 
 def _gain(left: UInt8, right: UInt8, disparity: Map, known: Bool) -> float:
-    """Return the factor of exposure from the right to the left picture: the median ratio of matched pixels."""
+    """Return the exposure factor from the right to the left image: the median ratio of matched pixels."""
     v, u = (index[::31] for index in np.nonzero(known))
     if len(u) == 0:
         return 1.0

@@ -1,8 +1,8 @@
-"""Directed occlusion edges from one picture by a network (paper Sec. III-B): `--extractor p2ornet`."""
+"""Detect directed occlusion edges in one image by a network (paper Sec. III-B): `--extractor p2ornet`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from p2o import (
     SIDES,
+    Float,
     Frame,
     Image,
     ImageEdges,
@@ -19,15 +20,14 @@ from p2o import (
     Method,
     Options,
     Trainer,
-    TrainingGroup,
-    TrainingProgress,
+    UInt8,
     field,
 )
-from p2o.arrays import Float, UInt8
-from p2o.native import has_gpu_driver
+from p2o.solving import has_gpu_driver
+from pydantic import Field
 
 from p2o_plugins.p2ornet.options import PRESETS, TrainingOptions
-from p2o_plugins.p2ornet.shipped import path_of
+from p2o_plugins.p2ornet.shipped import default_weights, licence_of, path_of
 
 if TYPE_CHECKING:
     import torch
@@ -36,12 +36,12 @@ if TYPE_CHECKING:
 
 
 class P2ORNetOptions(Options):
-    """Which network looks for occlusion edges, and how certain it has to be."""
+    """Network and confidence threshold of the extractor."""
 
-    weights: str = field(
-        "kitti",
-        help="Weights: kitti (shipped; for research only), synthetic (shipped; have seen synthetic streets only), or a "
-        "file that p2o train wrote.",
+    weights: str = Field(
+        default_factory=default_weights,
+        description="Weights: kitti (shipped; for research only), synthetic (shipped; have seen synthetic streets "
+        "only; the default with P2O_WEIGHTS=free), or a file that p2o train wrote.",
     )
     min_confidence: float = field(0.05, ge=0, le=1, help="Edges less certain than this are dropped.")
     min_line_px: int = field(5, ge=1, help="Connected edges of fewer pixels than this are dropped, side by side.")
@@ -49,7 +49,7 @@ class P2ORNetOptions(Options):
         2.0,
         ge=0,
         le=255,
-        help="Edges are dropped where the picture changes by less than this within 3 px, in grey levels; 0: off.",
+        help="Edges are dropped where the image changes by less than this within 3 px, in grey levels; 0: off.",
     )
     device: str = field(
         "auto",
@@ -60,7 +60,7 @@ class P2ORNetOptions(Options):
 
 
 def build(options: P2ORNetOptions) -> ImageExtractor:
-    """Return the extractor; the weights are read here. Raises InputError if they cannot be."""
+    """Return the extractor; the weights are read by this call. Raises InputError if they cannot be read."""
     path = path_of(options.weights)
     predict, shape = _predictor(options.device, path)
     slope, offset = _calibration(shape.about.get("calibration", "1 0"), path)
@@ -69,25 +69,26 @@ def build(options: P2ORNetOptions) -> ImageExtractor:
         from p2o_plugins.p2ornet.thinning import peaks, side_probabilities
 
         maps = side_probabilities(predict(image.rgb))
-        # The threshold on confidence, undone through its calibration, keeps the lists short from the start.
-        found = peaks(maps, min_score=0.02)
-        confidence = calibrated(found.score, slope, offset)
+        # The confidence threshold is mapped back to a score through the calibration, which limits the number of
+        # candidates.
+        edges = peaks(maps, min_score=0.02)
+        confidence = calibrated(edges.score, slope, offset)
         keep = confidence >= options.min_confidence
         height, width = image.rgb.shape[:2]
-        u, v = np.clip(found.pixel.T.astype(np.int64), 0, [[width - 1], [height - 1]])
+        u, v = np.clip(edges.pixel.T.astype(np.int64), 0, [[width - 1], [height - 1]])
         if options.min_contrast > 0:
             keep &= contrast(image.rgb)[v, u] >= options.min_contrast
         if image.masked is not None:
             keep &= ~image.masked[v, u]
-        found, confidence = found.select(keep), confidence[keep]
-        long = long_enough(found.pixel, found.side, image.rgb.shape[:2], options.min_line_px)
-        return ImageFeatures(ImageEdges(found.uv[long], found.side[long], confidence[long]))
+        edges, confidence = edges.select(keep), confidence[keep]
+        long = long_enough(edges.pixel, edges.side, image.rgb.shape[:2], options.min_line_px)
+        return ImageFeatures(ImageEdges(edges.uv[long], edges.side[long], confidence[long]))
 
     return extract
 
 
 def _calibration(text: str, path: Path) -> tuple[float, float]:
-    """Return slope and offset of what a weights file says of its scores."""
+    """Return slope and offset of the score calibration stored in a weights file."""
     try:
         slope, offset = (float(x) for x in text.split())
     except ValueError:
@@ -98,9 +99,9 @@ def _calibration(text: str, path: Path) -> tuple[float, float]:
 
 
 def contrast(rgb: UInt8) -> UInt8:
-    """Return how much any channel of a picture (H, W, 3) changes within 3 px of each pixel (H, W), in grey levels.
+    """Return the largest change of any channel of an image (H, W, 3) within 3 px of each pixel (H, W), in grey levels.
 
-    Where nothing changes (white on white, a lens cap), no outline can be seen, whatever a network makes of it.
+    Where nothing changes (white on white, a lens cap), no outline is visible, and responses of the network are invalid.
     """
     import cv2
 
@@ -110,7 +111,7 @@ def contrast(rgb: UInt8) -> UInt8:
 
 
 def calibrated(score: Float, slope: float, offset: float) -> Float:
-    """Return the share of edges of this score that are there: Platt scaling, fitted on validation drives."""
+    """Return the probability that an edge of this score is correct: Platt scaling, fitted on validation drives."""
     s = np.clip(score, 1e-4, 1 - 1e-4)
     return np.asarray(1 / (1 + np.exp(-(slope * np.log(s / (1 - s)) + offset))))
 
@@ -126,17 +127,17 @@ def long_enough(pixel: Float, side: Any, size: tuple[int, int], min_line_px: int
     for one in SIDES:
         own = np.flatnonzero(inside & (side == one))
         at = v[own] * width + u[own]
-        there = np.zeros(size, np.uint8)
-        there.reshape(-1)[at] = 1
-        _, piece = cv2.connectedComponents(there, connectivity=8)
-        # Pixels are counted, not points, where several points share one.
+        occupied = np.zeros(size, np.uint8)
+        occupied.reshape(-1)[at] = 1
+        _, piece = cv2.connectedComponents(occupied, connectivity=8)
+        # Count pixels instead of points, because several points may share a pixel.
         pixels = np.bincount(piece.reshape(-1)[np.unique(at)], minlength=1)
         out[own] = pixels[piece.reshape(-1)[at]] >= min_line_px
     return out
 
 
 def _predictor(device: str, path: Path) -> tuple[Callable[[UInt8], Float], Shape]:
-    """Return what makes probabilities of a picture (see `graph.Predictor`) with a weights file, and its shape."""
+    """Return a predictor (see `graph.Predictor`) with the weights of a file, and the shape of its network."""
     from p2o_plugins.p2ornet.weights import load_weights
 
     tensors, shape = load_weights(path)
@@ -151,7 +152,7 @@ def _predictor(device: str, path: Path) -> tuple[Callable[[UInt8], Float], Shape
 
 
 def _gpu(device: str) -> torch.device | None:
-    """Return the GPU that computes, or None for the processor, for which torch is not imported."""
+    """Return the GPU to compute on, or None for the CPU, which does not need torch."""
     if device == "cpu" or (device == "auto" and not has_gpu_driver()):
         return None
     import torch
@@ -159,17 +160,13 @@ def _gpu(device: str) -> torch.device | None:
     if device == "auto":
         return torch.device("cuda") if torch.cuda.is_available() else None
     if int(device.partition(":")[2] or 0) >= torch.cuda.device_count():
-        raise InputError(
-            "there is no such GPU",
-            where="device",
-            expected=f"cpu, or one of {torch.cuda.device_count()} GPUs",
-            got=device,
-        )
+        expected = f"cpu, or one of {torch.cuda.device_count()} GPUs"
+        raise InputError("the GPU does not exist", where="device", expected=expected, got=device)
     return torch.device(device)
 
 
 def label(frame: Frame) -> bytes:
-    """Return the content of a label file of a frame; raises InputError where the frame teaches nothing."""
+    """Return the content of a label file of a frame; raises InputError for a frame without labels."""
     from p2o_plugins.p2ornet.example import example_of
 
     example = example_of(frame)
@@ -184,31 +181,26 @@ def label(frame: Frame) -> bytes:
 
 
 def draw(path: Path) -> UInt8:
-    """Return the picture (H, W, 3) of a label file."""
-    from p2o_plugins.p2ornet.example import Example
-    from p2o_plugins.p2ornet.picture import drawn
+    """Return the image (H, W, 3) of a label file."""
+    from p2o_plugins.p2ornet.example import Example, drawn
 
     return drawn(Example.load(path))
 
 
-def train(
-    options: TrainingOptions,
-    groups: Sequence[TrainingGroup],
-    validation: Sequence[Path],
-    out: Path,
-    report: Callable[[TrainingProgress], None],
-) -> Path:
-    """Train on label files and return the weights: see `p2o.Trainer`."""
-    from p2o_plugins.p2ornet import training
+def train(*arguments: Any) -> Path:
+    """Train on label files and return the weights: see `p2o.Trainer` and `training.train`."""
+    from p2o_plugins.p2ornet.training import train
 
-    return training.train(options, groups, validation, out, report)
+    return train(*arguments)
 
 
 METHOD = Method(
     name="p2ornet",
     build=build,
+    data_files=lambda options: [path_of(options.weights)],
+    data_licence=lambda options: licence_of(options.weights),
     options=P2ORNetOptions,
-    summary="Directed occlusion edges of one picture, labelled by a network.",
+    summary="Directed occlusion edges of one image, labelled by a network.",
     gives={"image-edges", "side"},
     parallel=True,
     trainer=Trainer(options=TrainingOptions, presets=PRESETS, label=label, draw=draw, train=train, label_version=3),

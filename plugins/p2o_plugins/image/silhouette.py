@@ -1,9 +1,9 @@
-"""Where exactly a silhouette lies: the image gradient at which foreground and background disparity change places.
+"""Locate silhouettes at the image gradient where the assignment changes from foreground to background disparity.
 
-Windows of stereo matchers carry the foreground's disparity a pixel or two over its outline. Here the step in the
-disparity only tells that there is an edge and which two disparities meet. Pixel by pixel, without a window across the
-edge, each of the two is then tried on the other picture; along the axis of the edge the sum of both costs has its
-minimum where the foreground ends. Only places where the colour changes are candidates, which gives sub-pixel places.
+Windows of stereo matchers extend the foreground's disparity one or two pixels beyond its outline. In this module the
+disparity step gives only the approximate place of an edge and its two disparities. Both disparities are then evaluated
+pixel by pixel in the other image, without a window across the edge; along the axis of the edge the sum of both costs
+has its minimum at the end of the foreground. Only colour changes are candidates, which gives sub-pixel places.
 """
 
 from __future__ import annotations
@@ -12,19 +12,18 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from p2o import Side
-from p2o.arrays import Bool, Float, Int
+from p2o import Bool, Float, Int, Side
 
 from p2o_plugins.image.disparity import Map, PairView
 
 REACH = 5
-"""How far from the step in the disparity a silhouette is looked for, in px."""
+"""Search range of a silhouette around the disparity step, in px."""
 WINDOW = 5
-"""How deep into foreground and background the two disparities are compared, in px."""
+"""Depth of the strips in foreground and background in which the two disparities are compared, in px."""
 BREADTH = 4
-"""How far along the edge, to both sides, pixels vote on the two disparities."""
+"""Length of the window along the edge, to both sides, whose pixels vote on the two disparities, in px."""
 MIN_KNOWN = 0.5
-"""Part of the pixels in the window inside an edge at which both views must agree on the disparity."""
+"""Minimum fraction of the pixels in the window inside an edge at which both views agree on the disparity."""
 SPAN = REACH + WINDOW
 
 PRIOR = {
@@ -32,11 +31,11 @@ PRIOR = {
     (0, -1): (-0.2, 7.0, 0.06),
     (0, 1): (0.25, 7.0, 0.03),
 }
-"""By the step (du, dv) to the background: what a pixel outwards costs, the pull of contrast, the pull of the step.
+"""By the step (du, dv) to the background: cost per pixel outwards, weight of the contrast, weight of the step.
 
-A plain strip along the edge fits both disparities. Below and beside an object it is rather road or a blurred border:
-the inner place wins ties. Above it is rather the roof of a car over its windows: the outer one wins. Chosen on layered
-pairs made of pictures of the `train` split.
+A textureless strip along the edge fits both disparities. Below and beside an object such a strip is usually road or a
+blurred border: ties are resolved to the inner place. Above an object it is usually the roof of a car over its windows:
+ties are resolved to the outer place. Tuned on layered pairs synthesised from images of the `train` split.
 """
 
 FEATURES = (
@@ -54,7 +53,7 @@ FEATURES = (
     "known_inside",
     "known_outside",
 )
-"""What the confidence of a silhouette is judged by, see `locate`."""
+"""Names of the features from which the confidence of a silhouette is computed, see `locate`."""
 
 _ACROSS = (
     (4.76, 1.63, -0.16, 0.25, -0.50, 1.91, 0.31, 2.25, 1.51, -0.71, -3.77, -0.03, 0.27, -2.76),
@@ -74,8 +73,9 @@ JUDGEMENT = {
 }
 """Coefficients of `confidence` for the directions; L and R are mirror images and share theirs.
 
-Those of FEATURES and a constant; then those of the first judgement, of its neighbours', and a constant. Logistic
-regression on layered pairs made of pictures of the `train` split: `python benchmarks/stereo_bias.py --fit`.
+Those of FEATURES and a constant; then those of the first estimate, of the neighbours' estimates, and a constant.
+Logistic regression on layered pairs synthesised from images of the `train` split: `python benchmarks/stereo_bias.py
+--fit`.
 """
 
 
@@ -95,16 +95,16 @@ class Silhouettes:
         return Silhouettes(self.uv[keep], self.disparity[keep], self.features[keep])
 
     def pixels(self, towards: tuple[int, int], inside_px: float = 0.5) -> Int:
-        """Return pixels (N, 2) of the foreground, `inside_px` away from a background that lies `towards` (du, dv)."""
+        """Return pixels (N, 2) of the foreground, `inside_px` from a background in the direction `towards` (du, dv)."""
         return (self.uv - inside_px * np.array(towards)).round().astype(np.int64)
 
 
 def steps(disparity: Map, towards: tuple[int, int], min_jump_px: float, min_jump_ratio: float) -> tuple[Int, Int]:
-    """Return rows and columns of the last foreground pixels before the disparity falls `towards` (du, dv).
+    """Return rows and columns of the last foreground pixels before the disparity drops in direction `towards` (du, dv).
 
-    The fall over 3 px must exceed `min_jump_px` and the given part of the foreground's disparity; it must be the
-    steepest place within 3 px; the foreground must not still be rising, nor the background go on falling (a slanted
-    surface).
+    The drop over 3 px must exceed `min_jump_px` and the given fraction of the foreground's disparity; it must be the
+    steepest place within 3 px; the disparity must not still increase in the foreground nor continue to decrease in the
+    background (a slanted surface).
     """
     axis, sign = (1, towards[0]) if towards[0] else (0, towards[1])
 
@@ -113,30 +113,28 @@ def steps(disparity: Map, towards: tuple[int, int], min_jump_px: float, min_jump
 
     jump = at(disparity, -1) - at(disparity, 2)
     fall = disparity - at(disparity, 1)
-    found = (jump > min_jump_px) & (jump > min_jump_ratio * at(disparity, -1)) & (fall > 0)
+    drop = (jump > min_jump_px) & (jump > min_jump_ratio * at(disparity, -1)) & (fall > 0)
     for k in (1, 2, 3):
-        found &= (fall > at(fall, -k)) & (fall >= at(fall, k))
-    found &= (at(disparity, -5) - at(disparity, -1) < 0.3 * jump) & (at(disparity, 2) - at(disparity, 6) < 0.6 * jump)
-    # np.roll wraps around: nothing is measured so close to the border.
-    found[:8], found[-8:], found[:, :8], found[:, -8:] = False, False, False, False
-    v, u = np.nonzero(found)
+        drop &= (fall > at(fall, -k)) & (fall >= at(fall, k))
+    drop &= (at(disparity, -5) - at(disparity, -1) < 0.3 * jump) & (at(disparity, 2) - at(disparity, 6) < 0.6 * jump)
+    # np.roll wraps around, so that values this close to the border are invalid.
+    drop[:8], drop[-8:], drop[:, :8], drop[:, -8:] = False, False, False, False
+    v, u = np.nonzero(drop)
     return v, u
 
 
 def locate(view: PairView, v: Int, u: Int, towards: tuple[int, int]) -> Silhouettes:
-    """Return the silhouettes near the last foreground pixels (v, u), whose background lies `towards` (du, dv).
+    """Return the silhouettes near the last foreground pixels (v, u) with the background `towards` (du, dv).
 
-    Points without any change of colour within REACH, or whose foreground the two views do not agree on, are left out.
-    Features: `contrast` of the colours; `lead` over the second best place; `shift` from the step in the disparity;
-    `jump` and its `ratio` to the foreground's disparity; on either side, in a window and close to the edge, how many
-    more pixels prefer the disparity of their side than the other one (`votes`), the mean cost of the right disparity
-    (`misfit`), and the part of pixels at which both views agree (`known`).
+    Points without a colour change within REACH, or whose foreground fails the left-right check, are omitted. Features:
+    `contrast` of the colours; `lead` over the second best place; `shift` from the disparity step; `jump` and its
+    `ratio` to the foreground's disparity; on each side, in a window and close to the edge, the majority of pixels that
+    prefer the disparity of their own side (`votes`), the mean cost of the right disparity (`misfit`), and the fraction
+    of pixels at which both views agree (`known`).
     """
-    height, width = view.disparity.shape
     du, dv = towards
-    k, t = np.arange(-SPAN, SPAN + 1), np.arange(-BREADTH, BREADTH + 1)
-    columns = np.clip(u[:, None, None] + du * k[:, None] + abs(dv) * t, 0, width - 1)
-    rows = np.clip(v[:, None, None] + dv * k[:, None] + abs(du) * t, 0, height - 1)
+    k = np.arange(-SPAN, SPAN + 1)
+    rows, columns = _window(view, v, u, towards, k)
     own = view.own[rows, columns]
     profile = view.disparity[rows[:, :, BREADTH], columns[:, :, BREADTH]]
     front = _extended(profile[:, SPAN - 4 : SPAN + 1], -2, k)
@@ -184,22 +182,22 @@ def locate(view: PairView, v: Int, u: Int, towards: tuple[int, int]) -> Silhouet
     return Silhouettes(uv[keep], front[index, best][keep].astype(np.float64), features[keep].astype(np.float64))
 
 
-def confidence(found: Silhouettes, side: Side, size: tuple[int, int]) -> Float:
-    """Return how certain (N,), 0 to 1, silhouettes are true and within 1 px of their place, in a picture (H, W).
+def confidence(silhouettes: Silhouettes, side: Side, size: tuple[int, int]) -> Float:
+    """Return the probability (N,) that silhouettes of an image (H, W) are true and accurate within 1 px.
 
-    Each point is judged by its features, then again together with the points that continue its line over 3 px to
+    Each point is classified by its features, then again together with the points that continue its line over 3 px to
     both sides.
     """
     own, joint = (np.array(c) for c in JUDGEMENT[side])
-    first = found.features @ own[:-1] + own[-1]
-    both = np.stack([first, support(found.uv, _logistic(first), side, size)], axis=1)
+    first = silhouettes.features @ own[:-1] + own[-1]
+    both = np.stack([first, support(silhouettes.uv, _logistic(first), side, size)], axis=1)
     return _logistic(both @ joint[:-1] + joint[-1])
 
 
 def support(uv: Float, belief: Float, side: Side, size: tuple[int, int]) -> Float:
-    """Return the mean belief (N,) in the points beside each of uv (N, 2), over 3 px along the edge to both sides.
+    """Return the mean probability (N,) of the points beside each of uv (N, 2), over 3 px along the edge to both sides.
 
-    The line may lean by up to 2 px to either side; a missing neighbour counts 0.
+    The line may deviate by up to 2 px to either side; a missing neighbour counts 0.
     """
     import cv2
 
@@ -214,9 +212,9 @@ def support(uv: Float, belief: Float, side: Side, size: tuple[int, int]) -> Floa
 
 
 def line_lengths(uv: Float, size: tuple[int, int]) -> Int:
-    """Return, for points (N, 2) of one direction in a picture (H, W), how many points (N,) make up their line.
+    """Return the number (N,) of points in the line of each point (N, 2) of one direction in an image (H, W).
 
-    Points belong to one line where at most one pixel lies between them.
+    Points belong to one line if at most one pixel separates them.
     """
     import cv2
 
@@ -232,26 +230,30 @@ def _logistic(value: Float) -> Float:
 
 
 def votes_against(
-    view: PairView, found: Silhouettes, towards: tuple[int, int], plane: tuple[float, float, float]
+    view: PairView, silhouettes: Silhouettes, towards: tuple[int, int], plane: tuple[float, float, float]
 ) -> Float:
-    """Return how many more pixels (N,) inside of silhouettes prefer the foreground's disparity to that of a plane.
+    """Return the majority (N,) of pixels inside silhouettes that prefer the foreground's disparity to that of a plane.
 
-    Between -1 and 1, in a window inside the edge whose background lies `towards` (du, dv); `plane` (a, b, c) has
+    Between -1 and 1, in a window inside the edge with the background `towards` (du, dv); `plane` (a, b, c) has
     disparity a + b u + c v px at pixel (u, v).
     """
-    height, width = view.disparity.shape
-    step = np.array(towards)
-    # The row at an edge mixes both colours and would vote for any disparity by the edge itself; across columns too,
-    # but there poles are too thin to leave a pixel out.
-    u, v = found.pixels(towards, inside_px=1.5 if step[1] else 0.5).T
-    k, t = np.arange(1 - WINDOW, 1), np.arange(-BREADTH, BREADTH + 1)
-    columns = np.clip(u[:, None, None] + step[0] * k[:, None] + abs(step[1]) * t, 0, width - 1)
-    rows = np.clip(v[:, None, None] + step[1] * k[:, None] + abs(step[0]) * t, 0, height - 1)
+    # The row at an edge mixes both colours and would fit any disparity through the edge itself. The same holds for
+    # columns, but poles are too thin to omit a pixel there.
+    u, v = silhouettes.pixels(towards, inside_px=1.5 if towards[1] else 0.5).T
+    rows, columns = _window(view, v, u, towards, np.arange(1 - WINDOW, 1))
     own = view.own[rows, columns]
     on_plane = np.maximum(plane[0] + plane[1] * columns + plane[2] * rows, 0)
     cost_plane = _cost(view, own, rows, (columns - on_plane).astype(np.float32))
-    cost_front = _cost(view, own, rows, (columns - found.disparity[:, None, None]).astype(np.float32))
+    cost_front = _cost(view, own, rows, (columns - silhouettes.disparity[:, None, None]).astype(np.float32))
     return np.asarray(_votes(cost_plane - cost_front).mean((1, 2)), dtype=np.float64)
+
+
+def _window(view: PairView, v: Int, u: Int, towards: tuple[int, int], k: Int) -> tuple[Int, Int]:
+    """Return rows and columns (N, K, T) at offsets k along `towards` from pixels (v, u) and BREADTH to both sides."""
+    (height, width), (du, dv), t = view.disparity.shape, towards, np.arange(-BREADTH, BREADTH + 1)
+    columns = np.clip(u[:, None, None] + du * k[:, None] + abs(dv) * t, 0, width - 1)
+    rows = np.clip(v[:, None, None] + dv * k[:, None] + abs(du) * t, 0, height - 1)
+    return rows, columns
 
 
 def _votes(difference: Map) -> Map:
@@ -281,14 +283,14 @@ def snap(own: Map, uv: Float, reach_px: float) -> Float:
 
 
 def _extended(profile: Map, middle: int, k: Int) -> Map:
-    """Return the disparity (N, K) at offsets k of a surface seen at five pixels (N, 5) around offset `middle`."""
+    """Return the disparity (N, K) at offsets k of a surface sampled at five pixels (N, 5) around offset `middle`."""
     slope = (profile[:, -1] - profile[:, 0]) / 4
     slope = np.where(np.abs(slope) < 0.5, slope, 0)
     return (np.median(profile, axis=1)[:, None] + slope[:, None] * (k - middle)).astype(np.float32)
 
 
 def _cost(view: PairView, own: Map, rows: Int, columns: Map) -> Map:
-    """Return how badly pixels fit the other picture at (rows, columns), in grey levels, the best within +-0.5 px."""
+    """Return the cost of pixels in the other image at (rows, columns), in grey levels, best within +-0.5 px."""
     cost = np.full(rows.shape, np.inf, np.float32)
     for shift in (-0.5, 0.0, 0.5):
         difference = np.abs(own - _sampled(view.other, rows, columns + shift))
@@ -297,20 +299,20 @@ def _cost(view: PairView, own: Map, rows: Int, columns: Map) -> Map:
     return cost
 
 
-def _sampled(picture: Map, rows: Int, columns: Map) -> Map:
-    """Return picture (H, W, C) at integer rows and fractional columns of any shape, linear, the border repeated."""
+def _sampled(image: Map, rows: Int, columns: Map) -> Map:
+    """Return image (H, W, C) at integer rows and fractional columns of any shape, linear, the border repeated."""
     import cv2
 
     size = rows.size
     strip = (-(-max(size, 1) // 2048), 2048)
     u, v = np.zeros(strip, np.float32), np.zeros(strip, np.float32)
     u.reshape(-1)[:size], v.reshape(-1)[:size] = columns.reshape(-1), rows.reshape(-1)
-    sampled = cv2.remap(picture, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(sampled.reshape(-1, picture.shape[2])[:size].reshape(*rows.shape, picture.shape[2]))
+    sampled = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(sampled.reshape(-1, image.shape[2])[:size].reshape(*rows.shape, image.shape[2]))
 
 
 def _peaks(strength: Map) -> tuple[NDArray[np.bool_], Map, Map]:
-    """Return, for all but the first and last of strengths (N, K): is it a peak, its sub-pixel offset, its strength."""
+    """Return, for all but the first and last of strengths (N, K): peak mask, sub-pixel offset, peak strength."""
     before, here, after = strength[:, :-2], strength[:, 1:-1], strength[:, 2:]
     peak = (here >= before) & (here > after) & (here > 3)
     offset = 0.5 * (before - after) / np.minimum(before - 2 * here + after, -1e-3)
@@ -318,11 +320,11 @@ def _peaks(strength: Map) -> tuple[NDArray[np.bool_], Map, Map]:
 
 
 def _split(preference: Map, contrast: Map, k: Int, prior: tuple[float, float, float]) -> tuple[Map, Int, Map]:
-    """Return where (N,) the foreground ends, the index of its last pixel, and the lead over the second best place.
+    """Return the index (N,) of the last foreground pixel, and the lead over the second best place.
 
-    `preference` (N, K, T) is the cost of the foreground's disparity less that of the background's, `contrast`
-    (N, K - 1) the change of colour to the next pixel. Of all peaks of the contrast within REACH the one wins whose
-    pixels inside prefer the foreground and outside the background, weighed by `prior` as in PRIOR. NaN where there is
+    `preference` (N, K, T) is the cost of the foreground's disparity minus that of the background's, `contrast` (N, K -
+    1) the colour change to the next pixel. Among all peaks of the contrast within REACH, the one is selected whose
+    pixels inside prefer the foreground and outside the background, weighted by `prior` as in PRIOR. NaN where there is
     no peak.
     """
     outwards, pull, nearness = prior

@@ -1,34 +1,37 @@
-"""How much denser image edges of its own direction lie where a LiDAR edge falls than around there."""
+"""Score poses by the density of image edges at LiDAR edges of the same direction, relative to the surroundings."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from p2o import Camera, Side, View, se3
-from p2o.arrays import Bool, Float, Int
+from p2o import Bool, Camera, Float, Int, Side, View, se3
+from p2o.solving import ipp_disabled
 
 Float32 = np.ndarray
 
 _FOCAL_PX, _MOST_PX, _WIDEST_TAN = 720.0, 1300.0, 1.7
-"""Every camera is searched as a pinhole of this focal length (less where that were larger than so many pixels), up to
-60 degrees off its axis: what was chosen on one camera then holds for the others, and projecting is quick."""
+"""Focal length of the pinhole model of every camera (smaller if the image exceeded N pixels), up to 60 degrees off
+axis.
+
+Parameters tuned on one camera are thereby valid for others, and projection is fast.
+"""
 _WIDTHS_PX = (2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
-"""Standard deviations of the blurs, in pixels of that pinhole."""
+"""Standard deviations of the blurs, in pixels of that pinhole model."""
 _AROUND = 4.0
-"""What an edge is compared with: the density blurred by so many more standard deviations."""
+"""Width of the reference density: the density blurred by N more standard deviations."""
 _NEAREST_M = 0.5
 _AT_ONCE = 50_000
 
 
 @dataclass(frozen=True, eq=False)
 class _Maps:
-    """Densities of one view, of those directions `sides` that its image edges have.
+    """Densities of one view, of the directions `sides` that its image edges have.
 
-    `flat` holds (direction, row, column) of every blur one after the other, `slope` its rise per pixel across the
-    direction; `first`, `height`, `width`, `cell_px` (blurs,) say where and how large each is. A border of zeros around
-    each map is what points outside of the image fall on.
+    `flat` holds (direction, row, column) of every blur one after the other, `slope` its derivative per pixel across the
+    direction; `first`, `height`, `width`, `cell_px` (blurs,) are offset and size of each. Each map has a border of
+    zeros, to which points outside of the image are mapped.
     """
 
     focal_px: float
@@ -44,7 +47,7 @@ class _Maps:
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """The LiDAR edges of one view that take part: in the camera frame of `around`, their map, and how they count."""
+    """The LiDAR edges of one view in use: in the camera frame of `around`, with their map and weight."""
 
     maps: _Maps
     xyz: Float32
@@ -56,7 +59,7 @@ class _Part:
 
 @dataclass(frozen=True, eq=False)
 class _Points:
-    """The points of a part at one width each; rows of (K,) arrays belong to points."""
+    """The points of a part at one blur width each; rows of (K,) arrays belong to points."""
 
     maps: _Maps
     xyz: Float32
@@ -72,12 +75,12 @@ class _Points:
 
 @dataclass(frozen=True, eq=False)
 class EdgeDensity:
-    """Scores poses near and far by how densely image edges lie where LiDAR edges of the same direction fall.
+    """Score near and distant poses by the density of image edges at LiDAR edges of the same direction.
 
-    The density is blurred as widely as a pose may be wrong by, point by point: what is far away says most while the
-    place of the camera is uncertain. From it the density farther around is taken: points in thickets of edges, and
-    points that leave the image, tell nothing, so neither draws poses to itself. Higher scores are better; those of one
-    `at` compare.
+    The density of each point is blurred by the uncertainty of the pose at that point: distant points have the largest
+    weight while the camera position is uncertain. The density of the wider surroundings is subtracted: points in
+    cluttered regions and points outside the image have no influence, so that neither attracts poses. Higher scores are
+    better; only scores of the same `at` are comparable.
     """
 
     parts: tuple[_Part, ...]
@@ -86,8 +89,7 @@ class EdgeDensity:
     def of(cls, views: Sequence[View], around: Float, reachable: Sequence[Bool], max_points: int) -> EdgeDensity:
         """Return the density of views for poses relative to `around` (4, 4).
 
-        `reachable` says of each view which of its LiDAR edges take part; an even subset of `max_points` over all views
-        is kept.
+        `reachable` selects the LiDAR edges of each view in use; an even subset of `max_points` over all views is kept.
         """
         step = max(1, -(-int(sum(mask.sum() for mask in reachable)) // max_points))
         parts = []
@@ -100,16 +102,15 @@ class EdgeDensity:
             xyz = se3.apply(around, edges.xyz)
             distance = np.maximum(np.linalg.norm(xyz, axis=1), 1.0)
             parts.append(_Part(maps, xyz.astype(np.float32), edges.side, edges.weight, edges.sigma_m, distance))
-        parts = [part for part in parts if len(part.xyz)]
-        return cls(tuple(parts))
+        return cls(tuple(part for part in parts if len(part.xyz)))
 
     @property
     def points(self) -> int:
-        """How many LiDAR edges take part."""
+        """Return the number of LiDAR edges in use."""
         return sum(len(part.xyz) for part in self.parts)
 
     def at(self, angle_rad: float, length_m: float) -> DensityAt:
-        """Return the scores for poses that may be wrong by an angle and a length."""
+        """Return the scores for poses with an uncertainty in angle and position."""
         return DensityAt(tuple(_points(part, angle_rad, length_m) for part in self.parts))
 
 
@@ -122,30 +123,30 @@ class DensityAt:
     def __call__(self, poses: Float) -> Float:
         """Return the score (B,) of each pose, higher is better."""
         total = np.zeros(len(poses))
-        for points in self.parts:
-            some = max(1, _AT_ONCE // len(points.xyz))
-            for begin in range(0, len(poses), some):
-                total[begin : begin + some] += _score(points, poses[begin : begin + some])
+        for points, rows in self._batches(len(poses)):
+            total[rows] += _score(points, poses[rows])
         return total
 
-    def normal_equations(self, poses: Float) -> tuple[Float, Float, Float]:
-        """Return the score (B,), its gradient (B, 6) and a curvature (B, 6, 6) for turns and shifts of each pose.
-
-        An edge holds its point across its own direction only: by the slope there, and about as firmly as a blurred
-        line does.
-        """
-        score, gradient, curvature = np.zeros(len(poses)), np.zeros((len(poses), 6)), np.zeros((len(poses), 6, 6))
+    def _batches(self, count: int) -> Iterator[tuple[_Points, slice]]:
+        """Yield each part with slices of `count` poses that limit the memory."""
         for points in self.parts:
             some = max(1, _AT_ONCE // len(points.xyz))
-            for begin in range(0, len(poses), some):
-                rows = slice(begin, begin + some)
-                for total, value in zip((score, gradient, curvature), _normal(points, poses[rows]), strict=True):
-                    total[rows] += value
+            yield from ((points, slice(begin, begin + some)) for begin in range(0, count, some))
+
+    def normal_equations(self, poses: Float) -> tuple[Float, Float, Float]:
+        """Return the score (B,), its gradient (B, 6) and a curvature (B, 6, 6) by rotations and translations.
+
+        An edge constrains its point only across its direction: by the slope there, as stiffly as a blurred line.
+        """
+        score, gradient, curvature = np.zeros(len(poses)), np.zeros((len(poses), 6)), np.zeros((len(poses), 6, 6))
+        for points, rows in self._batches(len(poses)):
+            for total, value in zip((score, gradient, curvature), _normal(points, poses[rows]), strict=True):
+                total[rows] += value
         return score, gradient, curvature
 
 
 def _pinhole(camera: Camera) -> tuple[float, tuple[float, float], tuple[int, int]] | None:
-    """Return focal length, principal point and (width, height) of the pinhole that stands in for a camera."""
+    """Return focal length, principal point and (width, height) of the pinhole model that replaces a camera."""
     u, v = np.linspace(0, camera.width - 1, 25), np.linspace(0, camera.height - 1, 25)
     rays = camera.rays(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -160,7 +161,7 @@ def _pinhole(camera: Camera) -> tuple[float, tuple[float, float], tuple[int, int
 
 
 def _maps(view: View) -> _Maps | None:
-    """Return the densities of the image edges of a view, or None where its camera sees nothing."""
+    """Return the densities of the image edges of a view, or None if its camera has no edges."""
     pinhole = _pinhole(view.camera)
     if pinhole is None:
         return None
@@ -173,9 +174,9 @@ def _maps(view: View) -> _Maps | None:
     uv, weight = uv[inside], edges.weight[inside]
     sides, number = np.unique(edges.side[inside], return_inverse=True)
     upright = np.isin(sides, _UPRIGHT)
-    flats, slopes, shapes, cells = [], [], [], []
-    for width in _WIDTHS_PX:
-        cell = max(1, int(width // 4))
+    flats, slopes, shapes = [], [], []
+    cells = [max(1, int(width // 4)) for width in _WIDTHS_PX]
+    for width, cell in zip(_WIDTHS_PX, cells, strict=True):
         shape = ((rows - 1) // cell + 2, (columns - 1) // cell + 2)
         maps = np.zeros((len(sides), *shape), np.float32)
         at = np.rint(uv / cell).astype(np.int64)
@@ -191,48 +192,32 @@ def _maps(view: View) -> _Maps | None:
         flats.append(padded.ravel())
         slopes.append(slope.ravel())
         shapes.append(padded.shape[1:])
-        cells.append(cell)
     first = np.cumsum([0, *(len(flat) for flat in flats[:-1])])
-    height, width_of = np.array(shapes).T
-    return _Maps(
-        focal_px=focal,
-        centre=centre,
-        sides=sides,
-        flat=np.concatenate(flats),
-        slope=np.concatenate(slopes),
-        first=first,
-        height=height,
-        width=width_of,
-        cell_px=np.array(cells),
-    )
+    sizes = np.array(shapes).T
+    return _Maps(focal, centre, sides, np.concatenate(flats), np.concatenate(slopes), first, *sizes, np.array(cells))
 
 
-# Edges without a direction are held up and down; the other way their neighbours at corners do it.
+# Edges without a direction constrain points vertically; horizontally their neighbours at corners do.
 _UPRIGHT = (Side.LEFT, Side.RIGHT)
 
 
 def _blurred(values: Float32, sigma: float) -> Float32:
     import cv2
 
-    # Intel's code in OpenCV gives other last bits with other addresses in memory: two runs would not agree.
-    before = cv2.ipp.useIPP()
-    cv2.ipp.setUseIPP(False)
-    try:
+    with ipp_disabled():
         return np.asarray(cv2.GaussianBlur(values, (0, 0), sigma, borderType=cv2.BORDER_REFLECT))
-    finally:
-        cv2.ipp.setUseIPP(before)
 
 
 _SHARPNESS = 0.7
-"""Blurs are narrower by this factor than what a pose may be wrong by: the best pose of many is nearer than that."""
+"""Factor of the blur relative to the uncertainty of a pose: the best of many poses has a smaller error."""
 
 
 def _points(part: _Part, angle_rad: float, length_m: float) -> _Points:
-    """Return the points of a part, each blurred by what it may be off by."""
+    """Return the points of a part, each blurred by its uncertainty."""
     maps = part.maps
     off_px = _SHARPNESS * maps.focal_px * np.hypot(angle_rad, length_m / part.distance_m)
     level = np.clip(np.rint(np.log2(off_px / _WIDTHS_PX[0])), 0, len(_WIDTHS_PX) - 1).astype(np.int64)
-    # An edge between far apart beams may itself be off; and the wider a blur, the less it tells.
+    # An edge between widely spaced beams has its own uncertainty; the wider a blur, the smaller its weight.
     weight = part.weight / (1.0 + (maps.focal_px * part.sigma_m / part.distance_m / off_px) ** 2)
     weight = weight / np.sqrt(off_px / off_px.min())
     width, height, cell = maps.width[level], maps.height[level], maps.cell_px[level]
@@ -251,7 +236,7 @@ def _points(part: _Part, angle_rad: float, length_m: float) -> _Points:
     )
 
 
-# A pixel's own cell, one further because of the border.
+# The pixel's own cell, offset by one because of the border.
 _TO_CELL = np.float32(1.5)
 
 
@@ -273,7 +258,7 @@ def _score(points: _Points, poses: Float) -> Float:
 
 
 def _cells(points: _Points, u: Float32, v: Float32) -> Int:
-    """Return the places in the flat maps of positions (B, K) in cells, which are overwritten."""
+    """Return the indices in the flat maps of positions (B, K) in cells, which are overwritten."""
     u += _TO_CELL
     v += _TO_CELL
     np.clip(u, 0, points.last_column, out=u)
@@ -298,7 +283,7 @@ def _normal(points: _Points, poses: Float) -> tuple[Float, Float, Float]:
     u[behind] = -1.0
     cells = _cells(points, u, v)
     value, slope = maps.flat.take(cells), maps.slope.take(cells)
-    # What a point's position across its direction gains by turns about x, y, z and shifts along them.
+    # Derivatives of a point's position across its direction by rotations about x, y, z and translations along them.
     upright, zero = points.upright, np.float32(0.0)
     gain = np.empty((len(poses), 6, x.shape[1]), np.float32)
     gain[:, 0] = np.where(upright, -x * y, -1.0 - y * y)

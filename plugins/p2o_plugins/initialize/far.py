@@ -1,12 +1,11 @@
-"""Initializer `far`: finds the pose within a known box of many degrees and more than a metre, one frame or many."""
+"""Initializer `far`: search the pose in a given box of many degrees and more than a metre, with one or more frames."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
-from p2o import Initializer, Method, Options, View, field, se3
-from p2o.arrays import Bool, Float, Int
+from p2o import Bool, Float, Initializer, Int, Method, Options, View, field, se3
 
 from p2o_plugins.initialize.edge_density import DensityAt, EdgeDensity
 
@@ -24,23 +23,23 @@ class FarOptions(Options):
     seed: int = field(0, ge=0, help="Seed of the random generator.")
 
 
-# The box is searched a little beyond its walls: turns and shifts told in one order are others in another order.
+# The search box is slightly enlarged, because rotations and translations depend on the order of composition.
 _BEYOND, _FARTHEST = 1.1, 1.4
-# How wrong the nearest of the poses spread over the box is; then what is left in each climb, its steps, and which share
-# of the kept poses goes on: deg, m, steps, share. Chosen on every other frame of KITTI odometry 00.
+# Error of the nearest of the poses sampled in the box; then, per refinement: remaining error in deg and m, steps, and
+# the fraction of poses that is kept. Tuned on every other frame of KITTI odometry 00.
 _SPREAD = (3.0, 0.45)
 _CLIMBS = ((2.0, 0.3, 4, 0.5), (1.0, 0.15, 4, 0.15), (0.5, 0.08, 4, 0.02), (0.25, 0.04, 4, 0.005))
-# Poses closer than this, in units of what is left, are one.
+# Poses closer than this, in units of the remaining error, are duplicates.
 _SEPARATE = 0.7
 _DAMPING, _EASED, _STIFFER = 0.03, 0.5, 8.0
 
 
 def build(options: FarOptions) -> Initializer:
-    """Return an initializer that gives the poses at which the climbs end, best first.
+    """Return an initializer that proposes the poses at which the ascents converge, best first.
 
-    Poses spread evenly over the box are scored by how dense image edges are where LiDAR edges of their direction fall,
-    blurred as widely as these poses are apart. The best separate ones climb, while blurs and their number shrink: near
-    the right pose the score rises further than anywhere else with every step.
+    Poses sampled evenly in the box are scored by the density of image edges at LiDAR edges of their direction, blurred
+    by the distance between these poses. The best distinct ones are refined by ascent with decreasing blur, and their
+    number is reduced at each stage: near the true pose the score increases more with every step than elsewhere.
     """
 
     def initialize(views: Sequence[View], camera_from_lidar: Float) -> list[Float]:
@@ -67,26 +66,26 @@ def build(options: FarOptions) -> Initializer:
 
 
 def _unit(deg: float, metres: float) -> Float:
-    """Return a size of turns and shifts as one of each of the six parameters (6,), rad and m."""
+    """Return a size of rotations and translations as one of each of the six parameters (6,), rad and m."""
     return np.repeat([np.radians(deg), metres], 3)
 
 
 def _moves(tangents: Float) -> Float:
-    """Return moves (N, 4, 4) of the camera frame from rotation vectors and shifts (N, 6)."""
+    """Return transforms (N, 4, 4) of the camera frame from rotation vectors and translations (N, 6)."""
     moves = se3.exp(np.concatenate([tangents[:, :3], np.zeros((len(tangents), 3))], axis=1))
     moves[:, :3, 3] = tangents[:, 3:]
     return moves
 
 
 def _tangents(moves: Float) -> Float:
-    """Return rotation vectors and shifts (N, 6) of moves (N, 4, 4)."""
+    """Return rotation vectors and translations (N, 6) of transforms (N, 4, 4)."""
     from scipy.spatial.transform import Rotation
 
     return np.concatenate([Rotation.from_matrix(moves[:, :3, :3]).as_rotvec(), moves[:, :3, 3]], axis=1)
 
 
 def _reachable(view: View, start: Float, options: FarOptions, rng: np.random.Generator) -> Bool:
-    """Return which LiDAR edges some pose at the walls, edges and corners of the box brings into the image."""
+    """Return a mask of the LiDAR edges that project into the image at some pose on the boundary of the box."""
     walls = rng.choice([-1.0, 0.0, 1.0], (60, 6)) * _unit(options.reach_deg, options.reach_m)
     seen = np.zeros(len(view.cloud_edges), np.bool_)
     for move in _moves(walls):
@@ -95,7 +94,7 @@ def _reachable(view: View, start: Float, options: FarOptions, rng: np.random.Gen
 
 
 def _spread(score: DensityAt, options: FarOptions) -> Float:
-    """Return the best separate moves (N, 4, 4) of many that fill the box evenly."""
+    """Return the best distinct transforms (N, 4, 4) of samples that fill the box evenly."""
     from scipy.stats import qmc
 
     power = int(np.ceil(np.log2(options.scatter)))
@@ -107,8 +106,8 @@ def _spread(score: DensityAt, options: FarOptions) -> Float:
 
 
 def _separate(places: Float, score: Float, most: int) -> Int:
-    """Return the rows of up to `most` best of places (N, 6), none closer to a better one than is one place."""
-    # Only so many are looked at: below them nothing is worth its time.
+    """Return the rows of up to `most` best of places (N, 6), without duplicates of a better one."""
+    # Candidates below this rank are not evaluated, to limit the run time.
     order = np.argsort(-score, kind="stable")[: 6 * most]
     places, alive, chosen = places[order], np.ones(len(order), np.bool_), []
     for i in range(len(order)):
@@ -121,14 +120,14 @@ def _separate(places: Float, score: Float, most: int) -> Int:
 
 
 def _climbed(score: DensityAt, moves: Float, unit: Float, steps: int) -> tuple[Float, Float]:
-    """Return moves (N, 4, 4) and their scores after damped steps uphill (Levenberg, Marquardt), none over `unit`."""
+    """Return transforms (N, 4, 4) and scores after damped ascent steps (Levenberg, Marquardt), none over `unit`."""
     damping = np.full(len(moves), _DAMPING)
     value, gradient, curvature = score.normal_equations(moves)
     for _ in range(steps):
         diagonal = np.einsum("kii->ki", curvature)
-        # Directions that nothing holds: a step of one unit costs a little of the score.
-        held = _DAMPING * np.maximum(value, 1.0)[:, None] / unit**2
-        firm = curvature + (damping[:, None] * diagonal + held)[:, :, None] * np.eye(6)
+        # Unobservable directions are damped: a step of one unit costs a small part of the score.
+        stiffness = _DAMPING * np.maximum(value, 1.0)[:, None] / unit**2
+        firm = curvature + (damping[:, None] * diagonal + stiffness)[:, :, None] * np.eye(6)
         step = np.linalg.solve(firm, gradient[:, :, None])[:, :, 0]
         step /= np.maximum(1.0, np.abs(step / unit).max(axis=1))[:, None]
         tried = _moves(step) @ moves

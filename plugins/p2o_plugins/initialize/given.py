@@ -1,15 +1,14 @@
-"""Initializer `given`: start where the user says."""
+"""Initializer `given`: use the initial guess of the user."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from p2o import Initializer, Method, Options, View
-from p2o.arrays import Float
+from p2o import Float, Initializer, Method, Options, View
 
 
 class GivenOptions(Options):
-    """No options: the start is taken as it is."""
+    """No options: the initial guess is used unchanged."""
 
 
 def build(options: GivenOptions) -> Initializer:

@@ -1,19 +1,20 @@
-"""Initializer `grid`: a grid of rotations, then all six parameters in the best basins (the paper's MBS start)."""
+"""Initializer `grid`: a grid of rotations, then all six parameters in the best basins (the paper's MBS)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
-from p2o import DirectedCost, Initializer, Method, View, field, se3
-from p2o.arrays import Float
+from p2o import Float, Initializer, Method, View, field, se3
+from p2o.solving import DirectedCost
 
 from p2o_plugins.initialize.search import MOST_VIEWS, NarrowOptions, coarse_maps, narrow
 
 
 class GridOptions(NarrowOptions):
-    """Options of the grid; the inherited ones rule how each basin is narrowed."""
+    """Options of the grid; the inherited ones control the refinement of each basin."""
 
     sigma_deg: float = field(1.0, gt=0, le=60, help="Standard deviation about each axis when a basin is narrowed.")
     max_angle_deg: float = field(12.0, gt=0, le=45, help="Half width of the grid about each axis.")
@@ -24,34 +25,22 @@ class GridOptions(NarrowOptions):
 
 
 def build(options: GridOptions) -> Initializer:
-    """Return an initializer that gives the narrowed basins, best first."""
+    """Return an initializer that proposes the refined basins, best first."""
 
     def initialize(views: Sequence[View], camera_from_lidar: Float) -> list[Float]:
         rng = np.random.default_rng(options.seed)
-        # Wide turns bring in points that the start does not see: keep those within reach of the largest turn.
+        # Large rotations project points that are not visible at the initial guess: keep those within the largest
+        # rotation.
         margin = max(view.camera.focal_px for view in views) * np.tan(np.radians(options.max_angle_deg))
-        coarse = DirectedCost.of(
-            views,
-            camera_from_lidar,
-            options.grid_px,
-            scale=max(1, int(options.grid_px // 10)),
-            margin_px=float(margin),
-            max_points=options.grid_points,
-            max_views=MOST_VIEWS,
-        )
+        cost = partial(DirectedCost.of, views, camera_from_lidar, margin_px=float(margin), max_views=MOST_VIEWS)
+        scale = max(1, int(options.grid_px // 10))
+        coarse = cost(options.grid_px, scale=scale, max_points=options.grid_points)
         if not coarse.points:
             return [camera_from_lidar]
         starts = [se3.exp(t) @ camera_from_lidar for t in _basins(coarse, camera_from_lidar, options)]
         known: dict[tuple[object, ...], Any] = {}
         narrowed = [narrow(coarse_maps(views, s, options, known), s, options, rng, options.widest_px) for s in starts]
-        judge = DirectedCost.of(
-            views,
-            camera_from_lidar,
-            options.narrowest_px,
-            margin_px=float(margin),
-            max_points=options.max_points,
-            max_views=MOST_VIEWS,
-        )
+        judge = cost(options.narrowest_px, max_points=options.max_points)
         order = np.argsort(judge(np.stack(narrowed)), kind="stable")
         return [narrowed[i] for i in order]
 

@@ -1,20 +1,22 @@
-"""Initializer `search`: populations of poses on truncated directed distance maps, narrowed basin by basin."""
+"""Initializer `search`: populations of poses on truncated directed distance maps, refined basin by basin."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
-from p2o import DirectedCost, Initializer, Method, Options, View, field, se3
-from p2o.arrays import Float
+from p2o import Float, Initializer, InitializerBase, Method, Options, View, field, se3
+from p2o.solving import DirectedCost
 
 
 class NarrowOptions(Options):
-    """How a population of poses is narrowed; shared with `grid`."""
+    """Options of the refinement of a population of poses; shared with `grid`."""
 
     population: int = field(400, ge=20, le=100_000, help="Poses evaluated in each generation.")
-    generations: int = field(12, ge=1, le=200, help="How often the population is drawn anew.")
+    generations: int = field(12, ge=1, le=200, help="Number of generations.")
     elite: float = field(0.1, gt=0, lt=1, help="Share of the population that shapes the next generation.")
     sigma_deg: float = field(2.0, gt=0, le=60, help="Standard deviation of the first generation about each axis.")
     sigma_m: float = field(0.1, ge=0, le=5, help="Standard deviation of the first generation along each axis.")
@@ -38,52 +40,63 @@ class SearchOptions(NarrowOptions):
         "that of the edges alone.",
     )
     scatter: int = field(3000, ge=100, le=1_000_000, help="Poses drawn around the start, to find further basins.")
-    basins: int = field(12, ge=1, le=1000, help="So many of them, the best and separate, are narrowed.")
+    basins: int = field(12, ge=1, le=1000, help="Number of them, the best and separate, that are narrowed.")
     finest_px: float = field(4.0, gt=1, le=500, help="Truncation of the distances at which basins end and are ranked.")
     proposals: int = field(3, ge=1, le=100, help="Best basins that are handed on.")
 
 
-# A basin of its own is narrowed by small populations from about its own width, in units of sigma.
+# A basin is refined by small populations with an initial width of about its own, in units of sigma.
 _BASIN_SPREAD, _BASIN_POPULATION, _BASIN_GENERATIONS = 0.3, 80, 5
-# Beginnings closer than this, in units of sigma_deg, and ends closer than this, in degrees, are one basin.
+# Initial poses closer than this, in units of sigma_deg, and final poses closer than this, in degrees, are one basin.
 _SEPARATE_SIGMA, _SEPARATE_DEG = 0.5, 0.6
 _DRAWS_AT_ONCE = 2_000
 MOST_VIEWS = 64
-"""The points of a search come from so many views at most, as maps of more would fill the memory."""
+"""Maximum number of views from which the points of a search come, which limits the memory of the maps."""
 
 
-def build(options: SearchOptions) -> Initializer:
-    """Return an initializer that gives the poses at which the searches end, best first, then the given one.
+@dataclass(frozen=True)
+class Search(InitializerBase):
+    """Return the poses to which several searches converge, best first, then the given one.
 
-    One search begins with distances cut off at `widest_px`: it finds far starts but is led astray by clutter, whose
-    edges lie within that distance of anything. Where the cut-off is a few pixels the cost is lowest at the right pose
-    far more often, but only from near by: so many poses are scattered around the start, and the best that lie apart
-    begin searches of their own, with narrow cut-offs. The caller chooses among the basins.
+    One search starts with distances truncated at `widest_px`: it handles large initial errors but is misled by clutter,
+    whose edges are within that distance of any point. With a truncation of a few pixels the cost has its minimum at the
+    true pose far more often, but only for small errors: many poses are sampled around the initial guess, and the best
+    distinct ones start separate searches with narrow truncations. The scorer of the pipeline selects among the basins.
     """
 
-    def initialize(views: Sequence[View], camera_from_lidar: Float) -> list[Float]:
+    options: SearchOptions
+
+    def __call__(self, views: Sequence[View], camera_from_lidar: Float) -> list[Float]:
+        """Return initial poses (4, 4), best first, and the given one last."""
+        options = self.options
         rng = np.random.default_rng(options.seed)
         maps = coarse_maps(views, camera_from_lidar, options)
         near = maps[_scale(options.narrowest_px)]
         if not near.points:
             return [camera_from_lidar]
-        found = [narrow(maps, camera_from_lidar, options, rng, options.widest_px, options.prior)]
-        found += _scattered(near, camera_from_lidar, options, rng)
-        order = np.argsort(near.truncated(options.finest_px)(np.stack(found)), kind="stable")
+        poses = [narrow(maps, camera_from_lidar, options, rng, options.widest_px, options.prior)]
+        poses += _scattered(near, camera_from_lidar, options, rng)
+        order = np.argsort(near.truncated(options.finest_px)(np.stack(poses)), kind="stable")
         apart: list[Float] = []
-        for pose in (found[i] for i in order):
+        for pose in (poses[i] for i in order):
             if all(se3.angle_deg(pose @ se3.inverse(other)) > _SEPARATE_DEG for other in apart):
                 apart.append(pose)
         return [*apart[: options.proposals], camera_from_lidar]
 
-    if options.weigh_start and options.sigma_m > 0:
-        initialize.start_sigma = (options.sigma_deg, options.sigma_m)  # type: ignore[attr-defined]
+    @property
+    def start_sigma(self) -> tuple[float, float] | None:
+        """Standard deviation of the initial guess in deg and m, if it is to be used as a prior."""
+        options = self.options
+        return (options.sigma_deg, options.sigma_m) if options.weigh_start and options.sigma_m > 0 else None
 
-    return initialize
+
+def build(options: SearchOptions) -> Initializer:
+    """Return the initializer."""
+    return Search(options)
 
 
 def _scattered(maps: DirectedCost, start: Float, options: SearchOptions, rng: np.random.Generator) -> list[Float]:
-    """Return the poses at which narrow searches end that begin at the best of many poses scattered around `start`."""
+    """Return the poses to which narrow searches converge from the best of many poses sampled around `start`."""
     unit, coarse = _unit(options), maps.truncated(options.narrowest_px)
     draws = rng.standard_normal((options.scatter, 6))
     draws[0] = 0.0
@@ -96,7 +109,7 @@ def _scattered(maps: DirectedCost, start: Float, options: SearchOptions, rng: np
         rest = rest[turned_away > _SEPARATE_SIGMA]
     widths = np.geomspace(options.narrowest_px, min(options.finest_px, options.narrowest_px), _BASIN_GENERATIONS)
     costs, keep = [maps.truncated(float(width)) for width in widths], _kept(options.elite, _BASIN_POPULATION)
-    # Basin by basin, as if one were narrowed after the other; but all take each step together, which takes fewer calls.
+    # The result equals refining one basin after the other; all basins share each step, which needs fewer calls.
     normals = np.moveaxis(rng.standard_normal((len(chosen), len(costs), _BASIN_POPULATION, 6)), 1, 0)
     return list(_narrowed(costs, normals, start, unit, draws[chosen], _BASIN_SPREAD, keep, options.prior))
 
@@ -107,34 +120,19 @@ def coarse_maps(
     options: NarrowOptions,
     known: dict[tuple[object, ...], Any] | None = None,
 ) -> dict[int, DirectedCost]:
-    """Return the directed cost at `widest_px` for every scale of maps that narrowing needs, by scale.
+    """Return the directed cost at `widest_px` for every scale of maps that the refinement needs, by scale.
 
-    `known` keeps the maps for the same views around another pose.
+    `known` caches the maps for the same views around another pose.
     """
-    scales = sorted(
-        {
-            _scale(options.narrowest_px),
-            *(2**n for n in range(8) if 2**n < _scale(options.widest_px)),
-            _scale(options.widest_px),
-        }
-    )
-    return {
-        scale: DirectedCost.of(
-            views,
-            around,
-            options.widest_px,
-            scale=scale,
-            max_points=options.max_points,
-            max_views=MOST_VIEWS,
-            smooth=False,
-            known=known,
-        )
-        for scale in scales
-    }
+    widest = _scale(options.widest_px)
+    scales = sorted({_scale(options.narrowest_px), *(2**n for n in range(8) if 2**n < widest), widest})
+    limits = {"max_points": options.max_points, "max_views": MOST_VIEWS}
+    cost = partial(DirectedCost.of, views, around, options.widest_px, smooth=False, known=known, **limits)
+    return {scale: cost(scale=scale) for scale in scales}
 
 
 def _scale(width_px: float) -> int:
-    """Return how many pixels a cell of the maps covers: a power of two up to a tenth of the truncation."""
+    """Return the size in pixels of a cell of the maps: a power of two up to a tenth of the truncation."""
     return 2 ** int(np.log2(max(1.0, width_px / 10)))
 
 
@@ -146,12 +144,13 @@ def narrow(
     widest_px: float,
     prior: float = 0.0,
 ) -> Float:
-    """Return the pose (4, 4) at which a cross-entropy search around `start` ends.
+    """Return the pose (4, 4) to which a cross-entropy search around `start` converges.
 
-    The tangent vector of a left update (rotation about the camera centre, then shift) is drawn from a Gaussian whose
-    mean and covariance follow the best share of each generation, while the truncation of the distances shrinks from
-    `widest_px` to the option `narrowest_px`. `maps` are those of `coarse_maps`. Where few edges tell anything, the
-    lowest cost lies anywhere: `prior` edges missed for every squared deviation keep the pose near the start then.
+    The tangent vector of a left update (rotation about the camera centre, then translation) is drawn from a Gaussian
+    whose mean and covariance follow the best fraction of each generation, while the truncation of the distances
+    decreases from `widest_px` to the option `narrowest_px`. `maps` are those of `coarse_maps`. With few informative
+    edges the minimum of the cost is arbitrary: a `prior` of N missed edges per squared deviation then keeps the pose
+    near the initial guess.
     """
     widths = [float(w) for w in np.geomspace(widest_px, min(options.narrowest_px, widest_px), 4)]
     costs = [maps[_scale(width)].truncated(width) for width in widths]
@@ -174,9 +173,9 @@ def _narrowed(
     keep: int,
     prior: float,
 ) -> Float:
-    """Return the poses (K, 4, 4) at which K populations end after one generation for each cost.
+    """Return the poses (K, 4, 4) to which K populations converge after one generation for each cost.
 
-    Populations begin at the tangents `mean` (K, 6), in units of `unit`, with a standard deviation along each axis.
+    Populations start at the tangents `mean` (K, 6), in units of `unit`, with a standard deviation along each axis.
     `normals` are standard normal numbers (K, N, 6) for each generation.
     """
     spread = np.tile(deviation**2 * np.eye(6), (len(mean), 1, 1))
@@ -189,7 +188,7 @@ def _narrowed(
         order = np.argsort(values, axis=1, kind="stable")[:, :keep]
         best = np.take_along_axis(draws, order[..., None], axis=1)
         mean = best.mean(axis=1)
-        # A floor keeps the populations from freezing before the truncation has become narrow.
+        # A lower limit prevents the populations from collapsing before the truncation has become narrow.
         off = best - mean[:, None]
         spread = off.transpose(0, 2, 1) @ off / (keep - 1) + 1e-6 * np.eye(6)
     return np.asarray(se3.exp(mean * unit) @ start)
@@ -205,7 +204,7 @@ def _kept(elite: float, population: int) -> int:
 
 
 def _value(cost: DirectedCost, draws: Float, unit: Float, start: Float, prior: float) -> Float:
-    """Return the cost (N,) of tangents (N, 6) in units of `unit`, with what their distance from the start costs."""
+    """Return the cost (N,) of tangents (N, 6) in units of `unit`, plus the prior on their distance from the start."""
     missed = prior / cost.points * cost.truncate_px
     return cost(se3.exp(draws * unit) @ start) + missed * np.square(draws).sum(axis=1)
 

@@ -1,12 +1,12 @@
-"""Occlusion-guided matching: cloud edges meet image edges of their own direction only (paper Sec. III-D.1)."""
+"""Occlusion-guided matching: match cloud edges with image edges of the same direction (paper Sec. III-D.1)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import p2o
-from p2o.arrays import Float
-from p2o.problems.pairing import PairingOptions, assemble, pair
+from p2o import Float
+from p2o.solving import PairingOptions, PointToLine, assemble, pair
 
 
 class OgmOptions(PairingOptions):
@@ -20,7 +20,7 @@ def build(options: OgmOptions) -> p2o.Matcher:
     """Return the matcher `(views, camera_from_lidar (4, 4), reach_px) -> PointToLine`."""
     sides = [side for side in p2o.SIDES if side.letter in options.sides]
 
-    def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> p2o.PointToLine:
+    def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> PointToLine:
         pairs = [
             pair(view.camera, view.image_edges, view.cloud_edges, sides, camera_from_lidar, reach_px, options)
             for view in views

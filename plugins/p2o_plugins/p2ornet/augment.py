@@ -1,4 +1,4 @@
-"""Crops of examples as the network is trained on them: scaled, mirrored, other light, other blur, the same labels."""
+"""Random training crops of examples: scaled, mirrored, with changed colours and blur, and consistent labels."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from kornia.enhance import (
     adjust_saturation_with_gray_subtraction,
 )
 from numpy.typing import NDArray
-from p2o.arrays import Float, Int, Int8, UInt8
+from p2o import Float, Int, Int8, UInt8
 
 from p2o_plugins.p2ornet.example import UNKNOWN, Example
 from p2o_plugins.p2ornet.options import Augmentation
 from p2o_plugins.p2ornet.spans import EAST, SOUTH, Spans
 
 LONGEST = 14
-"""Stretches of more pairs than this say too little about the place of an edge and are left out."""
+"""Longer spans do not localise an edge and are dropped."""
 
 
 @dataclass(frozen=True, eq=False)
 class Crop:
-    """`rgb` (h, w, 3) uint8; `classes` (2, h, w) int8, UNKNOWN where unknown; stretches with one occlusion (n, K).
+    """`rgb` (h, w, 3) uint8; `classes` (2, h, w) int8, UNKNOWN if unknown; spans with one occlusion (n, K).
 
-    `bags` are flat indices into (2, h, w), -1 beyond the end of a stretch; `bag_class` (n,) 0 or 2, `bag_weight` (n,).
+    `bags` are flat indices into (2, h, w), -1 beyond the end of a span; `bag_class` (n,) 0 or 2, `bag_weight` (n,).
     """
 
     rgb: UInt8
@@ -39,7 +39,7 @@ class Crop:
 
 
 def crop(example: Example, size: tuple[int, int], options: Augmentation, rng: np.random.Generator) -> Crop:
-    """Return a random crop of `size` (h, w) px; parts of it beyond the picture repeat its border and are unknown."""
+    """Return a random crop of `size` (h, w) px; parts of it beyond the image repeat its border and are unknown."""
     height, width = size
     scale = float(np.exp(rng.uniform(-1, 1) * np.log(options.scale)))
     shift = [
@@ -58,7 +58,7 @@ def cut(
     mirror: bool,
     lit: Callable[[UInt8], UInt8],
 ) -> Crop:
-    """Return the crop whose upper left corner lies at `shift` (u, v) of the scaled picture; `lit` changes colours."""
+    """Return the crop with its upper left corner at `shift` (u, v) of the scaled image; `lit` changes colours."""
     height, width = size
     offset = [0.5 * scale - 0.5 - s for s in shift]
     source = example.rgb if scale > 0.85 else cv2.GaussianBlur(example.rgb, (0, 0), 0.45 / scale)
@@ -80,7 +80,7 @@ def cut(
 
 
 def mirrored(classes: Int8) -> Int8:
-    """Return classes (2, H, W) of the picture flipped left to right: a pair is stored at its left pixel."""
+    """Return classes (2, H, W) of the image flipped left to right: a pair is stored at its left pixel."""
     out = np.full_like(classes, UNKNOWN)
     east = classes[EAST, :, -2::-1]
     out[EAST, :, :-1] = np.where(east == UNKNOWN, UNKNOWN, 2 - east)
@@ -108,7 +108,7 @@ def _resampled(plane: Int8, out: Int8, scale: float, shift: tuple[float, float])
 
 
 def draw(spans: Spans, classes: Int8) -> tuple[Int, Int, Float]:
-    """Draw stretches without occlusions into `classes` (2, h, w), in place; return those with one as bags of pairs."""
+    """Draw spans without occlusions into `classes` (2, h, w), in place; return those with one as bags of pairs."""
     _, height, width = classes.shape
     rows = spans.rows
     axis: Int = rows["axis"].astype(np.int64)
@@ -141,9 +141,9 @@ def draw(spans: Spans, classes: Int8) -> tuple[Int, Int, Float]:
 
 @dataclass(frozen=True)
 class Light:
-    """How a picture is exposed and developed: gains of R, G and B, then the strength of colours, contrast and gamma.
+    """Exposure and development of an image: gains of R, G and B, then the strength of colours, contrast and gamma.
 
-    All ones leave a picture as it is.
+    All ones leave an image unchanged.
     """
 
     gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
@@ -163,7 +163,7 @@ class Light:
         )
 
     def on(self, rgb: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the picture (h, w, 3), 0..255, in this light; what is too bright for the sensor is white for good."""
+        """Return the image (h, w, 3), 0..255, in this light; what is too bright for the sensor is white for good."""
         x = torch.from_numpy(rgb).permute(2, 0, 1) / 255
         x = (x * torch.tensor(self.gain)[:, None, None]).clamp(max=1)
         x = adjust_saturation_with_gray_subtraction(x, self.saturation)
@@ -173,7 +173,7 @@ class Light:
 
 
 def relit(rgb: UInt8, options: Augmentation, rng: np.random.Generator) -> UInt8:
-    """Return the picture in another light, through another lens and with other noise."""
+    """Return the image with changed colours, blur and noise."""
     x: NDArray[np.float32] = rgb.astype(np.float32)
     if options.light > 0:
         if rng.random() < 0.25:

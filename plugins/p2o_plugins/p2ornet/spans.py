@@ -1,8 +1,8 @@
-"""Sparse labels: stretches of a pixel row or column that hold exactly one occlusion, or none.
+"""Sparse labels: spans of a pixel row or column that contain exactly one occlusion, or none.
 
-Where a sweep or a map of disparity tells that a surface ends between two known places, the picture shows the end at
-one of the pairs of pixels between them, but not at which: the label is the stretch. Where the surface goes on, none of
-the pairs is an occlusion. Everything else is unknown.
+If a sweep or a disparity map shows that a surface ends between two known positions, the image shows the end at one of
+the pairs of pixels between them, but not at which: the label is the span. Where the surface continues, none of the
+pairs is an occlusion. All other pairs are unknown.
 """
 
 from __future__ import annotations
@@ -11,19 +11,20 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from p2o import Camera, Cloud, Side, hidden, se3
-from p2o.arrays import Bool, Float, Int, Int8
+from p2o import Bool, Camera, Cloud, Float, Int, Int8, Side, se3
+from p2o.solving import hidden
 
 from p2o_plugins.cloud.ground_plane import ground_plane
-from p2o_plugins.cloud.rings import RingsOptions, jumps_of, outline, support_of
-from p2o_plugins.cloud.sweep import Neighbours, Sweep, across_rings, along_ring, order_sweep
+from p2o_plugins.cloud.jumps import support_of
+from p2o_plugins.cloud.rings import RingsOptions, jumps_of, neighbours_of, outline
+from p2o_plugins.cloud.sweep import Neighbours, Sweep, order_sweep
 
 EAST, SOUTH = 0, 1
 ORDER = {Side.LEFT: -1, Side.RIGHT: 1, Side.UPPER: -1, Side.BOTTOM: 1}
-"""Order of the pair across an edge: +1 where its first (left, upper) pixel hides the second."""
+"""Order of the pair across an edge: +1 if its first (left, upper) pixel occludes the second."""
 AXIS = {Side.LEFT: EAST, Side.RIGHT: EAST, Side.UPPER: SOUTH, Side.BOTTOM: SOUTH}
 BEAM_PX = 1.0
-"""How far within its last return's beam the outline of a surface may lie, in pixels."""
+"""Distance in pixels of the outline of a surface from its last return, within the beam."""
 _SPAN = np.dtype([("axis", "i1"), ("order", "i1"), ("line", "f4"), ("start", "f4"), ("end", "f4"), ("weight", "f4")])
 
 
@@ -32,7 +33,7 @@ class Spans:
     """Labels (N,): `axis` 0 along a row (east pairs), 1 along a column; `line` the row or column in px.
 
     `start` and `end` in px along it, start <= end. `order` 0: no pair of pixels between is an occlusion; -1 or +1:
-    exactly one is, of this order. The place of the pair of pixels i and i + 1 is i + 1/2. `weight` (N,) in 0..1.
+    exactly one is, of this order. The position of the pair of pixels i and i + 1 is i + 1/2. `weight` (N,) in 0..1.
     """
 
     rows: NDArray[np.void]
@@ -42,7 +43,7 @@ class Spans:
 
     @classmethod
     def of(cls, axis: int, order: int, line: Float, start: Float, end: Float, weight: Float | float = 1.0) -> Spans:
-        """Return labels of one axis and order, from arrays (N,); start and end come in any order."""
+        """Return labels of one axis and order, from arrays (N,); start and end are in any order."""
         rows = np.zeros(len(line), _SPAN)
         rows["axis"], rows["order"], rows["line"], rows["weight"] = axis, order, line, weight
         rows["start"], rows["end"] = np.minimum(start, end), np.maximum(start, end)
@@ -54,9 +55,9 @@ class Spans:
         return cls(np.concatenate([np.zeros(0, _SPAN), *(part.rows for part in parts)]))
 
     def moved(self, scale: float, shift: tuple[float, float], mirror_width: int | None = None) -> Spans:
-        """Return the labels of the picture scaled, cropped at `shift` (u, v) px, then mirrored if a width is given.
+        """Return the labels of the image scaled, cropped at `shift` (u, v) px, then mirrored if a width is given.
 
-        Centres of pixels are at integers, so the corner at -1/2 stays where it is when a picture is scaled.
+        Centres of pixels are at integers, so the corner at -1/2 is invariant to scaling.
         """
         rows = self.rows.copy()
         along_u = rows["axis"] == EAST
@@ -72,28 +73,26 @@ class Spans:
 
 
 def lidar_spans(cloud: Cloud, camera: Camera, camera_from_lidar: Float, *, speed_m_s: float = 0.0) -> Spans:
-    """Return what a sweep tells about the pairs of pixels of a picture whose extrinsic (4, 4) is known.
+    """Return the labels of the pairs of pixels of an image from a sweep with known extrinsic (4, 4).
 
-    Neighbouring returns of one surface give order 0 between them. At a jump in range the outline lies between the
-    nearer return and the place where the next beam passes it. Points that something else hides from the camera are
-    left out. A sweep that was not corrected for ego-motion is bent by at most `speed_m_s`: stretches become as much
-    longer, and are left out where that is more than 3 px. Raises InputError where the rings cannot be told.
+    Neighbouring returns of one surface give order 0 between them. At a range jump the outline lies between the nearer
+    return and the position where the next beam passes it. Points occluded from the camera are dropped. A sweep that was
+    not corrected for ego-motion is distorted by at most `speed_m_s`: spans are extended accordingly, and dropped if
+    that is more than 3 px. Raises InputError if the rings cannot be determined.
     """
     options = RingsOptions()
     sweep = order_sweep(cloud)
-    left, right = along_ring(sweep, options.max_gap_deg)
-    upper, lower = (across_rings(sweep, s, 0.5 * options.max_gap_deg, options.max_step_deg) for s in (-1, 1))
-    neighbours = {Side.LEFT: left, Side.RIGHT: right, Side.UPPER: upper, Side.BOTTOM: lower}
+    neighbours = neighbours_of(sweep, options)
     xyz = sweep.xyz(slice(None))
     uv = camera.project(se3.apply(camera_from_lidar, xyz))
     seen = camera.in_image(uv, margin_px=20.0)
     inside = np.flatnonzero(seen)
     seen[inside] = ~hidden(xyz[inside], xyz[inside], camera, camera_from_lidar)
     parts = [
-        _continuous(sweep, right, uv, seen, EAST, _slip_px(xyz, camera, speed_m_s)),
-        _continuous(sweep, lower, uv, seen, SOUTH, _slip_px(xyz, camera, speed_m_s)),
+        _continuous(sweep, neighbours[side], uv, seen, AXIS[side], _slip_px(xyz, camera, speed_m_s))
+        for side in (Side.RIGHT, Side.BOTTOM)
     ]
-    beam = float(np.median(left.gap[left.known][::8])) if left.known.any() else 0.0
+    beam = neighbours[Side.LEFT].median_gap
     plane = ground_plane(sweep, options.seed)
     for side in neighbours:
         rows = jumps_of(sweep, neighbours, side, options)
@@ -119,10 +118,10 @@ def lidar_spans(cloud: Cloud, camera: Camera, camera_from_lidar: Float, *, speed
 
 
 def _continuous(sweep: Sweep, step: Neighbours, uv: Float, seen: Bool, axis: int, slip: Float) -> Spans:
-    """Return stretches between neighbours that lie on one surface.
+    """Return spans between neighbours on one surface.
 
-    Where a surface ends, the end of its last stretch is cut by as much as its outline may lie within the last return's
-    beam, and by the `slip` (N,) in px of ego-motion: those pairs are in the stretch of the occlusion.
+    At the end of a surface, its last span is shortened by the distance of the outline from the last return within the
+    beam, and by the ego-motion `slip` (N,) in px: those pairs are in the span of the occlusion.
     """
     r = sweep.range_m
     near = np.minimum(r, r[step.row])
@@ -142,10 +141,10 @@ def _continuous(sweep: Sweep, step: Neighbours, uv: Float, seen: Bool, axis: int
 
 
 def _slip_px(xyz: Float, camera: Camera, speed_m_s: float) -> Float:
-    """Return how far (N,) in px ego-motion may have moved points of a sweep that turns ten times a second.
+    """Return the displacement (N,) in px of points due to ego-motion, for a sweep at 10 Hz.
 
-    Camera and LiDAR agree straight ahead; a point at azimuth a is seen a / (2 pi) x 0.1 s earlier or later, and
-    forward motion moves it sideways by the sine of its angle.
+    Camera and LiDAR are synchronised straight ahead; a point at azimuth a is measured a / (2 pi) x 0.1 s earlier or
+    later, and forward motion displaces it sideways by the sine of its angle.
     """
     flat = np.maximum(np.hypot(xyz[:, 0], xyz[:, 1]), 1.0)
     azimuth = np.arctan2(xyz[:, 1], xyz[:, 0])
@@ -155,29 +154,28 @@ def _slip_px(xyz: Float, camera: Camera, speed_m_s: float) -> Float:
 
 
 def depth_spans(depth_m: Float, *, min_jump_m: float = 0.4, relative_jump: float = 0.02, reach_px: int = 4) -> Spans:
-    """Return what a sparse depth map (H, W) in metres, NaN where unknown, tells about the pairs of its pixels.
+    """Return the labels of pairs of pixels from a sparse depth map (H, W) in metres, NaN if unknown.
 
-    Known pixels at most `reach_px` apart in a row or column are compared: a smooth surface gives order 0 between
-    them; a jump counts where three known pixels in a row lie on the nearer surface (the outlines of cars in KITTI's
-    disparity truth).
+    Known pixels at most `reach_px` apart in a row or column are compared: a smooth surface gives order 0 between them;
+    a jump needs three known pixels in a row on the nearer surface (the outlines of cars in KITTI's disparity truth).
     """
     parts = []
     for axis in (EAST, SOUTH):
         z = depth_m if axis == EAST else depth_m.T
         line, place = np.nonzero(np.isfinite(z))
-        here, there = np.arange(len(line) - 1), np.arange(1, len(line))
-        gap = place[there] - place[here]
-        near_by = (line[here] == line[there]) & (gap <= reach_px) & (gap > 0)
-        here, there = here[near_by], there[near_by]
+        here, other = np.arange(len(line) - 1), np.arange(1, len(line))
+        gap = place[other] - place[here]
+        near_by = (line[here] == line[other]) & (gap <= reach_px) & (gap > 0)
+        here, other = here[near_by], other[near_by]
         value = z[line, place]
-        a, b = value[here], value[there]
-        limit = 0.05 + 0.01 * np.minimum(a, b) * (place[there] - place[here])
+        a, b = value[here], value[other]
+        limit = 0.05 + 0.01 * np.minimum(a, b) * (place[other] - place[here])
         flat = np.abs(a - b) < limit
-        parts.append(Spans.of(axis, 0, line[here[flat]], place[here[flat]], place[there[flat]]))
+        parts.append(Spans.of(axis, 0, line[here[flat]], place[here[flat]], place[other[flat]]))
         for sign in (1, -1):  # +1: the first pixel is nearer
             jump = sign * (b - a) > min_jump_m + relative_jump * np.minimum(a, b)
-            near = here if sign > 0 else there
-            far = there if sign > 0 else here
+            near = here if sign > 0 else other
+            far = other if sign > 0 else here
             solid = jump & _solid(line, place, value, near, -sign)
             solid &= value[far] - _carried_on(place, value, near, far, -sign) > min_jump_m + relative_jump * value[near]
             parts.append(
@@ -199,7 +197,7 @@ def _solid(line: Int, place: Int, value: Float, start: Int, step: int) -> Bool:
 def _carried_on(place: Int, value: Float, start: Int, end: Int, step: int) -> Float:
     """Return the depth at `end` of the plane through known pixel `start` and the third one in the direction `step`.
 
-    Inverse depth is affine over the image plane on anything flat; a plane that recedes to infinity gives 1 km.
+    Inverse depth is affine over the image on a plane; a plane that recedes to infinity gives 1 km.
     """
     other = np.clip(start + 3 * step, 0, len(place) - 1)
     run = np.where(place[start] == place[other], 1, place[start] - place[other])

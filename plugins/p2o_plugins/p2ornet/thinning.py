@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from p2o import SIDES, Side
-from p2o.arrays import Float, Int8
+from p2o import SIDES, Float, Int8, Side
 
 REACH = 2
-"""Pairs on either side of a peak that tell of the same edge."""
+"""Pairs on either side of a peak that belong to the same edge."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,10 +28,10 @@ class Peaks:
 
 
 def side_probabilities(probability: Float) -> Float:
-    """Return maps (4, H, W) of L, R, U, B from probabilities (inclinations, 2, H, W) of east and south pairs first.
+    """Return maps (4, H, W) of L, R, U, B from probabilities (inclinations, 2, H, W), east and south pairs first.
 
-    The entry at (v, u) is the probability that an edge of the direction runs between that pixel and the next one to
-    the right (L, R) or below (U, B); pairs that leave the image are 0, whatever the network says of them.
+    The entry at (v, u) is the probability of an edge of the direction between that pixel and the next one to the right
+    (L, R) or below (U, B); pairs that leave the image are 0.
     """
     maps = np.array(probability[:2]).reshape(4, *probability.shape[2:])
     maps[:2, :, -1] = 0
@@ -43,13 +42,13 @@ def side_probabilities(probability: Float) -> Float:
 def peaks(maps: Float, min_score: float) -> Peaks:
     """Return the edge points of maps (4, H, W), one at each maximum across the edge.
 
-    Exactly one pair is the edge, and the network spreads its belief over those that may be it. So the score is the
-    sum over REACH pairs each way, and the place is their mean: the network's own estimate with a spread of less than
-    a pixel, as the pairs lie at half-pixels between foreground and background.
+    Exactly one pair is the edge, and the network distributes its probability over the candidates. The score is
+    therefore the sum over REACH pairs each way, and the position is their mean: the network's own estimate with
+    subpixel scatter, since the pairs lie at half-pixels between foreground and background.
     """
     parts = []
     for side in SIDES:
-        # The last pair of a line leaves the picture.
+        # The last pair of a line leaves the image.
         p = (maps[side] if side in (Side.LEFT, Side.RIGHT) else maps[side].T)[:, :-1]
         line, place, at, score = _line_peaks(p, min_score)
         ahead = 1 if side in (Side.LEFT, Side.UPPER) else 0  # the foreground is the pair's second pixel
@@ -86,7 +85,7 @@ def _line_peaks(p: Float, min_score: float) -> tuple[Float, Float, Float, Float]
     highest &= centre > beside(-1)
     highest &= centre >= beside(1)
     line, place = np.divmod(np.flatnonzero(highest), places)
-    # It falls to both sides: an even background has no peak, not even at the border of the picture.
+    # It falls to both sides: an even background has no peak, not even at the border of the image.
     flat, (down, along) = smooth.ravel("K"), _steps(smooth)
     at = down * line + along * (place + REACH)
     peak = flat.take(at)
@@ -103,6 +102,6 @@ def _line_peaks(p: Float, min_score: float) -> tuple[Float, Float, Float, Float]
 
 
 def _steps(array: Float) -> tuple[int, int]:
-    """Return by how many elements two neighbours along each axis are apart in memory, of an array without gaps."""
+    """Return the stride in elements between two neighbours along each axis of a contiguous array."""
     rows, columns = array.shape
     return (columns, 1) if array.flags.c_contiguous else (1, rows)

@@ -1,32 +1,30 @@
-"""Gradient descent with the steps of Barzilai and Borwein: the optimiser of Pandey et al. (AAAI 2012).
+"""Gradient descent with the step length of Barzilai and Borwein: the optimiser of Pandey et al. (AAAI 2012).
 
 The step along the gradient g is gamma = (s.s) / (s.y), with s the last change of the unknowns and y that of the
-gradient. Unlike theirs, unknowns are in units (degrees against metres) in one vector, a step is cut off at `longest`
-units, a step that makes the cost worse is taken back and halved, and a negative gamma (the cost bends the other way) is
-replaced by twice the last one. These are ours; the third-party code that is public steps rotation and translation by
-turns.
+gradient. Unlike the original, the unknowns are in units (degrees against metres) in one vector, a step is limited to
+`longest` units, a step that increases the cost is rejected and halved, and a negative gamma (negative curvature) is
+replaced by twice the last one. Public third-party code steps rotation and translation alternately.
 """
 
 from __future__ import annotations
 
 import numpy as np
 import p2o
-from p2o.arrays import Float
 
-from p2o_plugins.solve.scalar_cost import ScalarCost, StepOptions
+from p2o_plugins.solve.scalar_cost import ScalarCost, StepOptions, scalar_solver
 
 
 class BarzilaiBorweinOptions(StepOptions):
     """Options of `barzilai-borwein`."""
 
-    unit_deg: float = p2o.field(0.5, gt=0, le=90, help="Rotation that is weighed like `unit_m`.")
-    unit_m: float = p2o.field(0.03, gt=0, le=100, help="Translation that is weighed like `unit_deg`.")
+    unit_deg: float = p2o.field(0.5, gt=0, le=90, help="Rotation equivalent to `unit_m`.")
+    unit_m: float = p2o.field(0.03, gt=0, le=100, help="Translation equivalent to `unit_deg`.")
     first: float = p2o.field(0.25, gt=0, help="Length of the first step, in units.")
-    longest: float = p2o.field(1.0, gt=0, help="A step is cut off at this length, in units.")
-    box_deg: float = p2o.field(0.0, ge=0, le=90, help="Each rotation stays this near to the start; 0 is no bound.")
-    box_m: float = p2o.field(0.0, ge=0, le=100, help="Each translation stays this near to the start; 0 is no bound.")
-    max_iterations: int = p2o.field(300, ge=1, help="Steps at most, those taken back included.")
-    tolerance: float = p2o.field(1e-5, gt=0, help="Stops when a step is shorter than this, in units.")
+    longest: float = p2o.field(1.0, gt=0, help="Largest length of a step, in units.")
+    box_deg: float = p2o.field(0.0, ge=0, le=90, help="Bound of each rotation from the initial pose; 0 for no bound.")
+    box_m: float = p2o.field(0.0, ge=0, le=100, help="Bound of each translation from the initial pose; 0 for no bound.")
+    max_iterations: int = p2o.field(300, ge=1, help="Largest number of steps, including rejected ones.")
+    tolerance: float = p2o.field(1e-5, gt=0, help="Stop if a step is shorter than this, in units.")
 
 
 def build(options: BarzilaiBorweinOptions) -> p2o.Solver:
@@ -34,12 +32,7 @@ def build(options: BarzilaiBorweinOptions) -> p2o.Solver:
     reach = np.repeat([options.box_deg / options.unit_deg, options.box_m / options.unit_m], 3)
     reach[reach == 0] = np.inf
 
-    def solve(problem: p2o.Problem, camera_from_lidar: Float) -> p2o.Solution:
-        start = np.asarray(camera_from_lidar, dtype=np.float64)
-        cost = ScalarCost(problem, start, options.unit_deg, options.unit_m)
-        hopeless = cost.unsolvable()
-        if hopeless is not None:
-            return hopeless
+    def minimise(cost: ScalarCost) -> p2o.Solution:
         x, lowest = np.zeros(6), cost.one(np.zeros(6))
         slope = cost.gradient(x, options)
         gamma = options.first / max(float(np.linalg.norm(slope)), np.finfo(float).tiny)
@@ -51,17 +44,17 @@ def build(options: BarzilaiBorweinOptions) -> p2o.Solver:
             step = trial - x
             if np.linalg.norm(step) < options.tolerance:
                 return cost.solution(x, iteration, converged=True)
-            found = cost.one(trial)
-            if not found < lowest:
+            trial_cost = cost.one(trial)
+            if not trial_cost < lowest:
                 gamma *= 0.5
                 continue
             ahead = cost.gradient(trial, options)
             bend = float(step @ (ahead - slope))
             gamma = float(step @ step) / bend if bend > 0 else 2 * gamma
-            x, lowest, slope = trial, found, ahead
+            x, lowest, slope = trial, trial_cost, ahead
         return cost.solution(x, options.max_iterations, converged=False)
 
-    return solve
+    return scalar_solver(minimise, options.unit_deg, options.unit_m)
 
 
 METHOD = p2o.Method(

@@ -1,8 +1,8 @@
 """Ceres Solver, which the paper uses (Sec. IV-A.3), on the same Huber cost.
 
-All pairs are one block, whose residuals carry the Huber loss themselves: cost and gradient are those of a block with a
-Huber loss for each pair, without a call into Python for each. Ceres sees less curvature beyond the kernel (down to half
-of what iterated reweighting gives it), which changes its way and not its end.
+All pairs are one block, whose residuals include the Huber loss: cost and gradient are those of a block with a Huber
+loss for each pair, without a call into Python for each. The approximate curvature beyond the kernel is smaller (down to
+half of that of iterated reweighting), which changes the iterations and not the result.
 """
 
 from __future__ import annotations
@@ -11,37 +11,39 @@ from typing import Any
 
 import numpy as np
 import p2o
-from p2o.arrays import Float
-from p2o.native import import_keeping_signals
-from p2o.problems.chart import left_from_chart, pose_at
-from p2o.problems.normal_equations import judged, linearise, require_residuals
+from p2o import Float
+from p2o.solving import (
+    LeastSquares,
+    Problem,
+    checked_solution,
+    import_keeping_signals,
+    left_from_chart,
+    linearise,
+    pose_from_chart,
+    require_residuals,
+)
 
 
 class CeresOptions(p2o.Options):
     """Options of `ceres`."""
 
-    max_iterations: int = p2o.field(100, ge=1, help="Steps at most (max_num_iterations of Ceres).")
+    max_iterations: int = p2o.field(100, ge=1, help="Largest number of steps (max_num_iterations of Ceres).")
     tolerance: float = p2o.field(
         1e-12, gt=0, help="Relative change of cost or unknowns at which to stop (function and parameter tolerance)."
     )
     max_condition: float = p2o.field(
-        1e5, gt=1, help="Condition of the scaled Hessian beyond which a direction counts as not observable."
+        1e5, gt=1, help="Condition number of the scaled Hessian above which a direction is unobservable."
     )
 
 
 def build(options: CeresOptions) -> p2o.Solver:
-    """Return the solver `(LeastSquares, camera_from_lidar (4, 4)) -> Solution`; MethodUnavailable sans pyceres."""
-    try:
-        pyceres = import_keeping_signals("pyceres")
-    except ImportError as problem:
-        raise p2o.MethodUnavailable(
-            "solver ceres needs pyceres, which is not installed", hint="run: pip install pyceres"
-        ) from problem
+    """Return the solver `(LeastSquares, camera_from_lidar (4, 4)) -> Solution`; ModuleNotFoundError sans pyceres."""
+    pyceres = import_keeping_signals("pyceres")
 
     class Pairs(pyceres.CostFunction):  # type: ignore[misc,name-defined]
         """All pairs as one block: a call from C++ into Python costs as much as the work on hundreds of pairs."""
 
-        def __init__(self, pairs: p2o.LeastSquares, start: Float) -> None:
+        def __init__(self, pairs: LeastSquares, start: Float) -> None:
             super().__init__()
             self.pairs, self.start, self.root_weight = pairs, start, np.sqrt(pairs.weight)
             self.set_num_residuals(len(pairs))
@@ -49,7 +51,7 @@ def build(options: CeresOptions) -> p2o.Solver:
 
         def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:  # noqa: N802 (named by Ceres)
             delta = np.array(parameters[0])
-            raw, jacobian = linearise(self.pairs, pose_at(self.start, delta))
+            raw, jacobian = linearise(self.pairs, pose_from_chart(self.start, delta))
             residuals[:], slope = robust_roots(raw, self.pairs.huber)
             residuals *= self.root_weight
             if jacobians is not None and jacobians[0] is not None:
@@ -57,12 +59,12 @@ def build(options: CeresOptions) -> p2o.Solver:
                 jacobians[0][:] = (by_chart * (slope * self.root_weight)[:, None]).ravel()
             return True
 
-    def solve(problem: p2o.Problem, camera_from_lidar: Float) -> p2o.Solution:
+    def solve(problem: Problem, camera_from_lidar: Float) -> p2o.Solution:
         pairs = require_residuals(problem, "ceres")
         start = np.asarray(camera_from_lidar, dtype=np.float64)
         delta = np.zeros(6)
         if not pairs.weight.any():
-            return judged(pairs, start, start, 0, p2o.SolverStatus.CONVERGED, options.max_condition)
+            return checked_solution(pairs, start, start, 0, p2o.SolverStatus.CONVERGED, options.max_condition)
         # Python must keep the block alive, since Ceres holds a plain pointer to it.
         block, ceres_problem = Pairs(pairs, start), pyceres.Problem()
         ceres_problem.add_residual_block(block, None, [delta])
@@ -75,14 +77,9 @@ def build(options: CeresOptions) -> p2o.Solver:
         settings.logging_type = pyceres.LoggingType.SILENT
         pyceres.solve(settings, ceres_problem, summary)
         converged = summary.termination_type == pyceres.TerminationType.CONVERGENCE
-        return judged(
-            pairs,
-            start,
-            pose_at(start, delta),
-            int(summary.num_successful_steps + summary.num_unsuccessful_steps),
-            p2o.SolverStatus.CONVERGED if converged else p2o.SolverStatus.ITERATIONS_SPENT,
-            options.max_condition,
-        )
+        status = p2o.SolverStatus.CONVERGED if converged else p2o.SolverStatus.ITERATIONS_SPENT
+        pose, steps = pose_from_chart(start, delta), int(summary.num_successful_steps + summary.num_unsuccessful_steps)
+        return checked_solution(pairs, start, pose, steps, status, options.max_condition)
 
     return solve
 

@@ -1,44 +1,34 @@
-"""CMA-ES in a box around the start, by Hansen's own package: every population is one call of the cost."""
+"""CMA-ES in a box around the initial pose, by Hansen's package; every population is one call of the cost."""
 
 from __future__ import annotations
 
-import importlib
 from typing import Any
 
 import numpy as np
 import p2o
-from p2o.arrays import Float
 
-from p2o_plugins.solve.scalar_cost import ScalarCost
+from p2o_plugins.solve.scalar_cost import ScalarCost, scalar_solver
 
 
 class CmaEsOptions(p2o.Options):
     """Options of `cma-es`."""
 
-    box_deg: float = p2o.field(3.0, gt=0, le=90, help="Each rotation is sought this near to the start.")
-    box_m: float = p2o.field(0.3, gt=0, le=100, help="Each translation is sought this near to the start.")
-    sigma: float = p2o.field(0.3, gt=0, le=1, help="First deviation of the population, as a share of the box.")
-    population: int = p2o.field(24, ge=4, le=10_000, help="Candidates of a generation.")
-    generations: int = p2o.field(150, ge=1, help="Generations at most.")
-    tolerance: float = p2o.field(1e-4, gt=0, help="Stops when the population is this share of the box wide.")
-    seed: int = p2o.field(0, ge=0, help="Seed of all draws.")
+    box_deg: float = p2o.field(3.0, gt=0, le=90, help="Search range of each rotation around the initial pose.")
+    box_m: float = p2o.field(0.3, gt=0, le=100, help="Search range of each translation around the initial pose.")
+    sigma: float = p2o.field(
+        0.3, gt=0, le=1, help="Initial standard deviation of the population, as a share of the box."
+    )
+    population: int = p2o.field(24, ge=4, le=10_000, help="Candidates per generation.")
+    generations: int = p2o.field(150, ge=1, help="Largest number of generations.")
+    tolerance: float = p2o.field(1e-4, gt=0, help="Stop at this width of the population, as a share of the box.")
+    seed: int = p2o.field(0, ge=0, help="Random seed.")
 
 
 def build(options: CmaEsOptions) -> p2o.Solver:
-    """Return the solver `(Problem, camera_from_lidar (4, 4)) -> Solution`; MethodUnavailable without cma."""
-    try:
-        cma: Any = importlib.import_module("cma")
-    except ImportError as problem:
-        raise p2o.MethodUnavailable(
-            "solver cma-es needs cma, which is not installed", hint='pip install "p2o-calib[cma]"'
-        ) from problem
+    """Return the solver `(Problem, camera_from_lidar (4, 4)) -> Solution`; ModuleNotFoundError without cma."""
+    import cma
 
-    def solve(problem: p2o.Problem, camera_from_lidar: Float) -> p2o.Solution:
-        start = np.asarray(camera_from_lidar, dtype=np.float64)
-        cost = ScalarCost(problem, start, options.box_deg, options.box_m)
-        hopeless = cost.unsolvable()
-        if hopeless is not None:
-            return hopeless
+    def minimise(cost: ScalarCost) -> p2o.Solution:
         rng = np.random.default_rng(options.seed)
         settings = {
             "bounds": [-1.0, 1.0],
@@ -47,7 +37,7 @@ def build(options: CmaEsOptions) -> p2o.Solver:
             "tolx": options.tolerance,
             "tolfun": 0.0,
             "tolfunhist": 0.0,
-            # Its own draws come from NumPy's global state; these do not.
+            # The package's own samples come from NumPy's global random state; these come from a seeded generator.
             "randn": lambda *shape: rng.standard_normal(shape),
             "seed": np.nan,
             "verbose": -9,
@@ -65,7 +55,7 @@ def build(options: CmaEsOptions) -> p2o.Solver:
         spent = int(search.countiter)
         return cost.solution(best, spent, converged=spent < options.generations)
 
-    return solve
+    return scalar_solver(minimise, options.box_deg, options.box_m)
 
 
 METHOD = p2o.Method(

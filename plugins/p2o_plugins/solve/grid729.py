@@ -1,8 +1,9 @@
-"""Walk to the best of the 3^6 neighbours of a pose, with steps that shrink: for any cost, all neighbours at once.
+"""Walk to the best of the 3^6 neighbours of a pose with decreasing steps, for any scalar cost.
 
 Levinson and Thrun, Automatic Online Calibration of Cameras and Lasers, RSS 2013: every unknown is changed by one step
-down, none or one up; the best of all 729 becomes the pose. They take one such step with each frame. Here it goes on
-until the pose is the best itself, then the steps shrink. All step sizes are ours.
+down, none or one up; the best of all 729 becomes the pose. The original takes one such step per frame. Here the walk
+continues until no neighbour is better, then the steps shrink. All neighbours are evaluated in one call. Step sizes are
+ours.
 """
 
 from __future__ import annotations
@@ -11,11 +12,13 @@ from itertools import product
 
 import numpy as np
 import p2o
-from p2o.arrays import Float
-from p2o.problems.chart import pose_at
+from p2o import Float
+from p2o.solving import Problem, pose_from_chart
+
+from p2o_plugins.solve.scalar_cost import unsolvable
 
 NEIGHBOURS = np.array(list(product((-1.0, 0.0, 1.0), repeat=6)))
-"""The changes (729, 6) in steps; the middle one, number 364, changes nothing."""
+"""The changes (729, 6) in steps; number 364, the middle one, is zero."""
 
 
 class Grid729Options(p2o.Options):
@@ -23,27 +26,26 @@ class Grid729Options(p2o.Options):
 
     step_deg: float = p2o.field(0.25, gt=0, le=30, help="First step of the three rotations.")
     step_m: float = p2o.field(0.025, gt=0, le=10, help="First step of the three translations.")
-    shrink: float = p2o.field(0.5, gt=0, lt=1, help="Factor on the steps once no neighbour is better.")
-    levels: int = p2o.field(6, ge=1, le=30, help="How often the steps shrink, the first steps included.")
-    max_moves: int = p2o.field(60, ge=1, help="Moves at most, over all levels.")
+    shrink: float = p2o.field(0.5, gt=0, lt=1, help="Factor on the steps if no neighbour is better.")
+    levels: int = p2o.field(6, ge=1, le=30, help="Number of step sizes.")
+    max_moves: int = p2o.field(60, ge=1, help="Largest number of moves over all step sizes.")
 
 
 def build(options: Grid729Options) -> p2o.Solver:
     """Return the solver `(Problem, camera_from_lidar (4, 4)) -> Solution`, without covariance."""
     first = np.repeat([np.radians(options.step_deg), options.step_m], 3)
 
-    def solve(problem: p2o.Problem, camera_from_lidar: Float) -> p2o.Solution:
+    def solve(problem: Problem, camera_from_lidar: Float) -> p2o.Solution:
         pose = np.asarray(camera_from_lidar, np.float64)
         least = float(problem.cost(pose[None])[0])
-        if isinstance(problem, p2o.LeastSquares) and not len(problem):
-            return p2o.Solution(pose, 0.0, 0, p2o.SolverStatus.SINGULAR, None, "there are no pairs")
-        if not np.isfinite(least):
-            return p2o.Solution(pose, np.inf, 0, p2o.SolverStatus.SINGULAR, None, "the cost of the start is not finite")
+        refused = unsolvable(problem, pose, least)
+        if refused is not None:
+            return refused
         moves, looks = 0, 0
         for level in range(options.levels):
             steps = NEIGHBOURS * (first * options.shrink**level)
             while moves < options.max_moves:
-                around = pose_at(pose, steps)
+                around = pose_from_chart(pose, steps)
                 costs = np.asarray(problem.cost(around), np.float64)
                 costs = np.where(np.isfinite(costs), costs, np.inf)
                 best, looks = int(np.argmin(costs)), looks + 1
@@ -62,7 +64,7 @@ METHOD = p2o.Method(
     name="grid729",
     build=build,
     options=Grid729Options,
-    summary="Walks to the best of all 729 neighbours, with steps that shrink, on any scalar cost.",
+    summary="Walk to the best of all 729 neighbours with decreasing steps, on any scalar cost.",
     needs={"objective"},
     cite="Levinson and Thrun, Automatic Online Calibration of Cameras and Lasers, RSS 2013",
 )

@@ -6,49 +6,34 @@ from typing import Any
 
 import numpy as np
 import p2o
-from p2o.arrays import Float
-from p2o.problems.chart import pose_at
+
+from p2o_plugins.solve.scalar_cost import ScalarCost, scalar_solver
 
 
 class NelderMeadOptions(p2o.Options):
     """Options of `nelder-mead`."""
 
-    simplex_deg: float = p2o.field(0.5, gt=0, help="Edge of the first simplex in the three rotations.")
-    simplex_m: float = p2o.field(0.05, gt=0, help="Edge of the first simplex in the three translations.")
+    simplex_deg: float = p2o.field(0.5, gt=0, help="Initial edge of the simplex in the three rotations.")
+    simplex_m: float = p2o.field(0.05, gt=0, help="Initial edge of the simplex in the three translations.")
     restarts: int = p2o.field(
-        3, ge=0, help="Fresh simplices around the best pose, each smaller by ten; they free a collapsed simplex."
+        3, ge=0, help="Restarts around the best pose with a simplex ten times smaller, in case the last one collapsed."
     )
-    max_evaluations: int = p2o.field(6000, ge=1, help="Evaluations of the cost at most, over all restarts.")
-    tolerance: float = p2o.field(
-        1e-6, gt=0, help="Stops when the simplex is smaller than this share of its first edge."
-    )
+    max_evaluations: int = p2o.field(6000, ge=1, help="Largest number of evaluations over all restarts.")
+    tolerance: float = p2o.field(1e-6, gt=0, help="Stop if the simplex is smaller than this share of its first edge.")
 
 
 def build(options: NelderMeadOptions) -> p2o.Solver:
     """Return the solver `(Problem, camera_from_lidar (4, 4)) -> Solution`, without covariance."""
-    unit = np.repeat([np.radians(options.simplex_deg), options.simplex_m], 3)
     corners = np.vstack([np.zeros(6), np.eye(6)])
 
-    # Imported here: every run lists this method, few use it.
+    # Imported here, because every run lists this method and few use it.
     from scipy.optimize import minimize
 
-    def solve(problem: p2o.Problem, camera_from_lidar: Float) -> p2o.Solution:
-        start = np.asarray(camera_from_lidar, dtype=np.float64)
-
-        def cost(x: Float) -> float:
-            value = float(problem.cost(pose_at(start, x * unit)[None])[0])
-            return value if np.isfinite(value) else np.inf
-
+    def minimise(cost: ScalarCost) -> p2o.Solution:
         best, spent, converged = np.zeros(6), 0, False
-        if not np.isfinite(cost(best)):
-            return p2o.Solution(
-                start, np.inf, 0, p2o.SolverStatus.SINGULAR, None, "the cost of the start is not finite"
-            )
-        if isinstance(problem, p2o.LeastSquares) and not len(problem):
-            return p2o.Solution(start, 0.0, 0, p2o.SolverStatus.SINGULAR, None, "there are no pairs")
         for restart in range(options.restarts + 1):
             fit: Any = minimize(
-                cost,
+                cost.one,
                 best,
                 method="Nelder-Mead",
                 options={
@@ -62,10 +47,9 @@ def build(options: NelderMeadOptions) -> p2o.Solver:
             best, spent, converged = fit.x, spent + int(fit.nfev), bool(fit.success)
             if spent >= options.max_evaluations:
                 break
-        status = p2o.SolverStatus.CONVERGED if converged else p2o.SolverStatus.ITERATIONS_SPENT
-        return p2o.Solution(pose_at(start, best * unit), cost(best), spent, status)
+        return cost.solution(best, spent, converged=converged, covariance=False)
 
-    return solve
+    return scalar_solver(minimise, options.simplex_deg, options.simplex_m)
 
 
 METHOD = p2o.Method(

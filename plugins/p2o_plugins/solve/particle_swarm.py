@@ -1,81 +1,64 @@
-"""Particle swarm in a box around the start, as Taylor and Nieto search: every population is one call of the cost.
+"""Particle swarm in a box around the initial pose, after Taylor and Nieto; every population is one call of the cost.
 
-A swarm begins spread over the box, one particle at the centre; each particle is drawn to its own best place and to
-that of all (inertia 0.72, attraction 1.49 each: Clerc's constriction). When its share of iterations is spent, or the
-swarm has collapsed, the next one searches a smaller box around the best place, as in the paper. Numbers of particles,
-of boxes and by how much they shrink are ours: the paper's are not known to us.
+A swarm is initialised uniformly in the box, with one particle at the centre; each particle is attracted to its own best
+position and to that of all (inertia 0.72, attraction 1.49 each: Clerc's constriction). When its iterations are used, or
+the swarm has collapsed, the next one searches a smaller box around the best position, as in the paper. Numbers of
+particles and boxes and the shrink factor are ours: those of the paper are not known to us.
 """
 
 from __future__ import annotations
 
 import numpy as np
 import p2o
-from p2o.arrays import Float
-from p2o.problems.swarm import swarmed
+from p2o.solving import swarmed
 
-from p2o_plugins.solve.scalar_cost import ScalarCost
+from p2o_plugins.solve.scalar_cost import ScalarCost, scalar_solver
 
 
 class ParticleSwarmOptions(p2o.Options):
     """Options of `particle-swarm`."""
 
-    box_deg: float = p2o.field(3.0, gt=0, le=90, help="Each rotation is sought this near to the start.")
-    box_m: float = p2o.field(0.3, gt=0, le=100, help="Each translation is sought this near to the start.")
+    box_deg: float = p2o.field(3.0, gt=0, le=90, help="Search range of each rotation around the initial pose.")
+    box_m: float = p2o.field(0.3, gt=0, le=100, help="Search range of each translation around the initial pose.")
     particles: int = p2o.field(100, ge=2, le=100_000, help="Particles of a swarm.")
-    iterations: int = p2o.field(60, ge=1, help="Moves of the swarms, shared among all boxes.")
-    boxes: int = p2o.field(3, ge=1, le=20, help="Boxes that are searched one after another, each around the best yet.")
+    iterations: int = p2o.field(60, ge=1, help="Moves of the swarms in all boxes together.")
+    boxes: int = p2o.field(
+        3, ge=1, le=20, help="Boxes that are searched in sequence, each around the best pose so far."
+    )
     shrink: float = p2o.field(0.3, gt=0, lt=1, help="Factor on the size from box to box.")
     inertia: float = p2o.field(0.72, ge=0, lt=1, help="Share of its velocity that a particle keeps.")
-    attraction: float = p2o.field(1.49, gt=0, le=4, help="Pull to the best place of a particle, and to that of all.")
-    collapsed: float = p2o.field(0.01, ge=0, lt=1, help="A swarm that is this share of its box wide has done its work.")
-    seed: int = p2o.field(0, ge=0, help="Seed of all draws.")
+    attraction: float = p2o.field(
+        1.49, gt=0, le=4, help="Attraction to the best position of a particle, and to that of all."
+    )
+    collapsed: float = p2o.field(0.01, ge=0, lt=1, help="Stop a swarm at this width, as a share of its box.")
+    seed: int = p2o.field(0, ge=0, help="Random seed.")
 
 
 def build(options: ParticleSwarmOptions) -> p2o.Solver:
     """Return the solver `(Problem, camera_from_lidar (4, 4)) -> Solution`."""
 
-    def solve(problem: p2o.Problem, camera_from_lidar: Float) -> p2o.Solution:
-        start = np.asarray(camera_from_lidar, dtype=np.float64)
-        cost = ScalarCost(problem, start, options.box_deg, options.box_m)
-        hopeless = cost.unsolvable()
-        if hopeless is not None:
-            return hopeless
+    def minimise(cost: ScalarCost) -> p2o.Solution:
         rng = np.random.default_rng(options.seed)
         best, moves = np.zeros(6), 0
         for number in range(options.boxes):
-            share = options.iterations * (number + 1) // options.boxes - options.iterations * number // options.boxes
-            best, moved = swarm(cost, best, options.shrink**number, share, rng, options)
+            size = options.shrink**number
+            # The box never leaves the first one, which is from -1 to 1 in every unknown.
+            best, _, moved = swarmed(
+                cost.many,
+                np.maximum(best - size, -1.0),
+                np.minimum(best + size, 1.0),
+                rng,
+                first=best,
+                particles=options.particles,
+                moves=options.iterations * (number + 1) // options.boxes - options.iterations * number // options.boxes,
+                inertia=options.inertia,
+                attraction=options.attraction,
+                narrow=options.collapsed * 2 * size,
+            )
             moves += moved
         return cost.solution(best, moves, converged=True)
 
-    return solve
-
-
-def swarm(
-    cost: ScalarCost,
-    centre: Float,
-    size: float,
-    iterations: int,
-    rng: np.random.Generator,
-    options: ParticleSwarmOptions,
-) -> tuple[Float, int]:
-    """Return the best place (6,) that one swarm finds in a box of half side `size` around `centre` (6,), and its moves.
-
-    The box never leaves the first one, which is from -1 to 1 in every unknown.
-    """
-    best, _, moved = swarmed(
-        cost.many,
-        np.maximum(centre - size, -1.0),
-        np.minimum(centre + size, 1.0),
-        rng,
-        first=centre,
-        particles=options.particles,
-        moves=iterations,
-        inertia=options.inertia,
-        attraction=options.attraction,
-        narrow=options.collapsed * 2 * size,
-    )
-    return best, moved
+    return scalar_solver(minimise, options.box_deg, options.box_m)
 
 
 METHOD = p2o.Method(

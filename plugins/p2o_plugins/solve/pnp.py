@@ -1,10 +1,10 @@
-"""Perspective-n-point on pairs of points, `--solver pnp`: what methods do that match points of picture and sweep.
+"""Perspective-n-point on pairs of points, `--solver pnp`: for methods that match points of image and sweep.
 
-RANSAC over triples, ranked by truncated squares of reprojection errors in pixels, then least squares on the pairs that
-agree; the start is not used. A pair of a point and a line is taken for a pair of two points, the second the centre of
-the line (the mean of the image edges that make it). Edges tell nothing along themselves: where a pair is some pixels
-off along its edge, point-to-point holds it there, and the pose stays near that at which the pairs were made. `lm` lets
-it slide. The code is that of `picked`, whose pairs are points indeed.
+RANSAC over triples, ranked by truncated squares of reprojection errors in pixels, then least squares on the inliers;
+the initial pose is not used. A pair of a point and a line is converted to a pair of points, the second at the centre of
+the line (the mean of its image edges). Edges do not constrain the pose along themselves: if a pair is some pixels off
+along its edge, point-to-point residuals hold it there, and the result stays near the pose at which pairs were matched;
+`lm` is not affected. The implementation is that of `picked`, whose pairs are points.
 """
 
 from __future__ import annotations
@@ -13,18 +13,17 @@ from dataclasses import replace
 
 import numpy as np
 import p2o
-from p2o.arrays import Float
-from p2o.problems.normal_equations import MIN_PAIRS, judged
-from p2o.problems.points_on_rays import consensus
+from p2o import Float
+from p2o.solving import MIN_PAIRS, PointToLine, Problem, checked_solution, consensus
 
 
 class PnpOptions(p2o.Options):
     """Options of `pnp`."""
 
-    reach_px: float = p2o.field(10.0, gt=0, le=1000, help="Pairs that are off by more pixels than this are left out.")
-    trials: int = p2o.field(200, ge=1, le=100_000, help="Triples of pairs that are tried, at most.")
+    reach_px: float = p2o.field(10.0, gt=0, le=1000, help="Largest residual of an inlier, in pixels.")
+    trials: int = p2o.field(200, ge=1, le=100_000, help="Largest number of sampled triples.")
     max_condition: float = p2o.field(
-        1e5, gt=1, help="Condition of the scaled Hessian beyond which a direction counts as not observable."
+        1e5, gt=1, help="Condition number of the scaled Hessian above which a direction is unobservable."
     )
     seed: int = p2o.field(0, ge=0, help="Seed of the triples.")
 
@@ -32,9 +31,11 @@ class PnpOptions(p2o.Options):
 def build(options: PnpOptions) -> p2o.Solver:
     """Return the solver `(PointToLine, camera_from_lidar (4, 4)) -> Solution`; it never raises on poor pairs."""
 
-    def solve(problem: p2o.Problem, camera_from_lidar: Float) -> p2o.Solution:
-        if not isinstance(problem, p2o.PointToLine):
-            raise p2o.InputError("solver pnp needs pairs", expected="p2o.PointToLine", got=type(problem).__name__)
+    def solve(problem: Problem, camera_from_lidar: Float) -> p2o.Solution:
+        if not isinstance(problem, PointToLine):
+            raise p2o.InputError(
+                "solver pnp needs pairs", expected="p2o.solving.PointToLine", got=type(problem).__name__
+            )
         start = np.asarray(camera_from_lidar, dtype=np.float64)
         points = problem.point_pairs()
         count = len(points.xyz)
@@ -49,15 +50,9 @@ def build(options: PnpOptions) -> p2o.Solver:
         agree = 0 if best is None else int(best.agree.sum())
         if best is None or agree < MIN_PAIRS:
             return refused(f"{agree} of {count} pairs agree on a pose within {options.reach_px:g} px")
-        found = judged(
-            points.select(best.agree),
-            start,
-            best.camera_from_lidar,
-            options.trials,
-            p2o.SolverStatus.CONVERGED,
-            options.max_condition,
-        )
-        return replace(found, cost=float(problem.cost(found.camera_from_lidar[None])[0]))
+        pairs, pose, status = points.select(best.agree), best.camera_from_lidar, p2o.SolverStatus.CONVERGED
+        solution = checked_solution(pairs, start, pose, options.trials, status, options.max_condition)
+        return replace(solution, cost=float(problem.cost(solution.camera_from_lidar[None])[0]))
 
     return solve
 
@@ -66,7 +61,7 @@ METHOD = p2o.Method(
     name="pnp",
     build=build,
     options=PnpOptions,
-    summary="Perspective-n-point: RANSAC over three pairs and least squares, each line taken for its centre.",
+    summary="Perspective-n-point: RANSAC over three pairs and least squares; a line is replaced by its centre.",
     needs={"pairs"},
     cite="Ke and Roumeliotis, CVPR 2017; Fischler and Bolles, Communications of the ACM 24, 1981",
 )

@@ -1,48 +1,48 @@
-"""A cost over poses as a function of six plain numbers: what solvers that need no residuals share."""
+"""Minimise a cost over six numbers: the parametrisation that solvers without residuals share."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import p2o
-from p2o.arrays import Float
-from p2o.problems.chart import left_from_chart, pose_at
+from p2o import Float
+from p2o.solving import LeastSquares, Objective, Problem, left_from_chart, pose_from_chart
 
 
 class StepOptions(p2o.Options):
-    """Steps of numeric derivatives, for problems that do not give a gradient."""
+    """Steps of numerical derivatives, for problems without a gradient."""
 
     step_deg: float = p2o.field(
-        0.02, gt=0, le=5, help="Step of numeric derivatives in rotations; problems with a gradient need none."
+        0.02, gt=0, le=5, help="Rotation step of numerical derivatives; not used if the problem has a gradient."
     )
-    step_m: float = p2o.field(0.005, gt=0, le=1, help="Step of numeric derivatives in translations.")
+    step_m: float = p2o.field(0.005, gt=0, le=1, help="Translation step of numerical derivatives.")
 
 
 @dataclass(frozen=True, eq=False)
 class ScalarCost:
-    """The cost of a problem around `start` (4, 4), over x (6,) in units of `unit_deg` and `unit_m`; zero is the start.
+    """The cost of a problem around `start` (4, 4) over x (6,), in units of `unit_deg` and `unit_m`; start is at zero.
 
-    The gradient and the covariance of the problem are used where it tells them (`p2o.Objective`).
+    Gradient and covariance of the problem are used if it has them (`p2o.solving.Objective`).
     """
 
-    problem: p2o.Problem
+    problem: Problem
     start: Float
     unit_deg: float
     unit_m: float
 
     @property
     def unit(self) -> Float:
-        """Radians and metres (6,) of one unit of x."""
+        """Return the size (6,) of one unit of x, in rad and m."""
         return np.repeat([np.radians(self.unit_deg), self.unit_m], 3)
 
     def pose(self, x: Float) -> Float:
         """Return the poses (..., 4, 4) at x (..., 6)."""
-        return pose_at(self.start, x * self.unit)
+        return pose_from_chart(self.start, x * self.unit)
 
     def many(self, x: Float) -> Float:
-        """Return the costs (B,) at x (B, 6), all asked for at once; infinite where they are not numbers."""
+        """Return the costs (B,) at x (B, 6), evaluated in one call; infinite if they are NaN."""
         costs = np.asarray(self.problem.cost(self.pose(x)), dtype=np.float64)
         return np.where(np.isnan(costs), np.inf, costs)
 
@@ -51,28 +51,40 @@ class ScalarCost:
         return float(self.many(np.asarray(x)[None])[0])
 
     def gradient(self, x: Float, steps: StepOptions) -> Float:
-        """Return the derivatives (6,) at x (6,): those of the problem, else central differences, all asked at once."""
-        given: Any = getattr(self.problem, "gradient", None)
-        if given is not None:
-            return np.asarray(given(self.pose(x)) @ left_from_chart(x * self.unit) * self.unit)
+        """Return the derivatives (6,) at x (6,): those of the problem, else central differences in one call."""
+        if isinstance(self.problem, Objective) and self.problem.gradient is not None:
+            by_left_update = self.problem.gradient(self.pose(x))
+            return np.asarray(by_left_update @ left_from_chart(x * self.unit) * self.unit)
         step = np.repeat([np.radians(steps.step_deg), steps.step_m], 3) / self.unit
         around = self.many(np.asarray(x) + np.concatenate([np.diag(step), -np.diag(step)]))
         with np.errstate(invalid="ignore"):
             slope = (around[:6] - around[6:]) / (2 * step)
         return np.where(np.isfinite(slope), slope, 0.0)
 
-    def unsolvable(self) -> p2o.Solution | None:
-        """Return the solution of a problem that there is nothing to solve in, or None."""
-        if isinstance(self.problem, p2o.LeastSquares) and not len(self.problem):
-            return p2o.Solution(self.start, 0.0, 0, p2o.SolverStatus.SINGULAR, None, "there are no pairs")
-        if not np.isfinite(self.one(np.zeros(6))):
-            reason = "the cost of the start is not finite"
-            return p2o.Solution(self.start, np.inf, 0, p2o.SolverStatus.SINGULAR, None, reason)
-        return None
-
-    def solution(self, x: Float, iterations: int, *, converged: bool) -> p2o.Solution:
-        """Return the solution at x (6,), with the covariance where the problem tells one."""
+    def solution(self, x: Float, iterations: int, *, converged: bool, covariance: bool = True) -> p2o.Solution:
+        """Return the solution at x (6,), with the covariance of the problem if it has one and it is asked for."""
         pose = self.pose(x)
-        told: Any = getattr(self.problem, "covariance", None)
+        of_problem = self.problem.covariance if covariance and isinstance(self.problem, Objective) else None
         status = p2o.SolverStatus.CONVERGED if converged else p2o.SolverStatus.ITERATIONS_SPENT
-        return p2o.Solution(pose, self.one(x), iterations, status, None if told is None else told(pose))
+        return p2o.Solution(pose, self.one(x), iterations, status, None if of_problem is None else of_problem(pose))
+
+
+def unsolvable(problem: Problem, start: Float, cost: float) -> p2o.Solution | None:
+    """Return the solution of a problem without pairs or without a finite `cost` at the start (4, 4); else None."""
+    if isinstance(problem, LeastSquares) and not len(problem):
+        return p2o.Solution(start, 0.0, 0, p2o.SolverStatus.SINGULAR, None, "there are no pairs")
+    if not np.isfinite(cost):
+        reason = "the cost of the start is not finite"
+        return p2o.Solution(start, np.inf, 0, p2o.SolverStatus.SINGULAR, None, reason)
+    return None
+
+
+def scalar_solver(minimise: Callable[[ScalarCost], p2o.Solution], unit_deg: float, unit_m: float) -> p2o.Solver:
+    """Return the solver `(Problem, camera_from_lidar (4, 4)) -> Solution` that minimises a scalar cost."""
+
+    def solve(problem: Problem, camera_from_lidar: Float) -> p2o.Solution:
+        start = np.asarray(camera_from_lidar, dtype=np.float64)
+        cost = ScalarCost(problem, start, unit_deg, unit_m)
+        return unsolvable(problem, start, cost.one(np.zeros(6))) or minimise(cost)
+
+    return solve

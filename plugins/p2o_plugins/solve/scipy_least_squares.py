@@ -1,4 +1,4 @@
-"""SciPy's trust-region least squares on the same robust cost: the yardstick for `lm`."""
+"""SciPy's trust-region least squares on the same robust cost: the reference for `lm`."""
 
 from __future__ import annotations
 
@@ -6,20 +6,27 @@ from typing import Any
 
 import numpy as np
 import p2o
-from p2o.arrays import Float
-from p2o.problems.chart import left_from_chart, pose_at
-from p2o.problems.normal_equations import judged, linearise, require_residuals
+from p2o import Float
+from p2o.solving import (
+    LeastSquares,
+    Problem,
+    checked_solution,
+    left_from_chart,
+    linearise,
+    pose_from_chart,
+    require_residuals,
+)
 
 
 class ScipyOptions(p2o.Options):
     """Options of `scipy`."""
 
-    max_iterations: int = p2o.field(100, ge=1, help="Evaluations of the residuals at most.")
+    max_iterations: int = p2o.field(100, ge=1, help="Largest number of evaluations of the residuals.")
     tolerance: float = p2o.field(
         1e-14, gt=1e-15, help="Relative change of cost or unknowns at which to stop (ftol and xtol of SciPy)."
     )
     max_condition: float = p2o.field(
-        1e5, gt=1, help="Condition of the scaled Hessian beyond which a direction counts as not observable."
+        1e5, gt=1, help="Condition number of the scaled Hessian above which a direction is unobservable."
     )
 
 
@@ -28,20 +35,21 @@ def build(options: ScipyOptions) -> p2o.Solver:
     # Imported here: every run lists this method, few use it.
     from scipy.optimize import least_squares
 
-    def solve(problem: p2o.Problem, camera_from_lidar: Float) -> p2o.Solution:
+    def solve(problem: Problem, camera_from_lidar: Float) -> p2o.Solution:
         pairs = require_residuals(problem, "scipy")
         start = np.asarray(camera_from_lidar, dtype=np.float64)
-        at_start = judged(pairs, start, start, 0, p2o.SolverStatus.CONVERGED, options.max_condition)
+        at_start = checked_solution(pairs, start, start, 0, p2o.SolverStatus.CONVERGED, options.max_condition)
         if at_start.status == p2o.SolverStatus.SINGULAR:
-            return at_start  # SciPy does not damp, and would wander off along what is not determined
+            return at_start  # SciPy does not damp and would diverge along unobservable directions.
 
         def residuals(delta: Float) -> Float:
-            return linearise(pairs, pose_at(start, delta))[0]
+            return linearise(pairs, pose_from_chart(start, delta))[0]
 
         def jacobian(delta: Float) -> Float:
-            return linearise(pairs, pose_at(start, delta))[1] @ left_from_chart(delta)
+            return linearise(pairs, pose_from_chart(start, delta))[1] @ left_from_chart(delta)
 
-        with np.errstate(all="ignore"):  # SciPy divides by zero singular values; `judged` names what they mean
+        # SciPy divides by zero singular values; `checked_solution` reports the unobservable directions.
+        with np.errstate(all="ignore"):
             fit: Any = least_squares(
                 residuals,
                 np.zeros(6),
@@ -54,12 +62,13 @@ def build(options: ScipyOptions) -> p2o.Solver:
                 max_nfev=options.max_iterations,
             )
         status = p2o.SolverStatus.CONVERGED if fit.status > 0 else p2o.SolverStatus.ITERATIONS_SPENT
-        return judged(pairs, start, pose_at(start, fit.x), int(fit.nfev), status, options.max_condition)
+        pose = pose_from_chart(start, fit.x)
+        return checked_solution(pairs, start, pose, int(fit.nfev), status, options.max_condition)
 
     return solve
 
 
-def _weighted_huber(problem: p2o.LeastSquares) -> Any:
+def _weighted_huber(problem: LeastSquares) -> Any:
     """Return SciPy's loss of squared residuals z (K,): weight times Huber, so that the kernel acts in pixels.
 
     SciPy's own loss="huber" sees weighted residuals only, which would give each pair a kernel of another width.

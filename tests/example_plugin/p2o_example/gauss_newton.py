@@ -2,6 +2,7 @@
 
 import numpy as np
 import p2o
+from p2o.solving import PointToLine
 
 
 class GaussNewtonOptions(p2o.Options):
@@ -14,7 +15,7 @@ class GaussNewtonOptions(p2o.Options):
 def build(options: GaussNewtonOptions) -> p2o.Solver:
     """Return the solver."""
 
-    def solve(problem: p2o.PointToLine, camera_from_lidar):
+    def solve(problem: PointToLine, camera_from_lidar):
         pose = start = np.asarray(camera_from_lidar)
         if len(problem) < 6:
             return p2o.Solution(start, 0.0, 0, "singular", reason=f"{len(problem)} pairs, at least 6 are needed")

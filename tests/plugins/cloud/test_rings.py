@@ -240,7 +240,7 @@ def test_a_missing_return_makes_no_edge_but_one_lost_beam_does_not_hide_one():
 def test_points_in_no_order_without_rings_are_refused_with_the_way_out():
     cloud = Lidar(step_deg=0.72, lift_m=0.2).scan(*random_scene(5), ring=False)
     shuffled = cloud.select(np.random.default_rng(0).permutation(len(cloud)))
-    with pytest.raises(InputError, match=r"which beam.*ring.*Cloud\.ring.*range-view"):
+    with pytest.raises(InputError, match=r"rings of the cloud are not observable.*ring.*Cloud\.ring.*range-view"):
         edges_of(shuffled, without_rings="refuse")
 
 
@@ -249,7 +249,7 @@ def test_points_firing_by_firing_without_rings_are_refused_where_beams_start_bes
     cloud = Lidar(step_deg=0.72, lift_m=0.2).scan(*random_scene(5))
     azimuth = np.arctan2(cloud.xyz[:, 1], cloud.xyz[:, 0]) % (2 * np.pi)
     by_column = np.lexsort((cloud.ring, np.round(azimuth, 6)))
-    with pytest.raises(InputError, match="which beam"):
+    with pytest.raises(InputError, match="rings of the cloud are not observable"):
         edges_of(Cloud(cloud.xyz[by_column]), without_rings="refuse")
 
 
@@ -285,7 +285,7 @@ def test_returns_on_the_axis_alone_give_nothing():
 
 
 def test_one_point_without_ring_is_refused():
-    with pytest.raises(InputError, match="which beam"):
+    with pytest.raises(InputError, match="rings of the cloud are not observable"):
         edges_of(Cloud([[1.0, 2, 3]]), without_rings="refuse")
 
 
@@ -409,6 +409,6 @@ def test_real_sweeps_have_64_rings_and_edges_in_all_four_directions(kitti_raw):
     ],
 )
 def test_the_background_direction_lies_across_the_view(xyz: list[float], side: Side, expected: list[float]) -> None:
-    from p2o_plugins.cloud.rings import towards_background
+    from p2o_plugins.cloud.jumps import towards_background
 
     np.testing.assert_allclose(towards_background(np.array([xyz]), side), [expected], atol=1e-12)

@@ -181,7 +181,7 @@ def test_small_pictures_are_no_error(size):
 
 def test_a_single_picture_is_refused_with_a_hint():
     single = Image(np.zeros((30, 40, 3), np.uint8), Camera.pinhole(50, 50, 20, 15, 40, 30))
-    with pytest.raises(InputError, match=r"no right picture.*--extractor canny/rings"):
+    with pytest.raises(InputError, match=r"no right image.*--extractor canny/rings"):
         edges_of(single)
 
 

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from p2o import DirectedCost, ImageEdges, ImageFeatures, Side, View, se3
+from p2o import ImageEdges, ImageFeatures, Side, View, se3
 from p2o.geometry.perturb import wrong_start
+from p2o.solving import DirectedCost
 from p2o_plugins.initialize import search
 
 from tests import edge_scene

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from p2o import CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, Method, PointToLine, Side, View, se3
+from p2o import CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, Method, Side, View, se3
 from p2o.problems.pairing import balanced, thinned
+from p2o.solving import PointToLine
 from p2o_baselines import nearest
 from p2o_plugins.match import ogm
 

@@ -12,8 +12,8 @@ import pytest
 from p2o import InputError
 from p2o.frames.scale import LONGEST_FOCAL_PX
 from p2o.testing import stage
-from p2o_plugins.data.kitti_raw import KittiRawOptions
-from p2o_plugins.data.kitti_raw import build as build_raw
+from p2o_datasets.kitti_raw import KittiRawOptions
+from p2o_datasets.kitti_raw import build as build_raw
 from p2o_plugins.p2ornet.example import UNKNOWN, Example, example_of
 from p2o_plugins.p2ornet.spans import EAST, SOUTH, Spans
 
@@ -41,7 +41,7 @@ def refusal(path: Path) -> str:
     with pytest.raises(InputError) as caught:
         Example.load(path)
     text = str(caught.value)
-    assert text.startswith(f"{path}: a file of labels cannot be read")
+    assert text.startswith(f"{path}: a label file cannot be read")
     assert "\n" not in text
     return text
 
@@ -130,7 +130,7 @@ def test_arrays_of_another_kind_are_refused(other: dict[str, Any], tmp_path: Pat
 def test_a_frame_that_knows_neither_depth_nor_extrinsic_teaches_nothing() -> None:
     frame = stage.frame()
     bare = replace(frame, image=replace(frame.image, depth_m=None), camera_from_lidar=None)
-    with pytest.raises(InputError, match=r"^stage: the frame teaches nothing; expected a dense depth map"):
+    with pytest.raises(InputError, match=r"^stage: the frame cannot be used for training; expected a dense depth map"):
         example_of(bare)
 
 
@@ -194,5 +194,5 @@ def test_a_real_frame_gives_stretches_of_all_four_directions_every_time_the_same
 
 def test_a_file_of_labels_that_unpacks_to_too_much_is_refused(tmp_path: Path) -> None:
     np.savez_compressed(tmp_path / "a.npz", rgb=np.zeros((1 << 27, 3), np.uint8))
-    with pytest.raises(InputError, match=r"a\.npz: a file of labels cannot be read; .*unpacks to too much"):
+    with pytest.raises(InputError, match=r"a\.npz: a label file cannot be read; .*unpacked .* too large"):
         Example.load(tmp_path / "a.npz")

@@ -11,13 +11,13 @@ import pytest
 import torch
 from p2o import SIDES, Camera, Image, ImageEdges, InputError, Kind, Side, UnknownNameError
 from p2o.testing import checks_for, stage
-from p2o_plugins.data import synthetic
 from p2o_plugins.image import depth
 from p2o_plugins.image.p2ornet import METHOD, P2ORNetOptions, build
 from p2o_plugins.p2ornet.design import Shape
 from p2o_plugins.p2ornet.network import P2ORNet
 from p2o_plugins.p2ornet.shipped import SHIPPED, path_of
 from p2o_plugins.p2ornet.weights import save_weights
+from p2o_sim import synthetic
 
 THIN = Shape("efficientnet-lite0", (8, 4, 4, 4, 4), 2)
 
@@ -262,7 +262,7 @@ def test_a_calibration_moves_the_confidence_alone(weights: Path, tmp_path: Path)
 
 
 def test_a_gpu_that_is_not_there_is_told(weights: Path) -> None:
-    with pytest.raises(InputError, match=r"^device: there is no such GPU.*got cuda:99"):
+    with pytest.raises(InputError, match=r"^device: the GPU does not exist.*got cuda:99"):
         build(P2ORNetOptions(weights=str(weights), device="cuda:99"))
 
 

@@ -15,7 +15,6 @@ import pytest
 import torch
 from p2o import Camera, Image, ImageEdges, InputError
 from p2o.arrays import UInt8
-from p2o_plugins.data import synthetic
 from p2o_plugins.image import p2ornet
 from p2o_plugins.image.p2ornet import P2ORNetOptions, build
 from p2o_plugins.p2ornet import graph
@@ -24,6 +23,7 @@ from p2o_plugins.p2ornet.graph import Predictor
 from p2o_plugins.p2ornet.network import P2ORNet, order_probabilities
 from p2o_plugins.p2ornet.shipped import SHIPPED, path_of
 from p2o_plugins.p2ornet.weights import load_weights
+from p2o_sim import synthetic
 
 from tests.plugins.p2ornet.stirred_norms import stir
 

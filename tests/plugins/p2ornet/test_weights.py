@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 import torch
 from p2o import InputError
+from p2o.learn.training_loop import write_tensors
 from p2o_plugins.p2ornet.design import Shape
 from p2o_plugins.p2ornet.network import P2ORNet
-from p2o_plugins.p2ornet.weights import load_weights, save_weights, write_tensors
+from p2o_plugins.p2ornet.weights import load_weights, save_weights
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 

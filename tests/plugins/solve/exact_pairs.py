@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from p2o import Camera, PointToLine, se3
+from p2o import Camera, se3
+from p2o.solving import PointToLine
 
 from tests.edge_scene import DISTORTED, FISHEYE, PINHOLE, TRUTH
 

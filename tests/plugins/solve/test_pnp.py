@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from p2o import InputError, PointToLine, se3
+from p2o import InputError, se3
+from p2o.solving import PointToLine
 from p2o_plugins.solve import lm, pnp
 
 from tests.edge_scene import PINHOLE, TRUTH

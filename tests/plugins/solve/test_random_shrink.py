@@ -2,7 +2,8 @@
 
 import numpy as np
 import p2o
-from p2o.problems.chart import pose_at
+from p2o.problems.problem import pose_from_chart
+from p2o.solving import Objective
 from p2o.testing import stage
 from p2o_plugins.solve import random_shrink
 from p2o_plugins.solve.random_shrink import RandomShrinkOptions
@@ -19,8 +20,8 @@ def quadratic(poses):
 
 def solved(cost=quadratic, start=None, **options):
     """Return the solution of a cost from a pose 1.5 deg and 0.14 m off."""
-    start = pose_at(TRUTH, OFFSET) if start is None else start
-    return random_shrink.build(RandomShrinkOptions(**options))(p2o.Objective(cost), start)
+    start = pose_from_chart(TRUTH, OFFSET) if start is None else start
+    return random_shrink.build(RandomShrinkOptions(**options))(Objective(cost), start)
 
 
 def test_it_finds_the_lowest_point_of_a_quadratic():
@@ -53,7 +54,7 @@ def test_no_pose_lies_outside_of_the_first_box():
 def test_costs_that_are_no_numbers_are_passed_over():
     def holed(poses):
         costs = quadratic(poses)
-        costs[costs > 1.05 * quadratic(pose_at(TRUTH, OFFSET)[None])[0]] = np.nan
+        costs[costs > 1.05 * quadratic(pose_from_chart(TRUTH, OFFSET)[None])[0]] = np.nan
         return costs
 
     assert solved(holed).cost < 1e-3
@@ -62,7 +63,7 @@ def test_costs_that_are_no_numbers_are_passed_over():
 def test_a_start_without_a_cost_is_handed_back():
     found = solved(lambda poses: np.full(len(poses), np.nan))
     assert found.status is p2o.SolverStatus.SINGULAR
-    assert np.allclose(found.camera_from_lidar, pose_at(TRUTH, OFFSET))
+    assert np.allclose(found.camera_from_lidar, pose_from_chart(TRUTH, OFFSET))
 
 
 def test_more_samples_are_counted():

@@ -9,7 +9,8 @@ import numpy as np
 import p2o
 import pytest
 from p2o import se3
-from p2o.problems.chart import pose_at
+from p2o.problems.problem import pose_from_chart
+from p2o.solving import Objective
 from p2o_plugins.solve import barzilai_borwein, bfgs, cma_es, particle_swarm
 from p2o_plugins.solve.scalar_cost import ScalarCost, StepOptions
 
@@ -18,7 +19,7 @@ from tests.edge_scene import TRUTH
 METHODS = {m.METHOD.name: m.METHOD for m in (barzilai_borwein, bfgs, cma_es, particle_swarm)}
 every = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS.keys())
 drawn = pytest.mark.parametrize("method", [cma_es.METHOD, particle_swarm.METHOD], ids=lambda m: m.name)
-START = pose_at(TRUTH, np.array([0.01, -0.015, 0.008, 0.08, -0.1, 0.05]))
+START = pose_from_chart(TRUTH, np.array([0.01, -0.015, 0.008, 0.08, -0.1, 0.05]))
 
 
 def off(poses: np.ndarray) -> np.ndarray:
@@ -72,7 +73,7 @@ def test_a_cost_in_other_units_leads_to_the_same_place(method: p2o.Method, scale
 def test_no_unknown_leaves_the_box(method: p2o.Method) -> None:
     solution = built(method, box_deg=0.3, box_m=0.02)(Bowl(), START)
     turn = np.degrees(se3.rotation_vector(solution.camera_from_lidar[:3, :3] @ START[:3, :3].T))
-    shift = solution.camera_from_lidar[:3, 3] - pose_at(START, np.r_[np.radians(turn), 0, 0, 0])[:3, 3]
+    shift = solution.camera_from_lidar[:3, 3] - pose_from_chart(START, np.r_[np.radians(turn), 0, 0, 0])[:3, 3]
     assert np.abs(turn).max() < 0.3 + 1e-9
     assert np.abs(shift).max() < 0.02 + 1e-9
     assert np.abs(turn).max() > 0.29
@@ -81,7 +82,7 @@ def test_no_unknown_leaves_the_box(method: p2o.Method) -> None:
 
 @every
 def test_a_cost_that_is_no_number_at_the_start_determines_nothing(method: p2o.Method) -> None:
-    solution = built(method)(p2o.Objective(lambda poses: np.full(len(poses), np.nan)), START)
+    solution = built(method)(Objective(lambda poses: np.full(len(poses), np.nan)), START)
     assert solution.status == "singular"
     assert (solution.camera_from_lidar == START).all()
 
@@ -92,22 +93,19 @@ def test_poses_without_a_cost_are_walked_around(method: p2o.Method) -> None:
         costs = Bowl().cost(poses)
         return np.where(costs > 2 * Bowl().cost(START[None]), np.nan, costs)
 
-    assert max(apart(built(method)(p2o.Objective(cost), START).camera_from_lidar, TRUTH)) < 0.02
+    assert max(apart(built(method)(Objective(cost), START).camera_from_lidar, TRUTH)) < 0.02
 
 
 @every
 def test_a_flat_cost_leaves_the_start(method: p2o.Method) -> None:
-    solution = built(method)(p2o.Objective(lambda poses: np.ones(len(poses))), START)
+    solution = built(method)(Objective(lambda poses: np.ones(len(poses))), START)
     assert solution.camera_from_lidar == pytest.approx(START, abs=1e-12)
 
 
 @every
 def test_the_covariance_of_the_problem_is_handed_on(method: p2o.Method) -> None:
-    class Sure(Bowl):
-        def covariance(self, pose: np.ndarray) -> np.ndarray:
-            return np.eye(6) * se3.angle_deg(pose)
-
-    solution = built(method)(Sure(), START)
+    sure = Objective(Bowl().cost, covariance=lambda pose: np.eye(6) * se3.angle_deg(pose))
+    solution = built(method)(sure, START)
     assert solution.covariance == pytest.approx(np.eye(6) * se3.angle_deg(solution.camera_from_lidar))
     assert built(method)(Bowl(), START).covariance is None
 
@@ -139,19 +137,19 @@ def test_a_swarm_finds_the_lowest_of_many_hollows() -> None:
     def cost(poses: np.ndarray) -> np.ndarray:
         return (off(poses) ** 2 + 0.5 * (1 - np.cos(3 * np.pi * off(poses)))).sum(axis=1)
 
-    by_swarm = built(particle_swarm.METHOD)(p2o.Objective(cost), START)
-    by_slope = built(bfgs.METHOD)(p2o.Objective(cost), START)
+    by_swarm = built(particle_swarm.METHOD)(Objective(cost), START)
+    by_slope = built(bfgs.METHOD)(Objective(cost), START)
     assert max(apart(by_swarm.camera_from_lidar, TRUTH)) < 0.05
     assert by_slope.cost > by_swarm.cost + 0.5
 
 
 def test_numeric_gradients_agree_with_given_ones_in_the_chart() -> None:
-    class Told(Bowl):
-        def gradient(self, pose: np.ndarray) -> np.ndarray:
-            steps = se3.exp(1e-6 * np.concatenate([np.eye(6), -np.eye(6)])) @ pose
-            ahead, behind = self.cost(steps).reshape(2, 6)
-            return (ahead - behind) / 2e-6
+    def gradient(pose: np.ndarray) -> np.ndarray:
+        steps = se3.exp(1e-6 * np.concatenate([np.eye(6), -np.eye(6)])) @ pose
+        ahead, behind = Bowl().cost(steps).reshape(2, 6)
+        return (ahead - behind) / 2e-6
 
+    problems = Bowl(), Objective(Bowl().cost, gradient)
     x = np.array([0.3, -0.2, 0.5, 0.1, -0.4, 0.2])
-    numeric, given = (ScalarCost(p, START, 2.0, 0.3).gradient(x, StepOptions()) for p in (Bowl(), Told()))
+    numeric, given = (ScalarCost(p, START, 2.0, 0.3).gradient(x, StepOptions()) for p in problems)
     assert numeric == pytest.approx(given, rel=1e-4)

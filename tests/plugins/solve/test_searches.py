@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from p2o import Method, Objective, SolverStatus, se3
+from p2o import Method, SolverStatus, se3
+from p2o.solving import Objective
 from p2o_plugins.solve import coordinate, grid729
 
 from tests.edge_scene import TRUTH

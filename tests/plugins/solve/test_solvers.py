@@ -7,7 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from p2o import InputError, Kind, Method, MethodUnavailable, Objective, PointToLine, Solver, se3
+from p2o import InputError, Kind, Method, MethodUnavailable, Registry, Solver, se3
+from p2o.host import guard
+from p2o.solving import Objective, PointToLine
 from p2o_plugins.solve import ceres, lm, nelder_mead, scipy_least_squares
 
 from tests.edge_scene import PINHOLE, TRUTH
@@ -252,8 +254,8 @@ def test_nelder_mead_says_when_the_start_has_no_cost() -> None:
 
 def test_without_pyceres_the_command_that_installs_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyceres", None)
-    with pytest.raises(MethodUnavailable, match=r"run: pip install pyceres$"):
-        ceres.METHOD.build(ceres.METHOD.options())
+    with pytest.raises(MethodUnavailable, match=r'pyceres, which is not installed.*run: pip install "pyceres'):
+        guard.build(Registry.load().find(Kind.SOLVER, "ceres"), ceres.METHOD.options())
 
 
 @pytest.mark.parametrize("method", METHODS.values(), ids=METHODS.keys())

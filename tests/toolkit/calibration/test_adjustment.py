@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from p2o import InputError, PointToLine, RadialError, se3
-from p2o.calibration.adjustment import TimeFit, adjust
-from p2o.geometry.ego_motion import EgoMotion, MotionPrior
-from p2o.geometry.motion import moved
+from p2o import InputError, se3
+from p2o.calibration.adjustment import TimeFit, fit_with_nuisances
+from p2o.geometry.motion import EgoMotion, MotionPrior, moved
 from p2o.geometry.pose_error import pose_error
+from p2o.reading import RadialError
+from p2o.solving import PointToLine
 from p2o_plugins.solve.lm import METHOD as LM
 
 from tests.edge_scene import PINHOLE, TRUTH
@@ -32,7 +33,7 @@ def as_measured(problem: PointToLine, motions: tuple[EgoMotion, ...] = MOTIONS) 
 
 
 def test_exact_pairs_tell_motions_and_pose() -> None:
-    found = adjust(as_measured(pairs(count=1500)), NEAR, cameras=False, prior=PRIOR)
+    found = fit_with_nuisances(as_measured(pairs(count=1500)), NEAR, fits_cameras=False, prior=PRIOR)
     for fit, true in zip(found.motions, MOTIONS, strict=True):
         # Drawn to what is expected a little.
         assert fit.motion.speed_m_s == pytest.approx(true.speed_m_s, abs=0.25)
@@ -44,7 +45,7 @@ def test_exact_pairs_tell_motions_and_pose() -> None:
 
 
 def test_motion_that_nobody_asks_for_spoils_the_pose() -> None:
-    found = adjust(as_measured(pairs(count=1500)), NEAR, cameras=False)
+    found = fit_with_nuisances(as_measured(pairs(count=1500)), NEAR, fits_cameras=False)
     assert found.motions == ()
     assert pose_error(found.camera_from_lidar, TRUTH).translation_m > 0.01
 
@@ -56,8 +57,8 @@ def test_points_that_are_corrected_already_give_the_same_motions() -> None:
     for number, motion in enumerate(known):
         rows = problem.frame == number
         xyz[rows] = moved(motion.twist, problem.time_s[rows], xyz[rows])
-    once = adjust(problem, NEAR, prior=PRIOR)
-    again = adjust(replace(problem, xyz=xyz), NEAR, prior=PRIOR, motions=known)
+    once = fit_with_nuisances(problem, NEAR, prior=PRIOR)
+    again = fit_with_nuisances(replace(problem, xyz=xyz), NEAR, prior=PRIOR, motions=known)
     for a, b in zip(once.motions, again.motions, strict=True):
         assert a.motion.speed_m_s == pytest.approx(b.motion.speed_m_s, abs=0.05)
         assert a.motion.turn_rad_s == pytest.approx(b.motion.turn_rad_s, abs=1e-3)
@@ -65,7 +66,7 @@ def test_points_that_are_corrected_already_give_the_same_motions() -> None:
 
 
 def test_without_times_the_motion_stays_what_is_expected() -> None:
-    found = adjust(pairs(), NEAR, prior=PRIOR)
+    found = fit_with_nuisances(pairs(), NEAR, prior=PRIOR)
     for fit in found.motions:
         assert (fit.motion.speed_m_s, fit.motion.turn_rad_s) == pytest.approx((8.0, 0.0))
         assert np.sqrt(np.diag(fit.covariance)) == pytest.approx([8.0, 0.1], rel=1e-6)
@@ -76,7 +77,7 @@ def test_the_direction_of_travel_is_the_one_that_is_named() -> None:
     assert sideways.twist == pytest.approx([0, 0, 0, 0, 10, 0])
     prior = MotionPrior(EgoMotion(8.0, forward=sideways.forward), 8.0, 0.1)
     problem = as_measured(pairs(count=1500), (sideways, sideways))
-    found = adjust(problem, NEAR, cameras=False, prior=prior)
+    found = fit_with_nuisances(problem, NEAR, fits_cameras=False, prior=prior)
     assert [fit.motion.speed_m_s for fit in found.motions] == pytest.approx([10.0, 10.0], abs=0.3)
     assert [fit.motion.forward for fit in found.motions] == [sideways.forward] * 2
 
@@ -84,7 +85,7 @@ def test_the_direction_of_travel_is_the_one_that_is_named() -> None:
 def test_motion_and_camera_are_told_apart() -> None:
     error = RadialError(-0.004, 0.012)
     exact = pairs(cameras=(error.corrected(PINHOLE),) * 2, count=3000)
-    found = adjust(as_measured(replace(exact, cameras=(PINHOLE,) * 2)), NEAR, prior=PRIOR)
+    found = fit_with_nuisances(as_measured(replace(exact, cameras=(PINHOLE,) * 2)), NEAR, prior=PRIOR)
     (camera,) = found.cameras
     assert camera.error.focal == pytest.approx(error.focal, abs=3e-4)
     assert camera.error.radial == pytest.approx(error.radial, abs=5e-4)
@@ -94,8 +95,8 @@ def test_motion_and_camera_are_told_apart() -> None:
 def test_what_is_unknown_as_well_makes_the_pose_less_sure() -> None:
     standing = EgoMotion()
     problem = as_measured(pairs(count=400, noise_px=0.7), (standing, standing))
-    alone = adjust(problem, TRUTH, cameras=False).covariance
-    more = adjust(problem, TRUTH, cameras=False, prior=MotionPrior(standing, 8.0, 0.1)).covariance
+    alone = fit_with_nuisances(problem, TRUTH, fits_cameras=False).covariance
+    more = fit_with_nuisances(problem, TRUTH, fits_cameras=False, prior=MotionPrior(standing, 8.0, 0.1)).covariance
     assert np.linalg.eigvalsh(more - 0.95 * alone).min() > 0
     assert more[5, 5] > 1.5 * alone[5, 5]  # along the road, the way it drives
 
@@ -103,7 +104,7 @@ def test_what_is_unknown_as_well_makes_the_pose_less_sure() -> None:
 def test_with_nothing_else_unknown_the_pose_is_that_of_the_solver() -> None:
     problem = pairs(count=400, noise_px=0.7, outliers=0.05)
     solution = built(LM)(problem, NEAR)
-    found = adjust(problem, solution.camera_from_lidar, cameras=False)
+    found = fit_with_nuisances(problem, solution.camera_from_lidar, fits_cameras=False)
     assert pose_error(found.camera_from_lidar, solution.camera_from_lidar).translation_m < 1e-5
     assert found.covariance == pytest.approx(found.covariance.T)
     # Its pairs err one by one, so that both take the same for noise.
@@ -125,7 +126,7 @@ def test_the_covariance_foretells_the_scatter_also_of_pairs_that_err_together(to
         if together:
             noise = rng.normal(0, 0.4, place.max() + 1)[place.reshape(-1)]
         noisy = replace(problem, centre=problem.centre + noise[:, None] * problem.normal)
-        found = adjust(noisy, TRUTH, cameras=False)
+        found = fit_with_nuisances(noisy, TRUTH, fits_cameras=False)
         error = se3.log(found.camera_from_lidar @ se3.inverse(TRUTH))
         assert found.covariance is not None
         squares.append(error @ np.linalg.solve(found.covariance, error))
@@ -138,14 +139,14 @@ def test_the_covariance_foretells_the_scatter_also_of_pairs_that_err_together(to
 def test_pairs_from_few_places_have_no_covariance() -> None:
     problem = pairs(count=400)
     one = replace(problem, centre=np.tile([600.0, 180.0], (len(problem), 1)), frame=np.zeros(len(problem), np.int64))
-    assert adjust(one, TRUTH, cameras=False).covariance is None
+    assert fit_with_nuisances(one, TRUTH, fits_cameras=False).covariance is None
 
 
 def test_the_stated_deviation_is_more_than_noise_causes_and_less_than_was_known() -> None:
     found, stated = [], []
     for seed in range(30):
         problem = as_measured(pairs(count=300, noise_px=0.7, seed=seed))
-        fits = adjust(problem, TRUTH, cameras=False, prior=PRIOR).motions
+        fits = fit_with_nuisances(problem, TRUTH, fits_cameras=False, prior=PRIOR).motions
         found.append([[f.motion.speed_m_s, f.motion.turn_rad_s] for f in fits])
         stated.append([np.sqrt(np.diag(f.covariance)) for f in fits])
     truth = [[m.speed_m_s, m.turn_rad_s] for m in MOTIONS]
@@ -156,14 +157,14 @@ def test_the_stated_deviation_is_more_than_noise_causes_and_less_than_was_known(
 
 def test_motions_have_to_be_one_a_frame() -> None:
     with pytest.raises(InputError, match=r"not one a frame; expected 2; got 1"):
-        adjust(pairs(), NEAR, prior=PRIOR, motions=[EgoMotion()])
+        fit_with_nuisances(pairs(), NEAR, prior=PRIOR, motions=[EgoMotion()])
 
 
 @pytest.mark.parametrize(
     "values", [(np.nan, 0.0), (0.0, np.inf), (1.0, 0.0, (0.0, 0.0, 0.0)), (1.0, 0.0, (np.nan, 1, 0))]
 )
 def test_a_motion_that_is_none_is_refused(values: tuple) -> None:
-    with pytest.raises(InputError, match="motion of the car is not one"):
+    with pytest.raises(InputError, match="ego-motion is not valid"):
         EgoMotion(*values)
 
 
@@ -198,26 +199,28 @@ def as_told(problem: PointToLine, twists: np.ndarray, later_s: float) -> PointTo
 @pytest.mark.parametrize("later_s", [0.012, -0.03])
 def test_exact_pairs_of_several_speeds_tell_the_offset_and_the_pose(later_s: float) -> None:
     problem = as_told(pairs(count=600, cameras=FOUR), SPEEDS, later_s)
-    found = adjust(problem, NEAR, cameras=False, twists=SPEEDS, time=TimeFit())
+    found = fit_with_nuisances(problem, NEAR, fits_cameras=False, twists=SPEEDS, time=TimeFit())
     assert found.time.offset_s == pytest.approx(later_s, abs=5e-4)
     assert found.time.sigma_s < 0.005
     assert pose_error(found.camera_from_lidar, TRUTH).translation_m < 0.004
-    without = adjust(problem, NEAR, cameras=False)
+    without = fit_with_nuisances(problem, NEAR, fits_cameras=False)
     assert without.time is None
     assert pose_error(without.camera_from_lidar, TRUTH).translation_m > 0.05
 
 
 def test_points_that_are_moved_already_give_the_same_offset() -> None:
     problem = pairs(count=600, cameras=FOUR)
-    told = adjust(as_told(problem, SPEEDS, 0.02), NEAR, cameras=False, twists=SPEEDS, time=TimeFit())
-    moved_on = adjust(as_told(problem, SPEEDS, 0.008), NEAR, cameras=False, twists=SPEEDS, time=TimeFit(0.012))
+    told = fit_with_nuisances(as_told(problem, SPEEDS, 0.02), NEAR, fits_cameras=False, twists=SPEEDS, time=TimeFit())
+    moved_on = fit_with_nuisances(
+        as_told(problem, SPEEDS, 0.008), NEAR, fits_cameras=False, twists=SPEEDS, time=TimeFit(0.012)
+    )
     assert moved_on.time.offset_s == pytest.approx(told.time.offset_s, abs=1e-4)
 
 
 def test_one_speed_cannot_be_told_from_a_pose_and_leaves_the_offset_at_zero() -> None:
     same = np.tile([0, 0, 0, 10.0, 0, 0], (4, 1))
-    found = adjust(
-        as_told(pairs(count=600, cameras=FOUR), same, 0.02), NEAR, cameras=False, twists=same, time=TimeFit()
+    found = fit_with_nuisances(
+        as_told(pairs(count=600, cameras=FOUR), same, 0.02), NEAR, fits_cameras=False, twists=same, time=TimeFit()
     )
     assert abs(found.time.offset_s) < 1e-3
     assert found.time.sigma_s == pytest.approx(0.05, rel=0.05)
@@ -229,7 +232,7 @@ def test_offset_and_motions_are_told_apart() -> None:
     raw = as_measured(problem, MOTIONS)
     twists = np.array([np.zeros(6), np.zeros(6), SPEEDS[0], SPEEDS[1]])
     late = as_told(raw, twists, 0.02)
-    found = adjust(late, NEAR, cameras=True, prior=PRIOR, twists=twists, time=TimeFit())
+    found = fit_with_nuisances(late, NEAR, fits_cameras=True, prior=PRIOR, twists=twists, time=TimeFit())
     assert found.time.offset_s == pytest.approx(0.02, abs=3e-3)
     for fit, true in zip(found.motions[:2], MOTIONS, strict=True):
         assert fit.motion.speed_m_s == pytest.approx(true.speed_m_s, abs=0.5)
@@ -245,7 +248,7 @@ def test_the_stated_deviation_of_an_offset_covers_frames_that_err_each_by_itself
         problem = pairs(count=150, cameras=(PINHOLE,) * 8, seed=seed)
         shift = np.random.default_rng(seed).normal(0, 0.03, 8)[problem.frame]
         off = replace(problem, xyz=problem.xyz + shift[:, None] * [1.0, 0, 0])
-        found = adjust(off, TRUTH, cameras=False, twists=twists, time=TimeFit()).time
+        found = fit_with_nuisances(off, TRUTH, fits_cameras=False, twists=twists, time=TimeFit()).time
         errors.append(found.offset_s)
         stated.append(found.sigma_s)
     ratio = np.sqrt(np.mean(np.square(errors))) / np.mean(stated)
@@ -254,8 +257,8 @@ def test_the_stated_deviation_of_an_offset_covers_frames_that_err_each_by_itself
 
 def test_an_offset_that_is_unknown_as_well_makes_the_place_along_the_road_less_sure() -> None:
     problem = pairs(count=300, cameras=FOUR, noise_px=0.7)
-    alone = adjust(problem, NEAR, cameras=False)
-    both = adjust(problem, NEAR, cameras=False, twists=SPEEDS, time=TimeFit())
+    alone = fit_with_nuisances(problem, NEAR, fits_cameras=False)
+    both = fit_with_nuisances(problem, NEAR, fits_cameras=False, twists=SPEEDS, time=TimeFit())
     ratio = np.diag(both.covariance) / np.diag(alone.covariance)
     assert ratio[5] > 1.5, "z of the camera is along the road"
     assert ratio[4] < 1.3
@@ -264,4 +267,4 @@ def test_an_offset_that_is_unknown_as_well_makes_the_place_along_the_road_less_s
 def test_velocities_have_to_be_one_a_frame() -> None:
     for twists in (None, SPEEDS[:1]):
         with pytest.raises(InputError, match="velocities are not one a frame"):
-            adjust(pairs(), NEAR, twists=twists, time=TimeFit())
+            fit_with_nuisances(pairs(), NEAR, twists=twists, time=TimeFit())

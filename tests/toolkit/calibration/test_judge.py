@@ -6,11 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from p2o import CloudFeatures, Objective, PointToLine, RadialError, Side, View, se3
+from p2o import CloudFeatures, MatcherBase, Side, View, se3
 from p2o.calibration.judge import DirectedJudge, ProblemJudge, judge_of
-from p2o.geometry.ego_motion import EgoMotion
+from p2o.geometry.motion import EgoMotion
 from p2o.geometry.perturb import wrong_start
+from p2o.reading import RadialError
 from p2o.results.result import DIRECTED
+from p2o.solving import Objective, PointToLine
 
 from tests import edge_scene
 from tests.edge_scene import TRUTH
@@ -68,8 +70,15 @@ def test_the_judge_is_that_of_the_method() -> None:
     assert judge_of(matcher, EDGES, [view], start, [start], **said).name == DIRECTED
     assert isinstance(judge_of(matcher, frozenset({"image-grey"}), [view], start, [start], **said), ProblemJudge)
     own = DirectedJudge.of([view], start, [start], 3.0)
-    matcher.judge = lambda views, start, poses: own
-    assert judge_of(matcher, EDGES, [view], start, [start], **said) is own
+
+    class Judging(MatcherBase):
+        def __call__(self, views, pose, reach_px):
+            return matcher(views, pose, reach_px)
+
+        def judge(self, views, start, poses):
+            return own
+
+    assert judge_of(Judging(), EDGES, [view], start, [start], **said) is own
 
 
 def test_no_pose_is_judged_by_its_own_problem_alone() -> None:

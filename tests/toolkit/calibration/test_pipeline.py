@@ -14,7 +14,6 @@ from p2o import (
     CloudFeatures,
     ImageEdges,
     ImageFeatures,
-    RadialError,
     Result,
     Side,
     Solution,
@@ -23,14 +22,13 @@ from p2o import (
     View,
     se3,
 )
-from p2o.calibration.accuracy import deviations
 from p2o.calibration.options import PipelineOptions
-from p2o.calibration.pipeline import Pipeline
-from p2o.geometry.ego_motion import EgoMotion
-from p2o.geometry.motion import moved, pose_at
+from p2o.geometry.motion import EgoMotion, moved, pose_at
 from p2o.geometry.perturb import wrong_start
-from p2o.geometry.pose_error import pose_error
+from p2o.geometry.pose_error import deviations, pose_error
+from p2o.reading import RadialError
 from p2o.results.verdict import Doubt, Trust, Verdict
+from p2o.run.pipeline import Pipeline
 from p2o_baselines import nearest
 from p2o_plugins.initialize import given, grid, search
 from p2o_plugins.match import ogm
@@ -454,8 +452,8 @@ def test_a_matcher_without_pairs_tells_nothing_of_the_camera() -> None:
 def test_a_result_says_how_wrong_it_may_be() -> None:
     # Edges at random off their place: one frame, six of the same kind, and one that is sharper.
     views = [edge_scene.view(seed=i, noise_px=1.5, boxes=25) for i in range(6)]
-    one, six = (pipeline().solve(chosen, start()) for chosen in (views[:1], views))
-    sharp = pipeline().solve([edge_scene.view(seed=0, noise_px=0.3, boxes=25)], start())
+    one, six = (pipeline(camera="trust").solve(chosen, start()) for chosen in (views[:1], views))
+    sharp = pipeline(camera="trust").solve([edge_scene.view(seed=0, noise_px=0.3, boxes=25)], start())
     for better in (six, sharp):
         for mine, other in zip(*(deviations(r.covariance, TRUTH) for r in (better, one)), strict=True):
             assert mine < 0.7 * other
@@ -481,7 +479,7 @@ def test_few_pairs_promise_less() -> None:
     all_pairs, some = (pipeline(min_matches=10).solve([v], start(0, 0.5)) for v in (view, few))
     assert 10 <= sum(some.matches.values()) < 100 < sum(all_pairs.matches.values())
     assert some.cameras == ()
-    assert some.accuracy.rotation_deg > 1.5 * all_pairs.accuracy.rotation_deg
+    assert some.accuracy.rotation_deg > 1.3 * all_pairs.accuracy.rotation_deg
 
 
 def test_pairs_from_a_handful_of_places_do_not_tell_the_accuracy() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from p2o import Camera, Cloud, InputError, se3
 from p2o.draw.coloured_cloud import GREY, colours_of, write_coloured_cloud
-from p2o_plugins.data.cloud_file import read_cloud
+from p2o_datasets.cloud_file import read_cloud
 
 CAMERA = Camera.pinhole(100.0, 100.0, 100.0, 50.0, 200, 100)
 LEFT_RED = np.zeros((100, 200, 3), np.uint8)

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from p2o import InputError, Result, Round, Status
+from p2o import InputError, Result, Status
 from p2o.draw.overlay import COLOURS
 from p2o.draw.plots import convergence
 from p2o.results.evidence import Judged
+from p2o.solving import Round
 
 
 def _result(rounds: tuple[Round, ...]) -> Result:

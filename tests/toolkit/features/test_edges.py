@@ -46,7 +46,7 @@ def test_arrays_are_read_only_and_of_fixed_types() -> None:
         (UV, SIDES[:4], None, r"side of the image edges has the wrong shape; expected \(5\); got \(4,\)"),
         (UV, SIDES, np.ones(4), "weight of the image edges has the wrong shape"),
         (UV, SIDES, -np.ones(5), "weight of the image edges is negative; expected weights >= 0; got -1"),
-        (UV, SIDES, np.full(5, np.nan), "weight of the image edges holds values that are not finite"),
+        (UV, SIDES, np.full(5, np.nan), "weight of the image edges contains values that are not finite"),
         (np.where(UV == 10, np.nan, UV), SIDES, None, "uv of the image edges .* not finite.*got 2 NaN"),
         (UV, np.array([0, 1, 2, 3, 4]), None, "unknown direction; expected -1 .none., 0 L, 1 R, 2 U, 3 B; got 4"),
         (UV, np.array([0, 1, 2, 3, -2]), None, "unknown direction.*got -2"),

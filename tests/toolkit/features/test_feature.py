@@ -111,7 +111,7 @@ def test_a_map_is_looked_up_between_pixels_and_is_nan_outside() -> None:
 
 
 class Mute(CloudFeature):
-    """A kind that does not say how it moves."""
+    """A kind that does not define moved."""
 
     word: ClassVar[str] = "cloud-mute"
 
@@ -127,7 +127,7 @@ class Mute(CloudFeature):
         (lambda: ImageFeatures(features=[np.ones(3)]), "expected p2o.ImageFeature.*got ndarray"),
         (lambda: ImageFeatures(features=[ImageFeature()]), "expected p2o.ImageFeature with a `word`"),
         (lambda: CloudPoints(XYZ, intensity=np.ones(3)), "intensity of the cloud points has the wrong shape"),
-        (lambda: GreyMap(np.full((2, 2), np.nan)), "image-grey holds values that are not finite"),
+        (lambda: GreyMap(np.full((2, 2), np.nan)), "image-grey contains values that are not finite"),
     ],
 )
 def test_what_is_no_feature_is_refused(make, text: str) -> None:
@@ -136,7 +136,7 @@ def test_what_is_no_feature_is_refused(make, text: str) -> None:
 
 
 def test_a_kind_that_does_not_say_how_it_moves_cannot_be_moved_unnoticed() -> None:
-    with pytest.raises(TypeError, match="Mute does not say how it moves"):
+    with pytest.raises(TypeError, match="Mute does not define moved"):
         CloudFeatures(features=[Mute()]).moved(MOVE)
 
 

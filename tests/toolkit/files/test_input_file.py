@@ -58,7 +58,7 @@ def test_a_loop_of_links_is_told(tmp_path: Path) -> None:
 
 
 def test_the_home_of_nobody_is_told() -> None:
-    with pytest.raises(InputError, match="no such home folder"):
+    with pytest.raises(InputError, match="home folder of an unknown user"):
         expanded("~nosuch-user/data")
     assert expanded("~") == Path.home()
 
@@ -132,7 +132,7 @@ def test_the_start_of_a_file_of_any_size_is_read_and_what_is_no_file_is_refused(
         (pipe, "the bag is a named pipe"),
         (tmp_path, "the bag is a folder"),
         (tmp_path / "gone", "the bag is missing"),
-        (f"{tmp_path}/\0", "the bag cannot have this name"),
+        (f"{tmp_path}/\0", "the name of the bag is not valid"),
     ):
         with pytest.raises(InputError, match=words):
             read_start(path, "bag", 8)

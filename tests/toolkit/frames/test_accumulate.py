@@ -92,7 +92,7 @@ def test_points_far_from_the_reference_are_left_out() -> None:
     union = accumulated(a, [b], max_range_m=25)
     assert len(union) == 2 * len(WALL)
     assert np.linalg.norm(union.xyz, axis=1).max() < 25
-    with pytest.raises(InputError, match=r"^a: no point is near enough; expected within 1 m"):
+    with pytest.raises(InputError, match=r"^a: no point is within the range limit; expected within 1 m"):
         accumulated(a, [b], max_range_m=1)
 
 
@@ -102,7 +102,7 @@ def test_thinning_leaves_one_point_in_each_cube_the_one_nearest_to_its_centre() 
     assert one_per_voxel(xyz[::-1], 1.0).tolist() == [0, 1, 3]
     # Equally near: the first.
     assert one_per_voxel(np.array([[0.4, 0.5, 0.5], [0.6, 0.5, 0.5]]), 1.0).tolist() == [0]
-    with pytest.raises(InputError, match="a voxel has no size"):
+    with pytest.raises(InputError, match="the voxel size is not positive"):
         one_per_voxel(xyz, 0.0)
 
 
@@ -118,9 +118,12 @@ def test_thinning_the_union_keeps_measured_points_and_no_two_in_one_cube() -> No
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"sequence": "other"}, "^b: sweeps of different drives have no common world; expected sequence 'drive'; got"),
-        ({"sequence": ""}, "^b: sweeps of different drives .* got none"),
-        ({"lidar_world_from_lidar": None}, "^b: the frame has no pose of its LiDAR"),
+        (
+            {"sequence": "other"},
+            "^b: sweeps of different sequences have no common world frame; expected sequence 'drive'; got",
+        ),
+        ({"sequence": ""}, "^b: sweeps of different sequences .* got none"),
+        ({"lidar_world_from_lidar": None}, "^b: the frame has no LiDAR pose"),
     ],
 )
 def test_frames_that_cannot_be_joined_are_refused_by_name(change: dict[str, Any], message: str) -> None:
@@ -129,7 +132,7 @@ def test_frames_that_cannot_be_joined_are_refused_by_name(change: dict[str, Any]
 
 
 def test_frames_that_stand_alone_are_of_no_common_drive() -> None:
-    with pytest.raises(InputError, match="have no common world; expected frames of one sequence"):
+    with pytest.raises(InputError, match="have no common world frame; expected frames of one sequence"):
         accumulated(seen("a", sequence=""), [seen("b", sequence="")])
 
 

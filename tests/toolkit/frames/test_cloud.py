@@ -32,8 +32,8 @@ def test_the_array_given_stays_writable() -> None:
         (np.ones((4, 2)), r"xyz has the wrong shape; expected \(any, 3\); got \(4, 2\)"),
         (np.ones(3), "xyz has the wrong shape"),
         ("points", "xyz is not an array of numbers"),
-        (np.array([[1, 2, np.nan]]), "xyz holds values that are not finite; .*1 NaN or infinite"),
-        (np.array([[1, np.inf, 3]]), "xyz holds values that are not finite"),
+        (np.array([[1, 2, np.nan]]), "xyz contains values that are not finite; .*1 NaN or infinite"),
+        (np.array([[1, np.inf, 3]]), "xyz contains values that are not finite"),
     ],
 )
 def test_what_is_no_cloud_is_refused(xyz: object, message: str) -> None:
@@ -49,7 +49,7 @@ def test_every_field_has_one_value_a_point(field: str) -> None:
 
 @pytest.mark.parametrize("field", ["intensity", "time_s"])
 def test_fields_must_be_finite(field: str) -> None:
-    with pytest.raises(InputError, match=rf"{field} holds values that are not finite"):
+    with pytest.raises(InputError, match=rf"{field} contains values that are not finite"):
         Cloud(XYZ, **{field: np.array([0, 1, np.nan, 2])})
 
 
@@ -68,7 +68,7 @@ def test_a_clean_cloud_gives_no_warnings() -> None:
 
 @pytest.mark.parametrize(("value", "kind"), [(0.0, "3 all-zero"), (np.nan, "3 NaN or infinite")])
 def test_a_cloud_without_one_good_point_is_refused(value: float, kind: str) -> None:
-    with pytest.raises(InputError, match=f"no point of the cloud can be used; .*{kind} points"):
+    with pytest.raises(InputError, match=f"the cloud has no valid point; .*{kind} points"):
         Cloud.from_raw(np.full((3, 3), value))
 
 

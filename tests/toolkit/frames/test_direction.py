@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from p2o import Camera, Cloud, InputError, se3
-from p2o.frames.direction import check_direction, vertical
+from p2o.frames.direction import Direction, check_direction, pose_direction, vertical
 
-from tests.plugins.data.kitti_files import VELO_TO_CAM
+from tests.p2o_datasets.kitti_files import VELO_TO_CAM
 
 CAMERA = Camera.pinhole(600, 600, 500, 200, 1000, 400)
 
@@ -86,6 +86,13 @@ def test_the_inverse_is_refused_where_the_sweep_looks_ahead_only() -> None:
 def test_the_inverse_is_doubted_where_the_sweep_goes_all_around() -> None:
     (warning,) = check_direction(cloud(180), CAMERA, se3.inverse(VELO_TO_CAM), name="truth", where="frame.yaml")
     assert warning.startswith("frame.yaml: truth may be lidar_from_camera: its inverse stands upright")
+
+
+def test_each_outcome_is_a_value_with_its_warnings() -> None:
+    down = se3.make(np.diag([1.0, -1.0, -1.0]))
+    outcomes = [pose_direction(cloud(180), CAMERA, pose) for pose in (VELO_TO_CAM, se3.inverse(VELO_TO_CAM), down)]
+    assert outcomes == [Direction.PLAUSIBLE, Direction.POSSIBLY_INVERSE, Direction.NOTHING_VISIBLE]
+    assert [len(outcome.warnings("start")) for outcome in outcomes] == [0, 1, 1]
 
 
 @pytest.mark.parametrize("yaw_deg", [0, 45, 90, 180])

@@ -68,7 +68,7 @@ def test_the_same_sweeps_give_the_same_bits(estimate: Callable[[Sequence[Cloud]]
 def test_sweeps_of_different_places_are_refused() -> None:
     here = drive(1)[0]
     there = Cloud(np.random.default_rng(0).uniform(-8, 8, (2_000, 3)))
-    with pytest.raises(InputError, match="sweeps 0 and 1 of the sequence do not fit together"):
+    with pytest.raises(InputError, match="sweeps 0 and 1 of the sequence cannot be aligned"):
         by_gicp([here, there])
 
 

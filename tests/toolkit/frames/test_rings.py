@@ -41,8 +41,8 @@ def test_beams_that_do_not_cross_in_the_origin_tell_no_rings_by_elevation():
 def test_a_check_says_how_many_rings_there_are_and_what_tells_them():
     cloud = sweep()
     assert rings_of(cloud) == "16 rings"
-    assert rings_of(Cloud(cloud.xyz)) == "16 rings told by the order of the points"
-    assert rings_of(Cloud(shuffled(cloud).xyz)) == "16 rings told by the elevations of the points"
+    assert rings_of(Cloud(cloud.xyz)) == "16 rings from the order of the points"
+    assert rings_of(Cloud(shuffled(cloud).xyz)) == "16 rings from the elevations of the points"
     assert rings_of(Cloud(shuffled(sweep(lift_m=0.2)).xyz)) == "no rings"
     assert rings_of(Cloud([[1.0, 2, 3]])) == "no rings"
 

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from p2o import Camera, CloudFeatures, Image, ImageFeatures, RadialError, View
-from p2o.calibration.camera_check import at_full_size
+from p2o import Camera, CloudFeatures, Image, ImageFeatures, View
+from p2o.confidence.verdict import at_full_size
 from p2o.frames.scale import LONGEST_FOCAL_PX, camera_at_scale, image_at_scale
+from p2o.reading import RadialError
 from p2o.results.result import CameraCheck
 
 TELE = Camera("OPENCV", 1920, 1080, (2000.0, 2010.0, 950.0, 540.0, -0.1, 0.02, 1e-3, -2e-3))

@@ -60,12 +60,12 @@ def test_a_range_that_runs_backwards_is_turned_in_the_message() -> None:
 
 @pytest.mark.parametrize("spec", ["", "1,,2", ","])
 def test_empty_words_are_refused_with_the_syntax(spec: str) -> None:
-    with pytest.raises(InputError, match=r"an empty word in the choice of frames; expected all, indices"):
+    with pytest.raises(InputError, match=r"an empty word in the selection of frames; expected all, indices"):
         select(NAMES, spec)
 
 
 def test_a_choice_of_nothing_is_refused() -> None:
-    with pytest.raises(InputError, match=r"no frame is chosen; .*got '5:5' of 13 frames"):
+    with pytest.raises(InputError, match=r"no frame is selected; .*got '5:5' of 13 frames"):
         select(NAMES, "5:5")
     with pytest.raises(InputError, match=r"the slice '::0' has step 0"):
         select(NAMES, "::0")
@@ -110,7 +110,7 @@ def test_the_split_may_be_left_out_where_there_is_one(tmp_path: Path) -> None:
     assert select(NAMES, f"@{write(tmp_path / 'list.json', NAMES[2:4])}") == [2, 3]
     assert select(NAMES, f"@{write(tmp_path / 'one.json', {'test': NAMES[:1]})}") == [0]
     two = write(tmp_path / "two.json", {"test": [], "train": []})
-    with pytest.raises(InputError, match=r"two\.json: which split\?; expected .*test, train"):
+    with pytest.raises(InputError, match=r"two\.json: the file has several splits; expected .*test, train"):
         select(NAMES, f"@{two}")
 
 
@@ -146,7 +146,7 @@ def test_missing_folder_and_unreadable_text_are_refused_by_name(tmp_path: Path) 
 def test_a_dataset_without_frames_has_nothing_to_choose() -> None:
     with pytest.raises(InputError, match="frame index 0 is out of range; expected a dataset with frames"):
         select([], "0")
-    with pytest.raises(InputError, match="no frame is chosen"):
+    with pytest.raises(InputError, match="no frame is selected"):
         select([], "all")
 
 

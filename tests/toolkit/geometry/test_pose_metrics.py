@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from p2o import se3
-from p2o.geometry.pose_metrics import half_sample_mode, pose_metrics
+from p2o.geometry.pose_error import half_sample_mode, pose_metrics
 from scipy.spatial.transform import Rotation
 
 TRUTH = se3.make(np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]), [0.1, -0.2, -0.3])

@@ -10,7 +10,7 @@ from p2o import InputError, UnknownNameError, se3
 from p2o.geometry.pose_text import read_extrinsic, read_pose
 from scipy.spatial.transform import Rotation
 
-from tests.plugins.data.kitti_files import VELO_TO_CAM
+from tests.p2o_datasets.kitti_files import VELO_TO_CAM
 
 WHERE = Path("frame.yaml")
 PLACE = VELO_TO_CAM[:3, 3].tolist()
@@ -64,7 +64,7 @@ def test_a_quaternion_of_nearly_unit_length_is_scaled_with_a_word_where_it_is_fa
     given = {"rotation_xyzw": (factor * QUATERNION).tolist(), "translation_m": PLACE}
     pose, warnings = read_pose("start", given, WHERE)
     assert np.allclose(pose, VELO_TO_CAM, atol=1e-12)
-    assert warnings == ((f"frame.yaml: the quaternion of start has length {factor:.4f} and is brought to 1",) * warned)
+    assert warnings == ((f"frame.yaml: the quaternion of start has length {factor:.4f} and is normalised",) * warned)
 
 
 def test_a_rounded_matrix_becomes_the_nearest_rotation_with_a_word_where_it_is_far_off() -> None:
@@ -76,29 +76,29 @@ def test_a_rounded_matrix_becomes_the_nearest_rotation_with_a_word_where_it_is_f
     assert warning.startswith("frame.yaml: the rotation of start is orthonormal to 0.0")
 
 
-ROWS = "3 or 4 rows of 4 numbers, or translation_m beside one of rotation_xyzw, rotation"
+ROWS = "3 or 4 rows of 4 numbers, or translation_m with one of rotation_xyzw, rotation"
 
 
 @pytest.mark.parametrize(
     ("pose", "message"),
     [
-        (np.eye(3).tolist(), f"start is no pose; expected {ROWS}"),
-        ([[1, 0], [0, 1, 0]], "start is no pose"),
-        ("north", "start is no pose; .*lidar_from_camera, to be inverted; got north"),
-        (7, "start is no pose"),
-        ([], "start is no pose"),
-        ({}, "start is no pose"),
-        ([[True, 0, 0, 0]] * 3, "start is no pose"),
-        ([[1, 0, 0, {}]] * 3, "start is no pose"),
-        ([[float("nan"), 0, 0, 0]] * 3, "start is no pose"),
-        ([10**400] * 12, "start is no pose"),
-        ({"translation_m": [0, 0, 0]}, "start is no pose"),
-        ({"rpy_deg": [0, 0, 0]}, "start is no pose"),
-        ({"rpy_deg": [0, 0, 0], "rpy_rad": [0, 0, 0], "translation_m": [0, 0, 0]}, "start is no pose"),
+        (np.eye(3).tolist(), f"start is not a pose; expected {ROWS}"),
+        ([[1, 0], [0, 1, 0]], "start is not a pose"),
+        ("north", "start is not a pose; .*lidar_from_camera, to be inverted; got north"),
+        (7, "start is not a pose"),
+        ([], "start is not a pose"),
+        ({}, "start is not a pose"),
+        ([[True, 0, 0, 0]] * 3, "start is not a pose"),
+        ([[1, 0, 0, {}]] * 3, "start is not a pose"),
+        ([[float("nan"), 0, 0, 0]] * 3, "start is not a pose"),
+        ([10**400] * 12, "start is not a pose"),
+        ({"translation_m": [0, 0, 0]}, "start is not a pose"),
+        ({"rpy_deg": [0, 0, 0]}, "start is not a pose"),
+        ({"rpy_deg": [0, 0, 0], "rpy_rad": [0, 0, 0], "translation_m": [0, 0, 0]}, "start is not a pose"),
         ({"rpy_deg": [0, 0], "translation_m": [0, 0, 0]}, r"start\.rpy_deg is not valid; expected 3 finite numbers"),
         ({"rpy_deg": [0, 0, 0], "translation_m": 5}, r"start\.translation_m is not valid"),
         ({"rotation": [1, 0, 0], "translation_m": [0, 0, 0]}, r"start\.rotation is not valid; expected 3x3"),
-        ({"lidar_from_camera": 3}, rf"start\.lidar_from_camera is no pose; expected {ROWS}"),
+        ({"lidar_from_camera": 3}, rf"start\.lidar_from_camera is not a pose; expected {ROWS}"),
         ({"rotation_xyzw": [0, 0, 0, 1e300], "translation_m": [0, 0, 0]}, "the quaternion of start is not a rotation"),
         ({"rotation_xyzw": [0, 0, 0, 0], "translation_m": [0, 0, 0]}, "the quaternion of start is not a rotation"),
         ((1e200 * np.eye(4)[:3]).tolist(), "the rotation of start is not orthonormal"),

@@ -6,9 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from p2o import Camera, InputError, PointToLine, RadialError, Side, se3
-from p2o.calibration.adjustment import adjust
+from p2o import Camera, InputError, Side, se3
+from p2o.calibration.adjustment import fit_with_nuisances
 from p2o.geometry.pose_error import pose_error
+from p2o.reading import RadialError
+from p2o.solving import PointToLine
 
 from tests.edge_scene import DISTORTED, FISHEYE, PINHOLE, TRUTH
 from tests.plugins.solve.exact_pairs import NEAR, pairs
@@ -68,7 +70,7 @@ def miscalibrated(camera: Camera, **options: object) -> PointToLine:
 @cameras
 def test_exact_pairs_tell_error_and_pose(camera: Camera) -> None:
     problem = miscalibrated(camera, count=4000)
-    found = adjust(problem, NEAR)
+    found = fit_with_nuisances(problem, NEAR)
     pose, (fit,) = found.camera_from_lidar, found.cameras
     assert fit.camera == camera
     # Errors are drawn to zero a little.
@@ -80,7 +82,7 @@ def test_exact_pairs_tell_error_and_pose(camera: Camera) -> None:
 
 
 def test_a_right_calibration_has_no_error() -> None:
-    (fit,) = adjust(pairs(cameras=(PINHOLE,), count=2000), NEAR).cameras
+    (fit,) = fit_with_nuisances(pairs(cameras=(PINHOLE,), count=2000), NEAR).cameras
     assert abs(fit.error.focal) < 1e-6
     assert abs(fit.error.radial) < 1e-6
 
@@ -90,7 +92,7 @@ def test_every_camera_has_its_own_error_and_unknown_models_stay() -> None:
     wide = Camera.pinhole(650.0, 655.0, 610.0, 190.0, 1242, 375)
     other = RadialError(0.003, -0.008)
     exact = pairs(cameras=(ERROR.corrected(PINHOLE), other.corrected(wide), fov), count=6000)
-    fits = adjust(replace(exact, cameras=(PINHOLE, wide, fov)), NEAR).cameras
+    fits = fit_with_nuisances(replace(exact, cameras=(PINHOLE, wide, fov)), NEAR).cameras
     assert [fit.camera for fit in fits] == [PINHOLE, wide]
     assert fits[0].error.radial == pytest.approx(ERROR.radial, abs=1e-4)
     assert fits[1].error.radial == pytest.approx(other.radial, abs=1e-4)
@@ -110,9 +112,9 @@ def test_outlines_that_one_sensor_sees_wider_do_not_look_like_a_focal_length() -
     out = np.select([side == Side.LEFT, side == Side.RIGHT], [-1.0, 1.0], 0.0)
     centre = uv - out[:, None] * normal
     problem = PointToLine(xyz, centre, normal, np.ones(3000), side, np.zeros(3000, np.int64), (PINHOLE,), 2.0)
-    (fit,) = adjust(problem, TRUTH).cameras
+    (fit,) = fit_with_nuisances(problem, TRUTH).cameras
     assert abs(fit.error.focal) < 1e-5
-    (blind,) = adjust(replace(problem, side=np.full(3000, -1, np.int8)), TRUTH).cameras
+    (blind,) = fit_with_nuisances(replace(problem, side=np.full(3000, -1, np.int8)), TRUTH).cameras
     assert blind.error.focal > 1e-3
 
 
@@ -120,7 +122,7 @@ def test_the_stated_deviation_is_the_one_that_noise_causes() -> None:
     found, stated = [], []
     for seed in range(40):
         problem = pairs(cameras=(PINHOLE,), count=300, noise_px=0.7, seed=seed)
-        (fit,) = adjust(problem, TRUTH).cameras
+        (fit,) = fit_with_nuisances(problem, TRUTH).cameras
         found.append([fit.error.focal, fit.error.radial])
         stated.append(np.sqrt(np.diag(fit.covariance)))
         assert fit.sigma_px > 0
@@ -130,4 +132,4 @@ def test_the_stated_deviation_is_the_one_that_noise_causes() -> None:
 
 def test_no_pairs_tell_nothing() -> None:
     with pytest.raises(InputError, match="no pairs"):
-        adjust(PointToLine.empty((PINHOLE,)), TRUTH)
+        fit_with_nuisances(PointToLine.empty((PINHOLE,)), TRUTH)

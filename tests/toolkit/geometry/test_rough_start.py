@@ -85,9 +85,9 @@ def test_a_place_of_the_camera_moves_it_there_whichever_way_it_looks() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("x forward, z up; camera looks forward", 'cannot read the start; expected "roughly x forward, z up'),
-        ("roughly camera looks forward", "not said how the LiDAR's axes point.*x forward, z up"),
-        ("roughly x forward, z up", "not said where the camera looks.*camera looks 45 deg left"),
+        ("x forward, z up; camera looks forward", 'cannot read the initial guess; expected "roughly x forward, z up'),
+        ("roughly camera looks forward", "directions of the LiDAR's axes are missing.*x forward, z up"),
+        ("roughly x forward, z up", "viewing direction of the camera is missing.*camera looks 45 deg left"),
         ("roughly x forward; camera looks forward", "two axes of x, y, z"),
         ("roughly x forwards, z up; camera looks forward", "each with one of forward, back"),
         ("roughly x forward, x up; camera looks forward", "two axes of x, y, z"),
@@ -98,11 +98,11 @@ def test_a_place_of_the_camera_moves_it_there_whichever_way_it_looks() -> None:
         (AXES + "100 deg down", "10 deg down"),
         (AXES + "90 deg clockwise", "turned 90 deg clockwise"),
         (AXES + "turned 90 deg left", "turned 90 deg clockwise"),
-        (AXES + "forward; camera looks back", "said twice.*camera looks back"),
+        (AXES + "forward; camera looks back", "is repeated.*camera looks back"),
         (AXES + "forward; camera 3 feet up of lidar", "camera 0.3 m forward, 1.2 m down of lidar"),
         (AXES + "forward; camera 1 m up, 1 m down of lidar", "camera 0.3 m forward"),
         (AXES + "forward; camera 500 m up of lidar", "too far away.*at most 100 m"),
-        (AXES + "forward; ", "two axes|said twice"),
+        (AXES + "forward; ", "two axes|is repeated"),
     ],
 )
 def test_what_cannot_be_read_is_shown_beside_what_can(text: str, message: str) -> None:

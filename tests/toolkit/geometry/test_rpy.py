@@ -10,7 +10,7 @@ from hypothesis import given
 from p2o.geometry.rpy import rotation_of, rpy_of
 from scipy.spatial.transform import Rotation
 
-from tests.toolkit.formats.calibrations import rotations
+from tests.p2o_formats.calibrations import rotations
 
 
 @given(rotation=rotations())

@@ -77,7 +77,7 @@ def test_frames_without_numbers_take_lines_in_their_order(tmp_path: Path) -> Non
 def test_whole_sequences_follow_one_another_and_sequences_with_gaps_are_refused(tmp_path: Path) -> None:
     starts = written(tmp_path, *NUMBERS)
     assert of_lines(starts, ("a/0", "a/1", "b/0", "b/1"), 2, 3) == [2, 3]
-    with pytest.raises(InputError, match=r"starts.txt: which line is whose.*frame b/2 after 1"):
+    with pytest.raises(InputError, match=r"starts.txt: the lines cannot be assigned.*frame b/2 after 1"):
         starts.errors(("a/0", "a/1", "b/0", "b/2"), [0])
 
 
@@ -92,7 +92,7 @@ def test_lines_may_name_their_frames_in_any_order(tmp_path: Path) -> None:
 
 def test_two_frames_never_share_a_line(tmp_path: Path) -> None:
     starts = written(tmp_path, f"000000 {NUMBERS[0]}")
-    with pytest.raises(InputError, match="line 1: frames a/000000 and b/000000 take the same start"):
+    with pytest.raises(InputError, match="line 1: frames a/000000 and b/000000 use the same line"):
         starts.errors(("a/000000", "b/000000"), [0, 1])
 
 
@@ -107,16 +107,16 @@ ROW = NUMBERS[0]
 @pytest.mark.parametrize(
     ("lines", "message"),
     [
-        ([ROW, "1 2 3 4 5"], "line 2: a start has another form.*got 5 words"),
-        ([ROW, f"name {ROW}"], "line 2: a start has another form than those before.*expected 6 words; got 7"),
-        ([ROW, "0 0 nan 0 0 0"], "line 2: a start is not made of finite numbers.*'nan'"),
-        (["0 0 1e999 0 0 0"], "line 1: a start is not made of finite numbers"),
-        ([ROW, "0 0 0,1 0 0 0"], "line 2: a start has another form"),
-        ([ROW, "0 0 O.1 0 0 0"], "line 2: a start is not made of finite numbers.*'O.1'"),
-        ([ROW, "0 0 1_0 0 0 0"], "line 2: a start is not made of finite numbers"),
-        ([ROW, "a b c d e f"], "line 2: a start is not made of finite numbers"),
+        ([ROW, "1 2 3 4 5"], "line 2: a start has an invalid form.*got 5 words"),
+        ([ROW, f"name {ROW}"], "line 2: a start differs in form from previous ones.*expected 6 words; got 7"),
+        ([ROW, "0 0 nan 0 0 0"], "line 2: a start contains a word that is not a finite number.*'nan'"),
+        (["0 0 1e999 0 0 0"], "line 1: a start contains a word that is not a finite number"),
+        ([ROW, "0 0 0,1 0 0 0"], "line 2: a start has an invalid form"),
+        ([ROW, "0 0 O.1 0 0 0"], "line 2: a start contains a word that is not a finite number.*'O.1'"),
+        ([ROW, "0 0 1_0 0 0 0"], "line 2: a start contains a word that is not a finite number"),
+        ([ROW, "a b c d e f"], "line 2: a start contains a word that is not a finite number"),
         ([f"a {ROW}", f"a {ROW}"], "line 2: a frame has two starts; got 'a'"),
-        (["r1 r2 r3 t1 t2 t3"], "holds none"),
+        (["r1 r2 r3 t1 t2 t3"], "is empty"),
         (["id,tx,ty,tz,rx,ry,rz", "0,0,0,0,0,0,0"], "line 1: the columns of starts are in another order"),
         ([ROW, "0 0 4 0 0 0"], "line 2: the rotation of a start is too large.*radians"),
         ([ROW, "0 0 0 0 0 101"], "line 2: the translation of a start is too long.*100 m"),

@@ -12,8 +12,9 @@ import numpy as np
 import p2o
 import pytest
 from p2o import InputError, Kind, Method, MethodUnavailable, PluginError, UnknownNameError
-from p2o.host.guard import build, requirement
-from p2o.host.registry import Offer, Registry
+from p2o.host.guard import build
+from p2o.host.registry import Offer, Registry, requirement
+from p2o.solving import Objective
 
 Install = Callable[..., None]
 
@@ -63,7 +64,7 @@ def test_every_hook_offers_methods_of_its_kind(install: Install) -> None:
     install("acme", **{f"e{i}": offers(f"m{i}", kind.hook) for i, kind in enumerate(Kind)})
     registry = Registry.load(environ={})
     assert {offer.kind: offer.name for offer in registry.offers} == {kind: f"m{i}" for i, kind in enumerate(Kind)}
-    assert len(Kind) == 9
+    assert len(Kind) == 10
 
 
 def test_offers_come_sorted_by_name_whatever_the_order_of_installation(install: Install) -> None:
@@ -84,6 +85,9 @@ def test_an_offer_knows_who_offers_it(install: Install) -> None:
 BROKEN = {
     "import": "raise RuntimeError('no such luck')",
     "exit": "import sys\nsys.exit('no such luck')",
+    "exit-0": "import sys\nsys.exit(0)",
+    "generator-exit": "raise GeneratorExit('no such luck')",
+    "cancelled": "import asyncio\n@p2o.hookimpl\ndef p2o_matchers():\n    raise asyncio.CancelledError('no such luck')",
     "hook": "@p2o.hookimpl\ndef p2o_matchers():\n    raise ValueError('no such luck')",
     # A generator raises when it is iterated, outside of the hook call.
     "generator": "@p2o.hookimpl\ndef p2o_matchers():\n    yield from ()\n    raise ValueError('no such luck')",
@@ -138,6 +142,23 @@ def test_a_generator_that_raises_late_offers_nothing(install: Install) -> None:
     registry = Registry.load(environ={})
     assert names(registry) == []
     assert registry.broken[0].error == "OSError: too late"
+
+
+@pytest.mark.parametrize("version", ["2", "'1'"])
+def test_a_plugin_of_another_api_version_is_refused_with_one_sentence(install: Install, version: str) -> None:
+    """Before its hooks are called: they may use fields that this version does not have."""
+    install(
+        "future",
+        plug=f"\nPLUGIN_API = {version}\n"
+        + textwrap.dedent(offers("newer")).replace("yield", "yield p2o.NoSuchName or"),
+    )
+    install("current", plug="\nPLUGIN_API = 1\n" + textwrap.dedent(offers("stated")))
+    install("silent", plug=offers("unstated"))
+    registry = Registry.load(environ={})
+    assert names(registry) == ["stated@current", "unstated@silent"]
+    (broken,) = registry.broken
+    wanted = version.strip("'")
+    assert broken.error == f"the plugin is written for plugin API {wanted}, but this p2o has plugin API 1"
 
 
 def test_two_distributions_may_use_the_same_entry_name(install: Install) -> None:
@@ -323,7 +344,7 @@ def test_our_own_errors_pass_through_a_guard_unchanged() -> None:
 
 
 WRONG = {
-    "type": (Kind.MATCHER, lambda views, pose, reach: 3, "returned int; expected p2o.LeastSquares or p2o.Objective"),
+    "type": (Kind.MATCHER, lambda views, pose, reach: 3, "returned int; expected p2o.solving.Problem"),
     "image type": (Kind.IMAGE_EXTRACTOR, lambda image: None, "returned NoneType; expected p2o.ImageFeatures"),
     "cloud type": (Kind.CLOUD_EXTRACTOR, lambda cloud: [], "returned list; expected p2o.CloudFeatures"),
     "result type": (Kind.CALIBRATOR, lambda frames, pose: pose, "returned ndarray; expected p2o.Result"),
@@ -350,12 +371,14 @@ def test_what_a_stage_must_not_return_names_plugin_and_stage(kind: Kind, stage: 
 
 @pytest.mark.parametrize("sigma", [(2.0,), (2.0, -0.1), (np.nan, 0.1)])
 def test_how_good_an_initializer_takes_starts_to_be_is_two_numbers_above_zero(sigma: tuple[float, ...]) -> None:
-    def propose(views: object, pose: object) -> list[object]:
-        return [pose]
+    class Proposing(p2o.InitializerBase):
+        start_sigma = sigma  # type: ignore[assignment]
 
-    propose.start_sigma = sigma  # type: ignore[attr-defined]
+        def __call__(self, views: object, pose: object) -> list[object]:  # type: ignore[override]
+            return [pose]
+
     with pytest.raises(PluginError, match=r"initializer 'fake': start_sigma is .*; expected degrees and metres"):
-        build(offer_of(Kind.INITIALIZER, propose), p2o.Options())
+        build(offer_of(Kind.INITIALIZER, Proposing()), p2o.Options())
 
 
 def test_edges_that_are_promised_must_be_there() -> None:
@@ -367,9 +390,7 @@ def test_edges_that_are_promised_must_be_there() -> None:
 def test_an_objective_with_nan_or_a_wrong_shape_is_caught_when_it_is_evaluated() -> None:
     poses = np.stack([np.eye(4)] * 3)
     for cost in (lambda p: np.full(len(p), np.nan), lambda p: np.zeros(2)):
-        problem = build(offer_of(Kind.MATCHER, lambda v, p, r, c=cost: p2o.Objective(c)), p2o.Options())(
-            [], np.eye(4), 1
-        )
+        problem = build(offer_of(Kind.MATCHER, lambda v, p, r, c=cost: Objective(c)), p2o.Options())([], np.eye(4), 1)
         with pytest.raises(PluginError, match="matcher 'fake': cost returned"):
             problem.cost(poses)
 

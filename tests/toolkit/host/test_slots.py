@@ -11,9 +11,9 @@ from p2o.cli.run import command
 from p2o.frames.frame import Frame
 from p2o.host import hookspecs, method
 from p2o.host.slots import KIND_OF, METHOD_WORDS, SENSORS, SLOT_OF, SLOTS, STAGE_OF, STAGED_WORDS, STAGES, Slot
-from p2o.study.store import Planned
-from p2o.study.study import Product, RowTable, Words
 from p2o.testing import stage
+from p2o_study.store import Planned
+from p2o_study.study import Product, RowTable, Words
 
 
 def test_every_kind_has_one_slot_and_one_stage() -> None:
@@ -58,9 +58,9 @@ def test_extractors_look_at_parts_of_a_frame() -> None:
 
 def test_an_extractor_is_written_beside_the_other_one() -> None:
     others = {"extractor": "stereo", "cloud": "rings", "matcher": "ogm"}
-    assert SLOT_OF[Kind.IMAGE_EXTRACTOR].said("canny", others) == "canny/rings"
-    assert SLOT_OF[Kind.CLOUD_EXTRACTOR].said("depth", others) == "stereo/depth"
-    assert SLOT_OF[Kind.MATCHER].said("nearest", others) == "nearest"
+    assert SLOT_OF[Kind.IMAGE_EXTRACTOR].spec("canny", others) == "canny/rings"
+    assert SLOT_OF[Kind.CLOUD_EXTRACTOR].spec("depth", others) == "stereo/depth"
+    assert SLOT_OF[Kind.MATCHER].spec("nearest", others) == "nearest"
 
 
 def test_an_option_is_set_in_the_words_of_its_slot() -> None:

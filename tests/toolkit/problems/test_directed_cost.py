@@ -7,8 +7,9 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from p2o import CloudEdges, CloudFeatures, DirectedCost, ImageEdges, ImageFeatures, Side, View, se3
+from p2o import CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, Side, View, se3
 from p2o.problems.directed_cost import CONFIDENCES, distance_maps
+from p2o.solving import DirectedCost
 
 from tests import edge_scene
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from p2o.problems.line_fit import Lines, faces, fit_lines, straight
+from p2o.problems.pairing import Lines, faces, fit_lines, straight
 
 
 def one(points: list[tuple[float, float]]) -> Lines:

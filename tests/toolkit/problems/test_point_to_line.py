@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from p2o import Camera, InputError, PointToLine, se3
+from p2o import Camera, InputError, se3
+from p2o.solving import PointToLine
 
 from tests.edge_scene import DISTORTED, FISHEYE, PINHOLE, TRUTH
 from tests.plugins.solve.exact_pairs import CAMERAS, NEAR, pairs, rows

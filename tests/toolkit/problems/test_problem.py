@@ -7,7 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from p2o import LeastSquares, Objective, Problem, SolverStatus, se3
+from p2o import SolverStatus, se3
+from p2o.solving import LeastSquares, Objective, Problem
 from p2o_plugins.solve import ceres, lm, scipy_least_squares
 
 from tests.edge_scene import TRUTH

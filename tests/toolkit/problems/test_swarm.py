@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from p2o.problems.swarm import swarmed
+from p2o.problems.problem import swarmed
 
 HALF = np.array([1.0, 2.0, 0.5])
 AIM = np.array([0.3, -0.5, 0.1])

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from p2o import Accuracy, Agreement, Rival, se3
-from p2o.calibration.accuracy import LAW, deviations, likely_accuracy, or_rival
-from p2o.calibration.shifts import Spread
-from p2o.geometry.pose_error import pose_error
+from p2o import se3
+from p2o.confidence.accuracy import DEFAULT_ERROR_MODEL, ErrorBudget, likely_accuracy, or_rival
+from p2o.geometry.pose_error import deviations, pose_error
+from p2o.solving import Accuracy, Agreement, Rival
 
 from tests.edge_scene import TRUTH
 
@@ -40,8 +40,8 @@ def met(near: float, places: int = 80) -> Agreement:
 NOTHING = np.zeros((6, 6))
 
 
-def spread(pairs: np.ndarray, beams: np.ndarray = NOTHING, rings: float = 0.0) -> Spread:
-    return Spread(pairs, beams, np.full(6, rings))
+def spread(pairs: np.ndarray, beams: np.ndarray = NOTHING, rings: float = 0.0) -> ErrorBudget:
+    return ErrorBudget(pairs, beams, np.full(6, rings))
 
 
 def test_better_pairs_better_beams_and_better_agreement_promise_smaller_errors() -> None:
@@ -95,8 +95,12 @@ def test_nineteen_of_twenty_lie_within_more_than_two_of_three() -> None:
 
 def test_no_number_of_frames_promises_what_the_sensors_calibrations_do_not_give() -> None:
     found = likely_accuracy(spread(covariance(1e-12)), TRUTH, met(0.5))
-    assert found.rotation_deg == pytest.approx(np.sqrt(3) * LAW.floor_deg * LAW.rotation[0], rel=1e-3)
-    assert found.translation_m == pytest.approx(np.sqrt(3) * LAW.floor_m * LAW.translation[0], rel=1e-3)
+    assert found.rotation_deg == pytest.approx(
+        np.sqrt(3) * DEFAULT_ERROR_MODEL.floor_deg * DEFAULT_ERROR_MODEL.rotation[0], rel=1e-3
+    )
+    assert found.translation_m == pytest.approx(
+        np.sqrt(3) * DEFAULT_ERROR_MODEL.floor_m * DEFAULT_ERROR_MODEL.translation[0], rel=1e-3
+    )
 
 
 def test_an_odds_ratio_that_is_none_counts_as_the_worst() -> None:

@@ -57,9 +57,10 @@ def registry(make: object) -> Registry:
             yield Method(name="beams", build=build, summary="Needs rings.", needs={"rings"}, gives=gives)
 
     import p2o_baselines.hooks
+    import p2o_datasets.hooks
     import p2o_plugins.hooks
 
-    return Registry.of(p2o_plugins.hooks, p2o_baselines.hooks, Plugin())
+    return Registry.of(p2o_datasets.hooks, p2o_plugins.hooks, p2o_baselines.hooks, Plugin())
 
 
 def test_a_recipe_joins_the_frames_of_python() -> None:
@@ -88,7 +89,8 @@ def test_what_needs_a_sequence_is_refused_with_frames_of_none() -> None:
     ("make", "text"),
     [
         (3, "build returned int; expected something to call"),
-        (type("NoPast", (), {"__call__": lambda self, f, n: f[n].cloud, "future": 1})(), "`past` is None"),
+        (type("NoPast", (), {"__call__": lambda self, f, n: f[n].cloud, "future": 1})(), "with `past` and `future`"),
+        (type("Minus", (Joins,), {"past": -1})(), "`past` is -1; expected a number of frames"),
         (type("Bad", (Joins,), {"__call__": lambda self, f, n: None})(), "returned NoneType; expected p2o.Cloud"),
         (type("Raises", (Joins,), {"__call__": lambda self, f, n: 1 / 0})(), "raised ZeroDivisionError while joining"),
     ],

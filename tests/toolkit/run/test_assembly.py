@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import p2o
 import pytest
-from p2o import Doubt, Frame, InputError, Kind, Method, Recipe, Registry, Result, Status, UnknownNameError
+from p2o import Frame, InputError, Kind, Method, Recipe, Registry, Result, Status, UnknownNameError
 from p2o.host.slots import WITNESS, WITNESS_STAGES
+from p2o.solving import Doubt
 from p2o.testing import stage
 
 TRUTH = stage.camera_from_lidar()
@@ -66,7 +67,7 @@ def test_without_a_witness_nothing_is_checked_and_that_is_said() -> None:
 def test_a_witness_that_is_named_must_be_there_and_the_usual_one_need_not() -> None:
     with pytest.raises(UnknownNameError, match="unknown image extractor 'dept'"):
         result_of(Claims(TRUTH), witness="dept/rings")
-    with pytest.raises(InputError, match="a witness is a pair of methods"):
+    with pytest.raises(InputError, match="--witness is a pair of methods"):
         result_of(Claims(TRUTH), witness="depth")
 
     class Alone:
@@ -86,7 +87,7 @@ def test_a_whole_method_prepares_each_frame_once_and_without_its_truth() -> None
     result = plan.assembly()(frames, START)
     assert result.frames == ("stage", "second")
     assert [frame.camera_from_lidar for frame in method.shown] == [None, None]
-    assert plan.assembly().kept == ("calibrator",)
+    assert tuple(plan.assembly().stages) == ("calibrator",)
 
 
 def test_a_plain_function_of_frames_is_a_whole_method_too_and_keeps_nothing() -> None:
@@ -95,11 +96,11 @@ def test_a_plain_function_of_frames_is_a_whole_method_too_and_keeps_nothing() ->
         return Result((frames[0].name,), start, TRUTH, Status.CONVERGED, "done")
 
     plan = Recipe.of(data=None, calibrator="claims", witness="none").resolve(registry(whole))
-    assert plan.assembly().kept == ()
+    assert tuple(plan.assembly().stages) == ()
     np.testing.assert_allclose(plan.assembly()([stage.frame()], START).camera_from_lidar, TRUTH, atol=1e-12)
 
 
-class Own:
+class Own(p2o.InitializerBase):
     """An initializer that prepares frames, and remembers what it was shown and what it found in the views."""
 
     def __init__(self) -> None:
@@ -129,7 +130,7 @@ def test_an_initializer_may_prepare_frames_and_finds_that_in_its_views() -> None
     own = Own()
     plan = Recipe.of(data=None, extractor="depth/rings", init="own").resolve(with_own(own))
     assembly = plan.assembly()
-    assert assembly.kept == ("extractor", "cloud", "init")
+    assert tuple(assembly.stages) == ("extractor", "cloud", "init")
     assembly(stage.drive(), START)
     assert [frame.camera_from_lidar for frame in own.shown] == [None, None, None]
     assert own.found[:3] == ["of stage/0", "of stage/1", "of stage/2"]
@@ -147,7 +148,7 @@ def test_what_frames_hold_is_asked_for_initializers_too() -> None:
 def test_stages_with_edges_need_no_witness() -> None:
     plan = Recipe.of(data=None, extractor="depth/rings", init="given").resolve(registry(Claims(TRUTH)))
     assert not set(plan.parts) & set(WITNESS)
-    assert plan.assembly().kept == ("extractor", "cloud")
+    assert tuple(plan.assembly().stages) == ("extractor", "cloud")
 
 
 @pytest.mark.parametrize(

@@ -94,3 +94,30 @@ def test_neighbours_are_frames_of_the_same_camera() -> None:
     # Those of the other camera are looked at once, to tell that they are of another one.
     assert joined[2].cloud.xyz[:, 1].tolist() == [2, 0, 2, 4, 6]
     assert dataset.read.count(3) == 1
+
+
+@dataclass
+class Nameless(Sequence[Frame]):
+    """The same drives, whose names are in the frames only."""
+
+    drives: Drives = field(default_factory=Drives)
+
+    def __len__(self) -> int:
+        return len(self.drives)
+
+    def __getitem__(self, index: Any) -> Any:
+        return self.drives[index]
+
+
+def test_names_of_a_dataset_that_has_them_are_known_without_reading_frames() -> None:
+    drives = Drives()
+    assert JoinedFrames(drives, Numbers()).names == drives.names
+    assert drives.read == []
+
+
+def test_a_dataset_without_names_is_read_once_for_names_and_cameras() -> None:
+    nameless = Nameless()
+    joined = JoinedFrames(nameless, Numbers())
+    assert [joined.names[i] for i in range(8)] == list(nameless.drives.names)
+    assert [joined.camera_name(i) for i in range(8)] == [""] * 8
+    assert sorted(nameless.drives.read) == list(range(8))

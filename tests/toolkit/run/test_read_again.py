@@ -6,6 +6,7 @@ import gc
 import threading
 import weakref
 from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,15 @@ class Counted:
         return frame
 
 
+@pytest.fixture(autouse=True, scope="module")
+def _quick_collection() -> Iterator[None]:
+    """Leave the objects of other tests out of the collections of garbage of this module."""
+    gc.collect()
+    gc.freeze()
+    yield
+    gc.unfreeze()
+
+
 @pytest.fixture(scope="module")
 def frames() -> list[Frame]:
     dataset = open_dataset("synthetic:?scenes=6&megapixels=0.1", p2o.Registry.load())
@@ -52,13 +62,36 @@ def joint(data: Counted) -> p2o.Result:
 def test_many_frames_are_read_again_and_give_the_same(frames: list[Frame], monkeypatch: pytest.MonkeyPatch) -> None:
     held, again = Counted(frames), Counted(frames)
     expected = joint(held)
-    monkeypatch.setattr("p2o.run.run.MOST_HELD", 2)
+    monkeypatch.setattr("p2o.run.run.MAX_FRAMES_IN_MEMORY", 2)
     found = joint(again)
     np.testing.assert_array_equal(found.camera_from_lidar, expected.camera_from_lidar)
     assert found.frames == expected.frames == held.names
     assert found.warnings == expected.warnings
     assert held.most == len(frames)
     assert again.most < len(frames) - 1
+
+
+def test_a_plain_function_of_many_frames_gets_them_one_at_a_time(
+    frames: list[Frame], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = []
+
+    def whole(given: Sequence[Frame], start: np.ndarray) -> p2o.Result:
+        for frame in given:
+            assert frame.camera_from_lidar is None
+            names.append(frame.name)
+        return p2o.Result(tuple(names), start, start, p2o.Status.CONVERGED, "done")
+
+    class Plugin:
+        @p2o.hookimpl
+        def p2o_calibrators(self):
+            yield Method(name="whole", build=lambda options: whole, summary="A function of frames.")
+
+    monkeypatch.setattr("p2o.run.run.MAX_FRAMES_IN_MEMORY", 2)
+    data = Counted(frames)
+    plan = Recipe.of(data=None, calibrator="whole", perturb="1deg 0.05m", joint=True).resolve(Registry.of(Plugin()))
+    assert run(plan, data).result.frames == data.names == tuple(names)
+    assert data.most < len(frames) - 1
 
 
 def counting(method: Method, calls: Counter[str]) -> Method:
@@ -93,8 +126,8 @@ def test_pictures_of_frames_that_are_read_again_show_features_that_were_found_on
 
     import p2o_plugins.hooks
 
-    monkeypatch.setattr("p2o.run.run.MOST_HELD", 2)
-    recipe = Recipe.of(extractor="counted-depth/counted-rings", perturb="1deg 0.05m", joint=True)
+    monkeypatch.setattr("p2o.run.run.MAX_FRAMES_IN_MEMORY", 2)
+    recipe = Recipe.of(data=None, extractor="counted-depth/counted-rings", perturb="1deg 0.05m", joint=True)
     plan = recipe.resolve(Registry.of(p2o_plugins.hooks, Plugin()))
     folder = OutDir.prepared(str(tmp_path)).for_frames([frame.name for frame in frames])
     cameras = [replace(frame.camera, params=(focal_px, focal_px, *frame.camera.params[2:])) for frame in frames]
@@ -112,7 +145,7 @@ def test_a_bad_frame_among_many_is_named(frames: list[Frame], monkeypatch: pytes
                 raise p2o.InputError("the image is cut short")
             return super().__getitem__(index)
 
-    monkeypatch.setattr("p2o.run.run.MOST_HELD", 2)
+    monkeypatch.setattr("p2o.run.run.MAX_FRAMES_IN_MEMORY", 2)
     with pytest.raises(
         p2o.InputError, match=f"cut short; a joint calibration needs every frame: leave {frames[4].name}"
     ):
@@ -140,7 +173,7 @@ def test_frames_of_a_joint_calibration_are_read_at_once_where_the_dataset_allows
 
     import p2o_plugins.hooks
 
-    monkeypatch.setattr("p2o.threads.cores", lambda: 2)
+    monkeypatch.setattr("p2o.runtime.native.cores", lambda: 2)
     words = {"extractor": "depth/rings", "init": "given", "perturb": "1deg 0.05m", "joint": True}
     plan = Recipe.of(data="meeting:", **words).resolve(Registry.of(p2o_plugins.hooks, Plugin()))
     assert run(plan).result.frames == tuple(frame.name for frame in frames)

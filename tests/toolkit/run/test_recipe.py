@@ -10,6 +10,7 @@ import p2o
 import pytest
 from p2o import Frame, InputError, Kind, Method, PluginError, Recipe, Registry, Result, Status, UnknownNameError
 from p2o.run.recipe import open_exporter, parse_settings, split_data
+from p2o.run.run import Run
 from p2o.testing import stage
 
 
@@ -313,7 +314,7 @@ class Spy:
 
         yield Method(name="spy", build=lambda options: calibrate, summary="A test.")
 
-    def run(self, **words: Any) -> p2o.Run:
+    def run(self, **words: Any) -> Run:
         return p2o.calibrate(**{"data": "listed:", "calibrator": "spy", "registry": Registry.of(acme=self), **words})
 
 
@@ -402,6 +403,46 @@ def test_a_joint_run_is_one_call_with_all_frames() -> None:
     assert run.result.frames == ("a", "b", "c")
 
 
+def test_the_order_of_the_chosen_frames_does_not_change_a_joint_calibration() -> None:
+    words: dict[str, Any] = {
+        "data": "synthetic:?frames_per_scene=3",
+        "extractor": "depth/rings",
+        "perturb": "1deg 0.05m",
+    }
+    first, *others = (
+        p2o.calibrate(frames=frames, joint=True, witness="none", **words).result for frames in ("0-2", "2,0,1", "1,2,0")
+    )
+    for other in others:
+        assert other.frames == first.frames
+        assert other.camera_from_lidar.tobytes() == first.camera_from_lidar.tobytes()
+
+
+class Unnamed:
+    """A whole method that names frames by what it prepared of them."""
+
+    def __init__(self, prepared: Any) -> None:
+        self.prepared = prepared
+
+    def prepare(self, frame: Frame) -> Any:
+        return self.prepared
+
+    def solve(self, prepared: Any, start: Any) -> Result:
+        return Result(tuple(str(one) for one in prepared), start, start, Status.CONVERGED, "because it is a test")
+
+
+@pytest.mark.parametrize("prepared", [None, print, "x"])
+def test_frames_of_a_result_are_named_by_the_frames(prepared: Any) -> None:
+    class Plugin:
+        @p2o.hookimpl
+        def p2o_calibrators(self) -> Any:
+            yield Method(name="unnamed", build=lambda options: Unnamed(prepared), summary="A test.")
+
+    frames = [framed("a", TRUTH), framed("b", TRUTH)]
+    words: dict[str, Any] = {"calibrator": "unnamed", "witness": "none", "registry": Registry.of(acme=Plugin())}
+    assert [row.result.frames for row in p2o.calibrate(frames, **words).rows] == [("a",), ("b",)]
+    assert p2o.calibrate(frames, joint=True, **words).result.frames == ("a", "b")
+
+
 def test_frames_of_two_rigs_are_not_calibrated_jointly() -> None:
     spy = Spy([framed("a", TRUTH), framed("b", OTHER)])
     with pytest.raises(InputError, match=r"frames a and b have different extrinsics.*0 deg and 0\.1 m apart"):
@@ -423,7 +464,10 @@ def test_a_cloud_that_does_not_tell_its_rings_is_calibrated_with_a_warning() -> 
     told = Frame("stage", frame.image, cloud, camera_from_lidar=TRUTH @ moved)
     run = p2o.calibrate(told, extractor="depth/rings", perturb="1deg 0.05m")
     assert run.rows[0].error.rotation_deg < 0.5
-    assert any("stage: the cloud does not tell" in text and "range-view" in text for text in run.result.warnings)
+    assert any(
+        "stage: the rings of the cloud are not observable" in text and "range-view" in text
+        for text in run.result.warnings
+    )
 
 
 def test_a_wrong_truth_changes_no_estimate() -> None:

@@ -68,7 +68,7 @@ def test_a_mapping_of_placed_cameras_alone_is_a_rig() -> None:
     names = ["scene-0-LEFT", "scene-0-RIGHT", "RIGHT"]
     found, remarks = rig.groups(names, range(3), lambda index: "")
     assert found == {"LEFT": [0], "RIGHT": [1, 2]}
-    assert remarks["RIGHT"] == ("rig.json: frames of RIGHT are told by the ends of their names",), "never silently"
+    assert remarks["RIGHT"] == ("rig.json: frames of RIGHT are assigned by the ends of their names",), "never silently"
 
 
 def test_an_end_of_a_name_is_a_whole_word() -> None:
@@ -108,10 +108,10 @@ FLAT[3, 3] = 1
     ("content", "message"),
     [
         ([1], "rig: the rig file has no keys; expected cameras: ...; got list"),
-        ({}, "rig: cameras is not said"),
+        ({}, "rig: cameras is missing"),
         ({"cameras": {}}, "rig: cameras is "),
         ({"cameras": {"LEFT": 3}}, "rig: LEFT is not valid"),
-        ({"cameras": {"FRONT LEFT": {}}}, "rig: the name of a camera is no word"),
+        ({"cameras": {"FRONT LEFT": {}}}, "rig: the name of a camera is not valid"),
         (placed(cameraz={}), "rig: unknown key 'cameraz'; .*did you mean cameras?"),
         (
             {"cameras": {"LEFT": {"camera_from_bdy": 1}}},
@@ -125,12 +125,12 @@ FLAT[3, 3] = 1
         ),
         (
             {"cameras": {"LEFT": {"camera_from_body": ROWS["LEFT"]}, "RIGHT": {"camera_from_lidar": ROWS["RIGHT"]}}},
-            "the places of the cameras are told in several words",
+            "the places of the cameras have several forms",
         ),
         ({"cameras": {"LEFT": {"camera_from_body": MIRROR}}}, "the rotation of LEFT.camera_from_body mirrors space"),
         ({"cameras": {"LEFT": {"camera_from_body": FLAT.tolist()}}}, "LEFT.camera_from_body is not orthonormal"),
-        ({"cameras": {"LEFT": {"camera_from_body": [[1, 2], [3, 4]]}}}, "LEFT.camera_from_body is no pose"),
-        (placed(body_from_lidar=[1, 2]), "body_from_lidar is no pose"),
+        ({"cameras": {"LEFT": {"camera_from_body": [[1, 2], [3, 4]]}}}, "LEFT.camera_from_body is not a pose"),
+        (placed(body_from_lidar=[1, 2]), "body_from_lidar is not a pose"),
         ({"cameras": {"LEFT": {}}, "body_from_lidar": np.eye(4).tolist()}, "body_from_lidar is of no use without"),
         ({"cameras": {"LEFT": {}}, "twist": [0, 0, 0, 1, 0, 0]}, "twist is of no use without the places"),
         (placed(twist=[0, 0, 0]), "rig: twist"),
@@ -153,9 +153,9 @@ def test_a_rig_file_that_is_missing_or_no_yaml_is_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="the rig file has no name"):
         Rig.of("")
     for name, text, message in (
-        ("a.yaml", "cameras: *all", "rig file holds an alias"),
+        ("a.yaml", "cameras: *all", "rig file contains an alias"),
         ("b.json", "{", "the rig file is not JSON"),
-        ("c.yaml", "cameras: !!python/object:os.system {}", "holds objects"),
+        ("c.yaml", "cameras: !!python/object:os.system {}", "contains objects"),
     ):
         (tmp_path / name).write_text(text)
         with pytest.raises(InputError, match=message):
@@ -182,4 +182,4 @@ def test_a_place_against_the_lidar_may_be_a_calibration_file_beside_the_rig_file
     rig = Rig.of(str(tmp_path / "rig.yaml"))
     assert rig is not None
     np.testing.assert_allclose(rig.start_of("left"), pose, atol=1e-12)
-    assert "does not say its direction" in rig.warnings["left"][0]
+    assert "does not state a direction" in rig.warnings["left"][0]

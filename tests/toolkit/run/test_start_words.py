@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 from pathlib import Path
 
@@ -9,13 +10,14 @@ import numpy as np
 import p2o
 import pytest
 from p2o import Camera, InputError, se3
+from p2o.calibration_files.calibration import Calibration
 from p2o.cli import main
-from p2o.formats.calibration import Calibration
-from p2o.formats.files import formats
+from p2o.cli.run import command
 from p2o.geometry.rough_start import rough_start
 from p2o.run.recipe import Recipe
 from p2o.run.run import run
 from p2o.testing import stage
+from p2o_formats.formats import FORMATS
 
 PLUGIN = str(Path(__file__).parents[2] / "stage_plugin.py")
 WORDS = "x forward, z up; camera looks 10 deg left; camera 0.27 m forward of lidar"
@@ -35,6 +37,42 @@ def test_the_command_line_begins_at_the_pose_that_the_words_mean(capsys: pytest.
     assert row["start_error"]["rotation_deg"] > 5
     again = Recipe.of(**row["recipe"])
     assert again.start == f"roughly {WORDS}"
+
+
+@pytest.mark.parametrize("words", [["--start", "roughly"], ["--start", "roughly", "--joint"]])
+def test_an_option_after_roughly_is_no_part_of_the_description(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["run", "--data", "synthetic:", *words]) == 2
+    told = capsys.readouterr().err
+    assert "roughly x forward, z up" in told or "x forward, z up" in told
+    assert "--joint" not in told
+    assert told.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "start", "joint"),
+    [
+        (["--start", "roughly", WORDS, "--joint"], f"roughly {WORDS}", True),
+        (["--start", f"roughly {WORDS}", "--joint"], f"roughly {WORDS}", True),
+        (["--joint", "--start", "roughly", WORDS], f"roughly {WORDS}", True),
+        (["--start", "roughly", "--joint"], "roughly", True),
+        (["--start", "a.json", "--joint"], "a.json", True),
+        (["--start", "roughly"], "roughly", None),
+    ],
+)
+def test_a_start_in_two_words_is_one_value(words: list[str], start: str, joint: bool | None) -> None:
+    parameters = command.make_context("run", list(words)).params
+    assert (parameters["start"], parameters["joint"]) == (start, joint)
+
+
+@pytest.mark.parametrize("name", ["p2o.cli.data_show", "p2o.cli.data_suggest", "p2o_pages.cli.view"])
+def test_commands_that_project_from_a_pose_take_the_two_words_too(name: str) -> None:
+    other = importlib.import_module(name).command
+    rest = ["--pose", "truth", *(["--out", "a"] if name.endswith("show") else [])]
+    for option in ("--start", "--extrinsic"):
+        parameters = other.make_context("x", ["folder:a", option, "roughly", WORDS, *rest]).params
+        assert (parameters["start"], parameters["pose"]) == (f"roughly {WORDS}", "truth")
 
 
 def test_python_takes_the_same_words_or_a_pose() -> None:
@@ -60,7 +98,7 @@ def test_what_contradicts_the_words_is_refused() -> None:
 
 def test_a_start_may_be_a_calibration_file_of_another_tool(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, pose = tmp_path / "transform.sh", rough_start(f"roughly {WORDS}")
-    path.write_bytes(formats()["ros2"].written(Calibration(None, pose)))
+    path.write_bytes(FORMATS["ros2"].written(Calibration(None, pose)))
     data = "synthetic:?width_px=160&height_px=64&lidar=vlp-16&right=false"
     assert main(["run", "--data", data, *SPY, "--json", "--start", str(path)]) == 0
     [row] = json.loads(capsys.readouterr().out)["results"]
@@ -78,7 +116,7 @@ def test_a_start_file_without_a_direction_is_checked_against_the_sweep(
     np.save(path, pose)
     assert main(["run", "--data", data, *SPY, "--json", "--start", str(path)]) == 0
     [row] = json.loads(capsys.readouterr().out)["results"]
-    assert any("does not say its direction" in warning for warning in row["warnings"])
+    assert any("does not state a direction" in warning for warning in row["warnings"])
     assert not any("may be lidar_from_camera" in warning for warning in row["warnings"])
     np.save(path, se3.inverse(pose))
     code = main(["run", "--data", data, *SPY, "--json", "--start", str(path)])
@@ -89,6 +127,6 @@ def test_a_start_file_without_a_direction_is_checked_against_the_sweep(
 
 def test_a_start_file_that_holds_a_camera_alone_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "camera.yaml"
-    path.write_bytes(formats()["camera-info"].written(Calibration(Camera.pinhole(10, 10, 5, 5, 10, 10))))
-    with pytest.raises(InputError, match="there is no extrinsic in it"):
+    path.write_bytes(FORMATS["camera-info"].written(Calibration(Camera.pinhole(10, 10, 5, 5, 10, 10))))
+    with pytest.raises(InputError, match="the file has no extrinsic"):
         Recipe.of(start=str(path)).resolve(p2o.Registry.load(environ={}))

@@ -1,1 +1,1 @@
-"""How a method becomes a result: Algorithm 1, the judge, adjustment, agreement, verdict."""
+"""Algorithm 1 of the paper: proposals, rounds of matching and solving, the judge, and the nuisance parameters."""

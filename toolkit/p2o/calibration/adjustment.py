@@ -1,4 +1,4 @@
-"""What besides the pose keeps pairs apart, found along with it: errors of the cameras, the motion of the car."""
+"""Least-squares adjustment of the pose together with nuisance parameters: camera errors, sweep motions, time offset."""
 
 from __future__ import annotations
 
@@ -13,28 +13,27 @@ from p2o.errors import InputError
 from p2o.features.side import Side
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
-from p2o.geometry.ego_motion import EgoMotion, MotionPrior
+from p2o.geometry.motion import EgoMotion, MotionPrior
 from p2o.geometry.radial_error import LARGEST, RadialError, RadialFit, is_correctable, slopes
-from p2o.problems.point_to_line import PointToLine
+from p2o.problems.point_to_line import OUTLINE_CELL_PX, PointToLine
 
 _ITERATIONS = 30
-_STILL = 1e-7
+_CONVERGED = 1e-7
 _CAMERA_SIGMA = np.array([0.01, 0.02])
 TIME_SIGMA_S = 0.05
-"""Images and sweeps that are said to be of one moment are so to within a period of the camera or half of one."""
-_LATEST_S = 0.5
-_CELL_PX = 64.0
-_ALIKE = 10.0
-"""Pairs along one outline err alike: so many tell as much about the motion as one. Chosen on KITTI's `train`."""
-_LEAST_VARIANCE = 0.25
-_TOO_SURE = 2.5
-"""Motions of single frames, KITTI's `train` and synthetic, err by 2.2 to 2.5 times the deviation that pairs show."""
+"""Standard deviation of the prior on the offset: images and sweeps are paired within a camera period."""
+_MAX_OFFSET_S = 0.5
+_PAIRS_PER_OUTLINE = 10.0
+"""Pairs along one outline have correlated errors: this many count as one measurement. Chosen on KITTI's `train`."""
+_MIN_VARIANCE_PX2 = 0.25
+_SIGMA_INFLATION = 2.5
+"""Errors of single-frame motions are 2.2 to 2.5 times the deviation from the pairs (KITTI's `train`, synthetic)."""
 _OUTWARD = {Side.LEFT: (-1.0, 0.0), Side.RIGHT: (1.0, 0.0), Side.UPPER: (0.0, -1.0), Side.BOTTOM: (0.0, 1.0)}
 
 
 @dataclass(frozen=True, eq=False)
 class MotionFit:
-    """The motion of one sweep as the pairs tell it, with its covariance (2, 2) of speed in m/s and turning in rad/s."""
+    """The estimated motion of one sweep, with its covariance (2, 2) of speed in m/s and turning rate in rad/s."""
 
     motion: EgoMotion
     covariance: Float
@@ -42,7 +41,7 @@ class MotionFit:
 
 @dataclass(frozen=True)
 class TimeFit:
-    """How much later than they say the images were taken, as the pairs tell it, with its standard deviation."""
+    """The estimated delay of the images against their timestamps, with its standard deviation."""
 
     offset_s: float = 0.0
     sigma_s: float = TIME_SIGMA_S
@@ -50,12 +49,12 @@ class TimeFit:
 
 @dataclass(frozen=True, eq=False)
 class Adjustment:
-    """The pose (4, 4) that fits the pairs best, and what was found with it.
+    """The pose (4, 4) that fits the pairs best, and the nuisance parameters fitted with it.
 
-    `covariance` (6, 6) is that of a left update in rad and m with all else unknown as well, or None where the pairs
-    come from too few places to tell; `places` is how many. `cameras` has an entry for every camera that was asked,
-    `motions` one for every frame, or none, `time` the offset between images and sweeps where it was asked for.
-    `step_px` is how far all these together moved the residuals (root mean square).
+    `covariance` (6, 6) is that of a left update in rad and m, with all nuisance parameters unknown as well; None where
+    the pairs come from too few independent image cells (`places`). `cameras` has an entry for every fitted camera,
+    `motions` one for every frame, or none; `time` is the offset between images and sweeps where it is fitted.
+    `step_px` is the root mean square change of the residuals by the fit.
     """
 
     camera_from_lidar: Float
@@ -67,44 +66,36 @@ class Adjustment:
     time: TimeFit | None = None
 
 
-def adjust(
+def fit_with_nuisances(
     problem: PointToLine,
     camera_from_lidar: Float,
     *,
-    cameras: bool = True,
+    fits_cameras: bool = True,
     known: Mapping[Camera, RadialError] | None = None,
     prior: MotionPrior | None = None,
     motions: Sequence[EgoMotion] = (),
     twists: Float | None = None,
     time: TimeFit | None = None,
 ) -> Adjustment:
-    """Return pose, radial error of every camera and motion of every sweep that fit the pairs best, all together.
+    """Fit pose, radial errors of cameras, motions of sweeps and a time offset to pairs by least squares.
 
-    The cameras of `problem` are those of the calibration; `known` are errors to begin from. With `cameras` False they
-    stay at these. Without a `prior` no motion is looked for; with one, `motions` are those that the points of the
-    problem are compensated for, one a frame (none: they are raw). With a `time` one offset between the images and
-    the sweeps is looked for, beginning from the one that the points are corrected for; `twists` (F, 6) are the known
-    velocities of the LiDAR, zero for frames whose velocity is not known. The robust sum is that of the problem (Huber).
-
-    Beside cameras the widths of outlines are unknown: that both sensors see them a little too wide or too narrow must
-    not look like another focal length. Errors of cameras are drawn to zero as by a measurement with standard deviations
-    of 1 % and 0.02, motions to what is expected as by one with those of the prior, the offset in time to zero as by one
-    with 50 ms. All covariances take pairs of one
-    direction within 64 px as one measurement (cluster robust: Liang and Zeger, Longitudinal data analysis using
-    generalized linear models, 1986). Cameras whose model has no radial coefficient stay as they are and are not among
-    the fits. Raises InputError for a problem without pairs, and for motions and twists that are not one a frame.
+    The cameras of `problem` are uncorrected; `known` are their initial errors, fixed with `fits_cameras` False. Motions
+    are fitted if there is a `prior`; the points are compensated for `motions`, one a frame (none: raw points). A time
+    offset is fitted from the initial value `time`; `twists` (F, 6) are the known velocities of the LiDAR, zero where
+    unknown. The robust sum is that of the problem (Huber; Eq. 1 of the paper). With cameras, the widths of outlines are
+    fitted, too: systematic edge bias must not be absorbed by the focal length. Gaussian priors: errors of cameras 1 %
+    and 0.02, the time offset 50 ms, motions as `prior`. Covariances are cluster robust: pairs of one direction within
+    64 px are one measurement (Liang and Zeger, 1986). Cameras without a radial coefficient are not fitted. Raises
+    InputError for a problem without pairs, and where motions or twists are not one a frame.
     """
     if not len(problem):
-        raise InputError("no pairs to tell anything from", expected="at least one pair", got="none")
+        raise InputError("there are no pairs to fit", expected="at least one pair", got="none")
     if motions and len(motions) != len(problem.cameras):
         raise InputError("the motions are not one a frame", expected=len(problem.cameras), got=len(motions))
     if time is not None and (twists is None or len(twists) != len(problem.cameras)):
-        raise InputError(
-            "the velocities are not one a frame",
-            expected=len(problem.cameras),
-            got="none" if twists is None else len(twists),
-        )
-    model = _Model.of(problem, camera_from_lidar, cameras, known or {}, prior, motions, twists, time)
+        got = "none" if twists is None else len(twists)
+        raise InputError("the velocities are not one a frame", expected=len(problem.cameras), got=got)
+    model = _Model.of(problem, camera_from_lidar, fits_cameras, known or {}, prior, motions, twists, time)
     pose, state = np.asarray(camera_from_lidar, np.float64), model.start
     rows, own, residuals = model.linearised(pose, state)
     began = residuals
@@ -112,27 +103,32 @@ def adjust(
         weight = problem.weight * problem.huber_px / np.maximum(np.abs(residuals), problem.huber_px)
         precision = model.precision(weight, residuals)
         hessian = _normal(rows, own, weight) + np.diag(precision)
-        gradient = _projected(rows, own, weight * residuals)
+        pull = weight * residuals
+        gradient = np.concatenate([rows.T @ pull, np.asarray(own.T @ pull)])
         gradient[6:] += precision[6:] * (state - model.expected)
         step = -np.asarray(np.linalg.lstsq(hessian, gradient, rcond=None)[0], np.float64)
         pose, state = se3.exp(step[:6]) @ pose, model.within(state + step[6:])
         rows, own, residuals = model.linearised(pose, state)
-        if np.abs(step).max() < _STILL:
+        if np.abs(step).max() < _CONVERGED:
             break
     inverse = np.asarray(np.linalg.pinv(hessian))
     clustered, places = _clustered(problem, rows, own, residuals)
     covariance = inverse @ clustered @ inverse
     expected = np.diag(model.prior_score(precision))
-    surely = inverse @ (_TOO_SURE**2 * clustered + expected) @ inverse
+    surely = inverse @ (_SIGMA_INFLATION**2 * clustered + expected) @ inverse
     variance = surely.diagonal()
     if time is not None:
-        alike = _by_frame(problem, rows, own, residuals, weight, inverse)
-        variance = np.maximum(variance, (inverse @ (alike + expected) @ inverse).diagonal())
-    # As many places as unknowns fit any pose without a residual: with few of them, residuals understate the error.
+        by_frame = _by_frame(problem, rows, own, residuals, weight, inverse)
+        variance = np.maximum(variance, (inverse @ (by_frame + expected) @ inverse).diagonal())
+    # With six places the fit has no residual for any pose: with few places, residuals underestimate the error.
     spare = places / (places - 6) if places > 6 else None
+    pose_covariance: Float | None = None
+    if spare is not None:
+        pose_covariance = (inverse @ (spare * clustered + expected) @ inverse)[:6, :6]
+        pose_covariance = np.asarray(0.5 * (pose_covariance + pose_covariance.T))
     return Adjustment(
         pose,
-        None if spare is None else _symmetric((inverse @ (spare * clustered + expected) @ inverse)[:6, :6]),
+        pose_covariance,
         model.camera_fits(state, covariance),
         model.motion_fits(state, surely),
         float(np.sqrt(np.mean((residuals - began) ** 2))),
@@ -145,10 +141,9 @@ def adjust(
 class _Model:
     """What residuals depend on beside the pose.
 
-    The state (N,) is focal and radial of every camera in `asked`, the widths of outlines, the offset in time where
-    there is a `time`, then speed and turn of every frame. `by_shared` are derivatives by the first two, taken once
-    because they hardly change on the way. `motions` (F, 2) are those that the points are corrected for; there are
-    none without a `prior`. `by_time` (K, 3) is how the points move in m/s as the images are taken later.
+    The state (N,) is focal and radial of every camera in `asked`, the widths of outlines, the time offset if there is
+    a `time`, then speed and turn of every frame. `by_shared` are derivatives by the first two, computed once. `motions`
+    (F, 2) are those that the points are corrected for, none without a `prior`; `by_time` (K, 3) is their velocity.
     """
 
     problem: PointToLine
@@ -165,7 +160,7 @@ class _Model:
         cls,
         problem: PointToLine,
         pose: Float,
-        cameras: bool,
+        fits_cameras: bool,
         known: Mapping[Camera, RadialError],
         prior: MotionPrior | None,
         motions: Sequence[EgoMotion],
@@ -175,7 +170,7 @@ class _Model:
         correctable = [camera for camera in dict.fromkeys(problem.cameras) if is_correctable(camera)]
         errors = {camera: known.get(camera, RadialError()) for camera in correctable}
         by_shared = np.zeros((len(problem), 0))
-        if cameras:
+        if fits_cameras:
             by_shared = np.hstack([_by_error(problem, pose, errors), _outward(problem)])
         if prior is not None and not motions:
             motions = [EgoMotion()] * len(problem.cameras)
@@ -184,7 +179,7 @@ class _Model:
         if time is not None and twists is not None:
             its = np.asarray(twists, np.float64)[problem.frame]
             by_time = -(np.cross(its[:, :3], problem.xyz) + its[:, 3:])
-        asked = tuple(correctable) if cameras else ()
+        asked = tuple(correctable) if fits_cameras else ()
         return cls(problem, errors, asked, by_shared, prior, np.reshape(numbers, (-1, 2)), time, by_time)
 
     @property
@@ -205,8 +200,8 @@ class _Model:
         """The state (N,) that is known beforehand."""
         out = np.zeros(self.shared + self.motions.size)
         if self.prior is not None:
-            way = self.prior.expected
-            out[self.shared :] = np.tile([way.speed_m_s, way.turn_rad_s], len(self.motions))
+            motion = self.prior.expected
+            out[self.shared :] = np.tile([motion.speed_m_s, motion.turn_rad_s], len(self.motions))
         return out
 
     def linearised(self, pose: Float, state: Float) -> tuple[Float, Any, Float]:
@@ -216,7 +211,7 @@ class _Model:
         """
         problem, shared = self.problem, self.shared
         errors = dict(self.errors) | {
-            camera: RadialError(*state[2 * i : 2 * i + 2].tolist()) for i, camera in enumerate(self.asked)
+            camera: self._error(camera, state[2 * i : 2 * i + 2]) for i, camera in enumerate(self.asked)
         }
         cameras = tuple(errors[c].corrected(c) if c in errors else c for c in problem.cameras)
         # What a motion changes is small: its first order is enough.
@@ -243,8 +238,8 @@ class _Model:
         """Return how points (K, 3) move in m by 1 m/s and by 1 rad/s of their sweeps' motions."""
         if self.prior is None:
             return np.zeros((len(self.problem), 3)), np.zeros((len(self.problem), 3))
-        way, time_s = self.prior.expected, self.problem.time_s[:, None]
-        return time_s * way.by_speed[3:], time_s * np.cross(way.by_turn[:3], self.problem.xyz)
+        motion, time_s = self.prior.expected, self.problem.time_s[:, None]
+        return time_s * motion.by_speed[3:], time_s * np.cross(motion.by_turn[:3], self.problem.xyz)
 
     def _spread(self, own: Float) -> Any:
         """Return derivatives by the own motion (K, 2) as a matrix (K, 2 F) of all, sparse where there are several."""
@@ -264,12 +259,12 @@ class _Model:
         out = np.zeros(6 + self.shared + self.motions.size)
         out[6 : 6 + 2 * len(self.asked)] = np.tile(1 / _CAMERA_SIGMA**2, len(self.asked))
         variance = float(weight @ residuals**2) / max(float(weight.sum()), np.finfo(float).tiny)
-        alike = _ALIKE * max(variance, _LEAST_VARIANCE)
+        outline_variance = _PAIRS_PER_OUTLINE * max(variance, _MIN_VARIANCE_PX2)
         if self.time is not None:
-            out[5 + self.shared] = alike / TIME_SIGMA_S**2
+            out[5 + self.shared] = outline_variance / TIME_SIGMA_S**2
         if self.prior is not None:
             sigma = np.array([self.prior.speed_sigma, self.prior.turn_sigma])
-            out[6 + self.shared :] = np.tile(alike / sigma**2, len(self.motions))
+            out[6 + self.shared :] = np.tile(outline_variance / sigma**2, len(self.motions))
         return out
 
     def prior_score(self, precision: Float) -> Float:
@@ -288,26 +283,30 @@ class _Model:
         count, out = 2 * len(self.asked), np.array(state)
         out[:count] = np.clip(out[:count], -0.5 * LARGEST, 0.5 * LARGEST)
         if self.time is not None:
-            out[self.shared - 1] = np.clip(out[self.shared - 1], -_LATEST_S, _LATEST_S)
+            out[self.shared - 1] = np.clip(out[self.shared - 1], -_MAX_OFFSET_S, _MAX_OFFSET_S)
         return out
 
     def time_fit(self, state: Float, variance: Float) -> TimeFit | None:
-        """Return what the state (N,) says of the offset in time; `variance` (6 + N,) is that of pose and state."""
+        """Read the time offset from the state (N,); `variance` (6 + N,) is that of pose and state."""
         if self.time is None:
             return None
         at = self.shared - 1
         return TimeFit(float(state[at]), float(np.sqrt(variance[6 + at])))
 
     def camera_fits(self, state: Float, covariance: Float) -> tuple[RadialFit, ...]:
-        """Return what the state (N,) says of the cameras; `covariance` is that of pose and state."""
+        """Read the corrections of the cameras from the state (N,); `covariance` is that of pose and state."""
         places = [(camera, 2 * i, 6 + 2 * i) for i, camera in enumerate(self.asked)]
         return tuple(
-            RadialFit(camera, RadialError(*state[at : at + 2].tolist()), covariance[row : row + 2, row : row + 2])
+            RadialFit(camera, self._error(camera, state[at : at + 2]), covariance[row : row + 2, row : row + 2])
             for camera, at, row in places
         )
 
+    def _error(self, camera: Camera, values: Float) -> RadialError:
+        """Return the error of a camera with values (2,) of focal and radial; its principal point is not fitted."""
+        return replace(self.errors[camera], focal=float(values[0]), radial=float(values[1]))
+
     def motion_fits(self, state: Float, covariance: Float) -> tuple[MotionFit, ...]:
-        """Return what the state (N,) says of the motions; `covariance` is that of pose and state."""
+        """Read the motions from the state (N,); `covariance` is that of pose and state."""
         fits = []
         for at in range(self.shared, len(state), 2):
             assert self.prior is not None
@@ -325,11 +324,6 @@ def _normal(rows: Float, own: Any, weight: Float) -> Float:
 
 def _dense(matrix: Any) -> Float:
     return np.asarray(matrix.toarray() if hasattr(matrix, "toarray") else matrix)
-
-
-def _projected(rows: Float, own: Any, values: Float) -> Float:
-    """Return A^T values (N,) of A = [rows, own]."""
-    return np.concatenate([rows.T @ values, np.asarray(own.T @ values)])
 
 
 def _by_error(problem: PointToLine, pose: Float, errors: Mapping[Camera, RadialError]) -> Float:
@@ -356,21 +350,17 @@ def _outward(problem: PointToLine) -> Float:
 
 
 def _clustered(problem: PointToLine, rows: Float, own: Any, residuals: Float) -> tuple[Float, int]:
-    """Return the covariance (N, N) of the gradient, and of how many places the pairs come.
-
-    Pairs of one view, direction and cell of the picture come from one place and count as one measurement.
-    """
-    cell = np.floor(problem.centre / _CELL_PX).astype(np.int64)
+    """Return the covariance (N, N) of the gradient, with pairs of one view, side and cell as one, and their count."""
+    cell = np.floor(problem.centre / OUTLINE_CELL_PX).astype(np.int64)
     _, place = np.unique(np.column_stack([problem.frame, problem.side, cell]), axis=0, return_inverse=True)
     score = _summed(problem, rows, own, residuals, place.reshape(-1))
     return np.asarray(score.T @ score), len(score)
 
 
 def _by_frame(problem: PointToLine, rows: Float, own: Any, residuals: Float, weight: Float, inverse: Float) -> Float:
-    """Return the covariance (N, N) of the gradient where all pairs of a frame err alike, as by its place.
+    """Return the covariance (N, N) of the gradient if all pairs of a frame have a common error, as of its pose.
 
-    Few frames follow their own errors, each by its share of the Hessian: what it says without that is larger (CR3:
-    Cameron and Miller, A practitioner's guide to cluster-robust inference, 2015). `inverse` is that of the Hessian.
+    CR3 for few frames (Cameron and Miller, 2015); `inverse` is that of the Hessian.
     """
     _, frame = np.unique(problem.frame, return_inverse=True)
     score = _summed(problem, rows, own, residuals, frame.reshape(-1))
@@ -391,7 +381,3 @@ def _summed(problem: PointToLine, rows: Float, own: Any, residuals: Float, group
 
     members = sparse.csr_array((psi, (group, np.arange(count))), shape=(groups, count))
     return np.hstack([np.asarray(members @ rows), _dense(members @ own)])
-
-
-def _symmetric(matrix: Float) -> Float:
-    return np.asarray(0.5 * (matrix + matrix.T))

@@ -1,47 +1,24 @@
-"""Judges: what says which of several poses is better. All poses that are compared are judged on one set of points."""
+"""Judges compare poses by their cost. All poses that are compared are judged on one set of points."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Protocol
+from typing import ClassVar
 
 import numpy as np
 
 from p2o.arrays import Float
 from p2o.features.view import View
 from p2o.geometry import se3
-from p2o.host.stages import Matcher
+from p2o.host.stages import Judge as Judge
+from p2o.host.stages import Matcher, MatcherBase
 from p2o.problems.directed_cost import DirectedCost
 from p2o.problems.problem import LeastSquares, Problem
 from p2o.results.result import DIRECTED
 
 _MOST_VIEWS = 128
-"""Poses of many frames are judged on so many of them: their maps are what fills the memory of a joint calibration."""
-
-
-class Judge(Protocol):
-    """Gives costs to poses. Costs of one call compare; those of different calls need not.
-
-    A matcher that wants a judge of its own has a method `judge(views, start (4, 4), poses) -> Judge`.
-    """
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def unit(self) -> str: ...
-
-    def costs(self, poses: Sequence[Float], /) -> list[float]:
-        """Return the cost of each pose (4, 4), lower is better."""
-        ...
-
-    def lead(self, best: float, other: float, /) -> tuple[float, str]:
-        """Return by how much a cost is better than another one in terms that a user understands, and its unit."""
-        ...
-
-    def on(self, views: Sequence[View], /) -> Judge:
-        """Return the judge of the same points where `views` put them: the same views, moved or with other cameras."""
-        ...
+"""Poses of more frames are judged on this many: distance maps dominate the memory of a joint calibration."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +32,7 @@ class DirectedJudge:
 
     @classmethod
     def of(cls, views: Sequence[View], start: Float, poses: Sequence[Float], truncate_px: float) -> DirectedJudge:
-        """Return the judge of all that follows from the start; distances are cut off at `truncate_px`."""
+        """Return the judge of poses near the start; distances are truncated at `truncate_px`."""
         margin_px = _margin_px(views, start, poses)
         return cls(DirectedCost.of(views, start, truncate_px, margin_px=margin_px, max_views=_MOST_VIEWS))
 
@@ -67,7 +44,7 @@ class DirectedJudge:
         return [self._known[pose.tobytes()] for pose in poses]
 
     def lead(self, best: float, other: float) -> tuple[float, str]:
-        """Return by how many edges fewer the other pose is met."""
+        """Return how many matched edges the other pose loses."""
         return (other - best) * self.cost.edges / self.cost.truncate_px, "edges"
 
     def on(self, views: Sequence[View]) -> DirectedJudge:
@@ -76,7 +53,7 @@ class DirectedJudge:
 
 
 def _margin_px(views: Sequence[View], start: Float, poses: Sequence[Float]) -> float:
-    """Return how far outside the image a point may start and still be brought in by one of the poses."""
+    """Return how far outside the image a point may be projected and still be moved inside by one of the poses."""
     widest = max((se3.angle_deg(pose @ se3.inverse(start)) for pose in poses), default=0.0)
     return float(max(view.camera.focal_px for view in views) * np.tan(np.radians(min(widest, 60.0))))
 
@@ -100,8 +77,8 @@ class ProblemJudge:
         """Return the mean cost of each pose; for least squares the robust sum over the sum of the weights."""
         stack = np.stack(poses)
         rows = [self._at(pose, stack) for pose in {pose.tobytes(): pose for pose in poses}.values()]
-        told = [row for row in rows if np.isfinite(row).any()]
-        mean: list[float] = np.mean(told, axis=0).tolist() if told else [float("inf")] * len(poses)
+        finite = [row for row in rows if np.isfinite(row).any()]
+        mean: list[float] = np.mean(finite, axis=0).tolist() if finite else [float("inf")] * len(poses)
         return mean
 
     def _at(self, pose: Float, stack: Float) -> Float:
@@ -139,10 +116,9 @@ def judge_of(
 
     `needs` are the words of the matcher, `poses` (4, 4) those that are proposed to begin from.
     """
-    own: Any = getattr(matcher, "judge", None)
+    own = matcher.judge(views, start, poses) if isinstance(matcher, MatcherBase) else None
     if own is not None:
-        judge: Judge = own(views, start, poses)
-        return judge
+        return own
     if {"image-edges", "cloud-edges"} <= needs:
         return DirectedJudge.of(views, start, poses, truncate_px)
     return ProblemJudge(matcher, tuple(views), reach_px)

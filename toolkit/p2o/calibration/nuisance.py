@@ -1,37 +1,40 @@
-"""What is estimated beside the pose because edges depend on it: motion in raw sweeps, errors of cameras and clocks."""
+"""Nuisance parameters: motion during raw sweeps, errors of camera calibrations, and an offset between the clocks."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeGuard
 
 import numpy as np
 
 from p2o.arrays import Float
-from p2o.calibration.adjustment import Adjustment, MotionFit, TimeFit, adjust
-from p2o.calibration.camera_check import checks_of, tells_more
+from p2o.calibration.adjustment import Adjustment, MotionFit, TimeFit, fit_with_nuisances
+from p2o.calibration.intrinsics import IntrinsicsEstimate, estimate_intrinsics
 from p2o.calibration.judge import DirectedJudge, Judge
 from p2o.calibration.options import PipelineOptions
 from p2o.calibration.rounds import End, Rounds
 from p2o.features.view import View
 from p2o.geometry.camera import Camera
-from p2o.geometry.ego_motion import EgoMotion, MotionPrior
-from p2o.geometry.motion import pose_at
-from p2o.geometry.radial_error import RadialError
+from p2o.geometry.motion import EgoMotion, MotionPrior, pose_at
+from p2o.geometry.radial_error import RadialError, RadialFit
 from p2o.problems.point_to_line import PointToLine
-from p2o.results.result import CameraCheck, SweepMotion, TimeOffset
+from p2o.problems.problem import Problem
+from p2o.results.result import SweepMotion, TimeOffset
 
-_ADJUST_ROUNDS = 12
-_ADJUST_REACH, _ADJUST_SHRINK = 1.6, 0.85
+_MAX_ROUNDS = 12
+_REACH_FACTOR, _SHRINK = 1.6, 0.85
 _STILL_PX = 0.05
-_LEAST_SPREAD_M_S = 1.0
-_LEAST_FRAMES = 4
+"""The joint estimation has converged when residuals change by less."""
+_MIN_PAIRS = 100
+_MIN_SPEED_RANGE_M_S = 1.0
+_MIN_FRAMES = 4
 _SIGNIFICANT = 2.0
-"""An offset in time is used where it is so many of its deviations: less might as well be none."""
+"""An offset in time is used where it exceeds this many of its standard deviations."""
 
 
 def motion_prior(views: Sequence[View], options: PipelineOptions) -> MotionPrior | None:
-    """Return what is expected of the car's motion, or None where it is not asked for or no raw sweep tells any."""
+    """Return the prior of the vehicle's motion; None where it is not estimated, or no sweep is raw."""
     if options.motion == "trust" or not any(view.cloud_edges.time_s.any() for view in views):
         return None
     expected = EgoMotion(options.speed_m_s, 0.0, options.forward)
@@ -39,24 +42,23 @@ def motion_prior(views: Sequence[View], options: PipelineOptions) -> MotionPrior
 
 
 def known_twists(views: Sequence[View], options: PipelineOptions) -> Float | None:
-    """Return the velocities (F, 6) by which an offset in time can be told, or None where it is not asked for or cannot.
+    """Return the velocities (F, 6) from which an offset in time is observable, else None.
 
-    All have to be known, of sweeps that are corrected by them or have no times: elsewhere the motion is estimated, and
-    takes the offset along. One velocity, however large, is no way to tell an offset from another pose, and in fewer
-    than four frames what each errs by itself passes for one.
+    All velocities must be known and differ, of sweeps that are corrected by them or have no times: in raw sweeps the
+    estimated motion absorbs the offset. At least four frames are required.
     """
     known = [view.twist for view in views if view.twist is not None and not view.cloud_edges.time_s.any()]
-    if options.time == "trust" or not _LEAST_FRAMES <= len(known) == len(views):
+    if options.time == "trust" or not _MIN_FRAMES <= len(known) == len(views):
         return None
     twists = np.array(known)
-    return None if np.linalg.norm(np.ptp(twists[:, 3:], axis=0)) < _LEAST_SPREAD_M_S else twists
+    return None if np.linalg.norm(np.ptp(twists[:, 3:], axis=0)) < _MIN_SPEED_RANGE_M_S else twists
 
 
 @dataclass(frozen=True)
 class Nuisance:
-    """What is known beside the pose: errors of cameras, motions, one a view or none, and an offset in time.
+    """Values of the nuisance parameters: errors of cameras, motions (one a view, or none) and an offset in time.
 
-    `twists` (F, 6) are the velocities that an offset can be told by, None where there is none to be told.
+    `twists` (F, 6) are the velocities that make the offset observable, None where it is not.
     """
 
     prior: MotionPrior | None = None
@@ -67,24 +69,23 @@ class Nuisance:
 
     @classmethod
     def expected(cls, views: Sequence[View], prior: MotionPrior | None, twists: Float | None = None) -> Nuisance:
-        """Return what is known before the edges are asked."""
+        """Return the values that are expected before any pair is evaluated."""
         if prior is None:
             return cls(twists=twists)
         motions = (MotionFit(prior.expected, prior.covariance),) * len(views)
         return cls(prior, motions=motions, twists=twists)
 
     def timed(self) -> Nuisance:
-        """Return the same with an offset in time that is to be found."""
+        """Return the same values with an offset in time to be estimated."""
         return replace(self, time=TimeFit())
 
-    def fit(self, problem: PointToLine, given: tuple[Camera, ...], pose: Float, *, cameras: bool) -> Adjustment:
-        """Return what pairs tell beside the pose, beginning from here; `given` are the cameras of the calibration."""
+    def fit(self, problem: PointToLine, cameras: tuple[Camera, ...], pose: Float, *, fits_cameras: bool) -> Adjustment:
+        """Fit pose and nuisance parameters to pairs, starting from these values; `cameras` are uncorrected."""
         motions = [fit.motion for fit in self.motions]
-        pairs = replace(problem, cameras=given)
-        return adjust(
-            pairs,
+        return fit_with_nuisances(
+            replace(problem, cameras=cameras),
             pose,
-            cameras=cameras,
+            fits_cameras=fits_cameras,
             known=self.errors,
             prior=self.prior,
             motions=motions,
@@ -93,12 +94,12 @@ class Nuisance:
         )
 
     def after(self, fit: Adjustment) -> Nuisance:
-        """Return what an adjustment found."""
+        """Return the values after a fit."""
         errors = dict(self.errors) | {c.camera: c.error for c in fit.cameras}
         return replace(self, errors=errors, motions=fit.motions, time=fit.time)
 
     def views(self, raw: Sequence[View]) -> list[View]:
-        """Return raw views with their cameras corrected and their features as if seen at the time of the image."""
+        """Return raw views with cameras corrected, and features moved to the time of the image."""
         if self.motions:
             raw = [view.untwisted(fit.motion.twist) for view, fit in zip(raw, self.motions, strict=True)]
         if self.time is not None and self.twists is not None:
@@ -109,101 +110,139 @@ class Nuisance:
 
     def sweep_motions(self, views: Sequence[View]) -> tuple[SweepMotion, ...]:
         """Return the motions of those views whose sweeps are raw."""
-        found = []
+        motions = []
         for view, fit in zip(views, self.motions, strict=bool(self.motions)):
             if view.cloud_edges.time_s.any():
                 motion, (speed_sigma, turn_sigma) = fit.motion, np.sqrt(np.diag(fit.covariance)).tolist()
                 turn = float(np.degrees(motion.turn_rad_s)), float(np.degrees(turn_sigma))
-                found.append(SweepMotion(view.name, motion.speed_m_s, speed_sigma, *turn, tuple(motion.twist.tolist())))
-        return tuple(found)
+                twist = tuple(motion.twist.tolist())
+                motions.append(SweepMotion(view.name, motion.speed_m_s, speed_sigma, *turn, twist))
+        return tuple(motions)
 
 
 @dataclass(frozen=True, eq=False)
-class Adjusted:
-    """What was found, with all that the pairs tell beside the pose; `covariance` (6, 6) of it where they can tell.
+class NuisanceEstimate:
+    """The final pose with the nuisance parameters that the pairs determine along with it.
 
-    `places` is from how many places of the pictures the pairs come; 0 where there are none.
-
-    `judge` is the one to compare `end` with the start by: of the same points, where the nuisances put them.
+    `judge` compares `end` with the initial extrinsic: it holds the points where the nuisance parameters put them.
+    `cameras` are the fitted errors of the cameras, and `cameras_corrected` is whether `end` uses them. `covariance`
+    (6, 6) is that of the pose, None where the pairs do not determine it; `places` is the number of independent image
+    cells that the pairs come from, 0 without pairs. `intrinsics` is the estimate of the errors of cameras at the pose,
+    where they are to be checked.
     """
 
     end: End
     judge: Judge
     nuisance: Nuisance
-    cameras: tuple[CameraCheck, ...] = ()
+    cameras: tuple[RadialFit, ...] = ()
+    cameras_corrected: bool = False
     covariance: Float | None = None
     places: int = 0
     time: TimeOffset | None = None
+    intrinsics: IntrinsicsEstimate | None = None
 
 
-def adjusted(raw: Sequence[View], start: Float, found: End, judge: Judge, nuisance: Nuisance, run: Rounds) -> Adjusted:
-    """Return what was found with all that the pairs say beside the pose.
+def estimate_nuisances(
+    raw: Sequence[View], start: Float, best: End, judge: Judge, nuisance: Nuisance, rounds: Rounds
+) -> NuisanceEstimate:
+    """Estimate the nuisance parameters along with the best pose.
 
-    Motion of raw sweeps and, with the option `camera=refine`, errors of the cameras are found along with the pose, with
-    new pairs in every round until these hardly move; then the pose is what matcher and solver make of it. Where its
-    cost is not below that of what was found before, nothing is changed: few pairs fit any motion. Both are judged on
-    the same points, with the same weights. So is, after them and with the option `time=estimate`, an offset in time,
-    which also has to be larger than its deviation explains.
+    With `camera=refine`, cameras are first corrected by significant errors (`estimate_intrinsics`). Motion of raw
+    sweeps and, with that option, remaining errors of the cameras are estimated jointly with the pose, with new pairs in
+    every round; then matcher and solver refine the pose. The result is kept only if its cost on the same points is
+    lower: few pairs fit any motion. With `time=estimate`, a time offset follows, which must also be significant.
     """
-    options, given = run.options, tuple(view.camera for view in raw)
-    if not tells_more(found.problem):
-        if found.problem is None:
-            return Adjusted(found, judge, nuisance)
-        few = nuisance.fit(found.problem, given, found.pose, cameras=options.camera != "trust")
-        return Adjusted(found, judge, nuisance, (), few.covariance, few.places)
-    refines = options.camera == "refine"
-    fit: Adjustment | None = None
+    options, cameras = rounds.options, tuple(view.camera for view in raw)
+    fits_cameras, refines = options.camera != "trust", options.camera == "refine"
+    if not enough_pairs(best.problem):
+        if best.problem is None:
+            return NuisanceEstimate(best, judge, nuisance)
+        fit = nuisance.fit(best.problem, cameras, best.pose, fits_cameras=fits_cameras)
+        return NuisanceEstimate(best, judge, nuisance, covariance=fit.covariance, places=fit.places)
+    refined: Adjustment | None = None
     offset: TimeFit | None = None
+    if refines and isinstance(judge, DirectedJudge):
+        corrected_cameras = _cameras_corrected(raw, start, best, judge, nuisance, rounds)
+        if corrected_cameras is not None:
+            best, judge, nuisance = corrected_cameras
     if (refines or nuisance.prior is not None) and isinstance(judge, DirectedJudge):
-        better = _bettered(raw, start, found, judge, nuisance, run)
+        better = _refined_jointly(raw, start, best, judge, nuisance, rounds)
         if better is not None:
-            found, judge, fit = better
-            nuisance = nuisance.after(fit)
+            best, judge, refined = better
+            nuisance = nuisance.after(refined)
     if nuisance.twists is not None and isinstance(judge, DirectedJudge):
-        assert found.problem is not None
-        offset = nuisance.timed().fit(found.problem, given, found.pose, cameras=refines).time
-        better = _bettered(raw, start, found, judge, nuisance.timed(), run)
-        if better is not None and _significant(better[2].time):
-            found, judge, fit = better
-            nuisance, offset = nuisance.after(fit), fit.time
+        assert best.problem is not None
+        offset = nuisance.timed().fit(best.problem, cameras, best.pose, fits_cameras=refines).time
+        better = _refined_jointly(raw, start, best, judge, nuisance.timed(), rounds)
+        time_fit = None if better is None else better[2].time
+        if better is not None and time_fit is not None and abs(time_fit.offset_s) > _SIGNIFICANT * time_fit.sigma_s:
+            best, judge, refined = better
+            nuisance, offset = nuisance.after(refined), refined.time
     time = None if offset is None else TimeOffset(offset.offset_s, offset.sigma_s, nuisance.time is not None)
-    if refines and fit is not None:
-        checks = checks_of(fit.cameras, given, corrected=True)
-        return Adjusted(found, judge, nuisance, checks, fit.covariance, fit.places, time)
-    assert found.problem is not None
-    fit = nuisance.fit(found.problem, given, found.pose, cameras=options.camera != "trust")
-    checks = checks_of(fit.cameras, given, corrected=False)
-    return Adjusted(found, judge, nuisance, checks, fit.covariance, fit.places, time)
+    corrected = bool(nuisance.errors)
+    if refines and refined is not None:
+        fit = refined
+    else:
+        assert best.problem is not None
+        fit = nuisance.fit(best.problem, cameras, best.pose, fits_cameras=fits_cameras)
+    checked = None
+    if fits_cameras and not corrected and isinstance(judge, DirectedJudge):
+        checked = estimate_intrinsics(nuisance.views(raw), best.pose)
+    return NuisanceEstimate(best, judge, nuisance, fit.cameras, corrected, fit.covariance, fit.places, time, checked)
 
 
-def _significant(time: TimeFit | None) -> bool:
-    return time is not None and abs(time.offset_s) > _SIGNIFICANT * time.sigma_s
+def enough_pairs(problem: Problem | None) -> TypeGuard[PointToLine]:
+    """Return whether a problem has enough pairs to determine more than the pose."""
+    return isinstance(problem, PointToLine) and len(problem) >= _MIN_PAIRS
 
 
-def _bettered(
-    raw: Sequence[View], start: Float, found: End, judge: DirectedJudge, nuisance: Nuisance, run: Rounds
+def _cameras_corrected(
+    raw: Sequence[View], start: Float, best: End, judge: DirectedJudge, nuisance: Nuisance, rounds: Rounds
+) -> tuple[End, DirectedJudge, Nuisance] | None:
+    """Return the end with significant errors of the cameras corrected, its judge and nuisances; None without any."""
+    views = nuisance.views(raw)
+    estimate = estimate_intrinsics(views, best.pose)
+    wrong = (
+        np.any([fit.significant for fit in estimate.fits], axis=0) if estimate is not None else np.zeros(4, np.bool_)
+    )
+    if wrong.any():
+        estimate = estimate_intrinsics(views, best.pose, wrong.tolist())
+    if estimate is None or not wrong.any():
+        return None
+    nuisance = replace(nuisance, errors={fit.camera: fit.error for fit in estimate.fits})
+    views = nuisance.views(raw)
+    corrected = judge.on(views)
+    pose, reach_px = estimate.camera_from_lidar, rounds.options.reach_after_search_px
+    end = rounds(views, start, pose, corrected, reach_px=reach_px, found_by="adjust")
+    if not (end.solved and enough_pairs(end.problem)) or not corrected.costs([end.pose]) < judge.costs([best.pose]):
+        return None
+    return replace(end, rounds=best.rounds + end.rounds), corrected, nuisance
+
+
+def _refined_jointly(
+    raw: Sequence[View], start: Float, best: End, judge: DirectedJudge, nuisance: Nuisance, rounds: Rounds
 ) -> tuple[End, DirectedJudge, Adjustment] | None:
-    """Return where pose and nuisances end that are estimated together, or None where that is no better."""
-    options, given = run.options, tuple(view.camera for view in raw)
+    """Return the end, its judge and the fit of a joint estimation of pose and nuisances; None where it costs more."""
+    options, cameras = rounds.options, tuple(view.camera for view in raw)
     refines = options.camera == "refine"
-    pose, then, reach, fit = found.pose, nuisance, options.min_reach_px * _ADJUST_REACH, None
-    for _ in range(_ADJUST_ROUNDS):
-        problem = run.matcher(then.views(raw), pose, reach)
-        if not tells_more(problem):
+    pose, reach_px, fit = best.pose, options.min_reach_px * _REACH_FACTOR, None
+    for _ in range(_MAX_ROUNDS):
+        problem = rounds.matcher(nuisance.views(raw), pose, reach_px)
+        if not enough_pairs(problem):
             break
-        fit = then.fit(problem, given, pose, cameras=refines)
-        pose, then = fit.camera_from_lidar, then.after(fit)
-        if fit.step_px < _STILL_PX and reach <= options.min_reach_px:
+        fit = nuisance.fit(problem, cameras, pose, fits_cameras=refines)
+        pose, nuisance = fit.camera_from_lidar, nuisance.after(fit)
+        if fit.step_px < _STILL_PX and reach_px <= options.min_reach_px:
             break
-        reach = max(options.min_reach_px, reach * _ADJUST_SHRINK)
+        reach_px = max(options.min_reach_px, reach_px * _SHRINK)
     if fit is None:
         return None
-    views = then.views(raw)
-    after = judge.on(views)
-    end = run(views, start, pose, after, reach_px=options.min_reach_px, found_by="adjust")
-    if not (end.solved and tells_more(end.problem)):
+    views = nuisance.views(raw)
+    corrected_judge = judge.on(views)
+    end = rounds(views, start, pose, corrected_judge, reach_px=options.min_reach_px, found_by="adjust")
+    if not (end.solved and enough_pairs(end.problem)):
         return None
-    [cost_before], [cost] = judge.costs([found.pose]), after.costs([end.pose])
-    if not cost < cost_before:
+    [previous_cost], [cost] = judge.costs([best.pose]), corrected_judge.costs([end.pose])
+    if not cost < previous_cost:
         return None
-    return replace(end, rounds=found.rounds + end.rounds), after, fit
+    return replace(end, rounds=best.rounds + end.rounds), corrected_judge, fit

@@ -7,7 +7,6 @@ from typing import Literal
 import numpy as np
 from pydantic import field_validator
 
-from p2o.features.missing import RADIUS_PX
 from p2o.options import Options
 from p2o.options import field as option
 
@@ -26,24 +25,28 @@ class PipelineOptions(Options):
         30, ge=6, help="Fewer point-to-line pairs than this end a calibration as too-few-matches."
     )
     judge_px: float = option(5.0, gt=1, le=100, help="Truncation of the directed distance that poses are judged by.")
-    min_odds_ratio: float = option(2.0, ge=0, help="A lower agreement of both sensors' edges is called doubtful.")
+    min_odds_ratio: float = option(
+        2.0, ge=0, help="Mark a result as doubtful if the odds ratio of the edge agreement is below this value."
+    )
     min_strength: float = option(
         11.0,
         ge=0,
-        help="Doubtful is a lower strength of the agreement, too: the logarithm of the odds ratio times the root of "
-        "the places where edges meet.",
+        help="Mark a result as doubtful if the strength of the agreement is below this value: the logarithm of the "
+        "odds ratio times the root of the number of independent cells where edges agree.",
     )
     most_deg: float = option(
-        1.0, gt=0, help="A result of which one in twenty is likely to be further off is called doubtful."
+        1.0, gt=0, help="Mark a result as doubtful if its 95 % rotation bound exceeds this value, in degrees."
     )
-    most_m: float = option(0.3, gt=0, help="The same for the place of the LiDAR, in metres.")
+    most_m: float = option(
+        0.3, gt=0, help="Mark a result as doubtful if its 95 % translation bound exceeds this value, in metres."
+    )
     min_lead_edges: float = option(
-        1.5, ge=0, help="A result that another pose comes nearer to than by this many edges is called ambiguous."
+        1.5, ge=0, help="Mark a result as ambiguous if another pose loses fewer matched edges than this against it."
     )
     camera: Literal["trust", "check", "refine"] = option(
         "check",
-        help="The camera's calibration: trust it; check its focal length and radial distortion against the edges, and "
-        "warn; or refine: correct them along with the pose (with many frames together).",
+        help="The intrinsics of the camera: trust them; check focal length, radial distortion and principal point "
+        "against the edges, and doubt the result if they are wrong; or refine: correct them along with the pose.",
     )
     motion: Literal["trust", "estimate"] = option(
         "estimate",
@@ -53,7 +56,7 @@ class PipelineOptions(Options):
     time: Literal["trust", "estimate"] = option(
         "estimate",
         help="Whether images were taken when the data say: trust it; or estimate one offset to the sweeps along with "
-        "the pose, from four or more frames together whose velocities are known and differ.",
+        "the pose, from four or more frames whose velocities are known and differ.",
     )
     forward: tuple[float, float, float] = option(
         (1.0, 0.0, 0.0), help="Direction of travel in the LiDAR frame, for `motion`; its z axis is up."
@@ -63,11 +66,6 @@ class PipelineOptions(Options):
     turn_sigma_deg_s: float = option(6.0, gt=0, le=90, help="Standard deviation of the car's turning rate from zero.")
     tolerance_deg: float = option(1e-3, ge=0, help="A smaller turn (and shift) in the last round means converged.")
     tolerance_m: float = option(1e-3, ge=0, help="A smaller shift (and turn) in the last round means converged.")
-    missing_edges: float = option(
-        0.0, ge=0, le=0.95, help="Share of the image edges that random circle patches take away (paper Sec. IV-B)."
-    )
-    missing_radius_px: float = option(RADIUS_PX, gt=0, le=1000, help="Radius of such a patch.")
-    seed: int = option(0, ge=0, help="Seed of the patches.")
 
     @field_validator("forward")
     @classmethod

@@ -1,4 +1,4 @@
-"""The rounds of Algorithm 1: match within a shrinking distance, solve, keep the pose where its cost falls."""
+"""The loop of Algorithm 1: match within a shrinking cutting distance, solve, keep the pose where its cost falls."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class End:
 
     @property
     def solved(self) -> bool:
-        """True where there is a pose to judge."""
+        """Whether there is a pose to judge."""
         return self.status.solved
 
 
@@ -48,14 +48,16 @@ class Rounds:
     def __call__(
         self, views: Sequence[View], start: Float, pose: Float, judge: Judge, *, reach_px: float, found_by: str = ""
     ) -> End:
-        """Return where the rounds from `pose` (4, 4) end; the first cutting distance is `reach_px`.
+        """Run the rounds of Algorithm 1 from `pose` (4, 4): at most `options.rounds` (n_opt of the paper).
 
-        `found_by` is the stage that found the pose; empty where it is the `start` itself. A pose is kept only where the
-        judge gives it a lower cost than the best one so far.
+        Each round matches within the cutting distance (d_c, first `reach_px`), minimises the robust sum of residuals
+        (Eq. 1) and shrinks the cutting distance. Unlike in the paper, a pose is kept only where the judge gives it a
+        lower cost than the best one so far, and rounds end when a round does not change the pose. `found_by` is the
+        stage that proposed the pose; empty where it is the `start` itself.
         """
         options, rounds = self.options, []
         if found_by:
-            rounds.append(_turn(found_by, 0.0, None, start, pose, judge.costs([pose])[0], accepted=True))
+            rounds.append(_round_record(found_by, 0.0, None, start, pose, judge.costs([pose])[0], accepted=True))
         best, status, reason = pose, Status.ROUNDS_SPENT, f"all {options.rounds} rounds were used"
         solution, improved, stopped, reach = None, False, None, reach_px
         for _ in range(options.rounds):
@@ -73,10 +75,11 @@ class Rounds:
             better = cost < cost_of_best
             if better:
                 best, improved = pose, True
-            turn = _turn("refine", reach, problem, before, pose, cost, accepted=better)
-            rounds.append(turn)
-            still = turn.step_deg < options.tolerance_deg and turn.step_m < options.tolerance_m
-            if still and (reach <= options.min_reach_px or (isinstance(problem, Objective) and problem.lasting)):
+            record = _round_record("refine", reach, problem, before, pose, cost, accepted=better)
+            rounds.append(record)
+            still = record.step_deg < options.tolerance_deg and record.step_m < options.tolerance_m
+            independent = isinstance(problem, Objective) and problem.reach_independent
+            if still and (reach <= options.min_reach_px or independent):
                 status, reason = Status.CONVERGED, "the last round moved the pose by less than the tolerance"
                 break
             reach = max(options.min_reach_px, reach * options.shrink)
@@ -86,8 +89,8 @@ class Rounds:
             reason += f"; no round improved on the pose of the stage {found_by}"
         last = self.matcher(views, best, options.min_reach_px)
         if stopped is not None:
-            # A later round that has too little to go on does not take back what an earlier one found, unless that
-            # pose has too little, too: what is left of it is then an accident of wrong pairs.
+            # A failed later round does not discard the pose of an earlier one, unless the pairs at that pose do not
+            # determine it either: it is then an accident of wrong pairs.
             refusal = self._undetermined(last, best)
             if refusal is not None:
                 return End(start, *refusal, tuple(rounds))
@@ -104,19 +107,16 @@ class Rounds:
         return (Status.NOT_OBSERVABLE, solution.reason) if solution.status is SolverStatus.SINGULAR else None
 
     def _too_few(self, problem: Problem, reach_px: float) -> str:
-        """Return why there is too little to solve, or an empty text."""
+        """Return why there are too few residuals to solve, or an empty text."""
         if not isinstance(problem, LeastSquares):
             return ""
         pairs = isinstance(problem, PointToLine)
         least, what = (self.options.min_matches, "pairs") if pairs else (MIN_PAIRS, "residuals")
-        return (
-            ""
-            if len(problem) >= least
-            else (f"{len(problem)} {what} within {reach_px:.0f} px, at least {least} are needed")
-        )
+        few = f"{len(problem)} {what} within {reach_px:.0f} px, at least {least} are needed"
+        return few if len(problem) < least else ""
 
 
-def _turn(
+def _round_record(
     stage: str, reach_px: float, problem: Problem | None, before: Float, after: Float, cost: float, *, accepted: bool
 ) -> Round:
     step = after @ se3.inverse(before)
@@ -142,9 +142,8 @@ def counts(problem: Problem) -> dict[str, int]:
 def mean_residuals_px(problem: PointToLine, pose: Float) -> dict[str, float]:
     """Return the mean absolute residual in pixels by the letter of the direction."""
     residuals = np.abs(problem.residuals(pose))
-    return {
-        Side(int(s)).letter: float(np.nanmean(residuals[problem.side == s])) for s in np.unique(problem.side).tolist()
-    }
+    sides = np.unique(problem.side).tolist()
+    return {Side(int(s)).letter: float(np.nanmean(residuals[problem.side == s])) for s in sides}
 
 
 def _mean_residual(problem: Problem, pose: Float) -> float:

@@ -1,69 +1,109 @@
-"""The command line. Commands are imported when they are called, and heavy packages inside them."""
+"""The command line. Modules of commands are imported on demand, heavy packages inside their functions."""
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import importlib
 import os
 import signal
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
+from functools import cache
+from importlib.metadata import entry_points
 from types import FrameType
 from typing import Any
 
 import click
 
 from p2o.errors import LONGEST, InputError, P2OError, one_line
-from p2o.native import keep_freed_memory
+from p2o.runtime.native import keep_freed_memory
 
 _COMMANDS = {
-    "run": "Calibrate frames: find the transform from the LiDAR to the camera.",
-    "check": "Say whether an extrinsic that is in use still holds, axis by axis, or since when not.",
-    "methods": "List the methods that are installed, or explain one with all its options.",
-    "plugins": "List the plugins as JSON: name, version, methods; the broken ones with reasons.",
-    "plugin": "Write a plugin of your own to begin with: a package with one method.",
-    "check-plugin": "Check that methods keep the contracts of their slots.",
-    "data": "List, check, show or choose the frames of a dataset, or list the topics of a bag.",
-    "ablate": "Run a study: methods x frames x starts, as a table that can be resumed and gated.",
-    "basin": "Show which wrong starts methods still correct, as heat maps.",
-    "report": "Write tables, figures and one page about the studies in a folder.",
-    "labels": "Write what frames teach a method that learns, one file a frame.",
-    "train": "Train a method on frames, or go on with a training.",
-    "view": "Look at a frame in space, and find a start by hand, on a page in the browser.",
-    "pick": "Pick points in image and sweep by hand, on a page in the browser.",
-    "convert": "Convert a calibration file: ROS 2, Autoware, Kalibr, COLMAP, OpenCV, KITTI and others.",
-    "doctor": "Look whether this installation can do its job, and what is missing.",
-    "simulate": "Write synthetic streets in the layout of a real dataset.",
+    "run": "Calibrate frames: estimate the transform from the LiDAR to the camera.",
+    "check": "Check whether an extrinsic in use is still valid, by axis, or since when it is not.",
+    "methods": "List the installed methods, or explain one with all its options.",
+    "plugins": "List the plugins as JSON: name, version, methods; broken ones with reasons.",
+    "plugin": "Create a package for your own plugin, with one method.",
+    "check-plugin": "Check that methods fulfil the contracts of their slots.",
+    "data": "List, check, show or select the frames of a dataset, or list the topics of a bag.",
+    "labels": "Write the training labels of frames, one file per frame.",
+    "train": "Train a method on frames, or resume a training.",
+    "doctor": "Check whether this installation works, and what is missing.",
 }
-"""Name and one-line help of every command; the code of `a-b` is in the module `p2o.cli.a_b`, as `command`."""
+"""Name and one-line help of the commands of this package; the code of `a-b` is in `p2o.cli.a_b`, as `command`."""
+COMMAND_GROUP = "p2o.commands"
+"""Entry points of packages that add commands: each names a mapping of names to one-line helps in `PACKAGE.commands`."""
 
+_OPEN_FILES = "this process may not open more files: raise the limit, e.g. `ulimit -n 1024`, or use fewer --jobs"
+_SYSTEM_HINTS = {
+    errno.EMFILE: _OPEN_FILES,
+    errno.ENFILE: "the system has no more open files: end other programs, or use fewer --jobs",
+    errno.ENOSPC: "free some space there, and run the same command again",
+    errno.EROFS: "make it writable, or choose another folder with --out, P2O_CACHE or TMPDIR",
+}
+"""The next step for errors of the operating system, by number."""
 INTERRUPTED = 130
 CRASHED = 70
 
 
+@cache
+def added_commands() -> dict[str, tuple[str, str]]:
+    """Return help and module of the commands that other packages add, by name ("a" or "a b", a command of group a).
+
+    A package that fails to import costs its own commands and one line on stderr.
+    """
+    added: dict[str, tuple[str, str]] = {}
+    for entry in sorted(entry_points(group=COMMAND_GROUP), key=lambda entry: entry.name):
+        package = entry.module.rpartition(".")[0]
+        try:
+            commands = entry.load()
+        except KeyboardInterrupt:
+            raise
+        except BaseException as problem:
+            text = one_line(problem, LONGEST)
+            print(f"p2o: warning: commands of {package} left out: {text}", file=sys.stderr)
+            continue
+        for name, text in commands.items():
+            module = name.replace("-", "_").replace(" ", "_")
+            added.setdefault(name, (text, f"{package}.cli.{module}"))
+    return added
+
+
+def command_helps() -> dict[str, str]:
+    """Return the one-line help of every command by name."""
+    added = {name: text for name, (text, _) in added_commands().items() if " " not in name}
+    return _COMMANDS | {name: text for name, text in added.items() if name not in _COMMANDS}
+
+
+def load_command(module: str) -> click.Command:
+    """Return the command that a module defines as `command`."""
+    command: click.Command = importlib.import_module(module).command
+    return command
+
+
 class _Commands(click.Group):
-    """A group that imports a command's module when the command is called, not to list it."""
+    """A group that imports the module of a command when it is called, not to list it."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(_COMMANDS)
+        return list(command_helps())
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name not in _COMMANDS:
-            return None
-        module = importlib.import_module(f"p2o.cli.{cmd_name.replace('-', '_')}")
-        command: click.Command = module.command
-        return command
+        if cmd_name in _COMMANDS:
+            return load_command(f"p2o.cli.{cmd_name.replace('-', '_')}")
+        added = added_commands().get(cmd_name)
+        return None if added is None else load_command(added[1])
 
     def invoke(self, ctx: click.Context) -> Any:
         try:
             return super().invoke(ctx)
-        except KeyboardInterrupt as problem:  # click would write an empty line
+        except KeyboardInterrupt as problem:  # click would print an empty line
             raise click.Abort from problem
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
-            formatter.write_dl(list(_COMMANDS.items()))
+            formatter.write_dl(list(command_helps().items()))
 
 
 def _show_version(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
@@ -75,12 +115,14 @@ def _show_version(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
 
 
 @click.command(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
-@click.option("--version", is_flag=True, is_eager=True, expose_value=False, callback=_show_version, help="Show it.")
+@click.option(
+    "--version", is_flag=True, is_eager=True, expose_value=False, callback=_show_version, help="Show the version."
+)
 def group() -> None:
-    """Find the rigid transform between a camera and a LiDAR from ordinary scenes, and compare methods that do.
+    """Estimate the extrinsic of camera and LiDAR from scenes without targets, and compare methods.
 
-    `p2o run` alone calibrates a synthetic scene. Exit status: 0 solved, 1 some calibration was refused or failed,
-    2 wrong usage or input, 70 a defect, 130 interrupted.
+    `p2o run` without options calibrates a synthetic scene. Exit status: 0 solved, 1 a calibration was refused or
+    failed, 2 wrong usage or input, 70 a defect, 130 interrupted.
     """
 
 
@@ -88,7 +130,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status; errors are one line on stderr (P2O_DEBUG=1: a traceback)."""
     debug = os.environ.get("P2O_DEBUG", "") not in ("", "0")
     if argv is None:
-        _be_a_program(debug)
+        _set_up_process(debug)
     words = sys.argv[1:] if argv is None else list(argv)
     try:
         _check_readable(words)
@@ -102,42 +144,41 @@ def main(argv: Sequence[str] | None = None) -> int:
         problem.show()
         return 2
     except BrokenPipeError:
-        # The reader (head, less) has seen enough. Python would complain again when it closes stdout.
+        # The reader (head, less) has closed the pipe; Python would raise again when it closes stdout.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except Exception as problem:
-        if debug:
+    except BaseException as problem:  # SystemExit of a plugin would look like success
+        if debug and isinstance(problem, Exception):
             raise
-        return _tell(problem)
+        return _report(problem)
     return status if isinstance(status, int) else 0
 
 
-def _be_a_program(debug: bool) -> None:
-    """Set what belongs to the whole process, and is not for who calls `main` from Python."""
+def _set_up_process(debug: bool) -> None:
+    """Change process-wide settings, which must not happen when Python code calls `main`."""
     for stream in (sys.stdout, sys.stderr):
-        # A name that the terminal's encoding lacks is shown as an escape.
+        # Characters that the terminal cannot encode are printed as escapes.
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
     keep_freed_memory()
-    # Warnings of NumPy and others speak to who wrote the code; what users have to know is in results and errors.
+    # Warnings of libraries are for developers; results and errors contain everything for users.
     if not (debug or sys.warnoptions):
         warnings.simplefilter("ignore")
 
 
 def _check_readable(words: Sequence[str]) -> None:
-    """Raise InputError for words that are no text: nothing that is written could hold them."""
+    """Raise InputError for words that are not valid UTF-8, which cannot be written to files."""
     for word in words:
         try:
             word.encode()
         except UnicodeEncodeError as problem:
-            raise InputError(
-                "the command holds bytes that are not UTF-8", got=word, hint="rename the file or folder"
-            ) from problem
+            text = "the command contains bytes that are not UTF-8"
+            raise InputError(text, got=word, hint="rename the file or folder") from problem
 
 
 @contextlib.contextmanager
 def _terminated_as_interrupted() -> Iterator[None]:
-    """Let a request to end (SIGTERM, a closed terminal) do what Ctrl-C does, unless somebody cares for it already."""
+    """Treat SIGTERM and SIGHUP as Ctrl-C, unless they have a handler."""
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
@@ -145,7 +186,7 @@ def _terminated_as_interrupted() -> Iterator[None]:
     taken = []
     for name in ("SIGTERM", "SIGHUP"):
         number = getattr(signal, name, None)
-        # Ignored (nohup) stays ignored; outside the main thread there are no handlers.
+        # Ignored signals (nohup) stay ignored; handlers can only be set in the main thread.
         if number is not None and signal.getsignal(number) is signal.SIG_DFL:
             with contextlib.suppress(ValueError):
                 signal.signal(number, interrupt)
@@ -157,8 +198,8 @@ def _terminated_as_interrupted() -> Iterator[None]:
             signal.signal(number, signal.SIG_DFL)
 
 
-def _tell(problem: Exception) -> int:
-    """Say in one line what went wrong and return the exit status."""
+def _report(problem: BaseException) -> int:
+    """Print an error in one line and return the exit status."""
     if isinstance(problem, P2OError):
         click.echo(f"p2o: error: {problem}", err=True)
         return problem.exit_code
@@ -168,11 +209,12 @@ def _tell(problem: Exception) -> int:
     elif isinstance(problem, click.ClickException):
         text, status = problem.format_message(), problem.exit_code
     elif isinstance(problem, OSError):
-        text, status = f"{problem.filename or 'system'}: {problem.strerror or problem}", 2
+        text = f"{problem.filename or 'system'}: {problem.strerror or problem}"
+        text, status = "; ".join(filter(None, (text, _SYSTEM_HINTS.get(problem.errno or 0)))), 2
     elif isinstance(problem, MemoryError):
-        text, status = "there is not enough memory; take fewer frames at once, or smaller ones", 2
+        text, status = "not enough memory; use fewer or smaller frames", 2
     else:
-        text = f"unexpected {type(problem).__name__}: {problem}; set P2O_DEBUG=1 to see where, and report it"
+        text = f"unexpected {type(problem).__name__}: {problem}; set P2O_DEBUG=1 for a traceback, and report it"
         status = CRASHED
     click.echo("p2o: error: " + one_line(text, LONGEST), err=True)
     return status

@@ -1,15 +1,15 @@
-"""`p2o check`: does an extrinsic that is in use still hold?"""
+"""`p2o check`: check whether an extrinsic in use is still valid."""
 
 from __future__ import annotations
 
 import json
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from p2o.cli.plugin_options import load, plugin_options
-from p2o.errors import printable
+from p2o.errors import InputError, printable
 
 if TYPE_CHECKING:
     from p2o.results.check import AxisCheck, Check, Slip, Watch
@@ -18,142 +18,129 @@ if TYPE_CHECKING:
 @click.command("check")
 @click.argument("data", metavar="DATASET:PATH")
 @click.option(
-    "--extrinsic", required=True, metavar="FILE|truth|start", help="The extrinsic: a file, or the one that data hold."
-)
-@click.option("--frames", metavar="SPEC", help="Which frames, as in `p2o run`; all are taken together (default: all).")
-@click.option("--notice", metavar='"0.3deg 3cm"', help='Errors that have to be noticed (default: "1deg 30cm").')
-@click.option(
-    "--alarm-rate", type=float, default=0.01, show_default=True, metavar="SHARE", help="Right ones called off."
+    "--extrinsic", required=True, metavar="FILE|truth|start", help="The extrinsic: a file, or that of the data."
 )
 @click.option(
-    "--power", type=float, default=0.95, show_default=True, metavar="SHARE", help="Errors at a limit noticed."
+    "--frames", metavar="SPEC", help="Which frames, as in `p2o run`; they are evaluated jointly (default: all)."
 )
-@click.option("--require", is_flag=True, help="Exit status 1 where it cannot be told, too.")
-@click.option("--watch", "watching", is_flag=True, help="Frame after frame over a drive: when did it slip?")
-@click.option("--alarms-per-hour", type=float, metavar="N", help="With --watch: false alarms an hour (default: 0.1).")
-@click.option("--rate", "rate_hz", type=float, metavar="HZ", help="With --watch: frames a second (default: as told).")
+@click.option("--notice", metavar='"0.3deg 3cm"', help='Errors that have to be detectable (default: "1deg 30cm").')
+@click.option("--alarm-rate", type=float, default=0.01, show_default=True, metavar="SHARE", help="False-alarm rate.")
+@click.option(
+    "--power",
+    type=float,
+    default=0.95,
+    show_default=True,
+    metavar="SHARE",
+    help="Detection rate of an error at the limit.",
+)
+@click.option("--require", is_flag=True, help="Exit status 1 also if the outcome is cannot-tell.")
+@click.option("--watch", "watching", is_flag=True, help="Check each frame of a drive and detect slips of the mounting.")
+@click.option("--alarms-per-hour", type=float, metavar="N", help="With --watch: false alarms per hour (default: 0.1).")
+@click.option(
+    "--rate",
+    "rate_hz",
+    type=float,
+    metavar="HZ",
+    help="With --watch: frames per second (default: from the times of the frames).",
+)
 @click.option(
     "--settle",
     type=click.IntRange(min=1),
     metavar="N",
-    help="With --watch: first frames, which are usual (default: 20).",
+    help="With --watch: number of first frames that define the normal level (default: 20).",
 )
 @click.option("--extractor", metavar="IMAGE/CLOUD", help="The two extractors (default: p2ornet/rings).")
-@click.option("--matcher", metavar="NAME", help="How points and lines are paired (default: ogm).")
+@click.option("--matcher", metavar="NAME", help="The matcher (default: ogm).")
 @click.option("--set", "settings", multiple=True, metavar="STAGE.FIELD=VALUE", help="An option.")
-@click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Seed of everything random (default: 0).")
+@click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Seed of all random numbers (default: 0).")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else on stdout.")
 @plugin_options
 def command(
     data: str,
     extrinsic: str,
-    frames: str | None,
-    notice: str | None,
-    alarm_rate: float,
-    power: float,
-    require: bool,
     watching: bool,
-    alarms_per_hour: float | None,
-    rate_hz: float | None,
-    settle: int | None,
-    extractor: str | None,
-    matcher: str | None,
-    settings: tuple[str, ...],
-    seed: int | None,
+    require: bool,
     as_json: bool,
+    settings: tuple[str, ...],
     plugin: tuple[str, ...],
     block: tuple[str, ...],
+    **words: Any,
 ) -> int:
-    """Say whether an extrinsic still holds, axis by axis: holds, off by about so much, or nobody can tell.
+    """Check whether an extrinsic is valid, by axis: holds, off (with an estimate of the error), or cannot tell.
 
     \b
     p2o check kitti-raw:PATH --extrinsic truth --frames 0-9
     p2o check folder:PATH --extrinsic result.json --notice "0.3deg 3cm" --require
     p2o check folder:DRIVE --extrinsic calib.yaml --watch
 
-    Nothing is moved. Every axis has the smallest error that would have been noticed on these frames. Exit status 0
-    where no axis is off, 1 where any is (with --require also where it cannot be told), 2 for wrong input.
+    The extrinsic is not changed. The output states for each axis the smallest error that is detectable on these frames.
+    Exit status 0 if no axis is off, 1 if any is (with --require also for cannot-tell), 2 for wrong input.
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     import contextlib
 
-    from p2o.results.check import Holding
+    from p2o.results.check import CheckStatus
     from p2o.results.result_json import check_to_dict
-    from p2o.run.check import Words, check, watch
+    from p2o.run.check import check, watch
 
-    _check_words(watching, notice, {"--alarms-per-hour": alarms_per_hour, "--rate": rate_hz, "--settle": settle})
+    of_watch = {name: words.pop(name) for name in ("alarms_per_hour", "rate_hz", "settle")}
+    _check_words(watching, words["notice"], of_watch)
     stdout = sys.stdout
     with contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext():
-        words: Words = {
-            "frames": frames,
-            "extractor": extractor,
-            "matcher": matcher,
-            "options": settings or None,
-            "seed": seed,
-            "registry": load(plugin, block),
-        }
-        found: Check | Watch
+        words |= {"options": settings or None, "registry": load(plugin, block)}
+        check_result: Check | Watch
         if watching:
-            found = watch(
-                data,
-                extrinsic,
-                **words,
-                alarms_per_hour=0.1 if alarms_per_hour is None else alarms_per_hour,
-                rate_hz=rate_hz,
-                settle=20 if settle is None else settle,
-            )
+            words = {name: value for name, value in words.items() if name not in ("notice", "alarm_rate", "power")}
+            words |= {name: value for name, value in of_watch.items() if value is not None}
+            check_result = watch(data, extrinsic, **words)
         else:
-            found = check(
-                data,
-                extrinsic,
-                **words,
-                notice=notice,
-                alarm_rate=alarm_rate,
-                power=power,
-            )
+            check_result = check(data, extrinsic, **words)
     if as_json:
-        stdout.write(json.dumps(check_to_dict(found), indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+        stdout.write(json.dumps(check_to_dict(check_result), indent=1, allow_nan=False, ensure_ascii=False) + "\n")
     else:
-        stdout.write(describe_check(found) + "\n")
-    bad = {Holding.OFF, Holding.CANNOT_TELL} if require else {Holding.OFF}
-    return 1 if found.holding in bad else 0
+        stdout.write(describe_check(check_result) + "\n")
+    bad = {CheckStatus.OFF, CheckStatus.CANNOT_TELL} if require else {CheckStatus.OFF}
+    return 1 if check_result.holding in bad else 0
 
 
 def _check_words(watching: bool, notice: str | None, of_watch: dict[str, float | None]) -> None:
-    """Raise InputError for words that the other way to look at frames has."""
-    from p2o.errors import InputError
-
-    said = [word for word, value in of_watch.items() if value is not None]
-    if said and not watching:
-        raise InputError(f"{said[0]} is for a drive", expected="--watch beside it")
+    """Raise InputError for options that do not apply with or without --watch, and for values out of bounds."""
+    given = {
+        f"--{name.removesuffix('_hz').replace('_', '-')}": value
+        for name, value in of_watch.items()
+        if value is not None
+    }
+    if given and not watching:
+        raise InputError(f"{next(iter(given))} needs --watch", expected="--watch")
     if watching and notice is not None:
-        raise InputError("--notice is for frames together", expected="--alarms-per-hour with --watch")
-    for word, value in of_watch.items():
-        if value is not None and not 0 < value < float("inf"):
+        raise InputError("--notice does not apply with --watch", expected="--alarms-per-hour")
+    for word, value in given.items():
+        if not 0 < value < float("inf"):
             raise InputError(f"{word} is out of bounds", expected="more than zero", got=value)
 
 
-def describe_check(found: Check | Watch) -> str:
-    """Return the readable account of a check or a watch."""
+def describe_check(check_result: Check | Watch) -> str:
+    """Return the text about a check or a watch."""
     from p2o.results.check import Check
 
-    lines = _of_check(found) if isinstance(found, Check) else _of_watch(found)
+    lines = _of_check(check_result) if isinstance(check_result, Check) else _of_watch(check_result)
     return "\n".join(printable(line) for line in lines)
 
 
-def _of_check(found: Check) -> list[str]:
-    many = f"{len(found.frames)} frames" if len(found.frames) > 1 else found.frames[0]
-    lines = [many, f"  {_word(found.holding):<12} {found.reason}"]
-    if found.found is not None:
-        lines.append(f"  {'axis':<12} {'':<12} {'off by':>10}  {'+-':>8}  {'noticed from':>12}")
-        lines += [_axis(axis) for axis in found.axes]
+def _of_check(check: Check) -> list[str]:
+    many = f"{len(check.frames)} frames" if len(check.frames) > 1 else check.frames[0]
+    lines = [many, f"  {_word(check.holding):<12} {check.reason}"]
+    if check.estimate is not None:
+        lines.append(f"  {'axis':<12} {'':<12} {'error':>10}  {'+-':>8}  {'detectable':>12}")
+        lines += [_axis(axis) for axis in check.axes]
         lines.append(
-            f"  {'in all':<12} a right one is as far off in {100 * (found.p_value or 0):.2g} % of cases; "
-            f"limits: {100 * found.power:g} % noticed, {100 * found.alarm_rate:g} % false alarms"
+            f"  {'all axes':<12} p-value of a correct extrinsic: {100 * (check.p_value or 0):.2g} %; "
+            f"limits: {100 * check.power:g} % detected, {100 * check.alarm_rate:g} % false alarms"
         )
-    if found.agreement is not None:
-        met = found.agreement
-        lines.append(f"  {'agreement':<12} odds ratio {met.odds_ratio:.1f} in {met.places} places: {met.strength:.1f}")
-    return [*lines, *(f"  {'warning':<12} {text}" for text in found.warnings)]
+    if check.agreement is not None:
+        agreement = check.agreement
+        ratio = f"odds ratio {agreement.odds_ratio:.1f} in {agreement.places} cells"
+        lines.append(f"  {'agreement':<12} {ratio}: evidence {agreement.strength:.1f}")
+    return [*lines, *(f"  {'warning':<12} {text}" for text in check.warnings)]
 
 
 def _axis(axis: AxisCheck) -> str:
@@ -168,29 +155,25 @@ def _axis(axis: AxisCheck) -> str:
     )
 
 
-def _of_watch(found: Watch) -> list[str]:
-    lines = [f"{len(found.frames)} frames, one after the other", f"  {_word(found.holding):<12} {found.reason}"]
-    lines += [f"  {'slip':<12} {_slip(slip)}" for slip in found.slips]
-    told = [frame for frame in found.frames if frame.level is not None]
-    if told:
-        highest = max(told, key=lambda frame: frame.level or 0.0)
+def _of_watch(watch: Watch) -> list[str]:
+    lines = [f"{len(watch.frames)} frames, checked separately", f"  {_word(watch.holding):<12} {watch.reason}"]
+    lines += [f"  {'slip':<12} {_slip(slip)}" for slip in watch.slips]
+    observed = [frame for frame in watch.frames if frame.level is not None]
+    if observed:
+        highest = max(observed, key=lambda frame: frame.level or 0.0)
         lines.append(f"  {'charts':<12} at most {highest.level:.2f} of an alarm, {highest.axis} at {highest.name}")
     lines.append(
-        f"  {'alarms':<12} {found.alarms_per_hour:g} false ones an hour are meant, at {found.rate_hz:g} frames a "
-        f"second (correlation {found.correlation:.2f}); the first {found.settled} frames say what is usual"
+        f"  {'alarms':<12} {watch.alarms_per_hour:g} false alarms per hour expected, at {watch.rate_hz:g} frames per "
+        f"second (correlation {watch.correlation:.2f}); the first {watch.settled} frames define the normal level"
     )
-    return [*lines, *(f"  {'warning':<12} {text}" for text in found.warnings)]
+    return [*lines, *(f"  {'warning':<12} {text}" for text in watch.warnings)]
 
 
 def _slip(slip: Slip) -> str:
-    size, sigma = (
-        (f"{slip.size:+.2f}", f"{slip.sigma:.2f} deg")
-        if slip.unit == "deg"
-        else (f"{100 * slip.size:+.1f}", f"{100 * slip.sigma:.1f} cm")
-    )
+    scale, unit, digits = (1, "deg", 2) if slip.unit == "deg" else (100, "cm", 1)
     return (
-        f"{slip.axis} {size} +- {sigma}: noticed at frame {slip.noticed} ({slip.noticed_frame}), began about "
-        f"{slip.began} ({slip.began_frame})"
+        f"{slip.axis} {scale * slip.size:+.{digits}f} +- {scale * slip.sigma:.{digits}f} {unit}: detected at frame "
+        f"{slip.noticed} ({slip.noticed_frame}), began at about frame {slip.began} ({slip.began_frame})"
     )
 
 

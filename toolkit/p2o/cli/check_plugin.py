@@ -1,4 +1,4 @@
-"""`p2o check-plugin`: the conformance checks from the shell."""
+"""`p2o check-plugin`: run the conformance checks."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Outcome(StrEnum):
-    """How a check of a method went, as it is printed."""
+    """The printed outcome of a check of a method."""
 
     PASSED = "ok"
     FAILED = "FAIL"
@@ -33,11 +33,11 @@ class Outcome(StrEnum):
 @click.option("--set", "settings", multiple=True, metavar="STAGE.FIELD=VALUE", help="An option of the method.")
 @plugin_options
 def command(name: str, settings: tuple[str, ...], plugin: tuple[str, ...], block: tuple[str, ...]) -> int:
-    """Check that methods keep the contracts of their slots.
+    """Check that methods fulfil the contracts of their slots.
 
-    NAME is a plugin (distribution, entry point, or a file given with --plugin), or one method. Which checks are made
-    depends on what a method needs and gives; n/a is said, with the reason, where there is nothing to make one on. A
-    dataset that needs a path takes it with --set data.root=PATH. Exit status 1 where a check fails.
+    NAME is a plugin (distribution, entry point, or a file given with --plugin), or one method. The checks depend on
+    `needs` and `gives` of a method; checks that do not apply are n/a, with the reason. The path of a dataset is set by
+    --set data.root=PATH. Exit status 1 if a check fails.
     """
     from p2o.host.slots import SLOT_OF
     from p2o.run.words import parse_settings
@@ -47,20 +47,20 @@ def command(name: str, settings: tuple[str, ...], plugin: tuple[str, ...], block
     registry = load(plugin, block)
     outcomes: Counter[Outcome] = Counter()
     for offer in _meant(registry, name):
-        said = options.get(SLOT_OF[offer.kind].stage, {})
-        if reads_files(offer) and "root" not in said:
+        own_options = options.get(SLOT_OF[offer.kind].stage, {})
+        if reads_files(offer) and "root" not in own_options:
             click.echo(f"skip  {offer.kind} {offer.name}: set data.root to check it")
             continue
-        for case in checks_for(offer, options=said, registry=registry):
+        for case in checks_for(offer, options=own_options, registry=registry):
             outcomes[_ran(case)] += 1
     failed, apart = outcomes[Outcome.FAILED], outcomes[Outcome.NOT_APPLICABLE]
     summary = f"{failed} checks failed" if failed else "every check passed"
-    click.echo(summary + (f", {apart} could not be made" if apart else ""))
+    click.echo(summary + (f", {apart} not applicable" if apart else ""))
     return 1 if failed else 0
 
 
 def _ran(case: Case) -> Outcome:
-    """Run one check, say how it went, and return that."""
+    """Run one check, print and return its outcome."""
     from p2o.testing import NotApplicable
 
     offer, reason = case.subject.offer, case.expected_failure
@@ -70,7 +70,9 @@ def _ran(case: Case) -> Outcome:
     except NotApplicable as problem:
         click.echo(f"{Outcome.NOT_APPLICABLE:<5} {title}\n      not applicable: {problem}")
         return Outcome.NOT_APPLICABLE
-    except Exception as problem:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as problem:
         if reason:
             click.echo(f"{Outcome.EXPECTED:<5} {title} ({reason})")
             return Outcome.EXPECTED
@@ -81,22 +83,22 @@ def _ran(case: Case) -> Outcome:
             click.echo(traceback.format_exc())
         return Outcome.FAILED
     if reason:
-        click.echo(f"{Outcome.FAILED:<5} {title}\n      passes, though expected_failures says: {reason}")
+        click.echo(f"{Outcome.FAILED:<5} {title}\n      passes, although it is in expected_failures: {reason}")
         return Outcome.FAILED
     click.echo(f"{Outcome.PASSED:<5} {title}")
     return Outcome.PASSED
 
 
 def _meant(registry: Registry, name: str) -> tuple[Offer, ...]:
-    """Return the offers of the plugin `name`, else those of methods of this name."""
-    found = tuple(o for o in registry.offers if name in (o.dist, o.entry, f"{o.dist}:{o.entry}"))
-    if found:
-        return found
+    """Return the methods of the plugin `name`, else the methods of this name."""
+    offers = tuple(o for o in registry.offers if name in (o.dist, o.entry, f"{o.dist}:{o.entry}"))
+    if offers:
+        return offers
     try:
         return registry.named(name)
     except UnknownNameError as problem:
         plugins = {o.dist for o in registry.offers}
         hint = problem.advice
         if name.endswith(".py"):
-            hint = f"a file is loaded by --plugin: p2o check-plugin {Path(name).stem} --plugin {name}"
+            hint = f"load a file with --plugin: p2o check-plugin {Path(name).stem} --plugin {name}"
         raise UnknownNameError("plugin or method", name, {*plugins, *problem.known}, hint=hint) from None

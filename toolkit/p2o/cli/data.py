@@ -1,4 +1,4 @@
-"""`p2o data`: what a dataset holds, whether every frame can be used, which ones to use, and what is in a bag."""
+"""`p2o data`: list, check, show and select the frames of a dataset."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from p2o.cli import data_show, data_suggest
+from p2o.cli import added_commands, data_show, data_suggest, load_command
 from p2o.cli.plugin_options import load, plugin_options
 from p2o.errors import P2OError, printable
 
@@ -23,9 +23,21 @@ def _dataset_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return click.argument("data", metavar="DATASET:PATH")(plugin_options(command))
 
 
-@click.group("data")
+class _DataCommands(click.Group):
+    """The group `p2o data`, with the commands that other packages add to it."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        added = (name.removeprefix("data ") for name in added_commands() if name.startswith("data "))
+        return [*super().list_commands(ctx), *added]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        added = added_commands().get(f"data {cmd_name}")
+        return super().get_command(ctx, cmd_name) if added is None else load_command(added[1])
+
+
+@click.group("data", cls=_DataCommands)
 def command() -> None:
-    """List, check, show or choose the frames of a dataset, or list the topics of a bag."""
+    """List, check, show or select the frames of a dataset, or list the topics of a bag."""
 
 
 command.add_command(data_show.command)
@@ -34,11 +46,9 @@ command.add_command(data_suggest.command)
 
 @command.command("list")
 @_dataset_options
-def list_frames(
-    data: str, frames: str | None, settings: tuple[str, ...], plugin: tuple[str, ...], block: tuple[str, ...]
-) -> int:
-    """Print the names of the frames, one a line; no frame is read."""
-    dataset, indices = _opened(data, frames, settings, plugin, block)
+def list_frames(data: str, frames: str | None, **words: Any) -> int:
+    """Print the names of the frames, one per line, without reading them."""
+    dataset, indices = _opened(data, frames, **words)
     for index in indices:
         click.echo(printable(dataset.names[index]))
     return 0
@@ -46,14 +56,12 @@ def list_frames(
 
 @command.command("check")
 @_dataset_options
-def check_frames(
-    data: str, frames: str | None, settings: tuple[str, ...], plugin: tuple[str, ...], block: tuple[str, ...]
-) -> int:
-    """Read every frame and say what it holds, or what is wrong with it; exit status 2 where any is bad.
+def check_frames(data: str, frames: str | None, **words: Any) -> int:
+    """Read every frame and print its content, or its fault; exit status 2 if any frame is bad.
 
-    Frames that the dataset leaves out are named with the reason; they are not bad.
+    Frames that the dataset leaves out are listed with the reason; they are not bad.
     """
-    dataset, indices = _opened(data, frames, settings, plugin, block)
+    dataset, indices = _opened(data, frames, **words)
     bad = 0
     for index in indices:
         try:
@@ -67,40 +75,8 @@ def check_frames(
     return P2OError.exit_code if bad else 0
 
 
-@command.command("topics")
-@click.argument("path", metavar="BAG")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def list_topics(path: str, as_json: bool) -> int:
-    """Print the topics of a ROS bag, and which ones the dataset `ros` takes by itself."""
-    import json
-    from dataclasses import asdict
-
-    from p2o.bags.bag import Bag
-    from p2o.bags.overview import chosen_words, overview
-
-    bag = Bag(path.removeprefix("ros:"))
-    topics, chosen = overview(bag), chosen_words(bag)
-    if as_json:
-        click.echo(json.dumps({"topics": [asdict(topic) for topic in topics], "ros": chosen}))
-        return 0
-    rows: list[tuple[str, ...]] = [("topic", "type", "count", "Hz", "frame", "first s", "last s", "")]
-    for topic in topics:
-        times = ("" if value is None else f"{value:.3f}" for value in (topic.first_s, topic.last_s))
-        rate = "" if topic.rate_hz is None else f"{topic.rate_hz:g}"
-        rows.append((topic.name, topic.type, str(topic.count), rate, topic.frame_id or "", *times, topic.details))
-    rows = [tuple(printable(cell, 200) for cell in row) for row in rows]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]) - 1)]
-    for row in rows:
-        cells = (cell.ljust(width) for cell, width in zip(row, (*widths, 0), strict=True))
-        click.echo("  ".join(cells).rstrip())
-    click.echo()
-    for what, said in chosen.items():
-        click.echo(f"{what}: {printable(said)}")
-    return 0
-
-
 def described(frame: Frame) -> str:
-    """Return in one line what a frame holds, and its warnings in further ones."""
+    """Return the content of a frame in one line, and its warnings in further lines."""
     image, cloud = frame.image, frame.cloud
     parts = [
         *([frame.camera_name] if frame.camera_name else []),
@@ -117,7 +93,7 @@ def described(frame: Frame) -> str:
 
 
 def rings_of(cloud: Cloud) -> str:
-    """Return in a few words how many rings a sweep has, and what tells them where its file does not."""
+    """Return the number of rings of a sweep as text, with the source if they are estimated."""
     import numpy as np
 
     from p2o.frames.rings import RingsUnknownError, told_rings
@@ -130,7 +106,7 @@ def rings_of(cloud: Cloud) -> str:
         label, by = told_rings(azimuth, z / np.maximum(np.hypot(x, y), np.float32(1e-6)))
     except RingsUnknownError:
         return "no rings"
-    return f"{len(np.unique(label))} rings told by {by}"
+    return f"{len(np.unique(label))} rings from {by}"
 
 
 def _opened(

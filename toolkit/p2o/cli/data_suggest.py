@@ -1,43 +1,42 @@
-"""`p2o data suggest`: which frames to calibrate together, and whether they are enough."""
+"""`p2o data suggest`: select frames for a joint calibration, and predict its accuracy."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from p2o.cli.plugin_options import load, plugin_options
-from p2o.cli.pose_options import pose_options
+from p2o.cli.pose_options import StartCommand, most_option, pose_options
 from p2o.errors import InputError, printable
 
 if TYPE_CHECKING:
-    from p2o.calibration.frame_choice import SeenEdges, Step, Wanted
+    from p2o.confidence.frame_choice import SeenEdges, Step, Wanted
     from p2o.frames.frame import Frame
     from p2o.host.registry import Registry
     from p2o.run.given_pose import Which
+    from p2o.run.recipe import Recipe
 
 MOST = 40
 _REACH_PX = 12.0
-"""How far apart edges of both sensors may be to count as seen by both; what follows hardly depends on it."""
+"""Maximum distance of matched edges of both sensors; the selection hardly depends on it."""
 
 
-@click.command("suggest")
+@click.command("suggest", cls=StartCommand)
 @click.argument("data", metavar="DATASET:PATH")
-@click.option("--frames", default="all", metavar="SPEC", help="Among which frames, as in `p2o run` (default: all).")
+@click.option("--frames", default="all", metavar="SPEC", help="Candidate frames, as in `p2o run` (default: all).")
+@most_option(MOST, 2000, "Maximum number of evaluated frames, evenly spaced.")
 @click.option(
-    "--most",
-    type=click.IntRange(min=1, max=2000),
-    default=MOST,
-    show_default=True,
-    metavar="N",
-    help="Look at so many of them at most, spread evenly.",
+    "--count", type=click.IntRange(min=1), metavar="N", help="Number of frames to select (default: until sufficient)."
 )
-@click.option("--count", type=click.IntRange(min=1), metavar="N", help="Choose so many (default: until they suffice).")
-@click.option("--require", metavar='"0.2deg 0.05m"', help="How accurate the result is to be; exit status 1 if not.")
+@click.option(
+    "--require", metavar='"0.2deg 0.05m"', help="Required accuracy of the result; exit status 1 if it is not reached."
+)
 @click.option("--extractor", metavar="IMAGE/CLOUD", help="The two extractors (default: p2ornet/rings).")
-@click.option("--perturb", metavar='"2deg 0.15m"', help="Look from so far off the truth.")
+@click.option("--perturb", metavar='"2deg 0.15m"', help="Error of the initial guess against the ground truth.")
 @pose_options
 @click.option("--set", "settings", multiple=True, metavar="STAGE.FIELD=VALUE", help="An option.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
@@ -54,104 +53,82 @@ def command(
     pose: Which,
     settings: tuple[str, ...],
     as_json: bool,
-    plugin: tuple[str, ...],
-    block: tuple[str, ...],
+    **plugins: Any,
 ) -> int:
-    """Choose frames to calibrate together (--joint), each the one that tells most beside those before it.
+    """Select frames for a joint calibration (--joint) greedily by their information.
 
-    Edges of all directions, near and far, spread over the image determine a pose; the same place seen again tells
-    little. Likely errors are those that `p2o run` would state, of the edges alone, and no promise: nothing is
-    calibrated here.
+    Edges of all directions, near and far, distributed over the image, determine a pose; the same place observed again
+    adds little information. Predicted errors are those that `p2o run` would state from the edges alone; no calibration
+    is performed.
     """
-    from p2o.calibration.frame_choice import Wanted, choose, open_axes, shortage
     from p2o.cli.run import Required
+    from p2o.confidence.frame_choice import Wanted, choose, open_axes, shortage
+    from p2o.run.recipe import Recipe
+    from p2o.run.words import parse_settings
 
     bound = None if require is None else Required.of(require).bound
     if require is not None and bound is None:
-        raise InputError("an accuracy is asked for", where="--require", expected='"0.2deg 0.05m"', got=repr(require))
+        raise InputError("the accuracy is missing", where="--require", expected='"0.2deg 0.05m"', got=repr(require))
     wanted = None if bound is None else Wanted(bound.angle_deg, bound.distance_m)
     words = {"extractor": extractor, "start": start, "perturb": perturb}
-    said = {name: value for name, value in words.items() if value is not None}
-    found, total = _looked_at(data, frames, most, pose, settings, said, load(plugin, block))
-    by_name = {edges.name: (index, edges) for index, edges in found}
-    steps = choose([edges for _, edges in found], count=count, wanted=wanted)
+    words = {name: value for name, value in words.items() if value is not None}
+    recipe = Recipe.of(data=data, frames=frames, options=parse_settings(settings), witness="none", **words)
+    evaluated, total = _evaluated(recipe, most, pose, load(**plugins))
+    by_name = {edges.name: (index, edges) for index, edges in evaluated}
+    steps = choose([edges for _, edges in evaluated], count=count, wanted=wanted)
     if not steps or steps[-1].accuracy is None:
-        raise InputError(
-            "no edge of the sweep has one of the image near it",
-            where=data,
-            hint="look at the pose (p2o data show), or give a nearer start",
-        )
+        hint = "inspect the pose (p2o data show), or use a better initial guess"
+        raise InputError("no edge of the sweep is near an image edge", where=data, hint=hint)
     spec = ",".join(str(index) for index in sorted(by_name[step.name][0] for step in steps))
     enough = None if wanted is None else wanted.met(steps[-1].accuracy)
     still = [] if wanted is None or enough else open_axes(steps[-1].accuracy, wanted)
     why = shortage([by_name[step.name][1] for step in steps], still) if still else ""
     if as_json:
-        told = {
-            "frames": spec,
-            "steps": [_plain(step, by_name[step.name][0]) for step in steps],
-            "enough": enough,
-            "open": still,
-            "why": why,
-            "looked_at": len(found),
-            "of": total,
-        }
-        click.echo(json.dumps(told, allow_nan=False))
+        plain = [_plain(step, by_name[step.name][0]) for step in steps]
+        report = {"frames": spec, "steps": plain, "enough": enough, "open": still, "why": why}
+        click.echo(json.dumps({**report, "looked_at": len(evaluated), "of": total}, allow_nan=False))
         return 0 if enough is not False else 1
-    click.echo(f"{len(found)} of {total} frames looked at; likely errors (two of three) after each:")
+    click.echo(f"{len(evaluated)} of {total} frames evaluated; predicted errors (67 %) after each:")
     for step in steps:
         its = step.accuracy
-        size = "cannot be told" if its is None else f"{its.rotation_deg:.2f} deg {its.translation_m:.3f} m"
+        size = "not observable" if its is None else f"{its.rotation_deg:.2f} deg {its.translation_m:.3f} m"
         click.echo(f"  {size}  {printable(step.name)}: {step.places} new places with edges")
-    click.echo(_conclusion(wanted, enough, still, why, all_taken=len(steps) == len(found)))
+    click.echo(_conclusion(wanted, enough, still, why, all_taken=len(steps) == len(evaluated)))
     click.echo(f"p2o run --data {quote(printable(data, 500))} --frames {spec} --joint")
     return 0 if enough is not False else 1
 
 
 def _conclusion(wanted: Wanted | None, enough: bool | None, still: list[str], why: str, *, all_taken: bool) -> str:
     if wanted is None:
-        return "all of them tell something" if all_taken else "further frames tell little more"
+        return "every frame adds information" if all_taken else "further frames add little information"
     size = f"{wanted.rotation_deg:g} deg and {wanted.translation_m:g} m"
     if enough:
         return f"enough for {size}"
-    verb = "stays" if len(still) == 1 else "stay"
-    return f"not enough for {size}: {' and '.join(still)} {verb} open because {why}"
+    return f"not enough for {size}: {' and '.join(still)} not accurate enough, because {why}"
 
 
 def _plain(step: Step, index: int) -> dict[str, Any]:
-    from dataclasses import asdict
-
     accuracy = None if step.accuracy is None else asdict(step.accuracy)
     return {"frame": step.name, "index": index, "gain": step.gain, "places": step.places, "accuracy": accuracy}
 
 
-def _looked_at(
-    data: str,
-    frames: str,
-    most: int,
-    pose: Which,
-    settings: tuple[str, ...],
-    words: dict[str, str],
-    registry: Registry,
-) -> tuple[list[tuple[int, SeenEdges]], int]:
-    """Return the edges of the frames that are looked at, with their indices, and how many frames were asked for."""
-    from p2o.calibration.frame_choice import SeenEdges
-    from p2o.calibration.pipeline import Pipeline
+def _evaluated(recipe: Recipe, most: int, pose: Which, registry: Registry) -> tuple[list[tuple[int, SeenEdges]], int]:
+    """Return the matched edges of the evaluated frames with their indices, and the number of selected frames."""
+    from p2o.confidence.frame_choice import SeenEdges
     from p2o.frames.selection import select, spread
     from p2o.problems.point_to_line import PointToLine
     from p2o.run.given_pose import GivenPose
-    from p2o.run.recipe import Recipe
+    from p2o.run.pipeline import Pipeline
     from p2o.run.run import listed_errors, one_camera
-    from p2o.run.words import parse_settings
 
-    recipe = Recipe.of(data=data, frames=frames, options=parse_settings(settings), witness="none", **words)
     plan = recipe.resolve(registry)
     dataset, pipeline = plan.dataset(), plan.assembly().calibrator
     assert isinstance(pipeline, Pipeline)
-    chosen = select(dataset.names, frames, where="--frames", skipped=getattr(dataset, "skipped", {}))
+    chosen = select(dataset.names, recipe.frames, where="--frames", skipped=getattr(dataset, "skipped", {}))
     indices = spread(chosen, most)
-    given, listed = GivenPose.of(recipe, pose), listed_errors(recipe, dataset.names, indices)
+    given, listed = GivenPose.of(recipe, pose, registry), listed_errors(recipe, dataset.names, indices)
     first: Frame | None = None
-    found, problems = [], []
+    evaluated, problems = [], []
     for index in indices:
         try:
             frame = dataset[index]
@@ -166,9 +143,9 @@ def _looked_at(
         view = pipeline.prepare(frame).as_seen_from(camera_from_lidar).without_hidden(camera_from_lidar)
         pairs = pipeline.matcher([view], camera_from_lidar, _REACH_PX)
         if not isinstance(pairs, PointToLine):
-            raise InputError("a matcher that pairs points with lines is needed", where=recipe.matcher, expected="ogm")
+            raise InputError("the matcher does not pair points with lines", where=recipe.matcher, expected="ogm")
         place = frame.lidar_world_from_lidar
-        found.append((index, SeenEdges(frame.name, pairs, camera_from_lidar, frame.sequence, place)))
-    if not found:
+        evaluated.append((index, SeenEdges(frame.name, pairs, camera_from_lidar, frame.sequence, place)))
+    if not evaluated:
         raise problems[0]
-    return found, len(chosen)
+    return evaluated, len(chosen)

@@ -1,38 +1,260 @@
-"""`p2o doctor`: does this installation do its job, and what is missing."""
+"""`p2o doctor`: check the requirements of p2o on this machine."""
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
-from dataclasses import asdict
+import os
+import platform
+import re
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from importlib import metadata
+from typing import TYPE_CHECKING
 
 import click
 
-_FAILED = 1
+from p2o.errors import InputError, P2OError, one_line
+from p2o.runtime.native import available_cores
+
+if TYPE_CHECKING:
+    from p2o.host.registry import Registry
+
+DISTRIBUTION = "p2o-calib"
+_REINSTALL = f"reinstall it: pip install --force-reinstall {DISTRIBUTION}"
+_LEAST_MEMORY_GIB = 2.0
+_SELF_CHECK = "synthetic:?scenes=1&width_px=621&height_px=188"
+_START = "1deg 0.05m"
+_NEAR_DEG, _NEAR_M = 0.3, 0.1
+
+
+class State(StrEnum):
+    """The state of a requirement: ABSENT is optional, BAD is needed for calibrations."""
+
+    OK = "ok"
+    ABSENT = "absent"
+    BAD = "BAD"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The outcome of one check with `detail`, and `advice` if something is missing."""
+
+    group: str
+    name: str
+    state: State
+    detail: str
+    advice: str = ""
+
+
+_Outcome = tuple[str, State, str] | tuple[str, State, str, str]
+"""Name, state, detail and, if something is missing, advice of a check."""
 
 
 @click.command("doctor")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object instead of lines: ok and findings.")
-@click.option("--quick", is_flag=True, help="Leave out the calibration of a small synthetic street, some seconds.")
+@click.option(
+    "--quick", is_flag=True, help="Leave out the calibration of a small synthetic street, which takes some seconds."
+)
 def command(as_json: bool, quick: bool) -> int:
-    """Look whether this installation can do its job, and say what is missing and how to get it.
+    """Check whether this installation works, and print what is missing and how to install it.
 
-    Python, machine, packages, extras, GPU, cache folder, plugins, weights, and a calibration with a known answer.
-    Exit status 0 where the main job works, 1 where it does not; extras that are absent are no failure.
+    Checks Python, machine, packages, extras, GPU, cache folder, plugins, weights, and a calibration with ground truth.
+    Exit status 0 if calibrations work, 1 otherwise; missing extras are no failure.
     """
-    from p2o.cli.checkup import Finding, State, findings
-    from p2o.errors import one_line
-
-    seen: list[Finding] = []
+    results: list[Finding] = []
     for finding in findings(self_check=not quick):
-        seen.append(finding)
+        results.append(finding)
         if not as_json:
             click.echo(f"{finding.state:<7}" + one_line(f"{finding.group} {finding.name}: {finding.detail}"))
             if finding.advice:
                 click.echo(f"{'':7}{finding.advice}")
-    bad = [finding for finding in seen if finding.state is State.BAD]
+    bad = [finding for finding in results if finding.state is State.BAD]
     if as_json:
-        click.echo(json.dumps({"ok": not bad, "findings": [asdict(each) for each in seen]}, indent=2))
+        click.echo(json.dumps({"ok": not bad, "findings": [asdict(each) for each in results]}, indent=2))
     else:
         names = ", ".join(f"{each.group} {each.name}" for each in bad)
-        click.echo(f"\nit does not work: {names}" if bad else "\neverything that the main job needs works")
-    return _FAILED if bad else 0
+        click.echo(f"\nthis installation does not work: {names}" if bad else "\nthis installation works")
+    return 1 if bad else 0
+
+
+def findings(*, self_check: bool = True) -> Iterator[Finding]:
+    """Run all checks; every fault of an installation is a finding, never an exception."""
+    looks: list[tuple[str, str, Callable[[], Iterator[_Outcome]]]] = [
+        ("machine", "machine", _machine),
+        ("dependencies", "dependencies", _dependencies),
+        ("extras", "extras", _extras),
+        ("machine", "GPU", _gpu),
+        ("files", "cache folder", _cache),
+        ("plugins", "plugins", _plugins),
+        ("files", "weights", _weights),
+    ]
+    if self_check:
+        looks.append(("self-check", "calibration", _calibration))
+    for group, name, look in looks:
+        try:
+            yield from (Finding(group, *outcome) for outcome in look())
+        except Exception as problem:
+            kind = "" if isinstance(problem, P2OError) else f"{type(problem).__name__}: "
+            yield Finding(group, name, State.BAD, kind + one_line(problem, 300), _REINSTALL)
+
+
+def _machine() -> Iterator[_Outcome]:
+    version = platform.python_version()
+    old = sys.version_info < (3, 11)
+    yield ("python", State.BAD if old else State.OK, version, "Python 3.11 or later" if old else "")
+    yield ("p2o", State.OK, _version(DISTRIBUTION) or "not installed, run from its sources")
+    yield ("platform", State.OK, platform.platform())
+    yield ("cores", State.OK, f"{available_cores()} of {os.cpu_count()}")
+    memory_gib = _memory_gib()
+    if memory_gib is None:
+        yield ("memory", State.OK, "unknown on this platform")
+    else:
+        few = memory_gib < _LEAST_MEMORY_GIB
+        advice = f"{_LEAST_MEMORY_GIB:g} GiB or more are recommended" if few else ""
+        yield ("memory", State.BAD if few else State.OK, f"{memory_gib:.1f} GiB", advice)
+
+
+def _memory_gib() -> float | None:
+    """Return the memory of the machine or the limit of the container in GiB, whichever is less."""
+    try:
+        size = float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    except (AttributeError, ValueError, OSError):
+        return None
+    with contextlib.suppress(OSError, ValueError), open("/sys/fs/cgroup/memory.max", encoding="ascii") as file:
+        size = min(size, float(file.read()))
+    return size / 2**30
+
+
+def _dependencies() -> Iterator[_Outcome]:
+    yield from (_package(required, State.BAD) for required in _required(""))
+
+
+def _extras() -> Iterator[_Outcome]:
+    """Check that all packages of each extra are installed, except for extras for developers."""
+    for extra in metadata.metadata(DISTRIBUTION).get_all("Provides-Extra") or []:
+        if extra in ("dev", "docs"):
+            continue
+        packages = {required: _package(required, State.ABSENT) for required in _required(extra)}
+        missing = {required: each for required, each in packages.items() if each[1] is not State.OK}
+        detail = ", ".join(f"{each[0]} {each[2]}" for each in (missing or packages).values())
+        # The packages instead of the extra, because p2o may not be on a package index.
+        advice = "pip install " + " ".join(f'"{required}"' for required in missing) if missing else ""
+        yield (extra, State.ABSENT if missing else State.OK, detail, advice)
+
+
+def _package(required: str, lacking: State) -> _Outcome:
+    name, least = _parsed(required)
+    version = _version(name)
+    if version is None:
+        return (name, lacking, "not installed", f'pip install "{required}"')
+    if least and _numbers(version) < _numbers(least):
+        return (name, lacking, f"{version} is too old", f'pip install "{required}"')
+    return (name, State.OK, version)
+
+
+def _required(extra: str) -> list[str]:
+    """Return the requirements of an extra, or of p2o for ""."""
+    requirements = []
+    for text in metadata.requires(DISTRIBUTION) or []:
+        required, _, marker = text.partition(";")
+        of_extra = re.search(r"""extra\s*==\s*['"]([^'"]+)['"]""", marker)
+        if (of_extra[1] if of_extra else "") == extra:
+            requirements.append(required.strip())
+    return requirements
+
+
+def _parsed(required: str) -> tuple[str, str]:
+    """Return the name of a requirement and its minimum version, "" for any."""
+    name = re.match(r"[\w.-]+", required)
+    least = re.search(r">=\s*([\d.]+)", required)
+    return name[0] if name else required, least[1] if least else ""
+
+
+def _numbers(version: str) -> tuple[int, ...]:
+    """Return the leading numbers of a version, without trailing zeros: 2.0 is 2."""
+    numbers = [int(part) for part in re.split(r"[^\d.]", version)[0].split(".") if part]
+    while numbers and not numbers[-1]:
+        numbers.pop()
+    return tuple(numbers)
+
+
+def _version(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _gpu() -> Iterator[_Outcome]:
+    import torch
+
+    if torch.cuda.is_available():
+        yield ("GPU", State.OK, torch.cuda.get_device_name())
+    else:
+        yield "GPU", State.ABSENT, "none found by PyTorch; not needed for calibrations, useful for trainings"
+
+
+def _cache() -> Iterator[_Outcome]:
+    from p2o.files.whole_file import make_writable
+    from p2o.work.cache import cache_folder
+
+    folder = cache_folder()
+    try:
+        make_writable(folder)
+    except OSError as problem:
+        advice = "set P2O_CACHE to a writable folder, in which studies cache features"
+        yield ("cache folder", State.ABSENT, f"{folder}: {problem.strerror or problem}", advice)
+    else:
+        yield ("cache folder", State.OK, str(folder))
+
+
+def _plugins() -> Iterator[_Outcome]:
+    registry = _registry()
+    for plugin in registry.plugins:
+        version = f" {plugin.version}" if plugin.version else ""
+        yield (plugin.name, State.OK, f"{len(plugin.offers)} methods{version}")
+    for broken in registry.broken:
+        own = broken.dist == DISTRIBUTION
+        advice = _REINSTALL if own else f"leave it out with --block {broken.dist}, or reinstall it"
+        yield (broken.name, State.BAD if own else State.ABSENT, broken.error, advice)
+
+
+def _registry() -> Registry:
+    """Return the installed plugins without messages on stderr: broken plugins are findings here, not errors."""
+    from p2o.host.registry import Registry
+
+    environ = {name: value for name, value in os.environ.items() if name != "P2O_STRICT"}
+    with contextlib.redirect_stderr(io.StringIO()):
+        return Registry.load(environ=environ)
+
+
+def _weights() -> Iterator[_Outcome]:
+    """Build the default image extractor and run it on an image, which reads its weights."""
+    from p2o.host.guard import build
+    from p2o.host.method import Kind
+    from p2o.run.recipe import Recipe
+    from p2o.testing import stage
+
+    name = str(Recipe.model_fields["extractor"].default).partition("/")[0]
+    offer = _registry().find(Kind.IMAGE_EXTRACTOR, name)
+    features = build(offer, offer.method.options())(stage.frame().image)
+    yield ("weights", State.OK, f"weights of {name} read, {len(features.edges)} edges on a test image")
+
+
+def _calibration() -> Iterator[_Outcome]:
+    """Calibrate a small synthetic street with the default methods and compare with the ground truth."""
+    from p2o.run.run import calibrate
+
+    [row] = calibrate(_SELF_CHECK, perturb=_START, registry=_registry()).rows
+    status, error = row.result.status, row.error
+    if error is None or not status.solved:
+        raise InputError(f"the calibration of the built-in street was refused: {status.value}", got=row.result.reason)
+    ended = f"error {error.rotation_deg:.2f} deg and {error.translation_m:.3f} m"
+    near = error.rotation_deg <= _NEAR_DEG and error.translation_m <= _NEAR_M
+    wanted = f"{_NEAR_DEG:g} deg and {_NEAR_M:g} m are expected; report this with the output of p2o methods"
+    text = f"a synthetic street from {_START}: {ended}"
+    yield ("calibration", State.OK, text) if near else ("calibration", State.BAD, text, wanted)

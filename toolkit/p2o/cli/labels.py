@@ -1,17 +1,19 @@
-"""`p2o labels`: what frames teach a method that learns, as files and as pictures."""
+"""`p2o labels`: write training labels of frames, as files and as images."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import click
 
 from p2o.cli.plugin_options import load
-from p2o.cli.training_data import training_data_options
+from p2o.cli.training_progress import shown, training_data_options
 from p2o.errors import printable
 
 
 @click.command("labels")
 @training_data_options
-@click.option("--draw", is_flag=True, help="Draw the labels on a PNG beside each file.")
+@click.option("--draw", is_flag=True, help="Also write a PNG image of the labels for each file.")
 def command(
     method: str,
     data: tuple[str, ...],
@@ -19,22 +21,20 @@ def command(
     out: str,
     draw: bool,
     quiet: bool,
-    plugin: tuple[str, ...],
-    block: tuple[str, ...],
+    **plugins: Any,
 ) -> int:
-    """Write what frames teach a method that learns, one file a frame, and print the paths.
+    """Write the training labels of frames for a method, one file per frame, and print the paths.
 
     \b
     p2o labels p2ornet --data kitti-raw:PATH --frames @splits.json#train --out labels --draw
 
-    Files that are there are kept: an interrupted command goes on. docs/training.md explains labels.
+    Existing files are kept, so that an interrupted command continues. docs/training.md explains labels.
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     from p2o.cli.out_dir import OutDir
-    from p2o.cli.training_progress import shown
     from p2o.host.guard import trainer_of
-    from p2o.learn.label_files import sources_of, trainable, write_labels
+    from p2o.learn.train import sources_of, trainable, write_labels
 
-    registry = load(plugin, block)
+    registry = load(**plugins)
     offer = trainable(method, registry)
     sources = sources_of(offer, data, frames, registry)
     root = OutDir.prepared(out).root
@@ -42,7 +42,7 @@ def command(
         try:
             files = write_labels(trainer_of(offer), sources, root, draw=draw, on_progress=show.label)
         except KeyboardInterrupt:
-            click.echo("p2o: interrupted: the same command goes on from here", err=True)
+            click.echo("p2o: interrupted: the same command continues", err=True)
             return 130
     for path in (path for paths in files for path in paths):
         click.echo(printable(path))

@@ -1,4 +1,4 @@
-"""`p2o methods`: what is installed, what one method does, and which methods fit together."""
+"""`p2o methods`: list and explain the installed methods, and show which are compatible."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ _PIPELINE = "pipeline"
 
 @click.command("methods")
 @click.argument("name", required=False)
-@click.option("--matrix", is_flag=True, help="Show which extractors, matchers and solvers fit together.")
+@click.option("--matrix", is_flag=True, help="Show which extractors, matchers and solvers are compatible.")
 @plugin_options
 def command(name: str | None, matrix: bool, plugin: tuple[str, ...], block: tuple[str, ...]) -> int:
-    """List the methods that are installed, or explain one with all its options.
+    """List the installed methods, or explain one with all its options.
 
-    NAME may be written name@distribution where two plugins offer it. `pipeline` explains the options of the rounds that
-    extractors, matcher, solver and init are run in.
+    NAME may be name@distribution if two plugins offer it. `pipeline` explains the options of the rounds of extraction,
+    matching and solving.
     """
     registry = load(plugin, block)
     if name is not None:
@@ -38,20 +38,21 @@ def command(name: str | None, matrix: bool, plugin: tuple[str, ...], block: tupl
 
 
 def listed(registry: Registry) -> str:
-    """Return all methods by kind, one a line; the distribution is named where it is not ours."""
+    """Return all methods by kind, one per line, with the distribution if it is not p2o."""
     blocks = []
     width = max((len(_shown(offer)) for offer in registry.offers), default=0)
     for kind in dict.fromkeys(offer.kind for offer in registry.offers):
         rows = [f"  {_shown(offer):<{width}}  {offer.method.summary}" for offer in registry.of_kind(kind)]
         blocks.append("\n".join([f"{kind.value}s", *rows]))
     if blocks:
-        blocks.append(f"{_PIPELINE}\n  {_PIPELINE:<{width}}  Rounds, judge, camera and motion: what runs the stages.")
+        text = "Rounds, judge, camera and motion of the calibration algorithm."
+        blocks.append(f"{_PIPELINE}\n  {_PIPELINE:<{width}}  {text}")
     blocks += [f"broken plugin {b.name}: {b.error}" for b in registry.broken]
-    return "\n".join(blocks) if blocks else "no methods: every plugin is left out"
+    return "\n".join(blocks) if blocks else "no methods: all plugins are left out"
 
 
 def pipeline_explained() -> str:
-    """Return the options of the pipeline, as those of a method."""
+    """Return the options of the pipeline in the form of a method."""
     from p2o.calibration.options import PipelineOptions
 
     lines = [_PIPELINE, f"  summary  {PipelineOptions.__doc__}", f"  options  (--set {_PIPELINE}.NAME=VALUE)"]
@@ -59,8 +60,8 @@ def pipeline_explained() -> str:
 
 
 def explained(offer: Offer) -> str:
-    """Return everything that a method says about itself."""
-    from p2o.host.guard import requirement
+    """Return the declaration of a method as text."""
+    from p2o.host.registry import requirement
     from p2o.host.slots import SLOT_OF
 
     method = offer.method
@@ -80,20 +81,17 @@ def explained(offer: Offer) -> str:
     lines += [f"  options  ({setting})", *table] if table else ["  options  none"]
     if method.trainer is not None:
         presets = ", ".join(method.trainer.presets)
-        lines.append(
-            f"  training (p2o train {method.name} --set NAME=VALUE{f'; presets: {presets}' if presets else ''})"
-        )
+        words = f"--set NAME=VALUE{f'; presets: {presets}' if presets else ''}"
+        lines.append(f"  training (p2o train {method.name} {words})")
         lines += _option_table(method.trainer.options)
     return "\n".join(lines)
 
 
 def _option_table(options: type[Options]) -> list[str]:
-    """Return the options of a model, one a line."""
+    """Return the options of a model, one per line."""
     rows = [option_row(name, field) for name, field in options.model_fields.items()]
     widths = [max(len(row[i]) for row in rows) for i in range(3)] if rows else []
-    return [
-        "    " + "  ".join(f"{cell:<{w}}" for cell, w in zip(row, widths, strict=False)) + f"  {row[3]}" for row in rows
-    ]
+    return ["    " + "  ".join(f"{row[i]:<{width}}" for i, width in enumerate(widths)) + f"  {row[3]}" for row in rows]
 
 
 def option_row(name: str, field: Any) -> tuple[str, str, str, str]:
@@ -112,7 +110,7 @@ def option_row(name: str, field: Any) -> tuple[str, str, str, str]:
 
 
 def fit_matrix(registry: Registry) -> str:
-    """Return two tables: which matcher takes which pair of extractors, and which solver takes which matcher."""
+    """Return two tables of compatibility: extractors with matchers, and matchers with solvers."""
     from p2o.host.method import Kind
     from p2o.run.fit import missing_words
 
@@ -139,11 +137,8 @@ def fit_matrix(registry: Registry) -> str:
         (name, [not missing_words(s.method.needs, [matcher]) for s in solvers])
         for matcher, name in zip(matchers, names(matchers), strict=True)
     ]
-    return (
-        table("extractor \\ matcher", names(matchers), pairs)
-        + "\n\n"
-        + table("matcher \\ solver", names(solvers), solved)
-    )
+    tables = table("extractor \\ matcher", names(matchers), pairs), table("matcher \\ solver", names(solvers), solved)
+    return "\n\n".join(tables)
 
 
 def _shown(offer: Offer) -> str:

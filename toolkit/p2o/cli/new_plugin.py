@@ -30,6 +30,7 @@ _TRIES = {
     Kind.ACCUMULATOR: 'p2o run --plugin {file} --accumulate {name} --data "synthetic:?frames_per_scene=3" --frames 0',
     Kind.DATASET: "p2o data check {name}:FOLDER --plugin {file}",
     Kind.EXPORTER: "p2o run --plugin {file} --export {name}:pose.csv",
+    Kind.CALIBRATION_READER: "p2o convert pose.csv pose.yaml --plugin {file} --to text",
 }
 """How a method of each kind is tried from its file, before it is installed."""
 
@@ -54,18 +55,13 @@ class NewPlugin:
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[a-z][a-z0-9]*(-[a-z0-9]+)*", self.name) or len(self.name) > _LONGEST:
-            raise InputError(
-                "this is no name for a plugin",
-                where="NAME",
-                expected=f"a-z, 0-9 and single -, a letter first, at most {_LONGEST} characters, such as acme-edges",
-                got=self.name,
-            )
+            expected = f"a-z, 0-9 and single -, a letter first, at most {_LONGEST} characters, such as acme-edges"
+            raise InputError("this is no name for a plugin", where="NAME", expected=expected, got=self.name)
         if keyword.iskeyword(self.module):
             raise InputError("Python keeps this word for itself", where="NAME", got=self.name, hint=self._longer)
         if importlib.util.find_spec(self.module) is not None:
-            raise InputError(
-                f"a module {self.module} is installed already", where="NAME", got=self.name, hint=self._longer
-            )
+            text = f"a module {self.module} is installed already"
+            raise InputError(text, where="NAME", got=self.name, hint=self._longer)
 
     @property
     def module(self) -> str:
@@ -90,29 +86,24 @@ class NewPlugin:
         """Raise InputError where a method of this kind and name is there already."""
         for offer in registry.of_kind(self.kind):
             if offer.name == self.name:
-                raise InputError(
-                    f"there is a {self.kind.value} of this name already",
-                    where="NAME",
-                    got=f"{self.name} of {offer.dist}",
-                    hint=self._longer,
-                )
+                text, owner = f"there is a {self.kind.value} of this name already", f"{self.name} of {offer.dist}"
+                raise InputError(text, where="NAME", got=owner, hint=self._longer)
 
     def files(self) -> dict[str, str]:
         """Return the text of every file of the package by its path from the root."""
-        slot = slot_word(self.kind)
         sources = {
             "pyproject.toml": "pyproject.toml",
             "README.md": "README.md",
             "LICENSE": "LICENSE",
             ".gitignore": "gitignore",
             ".github/workflows/check.yml": "workflow.yml",
-            self.file: f"slots/{slot}.py",
-            f"tests/test_{self.module}.py": f"slots/{slot}-test.py",
+            # A data set needs files to be checked, which its test writes.
+            "tests/test_conformance.py": "dataset-test.py" if self.kind is Kind.DATASET else "conformance.py",
         }
-        if self.kind is not Kind.DATASET:  # one that reads files is checked on those that its own test writes
-            sources["tests/test_conformance.py"] = "conformance.py"
-        filled = {path: self._filled(source) for path, source in sources.items()}
-        return {f"src/{self.module}/__init__.py": f'"""{self._about} for p2o."""\n', **filled}
+        files = {path: self._filled(source) for path, source in sources.items()}
+        files[f"src/{self.module}/__init__.py"] = f'"""{self._about} for p2o."""\n'
+        files[self.file] = self._filled(f"slots/{slot_word(self.kind)}.py") + self._filled("hook.py")
+        return files
 
     def write(self, parent: Path) -> Path:
         """Write the package into a new folder of its name in `parent`, as a whole or not at all, and return it.
@@ -144,14 +135,10 @@ class NewPlugin:
         return f"{'An' if self.kind.value[0] in 'aeiou' else 'A'} {self.kind.value}"
 
     def _filled(self, source: str) -> str:
-        words = {
-            "NAME": self.name,
-            "MODULE": self.module,
-            "ABOUT": self._about,
-            "TRY": f"    {self.tried}",
-        }
+        words = {"NAME": self.name, "MODULE": self.module, "HOOK": self.kind.hook, "ABOUT": self._about}
+        words["TRY"] = f"    {self.tried}"
         text = (TEMPLATE / f"{source}.txt").read_text(encoding="utf-8")
-        return re.sub(r"@([A-Z]+)@", lambda found: words[found[1]], text)
+        return re.sub(r"@([A-Z]+)@", lambda match: words[match[1]], text)
 
 
 def _umask() -> int:

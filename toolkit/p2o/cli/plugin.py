@@ -1,4 +1,4 @@
-"""`p2o plugin new`: a package of your own to begin with."""
+"""`p2o plugin new`: create a package for a plugin."""
 
 from __future__ import annotations
 
@@ -8,34 +8,25 @@ import click
 
 from p2o.cli.plugin_options import load
 
-_SLOTS = (
-    "image-extractor",
-    "cloud-extractor",
-    "matcher",
-    "solver",
-    "initializer",
-    "calibrator",
-    "accumulator",
-    "dataset",
-    "exporter",
-)
-"""Said here too, so that `p2o plugin new --help` loads nothing."""
+_SLOTS = ["image-extractor", "cloud-extractor", "matcher", "solver", "initializer", "calibrator", "accumulator"]
+_SLOTS += ["dataset", "exporter", "calibration-reader"]
+"""Repeated here, so that `p2o plugin new --help` imports no other module."""
 
 
 @click.group("plugin")
 def command() -> None:
-    """Write a plugin of your own to begin with: a package with one method."""
+    """Create a package for your own plugin, with one method."""
 
 
 @command.command("new")
 @click.argument("name")
-@click.option("--slot", type=click.Choice(_SLOTS), default=_SLOTS[0], show_default=True, help="What it offers.")
-@click.option("--out", default=".", metavar="DIR", help="Folder in which the folder NAME is made; the current one.")
+@click.option("--slot", type=click.Choice(_SLOTS), default=_SLOTS[0], show_default=True, help="The slot of its method.")
+@click.option("--out", default=".", metavar="DIR", help="Parent of the new folder NAME (default: the current folder).")
 def new(name: str, slot: str, out: str) -> int:
-    """Write the package NAME with one small method that works, its tests, and a workflow that checks it.
+    """Create the package NAME with a small working method, its tests, and a workflow that checks it.
 
-    NAME is that of the distribution and of the method: a-z, 0-9 and single -, such as acme-edges. A folder that is
-    there already is left alone.
+    NAME is that of the distribution and of the method: a-z, 0-9 and single -, such as acme-edges. An existing folder is
+    not changed.
     """
     from p2o.cli.new_plugin import SLOT_WORDS, NewPlugin
 
@@ -45,7 +36,7 @@ def new(name: str, slot: str, out: str) -> int:
     click.echo(f"wrote {root}:")
     for path in sorted(plugin.files()):
         click.echo(f"  {path}")
-    click.echo(f"\ntry it, before it is installed:\n  cd {root}\n  {plugin.tried}")
+    click.echo(f"\ntest it before it is installed:\n  cd {root}\n  {plugin.tried}")
     click.echo('then:\n  pip install -e ".[test]"\n  python -m pytest')
-    click.echo("\nThe method is yours to replace; LICENSE is empty until you choose one.")
+    click.echo("\nReplace the method by your own, and choose a license (LICENSE is empty).")
     return 0

@@ -1,4 +1,4 @@
-"""`p2o plugins`: what is installed and what is broken, as JSON."""
+"""`p2o plugins`: list installed and broken plugins as JSON."""
 
 from __future__ import annotations
 
@@ -12,20 +12,17 @@ from p2o.cli.plugin_options import load, plugin_options
 @click.command("plugins")
 @plugin_options
 def command(plugin: tuple[str, ...], block: tuple[str, ...]) -> int:
-    """List the plugins as JSON: name, version, methods; the broken ones with reasons.
+    """List the plugins as JSON: name, version, methods; broken ones with reasons.
 
-    P2O_PLUGINS="a,b" loads only these (empty: none), --block leaves one out. P2O_STRICT=1 makes a broken one an error.
+    P2O_PLUGINS="a,b" loads only these (empty: none), --block leaves one out. P2O_STRICT=1 makes broken ones errors.
     """
     registry = load(plugin, block)
+    plugins = []
+    for loaded in registry.plugins:
+        methods = [{"kind": offer.kind.value, "name": offer.name} for offer in loaded.offers]
+        plugins.append({"name": loaded.name, "version": loaded.version, "methods": methods})
     shown = {
-        "plugins": [
-            {
-                "name": found.name,
-                "version": found.version,
-                "methods": [{"kind": offer.kind.value, "name": offer.name} for offer in found.offers],
-            }
-            for found in registry.plugins
-        ],
+        "plugins": plugins,
         "broken": [{"name": b.name, "version": b.version, "error": b.error} for b in registry.broken],
         "left_out": list(registry.blocked),
     }

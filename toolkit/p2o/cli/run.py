@@ -1,95 +1,87 @@
-"""`p2o run`: words to a recipe, a recipe to a run, a run to text, JSON and files."""
+"""`p2o run`: calibrate frames and write the results as text, JSON and files."""
 
 from __future__ import annotations
 
 import contextlib
 import json
 import sys
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from p2o.cli.plugin_options import load, plugin_options
+from p2o.cli.pose_options import StartCommand
+from p2o.cli.progress import status_line
 from p2o.errors import InputError, P2OError, printable
 
 if TYPE_CHECKING:
-    from p2o.cli.exports import Export
     from p2o.cli.out_dir import OutDir
     from p2o.geometry.perturb import Perturbation
-    from p2o.results.result import Result
-    from p2o.results.rig import RigResult
-    from p2o.run.run import FailedFrame, Progress, Row
+    from p2o.host.registry import Registry
+    from p2o.host.stages import Exporter
+    from p2o.results.result import Result, RigResult
+    from p2o.run.recipe import Plan
+    from p2o.run.run import FailedFrame, Progress, Row, Run
 
 
-class _Run(click.Command):
-    """The command, which takes `--start roughly "WORDS"` in two words, and `--start FILE` in one."""
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        joined: list[str] = []
-        for word in args:
-            if joined[-2:] == ["--start", "roughly"]:
-                joined[-1] = f"roughly {word}"
-            else:
-                joined.append(word)
-        return super().parse_args(ctx, joined)
-
-
-@click.command("run", cls=_Run)
-@click.option("--data", metavar="DATASET:PATH", help="What to calibrate (default: a synthetic scene, synthetic:).")
+@click.command("run", cls=StartCommand)
+@click.option("--data", metavar="DATASET:PATH", help="The data (default: a synthetic scene, synthetic:).")
 @click.option(
     "--frames", metavar="SPEC", help="all, indices and ranges (0,4-7), @splits.json#test, or names (default: all)."
 )
 @click.option("--extractor", metavar="IMAGE/CLOUD", help="The two extractors (default: p2ornet/rings).")
-@click.option("--matcher", metavar="NAME", help="How points and lines are paired (default: ogm).")
-@click.option("--solver", metavar="NAME", help="How the pose is improved (default: lm).")
-@click.option("--init", metavar="NAME", help="How starting poses are found (default: search).")
-@click.option("--calibrator", metavar="NAME", help="A whole method instead of extractor, matcher, solver and init.")
+@click.option("--matcher", metavar="NAME", help="The matcher (default: ogm).")
+@click.option("--solver", metavar="NAME", help="The solver (default: lm).")
+@click.option("--init", metavar="NAME", help="The initializer, which proposes poses (default: search).")
+@click.option("--calibrator", metavar="NAME", help="A complete method instead of extractor, matcher, solver and init.")
 @click.option(
     "--set", "settings", multiple=True, metavar="STAGE.FIELD=VALUE", help="An option (`p2o methods NAME` lists them)."
 )
-@click.option("--accumulate", metavar="NAME", help="Join sweeps of a sequence with this method.")
+@click.option("--accumulate", metavar="NAME", help="Accumulate sweeps of a sequence with this method.")
 @click.option(
     "--witness",
     metavar="IMAGE/CLOUD",
-    help="Extractors whose edges check a result that has none of its own (default: p2ornet/rings; none: unchecked).",
+    help="Extractors for an independent check of methods without edges (default: p2ornet/rings; none: no check).",
 )
 @click.option(
     "--perturb",
     metavar='"2deg 0.15m"',
-    help="Begin this far from the truth, in a random direction; @FILE takes the errors from a list.",
+    help="Error of the initial guess against the ground truth, in a random direction; @FILE reads errors from a list.",
 )
 @click.option(
     "--start",
     metavar='roughly "x forward, z up; camera looks forward" | FILE',
-    help="Begin at a pose told in words: two axes of the LiDAR, where the camera looks, and where it is if known; "
-    "or at that of a calibration file (the forms of `p2o convert`).",
+    help="Initial guess in words (two axes of the LiDAR, viewing direction and, if known, position of the camera), or "
+    "from a calibration file (formats of `p2o convert`).",
 )
-@click.option("--protocol", metavar="NAME", help="Draw starts, and report errors, as a publication does.")
-@click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Seed of everything random (default: 0).")
-@click.option("--joint", is_flag=True, default=None, help="One result for all frames together.")
+@click.option("--protocol", metavar="NAME", help="Draw initial guesses and report errors as in a publication.")
+@click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Seed of all random numbers (default: 0).")
+@click.option("--joint", is_flag=True, default=None, help="Calibrate all frames jointly, with one result.")
 @click.option(
     "--rig",
     is_flag=False,
     flag_value=True,
     type=click.UNPROCESSED,
     metavar="[FILE]",
-    help="One result for each camera, of all its frames; FILE (YAML, JSON) says which are whose, and where it is.",
+    help="One joint result per camera; FILE (YAML, JSON) assigns frames to cameras and gives the poses of cameras.",
 )
 @click.option(
     "--require",
     metavar='"[trusted] [0.3deg 0.1m]"',
-    help="Exit status 1 unless every result is trusted and, where a size is said, likely to be this accurate.",
+    help="Exit status 1 unless every result is trusted and, with a size, its predicted error is at most this.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else on stdout.")
 @click.option(
     "--out",
     type=click.Path(),
     metavar="DIR",
-    help="Write a page (result.html), result JSON, overlays and convergence plots here.",
+    help="Folder of a page (result.html), result JSON, overlays and convergence plots.",
 )
-@click.option("--export", "exports", multiple=True, metavar="NAME:PATH", help="Write the result in another format.")
+@click.option("--export", "exports", multiple=True, metavar="NAME:PATH", help="Write a trusted result to a file.")
+@click.option("--export-anyway", is_flag=True, help="Export doubtful and ambiguous results, too.")
 @plugin_options
 def command(
     settings: tuple[str, ...],
@@ -97,11 +89,12 @@ def command(
     as_json: bool,
     out: str | None,
     exports: tuple[str, ...],
+    export_anyway: bool,
     plugin: tuple[str, ...],
     block: tuple[str, ...],
     **words: Any,
 ) -> int:
-    """Calibrate frames: find the transform from the LiDAR to the camera.
+    """Calibrate frames: estimate the transform from the LiDAR to the camera.
 
     \b
     p2o run                                            a synthetic scene
@@ -110,22 +103,20 @@ def command(
     p2o run --data folder:PATH --rig rig.yaml
     p2o run --data folder:PATH --start roughly "x forward, z up; camera looks 45 deg left"
 
-    Where there are several results, PATH of --export holds {frame}, or {camera} with --rig. Exit status 1 where any
-    calibration was refused (its status says why) or is not as required: a doubtful or ambiguous one counts as solved
-    unless --require trusted is said. 2 where a frame cannot be read: it is listed with its reason, after the results of
-    the others.
+    For several results, PATH of --export contains {frame}, or {camera} with --rig. A result that is not trusted or does
+    not meet --require is not exported, except as json, which stores the verdict. Exit status 1 if a result was not
+    exported, a calibration was refused (see its status) or does not meet --require: without --require trusted, doubtful
+    and ambiguous results count as solved. Exit status 2 if a frame cannot be read; it is listed with the reason.
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
-    with _stdout_kept_for_json(as_json) as stdout:
-        from p2o.cli.exports import Export, check_apart
-        from p2o.cli.summary import describe, describe_failed, describe_rig, describe_run
-        from p2o.files.file_names import distinct_names
-        from p2o.run.protocol import protocol_of
+    stdout = sys.stdout
+    # With --json, stdout is reserved for the object: output of plugins is redirected.
+    with contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext():
         from p2o.run.recipe import Recipe
-        from p2o.run.run import Run, run, starts_of
+        from p2o.run.run import starts_of
         from p2o.run.words import parse_settings
 
         registry = load(plugin, block)
-        wanted = None if require is None else Required.of(require)
+        required = None if require is None else Required.of(require)
         words = {name: value for name, value in words.items() if value is not None}
         protocol = words.pop("protocol", None)
         if protocol is not None:
@@ -135,106 +126,160 @@ def command(
         plan = Recipe.of(**words).resolve(registry)
         folder: OutDir | None = None
         if out is not None:
-            # Imported here: pictures and pages take longer to load than the rest, and most runs draw none.
+            # Imported here, because drawing needs packages that are slow to import.
             from p2o.cli.out_dir import OutDir
 
             folder = OutDir.prepared(out)
-        writers = [Export.of(text, registry) for text in exports]
-        rows: list[Row] = []
-        failed: list[FailedFrame] = []
-
-        def planned(names: Sequence[str], cameras: Sequence[str]) -> None:
-            """Fix the files of all frames before any work: no two are one, and none is found wrong at the end."""
-            nonlocal folder, writers
-            # A camera and its only frame may have one name, and then share a folder.
-            if folder is not None:
-                folder = folder.for_frames(list(dict.fromkeys([*cameras, *names])))
-            named = cameras or (names[:1] if plan.recipe.joint else names)
-            files = distinct_names(cameras or names)
-            place = "{camera}" if cameras else "{frame}"
-            writers = [writer.for_frames({name: files[name] for name in named}, place) for writer in writers]
-            check_apart(writers, [] if folder is None else folder.files)
-
-        def noted(progress: Progress) -> None:
-            if progress.failed is not None:
-                failed.append(progress.failed)
-                if not as_json:
-                    stdout.write(describe_failed(progress.failed) + "\n")
-            elif progress.row is None:
-                shown(progress)
-            else:
-                # Said before it is written: a disk that is full takes nothing away.
-                rows.append(progress.row)
-                if not as_json:
-                    stdout.write(describe(progress.row) + "\n")
-                if folder is not None:
-                    folder.write(progress)
-                for writer in writers:
-                    _export(writer, progress)
-
-        interrupted, common = False, None
-        problem: Exception | None = None
-        with _progress() as shown:
-            try:
-                common = run(plan, on_progress=noted, on_names=planned).rig
-            except KeyboardInterrupt:
-                interrupted = True
-                click.echo(f"p2o: interrupted; {len(rows)} finished calibrations are kept", err=True)
-            except BrokenPipeError:
-                raise
-            except Exception as error:
-                # What is finished is told before what went wrong.
-                if not rows:
-                    raise
-                problem = error
-        done = Run(
-            tuple(rows),
-            joint=plan.recipe.joint,
-            interrupted=interrupted,
-            failed=tuple(failed),
-            protocol=None if protocol is None else protocol_of(protocol),
-            rig=common,
-        )
+        write = (lambda text: None) if as_json else stdout.write
+        opened = [Export.of(text, registry) for text in exports]
+        output = _Output(write, plan.recipe.joint, folder, opened, required, export_anyway)
+        done, problem = _calibrated(plan, output, protocol)
         page = None
-        if folder is not None:
+        if output.folder is not None:
             try:
-                page = folder.finish(done)
+                page = output.folder.finish(done)
             except P2OError as error:
                 problem = problem or error
     if as_json:
-        stdout.write(json.dumps(done.as_dict(), allow_nan=False) + "\n")
-    elif len(rows) + len(failed) > 1 or protocol is not None:
-        stdout.write(describe_run(done) + "\n")
-    if common is not None and not as_json:
-        stdout.write(describe_rig(common, done.rig_errors) + "\n")
-    if folder is not None and page is not None and not as_json:
-        stdout.write(f"wrote {page} (open it in a browser), {folder.told()}\n")
-    if interrupted:
+        listed = {"exports": output.exported} if exports else {}
+        stdout.write(json.dumps({**done.as_dict(), **listed}, allow_nan=False) + "\n")
+    else:
+        output.summarise(done, page)
+    if done.interrupted:
         return 130
     if problem is not None:
         raise problem
-    if failed:
-        raise InputError(
-            f"{len(failed)} of {len(rows) + len(failed)} {'cameras' if plan.rig else 'frames'} could not be calibrated",
-            got=f"{failed[0].frame}: {failed[0].reason}",
-        )
+    if done.failed:
+        count = f"{len(done.failed)} of {len(done.rows) + len(done.failed)} {'cameras' if plan.rig else 'frames'}"
+        first = f"{done.failed[0].frame}: {done.failed[0].reason}"
+        raise InputError(f"{count} could not be calibrated", got=first)
     judged: list[Result | RigResult] = [row.result for row in done.rows]
-    judged += [] if common is None else [common]
-    short = [] if wanted is None else wanted.unmet(judged)
-    for line in short:
+    judged += [] if done.rig is None else [done.rig]
+    unmet = [] if required is None else required.unmet(judged)
+    for line in unmet:
         click.echo(f"p2o: {line}, as --require asks", err=True)
-    return 0 if done.solved and not short else 1
+    return 0 if done.solved and not unmet and all(export["written"] for export in output.exported) else 1
+
+
+@dataclass
+class _Output:
+    """Prints, draws and exports results as they finish; `write` prints text, `exported` lists the exports."""
+
+    write: Callable[[str], object]
+    joint: bool
+    folder: OutDir | None
+    exports: list[Export]
+    required: Required | None
+    anyway: bool
+    exported: list[dict[str, Any]] = field(default_factory=list)
+    rows: list[Row] = field(default_factory=list)
+    failed: list[FailedFrame] = field(default_factory=list)
+
+    def plan_files(self, names: Sequence[str], cameras: Sequence[str]) -> None:
+        """Determine and check the files of all frames before any work."""
+        from p2o.files.file_names import distinct_names
+
+        # A camera and its only frame may have the same name, and then share a folder.
+        if self.folder is not None:
+            self.folder = self.folder.for_frames(list(dict.fromkeys([*cameras, *names])))
+        named = cameras or (names[:1] if self.joint else names)
+        files = distinct_names(cameras or names)
+        place = "{camera}" if cameras else "{frame}"
+        self.exports = [export.for_frames({name: files[name] for name in named}, place) for export in self.exports]
+        check_apart(self.exports, [] if self.folder is None else self.folder.files)
+
+    def add(self, progress: Progress) -> None:
+        """Print and write a result or a failed frame."""
+        from p2o.cli.summary import describe, describe_failed
+
+        if progress.failed is not None:
+            self.failed.append(progress.failed)
+            self.write(describe_failed(progress.failed) + "\n")
+        elif progress.row is not None:
+            # Printed first, so that a result is not lost if the disk is full.
+            self.rows.append(progress.row)
+            self.write(describe(progress.row) + "\n")
+            if self.folder is not None:
+                self.folder.write(progress)
+            for export in self.exports:
+                self._export(export, progress.row.result, progress.camera or progress.frames[0].name)
+
+    def _export(self, export: Export, result: Result, name: str) -> None:
+        """Write the result of a frame or camera, or print why it is not exported."""
+        file, form, trust = str(export.files[name]), export.form, result.verdict.trust.value
+        reason = "" if export.stores_verdict else self._refusal(result)
+        if reason:
+            click.echo(printable(f"p2o: not exported: {file}: {reason}"), err=True)
+        else:
+            export.write(result, name)
+            self.write(printable(f"wrote {file} ({form}, {trust})") + "\n")
+        written = {"frame": name, "form": form, "path": file, "trust": trust, "written": not reason}
+        self.exported.append({**written, "reason": reason})
+
+    def _refusal(self, result: Result) -> str:
+        """Return why a result is not exported, empty if it is."""
+        if not result.status.solved:
+            return f"the result has no estimated pose: {result.status.value} ({result.reason})"
+        unmet = [] if self.required is None else self.required.unmet([result])
+        if unmet:
+            return f"{unmet[0]}, as --require asks"
+        if result.verdict.trusted or self.anyway:
+            return ""
+        return f"the result is {result.verdict.trust.value}; see its reasons, or write it with --export-anyway"
+
+    def summarise(self, run: Run, page: Path | None) -> None:
+        """Print the summary of all results and the path of the page."""
+        from p2o.cli.summary import describe_rig, describe_run
+
+        if len(run.rows) + len(run.failed) > 1 or run.protocol is not None:
+            self.write(describe_run(run) + "\n")
+        if run.rig is not None:
+            self.write(describe_rig(run.rig, run.rig_errors) + "\n")
+        if self.folder is not None and page is not None:
+            self.write(f"wrote {page} (open it in a browser), {self.folder.content_text()}\n")
+
+
+def _calibrated(plan: Plan, output: _Output, protocol: str | None) -> tuple[Run, Exception | None]:
+    """Run a plan; return the finished results and the exception that ended it after at least one result."""
+    from p2o.run.protocol import protocol_of
+    from p2o.run.run import Run, run
+
+    interrupted, common = False, None
+    problem: Exception | None = None
+    with status_line("starting") as show:
+
+        def on_progress(progress: Progress) -> None:
+            if progress.failed is None and progress.row is None:
+                show(f"{progress.done + 1} of {progress.total}: {progress.name}")
+            output.add(progress)
+
+        try:
+            common = run(plan, on_progress=on_progress, on_names=output.plan_files).rig
+        except KeyboardInterrupt:
+            interrupted = True
+            click.echo(f"p2o: interrupted; {len(output.rows)} finished calibrations are kept", err=True)
+        except BrokenPipeError:
+            raise
+        except Exception as error:
+            # Finished results are printed before the error.
+            if not output.rows:
+                raise
+            problem = error
+    named = None if protocol is None else protocol_of(protocol)
+    rows, failed = tuple(output.rows), tuple(output.failed)
+    done = Run(rows, joint=plan.recipe.joint, interrupted=interrupted, failed=failed, protocol=named, rig=common)
+    return done, problem
 
 
 @dataclass(frozen=True)
 class Required:
-    """What results have to be: trusted, and where `bound` says so likely to have no larger error."""
+    """The requirement of --require: trusted results and, with `bound`, a predicted error of at most this."""
 
     bound: Perturbation | None
 
     @classmethod
     def of(cls, text: str) -> Required:
-        """Return what a text asks for; raises InputError unless it states both parts of an accuracy, or none."""
+        """Parse a requirement; raises InputError unless it has both parts of an accuracy, or none."""
         from p2o.geometry.perturb import parse_perturbation
         from p2o.results.verdict import Trust
 
@@ -244,59 +289,100 @@ class Required:
             return cls(None)
         bound = parse_perturbation(size, "--require")
         if not bound.exact or not (bound.angle_deg > 0 and bound.distance_m > 0):
-            raise InputError(
-                "an accuracy has two parts",
-                where="--require",
-                expected='"trusted", or an angle and a length, "0.3deg 0.1m"',
-                got=repr(text),
-            )
+            expected = '"trusted", or an angle and a length, "0.3deg 0.1m"'
+            raise InputError("the accuracy needs two parts", where="--require", expected=expected, got=repr(text))
         return cls(bound)
 
     def unmet(self, results: Sequence[Result | RigResult]) -> list[str]:
-        """Return a line for each way in which results fall short."""
+        """Return a line for each violated requirement."""
         doubted = sum(not result.verdict.trusted for result in results)
-        lines = [_of(doubted, len(results), "is not trusted", "are not trusted")] if doubted else []
+        lines = [_count_text(doubted, len(results), "is not trusted", "are not trusted")] if doubted else []
         if self.bound is not None:
             size = self.bound.angle_deg, self.bound.distance_m
             wide = sum(result.verdict.trusted and not result.reaches(*size) for result in results)
             words = (f"{verb} not reach {self.bound}" for verb in ("does", "do"))
-            lines += [_of(wide, len(results), *words)] if wide else []
+            lines += [_count_text(wide, len(results), *words)] if wide else []
         return lines
 
 
-def _of(some: int, many: int, one: str, several: str) -> str:
-    """Return how many results this is said of."""
+def _count_text(some: int, many: int, one: str, several: str) -> str:
+    """Return a sentence with the number of affected results."""
     return f"{some} of {many} results {several}" if many > 1 else f"the result {one}"
 
 
-def _export(export: Export, progress: Progress) -> None:
-    """Write a result; one without a pose that the format has no word for is told, and the others go on."""
-    assert progress.row is not None
-    result = progress.row.result
+PLACE = "{frame}"
+"""Placeholder of the name of the frame in a path; "{camera}" for the camera of a rig."""
+
+
+@dataclass(frozen=True)
+class Export:
+    """One text NAME:PATH; `files` are the paths by frame, once the frames are known.
+
+    `form` is the name of the exporter; with `stores_verdict` its files state the verdict, so that it is never refused.
+    """
+
+    text: str
+    form: str
+    stores_verdict: bool
+    exporter: Exporter
+    path: Path
+    files: Mapping[str, Path] = field(default_factory=dict)
+    place: str = PLACE
+
+    @classmethod
+    def of(cls, text: str, registry: Registry) -> Export:
+        """Parse the text; raises as `open_exporter`."""
+        from p2o.host.method import Kind
+        from p2o.run.recipe import open_exporter
+
+        exporter, path = open_exporter(text, registry)
+        form = text.partition(":")[0]
+        return cls(text, form, "verdict" in registry.find(Kind.EXPORTER, form).method.gives, exporter, path)
+
+    def for_frames(self, names: Mapping[str, str], place: str = PLACE) -> Export:
+        """Return the export with the files of frames; `names` maps frames to the values of `place` in the path.
+
+        Raises InputError if several frames have the same file, or a file cannot be written.
+        """
+        if len(names) > 1 and place not in str(self.path):
+            expected = f"a path that contains {place}" + (", or --joint" if place == PLACE else "")
+            raise InputError("several results need several files", where="--export", expected=expected, got=self.text)
+        files = {frame: Path(str(self.path).replace(place, name)) for frame, name in names.items()}
+        for file in files.values():
+            _check_place(file, made=place in str(self.path.parent))
+        return replace(self, files=files, place=place)
+
+    def write(self, result: Result, frame: str) -> None:
+        """Write the result of a frame, or of a camera of a rig."""
+        file = self.files[frame]
+        if self.place in str(self.path.parent):
+            file.parent.mkdir(parents=True, exist_ok=True)
+        self.exporter(result, file)
+
+
+def check_apart(exports: Sequence[Export], taken: Sequence[Path] = ()) -> None:
+    """Raise InputError if two exports have the same file, or one of the files `taken` by --out."""
+    known = {_key(path): "--out" for path in taken}
+    for export in exports:
+        for file in export.files.values():
+            other = known.setdefault(_key(file), export.text)
+            if other is not export.text:
+                both = f"{other} and --export {export.text}"
+                raise InputError("two outputs have the same file", where=file, got=both)
+
+
+def _key(path: Path) -> str:
+    """Return the absolute path in lower case, because some file systems ignore case."""
+    return str(path.absolute()).lower()
+
+
+def _check_place(file: Path, *, made: bool) -> None:
+    """Raise InputError if a file cannot be written; with `made` its folder is created later."""
     try:
-        export.write(result, progress.camera or progress.frames[0].name)
-    except InputError as problem:
-        if result.status.solved:
-            raise
-        click.echo(f"p2o: not exported: {problem}", err=True)
-
-
-@contextlib.contextmanager
-def _stdout_kept_for_json(wanted: bool) -> Iterator[Any]:
-    """Yield stdout; while it is kept for JSON, whatever a plugin prints goes to stderr."""
-    stdout = sys.stdout
-    with contextlib.redirect_stdout(sys.stderr) if wanted else contextlib.nullcontext():
-        yield stdout
-
-
-@contextlib.contextmanager
-def _progress() -> Iterator[Any]:
-    """Yield what shows progress: a line on stderr when it is a terminal, nothing otherwise."""
-    if not sys.stderr.isatty():
-        yield lambda progress: None
-        return
-    from rich.console import Console
-    from rich.markup import escape
-
-    with Console(stderr=True).status("starting") as status:
-        yield lambda p: status.update(f"{p.done + 1} of {p.total}: {escape(printable(p.name))}")
+        if file.is_dir():
+            raise InputError("the export is a folder", where=file, expected=f"--export NAME:{file}/{PLACE}.txt")
+        if not (made or file.parent.is_dir()):
+            hint = f"create it first: mkdir -p {file.parent}"
+            raise InputError("the folder of the export is missing", where=file, hint=hint)
+    except OSError as problem:
+        raise InputError("cannot write the export", where=file, got=problem.strerror or problem) from problem

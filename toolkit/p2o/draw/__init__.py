@@ -1,1 +1,1 @@
-"""Pictures of one result: overlays and plots."""
+"""Overlays and plots of results."""

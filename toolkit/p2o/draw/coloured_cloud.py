@@ -1,4 +1,4 @@
-"""The sweep with the colours of the image, as a .ply file that every viewer of clouds opens."""
+"""Write the sweep with the colours of the image as a .ply file."""
 
 from __future__ import annotations
 
@@ -14,23 +14,22 @@ from p2o.geometry.camera import Camera
 from p2o.geometry.visibility import hidden
 
 GREY = (110, 110, 110)
-"""Colour of points that the image does not show."""
+"""Colour of points that are not visible in the image."""
 
 
 def colours_of(rgb: UInt8, cloud: Cloud, camera: Camera, camera_from_lidar: Float) -> tuple[UInt8, Bool]:
-    """Return the colour (N, 3) of the pixel at which each point lies at a pose (4, 4), and which points (N,) have one.
+    """Return the colour (N, 3) of the pixel of each point at a pose (4, 4), and which points (N,) are visible.
 
-    Points outside the image, and points that others hide from the camera, are `GREY`: the pixel there shows something
-    else. Raises InputError if the image does not fit the camera.
+    Points outside the image and occluded points are `GREY`. Raises InputError if the image does not fit the camera.
     """
-    picture = checked("the image", rgb, (camera.height, camera.width, 3), np.uint8)
+    image = checked("the image", rgb, (camera.height, camera.width, 3), np.uint8)
     uv = camera.project(se3.apply(camera_from_lidar, cloud.xyz))
     seen = camera.in_image(uv)
     seen &= ~hidden(cloud.xyz, cloud.xyz, camera, camera_from_lidar)
     colours = np.full((len(cloud), 3), GREY, np.uint8)
-    # A point up to half a pixel beyond the middle of the last one is still on it.
+    # Points up to half a pixel beyond the centre of the last pixel are inside the image.
     u, v = np.clip(np.rint(uv[seen]).astype(np.int64), 0, [camera.width - 1, camera.height - 1]).T
-    colours[seen] = picture[v, u]
+    colours[seen] = image[v, u]
     return colours, seen
 
 
@@ -53,7 +52,7 @@ def write_coloured_cloud(path: Path | str, rgb: UInt8, cloud: Cloud, camera: Cam
     head = [
         "ply",
         "format binary_little_endian 1.0",
-        "comment LiDAR frame, metres; colours of the image, grey where it does not show the point",
+        "comment LiDAR frame, metres; colours of the image, grey where the point is not visible",
         f"element vertex {len(cloud)}",
         *(f"property {kinds[kind]} {name}" for name, kind in fields),
         "end_header",

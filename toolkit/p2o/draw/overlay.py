@@ -1,14 +1,14 @@
-"""Pictures of what a calibration sees: edges of both sensors, or the sweep, drawn over a darkened image."""
+"""Draw edges of both sensors, or the sweep, over a darkened image."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from p2o.arrays import Float, Int, Int8, UInt8, checked
-from p2o.draw.brightness import brightened, display_gamma
 from p2o.errors import InputError
 from p2o.features.edges import CloudEdges, ImageEdges
 from p2o.features.side import Side
@@ -30,9 +30,14 @@ CLOUD_NONE = (255, 70, 255)
 """LiDAR edges without a direction are magenta."""
 
 _RADIUS_PX = 3.0
+_NEAR_M, _FAR_M = 4.0, 80.0
 _LEGEND_PX, _LEGEND_HIGH_PX, _GAMMA_PX = 330, 60, 190
 _PX_A_UNIT = 800
-"""Words grow with pictures that are wider than this: pages show them smaller."""
+"""Width above which texts are enlarged, because pages scale wide images down."""
+_DARK, _LEGIBLE = 0.22, 0.4
+"""Mean grey below which an image is brightened, and the target mean grey; black is 0 and white 1."""
+_LEAST_GAMMA = 0.35
+_GREY = np.array([0.299, 0.587, 0.114], np.float32)
 
 
 def draw(
@@ -44,11 +49,10 @@ def draw(
     *,
     legend: bool = True,
 ) -> UInt8:
-    """Return (H, W, 3): image edges as single pixels and LiDAR edges, projected at a pose (4, 4), as small rings.
+    """Return (H, W, 3): image edges as pixels and LiDAR edges, projected at a pose (4, 4), as rings.
 
-    Image edges fade into the picture with their confidence. The colour tells the direction (`COLOURS`). The centre of
-    a ring shows what lies beneath it: where the pose is right, rings have a line of their own colour through the
-    middle. LiDAR edges outside of the image are left out.
+    The opacity of image edges is their confidence. The colour is the direction (`COLOURS`). At a correct pose, rings
+    have a line of the same colour through their centre. LiDAR edges outside of the image are left out.
 
     Raises InputError if the image does not fit the camera.
     """
@@ -63,15 +67,11 @@ def draw(
     return canvas
 
 
-def draw_cloud(
-    rgb: UInt8, cloud: Cloud, camera: Camera, camera_from_lidar: Float, *, near_m: float = 4.0, far_m: float = 80.0
-) -> UInt8:
+def draw_cloud(rgb: UInt8, cloud: Cloud, camera: Camera, camera_from_lidar: Float) -> UInt8:
     """Return (H, W, 3): the points of a sweep at a pose (4, 4), from red (near) to blue (far, on a scale of 1/depth).
 
-    Raises InputError if the image does not fit the camera, or far_m is not beyond near_m.
+    Raises InputError if the image does not fit the camera.
     """
-    if not 0 < near_m < far_m:
-        raise InputError("the depth scale is empty", expected="0 < near_m < far_m", got=f"{near_m:g}, {far_m:g}")
     import cv2
 
     canvas = dimmed(rgb, camera)
@@ -79,7 +79,7 @@ def draw_cloud(
     uv = camera.project(xyz)
     seen = np.flatnonzero(camera.in_image(uv))
     seen = seen[np.argsort(-xyz[seen, 2], kind="stable")]  # near points last, on top
-    closeness = (1 / xyz[seen, 2] - 1 / far_m) / (1 / near_m - 1 / far_m)
+    closeness = (1 / xyz[seen, 2] - 1 / _FAR_M) / (1 / _NEAR_M - 1 / _FAR_M)
     table = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_TURBO)[:, 0, ::-1]
     colours = table[np.clip(np.sqrt(np.clip(closeness, 0, 1)) * 255, 0, 255).astype(np.int64)]
     dot = np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
@@ -88,45 +88,39 @@ def draw_cloud(
 
 
 def before_after(before: UInt8, after: UInt8, *, titles: tuple[str, str] = ("before", "after")) -> UInt8:
-    """Return two pictures (H, W, 3) of one size above each other, each under a bar with its title.
-
-    Raises InputError if the sizes differ.
-    """
+    """Return two images (H, W, 3) stacked vertically, each below a title bar; raises InputError if sizes differ."""
     if np.shape(before) != np.shape(after):
-        raise InputError("the two pictures differ in size", expected=np.shape(before), got=np.shape(after))
+        raise InputError("the two images differ in size", expected=np.shape(before), got=np.shape(after))
     rows = []
-    for picture, title in zip((before, after), titles, strict=True):
-        bar = np.full((22, picture.shape[1], 3), 24, np.uint8)
+    for image, title in zip((before, after), titles, strict=True):
+        bar = np.full((22, image.shape[1], 3), 24, np.uint8)
         _write(bar, title, (8, 16))
-        rows += [bar, picture]
+        rows += [bar, image]
     return np.concatenate(rows)
 
 
 def write_png(path: Path | str, rgb: UInt8) -> None:
-    """Write a picture (H, W, 3) uint8 as PNG, as a whole or not at all.
-
-    Raises InputError if the array is no picture, or the file cannot be written.
-    """
+    """Write an image (H, W, 3) uint8 as PNG; raises InputError for other arrays and if the file cannot be written."""
     import cv2
 
-    picture = checked("the picture", rgb, (None, None, 3), np.uint8)
-    if picture.size == 0:
-        raise InputError("the picture has no pixels", where=path, got=picture.shape)
-    _, data = cv2.imencode(".png", picture[..., ::-1])
+    image = checked("the image", rgb, (None, None, 3), np.uint8)
+    if image.size == 0:
+        raise InputError("the image has no pixels", where=path, got=image.shape)
+    _, data = cv2.imencode(".png", image[..., ::-1])
     write_whole(path, data.tobytes())
 
 
 def dimmed(rgb: UInt8, camera: Camera) -> UInt8:
-    """Return a dark copy with little colour left, so that the drawing stands out.
+    """Return a darkened copy with low saturation as background.
 
-    A picture of the night is brightened first, and says by which gamma in its upper right corner.
-    Raises InputError if the image does not fit the camera.
+    A dark image is brightened first; the gamma is written in the upper right corner. Raises InputError if the image
+    does not fit the camera.
     """
     given = checked("the image", rgb, (camera.height, camera.width, 3), np.uint8)
     gamma = display_gamma(given)
-    picture = brightened(given, gamma).astype(np.float32)
-    grey = picture @ np.array([0.299, 0.587, 0.114], np.float32)
-    canvas = np.asarray(0.5 * (0.75 * grey[..., None] + 0.25 * picture), np.uint8)
+    bright = brightened(given, gamma).astype(np.float32)
+    grey = bright @ _GREY
+    canvas = np.asarray(0.5 * (0.75 * grey[..., None] + 0.25 * bright), np.uint8)
     if gamma != 1 and camera.width >= _LEGEND_PX + _GAMMA_PX and camera.height >= _LEGEND_HIGH_PX:
         unit = _unit(canvas)
         left = camera.width - round(unit * _GAMMA_PX)
@@ -134,6 +128,22 @@ def dimmed(rgb: UInt8, camera: Camera) -> UInt8:
         place = left + round(8 * unit), round(19 * unit)
         _write(canvas, f"brightened: gamma {gamma:.2f}", place, unit=unit)
     return canvas
+
+
+def display_gamma(rgb: UInt8) -> float:
+    """Return the display gamma of an image (H, W, 3): 1 if it is not dark, or completely black."""
+    mean = float((rgb[::4, ::4].astype(np.float32) @ _GREY).mean()) / 255 if rgb.size else 0.0
+    if not 0 < mean < _DARK:
+        return 1.0
+    return max(_LEAST_GAMMA, round(math.log(_LEGIBLE) / math.log(mean), 2))
+
+
+def brightened(rgb: UInt8, gamma: float) -> UInt8:
+    """Return the image with values v in 0 to 1 replaced by v ** gamma."""
+    if gamma == 1:
+        return rgb
+    table = np.rint(255 * (np.arange(256) / 255) ** gamma).astype(np.uint8)
+    return np.asarray(table[rgb])
 
 
 def _colours(side: Int8, none: tuple[int, int, int]) -> UInt8:
@@ -150,7 +160,7 @@ def _ring(radius_px: float) -> Int:
 
 
 def stamp(canvas: UInt8, centre: Int, offsets: Int, colours: UInt8) -> None:
-    """Paint the offsets (K, 2) around every centre (N, 2) in its colour (N, 3); what leaves the canvas is cut off."""
+    """Paint the offsets (K, 2) around every centre (N, 2) in its colour (N, 3), clipped to the canvas."""
     height, width = canvas.shape[:2]
     u, v = np.moveaxis(centre[:, None] + offsets, -1, 0)
     inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
@@ -159,7 +169,7 @@ def stamp(canvas: UInt8, centre: Int, offsets: Int, colours: UInt8) -> None:
 
 
 def _stamp_faded(canvas: UInt8, edges: ImageEdges) -> None:
-    """Paint image edges as single pixels, each as strong as its confidence; of several at a pixel the surest wins."""
+    """Paint image edges as pixels with their confidence as opacity; at one pixel the most confident edge wins."""
     order = np.argsort(edges.weight, kind="stable")
     u, v = np.rint(edges.uv[order]).astype(np.int64).T
     inside = (u >= 0) & (v >= 0) & (u < canvas.shape[1]) & (v < canvas.shape[0])
@@ -170,7 +180,7 @@ def _stamp_faded(canvas: UInt8, edges: ImageEdges) -> None:
 
 
 def _unit(canvas: UInt8) -> float:
-    """Return how many times larger than usual words are."""
+    """Return the scale of texts."""
     return max(1.0, float(canvas.shape[1]) / _PX_A_UNIT)
 
 
@@ -188,7 +198,7 @@ def _write(
 
 
 def _write_legend(canvas: UInt8) -> None:
-    """Write what the colours and shapes mean into the top left corner, if there is room for it."""
+    """Write the legend into the top left corner, if there is enough space."""
     width = _LEGEND_PX
     if canvas.shape[0] < _LEGEND_HIGH_PX or canvas.shape[1] < width:
         return

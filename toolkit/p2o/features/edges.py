@@ -20,15 +20,12 @@ _SIDE_NUMBERS = [int(side) for side in Side]
 
 
 def _check_side(name: str, side: Any, count: int) -> Int8:
-    # Checked before the cast, which would wrap 256 to L and cut 0.7 down to it.
+    # Checked before the cast to int8, which would convert 256 and 0.7 to L.
     raw: Float = checked(name, side, (count,), np.float64)
     unknown = raw[~np.isin(raw, _SIDE_NUMBERS)]
     if len(unknown):
-        raise InputError(
-            f"{name} holds an unknown direction",
-            expected="-1 (none), 0 L, 1 R, 2 U, 3 B",
-            got=" ".join(f"{v:g}" for v in np.unique(unknown)[:5]),
-        )
+        got = " ".join(f"{v:g}" for v in np.unique(unknown)[:5])
+        raise InputError(f"{name} contains an unknown direction", expected="-1 (none), 0 L, 1 R, 2 U, 3 B", got=got)
     array: Int8 = checked(name, side, (count,), np.int8)
     return array
 
@@ -45,7 +42,7 @@ class ImageEdges(ImageFeature):
     """Occlusion edges of one image: `uv` (N, 2) px on the foreground side, `side` (N,) int8, `weight` (N,) >= 0.
 
     `weight` is the confidence of an edge point, 1 where the extractor has none. Search structures are built on first
-    use and kept. Raises InputError for wrong shapes, unknown sides, negative or non-finite values.
+    use and cached. Raises InputError for wrong shapes, unknown sides, negative or non-finite values.
     """
 
     word: ClassVar[str] = "image-edges"
@@ -64,27 +61,27 @@ class ImageEdges(ImageFeature):
 
     @classmethod
     def empty(cls) -> ImageEdges:
-        """Return edges of an image in which there are none."""
+        """Return an empty set of edges."""
         return cls(np.zeros((0, 2)), np.zeros(0, np.int8))
 
     @cached_property
     def sides(self) -> tuple[Side, ...]:
-        """The directions that occur, NONE included, in the order of their numbers."""
+        """The directions that occur, including NONE, in the order of their numbers."""
         return tuple(Side(int(s)) for s in np.unique(self.side))
 
     @cached_property
     def index(self) -> dict[Side, Any]:
-        """Row numbers of the edges of each occurring direction."""
+        """Indices of the edges of each occurring direction."""
         return {s: np.flatnonzero(self.side == s) for s in self.sides}
 
     @cached_property
     def trees(self) -> dict[Side, cKDTree]:
         """A KD-tree over the pixels of each occurring direction; rows as in `index`."""
-        # Cells are halved in the middle, not at the median: made in half the time, and no slower to search.
+        # Splitting cells at the middle instead of the median halves the construction time at equal search time.
         return {s: cKDTree(self.uv[rows], balanced_tree=False, compact_nodes=False) for s, rows in self.index.items()}
 
     def without_sides(self) -> ImageEdges:
-        """Return the same edges with every direction forgotten."""
+        """Return the same edges without directions (NONE)."""
         return replace(self, side=np.full(len(self), Side.NONE, np.int8))
 
     def select(self, keep: Bool) -> ImageEdges:
@@ -96,12 +93,11 @@ class ImageEdges(ImageFeature):
 class CloudEdges(CloudFeature):
     """Occlusion edges of one sweep: `xyz` (M, 3) m in the LiDAR frame, on the nearer surface, `side` (M,) int8.
 
-    `sigma_m` (M,) is the standard deviation in metres of the edge's place across its direction (half the gap to the
-    next beam, uniform: gap / sqrt(12)); `weight` (M,) >= 0 the confidence that it is an edge at all. `background`
-    (M, 3) are unit directions in the LiDAR frame from the edge towards its background, zero where unknown: with them
-    the side can be told for any way the two sensors are mounted (`View.as_seen_from`). `time_s` (M,) is when an edge of
-    a raw sweep was seen, in seconds from the image; 0 where there are no times, and where the sweep was
-    corrected for motion: such edges are where they are.
+    `sigma_m` (M,) is the standard deviation in metres of the position across the edge (uniform over half the gap to
+    the next beam: gap / sqrt(12)); `weight` (M,) >= 0 is the confidence. `background` (M, 3) are unit directions in the
+    LiDAR frame from the edge towards its background, zero where unknown; they determine the side for any orientation
+    of the sensors (`View.as_seen_from`). `time_s` (M,) is the time of an edge of a raw sweep relative to the image; 0
+    without times and for motion-compensated sweeps.
     """
 
     word: ClassVar[str] = "cloud-edges"
@@ -131,11 +127,11 @@ class CloudEdges(CloudFeature):
 
     @classmethod
     def empty(cls) -> CloudEdges:
-        """Return edges of a sweep in which there are none."""
+        """Return an empty set of edges."""
         return cls(np.zeros((0, 3)), np.zeros(0, np.int8))
 
     def without_sides(self) -> CloudEdges:
-        """Return the same edges with every direction forgotten."""
+        """Return the same edges without directions (NONE)."""
         return replace(self, side=np.full(len(self), Side.NONE, np.int8))
 
     def select(self, keep: Any) -> CloudEdges:
@@ -149,7 +145,7 @@ class CloudEdges(CloudFeature):
         return replace(self, xyz=se3.apply(b_from_lidar, self.xyz), background=turned)
 
     def untwisted(self, twist: Float) -> CloudEdges:
-        """Return the edges as if seen at time 0 from a LiDAR that moves with constant `twist` (6,), rad/s and m/s.
+        """Return the edges as observed at time 0 from a LiDAR that moves with constant `twist` (6,), rad/s and m/s.
 
         Times are kept: calling it twice adds both motions (their commutator is far below a millimetre).
         """
@@ -160,10 +156,10 @@ class CloudEdges(CloudFeature):
 
     @property
     def times_s(self) -> Float:
-        """When each edge of a raw sweep was seen; 0 where it is where it is."""
+        """Time of each edge of a raw sweep relative to the image; 0 if unknown or compensated."""
         return self.time_s
 
     @property
     def places(self) -> Float:
-        """The edges themselves."""
+        """The positions of the edges."""
         return self.xyz

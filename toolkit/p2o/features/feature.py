@@ -1,4 +1,4 @@
-"""Kinds of features: what a plugin derives from to bring one of its own, and the sets that extractors give."""
+"""Base classes of kinds of features, from which plugins derive their own, and sets of features."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from p2o.errors import InputError
 
 
 class Feature:
-    """One kind of feature of one image or sweep; derive a frozen dataclass of arrays from a subclass of this.
+    """One kind of feature of one image or sweep; derive a frozen dataclass from `ImageFeature` or `CloudFeature`.
 
-    `word` names the kind (image-edges, cloud-points, ...): extractors give it, matchers need it, views find features by
-    it. A kind that holds nothing (`len` 0) counts as not found. All methods return a new value.
+    `word` names the kind (image-edges, cloud-points, ...) in `gives` of extractors, `needs` of matchers and views. A
+    kind of length 0 counts as missing. All methods return a new value.
     """
 
     word: ClassVar[str]
 
     def __len__(self) -> int:
-        raise TypeError(f"{type(self).__name__} does not say how many features it holds: define __len__")
+        raise TypeError(f"{type(self).__name__} does not define __len__, the number of features")
 
     def without_sides(self) -> Self:
-        """Return the features with every direction forgotten; the same where they have none."""
+        """Return the features without directions; the same object if they have none."""
         return self
 
     def select(self, keep: Any) -> Self:
@@ -32,7 +32,7 @@ class Feature:
         return self
 
     def thinned(self, most: int) -> Self:
-        """Return at most `most` of the features, spread evenly over their order."""
+        """Return at most `most` of the features, evenly spaced in their order."""
         count = len(self)
         if count <= most:
             return self
@@ -40,18 +40,18 @@ class Feature:
 
 
 class ImageFeature(Feature):
-    """A kind of feature that lies in the image: it does not move with the LiDAR frame."""
+    """A kind of feature in image coordinates, independent of the LiDAR frame."""
 
 
 class CloudFeature(Feature):
-    """A kind of feature that lies in the LiDAR frame, in metres: it says how it moves with it."""
+    """A kind of feature in the LiDAR frame, in metres, which defines its transformation."""
 
     def moved(self, b_from_lidar: Float) -> Self:
         """Return the features in another frame b, by a (4, 4) rigid transform."""
-        raise TypeError(f"{type(self).__name__} does not say how it moves: define moved")
+        raise TypeError(f"{type(self).__name__} does not define moved, its transformation")
 
     def untwisted(self, twist: Float) -> Self:
-        """Return the features as if seen at time 0 from a LiDAR that moves with constant `twist` (6,), rad/s and m/s.
+        """Return the features as observed at time 0 from a LiDAR that moves with constant `twist` (6,), rad/s and m/s.
 
         Kinds without times return themselves.
         """
@@ -59,12 +59,12 @@ class CloudFeature(Feature):
 
     @property
     def times_s(self) -> Float | None:
-        """When each feature of a raw sweep was seen, in seconds from the image; None for kinds without times."""
+        """Time in s of each feature of a raw sweep relative to the image; None for kinds without times."""
         return None
 
     @property
     def places(self) -> Float | None:
-        """Points (N, 3) m of the features, to tell whether a camera can see any; None where it does not matter."""
+        """Positions (N, 3) m of the features, for visibility checks; None if visibility is not checked."""
         return None
 
 
@@ -72,12 +72,12 @@ F = TypeVar("F", bound=Feature)
 
 
 class FeatureSet(Generic[F]):
-    """The features of one image or sweep: each kind at most once, found by its word."""
+    """The features of one image or sweep, at most one of each kind, accessed by its word."""
 
     features: tuple[F, ...]
 
     def get(self, word: str) -> Any:
-        """Return the features of a kind, or None where the extractor gave none."""
+        """Return the features of a kind, None if there are none."""
         return next((feature for feature in self.features if feature.word == word), None)
 
     def __iter__(self) -> Iterator[F]:
@@ -85,20 +85,20 @@ class FeatureSet(Generic[F]):
 
     @property
     def words(self) -> frozenset[str]:
-        """The kinds that are there."""
+        """The words of the kinds."""
         return frozenset(feature.word for feature in self.features)
 
     def having(self, *features: F) -> Self:
-        """Return the set with these features, each in the place of the one of its kind."""
+        """Return the set with these features, which replace those of their kinds."""
         new = {feature.word for feature in features}
         return self._of((*(old for old in self.features if old.word not in new), *features))
 
     def mapped(self, change: Callable[[F], F]) -> Self:
-        """Return the set with every feature changed."""
+        """Return the set with `change` applied to every feature."""
         return self._of(tuple(change(feature) for feature in self.features))
 
     def without_sides(self) -> Self:
-        """Return the features with every direction forgotten."""
+        """Return the features without directions."""
         return self.mapped(lambda feature: feature.without_sides())
 
     def thinned(self, most: int) -> Self:
@@ -110,17 +110,14 @@ class FeatureSet(Generic[F]):
 
 
 def checked_kinds(features: Any, wanted: type[Feature], sensor: str) -> tuple[Any, ...]:
-    """Return features as a tuple in the order of their words; InputError where one is none, or two are of one kind."""
-    found = tuple(features)
-    for feature in found:
+    """Return features as a tuple ordered by word; raises InputError for other types and two features of one kind."""
+    checked = tuple(features)
+    for feature in checked:
         if not isinstance(feature, wanted) or not isinstance(getattr(feature, "word", None), str):
-            raise InputError(
-                f"a feature of the {sensor} is none",
-                expected=f"p2o.{wanted.__name__} with a `word`",
-                got=type(feature).__name__,
-            )
-    words = [feature.word for feature in found]
+            expected = f"p2o.{wanted.__name__} with a `word`"
+            raise InputError(f"expected a feature of the {sensor}", expected=expected, got=type(feature).__name__)
+    words = [feature.word for feature in checked]
     if len(set(words)) < len(words):
         twice = next(word for i, word in enumerate(words) if word in words[:i])
         raise InputError(f"two features of the {sensor} are of the kind {twice}", expected="each kind once")
-    return tuple(sorted(found, key=lambda feature: feature.word))
+    return tuple(sorted(checked, key=lambda feature: feature.word))

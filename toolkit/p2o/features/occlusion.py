@@ -1,8 +1,8 @@
-"""The occlusion rule: which of two neighbouring pixels hides the other, and the edges that follow.
+"""Occlusion orders of neighbouring pixels and the occlusion edges that follow from them.
 
-The rule is that of P2ORM (Qiu et al., ECCV 2020, `gen_occ_order` of its code), which made the paper's labels
-(Sec. III-B, IV-A): the nearer pixel hides its neighbour if the step between them is large, and still is a step when
-both surfaces are continued by their tangent planes. So neither a road at a grazing angle nor a crease is an edge.
+The rule is that of P2ORM (Qiu et al., ECCV 2020, `gen_occ_order` of its code), which the paper used for its labels
+(Sec. III-B, IV-A): the nearer pixel occludes its neighbour if the depth discontinuity between them is large, also
+between the tangent planes of both surfaces. A road at a grazing angle and a crease are therefore no edges.
 """
 
 from __future__ import annotations
@@ -29,9 +29,8 @@ class Orders:
 
     +1: p hides its neighbour, -1: p is hidden by it, 0: neither, or unknown. The neighbour of (u, v) is (u+1, v) for
     `east`, (u, v+1) for `south`, (u+1, v+1) for `south_east` and (u+1, v-1) for `north_east`; the diagonals are None
-    for connectivity 4. Pairs that leave the image are 0. The classes of P2ORM are order + 1.
-
-    Raises InputError for arrays that differ in shape, values other than -1, 0, 1, or a single diagonal.
+    for connectivity 4. Pairs that leave the image are 0. The classes of P2ORM are order + 1. Raises InputError for
+    arrays that differ in shape, values other than -1, 0, 1, or a single diagonal.
     """
 
     east: Int8
@@ -46,14 +45,14 @@ class Orders:
         for name, order in self.present.items():
             order = checked(f"the order {name}", order, shape, np.int8)
             if order.size and (order.min() < -1 or order.max() > 1):
-                raise InputError(f"the order {name} holds other values", expected="-1, 0, 1", got=np.unique(order))
+                raise InputError(f"the order {name} contains other values", expected="-1, 0, 1", got=np.unique(order))
             object.__setattr__(self, name, order)
         if (self.south_east is None) != (self.north_east is None):
             raise InputError("one diagonal order is missing", expected="south_east and north_east, or neither")
 
     @property
     def present(self) -> dict[str, Int8]:
-        """The orders that are there, by name: two for connectivity 4, four for 8."""
+        """The orders that are not None, by name: two for connectivity 4, four for 8."""
         return {name: getattr(self, name) for name in _STEP if getattr(self, name) is not None}
 
 
@@ -68,7 +67,7 @@ def occlusion_orders(
     masked: Bool | None = None,
     connectivity: Literal[4, 8] = 4,
 ) -> Orders:
-    """Return who hides whom among the neighbouring pixels of a depth map.
+    """Return the occlusion orders of the neighbouring pixels of a depth map.
 
     `depth_m` (H, W) is depth along the optical axis in metres; +inf is sky (valid, infinitely far), NaN is unknown and
     never makes an edge. Conditions, with the threshold max(min_jump_m, relative_jump * nearer distance):
@@ -77,15 +76,12 @@ def occlusion_orders(
     2. so do the distances at which the two tangent planes meet the ray half-way between the pixels;
     3. seen through either pixel, the nearer one's plane is in front.
 
-    `normals` (H, W, 3, camera frame, any length or sign) give the tangent planes. Without them they are estimated:
-    inverse depth is affine over the image plane on anything flat, so a pixel and its neighbour on the side away from
-    the pair give it at the pair. (Exact on planes for a pinhole; for a distorted camera the bend of a pixel row over
-    three pixels is neglected.) An estimated plane may pass exactly through the other pixel's point, so condition 3
-    then asks for half the threshold instead of zero. Where the neighbour away from the pair is unknown, or outside
-    the image, there is no label, except that sky needs none. With `planes` off, condition 1 decides alone.
-
-    Pairs whose hiding pixel is `masked` (H, W) (foliage) become 0, and so do all pairs of a lone spike: a pixel in
-    front of all its neighbours, or behind all of them.
+    `normals` (H, W, 3, camera frame, any length or sign) give the tangent planes. Without them they are estimated from
+    the pixel and its neighbour on the side away from the pair, because inverse depth is affine on planes (exact for a
+    pinhole). An estimated plane may pass exactly through the other pixel's point, so condition 3 then asks for half the
+    threshold instead of zero. Where that neighbour is unknown, or outside the image, there is no label, except that sky
+    needs none. With `planes` off, condition 1 decides alone. Pairs whose hiding pixel is `masked` (H, W) (foliage)
+    become 0, and so do all pairs of a lone spike: a pixel in front of all its neighbours, or behind all of them.
 
     Raises InputError if an array does not have the size of the camera's image, depth or min_jump_m is not positive,
     or the connectivity is neither 4 nor 8.
@@ -107,7 +103,7 @@ def occlusion_orders(
     for name in ("east", "south") if connectivity == 4 else _STEP:
         first, second = _slices(name)
         length = float(np.hypot(*_STEP[name]))
-        with np.errstate(invalid="ignore"):  # sky against sky is inf - inf: not a number, hence no jump
+        with np.errstate(invalid="ignore"):  # sky against sky is inf - inf: NaN, hence no discontinuity
             jump = (distance[second] - distance[first]) / length
             if relative_jump > 0:
                 nearer = np.minimum(distance[first], distance[second])
@@ -115,7 +111,7 @@ def occlusion_orders(
             else:
                 threshold = np.broadcast_to(min_jump_m, jump.shape)
             candidate = np.abs(jump) > threshold
-        # Few pairs pass the first condition: planes are worked out for those alone.
+        # Few pairs pass the first condition: tangent planes are computed for those only.
         row, column = np.nonzero(candidate)
         sign, limit = np.sign(jump[row, column]), threshold[row, column]
         if planes:
@@ -159,10 +155,7 @@ def _ray_length(camera: Camera) -> Float:
 
 
 def _plane_distances(z: Float, normals: Float | None, camera: Camera, p: Int, step: Int) -> Float:
-    """Return (3, K, 2): metres along the rays at p, half-way and at q to the planes of p and q, +inf if never met.
-
-    `p` (K, 2) are first pixels (u, v) and `step` (2,) leads to q.
-    """
+    """Return metres (3, K, 2) along the rays at pixels p (K, 2), half-way and at p + step to both tangent planes."""
     at = np.stack([p, p + 0.5 * step, p + step])
     rays = camera.rays(at)
     if normals is not None:
@@ -182,7 +175,7 @@ def _met(normals: Float, z: Float, camera: Camera, end: Int, rays: Float) -> Flo
     with np.errstate(divide="ignore", invalid="ignore"):
         offset = np.einsum("ki,ki->k", normal, own) * depth / own[:, 2]
         distance = offset / np.einsum("ki,ski->sk", normal, rays)
-    # A plane that the ray leaves behind, or runs along, is never met. Sky has no plane at all.
+    # There is no intersection with a plane behind or parallel to the ray, and none with sky.
     distance[(distance <= 0) | np.isinf(depth)] = np.inf
     return np.asarray(distance)
 
@@ -198,16 +191,16 @@ def _extended(z: Float, camera: Camera, end: Int, away: Int, plane: Float) -> Fl
     inverse = 1.0 / z[end[:, 1], end[:, 0]]
     inverse_away = np.where(inside, 1.0 / z[clipped[:, 1], clipped[:, 0]], np.nan)
     rays = camera.rays(np.stack([end, away]))
-    here, there = rays[..., :2] / rays[..., 2:]
-    along = here - there
+    here, behind = rays[..., :2] / rays[..., 2:]
+    along = here - behind
     steps = np.einsum("ski,ki->sk", plane - here, along) / np.einsum("ki,ki->k", along, along)
     extended = inverse + steps * (inverse - inverse_away)
-    # Sky is flat and infinitely far whatever is beside it.
+    # Sky has inverse depth 0, independent of its neighbours.
     return np.where(inverse == 0, 0.0, extended)
 
 
 def _remove_spikes(orders: dict[str, Int8]) -> None:
-    """Set to 0, in place, all pairs of pixels that hide all their neighbours, or are hidden by all of them."""
+    """Set to 0, in place, all pairs of pixels that occlude all neighbours or are occluded by all neighbours."""
     shape = next(iter(orders.values())).shape
     hidden, hides = np.ones(shape, bool), np.ones(shape, bool)
     for name, order in orders.items():
@@ -226,7 +219,7 @@ def _remove_spikes(orders: dict[str, Int8]) -> None:
 def side_maps(orders: Orders) -> Bool:
     """Return (4, H, W): which pixels are foreground with their background to the left, right, upper, bottom.
 
-    A pixel may belong to several maps (a thin pole is both L and R). Diagonal orders play no part, as in the paper.
+    A pixel may belong to several maps (a thin pole is both L and R). Diagonal orders are not used, as in the paper.
     """
     maps = np.zeros((len(SIDES), *orders.east.shape), bool)
     maps[Side.LEFT, :, 1:] = orders.east[:, :-1] < 0
@@ -237,7 +230,7 @@ def side_maps(orders: Orders) -> Bool:
 
 
 def without_short(maps: Bool, min_length_px: int) -> Bool:
-    """Return maps (K, H, W) without 8-connected pieces of fewer than `min_length_px` pixels, each map for itself."""
+    """Return maps (K, H, W) without 8-connected components of fewer than `min_length_px` pixels, for each map."""
     flat_neighbours = np.zeros((3, 3, 3), bool)
     flat_neighbours[1] = True
     label, _ = ndimage.label(maps, structure=flat_neighbours)
@@ -247,7 +240,7 @@ def without_short(maps: Bool, min_length_px: int) -> Bool:
 
 
 def edges_from_maps(maps: Bool) -> tuple[Float, Int8]:
-    """Return foreground pixels `uv` (N, 2) and sides (N,) int8 of side maps (4, H, W), row by row, side by side."""
+    """Return foreground pixels `uv` (N, 2) and sides (N,) int8 of side maps (4, H, W), ordered by side and row."""
     side, v, u = np.nonzero(maps)
     return np.stack([u, v], axis=1).astype(np.float64), side.astype(np.int8)
 
@@ -260,8 +253,8 @@ def edges_from_orders(orders: Orders) -> tuple[Float, Int8]:
 def mirrored(orders: Orders) -> Orders:
     """Return the orders of the image flipped left to right.
 
-    A pair is stored at its first pixel, so a flip shifts it by one column besides turning its sign; diagonal pairs
-    also change row, because south-east and north-east pairs become each other's.
+    A pair is stored at its first pixel, so a flip shifts it by one column and inverts its sign; diagonal pairs also
+    change row, because south-east and north-east pairs are exchanged.
     """
     east, south = np.zeros_like(orders.east), orders.south[:, ::-1]
     east[:, :-1] = -orders.east[:, -2::-1]

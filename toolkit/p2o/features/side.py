@@ -1,4 +1,4 @@
-"""On which side of a foreground object its background lies."""
+"""The direction of an occlusion edge: the side of the foreground object on which the background is."""
 
 from __future__ import annotations
 

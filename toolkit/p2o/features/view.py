@@ -1,4 +1,4 @@
-"""One frame as matchers and initializers see it: the camera and the features of both sensors, no truth."""
+"""The input of matchers and initializers for one frame: camera and features of both sensors, no ground truth."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from p2o.geometry.visibility import hidden
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """The features of one frame with the camera that saw it.
+    """The features of one frame with its camera.
 
-    `twist` (6,) is the velocity of the LiDAR in its own frame (rad/s, m/s) where it is known. `full_size` is the camera
-    that the frame came with, where its picture was looked at smaller (`p2o.frames.scale`), else None. `prepared` is
-    what the initializer prepared of the frame, where it does.
+    `twist` (6,) is the velocity of the LiDAR in its own frame (rad/s, m/s), if known. `full_size` is the camera of the
+    original image if it was downsampled (`p2o.frames.scale`), else None. `prepared` is the output of `prepare` of the
+    initializer, if it has one.
     """
 
     name: str
@@ -35,34 +35,34 @@ class View:
 
     @property
     def image_edges(self) -> ImageEdges:
-        """The image edges; empty where the extractor gave none."""
+        """The image edges; empty if the extractor gave none."""
         return self.image.edges if self.image.edges is not None else ImageEdges.empty()
 
     @property
     def cloud_edges(self) -> CloudEdges:
-        """The cloud edges; empty where the extractor gave none."""
+        """The cloud edges; empty if the extractor gave none."""
         return self.cloud.edges if self.cloud.edges is not None else CloudEdges.empty()
 
     def get(self, word: str) -> Any:
-        """Return the features of a kind, of either sensor, or None where the extractors gave none."""
-        found = self.image.get(word)
-        return self.cloud.get(word) if found is None else found
+        """Return the features of a kind of either sensor, None if there are none."""
+        features = self.image.get(word)
+        return self.cloud.get(word) if features is None else features
 
     def count(self, word: str) -> int:
-        """Return how many features of a kind there are."""
-        found = self.get(word)
-        return 0 if found is None else len(found)
+        """Return the number of features of a kind."""
+        features = self.get(word)
+        return 0 if features is None else len(features)
 
     def without_sides(self) -> View:
-        """Return the view with every direction forgotten (for methods that do not use them)."""
+        """Return the view without directions (for methods that do not use them)."""
         return replace(self, image=self.image.without_sides(), cloud=self.cloud.without_sides())
 
     def as_seen_from(self, camera_from_lidar: Float) -> View:
-        """Return the view with the sides of the LiDAR edges told in image axes at a pose (4, 4).
+        """Return the view with the sides of the LiDAR edges expressed in image axes at a pose (4, 4).
 
-        The background direction of each edge is projected; its larger image component decides (docs/conventions.md).
-        For an upright rig nothing changes; for a camera on its side or a LiDAR upside down this is what makes the
-        letters of both sensors mean the same. Edges without a background direction keep their letter.
+        The side is the larger image component of the projected background direction (docs/conventions.md). It changes
+        for rigs that are not upright, such as a camera on its side or a LiDAR upside down. Edges without a background
+        direction keep their side.
         """
         edges = self.cloud.edges
         if edges is None or not len(edges):
@@ -78,7 +78,7 @@ class View:
         return replace(self, cloud=self.cloud.having(replace(edges, side=side)))
 
     def without_hidden(self, camera_from_lidar: Float) -> View:
-        """Return the view without LiDAR edges that the sweep's own points hide from the camera at a pose (4, 4)."""
+        """Return the view without LiDAR edges that points of the sweep occlude at a pose (4, 4)."""
         edges, surface = self.cloud.edges, self.cloud.points
         if edges is None or surface is None or not len(edges):
             return self
@@ -86,9 +86,9 @@ class View:
         return replace(self, cloud=self.cloud.having(edges.select(keep)))
 
     def moved(self, b_from_lidar: Float) -> View:
-        """Return the view with the LiDAR frame replaced by b; the image side is untouched."""
+        """Return the view with the LiDAR frame replaced by b; image features are unchanged."""
         return replace(self, cloud=self.cloud.moved(b_from_lidar))
 
     def untwisted(self, twist: Float) -> View:
-        """Return the view with its LiDAR features as if seen at time 0 from a LiDAR that moves with `twist` (6,)."""
+        """Return the view with its LiDAR features as observed at time 0 from a LiDAR that moves with `twist` (6,)."""
         return replace(self, cloud=self.cloud.untwisted(twist))

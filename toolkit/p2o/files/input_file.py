@@ -1,4 +1,4 @@
-"""Reading a file whole, with one-line errors that name it. Every file that a user may name is read here."""
+"""Read files named by users, with errors of one line that name the file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from p2o.errors import InputError
 
 MAX_BYTES = 4 << 30
-"""No sweep and no image is larger; a sparse file may say that it is, and would fill the memory."""
+"""Maximum size of a file, above that of sweeps and images: a sparse file could exhaust memory."""
 MAX_TEXT_BYTES = 64 << 20
 
 _KINDS = (
@@ -26,39 +26,38 @@ _KINDS = (
 def read_bytes(path: Path | str, what: str, most: int = MAX_BYTES) -> bytes:
     """Return the bytes of a file; `what` names it in errors ("image", "sweep").
 
-    Raises InputError if the file is missing, empty, larger than `most` bytes, cannot be read, or is no ordinary file
-    (a folder, a pipe, a device, or a link to one): those are never opened.
+    Raises InputError if the file is missing, empty, larger than `most` bytes, cannot be read, or is not a regular file
+    (a folder, a pipe, a device, or a link to one), which is never opened.
     """
     path = Path(path)
     with _explained(path, what):
         size = _size(path, what)
         if size > most:
-            raise InputError(
-                f"the {what} is too large", where=path, expected=f"at most {most} bytes", got=f"{size} bytes"
-            )
-        data = path.read_bytes()
-    if not data:
-        raise InputError(f"the {what} is empty", where=path, expected="more than 0 bytes")
-    return data
+            text = f"the {what} is too large"
+            raise InputError(text, where=path, expected=f"at most {most} bytes", got=f"{size} bytes")
+        return _not_empty(path.read_bytes(), path, what)
 
 
 def read_start(path: Path | str, what: str, count: int) -> bytes:
-    """Return the first `count` bytes of a file of any size, or all where it has less; raises as `read_bytes`.
+    """Return the first `count` bytes of a file of any size, or all if it has less; raises as `read_bytes`.
 
-    It is for files that a library reads piece by piece: what this accepts is an ordinary file that is not empty.
+    Use it to check that a file that a library reads in parts is a regular file and not empty.
     """
     path = Path(path)
     with _explained(path, what):
         _size(path, what)
         with path.open("rb") as file:
-            data = file.read(count)
+            return _not_empty(file.read(count), path, what)
+
+
+def _not_empty(data: bytes, path: Path, what: str) -> bytes:
     if not data:
         raise InputError(f"the {what} is empty", where=path, expected="more than 0 bytes")
     return data
 
 
 def _size(path: Path, what: str) -> int:
-    """Return the size of an ordinary file in bytes; raises InputError for what is none."""
+    """Return the size of a regular file in bytes; raises InputError for other kinds of files."""
     about = os.stat(path)
     kind = next((name for is_kind, name in _KINDS if is_kind(about.st_mode)), None)
     if kind is not None:
@@ -68,15 +67,15 @@ def _size(path: Path, what: str) -> int:
 
 @contextmanager
 def _explained(path: Path, what: str) -> Iterator[None]:
-    """Raise InputError for what the operating system says about a file."""
+    """Convert errors of the operating system about a file to InputError."""
     try:
         yield
     except FileNotFoundError as problem:
         raise InputError(f"the {what} is missing", where=path, expected="a file") from problem
     except OSError as problem:
         raise InputError(f"the {what} cannot be read", where=path, got=problem.strerror or problem) from problem
-    except ValueError as problem:  # a zero byte in the name, or text that is no file name here
-        raise InputError(f"the {what} cannot have this name", where=ascii(str(path)), got=problem) from problem
+    except ValueError as problem:  # a null byte in the name, or characters that file names cannot contain
+        raise InputError(f"the name of the {what} is not valid", where=ascii(str(path)), got=problem) from problem
 
 
 def read_text(path: Path | str, what: str) -> str:
@@ -88,36 +87,33 @@ def read_text(path: Path | str, what: str) -> str:
 
 
 def expanded(path: Path | str) -> Path:
-    """Return a path with ~ and ~NAME expanded; raises InputError where there is no such user."""
+    """Return a path with ~ and ~NAME expanded; raises InputError for an unknown user."""
     try:
         return Path(path).expanduser()
     except RuntimeError as problem:
-        raise InputError(
-            "there is no such home folder", where=path, expected="a user of this machine after ~", hint="write ./~NAME"
-        ) from problem
+        text = "the home folder of an unknown user"
+        raise InputError(text, where=path, expected="a user of this machine after ~", hint="write ./~NAME") from problem
 
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Put the file's name on an InputError raised inside that does not name a place yet."""
+    """Add the path to an InputError raised inside that has no place."""
     try:
         yield
     except InputError as problem:
         if problem.where is not None:
             raise
-        raise InputError(
-            problem.what, where=path, expected=problem.expected, got=problem.got, hint=problem.hint
-        ) from problem
+        expected = problem.expected
+        raise InputError(problem.what, where=path, expected=expected, got=problem.got, hint=problem.hint) from problem
 
 
 def listing(folder: Path, what: str) -> list[Path]:
-    """Return what lies in a folder, sorted; raises InputError if it cannot be read."""
+    """Return the content of a folder, sorted; raises InputError if it cannot be read."""
     try:
         return sorted(folder.iterdir())
     except OSError as problem:
-        raise InputError(
-            f"the folder of {what} cannot be read", where=folder, got=problem.strerror or problem
-        ) from problem
+        text = f"the folder of {what} cannot be read"
+        raise InputError(text, where=folder, got=problem.strerror or problem) from problem
 
 
 def existing_folder(root: Path, what: str) -> Path:
@@ -130,9 +126,8 @@ def existing_folder(root: Path, what: str) -> Path:
     except OSError as problem:
         raise InputError(f"the folder of {what} cannot be read", where=root, got=problem.strerror) from problem
     except ValueError as problem:
-        raise InputError(
-            f"the folder of {what} cannot have this name", where=ascii(str(root)), got=problem
-        ) from problem
+        text = f"the name of the folder of {what} is not valid"
+        raise InputError(text, where=ascii(str(root)), got=problem) from problem
     if not stat.S_ISDIR(about.st_mode):
         raise InputError(f"the folder of {what} is a file", where=root, expected="a folder")
     return root

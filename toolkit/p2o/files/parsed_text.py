@@ -1,4 +1,4 @@
-"""JSON, TOML and YAML from outside: plain values or a one-line error, in time and memory that fit the text."""
+"""Parse untrusted JSON, TOML and YAML to plain values, with limited time and memory and errors of one line."""
 
 from __future__ import annotations
 
@@ -10,15 +10,17 @@ from typing import Any
 from p2o.errors import InputError
 
 DEEPEST = 64
-"""No file of p2o nests deeper; parsers recurse, and what they return is walked by functions that do too."""
+"""Maximum nesting: parsers and the functions that use their values are recursive."""
+_MAX_BITS = 1000
+"""Maximum length of integers: larger ones than 1024 bits do not fit a float."""
 
 
 def parse_json(text: str | bytes, what: str, where: object = None, *, halves: bool = False) -> Any:
     """Return the value of a JSON text; `what` names it in errors ("file of splits").
 
-    Raises InputError for text that is not JSON, nests too deeply, or holds numbers of more digits than Python takes or
-    halves of letters (lone surrogates), which no file can be written with. With `halves` they stay: so Python reads
-    names of files that are no UTF-8.
+    Raises InputError for text that is not JSON, is nested too deeply, or contains integers beyond 1000 bits or,
+    without `halves`, lone surrogates, which cannot be written to files. Python represents file names that are not UTF-8
+    with lone surrogates.
     """
     try:
         value = json.loads(text)
@@ -38,37 +40,31 @@ def parse_toml(text: str, what: str, where: object = None) -> dict[str, Any]:
 
 
 def parse_yaml(text: str, what: str, where: object = None) -> Any:
-    """Return the value of a YAML text made of mappings, lists, numbers, switches and texts; dates stay texts.
+    """Return the value of a YAML text of mappings, lists, numbers, booleans and texts; dates are texts.
 
-    Raises InputError as `parse_json`, for objects (never built), and for aliases: a few lines of them name more values
-    than fit in memory.
+    Raises InputError as `parse_json`, for objects (which are not constructed), and for aliases, a few of which can
+    expand to more values than fit in memory.
     """
     import yaml
 
     loader = _yaml_loader()
     try:
-        # Before anything is built: values that name each other grow without bound, and the builder recurses.
+        # Checked before construction, which is recursive and expands aliases.
         depth = 0
         for event in yaml.parse(text, loader):
             if isinstance(event, yaml.AliasEvent):
-                raise InputError(
-                    f"the {what} holds an alias (*{event.anchor}), which is never followed",
-                    where=where,
-                    expected="every value written out",
-                )
+                message = f"the {what} contains an alias (*{event.anchor}), which is not supported"
+                raise InputError(message, where=where, expected="values without aliases")
             if isinstance(event, yaml.ScalarEvent):
                 _refuse_halves(event.value, what, where)
             depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
             if depth > DEEPEST:
                 raise _too_deep(what, where)
-        return yaml.load(text, loader)  # noqa: S506  (a safe loader, with less than the usual one)
+        value = yaml.load(text, loader)  # noqa: S506  (derived from the safe loader)
+        return _shallow(value, what, where)
     except yaml.constructor.ConstructorError as problem:
-        raise InputError(
-            f"the {what} holds objects, which are never built",
-            where=where,
-            expected="plain numbers, lists and names",
-            got=problem.problem,
-        ) from problem
+        message, expected = f"the {what} contains objects, which are not supported", "plain numbers, lists and names"
+        raise InputError(message, where=where, expected=expected, got=problem.problem) from problem
     except (yaml.YAMLError, RecursionError, ValueError) as problem:
         raise _not(what, "YAML", where, problem) from problem
 
@@ -79,14 +75,18 @@ def _not(what: str, kind: str, where: object, problem: Exception) -> InputError:
 
 
 def _shallow(value: Any, what: str, where: object, *, halves: bool = False) -> Any:
-    """Return the value; raises InputError where it nests too deeply, or holds halves of letters that may not be."""
+    """Return the value; raises InputError if it is nested too deeply or, without `halves`, has lone surrogates."""
     level = [value]
     for _ in range(DEEPEST + 1):
         for inner in level:
             for text in inner if isinstance(inner, dict) else (inner,):
                 if isinstance(text, str) and not halves:
                     _refuse_halves(text, what, where)
-        level = [inner for outer in level for inner in _inside(outer)]
+            if isinstance(inner, int) and inner.bit_length() > _MAX_BITS:
+                fault, expected = f"the {what} contains too large a number", f"integers of at most {_MAX_BITS} bits"
+                raise InputError(fault, where=where, expected=expected, got=f"{inner.bit_length()} bits")
+        nested = (list(outer.values()) if isinstance(outer, dict) else outer for outer in level)
+        level = [inner for outer in nested if isinstance(outer, list) for inner in outer]
         if not level:
             return value
     raise _too_deep(what, where)
@@ -98,26 +98,19 @@ def _refuse_halves(text: str, what: str, where: object) -> None:
     try:
         text.encode()
     except UnicodeEncodeError as problem:
-        raise InputError(
-            f"the {what} holds half of a letter", where=where, expected="whole letters", got=ascii(text[:40])
-        ) from problem
+        message = f"the {what} contains a lone surrogate"
+        raise InputError(message, where=where, expected="valid Unicode", got=ascii(text[:40])) from problem
 
 
 def _too_deep(what: str, where: object) -> InputError:
-    return InputError(f"the {what} nests too deeply", where=where, expected=f"at most {DEEPEST} levels")
-
-
-def _inside(value: Any) -> list[Any]:
-    if isinstance(value, dict):
-        return list(value.values())
-    return value if isinstance(value, list) else []
+    return InputError(f"the {what} is nested too deeply", where=where, expected=f"at most {DEEPEST} levels")
 
 
 @cache
 def _yaml_loader() -> Any:
     import yaml
 
-    # The parser in C, where it is there, is ten times as fast.
+    # The parser in C, if available, is ten times as fast.
     base: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     resolvers = {
         first: [(tag, pattern) for tag, pattern in known if tag != "tag:yaml.org,2002:timestamp"]

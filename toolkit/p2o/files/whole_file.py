@@ -1,4 +1,4 @@
-"""Files are written as a whole or not at all: a full disk or an interrupt leaves no half-written file behind."""
+"""Write files atomically: a full disk or an interrupt leaves no partial file."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from p2o.errors import InputError
 
 
 def write_whole(path: Path | str, data: bytes) -> None:
-    """Write `data` to a file in an existing folder; another file of that name is replaced in one step.
+    """Write `data` to a file in an existing folder; an existing file is replaced atomically.
 
-    Raises InputError if the folder is missing, is no folder, cannot be written, or the disk is full, and for a name
-    that is a folder, a device or a pipe.
+    Raises InputError if the folder is missing or cannot be written, the disk is full, or the path is a folder, a
+    device or a pipe.
     """
     path = Path(path)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
@@ -20,7 +20,7 @@ def write_whole(path: Path | str, data: bytes) -> None:
         if path.is_dir():
             raise IsADirectoryError(0, "it is a folder")
         if path.exists() and not path.is_file():
-            # Whoever may do everything would put a file in the place of /dev/null.
+            # The superuser would replace /dev/null by a file.
             raise OSError(0, "it is a device, a pipe or a socket")
         try:
             part.write_bytes(data)
@@ -29,17 +29,21 @@ def write_whole(path: Path | str, data: bytes) -> None:
             part.unlink(missing_ok=True)
             raise
     except OSError as problem:
-        raise InputError(
-            "cannot write the file",
-            where=path,
-            got=problem.strerror or str(problem),
-            hint=_hint(path),
-        ) from problem
+        got = problem.strerror or str(problem)
+        raise InputError("cannot write the file", where=path, got=got, hint=_hint(path)) from problem
 
 
 def _hint(path: Path) -> str:
     if os.path.exists(path) and not os.path.isfile(path):
         return "name a file, not a folder"
     if not path.parent.exists():
-        return f"make the folder first: mkdir -p {path.parent}"
-    return "check the rights and the free space of the folder, or write elsewhere"
+        return f"create the folder first: mkdir -p {path.parent}"
+    return "check permissions and free space of the folder, or write to another one"
+
+
+def make_writable(folder: Path) -> None:
+    """Create a folder if needed and write a temporary file to it; raises OSError if that fails."""
+    folder.mkdir(parents=True, exist_ok=True)
+    probe = folder / f".p2o-{os.getpid()}"
+    probe.write_bytes(b"")
+    probe.unlink()

@@ -1,14 +1,14 @@
-"""Is a start pose camera_from_lidar, or by mistake its inverse?
+"""Detect a pose that is lidar_from_camera instead of camera_from_lidar.
 
-Two things tell. The sweep lies in front of the camera, or it does not; and the world stands upright in the image, as
-cameras do, or it lies on its side or on its head. Where up is in the sweep, is told by its points alone, so that the
-LiDAR may have any axes. `docs/datasets.md` says how often this notices a swapped pose, and where it cannot: a rotation
-that is (nearly) its own inverse looks the same both ways, and only the lever arm tells.
+There are two criteria: whether the sweep projects into the image, and whether the vertical of the scene is upright in
+the image. The vertical is estimated from the points of the sweep, for any axes of the LiDAR. docs/datasets.md gives
+the detection rate and its limits: a rotation that is (nearly) its own inverse cannot be detected.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 
@@ -19,20 +19,37 @@ from p2o.geometry import se3
 from p2o.geometry.camera import Camera
 
 _HINT = "give its inverse, the pose that takes LiDAR points to the camera (x right, y down, z forward)"
-# Points that are looked at for the vertical and the fewest that tell it, how much less they spread along it than along
-# any other axis, and how near they are, so that hills and towers say little.
+# Estimate of the vertical: maximum and minimum number of points, minimum ratio of the scatter along other axes to that
+# along the vertical, and maximum range, which excludes hills and towers.
 _SAMPLE, _FEW, _FLATTER, _NEAR_M = 20_000, 100, 2.0, 30.0
-# What tells up from down: edges of the world are never sharper than the first; weight of the mean elevation; the least
-# evidence. On 117 sweeps of ten rigs it is 1.06 or more, and never wrong.
+# Sign of the vertical: minimum width of the percentile ranges, weight of the mean elevation, and minimum evidence. On
+# 117 sweeps of ten rigs the evidence is at least 1.06 and its sign always correct.
 _SHARPEST_M, _LOOKS_DOWN, _SURE = 0.01, 10.0, 0.5
-# A right start may be 20 deg off, and its camera and its LiDAR tilted: up to the second number it counts as upright.
-# Cameras on their side are at 90.
+# Angles of the camera to the vertical: a correct initial guess may have an error of 20 deg and tilted sensors; a camera
+# on its side is at 90 deg.
 _UPRIGHT_DEG, _NOT_UPRIGHT_DEG, _START_OFF_DEG = 45.0, 52.0, 25.0
+
+
+class Direction(Enum):
+    """The plausibility of a pose as camera_from_lidar."""
+
+    PLAUSIBLE = "camera_from_lidar"
+    NOTHING_VISIBLE = "no point in the image"
+    POSSIBLY_INVERSE = "upright only as lidar_from_camera"
+
+    def warnings(self, name: str, where: object = None) -> tuple[str, ...]:
+        """Return the warnings about the pose `name` from the file `where`."""
+        prefix = "" if where is None else f"{where}: "
+        if self is Direction.NOTHING_VISIBLE:
+            return (f"{prefix}no point of the sweep lies in the image at {name}",)
+        if self is Direction.POSSIBLY_INVERSE:
+            return (f"{prefix}{name} may be lidar_from_camera: its inverse stands upright; if so, {_HINT}",)
+        return ()
 
 
 @dataclass(frozen=True, eq=False)
 class Vertical:
-    """Axis (3,) of unit length along which the world stands in a sweep, and whether it is known to point up."""
+    """Unit vector (3,) along the vertical of the scene in the LiDAR frame; without `points_up` its sign is unknown."""
 
     axis: Float
     points_up: bool
@@ -41,54 +58,48 @@ class Vertical:
 def check_direction(
     cloud: Cloud, camera: Camera, camera_from_lidar: Float, *, name: str = "start", where: object = None
 ) -> tuple[str, ...]:
-    """Return warnings about a pose (4, 4) that may be lidar_from_camera, or that shows no point at all.
+    """Return the outcome of `pose_direction` as warnings; raises as `pose_direction`."""
+    return pose_direction(cloud, camera, camera_from_lidar, name=name, where=where).warnings(name, where)
 
-    Certain is only a pose that shows (next to) nothing, nor would if it were turned a little, while its inverse shows
-    many points. A sweep all around lies in the image either way; then a pose at which the world lies on its side or on
-    its head, while it stands upright at its inverse, is worth a warning: a camera that was turned around its axis looks
-    the same.
 
-    Raises InputError in the certain case.
+def pose_direction(
+    cloud: Cloud, camera: Camera, camera_from_lidar: Float, *, name: str = "start", where: object = None
+) -> Direction:
+    """Check whether a pose (4, 4) is lidar_from_camera instead of camera_from_lidar, or projects no point.
+
+    Raises InputError if (nearly) no point projects into the image, also with a rotation error of 25 deg, but many do at
+    the inverse. A sweep of 360 deg projects into the image at both poses: then a scene that is upright only at the
+    inverse is POSSIBLY_INVERSE, because a rolled camera gives the same observation.
     """
     lidar_from_camera = se3.inverse(camera_from_lidar)
     up = vertical(cloud)
-    falls = (
-        up is not None
-        and _lean_deg(camera_from_lidar, up) > _NOT_UPRIGHT_DEG
-        and _lean_deg(lidar_from_camera, up) < _UPRIGHT_DEG
-    )
+    leans = up is not None and _lean_deg(camera_from_lidar, up) > _NOT_UPRIGHT_DEG
+    falls = leans and up is not None and _lean_deg(lidar_from_camera, up) < _UPRIGHT_DEG
     seen, seen_around = _seen(cloud, camera, camera_from_lidar)
     seen_inverse, _ = _seen(cloud, camera, lidar_from_camera)
     few = 0.01 * seen_inverse
     if seen_inverse >= max(20, 0.01 * len(cloud)) and seen < few and (falls or seen_around < few):
-        raise InputError(
-            f"{name} looks like lidar_from_camera",
-            where=where,
-            expected="camera_from_lidar",
-            got=f"{seen} points in the image, {seen_inverse} with the inverse",
-            hint=_HINT,
-        )
-    prefix = "" if where is None else f"{where}: "
+        text = f"{name} looks like lidar_from_camera"
+        got = f"{seen} points in the image, {seen_inverse} with the inverse"
+        raise InputError(text, where=where, expected="camera_from_lidar", got=got, hint=_HINT)
     if not seen:
-        return (f"{prefix}no point of the sweep lies in the image at {name}",)
-    if falls and seen_inverse:
-        return (f"{prefix}{name} may be lidar_from_camera: its inverse stands upright; if so, {_HINT}",)
-    return ()
+        return Direction.NOTHING_VISIBLE
+    return Direction.POSSIBLY_INVERSE if falls and seen_inverse else Direction.PLAUSIBLE
 
 
 def vertical(cloud: Cloud) -> Vertical | None:
-    """Return the vertical of a sweep in the LiDAR frame, told by its points whatever the axes are; None if they do not.
+    """Estimate the vertical of the scene in the LiDAR frame, for any axes of the LiDAR; None if not observable.
 
-    Beams spread in azimuth and little in elevation, so that their directions spread least along the vertical. Up is
-    where the world ends gradually (roofs, trees), down where it ends at once (the ground), and most sensors look down
-    more than up; where the two do not agree it stays open which end is up.
+    The directions of beams scatter least along the vertical. Upwards the scene ends gradually, downwards abruptly (the
+    ground), and most sensors observe more points below; the sign is unknown if these two criteria contradict each
+    other.
     """
     xyz = cloud.xyz[:: max(1, len(cloud) // _SAMPLE)]
     largest = np.abs(xyz).max(axis=1)
     xyz, largest = xyz[largest > 0], largest[largest > 0]
     if len(xyz) < _FEW:
         return None
-    rays = xyz / largest[:, None]  # sized first, as squares of what some files hold are infinite
+    rays = xyz / largest[:, None]  # scaled first, because squares of huge coordinates overflow
     length = np.linalg.norm(rays, axis=1)
     rays /= length[:, None]
     spread, axes = np.linalg.eigh(rays.T @ rays)
@@ -107,18 +118,18 @@ def vertical(cloud: Cloud) -> Vertical | None:
 
 
 def _lean_deg(camera_from_lidar: Float, up: Vertical) -> float:
-    """Return the angle between the vertical and the camera's -y; to its nearer end where it is open which is up."""
+    """Return the angle between the vertical and the camera's -y axis, below 90 deg if the sign is unknown."""
     cosine = -float(camera_from_lidar[1, :3] @ up.axis)
     return float(np.degrees(np.arccos(np.clip(cosine if up.points_up else abs(cosine), -1, 1))))
 
 
 def _seen(cloud: Cloud, camera: Camera, camera_from_lidar: Float) -> tuple[int, int]:
-    """Return how many points lie in the image, and in a cone around it that a start may be off."""
+    """Return the number of points in the image, and in the image enlarged by the error of an initial guess."""
     xyz = se3.apply(camera_from_lidar, cloud.xyz)
     inside = camera.in_image(camera.project(xyz))
     right, down = camera.width - 1, camera.height - 1
     corners = camera.rays(np.array([[0.0, 0.0], [right, 0.0], [0.0, down], [right, down]]))[:, 2]
-    # Corners that a fisheye does not reach see 90 deg or more.
+    # The corners of a fisheye image may have no ray: 90 deg.
     half_deg = np.degrees(np.arccos(np.clip(np.nan_to_num(corners).min(), 0, 1)))
     cone = np.cos(np.radians(min(half_deg + _START_OFF_DEG, 180.0)))
     return int(inside.sum()), int((xyz[:, 2] >= cone * np.linalg.norm(xyz, axis=1)).sum())

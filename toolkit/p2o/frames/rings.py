@@ -1,4 +1,4 @@
-"""Rings of a sweep whose file does not number them: by the order of its points, or by their elevations."""
+"""Estimate the ring of each point of a sweep from the order of its points or from their elevations."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from p2o.errors import InputError
 Single = NDArray[np.float32]
 
 _TURN = 2 * np.pi
-# How far rings may scatter in elevation, of the variance of all returns, to be taken for rings.
 _MOST_SCATTER = 0.25
-# Steps in elevation between rings, as tangents, of which the smallest that fits is taken; rings scatter less than the
-# smallest step between them by this factor, hold so many returns, and are no more than any sensor has.
+"""Maximum variance of the elevation within rings, relative to the variance of all returns."""
+# Candidate steps in elevation between rings, as tangents (the smallest that fits is used); minimum ratio of the step to
+# the scatter within a ring; minimum number of returns per ring; maximum number of rings.
 _STEPS, _CLEAR, _FEWEST, _MOST_RINGS = np.geomspace(2e-4, 2e-2, 12), 3.0, 5, 256
 
 
 class RingsUnknownError(InputError):
-    """The rings of a cloud are neither given nor told by the order or the elevations of its points."""
+    """The rings of a cloud are neither given nor observable from the order or the elevations of its points."""
 
 
 def told_rings(azimuth: Single, rise: Single) -> tuple[Int, str]:
-    """Return the ring (N,) of points from azimuth (N,) rad in [0, 2 pi) and `rise` (N,), and what told it.
+    """Return the ring (N,) of points from azimuth (N,) rad in [0, 2 pi) and `rise` (N,), and the source as text.
 
-    `rise` is the tangent of the elevation. Points may come ring by ring, or in any order where all beams cross in the
-    origin, so that each ring has an elevation of its own. Raises RingsUnknownError where neither is so.
+    `rise` is the tangent of the elevation. Points must be ordered by ring, or each ring must have one elevation, as for
+    beams that intersect in the origin. Raises RingsUnknownError otherwise.
     """
     label = _by_order(azimuth, rise)
     if not isinstance(label, str):
@@ -35,10 +35,10 @@ def told_rings(azimuth: Single, rise: Single) -> tuple[Int, str]:
     if level is not None:
         return level, "the elevations of the points"
     raise RingsUnknownError(
-        "the cloud does not tell which beam gave each point",
+        "the rings of the cloud are not observable",
         where="rings",
-        expected="a `ring` per point, points in file order ring by ring (as KITTI stores them), or rings that have an "
-        "elevation each",
+        expected="a `ring` per point, points in file order ring by ring (as KITTI stores them), or rings of distinct "
+        "elevations",
         got=f"{len(azimuth)} points without `ring`: {label}",
         hint="pass the ring (channel, laser_id, row) field of the sensor driver as Cloud.ring, or do without: "
         "--extractor p2ornet/range-view",
@@ -46,12 +46,11 @@ def told_rings(azimuth: Single, rise: Single) -> tuple[Int, str]:
 
 
 def _by_order(azimuth: Single, rise: Single) -> Int | str:
-    """Return the ring (N,) of points that come ring by ring, from azimuth (N,) rad in [0, 2 pi) and `rise` (N,).
+    """Return the ring (N,) of points ordered by ring, from azimuth (N,) rad in [0, 2 pi) and `rise` (N,), or a reason.
 
-    `rise` is the tangent of the elevation. A new ring starts where the azimuth jumps back by more than half the angle
-    that the sweep covers. Rings may turn either way and start ahead, behind or where the first point lies: ahead
-    unless the elevation jumps far more across another of these, since within a ring it is steady. A text says why
-    where nothing gives at least two rings that are flat and run one way.
+    `rise` is the tangent of the elevation. A new ring starts where the azimuth decreases by more than half the covered
+    angle. Rings may rotate in either direction and start ahead, behind or at the first point: the start with the
+    largest steps of elevation between rings is used, ahead if the steps are similar.
     """
     step = np.diff(azimuth)
     if len(step) and np.count_nonzero((step > 0) == (np.abs(step) < np.pi)) < 0.5 * len(step):
@@ -82,7 +81,7 @@ def _by_order(azimuth: Single, rise: Single) -> Int | str:
 
 
 def _by_elevation(rise: Single) -> Int | None:
-    """Return the ring (N,), 0 the lowest, of points whose elevations are few and far apart; None where they are not."""
+    """Return the ring (N,), 0 the lowest, of points with few distinct elevations; None otherwise."""
     order = np.argsort(rise, kind="stable")
     height = rise[order].astype(np.float64)
     step = np.diff(height)

@@ -1,4 +1,4 @@
-"""Choosing frames of a dataset by words such as `0,3,5-9`, `10:20:2`, names, or a split of a JSON file."""
+"""Select frames of a dataset by indices (`0,3,5-9`, `10:20:2`), names, or a split of a JSON file."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from p2o.errors import InputError, UnknownNameError
 from p2o.files.input_file import expanded, read_text
 from p2o.files.parsed_text import parse_json
 
-# No more digits than any number of frames has: Python refuses thousands of them.
+# The number of digits is limited, because Python refuses to convert thousands of them.
 _INDEX = re.compile(r"-?\d{1,18}")
 _RANGE = re.compile(r"(\d{1,18})-(\d{1,18})")
 _SLICE = re.compile(r"(-?\d{1,18})?:(-?\d{1,18})?(?::(-?\d{1,18})?)?")
@@ -20,28 +20,26 @@ _SYNTAX = "all, indices (0,3,-1), ranges (5-9, ends included), slices (10:20:2),
 def select(
     names: Sequence[str], spec: str, where: object = None, skipped: Mapping[str, str] | None = None
 ) -> list[int]:
-    """Return the indices of the chosen frames, in the order they are named, each once.
+    """Return the indices of the selected frames, in the order of `spec`, without duplicates.
 
-    `spec` joins any of these by commas: `all`; an index, negative from the end; a range `5-9` with both ends; a
-    Python slice `10:20:2`; a name or the unique end of one after a `/`; `@FILE.json#SPLIT`, a list of names in a
-    JSON file (`#SPLIT` may be left out where the file is a list or has one split). What is a name is never taken for
-    an index, and numbers with a leading zero are names. `where` leads the text of errors; `skipped` maps names of
-    frames that a dataset left out to the reason.
-
-    Raises UnknownNameError for an unknown frame or split, InputError for indices out of range, wrong syntax, an
-    ambiguous name, a JSON file that is missing or invalid, and split entries that the dataset lacks.
+    `spec` is a list, separated by commas, of `all`; an index, negative from the end; a range `5-9` with both ends; a
+    Python slice `10:20:2`; a name or the unique end of one after a `/`; `@FILE.json#SPLIT`, a list of names in a JSON
+    file (`#SPLIT` is optional if the file is a list or has one split). Names have priority over indices, and numbers
+    with a leading zero are names. `where` is the place in errors; `skipped` maps names of frames that the dataset left
+    out to the reason. Raises UnknownNameError for an unknown frame or split, InputError for indices out of range, wrong
+    syntax, an ambiguous name, a JSON file that is missing or invalid, and split entries that the dataset lacks.
     """
     index_of = {name: index for index, name in enumerate(names)}
     chosen: dict[int, None] = {}
     for word in (part.strip() for part in spec.split(",")):
         chosen.update(dict.fromkeys(_chosen(names, index_of, word, where, skipped or {})))
     if not chosen:
-        raise InputError("no frame is chosen", where=where, expected=_SYNTAX, got=f"'{spec}' of {len(names)} frames")
+        raise InputError("no frame is selected", where=where, expected=_SYNTAX, got=f"'{spec}' of {len(names)} frames")
     return list(chosen)
 
 
 def spread(indices: Sequence[int], most: int) -> list[int]:
-    """Return at most so many of the indices, spread evenly from the first to the last."""
+    """Return at most `most` of the indices, evenly spaced from the first to the last."""
     if len(indices) <= most:
         return list(indices)
     if most == 1:
@@ -55,7 +53,7 @@ def _chosen(
     if word in index_of:
         return [index_of[word]]
     if not word:
-        raise InputError("an empty word in the choice of frames", where=where, expected=_SYNTAX)
+        raise InputError("an empty word in the selection of frames", where=where, expected=_SYNTAX)
     if word == "all":
         return range(len(names))
     if word.startswith("@"):
@@ -66,9 +64,8 @@ def _chosen(
     if (match := _RANGE.fullmatch(word)) and not leading_zero:
         first, last = (_checked(int(end), names, where) for end in match.groups())
         if last < first:
-            raise InputError(
-                f"the range '{word}' runs backwards", where=where, expected=f"{last}-{first}", got=f"'{word}'"
-            )
+            text = f"the range '{word}' runs backwards"
+            raise InputError(text, where=where, expected=f"{last}-{first}", got=f"'{word}'")
         return range(first, last + 1)
     if match := _SLICE.fullmatch(word):
         start, stop, step = (int(part) if part else None for part in match.groups())
@@ -80,11 +77,8 @@ def _chosen(
 
 def _checked(index: int, names: Sequence[str], where: object) -> int:
     if not -len(names) <= index < len(names):
-        raise InputError(
-            f"frame index {index} is out of range",
-            where=where,
-            expected=f"0 to {len(names) - 1}" if names else "a dataset with frames",
-        )
+        expected = f"0 to {len(names) - 1}" if names else "a dataset with frames"
+        raise InputError(f"frame index {index} is out of range", where=where, expected=expected)
     return index % len(names)
 
 
@@ -93,16 +87,12 @@ def _named(names: Sequence[str], word: str, where: object, skipped: Mapping[str,
     if len(tails) == 1:
         return tails[0]
     if tails:
-        raise InputError(
-            f"'{word}' is the end of {len(tails)} names",
-            where=where,
-            expected="a name",
-            got=" or ".join(names[index] for index in tails[:3]),
-        )
+        got = " or ".join(names[index] for index in tails[:3])
+        raise InputError(f"'{word}' is the end of {len(tails)} names", where=where, expected="a name", got=got)
     for name, reason in skipped.items():
         if name == word or name.endswith(f"/{word}"):
             raise InputError(f"frame '{name}' is left out of the dataset", where=where, got=reason)
-    raise UnknownNameError("frame", word, names, where=where, hint=f"frames are chosen by {_SYNTAX}")
+    raise UnknownNameError("frame", word, names, where=where, hint=f"frames are selected by {_SYNTAX}")
 
 
 def _split(index_of: Mapping[str, int], word: str, where: object) -> list[int]:
@@ -111,29 +101,27 @@ def _split(index_of: Mapping[str, int], word: str, where: object) -> list[int]:
     splits = _read_splits(path)
     if not hash_sign:
         if len(splits) != 1:
-            raise InputError("which split?", where=path, expected=f"@{file}#SPLIT with one of: {', '.join(splits)}")
+            raise InputError(
+                "the file has several splits", where=path, expected=f"@{file}#SPLIT with one of: {', '.join(splits)}"
+            )
         split = next(iter(splits))
     if split not in splits:
         raise UnknownNameError("split", split, splits, where=path)
     entries = splits[split]
     absent = [name for name in entries if name not in index_of]
     if absent:
-        raise InputError(
-            f"{len(absent)} of the {len(entries)} frames of split '{split}' are not in the dataset",
-            where=path,
-            expected=f"names such as {next(iter(index_of))}" if index_of else "a dataset with frames",
-            got=absent[0],
-            hint=None if where is None else f"asked by {where}",
-        )
+        text = f"{len(absent)} of the {len(entries)} frames of split '{split}' are not in the dataset"
+        expected = f"names such as {next(iter(index_of))}" if index_of else "a dataset with frames"
+        hint = None if where is None else f"requested by {where}"
+        raise InputError(text, where=path, expected=expected, got=absent[0], hint=hint)
     return [index_of[name] for name in entries]
 
 
 def _read_splits(path: Path) -> Mapping[str, list[str]]:
-    """Return the lists of names of a JSON file by split; a bare list is one split without a name."""
+    """Return the lists of names of a JSON file by split; a bare list is a split with an empty name."""
     content = parse_json(read_text(path, "file of splits"), "file of splits", path)
     splits = {"": content} if isinstance(content, list) else content
-    if not isinstance(splits, dict) or not all(
-        isinstance(entries, list) and all(isinstance(name, str) for name in entries) for entries in splits.values()
-    ):
+    lists = splits.values() if isinstance(splits, dict) else [None]
+    if not all(isinstance(entries, list) and all(isinstance(name, str) for name in entries) for entries in lists):
         raise InputError("the file of splits has another form", where=path, expected='{"SPLIT": ["NAME", ...], ...}')
     return splits

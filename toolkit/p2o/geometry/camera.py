@@ -1,4 +1,4 @@
-"""The camera: any pycolmap model behind one interface, the usual ones in closed form (`p2o.geometry.projection`)."""
+"""Camera models: all of pycolmap behind one interface, common ones in closed form (`p2o.geometry.projection`)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from p2o.arrays import Bool, Float
 from p2o.errors import InputError, UnknownNameError
 from p2o.geometry.projection import LENSES, Projection
-from p2o.native import import_keeping_signals
+from p2o.runtime.native import import_keeping_signals
 
 if TYPE_CHECKING:
     import pycolmap
@@ -24,22 +24,20 @@ _TANGENTIAL = frozenset({"OPENCV", "FULL_OPENCV"})
 _MIN_DEPTH_M = 1e-6
 _MAX_ROUND_TRIP_PX = 0.01
 _MAX_SIDE_PX, _MAX_PIXELS = 30_000, 200_000_000
-"""No camera has more; pictures that claim it fill the memory."""
+"""Maximum image size: larger values in files would exhaust memory."""
 _MIN_FOCAL_PX, _MAX_PARAMETER = 0.01, 1e7
-"""Beyond these no number is meant, and projections overflow."""
+"""Limits of parameters: projections overflow beyond them."""
 
 
 @dataclass(frozen=True)
 class Camera:
     """Intrinsics of one camera; pixel centres at integers (docs/conventions.md), optical axis +z, x right, y down.
 
-    `model` is a pycolmap model name (PINHOLE, OPENCV, OPENCV_FISHEYE, ...), `params` its parameters in pycolmap's
-    order but with the principal point in our pixel convention (COLMAP's own files are 0.5 px larger), `width` and
-    `height` the image size in pixels. Equal cameras compare and hash equal.
-
-    Raises UnknownNameError for an unknown model and InputError for a wrong number of parameters, a size or focal
-    length that is not positive, values that are not finite or absurdly large (more than 30000 px a side or 200 million
-    in all), or a panorama, which has no image plane.
+    `model` is a pycolmap model name (PINHOLE, OPENCV, OPENCV_FISHEYE, ...), `params` its parameters in pycolmap's order
+    but with the principal point in our pixel convention (COLMAP's own files are 0.5 px larger), `width` and `height`
+    the image size in pixels. Equal cameras compare and hash equal. Raises UnknownNameError for an unknown model and
+    InputError for a wrong number of parameters, a size or focal length that is not positive, values that are not finite
+    or too large (more than 30000 px per side or 200 million in all), or a panorama, which has no image plane.
     """
 
     model: str
@@ -52,29 +50,20 @@ class Camera:
             object.__setattr__(self, "params", tuple(float(p) for p in self.params))
             size = (int(self.width), int(self.height))
         except (TypeError, ValueError, OverflowError) as problem:
-            raise InputError("the camera is not described by numbers", expected="numbers", got=problem) from problem
+            raise InputError("the camera parameters are not numbers", expected="numbers", got=problem) from problem
         if size != (self.width, self.height) or min(size) <= 0:
-            raise InputError(
-                "the camera has no pixels",
-                expected="positive whole width and height",
-                got=f"{self.width}x{self.height}",
-            )
+            text = "the image size of the camera is not positive"
+            raise InputError(text, expected="positive integers width and height", got=f"{self.width}x{self.height}")
         if max(size) > _MAX_SIDE_PX or size[0] * size[1] > _MAX_PIXELS:
-            raise InputError(
-                "the camera has too many pixels",
-                expected=f"at most {_MAX_SIDE_PX} px a side and {_MAX_PIXELS // 1_000_000} million in all",
-                got=f"{self.width}x{self.height}",
-            )
+            expected = f"at most {_MAX_SIDE_PX} px per side and {_MAX_PIXELS // 1_000_000} million in total"
+            raise InputError("the camera has too many pixels", expected=expected, got=f"{self.width}x{self.height}")
         object.__setattr__(self, "width", size[0])
         object.__setattr__(self, "height", size[1])
         if not np.isfinite(self.params).all():
             raise InputError("camera parameters are not finite", expected="finite numbers", got=self.params)
         if np.abs(self.params).max(initial=0) > _MAX_PARAMETER:
-            raise InputError(
-                "a camera parameter is too large",
-                expected=f"-{_MAX_PARAMETER:g} to {_MAX_PARAMETER:g}",
-                got=self.params,
-            )
+            expected = f"-{_MAX_PARAMETER:g} to {_MAX_PARAMETER:g}"
+            raise InputError("a camera parameter is too large", expected=expected, got=self.params)
         lens = LENSES.get(self.model)
         if lens is not None and (len(self.params) == lens.count or self.model == _PINHOLE):
             count_ok, focal = len(self.params) == lens.count, self.params[: lens.focal]
@@ -85,19 +74,15 @@ class Camera:
                 raise UnknownNameError("camera model", self.model, names)
             blank = pycolmap.Camera.create_from_model_name(0, self.model, 1.0, self.width, self.height)
             if blank.is_spherical():
-                raise InputError(
-                    f"camera model {self.model} has no image plane",
-                    expected="a perspective or fisheye model",
-                    hint="cut a perspective picture out of the panorama",
-                )
+                text = f"camera model {self.model} has no image plane"
+                hint = "extract a perspective image from the panorama"
+                raise InputError(text, expected="a perspective or fisheye model", hint=hint)
             count_ok = len(self.params) == len(blank.params)
             focal = tuple(self.params[i] for i in blank.focal_length_idxs()) if count_ok else ()
         if not count_ok:
-            raise InputError(
-                f"camera model {self.model} has another number of parameters",
-                expected="fx fy cx cy" if self.model == _PINHOLE else blank.params_info,
-                got=f"{len(self.params)} numbers",
-            )
+            text = f"camera model {self.model} has a different number of parameters"
+            expected = "fx fy cx cy" if self.model == _PINHOLE else blank.params_info
+            raise InputError(text, expected=expected, got=f"{len(self.params)} numbers")
         if any(f <= 0 for f in focal):
             raise InputError("the focal length is not positive", expected="> 0 px", got=focal)
         if any(f < _MIN_FOCAL_PX for f in focal):
@@ -125,19 +110,18 @@ class Camera:
 
     @cached_property
     def focal_px(self) -> float:
-        """Size in pixels of one radian on the optical axis, the mean of right and down."""
+        """Focal length in pixels per radian on the optical axis, the mean of both image axes."""
         _, jacobian = self.project_with_jacobian(np.array([[0.0, 0.0, 1.0]]))
         return float(0.5 * (jacobian[0, 0, 0] + jacobian[0, 1, 1]))
 
     @cached_property
     def _max_tangent(self) -> float:
-        """Largest tangent of the angle from the axis up to which the projection is one-to-one in every direction.
+        """Largest tangent of the angle from the axis up to which the projection is injective in every direction.
 
-        Distortion polynomials fold somewhere, often not far outside the image, and would bring what lies beyond the
-        fold back into the image. At the fold the determinant of the projection's derivative changes its sign.
+        Beyond it, the polynomial of the distortion decreases and the determinant of the derivative changes its sign.
         """
         angle = np.radians(np.linspace(0.0, 89.95, 512))[:, None]
-        # Where a lens is the same all around the axis, one direction tells all.
+        # A rotationally symmetric lens needs one direction only.
         azimuth = np.linspace(-np.pi, np.pi, 1 if self._is_radial else 64, endpoint=False)
         sine, cosine, one = np.sin(angle), np.cos(angle), np.ones_like(azimuth)
         if self._closed is not None:
@@ -161,13 +145,13 @@ class Camera:
 
     @property
     def _is_radial(self) -> bool:
-        """True where distortion is a function of the angle from the axis alone."""
+        """True if distortion depends on the angle from the axis only."""
         if self.model in _RADIAL:
             return True
         return self.model in _TANGENTIAL and not any(self.params[6:8])
 
     def resized(self, width: int, height: int) -> Camera:
-        """Return the camera of the same picture with another number of pixels."""
+        """Return the camera of the image resampled to another size in pixels."""
         grown = np.array([width / self.width, height / self.height])
         if self._closed is not None:
             focal = self._closed.lens.focal
@@ -177,16 +161,16 @@ class Camera:
             camera = self._colmap.__copy__()
             camera.rescale(width, height)
             params, index = np.array(camera.params), list(camera.principal_point_idxs())
-        # COLMAP counts from the corner of the first pixel.
+        # COLMAP's origin is the corner of the first pixel.
         before = np.array(self.params)[index] + 0.5
         params[index] = before * grown - 0.5
         return Camera(self.model, width, height, tuple(params))
 
     def project(self, xyz: Float) -> Float:
-        """Return pixels (..., 2) of points (..., 3) in the camera frame in metres; NaN where nothing is seen.
+        """Project points (..., 3) in the camera frame in metres to pixels (..., 2); NaN for invisible points.
 
-        Not seen: points at or behind the image plane, and points so far from the axis that the polynomial of a
-        distorted model folds back. Pixels outside the image are returned as they are; `in_image` tells them.
+        Not visible are points at or behind the camera plane, and points so far from the axis that the distortion
+        polynomial is not injective. Pixels outside the image are returned, too; see `in_image`.
         """
         xyz = np.asarray(xyz, dtype=np.float64)
         if self.is_pinhole:
@@ -211,7 +195,7 @@ class Camera:
         return uv.reshape(*xyz.shape[:-1], 2)
 
     def pixels_of(self, x: Float, y: Float, z: Float) -> tuple[Float, Float]:
-        """Return pixels u, v of coordinates x, y, z of any one shape, as `project` does, in their own precision."""
+        """Return pixels u, v of coordinates x, y, z of equal shape, as `project`, in the precision of the input."""
         closed = self._closed
         if closed is None:
             uv = self.project(np.stack([x, y, z], axis=-1)).astype(x.dtype)
@@ -226,8 +210,8 @@ class Camera:
     def project_with_jacobian(self, xyz: Float) -> tuple[Float, Float]:
         """Return pixels (N, 2) and their derivatives (N, 2, 3) in px/m with respect to points (N, 3).
 
-        Both are NaN for points that are not seen. Analytic for models in closed form; central differences of
-        pycolmap's projection, with steps of a millionth of the distance, for the others.
+        Both are NaN for points that are not visible. Analytic for models in closed form; central differences of
+        pycolmap's projection, with steps of 1e-6 times the distance, for others.
         """
         xyz = np.asarray(xyz, dtype=np.float64)
         uv = self.project(xyz)
@@ -260,7 +244,7 @@ class Camera:
         return uv, jacobian
 
     def in_image(self, uv: Float, margin_px: float = 0.0) -> Bool:
-        """Return which pixels (..., 2) lie inside the image grown by `margin_px` on each side; NaN is outside."""
+        """Return whether pixels (..., 2) are inside the image extended by `margin_px` on each side; NaN is outside."""
         u, v = uv[..., 0], uv[..., 1]
         with np.errstate(invalid="ignore"):
             inside: Bool = (
@@ -274,8 +258,8 @@ class Camera:
     def rays(self, uv: Float) -> Float:
         """Return unit viewing directions (..., 3) in the camera frame of pixels (..., 2); z > 0.
 
-        NaN where no point in front of the camera is seen at the pixel: outside the circle of a fisheye, or where the
-        polynomial of a distorted model does not reach.
+        NaN for pixels onto which no point in front of the camera projects: outside the circle of a fisheye image, or
+        beyond the range of the distortion polynomial.
         """
         uv = np.asarray(uv, dtype=np.float64)
         if self.is_pinhole:
@@ -286,9 +270,9 @@ class Camera:
         else:
             plane = np.asarray(self._colmap.cam_from_img(np.ascontiguousarray(uv.reshape(-1, 2)))).reshape(uv.shape)
             rays = np.concatenate([plane, np.ones((*plane.shape[:-1], 1))], axis=-1)
-            # Where no inverse exists pycolmap returns anything: only what leads back to the pixel is one.
+            # Without an inverse pycolmap returns arbitrary values: verify by projecting back to the pixel.
             with np.errstate(invalid="ignore"):
-                found = np.abs(self.project(rays) - uv).max(axis=-1) < _MAX_ROUND_TRIP_PX
-            rays[~found] = np.nan
+                is_inverse = np.abs(self.project(rays) - uv).max(axis=-1) < _MAX_ROUND_TRIP_PX
+            rays[~is_inverse] = np.nan
         rays /= np.sqrt(np.einsum("...i,...i->...", rays, rays))[..., None]
         return rays

@@ -1,10 +1,13 @@
-"""Motion at constant velocity: transforms and points at a time of their own each."""
+"""Motion at constant velocity: transforms, and points with individual times."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from p2o.arrays import Float
+from p2o.errors import InputError
 from p2o.geometry import se3
 
 
@@ -14,9 +17,9 @@ def pose_at(twist: Float, time_s: float) -> Float:
 
 
 def moved(twist: Float, time_s: Float, xyz: Float, *, directions: bool = False) -> Float:
-    """Return points (N, 3) after exp(twist * time), each at its own time (N,) in seconds; `directions` only turn.
+    """Return points (N, 3) after exp(twist * time), each at its own time (N,) in s; `directions` are rotated only.
 
-    Rodrigues' formula and the left Jacobian, written out because all share one axis.
+    Uses Rodrigues' formula and the left Jacobian with the common axis of all points.
     """
     twist = np.asarray(twist, np.float64)
     omega, velocity = twist[:3], twist[3:]
@@ -35,7 +38,62 @@ def moved(twist: Float, time_s: Float, xyz: Float, *, directions: bool = False) 
 
 
 def adjoint(transform: Float, twist: Float) -> Float:
-    """Return the velocity (6,) in frame b of one given in frame a, for b_from_a (4, 4) and rotation parts first."""
+    """Return the velocity (6,) in frame b of one in frame a, for b_from_a (4, 4); rotation components first."""
     rotation, translation = transform[:3, :3], transform[:3, 3]
     omega = rotation @ twist[:3]
     return np.concatenate([omega, rotation @ twist[3:] + np.cross(translation, omega)])
+
+
+@dataclass(frozen=True)
+class EgoMotion:
+    """Motion of the LiDAR during one sweep: `speed_m_s` along `forward`, and `turn_rad_s` about its own z axis.
+
+    `forward` is a direction of any length in the LiDAR frame. Raises InputError for a zero vector and for values that
+    are not finite.
+    """
+
+    speed_m_s: float = 0.0
+    turn_rad_s: float = 0.0
+    forward: tuple[float, float, float] = (1.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        values = (self.speed_m_s, self.turn_rad_s, *self.forward)
+        if not np.isfinite(values).all() or not any(self.forward):
+            expected = "finite numbers, and a direction of travel that is not zero"
+            got = f"{self.speed_m_s:g} m/s along {self.forward}, turning {self.turn_rad_s:g} rad/s"
+            raise InputError("the ego-motion is not valid", expected=expected, got=got)
+
+    @property
+    def twist(self) -> Float:
+        """The velocity (6,) in rad/s and m/s, LiDAR frame, as for `Cloud.untwisted`."""
+        return self.by_speed * self.speed_m_s + self.by_turn * self.turn_rad_s
+
+    @property
+    def by_speed(self) -> Float:
+        """The twist (6,) of 1 m/s forward."""
+        forward = np.asarray(self.forward, np.float64)
+        return np.concatenate([np.zeros(3), forward / np.linalg.norm(forward)])
+
+    @property
+    def by_turn(self) -> Float:
+        """The twist (6,) of turning by 1 rad/s to the left."""
+        return np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+
+
+@dataclass(frozen=True)
+class MotionPrior:
+    """Prior of the motion: `expected`, with standard deviations in m/s and rad/s."""
+
+    expected: EgoMotion
+    speed_sigma: float
+    turn_sigma: float
+
+    def __post_init__(self) -> None:
+        if not (self.speed_sigma > 0 and self.turn_sigma > 0):
+            text = "standard deviations of the motion prior are not positive"
+            raise InputError(text, expected="> 0", got=f"{self.speed_sigma:g} m/s, {self.turn_sigma:g} rad/s")
+
+    @property
+    def covariance(self) -> Float:
+        """The covariance (2, 2) of speed in m/s and turning in rad/s."""
+        return np.diag([self.speed_sigma**2, self.turn_sigma**2])

@@ -1,4 +1,4 @@
-"""A pose moved a little by hand: turned about and shifted along the axes of the camera or of the LiDAR."""
+"""Manual corrections of a pose: rotation about and translation along the axes of the camera or of the LiDAR."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ AXES: tuple[Axes, ...] = get_args(Axes)
 
 @dataclass(frozen=True)
 class Nudge:
-    """How the sweep is moved: turned by a rotation vector, then shifted, both along x, y and z of `axes`.
+    """A correction of the sweep: a rotation vector, then a translation, both in the axes of `axes`.
 
-    In the camera's axes (x right, y down, z forward) it turns about the camera, in the LiDAR's about the LiDAR.
+    In camera axes (x right, y down, z forward) the centre of rotation is the camera, in LiDAR axes the LiDAR.
     """
 
     axes: Axes = "camera"
@@ -27,11 +27,11 @@ class Nudge:
 
     @property
     def zero(self) -> bool:
-        """True where it moves nothing."""
+        """True for no correction."""
         return not any((*self.turn_deg, *self.shift_m))
 
     def applied(self, camera_from_lidar: Float) -> Float:
-        """Return the moved camera_from_lidar (4, 4); that of zero is the given one to the last bit."""
+        """Return the corrected camera_from_lidar (4, 4); bit-identical to the given one if `zero`."""
         if self.zero:
             return camera_from_lidar
         turn = se3.exp(np.array([*np.radians(self.turn_deg), 0.0, 0.0, 0.0]))

@@ -1,4 +1,4 @@
-"""Wrong starting poses of a stated size, for experiments: the paper's draw, and those of other publications."""
+"""Random initial guesses with errors of a given size, drawn as in the paper and in other publications."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from p2o.geometry import se3
 
 EXACT = "exact"
 FIBONACCI = 200
-"""Directions of the draw `fibonacci`; the seed says which."""
+"""Number of directions of the draw `fibonacci`, selected by the seed."""
 FARTHEST_M = 100.0
-"""No calibration starts farther off; a start beyond would only overflow."""
+"""Maximum translation error of an initial guess."""
 
 _EXAMPLES = 'text such as "2deg 0.15m", or "uniform 3deg 0.15m" for each axis in [-3, 3] deg and [-0.15, 0.15] m'
 
@@ -27,10 +27,10 @@ Draw = Callable[[np.random.Generator, float, float, int], Float]
 
 @dataclass(frozen=True)
 class Perturbation:
-    """How wrong a start is: truth @ T_e, or T_e @ truth with `in_camera`.
+    """The error T_e of an initial guess: truth @ T_e, or T_e @ truth with `in_camera`.
 
-    `draw` names how T_e is drawn (`DRAWS` explains each) from `angle_deg` and `distance_m`; `z_m` bounds its shift
-    along z where that differs from the other axes.
+    `draw` names the distribution of T_e (`DRAWS`) with the parameters `angle_deg` and `distance_m`; `z_m` are separate
+    bounds of the translation along z.
     """
 
     angle_deg: float
@@ -46,13 +46,13 @@ class Perturbation:
 
     @property
     def exact(self) -> bool:
-        """True where both parts are exactly as large as said."""
+        """True if rotation and translation have exactly the given sizes."""
         return self.draw == EXACT and self.z_m is None
 
     def start(self, truth: Float, rng: np.random.Generator, number: int = 0) -> Float:
-        """Return a start (4, 4); T_e acts in the LiDAR frame (paper Sec. IV-A.1) or in the camera's.
+        """Draw an initial guess (4, 4); T_e is in the LiDAR frame (paper Sec. IV-A.1) or in the camera frame.
 
-        `number` says which of its directions the draw `fibonacci` takes.
+        `number` selects the direction of the draw `fibonacci`.
         """
         wrong = DRAWS[self.draw](rng, self.angle_deg, self.distance_m, number)
         if self.z_m is not None:
@@ -62,21 +62,21 @@ class Perturbation:
 
 @lru_cache(maxsize=256)
 def parse_perturbation(text: str, where: str = "--perturb") -> Perturbation:
-    """Return the perturbation that a text such as "2deg 0.15m" (or "2deg,15cm") states; a missing part is zero.
+    """Parse a perturbation such as "2deg 0.15m" (or "2deg,15cm"); a missing part is zero.
 
-    A word before says how it is drawn ("uniform 3deg 0.15m"), "camera" that it acts in the camera's frame, and
-    "z=-1.5..1m" behind it bounds the shift along z. Raises InputError, naming `where`, for anything else, for negative
-    sizes, for angles above 180 degrees and for lengths above 100 m.
+    A leading word selects the draw ("uniform 3deg 0.15m"), "camera" the camera frame, and a trailing "z=-1.5..1m" sets
+    the bounds of the translation along z. Raises InputError, with `where`, for any other text, negative sizes, angles
+    above 180 degrees and lengths above 100 m.
     """
     amounts = {"deg": 0.0, "m": 0.0}
     parts = [p for p in re.split(r"[\s,;]+", text.strip()) if p]
-    said = Perturbation(0.0, 0.0)
+    perturbation = Perturbation(0.0, 0.0)
     if parts and parts[0] in DRAWS:
-        said, parts = replace(said, draw=parts[0]), parts[1:]
+        perturbation, parts = replace(perturbation, draw=parts[0]), parts[1:]
     if parts[:1] == ["camera"]:
-        said, parts = replace(said, in_camera=True), parts[1:]
+        perturbation, parts = replace(perturbation, in_camera=True), parts[1:]
     if parts and (bounds := re.fullmatch(r"z=(-?[0-9.]+)\.\.(-?[0-9.]+)m", parts[-1])):
-        said, parts = replace(said, z_m=_bounds(bounds[1], bounds[2], text, where)), parts[:-1]
+        perturbation, parts = replace(perturbation, z_m=_bounds(bounds[1], bounds[2], text, where)), parts[:-1]
     for part in parts:
         match = re.fullmatch(r"([0-9]*\.?[0-9]+(?:e-?[0-9]+)?)(deg|m|cm|mm)", part, re.ASCII)
         if match is None:
@@ -84,10 +84,9 @@ def parse_perturbation(text: str, where: str = "--perturb") -> Perturbation:
         value, unit = float(match[1]), match[2]
         amounts["deg" if unit == "deg" else "m"] = value * {"deg": 1, "m": 1, "cm": 0.01, "mm": 0.001}[unit]
     if not parts or amounts["deg"] > 180 or amounts["m"] > FARTHEST_M:
-        raise InputError(
-            "the size is out of bounds", where=where, expected=f"0..180 deg and 0..{FARTHEST_M:g} m", got=repr(text)
-        )
-    return replace(said, angle_deg=amounts["deg"], distance_m=amounts["m"])
+        expected = f"0..180 deg and 0..{FARTHEST_M:g} m"
+        raise InputError("the size is out of bounds", where=where, expected=expected, got=repr(text))
+    return replace(perturbation, angle_deg=amounts["deg"], distance_m=amounts["m"])
 
 
 def _bounds(low: str, high: str, text: str, where: str) -> tuple[float, float]:
@@ -96,14 +95,14 @@ def _bounds(low: str, high: str, text: str, where: str) -> tuple[float, float]:
     except ValueError:
         bounds = 1.0, 0.0
     if not -FARTHEST_M <= bounds[0] <= bounds[1] <= FARTHEST_M:
-        raise InputError("the bounds of z are wrong", where=where, expected="z=LOW..HIGHm", got=repr(text))
+        raise InputError("the bounds of z are not valid", where=where, expected="z=LOW..HIGHm", got=repr(text))
     return bounds
 
 
 def wrong_start(truth: Float, angle_deg: float, distance_m: float, rng: np.random.Generator) -> Float:
-    """Return truth @ T_e, (4, 4): T_e turns by `angle_deg` about a random axis and shifts by `distance_m` anywhere.
+    """Draw truth @ T_e (4, 4): T_e rotates by `angle_deg` and translates by `distance_m` in the LiDAR frame.
 
-    Axis and direction are uniform on the sphere; T_e acts in the LiDAR frame (paper Sec. IV-A.1).
+    Axis and direction are uniform on the sphere (paper Sec. IV-A.1).
     """
     return np.asarray(truth @ _exact(rng, angle_deg, distance_m))
 
@@ -150,20 +149,22 @@ DRAWS: Mapping[str, Draw] = {
     "cube": _cube,
     "fibonacci": _fibonacci,
 }
-"""How wrong starts are drawn from an angle and a length.
+"""Distributions of T_e, by an angle and a length.
 
-exact: a rotation of exactly the angle about any axis and a shift of exactly the length anywhere (P2O-Calib).
-uniform: each component of the rotation vector, and of the shift, within plus and minus (P2O-Calib's figure by axis).
-euler: each Euler angle, turned about fixed x, then y, then z, and each component of the shift alike (LCCNet, CMRNext).
-norm: any axis and direction, with angle and length uniform from 0 to the size (BEVCalib).
-cube: the same with axis and direction drawn in a cube, so that diagonals come more often (ProjFusion).
-fibonacci: exactly the angle about one of 200 axes spread evenly over the sphere, by seed (Borer et al.); a shift of
-exactly the length anywhere.
+exact: rotation of exactly the angle about a uniform axis, translation of exactly the length in a uniform direction
+(P2O-Calib).
+uniform: each component of the rotation vector and of the translation is uniform within plus and minus the size
+(P2O-Calib's figure by axis).
+euler: the same for Euler angles about the fixed axes x, then y, then z (LCCNet, CMRNext).
+norm: uniform axis and direction, angle and length uniform from 0 to the size (BEVCalib).
+cube: as norm with axis and direction drawn in a cube, which prefers diagonals (ProjFusion).
+fibonacci: exactly the angle about one of 200 axes evenly distributed on the sphere, selected by the seed (Borer et
+al.), translation as for exact.
 """
 
 
 def fibonacci_directions(count: int) -> Float:
-    """Return unit vectors (count, 3) spread evenly over the sphere along a golden spiral."""
+    """Return unit vectors (count, 3) evenly distributed on the sphere along a golden spiral."""
     number = np.arange(count) + 0.5
     z = 1 - 2 * number / count
     around = np.pi * (1 + np.sqrt(5)) * number

@@ -1,7 +1,7 @@
-"""How rays become pixels: the usual camera models in closed form, for whole arrays at once.
+"""Closed-form projections of common camera models, vectorised.
 
-The models are COLMAP's (src/colmap/sensor/models.h), parameters in its order; pixels here count as the principal point
-does. What is not in `LENSES` is left to pycolmap. All functions keep the precision of the arrays they are given.
+Models and the order of parameters are those of COLMAP (src/colmap/sensor/models.h); pixels have the origin of the
+principal point. Models that are not in `LENSES` use pycolmap. All functions keep the precision of their input.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ import numpy as np
 from p2o.arrays import Float
 
 _ON_AXIS = 1e-6
-"""Up to this square of a tangent the slope of a fisheye's factor is that on the axis: quotients lose their digits."""
+"""Up to this squared tangent, the derivative of the fisheye factor on the axis is used, because of cancellation."""
 
 
 @dataclass(frozen=True)
 class Lens:
-    """Where the parameters of a camera model are.
+    """The indices of the parameters of a camera model.
 
-    `focal` is how many focal lengths come first; the principal point follows. `radial` are the places of the
-    coefficients of even powers of the tangent, or of the angle where the model is a `fisheye`, `below` those of the
-    polynomial it is divided by, `tangential` those of p1 and p2. `count` is how many parameters there are.
+    The first `focal` parameters are focal lengths, followed by the principal point. `radial` are the indices of the
+    coefficients of even powers of the tangent, or of the angle for a `fisheye`, `below` those of the denominator,
+    `tangential` those of p1 and p2. `count` is the number of parameters.
     """
 
     focal: int
@@ -48,14 +48,14 @@ LENSES = {
 
 @dataclass(frozen=True)
 class Projection:
-    """A lens with its parameters: from the plane z = 1 to pixels."""
+    """A lens with its parameters, mapping the plane z = 1 to pixels."""
 
     lens: Lens
     params: tuple[float, ...]
 
     @property
     def focal(self) -> tuple[float, float]:
-        """Focal lengths in pixels, right and down."""
+        """Focal lengths in pixels, along u and v."""
         return self.params[0], self.params[self.lens.focal - 1]
 
     @property
@@ -64,7 +64,7 @@ class Projection:
         return self.params[self.lens.focal], self.params[self.lens.focal + 1]
 
     def pixels(self, a: Float, b: Float) -> tuple[Float, Float]:
-        """Return pixels u, v of points of the plane z = 1, a = x / z and b = y / z, of any one shape."""
+        """Return pixels u, v of points of the plane z = 1, a = x / z and b = y / z, of equal shape."""
         (fx, fy), (cx, cy) = self.focal, self.centre
         square = a * a + b * b
         factor = self._factor(square)
@@ -98,7 +98,7 @@ class Projection:
         return tuple(self.params[i] for i in self.lens.tangential)
 
     def _factor(self, square: Float) -> Float:
-        """Return what a radius is stretched by; `square` is that of the tangent of the angle from the axis."""
+        """Return the radial distortion factor; `square` is the squared tangent of the angle from the axis."""
         radial, below = self._coefficients
         if self.lens.fisheye:
             tangent = np.sqrt(np.maximum(square, _ON_AXIS**2))
@@ -108,7 +108,7 @@ class Projection:
         return above / _polynomial(below, square) if any(below) else above
 
     def _factor_and_slope(self, square: Float) -> tuple[Float, Float]:
-        """Return what a radius is stretched by, and the derivative of that by the square."""
+        """Return the radial distortion factor and its derivative by the square."""
         radial, below = self._coefficients
         factor = self._factor(square)
         if self.lens.fisheye:

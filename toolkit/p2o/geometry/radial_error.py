@@ -1,8 +1,8 @@
-"""What can be wrong with a camera's calibration: its focal length and its radial distortion."""
+"""Errors of the intrinsics of a camera: focal length and radial distortion."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,20 +11,12 @@ from p2o.errors import InputError
 from p2o.geometry.camera import Camera
 
 LARGEST = 0.2
-"""No camera that was ever calibrated is as wrong as this."""
+"""Maximum error of the intrinsics of a calibrated camera."""
 _STEP = 1e-6
-_FIRST_RADIAL = {
-    "SIMPLE_RADIAL": 3,
-    "RADIAL": 3,
-    "OPENCV": 4,
-    "FULL_OPENCV": 4,
-    "SIMPLE_RADIAL_FISHEYE": 3,
-    "RADIAL_FISHEYE": 3,
-    "OPENCV_FISHEYE": 4,
-    "THIN_PRISM_FISHEYE": 4,
-}
-_FOCAL = {"SIMPLE_RADIAL": 1, "RADIAL": 1, "SIMPLE_RADIAL_FISHEYE": 1, "RADIAL_FISHEYE": 1}
-"""How many focal lengths a model has, if not two."""
+_ONE_FOCAL = ("SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
+_TWO_FOCAL = ("OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE", "THIN_PRISM_FISHEYE")
+_FIRST_RADIAL = {**dict.fromkeys(_ONE_FOCAL, 3), **dict.fromkeys(_TWO_FOCAL, 4)}
+"""Index of the first radial coefficient, after the focal lengths and the principal point."""
 
 
 @dataclass(frozen=True)
@@ -32,24 +24,27 @@ class RadialError:
     """An error of a camera's calibration: the true focal length is 1 + `focal` times that of the calibration.
 
     `radial` is to be added to the first radial coefficient of the camera's model (k1; of distortion as in Brown,
-    Close-range camera calibration, 1971, or of the angle for fisheye models). Raises InputError for values that are
-    not finite or larger than 0.2, which no calibrated camera has.
+    Close-range camera calibration, 1971, or of the angle for fisheye models), `x_px` and `y_px` to its principal point.
+    Raises InputError for values that are not finite, and for focal or radial larger than 0.2, which no calibrated
+    camera has.
     """
 
     focal: float = 0.0
     radial: float = 0.0
+    x_px: float = 0.0
+    y_px: float = 0.0
 
     def __post_init__(self) -> None:
+        if not np.isfinite([self.x_px, self.y_px]).all():
+            raise InputError("the error of the principal point is not finite", got=f"{self.x_px:g}, {self.y_px:g}")
         size = np.abs([self.focal, self.radial])
         if not (np.isfinite(size).all() and size.max() <= LARGEST):
-            raise InputError(
-                "the error of the camera's calibration is out of bounds",
-                expected=f"focal and radial of at most {LARGEST}",
-                got=f"{self.focal:g}, {self.radial:g}",
-            )
+            text = "the error of the camera's calibration is out of bounds"
+            expected = f"focal and radial of at most {LARGEST}"
+            raise InputError(text, expected=expected, got=f"{self.focal:g}, {self.radial:g}")
 
     def __bool__(self) -> bool:
-        return bool(self.focal or self.radial)
+        return bool(self.focal or self.radial or self.x_px or self.y_px)
 
     def corrected(self, camera: Camera) -> Camera:
         """Return the camera without the error; a pinhole becomes an OPENCV camera.
@@ -59,22 +54,24 @@ class RadialError:
         if not self:
             return camera
         model, params = _radial_model(camera)
-        count = _FOCAL.get(model, 2)
+        count = 1 if model in _ONE_FOCAL else 2
         focal = [f * (1 + self.focal) for f in params[:count]]
         params = [*focal, *params[count:]]
         params[_FIRST_RADIAL[model]] += self.radial
+        params[count] += self.x_px
+        params[count + 1] += self.y_px
         return Camera(model, camera.width, camera.height, tuple(params))
 
     def seen(self, camera: Camera, uv: Float) -> Float:
-        """Return where in the picture (..., 2) px is seen what the calibration puts at pixels (..., 2)."""
+        """Return the observed pixels (..., 2) of points that the calibration projects to pixels (..., 2)."""
         return self.corrected(camera).project(camera.rays(uv))
 
     def calibrated(self, camera: Camera, uv: Float) -> Float:
-        """Return where the calibration puts (..., 2) px what is seen at pixels (..., 2): the inverse of `seen`."""
+        """Return the pixels (..., 2) of the calibration for observed pixels (..., 2): the inverse of `seen`."""
         return camera.project(self.corrected(camera).rays(uv))
 
     def shift_px(self, camera: Camera) -> float:
-        """Return the largest distance in pixels between where things are seen and where the calibration puts them."""
+        """Return the maximum distance in pixels between observed and calibrated projections."""
         uv = _grid(camera)
         return float(np.nanmax(np.linalg.norm(self.seen(camera, uv) - uv, axis=-1), initial=0.0))
 
@@ -93,15 +90,12 @@ def _radial_model(camera: Camera) -> tuple[str, list[float]]:
         return "SIMPLE_RADIAL", [*params, 0.0]
     if camera.model in _FIRST_RADIAL:
         return camera.model, params
-    raise InputError(
-        f"camera model {camera.model} has no radial coefficient",
-        expected=", ".join(["PINHOLE", *_FIRST_RADIAL]),
-        hint="take pipeline.camera=trust",
-    )
+    text = f"camera model {camera.model} has no radial coefficient"
+    raise InputError(text, expected=", ".join(["PINHOLE", *_FIRST_RADIAL]), hint="use pipeline.camera=trust")
 
 
 def _grid(camera: Camera) -> Float:
-    """Return pixels (33, 33, 2) all over the picture."""
+    """Return a grid of pixels (33, 33, 2) over the image."""
     u, v = np.meshgrid(np.linspace(-0.5, camera.width - 0.5, 33), np.linspace(-0.5, camera.height - 0.5, 33))
     return np.stack([u, v], axis=-1)
 
@@ -111,7 +105,9 @@ def slopes(camera: Camera, error: RadialError, xyz: Float) -> Float:
     columns = []
     for step in ((_STEP, 0.0), (0.0, _STEP)):
         ahead, behind = (
-            RadialError(error.focal + sign * step[0], error.radial + sign * step[1]).corrected(camera).project(xyz)
+            replace(error, focal=error.focal + sign * step[0], radial=error.radial + sign * step[1])
+            .corrected(camera)
+            .project(xyz)
             for sign in (1, -1)
         )
         columns.append((ahead - behind) / (2 * _STEP))
@@ -120,20 +116,20 @@ def slopes(camera: Camera, error: RadialError, xyz: Float) -> Float:
 
 @dataclass(frozen=True, eq=False)
 class RadialFit:
-    """The radial error of one `camera` as the pairs tell it, with its covariance (2, 2) of focal and radial."""
+    """The radial error of one `camera` estimated from pairs, with the covariance (2, 2) of focal and radial."""
 
     camera: Camera
     error: RadialError
     covariance: Float
 
     def apart_px(self, other: RadialFit) -> float:
-        """Return how far in pixels, at most, this error and another one of the same camera put things apart."""
+        """Return the maximum distance in pixels between projections with this error and another of the same camera."""
         focal, radial = self.error.focal - other.error.focal, self.error.radial - other.error.radial
         return RadialError(focal, radial).shift_px(self.camera)
 
     @property
     def sigma_px(self) -> float:
-        """Standard deviation of where things are seen, in pixels, at the place in the picture where it is largest."""
+        """Maximum standard deviation of observed projections over the image, in pixels."""
         uv = _grid(self.camera).reshape(-1, 2)
         ray = self.camera.rays(uv)
         ray = ray[np.isfinite(ray).all(axis=1)]

@@ -10,10 +10,10 @@ from p2o.arrays import Float
 
 
 def rpy_of(rotation: Float) -> tuple[float, float, float]:
-    """Return roll, pitch, yaw of a rotation matrix (3, 3); they give it back to rounding, at a pitch of 90 deg too.
+    """Return roll, pitch, yaw of a rotation matrix (3, 3), accurate to rounding also at a pitch of 90 deg.
 
-    There roll and yaw turn about one axis. Yaw is taken from what is left when roll and pitch are undone, so that it
-    fits whatever roll was read from numbers near zero.
+    In this gimbal lock roll and yaw have the same axis. Yaw is computed from the rotation that remains after roll and
+    pitch, so that it is consistent with any roll.
     """
     r = np.asarray(rotation, dtype=np.float64)
     roll = math.atan2(r[2, 1], r[2, 2])

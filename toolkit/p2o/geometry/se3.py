@@ -15,11 +15,11 @@ from p2o.arrays import Float, checked
 from p2o.errors import InputError
 
 _FARTHEST_M = 1e9
-"""Coordinates of maps and of the centre of the Earth are smaller, and products of such numbers stay finite."""
+"""Maximum coordinate in m: above geocentric coordinates, and products are finite."""
 
 
 def skew(vectors: Float) -> Float:
-    """Return the matrices (..., 3, 3) that take b to the cross product a x b, for vectors a (..., 3)."""
+    """Return the skew-symmetric matrices (..., 3, 3) of the cross product a x b, for vectors a (..., 3)."""
     x, y, z = np.moveaxis(np.asarray(vectors, dtype=np.float64), -1, 0)
     zero = np.zeros_like(x)
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
@@ -150,42 +150,24 @@ def check_rigid(name: str, value: Any, *, where: object = None, tolerance: float
     except InputError as problem:
         raise InputError(problem.what, where=where, expected=problem.expected, got=problem.got) from problem
     if not np.allclose(matrix[3], [0, 0, 0, 1], rtol=0, atol=1e-9):
-        raise InputError(
-            f"the last row of {name} is wrong",
-            where=where,
-            expected="0 0 0 1",
-            got=" ".join(f"{v:g}" for v in matrix[3]),
-        )
+        got = " ".join(f"{v:g}" for v in matrix[3])
+        raise InputError(f"the last row of {name} is wrong", where=where, expected="0 0 0 1", got=got)
     farthest = float(np.abs(matrix[:3, 3]).max())
     if farthest > _FARTHEST_M:
-        raise InputError(
-            f"the translation of {name} is too long",
-            where=where,
-            expected=f"at most {_FARTHEST_M:g} m along each axis",
-            got=f"{farthest:g}",
-        )
+        expected = f"at most {_FARTHEST_M:g} m along each axis"
+        raise InputError(f"the translation of {name} is too long", where=where, expected=expected, got=f"{farthest:g}")
     rotation = matrix[:3, :3]
     # Before anything is multiplied: the product of what some files hold is infinite.
     if (largest := float(np.abs(rotation).max())) > 10:
-        raise InputError(
-            f"the rotation of {name} is not orthonormal", where=where, expected="numbers of -1 to 1", got=f"{largest:g}"
-        )
+        message = f"the rotation of {name} is not orthonormal"
+        raise InputError(message, where=where, expected="numbers of -1 to 1", got=f"{largest:g}")
     if np.linalg.det(rotation) < 0:
-        raise InputError(
-            f"the rotation of {name} mirrors space",
-            where=where,
-            expected="determinant +1",
-            got=f"{np.linalg.det(rotation):.3f}",
-            hint="check for a swapped or negated axis",
-        )
+        text, hint = f"the rotation of {name} mirrors space", "check for a swapped or negated axis"
+        raise InputError(text, where=where, expected="determinant +1", got=f"{np.linalg.det(rotation):.3f}", hint=hint)
     deviation = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
     if deviation > tolerance:
-        raise InputError(
-            f"the rotation of {name} is not orthonormal",
-            where=where,
-            expected=f"|R^T R - I| <= {tolerance:g}",
-            got=f"{deviation:.3g}",
-        )
+        text = f"the rotation of {name} is not orthonormal"
+        raise InputError(text, where=where, expected=f"|R^T R - I| <= {tolerance:g}", got=f"{deviation:.3g}")
     u, _, vt = np.linalg.svd(rotation)
     clean = make(u @ vt, matrix[:3, 3])
     clean.flags.writeable = False

@@ -1,4 +1,4 @@
-"""Which points the camera can see: another place than the LiDAR's sees other surfaces."""
+"""Visibility of LiDAR points from the camera, whose position differs from that of the LiDAR."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from p2o.geometry.camera import Camera
 
 
 def hidden(xyz: Float, surface: Float, camera: Camera, camera_from_lidar: Float, cell_px: float = 4.0) -> Bool:
-    """Return which points (M, 3) lie behind the surfaces sampled by `surface` (K, 3), both in the LiDAR frame, metres.
+    """Return which points (M, 3) are occluded by the surface samples `surface` (K, 3), both in the LiDAR frame, metres.
 
-    A point is hidden where clearly nearer surface samples lie within three cells to its left *and* to its right: a
-    sweep is too sparse for a z-buffer, and a nearer object on one side only means an edge, not an obstacle. Points
-    outside the image are never hidden. Depends on the camera's place much more than on its direction, so a rough
-    extrinsic is good enough.
+    A point is occluded if clearly nearer samples are within three cells to its left *and* to its right: a sweep is too
+    sparse for a z-buffer, and a nearer object on one side only is an edge. Points outside the image are not occluded.
+    The outcome depends much more on the position of the camera than on its orientation, so an approximate extrinsic is
+    sufficient.
     """
     points = se3.apply(camera_from_lidar, xyz)
     samples = se3.apply(camera_from_lidar, surface)
@@ -26,7 +26,7 @@ def hidden(xyz: Float, surface: Float, camera: Camera, camera_from_lidar: Float,
     seen = camera.in_image(uv)
     rows, columns = _cells(uv[seen], cell_px, shape)
     np.minimum.at(nearest, (rows, columns), np.linalg.norm(samples[seen], axis=1))
-    # Three cells to one side, three rows high; shifted windows leave the point's own cell out.
+    # Windows of three cells to one side and three rows; the shift excludes the point's own cell.
     left = minimum_filter(nearest, size=(3, 3), origin=(0, 1), mode="constant", cval=np.inf)
     right = minimum_filter(nearest, size=(3, 3), origin=(0, -1), mode="constant", cval=np.inf)
     left = np.roll(left, 1, axis=1)

@@ -1,29 +1,203 @@
-"""Builds the stages that plugins offer, and watches them: what goes wrong inside one names the plugin and the stage."""
+"""Build the stages that plugins offer, and check their values: errors inside a stage name the plugin and the slot."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import replace
-from importlib.metadata import PackageNotFoundError, requires
+import copy
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
 from p2o.arrays import Float
-from p2o.errors import InputError, MethodUnavailable, P2OError, PluginError
+from p2o.calibration_files.calibration import Calibration, CalibrationReader, Source
+from p2o.errors import InputError, PluginError
 from p2o.features.sets import CloudFeatures, ImageFeatures
+from p2o.features.view import View
 from p2o.frames.cloud import Cloud
-from p2o.frames.frame import Dataset, Frame
+from p2o.frames.frame import Dataset, Frame, LazyFrames
 from p2o.geometry import se3
-from p2o.host.method import Kind
-from p2o.host.registry import Offer
-from p2o.host.trainer import Trainer
+from p2o.geometry.camera import Camera
+from p2o.host.method import Kind, Trainer
+from p2o.host.registry import Offer, fault, watch
+from p2o.host.stages import Accumulator, Calibrator, InitializerBase, Judge, MatcherBase
 from p2o.options import Options
-from p2o.problems.problem import LeastSquares, Objective
+from p2o.problems.point_to_line import PointToLine
+from p2o.problems.points_on_rays import PointsOnRays
+from p2o.problems.problem import LeastSquares, Objective, Problem
 from p2o.results.result import Result, Solution
+
+_CHECKED_ON_CONSTRUCTION = (PointToLine, PointsOnRays)
+"""Classes of the toolkit: their values are validated on construction, and their code is not a plugin's."""
+
+
+def guarded_problem(offer: Offer, problem: Any) -> Problem:
+    """Return the problem of a matcher with every later call checked.
+
+    An exception, a wrong shape or NaN in its residuals, derivatives or costs is a PluginError that names the matcher.
+    LeastSquares and Objective keep their class and attributes; any other object with `cost` becomes an Objective.
+    Raises PluginError for anything else, and for weights or a Huber width that are invalid.
+    """
+    if type(problem) in _CHECKED_ON_CONSTRUCTION:
+        return problem  # type: ignore[no-any-return]
+    if isinstance(problem, LeastSquares):
+        return _guarded_least_squares(offer, problem)
+    if isinstance(problem, Objective):
+        return _guarded_objective(offer, problem)
+    if isinstance(problem, Problem):
+        return _guarded_objective(offer, Objective(problem.cost))
+    raise fault(offer, f"returned {type(problem).__name__}", "p2o.solving.Problem: an object with `cost(poses)`")
+
+
+def _guarded_objective(offer: Offer, problem: Objective) -> Objective:
+    guarded = copy.copy(problem)
+    for name in ("cost", "gradient", "covariance"):
+        function = getattr(problem, name)
+        if function is not None:
+            object.__setattr__(guarded, name, _checked_function(offer, name, function))
+    return guarded
+
+
+def _checked_function(offer: Offer, name: str, function: Callable[[Float], Any]) -> Callable[[Float], Float | None]:
+    """Return the cost of poses (B, 4, 4), or gradient or covariance at a pose (4, 4), with its values checked."""
+
+    def checked(poses: Float) -> Float | None:
+        with watch(offer, f"computing its {name}"):
+            returned = function(poses)
+            if returned is None and name == "covariance":
+                return None
+            values = np.asarray(returned, dtype=np.float64)
+        shape = {"cost": (len(poses),), "gradient": (6,), "covariance": (6, 6)}[name]
+        if values.shape != shape or (np.isnan(values) if name == "cost" else ~np.isfinite(values)).any():
+            rest = {"cost": " without NaN", "gradient": ", finite", "covariance": ", finite, or None"}[name]
+            raise fault(offer, f"{name} returned shape {values.shape}", f"{shape}{rest}")
+        return values
+
+    return checked
+
+
+class _GuardedLeastSquares(LeastSquares):
+    """Mixed in before the class of a plugin's problem, so that its instances stay instances of that class."""
+
+    _offer: ClassVar[Offer]
+
+    def residuals(self, camera_from_lidar: Float) -> Float:
+        with watch(self._offer, "computing residuals"):
+            residuals = _floats(super().residuals(camera_from_lidar))
+        _require_shape(self._offer, "residuals", residuals, (*np.shape(camera_from_lidar)[:-2], len(self)))
+        return residuals
+
+    def residuals_with_jacobian(self, camera_from_lidar: Float) -> tuple[Float, Float]:
+        with watch(self._offer, "computing residuals and derivatives"):
+            residuals, jacobian = map(_floats, super().residuals_with_jacobian(camera_from_lidar))
+        _require_shape(self._offer, "residuals", residuals, (len(self),))
+        _require_shape(self._offer, "the Jacobian", jacobian, (len(self), 6))
+        # Measurements that are unseen (NaN) or beyond `far` are replaced by a constant: they need no derivatives.
+        if not np.isfinite(jacobian[np.abs(residuals) < self.far]).all():
+            raise fault(self._offer, "the Jacobian of visible measurements contains NaN or infinity", "finite numbers")
+        return residuals, jacobian
+
+    def cost(self, poses: Float) -> Float:
+        with watch(self._offer, "computing its cost"):
+            costs = _floats(super().cost(poses))
+        _require_shape(self._offer, "cost", costs, (len(poses),))
+        _require_numbers(self._offer, "cost", costs)
+        return costs
+
+    def loss(self, residuals: Float) -> Float:
+        with watch(self._offer, "computing its loss"):
+            loss = _floats(super().loss(residuals))
+        _require_numbers(self._offer, "loss", loss)
+        return loss
+
+    def robust_weight(self, residuals: Float) -> Float:
+        with watch(self._offer, "computing robust weights"):
+            weight = _floats(super().robust_weight(residuals))
+        _require_shape(self._offer, "robust weights", weight, (len(self),))
+        return weight
+
+    def depth_m(self, camera_from_lidar: Float) -> float:
+        with watch(self._offer, "computing the mean depth"):
+            return float(super().depth_m(camera_from_lidar))
+
+
+def _guarded_least_squares(offer: Offer, problem: LeastSquares) -> LeastSquares:
+    with watch(offer, "describing its residuals"):
+        weight = np.asarray(problem.weight, dtype=np.float64)
+        count, frame, huber, far = len(problem), np.shape(problem.frame), float(problem.huber), float(problem.far)
+    _require_shape(offer, "weight", weight, (count,))
+    if not (np.isfinite(weight).all() and (weight >= 0).all()):
+        raise fault(offer, "weight is negative, NaN or infinite", "weights >= 0")
+    if frame != (count,):
+        raise fault(offer, f"frame has shape {frame}", f"({count},): the view of each residual")
+    if not (huber > 0 and far > 0):
+        raise fault(offer, f"huber is {huber:g} and far is {far:g}", "widths above zero")
+    with watch(offer, "copying its problem"):
+        guarded, cls = copy.copy(problem), cast(Any, type(problem))
+        object.__setattr__(guarded, "__class__", _guarded_class(offer, cls))
+    return guarded
+
+
+@cache
+def _guarded_class(offer: Offer, cls: Any) -> type[LeastSquares]:
+    """Return the subclass of a plugin's problem whose methods check what the plugin's methods return."""
+    return type(cls.__name__, (_GuardedLeastSquares, cls), {"_offer": offer, "__module__": cls.__module__})
+
+
+@dataclass(frozen=True, eq=False)
+class GuardedJudge:
+    """A matcher's own judge whose costs are checked."""
+
+    offer: Offer
+    judge: Judge
+    name: str
+    unit: str
+
+    @classmethod
+    def of(cls, offer: Offer, judge: Any) -> GuardedJudge:
+        """Return the judge with every later call checked; raises PluginError where it is no p2o.Judge."""
+        if not isinstance(judge, Judge):
+            raise fault(offer, f"judge returned {type(judge).__name__}", "p2o.Judge: name, unit, costs, lead and on")
+        with watch(offer, "naming its judge"):
+            return cls(offer, judge, str(judge.name), str(judge.unit))
+
+    def costs(self, poses: Sequence[Float], /) -> list[float]:
+        """Return the cost of each pose (4, 4), lower is better; infinite costs are allowed, NaN is not."""
+        with watch(self.offer, "judging poses"):
+            costs = np.asarray(self.judge.costs(poses), dtype=np.float64)
+        _require_shape(self.offer, "costs of the judge", costs, (len(poses),))
+        _require_numbers(self.offer, "costs of the judge", costs)
+        return costs.tolist()  # type: ignore[no-any-return]
+
+    def lead(self, best: float, other: float, /) -> tuple[float, str]:
+        """Return the difference of two costs in a unit that a user understands, and the unit."""
+        with watch(self.offer, "comparing two costs"):
+            lead, unit = self.judge.lead(best, other)
+            return float(lead), str(unit)
+
+    def on(self, views: Sequence[View], /) -> GuardedJudge:
+        """Return the judge of the same points in moved views."""
+        with watch(self.offer, "moving its judge to other views"):
+            moved = self.judge.on(views)
+        return GuardedJudge.of(self.offer, moved)
+
+
+def _floats(values: Any) -> Float:
+    """Return an array of floats; float32 stays float32."""
+    array = np.asarray(values)
+    return array if array.dtype.kind == "f" else array.astype(np.float64)
+
+
+def _require_shape(offer: Offer, what: str, values: Float, shape: tuple[int, ...]) -> None:
+    if values.shape != shape:
+        raise fault(offer, f"{what} returned shape {values.shape}", str(shape))
+
+
+def _require_numbers(offer: Offer, what: str, values: Float) -> None:
+    if np.isnan(values).any():
+        raise fault(offer, f"{what} returned NaN", "numbers")
 
 
 def build(offer: Offer, options: Options) -> Any:
@@ -32,12 +206,12 @@ def build(offer: Offer, options: Options) -> Any:
     A guarded stage raises PluginError, naming plugin and stage, where the plugin raises anything but a P2OError or
     returns a wrong type, a wrong shape or NaN. Raises MethodUnavailable where a package is not installed.
     """
-    with _watch(offer, "building"):
+    with watch(offer, "building"):
         stage = offer.method.build(options)
     if offer.kind in _CLASSES:
         return _CLASSES[offer.kind](offer, stage)
     if not callable(stage):
-        raise _fault(offer, f"build returned {type(stage).__name__}", "something to call")
+        raise fault(offer, f"build returned {type(stage).__name__}", "something to call")
     return _GUARDS[offer.kind](offer, stage)
 
 
@@ -51,21 +225,21 @@ def trainer_of(offer: Offer) -> Trainer:
         raise InputError(f"{offer.kind} '{offer.name}' cannot be trained", expected="a method that learns")
 
     def label(frame: Frame) -> bytes:
-        with _watch(offer, f"labelling {frame.name}"):
+        with watch(offer, f"labelling {frame.name}"):
             content = trainer.label(frame)
         if not isinstance(content, bytes):
-            raise _fault(offer, f"label returned {type(content).__name__}", "the bytes of a file")
+            raise fault(offer, f"label returned {type(content).__name__}", "the bytes of a file")
         return content
 
     def draw(path: Path) -> Any:
-        with _watch(offer, f"drawing {path}"):
+        with watch(offer, f"drawing {path}"):
             return trainer.draw(path)
 
     def train(*arguments: Any) -> Path:
-        with _watch(offer, "training"):
+        with watch(offer, "training"):
             weights = trainer.train(*arguments)
         if not isinstance(weights, Path) or not weights.is_file():
-            raise _fault(offer, "train returned no file", "the path of the weights")
+            raise fault(offer, "train returned no file", "the path of the weights")
         return weights
 
     return replace(trainer, label=label, draw=draw, train=train)
@@ -76,15 +250,15 @@ class GuardedDataset(Sequence[Frame]):
 
     def __init__(self, offer: Offer, dataset: Any) -> None:
         if not isinstance(dataset, Dataset):
-            raise _fault(offer, f"build returned {type(dataset).__name__}", "a p2o.Dataset: names, len() and [index]")
+            raise fault(offer, f"build returned {type(dataset).__name__}", "a p2o.Dataset: names, len() and [index]")
         self._offer, self._dataset = offer, dataset
-        with _watch(offer, "listing frames"):
+        with watch(offer, "listing frames"):
             self.names: tuple[str, ...] = tuple(dataset.names)
             count = len(dataset)
-            # Frames that the reader left out, with reasons: whoever asks for one is told.
-            self.skipped: Mapping[str, str] = getattr(dataset, "skipped", {})
+            # Names of frames that the reader left out, with the reason that a request for one is answered with.
+            self.skipped: Mapping[str, str] = dataset.skipped if isinstance(dataset, LazyFrames) else {}
         if count != len(self.names) or not all(isinstance(name, str) for name in self.names):
-            raise _fault(offer, f"{len(self.names)} names for {count} frames", "one name for each frame")
+            raise fault(offer, f"{len(self.names)} names for {count} frames", "one name for each frame")
         for name in self.names:
             try:
                 name.encode()
@@ -93,7 +267,7 @@ class GuardedDataset(Sequence[Frame]):
                 raise InputError("the name of a frame is not UTF-8", got=name, hint="rename its files") from problem
         if len(set(self.names)) < len(self.names):
             twice = next(name for i, name in enumerate(self.names) if name in self.names[:i])
-            raise _fault(offer, f"two frames are called {twice!r}", "a name of its own for each frame")
+            raise fault(offer, f"two frames are called {twice!r}", "a name of its own for each frame")
 
     def __len__(self) -> int:
         return len(self.names)
@@ -101,98 +275,25 @@ class GuardedDataset(Sequence[Frame]):
     def __getitem__(self, index: Any) -> Any:
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
-        with _watch(self._offer, f"reading frame {self.names[index]}"):
+        with watch(self._offer, f"reading frame {self.names[index]}"):
             frame = self._dataset[index]
         if not isinstance(frame, Frame):
-            raise _fault(self._offer, f"frame {index} is {type(frame).__name__}", "p2o.Frame")
+            raise fault(self._offer, f"frame {index} is {type(frame).__name__}", "p2o.Frame")
         if frame.name != self.names[index]:
-            raise _fault(self._offer, f"frame {index} is called {frame.name!r}", repr(self.names[index]))
+            raise fault(self._offer, f"frame {index} is called {frame.name!r}", repr(self.names[index]))
         return frame
-
-
-def _fault(offer: Offer, what: str, expected: object = None) -> PluginError:
-    return PluginError(f"plugin {offer.dist}: {offer.kind} '{offer.name}': {what}", expected=expected)
-
-
-@contextmanager
-def _watch(offer: Offer, doing: str) -> Iterator[None]:
-    """Turn what a plugin raises into one line that names it; our own errors pass through as they are."""
-    try:
-        yield
-    except P2OError:
-        raise
-    except ModuleNotFoundError as problem:
-        raise _unavailable(offer, problem) from problem
-    except OSError as problem:
-        if offer.kind in (Kind.DATASET, Kind.EXPORTER):
-            raise InputError(
-                f"{offer.kind} '{offer.name}' failed while {doing}",
-                where=problem.filename,
-                got=problem.strerror or str(problem),
-            ) from problem
-        raise _raised(offer, doing, problem) from problem
-    except Exception as problem:
-        raise _raised(offer, doing, problem) from problem
-
-
-def _raised(offer: Offer, doing: str, problem: Exception) -> PluginError:
-    return PluginError(
-        f"plugin {offer.dist}: {offer.kind} '{offer.name}' raised {type(problem).__name__} while {doing}",
-        got=str(problem) or None,
-        hint="P2O_DEBUG=1 shows where",
-    )
-
-
-def _unavailable(offer: Offer, problem: ModuleNotFoundError) -> P2OError:
-    missing = (problem.name or "").partition(".")[0]
-    if missing == getattr(offer.method.build, "__module__", "").partition(".")[0]:
-        return _raised(offer, "importing its own code", problem)
-    return MethodUnavailable(
-        f"{offer.kind} '{offer.name}' needs the package {missing}, which is not installed",
-        hint=f"run: pip install {requirement(offer) or missing}",
-    )
-
-
-def requirement(offer: Offer) -> str:
-    """Return what pip has to install for a method, such as "pyceres>=2.4"; empty where nothing more is needed.
-
-    These are the packages that the extra of the method's distribution is made of: the distribution itself may be on no
-    index.
-    """
-    extra = offer.method.extra
-    if not extra:
-        return ""
-    try:
-        required = requires(offer.dist) or []
-    except PackageNotFoundError:
-        required = []
-    of_extra = re.compile(rf"""([^;]+);.*\bextra\s*==\s*['"]{re.escape(extra)}['"]""")
-    packages = [match[1].strip() for text in required if (match := of_extra.fullmatch(text.strip()))]
-    return " ".join(f'"{package}"' for package in packages) or extra
 
 
 def _pose(offer: Offer, value: Any) -> Float:
     try:
         return se3.check_rigid("camera_from_lidar", value)
     except InputError as problem:
-        raise _fault(offer, f"returned no rigid transform: {problem}") from problem
-
-
-def _finite(offer: Offer, name: str, values: Any) -> None:
-    if values is not None and not np.isfinite(values).all():
-        raise _fault(offer, f"{name} holds NaN or infinity", "finite numbers")
+        raise fault(offer, f"returned no rigid transform: {problem}") from problem
 
 
 def _typed(offer: Offer, value: Any, *wanted: type) -> None:
     if not isinstance(value, wanted):
-        raise _fault(offer, f"returned {type(value).__name__}", " or ".join(f"p2o.{t.__name__}" for t in wanted))
-
-
-def _as_said(offer: Offer, features: ImageFeatures | CloudFeatures, prefix: str) -> None:
-    """Raise PluginError where a kind of feature is missing that the method says it gives."""
-    missing = sorted(w for w in offer.method.gives if w.startswith(prefix) and w not in features.words)
-    if missing:
-        raise _fault(offer, f"gave no {missing[0].removeprefix(prefix)}", f"{missing[0]}, as it says in `gives`")
+        raise fault(offer, f"returned {type(value).__name__}", " or ".join(f"p2o.{t.__name__}" for t in wanted))
 
 
 def check_features(offer: Offer, features: Any) -> None:
@@ -203,7 +304,9 @@ def check_features(offer: Offer, features: Any) -> None:
     if offer.kind in _FEATURES:
         kind, prefix = _FEATURES[offer.kind]
         _typed(offer, features, kind)
-        _as_said(offer, features, prefix)
+        missing = sorted(w for w in offer.method.gives if w.startswith(prefix) and w not in features.words)
+        if missing:
+            raise fault(offer, f"gave no {missing[0].removeprefix(prefix)}", f"{missing[0]}, as it says in `gives`")
 
 
 _FEATURES = {Kind.IMAGE_EXTRACTOR: (ImageFeatures, "image-"), Kind.CLOUD_EXTRACTOR: (CloudFeatures, "cloud-")}
@@ -211,7 +314,7 @@ _FEATURES = {Kind.IMAGE_EXTRACTOR: (ImageFeatures, "image-"), Kind.CLOUD_EXTRACT
 
 def _extractor(offer: Offer, stage: Callable[..., Any]) -> Any:
     def extract(image_or_cloud: Any, /) -> Any:
-        with _watch(offer, "extracting"):
+        with watch(offer, "extracting"):
             features = stage(image_or_cloud)
         check_features(offer, features)
         return features
@@ -219,86 +322,92 @@ def _extractor(offer: Offer, stage: Callable[..., Any]) -> Any:
     return extract
 
 
-def _matcher(offer: Offer, stage: Callable[..., Any]) -> Any:
-    def guarded_cost(cost: Callable[[Float], Float]) -> Callable[[Float], Float]:
-        def checked_cost(poses: Float) -> Float:
-            with _watch(offer, "computing its cost"):
-                values = np.asarray(cost(poses), dtype=np.float64)
-            if values.shape != (len(poses),) or np.isnan(values).any():
-                raise _fault(offer, f"cost returned shape {values.shape}", f"({len(poses)},) without NaN")
-            return values
+class _Guarded:
+    """A plugin's stage, and its offer, which errors name."""
 
-        return checked_cost
+    def __init__(self, offer: Offer, stage: Any) -> None:
+        if not callable(stage):
+            raise fault(offer, f"build returned {type(stage).__name__}", "something to call")
+        self._offer, self._stage = offer, stage
 
-    def guarded_gradient(gradient: Callable[[Float], Float]) -> Callable[[Float], Float]:
-        def checked_gradient(pose: Float) -> Float:
-            with _watch(offer, "computing its gradient"):
-                values = np.asarray(gradient(pose), dtype=np.float64)
-            if values.shape != (6,) or not np.isfinite(values).all():
-                raise _fault(offer, f"gradient returned shape {values.shape}", "(6,), finite")
-            return values
 
-        return checked_gradient
+class GuardedMatcher(_Guarded, MatcherBase):
+    """A plugin's matcher whose problems and judge are checked."""
 
-    def match(views: Any, camera_from_lidar: Float, reach_px: float, /) -> Any:
-        with _watch(offer, "matching"):
-            problem = stage(views, camera_from_lidar, reach_px)
-        if isinstance(problem, LeastSquares):
-            return problem
-        _typed(offer, problem, LeastSquares, Objective)
-        gradient = None if problem.gradient is None else guarded_gradient(problem.gradient)
-        return replace(problem, cost=guarded_cost(problem.cost), gradient=gradient)
+    def __call__(self, views: Sequence[View], camera_from_lidar: Float, reach_px: float, /) -> Problem:
+        """Return the guarded problem of all views."""
+        with watch(self._offer, "matching"):
+            problem = self._stage(views, camera_from_lidar, reach_px)
+        return guarded_problem(self._offer, problem)
 
-    own = getattr(stage, "judge", None)
-    if own is None:
-        return match
-
-    def judge(views: Any, start: Float, poses: Any, /) -> Any:
-        with _watch(offer, "making its judge"):
-            return own(views, start, poses)
-
-    match.judge = judge  # type: ignore[attr-defined]
-    return match
+    def judge(self, views: Sequence[View], start: Float, poses: Sequence[Float], /) -> Judge | None:
+        """Return the matcher's own judge, guarded, or None."""
+        if not isinstance(self._stage, MatcherBase):
+            return None
+        with watch(self._offer, "making its judge"):
+            judge = self._stage.judge(views, start, poses)
+        return None if judge is None else GuardedJudge.of(self._offer, judge)
 
 
 def _solver(offer: Offer, stage: Callable[..., Any]) -> Any:
     def solve(problem: Any, camera_from_lidar: Float, /) -> Any:
-        with _watch(offer, "solving"):
+        with watch(offer, "solving"):
             solution = stage(problem, camera_from_lidar)
         _typed(offer, solution, Solution)
         if np.isnan(solution.cost):
-            raise _fault(offer, "cost is NaN", "a number")
+            raise fault(offer, "cost is NaN", "a number")
         if solution.covariance is not None:
             if np.shape(solution.covariance) != (6, 6):
-                raise _fault(offer, f"covariance has shape {np.shape(solution.covariance)}", "(6, 6)")
-            _finite(offer, "covariance", solution.covariance)
+                raise fault(offer, f"covariance has shape {np.shape(solution.covariance)}", "(6, 6)")
+            if not np.isfinite(solution.covariance).all():
+                raise fault(offer, "covariance holds NaN or infinity", "finite numbers")
         return replace(solution, camera_from_lidar=_pose(offer, solution.camera_from_lidar))
 
     return solve
 
 
-def _initializer(offer: Offer, stage: Callable[..., Any]) -> Any:
-    def propose(views: Any, camera_from_lidar: Float, /) -> Any:
-        with _watch(offer, "looking for starts"):
-            poses = list(stage(views, camera_from_lidar))
+class GuardedInitializer(_Guarded, InitializerBase):
+    """A plugin's initializer whose poses are checked."""
+
+    def __init__(self, offer: Offer, stage: Any) -> None:
+        super().__init__(offer, stage)
+        sigma: Any = None
+        if isinstance(stage, InitializerBase):
+            with watch(offer, "reading start_sigma"):
+                sigma = stage.start_sigma
+        if sigma is not None:
+            if np.shape(sigma) != (2,) or not (np.isfinite(sigma).all() and np.all(np.asarray(sigma) > 0)):
+                raise fault(offer, f"start_sigma is {sigma!r}", "degrees and metres, both above zero")
+            sigma = float(sigma[0]), float(sigma[1])
+        self._start_sigma: tuple[float, float] | None = sigma
+
+    def __call__(self, views: Sequence[View], camera_from_lidar: Float, /) -> list[Float]:
+        """Return at least one initial pose (4, 4), best first."""
+        with watch(self._offer, "looking for starts"):
+            poses = list(self._stage(views, camera_from_lidar))
         if not poses:
-            raise _fault(offer, "proposed no start", "at least one pose")
-        return [_pose(offer, pose) for pose in poses]
+            raise fault(self._offer, "proposed no start", "at least one pose")
+        return [_pose(self._offer, pose) for pose in poses]
 
-    sigma = getattr(stage, "start_sigma", None)
-    if sigma is not None:
-        if np.shape(sigma) != (2,) or not (np.isfinite(sigma).all() and np.all(np.asarray(sigma) > 0)):
-            raise _fault(offer, f"start_sigma is {sigma!r}", "degrees and metres, both above zero")
-        propose.start_sigma = tuple(map(float, sigma))  # type: ignore[attr-defined]
-    own = getattr(stage, "prepare", None)
-    if own is not None:
+    @property
+    def start_sigma(self) -> tuple[float, float] | None:
+        """Standard deviation of the initial guess in deg and m, or None."""
+        return self._start_sigma
 
-        def prepare(frame: Frame, /) -> Any:
-            with _watch(offer, f"preparing {frame.name}"):
-                return own(frame.without_truth())
+    @property
+    def prepares(self) -> bool:
+        """Whether the method prepares frames."""
+        if not isinstance(self._stage, InitializerBase):
+            return False
+        with watch(self._offer, "reading `prepares`"):
+            return bool(self._stage.prepares)
 
-        propose.prepare = prepare  # type: ignore[attr-defined]
-    return propose
+    def prepare(self, frame: Frame, /) -> Any:
+        """Return what the method prepares of a frame, which it receives without truth."""
+        if not self.prepares:
+            return None
+        with watch(self._offer, f"preparing {frame.name}"):
+            return self._stage.prepare(frame.without_truth())
 
 
 class GuardedCalibrator:
@@ -309,23 +418,24 @@ class GuardedCalibrator:
 
     def __init__(self, offer: Offer, stage: Any) -> None:
         self._offer, self._stage = offer, stage
-        self.prepares = callable(getattr(stage, "prepare", None)) and callable(getattr(stage, "solve", None))
+        self.prepares = isinstance(stage, Calibrator)
         if not self.prepares and not callable(stage):
-            raise _fault(offer, f"build returned {type(stage).__name__}", "prepare() and solve(), or something to call")
+            raise fault(offer, f"build returned {type(stage).__name__}", "prepare() and solve(), or something to call")
 
     def prepare(self, frame: Frame, /) -> Any:
         """Return what the method prepares of a frame, which it sees without its truth."""
         frame = frame.without_truth()
         if not self.prepares:
             return frame
-        with _watch(self._offer, f"preparing {frame.name}"):
+        with watch(self._offer, f"preparing {frame.name}"):
             return self._stage.prepare(frame)
 
     def solve(self, prepared: Sequence[Any], camera_from_lidar: Float, /) -> Result:
         """Return the result of what was prepared, from a start (4, 4)."""
-        with _watch(self._offer, "calibrating"):
+        with watch(self._offer, "calibrating"):
             solve = self._stage.solve if self.prepares else self._stage
-            result: Result = solve(list(prepared), camera_from_lidar)
+            # A plain function reads the frames itself: as a list, all of them would be in memory.
+            result: Result = solve(list(prepared) if self.prepares else prepared, camera_from_lidar)
         _typed(self._offer, result, Result)
         return replace(result, camera_from_lidar=_pose(self._offer, result.camera_from_lidar))
 
@@ -337,19 +447,18 @@ class GuardedAccumulator:
     """A plugin's accumulator whose joined sweep is checked."""
 
     def __init__(self, offer: Offer, stage: Any) -> None:
-        if not callable(stage):
-            raise _fault(offer, f"build returned {type(stage).__name__}", "something to call")
+        if not isinstance(stage, Accumulator):
+            raise fault(offer, f"build returned {type(stage).__name__}", "something to call with `past` and `future`")
         self._offer, self._stage = offer, stage
-        self.past, self.future = (self._wanted(name) for name in ("past", "future"))
-
-    def _wanted(self, name: str) -> int:
-        count = getattr(self._stage, name, None)
-        if not isinstance(count, int) or count < 0:
-            raise _fault(self._offer, f"`{name}` is {count!r}", "how many frames it wants, a number >= 0")
-        return count
+        with watch(offer, "reading `past` and `future`"):
+            past, future = stage.past, stage.future
+        for name, count in (("past", past), ("future", future)):
+            if not isinstance(count, int) or count < 0:
+                raise fault(offer, f"`{name}` is {count!r}", "a number of frames >= 0")
+        self.past, self.future = past, future
 
     def __call__(self, frames: Sequence[Frame], number: int, /) -> Cloud:
-        with _watch(self._offer, f"joining the sweeps around {frames[number].name}"):
+        with watch(self._offer, f"joining the sweeps around {frames[number].name}"):
             cloud = self._stage(frames, number)
         _typed(self._offer, cloud, Cloud)
         joined: Cloud = cloud
@@ -358,23 +467,81 @@ class GuardedAccumulator:
 
 def _exporter(offer: Offer, stage: Callable[..., Any]) -> Any:
     def export(result: Result, path: Path, /) -> None:
-        with _watch(offer, f"writing {path}"):
+        with watch(offer, f"writing {path}"):
             stage(result, path)
 
     return export
 
 
+class GuardedReader:
+    """A plugin's reader of calibration files, whose answers are checked."""
+
+    def __init__(self, offer: Offer, reader: Any) -> None:
+        if not isinstance(reader, CalibrationReader):
+            raise fault(offer, f"build returned {type(reader).__name__}", "a CalibrationReader")
+        with watch(offer, "reading its rank"):
+            rank = reader.rank
+        if not isinstance(rank, int):
+            raise fault(offer, f"its rank is {rank!r}", "a whole number")
+        self._offer, self._reader, self.rank = offer, reader, rank
+
+    def recognises(self, source: Source) -> bool:
+        """Return whether a file has the format of the reader."""
+        with watch(self._offer, f"recognising {source.path}"):
+            answer = self._reader.recognises(source)
+        if not isinstance(answer, bool | np.bool_):
+            raise fault(self._offer, f"recognises returned {type(answer).__name__}", "True or False")
+        return bool(answer)
+
+    def read(self, source: Source) -> Calibration:
+        """Return the content of a file.
+
+        Raises InputError for wrong content, and PluginError also for an InputError that does not name the file:
+        the reader has passed values on that it did not check.
+        """
+        try:
+            with watch(self._offer, f"reading {source.path}"):
+                calibration = self._reader.read(source)
+        except InputError as problem:
+            if problem.where is not None:
+                raise
+            raise fault(self._offer, f"read {source.path} as an invalid calibration: {problem}") from problem
+        except PluginError as problem:
+            if isinstance(problem.__cause__, RecursionError):
+                raise InputError("the calibration file is nested too deeply", where=source.path) from problem
+            raise
+        self._check(calibration)
+        return calibration
+
+    def _check(self, calibration: Any) -> None:
+        _typed(self._offer, calibration, Calibration)
+        if calibration.camera is not None:
+            _typed(self._offer, calibration.camera, Camera)
+        texts = (calibration.lidar_frame, calibration.camera_frame, *calibration.remarks)
+        if not (isinstance(calibration.remarks, tuple) and all(isinstance(text, str) for text in texts)):
+            raise fault(self._offer, "frame names or remarks are not texts", "texts, and a tuple of texts")
+
+    def example(self) -> bytes:
+        """Return the content of the reader's example file."""
+        with watch(self._offer, "making its example"):
+            content = self._reader.example()
+        if not isinstance(content, bytes) or not content:
+            raise fault(self._offer, f"example returned {content!r:.40}", "the bytes of a file")
+        return content
+
+
 _GUARDS: dict[Kind, Callable[[Offer, Callable[..., Any]], Any]] = {
     Kind.IMAGE_EXTRACTOR: _extractor,
     Kind.CLOUD_EXTRACTOR: _extractor,
-    Kind.MATCHER: _matcher,
     Kind.SOLVER: _solver,
-    Kind.INITIALIZER: _initializer,
     Kind.EXPORTER: _exporter,
 }
 
 _CLASSES: dict[Kind, Callable[[Offer, Any], Any]] = {
     Kind.DATASET: GuardedDataset,
+    Kind.MATCHER: GuardedMatcher,
+    Kind.INITIALIZER: GuardedInitializer,
     Kind.CALIBRATOR: GuardedCalibrator,
     Kind.ACCUMULATOR: GuardedAccumulator,
+    Kind.CALIBRATION_READER: GuardedReader,
 }

@@ -12,21 +12,24 @@ import os
 import re
 import sys
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
-from importlib.metadata import EntryPoint, entry_points
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
+from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, requires
 from pathlib import Path
 from typing import Any
 
 import pluggy
 
-from p2o.errors import LONGEST, InputError, P2OError, PluginError, UnknownNameError, one_line
+from p2o.errors import LONGEST, InputError, MethodUnavailable, P2OError, PluginError, UnknownNameError, one_line
 from p2o.files.input_file import MAX_TEXT_BYTES, expanded, read_bytes
 from p2o.host import hookspecs
-from p2o.host.method import Kind, Method
+from p2o.host.method import PLUGIN_API, Kind, Method
 
 GROUP = "p2o"
+DISTRIBUTION = "p2o-calib"
+"""The distribution of this package and its own plugins."""
 
 
 @dataclass(frozen=True)
@@ -51,48 +54,39 @@ class Offer:
 
 
 @dataclass(frozen=True)
-class Plugin:
+class _Origin:
+    """Where a plugin comes from: distribution (or file), its version, and the entry point."""
+
+    dist: str
+    version: str
+    entry: str
+
+    @property
+    def name(self) -> str:
+        """Its name in the registry: distribution:entry."""
+        return f"{self.dist}:{self.entry}"
+
+
+@dataclass(frozen=True)
+class Plugin(_Origin):
     """One plugin that was loaded, with the methods it offers."""
 
-    dist: str
-    version: str
-    entry: str
     offers: tuple[Offer, ...] = ()
 
-    @property
-    def name(self) -> str:
-        """Its name in the registry: distribution:entry."""
-        return f"{self.dist}:{self.entry}"
-
 
 @dataclass(frozen=True)
-class Broken:
+class Broken(_Origin):
     """One plugin that could not be loaded, and why in one line."""
 
-    dist: str
-    version: str
-    entry: str
     error: str
-
-    @property
-    def name(self) -> str:
-        """Its name in the registry: distribution:entry."""
-        return f"{self.dist}:{self.entry}"
 
 
 @dataclass(frozen=True)
-class _Source:
-    """Where a plugin comes from before it is loaded: an object, an entry point or a file."""
+class _Source(_Origin):
+    """A plugin before it is loaded: an object, an entry point or a file."""
 
-    dist: str
-    version: str
-    entry: str
     value: Any
     forced: bool = False
-
-    @property
-    def name(self) -> str:
-        return f"{self.dist}:{self.entry}"
 
     def answers_to(self, word: str) -> bool:
         """True where the user means this plugin by `word`: its distribution, entry point, or both."""
@@ -127,11 +121,11 @@ class Registry:
 
         `plugins` names the only ones to load (default: the comma-separated `P2O_PLUGINS` of `environ`; unset: all,
         empty: none), `block` ones to leave out; a name is a distribution, an entry point, or distribution:entry.
-        `extra_files` are Python files to load besides, however the rest is selected. A broken plugin is left out with
-        one line on stderr; with `P2O_STRICT=1` it raises.
+        `extra_files` are Python files that are always loaded in addition. A broken plugin is skipped with one line on
+        stderr; with `P2O_STRICT=1` it raises.
 
         Raises UnknownNameError for a plugin that is not installed, and PluginError for a broken file of
-        `extra_files` (somebody asked for it) or, when strict, for any broken plugin.
+        `extra_files` (requested explicitly) or, when strict, for any broken plugin.
         """
         environ = os.environ if environ is None else environ
         if plugins is None and "P2O_PLUGINS" in environ:
@@ -153,6 +147,15 @@ class Registry:
         return cls._from(sources, (), strict=True)
 
     @classmethod
+    def of_process(cls) -> Registry:
+        """Return the installed plugins, loaded once, and the plugin files that this process has loaded without error.
+
+        For code without access to the registry of a run, e.g. data sets that read calibration files.
+        """
+        installed = _installed_registry(os.environ.get("P2O_PLUGINS"))
+        return replace(installed, plugins=(*installed.plugins, *_file_plugins.values()))
+
+    @classmethod
     def _from(cls, sources: Sequence[_Source], blocked: Sequence[str], *, strict: bool) -> Registry:
         host = pluggy.PluginManager(hookspecs.PROJECT)
         host.add_hookspecs(hookspecs)
@@ -164,16 +167,19 @@ class Registry:
                 if source.name in seen:
                     raise PluginError(f"two plugins are called {source.name}", expected="one entry point of a name")
                 good.append(_register(host, source))
+                if isinstance(source.value, Path):
+                    _file_plugins[source.value.resolve()] = good[-1]
+            except KeyboardInterrupt:
+                raise
             # A plugin that calls sys.exit() on import must not end the program that only lists it.
-            except (Exception, SystemExit) as problem:
+            except BaseException as problem:
                 # pluggy keeps a plugin that fails validation half registered: its other hooks would still answer.
                 if source.name not in seen and host.has_plugin(source.name):
                     host.unregister(name=source.name)
                 reason = _one_line(problem)
                 if strict or source.forced:
-                    raise PluginError(
-                        f"cannot load plugin {source.name}", got=reason, hint=_repair_hint(source)
-                    ) from problem
+                    text, hint = f"cannot load plugin {source.name}", _repair_hint(source)
+                    raise PluginError(text, got=reason, hint=hint) from problem
                 bad.append(Broken(source.dist, source.version, source.entry, reason))
                 print(f"p2o: warning: plugin {source.name} left out: {reason}", file=sys.stderr)
             seen.add(source.name)
@@ -183,8 +189,8 @@ class Registry:
     def offers(self) -> tuple[Offer, ...]:
         """Every offer, by kind, then name, then distribution."""
         order = {kind: i for i, kind in enumerate(Kind)}
-        found = [offer for plugin in self.plugins for offer in plugin.offers]
-        return tuple(sorted(found, key=lambda o: (order[o.kind], o.name, o.dist, o.entry)))
+        offers = [offer for plugin in self.plugins for offer in plugin.offers]
+        return tuple(sorted(offers, key=lambda o: (order[o.kind], o.name, o.dist, o.entry)))
 
     def of_kind(self, kind: Kind) -> tuple[Offer, ...]:
         """Return every offer of a kind, by name."""
@@ -195,10 +201,10 @@ class Registry:
 
         Raises UnknownNameError where there are none.
         """
-        found = tuple(o for o in self.offers if _matches(o, name))
-        if not found:
+        offers = tuple(o for o in self.offers if _matches(o, name))
+        if not offers:
             raise UnknownNameError("method", name, {o.name for o in self.offers}, hint=self._broken_hint())
-        return found
+        return offers
 
     def find(self, kind: Kind, name: str) -> Offer:
         """Return the one offer of a kind with this exact name; `name@distribution` decides between two.
@@ -206,23 +212,32 @@ class Registry:
         Raises UnknownNameError with the nearest names, all names of the kind, and the broken plugins with their
         reasons; PluginError where two plugins offer the name, naming both.
         """
-        found = [offer for offer in self.of_kind(kind) if _matches(offer, name)]
-        if not found:
+        offers = [offer for offer in self.of_kind(kind) if _matches(offer, name)]
+        if not offers:
             known = {o.full_name if "@" in name else o.name for o in self.of_kind(kind)}
             raise UnknownNameError(kind.value, name, known, hint=self._broken_hint())
-        if len(found) > 1:
-            givers = " and ".join(f"{o.dist}:{o.entry}" for o in found)
-            raise PluginError(
-                f"{kind.value} '{name}' is offered by two plugins: {givers}",
-                hint="write " + " or ".join(sorted({o.full_name for o in found})) + ", or leave one out with --block",
-            )
-        return found[0]
+        if len(offers) > 1:
+            givers = " and ".join(f"{o.dist}:{o.entry}" for o in offers)
+            text = f"{kind.value} '{name}' is offered by two plugins: {givers}"
+            names = " or ".join(sorted({o.full_name for o in offers}))
+            raise PluginError(text, hint=f"write {names}, or leave one out with --block")
+        return offers[0]
 
     def _broken_hint(self) -> str:
         hints = [f"plugin {b.name} is broken: {b.error}" for b in self.broken]
         if self.blocked:
             hints.append("left out on request: " + ", ".join(self.blocked))
         return "; ".join(hints)
+
+
+_file_plugins: dict[Path, Plugin] = {}
+"""The plugins of single files that this process has loaded, by path."""
+
+
+@cache
+def _installed_registry(selection: str | None) -> Registry:
+    """Return the registry of the installed plugins; `selection` is P2O_PLUGINS."""
+    return Registry.load(None if selection is None else selection.split(","))
 
 
 def _matches(offer: Offer, name: str) -> bool:
@@ -262,10 +277,8 @@ def _file_sources(paths: Iterable[str | Path]) -> list[_Source]:
     """Return the sources of plugin files, each file once; those that share a name are called by their paths."""
     files = {path.resolve(): path for path in map(expanded, paths)}
     count = Counter(path.name for path in files.values())
-    return [
-        _Source(path.name if count[path.name] == 1 else str(path), "", path.stem, path, forced=True)
-        for path in files.values()
-    ]
+    names = {path: path.name if count[path.name] == 1 else str(path) for path in files.values()}
+    return [_Source(name, "", path.stem, path, forced=True) for path, name in names.items()]
 
 
 def _selected(
@@ -299,10 +312,7 @@ def file_module_name(path: Path) -> str:
 
 
 def _module_of(path: Path) -> Any:
-    """Import one file as a module of its own; it does not become importable by name.
-
-    A file that is as it was stays the same module: features of its classes are told from others by their class.
-    """
+    """Import one file as a module of its own; unchanged files keep their module, which identifies their classes."""
     if not path.is_file():
         raise InputError("no such plugin file", where=path, expected="a Python file")
     state = path.resolve(), read_bytes(path, "plugin file", MAX_TEXT_BYTES)
@@ -327,6 +337,9 @@ def _module_of(path: Path) -> Any:
 def _register(host: pluggy.PluginManager, source: _Source) -> Plugin:
     """Register one plugin and list its methods while we still know whose they are."""
     module = source.load()
+    api = getattr(module, "PLUGIN_API", PLUGIN_API)
+    if api != PLUGIN_API:
+        raise PluginError(f"the plugin is written for plugin API {api}, but this p2o has plugin API {PLUGIN_API}")
     host.register(module, name=source.name)
     host.check_pending()
     others = [plugin for plugin in host.get_plugins() if plugin is not module]
@@ -335,9 +348,8 @@ def _register(host: pluggy.PluginManager, source: _Source) -> Plugin:
         # Called through pluggy, so that a hook may gain arguments without breaking old plugins.
         for result in host.subset_hook_caller(kind.hook, others)():
             if isinstance(result, Method) or not isinstance(result, Iterable):
-                raise PluginError(
-                    f"{kind.hook} returned {type(result).__name__}", expected="an iterable of p2o.Method: yield them"
-                )
+                wanted = "an iterable of p2o.Method: yield them"
+                raise PluginError(f"{kind.hook} returned {type(result).__name__}", expected=wanted)
             # A generator raises only here, outside of the hook call.
             for method in result:
                 if not isinstance(method, Method):
@@ -346,3 +358,60 @@ def _register(host: pluggy.PluginManager, source: _Source) -> Plugin:
                     raise PluginError(f"{kind.hook} offers '{method.name}' twice", expected="each name once")
                 offers.append(Offer(kind, method, source.dist, source.version, source.entry))
     return Plugin(source.dist, source.version, source.entry, tuple(offers))
+
+
+def fault(offer: Offer, what: str, expected: object = None) -> PluginError:
+    """Return the error that names plugin, slot and method, and what is wrong with a returned value."""
+    return PluginError(f"plugin {offer.dist}: {offer.kind} '{offer.name}': {what}", expected=expected)
+
+
+@contextmanager
+def watch(offer: Offer, doing: str) -> Iterator[None]:
+    """Turn exceptions of a plugin into a PluginError that names it; P2OError and KeyboardInterrupt pass unchanged.
+
+    SystemExit and other classes that do not derive from Exception are faults, too: they would end the program. A
+    missing package becomes MethodUnavailable, and an OSError of a data set or exporter an InputError with the file.
+    """
+    try:
+        yield
+    except (P2OError, KeyboardInterrupt):
+        raise
+    except ModuleNotFoundError as problem:
+        raise _unavailable(offer, problem) from problem
+    except OSError as problem:
+        if offer.kind in (Kind.DATASET, Kind.EXPORTER):
+            text = f"{offer.kind} '{offer.name}' failed while {doing}"
+            raise InputError(text, where=problem.filename, got=problem.strerror or str(problem)) from problem
+        raise _raised(offer, doing, problem) from problem
+    except BaseException as problem:
+        raise _raised(offer, doing, problem) from problem
+
+
+def requirement(offer: Offer) -> str:
+    """Return the packages that pip has to install for a method, such as "pyceres>=2.4"; empty if none is needed.
+
+    These are the packages of the extra of the method's distribution: the distribution itself may be on no index.
+    """
+    extra = offer.method.extra
+    if not extra:
+        return ""
+    try:
+        required = requires(offer.dist) or []
+    except PackageNotFoundError:
+        required = []
+    of_extra = re.compile(rf"""([^;]+);.*\bextra\s*==\s*['"]{re.escape(extra)}['"]""")
+    packages = [match[1].strip() for text in required if (match := of_extra.fullmatch(text.strip()))]
+    return " ".join(f'"{package}"' for package in packages) or extra
+
+
+def _raised(offer: Offer, doing: str, problem: BaseException) -> PluginError:
+    text = f"plugin {offer.dist}: {offer.kind} '{offer.name}' raised {type(problem).__name__} while {doing}"
+    return PluginError(text, got=str(problem) or None, hint="P2O_DEBUG=1 shows where")
+
+
+def _unavailable(offer: Offer, problem: ModuleNotFoundError) -> P2OError:
+    missing = (problem.name or "").partition(".")[0]
+    if missing == getattr(offer.method.build, "__module__", "").partition(".")[0]:
+        return _raised(offer, "importing its own code", problem)
+    text = f"{offer.kind} '{offer.name}' needs the package {missing}, which is not installed"
+    return MethodUnavailable(text, hint=f"run: pip install {requirement(offer) or missing}")

@@ -1,4 +1,4 @@
-"""The nine slots: what a method can be, and by which words users choose and set it.
+"""The ten slots: what a method can be, and by which words users choose and set it.
 
 Whatever lists slots, stages or their words takes them from `SLOTS`.
 """
@@ -11,7 +11,7 @@ from enum import StrEnum
 
 
 class Kind(StrEnum):
-    """The nine slots; the value is what `p2o methods` prints, `hook` the hook that offers methods of the kind."""
+    """The ten slots; the value is what `p2o methods` prints, `hook` the hook that offers methods of the kind."""
 
     IMAGE_EXTRACTOR = "image extractor"
     CLOUD_EXTRACTOR = "cloud extractor"
@@ -22,6 +22,7 @@ class Kind(StrEnum):
     ACCUMULATOR = "accumulator"
     DATASET = "dataset"
     EXPORTER = "exporter"
+    CALIBRATION_READER = "calibration reader"
 
     @property
     def hook(self) -> str:
@@ -29,14 +30,14 @@ class Kind(StrEnum):
         return "p2o_" + self.value.replace(" ", "_") + "s"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Slot:
     """One slot.
 
     `stage` names the method in a plan, and its options in --set STAGE.FIELD=VALUE. `word` is the word of a recipe or
-    study file that chooses it, and its option on the command line; both extractors share one, IMAGE/CLOUD. `sensor`
-    is the part of a frame that an extractor looks at, else "". `staged` methods make up the pipeline, and a
-    calibrator takes the place of all of them. `in_recipe` is False where a recipe does not say the method.
+    study file that chooses it, and its option on the command line; both extractors share one, IMAGE/CLOUD. `sensor` is
+    the input of an extractor, else "". `staged` methods make up the pipeline, which a calibrator replaces. `in_recipe`
+    is False if a recipe does not name the method. `syntax` is how the command line sets an option of a method.
     """
 
     kind: Kind
@@ -45,6 +46,7 @@ class Slot:
     sensor: str = ""
     staged: bool = False
     in_recipe: bool = True
+    syntax: str = "--set {stage}.{field}={value}"
 
     @property
     def hook(self) -> str:
@@ -58,27 +60,26 @@ class Slot:
 
     def setting(self, name: str, field: str, value: str) -> str:
         """Return the words of the command line that set an option of the method `name`."""
-        if not self.in_recipe:
-            return f"{self.option} {name}:PATH?{field}={value}"
-        return f"--set {self.stage}.{field}={value}"
+        return self.syntax.format(stage=self.stage, name=name, field=field, value=value)
 
-    def said(self, name: str, others: Mapping[str, str]) -> str:
+    def spec(self, name: str, others: Mapping[str, str]) -> str:
         """Return what to write for `word` to choose the method `name` beside `others`, method names by stage."""
         names = {**others, self.stage: name}
         return "/".join(names[slot.stage] for slot in SLOTS if slot.word == self.word)
 
 
 SLOTS = (
-    Slot(kind=Kind.DATASET, stage="data", word="data"),
-    Slot(kind=Kind.IMAGE_EXTRACTOR, stage="extractor", word="extractor", sensor="image", staged=True),
-    Slot(kind=Kind.CLOUD_EXTRACTOR, stage="cloud", word="extractor", sensor="cloud", staged=True),
-    Slot(kind=Kind.MATCHER, stage="matcher", word="matcher", staged=True),
-    Slot(kind=Kind.SOLVER, stage="solver", word="solver", staged=True),
-    Slot(kind=Kind.INITIALIZER, stage="init", word="init", staged=True),
-    Slot(kind=Kind.CALIBRATOR, stage="calibrator", word="calibrator"),
-    Slot(kind=Kind.ACCUMULATOR, stage="accumulate", word="accumulate"),
-    # Written as one text NAME:PATH?FIELD=VALUE, as often as wanted.
-    Slot(kind=Kind.EXPORTER, stage="export", word="export", in_recipe=False),
+    Slot(Kind.DATASET, "data", "data"),
+    Slot(Kind.IMAGE_EXTRACTOR, "extractor", "extractor", sensor="image", staged=True),
+    Slot(Kind.CLOUD_EXTRACTOR, "cloud", "extractor", sensor="cloud", staged=True),
+    Slot(Kind.MATCHER, "matcher", "matcher", staged=True),
+    Slot(Kind.SOLVER, "solver", "solver", staged=True),
+    Slot(Kind.INITIALIZER, "init", "init", staged=True),
+    Slot(Kind.CALIBRATOR, "calibrator", "calibrator"),
+    Slot(Kind.ACCUMULATOR, "accumulate", "accumulate"),
+    # Exports are repeated texts NAME:PATH?FIELD=VALUE; a reader is chosen by the content of a file, or by its name.
+    Slot(Kind.EXPORTER, "export", "export", in_recipe=False, syntax="--export {name}:PATH?{field}={value}"),
+    Slot(Kind.CALIBRATION_READER, "read", "from", in_recipe=False, syntax="FILE?form={name}&{field}={value}"),
 )
 
 SLOT_OF = {slot.kind: slot for slot in SLOTS}
@@ -88,7 +89,7 @@ KIND_OF = {slot.stage: slot.kind for slot in SLOTS if slot.in_recipe}
 """The kind of method that each stage of a recipe takes."""
 
 STAGE_OF = {kind: stage for stage, kind in KIND_OF.items()}
-"""The word before the dot in --set, by kind of method; an exporter has none."""
+"""The word before the dot in --set, by kind of method; exporters and readers have none."""
 
 STAGES = (*KIND_OF, "pipeline")
 """The stages that options are set for: those of methods, and the pipeline that runs them."""
@@ -104,4 +105,4 @@ SENSORS = {slot.stage: slot.sensor for slot in SLOTS if slot.sensor}
 WITNESS = ("witness", "witness-cloud")
 """What extracts the edges by which a result is checked whose method has none: stages of a plan."""
 WITNESS_STAGES = {"matcher": "witness-matcher", "solver": "witness-solver", "init": "witness-init"}
-"""The stages of a plan that tell where those edges lead, by what they are of a pipeline."""
+"""The stages of a plan that solve the independent check, by the stage of a pipeline."""

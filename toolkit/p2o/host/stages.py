@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from p2o.arrays import Float
 from p2o.features.sets import CloudFeatures, ImageFeatures
@@ -17,47 +18,116 @@ from p2o.results.result import Result, Solution
 
 
 class ImageExtractor(Protocol):
-    """Finds features in one image."""
+    """Extract features from one image."""
 
     def __call__(self, image: Image, /) -> ImageFeatures: ...
 
 
 class CloudExtractor(Protocol):
-    """Finds features in one sweep."""
+    """Extract features from one sweep."""
 
     def __call__(self, cloud: Cloud, /) -> CloudFeatures: ...
 
 
 class Matcher(Protocol):
-    """Pairs the features of all views at the pose camera_from_lidar (4, 4), within `reach_px` pixels."""
+    """Pose the problem of all views around camera_from_lidar (4, 4), with features matched within `reach_px` pixels.
+
+    A plain function is enough; derive from `MatcherBase` for the optional judge.
+    """
 
     def __call__(self, views: Sequence[View], camera_from_lidar: Float, reach_px: float, /) -> Problem: ...
 
 
+@runtime_checkable
+class Judge(Protocol):
+    """Compare poses by a cost. Costs of one call are comparable; costs of different calls need not be.
+
+    `name` identifies the measure in results, `unit` is the unit of its costs.
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def unit(self) -> str: ...
+
+    def costs(self, poses: Sequence[Float], /) -> list[float]:
+        """Return the cost of each pose (4, 4), lower is better."""
+        ...
+
+    def lead(self, best: float, other: float, /) -> tuple[float, str]:
+        """Return the difference of two costs in a unit that a user understands, and that unit."""
+        ...
+
+    def on(self, views: Sequence[View], /) -> Judge:
+        """Return the judge of the same points in `views`: the same views, moved or with other cameras."""
+        ...
+
+
+class MatcherBase(ABC):
+    """Base class of matchers with optional capabilities; each method but `__call__` has a default."""
+
+    @abstractmethod
+    def __call__(self, views: Sequence[View], camera_from_lidar: Float, reach_px: float, /) -> Problem:
+        """Return the problem of all views, as `Matcher`."""
+
+    def judge(self, views: Sequence[View], start: Float, poses: Sequence[Float], /) -> Judge | None:
+        """Return the judge that compares poses of this method, or None for the default of the pipeline.
+
+        `start` (4, 4) is the initial guess, `poses` are the initial poses that the initializer proposed. By default
+        matchers that need edges of both sensors are judged by the directed distance, others by their own cost.
+        """
+        return None
+
+
 class Solver(Protocol):
-    """Improves the pose camera_from_lidar (4, 4) on a problem."""
+    """Minimise a problem, starting from camera_from_lidar (4, 4)."""
 
     def __call__(self, problem: Problem, camera_from_lidar: Float, /) -> Solution: ...
 
 
 class Initializer(Protocol):
-    """Proposes starting poses (4, 4) around a given one, best first.
+    """Propose initial poses (4, 4) around a given one, best first.
 
-    One that takes the given start to be about right may say so with an attribute `start_sigma`: one deviation about
-    (deg) and along (m) each axis. The start is then weighed in at the end (`Result.start_weight`).
-
-    One that needs more than features (a drive's pictures, sweeps and times) may have a method `prepare(frame)` as a
-    `Calibrator` has: what it returns is in `View.prepared`, and is kept alike.
+    A plain function is enough; derive from `InitializerBase` for optional capabilities.
     """
 
     def __call__(self, views: Sequence[View], camera_from_lidar: Float, /) -> list[Float]: ...
 
 
-class Calibrator(Protocol):
-    """A whole method: what it prepares of each frame (without truth), and from all of it and a start (4, 4) a result.
+class InitializerBase(ABC):
+    """Base class of initializers with optional capabilities; everything but `__call__` has a default."""
 
-    What `prepare` returns is kept by the content of the frame where it is made of arrays, dataclasses, numbers, texts,
-    lists and dicts: it must follow from the frame and the options alone.
+    @abstractmethod
+    def __call__(self, views: Sequence[View], camera_from_lidar: Float, /) -> list[Float]:
+        """Return initial poses, as `Initializer`."""
+
+    @property
+    def start_sigma(self) -> tuple[float, float] | None:
+        """Standard deviation of the given initial guess about (deg) and along (m) each axis, or None if unknown.
+
+        If it is known, the initial guess is used as a prior of the result (`Result.start_weight`).
+        """
+        return None
+
+    def prepare(self, frame: Frame, /) -> Any:
+        """Return the inputs that the method needs of a frame in addition to its features, stored in `View.prepared`.
+
+        The frame has no true extrinsic. The value is cached by the content of the frame, as for `Calibrator.prepare`.
+        """
+        return None
+
+    @property
+    def prepares(self) -> bool:
+        """Whether the class defines `prepare`."""
+        return type(self).prepare is not InitializerBase.prepare
+
+
+@runtime_checkable
+class Calibrator(Protocol):
+    """A whole method: prepare each frame (without truth), then solve all of them from an initial guess (4, 4).
+
+    What `prepare` returns is cached by the content of the frame if it consists of arrays, dataclasses, numbers, texts,
+    lists and dicts: it must depend on the frame and the options only.
     """
 
     def prepare(self, frame: Frame, /) -> Any: ...
@@ -65,10 +135,11 @@ class Calibrator(Protocol):
     def solve(self, prepared: Sequence[Any], camera_from_lidar: Float, /) -> Result: ...
 
 
+@runtime_checkable
 class Accumulator(Protocol):
-    """Joins the sweeps of successive frames of a sequence: returns that of frame `number`, with what the others saw.
+    """Accumulate the sweeps of successive frames of a sequence in the LiDAR frame of frame `number`.
 
-    `past` and `future` say how many frames before and after it wants; at the ends of a sequence there are fewer.
+    `past` and `future` are the numbers of frames before and after it; at the ends of a sequence there are fewer.
     """
 
     @property
@@ -80,6 +151,6 @@ class Accumulator(Protocol):
 
 
 class Exporter(Protocol):
-    """Writes a result to a file in some system's format."""
+    """Write a result to a file of another system's format."""
 
     def __call__(self, result: Result, path: Path, /) -> None: ...

@@ -1,31 +1,26 @@
-"""How badly projected LiDAR edges miss the image edges of their own direction: what poses are judged by."""
+"""Cost of a pose: distance of projected LiDAR edges from image edges of the same direction."""
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from p2o.arrays import Bool, Float, Int
+from p2o.arrays import Float, Int
 from p2o.features.side import Side
 from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
-from p2o.threads import for_each
+from p2o.runtime.native import for_each, ipp_disabled
 
 Float32 = np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """One view: the points that take part, in the camera frame of `around`, each with the number of its map.
-
-    `view` is the number of the view, `rows` those of its LiDAR edges; points of one direction follow one another.
-    """
+    """View number `view`: LiDAR edges `rows`, by direction, in the camera frame of `around`, each with its map."""
 
     view: int
     rows: Int
@@ -38,7 +33,7 @@ class _Part:
 
     @cached_property
     def homogeneous(self) -> Float32:
-        """The points (N, 4) in single precision."""
+        """Return the points (N, 4) in single precision."""
         return np.concatenate([self.xyz, np.ones((len(self.xyz), 1))], axis=1).astype(np.float32)
 
     @cached_property
@@ -117,7 +112,7 @@ def _distance(cells: Int, truncate_px: float, scale: int, exact: bool, out: Floa
     free = np.ones(out.shape, np.uint8)
     free.reshape(-1)[cells] = 0
     if exact:
-        with _opencv_alone():
+        with ipp_disabled():
             cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE, dst=out)
     else:
         cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_5, dst=out)
@@ -131,10 +126,7 @@ _FARTHEST_SWEPT = 11.0
 
 
 def _swept(cells: Int, truncate_px: float, scale: int, out: Float32) -> None:
-    """Write the distances that a distance transform gives, from squares of whole cells: down, then across.
-
-    Where distances are cut off after a few cells this is ten times as quick.
-    """
+    """Write the truncated distances from squares of whole cells, down, then across: ten times as fast for few cells."""
     import cv2
 
     (height, width), reach = out.shape, int(np.ceil(truncate_px / scale))
@@ -157,34 +149,13 @@ def _swept(cells: Int, truncate_px: float, scale: int, out: Float32) -> None:
     cv2.LUT(across[:, reach : reach + width], table, dst=out)
 
 
-@contextmanager
-def _opencv_alone() -> Iterator[None]:
-    """Keep OpenCV from handing work of this thread to Intel's IPP.
-
-    Its exact distances differ in their last bits with the address of the result in memory, and it is only used where
-    OpenCV has one thread: two runs would not give the same bytes. The switch is one for all threads.
-    """
-    import cv2
-
-    with _switching:
-        before = cv2.ipp.useIPP()
-        cv2.ipp.setUseIPP(False)
-        try:
-            yield
-        finally:
-            cv2.ipp.setUseIPP(before)
-
-
-_switching = threading.Lock()
-
-
 @dataclass(frozen=True, eq=False)
 class DirectedCost:
     """Mean truncated distance in pixels from projected LiDAR edges to image edges of their direction.
 
     Made by `DirectedCost.of`; calling it with camera_from_lidar (B, 4, 4) gives (B,). The set of points is fixed (those
     that the pose `around` brings into the image or near it), so costs of different poses compare. A point that leaves
-    the image costs what a point at a random place would cost: leaving is neither punished nor rewarded by itself.
+    the image costs what a point at a random place would cost: leaving neither adds nor removes cost.
     Points count with their weight over one plus their variance in px^2. `smooth` interpolates between the cells of the
     maps; without it the nearest cell counts, which is quicker.
     """
@@ -214,7 +185,9 @@ class DirectedCost:
         `max_views` keeps an even subset of the views that have points, each of which takes 16 bytes a pixel. Maps that
         are in `known` are not made again, and new ones are put there: for costs of the same views from several poses.
         """
-        masks = [_near_image(view, around, margin_px) for view in views]
+        points = [se3.apply(around, view.cloud_edges.xyz) for view in views]
+        pixels = [v.camera.project(xyz) if len(xyz) else np.zeros((0, 2)) for v, xyz in zip(views, points, strict=True)]
+        masks = [view.camera.in_image(uv, margin_px) for view, uv in zip(views, pixels, strict=True)]
         seeing = [number for number, mask in enumerate(masks) if mask.any()]
         if max_views is not None and len(seeing) > max_views:
             kept = {seeing[number * len(seeing) // max_views] for number in range(max_views)}
@@ -225,14 +198,13 @@ class DirectedCost:
         def part_of(number_of_view: int) -> _Part:
             """Return the points of a view with their maps."""
             view, keep = views[number_of_view], np.flatnonzero(masks[number_of_view])[::step]
-            # From left to right within each direction: points that are looked up together meet a narrow piece of a map.
+            # Sorted by column within each direction, so that points of one batch access a narrow part of a map.
             column = view.camera.project(se3.apply(around, view.cloud_edges.xyz[keep]))[:, 0]
             keep = keep[np.lexsort((column, view.cloud_edges.side[keep]))]
             edges = view.cloud_edges.select(keep)
             sides = [Side(int(s)) for s in np.unique(edges.side)]
             number = np.zeros(len(Side), np.int64)
-            for i, side in enumerate(sides):
-                number[side] = i
+            number[sides] = np.arange(len(sides))
             key = (number_of_view, tuple(sides), truncate_px, scale, smooth)
             maps = None if known is None else known.get(key)
             if maps is None:
@@ -263,19 +235,15 @@ class DirectedCost:
         moved: costs of different views compare because nothing else differs.
         """
         around = se3.inverse(self.lidar_from_around)
-        parts = tuple(
-            replace(
-                part,
-                camera=views[part.view].camera,
-                xyz=se3.apply(around, views[part.view].cloud_edges.xyz[part.rows]),
-            )
-            for part in self.parts
-        )
-        return replace(self, parts=parts)
+        parts = []
+        for part in self.parts:
+            view = views[part.view]
+            parts.append(replace(part, camera=view.camera, xyz=se3.apply(around, view.cloud_edges.xyz[part.rows])))
+        return replace(self, parts=tuple(parts))
 
     @cached_property
     def points(self) -> int:
-        """How many LiDAR edge points take part."""
+        """Return the number of LiDAR edge points in the cost."""
         return sum(len(p.xyz) for p in self.parts)
 
     @cached_property
@@ -292,13 +260,27 @@ class DirectedCost:
             total += _part_cost(part, poses, self)
         return total / self.edges if self.edges > 0 else np.full(len(poses), np.inf)
 
+    def sampled(self, part: int, uv: Float) -> Float:
+        """Return the truncated distances (N,) of the points of a part if projected to pixels (N, 2), interpolated.
+
+        Pixels outside the image and NaN have the mean distance of the direction.
+        """
+        its, out = self.parts[part], np.empty(len(uv))
+        u, v = np.nan_to_num(uv.T / self.scale, nan=-1.0).astype(np.float32)
+        for side, rows in its.by_side:
+            cells = its.maps[side]
+            inside = (u[rows] >= 0) & (v[rows] >= 0) & (u[rows] <= cells.shape[1] - 1) & (v[rows] <= cells.shape[0] - 1)
+            values = np.minimum(_interpolated(cells, u[rows], v[rows]), self.truncate_px)
+            out[rows] = np.where(inside, values, its.neutral[side])
+        return out
+
     def at(self, pose: Float) -> float:
         """Return the cost in pixels of one pose (4, 4)."""
         return float(self(pose[None])[0])
 
 
 _LOOKUPS_AT_ONCE, _POSES_AT_ONCE, _POINTS_AT_ONCE = 64_000, 2_000, 30_000
-"""So many coordinates and distances stay in the cache of one core: two to three times as quick as all at once.
+"""Batch sizes of coordinates and distances that fit in the cache of one core: two to three times faster than one batch.
 
 OpenCV spreads more look-ups over its threads, and takes no more points.
 """
@@ -311,19 +293,8 @@ def _neutral(maps: Float32, truncate_px: float) -> Float:
     return np.asarray(cut.mean(axis=1), dtype=np.float64)
 
 
-def _near_image(view: View, around: Float, margin_px: float) -> Bool:
-    edges = view.cloud_edges
-    if not len(edges):
-        return np.zeros(0, np.bool_)
-    return view.camera.in_image(view.camera.project(se3.apply(around, edges.xyz)), margin_px)
-
-
 def _part_cost(part: _Part, poses: Float, cost: DirectedCost) -> Float:
-    """Weighted sum of looked-up distances of one view, (B,); in single precision, and in place, for speed.
-
-    A few points of one direction are looked up at all poses before the next ones: what they meet of a map is small
-    enough for the cache of a core.
-    """
+    """Return the weighted sums (B,) of sampled distances of one view, in batches that fit in the cache of a core."""
     total = np.zeros(len(poses))
     for first in range(0, len(poses), _POSES_AT_ONCE):
         some = slice(first, first + _POSES_AT_ONCE)
@@ -332,7 +303,7 @@ def _part_cost(part: _Part, poses: Float, cost: DirectedCost) -> Float:
         for side, rows in part.by_side:
             for begin in range(rows.start, rows.stop, at_once):
                 chunk = slice(begin, min(begin + at_once, rows.stop))
-                value = _looked_up(part, matrix, chunk, side, cost)
+                value = _sample_distance(part, matrix, chunk, side, cost)
                 total[some] += part.weight32[chunk] @ value
     return total
 
@@ -348,14 +319,14 @@ def _pixel_matrices(camera: Camera, poses: Float, scale: int) -> Float32:
     return np.ascontiguousarray(matrix.transpose(1, 2, 0), dtype=np.float32)
 
 
-def _looked_up(part: _Part, matrix: Float32, chunk: slice, side: int, cost: DirectedCost) -> Float32:
+def _sample_distance(part: _Part, matrix: Float32, chunk: slice, side: int, cost: DirectedCost) -> Float32:
     """Return the truncated distances (N, B) of a chunk of points of one direction at all poses."""
     import cv2
 
     cells = part.maps[side]
-    u, v = _cells_met(part, matrix, chunk, cost.scale)
+    u, v = _project_to_cells(part, matrix, chunk, cost.scale)
     last_v, last_u = (np.float32(max(size - 1.001, 0.0)) for size in cells.shape)
-    # Bits order as what they mean does, and those of negative numbers are larger: one comparison tells both ends.
+    # As unsigned bits, negative floats exceed all positive ones: one comparison checks both bounds.
     inside = (u.view(np.uint32) <= last_u.view(np.uint32)) & (v.view(np.uint32) <= last_v.view(np.uint32))
     if cost.smooth:
         value = _interpolated(cells, u, v)
@@ -370,7 +341,7 @@ def _looked_up(part: _Part, matrix: Float32, chunk: slice, side: int, cost: Dire
     return np.asarray(cv2.copyTo(value, inside.view(np.uint8), out))
 
 
-def _cells_met(part: _Part, matrix: Float32, chunk: slice, scale: int) -> tuple[Float32, Float32]:
+def _project_to_cells(part: _Part, matrix: Float32, chunk: slice, scale: int) -> tuple[Float32, Float32]:
     """Return columns and rows (N, B) of the maps where a chunk of points falls at all poses; -1 where unseen."""
     u, v, z = np.matmul(part.homogeneous[chunk], matrix)
     behind = z < _NEAREST_M if z.min(initial=1.0) < _NEAREST_M else None

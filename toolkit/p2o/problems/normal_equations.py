@@ -30,24 +30,21 @@ def require_residuals(problem: Problem, method: str) -> LeastSquares:
     """Return the problem if it has residuals; raise InputError if it is only a scalar cost."""
     if isinstance(problem, LeastSquares):
         return problem
-    raise InputError(
-        f"solver {method} needs residuals",
-        expected="a p2o.LeastSquares, such as PointToLine",
-        got=type(problem).__name__,
-        hint="use a matcher that gives pairs or residuals, or the solver nelder-mead",
-    )
+    expected = "a p2o.solving.LeastSquares, such as PointToLine"
+    hint = "use a matcher that gives pairs or residuals, or the solver nelder-mead"
+    raise InputError(f"solver {method} needs residuals", expected=expected, got=type(problem).__name__, hint=hint)
 
 
 def linearise(problem: LeastSquares, camera_from_lidar: Float) -> tuple[Float, Float]:
     """Return residuals (K,) and derivatives (K, 6) as `LeastSquares.residuals_with_jacobian`, without NaN.
 
-    Unseen points, and those farther off than `far`, have the constant residual that the cost charges them with,
-    and no derivative.
+    Unseen measurements, and residuals beyond `far`, get the constant residual `far` of the cost and zero derivatives.
     """
     residuals, jacobian = problem.residuals_with_jacobian(camera_from_lidar)
     size = np.abs(residuals)
     if size.size and not size.max() < problem.far:  # also true where one is NaN
         far = ~(size < problem.far)
+        residuals, jacobian = residuals.copy(), jacobian.copy(order="K")  # the arrays belong to the problem
         residuals[far] = np.copysign(problem.far, residuals[far])
         jacobian[far] = 0.0
     return residuals, jacobian
@@ -75,9 +72,8 @@ def why_singular(
 ) -> str:
     """Return in words what the pairs cannot determine at a pose, or "" if they determine all six unknowns.
 
-    Rotations are scaled by the mean depth of the pairs, so that one unit of each unknown moves a point by about one
-    metre; `max_condition` bounds the ratio of the largest to the smallest eigenvalue of the Hessian then. Depths above
-    `LEVER_M` count as that: pairs that are all far away must not pass for telling the translation.
+    Rotations are scaled by the mean depth of the pairs, at most `LEVER_M`, so that one unit of each unknown moves a
+    point by about one metre; `max_condition` bounds the condition number of the Hessian.
     """
     used = int(((problem.weight > 0) & (np.abs(residuals) < problem.far)).sum())
     if used < MIN_PAIRS:
@@ -118,7 +114,7 @@ def covariance(problem: LeastSquares, residuals: Float, jacobian: Float) -> Floa
     return np.asarray(0.5 * scale * (inverse + inverse.T))
 
 
-def judged(
+def checked_solution(
     problem: LeastSquares,
     start: Float,
     camera_from_lidar: Float,

@@ -1,4 +1,4 @@
-"""What all point-to-line matchers share: their options, the search for lines, weights, and the finished problem."""
+"""Common parts of point-to-line matchers: options, search for lines, weights, and construction of the problem."""
 
 from __future__ import annotations
 
@@ -7,14 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from p2o.arrays import Float, Int, Int8
+from p2o.arrays import Bool, Float, Int, Int8
 from p2o.features.edges import CloudEdges, ImageEdges
 from p2o.features.side import SIDES, Side
 from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
 from p2o.options import Options, field
-from p2o.problems.line_fit import faces, fit_lines, straight
 from p2o.problems.point_to_line import PointToLine
 
 
@@ -40,7 +39,7 @@ class PairingOptions(Options):
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """Pairs of one view, rows as in `p2o.PointToLine`."""
+    """Pairs of one view, rows as in `p2o.solving.PointToLine`."""
 
     xyz: Float
     centre: Float
@@ -76,15 +75,14 @@ def pair(
             continue
         limit = np.nextafter(reach_px, np.inf)  # the tree's own bound is exclusive
         tree = image.trees[side]
-        distance, found = map(np.asarray, tree.query(uv[rows], k=options.neighbours, distance_upper_bound=limit))
+        distance, nearby = map(np.asarray, tree.query(uv[rows], k=options.neighbours, distance_upper_bound=limit))
         near = distance[:, -1] <= reach_px
         chosen.append(rows[near])
-        nearest.append(index[found[near]])
+        nearest.append(index[nearby[near]])
     rows, neighbours = np.concatenate(chosen), np.concatenate(nearest)
     lines = fit_lines(image.uv[neighbours])
-    good = straight(lines, options.min_straightness) & faces(
-        lines, uv[rows], options.max_angle_deg, options.angle_free_px
-    )
+    good = faces(lines, uv[rows], options.max_angle_deg, options.angle_free_px)
+    good &= straight(lines, options.min_straightness)
     rows, neighbours = rows[good], neighbours[good]
     weight = cloud.weight[rows] * image.weight[neighbours].mean(axis=1)
     lidar_px = camera.focal_px * cloud.sigma_m[rows] / xyz_camera[rows, 2]
@@ -129,15 +127,53 @@ def assemble(views: Sequence[View], pairs: Sequence[Pairs], huber_px: float, bal
         weight = balanced(weight, side)
     if weight.any():
         weight = weight / weight.mean()
-    return PointToLine(
-        np.concatenate([p.xyz for p in pairs]),
-        np.concatenate([p.centre for p in pairs]),
-        np.concatenate([p.normal for p in pairs]),
-        weight,
-        side,
-        np.repeat(np.arange(len(pairs)), [len(p.weight) for p in pairs]),
-        cameras,
-        huber_px,
-        np.concatenate([p.time_s for p in pairs]),
-        np.concatenate([p.sigma_px for p in pairs]),
-    )
+    names = ("xyz", "centre", "normal", "time_s", "sigma_px")
+    columns: dict[str, Float] = {name: np.concatenate([getattr(p, name) for p in pairs]) for name in names}
+    frame = np.repeat(np.arange(len(pairs)), [len(p.weight) for p in pairs])
+    return PointToLine(**columns, weight=weight, side=side, frame=frame, cameras=cameras, huber_px=huber_px)
+
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """Lines of K candidate edges: `centre` (K, 2) px, unit `normal` (K, 2), variances in px^2 along and across."""
+
+    centre: Float
+    normal: Float
+    along: Float
+    across: Float
+
+
+def fit_lines(points: Float) -> Lines:
+    """Return the lines through K sets of n points (K, n, 2) in pixels: centre of gravity and direction of least spread.
+
+    The eigenvectors of the 2x2 covariance are taken in closed form. A set of equal points gets normal (0, 1) and no
+    spread; `straight` refuses it.
+    """
+    # One row for each of the n: sums over rows are quick.
+    u, v = np.ascontiguousarray(points.T)
+    centre = np.stack([u.mean(axis=0), v.mean(axis=0)], axis=1)
+    du, dv = u - centre[:, 0], v - centre[:, 1]
+    uu, vv, uv = (du * du).mean(axis=0), (dv * dv).mean(axis=0), (du * dv).mean(axis=0)
+    mean, half = 0.5 * (uu + vv), np.hypot(0.5 * (uu - vv), uv)
+    direction = 0.5 * np.arctan2(2 * uv, uu - vv)
+    normal = np.stack([-np.sin(direction), np.cos(direction)], axis=1)
+    return Lines(centre, normal, mean + half, np.maximum(mean - half, 0.0))
+
+
+def straight(lines: Lines, min_ratio: float) -> Bool:
+    """Return which lines (K,) have a variance along them `min_ratio` times that across (lambda_c of the paper)."""
+    return (lines.along > 0) & (lines.along >= min_ratio * lines.across)
+
+
+def faces(lines: Lines, uv: Float, max_angle_deg: float, free_px: float) -> Bool:
+    """Return which pixels uv (K, 2) lie across their line rather than beyond its end (lambda_a of the paper).
+
+    The angle between centre-to-pixel and normal, whatever its sign, must not exceed `max_angle_deg`. Pixels within
+    `free_px` of the centre always pass: there the direction is that of the pixel grid.
+    """
+    offset = uv - lines.centre
+    distance = np.hypot(offset[:, 0], offset[:, 1])
+    across = np.abs((offset * lines.normal).sum(axis=1))
+    # The slack admits the limit itself in spite of rounding.
+    good: Bool = (distance <= free_px) | (across >= distance * (np.cos(np.radians(max_angle_deg)) - 1e-12))
+    return good

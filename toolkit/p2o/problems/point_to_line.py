@@ -15,6 +15,8 @@ from p2o.problems.points_on_rays import PointsOnRays, px_per_rad
 from p2o.problems.problem import LeastSquares
 
 _MIN_DEPTH_M = 1e-6
+OUTLINE_CELL_PX = 64.0
+"""Edges of one direction within such a cell of the image count as one outline, whose errors are correlated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,11 +27,10 @@ class PointToLine(LeastSquares):
     `frame` (K,) index into `cameras`, one camera a view; `huber_px` the width of the Huber kernel in pixels. The cost
     of all pairs is sum_k weight_k rho(r_k) with rho(r) = r^2 / 2 up to huber_px and linear beyond (paper Eq. 1).
     `time_s` (K,) as in `CloudEdges`: when a point was measured, 0 where its sweep is motion-compensated or has no
-    times. `sigma_px` (K,) is how far, one deviation, the LiDAR's beams leave open where a point is, in pixels across
-    its line; 0 where nobody says. It is no part of the cost.
-
-    Raises InputError for wrong shapes, values that are not finite, negative weights, normals that are not of length
-    one, frames without a camera, or a Huber width that is not positive.
+    times. `sigma_px` (K,) is the standard deviation of a point due to the beam spacing of the LiDAR, in pixels across
+    its line; 0 where unknown. It is no part of the cost. Raises InputError for wrong shapes, values that are not
+    finite, negative weights, normals that are not of length one, frames without a camera, or a Huber width that is not
+    positive.
     """
 
     xyz: Float
@@ -57,11 +58,8 @@ class PointToLine(LeastSquares):
         object.__setattr__(self, "sigma_px", checked("sigma_px of the pairs", sigma_px, (count,), np.float64))
         object.__setattr__(self, "cameras", tuple(self.cameras))
         if count and (self.frame.min() < 0 or self.frame.max() >= len(self.cameras)):
-            raise InputError(
-                "a pair belongs to a frame that is not there",
-                expected=f"0..{len(self.cameras) - 1}",
-                got=f"{self.frame.min()}..{self.frame.max()}",
-            )
+            text, got = "a pair belongs to a frame that is not there", f"{self.frame.min()}..{self.frame.max()}"
+            raise InputError(text, expected=f"0..{len(self.cameras) - 1}", got=got)
         if count and self.weight.min() < 0:
             raise InputError("weight of the pairs is negative", expected="weights >= 0", got=f"{self.weight.min():g}")
         if count:
@@ -87,12 +85,12 @@ class PointToLine(LeastSquares):
         """The residual that an unseen point is charged with, and the largest that any is: one whole image."""
         return float(max((max(c.width, c.height) for c in self.cameras), default=1))
 
-    @property
+    @cached_property
     def huber(self) -> float:
         """The width of the Huber kernel in pixels."""
         return self.huber_px
 
-    @property
+    @cached_property
     def far(self) -> float:
         """`far_px`."""
         return self.far_px
@@ -152,8 +150,8 @@ class PointToLine(LeastSquares):
         """Return each point with the centre of its line alone, as a perspective-n-point problem takes them.
 
         The centre is the mean of the image edges that make the line. Pairs of weight zero, and those at which the
-        camera sees nothing, are left out; the others weigh alike. Nothing tells where along its line a point belongs:
-        such pairs slide.
+        camera sees nothing, are excluded; the others have equal weights. The position of a point along its line is
+        unobservable.
         """
         rays, scale = np.empty((len(self), 3)), np.empty(len(self))
         for camera, rows in self._groups:

@@ -17,12 +17,12 @@ from p2o.arrays import Bool, Float, Int, checked
 from p2o.errors import InputError
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
+from p2o.geometry.pose_error import SAME_POSE_DEG, SAME_POSE_M
 from p2o.problems.problem import LeastSquares
 
 MIN_POINTS = 4
-"""Three points leave up to four poses; the fourth tells which."""
+"""Minimum number of points: three points have up to four solutions, the fourth selects one."""
 _STEPS, _SMALLEST_STEP, _LEAST_GAIN = 100, 1e-12, 1e-14
-_APART_DEG, _APART_M = 0.5, 0.3  # poses nearer than this are one place, as rivals of the pipeline are told apart
 _BEST = 8
 _CHUNK = 1 << 18  # points at poses that are looked at together: some 20 MB
 
@@ -33,7 +33,6 @@ class PointsOnRays(LeastSquares):
 
     Residuals 2 i and 2 i + 1 are the sine of the angle between ray i and the direction to point i, along two axes
     across the ray, times `px_per_rad` (N,): pixels, for small angles. `huber` is where they begin to count linearly.
-
     Raises InputError for arrays that do not fit, and rays that are not unit vectors (NaN: nothing is seen there).
     """
 
@@ -97,13 +96,13 @@ class PointsOnRays(LeastSquares):
         return float(np.linalg.norm(se3.apply(camera_from_lidar, self.xyz), axis=1).mean()) if len(self.xyz) else 30.0
 
     def off_px(self, camera_from_lidar: Float) -> Float:
-        """Return by how many pixels each point (..., N) lies beside its ray, for poses (..., 4, 4)."""
+        """Return the distance in px of each point (..., N) from its ray, for poses (..., 4, 4)."""
         residuals = self.residuals(camera_from_lidar)
         return np.asarray(np.linalg.norm(residuals.reshape(*residuals.shape[:-1], -1, 2), axis=-1))
 
 
 def px_per_rad(camera: Camera, uv: Float) -> Float:
-    """Return how many pixels one radian takes at pixels (N, 2), the geometric mean over all directions.
+    """Return the pixels per radian at pixels (N, 2), the geometric mean over all directions.
 
     Where the camera model does not reach half a pixel further it is the focal length.
     """
@@ -132,7 +131,7 @@ class Consensus:
 def consensus(problem: PointsOnRays, reach_px: float, rng: np.random.Generator, trials: int = 500) -> Consensus | None:
     """Return the pose that most points agree on within `reach_px`, refined, or None where three points give no pose.
 
-    RANSAC: poses of three points (all triples where there are at most `trials`, else as many random ones) are ranked
+    RANSAC: poses of three points (all triples if there are at most `trials`, else `trials` random ones) are ranked
     by truncated squares (MSAC), the best places refined on the points that agree.
     """
     poses = [pose for rows in _triples(len(problem.xyz), trials, rng) for pose in _three_point_poses(problem, rows)]
@@ -142,13 +141,13 @@ def consensus(problem: PointsOnRays, reach_px: float, rng: np.random.Generator, 
     size = max(1, _CHUNK // max(len(problem.xyz), 1))
     costs = [_truncated(problem.off_px(every[i : i + size]), reach_px) for i in range(0, len(every), size)]
     left = np.argsort(np.concatenate(costs), kind="stable")
-    found: list[tuple[Float, Bool, float]] = []
-    while len(left) and len(found) < _BEST:
+    refined_poses: list[tuple[Float, Bool, float]] = []
+    while len(left) and len(refined_poses) < _BEST:
         pose, agree = _agreed(problem, every[left[0]], reach_px)
-        found.append((pose, agree, float(_truncated(problem.off_px(pose), reach_px))))
+        refined_poses.append((pose, agree, float(_truncated(problem.off_px(pose), reach_px))))
         left = left[~_same_place(every[left], every[left[0]])]
-    best = min(found, key=lambda each: each[2])
-    others = sorted((each for each in found if not _same_place(each[0], best[0])), key=lambda each: each[2])
+    best = min(refined_poses, key=lambda each: each[2])
+    others = sorted((each for each in refined_poses if not _same_place(each[0], best[0])), key=lambda each: each[2])
     return Consensus(*best, tuple((pose, cost) for pose, _, cost in others))
 
 
@@ -219,9 +218,8 @@ def _three_point_poses(problem: PointsOnRays, rows: Sequence[int]) -> list[Float
         return []
     middle = xyz.mean(axis=0)  # digits are kept near zero
     try:
-        _, turns, shifts = cv2.solveP3P(
-            xyz - middle, rays[:, :2] / rays[:, 2:], np.eye(3), None, flags=cv2.SOLVEPNP_AP3P
-        )
+        image = rays[:, :2] / rays[:, 2:]
+        _, turns, shifts = cv2.solveP3P(xyz - middle, image, np.eye(3), None, flags=cv2.SOLVEPNP_AP3P)
     except cv2.error:
         return []
     poses = []
@@ -234,7 +232,7 @@ def _three_point_poses(problem: PointsOnRays, rows: Sequence[int]) -> list[Float
 
 
 def _agreed(problem: PointsOnRays, pose: Float, reach_px: float) -> tuple[Float, Bool]:
-    """Return the pose refined on the points that agree, chosen anew until they stay, and which these are."""
+    """Refine a pose on its inliers, selected again until they do not change; return the pose and the inlier mask."""
     agree = problem.off_px(pose) <= reach_px
     for _ in range(20):
         if agree.sum() < 3:
@@ -254,5 +252,5 @@ def _truncated(off_px: Float, reach_px: float) -> Float:
 def _same_place(poses: Float, other: Float) -> Bool:
     """Return which poses (..., 4, 4) are nearly another (4, 4)."""
     cosine = (np.einsum("...ij,ij->...", poses[..., :3, :3], other[:3, :3]) - 1) / 2
-    near = np.linalg.norm(poses[..., :3, 3] - other[:3, 3], axis=-1) <= _APART_M
-    return np.asarray(near & (cosine >= np.cos(np.radians(_APART_DEG))))
+    near = np.linalg.norm(poses[..., :3, 3] - other[:3, 3], axis=-1) <= SAME_POSE_M
+    return np.asarray(near & (cosine >= np.cos(np.radians(SAME_POSE_DEG))))

@@ -1,1 +1,1 @@
-"""What comes out, and how it is written down."""
+"""Results of calibrations, their figures, and their JSON."""

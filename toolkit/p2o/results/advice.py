@@ -1,4 +1,4 @@
-"""What to do next with a result, by what speaks against it; docs/how-to/is-my-result-good.md says more."""
+"""Advice on what to do next, by the doubts about a result and by its status (docs/how-to/is-my-result-good.md)."""
 
 from __future__ import annotations
 
@@ -8,44 +8,47 @@ from p2o.results.result import Result, Status
 from p2o.results.verdict import Doubt
 
 _LOOK = (
-    "Look at the pictures: another moment, another camera, mirrored axes or a transform in the wrong direction are the "
-    "usual causes; frames full of leaves are the harmless one."
+    "Inspect the overlays: images of another time, another camera, mirrored axes or a transform in the wrong direction "
+    "are the usual causes; frames full of leaves are a harmless one."
 )
-_MORE = "Take more frames together (--joint); `p2o data suggest` says which."
+_MORE = "Calibrate more frames jointly (--joint); `p2o data suggest` selects them."
 BY_DOUBT: Mapping[Doubt, tuple[str, ...]] = {
     Doubt.NOT_SOLVED: (),
     Doubt.LITTLE_AGREEMENT: (_LOOK, _MORE),
-    Doubt.NOT_CHECKED: ("Nothing could check this result: name extractors that can (--witness IMAGE/CLOUD).",),
-    Doubt.RIVAL_POSE: (_MORE, "Or begin nearer to the truth: one frame of a bare road often fits in two places."),
-    Doubt.TOO_FEW_PLACES: (_MORE, "Choose frames with edges all over the picture: poles, cars, corners of houses."),
-    Doubt.TOO_UNSURE: (_MORE, "See which axis is open below: level edges tell pitch and height, upright ones yaw."),
+    Doubt.NOT_CHECKED: ("No independent check was possible: name extractors for it (--witness IMAGE/CLOUD).",),
+    Doubt.RIVAL_POSE: (_MORE, "Or use a better initial guess: one frame of an empty road often fits at two poses."),
+    Doubt.TOO_FEW_PLACES: (_MORE, "Choose frames with edges in all parts of the image: poles, cars, buildings."),
+    Doubt.TOO_UNSURE: (
+        _MORE,
+        "See the error by axis: horizontal edges determine pitch and height, vertical edges yaw.",
+    ),
     Doubt.LED_AWAY: (
-        "Let edges calibrate the same frames (the defaults of `p2o run`), and compare; or give the method more frames.",
+        "Calibrate the same frames with edges (the defaults of `p2o run`) and compare; or give the method more frames.",
     ),
     Doubt.CAMERA: (
-        "Calibrate the lens anew, or let the edges do it: --set pipeline.camera=refine with many frames together.",
+        "Calibrate the intrinsics again, or estimate them from many frames jointly (--set pipeline.camera=refine).",
     ),
-    Doubt.CONTRADICTION: ("Cameras or frames contradict each other: look at each of them by itself.",),
-    Doubt.TOO_FEW_CAMERAS: ("A rig needs two cameras with a pose of their own: look at those that were left out.",),
+    Doubt.CONTRADICTION: ("Cameras or frames contradict each other: inspect each of them separately.",),
+    Doubt.TOO_FEW_CAMERAS: ("A rig needs two cameras with a pose of their own: inspect those that were left out.",),
 }
-"""What to do about each doubt."""
+"""Advice for each doubt."""
 BY_STATUS: Mapping[Status, tuple[str, ...]] = {
-    Status.NO_IMPROVEMENT: ("No pose fits better than the start: it may be right already. " + _LOOK,),
-    Status.TOO_FEW_MATCHES: (_MORE, "Or begin nearer to the truth (--start)."),
-    Status.NOT_OBSERVABLE: (_MORE, "All edges seen run one way: choose frames with upright and level ones."),
-    Status.NO_EDGES: ("Look at the pictures: does the camera see anything that the LiDAR sees, too?", _MORE),
-    Status.NO_FEATURES: ("The method found nothing to work with: try other frames or another extractor.",),
+    Status.NO_IMPROVEMENT: ("No pose fits better than the initial guess, which may be right. " + _LOOK,),
+    Status.TOO_FEW_MATCHES: (_MORE, "Or use a better initial guess (--start)."),
+    Status.NOT_OBSERVABLE: (_MORE, "All edges have one direction: choose frames with vertical and horizontal edges."),
+    Status.NO_EDGES: ("Inspect the images: do camera and LiDAR observe the same objects?", _MORE),
+    Status.NO_FEATURES: ("The method found no features: try other frames or another extractor.",),
     Status.STAGE_FAILED: ("A method failed; P2O_DEBUG=1 shows where.",),
 }
-"""What to do about each refusal."""
+"""Advice for each status without a new pose."""
 _GOOD = (
-    "Look at the pictures: lines and circles of one colour must meet, near things and far ones.",
-    "The best evidence is another group of frames: calibrate several, --joint, and compare.",
+    "Inspect the overlays: lines and circles of one colour must coincide for near and for far objects.",
+    "The best check is a second group of frames: calibrate both jointly (--joint) and compare.",
 )
 
 
 def next_steps(result: Result) -> tuple[str, ...]:
-    """Return what to do next, each sentence once; of a result that nothing speaks against how to be surer."""
+    """Return the advice for a result, each sentence once; for a trusted result, how to confirm it."""
     steps = [] if result.status.solved else [*BY_STATUS.get(result.status, ())]
     for reason in result.verdict.reasons:
         steps += BY_DOUBT[reason.doubt]

@@ -1,4 +1,4 @@
-"""What was found beside a pose that speaks for or against it: agreement of edges, the rival pose, costs."""
+"""Predicted error, and evidence for or against an estimated pose: agreement, the next best pose, costs, the prior."""
 
 from __future__ import annotations
 
@@ -6,74 +6,101 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from p2o.arrays import Float
-from p2o.results.accuracy import Accuracy
+from p2o.results.json_types import Count, Number, Pose
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """The predicted error of a calibration, estimated without ground truth.
+
+    The rotation error is below `rotation_deg` for 67 % of calibrations with such numbers and below `rotation_deg_95`
+    for 95 %; the same holds for the translation error and `translation_m`, `translation_m_95`. Errors are those of
+    `p2o.geometry.pose_error.pose_error`. `roll_deg` to `z_m` are the 67 % bounds by camera axis (roll about z, pitch
+    about x, yaw about y), None where they are unknown: a direction that the scene does not determine widens its own
+    axis only.
+    """
+
+    rotation_deg: Number
+    translation_m: Number
+    rotation_deg_95: Number
+    translation_m_95: Number
+    roll_deg: Number | None = None
+    pitch_deg: Number | None = None
+    yaw_deg: Number | None = None
+    x_m: Number | None = None
+    y_m: Number | None = None
+    z_m: Number | None = None
+
+    def reaches(self, rotation_deg: float, translation_m: float) -> bool:
+        """Return whether the predicted errors (67 %) are at most these."""
+        return self.rotation_deg <= rotation_deg and self.translation_m <= translation_m
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """How LiDAR edges and image edges of their direction meet at a pose (`p2o.calibration.agreement`).
+    """Agreement of LiDAR edges with image edges of the same direction at a pose (`p2o.confidence.agreement`).
 
-    `near` is the share of LiDAR edges in the image that have a sure image edge of their direction close by, `chance`
-    the share that points scattered over the same rows of the image would have, `points` how many there are. `places`
-    is how many places of the pictures (64 px, by direction) they meet in.
+    `near` is the share of LiDAR edges in the image with a reliable image edge of their direction near by, `chance` the
+    share expected under random alignment within the same image rows, `points` the number of LiDAR edges. `places` is
+    the number of independent cells (64 px, by direction) in which edges agree.
     """
 
-    near: float
-    chance: float
-    points: int
-    places: int = 0
+    near: Number
+    chance: Number
+    points: Count
+    places: Count = 0
 
     @property
     def strength(self) -> float:
-        """The logarithm of the odds ratio times the root of the places: 0 is chance, NaN without points.
+        """The evidence: log odds ratio times the square root of `places`; 0 for random alignment, NaN without points.
 
-        The logarithm that chance and a search among poses can reach falls with the root of how many places there are to
-        fit, so this compares between sensors, which the odds ratio does not.
+        The log odds ratio that random alignment and a search among poses can reach falls with the square root of the
+        number of independent cells. This value therefore compares between sensors, which the odds ratio does not.
         """
         return float(np.log(self.odds_ratio) * np.sqrt(self.places)) if self.points else float("nan")
 
     @property
     def odds_ratio(self) -> float:
-        """Odds of a meeting over its odds by chance: 1 is chance, NaN without points."""
+        """Odds of agreement over the odds under random alignment: 1 for random alignment, NaN without points."""
         near, chance = (np.clip(p, 1e-6, 1 - 1e-6) for p in (self.near, self.chance))
         return float(near / (1 - near) / (chance / (1 - chance))) if self.points else float("nan")
 
 
 @dataclass(frozen=True)
 class Rival:
-    """The next best pose that is another one: how far away, and by how much it is worse.
+    """The next best pose that differs from the estimate: its distance and by how much its cost is higher.
 
-    `lead` is the difference of the costs in `unit`: for directed edges, by how many edges fewer it is met.
+    `lead` is the difference of the costs in `unit`: for directed edges, the number of edges fewer that agree.
     """
 
-    lead: float
+    lead: Number
     unit: str
-    rotation_deg: float
-    translation_m: float
+    rotation_deg: Number
+    translation_m: Number
 
 
 @dataclass(frozen=True, eq=False)
 class StartWeight:
-    """What a start that is good to `sigma_deg` and `sigma_m` an axis (one deviation) was worth for the estimate.
+    """The effect of an initial guess with standard deviations `sigma_deg` and `sigma_m` per axis, used as a prior.
 
-    `camera_from_lidar` (4, 4) is the pose of the edges alone and `accuracy` how wrong that one is likely to be. The
-    estimate is the mean of it and the start, each weighed by what it leaves open, `step_deg` and `step_m` from it.
+    `camera_from_lidar` (4, 4) is the pose estimated from edges alone and `accuracy` its predicted error. The estimate
+    is the mean of this pose and the initial guess, weighted by their information; `step_deg` and `step_m` are its
+    distance from the pose of the edges.
     """
 
-    sigma_deg: float
-    sigma_m: float
-    camera_from_lidar: Float
+    sigma_deg: Number
+    sigma_m: Number
+    camera_from_lidar: Pose
     accuracy: Accuracy
-    step_deg: float
-    step_m: float
+    step_deg: Number
+    step_m: Number
 
 
 @dataclass(frozen=True)
 class Judged:
-    """The costs of the start and of the estimate on one set of points, by the judge of the method, in `unit`."""
+    """The costs of the initial guess and of the estimate on the same points, by the judge of the method, in `unit`."""
 
     judge: str
     unit: str
-    start: float
-    estimate: float
+    start: Number
+    estimate: Number

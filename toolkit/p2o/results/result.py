@@ -1,19 +1,20 @@
-"""What comes out: one round, one solver call, one calibration."""
+"""Results: of one round, of one solver call, of one calibration, of the cameras of a rig."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from p2o.arrays import Float
 from p2o.errors import InputError
 from p2o.geometry.camera import Camera
-from p2o.results.accuracy import Accuracy
-from p2o.results.evidence import Agreement, Judged, Rival, StartWeight
+from p2o.results.evidence import Accuracy, Agreement, Judged, Rival, StartWeight
+from p2o.results.json_types import Count, Covariance, Derived, Flag, Number, Pose, Tree
 from p2o.results.verdict import Doubt, Reason, Verdict
 
 DIRECTED = "directed-distance"
@@ -21,7 +22,7 @@ DIRECTED = "directed-distance"
 
 
 class Status(StrEnum):
-    """How a calibration ended; only CONVERGED and ROUNDS_SPENT carry a new pose, all others return the start."""
+    """How a calibration ended; only CONVERGED and ROUNDS_SPENT have a new pose, all others return the initial guess."""
 
     CONVERGED = "converged"
     ROUNDS_SPENT = "rounds-spent"
@@ -34,7 +35,7 @@ class Status(StrEnum):
 
     @property
     def solved(self) -> bool:
-        """True where the returned pose is an estimate and not the start."""
+        """True where the returned pose is an estimate and not the initial guess."""
         return self in (Status.CONVERGED, Status.ROUNDS_SPENT)
 
 
@@ -48,7 +49,7 @@ class SolverStatus(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """What a solver returns: the pose (4, 4), its cost, and how it got there.
+    """The output of a solver: the pose (4, 4), its cost, the number of iterations and the status.
 
     `covariance` (6, 6) of a left update in the camera frame (rad, m), scaled by the residuals, or None where the
     solver has none or the system is singular. `status` may be given as its word; raises InputError for any other.
@@ -65,121 +66,127 @@ class Solution:
         try:
             object.__setattr__(self, "status", SolverStatus(self.status))
         except ValueError as problem:
-            raise InputError(
-                "the status of the solution is unknown", expected=" or ".join(SolverStatus), got=repr(self.status)
-            ) from problem
+            text = "the status of the solution is unknown"
+            raise InputError(text, expected=" or ".join(SolverStatus), got=repr(self.status)) from problem
 
 
 @dataclass(frozen=True)
 class Round:
-    """One turn of Algorithm 1, as the paper's convergence figure needs it.
+    """One round of Algorithm 1.
 
-    `cost` is that of the method's judge (`Result.judged` says its unit); for directed edges the directed distance in
+    `cost` is that of the method's judge (`Result.judged` states its unit); for directed edges the directed distance in
     pixels. `mean_residual` is in pixels for pairs, NaN where the problem has no residuals.
     """
 
     stage: str
-    reach_px: float
-    matches: Mapping[str, int]
-    mean_residual: float
-    cost: float
-    step_deg: float
-    step_m: float
-    accepted: bool
+    reach_px: Number
+    matches: Mapping[str, Count]
+    mean_residual: Number
+    cost: Number
+    step_deg: Number
+    step_m: Number
+    accepted: Flag
 
 
 @dataclass(frozen=True)
 class CameraCheck:
-    """What the edges of a calibration say about the calibration of one camera, that of `frames` of its frames.
+    """The error of the intrinsics of one camera, estimated from the edges of `frames` of its frames.
 
-    `camera` is the one that was given, `better` the one without its error. `focal` and `radial` are the error
-    (`p2o.RadialError`), with their standard deviations; `shift_px` is how far, at most, things are seen from where the
-    calibration puts them, with its standard deviation; `corrected` tells whether the pose is the one for the better
-    camera.
+    `camera` is the given camera, `better` the one with the error removed. `focal`, `radial`, `x_px` and `y_px` are the
+    error (`RadialError`), with standard deviations; `shift_px` is the largest displacement in the image that it causes,
+    with its standard deviation; `corrected` is True where the pose is the one for the better camera. `evidence` is by
+    how many standard deviations the edges fit better with it; `wrong` names the parameters that are in doubt.
     """
 
-    frames: int
+    frames: Count
     camera: Camera
     better: Camera
-    focal: float
-    focal_sigma: float
-    radial: float
-    radial_sigma: float
-    shift_px: float
-    shift_sigma_px: float
-    corrected: bool
+    focal: Number
+    focal_sigma: Number
+    radial: Number
+    radial_sigma: Number
+    shift_px: Number
+    shift_sigma_px: Number
+    corrected: Flag
+    x_px: Number = 0.0
+    x_sigma_px: Number = 0.0
+    y_px: Number = 0.0
+    y_sigma_px: Number = 0.0
+    evidence: Number = 0.0
+    wrong: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class SweepMotion:
-    """How the car moved during the sweep of one frame, as the edges tell it where nothing else does.
+    """The motion of the LiDAR during the sweep of one frame, estimated from edges.
 
     `speed_m_s` is forward and `turn_deg_s` to the left, with standard deviations; `twist` (6,) is the same as a
-    velocity in rad/s and m/s in the LiDAR frame, which the edges were corrected for (`Cloud.untwisted`).
+    velocity in rad/s and m/s in the LiDAR frame, for which the edges were compensated (`Cloud.untwisted`).
     """
 
     frame: str
-    speed_m_s: float
-    speed_sigma: float
-    turn_deg_s: float
-    turn_sigma: float
-    twist: tuple[float, ...]
+    speed_m_s: Number
+    speed_sigma: Number
+    turn_deg_s: Number
+    turn_sigma: Number
+    twist: Annotated[tuple[Number, ...], Field(min_length=6, max_length=6)]
 
 
 @dataclass(frozen=True)
 class TimeOffset:
-    """How much later than the data say the images of a calibration were taken, as the edges tell it.
+    """The time offset between images and sweeps, estimated from edges: positive where images are later than stamped.
 
-    `offset_s` with its standard deviation, one for all frames; `used` tells whether the pose is the one for images that
-    were: what lies at `xyz` at the time that the data say is seen from a LiDAR that has moved on by `twist * offset_s`.
+    `offset_s` with its standard deviation, one for all frames. `used` is True where the pose is the one for this
+    offset: a point at `xyz` at the stamped time is observed from a LiDAR that has moved on by `twist * offset_s`.
     """
 
-    offset_s: float
-    sigma_s: float
-    used: bool
+    offset_s: Number
+    sigma_s: Number
+    used: Flag
 
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """One calibration, of one frame or of several jointly.
+    """The result of the calibration of one frame, or of the joint calibration of several frames.
 
-    `camera_from_lidar` (4, 4) is the estimate, or the start where `status.solved` is False; `reason` says why in one
-    sentence. `covariance` (6, 6) is that of a left update in the camera frame (rad, m), neighbouring pairs taken as one
-    measurement and motions and errors of cameras as unknown, or that of the solver where pairs are too few or none;
-    `accuracy` says how wrong the pose is likely to be. Both are None where they cannot be told. `judged` holds what the
-    method's judge makes of the start and of the estimate, `agreement` how the edges of both sensors meet, `rival` the
-    next best pose that is another one; None where there is none. `verdict` says whether all this may be trusted, and
-    why not: a result that is not solved is refused. `intrinsics` is the camera that the pose is for: that of the
-    frames, corrected where `cameras` says so; None where they are of several. `cameras` says what the edges tell of
-    each camera's calibration, `motions` how the car moved during raw sweeps, `time` how much later than they say images
-    of several frames were taken, None where that cannot be told; `start_weight` what the start was worth where it was
-    weighed in. `seconds` by stage. `recipe` holds every resolved option.
+    `camera_from_lidar` (4, 4) is the estimate, or the initial guess `start` where `status.solved` is False; `reason`
+    explains the status in one sentence. `covariance` (6, 6) is that of a left update in the camera frame (rad, m):
+    neighbouring pairs count as one measurement, motions and errors of cameras as unknowns; it is that of the solver for
+    few or no pairs. `accuracy` is the predicted error. Both are None where they are unknown. `judged` holds the costs
+    of initial guess and estimate, `agreement` that of the edges of both sensors, `rival` the next best pose; None where
+    there is none. `verdict` is trusted, ambiguous, doubtful or refused, with reasons; a result that is not solved is
+    refused. `intrinsics` is the camera of the pose: that of the frames, corrected where `cameras` contains a
+    correction; None for frames of several cameras. `cameras` holds the estimated errors of the intrinsics, `motions`
+    the estimated motion during raw sweeps, `time` the estimated time offset, `start_weight` the effect of the initial
+    guess used as a prior. `seconds` are by stage. `recipe` holds every resolved option, `licences` the licences of the
+    weights that were used, by stage. The figures of a result are described in `p2o.results.figures`.
     """
 
     frames: tuple[str, ...]
-    start: Float
-    camera_from_lidar: Float
+    start: Pose
+    camera_from_lidar: Pose
     status: Status
     reason: str
     rounds: tuple[Round, ...] = ()
-    covariance: Float | None = None
+    covariance: Covariance | None = None
     accuracy: Accuracy | None = None
-    matches: Mapping[str, int] = field(default_factory=dict)
-    residual_px: Mapping[str, float] = field(default_factory=dict)
+    matches: Mapping[str, Count] = field(default_factory=dict)
+    residual_px: Mapping[str, Number] = field(default_factory=dict)
     judged: Judged | None = None
-    agreement: Agreement | None = None
+    agreement: Annotated[Agreement, Derived(("odds_ratio", "strength"))] | None = None
     rival: Rival | None = None
-    verdict: Verdict = None  # type: ignore[assignment]  # filled in below
+    verdict: Annotated[Verdict, Derived(("trust",))] = None  # type: ignore[assignment]  # filled in below
     intrinsics: Camera | None = None
     cameras: tuple[CameraCheck, ...] = ()
     motions: tuple[SweepMotion, ...] = ()
     time: TimeOffset | None = None
     start_weight: StartWeight | None = None
-    seconds: Mapping[str, float] = field(default_factory=dict)
+    seconds: Mapping[str, Number] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
-    recipe: Mapping[str, Any] = field(default_factory=dict)
-    seed: int | None = None
+    recipe: Tree = field(default_factory=dict)
+    seed: Count | None = None
     versions: Mapping[str, str] = field(default_factory=dict)
+    licences: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.verdict is None:
@@ -187,26 +194,68 @@ class Result:
             object.__setattr__(self, "verdict", Verdict() if self.status.solved else Verdict((refusal,)))
 
     def reaches(self, rotation_deg: float, translation_m: float) -> bool:
-        """Return whether the result is likely to be this good, and trusted."""
+        """Return whether the result is trusted and its predicted errors (67 %) are at most these."""
         good = self.accuracy is not None and self.accuracy.reaches(rotation_deg, translation_m)
         return good and self.verdict.trusted
 
     @property
     def directed_cost_px(self) -> tuple[float, float] | None:
-        """The directed edge distance in pixels at the start and at the estimate; None for other judges."""
-        if self.judged is None or self.judged.judge != DIRECTED:
-            return None
-        return self.judged.start, self.judged.estimate
+        """The directed edge distance in pixels at the initial guess and at the estimate; None for other judges."""
+        judged = self.judged
+        return None if judged is None or judged.judge != DIRECTED else (judged.start, judged.estimate)
 
     def camera_of(self, camera: Camera) -> Camera:
-        """Return the camera that the estimate is for, given that of a frame: another one where it was corrected."""
+        """Return the camera of the estimate, given that of a frame: the corrected one where it was corrected."""
         return next((c.better for c in self.cameras if c.corrected and c.camera == camera), camera)
 
     def twist_of(self, frame: str) -> Float | None:
-        """Return the velocity (6,) that the edges of a frame were corrected for, or None where they were not."""
+        """Return the velocity (6,) for which the edges of a frame were compensated, None where they were not."""
         return next((np.array(motion.twist) for motion in self.motions if motion.frame == frame), None)
 
     @property
     def later_s(self) -> float:
-        """How much later than the data say the images were taken, as far as the estimate is for that."""
+        """The time offset of the images in s that the estimate accounts for, 0 where there is none."""
         return self.time.offset_s if self.time is not None and self.time.used else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class RigCamera:
+    """One camera of a rig compared with the common result.
+
+    `camera_from_lidar` (4, 4) follows from the common result, if any. `rotation_deg` and `translation_m` are the
+    distance of the camera's own result from the common result of the other cameras, `chi_square` (six degrees of
+    freedom) is it relative to the covariances; None without an own pose. `left_out` is the reason for exclusion, or "".
+    """
+
+    name: str
+    camera_from_lidar: Pose | None = None
+    rotation_deg: Number | None = None
+    translation_m: Number | None = None
+    chi_square: Number | None = None
+    left_out: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class RigResult:
+    """The common result of the cameras of a rig with known, fixed poses on a body.
+
+    `body_from_lidar` (4, 4) is None where fewer than two cameras are used; `reason` explains. `covariance` (6, 6) is
+    that of a left update in the body frame (rad, m), `accuracy` the predicted error; both are inflated where cameras
+    differ more than predicted. `chi_square`, with `degrees` degrees of freedom, is the disagreement of the cameras
+    relative to their predicted errors, `p_value` its p-value. `verdict` is that on the common result.
+    """
+
+    body_from_lidar: Pose | None
+    reason: str
+    verdict: Annotated[Verdict, Derived(("trust",))]
+    cameras: tuple[RigCamera, ...]
+    covariance: Covariance | None = None
+    accuracy: Accuracy | None = None
+    chi_square: Number | None = None
+    degrees: Count = 0
+    p_value: Number | None = None
+
+    def reaches(self, rotation_deg: float, translation_m: float) -> bool:
+        """Return whether the result is trusted and its predicted errors (67 %) are at most these."""
+        good = self.accuracy is not None and self.accuracy.reaches(rotation_deg, translation_m)
+        return good and self.verdict.trusted

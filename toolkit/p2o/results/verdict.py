@@ -1,4 +1,4 @@
-"""Whether a result may be trusted, and why not: the answer to "is my result good?" in one word and its reasons."""
+"""The verdict on a result: trusted, ambiguous, doubtful or refused, and the reasons."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Trust(StrEnum):
 
 
 class Doubt(StrEnum):
-    """What speaks against a result."""
+    """A reason to doubt a result."""
 
     NOT_SOLVED = "not-solved"
     LITTLE_AGREEMENT = "little-agreement"
@@ -30,24 +30,15 @@ class Doubt(StrEnum):
     TOO_FEW_CAMERAS = "too-few-cameras"
 
     @property
-    def trust(self) -> Trust | None:
-        """The best verdict that a result with this doubt can have; None where it is a remark only."""
-        return {
-            Doubt.NOT_SOLVED: Trust.REFUSED,
-            Doubt.LITTLE_AGREEMENT: Trust.DOUBTFUL,
-            Doubt.NOT_CHECKED: Trust.DOUBTFUL,
-            Doubt.TOO_FEW_PLACES: Trust.DOUBTFUL,
-            Doubt.TOO_UNSURE: Trust.DOUBTFUL,
-            Doubt.LED_AWAY: Trust.DOUBTFUL,
-            Doubt.CONTRADICTION: Trust.DOUBTFUL,
-            Doubt.TOO_FEW_CAMERAS: Trust.DOUBTFUL,
-            Doubt.RIVAL_POSE: Trust.AMBIGUOUS,
-        }.get(self)
+    def trust(self) -> Trust:
+        """The best verdict that a result with this doubt can have."""
+        others = {Doubt.NOT_SOLVED: Trust.REFUSED, Doubt.RIVAL_POSE: Trust.AMBIGUOUS}
+        return others.get(self, Trust.DOUBTFUL)
 
 
 @dataclass(frozen=True)
 class Reason:
-    """One thing that speaks against a result, and what it means in a sentence."""
+    """A doubt about a result, with an explanation of one sentence."""
 
     doubt: Doubt
     text: str
@@ -58,24 +49,23 @@ _ORDER = tuple(Trust)
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether a result may be trusted; `reasons` say why not, and are remarks where it may be.
+    """The verdict on a result and its `reasons`; a trusted result has none.
 
-    `refused`: there is no new pose. `doubtful`: image and sweep do not seem to belong together at this pose, too little
-    could check that they do, or it may be far off by its own likely error. `ambiguous`: another pose fits about as
-    well. `trusted`: none of these.
+    `refused`: there is no new pose. `doubtful`: image and sweep do not agree at this pose, no independent check was
+    possible, the predicted error is large, or the intrinsics of the camera are in doubt. `ambiguous`: another pose fits
+    about as well. `trusted`: none of these.
     """
 
     reasons: tuple[Reason, ...] = ()
 
     @property
     def trust(self) -> Trust:
-        """The word."""
-        words = [reason.doubt.trust for reason in self.reasons]
-        return max((word for word in words if word is not None), key=_ORDER.index, default=Trust.TRUSTED)
+        """The verdict in one word."""
+        return max((reason.doubt.trust for reason in self.reasons), key=_ORDER.index, default=Trust.TRUSTED)
 
     @property
     def trusted(self) -> bool:
-        """True where nothing speaks against the result."""
+        """True where no reason lowers the verdict."""
         return self.trust is Trust.TRUSTED
 
     @property

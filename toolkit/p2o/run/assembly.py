@@ -1,47 +1,43 @@
-"""The built methods of a plan: what they prepare of each frame, and the result that they make of it.
+"""The built methods of a plan: what they prepare of each frame, and the calibration from it.
 
-One run and one row of a study go the same way; a study only looks up what was prepared before.
+A run and a row of a study share this code; a study takes what is prepared of frames from its cache.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 from p2o.arrays import Float
+from p2o.calibration.algorithm import Algorithm
 from p2o.calibration.options import PipelineOptions
-from p2o.calibration.pipeline import Pipeline
-from p2o.calibration.witness import witnessed
+from p2o.confidence.assessment import witnessed
 from p2o.errors import P2OError
 from p2o.features.view import View
 from p2o.frames.frame import Frame
 from p2o.frames.scale import camera_at_scale, image_at_scale
-from p2o.geometry.camera import Camera
 from p2o.host.slots import WITNESS, WITNESS_STAGES
+from p2o.host.stages import InitializerBase
 from p2o.options import Options
 from p2o.results.result import Result
-from p2o.run.read_again import lasting
-from p2o.threads import for_each
+from p2o.run.pipeline import Clock, Pipeline
+from p2o.run.read_again import FrameInfo, cache_key, without_truth
+from p2o.runtime.native import for_each
 
 if TYPE_CHECKING:
     from p2o.host.guard import GuardedCalibrator
     from p2o.run.part import Part
 
-INPUTS = {
-    "extractor": "image",
-    "cloud": "cloud",
-    "calibrator": "frame",
-    "init": "frame",
-    "witness": "image",
-    "witness-cloud": "sweep",
-}
-"""What each stage that prepares something looks at."""
+INPUTS = {"extractor": "image", "cloud": "cloud", "calibrator": "frame", "init": "frame"}
+INPUTS |= {"witness": "image", "witness-cloud": "sweep"}
+"""The input of each stage that prepares something of a frame."""
 
 
 def given(frame: Frame, stage: str) -> Any:
-    """Return the part of a frame that a stage prepares something from, its picture as it is looked at; no truth."""
+    """Return the input of a stage from a frame, without its truth; images are downsampled (`p2o.frames.scale`)."""
     kind = INPUTS[stage]
     if kind == "frame":
         return frame.without_truth()
@@ -52,18 +48,18 @@ def given(frame: Frame, stage: str) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """The methods of a plan, built: a `Pipeline` of stages or a whole method, and the extractors of the witness.
+    """Built methods of a plan: a `Pipeline` of stages or a whole method, and the extractors of the independent check.
 
-    `stages` are what prepares something of a frame, by stage; those in `kept` may be kept by the content that they look
-    at (`INPUTS`). Where all of them are `parallel`, several frames are prepared at once. `witness` is the pipeline that
-    tells where the edges of the witness lead; None where they have no directions.
+    `stages` prepare something of a frame, by stage; the outcome follows from the content of their inputs (`INPUTS`), so
+    it may be cached. Where all of them are `parallel`, several frames are prepared at once. `witness` are the stages
+    that correct a pose by the edges of the independent check; None if these edges have no directions.
     """
 
     calibrator: Pipeline | GuardedCalibrator
     stages: Mapping[str, Callable[[Any], Any]]
     options: PipelineOptions
     parallel: bool = False
-    witness: Pipeline | None = None
+    witness: Algorithm | None = None
 
     @classmethod
     def of(
@@ -76,16 +72,17 @@ class Assembly:
         make = build if build is not None else lambda part: part.build()
         built = {stage: make(part) for stage, part in parts.items() if stage not in ("data", "accumulate")}
         options = options if isinstance(options, PipelineOptions) else PipelineOptions()
-        stages: dict[str, Callable[[Any], Any]] = {
-            stage: remembering(built[stage]) for stage in ("extractor", "cloud", *WITNESS) if stage in built
-        }
+        extractors = [stage for stage in ("extractor", "cloud", *WITNESS) if stage in built]
+        stages: dict[str, Callable[[Any], Any]] = {stage: remembering(built[stage]) for stage in extractors}
         asked = [stage for stage in built if stage in INPUTS and stage not in (*WITNESS, "init")]
         parallel = all(parts[stage].offer.method.parallel for stage in asked)
         if "calibrator" in built:
             whole: GuardedCalibrator = built["calibrator"]
-            return cls(whole, {"calibrator": whole.prepare, **stages}, options, parallel, _witness(parts, built))
-        if (prepare := getattr(built["init"], "prepare", None)) is not None:
-            stages["init"] = prepare
+            own = {"calibrator": whole.prepare} if whole.prepares else {}
+            return cls(whole, {**own, **stages}, options, parallel, _witness(parts, built))
+        initializer = built["init"]
+        if isinstance(initializer, InitializerBase) and initializer.prepares:
+            stages["init"] = initializer.prepare
             parallel = parallel and parts["init"].offer.method.parallel
         needs = parts["matcher"].offer.method.needs
         pipeline = Pipeline(
@@ -101,92 +98,108 @@ class Assembly:
         return cls(pipeline, stages, options, parallel, _witness(parts, built))
 
     @property
-    def kept(self) -> tuple[str, ...]:
-        """The stages whose outcome may be kept; a whole method that prepares nothing needs its frames again."""
-        if isinstance(self.calibrator, Pipeline) or self.calibrator.prepares:
-            return tuple(self.stages)
-        return tuple(stage for stage in self.stages if stage != "calibrator")
+    def reads_frames(self) -> bool:
+        """Whether the method is a plain function of frames, for which nothing is prepared."""
+        return not isinstance(self.calibrator, Pipeline) and not self.calibrator.prepares
 
     def __call__(self, frames: Sequence[Frame], camera_from_lidar: Float, /) -> Result:
-        """Return the joint calibration of frames from a start (4, 4)."""
-        from p2o.calibration.pipeline import Clock
-
+        """Calibrate frames jointly from an initial extrinsic (4, 4), and apply the independent check to the result."""
         clock = Clock()
         with clock.of("extract"):
-            # Looked at once: very many frames are read again each time.
-            seen = for_each(self._seen, frames, parallel=self.parallel)
-        result = self.calibrated([one for one, _, _ in seen], [pieces for _, pieces, _ in seen], camera_from_lidar)
-        if result.status.solved and result.agreement is None:
-            with clock.of("witness"):
-                views = [view for frame in frames if (view := self.witness_of_frame(frame)) is not None]
-                result = witnessed(result, views, self.options, self.witness)
-        warnings = tuple(text for _, _, texts in seen for text in texts)
+            # One access a frame: large sets of frames are read again at each.
+            prepared = for_each(self._prepare, frames, parallel=self.parallel)
+        infos = [info for info, _, _ in prepared]
+        pieces = without_truth(frames) if self.reads_frames else [pieces for _, pieces, _ in prepared]
+        result = self.calibrated(infos, pieces, camera_from_lidar)
+        result = self.checked(result, infos, lambda number: self._pieces(frames[number], WITNESS))
+        warnings = tuple(text for _, _, texts in prepared for text in texts)
         return replace(result, seconds={**clock.seconds, **result.seconds}, warnings=(*warnings, *result.warnings))
 
-    def _seen(self, frame: Frame) -> tuple[tuple[str, Camera, Float | None], dict[str, Any], tuple[str, ...]]:
-        """Return what stays of a frame: its name, camera and twist, its pieces by stage, and its warnings.
+    def _prepare(self, frame: Frame) -> tuple[FrameInfo, dict[str, Any], tuple[str, ...]]:
+        """Return the info of a frame, the outputs of all stages except the independent check, and its warnings."""
+        info = FrameInfo(frame.name, frame.camera, twist=frame.twist)
+        own = [stage for stage in self.stages if stage not in WITNESS]
+        return info, self._pieces(frame, own), tuple(f"{frame.name}: {text}" for text in frame.warnings)
 
-        The witness looks at frames later.
+    def _pieces(self, frame: Frame, stages: Iterable[str]) -> dict[str, Any]:
+        """Return what stages prepare of a frame."""
+        return {stage: self.stages[stage](given(frame, stage)) for stage in stages}
+
+    def calibrated(self, frames: Sequence[FrameInfo], pieces: Sequence[Any], camera_from_lidar: Float) -> Result:
+        """Return the joint calibration of frames from what was prepared of each of them, by stage.
+
+        Where the method `reads_frames`, `pieces` are the frames, without truth.
         """
-        pieces = {stage: find(given(frame, stage)) for stage, find in self.stages.items() if stage not in WITNESS}
-        return (frame.name, frame.camera, frame.twist), pieces, tuple(f"{frame.name}: {w}" for w in frame.warnings)
-
-    def calibrated(
-        self,
-        frames: Sequence[tuple[str, Camera, Float | None]],
-        pieces: Sequence[Mapping[str, Any]],
-        camera_from_lidar: Float,
-    ) -> Result:
-        """Return the result of what was prepared: name, camera and twist of each frame, and its pieces by stage."""
         if isinstance(self.calibrator, Pipeline):
-            views = [
-                self.calibrator.view(name, camera, piece["extractor"], piece["cloud"], twist, piece.get("init"))
-                for (name, camera, twist), piece in zip(frames, pieces, strict=True)
-            ]
+            views = []
+            for info, piece in zip(frames, pieces, strict=True):
+                features = piece["extractor"], piece["cloud"]
+                views.append(self.calibrator.view(info.name, info.camera, *features, info.twist, piece.get("init")))
             return self.calibrator.solve(views, camera_from_lidar)
-        return self.calibrator.solve([piece["calibrator"] for piece in pieces], camera_from_lidar)
+        if not self.reads_frames:
+            pieces = [piece["calibrator"] for piece in pieces]
+        result = self.calibrator.solve(pieces, camera_from_lidar)
+        # A whole method knows only what it prepared, which may lack the names.
+        return replace(result, frames=tuple(info.name for info in frames))
 
-    def witness_of_frame(self, frame: Frame) -> View | None:
-        """Return the edges that a result is checked by, or None where there are none to be had of this frame."""
+    def checked(
+        self, result: Result, frames: Sequence[FrameInfo], extract: Callable[[int], Mapping[str, Any]]
+    ) -> Result:
+        """Return a result of a method without edges with the verdict by the edges of the independent check.
+
+        `extract` gives the features of the independent check by stage, for a frame by its number; it is called only if
+        the result needs the check.
+        """
+        if not result.status.solved or result.agreement is not None:
+            return result
+        clock = Clock()
+        with clock.of("witness"):
+            views = [self._witness_view(info, partial(extract, number)) for number, info in enumerate(frames)]
+            result = witnessed(result, [view for view in views if view is not None], self.options, self.witness)
+        return replace(result, seconds={**clock.seconds, **result.seconds})
+
+    def _witness_view(self, info: FrameInfo, extract: Callable[[], Mapping[str, Any]]) -> View | None:
+        """Return the features of the independent check; None without a check or if its extractors fail."""
         if not all(stage in self.stages for stage in WITNESS):
             return None
         try:
-            image, cloud = (self.stages[stage](given(frame, stage)) for stage in WITNESS)
-        # The witness was not asked for by name: where it cannot work, the verdict says that nothing was checked.
+            pieces = extract()
+        # The independent check may be a default: if it fails, the verdict reports that the result was not checked.
         except P2OError:
             return None
-        return View(frame.name, camera_at_scale(frame.camera), image, cloud, frame.twist)
+        image, cloud = (pieces[stage] for stage in WITNESS)
+        return View(info.name, camera_at_scale(info.camera), image, cloud, info.twist)
 
     def view(self, frame: Frame) -> View | None:
-        """Return the features to draw of a frame: those of the pipeline, or of the witness; None without either."""
+        """Return the features of a frame to draw: of the pipeline or of the independent check; None without either."""
         if isinstance(self.calibrator, Pipeline):
             # What an initializer prepares is not drawn.
-            found = [self.stages[stage](given(frame, stage)) for stage in ("extractor", "cloud")]
-            view = self.calibrator.view(frame.name, frame.camera, found[0], found[1], frame.twist)
+            pieces = self._pieces(frame, ("extractor", "cloud"))
+            view = self.calibrator.view(frame.name, frame.camera, pieces["extractor"], pieces["cloud"], frame.twist)
             if view.image.edges is not None or not all(stage in self.stages for stage in WITNESS):
                 return view
-        return self.witness_of_frame(frame)
+        info = FrameInfo(frame.name, frame.camera, twist=frame.twist)
+        return self._witness_view(info, lambda: self._pieces(frame, WITNESS))
 
 
-def _witness(parts: Mapping[str, Part], built: Mapping[str, Any]) -> Pipeline | None:
-    """Return the pipeline that tells where the edges of a witness lead, or None where a plan has none."""
+def _witness(parts: Mapping[str, Part], built: Mapping[str, Any]) -> Algorithm | None:
+    """Return the stages that correct a pose by the edges of the independent check; None if a plan has none."""
     if not all(stage in built for stage in (*WITNESS, *WITNESS_STAGES.values())):
         return None
-    image, cloud = (built[stage] for stage in WITNESS)
     matcher, solver, initializer = (built[WITNESS_STAGES[stage]] for stage in ("matcher", "solver", "init"))
     needs = frozenset(need for stage in ("matcher", "init") for need in parts[WITNESS_STAGES[stage]].offer.method.needs)
-    return Pipeline(image, cloud, matcher, solver, initializer, PipelineOptions(), needs=needs)
+    return Algorithm(matcher=matcher, solver=solver, initializer=initializer, needs=needs)
 
 
 def remembering(extract: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Return the extractor with a memory that lasts as long as the image or sweep: pictures reuse its features.
+    """Return the extractor with a memory as long as the image or sweep lives, so that overlays reuse its features.
 
-    Of frames that are read again it lasts as long as they may be.
+    For frames that are read again it lasts as long as they can be read (`p2o.run.read_again`).
     """
     known: WeakKeyDictionary[Any, Any] = WeakKeyDictionary()
 
     def remembered(data: Any, /) -> Any:
-        key = lasting(data)
+        key = cache_key(data)
         if key not in known:
             known[key] = extract(data)
         return known[key]

@@ -1,4 +1,4 @@
-"""Does an extrinsic that is in use still hold? On some frames together, or frame after frame over a drive."""
+"""Check whether an extrinsic in use is still correct: jointly on some frames, or for each frame of a drive."""
 
 from __future__ import annotations
 
@@ -9,30 +9,30 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 
 from p2o.arrays import Float
-from p2o.calibration.audit import Evidence, Rates, audit
-from p2o.calibration.edge_step import EdgeStep, edge_step
-from p2o.calibration.pipeline import Pipeline
-from p2o.calibration.watch import Rule, watched
+from p2o.confidence.audit import EdgeStep, Evidence, Rates, audit, edge_step
+from p2o.confidence.watch import Rule, watched
 from p2o.errors import InputError
 from p2o.features.view import View
-from p2o.frames.direction import check_direction
+from p2o.frames.direction import Direction, pose_direction
 from p2o.frames.frame import Dataset, Frame
 from p2o.geometry import se3
 from p2o.geometry.perturb import parse_perturbation
+from p2o.geometry.rough_start import is_rough_start
+from p2o.host.calibration_file import read_extrinsic_file, read_initial_guess
 from p2o.host.registry import Registry
-from p2o.results.check import Check, Holding, Slip, Watch
-from p2o.run.extrinsic import given_extrinsic
+from p2o.results.check import Check, CheckStatus, Slip, Watch
+from p2o.run.pipeline import Pipeline
 from p2o.run.recipe import Plan, Recipe
-from p2o.run.run import frame_at, one_camera, selected
+from p2o.run.run import common_pose, frame_at, one_camera, selected
 from p2o.run.words import parse_settings
 
 Data = str | Dataset | Sequence[Frame] | Frame
 Tell = Callable[[str, int, int], None]
-"""Is told the name of a frame, how many are done, and of how many."""
+"""Callback for progress: name of the frame, number of finished frames, total number."""
 
 
 class Words(TypedDict, total=False):
-    """What `check` and `watch` have in common: which frames are looked at, and by which methods.
+    """Common parameters of `check` and `watch`: the frames to evaluate, and the methods.
 
     All but `on_frame` are as in `p2o.calibrate`; what is left out, or None, takes the default of `Recipe`.
     """
@@ -55,16 +55,14 @@ def check(
     power: float = 0.95,
     **words: Unpack[Words],
 ) -> Check:
-    """Return whether an extrinsic holds on frames, all taken together; the same as `p2o check`.
+    """Check whether an extrinsic is correct on all frames jointly; the same as `p2o check`.
 
-    `extrinsic` is camera_from_lidar (4, 4), or `truth`, `start` or a file (`p2o.run.extrinsic`). `notice` says which
-    errors have to be noticed ("0.3deg 3cm"): where the frames do not allow that, the answer is that nobody can tell.
-    At most `alarm_rate` of right extrinsics are called off, and a share `power` of errors as large as an axis's limit
-    is noticed. `words` are frames, extractor, matcher, options, seed and registry as in `p2o.calibrate`, and
-    `on_frame`, which is told each frame (`Words`).
-
-    Raises a P2OError for anything wrong with the words, the data or the plugins, and for an extrinsic that is the
-    inverse of what it should be.
+    `extrinsic` is camera_from_lidar (4, 4), or `truth`, `start` or a file (`given_extrinsic`). `notice` are the errors
+    that must be detected ("0.3deg 3cm"); if the frames do not suffice for that, the check is undecided. `alarm_rate` is
+    the false alarm rate for correct extrinsics, and `power` the detection rate of errors as large as the limit of an
+    axis. `words` are frames, extractor, matcher, options, seed and registry as in `p2o.calibrate`, and `on_frame`,
+    which is called for each frame (`Words`). Raises a P2OError for anything wrong with the words, the data or the
+    plugins, and for an extrinsic that is the inverse of what it should be.
     """
     rates = _rates(notice, alarm_rate, power)
     opened = _Opened.of(data, words)
@@ -74,14 +72,10 @@ def check(
         views.append(opened.pipeline.prepare(frame.without_truth()))
         read.append(frame)
     one_camera(read)
-    pose, said = _pose(extrinsic, read)
-    warnings = (
-        *said,
-        *check_direction(read[0].cloud, read[0].camera, pose, name="the extrinsic", where=_named(extrinsic)),
-    )
-    found = audit(Evidence.of(views, pose, opened.pipeline), opened.pipeline.options, rates)
-    _refuse_inverse(found.holding, warnings, extrinsic)
-    return replace(found, warnings=(*warnings, *found.warnings), **opened.stamp)
+    given = _Given.of(extrinsic, read, opened.plan.registry)
+    outcome = audit(Evidence.of(views, given.camera_from_lidar, opened.pipeline), opened.pipeline.options, rates)
+    given.refuse_inverse(outcome.holding)
+    return replace(outcome, warnings=(*given.warnings, *outcome.warnings), **opened.stamp)
 
 
 def watch(
@@ -93,37 +87,29 @@ def watch(
     settle: int = 20,
     **words: Unpack[Words],
 ) -> Watch:
-    """Return when an extrinsic slipped over a drive, whose frames are taken in their order; `p2o check --watch`.
+    """Detect when an extrinsic slipped during a drive, with frames in order; the same as `p2o check --watch`.
 
-    False alarms come `alarms_per_hour` at `rate_hz` frames a second (default: as the frames' times say, else 10). The
-    first `settle` frames say what is usual: a slip before them is for `check` to find. The other words are those of
-    `check`.
-
-    Raises InputError as `check`, and for fewer frames than have to settle.
+    False alarms come `alarms_per_hour` at `rate_hz` frames a second (default: from the times of the frames, else 10).
+    The first `settle` frames define the normal level: a slip before them is for `check` to detect. The other words are
+    those of `check`. Raises InputError as `check`, and for fewer frames than have to settle.
     """
     opened = _Opened.of(data, words)
     count = len(opened.indices)
     if settle < 1 or count <= settle:
-        raise InputError(
-            "there are too few frames to watch",
-            expected=f"more than the {settle} that say what is usual",
-            got=count,
-            hint="take more frames of the drive, or `p2o check` without --watch",
-        )
+        expected = f"more than the {settle} that say what is usual"
+        hint = "take more frames of the drive, or `p2o check` without --watch"
+        raise InputError("there are too few frames to watch", expected=expected, got=count, hint=hint)
     names: list[str] = []
     times: list[float | None] = []
     steps: list[EdgeStep | None] = []
-    pose: Float = np.eye(4)
-    warnings: tuple[str, ...] = ()
+    given: _Given | None = None
     cameras: set[str] = set()
-    for done, frame in enumerate(opened.frames()):
-        if done == 0:
-            pose, said = _pose(extrinsic, [frame])
-            told = check_direction(frame.cloud, frame.camera, pose, name="the extrinsic", where=_named(extrinsic))
-            warnings = (*said, *told)
+    for frame in opened.frames():
+        if given is None:
+            given = _Given.of(extrinsic, [frame], opened.plan.registry)
         cameras.add(frame.camera_name)
         view = opened.pipeline.prepare(frame.without_truth())
-        step = edge_step([view], pose, opened.pipeline.matcher, opened.pipeline.options)
+        step = edge_step([view], given.camera_from_lidar, opened.pipeline.matcher, opened.pipeline.options)
         names.append(frame.name)
         times.append(frame.time_s)
         steps.append(None if isinstance(step, str) else step)
@@ -133,27 +119,17 @@ def watch(
     seen = watched(names, steps, rule)
     telling = sum(step is not None for step in steps)
     holding, reason = _of_drive(seen.slips, telling, count)
-    _refuse_inverse(holding, warnings, extrinsic)
-    return Watch(
-        camera_from_lidar=pose,
-        holding=holding,
-        reason=reason,
-        slips=seen.slips,
-        frames=seen.frames,
-        settled=settle,
-        slack=rule.slack,
-        limit=seen.limit,
-        correlation=seen.correlation,
-        alarms_per_hour=rule.alarms_per_hour,
-        rate_hz=rule.rate_hz,
-        warnings=tuple(warnings),
-        **opened.stamp,
-    )
+    assert given is not None  # there are more frames than have to settle
+    given.refuse_inverse(holding)
+    pose = given.camera_from_lidar
+    charts: dict[str, Any] = {name: getattr(seen, name) for name in ("slips", "frames", "limit", "correlation")}
+    charts |= {name: getattr(rule, name) for name in ("slack", "alarms_per_hour", "rate_hz")}
+    return Watch(pose, holding, reason, settled=settle, warnings=given.warnings, **charts, **opened.stamp)
 
 
 @dataclass(frozen=True, eq=False)
 class _Opened:
-    """Frames that are to be looked at, by number, and the pipeline that finds and pairs their edges."""
+    """Frames to evaluate, by index, and the pipeline that extracts and matches their edges."""
 
     plan: Plan
     dataset: Any
@@ -165,33 +141,18 @@ class _Opened:
     def of(cls, data: Data, words: Words) -> _Opened:
         for word in words.keys() - Words.__annotations__.keys():
             raise TypeError(f"unexpected keyword argument '{word}'")
-        options, settings = words.get("options"), None
-        if options is not None:
-            if isinstance(options, Mapping):
-                settings = {k: dict(v) for k, v in options.items()}
-            else:
-                settings = parse_settings(options)
-        recipe = Recipe.of(
-            data=data if isinstance(data, str) else None,
-            frames=words.get("frames"),
-            extractor=words.get("extractor"),
-            matcher=words.get("matcher"),
-            options=settings,
-            seed=words.get("seed"),
-            joint=True,
-        )
+        given: dict[str, Any] = {name: words.get(name) for name in ("frames", "extractor", "matcher", "seed")}
+        if (options := words.get("options")) is not None:
+            given["options"] = parse_settings(options)
+        recipe = Recipe.of(data=data if isinstance(data, str) else None, joint=True, **given)
         registry = words.get("registry")
         plan = recipe.resolve(Registry.load() if registry is None else registry)
         method = plan.parts["matcher"].offer.method
         if "pairs" not in method.gives:
-            raise InputError(
-                "a check needs pairs of edges",
-                where="--matcher",
-                expected="a matcher that gives pairs, such as ogm",
-                got=method.name,
-            )
-        given = [data] if isinstance(data, Frame) else data
-        dataset = plan.dataset() if isinstance(data, str) else plan.joined(given)
+            expected = "a matcher that gives pairs, such as ogm"
+            raise InputError("a check needs pairs of edges", where="--matcher", expected=expected, got=method.name)
+        frames = [data] if isinstance(data, Frame) else data
+        dataset = plan.dataset() if isinstance(data, str) else plan.joined(frames)
         pipeline = plan.calibrator()
         assert isinstance(pipeline, Pipeline)
         tell = words.get("on_frame") or (lambda name, done, total: None)
@@ -199,11 +160,11 @@ class _Opened:
 
     @property
     def stamp(self) -> dict[str, Any]:
-        """What a result tells of how it was made."""
+        """Return the recipe and the versions, the provenance of a result."""
         return {"recipe": self.plan.described(), "versions": self.plan.versions()}
 
     def frames(self) -> Any:
-        """Give the frames, one by one; raises InputError for one that lacks what the methods need."""
+        """Iterate over the frames; raises InputError for one that lacks what the methods need."""
         for done, index in enumerate(self.indices):
             frame = frame_at(self.dataset, index)
             self.plan.check_frame(frame)
@@ -219,51 +180,76 @@ def _rates(notice: str | None, alarm_rate: float, power: float) -> Rates:
         return Rates(alarm_rate, power)
     size = parse_perturbation(notice, "--notice")
     if not size.exact or not (size.angle_deg > 0 and size.distance_m > 0):
-        raise InputError(
-            "what is to be noticed has two parts",
-            where="--notice",
-            expected='an angle and a length, "0.3deg 3cm"',
-            got=repr(notice),
-        )
+        expected = 'an angle and a length, "0.3deg 3cm"'
+        raise InputError("what is to be noticed has two parts", where="--notice", expected=expected, got=repr(notice))
     return Rates(alarm_rate, power, size.angle_deg, size.distance_m)
 
 
-def _pose(extrinsic: Float | str, frames: Sequence[Frame]) -> tuple[Float, tuple[str, ...]]:
-    if isinstance(extrinsic, str):
-        return given_extrinsic(extrinsic, frames)
-    return se3.check_rigid("the extrinsic", extrinsic), ()
+@dataclass(frozen=True, eq=False)
+class _Given:
+    """The extrinsic (4, 4) under check, the text that names it, its likely direction, and warnings about it."""
 
+    camera_from_lidar: Float
+    name: str | None
+    direction: Direction
+    warnings: tuple[str, ...]
 
-def _named(extrinsic: Float | str) -> str | None:
-    return extrinsic if isinstance(extrinsic, str) else None
+    @classmethod
+    def of(cls, extrinsic: Float | str, frames: Sequence[Frame], registry: Registry) -> _Given:
+        """Return the extrinsic, compared with the sweep of the first frame."""
+        name = extrinsic if isinstance(extrinsic, str) else None
+        if isinstance(extrinsic, str):
+            pose, remarks = given_extrinsic(extrinsic, frames, registry)
+        else:
+            pose, remarks = se3.check_rigid("the extrinsic", extrinsic), ()
+        direction = pose_direction(frames[0].cloud, frames[0].camera, pose, name="the extrinsic", where=name)
+        return cls(pose, name, direction, (*remarks, *direction.warnings("the extrinsic", name)))
 
-
-def _refuse_inverse(holding: Holding, warnings: Sequence[str], extrinsic: Float | str) -> None:
-    """Raise InputError where nothing fits and the world stands upright at the inverse only."""
-    told = [text for text in warnings if "may be lidar_from_camera" in text]
-    if told and holding is Holding.CANNOT_TELL:
-        raise InputError(
-            "the extrinsic looks like lidar_from_camera",
-            where=_named(extrinsic),
-            expected="camera_from_lidar",
-            got="a pose at which no edges meet, and whose inverse stands upright",
-        )
+    def refuse_inverse(self, holding: CheckStatus) -> None:
+        """Raise InputError if no edges fit the pose and the scene is upright only at its inverse."""
+        if self.direction is Direction.POSSIBLY_INVERSE and holding is CheckStatus.CANNOT_TELL:
+            text = "the extrinsic looks like lidar_from_camera"
+            got = "a pose at which no edges match, and whose inverse is upright"
+            raise InputError(text, where=self.name, expected="camera_from_lidar", got=got)
 
 
 def _rate_hz(times: Sequence[float | None]) -> float:
-    """Return how many frames a second there are, 10 where nobody tells."""
+    """Return the frame rate in Hz; 10 if the times are unknown."""
     known = np.array([time for time in times if time is not None], np.float64)
     steps = np.diff(known)
     usual = float(np.median(steps)) if len(known) == len(times) and len(steps) else 0.0
     return 1 / usual if usual > 0 else 10.0
 
 
-def _of_drive(slips: Sequence[Slip], telling: int, count: int) -> tuple[Holding, str]:
-    """Return the word for a drive, and why."""
+def _of_drive(slips: Sequence[Slip], telling: int, count: int) -> tuple[CheckStatus, str]:
+    """Return the status of a drive, and the reason."""
     if slips:
         first = slips[0]
         size = f"{first.size:+.2f} deg" if first.unit == "deg" else f"{100 * first.size:+.1f} cm"
-        return Holding.OFF, f"{first.axis} slipped by about {size}, noticed at {first.noticed_frame}"
+        return CheckStatus.OFF, f"{first.axis} slipped by about {size}, noticed at {first.noticed_frame}"
     if 2 * telling < count:
-        return Holding.CANNOT_TELL, f"{count - telling} of {count} frames tell nothing"
-    return Holding.HOLDS, f"no slip was noticed in {count} frames"
+        return CheckStatus.CANNOT_TELL, f"{count - telling} of {count} frames give no estimate"
+    return CheckStatus.HOLDS, f"no slip was noticed in {count} frames"
+
+
+OF_DATA = {"truth": "camera_from_lidar", "start": "start"}
+"""Names of the poses of a frame, and the attributes of `Frame` that hold them."""
+
+
+def given_extrinsic(
+    text: str, frames: Sequence[Frame], registry: Registry, where: str = "--extrinsic"
+) -> tuple[Float, tuple[str, ...]]:
+    """Return camera_from_lidar (4, 4), and warnings, of `truth`, `start`, "roughly ..." or a calibration file.
+
+    The readers of `registry` read the file. Raises InputError for a file that is missing or holds no extrinsic, and if
+    the frames hold no such pose.
+    """
+    if text in OF_DATA:
+        pose = common_pose(frames, OF_DATA[text])
+        if pose is None:
+            message = f"the data hold no {'true extrinsic' if text == 'truth' else 'start'}"
+            raise InputError(message, where=where, expected="a file with the extrinsic", got=text)
+        return pose, ()
+    if is_rough_start(text):
+        return read_initial_guess(text, where, registry=registry)
+    return read_extrinsic_file(text, where, registry=registry)

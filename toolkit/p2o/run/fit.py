@@ -1,4 +1,4 @@
-"""What fits together: words that methods need and give, and what frames hold."""
+"""Check compatibility: the content that methods need and give, and the content of frames."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ def missing_words(needs: Iterable[str], upstream: Sequence[Offer]) -> list[tuple
         elif word.startswith("cloud-") and Kind.CLOUD_EXTRACTOR in by_kind:
             givers = [by_kind[Kind.CLOUD_EXTRACTOR]]
         else:
-            # What frames hold is the dataset's to give, all else the extractors'.
-            givers = [o for o in upstream if (o.kind == Kind.DATASET) == (word in HELD)] or list(upstream)
+            # The dataset gives the content of frames, the extractors give all other content.
+            givers = [o for o in upstream if (o.kind == Kind.DATASET) == (word in FRAME_CONTENT)] or list(upstream)
         for giver in givers:
-            # What a frame may hold is only known when it is read; a dataset that declares nothing may give anything.
-            maybe = giver.kind == Kind.DATASET and (word in HELD or not giver.method.gives)
+            # Optional content of a frame is known only after reading; a dataset without a declaration may give any.
+            maybe = giver.kind == Kind.DATASET and (word in FRAME_CONTENT or not giver.method.gives)
             open_yet = maybe and not ("dense" in giver.method.gives and word in LOST)
             given = not giver.method.gives.isdisjoint({word, *_ALSO.get(word, ())})
             if not given and not open_yet:
@@ -37,7 +37,7 @@ def missing_words(needs: Iterable[str], upstream: Sequence[Offer]) -> list[tuple
     return missing
 
 
-HELD: dict[str, Callable[[Frame], object]] = {
+FRAME_CONTENT: dict[str, Callable[[Frame], object]] = {
     "right": lambda frame: frame.image.right,
     "depth": lambda frame: frame.image.depth_m,
     "rings": lambda frame: frame.cloud.ring,
@@ -50,26 +50,27 @@ HELD: dict[str, Callable[[Frame], object]] = {
     "camera-pose": lambda frame: frame.camera_world_from_camera,
     "targets": lambda frame: frame.targets or None,
 }
-"""The words for what a frame may hold, and where it holds it."""
+"""Names of the optional content of a frame, each with a function that reads it from the frame."""
 
 _ALSO = {"objective": ("pairs", "residuals"), "residuals": ("pairs",)}
-"""Words that stand for more: pairs are a least squares, and that has a cost, its robust sum."""
+"""Names that imply others: pairs are a least-squares problem, whose robust sum is a cost."""
 
 LOST = frozenset({"rings", "time", "twist"})
-"""What a frame no longer holds once sweeps are joined in it."""
+"""Content that an accumulated frame does not have."""
 
 _OPTION_OF = {slot.kind: slot.option for slot in SLOTS}
 
 
-def misfit_of(offers: Mapping[str, Offer], held: frozenset[str] | None = None) -> tuple[str, Offer, Offer] | None:
+def misfit_of(offers: Mapping[str, Offer], contents: frozenset[str] | None = None) -> tuple[str, Offer, Offer] | None:
     """Return the first word that is needed and not given: the word, who should give it, who needs it.
 
-    `held` are the words that the frames are known to hold, once one has been read.
+    `contents` are the words that the frames are known to hold, once one has been read.
     """
     extractors = [offers[stage] for stage in ("extractor", "cloud") if stage in offers]
     data = [offers["data"]] if "data" in offers else []
     if data and "accumulate" in offers:
-        data = [_joined(data[0], offers["accumulate"])]
+        gives = (data[0].method.gives - LOST) | offers["accumulate"].method.gives
+        data = [replace(data[0], method=replace(data[0].method, gives=gives))]
     upstream = {
         "accumulate": [offers["data"]] if "data" in offers else [],
         "extractor": data,
@@ -84,26 +85,22 @@ def misfit_of(offers: Mapping[str, Offer], held: frozenset[str] | None = None) -
             continue
         needs = frozenset(offers[stage].method.needs)
         if stage == "init" and not data:
-            # Frames are not known yet: what they hold is asked when they are.
-            needs -= HELD.keys()
+            # Frames are not known yet: their content is checked when they are read.
+            needs -= FRAME_CONTENT.keys()
         for word, giver in missing_words(needs, before):
             return word, giver, offers[stage]
-        if held is not None and before[-1].kind == Kind.DATASET:
-            for word in sorted((needs & HELD.keys()) - held - before[-1].method.gives):
+        if contents is not None and before[-1].kind == Kind.DATASET:
+            for word in sorted((needs & FRAME_CONTENT.keys()) - contents - before[-1].method.gives):
                 return word, before[-1], offers[stage]
     return None
 
 
-def _joined(data: Offer, accumulator: Offer) -> Offer:
-    """Return what the frames of a dataset are once their sweeps are joined."""
-    gives = (data.method.gives - LOST) | accumulator.method.gives
-    return replace(data, method=replace(data.method, gives=gives))
-
-
-def way_out(offers: Mapping[str, Offer], registry: Registry, user: Offer, held: frozenset[str] | None = None) -> str:
-    """Return what to write instead of the method `user` so that everything fits, or that there is nothing."""
+def suggest_alternative(
+    offers: Mapping[str, Offer], registry: Registry, user: Offer, contents: frozenset[str] | None = None
+) -> str:
+    """Suggest a compatible replacement of the method `user`, or state that there is none."""
     stage = STAGE_OF[user.kind]
-    fitting = [o for o in registry.of_kind(user.kind) if misfit_of({**offers, stage: o}, held) is None]
+    fitting = [o for o in registry.of_kind(user.kind) if misfit_of({**offers, stage: o}, contents) is None]
     if not fitting:
         return f"no installed {user.kind} fits in its place (`p2o methods --matrix` shows what does)"
     names = [offer.name for offer in fitting[:4]]
@@ -115,8 +112,9 @@ def way_out(offers: Mapping[str, Offer], registry: Registry, user: Offer, held: 
 
 
 def check_fit(offers: Mapping[str, Offer], registry: Registry) -> None:
-    """Raise InputError where a method needs what nothing before it gives, with what would fit instead."""
+    """Raise InputError with alternatives if a method needs content that no previous stage gives."""
     misfit = misfit_of(offers)
     if misfit is not None:
         word, giver, user = misfit
-        raise InputError(f"{giver.name} gives no {word}; {user.name} needs it", hint=way_out(offers, registry, user))
+        hint = suggest_alternative(offers, registry, user)
+        raise InputError(f"{giver.name} gives no {word}; {user.name} needs it", hint=hint)

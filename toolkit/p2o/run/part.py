@@ -7,8 +7,7 @@ from typing import Any
 
 from p2o.errors import InputError
 from p2o.host.registry import Offer
-from p2o.host.validation import validated
-from p2o.options import Options
+from p2o.options import Options, validated
 
 
 @dataclass(frozen=True)

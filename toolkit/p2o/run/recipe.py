@@ -1,4 +1,4 @@
-"""A recipe: the words that say what to run. Resolving it finds, checks and fits everything before data are read."""
+"""Define and resolve recipes: methods, options and compatibility are checked before data are read."""
 
 from __future__ import annotations
 
@@ -11,13 +11,11 @@ from pydantic import BaseModel, ConfigDict, Field, StrictBool
 
 from p2o.errors import InputError, UnknownNameError
 from p2o.host.method import Kind, Method
-from p2o.host.registry import Offer, Registry
-from p2o.host.slots import KIND_OF, STAGED_WORDS, WITNESS, WITNESS_STAGES
-from p2o.host.slots import STAGE_OF as STAGE_OF
-from p2o.host.slots import STAGES as STAGES
-from p2o.host.validation import validated as validated
+from p2o.host.registry import Offer, Registry, watch
+from p2o.host.slots import KIND_OF, STAGED_WORDS, STAGES, WITNESS, WITNESS_STAGES
 from p2o.options import Options
-from p2o.run.fit import HELD, check_fit, misfit_of, way_out
+from p2o.options import validated as validated
+from p2o.run.fit import FRAME_CONTENT, check_fit, misfit_of, suggest_alternative
 from p2o.run.part import Part as Part
 from p2o.run.part import part_of
 from p2o.run.rig import Rig
@@ -26,30 +24,29 @@ from p2o.run.words import split_data as split_data
 from p2o.run.words import value_of as value_of
 
 if TYPE_CHECKING:
-    from p2o.calibration.pipeline import Pipeline
     from p2o.frames.frame import Frame
     from p2o.host.guard import GuardedCalibrator, GuardedDataset
     from p2o.host.stages import Exporter
     from p2o.run.assembly import Assembly
     from p2o.run.joined import JoinedFrames
+    from p2o.run.pipeline import Pipeline
 
 
 MOST_SEED = 2**63 - 1
-"""The largest whole number that every store of rows holds."""
+"""Largest integer that every table format supports."""
 
 
 class Recipe(BaseModel):
-    """What to run, in words; what is left out takes the default here, and nowhere else.
+    """Specification of a run; omitted fields take the defaults of this class.
 
-    `data` is DATASET:PATH, or None where frames are handed over in Python; `frames` says which of them; `extractor`
-    is IMAGE/CLOUD; `calibrator` replaces extractor, matcher, solver and init by one whole method; `options` maps
-    stage to field to value; `perturb` is a text such as "2deg 0.15m", or "camera @FILE" for a list of starts; `start`
-    tells in words where the camera looks (`p2o.geometry.rough_start`), or names a calibration file; `joint` gives one
-    result for all frames. `rig` gives one for each camera: True where frames name their camera, else a rig file or its
-    content (`p2o.run.rig`).
-    `accumulate` names a method that joins sweeps of a sequence. `witness` is IMAGE/CLOUD, extractors whose edges check
-    results of methods without edges of their own: None takes those of the default recipe where frames allow it, "none"
-    goes without.
+    `data` is DATASET:PATH, or None if frames are passed in Python; `frames` selects them; `extractor` is IMAGE/CLOUD;
+    `calibrator` replaces extractor, matcher, solver and init by one whole method; `options` maps stage to field to
+    value; `perturb` is a text such as "2deg 0.15m", or "camera @FILE" for a list of starts; `start` tells in words
+    where the camera looks (`p2o.geometry.rough_start`), or names a calibration file; `joint` gives one result for all
+    frames. `rig` gives one for each camera: True where frames name their camera, else a rig file or its content
+    (`p2o.run.rig`). `accumulate` names a method that joins sweeps of a sequence. `witness` is IMAGE/CLOUD, extractors
+    whose edges check results of methods without edges of their own: None takes those of the default recipe where frames
+    allow it, "none" goes without.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -76,10 +73,8 @@ class Recipe(BaseModel):
 
         Raises InputError that names the word, its value and what it must be.
         """
-        said = {name: value for name, value in words.items() if value is not None}
-        if "data" in words and words["data"] is None:
-            said["data"] = None
-        return validated(cls, said, "recipe")
+        given = {name: value for name, value in words.items() if value is not None or name == "data"}
+        return validated(cls, given, "recipe")
 
     def resolve(self, registry: Registry) -> Plan:
         """Find every method, validate every option and check that the stages fit; no data are read.
@@ -87,111 +82,96 @@ class Recipe(BaseModel):
         Raises UnknownNameError for unknown names and stages, InputError for bad options and for stages that do not
         fit, PluginError where a name is offered twice.
         """
-        from p2o.calibration.pipeline import PipelineOptions
-        from p2o.formats.files import start_words
+        from p2o.calibration.options import PipelineOptions
         from p2o.geometry.start_list import parse_starts
+        from p2o.host.calibration_file import read_initial_guess
 
         if self.perturb is not None:
             parse_starts(self.perturb)
         if self.start is not None:
-            start_words(self.start)
+            read_initial_guess(self.start, registry=registry)
             if self.perturb is not None:
                 raise InputError("both a start and a perturbation are given", expected="one of them")
-        names, said = self._names()
+        names, values_of = self._names()
         for stage in self.options:
             if stage not in (*STAGES, *WITNESS):
                 raise UnknownNameError("stage", stage, (*STAGES, *WITNESS), where="options")
         parts: dict[str, Part] = {}
         for stage, name in names.items():
-            values = {**said.get(stage, {}), **self.options.get(stage, {})}
+            values = {**values_of.get(stage, {}), **self.options.get(stage, {})}
             parts[stage] = part_of(registry.find(KIND_OF[stage], name), stage, values, self.seed)
         parts |= self._witness(parts, registry)
         for stage in self.options:
             if stage not in parts and stage != "pipeline":
                 raise InputError(f"options for {stage}, which this recipe does not use", expected=", ".join(parts))
         if self.calibrator is None:
-            pipeline = validated(PipelineOptions, {"seed": self.seed, **self.options.get("pipeline", {})}, "pipeline")
+            pipeline = validated(PipelineOptions, self.options.get("pipeline", {}), "pipeline")
         elif "pipeline" in self.options:
             raise InputError(f"options for the pipeline, which calibrator '{self.calibrator}' does not use")
         else:
             pipeline = None
         check_fit({stage: part.offer for stage, part in parts.items()}, registry)
-        rig = Rig.of(self.rig)
+        rig = Rig.of(self.rig, registry)
         if rig is not None and self.joint:
-            raise InputError(
-                "a rig has one result for each camera",
-                where="--rig",
-                expected="no --joint beside it: the frames of a camera are solved together in any case",
-            )
+            expected = "no --joint beside it: the frames of a camera are solved together in any case"
+            raise InputError("a rig has one result for each camera", where="--rig", expected=expected)
         return Plan(self, parts, pipeline, registry, rig)
 
     def _witness(self, parts: Mapping[str, Part], registry: Registry) -> dict[str, Part]:
-        """Return the extractors that check results where the methods themselves have no edges to do it by.
-
-        Those of the default recipe are left out where they are not installed or the data cannot have what they need.
-        """
+        """Return the extractors of the independent check; default ones only if they are installed and fit the data."""
         gives = {word for stage in ("extractor", "cloud") if stage in parts for word in parts[stage].offer.method.gives}
         if self.witness == "none" or (self.witness is None and {"image-edges", "cloud-edges"} <= gives):
             return {}
-        names = _pair("a witness", self.witness or Recipe().extractor)
-        found: dict[str, Part] = {}
+        names = _pair("--witness", self.witness or Recipe().extractor)
+        extractors: dict[str, Part] = {}
         try:
             for stage, kind, name in zip(WITNESS, (Kind.IMAGE_EXTRACTOR, Kind.CLOUD_EXTRACTOR), names, strict=True):
-                found[stage] = part_of(registry.find(kind, name), stage, self.options.get(stage, {}), self.seed)
+                extractors[stage] = part_of(registry.find(kind, name), stage, self.options.get(stage, {}), self.seed)
         except UnknownNameError:
             if self.witness is None:
                 return {}
             raise
         beside = {"data": parts["data"].offer} if "data" in parts else {}
-        offers = {**beside, "extractor": found["witness"].offer, "cloud": found["witness-cloud"].offer}
+        offers = {**beside, "extractor": extractors["witness"].offer, "cloud": extractors["witness-cloud"].offer}
         if self.witness is not None:
             check_fit(offers, registry)
         if misfit_of(offers) is not None:
             return {}
-        return found | self._where_edges_lead(found, offers, registry)
+        return extractors | self._witness_stages(extractors, offers, registry)
 
-    def _where_edges_lead(
+    def _witness_stages(
         self, witness: Mapping[str, Part], offers: Mapping[str, Offer], registry: Registry
     ) -> dict[str, Part]:
-        """Return the other stages by which a witness tells where its edges lead; none where edges have no sides."""
+        """Return the other stages of the independent check; none if its edges have no sides."""
         if not all("side" in part.offer.method.gives for part in witness.values()):
             return {}
         default = Recipe()
         try:
-            found = {
+            parts = {
                 of: part_of(registry.find(KIND_OF[stage], getattr(default, stage)), of, {}, self.seed)
                 for stage, of in WITNESS_STAGES.items()
             }
         except UnknownNameError:
             return {}
-        beside = {stage: found[of].offer for stage, of in WITNESS_STAGES.items()}
-        return found if misfit_of({**offers, **beside}) is None else {}
+        beside = {stage: parts[of].offer for stage, of in WITNESS_STAGES.items()}
+        return parts if misfit_of({**offers, **beside}) is None else {}
 
     def _names(self) -> tuple[dict[str, str], dict[str, dict[str, Any]]]:
         """Return the method name of each stage, and options that the data text holds."""
         names: dict[str, str] = {}
-        said: dict[str, dict[str, Any]] = {}
+        options: dict[str, dict[str, Any]] = {}
         if self.data is not None:
-            names["data"], said["data"] = split_data(self.data)
+            names["data"], options["data"] = split_data(self.data)
         if self.accumulate is not None:
             names["accumulate"] = self.accumulate
         if self.calibrator is not None:
             extra = sorted(self.model_fields_set.intersection(STAGED_WORDS))
             if extra:
-                raise InputError(
-                    f"calibrator '{self.calibrator}' is a whole method",
-                    expected="no " + ", ".join(extra) + " beside it",
-                )
-            return {**names, "calibrator": self.calibrator}, said
-        image, cloud = _pair("an extractor", self.extractor)
-        return {
-            **names,
-            "extractor": image,
-            "cloud": cloud,
-            "matcher": self.matcher,
-            "solver": self.solver,
-            "init": self.init,
-        }, said
+                text = f"calibrator '{self.calibrator}' is a whole method"
+                raise InputError(text, expected="no " + ", ".join(extra) + " beside it")
+            return {**names, "calibrator": self.calibrator}, options
+        names["extractor"], names["cloud"] = _pair("an extractor", self.extractor)
+        return {**names, "matcher": self.matcher, "solver": self.solver, "init": self.init}, options
 
 
 _SELDOM = ("accumulate", "rig", "witness", "start")
@@ -215,13 +195,13 @@ class Plan:
     rig: Rig | None = None
 
     def dataset(self) -> GuardedDataset | JoinedFrames:
-        """Return the dataset, its sweeps joined where the recipe says so; frames are read when they are asked for."""
+        """Return the dataset, with accumulated sweeps if the recipe selects them; frames are read on access."""
         dataset: GuardedDataset = self.parts["data"].build()
         joined: GuardedDataset | JoinedFrames = self.joined(dataset)
         return joined
 
     def joined(self, frames: Any) -> Any:
-        """Return frames with their sweeps joined where the recipe says so, else as they are."""
+        """Return frames with accumulated sweeps if the recipe selects them, else unchanged."""
         from p2o.run.joined import JoinedFrames
 
         return JoinedFrames(frames, self.parts["accumulate"].build()) if "accumulate" in self.parts else frames
@@ -233,39 +213,45 @@ class Plan:
         return Assembly.of(self.parts, self.pipeline)
 
     def calibrator(self) -> Pipeline | GuardedCalibrator:
-        """Return what makes a result of frames: the `Pipeline` of the stages, or the whole method."""
+        """Return the `Pipeline` of the stages, or the whole method."""
         return self.assembly().calibrator
 
     def check_frame(self, frame: Frame) -> None:
-        """Raise InputError where a method needs what this frame does not hold, with what would fit instead."""
-        held = frozenset(word for word, find in HELD.items() if find(frame) is not None)
-        # The witness is no stage of the method: where a frame lacks what it needs, the verdict says so.
+        """Raise InputError with alternatives if a method needs content that this frame does not have."""
+        contents = frozenset(word for word, find in FRAME_CONTENT.items() if find(frame) is not None)
+        # The independent check is no stage of the method: if a frame lacks its inputs, the verdict reports it.
         offers = {stage: part.offer for stage, part in self.parts.items() if stage not in WITNESS}
-        # Frames that are handed over in Python have no dataset: stand in one that gives nothing for certain.
+        # Frames passed in Python have no dataset: substitute one that guarantees no content.
         blank = Method(name="frame", build=dict, summary="Frames of Python.", gives=frozenset({"frames"}))
         offers.setdefault("data", Offer(Kind.DATASET, blank, "", "", ""))
-        misfit = misfit_of(offers, held)
+        misfit = misfit_of(offers, contents)
         if misfit is not None:
             word, _, user = misfit
-            raise InputError(
-                f"the frame has no {word}; {user.name} needs it",
-                where=frame.name,
-                hint=way_out(offers, self.registry, user, held),
-            )
+            hint = suggest_alternative(offers, self.registry, user, contents)
+            raise InputError(f"the frame has no {word}; {user.name} needs it", where=frame.name, hint=hint)
 
     def described(self) -> dict[str, Any]:
         """Return the recipe with every option that took effect, ready for JSON; `Recipe.of(**it)` repeats the run."""
         unused = set(STAGED_WORDS) if self.recipe.calibrator is not None else {"calibrator"}
         words = {k: v for k, v in self.recipe.model_dump(mode="json", exclude=unused).items() if k not in _SELDOM or v}
-        # The stages behind a witness follow from the recipe: they have no options of their own.
+        # The stages of the independent check follow from the recipe: they have no options of their own.
         own = {stage: part for stage, part in self.parts.items() if stage not in WITNESS_STAGES.values()}
         words["options"] = {stage: part.options.model_dump(mode="json") for stage, part in own.items()}
         if self.pipeline is not None:
             words["options"]["pipeline"] = self.pipeline.model_dump(mode="json")
         return words
 
+    def licences(self) -> dict[str, str]:
+        """Return the licences of the data files (weights) of the methods, by stage."""
+        licences: dict[str, str] = {}
+        for stage, part in self.parts.items():
+            if part.offer.method.data_licence is not None:
+                with watch(part.offer, "naming the licence of its data files"):
+                    licences[stage] = str(part.offer.method.data_licence(part.options))
+        return {stage: text for stage, text in licences.items() if text}
+
     def versions(self) -> dict[str, str]:
-        """Return the versions of everything that had a part in it."""
+        """Return the versions of all packages that contribute to the result."""
         import platform
         from importlib.metadata import PackageNotFoundError, version
 
@@ -281,10 +267,7 @@ class Plan:
 
 
 def open_dataset(data: str, registry: Registry, options: Mapping[str, Any] | None = None) -> GuardedDataset:
-    """Return the dataset of a text DATASET:PATH; its frames are read when they are asked for.
-
-    Raises as `Recipe.resolve`.
-    """
+    """Return the dataset of a text DATASET:PATH; its frames are read on access. Raises as `Recipe.resolve`."""
     dataset: GuardedDataset = dataset_part(data, registry, options).build()
     return dataset
 

@@ -1,4 +1,4 @@
-"""One run: frames in, results out. The command line and Python both come through here."""
+"""Run a recipe on frames: the common implementation of the command line and the Python API."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from p2o.arrays import Float
-from p2o.calibration.fusion import rig_result
+from p2o.confidence.fusion import rig_result
 from p2o.errors import InputError, P2OError, PluginError
-from p2o.formats.files import names_file, start_words
 from p2o.frames.direction import check_direction
 from p2o.frames.frame import Dataset, Frame
 from p2o.frames.selection import select
@@ -23,24 +22,24 @@ from p2o.geometry import se3
 from p2o.geometry.camera import Camera
 from p2o.geometry.pose_error import PoseError, pose_error, summarise
 from p2o.geometry.start_list import StartList, parse_starts
+from p2o.host.calibration_file import names_file, read_initial_guess
 from p2o.host.registry import Registry
-from p2o.results.result import Result, Status
+from p2o.results.result import Result, RigResult, Status
 from p2o.results.result_json import result_to_dict, rig_to_dict
-from p2o.results.rig import RigResult
 from p2o.results.verdict import Trust
 from p2o.run.assembly import Assembly
 from p2o.run.protocol import Protocol, protocol_of
-from p2o.run.read_again import MOST_HELD, ReadAgain, Told, told, without_truth
+from p2o.run.read_again import MAX_FRAMES_IN_MEMORY, FrameInfo, ReadAgain, frame_infos, without_truth
 from p2o.run.recipe import Plan, Recipe
 from p2o.run.words import parse_settings
-from p2o.threads import for_each
+from p2o.runtime.native import for_each
 
 _T = TypeVar("_T")
 
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One result with what is known about its truth: errors are None where the truth is unknown.
+    """One result with what is known about its truth: errors are None if the truth is unknown.
 
     `camera` is the name of the camera of its frames, empty where they name none.
     """
@@ -72,8 +71,7 @@ class FailedFrame:
 class Run:
     """All results of a recipe: `rows`, one a frame, or one for all frames with `joint`; `failed` are frames without.
 
-    Of a rig there is a row for each camera, and `rig` is the common result where its file tells how the cameras are
-    fixed to each other.
+    A rig has a row for each camera, and in `rig` the common result if its file has the transforms between the cameras.
     """
 
     rows: tuple[Row, ...]
@@ -85,14 +83,14 @@ class Run:
 
     @property
     def result(self) -> Result:
-        """The result of a run that has one; InputError where it has none or several."""
+        """Return the result of a run with one result; raises InputError for none or several."""
         if len(self.rows) != 1:
             raise InputError(f"this run has {len(self.rows)} results", expected="one", hint="look at .rows")
         return self.rows[0].result
 
     @property
     def solved(self) -> bool:
-        """True where every calibration was solved, there was at least one, and no frame failed."""
+        """Return whether at least one calibration ran, all were solved, and no frame failed."""
         common = self.rig is None or self.rig.body_from_lidar is not None
         return bool(self.rows) and not self.failed and common and all(row.result.status.solved for row in self.rows)
 
@@ -127,12 +125,10 @@ class Run:
         }
 
     def _by_protocol(self, protocol: Protocol) -> dict[str, Any]:
-        """Return the figures that a protocol reports; a refused calibration counts with its start."""
+        """Compute the figures of a protocol; a refused calibration counts with its initial guess."""
         known = [(row.result.camera_from_lidar, row.truth) for row in self.rows if row.truth is not None]
-        estimates, truths = (
-            (np.array(poses).reshape(-1, 4, 4) for poses in zip(*known, strict=True)) if known else ((), ())
-        )
-        return {"name": protocol.name, "count": len(known), **protocol.figures(np.array(estimates), np.array(truths))}
+        estimates, truths = (np.array(poses) for poses in (zip(*known, strict=True) if known else ((), ())))
+        return {"name": protocol.name, "count": len(known), **protocol.figures(estimates, truths)}
 
     def as_dict(self) -> dict[str, Any]:
         """Return the one object of `p2o run --json`, of one schema for all runs: `results`, `failed`, `summary`.
@@ -155,9 +151,9 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Progress:
-    """What `on_progress` is told: before each calibration with `row` None, and after it with its row.
+    """Argument of `on_progress`: before each calibration with `row` None, and after it with its row.
 
-    Of a frame that cannot be calibrated it is told once, with `failed` and without frames. `camera` is the camera of a
+    A frame that cannot be calibrated is reported once, with `failed` and without frames. `camera` is the camera of a
     rig whose frames these are, empty in runs without a rig.
     """
 
@@ -199,15 +195,13 @@ def calibrate(
     """Calibrate frames and return a `Run`; the same as `p2o run`, whose help explains the words.
 
     `data` is a text DATASET:PATH, a dataset, frames or one frame. `start` is camera_from_lidar (4, 4) to begin with, or
-    tells it in words (`p2o.geometry.rough_start`) or by a calibration file (`p2o.formats`); without it and without
-    `perturb` each frame's own start is used.
-    `options` maps stage to field to value, or lists texts STAGE.FIELD=VALUE. `protocol` names a publication's
-    (`p2o.run.protocol`): its starts are drawn, and its figures are in `Run.summary`. `rig` gives a row for each camera:
-    True where frames name theirs, else a rig file or its content, and `Run.rig` where that tells how the cameras are
-    fixed to each other. What is left out takes the default of `Recipe`.
-
-    Raises a P2OError for anything wrong with the words, the data or the plugins. Too few matches and the like are
-    no errors but a status of the result, and a bad frame among good ones is in `Run.failed`.
+    describes it in words (`p2o.geometry.rough_start`) or names a calibration file; without it and without `perturb`
+    each frame's own start is used. `options` maps stage to field to value, or lists texts STAGE.FIELD=VALUE. `protocol`
+    names a publication's (`p2o.run.protocol`): its starts are drawn, and its figures are in `Run.summary`. `rig` gives
+    a row for each camera: True if frames name theirs, else a rig file or its content, and `Run.rig` if that contains
+    the fixed transforms between the cameras. Omitted arguments have the defaults of `Recipe`. Raises a P2OError for
+    anything wrong with the words, the data or the plugins. Too few matches and the like are no errors but a status of
+    the result, and a bad frame among good ones is in `Run.failed`.
     """
     given: Sequence[Frame] | Dataset | None = None
     if isinstance(data, Frame):
@@ -216,33 +210,20 @@ def calibrate(
         given, data = data, None
     elif data is None:
         raise InputError("there are no data", expected="DATASET:PATH, a dataset or frames", got=None)
-    settings = None
-    if options is not None:
-        settings = {k: dict(v) for k, v in options.items()} if isinstance(options, Mapping) else parse_settings(options)
-    recipe = Recipe.of(
-        data=data,
-        frames=frames,
-        extractor=extractor,
-        matcher=matcher,
-        solver=solver,
-        init=init,
-        calibrator=calibrator,
-        options=settings,
-        perturb=starts_of(protocol, perturb),
-        start=start if isinstance(start, str) else None,
-        seed=seed,
-        joint=joint,
-        rig=str(rig) if isinstance(rig, Path) else dict(rig) if isinstance(rig, Mapping) else rig,
-        accumulate=accumulate,
-        witness=witness,
-    )
+    words: dict[str, Any] = {"data": data, "frames": frames, "extractor": extractor, "matcher": matcher}
+    words |= {"solver": solver, "init": init, "calibrator": calibrator, "seed": seed, "joint": joint}
+    words |= {"accumulate": accumulate, "witness": witness, "perturb": starts_of(protocol, perturb)}
+    words["options"] = None if options is None else parse_settings(options)
+    words["start"] = start if isinstance(start, str) else None
+    words["rig"] = str(rig) if isinstance(rig, Path) else dict(rig) if isinstance(rig, Mapping) else rig
+    recipe = Recipe.of(**words)
     plan = recipe.resolve(Registry.load() if registry is None else registry)
     done = run(plan, given, start=None if isinstance(start, str) else start, on_progress=on_progress)
     return done if protocol is None else replace(done, protocol=protocol_of(protocol))
 
 
 def starts_of(protocol: str | None, perturb: str | None, where: str = "protocol") -> str | None:
-    """Return the perturbation that is asked for, by itself or by a protocol.
+    """Return the perturbation that is requested directly or by a protocol.
 
     Beside a protocol a published list of starts may be asked for; InputError for any other, and for a list whose
     errors act in another frame than the protocol's.
@@ -254,17 +235,12 @@ def starts_of(protocol: str | None, perturb: str | None, where: str = "protocol"
         return drawn
     listed = parse_starts(perturb)
     if not isinstance(listed, StartList):
-        raise InputError(
-            "a protocol draws its own starts", where=where, expected="no perturbation beside it but @FILE", got=perturb
-        )
+        expected = "no perturbation beside it but @FILE"
+        raise InputError("a protocol draws its own starts", where=where, expected=expected, got=perturb)
     wanted = replace(listed, in_camera=parse_starts(drawn).in_camera)
     if listed != wanted:
-        raise InputError(
-            f"errors of protocol {protocol} act in the {'camera' if wanted.in_camera else 'LiDAR'}'s frame",
-            where=where,
-            expected=f'"{wanted}"',
-            got=perturb,
-        )
+        text = f"errors of protocol {protocol} act in the {'camera' if wanted.in_camera else 'LiDAR'}'s frame"
+        raise InputError(text, where=where, expected=f'"{wanted}"', got=perturb)
     return perturb
 
 
@@ -279,47 +255,33 @@ def run(
     """Run a resolved recipe on its own dataset, or on `frames`; frames are read one at a time unless joint.
 
     A plugin that fails on a frame ends that frame with status stage-failed and its reason (`P2O_DEBUG=1` or
-    `P2O_STRICT=1`: it raises). A frame that cannot be read or used is in `Run.failed`; the others go on. Raises
-    InputError where no frame can be used, and for the first bad one with `joint`: a joint result is one of all frames
-    that were asked for. Of a rig the frames of each camera are calibrated jointly; a camera with a bad frame is in
-    `Run.failed`. `on_names` is told the names of all frames, and of the cameras of a rig, before any of them is
-    calibrated.
+    `P2O_STRICT=1`: it raises). A frame that cannot be read or used, or a camera of a rig with such a frame, is in
+    `Run.failed`; the others go on. A joint calibration and its result have the frames in the order of the dataset,
+    whatever the order of `recipe.frames`. Raises InputError where no frame can be used, and for the first bad one with
+    `joint`. `on_names` receives the names of all frames, and of the cameras of a rig, before any of them is calibrated.
     """
     recipe = plan.recipe
-    said_of_start: tuple[str, ...] = ()
-    if recipe.start is not None:
-        if start is not None:
-            raise InputError("a start is given twice, as a pose and in words", expected="one of them")
-        start, said_of_start = start_words(recipe.start, "--start")
-    if start is not None:
-        if plan.rig is not None:
-            raise InputError(
-                "a start is of one camera, and a rig has several",
-                expected="no start beside a rig",
-                hint="say body_from_lidar in the rig file, or the start in each frame",
-            )
-        if recipe.perturb is not None:
-            raise InputError("both a start and a perturbation are given", expected="one of them")
-        start = se3.check_rigid("start", start)
+    start, start_remarks = _initial_guess(plan, start)
     dataset: Sequence[Frame] | Dataset = plan.dataset() if frames is None else plan.joined(frames)
     names, indices = selected(dataset, recipe.frames)
     cameras: dict[int, str] = {}
-    remarks: Mapping[str, tuple[str, ...]] = {"": said_of_start}
+    remarks: Mapping[str, tuple[str, ...]] = {"": start_remarks}
+    # Sums of floating-point numbers depend on the order of the views: the order of --frames must not matter.
     if plan.rig is None:
-        groups = [indices] if recipe.joint else [[index] for index in indices]
+        groups = [sorted(indices)] if recipe.joint else [[index] for index in indices]
     else:
         by_camera, remarks = plan.rig.groups(names, indices, lambda index: _camera_name(dataset, index))
-        cameras, groups = dict(enumerate(by_camera)), list(by_camera.values())
+        cameras, groups = dict(enumerate(by_camera)), [sorted(group) for group in by_camera.values()]
     listed = listed_errors(recipe, names, [group[0] for group in groups])
     if on_names is not None:
         on_names([names[index] for index in indices], list(cameras.values()))
     parallel = frames is None and "accumulate" not in plan.parts and plan.parts["data"].offer.method.parallel
     assembly = plan.assembly()
-    stamp = {"recipe": plan.described(), "seed": recipe.seed, "versions": plan.versions()}
+    stamp = {"recipe": plan.described(), "seed": recipe.seed, "versions": plan.versions(), "licences": plan.licences()}
     rows: list[Row] = []
     failed: list[FailedFrame] = []
     first: P2OError | None = None
-    tell, tried = on_progress or (lambda _: None), _caught if len(groups) > 1 else _uncaught
+    tell, tried = on_progress or (lambda _: None), partial(_tried, len(groups) > 1)
     for done, group in enumerate(groups):
         camera = cameras.get(done, "")
         name = camera or (names[group[0]] if len(group) == 1 else f"{len(group)} frames jointly")
@@ -327,9 +289,8 @@ def run(
         first_guess = start
         if plan.rig is not None and recipe.perturb is None:
             first_guess = plan.rig.start_of(camera)
-        begin = tried(
-            _Begin.of, plan, dataset, [(index, names[index]) for index in group], first_guess, listed, parallel
-        )
+        chosen = [(index, names[index]) for index in group]
+        begin = tried(_Begin.of, plan, dataset, chosen, first_guess, listed, parallel)
         row: Row | P2OError
         if isinstance(begin, P2OError):
             row = begin
@@ -354,24 +315,35 @@ def run(
     return Run(tuple(rows), joint=recipe.joint, failed=tuple(failed), rig=common)
 
 
+def _initial_guess(plan: Plan, start: Float | None) -> tuple[Float | None, tuple[str, ...]]:
+    """Return the initial extrinsic (4, 4) given as a pose or in words, or None, and remarks on it."""
+    recipe, remarks = plan.recipe, tuple[str, ...]()
+    if recipe.start is not None:
+        if start is not None:
+            raise InputError("a start is given twice, as a pose and in words", expected="one of them")
+        start, remarks = read_initial_guess(recipe.start, "--start", registry=plan.registry)
+    if start is None:
+        return None, remarks
+    if plan.rig is not None:
+        hint = "say body_from_lidar in the rig file, or the start in each frame"
+        raise InputError("a start is of one camera, and a rig has several", expected="no start beside a rig", hint=hint)
+    if recipe.perturb is not None:
+        raise InputError("both a start and a perturbation are given", expected="one of them")
+    return se3.check_rigid("start", start), remarks
+
+
 def _camera_name(dataset: Sequence[Frame] | Dataset, index: int) -> str:
-    """Return the camera that a frame names; of joined sweeps nothing is joined for that."""
-    told: Callable[[int], str] | None = getattr(dataset, "camera_name", None)
-    return frame_at(dataset, index).camera_name if told is None else told(index)
+    """Return the camera that a frame names, without accumulating sweeps."""
+    camera_name: Callable[[int], str] | None = getattr(dataset, "camera_name", None)
+    return frame_at(dataset, index).camera_name if camera_name is None else camera_name(index)
 
 
-def _uncaught(work: Callable[..., _T], /, *given: Any) -> _T | P2OError:
-    return work(*given)
-
-
-def _caught(work: Callable[..., _T], /, *given: Any) -> _T | P2OError:
-    """Return what `work` returns, or the error that says what is wrong with the frames it was given."""
+def _tried(catches: bool, work: Callable[..., _T], /, *given: Any) -> _T | P2OError:
+    """Return the value of `work`, or with `catches` the error that it raises for invalid frames."""
     try:
         return work(*given)
-    except InputError as problem:
-        return problem
-    except PluginError as problem:
-        if _strict():
+    except (InputError, PluginError) as problem:
+        if not catches or (isinstance(problem, PluginError) and _strict()):
             raise
         return problem
 
@@ -385,13 +357,9 @@ def _usable(plan: Plan, dataset: Sequence[Frame] | Dataset, index: int, *, names
         if len(names) == 1:
             raise
         hint = f"a joint calibration needs every frame: leave {names[index]} out of --frames, or repair it"
-        raise InputError(
-            problem.what,
-            where=problem.where,
-            expected=problem.expected,
-            got=problem.got,
-            hint=hint if problem.hint is None else f"{problem.hint}; {hint}",
-        ) from problem
+        where, expected = problem.where, problem.expected
+        advice = hint if problem.hint is None else f"{problem.hint}; {hint}"
+        raise InputError(problem.what, where=where, expected=expected, got=problem.got, hint=advice) from problem
     return frame
 
 
@@ -401,7 +369,7 @@ def _strict() -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Begin:
-    """Where a calibration begins: its frames, the truth where it is known, the start, and what is said about it."""
+    """Inputs of a calibration: its frames, the truth, if known, the initial guess, and remarks on it."""
 
     frames: Sequence[Frame]
     cameras: frozenset[Camera]
@@ -420,20 +388,20 @@ class _Begin:
         listed: Mapping[int, Float],
         parallel: bool,
     ) -> _Begin:
-        """Read the frames of these indices and names; of very many, each is read again whenever it is looked at.
+        """Read the frames of these indices and names; a large number of frames is read again on each access.
 
         With `parallel` the dataset may be read by several threads.
         """
         names = dict(chosen)
         read = partial(_usable, plan, dataset, names=names)
         frames: Sequence[Frame] = ReadAgain(read, list(names))
-        if len(names) <= MOST_HELD:
+        if len(names) <= MAX_FRAMES_IN_MEMORY:
             frames = tuple(for_each(read, list(names), parallel=parallel))
-        said = told(frames)
-        camera = said[0].camera_name if plan.rig is not None else one_camera(said)
-        truth = common_pose(said, "camera_from_lidar")
-        begin = start_of(said, truth, plan.recipe, start, chosen[0][0], listed)
-        return cls(frames, frozenset(one.camera for one in said), truth, *begin, camera)
+        infos = frame_infos(frames)
+        camera = infos[0].camera_name if plan.rig is not None else one_camera(infos)
+        truth = common_pose(infos, "camera_from_lidar")
+        begin = start_of(infos, truth, plan.recipe, start, chosen[0][0], listed)
+        return cls(frames, frozenset(info.camera for info in infos), truth, *begin, camera)
 
 
 def _calibrate_one(assembly: Assembly, begin: _Begin, stamp: Mapping[str, Any]) -> Row:
@@ -462,32 +430,29 @@ def listed_errors(recipe: Recipe, names: Sequence[str], indices: Sequence[int]) 
 
 
 def start_of(
-    frames: Sequence[Frame] | Sequence[Told],
+    frames: Sequence[Frame] | Sequence[FrameInfo],
     truth: Float | None,
     recipe: Recipe,
     start: Float | None,
     index: int,
     listed: Mapping[int, Float],
 ) -> tuple[Float, tuple[str, ...]]:
-    """Return the start and what has to be said about it; `listed` are the `listed_errors` by index."""
+    """Return the initial guess and remarks on it; `listed` are the `listed_errors` by index."""
     if start is not None:
         if recipe.start is None or not names_file(recipe.start):
             return start, ()
-        # What a file of another tool calls its transform is often the inverse.
+        # Files of other tools often contain the inverse transform.
         frame = frames[0]
         assert frame.cloud is not None  # that of the first frame is kept
         return start, check_direction(frame.cloud, frame.camera, start, name="the start", where=recipe.start)
     if recipe.perturb is not None:
         if truth is None:
-            raise InputError(
-                "the truth is not known, so it cannot be perturbed",
-                where=frames[0].name,
-                hint="leave out --perturb to begin at the start that the data give",
-            )
+            hint = "leave out --perturb to begin at the start that the data give"
+            raise InputError("the truth is not known, so it cannot be perturbed", where=frames[0].name, hint=hint)
         size = parse_starts(recipe.perturb)
         if isinstance(size, StartList):
             return size.start(truth, listed[index]), ()
-        # Seeded by the frame's own number, so that a frame starts alike whichever others are run with it.
+        # Seeded by the frame's own number, so that its initial guess does not depend on the other frames of the run.
         rng = np.random.default_rng([recipe.seed] if recipe.joint else [recipe.seed, index])
         return size.start(truth, rng, recipe.seed), ()
     offered = common_pose(frames, "start")
@@ -495,47 +460,39 @@ def start_of(
         return offered, ()
     if truth is not None:
         return truth, ("the start is the calibration that the data give: this checks it (see --perturb)",)
-    raise InputError(
-        "there is no start to calibrate from",
-        where=frames[0].name,
-        expected="a start pose camera_from_lidar in the data",
-        hint="write one in the folder's YAML, or pass start= in Python",
-    )
+    expected = "a start pose camera_from_lidar in the data"
+    hint = "write one in the folder's YAML, or pass start= in Python"
+    raise InputError("there is no start to calibrate from", where=frames[0].name, expected=expected, hint=hint)
 
 
-def one_camera(frames: Sequence[Frame] | Sequence[Told]) -> str:
-    """Return the name of the camera of all frames, empty where they name none; InputError where they name several."""
+def one_camera(frames: Sequence[Frame] | Sequence[FrameInfo]) -> str:
+    """Return the name of the camera of all frames, empty if they name none; raises InputError for several."""
     named = sorted({frame.camera_name for frame in frames})
     if len(named) > 1:
-        raise InputError(
-            f"frames of {len(named)} cameras have no pose in common",
-            where="--joint",
-            expected="frames of one camera",
-            got=", ".join(name or "none named" for name in named),
-            hint="calibrate each camera of the rig with --rig, or choose frames of one",
-        )
+        text = f"frames of {len(named)} cameras have no pose in common"
+        got = ", ".join(name or "none named" for name in named)
+        hint = "calibrate each camera of the rig with --rig, or choose frames of one"
+        raise InputError(text, where="--joint", expected="frames of one camera", got=got, hint=hint)
     return named[0]
 
 
 _SAME_DEG, _SAME_M = 1e-3, 1e-4
 
 
-def common_pose(frames: Sequence[Frame] | Sequence[Told], name: str) -> Float | None:
-    """Return the one pose `name` of all frames that know it, or None; InputError where two differ.
+def common_pose(frames: Sequence[Frame] | Sequence[FrameInfo], name: str) -> Float | None:
+    """Return the one pose `name` of all frames that know it, or None; raises InputError if two differ.
 
-    Files round each frame's pose by itself: what no calibration can tell apart is one pose.
+    Files round the pose of each frame separately: poses that no calibration can distinguish count as one.
     """
     known = [frame for frame in frames if getattr(frame, name) is not None]
     for frame in known[1:]:
         step = se3.inverse(getattr(known[0], name)) @ getattr(frame, name)
         if se3.angle_deg(step) > _SAME_DEG or se3.distance_m(step) > _SAME_M:
             label = "extrinsics" if name == "camera_from_lidar" else "starts"
-            raise InputError(
-                f"frames {known[0].name} and {frame.name} have different {label}",
-                expected="one rig for --joint",
-                got=f"{se3.angle_deg(step):.3g} deg and {se3.distance_m(step):.3g} m apart",
-                hint="calibrate them apart, without --joint, or each camera of a rig with --rig",
-            )
+            text = f"frames {known[0].name} and {frame.name} have different {label}"
+            got = f"{se3.angle_deg(step):.3g} deg and {se3.distance_m(step):.3g} m apart"
+            hint = "calibrate them apart, without --joint, or each camera of a rig with --rig"
+            raise InputError(text, expected="one rig for --joint", got=got, hint=hint)
     return getattr(known[0], name) if known else None
 
 
@@ -551,7 +508,7 @@ def selected(dataset: Sequence[Frame] | Dataset, spec: str) -> tuple[Sequence[st
 
 
 def frame_at(dataset: Sequence[Frame] | Dataset, index: int) -> Frame:
-    """Return the frame of an index; raises InputError where the data hold something else there."""
+    """Return the frame of an index; raises InputError if the data contain another type."""
     frame = dataset[index]
     if not isinstance(frame, Frame):
         raise InputError(f"entry {index} of the frames is not a frame", expected="p2o.Frame", got=type(frame).__name__)
@@ -561,8 +518,4 @@ def frame_at(dataset: Sequence[Frame] | Dataset, index: int) -> Frame:
 def _error_dict(error: PoseError | None) -> dict[str, Any] | None:
     if error is None:
         return None
-    return {
-        "rotation_deg": error.rotation_deg,
-        "translation_m": error.translation_m,
-        "per_axis": dict(error.per_axis),
-    }
+    return {"rotation_deg": error.rotation_deg, "translation_m": error.translation_m, "per_axis": dict(error.per_axis)}

@@ -1,4 +1,4 @@
-"""The words of the command line and of study files: DATASET:PATH, [NAME=]DATASET:PATH, STAGE.FIELD=VALUE."""
+"""Parse the texts of the command line and of study files: DATASET:PATH, [NAME=]DATASET:PATH, STAGE.FIELD=VALUE."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from p2o.host.slots import STAGES
 
 @dataclass(frozen=True)
 class NamedData:
-    """A text [NAME=]DATASET:PATH: `name` is "" where it says none, `data` is DATASET:PATH."""
+    """A text [NAME=]DATASET:PATH: `name` is "" if absent, `data` is DATASET:PATH."""
 
     name: str
     data: str
 
     @classmethod
     def of(cls, text: str) -> NamedData:
-        """Return the two parts of a text; a "=" after the first ":", "/" or "?" belongs to the path or its options."""
+        """Split a text into its two parts; a "=" after the first ":", "/" or "?" belongs to the path or its options."""
         match = re.fullmatch(r"\s*([^=:/?\\]+?)\s*=\s*(.+)", text, re.DOTALL)
         return cls("", text) if match is None else cls(match[1], match[2])
 
@@ -35,21 +35,18 @@ def data_by_name(texts: Iterable[str], names: Collection[str], owner: str) -> di
     A text without NAME is for the only dataset; the last of two for one dataset wins. Raises UnknownNameError for
     other names, InputError where it is not said which of several datasets is meant.
     """
-    found: dict[str, str] = {}
+    data: dict[str, str] = {}
     for text in texts:
-        said = NamedData.of(text)
-        if not said.name and len(names) > 1:
-            raise InputError(
-                f"it is not said which dataset of {owner} is meant",
-                where="--data",
-                expected="NAME=DATASET:PATH with a NAME of " + ", ".join(names),
-                got=text,
-            )
-        name = said.name or next(iter(names), "")
+        named = NamedData.of(text)
+        if not named.name and len(names) > 1:
+            message = f"it is not said which dataset of {owner} is meant"
+            expected = "NAME=DATASET:PATH with a NAME of " + ", ".join(names)
+            raise InputError(message, where="--data", expected=expected, got=text)
+        name = named.name or next(iter(names), "")
         if name not in names:
             raise UnknownNameError(f"dataset of {owner}", name, names, where="--data")
-        found[name] = said.data
-    return found
+        data[name] = named.data
+    return data
 
 
 def split_data(text: str) -> tuple[str, dict[str, Any]]:
@@ -74,7 +71,7 @@ def split_data(text: str) -> tuple[str, dict[str, Any]]:
 
 
 def value_of(text: str) -> Any:
-    """Return the value that a text on the command line states: YAML lists, mappings and null, else the text itself.
+    """Parse a value of the command line: YAML lists, mappings and null, else the text itself.
 
     Numbers and switches stay text: the option's own type decides what they mean.
     """
@@ -85,57 +82,53 @@ def value_of(text: str) -> Any:
     return text
 
 
-def parse_settings(settings: Iterable[str]) -> dict[str, dict[str, Any]]:
-    """Return options by stage from texts STAGE.FIELD=VALUE; the last of two for one field wins.
+def parse_settings(settings: Iterable[str] | Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Return options by stage from texts STAGE.FIELD=VALUE or a mapping; the last of two for one field wins.
 
     Raises InputError for other texts and for a value beside options of its name, UnknownNameError for unknown stages.
     """
-    options: dict[str, dict[str, Any]] = {}
-    said: dict[tuple[str, ...], Any] = {}
-    for text in settings:
-        path, value = _setting(text, "STAGE.FIELD=VALUE: matcher.huber_px=2", least=2)
-        if path[0] not in STAGES:
-            raise UnknownNameError("stage", path[0], STAGES, where="--set")
-        _check_beside(said, path, text)
-        said[tuple(path)] = value
-        options = _with(options, path, value)
-    return options
+    if isinstance(settings, Mapping):
+        return {stage: dict(values) for stage, values in settings.items()}
+    parsed = [(text, *_setting(text, "STAGE.FIELD=VALUE: matcher.huber_px=2", least=2)) for text in settings]
+    return _combined({}, parsed, stages=STAGES)
 
 
 def parse_fields(
     settings: Iterable[str], values: Mapping[str, Any] | None = None, *, example: str = "seed=1"
 ) -> dict[str, Any]:
-    """Return options from texts FIELD=VALUE over those of `values`, which stays as it is.
+    """Return options from texts FIELD=VALUE that override those of `values`, which is not modified.
 
     OUTER.FIELD=VALUE sets an option of options. Raises InputError, with the example, for other texts, and for a value
     beside options of its name.
     """
-    options = dict(values or {})
-    said: dict[tuple[str, ...], Any] = {}
-    for text in settings:
-        path, value = _setting(text, f"FIELD=VALUE: {example}")
-        _check_beside(said, path, text)
-        said[tuple(path)] = value
+    return _combined(values or {}, [(text, *_setting(text, f"FIELD=VALUE: {example}")) for text in settings])
+
+
+def _combined(
+    values: Mapping[str, Any], settings: Iterable[tuple[str, list[str], Any]], stages: Collection[str] | None = None
+) -> dict[str, Any]:
+    """Return `values` with settings (text, path of names, value) in them; UnknownNameError for a wrong first name.
+
+    Raises InputError if a setting would silently replace another one of a different field.
+    """
+    options = dict(values)
+    known: dict[tuple[str, ...], Any] = {}
+    for text, path, value in settings:
+        if stages is not None and path[0] not in stages:
+            raise UnknownNameError("stage", path[0], stages, where="--set")
+        for other, earlier in known.items():
+            inside = other[: len(path)] == tuple(path) and len(other) > len(path)
+            outside = tuple(path[: len(other)]) == other and len(other) < len(path) and not isinstance(earlier, Mapping)
+            if inside or outside:
+                expected = "a value, or options in it"
+                raise InputError(f"{'.'.join(other)} is set already", where="--set", expected=expected, got=text)
+        known[tuple(path)] = value
         options = _with(options, path, value)
     return options
 
 
-def _check_beside(said: Mapping[tuple[str, ...], Any], path: list[str], text: str) -> None:
-    """Raise InputError where a setting would silently replace another one that is not for the same field.
-
-    A mapping may be followed by single options in it.
-    """
-    for other, value in said.items():
-        inside = other[: len(path)] == tuple(path) and len(other) > len(path)
-        outside = tuple(path[: len(other)]) == other and len(other) < len(path) and not isinstance(value, Mapping)
-        if inside or outside:
-            raise InputError(
-                f"{'.'.join(other)} is set already", where="--set", expected="a value, or options in it", got=text
-            )
-
-
 def _setting(text: str, expected: str, least: int = 1) -> tuple[list[str], Any]:
-    """Return the names before the "=", at least so many, and the value behind it."""
+    """Return the names before the "=", at least `least`, and the value after it."""
     names, equals, value = text.strip().partition("=")
     path = names.split(".")
     if not equals or len(path) < least or not all(re.fullmatch(r"[A-Za-z0-9_-]+", name) for name in path):
@@ -144,7 +137,7 @@ def _setting(text: str, expected: str, least: int = 1) -> tuple[list[str], Any]:
 
 
 def _with(options: Mapping[str, Any], path: list[str], value: Any) -> dict[str, Any]:
-    """Return the options with one more set; a single value on the way gives room to options of its name."""
+    """Return the options with one more value; a scalar on the path is replaced by a mapping."""
     name, *rest = path
     if not rest:
         return {**options, name: value}

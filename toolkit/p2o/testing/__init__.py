@@ -19,34 +19,21 @@ from typing import Any
 from p2o.errors import MethodUnavailable, UnknownNameError
 from p2o.host.method import Kind, Method
 from p2o.host.registry import Offer, Registry
-from p2o.testing import stage as stage
-from p2o.testing.checks import CHECKS as CHECKS
-from p2o.testing.checks import Check as Check
-from p2o.testing.checks import CheckFailed as CheckFailed
-from p2o.testing.checks import NotApplicable as NotApplicable
-from p2o.testing.checks import Subject as Subject
+from p2o.options import validated
+from p2o.testing import stage
+from p2o.testing.checks import CHECKS
+from p2o.testing.subject import Check, CheckFailed, NotApplicable, Subject
 
-__all__ = [
-    "CHECKS",
-    "Case",
-    "Check",
-    "CheckFailed",
-    "NotApplicable",
-    "Subject",
-    "checks_for",
-    "conformance_cases",
-    "reads_files",
-    "stage",
-]
+__all__ = ["CHECKS", "Case", "Check", "CheckFailed", "NotApplicable", "Subject"]
+__all__ += ["checks_for", "conformance_cases", "reads_files", "stage"]
 
 
 @dataclass(frozen=True)
 class Case:
-    """One check of one method; call it, and it raises CheckFailed (or a P2OError) where the promise is broken.
+    """One check of one method; call it, and it raises CheckFailed (or a P2OError) if the promise is broken.
 
     It raises NotApplicable, which pytest counts as skipped, where there is nothing to check the method on, or a package
-    that it needs is not installed.
-    `expected_failure` is the reason why the method is known to break it, or empty.
+    that it needs is not installed. `expected_failure` is the reason why the method is known to break it, or empty.
     """
 
     check: Check
@@ -74,29 +61,21 @@ def checks_for(
 ) -> list[Case]:
     """Return every check that is for a method, by its kind and by what it needs and gives.
 
-    `kind` is needed for a bare Method, `options` for a dataset that reads files. `registry` holds the methods that may
-    serve it (extractors of the features that it needs, the dataset of its example); by default all that are installed.
-
-    Raises TypeError where the kind is missing, UnknownNameError where the method expects failures of checks that do
-    not exist, and InputError for bad options.
+    `kind` is needed for a bare Method, `options` for a dataset that reads files; `registry` (default: installed
+    methods) holds the methods that may serve it. Raises TypeError where the kind is missing, UnknownNameError for
+    expected failures of checks that do not exist, and InputError for bad options.
     """
-    from p2o.host.validation import validated
-
     if isinstance(method, Method):
         if kind is None:
             raise TypeError("a bare Method does not know its kind: checks_for(method, Kind.SOLVER)")
         method = Offer(kind, method, "under-test", "", "plugin")
     known = {check.name for check in CHECKS}
     reasons = dict(method.method.expected_failures)
-    for name in reasons:
-        if name not in known:
-            raise UnknownNameError("conformance check", name, known, where=f"expected_failures of {method.name}")
+    for name in reasons.keys() - known:
+        raise UnknownNameError("conformance check", name, known, where=f"expected_failures of {method.name}")
     subject = Subject(method, validated(method.method.options, options or {}, method.name), registry)
-    return [
-        Case(check, subject, reasons.get(check.name, ""))
-        for check in CHECKS
-        if check.is_for(method.kind, method.method)
-    ]
+    meant = [check for check in CHECKS if check.is_for(method.kind, method.method)]
+    return [Case(check, subject, reasons.get(check.name, "")) for check in meant]
 
 
 def conformance_cases(plugin: str | Registry | Sequence[Offer], options: Mapping[str, Any] | None = None) -> list[Any]:
@@ -116,19 +95,17 @@ def conformance_cases(plugin: str | Registry | Sequence[Offer], options: Mapping
             raise UnknownNameError("plugin", plugin, {offer.dist for offer in registry.offers})
     else:
         offers = plugin.offers if isinstance(plugin, Registry) else plugin
-    said = options or {}
-    return [
-        pytest.param(
-            case,
-            id=case.name,
-            marks=[pytest.mark.xfail(reason=case.expected_failure, strict=True)] if case.expected_failure else [],
-        )
+    values = options or {}
+    cases = [
+        case
         for offer in offers
-        if offer.name in said or not reads_files(offer)
-        for case in checks_for(offer, options=said.get(offer.name), registry=registry)
+        if offer.name in values or not reads_files(offer)
+        for case in checks_for(offer, options=values.get(offer.name), registry=registry)
     ]
+    marks = [[pytest.mark.xfail(reason=c.expected_failure, strict=True)] if c.expected_failure else [] for c in cases]
+    return [pytest.param(case, id=case.name, marks=mark) for case, mark in zip(cases, marks, strict=True)]
 
 
 def reads_files(offer: Offer) -> bool:
-    """Return whether a dataset reads a folder of files, and cannot be checked without being told which."""
+    """Return whether a dataset reads a folder of files, whose path the check requires."""
     return offer.kind == Kind.DATASET and "root" in offer.method.options.model_fields

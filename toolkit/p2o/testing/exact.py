@@ -1,21 +1,26 @@
-"""Exact problems of the stage, and poses at a known distance from its truth."""
+"""Exact problems and views of the stage, and poses at a known distance from its truth."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from p2o.arrays import Float, Int
+from p2o.errors import MethodUnavailable
+from p2o.features.sets import CloudFeatures, ImageFeatures
 from p2o.features.side import Side
+from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.geometry.pose_error import pose_error
+from p2o.host.guard import build
+from p2o.host.method import Kind
 from p2o.problems.point_to_line import PointToLine
 from p2o.problems.problem import LeastSquares
 from p2o.testing import stage
-from p2o.testing.subject import require
+from p2o.testing.subject import NotApplicable, Subject, lacking, require
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +45,7 @@ class PlanesInMetres(LeastSquares):
 
 
 def planes() -> PlanesInMetres:
-    """Return four hundred points of the stage with the planes that they lie on."""
+    """Return 400 points of the stage with the planes that contain them."""
     points, truth = stage.view().get("cloud-points"), stage.camera_from_lidar()
     some = points.select(np.linspace(0, len(points) - 1, 400).astype(np.int64))
     normal = some.normal @ truth[:3, :3].T
@@ -74,10 +79,69 @@ def around(truth: Float, angle_deg: float, distance_m: float) -> Float:
 
 
 def require_near(pose: Float, truth: Float, angle_deg: float, distance_m: float) -> None:
-    """Raise CheckFailed unless a pose is that near to the truth."""
+    """Raise CheckFailed unless the error of a pose is within the tolerance."""
     error = pose_error(pose, truth)
     require(
         error.rotation_deg <= angle_deg and error.translation_m <= distance_m,
         f"{error.rotation_deg:.4f} deg and {error.translation_m:.4f} m from the truth, "
         f"at most {angle_deg:g} deg and {distance_m:g} m are promised",
     )
+
+
+_PREFIXES = ("image-", "cloud-")
+
+
+def view(subject: Subject) -> View:
+    """Return the stage with the kinds of features that the method needs, all that it has where none is named.
+
+    They are exact, but for kinds that only plugins know: those are extracted by a method that gives them.
+    """
+    return _as_pipeline(subject, subject.once(_full))
+
+
+def bare_view(subject: Subject) -> View:
+    """Return the counterpart of `view` without any features."""
+    return _as_pipeline(subject, subject.once(_bare))
+
+
+def _as_pipeline(subject: Subject, features: View) -> View:
+    """Return the view as the pipeline passes it: without sides if the method does not need them."""
+    sided = "side" in subject.needs or subject.offer.kind == Kind.INITIALIZER
+    return features if sided else features.without_sides()
+
+
+def _full(subject: Subject) -> View:
+    frame = stage.frame()
+    return _view(subject, stage.view(), {"image-": frame.image, "cloud-": frame.cloud})
+
+
+def _bare(subject: Subject) -> View:
+    nothing = {"image-": stage.featureless_image(), "cloud-": stage.featureless_cloud()}
+    return _view(subject, stage.bare_view(), nothing)
+
+
+def _view(subject: Subject, known: View, seen: dict[str, Any]) -> View:
+    words = sorted(word for word in subject.needs if word.startswith(_PREFIXES))
+    if not words:
+        return known
+    features: dict[str, list[Any]] = {prefix: [] for prefix in _PREFIXES}
+    for word in words:
+        feature = known.get(word)
+        features[word[:6]].append(_by_a_plugin(subject, word, seen[word[:6]]) if feature is None else feature)
+    image, cloud = ImageFeatures(features=features["image-"]), CloudFeatures(features=features["cloud-"])
+    return View(known.name, known.camera, image, cloud)
+
+
+def _by_a_plugin(subject: Subject, word: str, seen: Any) -> Any:
+    """Return the features of a kind from an installed extractor, preferably of the same plugin; else NotApplicable."""
+    kind = Kind.IMAGE_EXTRACTOR if word.startswith("image-") else Kind.CLOUD_EXTRACTOR
+    givers = [offer for offer in subject.registry.of_kind(kind) if word in offer.method.gives]
+    own = (subject.offer.dist, subject.offer.entry)
+    for offer in sorted(givers, key=lambda offer: (offer.dist, offer.entry) != own):
+        if lacking(offer.method.needs, (stage.frame(),)):
+            continue
+        try:
+            return build(offer, offer.method.options())(seen).get(word)
+        except MethodUnavailable:
+            continue
+    raise NotApplicable(f"no installed extractor gives {word}")

@@ -6,7 +6,6 @@ surface has a grey and an intensity of its own, so that the two are related as m
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -14,9 +13,7 @@ import numpy as np
 
 from p2o.arrays import Float, Int
 from p2o.features.edges import CloudEdges, ImageEdges
-from p2o.features.maps import GreyMap
-from p2o.features.points import CloudPoints
-from p2o.features.sets import CloudFeatures, ImageFeatures
+from p2o.features.sets import CloudFeatures, CloudPoints, GreyMap, ImageFeatures
 from p2o.features.side import Side
 from p2o.features.view import View
 from p2o.frames.cloud import Cloud
@@ -69,16 +66,9 @@ def frame() -> Frame:
 
 @lru_cache(maxsize=1)
 def stage_from_lidar() -> Float:
-    """Return where the LiDAR stands in each frame of `drive`, (3, 4, 4); "stage" is its frame in `frame`."""
-    poses = se3.exp(
-        np.array(
-            [
-                [0.03, -0.05, 0.06, -0.5, 0.2, 0.05],
-                [-0.04, 0.02, 0.03, 0.0, 0.1, -0.1],
-                [0.02, 0.05, -0.07, 0.6, -0.15, 0.02],
-            ]
-        )
-    )
+    """Return the poses stage_from_lidar (3, 4, 4) of the frames of `drive`; "stage" is the LiDAR frame of `frame`."""
+    first, second = [0.03, -0.05, 0.06, -0.5, 0.2, 0.05], [-0.04, 0.02, 0.03, 0.0, 0.1, -0.1]
+    poses = se3.exp(np.array([first, second, [0.02, 0.05, -0.07, 0.6, -0.15, 0.02]]))
     poses.flags.writeable = False
     return poses
 
@@ -87,10 +77,9 @@ def stage_from_lidar() -> Float:
 def drive() -> tuple[Frame, ...]:
     """Return three frames of one sequence: the rig stops at each, a second apart, and both sensors know their poses."""
     camera_from, lidar_from_camera = camera_from_lidar(), se3.inverse(camera_from_lidar())
-    # Each world is a frame of its own: poses tell how the sensors move, never where they are on the rig.
-    lidar_world, camera_world = se3.exp(
-        np.array([[0.3, -0.2, 1.1, 20.0, -7.0, 3.0], [-0.8, 0.4, 0.2, -3.0, 12.0, 5.0]])
-    )
+    # Each sensor has its own world frame: poses contain the motion of the sensors, not the extrinsic.
+    worlds = [[0.3, -0.2, 1.1, 20.0, -7.0, 3.0], [-0.8, 0.4, 0.2, -3.0, 12.0, 5.0]]
+    lidar_world, camera_world = se3.exp(np.array(worlds))
     return tuple(
         Frame(
             f"stage/{number}",
@@ -108,7 +97,7 @@ def drive() -> tuple[Frame, ...]:
 
 
 def distance_m(xyz: Float) -> Float:
-    """Return how far points (N, 3) of the stage are from its nearest surface, in metres (N,)."""
+    """Return the distances (N,) in m of points (N, 3) of the stage from its nearest surface."""
     x, y, z = (column[:, None] for column in np.transpose(xyz))
     plate_x, left, right, top, bottom = _PLATES.T
     aside = np.maximum(np.maximum(y - left, right - y), 0.0)
@@ -119,21 +108,14 @@ def distance_m(xyz: Float) -> Float:
 
 
 def featureless_image() -> Image:
-    """Return an image in which nothing can be found: one grey, one depth."""
+    """Return an image without features: one grey, one depth."""
     grey = np.full((240, 480, 3), 128, np.uint8)
     return Image(grey, camera(), right=grey, baseline_m=BASELINE_M, depth_m=np.full((240, 480), 10.0))
 
 
 def featureless_cloud() -> Cloud:
-    """Return a sweep in which nothing can be found: the inside of a ball of 15 m radius around the LiDAR."""
-    ring, column, directions = _beams()
-    return Cloud(
-        15.0 * directions,
-        ring=ring,
-        column=column,
-        intensity=np.full(len(ring), 0.4),
-        time_s=column / _COLUMNS * 0.1 - 0.05,
-    )
+    """Return a sweep without features: the inside of a sphere of 15 m radius around the LiDAR."""
+    return _cloud(15.0, np.full(_BEAMS * _COLUMNS, 0.4))
 
 
 @lru_cache(maxsize=1)
@@ -156,7 +138,7 @@ def view() -> View:
 
 
 def bare_view() -> View:
-    """Return a view in which nothing can be found: no edges, one grey, and points of one intensity."""
+    """Return a view without features: no edges, one grey, and points of one intensity."""
     cloud = featureless_cloud()
     return View(
         "bare",
@@ -177,7 +159,7 @@ def _points() -> CloudPoints:
     facing[: len(_PLATES), 0] = -1.0
     for number, (axis, limit) in enumerate(_WALLS, len(_PLATES)):
         facing[number, axis] = -np.sign(limit)
-    return CloudPoints(cloud.xyz, cloud.intensity, facing[_cast(np.zeros(3), directions).surface])
+    return CloudPoints(cloud.xyz, cloud.intensity, facing[_cast(np.zeros(3), directions)[1]])
 
 
 def _outlines(step_m: float) -> tuple[Float, Any, Float]:
@@ -198,16 +180,8 @@ def _outlines(step_m: float) -> tuple[Float, Any, Float]:
     return np.concatenate(points), np.concatenate(sides), np.concatenate(backgrounds)
 
 
-@dataclass(frozen=True, eq=False)
-class _Hits:
-    """What rays meet first: `distance_m` (N,) and the number of the surface (N,)."""
-
-    distance_m: Float
-    surface: Int
-
-
-def _cast(origin: Float, directions: Float) -> _Hits:
-    """Return the first surface along each ray (N, 3) from `origin` (3,): plates, then walls, floor and ceiling."""
+def _cast(origin: Float, directions: Float) -> tuple[Float, Int]:
+    """Return the distance in m and the number of the first surface along rays (N, 3): plates, then walls."""
     with np.errstate(divide="ignore", invalid="ignore"):
         x = (_PLATES[:, 0, None] - origin[0]) / directions[:, 0]
         y, z = origin[1] + x * directions[:, 1], origin[2] + x * directions[:, 2]
@@ -217,29 +191,28 @@ def _cast(origin: Float, directions: Float) -> _Hits:
     distance = np.concatenate([np.where(inside, x, np.inf), walls])
     distance = np.where(np.isfinite(distance) & (distance > 1e-6), distance, np.inf)
     surface = np.argmin(distance, axis=0)
-    return _Hits(distance[surface, np.arange(len(surface))], surface)
+    return distance[surface, np.arange(len(surface))], surface
 
 
 def _image(stage_from_camera: Float) -> Image:
-    rgb, depth = _picture(stage_from_camera)
-    right, _ = _picture(stage_from_camera @ se3.make(translation=(BASELINE_M, 0.0, 0.0)))
+    rgb, depth = _render(stage_from_camera)
+    right, _ = _render(stage_from_camera @ se3.make(translation=(BASELINE_M, 0.0, 0.0)))
     return Image(rgb, camera(), right=right, baseline_m=BASELINE_M, depth_m=depth)
 
 
-def _picture(lidar_from_camera: Float) -> tuple[Any, Float]:
+def _render(lidar_from_camera: Float) -> tuple[Any, Float]:
     """Return rgb (H, W, 3) uint8 and depth (H, W) in metres along the optical axis."""
     height, width = camera().height, camera().width
     uv = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1).reshape(-1, 2)
     rays = camera().rays(uv.astype(np.float64))
     directions = rays @ lidar_from_camera[:3, :3].T
-    hits = _cast(lidar_from_camera[:3, 3], directions)
-    points = lidar_from_camera[:3, 3] + hits.distance_m[:, None] * directions
+    distance, surface = _cast(lidar_from_camera[:3, 3], directions)
+    points = lidar_from_camera[:3, 3] + distance[:, None] * directions
     # Each surface has a grey of its own and a texture fixed to it, so that block matching has something to match.
     waves = np.random.default_rng(0).normal(scale=9.0, size=(3, 12))
-    grain = np.sin(points @ waves + hits.surface[:, None]).sum(axis=1)
-    grey = np.clip(_GREYS[hits.surface] + 7.0 * grain, 0, 255).astype(np.uint8).reshape(height, width)
-    depth = (hits.distance_m * rays[:, 2]).reshape(height, width)
-    return np.repeat(grey[:, :, None], 3, axis=2), depth
+    grain = np.sin(points @ waves + surface[:, None]).sum(axis=1)
+    grey = np.clip(_GREYS[surface] + 7.0 * grain, 0, 255).astype(np.uint8).reshape(height, width)
+    return np.repeat(grey[:, :, None], 3, axis=2), (distance * rays[:, 2]).reshape(height, width)
 
 
 def _beams() -> tuple[Int, Int, Float]:
@@ -254,13 +227,13 @@ def _beams() -> tuple[Int, Int, Float]:
 
 
 def _sweep(pose: Float) -> Cloud:
-    """Return the sweep of a LiDAR that stands at a pose stage_from_lidar (4, 4), in its own frame."""
+    """Return the sweep of a LiDAR at the pose stage_from_lidar (4, 4), in the LiDAR frame."""
+    distance, surface = _cast(pose[:3, 3], _beams()[2] @ pose[:3, :3].T)
+    return _cloud(distance[:, None], np.asarray(0.1 + 0.08 * (surface % 10), np.float64))
+
+
+def _cloud(distance_m: Float | float, intensity: Float) -> Cloud:
+    """Return the sweep with these distances (N, 1) and intensities (N,)."""
     ring, column, directions = _beams()
-    hits = _cast(pose[:3, 3], directions @ pose[:3, :3].T)
-    return Cloud(
-        hits.distance_m[:, None] * directions,
-        ring=ring,
-        column=column,
-        intensity=np.asarray(0.1 + 0.08 * (hits.surface % 10), np.float64),
-        time_s=column / _COLUMNS * 0.1 - 0.05,
-    )
+    time_s = column / _COLUMNS * 0.1 - 0.05
+    return Cloud(distance_m * directions, ring=ring, column=column, intensity=intensity, time_s=time_s)

@@ -1,4 +1,4 @@
-"""What a check is given: a method with its options, the frames to try it on, and the methods installed beside it."""
+"""A check is one promise of a method; its subject is the method with its options and the frames to run it on."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any, TypeVar
 
 from p2o.frames.frame import Frame
 from p2o.host.guard import build
-from p2o.host.method import Example, Kind
+from p2o.host.method import Example, Kind, Method
 from p2o.host.registry import Offer, Plugin, Registry
 from p2o.options import Options
-from p2o.run.fit import HELD
+from p2o.run.fit import FRAME_CONTENT
 from p2o.run.joined import JoinedFrames
 from p2o.run.recipe import open_dataset
 from p2o.testing import stage
@@ -41,18 +41,18 @@ class Subject:
     offer: Offer
     options: Options
     known: Registry | None = field(default=None, compare=False, repr=False)
-    _found: dict[Any, Any] = field(default_factory=dict, compare=False, repr=False)
+    _computed: dict[Any, Any] = field(default_factory=dict, compare=False, repr=False)
 
     def built(self) -> Any:
         """Return a freshly built stage."""
         return build(self.offer, self.options)
 
     def once(self, find: Callable[[Subject], T]) -> T:
-        """Return what `find` finds of this subject; it is looked for once, for all checks."""
-        if find not in self._found:
-            self._found[find] = find(self)
-        found: T = self._found[find]
-        return found
+        """Return the value of `find` for this subject, computed once for all checks."""
+        if find not in self._computed:
+            self._computed[find] = find(self)
+        value: T = self._computed[find]
+        return value
 
     @property
     def gives(self) -> frozenset[str]:
@@ -66,7 +66,7 @@ class Subject:
 
     @property
     def example(self) -> Example | None:
-        """The frames on which the method promises to succeed, where the stage will not do."""
+        """The frames on which the method promises to succeed, if the stage is not suitable."""
         return self.offer.method.example
 
     @property
@@ -85,15 +85,16 @@ class Subject:
         Raises NotApplicable where they lack what the method needs.
         """
         frames = self.once(frames_of)
-        missing = lacking(self.needs, frames)
-        if missing:
-            raise NotApplicable(f"the frames have no {missing[0]}, which it needs: {_advice(self.example)}")
+        if missing := lacking(self.needs, frames):
+            others = "frames that do" if self.example is None else "others"
+            raise NotApplicable(f"the frames have no {missing[0]}, which it needs: name {others} in Method.example")
         return frames
 
 
 def lacking(needs: Set[str], frames: tuple[Frame, ...]) -> list[str]:
-    """Return the needed words that one of the frames does not hold."""
-    return [word for word in sorted(needs & HELD.keys()) if any(HELD[word](frame) is None for frame in frames)]
+    """Return the needed content that one of the frames does not have."""
+    words = sorted(needs & FRAME_CONTENT.keys())
+    return [word for word in words if any(FRAME_CONTENT[word](frame) is None for frame in frames)]
 
 
 def _installed(_: Subject) -> Registry:
@@ -101,7 +102,7 @@ def _installed(_: Subject) -> Registry:
 
 
 def frames_of(subject: Subject) -> tuple[Frame, ...]:
-    """Return the frames of the example, else the stage, or the drive through it where the stage will not do."""
+    """Return the frames of the example, else the stage, or the drive through it if the stage is not suitable."""
     example = subject.example
     if example is not None:
         frames: Any = open_dataset(example.data, subject.registry)
@@ -113,5 +114,73 @@ def frames_of(subject: Subject) -> tuple[Frame, ...]:
     return stage.drive() if lacking(subject.needs, one) else one
 
 
-def _advice(example: Example | None) -> str:
-    return "name others in Method.example" if example is not None else "name frames that do in Method.example"
+When = Callable[[Method], bool]
+Test = Callable[[Subject], None]
+
+_IMPLIED = {"pairs": {"pairs"}, "residuals": {"residuals", "pairs"}, "objective": {"objective", "residuals", "pairs"}}
+"""Content that implies other content: pairs are a least-squares problem, which has a cost."""
+
+
+def always(method: Method) -> bool:
+    """Every method of the kinds."""
+    return True
+
+
+def gives(*words: str) -> When:
+    """Methods that give one of the words; residuals are given with pairs, an objective with both."""
+    wanted = set().union(*(_IMPLIED.get(word, {word}) for word in words))
+    return lambda method: not wanted.isdisjoint(method.gives)
+
+
+def needs(*words: str) -> When:
+    """Methods that need one of the words."""
+    return lambda method: not method.needs.isdisjoint(words)
+
+
+def but(when: When) -> When:
+    """All other methods."""
+    return lambda method: not when(method)
+
+
+def both(*conditions: When) -> When:
+    """Methods of which all conditions hold."""
+    return lambda method: all(when(method) for when in conditions)
+
+
+@dataclass(frozen=True)
+class Check:
+    """One promise: `name`, the `kinds` of method that make it, the function that tests it, and of those kinds `when`.
+
+    The function takes a `Subject` and raises CheckFailed where the promise is broken. Its docstring is the promise.
+    """
+
+    name: str
+    kinds: frozenset[Kind]
+    function: Callable[[Subject], None]
+    when: When = always
+
+    @property
+    def promise(self) -> str:
+        """The promise in a sentence."""
+        return (self.function.__doc__ or "").split("\n", maxsplit=1)[0]
+
+    def is_for(self, kind: Kind, method: Method) -> bool:
+        """Return whether a method of a kind makes this promise, by what it needs and gives."""
+        return kind in self.kinds and self.when(method)
+
+
+class Checks(list[Check]):
+    """The checks of one module, in its order; a function becomes one by the decorator `of`."""
+
+    def __init__(self, *kinds: Kind) -> None:
+        super().__init__()
+        self._kinds = frozenset(kinds)
+
+    def of(self, when: When = always, name: str = "") -> Callable[[Test], Test]:
+        """Register a function as a check of the methods of the kinds for which `when` holds."""
+
+        def note(function: Test) -> Test:
+            self.append(Check(name or function.__name__, self._kinds, function, when))
+            return function
+
+        return note

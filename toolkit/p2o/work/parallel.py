@@ -1,15 +1,17 @@
-"""Jobs on several processes or machines through joblib; there is no scheduler of our own.
+"""Run jobs on several processes or machines through joblib.
 
-Every library inside a job computes with one thread: the same bits on any number of workers, and two jobs do not fight
-for the cores.
+Libraries inside a job use one thread: results are bit-identical for any number of workers, and jobs do not compete for
+cores.
 """
 
 from __future__ import annotations
 
 import concurrent.futures
 import contextlib
+import faulthandler
 import importlib
 import itertools
+import multiprocessing
 import os
 import re
 import signal
@@ -21,19 +23,21 @@ from dataclasses import dataclass, field
 from functools import cache, partial
 from typing import Any, Literal
 
-from p2o.errors import InputError, MethodUnavailable, P2OError
+from p2o.errors import InputError, MethodUnavailable, P2OError, one_line
 
 Backend = Literal["loky", "dask", "ray"]
 BACKENDS: tuple[Backend, ...] = ("loky", "dask", "ray")
 
 _PACKAGES = {"dask": ("distributed", "dask distributed"), "ray": ("ray", "ray")}
-"""The package of a backend, and what pip installs for it."""
+"""The package of a backend, and the arguments of pip to install it."""
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 _TRIES_ALONE = 2
-"""How often a job whose worker died is tried again, with no other job beside it."""
-_LOOK_EVERY_S = 0.5
+"""Number of retries of a job whose worker died, without other jobs in parallel."""
+_POLL_INTERVAL_S = 0.5
+_IDLE_S = 300
+"""Duration after which an idle worker ends, as in joblib."""
 _BATCH_S, _MOST_IN_BATCH = 1.0, 64
-"""A worker gets so many seconds of jobs at once: it takes them with it where it dies, and they are done again."""
+"""Duration and maximum size of a batch of jobs: all jobs of a batch are repeated if its worker dies."""
 
 Work = Callable[[Any], Any]
 Lost = Callable[[Any, P2OError], Any]
@@ -42,43 +46,47 @@ Run = Callable[[Work, Iterable[Any], Lost], Generator[Any, None, None]]
 
 @dataclass(frozen=True)
 class Workers:
-    """Where jobs run: `jobs` processes of this machine, or a cluster of dask or ray at `address`.
+    """Configuration of workers: `jobs` processes of this machine, or a dask or ray cluster at `address`.
 
-    With `address` empty, dask and ray start `jobs` workers on this machine. Raises InputError for numbers and
-    combinations that make no sense, MethodUnavailable where the backend is not installed.
+    Without `address`, dask and ray start `jobs` workers on this machine. One job of loky runs in this process, or with
+    `isolate` in a worker, so that native code that crashes ends that worker only; None leaves it to the study. Raises
+    InputError for invalid values and combinations, MethodUnavailable if the backend is not installed.
     """
 
     jobs: int = 1
     backend: Backend = "loky"
     address: str | None = None
+    isolate: bool | None = False
 
     def __post_init__(self) -> None:
         if self.jobs < 1:
-            raise InputError("there is nobody to work", where="--jobs", expected="at least 1", got=self.jobs)
+            raise InputError("the number of jobs is not positive", where="--jobs", expected="at least 1", got=self.jobs)
         if self.backend == "loky" and self.address is not None:
-            raise InputError("processes of this machine have no address", where="--address", expected="--backend dask")
+            raise InputError("the backend loky has no address", where="--address", expected="--backend dask")
         if self.backend in _PACKAGES:
             package, installed = _PACKAGES[self.backend]
             try:
                 importlib.import_module(package)
             except ModuleNotFoundError as problem:
-                raise MethodUnavailable(
-                    f"--backend {self.backend} needs the package {problem.name}, which is not installed",
-                    hint=f"run: pip install {installed}",
-                ) from problem
+                text = f"--backend {self.backend} needs the package {problem.name}, which is not installed"
+                raise MethodUnavailable(text, hint=f"run: pip install {installed}") from problem
 
     @contextlib.contextmanager
-    def hired(self) -> Iterator[Run]:
-        """Yield `run(work, jobs, lost)`, which yields what `work` returns for each job, as the jobs finish.
+    def start(self) -> Iterator[Run]:
+        """Yield `run(work, jobs, lost)`, which yields the result of `work` for each job, in the order of completion.
 
-        Jobs are taken from the iterable as workers become free; it may be asked from another thread. Closing what
-        `run` returns gives up what is not finished. Where a worker dies (killed, out of memory, a crash in native
-        code), the jobs under way are tried again one by one in fresh workers; for one whose worker dies every time,
-        `lost(job, problem)` is yielded instead. Raises P2OError where the cluster itself is lost.
+        Jobs are taken from the iterable on demand, possibly from another thread. Closing the generator of `run` cancels
+        unfinished jobs. If a worker dies, the running jobs are repeated one by one in new workers; for a job whose
+        worker dies every time, `lost(job, problem)` is yielded. Raises P2OError if the cluster is lost.
         """
-        if self.backend == "loky" and self.jobs == 1:
-            with _one_thread_for_now():
-                yield _in_turn
+        in_process = self.backend == "loky" and self.jobs == 1 and not self.isolate
+        if self.backend == "loky" and not in_process and (cause := _cannot_start()):
+            text = f"worker processes cannot be started, so all jobs run in this one: {cause}"
+            print(f"p2o: warning: {one_line(text)}", file=sys.stderr)
+            in_process = True
+        if in_process:
+            with _single_threaded():
+                yield lambda work, jobs, lost: (work(job) for job in jobs)
         else:
             with self._cluster():
                 yield self._run
@@ -92,7 +100,7 @@ class Workers:
                         waiting.done(number)
                         yield result
                 except _deaths(self.backend):
-                    # Nobody says which of the jobs under way was it: alone, each answers for itself.
+                    # The backend does not report which job terminated the worker: repeat each separately.
                     for number, job in waiting.under_way():
                         result = self._alone(work, number, job, lost)
                         waiting.done(number)
@@ -102,10 +110,12 @@ class Workers:
         except (P2OError, GeneratorExit, KeyboardInterrupt):
             raise
         except Exception as problem:
-            raise _cluster_lost(self, problem) from problem
+            text = f"the workers of --backend {self.backend} were lost"
+            hint = "finished rows are kept: run the same command, with fewer --jobs if memory was exhausted"
+            raise P2OError(text, got=f"{type(problem).__name__}: {problem}", hint=hint) from problem
 
     def _alone(self, work: Work, number: int, job: Any, lost: Lost) -> Any:
-        """Return what a job gives that was under way when a worker died."""
+        """Return the result of a job that was running when a worker died."""
         death: BaseException | None = None
         for _ in range(_TRIES_ALONE):
             try:
@@ -115,35 +125,43 @@ class Workers:
             else:
                 return result
         lost_with = P2OError(
-            f"the worker process died in each of {1 + _TRIES_ALONE} tries, {_TRIES_ALONE} of them with nothing else "
-            "to do",
-            expected="a job that ends",
-            got=_how(death),
-            hint="did memory run out? Fewer --jobs or smaller frames need less; native code may have crashed",
+            f"the worker process died in each of {1 + _TRIES_ALONE} attempts, {_TRIES_ALONE} of them without other "
+            "jobs",
+            expected="a job that returns",
+            got=", ".join(sorted(set(re.findall(r"SIG[A-Z]+", str(death))))) or type(death).__name__,
+            hint="out of memory: use fewer --jobs or smaller frames; or native code has crashed",
         )
         return lost(job, lost_with)
 
     def _attempt(self, work: Work, jobs: Iterable[tuple[int, Any]]) -> Generator[tuple[int, Any], None, None]:
-        """Yield number and result of each numbered job, until a worker dies."""
+        """Yield number and result of each numbered job until a worker dies."""
         import joblib
 
         done: Any = None
         batches = _Batches(jobs)
+        # Only the workers of loky are children of this process.
+        watch = {"initializer": _watch, "initargs": (os.getpid(),)} if self.backend == "loky" else {}
+        if self.backend == "loky" and self.jobs == 1:
+            from joblib.externals.loky import get_reusable_executor
+
+            # joblib would run a single job in this process.
+            worker = get_reusable_executor(max_workers=1, timeout=_IDLE_S, **watch)
+            for batch in batches:
+                yield from batches.results_of(*worker.submit(_numbered, work, batch).result())
+            return
         try:
-            # Workers of this machine are children of this process, those of a cluster are not.
-            watch = {"initializer": _watch, "initargs": (os.getpid(),)} if self.backend == "loky" else {}
             with joblib.parallel_config(backend=self.backend, **watch):
                 tasks = (joblib.delayed(_numbered)(work, batch) for batch in batches)
                 if self.backend == "ray":
-                    # Its joblib backend hands results back only when a batch is complete.
+                    # The joblib backend of ray returns results only when all tasks are complete.
                     while some := list(itertools.islice(tasks, 4 * self.jobs)):
                         for took_s, results in joblib.Parallel(n_jobs=self.jobs, batch_size=1)(some):
-                            yield from batches.told(took_s, results)
+                            yield from batches.results_of(took_s, results)
                     return
                 jobs_at_once = self.jobs if self.backend == "loky" else -1
                 done = joblib.Parallel(n_jobs=jobs_at_once, batch_size=1, return_as="generator_unordered")(tasks)
                 for took_s, results in done:
-                    yield from batches.told(took_s, results)
+                    yield from batches.results_of(took_s, results)
         finally:
             if done is not None:
                 done.close()
@@ -159,12 +177,8 @@ class Workers:
             try:
                 client = connect(**here) if self.address is None else connect(self.address, timeout=20)
             except (OSError, ValueError, TimeoutError) as problem:
-                raise InputError(
-                    "the dask scheduler does not answer",
-                    where=self.address or "dask",
-                    expected="an address such as tcp://HOST:8786",
-                    got=problem,
-                ) from problem
+                text, expected = "the dask scheduler does not respond", "an address such as tcp://HOST:8786"
+                raise InputError(text, where=self.address or "dask", expected=expected, got=problem) from problem
             with client:
                 yield
         elif self.backend == "ray":
@@ -182,22 +196,34 @@ class Workers:
                 _dismiss_workers(kill=not ended)
 
 
-def _dismiss_workers(kill: bool) -> None:
-    """End the worker processes of this process; `kill` those that are at work, too.
+def _cannot_start() -> str:
+    """Return why loky cannot start workers, empty if it can: it needs semaphores of the operating system."""
+    import joblib
 
-    joblib keeps them for five minutes, and hands jobs to them that nobody does if these five minutes end just then: a
-    second study in one process would wait for ever.
-    """
+    with joblib.parallel_config(backend="loky"):
+        if joblib.effective_n_jobs(2) > 1:
+            return ""
+    try:
+        multiprocessing.get_context("spawn").Lock()
+    except OSError as problem:
+        folder = "/dev/shm: " if sys.platform == "linux" else ""
+        return f"{folder}{problem.strerror or problem}; make it writable to use several --jobs"
+    return "joblib allows none here, such as inside of a worker or with JOBLIB_MULTIPROCESSING=0"
+
+
+def _debugging() -> bool:
+    return os.environ.get("P2O_DEBUG", "") not in ("", "0")
+
+
+def _dismiss_workers(kill: bool) -> None:
+    """Terminate the workers of this process, with `kill` also busy ones: joblib may use one that terminates."""
     from joblib.externals.loky import get_reusable_executor
 
     get_reusable_executor(kill_workers=kill).shutdown(wait=True, kill_workers=kill)
 
 
 class _Waiting:
-    """Numbers jobs as they are taken, and knows those that were taken and are not done.
-
-    Iterating it again takes what is under way first. Backends take jobs from threads of their own.
-    """
+    """Numbers jobs as they are taken, in threads of backends, and keeps those not done, with which iteration begins."""
 
     def __init__(self, jobs: Iterable[Any]) -> None:
         self.exhausted = False
@@ -226,11 +252,7 @@ class _Waiting:
 
 
 class _Batches:
-    """Numbered jobs in lists, each of which goes to a worker as one: as many as a worker does in about a second.
-
-    Jobs that follow each other often need the same, and handing one out takes a scheduler milliseconds. How long jobs
-    take is told by those that are done; joblib knows that, too, but makes no batches of jobs of a quarter of a second.
-    """
+    """Batches of numbered jobs, each of about one second: successive jobs share cached data, scheduling takes time."""
 
     def __init__(self, jobs: Iterable[tuple[int, Any]]) -> None:
         self._jobs = iter(jobs)
@@ -240,16 +262,16 @@ class _Batches:
         while batch := list(itertools.islice(self._jobs, self._size)):
             yield batch
 
-    def told(self, took_s: float, results: list[tuple[int, Any]]) -> list[tuple[int, Any]]:
-        """Return the results of a batch, having learnt from the time that they took."""
+    def results_of(self, took_s: float, results: list[tuple[int, Any]]) -> list[tuple[int, Any]]:
+        """Return the results of a batch and adapt the batch size to its duration."""
         fitting = len(results) * _BATCH_S / max(took_s, 1e-6)
-        # A job of a row may take longer than the last ones did: grow by steps, shrink at once.
+        # Later jobs may be slower than the last ones: increase gradually, decrease immediately.
         self._size = max(1, int(min(fitting, 2 * len(results), _MOST_IN_BATCH)))
         return results
 
 
 def _deaths(backend: Backend) -> tuple[type[BaseException], ...]:
-    """Return what a backend raises where a worker died, and not the work itself."""
+    """Return the exceptions of a backend for a worker that died."""
     if backend == "dask":
         return (importlib.import_module("distributed").KilledWorker,)
     if backend == "ray":
@@ -257,26 +279,14 @@ def _deaths(backend: Backend) -> tuple[type[BaseException], ...]:
     return (concurrent.futures.BrokenExecutor,)
 
 
-def _how(death: BaseException | None) -> str:
-    """Return how a worker ended, in few words: loky knows the signal."""
+def _cause_of_death(death: BaseException | None) -> str:
+    """Return the cause of death of a worker; loky reports the signal."""
     signals = sorted(set(re.findall(r"SIG[A-Z]+", str(death))))
     return ", ".join(signals) or type(death).__name__
 
 
-def _in_turn(work: Work, jobs: Iterable[Any], lost: Lost) -> Generator[Any, None, None]:
-    yield from map(work, jobs)
-
-
-def _cluster_lost(workers: Workers, problem: Exception) -> P2OError:
-    return P2OError(
-        f"the workers of --backend {workers.backend} were lost",
-        got=f"{type(problem).__name__}: {problem}",
-        hint="what was finished is kept: start the study again, with fewer --jobs where memory ran out",
-    )
-
-
 def _numbered(work: Work, batch: list[tuple[int, Any]]) -> tuple[float, list[tuple[int, Any]]]:
-    """Do the jobs of a batch in a worker; return how many seconds they took, and what each came to."""
+    """Run the jobs of a batch in a worker; return the duration in s and the numbered results."""
     _set_up_worker()
     began = time.perf_counter()
     results = [(number, work(job)) for number, job in batch]
@@ -289,28 +299,28 @@ def _set_up_worker() -> None:
         os.environ[name] = "1"
     _limits.on = True
     limit_threads()
-    # Ctrl-C goes to every process of the terminal: the one that keeps the results decides.
+    # The row of a job whose worker dies reports the signal: loky would print the stack of every thread, too.
+    if not _debugging():
+        faulthandler.disable()
+    # Ctrl-C signals every process of the terminal: the main process terminates the workers.
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _watch(boss: int) -> None:
-    """Let a worker end with its parent process `boss`: nobody else takes what it does, and it would wait for minutes.
+def _watch(parent: int) -> None:
+    """Terminate this worker when its parent process ends, also before its first job; else it would wait for minutes."""
 
-    It begins before the first job, which may come late or never.
-    """
-    threading.Thread(target=_leave_with, args=(boss,), daemon=True).start()
+    def leave() -> None:
+        while os.getppid() == parent:
+            time.sleep(_POLL_INTERVAL_S)
+        os._exit(1)
 
-
-def _leave_with(boss: int) -> None:
-    while os.getppid() == boss:
-        time.sleep(_LOOK_EVERY_S)
-    os._exit(1)
+    threading.Thread(target=leave, daemon=True).start()
 
 
 @dataclass
 class _Limits:
-    """What is held to one thread in this process, and how to take that back."""
+    """The libraries limited to one thread in this process, and functions to undo it."""
 
     on: bool = False
     loaded: frozenset[str] = frozenset()
@@ -322,20 +332,14 @@ _LIBRARIES = ("numpy", "scipy.linalg", "cv2", "torch")
 
 
 def limit_threads() -> None:
-    """Hold the libraries that are loaded by now to one thread; to be called in a job after it has loaded more.
-
-    Outside of jobs nothing is changed.
-    """
+    """Limit the loaded libraries to one thread; to be called in a job after it has loaded more, no effect elsewhere."""
     loaded = frozenset(name for name in _LIBRARIES if name in sys.modules)
     if not _limits.on or loaded == _limits.loaded:
         return
     import threadpoolctl
 
     _limits.undo.append(threadpoolctl.threadpool_limits(1).restore_original_limits)
-    for name, get, put in (
-        ("cv2", "getNumThreads", "setNumThreads"),
-        ("torch", "get_num_threads", "set_num_threads"),
-    ):
+    for name, get, put in (("cv2", "getNumThreads", "setNumThreads"), ("torch", "get_num_threads", "set_num_threads")):
         if name in loaded - _limits.loaded:
             module = sys.modules[name]
             _limits.undo.append(partial(getattr(module, put), getattr(module, get)()))
@@ -344,8 +348,8 @@ def limit_threads() -> None:
 
 
 @contextlib.contextmanager
-def _one_thread_for_now() -> Iterator[None]:
-    """Hold this process to one thread, and take it back."""
+def _single_threaded() -> Iterator[None]:
+    """Limit this process to one thread within the context."""
     _limits.on = True
     limit_threads()
     try:

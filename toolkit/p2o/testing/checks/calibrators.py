@@ -15,14 +15,13 @@ from p2o.geometry.perturb import Perturbation, parse_perturbation
 from p2o.geometry.pose_error import PoseError, pose_error
 from p2o.host.guard import GuardedCalibrator
 from p2o.host.method import Example, Kind
+from p2o.host.stages import Calibrator
 from p2o.results.result import Result
 from p2o.results.verdict import Trust, Verdict
 from p2o.run.run import common_pose
-from p2o.testing.check import Checks
 from p2o.testing.exact import around
-from p2o.testing.kept import require_kept
-from p2o.testing.same import Snapshot, difference
-from p2o.testing.subject import NotApplicable, Subject, require
+from p2o.testing.same import Snapshot, require_equal, require_kept
+from p2o.testing.subject import Checks, NotApplicable, Subject, require
 
 CHECKS = Checks(Kind.CALIBRATOR)
 
@@ -82,9 +81,9 @@ def _trial(subject: Subject, frames: tuple[Frame, ...], number: int) -> Trial:
     seen = Snapshot(frames)
     stage: GuardedCalibrator = subject.built()
     prepared = [stage.prepare(frame) for frame in frames]
-    held = Snapshot(prepared)
+    snapshot = Snapshot(prepared)
     result = stage.solve(prepared, start)
-    return Trial(frames, truth, start, prepared, result, held.written, seen.written)
+    return Trial(frames, truth, start, prepared, result, snapshot.written, seen.written)
 
 
 @CHECKS.of()
@@ -151,7 +150,7 @@ def the_truth_is_not_looked_at(subject: Subject) -> None:
 
 def _unguarded(stage: Any, frames: Sequence[Frame], start: Float) -> Result:
     """Return the result of the method itself: what the host builds takes the truth away before."""
-    if callable(getattr(stage, "prepare", None)) and callable(getattr(stage, "solve", None)):
+    if isinstance(stage, Calibrator):
         result: Result = stage.solve([stage.prepare(frame) for frame in frames], start)
         return result
     plain: Result = stage(list(frames), start)
@@ -171,9 +170,7 @@ def preparations_repeat(subject: Subject) -> None:
     """What is prepared of a frame is the same when it is prepared again, bit for bit, alone and by a new stage."""
     trial = subject.once(trials)[0]
     stage = _preparing(subject)
-    again = stage.prepare(trial.frames[-1])
-    found = difference(trial.prepared[-1], again)
-    require(not found, f"what is prepared of the same frame differs: {found}")
+    require_equal(trial.prepared[-1], stage.prepare(trial.frames[-1]), "what is prepared of the same frame differs")
 
 
 @CHECKS.of()

@@ -10,17 +10,16 @@ from typing import Any
 import numpy as np
 
 from p2o.arrays import Float
+from p2o.errors import P2OError
 from p2o.features.feature import CloudFeature, Feature
 from p2o.geometry import se3
 from p2o.host.method import Kind
 from p2o.testing import stage
-from p2o.testing.check import Checks, but, gives
-from p2o.testing.kept import require_kept
-from p2o.testing.same import Snapshot, arrays_of, difference, require_equal
-from p2o.testing.subject import NotApplicable, Subject, require
+from p2o.testing.same import Snapshot, arrays_of, difference, require_equal, require_kept
+from p2o.testing.subject import Checks, NotApplicable, Subject, but, gives, require
 
 CHECKS = Checks(Kind.IMAGE_EXTRACTOR, Kind.CLOUD_EXTRACTOR)
-OF_CLOUDS = Checks(Kind.CLOUD_EXTRACTOR)
+IMAGES, CLOUDS = Checks(Kind.IMAGE_EXTRACTOR), Checks(Kind.CLOUD_EXTRACTOR)
 
 _STEP = se3.exp(np.array([0.3, -0.2, 0.5, 2.0, -1.0, 0.7]))
 _EXACT = 1e-9
@@ -41,11 +40,6 @@ def seen(subject: Subject) -> Any:
     return frame.image if subject.offer.kind == Kind.IMAGE_EXTRACTOR else frame.cloud
 
 
-def nothing_seen(subject: Subject) -> Any:
-    """Return an image or a sweep in which nothing can be found."""
-    return stage.featureless_image() if subject.offer.kind == Kind.IMAGE_EXTRACTOR else stage.featureless_cloud()
-
-
 def look(subject: Subject) -> Look:
     """Return what the method finds in its frame."""
     data = seen(subject)
@@ -54,30 +48,20 @@ def look(subject: Subject) -> Look:
 
 
 def nothing(subject: Subject) -> Any:
-    """Return what the method finds where there is nothing to be found."""
-    return subject.built()(nothing_seen(subject))
-
-
-def require_repeated(subject: Subject) -> None:
-    """Raise CheckFailed unless a freshly built stage finds the same features."""
-    found = subject.once(look).features
-    require_equal(found, subject.built()(seen(subject)), "the features of the same input differ")
-
-
-def require_input_unchanged(subject: Subject) -> None:
-    """Raise CheckFailed where the method writes to what it looks at."""
-    written = subject.once(look).written
-    require(not written, f"{written} was written to")
+    """Return what the method finds in an image or a sweep without features."""
+    is_image = subject.offer.kind == Kind.IMAGE_EXTRACTOR
+    return subject.built()(stage.featureless_image() if is_image else stage.featureless_cloud())
 
 
 def _kinds(subject: Subject) -> Iterator[tuple[str, Any]]:
     """Return each kind of feature that was found, with its word; NotApplicable where nothing was found at all."""
-    found = [(feature.word, feature) for feature in subject.once(look).features if len(feature)]
-    if not found:
+    kinds = [(feature.word, feature) for feature in subject.once(look).features if len(feature)]
+    if not kinds:
         raise NotApplicable("it finds nothing in the frame: name frames in which it does in Method.example")
-    yield from found
+    yield from kinds
 
 
+_image_edges, _cloud_edges = gives("image-edges"), gives("cloud-edges")
 _of_other_kinds = but(gives("image-edges", "cloud-edges"))
 
 
@@ -85,16 +69,18 @@ _of_other_kinds = but(gives("image-edges", "cloud-edges"))
 def features_are_those_that_are_given(subject: Subject) -> None:
     """All kinds of features that `gives` names are there, and no others."""
     sensor = "image-" if subject.offer.kind == Kind.IMAGE_EXTRACTOR else "cloud-"
-    said = {word for word in subject.gives if word.startswith(sensor)}
-    require(said, f"`gives` names no kind of feature: it must say {sensor}..., as the word of the kind does")
-    more = subject.once(look).features.words - said
+    declared = {word for word in subject.gives if word.startswith(sensor)}
+    require(declared, f"`gives` names no kind of feature: it must say {sensor}..., as the word of the kind does")
+    more = subject.once(look).features.words - declared
     require(not more, f"it finds {', '.join(sorted(more))}, of which `gives` does not tell")
 
 
 @CHECKS.of(_of_other_kinds)
+@IMAGES.of(_image_edges, "image_edges_repeat")
+@CLOUDS.of(_cloud_edges, "cloud_edges_repeat")
 def features_repeat(subject: Subject) -> None:
     """The same input gives the same features, bit for bit, also from a freshly built stage."""
-    require_repeated(subject)
+    require_equal(subject.once(look).features, subject.built()(seen(subject)), "the features of the same input differ")
 
 
 @CHECKS.of(lambda method: method.parallel)
@@ -102,14 +88,17 @@ def calls_at_once_find_the_same(subject: Subject) -> None:
     """A method that says `parallel` finds the same when several threads ask it at once."""
     stage_of, data = subject.built(), seen(subject)
     with ThreadPoolExecutor(2) as pool:
-        for found in pool.map(stage_of, [data] * 4):
-            require_equal(subject.once(look).features, found, "the features of calls at once differ")
+        for features in pool.map(stage_of, [data] * 4):
+            require_equal(subject.once(look).features, features, "the features of calls at once differ")
 
 
 @CHECKS.of(_of_other_kinds)
+@IMAGES.of(_image_edges, "image_input_is_unchanged")
+@CLOUDS.of(_cloud_edges, "cloud_input_is_unchanged")
 def extractor_input_is_unchanged(subject: Subject) -> None:
     """The image or sweep is not written to."""
-    require_input_unchanged(subject)
+    written = subject.once(look).written
+    require(not written, f"{written} was written to")
 
 
 @CHECKS.of(_of_other_kinds)
@@ -118,6 +107,14 @@ def a_featureless_input_is_no_crash(subject: Subject) -> None:
     for feature in subject.once(nothing):
         usual = subject.once(look).features.get(feature.word)
         require(len(feature) <= len(usual), f"{len(feature)} {feature.word} where there are none to be found")
+
+
+@IMAGES.of(_image_edges, "a_featureless_image_has_no_edges")
+@CLOUDS.of(_cloud_edges, "a_featureless_cloud_has_no_edges")
+def a_featureless_input_has_no_edges(subject: Subject) -> None:
+    """An image of one grey and one depth, or a sweep of the inside of a ball, gives no edges, and no error."""
+    edges = subject.once(nothing).edges
+    require(len(edges) == 0, f"{len(edges)} edges where there are none to be found")
 
 
 @CHECKS.of()
@@ -129,7 +126,7 @@ def features_survive_the_cache(subject: Subject) -> None:
 
 @CHECKS.of()
 def forgetting_sides_keeps_every_feature(subject: Subject) -> None:
-    """Features without their directions are as many, of the same kind, and forget nothing more the second time."""
+    """Features without their directions keep number and kind, and removing directions twice changes nothing more."""
     for word, feature in _kinds(subject):
         bare = feature.without_sides()
         require(type(bare) is type(feature), f"{word} without sides are {type(bare).__name__}")
@@ -172,26 +169,26 @@ def _require_rows_of(word: str, some: Feature, feature: Feature) -> None:
         known = whole.get(name)
         if known is None or not len(rows) or len(known) != len(feature) or len(rows) != len(some):
             continue
-        there = {row.tobytes() for row in np.ascontiguousarray(known)}
-        lost = sum(row.tobytes() not in there for row in np.ascontiguousarray(rows))
+        known_rows = {row.tobytes() for row in np.ascontiguousarray(known)}
+        lost = sum(row.tobytes() not in known_rows for row in np.ascontiguousarray(rows))
         require(not lost, f"{lost} of the thinned {word} are none of the features: {name}")
 
 
-@OF_CLOUDS.of()
+@CLOUDS.of()
 def features_move_rigidly(subject: Subject) -> None:
     """Features in another frame are where a rigid transform puts them: there and back, and in two steps as in one."""
     for word, feature in _kinds(subject):
-        there = feature.moved(_STEP)
-        require(type(there) is type(feature), f"moved {word} are {type(there).__name__}")
-        require(len(there) == len(feature), f"{len(feature)} {word}, {len(there)} moved ones")
-        require(difference(there, feature), f"{word} do not move at all")
-        _require_places(word, there, None if feature.places is None else se3.apply(_STEP, feature.places), "moved")
-        _require_close(word, there.moved(se3.inverse(_STEP)), feature, "moved there and back")
-        _require_close(word, there.moved(_STEP), feature.moved(_STEP @ _STEP), "moved in two steps and in one")
+        moved = feature.moved(_STEP)
+        require(type(moved) is type(feature), f"moved {word} are {type(moved).__name__}")
+        require(len(moved) == len(feature), f"{len(feature)} {word}, {len(moved)} moved ones")
+        require(difference(moved, feature), f"{word} do not move at all")
+        _require_places(word, moved, None if feature.places is None else se3.apply(_STEP, feature.places), "moved")
+        _require_close(word, moved.moved(se3.inverse(_STEP)), feature, "moved there and back")
+        _require_close(word, moved.moved(_STEP), feature.moved(_STEP @ _STEP), "moved in two steps and in one")
         _require_close(word, feature.moved(np.eye(4)), feature, "moved by nothing")
 
 
-@OF_CLOUDS.of()
+@CLOUDS.of()
 def features_untwist_by_their_times(subject: Subject) -> None:
     """A LiDAR that stands leaves features as they are; one that drives straight on shifts each by its own time."""
     velocity = np.array([9.0, -2.0, 0.5])
@@ -206,33 +203,31 @@ def features_untwist_by_their_times(subject: Subject) -> None:
             _require_places(word, driven, places + np.outer(times_s, velocity), "of a LiDAR that drives")
 
 
-@OF_CLOUDS.of()
+@CLOUDS.of()
 def a_single_point_is_no_crash(subject: Subject) -> None:
     """A sweep of one point gives no edges and next to nothing else, or is refused with a P2OError."""
-    from p2o.errors import P2OError
-
     try:
-        found = subject.built()(subject.frames[0].cloud.select(np.array([0])))
+        features = subject.built()(subject.frames[0].cloud.select(np.array([0])))
     except P2OError as problem:
         require("raised" not in str(problem), str(problem))
         return
-    for feature in found:
+    for feature in features:
         most = 0 if feature.word == "cloud-edges" else 1
         require(len(feature) <= most, f"{len(feature)} {feature.word} on a sweep of one point")
 
 
 def _require_places(word: str, feature: CloudFeature, places: Float | None, how: str) -> None:
-    here = feature.places
-    require((here is None) == (places is None), f"{word} {how} lose their places")
-    if here is not None and places is not None:
-        require(np.shape(here) == np.shape(places), f"{word} {how} have other places: {np.shape(here)}")
-        off = float(np.abs(here - places).max())
+    own = feature.places
+    require((own is None) == (places is None), f"{word} {how} lose their places")
+    if own is not None and places is not None:
+        require(np.shape(own) == np.shape(places), f"{word} {how} have other places: {np.shape(own)}")
+        off = float(np.abs(own - places).max())
         require(off <= _EXACT, f"{word} {how} are {off:.3g} m from where they belong")
 
 
-def _require_close(word: str, here: Feature, there: Feature, how: str) -> None:
+def _require_close(word: str, one: Feature, other: Feature, how: str) -> None:
     """Raise CheckFailed where a number differs by more than rounding."""
-    first, second = arrays_of(here), arrays_of(there)
+    first, second = arrays_of(one), arrays_of(other)
     require(first.keys() == second.keys(), f"{word} {how} have other fields")
     for name, array in first.items():
         require(array.shape == second[name].shape, f"{word} {how} have another shape: {name}")

@@ -1,38 +1,38 @@
-"""What matchers promise of the problems that they pose: pairs, residuals of any kind, or a mere cost."""
+"""What matchers promise of the problems that they pose, and initializers of the initial guesses that they propose."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from p2o.arrays import Float
 from p2o.features.side import Side
 from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.geometry.perturb import parse_perturbation
+from p2o.geometry.pose_error import pose_error
 from p2o.host.method import Kind
 from p2o.problems.point_to_line import PointToLine
-from p2o.problems.problem import LeastSquares
+from p2o.problems.problem import LeastSquares, Objective
+from p2o.run.run import common_pose
 from p2o.testing import stage
-from p2o.testing.check import Checks, both, but, gives, needs
-from p2o.testing.exact import around
-from p2o.testing.inputs import bare_view, view
+from p2o.testing.exact import around, bare_view, view
 from p2o.testing.same import equal, require_equal, unchanged
-from p2o.testing.subject import Subject, require
+from p2o.testing.subject import Checks, Subject, both, but, gives, needs, require
 
 CHECKS = Checks(Kind.MATCHER)
 
 _REACH_PX = 20.0
 
 
-def posed(subject: Subject, views: Sequence[View]) -> Any:
+def _posed(subject: Subject, *views: View) -> Any:
     """Return the problem of views at the truth, from a freshly built stage."""
-    return subject.built()(views, stage.camera_from_lidar(), _REACH_PX)
+    return subject.built()(list(views), stage.camera_from_lidar(), _REACH_PX)
 
 
 def _problem(subject: Subject) -> Any:
-    return posed(subject, [view(subject)])
+    return _posed(subject, view(subject))
 
 
 _pairs = gives("pairs")
@@ -41,13 +41,13 @@ _residuals = gives("residuals")
 
 @CHECKS.of()
 def problems_are_what_is_given(subject: Subject) -> None:
-    """`gives` says what a matcher poses: `pairs` a PointToLine, `residuals` a LeastSquares, `objective` a cost."""
+    """`gives` names the problem of a matcher: `pairs` a PointToLine, `residuals` a LeastSquares, `objective` a cost."""
     problem = subject.once(_problem)
-    said = subject.gives & {"pairs", "residuals", "objective"}
-    require(len(said) == 1, f"`gives` says {', '.join(sorted(said)) or 'nothing'}, one of the three is wanted")
-    if said == {"pairs"}:
+    words = subject.gives & {"pairs", "residuals", "objective"}
+    require(len(words) == 1, f"`gives` says {', '.join(sorted(words)) or 'nothing'}, one of the three is wanted")
+    if words == {"pairs"}:
         require(isinstance(problem, PointToLine), f"{type(problem).__name__} is no PointToLine, `gives` says pairs")
-    elif said == {"residuals"}:
+    elif words == {"residuals"}:
         require(isinstance(problem, LeastSquares), f"{type(problem).__name__} has no residuals, as `gives` says")
 
 
@@ -93,7 +93,7 @@ def matches_stay_within_reach(subject: Subject) -> None:
 @CHECKS.of()
 def no_edges_give_no_matches(subject: Subject) -> None:
     """Views in which nothing was found give an empty problem, or a finite cost, and no error."""
-    problem = posed(subject, [bare_view(subject)])
+    problem = _posed(subject, bare_view(subject))
     if isinstance(problem, LeastSquares):
         require(len(problem) == 0, f"{len(problem)} matches out of nothing")
     else:
@@ -104,7 +104,7 @@ def no_edges_give_no_matches(subject: Subject) -> None:
 def several_views_are_joined(subject: Subject) -> None:
     """Two views with the same features give every residual twice, or a cost with the same order of poses."""
     truth = stage.camera_from_lidar()
-    one, two = subject.once(_problem), posed(subject, [view(subject)] * 2)
+    one, two = subject.once(_problem), _posed(subject, view(subject), view(subject))
     if isinstance(one, LeastSquares):
         require(len(two) == 2 * len(one), f"{len(one)} matches in one view, {len(two)} in two of them")
         require(set(np.ravel(two.frame).tolist()) <= {0, 1}, "matches do not name the view they are of")
@@ -118,7 +118,7 @@ def several_views_are_joined(subject: Subject) -> None:
 @CHECKS.of()
 def a_bare_view_adds_nothing(subject: Subject) -> None:
     """A view in which nothing was found, beside another one, adds no residuals and leaves the cost finite."""
-    one, two = subject.once(_problem), posed(subject, [view(subject), bare_view(subject)])
+    one, two = subject.once(_problem), _posed(subject, view(subject), bare_view(subject))
     if isinstance(one, LeastSquares):
         require(len(two) == len(one), f"{len(one)} matches, {len(two)} with a bare view beside them")
         require(set(np.ravel(two.frame).tolist()) <= {0}, "matches are said to be of the bare view")
@@ -130,7 +130,7 @@ def matches_repeat(subject: Subject) -> None:
     """The same views give the same problem, also from a freshly built stage; the views are not written to."""
     given = view(subject)
     with unchanged(given):
-        first, second = (posed(subject, [given]) for _ in range(2))
+        first, second = (_posed(subject, given) for _ in range(2))
     if isinstance(first, PointToLine):
         require_equal(first, second, "the problems of the same views differ")
     poses = around(stage.camera_from_lidar(), 0.5, 0.05)
@@ -153,21 +153,22 @@ def costs_are_one_a_pose(subject: Subject) -> None:
 def gradients_agree_with_differences(subject: Subject) -> None:
     """Where an objective gives a gradient, differences of its cost point the same way."""
     problem = subject.once(_problem)
-    if getattr(problem, "gradient", None) is None:
+    if not isinstance(problem, Objective) or problem.gradient is None:
         return
     pose = around(stage.camera_from_lidar(), 0.3, 0.03)[1]
     step = np.repeat([np.radians(0.02), 0.004], 3)
     ahead, behind = problem.cost(se3.exp(np.concatenate([np.diag(step), -np.diag(step)])) @ pose).reshape(2, 6)
-    said, seen = problem.gradient(pose) * step, (ahead - behind) / 2
-    require(np.shape(said) == (6,), f"the gradient has shape {np.shape(said)}, not (6,)")
-    # Costs of pictures and points are rough: points come in and go out.
-    cosine = float(said @ seen) / max(float(np.linalg.norm(said) * np.linalg.norm(seen)), 1e-300)
+    gradient, differences = problem.gradient(pose) * step, (ahead - behind) / 2
+    require(np.shape(gradient) == (6,), f"the gradient has shape {np.shape(gradient)}, not (6,)")
+    # Costs of images and points are not smooth: points enter and leave the view.
+    norms = float(np.linalg.norm(gradient) * np.linalg.norm(differences))
+    cosine = float(gradient @ differences) / max(norms, 1e-300)
     require(cosine > 0.9, f"the gradient points elsewhere than differences of the cost (cosine {cosine:.2f})")
 
 
 @CHECKS.of(_residuals)
 def residuals_have_their_shape(subject: Subject) -> None:
-    """Residuals are (K,) for one pose and (B, K) for several, alike, finite or NaN; weights and frames are (K,)."""
+    """Residuals are (K,) for one pose and (B, K) for several, equal, finite or NaN; weights and frames are (K,)."""
     problem, poses = subject.once(_problem), around(stage.camera_from_lidar(), 0.5, 0.05)
     count = len(problem)
     require(np.shape(problem.weight) == (count,), f"{count} residuals, weights of shape {np.shape(problem.weight)}")
@@ -190,8 +191,8 @@ def jacobians_agree_with_differences(subject: Subject) -> None:
         residuals, jacobian = problem.residuals_with_jacobian(pose)
         _, differences = LeastSquares.residuals_with_jacobian(problem, pose)
     require(np.shape(jacobian) == (len(problem), 6), f"derivatives have shape {np.shape(jacobian)}")
-    alike = np.allclose(residuals, problem.residuals(pose), rtol=1e-6, atol=1e-9, equal_nan=True)
-    require(alike, "residuals with derivatives are others than without")
+    equal_residuals = np.allclose(residuals, problem.residuals(pose), rtol=1e-6, atol=1e-9, equal_nan=True)
+    require(equal_residuals, "residuals with derivatives are others than without")
     rows = np.isfinite(differences).all(axis=1)
     size = np.abs(differences[rows]).max(axis=1, keepdims=True)
     off = np.abs(jacobian[rows] - differences[rows]) > 1e-3 * np.maximum(size, 1e-6)
@@ -236,8 +237,64 @@ def the_example_is_solved(subject: Subject) -> None:
         require(result.status.solved, f"{name}: {result.status.value}: {result.reason}")
         require(error is not None, f"{name} has no truth to compare with")
         assert error is not None
-        require(
-            error.rotation_deg <= within.angle_deg and error.translation_m <= within.distance_m,
-            f"{name}: {error.rotation_deg:.3f} deg and {error.translation_m:.3f} m from the truth, within "
-            f"{example.within} is promised",
-        )
+        near = error.rotation_deg <= within.angle_deg and error.translation_m <= within.distance_m
+        size = f"{error.rotation_deg:.3f} deg and {error.translation_m:.3f} m"
+        require(near, f"{name}: {size} from the truth, within {example.within} is promised")
+
+
+INITIALIZERS = Checks(Kind.INITIALIZER)
+
+
+@INITIALIZERS.of()
+def starts_are_no_worse(subject: Subject) -> None:
+    """On exact features, from 2 deg and 10 cm, one of the proposed starts is no farther from the truth in the image."""
+    views, truth = _given(subject)
+    start = around(truth, 2.0, 0.1)[0]
+    poses = subject.built()(views, start)
+    shifts = [_shift_px(pose, truth) for pose in poses]
+    require(
+        min(shifts) <= 1.05 * _shift_px(start, truth) + 1e-9,
+        f"the best of {len(poses)} starts is {min(shifts):.1f} px off, the given one {_shift_px(start, truth):.1f} px",
+    )
+
+
+@INITIALIZERS.of()
+def starts_without_edges_are_no_crash(subject: Subject) -> None:
+    """Views in which nothing was found give a start near the given one, and no error."""
+    truth = stage.camera_from_lidar()
+    poses = subject.built()([bare_view(subject)], truth)
+    require(any(pose_error(pose, truth).rotation_deg < 30 for pose in poses), "no start within 30 deg of the given one")
+
+
+@INITIALIZERS.of()
+def starts_repeat(subject: Subject) -> None:
+    """The same views and start give the same poses, bit for bit; the views are not written to."""
+    views, truth = _given(subject)
+    start = around(truth, 2.0, 0.1)[0]
+    with unchanged(views):
+        first, second = (subject.built()(views, start) for _ in range(2))
+    require(len(first) == len(second), f"{len(first)} and {len(second)} starts")
+    require(all(map(np.array_equal, first, second)), "the starts of two runs differ")
+
+
+def _given(subject: Subject) -> tuple[list[View], Float]:
+    """Return views to try the method on, and the truth: the stage, or what it prepares of the frames it asks for."""
+    initializer = subject.built()
+    if not initializer.prepares:
+        return [view(subject)], stage.camera_from_lidar()
+    frames = subject.frames
+    truth = common_pose(frames, "camera_from_lidar")
+    require(truth is not None, f"{frames[0].name} has no truth: the frames of an example must")
+    assert truth is not None
+    features = view(subject)
+    return [
+        View(frame.name, frame.camera, features.image, features.cloud, frame.twist, prepared=initializer.prepare(frame))
+        for frame in frames
+    ], truth
+
+
+def _shift_px(pose: Float, truth: Float) -> float:
+    """Return how far apart two poses put the outlines of the stage, in pixels on average."""
+    xyz = stage.view().cloud_edges.xyz
+    first, second = (stage.camera().project(se3.apply(p, xyz)) for p in (pose, truth))
+    return float(np.nanmean(np.linalg.norm(first - second, axis=1)))

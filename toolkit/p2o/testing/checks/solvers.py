@@ -10,10 +10,9 @@ from p2o.host.method import Kind
 from p2o.problems.point_to_line import PointToLine
 from p2o.results.result import SolverStatus
 from p2o.testing import stage
-from p2o.testing.check import Checks, but, needs
 from p2o.testing.exact import around, pairs, planes, require_near
 from p2o.testing.same import unchanged
-from p2o.testing.subject import Subject, require
+from p2o.testing.subject import Checks, Subject, but, needs, require
 
 CHECKS = Checks(Kind.SOLVER)
 
@@ -26,7 +25,7 @@ def _problem(subject: Subject) -> Any:
 
 
 def _near(subject: Subject) -> tuple[float, float]:
-    """Return how near to the truth a solver has to come, in degrees and metres: residuals tell more than a cost."""
+    """Return the tolerance of a solver in deg and m: residuals contain more information than a cost."""
     return (0.02, 0.01) if {"pairs", "residuals"} & subject.needs else (0.1, 0.03)
 
 
@@ -42,8 +41,7 @@ def solver_returns_to_the_truth(subject: Subject) -> None:
     """On exact pairs, a solver returns from 1 deg and 5 cm: to 0.02 deg, 1 cm by residuals, to 0.1 deg, 3 cm else."""
     truth = stage.camera_from_lidar()
     for start in around(truth, 1.0, 0.05)[:2]:
-        found = subject.built()(_problem(subject), start).camera_from_lidar
-        require_near(found, truth, *_near(subject))
+        require_near(subject.built()(_problem(subject), start).camera_from_lidar, truth, *_near(subject))
 
 
 @CHECKS.of(but(needs("pairs")))
@@ -83,8 +81,7 @@ def solutions_say_how_they_ended(subject: Subject) -> None:
 def solver_says_when_nothing_is_determined(subject: Subject) -> None:
     """Without any pairs a solver of residuals returns its start with status "singular", and does not raise."""
     truth = stage.camera_from_lidar()
-    empty = PointToLine.empty((stage.camera(),))
-    solution = subject.built()(empty, truth)
+    solution = subject.built()(PointToLine.empty((stage.camera(),)), truth)
     require(solution.status is SolverStatus.SINGULAR, f"status is {solution.status.value!r} without any pairs")
     require_near(solution.camera_from_lidar, truth, 1e-6, 1e-6)
 

@@ -1,0 +1,371 @@
+"""Read your own data: a folder with one image, one sweep and one frame.yaml, or a folder of such folders."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from p2o import (
+    Box,
+    Camera,
+    Checkerboard,
+    Dataset,
+    Float,
+    Frame,
+    HoleBoard,
+    Image,
+    InputError,
+    Method,
+    Options,
+    Sphere,
+    Target,
+    UnknownNameError,
+    field,
+)
+from p2o.reading import (
+    MAX_BYTES,
+    LazyFrames,
+    check_direction,
+    existing_folder,
+    listing,
+    names_file,
+    naming,
+    parse_yaml,
+    read_bytes,
+    read_camera_file,
+    read_extrinsic,
+    read_extrinsic_file,
+    read_initial_guess,
+    read_npy,
+    read_pose,
+    read_rgb,
+    read_text,
+    read_uint16,
+    validated,
+)
+from p2o_formats.camera_entry import read_camera
+from pydantic import Field
+
+from p2o_datasets.cloud_file import SUFFIXES as CLOUD_SUFFIXES
+from p2o_datasets.cloud_file import read_cloud
+
+FRAME_FILE = "frame.yaml"
+_IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+
+
+class FolderOptions(Options):
+    """Options of a folder of your own frames."""
+
+    root: Path = field(Path("."), help="Folder with an image, a sweep and frame.yaml, or a folder of such folders.")
+
+
+_EXTRINSICS = ("start", "truth")
+_WORLDS = ("lidar_world_from_lidar", "camera_world_from_camera")
+_SAME_MOMENT_S = 1.0
+"""Largest plausible time between image and sweep; a larger one indicates another scene or another clock."""
+
+
+# Bounds of plausible rates, speeds and times, which keep products of them finite.
+_Rate = Annotated[float, Field(ge=-100, le=100)]
+_Speed = Annotated[float, Field(ge=-1000, le=1000)]
+_Seconds = Annotated[float, Field(ge=-1e12, le=1e12)]
+
+
+_Length = Annotated[float, Field(gt=0, le=100)]
+
+
+class _TargetEntry(Options):
+    """Target in frame.yaml; its keys are the arguments of the target, in order."""
+
+    made: ClassVar[type[Target]]
+
+    def target(self) -> Target:
+        """Return the target; raises InputError for sizes that contradict each other."""
+        return self.made(*(getattr(self, key) for key in type(self).model_fields))
+
+
+class CheckerboardEntry(_TargetEntry):
+    """Target of kind checkerboard in frame.yaml."""
+
+    made = Checkerboard
+    columns: int = field(..., ge=2, le=1000, help="Inner corners in a row.")
+    rows: int = field(..., ge=2, le=1000, help="Inner corners in a column.")
+    square_m: _Length = field(..., help="Side of a square in metres.")
+    width_m: _Length = field(..., help="Width of the whole board in metres.")
+    height_m: _Length = field(..., help="Height of the whole board in metres.")
+
+
+class HolesEntry(_TargetEntry):
+    """Target of kind holes in frame.yaml: a board with round holes."""
+
+    made = HoleBoard
+    width_m: _Length = field(..., help="Width of the board in metres.")
+    height_m: _Length = field(..., help="Height of the board in metres.")
+    holes: Annotated[tuple[tuple[float, float, float], ...], Field(min_length=1, max_length=1000)] = field(
+        ..., help="x, y and radius of each hole in metres; origin at the centre of the board, y down."
+    )
+
+
+class SphereEntry(_TargetEntry):
+    """Target of kind sphere in frame.yaml."""
+
+    made = Sphere
+    radius_m: _Length = field(..., help="Radius of the sphere in metres.")
+
+
+class BoxEntry(_TargetEntry):
+    """Target of kind box in frame.yaml."""
+
+    made = Box
+    width_m: _Length = field(..., help="Width of the box in metres.")
+    height_m: _Length = field(..., help="Height of the box in metres.")
+    depth_m: _Length = field(..., help="Depth of the box in metres.")
+
+
+_TARGETS: dict[str, type[_TargetEntry]] = {
+    "checkerboard": CheckerboardEntry, "holes": HolesEntry, "sphere": SphereEntry, "box": BoxEntry
+}  # fmt: skip
+
+
+class FrameEntry(Options):
+    """Content of frame.yaml; file names are relative to its folder."""
+
+    camera: Any = field(..., help="Camera of the image: a model with parameters, K and D, or a calibration file.")
+    image: str | None = field(None, help="File of the image; default: image.*, or the only image of the folder.")
+    cloud: str | None = field(None, help="File of the sweep; default: cloud.*, or the only point cloud of the folder.")
+    cloud_columns: tuple[str, ...] | None = field(
+        None, help="Columns of a .bin or .txt sweep: x y z intensity ring time, _ for others; default: inferred."
+    )
+    start: Any = field(None, help="Initial camera_from_lidar: rows, rotation and translation, words, or a file.")
+    truth: Any = field(None, help="Ground truth of camera_from_lidar, if known, in the forms of start, or a file.")
+    right: str | None = field(None, help="File of the right image of a rectified stereo pair.")
+    baseline_m: float | None = field(None, gt=0, le=1000, help="Distance to the right camera in metres.")
+    depth: str | None = field(None, help="Depth along the optical axis: 16 bit PNG (m x 256, 0 unknown) or .npy (m).")
+    image_time_s: _Seconds | None = field(None, help="Time of the image in seconds on the clock of the points' times.")
+    twist: tuple[_Rate, _Rate, _Rate, _Speed, _Speed, _Speed] | None = field(
+        None, help="Velocity of the LiDAR in its frame, rad/s about x y z, then m/s; compensates the raw sweep."
+    )
+    camera_name: str = field("", help="Name of the camera on its rig, such as CAM_FRONT, the same in all its frames.")
+    sequence: str = field("", help="Name of the drive of the frame; frames are in temporal order of their names.")
+    time_s: _Seconds | None = field(None, help="Time of the image in seconds, on one clock for the sequence.")
+    lidar_world_from_lidar: Any = field(None, help="Pose of the LiDAR at the image in its world, no ground truth.")
+    camera_world_from_camera: Any = field(None, help="Pose of the camera in its own world, no ground truth.")
+    targets: tuple[dict[str, Any], ...] = field((), help="Targets in view: kind, and the keys of that kind.")
+
+
+def build(options: FolderOptions) -> Dataset:
+    """Return the frame of a folder, or one for each of its sub-folders with a frame.yaml; names are folder names.
+
+    Sub-folders without a frame.yaml are listed in `skipped`. A frame that is not later than the previous one of its
+    sequence is refused when it is read.
+
+    Raises InputError if the folder is missing, cannot be read or has no frame.yaml.
+    """
+    root = existing_folder(options.root, "frames").resolve()
+    inside = listing(root, "frames")
+    entries = {root.name: root} if root / FRAME_FILE in inside else {}
+    skipped: dict[str, str] = {}
+    for folder in [] if entries else inside:
+        if folder.name.startswith(".") or not folder.is_dir():
+            continue
+        try:
+            if folder / FRAME_FILE in listing(folder, "a frame"):
+                entries[folder.name] = folder
+            else:
+                skipped[folder.name] = f"{folder / FRAME_FILE} is missing"
+        except InputError as problem:
+            skipped[folder.name] = str(problem)
+    if not entries:
+        got = next(iter(skipped.values()), None)
+        raise InputError("no frames", where=root, expected=f"{FRAME_FILE} in it or in its sub-folders", got=got)
+    return LazyFrames(entries, partial(_read, root, _falling_times(entries.values())), skipped)
+
+
+def read_frame_file(path: Path) -> FrameEntry:
+    """Read a frame.yaml.
+
+    Raises InputError if it is missing or not YAML, contains objects or aliases (never constructed), or lacks a key, and
+    UnknownNameError for an unknown key.
+    """
+    content = parse_yaml(read_text(path, "frame file"), "frame file", path)
+    if not isinstance(content, dict):
+        raise InputError("the frame file has no keys", where=path, expected="camera: ...", got=type(content).__name__)
+    return validated(FrameEntry, content, where=path)
+
+
+def _falling_times(folders: Iterable[Path]) -> dict[Path, InputError]:
+    """Return errors, by folder, for frames not later than the previous one of their camera and sequence."""
+    faults: dict[Path, InputError] = {}
+    before: dict[tuple[str, str], tuple[str, float]] = {}
+    for folder in folders:
+        try:
+            # Parsing YAML is slow, and most folders have no sequences.
+            text = read_text(folder / FRAME_FILE, "frame file")
+            entry = read_frame_file(folder / FRAME_FILE) if "sequence" in text and "time_s" in text else None
+        except InputError:
+            continue
+        if entry is None or not entry.sequence or entry.time_s is None:
+            continue
+        drive = (entry.sequence, entry.camera_name)
+        name, time_s = before.get(drive, ("", -np.inf))
+        if entry.time_s <= time_s:
+            fault = f"the times of sequence '{entry.sequence}' do not increase from frame to frame"
+            expected, got = f"time_s after {time_s:.9g} of frame '{name}'", f"{entry.time_s:.9g}"
+            hint, where = "frames are in the order of their folders' names", folder / FRAME_FILE
+            faults[folder] = InputError(fault, where=where, expected=expected, got=got, hint=hint)
+        else:
+            before[drive] = (folder.name, entry.time_s)
+    return faults
+
+
+def _read(root: Path, faults: Mapping[Path, InputError], folder: Path) -> Frame:
+    path = _inside(root, folder, FRAME_FILE)
+    if folder in faults:
+        raise faults[folder]
+    entry = read_frame_file(path)
+    resolve = partial(_inside, root, folder)
+    camera = read_camera_file(entry.camera, path, resolve) if isinstance(entry.camera, str) else None
+    camera = camera or read_camera(entry.camera, path)
+    if (entry.right is None) != (entry.baseline_m is None):
+        fault = "a rectified pair needs its right image and its baseline"
+        raise InputError(fault, where=path, expected="right, baseline_m")
+    values = {name: getattr(entry, name) for name in (*_EXTRINSICS, *_WORLDS)}
+    read = {
+        name: read_pose(name, value, path) if name in _WORLDS else _extrinsic(name, value, path, resolve)
+        for name, value in values.items()
+        if value is not None
+    }
+    poses = {name: pose for name, (pose, _) in read.items()}
+    with naming(path):
+        targets = tuple(_target(f"targets.{number}", values, path) for number, values in enumerate(entry.targets))
+    image, warnings = _image(root, folder, entry, camera)
+    warnings += tuple(warning for _, remarks in read.values() for warning in remarks)
+    cloud_path = _file(root, folder, entry.cloud, "cloud", CLOUD_SUFFIXES)
+    cloud, cloud_warnings = read_cloud(cloud_path, entry.image_time_s, entry.cloud_columns)
+    warnings += cloud_warnings
+    if entry.image_time_s is not None and cloud.time_s is not None and np.abs(cloud.time_s).min() > _SAME_MOMENT_S:
+        expected = f"image_time_s within {_SAME_MOMENT_S:g} s of a time of {cloud_path.name}, on the same clock"
+        got = f"{np.abs(cloud.time_s).min():.3g} s apart"
+        raise InputError("image and sweep are not of the same time", where=path, expected=expected, got=got)
+    twist = None if entry.twist is None else np.array(entry.twist)
+    if twist is not None:
+        if cloud.time_s is None:
+            fault = "a sweep without times cannot be compensated for motion"
+            got, hint = f"twist in {FRAME_FILE}", "omit twist if the sweep is already compensated"
+            raise InputError(fault, where=cloud_path, expected="a time per point", got=got, hint=hint)
+        with naming(path):
+            cloud = cloud.untwisted(twist)
+    if twist is None and entry.image_time_s is None:
+        # Times without a relation to the image's clock carry no information; compensated sweeps may keep theirs.
+        cloud = replace(cloud, time_s=None)
+    for name in (name for name in _EXTRINSICS if name in poses):
+        warnings += check_direction(cloud, camera, poses[name], name=name, where=path)
+    given: dict[str, Any] = {"camera_from_lidar": poses.pop("truth", None), **poses, "twist": twist, "targets": targets}
+    given |= entry.model_dump(include={"sequence", "time_s", "camera_name"})
+    return Frame(folder.name, image, cloud, warnings=warnings, **given)
+
+
+def _extrinsic(name: str, value: Any, path: Path, resolve: Callable[[str], Path]) -> tuple[Float, tuple[str, ...]]:
+    """Return camera_from_lidar (4, 4) of a value of frame.yaml, and remarks; a text is words or a calibration file."""
+    if isinstance(value, str) and name == "start":
+        return read_initial_guess(value, path, resolve)
+    if isinstance(value, str) and names_file(value):
+        return read_extrinsic_file(value, path, resolve)
+    return read_extrinsic(name, value, path)
+
+
+def _target(name: str, values: Mapping[str, Any], path: Path) -> Target:
+    """Return a target of frame.yaml; raises InputError for an unknown kind, wrong keys, and contradictory sizes."""
+    if "kind" not in values:
+        raise InputError(f"{name}.kind is missing", where=path, expected=" or ".join(_TARGETS))
+    kind = str(values["kind"])
+    if kind not in _TARGETS:
+        raise UnknownNameError("kind of target", kind, _TARGETS, where=path)
+    sizes = {key: value for key, value in values.items() if key != "kind"}
+    return validated(_TARGETS[kind], sizes, name, where=path, noun=f"key of {name}").target()
+
+
+def _image(root: Path, folder: Path, entry: FrameEntry, camera: Camera) -> tuple[Image, tuple[str, ...]]:
+    others = {name for name in (entry.right, entry.depth) if name is not None}
+    path = _file(root, folder, entry.image, "image", _IMAGE_SUFFIXES, others)
+    size = (camera.width, camera.height)
+    rgb, warnings = read_rgb(path, size)
+    with naming(path):
+        image = Image(rgb, camera)
+    right = depth_m = None
+    if entry.right is not None:
+        right_path = _inside(root, folder, entry.right)
+        right, more = read_rgb(right_path, size)
+        warnings += more
+        with naming(right_path):
+            Image(rgb, camera, right=right, baseline_m=entry.baseline_m)
+    if entry.depth is not None:
+        depth_path = _inside(root, folder, entry.depth)
+        depth_m = _read_depth(depth_path, size)
+        with naming(depth_path):
+            Image(rgb, camera, depth_m=depth_m)
+    if right is None and depth_m is None:
+        return image, warnings
+    return Image(rgb, camera, right=right, baseline_m=entry.baseline_m, depth_m=depth_m), warnings
+
+
+def _read_depth(path: Path, size: tuple[int, int]) -> Float:
+    if path.suffix.lower() != ".npy":
+        return read_uint16(path, "depth", size)
+    values = read_npy(read_bytes(path, "depth", MAX_BYTES), path)
+    if values.dtype.kind not in "iuf":
+        raise InputError("the .npy file has no numbers", where=path, expected="(H, W) float", got=values.dtype)
+    if values.shape != size[::-1]:
+        fault = "the depth size does not fit the camera"
+        raise InputError(fault, where=path, expected=f"{size[0]}x{size[1]} px", got=f"an array {values.shape}")
+    # Signalling NaN and numbers beyond double precision would emit warnings.
+    with np.errstate(invalid="ignore", over="ignore"):
+        depth: Float = values.astype(np.float64)
+    depth[depth == 0] = np.nan
+    return depth
+
+
+def _file(
+    root: Path, folder: Path, name: str | None, default: str, suffixes: Iterable[str], others: Iterable[str] = ()
+) -> Path:
+    """Return the named file, else default.*, else the only file of the folder with one of the suffixes."""
+    if name is not None:
+        return _inside(root, folder, name)
+    files = [path for path in listing(folder, "a frame") if path.suffix.lower() in suffixes]
+    names = sorted(path.name for path in files if path.name not in set(others))
+    names = [n for n in names if Path(n).stem == default] or names
+    if len(names) != 1:
+        fault = f"the {default} is ambiguous" if names else f"there is no {default}"
+        expected = f"{default} with one of {' '.join(suffixes)}"
+        hint = f"name it in {FRAME_FILE}: '{default}: FILE'"
+        raise InputError(fault, where=folder, expected=expected, got=", ".join(names[:5]) or "none", hint=hint)
+    return _inside(root, folder, names[0])
+
+
+def _inside(root: Path, folder: Path, name: str) -> Path:
+    """Return the path of a file name of frame.yaml; raises InputError if it, links followed, leaves the root."""
+    path = folder / name
+    try:
+        inside = path.resolve().is_relative_to(root)
+    except (OSError, RuntimeError, ValueError) as problem:
+        raise InputError(f"bad file name {name!r}", where=folder / FRAME_FILE) from problem
+    if not inside:
+        fault = f"the path '{name}' leaves the folder of the data set"
+        got = path.resolve()
+        hint = "copy the file into the folder"
+        raise InputError(fault, where=folder / FRAME_FILE, expected=f"a file below {root}", got=got, hint=hint)
+    return path
+
+
+METHOD = Method(
+    name="folder",
+    build=build,
+    options=FolderOptions,
+    summary="Your own frames: an image, a sweep and a frame.yaml in one folder each.",
+    gives=frozenset({"rings", "intensity", "time"}),
+    parallel=True,
+)

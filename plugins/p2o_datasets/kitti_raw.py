@@ -1,0 +1,271 @@
+"""Read the KITTI raw layout: DATE/DATE_drive_NNNN_sync/{image_02, velodyne_points, oxts}, calibration files by day."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from p2o import Camera, Dataset, Float, Frame, Image, InputError, Method, Options, field, se3
+from p2o.reading import RadialError, existing_folder, naming
+from p2o_formats.kitti_calibration import KittiCalibration, read_calibration, rectified_extrinsic
+from pydantic import Field, field_validator
+
+from p2o_datasets.disparity_speed import forward_speed
+from p2o_datasets.kitti_folder import (
+    image_in,
+    images_in,
+    is_number,
+    paired,
+    read_rectified,
+    read_stamp,
+    read_stamps,
+    seconds_of,
+    sweeps,
+    without_radial_error,
+)
+from p2o_datasets.kitti_oxts import has_fix, lidar_pose, read_packet, twist_of
+from p2o_datasets.lazy_dataset import in_drive, lazy_dataset, read_image
+from p2o_datasets.velodyne_file import IMAGE_DELAY_S, SWEEP_S, compensated, read_sweep
+
+_DRIVE = re.compile(r"(\d{4}_\d\d_\d\d)_drive_(\d{4})_(sync|extract)", re.ASCII)
+# Half a revolution apart, a sweep belongs to another image; KITTI's cameras are stamped 10 ms after straight ahead.
+_SAME_MOMENT_S = 0.03
+
+
+class KittiRawOptions(Options):
+    """Options of the KITTI raw layout."""
+
+    root: Path = field(Path("."), help="Folder that contains the days, or one day, or one drive.")
+    camera: int = field(2, ge=0, le=3, help="Camera: 0 and 1 are grey, 2 and 3 colour; 0 and 2 are left.")
+    right: bool = field(True, help="Read the right image of the pair (0 with 1, 2 with 3) if it exists.")
+    depth: bool = field(True, help="Read depth of camera 2 from disparity/data/FRAME.png if it exists.")
+    deskew: bool = field(True, help="Compensate the sweep for the vehicle's motion if it is known (oxts data).")
+    image_delay_s: Annotated[float, Field(ge=-0.05, le=0.05)] | None = field(
+        None,
+        help="Time of the image after the LiDAR points straight ahead, in seconds; a sweep is compensated to this "
+        "time. null: 0.004 (KITTI), or 0 if image and sweep have the same time stamp.",
+    )
+    speed_from_disparity: bool = field(
+        False,
+        help="Without oxts data, estimate the forward speed from the disparity ground truth of the frame. Only for "
+        "labels and evaluation: a calibration from such a sweep depends on ground truth.",
+    )
+    pykitti_compat: bool = field(False, help="Approximate the camera offset by P[0,3]/P[0,0] as pykitti (mm error).")
+    elevation_fix_deg: float = field(0.0, ge=-1, le=1, help="Angle in degrees added to the elevation of every point.")
+    radial_error: tuple[float, float] = field(
+        (0.0, 0.0),
+        help="Relative errors of focal length and radial distortion to correct (as of `pipeline.camera=refine`).",
+    )
+
+    @field_validator("radial_error")
+    @classmethod
+    def _possible(cls, value: tuple[float, float]) -> tuple[float, float]:
+        try:
+            RadialError(*value)
+        except InputError as problem:
+            raise ValueError("errors of at most 0.2") from problem
+        return value
+
+
+@dataclass(frozen=True)
+class _Drive:
+    """One drive: its folder, "date/number", and whether images are rectified and streams synchronised."""
+
+    folder: Path
+    name: str
+    synchronised: bool
+
+
+def build(options: KittiRawOptions) -> Dataset:
+    """Return the frames of all drives below the root; names are "date/drive/frame".
+
+    A drive that exists both synchronised and as `_extract` is read synchronised. Raises InputError without a frame.
+    """
+    root = existing_folder(options.root, "KITTI raw drives")
+    drives: dict[str, _Drive] = {}
+    for folder in sorted([root.resolve(), *root.glob("*_drive_*"), *root.glob("*/*_drive_*")]):
+        if (match := _DRIVE.fullmatch(folder.name)) and folder.is_dir():
+            date, number, kind = match.groups()
+            # "_extract" sorts before "_sync", which replaces it.
+            drives[f"{date}/{number}"] = _Drive(folder, f"{date}/{number}", kind == "sync")
+    entries: dict[str, tuple[_Drive, Path, Path]] = {}
+    skipped: dict[str, str] = {}
+    image_folder = f"image_{options.camera:02d}"
+    for drive in sorted(drives.values(), key=lambda drive: drive.name):
+        images = images_in(drive.folder / image_folder / "data")
+        clouds = sweeps(drive.folder / "velodyne_points/data")
+        if not drive.synchronised:
+            clouds = _nearest_in_time(drive.folder, image_folder, images, clouds)
+        folders = (f"{image_folder}/data", "velodyne_points/data")
+        both, without = paired(images, clouds, drive.folder, *folders, prefix=f"{drive.name}/")
+        entries.update({name: (drive, image, sweep) for name, (_, image, sweep) in both.items()})
+        skipped.update(without)
+    expected = f"DATE/DATE_drive_NNNN_sync with {image_folder}/data and velodyne_points/data"
+    got = f"{len(drives)} drives" if drives else "no drive"
+    return lazy_dataset("KITTI raw", root, entries, partial(_read, options), skipped, expected=expected, got=got)
+
+
+def _read(options: KittiRawOptions, entry: tuple[_Drive, Path, Path]) -> Frame:
+    drive, image_path, sweep_path = entry
+    day = drive.folder.parent
+    cameras = read_calibration(day / "calib_cam_to_cam.txt")
+    mounting = read_calibration(day / "calib_velo_to_cam.txt")
+    cam0_from_lidar = mounting.rigid("R", "T")
+    if drive.synchronised:
+        image, warnings, extrinsic = _rectified(options, drive, image_path, cameras, cam0_from_lidar)
+    else:
+        image, warnings, extrinsic = _unrectified(options, image_path, cameras, cam0_from_lidar)
+    turn_s = _turn_s(sweep_path)
+    cloud, cloud_warnings = read_sweep(sweep_path, sweep_s=turn_s, elevation_fix_deg=options.elevation_fix_deg)
+    delay_s = _image_delay_s(options, image_path, sweep_path)
+    twist, pose, missing = _oxts(drive, image_path, sweep_path, delay_s)
+    if twist is None and options.speed_from_disparity and image.depth_m is not None:
+        speed = forward_speed(cloud, image.depth_m, image.camera, extrinsic)
+        twist = None if speed is None else np.array([0.0, 0.0, 0.0, speed, 0.0, 0.0])
+    image = without_radial_error(image, RadialError(*options.radial_error))
+    if cloud.time_s is not None:
+        cloud = replace(cloud, time_s=cloud.time_s - delay_s)
+    cloud, remarks = compensated(cloud, twist, asked=options.deskew, lacking=f"no {missing}")
+    name, warnings = (
+        f"{drive.name}/{image_path.stem}",
+        (*warnings, *mounting.remarks(cam0_from_lidar), *cloud_warnings, *remarks),
+    )
+    place = in_drive(drive.name, "", _time_s(image_path), pose)
+    return Frame(name, image, cloud, camera_from_lidar=extrinsic, twist=twist, warnings=warnings, **place)
+
+
+def _rectified(
+    options: KittiRawOptions, drive: _Drive, path: Path, cameras: KittiCalibration, cam0_from_lidar: Float
+) -> tuple[Image, tuple[str, ...], Float]:
+    """Return image, warnings and camera_from_lidar of a synchronised drive."""
+    projection = cameras.projection(f"P_rect_{options.camera:02d}")
+    right = None
+    if options.camera in (0, 2):
+        other = f"{options.camera + 1:02d}"
+        right_path = image_in(drive.folder / f"image_{other}/data", path.stem) if options.right else None
+        right = (cameras.projection(f"P_rect_{other}"), right_path)
+    disparity = drive.folder / "disparity/data" / f"{path.stem}.png"
+    has_disparity = options.depth and options.camera == 2 and disparity.exists()
+    size, disparity_path = cameras.size(f"S_rect_{options.camera:02d}"), disparity if has_disparity else None
+    image, warnings = read_rectified(path, projection, size=size, right=right, disparity_path=disparity_path)
+    rectified_from_lidar = cameras.rigid("R_rect_00") @ cam0_from_lidar
+    return image, warnings, rectified_extrinsic(projection, rectified_from_lidar, pykitti_compat=options.pykitti_compat)
+
+
+def _unrectified(
+    options: KittiRawOptions, path: Path, cameras: KittiCalibration, cam0_from_lidar: Float
+) -> tuple[Image, tuple[str, ...], Float]:
+    """Return image, warnings and camera_from_lidar of an `_extract` drive, with lens distortion."""
+    number = f"{options.camera:02d}"
+    (fx, _, cx), (_, fy, cy), _ = cameras.numbers(f"K_{number}", (3, 3)).tolist()
+    k1, k2, p1, p2, k3 = cameras.numbers(f"D_{number}", (5,)).tolist()
+    width, height = cameras.size(f"S_{number}")
+    with naming(cameras.path):
+        camera = Camera("FULL_OPENCV", width, height, (fx, fy, cx, cy, k1, k2, p1, p2, k3, 0, 0, 0))
+    return *read_image(path, camera), cameras.rigid(f"R_{number}", f"T_{number}") @ cam0_from_lidar
+
+
+def _image_delay_s(options: KittiRawOptions, image_path: Path, sweep_path: Path) -> float:
+    """Return the time of the image after straight ahead, in seconds."""
+    if options.image_delay_s is not None:
+        return options.image_delay_s
+    image, sweep = (read_stamp(path.parents[1] / "timestamps.txt", int(path.stem)) for path in (image_path, sweep_path))
+    same = image is not None and sweep is not None and abs(image - sweep) < np.timedelta64(1, "ms")
+    return 0.0 if same else IMAGE_DELAY_S
+
+
+def _turn_s(sweep_path: Path) -> float:
+    """Return the duration of the sweep from its start and end stamps, or the nominal duration without stamps."""
+    folder = sweep_path.parents[1]
+    start, end = (read_stamp(folder / f"timestamps_{which}.txt", int(sweep_path.stem)) for which in ("start", "end"))
+    if start is None or end is None:
+        return SWEEP_S
+    seconds = seconds_of(end - start)
+    return seconds if 0.5 * SWEEP_S < seconds < 2 * SWEEP_S else SWEEP_S
+
+
+def _time_s(image_path: Path) -> float | None:
+    """Return the time of the image in seconds after the first stamp of its camera in the drive."""
+    path = image_path.parents[1] / "timestamps.txt"
+    stamps, stamp = read_stamps(path), read_stamp(path, int(image_path.stem))
+    return None if stamp is None else seconds_of(stamp - stamps[~np.isnat(stamps)][0])
+
+
+def _oxts(drive: _Drive, image_path: Path, sweep_path: Path, delay_s: float) -> tuple[Float | None, Float | None, str]:
+    """Return velocity (6,) of the LiDAR, its pose (4, 4) in the frame of the first packet, and the missing input."""
+    folder = drive.folder / "oxts/data"
+    number = _oxts_number(drive, image_path)
+    if number is None or not (path := folder / f"{number:010d}.txt").exists():
+        return None, None, "oxts data"
+    mounting = drive.folder.parent / "calib_imu_to_velo.txt"
+    if not mounting.exists():
+        return None, None, mounting.name
+    lidar_from_imu = read_calibration(mounting).rigid("R", "T")
+    packet, first = (read_packet(p) for p in (path, min(p for p in folder.glob("*.txt") if is_number(p.stem))))
+    twist = twist_of(packet, lidar_from_imu)
+    later_s = _after_packet_s(drive, number, image_path, sweep_path, delay_s)
+    if later_s is None or not (has_fix(packet) and has_fix(first)):
+        return twist, None, ""
+    return twist, lidar_pose(packet, first, lidar_from_imu) @ se3.exp(later_s * twist), ""
+
+
+def _oxts_number(drive: _Drive, image_path: Path) -> int | None:
+    """Return the oxts packet of an image: the same number, or the nearest in time in unsynchronised drives."""
+    number = int(image_path.stem)
+    if drive.synchronised:
+        return number
+    stamp = read_stamp(image_path.parents[1] / "timestamps.txt", number)
+    stamps = read_stamps(drive.folder / "oxts/timestamps.txt")
+    return None if stamp is None else _nearest(stamps, stamp)
+
+
+def _after_packet_s(drive: _Drive, number: int, image_path: Path, sweep_path: Path, delay_s: float) -> float | None:
+    """Return the time of the image after an oxts packet: 0 without stamps, None for different moments."""
+    # Packets deviate by up to 10 ms; the image is taken `delay_s` after the stamp of its sweep.
+    packet = read_stamp(drive.folder / "oxts/timestamps.txt", number)
+    sweep = read_stamp(sweep_path.parents[1] / "timestamps.txt", int(sweep_path.stem))
+    if packet is not None and sweep is not None:
+        later_s = seconds_of(sweep - packet) + delay_s
+    else:
+        image = read_stamp(image_path.parents[1] / "timestamps.txt", int(image_path.stem))
+        later_s = 0.0 if packet is None or image is None else seconds_of(image - packet)
+    return later_s if abs(later_s) < SWEEP_S else None
+
+
+def _nearest_in_time(
+    drive: Path, image_folder: str, images: Mapping[str, Path], clouds: Mapping[str, Path]
+) -> Mapping[str, Path]:
+    """Return the sweep of each image id of an unsynchronised drive by the nearest time stamp."""
+    image_stamps = read_stamps(drive / image_folder / "timestamps.txt")
+    cloud_stamps = read_stamps(drive / "velodyne_points/timestamps.txt")
+    pairs: dict[str, Path] = {}
+    for name in images:
+        if not is_number(name) or int(name) >= len(image_stamps):
+            continue
+        nearest = _nearest(cloud_stamps, image_stamps[int(name)])
+        sweep = None if nearest is None else clouds.get(f"{nearest:010d}")
+        if sweep is not None and abs(seconds_of(cloud_stamps[nearest] - image_stamps[int(name)])) < _SAME_MOMENT_S:
+            pairs[name] = sweep
+    return pairs
+
+
+def _nearest(stamps: NDArray[np.datetime64], stamp: np.datetime64) -> int | None:
+    """Return the index of the nearest time stamp, or None if there is none or `stamp` is NaT."""
+    gaps = np.abs(stamps - stamp) / np.timedelta64(1, "s")
+    return None if np.isnan(gaps).all() else int(np.nanargmin(gaps))
+
+
+METHOD = Method(
+    name="kitti-raw",
+    build=build,
+    options=KittiRawOptions,
+    summary="KITTI raw recordings, any day and drive, synchronised or extracted.",
+    gives=frozenset({"rings", "intensity", "time"}),
+    cite="Geiger, Lenz, Stiller, Urtasun: Vision meets robotics: the KITTI dataset. IJRR 2013",
+)

@@ -1,0 +1,141 @@
+"""Read .las and .laz files (ASPRS LAS 1.0 to 1.4) with laspy and lazrs, the extra `las`."""
+
+from __future__ import annotations
+
+import io
+import struct
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from p2o import InputError
+
+from p2o_datasets.number_text import MAX_POINTS
+
+_MAGIC = b"LASF"
+_SHORTEST_HEADER = 227
+_MAX_BYTES = 256 << 20
+_MAX_RECORDS = 1000
+_COMPRESSED = 0x80
+_LASZIP_ID = 22204
+_TIME = "gps_time"
+
+
+def read_las(data: bytes, path: Path) -> Mapping[str, Any]:
+    """Return the fields of a .las or .laz file by name, each (N,): x, y, z in metres, intensity, time, extra bytes.
+
+    `gps_time` is the time in seconds; a file whose times are all zero has none. Rings are read from extra bytes of that
+    name, because LAS has no field for them.
+
+    Raises InputError without laspy, for headers that contradict the file size, and for damaged files.
+    """
+    _check_header(data, path)
+    try:
+        import laspy
+    except ModuleNotFoundError as problem:
+        fault = "reading .las and .laz needs laspy, which is not installed"
+        raise InputError(fault, where=path, hint='run: pip install "p2o-calib[las]"') from problem
+    plain = _unpacked(data, path) if _compressed(data) else data
+    try:
+        las = laspy.read(io.BytesIO(plain))
+        fields = {axis: np.asarray(getattr(las, axis), dtype=np.float64) for axis in "xyz"}
+        fields |= {name: np.asarray(las[name]) for name in ("intensity", *las.point_format.extra_dimension_names)}
+        if _TIME in las.point_format.dimension_names and np.any(las[_TIME]):
+            fields.setdefault("time", np.asarray(las[_TIME], dtype=np.float64))
+    except Exception as problem:  # laspy raises many types for damaged files
+        raise _damaged(path, str(problem) or type(problem).__name__) from problem
+    return {name: value for name, value in fields.items() if value.ndim == 1}
+
+
+def _unpacked(data: bytes, path: Path) -> bytes:
+    """Decompress a .laz file in a separate process, because lazrs aborts the process for damaged files."""
+    # -P: do not import modules from the working directory.
+    words = [sys.executable, "-P", "-c", _UNPACK]
+    try:
+        done = subprocess.run(words, input=data, capture_output=True, timeout=_TIMEOUT_S, check=False)
+    except subprocess.TimeoutExpired as problem:
+        raise _damaged(path, f"no result within {_TIMEOUT_S} s") from problem
+    if done.returncode != 0:
+        lines = done.stderr.decode(errors="replace").strip().splitlines()[-1:] or [f"status {done.returncode}"]
+        raise _damaged(path, lines[0])
+    _check_header(done.stdout, path)
+    return done.stdout
+
+
+_TIMEOUT_S = 120
+_UNPACK = """
+import io, sys
+import laspy
+found = laspy.read(io.BytesIO(sys.stdin.buffer.read()), laz_backend=laspy.LazBackend.Lazrs)
+out = io.BytesIO()
+found.write(out, do_compress=False)
+sys.stdout.buffer.write(out.getvalue())
+"""
+
+
+def _damaged(path: Path, got: str) -> InputError:
+    return InputError("the point cloud cannot be read as LAS", where=path, got=got[:200])
+
+
+def _compressed(data: bytes) -> bool:
+    return bool(data[104] & _COMPRESSED)
+
+
+def _check_header(data: bytes, path: Path) -> None:
+    """Raise InputError for a header that contradicts the file size, before memory is allocated."""
+    if not data.startswith(_MAGIC) or len(data) < _SHORTEST_HEADER:
+        raise InputError("this is not a LAS file", where=path, expected="LASF", got=repr(data[:4]))
+    version, start, records = (data[24], data[25]), *struct.unpack_from("<II", data, 96)
+    size, points = struct.unpack_from("<HI", data, 105)
+    if version >= (1, 4) and len(data) >= 255:
+        extended, points_14 = struct.unpack_from("<IQ", data, 243)
+        points, records = max(points, points_14), records + extended
+    body = len(data) - start
+    if records > _MAX_RECORDS or not _SHORTEST_HEADER <= start <= len(data) or size < 20:
+        expected = f"points within {len(data)} bytes, at most {_MAX_RECORDS} records"
+        got = f"points from {start}, {records} records"
+        raise InputError("the header of the LAS file contradicts its size", where=path, expected=expected, got=got)
+    if points > MAX_POINTS or points * size > _MAX_BYTES:
+        fault = "the point cloud has too many points"
+        got = f"{points} of {size} bytes"
+        raise InputError(fault, where=path, expected=f"at most {MAX_POINTS}, and {_MAX_BYTES} bytes", got=got)
+    if not _compressed(data):
+        if points * size > body:
+            expected = f"{points * size} bytes of points"
+            raise InputError("the point cloud is truncated", where=path, expected=expected, got=body)
+        return
+    _check_chunks(data, start, points, path)
+
+
+def _check_chunks(data: bytes, start: int, points: int, path: Path) -> None:
+    """Raise InputError for a table of chunks outside the file or too long, which lazrs allocates before it reads it."""
+    damaged = InputError("the compressed points are damaged", where=path, expected="a table of chunks in the file")
+    if len(data) < start + 8 or not _has_laszip(data):
+        raise damaged
+    [table] = struct.unpack_from("<q", data, start)
+    if table == -1:
+        [table] = struct.unpack_from("<q", data, len(data) - 8)
+    if not start + 8 <= table <= len(data) - 8:
+        raise damaged
+    [chunks] = struct.unpack_from("<I", data, table + 4)
+    if chunks > points + 1:
+        raise damaged
+
+
+def _has_laszip(data: bytes) -> bool:
+    """Return whether the records before the points contain a valid record of LASzip."""
+    [at] = struct.unpack_from("<H", data, 94)
+    start, records = struct.unpack_from("<II", data, 96)
+    for _ in range(min(records, _MAX_RECORDS)):
+        if at + 54 > start:
+            return False
+        kind, length = struct.unpack_from("<HH", data, at + 18)
+        user = data[at + 2 : at + 18].rstrip(b"\0")
+        if kind == _LASZIP_ID and user == b"laszip encoded":
+            [items] = struct.unpack_from("<H", data, at + 54 + 32) if at + 54 + 34 <= start else (0,)
+            return bool(34 + 6 * items <= length and at + 54 + length <= start and 0 < items <= 32)
+        at += 54 + length
+    return False

@@ -1,0 +1,188 @@
+"""Read ONCE (One millioN sCenEs): seven cameras and a 40-beam roof LiDAR, with one JSON file per sequence.
+
+The format follows the public toolkit (once-for-auto-driving/once_devkit, once.py) and the documentation of the data set
+(once-for-auto-driving.github.io/documentation.html). cam_to_velo maps the optical frame of the camera to the LiDAR's
+frame (x left, y back, z up). A pose is a quaternion x y z w and a translation, world_from_lidar in the world of the
+sequence's first frame (confirmed in issues 21 and 22 of the toolkit). According to the documentation, images are
+undistorted; because the toolkit undistorts them before every projection, p2o assumes that they are distorted.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from p2o import Camera, Dataset, Float, Frame, Image, InputError, Method, Options, UnknownNameError, field, se3
+from p2o.reading import existing_folder, listing, naming, numbers, parse_json, read_pose, read_rgb, read_text
+from p2o_formats.camera_entry import read_camera
+
+from p2o_datasets.bin_file import KITTI_COLUMNS
+from p2o_datasets.cloud_file import read_cloud
+from p2o_datasets.ego_path import pose_rows
+from p2o_datasets.kitti_folder import is_number
+from p2o_datasets.lazy_dataset import Words, cameras_field, chosen, file_inside, in_drive, lazy_dataset, no_sequences
+
+CAMERAS = ("cam01", "cam03", "cam05", "cam06", "cam07", "cam08", "cam09")
+_LIDAR = "lidar_roof"
+_PER_SECOND = 1000
+
+
+class OnceOptions(Options):
+    """Options of ONCE."""
+
+    root: Path = field(Path("."), help="Folder that contains data/, or the sequences.")
+    sequences: Words = field((), help="Names of sequences, separated by commas, such as 000027; default: all.")
+    cameras: Words = cameras_field("cam01", CAMERAS)
+    distorted: bool = field(True, help="Whether images have the calibration's distortion, as the toolkit assumes.")
+
+
+@dataclass(frozen=True, eq=False)
+class _Sequence:
+    """Content of a sequence's JSON file: calibration by camera, and the records of the frames in temporal order."""
+
+    path: Path
+    calibration: Mapping[str, Any]
+    frames: Sequence[Mapping[str, Any]]
+
+    @property
+    def name(self) -> str:
+        return self.path.stem
+
+
+@dataclass(frozen=True, eq=False)
+class _Shot:
+    """An image of a sequence and its sweep; `number` is the index of the frame, `id` its time in milliseconds."""
+
+    sequence: _Sequence
+    camera: str
+    number: int
+    id: str
+
+    @property
+    def name(self) -> str:
+        return f"{self.sequence.name}/{self.camera}/{self.id}"
+
+    @property
+    def files(self) -> tuple[str, str]:
+        """Image and sweep, relative to the folder of the sequence."""
+        return f"{self.camera}/{self.id}.jpg", f"{_LIDAR}/{self.id}.bin"
+
+
+def build(options: OnceOptions) -> Dataset:
+    """Return the frames of the selected sequences and cameras; names are "sequence/camera/frame".
+
+    Frames with missing files, as in partial downloads, are listed in `skipped`. Raises InputError for invalid JSON
+    files and without sequences or frames, and UnknownNameError for unknown sequences and cameras.
+    """
+    root = existing_folder(options.root, "ONCE").resolve()
+    cameras = chosen("camera", options.cameras, CAMERAS)
+    entries: dict[str, _Shot] = {}
+    skipped: dict[str, str] = {}
+    for sequence in _sequences(root, options.sequences):
+        folder = sequence.path.parent
+        for camera in cameras:
+            for number, record in enumerate(sequence.frames):
+                shot = _Shot(sequence, camera, number, _id(record, sequence.path))
+                missing = next((file for file in shot.files if not os.path.isfile(folder / file)), None)
+                if missing is None:
+                    entries[shot.name] = shot
+                else:
+                    skipped[shot.name] = f"{folder / missing} is missing"
+    expected = f"images of {', '.join(cameras)} and sweeps in {_LIDAR}"
+    got = "sequences without frames"
+    return lazy_dataset("ONCE", root, entries, partial(_read, options), skipped, expected=expected, got=got)
+
+
+def _sequences(root: Path, wanted: Sequence[str]) -> list[_Sequence]:
+    home = root / "data" if os.path.isdir(root / "data") else root
+    files = {folder.name: folder / f"{folder.name}.json" for folder in listing(home, "ONCE") if folder.is_dir()}
+    paths = {name: path for name, path in files.items() if os.path.isfile(path)}
+    if not paths:
+        raise no_sequences("sequences of ONCE", home, "folders such as 000027 with 000027.json")
+    return [_sequence(paths[name]) for name in chosen("sequence", wanted, paths, where=home)]
+
+
+def _sequence(path: Path) -> _Sequence:
+    value = parse_json(read_text(path, "file of a sequence"), "file of a sequence", path)
+    calibration, frames = (value.get(key) if isinstance(value, Mapping) else None for key in ("calib", "frames"))
+    if not isinstance(calibration, Mapping) or not isinstance(frames, list):
+        raise InputError("the file is not a sequence of ONCE", where=path, expected="an object with calib and frames")
+    if not all(isinstance(record, Mapping) for record in frames):
+        raise InputError("a frame of the sequence is not an object", where=path, expected="frame_id, pose")
+    return _Sequence(path, calibration, sorted(frames, key=lambda record: int(_id(record, path))))
+
+
+def _id(record: Mapping[str, Any], path: Path) -> str:
+    """Return the id of a frame, its time in milliseconds; raises InputError if it is not a number."""
+    value = record.get("frame_id")
+    text = str(value) if isinstance(value, int) and not isinstance(value, bool) else value
+    if not isinstance(text, str) or not is_number(text) or len(text) > 18:
+        raise InputError("a frame_id is not a number", where=path, expected="milliseconds", got=repr(value)[:60])
+    return text
+
+
+def _read(options: OnceOptions, shot: _Shot) -> Frame:
+    sequence = shot.sequence
+    image_path, sweep_path = (file_inside(sequence.path.parent.resolve(), file) for file in shot.files)
+    rgb, warnings = read_rgb(image_path)
+    camera, lidar_from_camera = _camera(options, shot, image_path, (rgb.shape[1], rgb.shape[0]))
+    with naming(image_path):
+        image = Image(rgb, camera)
+    cloud, cloud_warnings = read_cloud(sweep_path, columns=KITTI_COLUMNS)
+    first = _id(sequence.frames[0], sequence.path)
+    pose = _pose(sequence.frames[shot.number], shot.id, sequence.path)
+    drive = in_drive(sequence.name, shot.camera, (int(shot.id) - int(first)) / _PER_SECOND, pose)
+    extrinsic, warnings = se3.inverse(lidar_from_camera), (*warnings, *cloud_warnings)
+    return Frame(shot.name, image, cloud, camera_from_lidar=extrinsic, warnings=warnings, **drive)
+
+
+def _camera(options: OnceOptions, shot: _Shot, image: Path, size: tuple[int, int]) -> tuple[Camera, Float]:
+    """Return the camera of an image of width x height px, and lidar_from_camera (4, 4)."""
+    path = shot.sequence.path
+    if shot.camera not in shot.sequence.calibration:
+        raise UnknownNameError("camera", shot.camera, map(str, shot.sequence.calibration), where=path)
+    entry = shot.sequence.calibration[shot.camera]
+    if not isinstance(entry, Mapping):
+        raise InputError(f"calib.{shot.camera} is not an object", where=path, expected="cam_to_velo, cam_intrinsic")
+    pose, _ = read_pose(f"calib.{shot.camera}.cam_to_velo", entry.get("cam_to_velo"), path)
+    matrix = numbers(entry.get("cam_intrinsic"), (3, 3))
+    if matrix is not None and not (0 <= matrix[0, 2] < size[0] and 0 <= matrix[1, 2] < size[1]):
+        expected = f"the principal point ({matrix[0, 2]:.0f}, {matrix[1, 2]:.0f}) inside the image"
+        got = f"{size[0]}x{size[1]} px"
+        raise InputError("the image size does not fit the camera", where=image, expected=expected, got=got)
+    camera: dict[str, Any] = {"width": size[0], "height": size[1], "K": entry.get("cam_intrinsic")}
+    if options.distorted:
+        d = numbers(entry.get("distortion"), (4,), (5,), (8,), (12,), (14,))
+        if d is None:
+            expected = "4, 5, 8, 12 or 14 numbers of OpenCV"
+            got = str(entry.get("distortion"))[:60]
+            raise InputError(f"calib.{shot.camera}.distortion is invalid", where=path, expected=expected, got=got)
+        model = "plumb_bob" if len(d) <= 5 else "rational_polynomial"
+        camera |= {"distortion_model": model, "D": d.tolist()}
+    return read_camera(camera, path), pose
+
+
+def _pose(record: Mapping[str, Any], name: str, path: Path) -> Float | None:
+    """Return world_from_lidar (4, 4) of a frame, None if it is missing or all zeros."""
+    if record.get("pose") is None:
+        return None
+    values = numbers(record["pose"], (7,))
+    if values is None:
+        got = str(record["pose"])[:60]
+        raise InputError(f"the pose of {name} is invalid", where=path, expected="7 finite numbers", got=got)
+    return np.asarray(pose_rows(values[:4], values[4:], path, [name])[0]) if values.any() else None
+
+
+METHOD = Method(
+    name="once",
+    build=build,
+    options=OnceOptions,
+    summary="ONCE: seven cameras and the 40-beam roof LiDAR.",
+    gives=frozenset({"intensity"}),
+    cite="Mao et al.: One million scenes for autonomous driving: ONCE dataset. NeurIPS Datasets and Benchmarks 2021",
+)

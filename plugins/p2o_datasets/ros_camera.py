@@ -1,0 +1,82 @@
+"""Camera of a CameraInfo message: K and D of the raw image, or P of the rectified image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from p2o import Camera, Float, InputError, se3
+from p2o.reading import read_camera_file
+from p2o_formats.camera_entry import read_camera
+
+from p2o_datasets.bags.messages import CameraInfoMessage
+
+# Names that other drivers use for the models of ROS.
+_MODELS = {"fisheye": "equidistant", "kannala_brandt": "equidistant", "rational": "rational_polynomial"}
+_UNDISTORTED = ("", "none")
+
+
+@dataclass(frozen=True, eq=False)
+class RosCamera:
+    """Camera of an image topic; `rotation` (3, 3) maps the camera's optical frame to that of the images."""
+
+    camera: Camera
+    rotation: Float
+    warnings: tuple[str, ...] = ()
+
+
+def camera_of_info(message: CameraInfoMessage, where: Path, *, rectified: bool) -> RosCamera:
+    """Return the camera of a message, for raw or rectified images.
+
+    A region of interest (ROI) and binning change image size and parameters: one pixel of the image is a block of
+    `binning` pixels of the sensor. Rectified images have P and no distortion, and are rotated by R.
+
+    Raises InputError for cameras that are not calibrated, of another model, or invalid.
+    """
+    matrix = message.P[:, :3] if rectified else message.K
+    if not matrix.any():
+        fault = f"the camera is not calibrated: {'P' if rectified else 'K'} is zero"
+        hint = "give a file with the camera: --set data.camera=FILE"
+        raise InputError(fault, where=where, expected="a CameraInfo of a calibrated camera", hint=hint)
+    width, height, matrix = _cut(message, np.array(matrix), where)
+    value = {"width": width, "height": height, "K": matrix.tolist()}
+    model = _MODELS.get(message.distortion_model, message.distortion_model)
+    if not rectified and (model not in _UNDISTORTED or message.D.any()):
+        # Missing coefficients are zero.
+        d = message.D.tolist() if len(message.D) or model != "equidistant" else [0.0] * 4
+        value |= {"distortion_model": model, "D": d}
+    camera = read_camera(value, where)
+    if not rectified:
+        return RosCamera(camera, np.eye(3))
+    warnings: tuple[str, ...] = ()
+    if message.P[:, 3].any():
+        warnings = (f"{where}: P is the second camera of a stereo pair; its frame is assumed to be its own",)
+    return RosCamera(camera, _rotation(message.R, where), warnings)
+
+
+def camera_of_file(path: Path) -> RosCamera:
+    """Return the camera of a calibration file of any format (FILE, FILE#NAME), or of a frame.yaml."""
+    return RosCamera(read_camera_file(str(path)), np.eye(3))
+
+
+def _cut(message: CameraInfoMessage, matrix: Float, where: Path) -> tuple[int, int, Float]:
+    """Return width, height and intrinsic matrix (3, 3) of the transmitted region after binning."""
+    x, y, height, width = message.roi
+    width, height = width or message.width, height or message.height
+    bins = tuple(max(number, 1) for number in message.binning)
+    if x + width > message.width or y + height > message.height or width % bins[0] or height % bins[1]:
+        expected = f"a region of {message.width}x{message.height} px that is divisible by the binning"
+        got = f"{width}x{height} px at ({x}, {y}), binning {bins[0]}x{bins[1]}"
+        raise InputError("ROI and binning do not fit the size of the camera", where=where, expected=expected, got=got)
+    # Pixel centres are at integers: the centre of a block of pixels is not at its first pixel.
+    for axis, (start, size) in enumerate(zip((x, y), bins, strict=True)):
+        matrix[axis, axis] /= size
+        matrix[axis, 2] = (matrix[axis, 2] - start + 0.5) / size - 0.5 if size > 1 else matrix[axis, 2] - start
+    return width // bins[0], height // bins[1], matrix
+
+
+def _rotation(rotation: Float, where: Path) -> Float:
+    if not rotation.any():
+        return np.eye(3)
+    return se3.check_rigid("R", se3.make(rotation), where=where)[:3, :3]

@@ -1,0 +1,1 @@
+"""Readers and exporters of calibration files of other systems, one module per family of formats."""

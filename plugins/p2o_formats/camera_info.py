@@ -1,0 +1,128 @@
+"""Read and write sensor_msgs/CameraInfo of ROS, as YAML of camera_calibration_parsers or of `ros2 topic echo`.
+
+Source: camera_calibration_parsers (image_width, camera_matrix: {rows, cols, data}, distortion_model,
+distortion_coefficients, ...) and the message itself (width, k, d; in ROS 1 K, D). K and D describe the raw image
+(`image_raw`); the rectified image has the first three columns of P and no distortion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from p2o import InputError, Options, field
+from p2o.reading import Calibration, FrameName, Reading, Source, listed, numbers
+
+from p2o_formats.camera_entry import Lens, lens_of, without_skew
+from p2o_formats.format import ONLY_CAMERA, Format, comment_lines, size_of
+
+
+class CameraInfoOptions(Options):
+    """Name of the camera."""
+
+    camera_frame: FrameName = field("camera", help="Name of the camera (camera_name).")
+
+
+def write(calibration: Calibration, options: CameraInfoOptions) -> bytes:
+    """Return the YAML text, with R = I and P = [K | 0]; a pinhole camera becomes plumb_bob with zero coefficients."""
+    lens = lens_of(calibration.intrinsics(), "camera-info")
+    projection = [value for row in lens.matrix for value in (*row, 0.0)]
+    lines = [
+        "# sensor_msgs/CameraInfo of the raw image, for camera_calibration_parsers. Pixel centres at integers.",
+        *comment_lines(calibration),
+        f"image_width: {lens.width}",
+        f"image_height: {lens.height}",
+        f"camera_name: {options.camera_frame}",
+        *_matrix("camera_matrix", 3, 3, [value for row in lens.matrix for value in row]),
+        f"distortion_model: {lens.model}",
+        *_matrix("distortion_coefficients", 1, len(lens.coefficients), lens.coefficients),
+        *_matrix("rectification_matrix", 3, 3, [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]),
+        *_matrix("projection_matrix", 3, 4, projection),
+    ]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def _matrix(name: str, rows: int, columns: int, values: Any) -> list[str]:
+    return [f"{name}:", f"  rows: {rows}", f"  cols: {columns}", f"  data: {listed(values)}"]
+
+
+def recognises(source: Source) -> bool:
+    """Return whether the file is a calibration of camera_calibration_parsers or a CameraInfo message."""
+    tree = source.tree
+    return ("camera_matrix" in tree and "image_width" in tree and not source.is_opencv) or _is_message(tree)
+
+
+def _is_message(tree: Mapping[str, Any]) -> bool:
+    return "distortion_model" in tree and ("k" in tree or "K" in tree) and ("d" in tree or "D" in tree)
+
+
+def read(source: Source, reading: Reading) -> Calibration:
+    """Return the camera of the raw image.
+
+    Raises InputError for invalid cameras, and for messages of binned or cropped images, whose K is of the full image.
+    """
+    tree = source.tree
+    if _is_message(tree):
+        _check_whole(tree, source)
+        matrix, d = (tree.get(key, tree.get(key.upper())) for key in "kd")
+        size = size_of(tree.get("width"), tree.get("height"), reading, source.path)
+    else:
+        nested = (tree.get(key) for key in ("camera_matrix", "distortion_coefficients"))
+        matrix, d = (value.get("data") if isinstance(value, Mapping) else value for value in nested)
+        size = size_of(tree.get("image_width"), tree.get("image_height"), reading, source.path)
+    header = tree.get("header")
+    name = header.get("frame_id", "") if isinstance(header, Mapping) else tree.get("camera_name", "")
+    lens = lens_from_matrix("K", matrix, "D", d, tree.get("distortion_model"), size, source)
+    return Calibration(lens.camera(), camera_frame=name if isinstance(name, str) else "")
+
+
+def _check_whole(tree: Mapping[str, Any], source: Source) -> None:
+    region = tree.get("roi")
+    keys = ("x_offset", "y_offset", "width", "height")
+    cropped = isinstance(region, Mapping) and any(map(region.get, keys))
+    binned = any(tree.get(key) not in (None, 0, 1) for key in ("binning_x", "binning_y"))
+    if cropped or binned:
+        fault = "the message describes a binned or cropped image, but its K the full image"
+        raise InputError(fault, where=source.path, expected="binning of 0 or 1, and no region of interest (roi)")
+
+
+def lens_from_matrix(
+    matrix_key: str, matrix: Any, d_key: str, d: Any, model: Any, size: tuple[int, int], source: Source
+) -> Lens:
+    """Return the camera of an intrinsic matrix, distortion coefficients and the name of a distortion model.
+
+    Without a name, up to 5 coefficients are plumb_bob and more are rational_polynomial, as in OpenCV. Raises
+    InputError that names the keys of the file.
+    """
+    k = numbers(matrix, (3, 3))
+    if k is None or not without_skew(k):
+        fault = f"{matrix_key} is not an intrinsic matrix"
+        got = str(matrix)[:80]
+        raise InputError(fault, where=source.path, expected="fx 0 cx, 0 fy cy, 0 0 1, without skew", got=got)
+    rows = [] if d is None else d if isinstance(d, list) else None
+    flat = rows and [value for row in rows for value in (row if isinstance(row, list) else [row])]
+    coefficients = numbers(flat, (len(flat),)) if flat else flat
+    if coefficients is None:
+        fault, got = f"{d_key} does not contain coefficients", str(d)[:80]
+        raise InputError(fault, where=source.path, expected="finite numbers", got=got)
+    if model in (None, ""):
+        model = "plumb_bob" if len(coefficients) <= 5 else "rational_polynomial"
+    if model == "fisheye":
+        model = "equidistant"
+    if not isinstance(model, str):
+        fault, got = "the distortion model is not a name", repr(model)[:60]
+        raise InputError(fault, where=source.path, expected="plumb_bob", got=got)
+    fx, fy, cx, cy = (float(k[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    return Lens(*size, fx, fy, cx, cy, model, tuple(float(value) for value in coefficients))
+
+
+FORMAT = Format(
+    name="camera-info",
+    summary="Camera of ROS: CameraInfo YAML of camera_calibration_parsers; also reads output of `ros2 topic echo`.",
+    rank=35,
+    holds=ONLY_CAMERA,
+    options=CameraInfoOptions,
+    recognises=recognises,
+    read=read,
+    write=write,
+)

@@ -1,0 +1,182 @@
+"""Read and write COLMAP's cameras.txt and rig_config.json.
+
+Source: COLMAP's documentation ("Output format", "Rigs"). COLMAP puts the centre of the first pixel at (0.5, 0.5), so
+that its principal points are 0.5 px larger. Quaternions are w x y z. The frame of a rig is that of its reference
+sensor. p2o writes the LiDAR as a reference sensor without images, so that `cam_from_rig` of the camera is
+camera_from_lidar, and adds `width` and `height`, which COLMAP takes from the images.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from p2o import Camera, Float, InputError, Options, UnknownNameError, field, se3
+from p2o.reading import Calibration, FrameName, Reading, Source, numbers, plain, quaternion_xyzw, read_pose, spaced
+from p2o.solving import import_keeping_signals
+
+from p2o_formats.format import ONLY_CAMERA, ONLY_EXTRINSIC, Format, comment_lines, described, select_camera
+from p2o_formats.frame_names import is_lidar
+
+_HEAD = "# Camera list with one line of data per camera:\n#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n"
+
+
+class ColmapOptions(Options):
+    """Names of the sensors in a rig, which are their image folders."""
+
+    lidar_frame: FrameName = field("lidar", help="Name of the LiDAR in the rig.")
+    camera_frame: FrameName = field("camera", help="Name of the camera in the rig, the folder of its images.")
+
+
+def _shifted(model: str, params: tuple[float, ...], by_px: float) -> tuple[float, ...]:
+    """Return camera parameters with the principal point moved by `by_px` pixels along both axes."""
+    pycolmap = import_keeping_signals("pycolmap")
+    if model not in pycolmap.CameraModelId.__members__ or model == "INVALID":
+        raise UnknownNameError("camera model", model, (m for m in pycolmap.CameraModelId.__members__ if m != "INVALID"))
+    indices = set(pycolmap.Camera.create_from_model_name(0, model, 1.0, 10, 10).principal_point_idxs())
+    return tuple(value + by_px if index in indices else value for index, value in enumerate(params))
+
+
+def write_cameras(calibration: Calibration, options: Options) -> bytes:
+    """Return the text of cameras.txt with one camera."""
+    camera = calibration.intrinsics()
+    params = spaced(_shifted(camera.model, camera.params, 0.5))
+    text = _HEAD + "# Pixels; the centre of the first pixel is at (0.5, 0.5).\n# Number of cameras: 1\n"
+    text += "".join(f"{line}\n" for line in comment_lines(calibration))
+    return f"{text}1 {camera.model} {camera.width} {camera.height} {params}\n".encode()
+
+
+def _rows(source: Source) -> Iterator[list[str]]:
+    for line in source.lines:
+        words = line.replace(",", " ").split()
+        if len(words) > 4 and words[0].isdigit() and words[2].isdigit() and words[3].isdigit() and words[1].isupper():
+            yield words
+
+
+def recognises_cameras(source: Source) -> bool:
+    """Return whether the first line contains an ID, a model name, an image size and parameters."""
+    return bool(source.lines) and next(_rows(source), None) is not None and source.lines[0].split()[0].isdigit()
+
+
+def read_cameras(source: Source, reading: Reading) -> Calibration:
+    """Return the camera with the ID of the reading, or the only camera.
+
+    Raises UnknownNameError for an unknown model, and InputError for a missing ID or invalid values.
+    """
+    rows = {words[0]: words for words in _rows(source)}
+    wanted = select_camera(rows, reading.name, "FILE#ID", source.path)
+    words = rows[wanted]
+    params = numbers(words[4:], (len(words) - 4,))
+    if params is None:
+        raise InputError("the parameters are not numbers", where=source.path, got=" ".join(words[4:])[:80])
+    width, height = (int(word[:9]) for word in words[2:4])
+    return Calibration(Camera(words[1], width, height, _shifted(words[1], tuple(params.tolist()), -0.5)))
+
+
+def write_rig(calibration: Calibration, options: ColmapOptions) -> bytes:
+    """Return the JSON text of a rig with the LiDAR as reference sensor and cam_from_rig of the camera."""
+    pose = calibration.extrinsic()
+    x, y, z, w = quaternion_xyzw(pose)
+    camera: dict[str, Any] = {"image_prefix": f"{options.camera_frame}/", "cam_from_rig_rotation": [w, x, y, z]}
+    camera["cam_from_rig_translation"] = plain(pose[:3, 3])
+    if calibration.camera is not None:
+        model = calibration.camera.model
+        camera["camera_model_name"] = model
+        camera["camera_params"] = plain(_shifted(model, calibration.camera.params, 0.5))
+        camera |= {"width": calibration.camera.width, "height": calibration.camera.height}
+    axes = "the camera (x right, y down, z forward); m, w x y z"
+    text = f"cam_from_rig maps points of {options.lidar_frame} to {axes}"
+    camera["comment"] = described(calibration, text)
+    tree = [{"cameras": [{"image_prefix": f"{options.lidar_frame}/", "ref_sensor": True}, camera]}]
+    return (json.dumps(tree, indent=2, allow_nan=False) + "\n").encode()
+
+
+def recognises_rig(source: Source) -> bool:
+    """Return whether the file is a list of rigs with cameras."""
+    value = source.value
+    rigs = value if isinstance(value, list) else []
+    return bool(rigs) and all(isinstance(rig, Mapping) and isinstance(rig.get("cameras"), list) for rig in rigs)
+
+
+def read_rig(source: Source, reading: Reading) -> Calibration:
+    """Return the camera of a rig and its pose relative to the LiDAR, which may be the reference or another sensor.
+
+    The camera is None if neither file nor reading gives its image size. Raises InputError if no image prefix denotes a
+    LiDAR, and for invalid cameras and transforms.
+    """
+    where = source.path
+    sensors = {name: entry for rig in source.value for name, entry in _sensors(rig)}
+    cameras = [name for name in sensors if (reading.lidar_frame or name) != name or not _lidar(name, reading)]
+    lidar = [name for name in sensors if _lidar(name, reading)]
+    wanted = reading.camera_frame or reading.name or (cameras[0] if len(cameras) == 1 else "")
+    if wanted not in sensors or len(lidar) != 1 or wanted == lidar[0]:
+        fault = "it is ambiguous which sensors of the rig are the LiDAR and the camera"
+        expected = "one image_prefix of a LiDAR, and FILE#NAME of a camera"
+        got, hint = ", ".join(list(sensors)[:8]) or "no sensors", "FILE?lidar_frame=NAME&camera_frame=NAME"
+        raise InputError(fault, where=where, expected=expected, got=got, hint=f"name them: {hint}")
+    camera_from_rig, remarks = _place(wanted, sensors[wanted], source)
+    lidar_from_rig, more = _place(lidar[0], sensors[lidar[0]], source)
+    camera, lacks_size = None, False
+    entry = sensors[wanted]
+    if "camera_model_name" in entry:
+        width, height = (entry.get(key, getattr(reading, key)) for key in ("width", "height"))
+        params = entry.get("camera_params")
+        values = numbers(params, (len(params),)) if isinstance(params, list) else None
+        if values is None:
+            raise InputError(f"camera_params of {wanted} are not numbers", where=where, got=str(params)[:60])
+        if isinstance(width, int) and isinstance(height, int):
+            model = str(entry["camera_model_name"])
+            camera = Camera(model, width, height, _shifted(model, tuple(values.tolist()), -0.5))
+        else:
+            lacks_size = True
+    pose = camera_from_rig @ se3.inverse(lidar_from_rig)
+    return Calibration(camera, pose, lidar[0], wanted, remarks + more, lacks_size)
+
+
+def _lidar(name: str, reading: Reading) -> bool:
+    return name == reading.lidar_frame if reading.lidar_frame is not None else is_lidar(name)
+
+
+def _sensors(rig: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    for entry in rig["cameras"]:
+        if isinstance(entry, Mapping) and isinstance(entry.get("image_prefix"), str):
+            yield entry["image_prefix"].rstrip("/")[:120], entry
+
+
+def _place(name: str, entry: Mapping[str, Any], source: Source) -> tuple[Float, tuple[str, ...]]:
+    if entry.get("ref_sensor") is True:
+        return np.eye(4), ()
+    quaternion = numbers(entry.get("cam_from_rig_rotation"), (4,))
+    if quaternion is None:
+        fault = f"cam_from_rig_rotation of {name} is not a quaternion"
+        raise InputError(fault, where=source.path, expected="w x y z, finite")
+    w, x, y, z = quaternion.tolist()
+    pose = {"rotation_xyzw": [x, y, z, w], "translation_m": entry.get("cam_from_rig_translation")}
+    return read_pose(f"cam_from_rig of {name}", pose, source.path)
+
+
+FORMAT = Format(
+    name="colmap",
+    summary="Rig of COLMAP (rig_config.json): the LiDAR as reference sensor, cam_from_rig, camera parameters.",
+    rank=30,
+    needs=ONLY_EXTRINSIC,
+    direction="camera_from_lidar (cam_from_rig)",
+    suffix=".json",
+    options=ColmapOptions,
+    recognises=recognises_rig,
+    read=read_rig,
+    write=write_rig,
+)
+
+CAMERAS_FORMAT = Format(
+    name="colmap-cameras",
+    summary="Camera of COLMAP (cameras.txt), of any model.",
+    rank=31,
+    holds=ONLY_CAMERA,
+    suffix=".txt",
+    recognises=recognises_cameras,
+    read=read_cameras,
+    write=write_cameras,
+)

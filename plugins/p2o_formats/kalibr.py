@@ -1,0 +1,132 @@
+"""Read and write Kalibr's camchain.yaml: cameras with intrinsics, distortion, resolution and T_cam_lidar.
+
+Source: the output of Kalibr (its wiki, "YAML formats"), in which T_b_a maps points of a to b. Kalibr itself writes
+the transforms of the IMU and of the previous camera (`T_cam_imu`, `T_cn_cnm1`); tools that extend its chains add
+`T_cam_lidar`, p_cam = T_cam_lidar p_lidar, as p2o does. `T_lidar_cam` is read, too. Models: pinhole with radtan
+(k1 k2 p1 p2), equidistant, fov or none, and eucm (alpha beta fu fv pu pv); p2o has no equivalent of omni and ds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from p2o import Camera, InputError, Options, field
+from p2o.reading import Calibration, FrameName, Reading, Source, listed, numbers
+
+from p2o_formats.camera_entry import lens_of, unsupported_model
+from p2o_formats.format import ONLY_CAMERA, Format, comment_lines, select_camera, size_of
+from p2o_formats.frame_names import named_transform
+
+_KNOWN = "pinhole with radtan (k1 k2 p1 p2), equidistant, fov or none, and eucm"
+
+
+class KalibrOptions(Options):
+    """Name of the camera in the chain."""
+
+    camera_frame: FrameName = field("cam0", help="Name of the camera in the chain.")
+
+
+def write(calibration: Calibration, options: KalibrOptions) -> bytes:
+    """Return the YAML text; T_cam_lidar is omitted if the calibration has no extrinsic."""
+    camera = calibration.intrinsics()
+    model, intrinsics, distortion, coefficients = _kalibr(camera)
+    lines = [
+        "# A camera chain as Kalibr writes it. T_b_a takes points of a to b: p_cam = T_cam_lidar p_lidar, in metres.",
+        "# Camera x right, y down, z forward; LiDAR as its points. Pixels, centres at whole numbers.",
+        *comment_lines(calibration),
+        f"{options.camera_frame}:",
+        "  cam_overlaps: []",
+        f"  camera_model: {model}",
+        f"  intrinsics: {listed(intrinsics)}",
+        f"  distortion_model: {distortion}",
+        f"  distortion_coeffs: {listed(coefficients)}",
+        f"  resolution: [{camera.width}, {camera.height}]",
+    ]
+    if calibration.camera_from_lidar is not None:
+        lines += ["  T_cam_lidar:", *(f"  - {listed(row)}" for row in calibration.camera_from_lidar)]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def _kalibr(camera: Camera) -> tuple[str, tuple[float, ...], str, tuple[float, ...]]:
+    """Return camera_model, intrinsics, distortion_model and distortion_coeffs of a camera."""
+    p = camera.params
+    if camera.model == "EUCM":
+        return "eucm", (*p[4:], *p[:4]), "none", ()
+    if camera.model == "FOV":
+        return "pinhole", p[:4], "fov", p[4:]
+    lens = lens_of(camera, "kalibr")
+    pinhole = (lens.fx, lens.fy, lens.cx, lens.cy)
+    if lens.model == "equidistant":
+        return "pinhole", pinhole, "equidistant", lens.coefficients
+    if not any(lens.coefficients):
+        return "pinhole", pinhole, "none", ()
+    if lens.model == "rational_polynomial" or lens.coefficients[4]:
+        raise unsupported_model(camera, "kalibr", _KNOWN)
+    return "pinhole", pinhole, "radtan", lens.coefficients[:4]
+
+
+def _cameras(source: Source) -> dict[str, Mapping[str, Any]]:
+    return {
+        str(name): value
+        for name, value in source.tree.items()
+        if isinstance(value, Mapping) and "camera_model" in value and "intrinsics" in value
+    }
+
+
+def recognises(source: Source) -> bool:
+    """Return whether the file contains named cameras with `camera_model` and `intrinsics`."""
+    return any("resolution" in value or "distortion_model" in value for value in _cameras(source).values())
+
+
+def read(source: Source, reading: Reading) -> Calibration:
+    """Return the camera that the reading names, or the only one, and its T_cam_lidar if the file contains it.
+
+    Raises InputError for unsupported camera models, invalid cameras and invalid transforms.
+    """
+    where = source.path
+    cameras = _cameras(source)
+    name = select_camera(cameras, reading.name or reading.camera_frame, "FILE#NAME", where)
+    pose, remarks = named_transform(cameras[name], where, name)
+    return Calibration(_camera(cameras[name], name, reading, source), pose, camera_frame=name, remarks=remarks)
+
+
+def _camera(entry: Mapping[str, Any], name: str, reading: Reading, source: Source) -> Camera:
+    where = source.path
+    model, distortion = (str(entry.get(key, "none")) for key in ("camera_model", "distortion_model"))
+    d = entry.get("distortion_coeffs") or []
+    counts = {("pinhole", name): n for name, n in (("radtan", 4), ("equidistant", 4), ("fov", 1), ("none", 0))}
+    counts["eucm", "none"] = 0
+    if (model, distortion) not in counts:
+        got = f"{model}, {distortion}"
+        raise InputError(f"{name}: {model} with {distortion} is not supported", where=where, expected=_KNOWN, got=got)
+    count = counts[model, distortion]
+    intrinsics = numbers(entry["intrinsics"], (6 if model == "eucm" else 4,))
+    coefficients = numbers(d, (count,)) if count else () if isinstance(d, list) else None
+    if intrinsics is None or coefficients is None:
+        fault = f"{name}: intrinsics or distortion_coeffs do not fit {model} with {distortion}"
+        got = f"{entry['intrinsics']}, {d}"[:80]
+        raise InputError(fault, where=where, expected=f"{6 if model == 'eucm' else 4} and {count} numbers", got=got)
+    resolution = numbers(entry.get("resolution"), (2,))
+    width, height = (None, None) if resolution is None else resolution.tolist()
+    size = size_of(width, height, reading, where)
+    values = tuple(float(value) for value in intrinsics)
+    if model == "eucm":
+        return Camera("EUCM", *size, (*values[2:], *values[:2]))
+    words = {"radtan": "OPENCV", "equidistant": "OPENCV_FISHEYE", "fov": "FOV", "none": "PINHOLE"}
+    if distortion == "radtan" and not any(coefficients):
+        return Camera("PINHOLE", *size, values)
+    return Camera(words[distortion], *size, (*values, *(float(value) for value in coefficients)))
+
+
+FORMAT = Format(
+    name="kalibr",
+    summary="Camera chain of Kalibr: intrinsics, distortion, resolution and T_cam_lidar.",
+    rank=40,
+    needs=ONLY_CAMERA,
+    direction="camera_from_lidar (T_cam_lidar)",
+    options=KalibrOptions,
+    recognises=recognises,
+    read=read,
+    write=write,
+)

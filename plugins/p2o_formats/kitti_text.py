@@ -1,0 +1,117 @@
+"""Read and write calibration files of KITTI: three layouts of the extrinsic, and cameras P0 to P3, K_0x, P_rect_0x.
+
+Source: Geiger et al., IJRR 2013, and the readmes of KITTI's development kits. All transforms map LiDAR coordinates to
+camera coordinates. p2o writes camera_from_lidar of the camera itself, in metres, row by row, with 17 digits. KITTI's
+own files contain the transform to camera 0 and projections P0 to P3, from which p2o composes camera_from_lidar =
+[I | K^-1 p4] R0_rect Tr_velo_to_cam.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Literal
+
+import numpy as np
+from p2o import Camera, Float, InputError, Options, field
+from p2o.reading import Calibration, Reading, Source
+
+from p2o_formats.camera_info import lens_from_matrix
+from p2o_formats.format import ONLY_EXTRINSIC, Format, size_of
+from p2o_formats.kitti_calibration import KittiCalibration, calibration_of, rectified_camera, rectified_extrinsic
+
+Layout = Literal["object", "raw", "odometry"]
+_LINE = re.compile(r"^(Tr_velo_to_cam|Tr_velo_cam|Tr|R|P[0-3]|P_rect_0[0-3]|K_0[0-3]):", re.MULTILINE)
+
+
+class KittiOptions(Options):
+    """Layout of the file."""
+
+    layout: Layout = field("object", help="Data set of KITTI whose layout the file has.")
+
+
+def calibration_text(camera_from_lidar: Float, layout: Layout) -> str:
+    """Return the lines "key: numbers" of a transform (4, 4) in a layout."""
+    rotation, translation, both = camera_from_lidar[:3, :3], camera_from_lidar[:3, 3], camera_from_lidar[:3]
+    layouts = {"object": {"R0_rect": np.eye(3), "Tr_velo_to_cam": both}, "raw": {"R": rotation, "T": translation}}
+    lines = layouts.get(layout, {"Tr": both})
+    return "".join(f"{key}: {' '.join(f'{v:.16e}' for v in values.ravel())}\n" for key, values in lines.items())
+
+
+def write(calibration: Calibration, options: KittiOptions) -> bytes:
+    """Return the text; the keys state the direction, because KITTI's readers do not accept comments."""
+    return calibration_text(calibration.extrinsic(), options.layout).encode()
+
+
+def recognises(source: Source) -> bool:
+    """Return whether the file contains a line "key: numbers" of KITTI."""
+    return _LINE.search(source.text) is not None and not source.text.startswith("%YAML")
+
+
+def read(source: Source, reading: Reading) -> Calibration:
+    """Return the camera that the reading names (P2, 02, 02-raw; default P2 or 02) and the extrinsic.
+
+    The camera is None if neither the file nor the reading gives its image size, which only calib_cam_to_cam.txt
+    contains. Raises InputError for invalid numbers, cameras and transforms.
+    """
+    lines = calibration_of("\n".join(source.lines) + "\n" * source.text.endswith("\n"), source.path)
+    number, raw = _camera_number(reading.name, source)
+    camera, lacks_size = None, False
+    projection = lines.projection(f"P{number}") if f"P{number}" in lines.lines else None
+    if f"P_rect_0{number}" in lines.lines or f"K_0{number}" in lines.lines:
+        camera = _raw_camera(lines, number, raw, reading, source)
+    elif projection is not None and reading.width is not None and reading.height is not None:
+        camera = rectified_camera(projection, reading.width, reading.height)
+    elif projection is not None:
+        lacks_size = True
+    elif reading.name:
+        raise InputError(f"there is no camera {reading.name!r}", where=source.path, expected="P0 to P3, 00 to 03")
+    return Calibration(camera, _extrinsic(lines, projection), lacks_image_size=lacks_size)
+
+
+def _camera_number(name: str, source: Source) -> tuple[int, bool]:
+    match = re.fullmatch(r"P?0?([0-3])(-raw)?", name or "P2")
+    if match is None:
+        expected = "FILE#P0 to P3, or 00 to 03, 02-raw"
+        raise InputError(f"there is no camera {name!r}", where=source.path, expected=expected, got=name)
+    return int(match[1]), match[2] is not None
+
+
+def _raw_camera(lines: KittiCalibration, number: int, raw: bool, reading: Reading, source: Source) -> Camera:
+    rectified = not raw and f"P_rect_0{number}" in lines.lines
+    size_key, matrix_key, d_key = f"S_{'rect_' * rectified}0{number}", f"K_0{number}", f"D_0{number}"
+    width, height = lines.size(size_key) if size_key in lines.lines else (None, None)
+    size = size_of(width, height, reading, source.path)
+    if rectified:
+        return rectified_camera(lines.projection(f"P_rect_0{number}"), *size)
+    matrix, d = lines.numbers(matrix_key, (3, 3)), lines.numbers(d_key, (5,))
+    return lens_from_matrix(matrix_key, matrix.tolist(), d_key, d.tolist(), "plumb_bob", size, source).camera()
+
+
+def _extrinsic(lines: KittiCalibration, projection: Float | None) -> Float | None:
+    known = lines.lines
+    velo = next((key for key in ("Tr_velo_to_cam", "Tr_velo_cam", "Tr") if key in known), None)
+    if velo is not None:
+        pose = lines.rigid_12(velo)
+        rectifying = next((key for key in ("R0_rect", "R_rect") if key in known), None)
+        if rectifying is not None and velo != "Tr":
+            pose = lines.rigid(rectifying) @ pose
+    elif {"R", "T"} <= known.keys():
+        return lines.rigid("R", "T")
+    else:
+        return None
+    return pose if projection is None else np.asarray(rectified_extrinsic(projection, pose))
+
+
+FORMAT = Format(
+    name="kitti",
+    summary="The extrinsic as text in the layout of KITTI's calibration files (Tr_velo_to_cam).",
+    rank=45,
+    cite="Geiger et al., IJRR 2013",
+    holds=ONLY_EXTRINSIC,
+    direction="camera_from_lidar (Tr_velo_to_cam)",
+    suffix=".txt",
+    options=KittiOptions,
+    recognises=recognises,
+    read=read,
+    write=write,
+)

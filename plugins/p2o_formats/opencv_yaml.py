@@ -1,0 +1,103 @@
+"""Read and write YAML of OpenCV's cv::FileStorage: camera_matrix, distortion_coefficients, camera_from_lidar.
+
+Source: cv::FileStorage ("%YAML:1.0", `!!opencv-matrix`) with the keys of OpenCV's calibration sample. OpenCV defines
+no key for a LiDAR; p2o writes `camera_from_lidar` (4, 4) and reads all keys of `frame_names`. Files of
+Autoware.AI's calibration toolkit are read, too: CameraMat, DistCoeff, ImageSize, and CameraExtrinsicMat, which is
+lidar_from_camera (its publisher uses it as the transform of the camera in the LiDAR's frame).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from p2o import InputError, Options
+from p2o.reading import Calibration, Reading, Source, digits, numbers, plain
+
+from p2o_formats.camera_entry import lens_of
+from p2o_formats.camera_info import lens_from_matrix
+from p2o_formats.format import Format, comment_lines, size_of
+from p2o_formats.frame_names import CAMERA_FROM_LIDAR, LIDAR_FROM_CAMERA, named_transform
+
+_MATRIX = ("camera_matrix", "CameraMat", "K", "cameraMatrix")
+_DISTORTION = ("distortion_coefficients", "DistCoeff", "D", "distCoeffs")
+_AUTOWARE_AI = "CameraExtrinsicMat"
+
+
+def write(calibration: Calibration, options: Options) -> bytes:
+    """Return the text with the available parts of the calibration."""
+    lines = ["%YAML:1.0", "---", *comment_lines(calibration)]
+    if calibration.camera is not None:
+        lens = lens_of(calibration.camera, "opencv")
+        lines += [
+            "# Pixels, centres at integers. equidistant is cv::fisheye.",
+            f"image_width: {lens.width}",
+            f"image_height: {lens.height}",
+            *_matrix("camera_matrix", lens.matrix),
+            f'distortion_model: "{lens.model}"',
+            *_matrix("distortion_coefficients", [[value] for value in lens.coefficients]),
+        ]
+    if calibration.camera_from_lidar is not None:
+        lines.append("# Maps points of the LiDAR to the camera (x right, y down, z forward), in metres.")
+        lines += _matrix("camera_from_lidar", calibration.camera_from_lidar)
+    return ("\n".join(lines) + "\n").encode()
+
+
+def _matrix(name: str, values: Any) -> list[str]:
+    array = np.asarray(values, dtype=np.float64)
+    rows, columns = array.shape
+    data = [digits(value) for value in plain(array)]
+    size = [f"   rows: {rows}", f"   cols: {columns}", "   dt: d"]
+    return [f"{name}: !!opencv-matrix", *size, f"   data: [ {', '.join(data)} ]"]
+
+
+def recognises(source: Source) -> bool:
+    """Return whether cv::FileStorage wrote the file and it contains a camera matrix or a transform."""
+    keys = (*_MATRIX, *CAMERA_FROM_LIDAR, *LIDAR_FROM_CAMERA, _AUTOWARE_AI)
+    return source.is_opencv and any(key in source.tree for key in keys)
+
+
+def read(source: Source, reading: Reading) -> Calibration:
+    """Return the camera and the transform of the file; raises InputError for invalid matrices."""
+    where = source.path
+    tree = {str(key): _array(str(key), value, source) for key, value in source.tree.items()}
+    pose, remarks = named_transform(tree, where)
+    if pose is None and _AUTOWARE_AI in tree:
+        pose, remarks = named_transform({"lidar_from_camera": tree[_AUTOWARE_AI]}, where)
+    camera = None
+    key = next((key for key in _MATRIX if key in tree), None)
+    if key is not None:
+        d_key = next((name for name in _DISTORTION if name in tree), _DISTORTION[0])
+        sizes = tree.get("ImageSize")
+        width, height = sizes if isinstance(sizes, list) and len(sizes) == 2 else (None, None)
+        size = size_of(tree.get("image_width", width), tree.get("image_height", height), reading, where)
+        model = tree.get("distortion_model", tree.get("DistModel"))
+        camera = lens_from_matrix(key, tree[key], d_key, tree.get(d_key), model, size, source).camera()
+    return Calibration(camera, pose, remarks=remarks)
+
+
+def _array(name: str, value: Any, source: Source) -> Any:
+    """Return the rows of an opencv-matrix, and every other value unchanged."""
+    if not (isinstance(value, Mapping) and {"rows", "cols", "data"} <= value.keys()):
+        return value
+    rows, columns, data = value["rows"], value["cols"], value["data"]
+    typed = isinstance(rows, int) and isinstance(columns, int) and isinstance(data, list)
+    if not typed or rows * columns != len(data):
+        fault = f"the matrix {name} does not have the stated size"
+        got = len(data) if isinstance(data, list) else type(data).__name__
+        raise InputError(fault, where=source.path, expected=f"{rows}x{columns} numbers"[:40], got=got)
+    if numbers(data, (len(data),)) is None and data:
+        raise InputError(f"the matrix {name} is not finite", where=source.path, got=str(data)[:60])
+    return [data[start : start + columns] for start in range(0, len(data), columns)] if columns > 0 else []
+
+
+FORMAT = Format(
+    name="opencv",
+    summary="YAML of OpenCV's FileStorage: camera_matrix, distortion_coefficients, camera_from_lidar.",
+    rank=15,
+    direction="camera_from_lidar",
+    recognises=recognises,
+    read=read,
+    write=write,
+)

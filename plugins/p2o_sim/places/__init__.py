@@ -1,0 +1,1 @@
+"""Kinds of scenes, drawn at random: streets, roads, yards, halls and rooms."""

@@ -1,0 +1,1 @@
+"""Simulated sensors and their motion: LiDARs, cameras, weather, trajectories and rigs."""

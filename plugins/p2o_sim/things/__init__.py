@@ -1,0 +1,1 @@
+"""Things of a scene: houses, furniture, vehicles, people, plants and calibration targets."""

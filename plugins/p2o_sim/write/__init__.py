@@ -1,0 +1,1 @@
+"""Write simulated frames in the layouts of data sets."""

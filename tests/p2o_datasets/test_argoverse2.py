@@ -1,0 +1,223 @@
+"""Argoverse 2: true projections while the car moves, both LiDARs, and bad input in one line."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from p2o import InputError, UnknownNameError, se3
+from p2o.cli import main
+from p2o.frames.frame import LazyFrames
+from p2o_datasets.argoverse2 import CAMERAS, Argoverse2Options, build
+
+from .argoverse2_files import BEAMS_DEG, EGO_FROM, FOCAL, LOG, START_NS, Log, measured, save, seconds
+from .drive import SPEED_M_S, TURN_RAD_S, car, pixels, through
+
+
+def dataset(root: Path, **options: Any) -> LazyFrames:
+    found = build(Argoverse2Options(root=root, **options))
+    assert isinstance(found, LazyFrames)
+    return found
+
+
+def test_each_sweep_has_the_nearest_image_of_each_camera(tmp_path: Path) -> None:
+    found = dataset(Log(tmp_path).write(), cameras="ring_front_center,ring_rear_left")
+    times = [START_NS + 7_000_000 + number * 100_000_000 for number in range(3)]
+    assert found.names == tuple(
+        f"{LOG}/{camera}/{time}" for camera in ("ring_front_center", "ring_rear_left") for time in times
+    )
+    frame = found[4]
+    assert (frame.camera_name, frame.sequence, frame.time_s) == ("ring_rear_left", LOG, 0.107)
+    assert frame.camera.model == "PINHOLE"
+    assert (frame.camera.width, frame.camera.height, *frame.camera.params) == (41, 31, FOCAL, FOCAL, 20.3, 15.4)
+    assert np.abs(frame.image.rgb.astype(int) - 80).max() <= 2
+    assert frame.warnings == ()
+    assert len(dataset(tmp_path, between=True)) == 5
+
+
+@pytest.mark.parametrize("camera", ["ring_front_center", "ring_rear_left"])
+@pytest.mark.parametrize("lidar", ["up_lidar", "down_lidar", "both"])
+def test_points_are_seen_where_the_data_set_itself_projects_them(tmp_path: Path, camera: str, lidar: str) -> None:
+    log = Log(tmp_path)
+    found = dataset(log.write(), cameras=camera, lidar=lidar, between=True)
+    for frame in found:
+        image_ns = int(frame.name.rpartition("/")[2])
+        sweep_ns = min(log.sweeps, key=lambda time: abs(time - image_ns))
+        stored = log.sweep(sweep_ns)
+        used = {"up_lidar": stored["laser_number"] < 32, "down_lidar": stored["laser_number"] >= 32}.get(lidar, ...)
+        ego = np.column_stack([stored[axis][used].astype(float) for axis in "xyz"])
+        # The public code: from the car then to the city, to the car now, to the camera.
+        car_now_from_then = np.linalg.inv(car(seconds(image_ns))) @ car(seconds(sweep_ns))
+        optical = through(np.linalg.inv(EGO_FROM[camera]) @ car_now_from_then, ego)
+        expected = pixels(optical, FOCAL, FOCAL, *found[0].camera.params[2:])
+        assert frame.camera_from_lidar is not None
+        seen = frame.camera.project(se3.apply(frame.camera_from_lidar, frame.cloud.xyz))
+        inside = frame.camera.in_image(expected)
+        assert inside.sum() > 50
+        assert np.abs(seen - expected)[inside].max() < 1e-6
+
+
+@pytest.mark.parametrize(("lidar", "low_is_up"), [("up_lidar", True), ("down_lidar", True), ("up_lidar", False)])
+def test_rings_tell_which_lasers_are_of_which_lidar(tmp_path: Path, lidar: str, low_is_up: bool) -> None:
+    frame = dataset(Log(tmp_path, low_is_up=low_is_up).write(), lidar=lidar)[1]
+    assert frame.cloud.ring is not None
+    first = 0 if (lidar == "up_lidar") == low_is_up else 32
+    assert np.unique(frame.cloud.ring).tolist() == list(range(first, first + 32))
+    assert np.allclose(frame.camera_from_lidar, np.linalg.inv(EGO_FROM["ring_front_center"]) @ EGO_FROM[lidar])
+
+
+def test_the_sweep_can_be_taken_back_to_what_the_lidar_measured(tmp_path: Path) -> None:
+    frame = dataset(Log(tmp_path, dtype=np.float32).write())[1]
+    cloud = frame.cloud
+    points, beam, offset_ns = measured("up_lidar", 0)
+    assert cloud.time_s is not None
+    assert np.abs(cloud.time_s - (offset_ns * 1e-9 - 0.007)).max() < 1e-9
+    assert np.abs(cloud.as_measured() - points).max() < 1e-3
+    x, y, z = cloud.as_measured().T
+    assert np.abs(np.degrees(np.arctan2(z, np.hypot(x, y))) - BEAMS_DEG[beam]).max() < 0.01
+    assert frame.twist is not None
+    assert abs(np.linalg.norm(frame.twist[3:]) - np.hypot(SPEED_M_S, 0.2)) < 0.5
+    assert abs(np.linalg.norm(frame.twist[:3]) - TURN_RAD_S) < 1e-6
+
+
+def test_a_sweep_may_stay_where_it_was(tmp_path: Path) -> None:
+    log = Log(tmp_path, dtype=np.float32)
+    frame = dataset(log.write(), moved=False)[1]
+    stored = log.sweep(log.sweeps[1])
+    low = stored["laser_number"] < 32
+    ego = np.column_stack([stored[axis][low].astype(float) for axis in "xyz"])
+    assert np.abs(through(EGO_FROM["up_lidar"], frame.cloud.xyz) - ego).max() < 1e-5
+    assert np.abs(frame.cloud.as_measured() - measured("up_lidar", 0)[0]).max() < 1e-3
+
+
+def test_the_pose_of_the_lidar_is_that_of_the_image(tmp_path: Path) -> None:
+    frame = dataset(Log(tmp_path).write())[2]
+    image_ns = int(frame.name.rpartition("/")[2])
+    assert np.allclose(frame.lidar_world_from_lidar, car(seconds(image_ns)) @ EGO_FROM["up_lidar"])
+
+
+def test_another_mounting_of_the_camera_changes_nothing_but_the_truth(tmp_path: Path) -> None:
+    honest = dataset(Log(tmp_path / "a").write())[0]
+    lying = Log(tmp_path / "b")
+    lying.mountings["tx_m"][0] += 1
+    frame = dataset(lying.write())[0]
+    assert not np.allclose(frame.camera_from_lidar, honest.camera_from_lidar)
+    assert np.array_equal(frame.cloud.xyz, honest.cloud.xyz)
+    assert np.array_equal(frame.lidar_world_from_lidar, honest.lidar_world_from_lidar)
+
+
+def test_one_log_or_a_folder_of_them_is_read(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        Log(tmp_path / "val", name).write()
+    assert len(dataset(tmp_path / "val")) == 6
+    assert len(dataset(tmp_path / "val", logs="b")) == 3
+    assert dataset(tmp_path / "val" / "b").names == dataset(tmp_path / "val", logs=["b"]).names
+    with pytest.raises(UnknownNameError, match="unknown log 'c'"):
+        dataset(tmp_path / "val", logs="c")
+    with pytest.raises(InputError, match=r"there are no logs of Argoverse 2.*give the folder of logs: .*val"):
+        dataset(tmp_path)
+
+
+def test_names_that_are_not_there_are_told_the_nearest(tmp_path: Path) -> None:
+    root = Log(tmp_path).write()
+    with pytest.raises(UnknownNameError, match="did you mean ring_front_center"):
+        dataset(root, cameras="ring_front_centre")
+    with pytest.raises(UnknownNameError, match="unknown frame"):
+        dataset(root).frame("nothing")
+    with pytest.raises(InputError, match="no Argoverse 2 frames"):
+        dataset(root, cameras="stereo_front_left")
+    assert len(dataset(root, cameras="all")) == 6
+    assert len(CAMERAS) == 9
+
+
+def test_rings_that_do_not_tell_the_lidar_leave_a_remark(tmp_path: Path) -> None:
+    log = Log(tmp_path)
+    for name in ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m"):
+        log.mountings[name][3] = log.mountings[name][2]
+    assert "rings do not show which LiDAR has lasers 0 to 31" in dataset(log.write())[0].warnings[0]
+
+
+def test_sweeps_without_poses_are_one_line(tmp_path: Path) -> None:
+    log = Log(tmp_path)
+    log.poses = {name: values[:1] for name, values in log.poses.items()}
+    with pytest.raises(InputError, match="there is no pose of the vehicle near") as caught:
+        dataset(log.write())[0]
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("table", "change", "words"),
+    [
+        ("city_SE3_egovehicle.feather", {"qw": None}, "the table of poses lacks a column; expected qw"),
+        ("city_SE3_egovehicle.feather", {"timestamp_ns": ["a"] * 9}, "column timestamp_ns has another type"),
+        ("city_SE3_egovehicle.feather", {"qw": [9.0] * 9}, "the pose of row 0 is invalid"),
+        ("city_SE3_egovehicle.feather", {"tx_m": [None, *[0.0] * 8]}, "column tx_m has empty cells"),
+        ("calibration/egovehicle_SE3_sensor.feather", {"qw": [np.nan] * 4}, "the pose of ring_front_center is invalid"),
+        ("calibration/egovehicle_SE3_sensor.feather", {"sensor_name": list("abcd")}, "a sensor has no extrinsic"),
+        ("calibration/intrinsics.feather", {"sensor_name": ["a", "b"]}, "a camera has no intrinsics"),
+        ("calibration/intrinsics.feather", {"fx_px": [0.0, 0.0]}, "the focal length is not positive"),
+        ("calibration/intrinsics.feather", {"width_px": [32, 32]}, "does not fit the camera"),
+        ("calibration/intrinsics.feather", {"width_px": [np.nan, 31]}, "the camera parameters are not numbers"),
+        (f"sensors/lidar/{START_NS}.feather", {"laser_number": None}, "the sweep lacks a column"),
+        (f"sensors/lidar/{START_NS}.feather", {"x": [np.nan] * 5760}, "the cloud has no valid point"),
+        (f"sensors/lidar/{START_NS}.feather", {"laser_number": [40] * 5760}, "has no points of up_lidar"),
+    ],
+)
+def test_wrong_tables_are_one_line_that_names_the_file(tmp_path: Path, table: str, change: Any, words: str) -> None:
+    log = Log(tmp_path)
+    root = log.write()
+    content = {
+        "city_SE3_egovehicle.feather": log.poses,
+        "calibration/egovehicle_SE3_sensor.feather": log.mountings,
+        "calibration/intrinsics.feather": log.intrinsics,
+    }.get(table, log.sweep(START_NS))
+    save(log.folder / table, {name: value for name, value in {**content, **change}.items() if value is not None})
+    with pytest.raises(InputError, match=words) as caught:
+        dataset(root, lidar="up_lidar")[0]
+    assert "\n" not in str(caught.value)
+    assert log.folder.name in str(caught.value)
+
+
+@pytest.mark.parametrize("left", [0, 1, 100, -200])
+@pytest.mark.parametrize("table", ["city_SE3_egovehicle.feather", f"sensors/lidar/{START_NS}.feather"])
+def test_tables_that_are_cut_off_are_refused(tmp_path: Path, table: str, left: int) -> None:
+    log = Log(tmp_path)
+    root = log.write()
+    path = log.folder / table
+    path.write_bytes(path.read_bytes()[:left])
+    with pytest.raises(InputError, match=r"is not a table of Arrow, or is damaged|is empty"):
+        dataset(root)[0]
+
+
+def test_a_missing_table_and_a_missing_folder_are_one_line_and_status_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = Log(tmp_path / "data")
+    root = log.write()
+    (log.folder / "calibration/intrinsics.feather").unlink()
+    assert main(["data", "check", f"argoverse2:{tmp_path / 'gone'}"]) == 2
+    assert "the folder of Argoverse 2 is missing" in capsys.readouterr().err
+    assert main(["data", "check", f"argoverse2:{root}"]) == 2
+    said = capsys.readouterr()
+    assert "the table of intrinsics is missing" in said.out + said.err
+
+
+def test_without_pyarrow_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = dataset(Log(tmp_path).write())
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(InputError, match=r'needs pyarrow, which is not installed.*pip install "p2o-calib\[arrow\]"'):
+        found[0]
+
+
+def test_every_frame_is_good_for_data_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root = Log(tmp_path).write()
+    words = ["--set", "data.cameras=ring_front_center,ring_rear_left"]
+    assert main(["data", "check", f"argoverse2:{root}", *words]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "6 of 6 frames are good"
+
+
+def test_the_dataset_keeps_the_contract_of_its_slot(tmp_path: Path) -> None:
+    assert main(["check-plugin", "argoverse2", "--set", f"data.root={Log(tmp_path).write()}"]) == 0

@@ -1,0 +1,118 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from p2o import InputError
+from p2o_datasets.cloud_file import read_cloud
+
+NAMES = ("x", "y", "z", "intensity", "ring", "time")
+
+
+def rows(columns: int, count: int = 240, *, seed: int = 3) -> np.ndarray:
+    """Return points all around with whole intensities, as nuScenes has them, rings, and times of one turn."""
+    rng = np.random.default_rng(seed)
+    return np.column_stack(
+        [
+            rng.uniform(-40, 40, (count, 2)),
+            rng.uniform(-2, 6, count),
+            rng.integers(0, 256, count),
+            np.arange(count) % 32,
+            np.linspace(0, 0.1, count),
+        ]
+    ).astype("<f4")[:, :columns]
+
+
+def write(path: Path, values: np.ndarray) -> Path:
+    values.tofile(path)
+    return path
+
+
+@pytest.mark.parametrize("columns", [4, 5, 6])
+@pytest.mark.parametrize("count", range(240, 252))
+def test_values_tell_how_long_rows_are_whatever_the_size(tmp_path: Path, columns: int, count: int) -> None:
+    written = rows(columns, count)
+    cloud, warnings = read_cloud(write(tmp_path / "a.pcd.bin", written))
+    assert np.array_equal(cloud.xyz, written[:, :3])
+    assert np.array_equal(cloud.intensity, written[:, 3])
+    assert (cloud.ring is None) == (columns < 5)
+    assert (cloud.time_s is None) == (columns < 6)
+    if columns == 6:
+        assert np.array_equal(cloud.ring, written[:, 4])
+        assert np.array_equal(cloud.time_s, written[:, 5])
+    assert warnings == ()
+
+
+@pytest.mark.parametrize("columns", [4, 5, 6])
+def test_the_order_of_the_points_does_not_matter(tmp_path: Path, columns: int) -> None:
+    written = np.random.default_rng(0).permutation(rows(columns))
+    assert np.array_equal(read_cloud(write(tmp_path / "a.bin", written))[0].xyz, written[:, :3])
+
+
+def test_rows_of_missing_returns_are_dropped_and_do_not_hide_the_columns(tmp_path: Path) -> None:
+    written = rows(5)
+    written[7:20] = np.nan
+    cloud, warnings = read_cloud(write(tmp_path / "a.bin", written))
+    assert np.array_equal(cloud.ring, np.delete(written, np.s_[7:20], axis=0)[:, 4])
+    assert warnings == ("a.bin: 13 of 240 points dropped: NaN or infinite",)
+
+
+@pytest.mark.parametrize("columns", [4, 5, 6])
+@pytest.mark.parametrize("missing", [1, 2, 3])
+def test_a_file_cut_inside_a_row_is_not_read_by_another_length(tmp_path: Path, columns: int, missing: int) -> None:
+    path = write(tmp_path / "a.bin", rows(columns).ravel()[:-missing])
+    with pytest.raises(InputError, match=rf"a\.bin: the point cloud is truncated; expected .* {4 * columns} bytes"):
+        read_cloud(path)
+
+
+def test_what_fits_several_ways_is_refused_and_the_option_settles_it(tmp_path: Path) -> None:
+    # Whole numbers that are never negative break no rule in any reading.
+    written = np.abs(np.floor(rows(4)))
+    path = write(tmp_path / "a.bin", written)
+    with pytest.raises(InputError, match=r"ambiguous; .*got rows of 3 or 4 or 5 or 6 fit; .*cloud_columns: \[x, y"):
+        read_cloud(path)
+    cloud, _ = read_cloud(path, columns=("x", "y", "z", "intensity"))
+    assert np.array_equal(cloud.xyz, written[:, :3])
+
+
+@pytest.mark.parametrize(
+    "columns", [("x", "y", "z"), ("x", "y", "z", "intensity", "time"), ("time", "z", "y", "_", "x", "_", "ring")]
+)
+def test_columns_that_are_none_of_the_known_have_to_be_named(tmp_path: Path, columns: tuple[str, ...]) -> None:
+    known = rows(6)
+    written = np.column_stack([known[:, NAMES.index(n)] if n != "_" else -known[:, 5] for n in columns])
+    path = write(tmp_path / "a.bin", written)
+    with pytest.raises(InputError, match=r"a\.bin: .*'cloud_columns: \[x, y, z, intensity, ring\]'"):
+        read_cloud(path)
+    cloud, warnings = read_cloud(path, columns=columns)
+    assert np.array_equal(cloud.xyz, known[:, :3])
+    assert (cloud.time_s is not None) == ("time" in columns)
+    assert (cloud.ring is not None) == ("ring" in columns)
+    assert warnings == ()
+
+
+@pytest.mark.parametrize(
+    "columns", [("x", "y"), ("x", "y", "z", "z"), ("x", "y", "z", "colour"), (), ("x", "y", "z", *"_" * 80)]
+)
+def test_wrong_names_of_columns_are_refused(tmp_path: Path, columns: tuple[str, ...]) -> None:
+    with pytest.raises(InputError, match=r"a\.bin: wrong cloud_columns; expected x y z once each"):
+        read_cloud(write(tmp_path / "a.bin", rows(4)), columns=columns)
+
+
+def test_columns_of_a_file_that_names_its_own_are_refused(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", xyz=np.ones((3, 3)))
+    with pytest.raises(InputError, match=r"a\.npz: cloud_columns given for a file with named columns; .*\.bin"):
+        read_cloud(tmp_path / "a.npz", columns=("x", "y", "z"))
+
+
+def test_text_has_the_columns_of_its_first_line(tmp_path: Path) -> None:
+    written = rows(6)
+    np.savetxt(tmp_path / "a.txt", written, fmt="%.9g")
+    cloud, _ = read_cloud(tmp_path / "a.txt")
+    assert np.array_equal(cloud.ring, written[:, 4])
+    assert np.array_equal(cloud.time_s.astype("<f4"), written[:, 5])
+    np.savetxt(tmp_path / "a.txt", written[:, :3], fmt="%.9g")
+    with pytest.raises(InputError, match=r"other columns; expected 4 numbers per line; got 3 numbers"):
+        read_cloud(tmp_path / "a.txt")
+    assert len(read_cloud(tmp_path / "a.txt", columns=("x", "y", "z"))[0]) == len(written)

@@ -1,0 +1,240 @@
+"""KITTI-360: raw sweeps are seen where its own scripts project them, in rectified and fisheye cameras; bad input."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from p2o import InputError, UnknownNameError, se3
+from p2o.cli import main
+from p2o.frames.frame import LazyFrames
+from p2o_datasets.kitti_360 import Kitti360Options, build
+
+from .drive import SPEED_M_S, pixels, through
+from .kitti_360_files import (
+    BODY_FROM,
+    DRIVE,
+    FISHEYE_SIZE,
+    MEI,
+    P_RECT,
+    R_RECT,
+    SIZE,
+    TURN_S,
+    VELO_FROM_CAM0,
+    Drive,
+    lidar,
+    measured,
+)
+
+
+def dataset(root: Path, **options: Any) -> LazyFrames:
+    found = build(Kitti360Options(root=root, **options))
+    assert isinstance(found, LazyFrames)
+    return found
+
+
+def mei_pixels(points: Any) -> Any:
+    """Return where the unified model (its published formulas, with p1 and p2) has points of the optical frame."""
+    sphere = points / np.sqrt((points**2).sum(axis=1))[:, None]
+    x, y = sphere[:, 0] / (sphere[:, 2] + MEI["xi"]), sphere[:, 1] / (sphere[:, 2] + MEI["xi"])
+    rho2 = x**2 + y**2
+    grown = MEI["k1"] * rho2 + MEI["k2"] * rho2**2
+    dx = x * grown + 2 * MEI["p1"] * x * y + MEI["p2"] * (rho2 + 2 * x**2)
+    dy = y * grown + 2 * MEI["p2"] * x * y + MEI["p1"] * (rho2 + 2 * y**2)
+    uv = np.column_stack([MEI["gamma1"] * (x + dx) + MEI["u0"], MEI["gamma2"] * (y + dy) + MEI["v0"]])
+    return np.where(points[:, 2:] > 0.1, uv, np.nan)
+
+
+def expected_pixels(camera: str, frame: int) -> Any:
+    """Return where a camera sees what the sweep of a frame measured, each return at its own time."""
+    points, azimuth = measured()
+    world = np.empty_like(points, dtype=float)
+    for angle in np.unique(azimuth):
+        at = azimuth == angle
+        # The scanner turns clockwise: what lies left of straight ahead was measured before.
+        world[at] = through(lidar(frame - angle / (2 * np.pi)), points[at].astype(float))
+    cam0 = through(np.linalg.inv(VELO_FROM_CAM0) @ np.linalg.inv(lidar(frame)), world)
+    optical = through(np.linalg.inv(BODY_FROM[camera]) @ BODY_FROM["image_00"], cam0)
+    if camera in ("image_02", "image_03"):
+        return mei_pixels(optical)
+    focal, u, v, _ = P_RECT[camera[-2:]]
+    return pixels(optical @ R_RECT[camera[-2:]].T, focal, focal, u, v)
+
+
+def test_images_have_the_sweeps_of_their_numbers(tmp_path: Path) -> None:
+    found = dataset(Drive(tmp_path).write(), cameras="all")
+    assert found.names == tuple(f"{DRIVE}/image_0{camera}/{frame:010d}" for camera in range(4) for frame in (3, 4, 5))
+    frame = found[2]
+    assert (frame.camera_name, frame.sequence, round(frame.time_s or 0, 6)) == ("image_00", DRIVE, round(5 * TURN_S, 6))
+    assert (frame.camera.model, frame.camera.width, frame.camera.height) == ("PINHOLE", *SIZE)
+    assert (found[9].camera.width, found[9].camera.height) == FISHEYE_SIZE
+    assert frame.warnings == ()
+    assert frame.cloud.ring is not None
+    assert np.bincount(frame.cloud.ring).tolist() == [100] * 64
+
+
+@pytest.mark.parametrize("camera", ["image_00", "image_01", "image_02", "image_03"])
+def test_points_are_seen_where_the_data_set_itself_projects_them(tmp_path: Path, camera: str) -> None:
+    for frame in dataset(Drive(tmp_path).write(), cameras=camera):
+        expected = expected_pixels(camera, int(frame.name[-10:]))
+        assert frame.camera_from_lidar is not None
+        seen = frame.camera.project(se3.apply(frame.camera_from_lidar, frame.cloud.xyz))
+        inside = frame.camera.in_image(expected)
+        assert inside.sum() > 300
+        assert np.abs(seen - expected)[inside].max() < 0.02
+
+
+def test_pose_and_velocity_of_the_lidar_come_from_the_poses_of_the_car(tmp_path: Path) -> None:
+    frame = dataset(Drive(tmp_path).write())[2]
+    assert np.abs(frame.lidar_world_from_lidar - lidar(5)).max() < 1e-6
+    assert frame.twist is not None
+    step = np.linalg.inv(lidar(5)) @ lidar(5.001)
+    assert np.abs(frame.twist - se3.log(step) / (0.001 * TURN_S)).max() < 1e-4
+    assert abs(np.linalg.norm(frame.twist[3:]) - SPEED_M_S) < 1
+    assert np.abs(frame.cloud.as_measured() - measured()[0]).max() < 1e-4
+
+
+def test_without_poses_the_sweep_stays_raw_and_says_so(tmp_path: Path) -> None:
+    drive = Drive(tmp_path)
+    del drive.texts[f"data_poses/{DRIVE}/poses.txt"]
+    frame = dataset(drive.write())[0]
+    assert frame.twist is None
+    assert frame.lidar_world_from_lidar is None
+    assert "the sweep is raw" in frame.warnings[0]
+    assert frame.cloud.time_s is not None
+    assert np.array_equal(frame.cloud.xyz, measured()[0])
+    Drive(tmp_path).write()
+    frame = dataset(tmp_path, deskew=False)[0]
+    assert frame.twist is not None
+    assert np.array_equal(frame.cloud.xyz, measured()[0])
+
+
+def test_a_frame_far_from_all_poses_is_told_and_read(tmp_path: Path) -> None:
+    drive = Drive(tmp_path)
+    first, *_ = drive.texts[f"data_poses/{DRIVE}/poses.txt"].splitlines()
+    drive.texts[f"data_poses/{DRIVE}/poses.txt"] = first + "\n"
+    frame = dataset(drive.write())[2]
+    assert frame.twist is None
+    assert "there is no pose of the vehicle near the requested time (the nearest is 0.414 s away)" in frame.warnings[0]
+
+
+def test_stamps_that_are_lost_are_counted_in_turns(tmp_path: Path) -> None:
+    drive = Drive(tmp_path)
+    name = f"data_3d_raw/{DRIVE}/velodyne_points/timestamps.txt"
+    lines = drive.texts[name].splitlines()
+    lines[4] = ""
+    drive.texts[name] = "\n".join(lines) + "\n"
+    frame = dataset(drive.write())[1]
+    assert np.abs(frame.lidar_world_from_lidar - lidar(4)).max() < 1e-6
+    (tmp_path / name).unlink()
+    assert dataset(tmp_path)[1].time_s == 0.4
+
+
+def test_the_delay_of_the_image_moves_times_and_pose(tmp_path: Path) -> None:
+    frame = dataset(Drive(tmp_path).write(), image_delay_s=0.01)[0]
+    assert np.abs(frame.lidar_world_from_lidar - lidar(3 + 0.01 / TURN_S)).max() < 1e-6
+    assert frame.cloud.time_s is not None
+    assert np.abs(frame.cloud.time_s - (-measured()[1] / (2 * np.pi) * TURN_S - 0.01)).max() < 1e-6
+
+
+def test_another_mounting_of_a_fisheye_changes_nothing_but_its_truth(tmp_path: Path) -> None:
+    honest = dataset(Drive(tmp_path / "a").write(), cameras="image_02")[0]
+    lying = Drive(tmp_path / "b")
+    name = "calibration/calib_cam_to_pose.txt"
+    lying.texts[name] = lying.texts[name].replace("image_03", "image_9").replace("image_02", "image_03")
+    lying.texts[name] = lying.texts[name].replace("image_9", "image_02")
+    frame = dataset(lying.write(), cameras="image_02")[0]
+    assert not np.allclose(frame.camera_from_lidar, honest.camera_from_lidar)
+    assert np.array_equal(frame.cloud.xyz, honest.cloud.xyz)
+    assert np.array_equal(frame.lidar_world_from_lidar, honest.lidar_world_from_lidar)
+
+
+def test_names_that_are_not_there_are_told_the_nearest(tmp_path: Path) -> None:
+    root = Drive(tmp_path).write()
+    with pytest.raises(UnknownNameError, match="did you mean image_0"):
+        dataset(root, cameras="image_04")
+    with pytest.raises(UnknownNameError, match=f"did you mean {DRIVE}"):
+        dataset(root, sequences="2013_05_28_drive_0002_sync")
+    (tmp_path / f"data_3d_raw/{DRIVE}/velodyne_points/data/0000000004.bin").unlink()
+    found = dataset(root, sequences=DRIVE)
+    assert len(found) == 2
+    with pytest.raises(InputError, match=r"is left out.*0000000004.bin is missing"):
+        found.frame(f"{DRIVE}/image_00/0000000004")
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "words"),
+    [
+        ("calibration/perspective.txt", "P_rect_00", "P_rect_09", "unknown key 'P_rect_00'"),
+        ("calibration/perspective.txt", f"S_rect_00: {SIZE[0]:e}", "S_rect_00: 1.3e+02", "does not fit the camera"),
+        (
+            "calibration/perspective.txt",
+            "P_rect_00: 55.0",
+            "P_rect_00: x",
+            "P_rect_00 does not contain 12 finite numbers",
+        ),
+        ("calibration/calib_cam_to_velo.txt", " ", " x ", "Tr does not contain 12 finite numbers"),
+        ("calibration/calib_cam_to_pose.txt", "image_00", "image_0", "unknown key 'image_00'"),
+        (f"data_poses/{DRIVE}/poses.txt", "1 5", "1.5 5", "line 1 of the file of poses is not a pose"),
+        (f"data_poses/{DRIVE}/poses.txt", "1 5.7", "1 9.7", "the rotation of the pose of frame 1"),
+        (f"data_poses/{DRIVE}/poses.txt", "\n", " 7\n", "line 1 of the file of poses is not a pose"),
+        (f"data_3d_raw/{DRIVE}/velodyne_points/timestamps.txt", "2013", "now", "a line is not a time"),
+    ],
+)
+def test_wrong_files_are_one_line_that_names_them(tmp_path: Path, file: str, old: str, new: str, words: str) -> None:
+    drive = Drive(tmp_path)
+    assert old in drive.texts[file]
+    drive.texts[file] = drive.texts[file].replace(old, new)
+    with pytest.raises(InputError, match=words) as caught:
+        dataset(drive.write())[0]
+    assert "\n" not in str(caught.value)
+    if "size" not in str(caught.value):
+        assert Path(file).name in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("MEI", "PINHOLE", "not a fisheye of the unified model"),
+        ("   xi: ", "   yi: ", "mirror_parameters.xi is not a number"),
+        ("   xi: ", "   xi: -", "the mirror parameter of the camera is invalid"),
+        (f"image_width: {FISHEYE_SIZE[0]}", "image_width: 139", "the image size does not fit the camera"),
+        ("   gamma1: ", "   gamma1: -", "the focal length is not positive"),
+        (f"   k1: {MEI['k1']:.16e}", "   k1: -90.0", "no camera model fits the fisheye lens"),
+        ("model_type", "model_type: !!python/object:os.system\nx", "contains objects, which are not supported"),
+    ],
+)
+def test_a_fisheye_that_is_none_is_one_line(tmp_path: Path, old: str, new: str, words: str) -> None:
+    drive = Drive(tmp_path)
+    text = drive.texts["calibration/image_02.yaml"]
+    assert old in text
+    drive.texts["calibration/image_02.yaml"] = text.replace(old, new, 1)
+    with pytest.raises(InputError, match=words) as caught:
+        dataset(drive.write(), cameras="image_02")[0]
+    assert "\n" not in str(caught.value)
+
+
+def test_folders_that_are_none_are_one_line_and_status_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "bare/data_2d_raw" / DRIVE).mkdir(parents=True)
+    for folder, words in (
+        ("gone", "the folder of KITTI-360 is missing"),
+        ("empty", "there are no drives of KITTI-360"),
+        ("bare", "no KITTI-360 frames"),
+    ):
+        assert main(["data", "check", f"kitti-360:{tmp_path / folder}"]) == 2
+        said = capsys.readouterr().err.strip()
+        assert words in said
+        assert "\n" not in said
+
+
+def test_every_frame_is_good_for_data_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root = Drive(tmp_path).write()
+    assert main(["data", "check", f"kitti-360:{root}", "--set", "data.cameras=all"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "12 of 12 frames are good"
+
+
+def test_the_dataset_keeps_the_contract_of_its_slot(tmp_path: Path) -> None:
+    assert main(["check-plugin", "kitti-360", "--set", f"data.root={Drive(tmp_path).write()}"]) == 0

@@ -1,0 +1,123 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from p2o import InputError, UnknownNameError, se3
+from p2o.frames.frame import LazyFrames
+from p2o_datasets.kitti_object import KittiObjectOptions, build
+
+from .kitti_files import PROJECTIONS, R_RECT, VELO_TO_CAM, numbers, write_image, write_lines, write_sweep
+
+
+def calib(**changes: object) -> dict[str, object]:
+    return {
+        **{f"P{number}": numbers(projection) for number, projection in PROJECTIONS.items()},
+        "R0_rect": numbers(R_RECT[:3, :3]),
+        "Tr_velo_to_cam": numbers(VELO_TO_CAM[:3]),
+        **changes,
+    }
+
+
+def write_frame(folder: Path, name: str, **changes: object) -> np.ndarray:
+    write_lines(folder / f"calib/{name}.txt", calib(**changes))
+    write_sweep(folder / f"velodyne/{name}.bin")
+    return write_image(folder / f"image_2/{name}.png", seed=int(name))
+
+
+def dataset(root: Path, **options: object) -> LazyFrames:
+    found = build(KittiObjectOptions(root=root, **options))
+    assert isinstance(found, LazyFrames)
+    return found
+
+
+def test_the_root_holds_training_or_is_it(tmp_path: Path) -> None:
+    for name in ("000010", "000002"):
+        write_frame(tmp_path / "training", name)
+    assert dataset(tmp_path).names == dataset(tmp_path / "training").names == ("000002", "000010")
+
+
+def test_every_frame_has_its_own_calibration(tmp_path: Path) -> None:
+    write_frame(tmp_path, "000000")
+    other = PROJECTIONS[2].copy()
+    other[0, 0] = other[1, 1] = 44.0
+    pixels = write_frame(tmp_path, "000001", P2=numbers(other))
+    first, second = dataset(tmp_path)
+    assert (first.camera.params[0], second.camera.params[0]) == (50, 44)
+    assert np.array_equal(second.image.rgb, pixels)
+    offset = np.linalg.solve(other[:, :3], other[:, 3])
+    assert np.allclose(second.camera_from_lidar, se3.make(translation=offset) @ R_RECT @ VELO_TO_CAM, atol=1e-11)
+    assert second.cloud.ring.max() == 63
+    # From the moment of the picture, 4 ms after straight ahead.
+    assert np.ptp(second.cloud.time_s) == pytest.approx(0.1, abs=2e-3)
+    assert second.cloud.time_s.min() == pytest.approx(-0.054, abs=1e-3)
+
+
+def test_the_right_picture_is_read_where_present(tmp_path: Path) -> None:
+    write_frame(tmp_path, "000000")
+    assert dataset(tmp_path)[0].image.right is None
+    right = write_image(tmp_path / "image_3/000000.png", seed=9)
+    image = dataset(tmp_path)[0].image
+    assert np.array_equal(image.right, right)
+    assert image.baseline_m == pytest.approx(0.54)
+    assert dataset(tmp_path, right=False)[0].image.right is None
+
+
+def test_pykitti_compat_and_elevation_fix_have_their_effect(tmp_path: Path) -> None:
+    write_frame(tmp_path, "000000")
+    exact, changed = dataset(tmp_path)[0], dataset(tmp_path, pykitti_compat=True, elevation_fix_deg=0.2)[0]
+    between = exact.camera_from_lidar[:3, 3] - changed.camera_from_lidar[:3, 3]
+    assert np.allclose(between, [-31 * 0.003 / 50, (0.2 - 15.5 * 0.003) / 50, 0.003], atol=1e-11)
+    assert (changed.cloud.xyz[:, 2] - exact.cloud.xyz[:, 2]).mean() == pytest.approx(10 * np.radians(0.2), rel=0.01)
+
+
+def test_missing_files_are_named(tmp_path: Path) -> None:
+    write_frame(tmp_path, "000000")
+    write_image(tmp_path / "image_2/000001.png")
+    found = dataset(tmp_path)
+    assert found.names == ("000000",)
+    with pytest.raises(InputError, match=r"velodyne/000001\.bin is missing"):
+        found.frame("000001")
+    (tmp_path / "calib/000000.txt").unlink()
+    with pytest.raises(InputError, match=r"calib/000000\.txt: the calibration file is missing"):
+        found[0]
+
+
+def test_a_calibration_without_its_key_is_named(tmp_path: Path) -> None:
+    write_frame(tmp_path, "000000")
+    lines = calib()
+    del lines["R0_rect"]
+    write_lines(tmp_path / "calib/000000.txt", lines)
+    with pytest.raises(UnknownNameError, match=r"calib/000000\.txt: unknown key 'R0_rect'"):
+        dataset(tmp_path)[0]
+
+
+def test_an_image_without_the_principal_point_is_refused_by_name(tmp_path: Path) -> None:
+    write_frame(tmp_path, "000000")
+    write_image(tmp_path / "image_2/000000.png", size=(20, 32))
+    with pytest.raises(InputError, match=r"000000\.png: the image size does not fit the camera"):
+        dataset(tmp_path)[0]
+
+
+def test_a_folder_without_frames_says_what_it_should_hold(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no KITTI object frames; expected frames with image_2/ID\.png"):
+        dataset(tmp_path)
+
+
+def test_frames_may_have_any_names_but_hidden_files_are_none(tmp_path: Path) -> None:
+    write_frame(tmp_path / "training", "000000")
+    for name in ("left-²", "._000000"):
+        write_lines(tmp_path / f"training/calib/{name}.txt", calib())
+        write_sweep(tmp_path / f"training/velodyne/{name}.bin")
+        write_image(tmp_path / f"training/image_2/{name}.png")
+    found = dataset(tmp_path)
+    assert found.names == ("000000", "left-²")
+    assert found[1].name == "left-²"
+
+
+def test_a_right_camera_that_stands_to_the_left_is_refused(tmp_path: Path) -> None:
+    write_frame(tmp_path / "training", "000000", P3=numbers(PROJECTIONS[2] + [[0, 0, 0, 9.0], [0] * 4, [0] * 4]))
+    write_image(tmp_path / "training/image_3/000000.png")
+    with pytest.raises(InputError, match="the right camera is not to the right of the left one"):
+        dataset(tmp_path)[0]

@@ -1,0 +1,175 @@
+"""ONCE: sweeps are seen where OpenCV's distortion has them; poses; bad input in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from p2o import InputError, UnknownNameError, se3
+from p2o.cli import main
+from p2o.frames.frame import LazyFrames
+from p2o_datasets.once import OnceOptions, build
+
+from .drive import pixels, through
+from .once_files import CAR_FROM, CAR_FROM_LIDAR, SEQUENCE, SIZE, START_MS, D, K, Sequence, points, world_from_lidar
+
+
+def dataset(root: Path, **options: Any) -> LazyFrames:
+    found = build(OnceOptions(root=root, **options))
+    assert isinstance(found, LazyFrames)
+    return found
+
+
+def test_frames_are_those_of_the_file_in_the_order_of_time(tmp_path: Path) -> None:
+    sequence = Sequence(tmp_path)
+    sequence.content["frames"].reverse()
+    found = dataset(sequence.write(), cameras="cam01,cam09")
+    assert found.names == tuple(
+        f"{SEQUENCE}/{camera}/{START_MS + 500 * number}" for camera in ("cam01", "cam09") for number in range(3)
+    )
+    frame = found[4]
+    assert (frame.camera_name, frame.sequence, frame.time_s) == ("cam09", SEQUENCE, 0.5)
+    assert (frame.camera.model, frame.camera.width, frame.camera.height) == ("FULL_OPENCV", *SIZE)
+    assert np.abs(frame.image.rgb.astype(int) - 50).max() <= 2
+    assert frame.cloud.intensity is not None
+    assert frame.cloud.intensity.tolist() == [float(i % 256) for i in range(600)]
+    assert dataset(tmp_path / "data").names == found.names[:3]
+
+
+@pytest.mark.parametrize("camera", ["cam01", "cam09"])
+def test_points_are_seen_where_opencv_projects_them(tmp_path: Path, camera: str) -> None:
+    for frame in dataset(Sequence(tmp_path).write(), cameras=camera):
+        stored = points(int(frame.name.rpartition("/")[2])).astype(float)
+        optical = through(np.linalg.inv(np.linalg.inv(CAR_FROM_LIDAR) @ CAR_FROM[camera]), stored)
+        ahead = (optical[:, 2] > 1) & (np.hypot(optical[:, 0], optical[:, 1]) < optical[:, 2])
+        zero = np.zeros(3)
+        expected = cv2.projectPoints(optical[ahead], zero, zero, np.array(K), np.array(D[camera]))[0][:, 0]
+        assert frame.camera_from_lidar is not None
+        seen = frame.camera.project(se3.apply(frame.camera_from_lidar, frame.cloud.xyz))[ahead]
+        inside = frame.camera.in_image(expected)
+        assert inside.sum() > 20
+        assert np.abs(seen - expected)[inside].max() < 1e-4
+
+
+def test_pictures_may_be_undistorted(tmp_path: Path) -> None:
+    frame = dataset(Sequence(tmp_path).write(), distorted=False)[0]
+    optical = through(np.linalg.inv(CAR_FROM["cam01"]) @ CAR_FROM_LIDAR, points(START_MS).astype(float))
+    expected = pixels(optical, 60.0, 61.0, 47.2, 25.1)
+    assert frame.camera.is_pinhole
+    assert frame.camera_from_lidar is not None
+    seen = frame.camera.project(se3.apply(frame.camera_from_lidar, frame.cloud.xyz))
+    inside = frame.camera.in_image(expected)
+    assert np.abs(seen - expected)[inside].max() < 1e-4
+
+
+def test_poses_are_relative_to_the_first_frame_and_may_be_missing(tmp_path: Path) -> None:
+    sequence = Sequence(tmp_path)
+    sequence.content["frames"][0]["pose"] = [0.0] * 7
+    del sequence.content["frames"][1]["pose"]
+    found = dataset(sequence.write())
+    assert found[0].lidar_world_from_lidar is None
+    assert found[1].lidar_world_from_lidar is None
+    expected = np.linalg.inv(world_from_lidar(START_MS)) @ world_from_lidar(START_MS + 1000)
+    assert np.allclose(found[2].lidar_world_from_lidar, expected)
+
+
+def test_another_mounting_of_the_camera_changes_nothing_but_the_truth(tmp_path: Path) -> None:
+    honest = dataset(Sequence(tmp_path / "a").write())[1]
+    lying = Sequence(tmp_path / "b")
+    lying.content["calib"]["cam01"]["cam_to_velo"][0][3] += 1
+    frame = dataset(lying.write())[1]
+    assert not np.allclose(frame.camera_from_lidar, honest.camera_from_lidar)
+    assert np.array_equal(frame.cloud.xyz, honest.cloud.xyz)
+    assert np.array_equal(frame.lidar_world_from_lidar, honest.lidar_world_from_lidar)
+
+
+def test_frames_whose_files_are_missing_are_left_out(tmp_path: Path) -> None:
+    root = Sequence(tmp_path).write()
+    gone = tmp_path / "data" / SEQUENCE / "lidar_roof" / f"{START_MS}.bin"
+    gone.unlink()
+    found = dataset(root)
+    assert len(found) == 2
+    assert found.skipped == {f"{SEQUENCE}/cam01/{START_MS}": f"{gone} is missing"}
+
+
+def test_names_that_are_not_there_are_told_the_nearest(tmp_path: Path) -> None:
+    root = Sequence(tmp_path).write()
+    with pytest.raises(UnknownNameError, match="did you mean cam0"):
+        dataset(root, cameras="cam02")
+    with pytest.raises(UnknownNameError, match="did you mean 000027"):
+        dataset(root, sequences="000028")
+    with pytest.raises(InputError, match=r"no ONCE frames.*cam03.*is missing"):
+        dataset(root, cameras="cam03")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda content: content.pop("calib"), "not a sequence of ONCE"),
+        (lambda content: content["frames"].append(1), "a frame of the sequence is not an object"),
+        (lambda content: content["frames"][0].update(frame_id="../../secret"), "a frame_id is not a number"),
+        (lambda content: content["frames"][0].update(frame_id=True), "a frame_id is not a number"),
+        (lambda content: content["frames"][0].update(pose=[1, 2]), "the pose of 1616100800400 is invalid"),
+        (lambda content: content["frames"][0].update(pose=[2.0] * 7), "the pose of 1616100800400 is invalid"),
+        (lambda content: content["calib"].pop("cam01"), "unknown camera 'cam01'"),
+        (lambda content: content["calib"].update(cam01=[]), "calib.cam01 is not an object"),
+        (lambda content: content["calib"]["cam01"].pop("cam_to_velo"), "calib.cam01.cam_to_velo is not a pose"),
+        (lambda content: content["calib"]["cam01"].update(cam_intrinsic=[1]), "camera.K is not an intrinsic matrix"),
+        (lambda content: content["calib"]["cam01"].update(distortion=[1]), "calib.cam01.distortion is invalid"),
+        (lambda content: content["calib"]["cam01"]["cam_intrinsic"][0].__setitem__(2, 97), "does not fit the camera"),
+    ],
+)
+def test_files_that_are_wrong_are_one_line(tmp_path: Path, change: Any, words: str) -> None:
+    sequence = Sequence(tmp_path)
+    change(sequence.content)
+    with pytest.raises(InputError, match=words) as caught:
+        dataset(sequence.write())[0]
+    assert "\n" not in str(caught.value)
+    assert SEQUENCE in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"), [("", "is empty"), ("{", "is not JSON"), ("[" * 9999, "is not JSON|deeply")]
+)
+def test_a_file_that_is_no_json_is_one_line(tmp_path: Path, text: str, words: str) -> None:
+    root = Sequence(tmp_path).write()
+    (root / "data" / SEQUENCE / f"{SEQUENCE}.json").write_text(text)
+    with pytest.raises(InputError, match=words):
+        dataset(root)
+
+
+def test_links_that_leave_the_folder_and_sweeps_that_are_cut_off_are_refused(tmp_path: Path) -> None:
+    root = Sequence(tmp_path / "a").write()
+    sweep = root / "data" / SEQUENCE / "lidar_roof" / f"{START_MS}.bin"
+    whole = sweep.read_bytes()
+    sweep.write_bytes(whole[:-3])
+    with pytest.raises(InputError, match="the point cloud is truncated"):
+        dataset(root)[0]
+    (tmp_path / "outside.bin").write_bytes(whole)
+    sweep.unlink()
+    sweep.symlink_to(tmp_path / "outside.bin")
+    with pytest.raises(InputError, match="is outside the folder"):
+        dataset(root)[0]
+    assert len(dataset(root)[1].cloud) == 600
+
+
+def test_folders_that_are_none_are_one_line_and_status_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "empty").mkdir()
+    for folder, words in (("gone", "the folder of ONCE is missing"), ("empty", "there are no sequences of ONCE")):
+        assert main(["data", "check", f"once:{tmp_path / folder}"]) == 2
+        said = capsys.readouterr().err.strip()
+        assert words in said
+        assert "\n" not in said
+
+
+def test_every_frame_is_good_for_data_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root = Sequence(tmp_path).write()
+    assert main(["data", "check", f"once:{root}", "--set", "data.cameras=cam01,cam09"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "6 of 6 frames are good"
+
+
+def test_the_dataset_keeps_the_contract_of_its_slot(tmp_path: Path) -> None:
+    assert main(["check-plugin", "once", "--set", f"data.root={Sequence(tmp_path).write()}"]) == 0

@@ -1,0 +1,230 @@
+"""PandaSet: points of the world are seen where its own toolkit projects them, in the LiDAR's frame; bad input."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from p2o import InputError, UnknownNameError, se3
+from p2o.cli import main
+from p2o.frames.frame import LazyFrames
+from p2o_datasets.pandaset import CAMERAS, PandasetOptions, build
+
+from .drive import SPEED_M_S, car, pixels, through
+from .pandaset_files import (
+    CAR_FROM,
+    CAR_FROM_LIDAR,
+    LATER_S,
+    LENS,
+    POINTS,
+    SEQUENCE,
+    SIZE,
+    START_S,
+    Drive,
+    lidar,
+    measured,
+    pickled,
+    pose,
+)
+
+
+def dataset(root: Path, **options: Any) -> LazyFrames:
+    found = build(PandasetOptions(root=root, **options))
+    assert isinstance(found, LazyFrames)
+    return found
+
+
+def test_images_have_the_sweeps_of_their_numbers(tmp_path: Path) -> None:
+    found = dataset(Drive(tmp_path).write(), cameras="front_camera,left_camera")
+    assert found.names == tuple(
+        f"{SEQUENCE}/{camera}/{number:02d}" for camera in ("front_camera", "left_camera") for number in range(4)
+    )
+    frame = found[6]
+    assert (frame.camera_name, frame.sequence, round(frame.time_s or 0, 6)) == ("left_camera", SEQUENCE, 0.22)
+    assert (frame.camera.width, frame.camera.height) == SIZE
+    assert frame.camera.params == tuple(LENS.values())
+    assert np.abs(frame.image.rgb.astype(int) - 100).max() <= 2
+    assert frame.warnings == ()
+    assert len(frame.cloud) == 400
+    assert frame.cloud.intensity is not None
+    assert frame.cloud.intensity.tolist() == [float(i % 256) for i in range(POINTS) if i % 3 < 2]
+    assert dataset(tmp_path / SEQUENCE).names == found.names[:4]
+
+
+@pytest.mark.parametrize("camera", list(CAR_FROM))
+@pytest.mark.parametrize(("sensor", "kinds"), [("pandar64", (0,)), ("pandargt", (1,)), ("both", (0, 1))])
+def test_points_are_seen_where_the_toolkit_projects_them(
+    tmp_path: Path, camera: str, sensor: str, kinds: tuple[int, ...]
+) -> None:
+    drive = Drive(tmp_path)
+    for number, frame in enumerate(dataset(drive.write(), cameras=camera, lidar=sensor)):
+        table = drive.table(number)
+        world = np.column_stack([table[axis] for axis in "xyz"])[np.isin(table["d"], kinds)]
+        # The public code: from the world to the camera by the camera's own pose.
+        camera_pose = car(drive.times[number] + LATER_S[camera]) @ CAR_FROM[camera]
+        expected = pixels(through(np.linalg.inv(camera_pose), world), *LENS.values())
+        assert frame.camera_from_lidar is not None
+        seen = frame.camera.project(se3.apply(frame.camera_from_lidar, frame.cloud.xyz))
+        inside = frame.camera.in_image(expected)
+        assert inside.sum() > 10
+        assert np.abs(seen - expected)[inside].max() < 0.01
+        assert np.abs(frame.camera_from_lidar - np.linalg.inv(CAR_FROM[camera]) @ CAR_FROM_LIDAR).max() < 1e-4
+
+
+def test_the_sweep_can_be_taken_back_to_what_the_lidar_measured(tmp_path: Path) -> None:
+    drive = Drive(tmp_path)
+    frame = dataset(drive.write(), lidar="both")[1]
+    table = drive.table(1)
+    assert frame.cloud.time_s is not None
+    assert np.abs(frame.cloud.time_s - (table["t"] - START_S - 0.145)).max() < 1e-6
+    assert np.abs(frame.cloud.as_measured() - measured(table)).max() < 0.01
+    assert frame.twist is not None
+    assert abs(np.linalg.norm(frame.twist[3:]) - SPEED_M_S) < 0.5
+
+
+def test_a_sweep_may_stay_where_it_was(tmp_path: Path) -> None:
+    drive = Drive(tmp_path)
+    frame = dataset(drive.write(), moved=False, lidar="both")[2]
+    table = drive.table(2)
+    world = np.column_stack([table[axis] for axis in "xyz"])
+    assert np.abs(through(lidar(0.2), frame.cloud.xyz) - world).max() < 1e-6
+    assert np.abs(frame.lidar_world_from_lidar - lidar(0.2 + LATER_S["front_camera"])).max() < 1e-4
+
+
+def test_another_mounting_of_the_camera_changes_nothing_but_the_truth(tmp_path: Path) -> None:
+    honest = dataset(Drive(tmp_path / "a").write())[1]
+    lying = Drive(tmp_path / "b")
+    slipped = CAR_FROM["front_camera"].copy()
+    slipped[0, 3] += 1
+    lying.files["camera/front_camera/poses.json"] = [
+        pose(car(time + LATER_S["front_camera"]) @ slipped) for time in lying.times
+    ]
+    frame = dataset(lying.write())[1]
+    assert not np.allclose(frame.camera_from_lidar, honest.camera_from_lidar)
+    assert np.array_equal(frame.cloud.xyz, honest.cloud.xyz)
+    assert np.array_equal(frame.lidar_world_from_lidar, honest.lidar_world_from_lidar)
+
+
+def test_poses_that_are_not_fixed_to_each_other_are_told(tmp_path: Path) -> None:
+    drive = Drive(tmp_path)
+    drive.files["camera/front_camera/poses.json"][2]["position"]["x"] += 1.0
+    assert "the relative pose of camera and LiDAR varies" in dataset(drive.write())[0].warnings[0]
+
+
+def test_names_that_are_not_there_are_told_the_nearest(tmp_path: Path) -> None:
+    root = Drive(tmp_path).write()
+    with pytest.raises(UnknownNameError, match="did you mean front_camera"):
+        dataset(root, cameras="front")
+    with pytest.raises(UnknownNameError, match="did you mean 001"):
+        dataset(root, sequences="002")
+    with pytest.raises(InputError, match="no PandaSet frames"):
+        dataset(root, cameras="back_camera")
+    assert len(dataset(root, cameras="all", sequences="001")) == 8
+    assert len(CAMERAS) == 6
+    (tmp_path / SEQUENCE / "lidar/01.pkl.gz").unlink()
+    found = dataset(root)
+    assert len(found) == 3
+    with pytest.raises(InputError, match=r"is left out.*lidar/01.pkl.gz is missing"):
+        found.frame(f"{SEQUENCE}/front_camera/01")
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "words"),
+    [
+        ("lidar/poses.json", {}, "not a list of poses"),
+        ("lidar/poses.json", [{"heading": {"w": 1}}] * 4, "x is not a number"),
+        ("lidar/poses.json", [], "numbers of poses and time stamps differ"),
+        ("lidar/timestamps.json", ["a"] * 4, "not a list of times"),
+        ("lidar/timestamps.json", [5.0] * 4, "the times of the poses do not ascend"),
+        ("lidar/timestamps.json", [1.0, 2.0, 3.0, 4.0], "no image has a pose of the LiDAR near"),
+        ("camera/front_camera/intrinsics.json", [], "fx is not a number"),
+        ("camera/front_camera/intrinsics.json", {**LENS, "cx": 200.0}, "the image size does not fit the camera"),
+        ("camera/front_camera/intrinsics.json", {**LENS, "fx": -1.0}, "the focal length is not positive"),
+    ],
+)
+def test_files_that_are_wrong_are_one_line(tmp_path: Path, file: str, content: Any, words: str) -> None:
+    drive = Drive(tmp_path)
+    drive.files[file] = content
+    with pytest.raises(InputError, match=words) as caught:
+        dataset(drive.write())[0]
+    assert "\n" not in str(caught.value)
+    assert SEQUENCE in str(caught.value)
+
+
+def test_files_that_are_missing_or_no_json_are_one_line(tmp_path: Path) -> None:
+    root = Drive(tmp_path).write()
+    for file in ("lidar/poses.json", "camera/front_camera/timestamps.json", "camera/front_camera/intrinsics.json"):
+        path = tmp_path / SEQUENCE / file
+        text = path.read_text()
+        path.write_text("[")
+        with pytest.raises(InputError, match="is not JSON"):
+            dataset(root)[0]
+        path.unlink()
+        with pytest.raises(InputError, match="is missing"):
+            dataset(root)[0]
+        path.write_text(text)
+    assert json.loads(text) == LENS
+
+
+def test_sweeps_of_another_content_are_one_line_and_run_nothing(tmp_path: Path) -> None:
+    drive = Drive(tmp_path)
+    root = drive.write()
+    path = tmp_path / SEQUENCE / "lidar/00.pkl.gz"
+    table = drive.table(0)
+    for content, words in (
+        (pickled({name: values for name, values in table.items() if name != "d"}), "no column d among x, y, z, i, t"),
+        (pickled({**table, "d": table["d"] * 0 + 5}), "the sweep has no points of pandar64"),
+        (pickled({**table, "x": table["x"] + np.nan}), "the cloud has no valid point"),
+        (pickle.dumps([print, "x"]), "other pickles are never loaded"),
+    ):
+        path.write_bytes(gzip.compress(content))
+        with pytest.raises(InputError, match=words):
+            dataset(root)[0]
+
+
+def test_points_without_usable_times_are_read_without(tmp_path: Path) -> None:
+    drive = Drive(tmp_path)
+    root = drive.write()
+    table = drive.table(0)
+    for times in (table["t"] * np.nan, table["t"] * 0 + START_S, table["t"] + 5000):
+        path = tmp_path / SEQUENCE / "lidar/00.pkl.gz"
+        path.write_bytes(gzip.compress(pickled({**table, "t": times})))
+        cloud = dataset(root)[0].cloud
+        assert cloud.time_s is None
+        assert cloud.twist is None
+
+
+def test_sweeps_that_are_not_packed_are_read(tmp_path: Path) -> None:
+    root = Drive(tmp_path).write()
+    for path in (tmp_path / SEQUENCE / "lidar").glob("*.pkl.gz"):
+        path.with_suffix("").write_bytes(gzip.decompress(path.read_bytes()))
+        path.unlink()
+    assert len(dataset(root)) == 4
+    assert len(dataset(root)[0].cloud) == 400
+
+
+def test_folders_that_are_none_are_one_line_and_status_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "empty").mkdir()
+    for folder, words in (
+        ("gone", "the folder of PandaSet is missing"),
+        ("empty", "there are no sequences of PandaSet"),
+    ):
+        assert main(["data", "check", f"pandaset:{tmp_path / folder}"]) == 2
+        said = capsys.readouterr().err.strip()
+        assert words in said
+        assert "\n" not in said
+
+
+def test_every_frame_is_good_for_data_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root = Drive(tmp_path).write()
+    assert main(["data", "check", f"pandaset:{root}", "--set", "data.cameras=all"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "8 of 8 frames are good"
+
+
+def test_the_dataset_keeps_the_contract_of_its_slot(tmp_path: Path) -> None:
+    assert main(["check-plugin", "pandaset", "--set", f"data.root={Drive(tmp_path).write()}"]) == 0

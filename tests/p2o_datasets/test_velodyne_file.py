@@ -1,0 +1,111 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from p2o import Cloud, InputError, se3
+from p2o_datasets.velodyne_file import (
+    raise_elevation,
+    read_sweep,
+    rings_from_azimuth,
+    times_from_azimuth,
+)
+
+from .kitti_files import sweep, write_sweep
+
+
+def azimuths(points: np.ndarray) -> np.ndarray:
+    return np.arctan2(points[:, 1], points[:, 0])
+
+
+def test_a_full_sweep_has_its_64_rings_from_the_highest_down(tmp_path: Path) -> None:
+    write_sweep(tmp_path / "a.bin")
+    cloud, warnings = read_sweep(tmp_path / "a.bin", sweep_s=0.1)
+    assert np.array_equal(cloud.ring, np.repeat(np.arange(64), 120))
+    assert (np.diff([cloud.xyz[cloud.ring == r, 2].mean() for r in range(64)]) < 0).all()
+    assert warnings == ()
+
+
+def test_a_sweep_cut_to_a_sector_ahead_keeps_its_rings() -> None:
+    points = sweep()
+    ahead = np.abs(azimuths(points)) < np.radians(60)
+    assert np.array_equal(rings_from_azimuth(azimuths(points[ahead])), np.repeat(np.arange(64), 120)[ahead])
+
+
+def test_a_sweep_in_another_order_has_no_rings_and_says_so(tmp_path: Path) -> None:
+    write_sweep(tmp_path / "a.bin", np.random.default_rng(0).permutation(sweep()))
+    cloud, warnings = read_sweep(tmp_path / "a.bin", sweep_s=0.1)
+    assert cloud.ring is None
+    assert warnings == ("a.bin: rings not recovered: the points are not in the order of the LiDAR",)
+
+
+def test_the_unit_spins_clockwise_so_left_comes_first_and_ahead_is_time_zero() -> None:
+    left, ahead, right = times_from_azimuth(np.radians([90.0, 0.0, -90.0]), 0.1)
+    assert (left, ahead, right) == pytest.approx((-0.025, 0.0, 0.025), abs=1e-15)
+
+
+def test_an_untwisted_sweep_has_times_only_if_asked(tmp_path: Path) -> None:
+    write_sweep(tmp_path / "a.bin")
+    assert read_sweep(tmp_path / "a.bin", sweep_s=None)[0].time_s is None
+
+
+def test_points_straight_ahead_do_not_move_when_a_sweep_is_untwisted() -> None:
+    xyz = np.array([[10.0, 0, 0], [50.0, 0, -1], [3.0, 0, 1]])
+    cloud = Cloud(xyz, time_s=times_from_azimuth(azimuths(xyz), 0.1))
+    assert np.array_equal(cloud.untwisted(np.array([0.1, 0.2, 0.3, 15.0, 1.0, 0.5])).xyz, xyz)
+
+
+def test_driving_on_brings_points_seen_before_closer_and_points_seen_after_further() -> None:
+    # At 20 m/s the left side was measured 25 ms early, 0.5 m behind: seen from "now" it lies 0.5 m further back.
+    xyz = np.array([[0.0, 10.0, 0.0], [0.0, -10.0, 0.0]])
+    cloud = Cloud(xyz, time_s=times_from_azimuth(azimuths(xyz), 0.1))
+    moved = cloud.untwisted(np.array([0.0, 0, 0, 20.0, 0, 0])).xyz
+    assert np.allclose(moved, [[-0.5, 10, 0], [0.5, -10, 0]], atol=1e-12)
+
+
+def test_untwisting_is_the_exponential_of_twist_times_time() -> None:
+    rng = np.random.default_rng(4)
+    cloud = Cloud(rng.uniform(-50, 50, (300, 3)), time_s=rng.uniform(-0.05, 0.05, 300))
+    twist = np.array([0.3, -0.5, 0.9, 20.0, -3.0, 1.0])
+    each = se3.exp(twist * cloud.time_s[:, None])
+    expected = np.einsum("nij,nj->ni", each[:, :3, :3], cloud.xyz) + each[:, :3, 3]
+    assert np.allclose(cloud.untwisted(twist).xyz, expected, atol=1e-11)
+
+
+def test_a_static_world_seen_while_driving_is_put_together_again() -> None:
+    rng = np.random.default_rng(6)
+    world = rng.uniform(-30, 30, (200, 3))
+    time_s = rng.uniform(-0.05, 0.05, 200)
+    twist = np.array([0.01, 0.02, 0.4, 15.0, 0.3, 0.1])
+    measured = np.stack(
+        [se3.apply(se3.inverse(se3.exp(twist * t)), p[None])[0] for t, p in zip(time_s, world, strict=True)]
+    )
+    assert np.allclose(Cloud(measured, time_s=time_s).untwisted(twist).xyz, world, atol=1e-10)
+
+
+def test_without_times_nothing_is_untwisted() -> None:
+    cloud = Cloud(np.ones((2, 3)))
+    assert cloud.untwisted(np.ones(6)) is cloud
+
+
+def test_raising_elevations_keeps_ranges_and_azimuths() -> None:
+    xyz = np.random.default_rng(8).uniform(-30, 30, (100, 3))
+    raised = raise_elevation(xyz, 0.2)
+    elevation = [np.degrees(np.arctan2(p[:, 2], np.hypot(p[:, 0], p[:, 1]))) for p in (xyz, raised)]
+    assert np.allclose(elevation[1] - elevation[0], 0.2, atol=1e-10)
+    assert np.allclose(np.linalg.norm(raised, axis=1), np.linalg.norm(xyz, axis=1))
+    assert np.allclose(azimuths(raised), azimuths(xyz))
+
+
+def test_the_elevation_fix_is_applied_on_reading(tmp_path: Path) -> None:
+    write_sweep(tmp_path / "a.bin")
+    plain, fixed = (read_sweep(tmp_path / "a.bin", sweep_s=0.1, elevation_fix_deg=d)[0] for d in (0.0, 0.2))
+    assert np.allclose(fixed.xyz, raise_elevation(plain.xyz, 0.2))
+    assert np.array_equal(fixed.ring, plain.ring)
+
+
+def test_a_truncated_sweep_is_refused_by_name(tmp_path: Path) -> None:
+    (tmp_path / "a.bin").write_bytes(sweep().tobytes()[:-5])
+    with pytest.raises(InputError, match=r"a\.bin: the point cloud is truncated"):
+        read_sweep(tmp_path / "a.bin", sweep_s=0.1)

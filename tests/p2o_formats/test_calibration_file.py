@@ -1,0 +1,105 @@
+"""Exporters of other systems' files write what their readers read; refused results are not written."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from p2o import Camera, InputError, Result, Status, se3
+from p2o.host.calibration_file import read_calibration_file
+from p2o.reading import Calibration, result_to_json
+from p2o.results.evidence import Accuracy
+from p2o_formats.formats import WRITTEN
+from p2o_formats.kitti_calibration import read_calibration
+
+POSE = se3.exp(np.array([0.1, 0.2, 0.3, 1 / 3, -2 / 7, 1e-9]))
+CAMERA = Camera.pinhole(700, 700, 320, 120, 640, 240)
+RESULT = Result(("scene-0000",), np.eye(4), POSE, Status.CONVERGED, "done", intrinsics=CAMERA)
+BY_NAME = {name: form.exporter() for name, form in WRITTEN.items()}
+METHOD = BY_NAME["kitti"]
+
+
+def _exported(tmp_path: Path, layout: str):
+    path = tmp_path / "calib.txt"
+    METHOD.build(METHOD.options(layout=layout))(RESULT, path)
+    return read_calibration(path)
+
+
+def test_object_has_the_transform_and_an_identity_rectification(tmp_path: Path) -> None:
+    calibration = _exported(tmp_path, "object")
+    np.testing.assert_array_equal(calibration.numbers("Tr_velo_to_cam", (3, 4)), POSE[:3])
+    np.testing.assert_array_equal(calibration.numbers("R0_rect", (3, 3)), np.eye(3))
+
+
+def test_raw_has_rotation_and_translation_apart(tmp_path: Path) -> None:
+    calibration = _exported(tmp_path, "raw")
+    np.testing.assert_array_equal(calibration.numbers("R", (3, 3)), POSE[:3, :3])
+    np.testing.assert_array_equal(calibration.numbers("T", (3,)), POSE[:3, 3])
+
+
+def test_odometry_has_the_transform_as_tr(tmp_path: Path) -> None:
+    np.testing.assert_array_equal(_exported(tmp_path, "odometry").numbers("Tr", (3, 4)), POSE[:3])
+
+
+def test_a_result_without_a_new_pose_is_refused_and_nothing_is_written(tmp_path: Path) -> None:
+    refused = replace(RESULT, status=Status.TOO_FEW_MATCHES, reason="3 pairs")
+    with pytest.raises(InputError, match=r"no estimated pose.*too-few-matches \(3 pairs\)"):
+        METHOD.build(METHOD.options())(refused, tmp_path / "calib.txt")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_missing_folder_is_an_error_of_ours(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot write the file"):
+        METHOD.build(METHOD.options())(RESULT, tmp_path / "nowhere" / "calib.txt")
+
+
+def test_the_forms_that_people_ask_for_are_there() -> None:
+    wanted = {"ros2", "autoware", "koide", "opencalib", "kalibr", "colmap", "colmap-cameras", "opencv", "npy", "text"}
+    assert wanted | {"kitti", "matrix", "camera-info"} <= set(BY_NAME)
+
+
+@pytest.mark.parametrize("name", sorted(BY_NAME))
+def test_every_exporter_writes_what_is_read_back(tmp_path: Path, name: str) -> None:
+    method, path = BY_NAME[name], tmp_path / "result.out"
+    method.build(method.options())(RESULT, path)
+    found = read_calibration_file(path)
+    if found.camera_from_lidar is not None:
+        np.testing.assert_allclose(found.camera_from_lidar, POSE, atol=1e-12)
+    assert found.camera in (None, CAMERA)
+    assert found.parts
+
+
+COMMENT = "p2o: trusted; predicted error 0.21 deg, 3.4 cm (67 %), 0.50 deg, 8.1 cm (95 %)"
+FORMS = [(name, {}) for name in sorted(BY_NAME)] + [("ros2", {"form": form}) for form in ("launch", "urdf")]
+
+
+@pytest.mark.parametrize(("name", "options"), FORMS, ids=str)
+def test_files_with_comments_state_verdict_and_predicted_error(
+    tmp_path: Path, name: str, options: dict[str, str]
+) -> None:
+    method, path = BY_NAME[name], tmp_path / "result.out"
+    result = replace(RESULT, accuracy=Accuracy(0.21, 0.034, 0.5, 0.081))
+    method.build(method.options(**options))(result, path)
+    assert path.read_bytes().count(COMMENT.encode()) == (name not in ("kitti", "npy"))
+    exact, plain = read_calibration_file(path), tmp_path / "plain.out"
+    plain.write_bytes(WRITTEN[name].written(Calibration(CAMERA, POSE), method.options(**options)))
+    expected = read_calibration_file(plain)
+    assert (exact.camera, exact.parts) == (expected.camera, expected.parts)
+    if exact.camera_from_lidar is not None:
+        np.testing.assert_array_equal(exact.camera_from_lidar, expected.camera_from_lidar)
+
+
+def test_a_converted_result_keeps_the_comment(tmp_path: Path) -> None:
+    path = tmp_path / "result.json"
+    path.write_text(result_to_json(replace(RESULT, accuracy=Accuracy(0.21, 0.034, 0.5, 0.081))))
+    assert read_calibration_file(path).comment == COMMENT
+
+
+@pytest.mark.parametrize("name", ["koide", "kalibr", "camera-info"])
+def test_a_result_of_several_cameras_has_none_to_write(tmp_path: Path, name: str) -> None:
+    method = BY_NAME[name]
+    with pytest.raises(InputError, match="there is no camera"):
+        method.build(method.options())(replace(RESULT, intrinsics=None), tmp_path / "calib.out")
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,81 @@
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from p2o import InputError
+from p2o_formats.camera_entry import read_camera
+
+WHERE = Path("frame.yaml")
+K = [[700.0, 0, 640.0], [0, 705.0, 360.0], [0, 0, 1]]
+SIZE = {"width": 1280, "height": 720}
+XYZ = np.random.default_rng(0).uniform([-2, -1, 4], [2, 1, 9], (50, 3))
+
+
+def opencv_pixels(d: list[float], *, fisheye: bool) -> np.ndarray:
+    zero = np.zeros(3)
+    if fisheye:
+        return cv2.fisheye.projectPoints(XYZ[:, None], zero, zero, np.array(K), np.array(d))[0][:, 0]
+    return cv2.projectPoints(XYZ, zero, zero, np.array(K), np.array(d))[0][:, 0]
+
+
+@pytest.mark.parametrize(
+    ("name", "d", "model"),
+    [
+        ("plumb_bob", [-0.28, 0.08, 0.001, -0.002], "OPENCV"),
+        ("plumb_bob", [-0.28, 0.08, 0.001, -0.002, 0.0], "OPENCV"),
+        ("plumb_bob", [-0.28, 0.08, 0.001, -0.002, 0.01], "FULL_OPENCV"),
+        ("plumb_bob", [0.0] * 5, "PINHOLE"),
+        ("plumb_bob", [], "PINHOLE"),
+        ("rational_polynomial", [0.4, 0.1, 0.001, -0.002, 0.02, 0.6, 0.2, 0.03], "FULL_OPENCV"),
+        ("rational_polynomial", [0.4, 0.1, 0.001, -0.002, 0.02, 0.6, 0.2, 0.03, 0, 0, 0, 0], "FULL_OPENCV"),
+        ("equidistant", [0.02, -0.006, 0.001, -0.0002], "OPENCV_FISHEYE"),
+        ("equidistant", [0.0] * 4, "OPENCV_FISHEYE"),
+    ],
+)
+def test_cameras_of_ros_give_the_pixels_of_opencv(name: str, d: list[float], model: str) -> None:
+    camera = read_camera({**SIZE, "K": K, "distortion_model": name, "D": d}, WHERE)
+    assert camera.model == model
+    expected = opencv_pixels(d or [0.0] * 4, fisheye=name == "equidistant")
+    assert np.allclose(camera.project(XYZ), expected, atol=1e-6)
+
+
+def test_a_matrix_alone_is_a_pinhole_nested_or_in_a_row() -> None:
+    for matrix in (K, [number for row in K for number in row]):
+        camera = read_camera({**SIZE, "K": matrix}, WHERE)
+        assert (camera.model, camera.params) == ("PINHOLE", (700, 705, 640, 360))
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        (None, "the entry is not a camera; expected model, width, height and params; or width, height, K and"),
+        ("pinhole", "the entry is not a camera"),
+        ({**SIZE}, "the entry is not a camera"),
+        ({**SIZE, "K": K, "params": [1, 1, 1, 1]}, "the entry is not a camera"),
+        ({"K": K, "width": 1280}, r"camera\.height is missing"),
+        ({**SIZE, "K": K, "D": [0.1, 0, 0, 0]}, r"camera\.distortion_model is missing; expected plumb_bob or"),
+        ({**SIZE, "K": K, "D": [0.1], "distortion_model": "plumb_bob"}, r"camera\.D does not fit plumb_bob"),
+        ({**SIZE, "K": K, "D": [0.1] * 12, "distortion_model": "rational_polynomial"}, "coefficients beyond k6"),
+        ({**SIZE, "K": K, "D": [], "distortion_model": "equidistant"}, "k1 k2 k3 k4; got 0 numbers"),
+        ({**SIZE, "K": K, "distortion_model": "fov"}, r"camera\.distortion_model is not valid; .*plumb_bob"),
+        (
+            {**SIZE, "K": [[700, 2, 640], [0, 700, 360], [0, 0, 1]]},
+            r"camera\.K is not an intrinsic matrix; .*without skew",
+        ),
+        ({**SIZE, "K": [700, 700, 640, 360]}, r"camera\.K is not an intrinsic matrix"),
+        ({**SIZE, "K": K, "fx": 3}, "unknown key of camera 'fx'; .*a camera has model"),
+        ({**SIZE, "K": [[-700, 0, 640], [0, 700, 360], [0, 0, 1]]}, "the focal length is not positive"),
+        ({"width": 100_000, "height": 10, "K": K}, "the camera has too many pixels"),
+        ({"width": 29_000, "height": 29_000, "K": K}, "the camera has too many pixels; .*200 million in total"),
+        ({**SIZE, "params": [1e300, 1, 1, 1]}, "a camera parameter is too large"),
+        ({**SIZE, "params": [1e-300, 1, 1, 1]}, "the focal length is too short"),
+    ],
+)
+def test_what_is_no_camera_is_refused_in_one_line(entry: Any, message: str) -> None:
+    with pytest.raises(InputError, match=rf"frame\.yaml: .*{message}") as caught:
+        read_camera(entry, WHERE)
+    assert "\n" not in str(caught.value)

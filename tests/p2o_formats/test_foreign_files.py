@@ -1,0 +1,390 @@
+"""Files as other tools write them, and files that are damaged, hostile or of another direction."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from p2o import Camera, InputError, Result, Status, se3
+from p2o.calibration_files.calibration import Calibration, Source
+from p2o.host.calibration_file import read_calibration, read_calibration_file, read_camera_file, recognised
+from p2o.results.result_json import result_to_json
+from p2o_formats.formats import FORMATS
+
+from tests.p2o_formats.calibrations import KITTI_LIKE, PINHOLE, REGISTRY, read_text, written
+
+CAMCHAIN = """
+cam0:
+  cam_overlaps: [1]
+  camera_model: pinhole
+  distortion_coeffs: [-0.28, 0.07, 0.0002, 0.00002]
+  distortion_model: radtan
+  intrinsics: [458.6, 457.3, 367.2, 248.4]
+  resolution: [752, 480]
+  rostopic: /cam0/image_raw
+cam1:
+  T_cn_cnm1:
+  - [1.0, 0.0, 0.0, -0.11]
+  - [0.0, 1.0, 0.0, 0.0]
+  - [0.0, 0.0, 1.0, 0.0]
+  - [0.0, 0.0, 0.0, 1.0]
+  camera_model: pinhole
+  distortion_coeffs: [0.01, 0.02, 0.03, 0.04]
+  distortion_model: equidistant
+  intrinsics: [457.6, 456.1, 379.9, 255.2]
+  resolution: [752, 480]
+"""
+CAMERA_INFO = """
+image_width: 1280
+image_height: 720
+camera_name: front
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [700., 0., 640., 0., 705., 360., 0., 0., 1.]
+distortion_model: plumb_bob
+distortion_coefficients:
+  rows: 1
+  cols: 5
+  data: [-0.28, 0.08, 0.001, -0.002, 0.0]
+rectification_matrix:
+  rows: 3
+  cols: 3
+  data: [1., 0., 0., 0., 1., 0., 0., 0., 1.]
+projection_matrix:
+  rows: 3
+  cols: 4
+  data: [690., 0., 641., 0., 0., 702., 361., 0., 0., 0., 1., 0.]
+"""
+ECHO = """
+header:
+  stamp: {sec: 1, nanosec: 2}
+  frame_id: camera_front_optical
+height: 720
+width: 1280
+distortion_model: equidistant
+d: [0.1, 0.01, 0.0, 0.0]
+k: [700.0, 0.0, 640.0, 0.0, 705.0, 360.0, 0.0, 0.0, 1.0]
+r: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+p: [700.0, 0.0, 640.0, 0.0, 0.0, 705.0, 360.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+binning_x: 0
+binning_y: 0
+roi: {x_offset: 0, y_offset: 0, height: 0, width: 0, do_rectify: false}
+---
+"""
+KIT = """
+sensor_kit_base_link:
+  camera0/camera_link:
+    x: 0.10731
+    y: 0.56343
+    z: -0.27697
+    roll: -0.025
+    pitch: 0.315
+    yaw: 1.035
+  camera1/camera_link: {x: -0.1, y: -0.5, z: -0.2, roll: -0.02, pitch: 0.3, yaw: -2.1}
+  velodyne_top_base_link: {x: 0.0, y: 0.0, z: 0.0, roll: 0.0, pitch: 0.0, yaw: 1.575}
+  gnss_link: {x: -0.1, y: 0.0, z: -0.2, roll: 0.0, pitch: 0.0, yaw: 0.0}
+"""
+TREE = """<?xml version="1.0"?>
+<robot name="car">
+  <joint name="base" type="fixed">
+    <parent link="base_link"/><child link="velodyne"/><origin xyz="0 0 1.7" rpy="0 0 0"/>
+  </joint>
+  <joint name="camera" type="fixed">
+    <parent link="velodyne"/><child link="camera_link"/><origin xyz="0.3 0 0" rpy="0 0 0"/>
+  </joint>
+</robot>
+"""
+AHEAD = se3.make([[0, -1, 0], [0, 0, -1], [1, 0, 0]], [0, 0, -0.3])
+
+
+def test_a_camera_of_a_chain_is_chosen_by_its_name() -> None:
+    assert recognised(Source(Path("camchain.yaml"), CAMCHAIN.encode()), REGISTRY).name == "kalibr"
+    with pytest.raises(InputError, match=r"contains several cameras.*FILE#NAME with one of cam0, cam1"):
+        read_text(CAMCHAIN)
+
+
+def test_the_models_of_kalibr(tmp_path: Path) -> None:
+    path = tmp_path / "camchain.yaml"
+    path.write_text(CAMCHAIN)
+    assert read_camera_file(f"{path}#cam0") == Camera(
+        "OPENCV", 752, 480, (458.6, 457.3, 367.2, 248.4, -0.28, 0.07, 0.0002, 0.00002)
+    )
+    assert read_camera_file(f"{path}#cam1").model == "OPENCV_FISHEYE"
+    with pytest.raises(InputError, match="there is no camera 'cam7'"):
+        read_camera_file(f"{path}#cam7")
+    path.write_text(CAMCHAIN.replace("camera_model: pinhole", "camera_model: omni"))
+    with pytest.raises(InputError, match="omni with radtan is not supported"):
+        read_camera_file(f"{path}#cam0")
+
+
+def test_camera_info_of_a_file_is_that_of_the_raw_picture() -> None:
+    found = read_text(CAMERA_INFO)
+    assert found.camera == Camera("OPENCV", 1280, 720, (700, 705, 640, 360, -0.28, 0.08, 0.001, -0.002))
+    assert found.camera_frame == "front"
+
+
+def test_a_message_of_ros2_topic_echo_is_a_camera() -> None:
+    found = read_text(ECHO)
+    assert found.camera == Camera("OPENCV_FISHEYE", 1280, 720, (700, 705, 640, 360, 0.1, 0.01, 0, 0))
+    assert found.camera_frame == "camera_front_optical"
+
+
+@pytest.mark.parametrize("change", [("binning_x: 0", "binning_x: 2"), ("width: 0,", "width: 100,")])
+def test_the_camera_of_a_binned_or_cropped_picture_is_refused(change: tuple[str, str]) -> None:
+    with pytest.raises(InputError, match="binned or cropped"):
+        read_text(ECHO.replace(*change))
+
+
+def test_sensors_of_a_kit_are_told_by_their_names() -> None:
+    with pytest.raises(InputError, match=r"2 frame names denote the camera.*camera0/camera_link, camera1/camera_link"):
+        read_text(KIT)
+    found = read_text(KIT, name="camera0/camera_link")
+    assert found.lidar_frame == "velodyne_top_base_link"
+    # By hand: the chain of the three rotations, and the shift of a LiDAR in the kit's origin.
+    kit_from_link = se3.make(_rotation(-0.025, 0.315, 1.035), [0.10731, 0.56343, -0.27697])
+    kit_from_lidar = se3.make(_rotation(0, 0, 1.575))
+    optical_from_link = se3.make([[0, -1, 0], [0, 0, -1], [1, 0, 0]])
+    np.testing.assert_allclose(found.extrinsic(), optical_from_link @ se3.inverse(kit_from_link) @ kit_from_lidar)
+
+
+def _rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix())
+
+
+def test_the_joint_between_lidar_and_camera_is_found_in_a_tree() -> None:
+    found = read_text(TREE)
+    np.testing.assert_allclose(found.extrinsic(), AHEAD, atol=1e-12)
+    assert (found.lidar_frame, found.camera_frame) == ("velodyne", "camera_link")
+    assert "x forward" in found.remarks[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "pose"),
+    [
+        (
+            "ros2 run tf2_ros static_transform_publisher 0.3 0 0 -1.5707963267948966 0 -1.5707963267948966 velo cam",
+            AHEAD,
+        ),
+        ("rosrun tf static_transform_publisher 0.3 0 0 -0.5 0.5 -0.5 0.5 /velodyne /camera_optical 100", AHEAD),
+        (
+            "ros2 run tf2_ros static_transform_publisher --frame-id cam0 --child-frame-id lidar \\\n"
+            "  --roll 0 --pitch 0 --yaw 0 --z -0.3",
+            se3.make(translation=[0, 0, -0.3]),
+        ),
+        (
+            '["--x=0.3", "--frame-id", "os_sensor", "--child-frame-id", "camera_link"] static_transform_publisher',
+            AHEAD,
+        ),
+    ],
+)
+def test_static_transforms_as_people_write_them(text: str, pose: np.ndarray) -> None:
+    np.testing.assert_allclose(read_text(text).extrinsic(), pose, atol=1e-9)
+
+
+def test_names_that_say_nothing_are_asked_for() -> None:
+    text = "static_transform_publisher --x 0.3 --frame-id sensor_a --child-frame-id sensor_b"
+    with pytest.raises(InputError, match=r"which one is the camera.*sensor_a, sensor_b.*camera_frame=sensor_b"):
+        read_text(text)
+    found = read_text(text, camera_frame="sensor_b")
+    np.testing.assert_allclose(found.extrinsic(), se3.make(translation=[-0.3, 0, 0]))
+    assert "assumed to be x right, y down" in found.remarks[0]
+    np.testing.assert_allclose(read_text(text, lidar_frame="sensor_b").extrinsic(), se3.make(translation=[0.3, 0, 0]))
+
+
+def test_files_of_kitti_multiply_all_in() -> None:
+    from tests.p2o_datasets.kitti_files import VELO_TO_CAM
+
+    rows = " ".join(map(str, np.asarray(VELO_TO_CAM)[:3].ravel()))
+    text = f"P2: 700 0 600 70 0 700 180 7 0 0 1 0.01\nR0_rect: 1 0 0 0 1 0 0 0 1\nTr_velo_to_cam: {rows}\n"
+    found = read_text(text)
+    assert found.camera is None
+    assert found.lacks_image_size
+    offset = np.linalg.solve([[700, 0, 600], [0, 700, 180], [0, 0, 1]], [70, 7, 0.01])
+    np.testing.assert_allclose(found.extrinsic()[:3, 3], np.asarray(VELO_TO_CAM)[:3, 3] + offset, atol=1e-6)
+    assert read_text(text, width=1242, height=375).camera == Camera.pinhole(700, 700, 600, 180, 1242, 375)
+
+
+def test_the_distorted_camera_of_kitti_raw() -> None:
+    text = (
+        "S_02: 1392 512\nK_02: 900 0 700 0 900 250 0 0 1\nD_02: -0.3 0.1 0.001 0.001 -0.05\n"
+        "S_rect_02: 1242 375\nP_rect_02: 700 0 600 40 0 700 180 0 0 0 1 0\n"
+    )
+    assert read_text(text).camera == Camera.pinhole(700, 700, 600, 180, 1242, 375)
+    assert read_text(text, name="02-raw").camera == Camera(
+        "FULL_OPENCV", 1392, 512, (900, 900, 700, 250, -0.3, 0.1, 0.001, 0.001, -0.05, 0, 0, 0)
+    )
+
+
+def test_the_files_of_autoware_ai_hold_the_inverse() -> None:
+    lidar_from_camera = se3.inverse(KITTI_LIKE)
+    data = ", ".join(map(str, lidar_from_camera.ravel()))
+    text = (
+        "%YAML:1.0\n---\nCameraExtrinsicMat: !!opencv-matrix\n   rows: 4\n   cols: 4\n   dt: d\n"
+        f"   data: [ {data} ]\nCameraMat: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n"
+        "   data: [ 700., 0., 320., 0., 700., 240., 0., 0., 1. ]\nDistCoeff: !!opencv-matrix\n   rows: 1\n   cols: 5\n"
+        "   dt: d\n   data: [ -0.1, 0.01, 0., 0., 0. ]\nImageSize: [ 640, 480 ]\nDistModel: plumb_bob\n"
+    )
+    found = read_text(text)
+    np.testing.assert_allclose(found.extrinsic(), KITTI_LIKE, atol=1e-12)
+    assert found.camera == Camera("OPENCV", 640, 480, (700, 700, 320, 240, -0.1, 0.01, 0, 0))
+
+
+def test_keys_of_others_say_the_direction() -> None:
+    rows = se3.inverse(KITTI_LIKE).tolist()
+    np.testing.assert_allclose(read_text(json.dumps({"T_lidar_cam": rows})).extrinsic(), KITTI_LIKE, atol=1e-12)
+    with pytest.raises(InputError, match="T_cam_lidar and T_lidar_cam are not the same transform"):
+        read_text(json.dumps({"T_cam_lidar": rows, "T_lidar_cam": rows}))
+
+
+def test_a_text_that_was_edited_in_one_place_contradicts_itself() -> None:
+    text = written("text", Calibration(None, KITTI_LIKE))
+    with pytest.raises(InputError, match="are not the same transform"):
+        read_text(text.replace("rpy_deg: [0.0, -90.0, 90.0]", "rpy_deg: [1.0, -90.0, 90.0]"))
+
+
+def test_a_result_of_p2o_says_pose_and_camera(tmp_path: Path) -> None:
+    result = Result(("a",), np.eye(4), KITTI_LIKE, Status.CONVERGED, "done", intrinsics=PINHOLE)
+    path = tmp_path / "result.json"
+    path.write_text(result_to_json(result))
+    found = read_calibration_file(path)
+    np.testing.assert_array_equal(found.extrinsic(), KITTI_LIKE)
+    assert found.camera == PINHOLE
+    refused = Result(("a",), np.eye(4), np.eye(4), Status.TOO_FEW_MATCHES, "3 pairs")
+    path.write_text(result_to_json(refused))
+    with pytest.raises(InputError, match=r"no estimated pose.*too-few-matches"):
+        read_calibration_file(path)
+
+
+def test_the_size_may_be_said_beside_a_file(tmp_path: Path) -> None:
+    text = json.loads(written("koide", Calibration(PINHOLE, KITTI_LIKE)))
+    del text["camera"]["width"], text["camera"]["height"]
+    path = tmp_path / "calib.json"
+    path.write_text(json.dumps(text))
+    assert read_calibration(str(path)).camera is None
+    with pytest.raises(InputError, match=r"no camera in it.*FILE\?width=W&height=H"):
+        read_camera_file(str(path))
+    assert read_camera_file(f"{path}?width=640&height=240") == PINHOLE
+
+
+def test_a_file_without_a_camera_is_not_blamed_on_the_size(tmp_path: Path) -> None:
+    path = tmp_path / "pose.npy"
+    np.save(path, KITTI_LIKE)
+    assert read_calibration(str(path)).remarks
+    with pytest.raises(InputError, match=r"the file has no camera; expected intrinsics of a camera$"):
+        read_camera_file(str(path))
+
+
+# ---- damaged and hostile
+
+
+def _swap(name: str, matrix: np.ndarray) -> str:
+    """Return a file of a form whose rotation is not one."""
+    rows = matrix.tolist()
+    if name == "kalibr":
+        lines = [f"  - {row}" for row in rows]
+        head = written("kalibr", Calibration(PINHOLE, KITTI_LIKE)).partition("  T_cam_lidar:")[0]
+        return "\n".join([head + "  T_cam_lidar:", *lines])
+    if name == "opencalib":
+        tree = json.loads(written("opencalib", Calibration(None, KITTI_LIKE)))
+        next(iter(tree.values()))["param"]["sensor_calib"]["data"] = rows
+        return json.dumps(tree)
+    if name == "opencv":
+        data = ", ".join(map(str, matrix.ravel()))
+        return (
+            f"%YAML:1.0\n---\ncamera_from_lidar: !!opencv-matrix\n   rows: 4\n   cols: 4\n   dt: d\n   data: [ {data} ]"
+        )
+    if name == "kitti":
+        return "Tr: " + " ".join(map(str, matrix[:3].ravel()))
+    if name == "matrix":
+        return "\n".join(" ".join(map(str, row)) for row in rows)
+    return "camera_from_lidar: " + json.dumps(rows)
+
+
+BAD = {
+    "mirrors space": KITTI_LIKE @ np.diag([1.0, 1, -1, 1]),
+    "not orthonormal": KITTI_LIKE @ np.diag([1.1, 1, 1, 1]),
+    "too long": se3.make(KITTI_LIKE[:3, :3], [1e12, 0, 0]),
+    "last row": KITTI_LIKE + np.array([[0, 0, 0, 0]] * 3 + [[1, 0, 0, 0]]),
+}
+
+
+@pytest.mark.parametrize("name", ["kalibr", "opencalib", "opencv", "kitti", "matrix", "text"])
+@pytest.mark.parametrize("fault", BAD)
+def test_what_is_no_rigid_transform_is_refused(name: str, fault: str) -> None:
+    if name == "kitti" and fault == "last row":
+        return  # KITTI writes three rows.
+    with pytest.raises(InputError, match=fault) as caught:
+        read_text(_swap(name, BAD[fault]))
+    assert "\n" not in str(caught.value)
+    assert "calibration.txt" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("static_transform_publisher --x nan --frame-id lidar --child-frame-id camera", "--x is not a number"),
+        ("static_transform_publisher --x 1e999 --frame-id lidar --child-frame-id camera", "--x is not a number"),
+        ("static_transform_publisher --qx 1 --qw 1 --frame-id lidar --child-frame-id cam", "not a rotation"),
+        ("static_transform_publisher --x 1 --frame-id lidar", "--child-frame-id"),
+        ("static_transform_publisher", "the file has no transform"),
+        (TREE.replace("0.3 0 0", "${x} 0 0"), "expression of xacro"),
+        (TREE.replace("0.3 0 0", "0.3 0"), "translation_m"),
+        (TREE.replace('type="fixed"', 'type="revolute"'), "not fixed"),
+        ('<!DOCTYPE a [<!ENTITY b "c">]>' + TREE.partition("?>")[2], "DOCTYPE"),
+        ("<robot><joint>", "not XML"),
+        (CAMERA_INFO.replace("700.,", ".nan,"), "not an intrinsic matrix"),
+        (CAMERA_INFO.replace("-0.28, 0.08, ", ""), "does not fit plumb_bob"),
+        (CAMERA_INFO.replace("data: [700., 0.", "data: [700., 3."), "not an intrinsic matrix"),
+        (CAMERA_INFO.replace("image_width: 1280", "image_width: 1e9"), "image size|too many pixels"),
+        (CAMERA_INFO.replace("plumb_bob", "thin_plate"), "distortion 'thin_plate' is unknown"),
+        (KIT.replace("yaw: 1.575", "yaw: .inf").replace("camera1/camera_link", "radar_link"), "rpy_rad"),
+        ('{"results": {"T_lidar_camera": [0, 0, 0, 0, 0, 0, 0]}}', "quaternion"),
+        ('{"results": {"T_lidar_camera": [0, 0, 0, 1]}}', "x y z qx qy qz qw"),
+        ('{"results": {"T_lidar_camera": [NaN, 0, 0, 0, 0, 0, 1]}}', "x y z qx qy qz qw"),
+        ("1 PINHOLE 640 480 500 500 320", "a different number of parameters"),
+        ("1 NOSUCH 640 480 500 500 320 240", "NOSUCH"),
+        ("1 PINHOLE 640 480 500 inf 320 240", "not numbers"),
+        ("hello", "no calibration reader recognises this file"),
+        ("{" * 2000, "no calibration reader recognises this file"),
+        ("a: &x [1]\nb: *x", "alias"),
+        ("camera_from_lidar: !!python/object:os.system []", "objects"),
+        ('[{"cameras": [{"image_prefix": "a/", "ref_sensor": true}, {"image_prefix": "b/"}]}]', "which sensors"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_said_in_one_line(text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        read_text(text)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 1500
+
+
+def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "large.yaml"
+    with path.open("wb") as file:
+        file.truncate(17 << 20)
+    with pytest.raises(InputError, match="too large"):
+        read_calibration_file(path)
+
+
+def test_launch_files_are_never_run(tmp_path: Path) -> None:
+    trap = tmp_path / "trap"
+    text = f"open({str(trap)!r}, 'w')\n" + written("ros2", Calibration(None, KITTI_LIKE), form="launch")
+    np.testing.assert_allclose(read_text(text).extrinsic(), KITTI_LIKE, atol=1e-9)
+    assert not trap.exists()
+
+
+def test_a_matrix_that_says_another_direction_is_refused() -> None:
+    text = written("matrix", Calibration(None, KITTI_LIKE), direction="lidar_from_camera")
+    with pytest.raises(InputError, match="the file states another direction"):
+        read_text(text, direction="camera_from_lidar")
+
+
+def test_names_of_frames_cannot_hold_commands() -> None:
+    for name in ("a; rm -rf /", "a b", '"', "$(x)", "a\nb", "", "-x"):
+        with pytest.raises(ValueError, match="camera_frame"):
+            FORMATS["ros2"].options(camera_frame=name)

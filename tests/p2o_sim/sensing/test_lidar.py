@@ -1,0 +1,93 @@
+"""LiDARs as data: beam tables, spin, times, and the sensors by name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from p2o import InputError
+from p2o_sim import LIDARS, Lidar, Rosette
+
+TURNING = [slug for slug, lidar in LIDARS.items() if isinstance(lidar, Lidar)]
+
+
+@pytest.mark.parametrize("slug", TURNING)
+def test_beams_leave_the_axis_as_their_table_says(slug: str) -> None:
+    lidar = LIDARS[slug]
+    beams = lidar.beams
+    assert len(beams.directions) == len(lidar.elevation_deg) * lidar.columns
+    np.testing.assert_allclose(np.linalg.norm(beams.directions, axis=1), 1.0, atol=1e-12)
+    slope = beams.directions[:, 2] / np.hypot(*beams.directions[:, :2].T)
+    np.testing.assert_allclose(slope, np.tan(np.radians(lidar.elevation_deg))[beams.ring], atol=1e-12)
+    np.testing.assert_array_equal(beams.origins[:, 2], np.array(lidar.height_m)[beams.ring])
+    assert (np.diff(lidar.elevation_deg) < 0).all()
+    ahead = beams.column == 0
+    azimuth = np.degrees(np.arctan2(beams.directions[ahead, 1], beams.directions[ahead, 0]))
+    np.testing.assert_allclose(azimuth, lidar.azimuth_deg, atol=1e-9)
+
+
+def test_kittis_velodyne_has_the_table_that_was_fitted_to_its_files() -> None:
+    lidar = LIDARS["hdl-64e"]
+    assert len(lidar.elevation_deg) == 64
+    assert (lidar.elevation_deg[0], lidar.elevation_deg[31], lidar.elevation_deg[32]) == (1.937, -8.711, -9.026)
+    np.testing.assert_allclose([lidar.height_m[i] for i in (0, 31, 32, 63)], [0.209, 0.198, 0.126, 0.116])
+
+
+@pytest.mark.parametrize(
+    ("slug", "rings", "top", "bottom"),
+    [("hdl-32e", 32, 10.67, -30.67), ("vlp-16", 16, 15, -15), ("os1-64", 64, 17.042, -16.3),
+     ("os1-128", 128, 22.5, -22.5),
+     ("pandar64", 64, 14.882, -24.897)],
+)  # fmt: skip
+def test_named_lidars_have_their_fields_of_view(slug: str, rings: int, top: float, bottom: float) -> None:
+    elevation = LIDARS[slug].elevation_deg
+    assert (len(elevation), elevation[0], elevation[-1]) == (rings, top, bottom)
+
+
+def test_pulses_come_ring_by_ring_counter_clockwise_and_a_velodyne_takes_them_clockwise() -> None:
+    lidar = LIDARS["hdl-64e"]
+    beams = lidar.beams
+    azimuth = np.arctan2(beams.directions[:, 1], beams.directions[:, 0])
+    rising = np.mod(azimuth, 2 * np.pi)
+    rising[rising > 2 * np.pi - 1e-9] = 0.0
+    same = np.diff(beams.ring) == 0
+    assert (np.diff(rising)[same] > 0).all()
+    behind = np.abs(azimuth) > np.pi - 0.01
+    np.testing.assert_allclose(beams.time_s[~behind], -azimuth[~behind] / (2 * np.pi) * 0.1, atol=1e-12)
+    other_way = replace(lidar, clockwise=False).beams
+    np.testing.assert_array_equal(other_way.time_s, -beams.time_s)
+
+
+def test_a_beam_with_an_azimuth_offset_fires_with_its_column() -> None:
+    beams = LIDARS["pandar64"].beams
+    assert np.ptp(beams.time_s.reshape(64, -1), axis=0).max() == 0.0
+
+
+def test_the_rosette_fills_a_round_field_of_38_degrees_and_never_repeats_within_a_sweep() -> None:
+    lidar = LIDARS["mid-40"]
+    assert isinstance(lidar, Rosette)
+    beams = lidar.beams
+    off_axis = np.degrees(np.arccos(beams.directions[:, 0]))
+    assert beams.ring is None
+    assert len(off_axis) == 10_000
+    # d1 + d2 = 19.2 degrees; azimuth and elevation add up to a little less as an angle on the sphere.
+    assert off_axis.max() == pytest.approx(19.2, abs=0.3)
+    assert off_axis.min() < 0.5
+    np.testing.assert_allclose(np.diff(beams.time_s), 1e-5)
+    assert len(np.unique(np.round(beams.directions, 6), axis=0)) > 9_900
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"height_m": (0.1,)}, "one height for each"),
+        ({"azimuth_deg": (0.1,)}, "one azimuth offset for each"),
+        ({"elevation_deg": ()}, "one height for each"),
+        ({"columns": 0}, "at least one column"),
+        ({"min_range_m": 200.0}, "ranges of the LiDAR are empty"),
+    ],
+)
+def test_lidars_that_cannot_be_are_refused(wrong: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Lidar(**{"name": "half", "elevation_deg": (1.0, 2.0), "columns": 100, **wrong})

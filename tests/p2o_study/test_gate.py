@@ -1,0 +1,312 @@
+"""The gate closes on what is worse, missing or crashed, says which rows and frames moved, and is written on request."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from p2o import InputError
+from p2o.cli import main
+from p2o.results.verdict import Trust
+from p2o_study.gate import judge, make_reference, read_reference, write_reference
+from p2o_study.store import Planned, StoredRow
+from p2o_study.study import parse_study
+from p2o_study.tally import table, tallies
+
+PLUGIN = Path(__file__).parents[1] / "study_plugin.py"
+TEXT = """name = "s"
+title = "S"
+[[dataset]]
+name = "tiny"
+data = "tiny:"
+[[row]]
+label = "a"
+calibrator = "quick"
+[[row]]
+label = "b"
+section = "more"
+calibrator = "quick"
+"""
+STUDY = parse_study(TEXT)
+
+
+def rows(**changes: object) -> list[StoredRow]:
+    """Return two calibrations of each row; `changes` are of the first."""
+    found = [
+        StoredRow(
+            f"{label}{frame}", "s", label, frames=(f"f/{frame}",), status="converged",
+            rotation_deg=0.1 * (frame + 1), translation_m=0.02, section={"b": "more"}.get(label, ""),
+        )
+        for label in "ab"
+        for frame in (0, 1)
+    ]  # fmt: skip
+    return [replace(found[0], **changes), *found[1:]]
+
+
+REFERENCE = make_reference(STUDY, rows())
+
+
+def test_what_is_unchanged_or_a_little_worse_passes() -> None:
+    same = judge(STUDY, rows(), [], REFERENCE)
+    assert same.open
+    assert str(same) == "gate: open"
+    # The mean of 0.1 and 0.2 deg may grow by 0.05: the first by 0.1.
+    assert judge(STUDY, rows(rotation_deg=0.199), [], REFERENCE).open
+    closed = judge(STUDY, rows(rotation_deg=0.201), [], REFERENCE)
+    assert closed.failures == ("a: mean rotation_deg 0.2005, was 0.1500 and may be 0.2000",)
+
+
+def test_better_passes_and_is_shown() -> None:
+    ruling = judge(STUDY, rows(rotation_deg=0.0), [], REFERENCE)
+    assert ruling.open
+    assert ruling.moved == ("a: mean rotation_deg 0.1500 -> 0.1000", "  a, f/0, seed 0: rotation_deg 0.1000 -> 0.0000")
+
+
+def test_a_row_that_crashed_is_missing_or_new_closes_it() -> None:
+    crashed = rows(status="stage-failed", reason="no such luck", exception="Traceback", rotation_deg=None)
+    assert "a: 1 of 2 crashed, such as: no such luck" in judge(STUDY, crashed, [], REFERENCE).failures
+    absent = judge(STUDY, rows()[1:], [Planned("a0", "s", "a")], REFERENCE).failures
+    assert "a: 1 calibrations are missing" in absent
+    assert "a: 1 calibrations of the reference are missing, such as f/0, seed 0" in absent
+    assert judge(STUDY, rows()[:2], [], REFERENCE).failures == ("b: in the reference, but not in the study",)
+    renamed = [replace(row, row="c") if row.row == "b" else row for row in rows()]
+    assert "c: not in the reference (write it with --update)" in judge(STUDY, renamed, [], REFERENCE).failures
+    other = REFERENCE.model_copy(update={"study": "t"})
+    assert "the reference is of study t, not of s" in judge(STUDY, rows(), [], other).failures
+    assert not judge(STUDY, [], [Planned("a0", "s", "a")], REFERENCE).open
+
+
+def test_errors_that_are_no_numbers_close_it() -> None:
+    unknown = [replace(row, rotation_deg=None) for row in rows()]
+    assert any("mean rotation_deg nan" in line for line in judge(STUDY, unknown, [], REFERENCE).failures)
+
+
+def test_more_refused_calibrations_than_may_be_close_it() -> None:
+    refused = rows(status="too-few-matches")
+    ruling = judge(STUDY, refused, [], REFERENCE)
+    assert ruling.failures == ("a: 1 of 2 calibrations were refused, was 0",)
+    assert ruling.moved == ("  a, f/0, seed 0: was solved, now refused or crashed",)
+    tolerance = REFERENCE.tolerance.model_copy(update={"failures": 1})
+    assert judge(STUDY, refused, [], REFERENCE.model_copy(update={"tolerance": tolerance})).open
+    assert judge(STUDY, rows(), [], make_reference(STUDY, refused)).open
+
+
+def test_verdicts_that_changed_are_shown_and_do_not_close_it(tmp_path: Path) -> None:
+    trusted = [replace(row, trust=Trust.TRUSTED) for row in rows()]
+    reference = make_reference(STUDY, trusted)
+    write_reference(tmp_path / "r.json", reference)
+    assert read_reference(tmp_path / "r.json") == reference
+    assert str(judge(STUDY, trusted, [], reference)) == "gate: open"
+    changed = judge(STUDY, [replace(trusted[0], trust=Trust.DOUBTFUL), *trusted[1:]], [], reference)
+    assert changed.open
+    assert changed.moved == ("a: 2 trusted -> 1 trusted, 1 doubtful",)
+    assert str(judge(STUDY, trusted, [], REFERENCE)) == "gate: open", (
+        "a reference without verdicts says nothing of them"
+    )
+
+
+def test_a_reference_comes_back_and_an_update_keeps_the_tolerances_that_were_edited(tmp_path: Path) -> None:
+    path = tmp_path / "reference.json"
+    write_reference(path, REFERENCE)
+    assert read_reference(path) == REFERENCE
+    content = json.loads(path.read_text())
+    content["tolerance"]["mean"]["rotation_deg"] = 1.5
+    path.write_text(json.dumps(content))
+    again = make_reference(STUDY, rows(rotation_deg=0.5), read_reference(path))
+    assert again.tolerance.mean == {"rotation_deg": 1.5, "translation_m": 0.01}
+    assert again.rows["a"].mean["rotation_deg"] == pytest.approx(0.35)
+    lines = Path(path).read_text().count("\n"), len(rows())
+    write_reference(path, again)
+    assert path.read_text().count("\n") > lines[1], "a line for each calibration, so that a diff can be read"
+
+
+def _with(path: str, value: object) -> bytes:
+    """Return the reference with another value at a place such as "rows.a.count"."""
+    content = REFERENCE.model_dump(mode="json")
+    *outer, last = path.split(".")
+    inside = content
+    for key in outer:
+        inside = inside[key]
+    inside[last] = value
+    return json.dumps(content).encode()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"\xff\xfe{",
+        b"[" * 100_000,
+        b"[]",
+        b"3",
+        b"null",
+        b'{"study": "s"}',
+        b"9" * 5000,
+        _with("study", 3),
+        _with("rows", []),
+        _with("rows.a", None),
+        _with("rows.a.count", -1),
+        _with("rows.a.count", "many"),
+        _with("rows.a.failures", 1.5),
+        _with("rows.a.mean", {"rotation_deg": float("nan")}),
+        _with("rows.a.mean", {"rotation_deg": float("inf")}),
+        _with("rows.a.mean", {"rotation_deg": -0.1}),
+        _with("rows.a.mean", {"rotation": 0.1}),
+        _with("rows.a.mean", {"rotation_deg": "x"}),
+        _with("rows.a.mean", {"\x1b[2J": 1}),
+        _with("rows.a.trust", {"splendid": 1}),
+        _with("rows.a.runs", {"f/0, seed 0": 3}),
+        _with("rows.a.runs", {"f/0, seed 0": {"speed": 3}}),
+        _with("tolerance.mean", {"rotation_deg": -1}),
+        _with("tolerance.mean", {"speed": 1}),
+        _with("tolerance.mean", None),
+        _with("tolerance.rows", {"c": {}}),
+        _with("tolerance.failures", 10**30 * 1.5),
+        _with("colour", "red"),
+        _with("rows.a.count", "\ud800"),
+        _with("rows.a.mean", {"rotation_deg": "\ud800"}),
+    ],
+)
+def test_a_file_that_is_no_reference_is_one_line_that_names_it(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "reference.json"
+    path.write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        read_reference(path)
+    assert str(caught.value).startswith(str(path))
+    assert "write it with --update" in str(caught.value)
+    assert len(str(caught.value)) < 1000
+
+
+def test_a_metric_that_is_no_longer_measured_closes_it() -> None:
+    """What is not compared would pass for ever."""
+    study = parse_study('metrics = ["translation_m"]\n' + TEXT)
+    assert "a: mean rotation_deg is not measured, was 0.1500" in judge(study, rows(), [], REFERENCE).failures
+
+
+def test_names_in_a_reference_do_not_reach_the_terminal_as_they_are() -> None:
+    row = REFERENCE.rows["a"]
+    ruling = judge(STUDY, rows(), [], REFERENCE.model_copy(update={"rows": {**REFERENCE.rows, "\x1b[2Jx\n": row}}))
+    assert "FAIL  \\x1b[2Jx\\n: in the reference, but not in the study" in str(ruling)
+
+
+def test_a_reference_is_not_written_over_a_device(tmp_path: Path) -> None:
+    for name in ("/dev/null", str(tmp_path)):
+        with pytest.raises(InputError, match="cannot write the file"):
+            write_reference(name, REFERENCE)
+    assert Path("/dev/null").is_char_device()
+
+
+def test_a_row_may_have_a_tolerance_of_its_own() -> None:
+    own = REFERENCE.tolerance.model_copy(update={"rows": {"a": {"rotation_deg": 0.2}}})
+    reference = REFERENCE.model_copy(update={"tolerance": own})
+    assert judge(STUDY, rows(rotation_deg=0.499), [], reference).open
+    assert not judge(STUDY, rows(rotation_deg=0.501), [], reference).open
+    assert not judge(STUDY, rows(rotation_deg=0.499, translation_m=0.041), [], reference).open, "others hold on"
+    assert not judge(STUDY, [replace(row, rotation_deg=0.21) for row in rows()], [], reference).open, "of row b, too"
+    again = make_reference(STUDY, rows(), reference)
+    assert again.tolerance.rows == own.rows
+    assert make_reference(STUDY, rows()[2:], reference).tolerance.rows == {}, "it goes with its row"
+
+
+@pytest.mark.parametrize("tolerance", ['{"c": {"rotation_deg": 1.0}}', '{"a": {"yaw_deg": 1.0}}'])
+def test_a_tolerance_of_what_is_not_there_is_told(tmp_path: Path, tolerance: str) -> None:
+    path = tmp_path / "reference.json"
+    write_reference(path, REFERENCE)
+    path.write_text(path.read_text().replace('"rows": {}', f'"rows": {tolerance}'))
+    with pytest.raises(InputError, match=r"tolerance of .*row '[ac]': .* is not"):
+        read_reference(path)
+
+
+@pytest.mark.parametrize("content", [" ", "{}", "[1]", '{"study": "s", "tolerance": {}, "rows": {}, "more": 1}'])
+def test_another_file_is_no_reference(tmp_path: Path, content: str) -> None:
+    (tmp_path / "r.json").write_text(content)
+    with pytest.raises(InputError, match=r"cannot read the reference of a study.*--update"):
+        read_reference(tmp_path / "r.json")
+    with pytest.raises(InputError, match=r"the reference is missing.*--update"):
+        read_reference(tmp_path / "gone.json")
+
+
+def test_means_and_medians_are_of_absolute_errors_and_refused_ones_count() -> None:
+    errors = [-1.0, 2.0, 6.0, None]
+    statuses = ["converged", "rounds-spent", "no-improvement", "stage-failed"]
+    made = [
+        StoredRow(str(i), "s", "a", yaw_deg=error, status=status)
+        for i, (error, status) in enumerate(zip(errors, statuses, strict=True))
+    ]
+    [tally] = tallies(made, ["yaw_deg"])
+    assert (tally.count, tally.solved, tally.crashed, tally.refused) == (4, 2, 1, 1)
+    assert (tally.mean["yaw_deg"], tally.median["yaw_deg"]) == (3.0, 2.0)
+    [nothing] = tallies([made[3]], ["yaw_deg"])
+    assert np.isnan(nothing.mean["yaw_deg"])
+
+
+def test_the_table_counts_verdicts_where_there_are_any() -> None:
+    """Row a: one ambiguous, one refused; row b is of a store that knew nothing of verdicts."""
+    made = rows(trust=Trust.AMBIGUOUS)
+    made[1] = replace(made[1], trust=Trust.REFUSED, status="no-edges")
+    [tally, unknown] = tallies(made, STUDY.metrics)
+    assert (tally.trust, unknown.trust) == ({"ambiguous": 1, "refused": 1}, {})
+    for text in (
+        TEXT,
+        TEXT.replace('title = "S"', 'title = "S"\nmetrics = ["roll_deg", "pitch_deg", "yaw_deg", "x_m"]'),
+    ):
+        lines = table(parse_study(text), made).splitlines()
+        assert lines[0].split()[:3] == ["runs", "failed", "ambiguous"]
+        [a, b] = [line.split() for line in lines if line.split()[0] in "ab"]
+        assert a[1:4] == ["2", "1", "1"]
+        assert b[1:4] == ["2", "0", "-"]
+        end = lines[0].index("ambiguous") + len("ambiguous")
+        assert [line[end - 1] for line in lines if line.split()[0] in "ab"] == ["1", "-"], "below its head"
+    assert "ambiguous" not in table(STUDY, rows())
+
+
+def test_the_table_shows_published_figures_beside_the_row_they_belong_to() -> None:
+    text = TEXT + '[[published]]\nlabel = "theirs"\nsource = "x"\nbeside = "a"\nvalues = { translation_m = 0.5 }\n'
+    text += '[[published]]\nlabel = "others"\nsource = "x"\nvalues = { rotation_deg = 1.18 }\n'
+    lines = [line.split() for line in table(parse_study(text), rows()).splitlines()]
+    assert [line[0] for line in lines[1:]] == ["a", "theirs", "[more]", "b", "[published]", "others"]
+    assert lines[1][1:] == ["2", "0", "-", "0.150", "0.150", "0.020", "0.020", "measured"], "no seconds are known"
+    assert lines[2][1:] == ["-", "0.500", "published"]
+
+
+def test_the_command_writes_the_reference_passes_it_and_fails_when_a_method_gets_worse(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("P2O_CACHE", str(tmp_path))
+    monkeypatch.delenv("P2O_PLUGINS", raising=False)
+    file, reference = tmp_path / "s.toml", tmp_path / "reference.json"
+    plain = TEXT.replace('title = "S"', 'title = "S"\nperturb = "1deg 0.05m"')
+    file.write_text(plain)
+    words = ["ablate", str(file), "--plugin", str(PLUGIN), "--out", str(tmp_path / "out"), "--jobs", "1", "--quiet"]
+    assert main([*words, "--gate", str(reference)]) == 2
+    assert "--update" in capsys.readouterr().err
+    assert main([*words, "--gate", str(reference), "--update"]) == 0
+    assert main([*words, "--gate", str(reference)]) == 0
+    assert capsys.readouterr().out.endswith("gate: open\n")
+
+    file.write_text(plain.replace('label = "a"\n', 'label = "a"\noptions.calibrator.gain = 0.9\n'))
+    assert main([*words, "--gate", str(reference)]) == 1
+    out = capsys.readouterr().out
+    assert "FAIL  a: mean rotation_deg 0.9000, was 0.5000 and may be 0.5500" in out
+    assert "a, tiny/001, seed 0: rotation_deg 0.5000 -> 0.9000" in out
+
+    file.write_text(plain + 'options.calibrator.fail_on = "tiny/001"\n')
+    assert main([*words, "--gate", str(reference)]) == 1
+    assert "b: 1 of 3 crashed" in capsys.readouterr().out
+    assert main([*words, "--gate", str(reference), "--update"]) == 2
+    assert main([*words, "--gate", str(reference), "--frames", "0"]) == 1
+    assert "2 calibrations of the reference are missing, such as tiny/001, seed 0" in capsys.readouterr().out
+
+
+def test_the_reference_of_the_small_study_fits_it_and_leaves_no_row_out() -> None:
+    path = Path(__file__).parents[2] / "baselines" / "p2o_baselines" / "studies" / "smoke-reference.json"
+    study = parse_study(path.with_name("smoke.toml").read_text(encoding="utf-8"))
+    reference = read_reference(path)
+    assert reference.study == study.name
+    assert set(reference.rows) == {row.label for row in study.rows()}
+    assert all(row.failures == 0 for row in reference.rows.values())
+    # The search is worth its row: without it the start of 4 deg is left as it is.
+    assert reference.rows["ogm, search"].mean["rotation_deg"] < 0.2

@@ -1,0 +1,362 @@
+"""What goes wrong around a study costs what it must and no more: disks, signals, folders, caches."""
+
+from __future__ import annotations
+
+import os
+import re
+import resource
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from p2o import InputError
+from p2o.cli import main
+from p2o.work.cache import FeatureCache
+from p2o_study import worker
+from p2o_study.store import Store, StoredRow
+
+from tests.study_bench import HEAD, PLUGIN, QUICK, Bench, bits
+
+ONE = HEAD + '[[row]]\nlabel = "a"\n'
+
+
+def forget() -> None:
+    """Let this process forget what it has in memory."""
+    worker._features.values.clear()
+    worker._frames.values.clear()
+
+
+# ---- the cache
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_cache_that_cannot_be_written_costs_one_warning_and_no_row(bench: Bench, jobs: int) -> None:
+    expected = bench.run(ONE)
+    forget()
+    (bench.root / "cache").rename(bench.root / "gone")
+    (bench.root / "cache").write_text("a file in the place of the folder")
+    told: list[str] = []
+    done = bench.run(ONE, out="again", jobs=jobs, on_warning=told.append)
+    assert bits(done.rows) == bits(expected.rows)
+    [warning] = told
+    assert warning.startswith(f"{bench.root / 'cache'}")
+    assert "the cache of features cannot be written" in warning
+    assert "P2O_CACHE" in warning
+
+
+def test_python_warns_where_nobody_asks(bench: Bench) -> None:
+    (bench.root / "cache").write_text("")
+    with pytest.warns(UserWarning, match="the cache of features cannot be written") as told:
+        bench.run(ONE)
+    assert sum("cache of features" in str(warning.message) for warning in told) == 1
+
+
+def test_a_disk_that_fills_up_under_the_cache_costs_time_alone(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    expected = bench.run(ONE)
+    forget()
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    told: list[str] = []
+    with monkeypatch.context() as patch:
+        patch.setattr(FeatureCache, "get", lambda *_: None)
+        patch.setattr(FeatureCache, "has", lambda *_: False)
+        assert bits(bench.run(ONE, out="again", on_warning=told.append).rows) == bits(expected.rows)
+    assert len(told) == 1
+    assert "No space left" in told[0]
+
+
+def test_the_command_warns_in_one_line_though_it_is_quiet(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (bench.root / "file").write_text("")
+    monkeypatch.setenv("P2O_CACHE", str(bench.root / "file" / "cache"))
+    (bench.root / "s.toml").write_text(ONE)
+    words = ["ablate", str(bench.root / "s.toml"), "--plugin", str(PLUGIN), "--out", str(bench.root / "out")]
+    assert main([*words, "--jobs", "1", "--quiet"]) == 0
+    [line] = capsys.readouterr().err.splitlines()
+    assert line.startswith("p2o: warning: ")
+
+
+@pytest.mark.parametrize(
+    ("variable", "value"), [("P2O_CACHE", "/proc/nothing"), ("XDG_CACHE_HOME", "/dev/null"), ("XDG_CACHE_HOME", "x\ny")]
+)
+def test_a_users_folder_that_cannot_be_written_is_no_end_of_a_study(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, variable: str, value: str
+) -> None:
+    monkeypatch.chdir(bench.root)
+    monkeypatch.delenv("P2O_CACHE", raising=False)
+    monkeypatch.setenv(variable, value)
+    (bench.root / "s.toml").write_text(QUICK)
+    words = ["ablate", "s.toml", "--plugin", str(PLUGIN), "--out", "out", "--jobs", "1", "--quiet"]
+    assert main(words) == 0
+
+
+def test_a_home_that_is_nobodys_is_told(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (bench.root / "s.toml").write_text(QUICK)
+    words = ["ablate", str(bench.root / "s.toml"), "--plugin", str(PLUGIN), "--jobs", "1", "--quiet"]
+    monkeypatch.setenv("P2O_CACHE", "~nosuch/cache")
+    assert main([*words, "--out", str(bench.root / "out")]) == 2
+    assert "the home folder of an unknown user" in capsys.readouterr().err
+    monkeypatch.setenv("P2O_CACHE", str(bench.root / "cache"))
+    assert main([*words, "--out", "~nosuch/out"]) == 2
+    assert "~nosuch/out" in capsys.readouterr().err
+    assert main(["report", "~nosuch/out"]) == 2
+    assert "the home folder of an unknown user" in capsys.readouterr().err
+
+
+def test_an_out_that_is_a_file_is_told(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
+    (bench.root / "s.toml").write_text(QUICK)
+    (bench.root / "file").write_text("")
+    words = ["ablate", str(bench.root / "s.toml"), "--plugin", str(PLUGIN), "--jobs", "1", "--quiet", "--out"]
+    for out in ("file", "file/below"):
+        assert main([*words, str(bench.root / out)]) == 2
+        [line] = capsys.readouterr().err.splitlines()
+        assert str(bench.root / "file") in line
+
+
+# ---- features of somebody else under the key of ours
+
+
+def test_features_of_another_kind_in_the_cache_are_extracted_again(bench: Bench) -> None:
+    expected = bench.run(ONE)
+    bench.calls()
+    cache = FeatureCache(bench.root / "cache")
+    files = sorted((bench.root / "cache").rglob("*.npz"))
+    assert len(files) == 6
+    for file in files:
+        # Whole and valid, as anyone who may write into the folder can make them.
+        assert cache.put(file.stem, {"image": [1, 2]}, 0.0)
+    forget()
+    done = bench.run(ONE, out="again")
+    assert bits(done.rows) == bits(expected.rows)
+    calls = bench.calls()
+    assert (calls["image"], calls["cloud"]) == (3, 3)
+
+
+# ---- the store
+
+
+def test_a_store_that_grows_no_more_ends_the_study_and_keeps_its_rows(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = QUICK.replace("seeds = 2", "seeds = 20")
+    put, kept = Store.put, []
+
+    def put_until_full(store: Store, row: object) -> None:
+        if len(kept) == 4:
+            [(pages,)] = store._connection.execute("pragma page_count").fetchall()
+            store._connection.execute(f"pragma max_page_count = {pages}")
+        put(store, row)
+        kept.append(row)
+
+    monkeypatch.setattr(Store, "put", put_until_full)
+    with pytest.raises(InputError, match=r"study\.sqlite: the results cannot be written.*full.*free some space"):
+        bench.run(text)
+    monkeypatch.undo()
+    with Store.open(bench.root / "out") as store:
+        assert [row.key for row in store.rows("tiny")] == [row.key for row in kept]
+    done = bench.run(text)
+    assert done.computed == 60 - len(kept)
+    assert bits(done.rows) == bits(bench.run(text, out="alone").rows)
+
+
+def test_a_store_that_is_damaged_meanwhile_ends_the_study_with_its_name(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    put, kept = Store.put, []
+
+    def put_into_ruins(store: Store, row: object) -> None:
+        if len(kept) == 2:
+            # What it remembers of the file it would not read again.
+            store._connection.execute("pragma wal_checkpoint(truncate)")
+            store._connection.execute("pragma cache_size = 1")
+            store._connection.execute("pragma shrink_memory")
+            store.path.write_bytes(b"ruins" * 9999)
+        put(store, row)
+        kept.append(row)
+
+    monkeypatch.setattr(Store, "put", put_into_ruins)
+    with pytest.raises(InputError, match=r"study\.sqlite: .*move the file to another folder and run again"):
+        bench.run(QUICK)
+
+
+def test_a_full_disk_is_one_line_and_exit_2(bench: Bench) -> None:
+    """A limit on the size of files is the only full disk that anyone can make."""
+    text = QUICK.replace("seeds = 2", "seeds = 60")
+    (bench.root / "s.toml").write_text(text)
+    command = [sys.executable, "-m", "p2o", "ablate", str(bench.root / "s.toml"), "--plugin", str(PLUGIN)]
+    command += ["--out", str(bench.root / "out"), "--jobs", "1", "--quiet"]
+
+    def small() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, 150_000))
+
+    environ = {**os.environ, "P2O_CACHE": str(bench.root / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
+    full = subprocess.run(command, capture_output=True, text=True, check=False, env=environ, preexec_fn=small)
+    assert full.returncode == 2, full.stderr
+    line = full.stderr.splitlines()[-1]
+    assert line.startswith(f"p2o: error: {bench.root / 'out' / 'study.sqlite'}: the results cannot be written")
+    with Store.open(bench.root / "out") as store:
+        kept = store.rows("tiny")
+    assert 0 < len(kept) < 180
+    done = bench.run(text)
+    assert (len(done.rows), done.computed) == (180, 180 - len(kept))
+
+
+def test_a_lock_file_that_is_something_else_does_not_matter(bench: Bench) -> None:
+    (bench.root / "out" / ".running").mkdir(parents=True)
+    assert bench.run(QUICK).computed == 6
+
+
+# ---- an end from outside
+
+
+@pytest.fixture
+def started(bench: Bench) -> Iterator[tuple[Bench, list[subprocess.Popen[str]]]]:
+    """Yield the bench and a list of processes that are killed in the end."""
+    processes: list[subprocess.Popen[str]] = []
+    yield bench, processes
+    for process in processes:
+        process.kill()
+        process.communicate()
+
+
+def start(bench: Bench, *words: str) -> subprocess.Popen[str]:
+    """Start a study in a session of its own, and return when some of its rows are there."""
+    file = bench.root / "s.toml"
+    file.write_text(QUICK.replace("seeds = 2", "seeds = 200") + "options.calibrator.sleep_s = 0.1\n")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "p2o", "ablate", str(file), "--plugin", str(PLUGIN)]
+        + ["--out", str(bench.root / "out"), "--quiet", *words],
+        env={**os.environ, "P2O_CACHE": str(bench.root / "cache")},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    until = time.monotonic() + 120
+    while process.poll() is None and time.monotonic() < until and len(there(bench.root / "out")) < 3:
+        time.sleep(0.05)
+    assert process.poll() is None, process.communicate()[1]
+    return process
+
+
+def there(folder: Path) -> set[str]:
+    """Return the keys of the rows that are in a store which somebody else writes."""
+    if not (folder / "study.sqlite").exists():
+        return set()
+    connection = sqlite3.connect(folder / "study.sqlite")
+    try:
+        return {key for (key,) in connection.execute("select key from runs")}
+    except sqlite3.OperationalError:  # its tables are not made yet
+        return set()
+    finally:
+        connection.close()
+
+
+def alive(session: int) -> list[str]:
+    """Return the processes of a session that still run."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, _, _, own, *_ = stat.read_text().rpartition(")")[2].split()
+        except (OSError, ValueError):
+            continue
+        if int(own) == session and state not in "ZX":
+            found.append(stat.parent.name)
+    return found
+
+
+def gone(session: int) -> bool:
+    """Return whether no process of a session is left, after a while."""
+    until = time.monotonic() + 20
+    while alive(session) and time.monotonic() < until:
+        time.sleep(0.1)
+    return not alive(session)
+
+
+ENDS = {
+    "one process, SIGTERM": ("1", signal.SIGTERM, os.kill),
+    "two, SIGTERM": ("2", signal.SIGTERM, os.kill),
+    "two, SIGTERM for all": ("2", signal.SIGTERM, os.killpg),
+    "two, Ctrl-C": ("2", signal.SIGINT, os.killpg),
+    "one, its terminal is closed": ("1", signal.SIGHUP, os.kill),
+}
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
+@pytest.mark.parametrize("case", ENDS)
+def test_a_study_that_is_told_to_end_keeps_its_rows_and_leaves_no_worker(
+    started: tuple[Bench, list[subprocess.Popen[str]]], case: str
+) -> None:
+    bench, processes = started
+    jobs, number, tell = ENDS[case]
+    process = start(bench, "--jobs", jobs)
+    processes.append(process)
+    before = there(bench.root / "out")
+    tell(process.pid, number)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert "Traceback" not in err
+    assert out.startswith("Tiny\n"), "the table of what is there"
+    assert there(bench.root / "out") >= before
+    assert gone(process.pid)
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
+def test_workers_leave_when_the_study_is_killed(started: tuple[Bench, list[subprocess.Popen[str]]]) -> None:
+    bench, processes = started
+    process = start(bench, "--jobs", "2")
+    processes.append(process)
+    assert len(alive(process.pid)) >= 3
+    process.kill()
+    process.wait()
+    assert gone(process.pid)
+
+
+def test_a_second_request_to_end_while_the_first_is_obeyed_loses_nothing(
+    started: tuple[Bench, list[subprocess.Popen[str]]],
+) -> None:
+    bench, processes = started
+    process = start(bench, "--jobs", "2")
+    processes.append(process)
+    before = there(bench.root / "out")
+    for _ in range(3):
+        process.send_signal(signal.SIGTERM)
+        time.sleep(0.02)
+    process.communicate(timeout=60)
+    assert process.returncode in (130, -signal.SIGTERM)
+    assert there(bench.root / "out") >= before
+    assert gone(process.pid)
+
+
+def test_an_error_of_the_system_prints_the_table_of_the_kept_rows_and_the_next_step(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    put, rows = Store.put, iter(range(2))
+
+    def limited(store: Store, row: StoredRow) -> None:
+        if next(rows, None) is None:
+            raise OSError(24, "Too many open files")
+        put(store, row)
+
+    monkeypatch.setattr(Store, "put", limited)
+    (bench.root / "s.toml").write_text(QUICK)
+    words = ["ablate", str(bench.root / "s.toml"), "--plugin", str(PLUGIN), "--out", str(bench.root / "out")]
+    assert main([*words, "--jobs", "1", "--no-isolate", "--quiet"]) == 2
+    captured = capsys.readouterr()
+    assert re.search(r"^quick +2 ", captured.out, re.MULTILINE)
+    kept, error = captured.err.splitlines()
+    assert kept.startswith("p2o: 2 rows are kept in ")
+    assert error.startswith("p2o: error: system: Too many open files; ")
+    assert "`ulimit -n 1024`" in error

@@ -1,0 +1,191 @@
+"""`p2o run` exports trusted results only, states what it wrote, and names the licence of the weights that were used."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import p2o
+import pytest
+from p2o import Recipe, Registry
+from p2o.cli import main
+from p2o.results.figures import result_lines
+from p2o.work.cache import method_content
+
+PLUGIN = Path(__file__).with_name("stage_plugin.py")
+DOUBTFUL = ["--plugin", str(PLUGIN), "--calibrator", "spy", "--perturb", "2deg 0.1m", "--witness", "none"]
+TRUSTED = ["run", "--data", "synthetic:?scenes=1", "--extractor", "depth/rings", "--perturb", "2deg 0.15m"]
+RESEARCH_ONLY = "kitti: research only (CC BY-NC-SA 3.0); P2O_WEIGHTS=free selects weights without this restriction"
+
+
+@pytest.fixture(autouse=True)
+def _plain_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("P2O_PLUGINS", "P2O_STRICT", "P2O_WEIGHTS"):
+        monkeypatch.delenv(name, raising=False)
+
+
+def doubtful(data: str, *words: str) -> list[str]:
+    """Return the words that run a method without an independent check, whose results are doubtful."""
+    return ["run", "--data", data, *DOUBTFUL, *words]
+
+
+# ---- exports
+
+
+def test_a_doubtful_result_is_not_exported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "calib.txt"
+    assert main(doubtful("fake:?frames=1", "--export", f"kitti:{path}")) == 1
+    captured = capsys.readouterr()
+    reason = "the result is doubtful; see its reasons, or write it with --export-anyway"
+    assert captured.err.splitlines()[-1] == f"p2o: not exported: {path}: {reason}"
+    assert "wrote" not in captured.out
+    assert not path.exists()
+
+
+def test_a_doubtful_result_is_exported_if_it_is_requested(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "calib.txt"
+    assert main(doubtful("fake:?frames=1", "--export", f"matrix:{path}", "--export-anyway")) == 0
+    assert f"wrote {path} (matrix, doubtful)\n" in capsys.readouterr().out
+    assert "\n# p2o: doubtful; predicted error unknown\n" in path.read_text()
+
+
+@pytest.mark.parametrize("anyway", [[], ["--export-anyway"]])
+def test_a_result_that_does_not_meet_the_requirement_is_not_exported(
+    anyway: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "calib.txt"
+    assert main(doubtful("fake:?frames=1", "--require", "trusted", "--export", f"kitti:{path}", *anyway)) == 1
+    assert f"p2o: not exported: {path}: the result is not trusted, as --require asks\n" in capsys.readouterr().err
+    assert not path.exists()
+
+
+def test_a_trusted_result_that_is_not_accurate_enough_is_not_exported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, size = tmp_path / "calib.txt", "0.001deg 0.001m"
+    assert main([*TRUSTED, "--require", size, "--export", f"kitti:{path}", "--export-anyway"]) == 1
+    assert f"not exported: {path}: the result does not reach {size}, as --require asks" in capsys.readouterr().err
+    assert not path.exists()
+
+
+def test_json_stores_the_verdict_and_is_always_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = doubtful("fake:?frames=1", "--export", f"json:{tmp_path}/r.json")
+    assert main(words) == 0
+    assert json.loads((tmp_path / "r.json").read_text())["verdict"]["trust"] == "doubtful"
+    assert main([*words, "--require", "trusted"]) == 1
+    refused = doubtful("fake:?frames=1", "--set", "calibrator.status=no-edges", "--export", f"json:{tmp_path}/no.json")
+    assert main(refused) == 1
+    assert json.loads((tmp_path / "no.json").read_text())["verdict"]["trust"] == "refused"
+    assert "not exported" not in capsys.readouterr().err
+
+
+def test_a_result_without_a_new_pose_is_never_exported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = doubtful("fake:?frames=1", "--set", "calibrator.status=no-edges", "--export-anyway")
+    assert main([*words, "--export", f"kitti:{tmp_path}/calib.txt"]) == 1
+    assert "calib.txt: the result has no estimated pose: no-edges" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_trusted_results_are_exported_with_verdict_and_predicted_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "tf.txt"
+    assert main([*TRUSTED, "--require", "trusted", "--export", f"ros2:{path}"]) == 0
+    assert f"wrote {path} (ros2, trusted)\n" in capsys.readouterr().out
+    [comment] = [line for line in path.read_text().splitlines() if line.startswith("# p2o: ")]
+    assert comment.startswith("# p2o: trusted; predicted error 0.")
+    assert "(67 %), " in comment
+    assert comment.endswith("(95 %)")
+
+
+def test_json_output_lists_the_exports_of_all_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    export = ["--export", f"kitti:{tmp_path}/{{frame}}.txt", "--export", f"json:{tmp_path}/{{frame}}.json"]
+    words = doubtful("fake:", "--json", "--set", "calibrator.fail_at=0", "--export-anyway", *export)
+    assert main(words) == 1
+    exports = json.loads(capsys.readouterr().out)["exports"]
+    assert [(e["frame"], e["form"], e["trust"], e["written"]) for e in exports] == [
+        ("drive/0000", "kitti", "refused", False),
+        ("drive/0000", "json", "refused", True),
+        ("drive/0001", "kitti", "doubtful", True),
+        ("drive/0001", "json", "doubtful", True),
+    ]
+    for entry in exports:
+        assert Path(entry["path"]).exists() == entry["written"] == (not entry["reason"])
+
+
+# ---- weights
+
+
+def test_a_result_names_the_licence_of_its_weights(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ["run", "--data", "synthetic:?scenes=1", "--perturb", "1deg 0.05m", "--out", str(tmp_path / "out")]
+    assert main(words) == 0
+    assert f"  weights   {RESEARCH_ONLY}\n" in capsys.readouterr().out
+    assert RESEARCH_ONLY in (tmp_path / "out/result.html").read_text()
+    monkeypatch.setenv("P2O_WEIGHTS", "free")
+    assert main([*words[:-2], "--json"]) == 0
+    [result] = json.loads(capsys.readouterr().out)["results"]
+    assert result["licences"]["extractor"].startswith("synthetic: Apache-2.0")
+    assert result["recipe"]["options"]["extractor"]["weights"] == "synthetic"
+
+
+def planned(**words: Any) -> Any:
+    """Return the plan of a recipe with the installed plugins."""
+    return Recipe.of(data=None, **words).resolve(Registry.load())
+
+
+def test_methods_without_weights_name_no_licence() -> None:
+    assert planned(extractor="canny/rings", matcher="nearest").licences() == {}
+
+
+def test_the_independent_check_uses_and_names_the_same_default(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert planned(calibrator="koo").licences() == {"witness": RESEARCH_ONLY}
+    monkeypatch.setenv("P2O_WEIGHTS", "free")
+    plan = planned(calibrator="koo")
+    assert plan.described()["options"]["witness"]["weights"] == "synthetic"
+    assert plan.licences()["witness"].startswith("synthetic: ")
+
+
+def test_own_and_published_weights_are_named() -> None:
+    own = planned(options={"extractor": {"weights": "trained/own.safetensors"}})
+    assert own.licences() == {"extractor": "own.safetensors: the terms of its training data apply"}
+    assert "research only" in planned(calibrator="calibnet", witness="none").licences()["calibrator"]
+    assert planned(calibrator="cues", witness="none").licences() == {"calibrator": RESEARCH_ONLY}
+
+
+@pytest.mark.parametrize("method", [{}, {"calibrator": "cues", "witness": "none"}], ids=["p2ornet", "cues"])
+def test_keys_of_studies_follow_the_weights_that_were_used(
+    method: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stage = "calibrator" if method else "extractor"
+
+    def content(**options: str) -> dict[str, Any]:
+        return method_content(planned(**method, options={stage: options}).parts[stage])
+
+    default, free = content(), content(weights="synthetic")
+    assert default != free
+    monkeypatch.setenv("P2O_WEIGHTS", "free")
+    assert content() == free
+    monkeypatch.setenv("P2O_WEIGHTS", "")
+    assert content() == default
+
+
+def test_an_unknown_choice_of_weights_is_one_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("P2O_WEIGHTS", "fre")
+    for words in (["run"], ["methods", "p2ornet"]):
+        assert main(words) == 2
+        captured = capsys.readouterr()
+        assert captured.out == ""
+        assert captured.err.startswith("p2o: error: unknown value of P2O_WEIGHTS 'fre'; expected one of: free")
+        assert captured.err.count("\n") == 1
+
+
+def test_equal_licences_are_stated_once() -> None:
+    pose, licences = np.eye(4), {"extractor": "a", "witness": "a", "cloud": "b"}
+    result = p2o.Result(("frame",), pose, pose, p2o.Status.CONVERGED, "", licences=licences)
+    assert [text for label, text in result_lines(result) if label == "weights"] == ["a", "b (cloud)"]

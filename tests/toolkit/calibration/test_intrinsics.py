@@ -1,0 +1,89 @@
+"""Errors of the intrinsics are found on the distance maps, although the pose absorbs most of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from p2o import se3
+from p2o.calibration.intrinsics import IntrinsicsEstimate, estimate_intrinsics
+from p2o.features.view import View
+from p2o.geometry.pose_error import pose_error
+from p2o.reading import RadialError
+
+from tests import edge_scene
+from tests.edge_scene import PINHOLE, TRUTH
+
+AWAY = se3.exp(np.array([0.001, -0.001, 0.001, 0.02, -0.01, 0.05])) @ TRUTH
+
+
+@cache
+def views(error: RadialError) -> tuple[View, ...]:
+    """Views of a camera whose calibration lacks an error of the intrinsics."""
+    true = error.corrected(PINHOLE)
+    return tuple(replace(edge_scene.view(true, seed=seed, boxes=60, noise_px=0.5), camera=PINHOLE) for seed in range(3))
+
+
+@cache
+def estimate(error: RadialError) -> IntrinsicsEstimate:
+    found = estimate_intrinsics(views(error), AWAY)
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize(
+    ("error", "wrong"),
+    [
+        (RadialError(focal=0.03), 0),
+        (RadialError(focal=-0.05), 0),
+        (RadialError(radial=0.06), 1),
+        (RadialError(x_px=30.0), 2),
+        (RadialError(x_px=-20.0), 2),
+    ],
+    ids=lambda value: str(value),
+)
+def test_an_error_is_named_and_its_size_is_within_its_interval(error: RadialError, wrong: int) -> None:
+    [fit] = estimate(error).fits
+    assert [i for i, significant in enumerate(fit.significant) if significant] == [wrong]
+    true = np.array([error.focal, error.radial, error.x_px / PINHOLE.focal_px, error.y_px / PINHOLE.focal_px])
+    assert np.all(np.abs(fit.values - true) < 2 * np.sqrt(np.diag(fit.covariance)))
+    after = pose_error(estimate(error).camera_from_lidar, TRUTH)
+    assert after.rotation_deg < 0.2
+    assert after.translation_m < 0.03
+
+
+def test_a_correct_camera_is_not_in_doubt() -> None:
+    [fit] = estimate(RadialError()).fits
+    assert not any(fit.significant)
+    assert abs(fit.error.focal) < 0.003
+
+
+def test_parameters_that_are_not_fitted_stay_exactly_zero() -> None:
+    found = estimate_intrinsics(views(RadialError(focal=0.03)), AWAY, (True, False, False, False))
+    assert found is not None
+    error = found.fits[0].error
+    assert (error.radial, error.x_px, error.y_px) == (0.0, 0.0, 0.0)
+    assert error.focal == pytest.approx(0.03, abs=0.003)
+
+
+def test_without_edges_there_is_no_estimate() -> None:
+    [view] = views(RadialError())[:1]
+    none = replace(view, cloud=type(view.cloud)(view.cloud_edges.select(np.zeros(0, np.int64))))
+    assert estimate_intrinsics([none], TRUTH) is None
+
+
+def test_two_cameras_have_errors_of_their_own() -> None:
+    wide = replace(PINHOLE, params=(650.0, 655.0, 610.0, 190.0))
+    error = RadialError(focal=0.04)
+    other = [
+        replace(edge_scene.view(error.corrected(wide), seed=seed, boxes=60, noise_px=0.5), camera=wide)
+        for seed in range(3, 6)
+    ]
+    found = estimate_intrinsics([*views(RadialError()), *other], AWAY)
+    assert found is not None
+    first, second = found.fits
+    assert (first.camera, second.camera) == (PINHOLE, wide)
+    assert abs(first.error.focal) < 0.005
+    assert second.error.focal == pytest.approx(0.04, abs=0.005)

@@ -1,0 +1,86 @@
+"""Edges that belong together meet more often than by chance; edges that do not, do not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from p2o import CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, View, se3
+from p2o.confidence.agreement import agreement
+from p2o.results.evidence import Agreement
+
+from tests import edge_scene
+from tests.edge_scene import TRUTH
+
+
+def test_at_the_truth_nearly_every_edge_meets_its_own() -> None:
+    found = agreement([edge_scene.view()], TRUTH)
+    assert found.near > 0.95
+    assert found.odds_ratio > 50
+
+
+def test_the_same_view_again_is_no_further_evidence() -> None:
+    view = edge_scene.view()
+    once, again = agreement([view], TRUTH), agreement([view] * 5, TRUTH)
+    assert again.odds_ratio == pytest.approx(once.odds_ratio)
+    assert again.strength == pytest.approx(once.strength, rel=0.01)
+
+
+def test_views_of_other_places_are_further_evidence() -> None:
+    views = [edge_scene.view(seed=seed) for seed in range(4)]
+    alone = float(np.mean([agreement([view], TRUTH).strength for view in views]))
+    assert agreement(views, TRUTH).strength == pytest.approx(2.0 * alone, rel=0.15)
+
+
+def test_the_odds_fall_with_the_error_of_the_pose() -> None:
+    view = edge_scene.view()
+    turned = [se3.exp(np.array([a, a, 0.0, 0, 0, 0])) @ TRUTH for a in (0.0, 0.005, 0.01)]
+    odds = [agreement([view], pose).odds_ratio for pose in turned]
+    assert odds[0] > odds[1] > odds[2]
+
+
+def test_the_edges_of_another_place_meet_by_chance_only() -> None:
+    here, there = edge_scene.view(seed=0), edge_scene.view(seed=1)
+    mixed = replace(here, cloud=there.cloud)
+    found = agreement([mixed], TRUTH)
+    assert 0.4 < found.odds_ratio < 2.5
+
+
+def test_points_scattered_at_random_have_an_odds_ratio_of_one() -> None:
+    rng = np.random.default_rng(0)
+    image = edge_scene.view().image_edges.without_sides()
+    pixels = rng.uniform([0, 0], [1241, 374], (20_000, 2))
+    cloud = CloudEdges(edge_scene.PINHOLE.rays(pixels) * 10.0, np.full(20_000, -1))
+    view = View("random", edge_scene.PINHOLE, ImageFeatures(image), CloudFeatures(cloud))
+    found = agreement([view], np.eye(4))
+    # The standard error of a share of about 0.3 over 20,000 points is 0.3 %.
+    assert found.near == pytest.approx(found.chance, abs=0.015)
+    assert found.odds_ratio == pytest.approx(1.0, abs=0.08)
+
+
+def test_without_points_there_is_no_answer() -> None:
+    view = View("empty", edge_scene.PINHOLE, ImageFeatures(ImageEdges.empty()), CloudFeatures(CloudEdges.empty()))
+    assert np.isnan(agreement([view], TRUTH).odds_ratio)
+    assert Agreement(1.0, 0.5, 10).odds_ratio > 1e5
+
+
+def with_clutter(confidence: float) -> View:
+    view, rng = edge_scene.view(), np.random.default_rng(0)
+    edges = view.image_edges
+    uv = np.concatenate([edges.uv, rng.uniform([0, 0], [1241, 374], (40_000, 2))])
+    side = np.concatenate([edges.side, rng.integers(0, 4, 40_000).astype(np.int8)])
+    weight = np.concatenate([np.full(len(edges), 0.9), np.full(40_000, confidence)])
+    return replace(view, image=ImageFeatures(ImageEdges(uv, side, weight)))
+
+
+def test_doubtful_edges_are_not_asked_while_there_are_sure_ones() -> None:
+    clean = agreement([edge_scene.view()], TRUTH)
+    assert agreement([with_clutter(0.1)], TRUTH) == clean
+    assert agreement([with_clutter(0.9)], TRUTH).odds_ratio < 0.5 * clean.odds_ratio
+
+
+def test_an_extractor_that_is_never_sure_is_asked_all_the_same() -> None:
+    view = edge_scene.view()
+    weak = replace(view.image_edges, weight=np.full(len(view.image_edges), 0.1))
+    assert agreement([replace(view, image=ImageFeatures(weak))], TRUTH) == agreement([view], TRUTH)

@@ -1,0 +1,140 @@
+"""An extrinsic is called off on the axis that it is off on, by as much as it is, and holds where it is right."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import p2o
+import pytest
+from p2o import se3
+from p2o.calibration.options import PipelineOptions
+from p2o.confidence import audit as audits
+from p2o.confidence.audit import AXES, EdgeStep, Evidence, Rates, audit
+from p2o.results.check import Check, CheckStatus
+from p2o.results.evidence import Agreement
+from p2o.results.result_json import check_from_dict, check_to_dict
+from p2o.run.recipe import Recipe
+from p2o.solving import Pipeline
+
+from tests import edge_scene
+
+NAMES = [axis for axis, _ in AXES]
+
+
+def off(axis: str, size: float) -> np.ndarray:
+    """The truth of the scene, off by `size` (deg or m) on one axis."""
+    out, number = edge_scene.TRUTH.copy(), NAMES.index(axis)
+    if number < 3:
+        turn = np.zeros(6)
+        turn[(2, 0, 1)[number]] = np.radians(size)
+        out[:3, :3] = se3.exp(turn)[:3, :3] @ out[:3, :3]
+    else:
+        out[number - 3, 3] += size
+    return out
+
+
+@pytest.fixture(scope="module")
+def pipeline() -> Pipeline:
+    found = Recipe.of(data=None).resolve(p2o.Registry.load()).calibrator()
+    assert isinstance(found, Pipeline)
+    return found
+
+
+@pytest.fixture(scope="module")
+def views() -> list[p2o.View]:
+    return [edge_scene.view(boxes=60, seed=seed, noise_px=0.3, name=f"{seed}") for seed in (1, 2)]
+
+
+def checked(views: list[p2o.View], pose: np.ndarray, pipeline: Pipeline, **rates: float) -> Check:
+    return audit(Evidence.of(views, pose, pipeline), pipeline.options, Rates(**rates))
+
+
+def test_a_right_extrinsic_holds_on_every_axis(views: list[p2o.View], pipeline: Pipeline) -> None:
+    found = checked(views, edge_scene.TRUTH, pipeline)
+    assert found.holding is CheckStatus.HOLDS
+    assert {axis.holding for axis in found.axes} == {CheckStatus.HOLDS}
+    assert found.estimate is not None
+    assert se3.angle_deg(se3.inverse(edge_scene.TRUTH) @ found.estimate) < 0.1
+
+
+@pytest.mark.parametrize(("axis", "size"), [("roll", 1.0), ("pitch", -1.0), ("yaw", 0.9), ("x", 0.15), ("y", -0.15)])
+def test_an_error_above_the_limit_is_called_off_on_its_axis_by_its_size(
+    axis: str, size: float, views: list[p2o.View], pipeline: Pipeline
+) -> None:
+    found = checked(views, off(axis, size), pipeline)
+    assert found.holding is CheckStatus.OFF
+    assert [each.axis for each in found.axes if each.holding is CheckStatus.OFF] == [axis]
+    its = found.axes[NAMES.index(axis)]
+    assert its.off == pytest.approx(size, rel=0.15)
+    assert axis in found.reason
+
+
+def test_a_slip_of_several_degrees_is_found_by_a_search(views: list[p2o.View], pipeline: Pipeline) -> None:
+    found = checked(views, off("yaw", 4.0), pipeline)
+    assert found.holding is CheckStatus.OFF
+    assert found.axes[2].off == pytest.approx(4.0, abs=0.3)
+
+
+def test_few_edges_tell_nothing(pipeline: Pipeline) -> None:
+    found = checked([edge_scene.view(boxes=1, seed=3)], edge_scene.TRUTH, pipeline)
+    assert found.holding is CheckStatus.CANNOT_TELL
+    assert {axis.holding for axis in found.axes} == {CheckStatus.CANNOT_TELL}
+
+
+def test_what_is_asked_to_be_noticed_and_cannot_be_is_said(views: list[p2o.View], pipeline: Pipeline) -> None:
+    found = checked(views, edge_scene.TRUTH, pipeline, notice_deg=0.001, notice_m=0.0001)
+    assert {axis.holding for axis in found.axes} == {CheckStatus.CANNOT_TELL}
+    assert found.holding is CheckStatus.CANNOT_TELL
+
+
+def test_a_check_comes_back_from_json_as_it_was(views: list[p2o.View], pipeline: Pipeline) -> None:
+    found = checked(views, off("x", 0.15), pipeline)
+    assert check_to_dict(check_from_dict(check_to_dict(found))) == check_to_dict(found)
+
+
+SURE = Agreement(0.5, 0.1, 1000, 100)
+
+
+def said(error: np.ndarray, covariance: np.ndarray) -> Check:
+    """What is said of a step whose errors have this covariance."""
+    step = EdgeStep(np.eye(4), error, covariance, SURE, 100)
+    return audit(Evidence(("frame",), np.eye(4), step), PipelineOptions(), Rates())
+
+
+def test_errors_as_they_are_taken_to_be_spread_raise_no_more_alarms_than_asked() -> None:
+    rng = np.random.default_rng(0)
+    mixed = rng.normal(size=(6, 6))
+    covariance = 1e-4 * (mixed @ mixed.T + np.eye(6))
+    half = np.linalg.cholesky(covariance)
+    tail = audits.TAIL
+    gauss, scale = rng.standard_normal((4000, 6)), np.sqrt(tail.degrees / rng.chisquare(tail.degrees, 4000))
+    words = [said(half @ (tail.scale * g * s), covariance).holding for g, s in zip(gauss, scale, strict=True)]
+    assert sum(word is CheckStatus.OFF for word in words) / 4000 < 0.015
+
+
+def test_an_error_at_the_limit_of_an_axis_is_noticed_as_often_as_said() -> None:
+    rng = np.random.default_rng(0)
+    covariance = np.diag([0.01, 0.02, 0.01, 1e-4, 1e-4, 2e-4])
+    for axis in (1, 4):
+        error = np.zeros(6)
+        error[axis] = Rates().limit * np.sqrt(covariance[axis, axis])
+        noise = rng.standard_normal((1000, 6)) * np.sqrt(np.diag(covariance))
+        words = [said(error + one, covariance).axes[axis].holding for one in noise]
+        assert sum(word is CheckStatus.OFF for word in words) / 1000 > 0.94
+
+
+def test_a_step_that_is_too_large_in_all_but_on_no_axis_says_so() -> None:
+    rates = Rates()
+    found = said(np.full(6, 0.9 * rates.noticed * 0.01), np.eye(6) * 1e-4)
+    assert found.holding is CheckStatus.OFF
+    assert "which axis" in found.reason
+    assert {axis.holding for axis in found.axes} == {CheckStatus.CANNOT_TELL}
+
+
+def test_a_pose_that_a_search_finds_counts_only_where_edges_clearly_meet_better_there() -> None:
+    near = EdgeStep(np.eye(4), np.zeros(6), np.eye(6) * 1e-4, SURE, 100)
+    far = replace(near, error=np.array([0.0, 0, 3.0, 0, 0, 0]))
+    for lead, word in ((audits.TAIL.lead_edges - 1, CheckStatus.HOLDS), (audits.TAIL.lead_edges + 1, CheckStatus.OFF)):
+        evidence = Evidence(("frame",), np.eye(4), near, far, lead)
+        assert audit(evidence, PipelineOptions(), Rates()).holding is word

@@ -1,0 +1,70 @@
+"""Verdicts: what speaks against a pose, and witnesses for methods that have no edges of their own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from p2o.calibration.options import PipelineOptions
+from p2o.confidence.verdict import verdict_of
+from p2o.solving import Accuracy, Agreement, Doubt, Reason, Rival, Trust, Verdict
+
+GOOD, POOR = Agreement(0.3, 0.03, 500, 60), Agreement(0.05, 0.03, 500, 60)
+OPTIONS = PipelineOptions()
+
+
+def rival(lead: float, unit: str = "edges") -> Rival:
+    return Rival(lead, unit, 1.0, 0.1)
+
+
+def test_the_worst_reason_decides_the_word() -> None:
+    assert verdict_of(GOOD, None, (), OPTIONS).trust is Trust.TRUSTED
+    assert verdict_of(GOOD, rival(1.0), (), OPTIONS).trust is Trust.AMBIGUOUS
+    assert verdict_of(GOOD, rival(2.0), (), OPTIONS).trust is Trust.TRUSTED
+    both = verdict_of(POOR, rival(1.0), (), OPTIONS)
+    assert (both.trust, [r.doubt for r in both.reasons]) == (
+        Trust.DOUBTFUL,
+        [Doubt.RIVAL_POSE, Doubt.LITTLE_AGREEMENT],
+    )
+    assert Verdict((Reason(Doubt.CAMERA, "focal"),)).trust is Trust.DOUBTFUL
+    assert Verdict().having(Reason(Doubt.NOT_SOLVED, "no")).trust is Trust.REFUSED
+
+
+def test_pairs_from_too_few_places_are_not_trusted_however_well_edges_meet() -> None:
+    for places in (0, 6, 11):
+        verdict = verdict_of(GOOD, None, (), OPTIONS, places=places)
+        assert (verdict.trust, verdict.reasons[0].doubt) == (Trust.DOUBTFUL, Doubt.TOO_FEW_PLACES)
+    assert verdict_of(GOOD, None, (), OPTIONS, places=12).trusted
+
+
+def test_without_edges_nothing_is_trusted() -> None:
+    verdict = verdict_of(None, None, (), OPTIONS)
+    assert (verdict.trust, verdict.reasons[0].doubt) == (Trust.DOUBTFUL, Doubt.NOT_CHECKED)
+
+
+def test_the_same_odds_are_worth_less_in_few_places() -> None:
+    # Three places can be fitted to any odds; sixty cannot.
+    few = replace(GOOD, places=3)
+    assert few.odds_ratio == GOOD.odds_ratio
+    assert few.strength < GOOD.strength
+    verdict = verdict_of(few, None, (), OPTIONS)
+    assert (verdict.trust, verdict.reasons[0].doubt) == (Trust.DOUBTFUL, Doubt.LITTLE_AGREEMENT)
+    assert Agreement(0.03, 0.03, 500, 60).strength == 0.0
+    # Nor do very many places make up for odds that are hardly better than chance.
+    much_of_little = Agreement(0.045, 0.03, 90_000, 9000)
+    assert much_of_little.strength > GOOD.strength
+    assert not verdict_of(much_of_little, None, (), OPTIONS).trusted
+    assert np.isnan(Agreement(0.0, 0.0, 0).strength)
+
+
+def test_what_may_be_far_off_by_its_own_word_is_doubtful() -> None:
+    fine = Accuracy(0.2, 0.05, 0.9, 0.25)
+    assert verdict_of(GOOD, None, (), OPTIONS, fine).trusted
+    for unsure in (replace(fine, rotation_deg_95=1.1), replace(fine, translation_m_95=0.31)):
+        verdict = verdict_of(GOOD, None, (), OPTIONS, unsure)
+        assert (verdict.trust, verdict.reasons[0].doubt) == (Trust.DOUBTFUL, Doubt.TOO_UNSURE)
+        assert verdict_of(GOOD, None, (), PipelineOptions(most_deg=2, most_m=1), unsure).trusted
+
+
+def test_leads_in_another_unit_than_edges_have_no_bound() -> None:
+    assert verdict_of(GOOD, rival(0.0, "cost"), (), OPTIONS).trusted

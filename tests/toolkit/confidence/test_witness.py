@@ -1,0 +1,89 @@
+"""Witnesses: results of methods that have no edges of their own, held against edges that had no part in them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import p2o
+import pytest
+from p2o import Result, Status, se3
+from p2o.calibration.options import PipelineOptions
+from p2o.confidence.assessment import witnessed
+from p2o.solving import Accuracy, Agreement, Doubt, Pipeline, Reason, Trust, Verdict
+
+from tests import edge_scene
+from tests.edge_scene import TRUTH
+
+POOR = Agreement(0.05, 0.03, 500, 60)
+OPTIONS = PipelineOptions()
+
+
+def claimed(pose: np.ndarray, status: Status = Status.CONVERGED) -> Result:
+    return Result(("a",), pose, pose, status, "it says so")
+
+
+def test_a_witness_confirms_a_right_pose_and_doubts_a_wrong_one() -> None:
+    views = [edge_scene.view(seed=i) for i in range(2)]
+    right = witnessed(claimed(TRUTH), views, OPTIONS)
+    wrong = witnessed(claimed(se3.exp(np.array([0.05, 0.05, 0.05, 0, 0, 0])) @ TRUTH), views, OPTIONS)
+    assert right.verdict.trusted
+    assert right.agreement.odds_ratio > 5 * wrong.agreement.odds_ratio
+    assert wrong.verdict.trust is Trust.DOUBTFUL
+
+
+def test_without_witnesses_a_claim_is_doubtful_and_its_own_reasons_stay() -> None:
+    own = replace(claimed(TRUTH), verdict=Verdict((Reason(Doubt.RIVAL_POSE, "two"),)))
+    found = witnessed(own, [], OPTIONS)
+    assert found.agreement is None
+    assert [reason.doubt for reason in found.verdict.reasons] == [Doubt.RIVAL_POSE, Doubt.NOT_CHECKED]
+
+
+def test_a_method_that_says_itself_how_far_off_it_may_be_is_doubtful_whatever_the_witness_sees() -> None:
+    views = [edge_scene.view(seed=i) for i in range(2)]
+    unsure = replace(claimed(TRUTH), accuracy=Accuracy(2.6, 0.3, 5.0, 0.6))
+    assert [reason.doubt for reason in witnessed(unsure, views, OPTIONS).verdict.reasons] == [Doubt.TOO_UNSURE]
+    told = replace(unsure, verdict=Verdict((Reason(Doubt.TOO_UNSURE, "own words"),)))
+    assert [reason.text for reason in witnessed(told, views, OPTIONS).verdict.reasons] == ["own words"]
+
+
+def test_what_is_refused_or_has_its_own_agreement_is_left_alone() -> None:
+    views = [edge_scene.view()]
+    refused = claimed(TRUTH, Status.NOT_OBSERVABLE)
+    own = replace(claimed(TRUTH), agreement=POOR)
+    assert witnessed(refused, views, OPTIONS) is refused
+    assert witnessed(own, views, OPTIONS) is own
+    assert refused.verdict.trust is Trust.REFUSED
+
+
+@pytest.fixture(scope="module")
+def pipeline() -> Pipeline:
+    found = p2o.Recipe.of(data=None).resolve(p2o.Registry.load()).calibrator()
+    assert isinstance(found, Pipeline)
+    return found
+
+
+@pytest.fixture(scope="module")
+def views() -> list[p2o.View]:
+    return [edge_scene.view(boxes=60, seed=seed, noise_px=0.3, name=f"{seed}") for seed in (1, 2)]
+
+
+def test_a_pose_at_which_edges_meet_is_doubtful_where_they_would_meet_better_beside_it(
+    pipeline: Pipeline, views: list[p2o.View]
+) -> None:
+    """Half a degree off, far more edges meet than by chance; where they lead says that it is off."""
+    beside = claimed(se3.exp(np.array([0.0, np.radians(0.5), 0, 0, 0, 0])) @ TRUTH)
+    assert witnessed(beside, views, OPTIONS).verdict.trusted
+    found = witnessed(beside, views, OPTIONS, pipeline).verdict
+    assert (found.trust, [reason.doubt for reason in found.reasons]) == (Trust.DOUBTFUL, [Doubt.LED_AWAY])
+    assert "it is off by about" in found.why
+    for deg in (0.0, 0.15):
+        near = claimed(se3.exp(np.array([0.0, np.radians(deg), 0, 0, 0, 0])) @ TRUTH)
+        assert witnessed(near, views, OPTIONS, pipeline).verdict.trusted
+
+
+def test_the_default_witness_of_a_whole_method_tells_where_its_edges_lead() -> None:
+    plan = p2o.Recipe.of(data="synthetic:", calibrator="csc").resolve(p2o.Registry.load())
+    assert plan.assembly().witness is not None
+    without = p2o.Recipe.of(data="synthetic:", calibrator="csc", witness="canny/rings").resolve(p2o.Registry.load())
+    assert without.assembly().witness is None

@@ -1,0 +1,312 @@
+from __future__ import annotations
+
+import io
+import logging
+import os
+import struct
+import sys
+import warnings
+import zlib
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import PIL.Image
+import pytest
+from p2o import InputError
+from p2o.frames import image_file
+from p2o.frames.image_file import read_rgb, read_uint16
+
+from tests.p2o_datasets.kitti_files import write_image
+
+
+def test_channels_come_as_red_green_blue(tmp_path: Path) -> None:
+    written = write_image(tmp_path / "a.png")
+    read, warnings = read_rgb(tmp_path / "a.png")
+    assert np.array_equal(read, written)
+    assert warnings == ()
+
+
+def test_a_jpeg_is_read_close_to_what_was_written(tmp_path: Path) -> None:
+    red = np.zeros((16, 24, 3), np.uint8)
+    red[:, :, 2] = 200
+    cv2.imwrite(str(tmp_path / "a.jpg"), red)
+    read, _ = read_rgb(tmp_path / "a.jpg")
+    assert np.abs(read.astype(int) - (200, 0, 0)).max() <= 4
+
+
+def test_a_grey_image_is_repeated_with_a_warning(tmp_path: Path) -> None:
+    written = write_image(tmp_path / "a.png", grey=True)
+    read, warnings = read_rgb(tmp_path / "a.png")
+    assert all(np.array_equal(read[:, :, c], written) for c in range(3))
+    assert warnings == ("a.png: grey image, repeated on three channels",)
+
+
+def test_an_alpha_channel_is_left_out(tmp_path: Path) -> None:
+    pixels = np.random.default_rng(0).integers(0, 256, (8, 9, 4), dtype=np.uint8)
+    cv2.imwrite(str(tmp_path / "a.png"), pixels)
+    assert np.array_equal(read_rgb(tmp_path / "a.png")[0], pixels[:, :, 2::-1])
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg"])
+@pytest.mark.parametrize("part", [0.3, 0.6, 0.9, 0.999])
+def test_a_truncated_image_is_refused_wherever_it_is_cut(tmp_path: Path, suffix: str, part: float) -> None:
+    path = tmp_path / f"a.{suffix}"
+    write_image(path)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(part * len(data))])
+    with pytest.raises(InputError, match=rf"a\.{suffix}: the image is truncated"):
+        read_rgb(path)
+
+
+def test_a_png_with_one_wrong_bit_is_refused(tmp_path: Path) -> None:
+    write_image(tmp_path / "a.png")
+    data = bytearray((tmp_path / "a.png").read_bytes())
+    data[len(data) // 2] ^= 1
+    (tmp_path / "a.png").write_bytes(data)
+    with pytest.raises(InputError, match=r"a\.png: the image is damaged"):
+        read_rgb(tmp_path / "a.png")
+
+
+def test_bytes_after_the_end_of_an_image_do_no_harm(tmp_path: Path) -> None:
+    for name in ("a.png", "a.jpg"):
+        write_image(tmp_path / name)
+        before = read_rgb(tmp_path / name)[0]
+        with (tmp_path / name).open("ab") as file:
+            file.write(b"maker notes")
+        assert np.array_equal(read_rgb(tmp_path / name)[0], before)
+
+
+@pytest.mark.parametrize("content", [b"hello, I am text", b"\x00" * 100, b"\x89PNG\r\n\x1a\n"])
+def test_a_file_that_is_no_picture_is_refused_by_name(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "a.png").write_bytes(content)
+    with pytest.raises(InputError, match=r"a\.png: the image is (not a supported image|truncated)"):
+        read_rgb(tmp_path / "a.png")
+
+
+def test_sixteen_bits_are_refused_as_a_picture_and_read_as_disparity(tmp_path: Path) -> None:
+    stored = np.array([[0, 256, 300], [65535, 1, 0]], np.uint16)
+    cv2.imwrite(str(tmp_path / "d.png"), stored)
+    with pytest.raises(InputError, match=r"d\.png: the image is not 8 bit; expected uint8; got uint16"):
+        read_rgb(tmp_path / "d.png")
+    disparity = read_uint16(tmp_path / "d.png", "disparity")
+    assert np.array_equal(np.isnan(disparity), stored == 0)
+    assert np.array_equal(disparity[stored > 0], stored[stored > 0] / 256)
+
+
+def test_eight_bits_are_refused_as_disparity(tmp_path: Path) -> None:
+    write_image(tmp_path / "d.png", grey=True)
+    with pytest.raises(InputError, match=r"d\.png: the disparity is not a 16 bit image"):
+        read_uint16(tmp_path / "d.png", "disparity")
+
+
+def scene(width: int = 160, height: int = 120) -> np.ndarray:
+    """Return a picture (H, W, 3) with large and small detail, so that a JPEG of it holds both."""
+    rng = np.random.default_rng(4)
+    coarse = cv2.resize(rng.integers(0, 256, (6, 8, 3), dtype=np.uint8), (width, height))
+    return np.clip(coarse + rng.normal(0, 8, (height, width, 3)), 0, 255).astype(np.uint8)
+
+
+def encoded(pixels: np.ndarray, kind: str, **options: Any) -> bytes:
+    file = io.BytesIO()
+    PIL.Image.fromarray(pixels).save(file, kind, **options)
+    return file.getvalue()
+
+
+def restarted(pixels: np.ndarray) -> bytes:
+    return cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_RST_INTERVAL, 3])[1].tobytes()
+
+
+JPEGS = {
+    "usual": encoded(scene(), "JPEG", quality=90),
+    "progressive": encoded(scene(), "JPEG", quality=90, progressive=True),
+    "full colours": encoded(scene(), "JPEG", quality=95, subsampling=0),
+    "grey": encoded(scene()[:, :, 0], "JPEG"),
+    "with restarts": restarted(scene()),
+}
+
+
+def scan_of(data: bytes) -> int:
+    """Return where the data of the first scan begin."""
+    at = data.index(b"\xff\xda")
+    return at + 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+
+
+@pytest.mark.parametrize("kind", JPEGS)
+def test_every_kind_of_jpeg_has_the_pixels_that_opencv_finds(tmp_path: Path, kind: str) -> None:
+    (tmp_path / "a.jpg").write_bytes(JPEGS[kind])
+    wanted = cv2.imdecode(np.frombuffer(JPEGS[kind], np.uint8), cv2.IMREAD_COLOR)[:, :, ::-1]
+    assert np.array_equal(read_rgb(tmp_path / "a.jpg", (160, 120))[0], wanted)
+
+
+@pytest.mark.parametrize("kind", JPEGS)
+@pytest.mark.parametrize("part", [0.1, 0.5, 0.9])
+def test_a_jpeg_cut_off_with_an_end_mark_is_damaged(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], kind: str, part: float
+) -> None:
+    data = JPEGS[kind]
+    begin = scan_of(data)
+    (tmp_path / "a.jpg").write_bytes(data[: begin + int(part * (len(data) - begin))] + b"\xff\xd9")
+    with pytest.raises(InputError, match=r"a\.jpg: the image is damaged"):
+        read_rgb(tmp_path / "a.jpg")
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("kind", JPEGS)
+@pytest.mark.parametrize("byte", [b"\x00", b"\x55"])
+def test_a_jpeg_with_half_of_its_scan_overwritten_is_damaged(tmp_path: Path, kind: str, byte: bytes) -> None:
+    data = JPEGS[kind]
+    middle = (scan_of(data) + len(data)) // 2
+    (tmp_path / "a.jpg").write_bytes(data[:middle] + byte * (len(data) - middle - 2) + b"\xff\xd9")
+    with pytest.raises(InputError, match=r"a\.jpg: the image is damaged"):
+        read_rgb(tmp_path / "a.jpg")
+
+
+def test_bytes_left_over_after_the_last_block_of_a_jpeg_are_damage(tmp_path: Path) -> None:
+    data = JPEGS["usual"]
+    (tmp_path / "a.jpg").write_bytes(data[:-2] + b"\x55" * 100 + data[-2:])
+    with pytest.raises(InputError, match=r"a\.jpg: the image is damaged; .*extraneous bytes"):
+        read_rgb(tmp_path / "a.jpg")
+
+
+def png(width: int, height: int, *, bits: int = 8, colour: int = 2, extra: bytes = b"") -> bytes:
+    """Return a PNG of zeros that says this size and holds a hundredth of it."""
+
+    def chunk(name: bytes, body: bytes) -> bytes:
+        return struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
+
+    pixels = zlib.compress(bytes(width * height // 100))
+    head = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, 0))
+    return b"\x89PNG\r\n\x1a\n" + head + extra + chunk(b"IDAT", pixels) + chunk(b"IEND", b"")
+
+
+def huge(kind: str) -> bytes:
+    """Return a small picture whose header says 60000 x 16000 px."""
+    small = np.zeros((4, 4, 3), np.uint8)
+    if kind == "PNG":
+        return png(60000, 16000)
+    data = bytearray(encoded(small, kind, **({"lossless": True} if kind == "WEBP" else {})))
+    if kind == "JPEG":
+        at = data.index(b"\xff\xc0") + 5
+        data[at : at + 4] = struct.pack(">HH", 16000, 60000)
+    elif kind == "BMP":
+        data[18:26] = struct.pack("<ii", 60000, 16000)
+    elif kind == "WEBP":
+        data[21:25] = struct.pack("<I", 16383 | 16383 << 14)
+    else:
+        for tag, value in ((256, 60000), (257, 16000)):
+            at = data.index(struct.pack("<HHI", tag, 4, 1)) if struct.pack("<HHI", tag, 4, 1) in data else -1
+            at = at if at >= 0 else data.index(struct.pack("<HHI", tag, 3, 1))
+            data[at : at + 12] = struct.pack("<HHII", tag, 4, 1, value)
+    return bytes(data)
+
+
+@pytest.mark.parametrize("kind", ["PNG", "JPEG", "BMP", "TIFF", "WEBP"])
+def test_a_header_of_another_or_an_absurd_size_is_refused_before_anything_is_decoded(
+    tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "a.png").write_bytes(huge(kind))
+    with pytest.raises(InputError, match=r"a\.png: the image is too large; expected at most 67108864 pixels"):
+        read_rgb(tmp_path / "a.png", (60000, 16000))
+    monkeypatch.setattr(image_file, "MAX_PIXELS", 1 << 40)
+    monkeypatch.setattr(PIL.Image, "MAX_IMAGE_PIXELS", None)
+    with pytest.raises(InputError, match=r"a\.png: the image size does not fit the camera; expected 640x480 px; got"):
+        read_rgb(tmp_path / "a.png", (640, 480))
+
+
+@pytest.mark.parametrize("kind", ["PNG", "JPEG", "BMP", "TIFF", "WEBP"])
+def test_every_format_gives_its_pixels_and_none_when_cut(tmp_path: Path, kind: str) -> None:
+    pixels = scene(48, 32)
+    data = encoded(pixels, kind, **({"lossless": True} if kind == "WEBP" else {}))
+    (tmp_path / "a.png").write_bytes(data)
+    read, warnings = read_rgb(tmp_path / "a.png", (48, 32))
+    assert warnings == ()
+    assert np.abs(read.astype(int) - pixels).mean() <= (9 if kind == "JPEG" else 0)
+    read[0, 0] = 0  # may be written to
+    (tmp_path / "a.png").write_bytes(data[: len(data) // 2])
+    with pytest.raises(InputError, match=r"a\.png: the image (is (truncated|damaged|not a supp)|cannot be decoded)"):
+        read_rgb(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("packing", ["tiff_lzw", "tiff_adobe_deflate", "packbits"])
+def test_packed_tiffs_are_read_and_their_library_keeps_quiet(
+    tmp_path: Path, packing: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    pixels = scene(48, 32)
+    data = encoded(pixels, "TIFF", compression=packing)
+    (tmp_path / "a.tif").write_bytes(data)
+    assert np.array_equal(read_rgb(tmp_path / "a.tif")[0], pixels)
+    (tmp_path / "a.tif").write_bytes(data[:8] + b"\xff" * 400 + data[408:])
+    # Packed bits have no rule that could be broken, and nothing to say.
+    with pytest.raises(InputError, match="damaged") if packing != "packbits" else nullcontext():
+        read_rgb(tmp_path / "a.tif")
+    print("heard", file=sys.stderr, flush=True)
+    os.write(2, b"again")
+    assert capfd.readouterr() == ("", "heard\nagain")
+
+
+def test_reading_tiffs_in_parallel_keeps_stderr(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.tif").write_bytes(encoded(scene(480, 320), "TIFF", compression="tiff_lzw"))
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda _: read_rgb(tmp_path / "a.tif"), range(64)))
+    os.write(2, b"a later error")
+    assert capfd.readouterr() == ("", "a later error")
+
+
+def test_reading_images_leaves_log_handlers_and_warning_filters_alone(tmp_path: Path) -> None:
+    write_image(tmp_path / "a.png")
+    read_rgb(tmp_path / "a.png")
+    before = list(logging.getLogger("PIL").handlers), list(warnings.filters)
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(lambda _: read_rgb(tmp_path / "a.png"), range(32)))
+    assert (logging.getLogger("PIL").handlers, warnings.filters) == before
+
+
+def test_pictures_whose_pixels_are_not_those_of_a_camera_are_refused(tmp_path: Path) -> None:
+    for name, data, why in (
+        (
+            "a.tif",
+            encoded(scene(48, 32), "TIFF", compression="jpeg"),
+            "a TIFF with an unsupported compression.*got jpeg",
+        ),
+        ("b.tif", encoded(scene(48, 32), "TIFF", tiffinfo={274: 6}), "stored rotated"),
+        ("c.jpg", cmyk(), "not RGB; .*got (CMYK|YCCK)"),
+        ("d.png", cv2.imencode(".png", np.zeros((4, 4, 3), np.uint16))[1].tobytes(), "not 8 bit; .*got uint16"),
+        ("e.tif", encoded(np.zeros((4, 4), np.float32), "TIFF"), "not 8 bit"),
+    ):
+        (tmp_path / name).write_bytes(data)
+        with pytest.raises(InputError, match=rf"{name}: the image is {why}"):
+            read_rgb(tmp_path / name)
+
+
+def cmyk() -> bytes:
+    file = io.BytesIO()
+    PIL.Image.new("CMYK", (16, 16)).save(file, "JPEG")
+    return file.getvalue()
+
+
+def test_palettes_and_single_bits_are_read(tmp_path: Path) -> None:
+    pixels = np.repeat(np.repeat(scene(8, 6), 4, axis=0), 4, axis=1) // 128 * 255
+    PIL.Image.fromarray(pixels).quantize(8).save(tmp_path / "a.png")
+    assert np.array_equal(read_rgb(tmp_path / "a.png")[0], pixels)
+    PIL.Image.fromarray(pixels[:, :, 0]).convert("1").save(tmp_path / "b.png")
+    read, warnings = read_rgb(tmp_path / "b.png")
+    assert np.array_equal(read[:, :, 1], pixels[:, :, 0])
+    assert warnings == ("b.png: grey image, repeated on three channels",)
+
+
+def test_a_png_with_too_few_pixels_and_one_with_a_bad_profile_print_nothing(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "a.png").write_bytes(png(400, 300))
+    with pytest.raises(InputError, match=r"a\.png: the image is damaged"):
+        read_rgb(tmp_path / "a.png")
+    body = b"iCCPsRGB\0\0" + zlib.compress(b"no profile")
+    bad = struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body))
+    good = encoded(scene(48, 32), "PNG")
+    (tmp_path / "b.png").write_bytes(good[:33] + bad + good[33:])
+    assert np.array_equal(read_rgb(tmp_path / "b.png")[0], scene(48, 32))
+    assert capfd.readouterr() == ("", "")

@@ -1,0 +1,181 @@
+"""The stages of Algorithm 1 that work on prepared views: search for poses, and refine each of them in rounds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from p2o.arrays import Float
+from p2o.calibration.judge import Judge, judge_of
+from p2o.calibration.nuisance import Nuisance, NuisanceEstimate, estimate_nuisances, known_twists, motion_prior
+from p2o.calibration.options import PipelineOptions
+from p2o.calibration.rounds import End, Rounds
+from p2o.features.view import View
+from p2o.geometry import se3
+from p2o.host.stages import Initializer, Matcher, Solver
+from p2o.results.result import Status
+
+EDGES = frozenset({"image-edges", "cloud-edges"})
+
+_FAR_DEG, _FAR_M = 6.0, 0.5
+"""A camera displaced by more than this sees other surfaces, and edges may have other directions in its image."""
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """The poses that rounds of matching and solving ended at, one for each proposal, and the judge that compares them.
+
+    `views` are those that the rounds matched.
+    """
+
+    views: VisibleViews
+    start: Float
+    ends: Sequence[End]
+    judge: Judge
+
+    @property
+    def solved(self) -> list[End]:
+        """The ends with a pose to judge."""
+        return [end for end in self.ends if end.solved]
+
+    @cached_property
+    def best(self) -> End:
+        """The solved end of the lowest cost; there must be one."""
+        solved = self.solved
+        return solved[int(np.argmin(self.judge.costs([end.pose for end in solved])))]
+
+    @property
+    def far(self) -> bool:
+        """Whether the best pose is so far from the initial one that other edges may be visible from it."""
+        pose, start = self.best.pose, self.start
+        moved_m = float(np.linalg.norm(se3.inverse(pose)[:3, 3] - se3.inverse(start)[:3, 3]))
+        return se3.angle_deg(pose @ se3.inverse(start)) > _FAR_DEG or moved_m > _FAR_M
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What Algorithm 1 found, before it is assessed: poses of all proposals, and the best with its nuisances."""
+
+    refined: Refined
+    final: NuisanceEstimate
+
+    @property
+    def start(self) -> Float:
+        """The initial extrinsic (4, 4)."""
+        return self.refined.start
+
+    @cached_property
+    def views(self) -> list[View]:
+        """The visible views, corrected by the estimated nuisance parameters."""
+        return self.final.nuisance.views(self.refined.views.raw)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Algorithm:
+    """Matcher, solver and initializer with the options of Algorithm 1.
+
+    `needs` are the words of what matcher and initializer need. With `directed` False the views have no directions, and
+    none are derived from a pose.
+    """
+
+    matcher: Matcher
+    solver: Solver
+    initializer: Initializer
+    options: PipelineOptions = field(default_factory=PipelineOptions)
+    directed: bool = True
+    needs: frozenset[str] = EDGES
+
+    def visible(self, views: Sequence[View], camera_from_lidar: Float) -> VisibleViews:
+        """Return the views as visible from a pose (4, 4), with the motions that the options expect."""
+        nuisance = Nuisance.expected(views, motion_prior(views, self.options), known_twists(views, self.options))
+        return VisibleViews.of(views, camera_from_lidar, nuisance, directed=self.directed)
+
+    def propose(self, views: VisibleViews, start: Float) -> list[Float]:
+        """Return the poses (4, 4) to refine, best first; the initial extrinsic where the initializer proposes none."""
+        return self.initializer(views.corrected, start) or [start]
+
+    def refine(self, views: VisibleViews, start: Float, proposals: Sequence[Float]) -> Refined:
+        """Run the rounds of Algorithm 1 from each proposed pose (4, 4).
+
+        The initial extrinsic is refined only where nothing else is proposed.
+        """
+        options, rounds = self.options, Rounds(self.matcher, self.solver, self.options)
+        judge = self.judge(views.corrected, start, proposals)
+        ends = [
+            rounds(views.corrected, start, pose, judge, reach_px=options.reach_after_search_px, found_by="initialize")
+            for pose in proposals
+            if not np.allclose(pose, start, atol=1e-12)
+        ] or [rounds(views.corrected, start, start, judge, reach_px=options.reach_px)]
+        return Refined(views, start, ends, judge)
+
+    def refine_again(self, views: Sequence[View], refined: Refined) -> Refined:
+        """Repeat the rounds from all solved poses, with what is visible from the best of them.
+
+        If no pose is solved again, the previous ones are kept and evaluated again.
+        """
+        proposals = [end.pose for end in refined.solved]
+        again = self.refine(self.visible(views, refined.best.pose), refined.start, proposals)
+        return replace(again, ends=again.solved or refined.solved)
+
+    def judge(self, views: Sequence[View], start: Float, poses: Sequence[Float]) -> Judge:
+        """Return the judge of poses (4, 4) that are proposed from an initial one (4, 4)."""
+        reach = {"truncate_px": self.options.judge_px, "reach_px": self.options.min_reach_px}
+        return judge_of(self.matcher, self.needs, views, start, poses, **reach)
+
+    def estimate_nuisances(self, refined: Refined) -> Estimate:
+        """Estimate sweep motion, camera errors and time offset along with the best pose, where edges allow it."""
+        raw, start, nuisance = refined.views.raw, refined.start, refined.views.nuisance
+        rounds = Rounds(self.matcher, self.solver, self.options)
+        return Estimate(refined, estimate_nuisances(raw, start, refined.best, refined.judge, nuisance, rounds))
+
+
+@dataclass(frozen=True, eq=False)
+class VisibleViews:
+    """Views without LiDAR edges that are hidden from the camera at an assumed pose.
+
+    `raw` are the views before any correction; `nuisance` holds the expected motions of their sweeps.
+    """
+
+    raw: Sequence[View]
+    nuisance: Nuisance
+
+    @classmethod
+    def of(cls, views: Sequence[View], camera_from_lidar: Float, nuisance: Nuisance, *, directed: bool) -> VisibleViews:
+        """Return the views as visible at a pose (4, 4); with `directed`, edge directions are in its image axes."""
+        turned = [view.as_seen_from(camera_from_lidar) for view in views] if directed else views
+        return cls([view.without_hidden(camera_from_lidar) for view in turned], nuisance)
+
+    @cached_property
+    def corrected(self) -> list[View]:
+        """The views corrected for the expected motions."""
+        return self.nuisance.views(self.raw)
+
+
+def missing_features(views: Sequence[View], start: Float, needs: frozenset[str]) -> tuple[Status, str] | None:
+    """Return status and reason where the views lack a kind of feature that the stages need, else None.
+
+    `needs` are the words of the stages; those that name no feature are ignored. Image edges are checked before LiDAR
+    edges, and edges before other kinds; then whether any LiDAR feature is in front of the camera at `start` (4, 4).
+    """
+    words = (word for word in needs if word.startswith(("image-", "cloud-")))
+    kinds = sorted(words, key=lambda word: (not word.endswith("-edges"), not word.startswith("image-"), word))
+    for word in kinds:
+        if not any(view.count(word) for view in views):
+            sensor, _, feature = word.partition("-")
+            source = "image" if sensor == "image" else "sweep"
+            status = Status.NO_EDGES if feature == "edges" else Status.NO_FEATURES
+            return status, f"no {feature} were found in the {source}"
+    for word in kinds:
+        if not word.startswith("cloud-"):
+            continue
+        features = [(view.camera, feature) for view in views if (feature := view.get(word)) is not None]
+        positions = [(camera, feature.places) for camera, feature in features if feature.places is not None]
+        if positions and not any(np.isfinite(c.project(se3.apply(start, xyz))).any() for c, xyz in positions):
+            is_edge = word == "cloud-edges"
+            status = Status.NO_EDGES if is_edge else Status.NO_FEATURES
+            kind = "edge" if is_edge else "feature"
+            return status, f"every LiDAR {kind} lies behind the camera: is the start the transform lidar_from_camera?"
+    return None

@@ -1,0 +1,1 @@
+"""Calibration files: their content, their bytes, and what a reader of a format provides."""

@@ -1,0 +1,1 @@
+"""How far a pose can be believed: predicted errors, agreement of edges, verdicts, and checks of a given extrinsic."""

@@ -1,0 +1,104 @@
+"""Measure whether the edges of both sensors match more often than expected under random alignment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from p2o.arrays import Float, Int, Int8
+from p2o.features.side import Side
+from p2o.features.view import View
+from p2o.geometry import se3
+from p2o.problems.directed_cost import distance_maps
+from p2o.problems.point_to_line import OUTLINE_CELL_PX
+from p2o.results.evidence import Agreement
+
+NEAR_PX = 3.0
+SURE = 0.5
+"""Minimum confidence of image edges; weak ones are so dense that they match any edge under random alignment."""
+
+
+def agreement(views: Sequence[View], camera_from_lidar: Float) -> Agreement:
+    """Compute the agreement of all views at a pose (4, 4).
+
+    A wrong pair of image and sweep can be fitted to an odds ratio of 1 to 5; correct pairs at a correct pose have more
+    (docs/benchmarks.md). The agreement tests whether the edges correspond, not how accurate the pose is. Places that
+    several views of a static rig contain count once.
+    """
+    near, chance, points, places = 0.0, 0.0, 0, 0
+    met_at: list[tuple[Float, Int8, Int]] = []
+    for number_of_view, view in enumerate(map(_surest, views)):
+        uv = view.camera.project(se3.apply(camera_from_lidar, view.cloud_edges.xyz))
+        inside = view.camera.in_image(uv)
+        uv, xyz, side = uv[inside], view.cloud_edges.xyz[inside], view.cloud_edges.side[inside]
+        pixel = np.clip(np.rint(uv).astype(np.int64), 0, [view.camera.width - 1, view.camera.height - 1])
+        sides = [Side(int(s)) for s in np.unique(side)]
+        for number, meets in zip(sides, distance_maps(view, sides, NEAR_PX + 1, 1) <= NEAR_PX, strict=True):
+            u, v = pixel[side == number].T
+            low, high = np.percentile(v, [2, 98]).astype(np.int64)
+            near += float(meets[v, u].sum())
+            chance += float(meets[low : high + 1].mean()) * len(v)
+            points += len(v)
+            its = np.flatnonzero(side == number)[meets[v, u]]
+            places += len(np.unique(np.floor(uv[its] / OUTLINE_CELL_PX), axis=0))
+            met_at.append((xyz[its], side[its], np.full(len(its), number_of_view)))
+    if not points:
+        return Agreement(0.0, 0.0, 0)
+    # A static rig matches the same edges again: only the share of distinct views counts.
+    xyz, side, frame = map(np.concatenate, zip(*met_at, strict=True))
+    distinct = view_count(xyz, side, frame) / max(1, len(np.unique(frame)))
+    return Agreement(near / points, chance / points, points, round(places * distinct))
+
+
+def _surest(view: View) -> View:
+    """Keep the image edges of a view that reach the confidence `SURE`; keep all if none does."""
+    edges = view.image_edges
+    sure = edges.weight >= SURE
+    if sure.all() or not sure.any():
+        return view
+    return replace(view, image=view.image.having(edges.select(sure)))
+
+
+_SAME_BEARING, _SAME_RANGE = 0.02, 0.04
+"""Differences in bearing (about 1 deg) and range (4 %) up to which edges of one direction are of one outline."""
+_LEAST_M = 0.1
+_FEW = 0.5
+"""Share of distinct views among the frames below which the user is warned."""
+_MOST_LOOKED_UP = 2_000_000
+"""Maximum number of nearest-neighbour queries; if there are more edges, a random subset is evaluated."""
+
+
+def view_count(xyz: Float, side: Int8, frame: Int) -> float:
+    """Count the distinct views of the frames of edges: all frames, or down to 1 for a static rig.
+
+    `xyz` (K, 3) are edges in m in the LiDAR frame, `side` (K,) their directions, `frame` (K,) their frames. The count
+    is the number of frames times the mean over edges of 1 / (number of frames that contain it), on a subset for large
+    K.
+    """
+    frames = np.unique(frame)
+    if len(frames) < 2:
+        return float(len(frames))
+    range_m = np.maximum(np.linalg.norm(xyz, axis=1), _LEAST_M)
+    bearing = xyz / range_m[:, None] / _SAME_BEARING
+    # The distance between sides exceeds the search radius of 1.
+    place = np.column_stack([bearing, np.log(range_m) / _SAME_RANGE, 10.0 * side])
+    most = max(1, _MOST_LOOKED_UP // len(frames))
+    some = slice(None) if len(place) <= most else np.random.default_rng(0).permutation(len(place))[:most]
+    asked, own = place[some], frame[some]
+    seen_in = np.ones(len(asked))
+    for number in frames:
+        others = own != number
+        tree = KDTree(place[frame == number])
+        seen_in[others] += np.isfinite(tree.query(asked[others], distance_upper_bound=1.0)[0])
+    return float(len(frames) * np.mean(1.0 / seen_in))
+
+
+def standing_still(views: float, frames: int) -> tuple[str, ...]:
+    """Return a warning if `frames` frames contain few distinct views, else an empty tuple."""
+    if frames < 2 or views >= _FEW * frames:
+        return ()
+    text = f"{frames} frames show about {views:.1f} different views, and count as that number: the rig was static"
+    return (f"{text}; frames of other places make the result surer, more of these do not",)

@@ -1,0 +1,306 @@
+"""Check a given extrinsic: estimate its local correction from edges alone, and test it against its predicted error."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple, TypeGuard
+
+import numpy as np
+
+from p2o.arrays import Float
+from p2o.calibration.algorithm import Algorithm, missing_features
+from p2o.calibration.nuisance import Nuisance, enough_pairs, motion_prior
+from p2o.calibration.options import PipelineOptions
+from p2o.confidence.accuracy import DEFAULT_ERROR_MODEL, Z_67, ErrorBudget, likely_covariance, outlier_inflation
+from p2o.confidence.agreement import view_count
+from p2o.confidence.fusion import OWN_SHARE
+from p2o.confidence.verdict import agreement_of
+from p2o.features.view import View
+from p2o.geometry import se3
+from p2o.geometry.pose_error import is_distinct, pose_error
+from p2o.host.stages import Matcher
+from p2o.problems.point_to_line import PointToLine
+from p2o.problems.problem import Problem
+from p2o.results.check import AxisCheck, Check, CheckStatus
+from p2o.results.evidence import Agreement
+
+REACH_PX = 15.0
+"""Initial matching distance: an edge in KITTI's camera moves by 15 px for 1.2 deg; a search finds larger slips."""
+_ROUNDS = 14
+_STILL_PX = 0.05
+_FARTHEST_DEG, _FARTHEST_M = 5.0, 1.0
+_AXES = np.array([2, 0, 1, 3, 4, 5])
+"""Indices of roll, pitch, yaw, x, y, z in a vector of rotations about x, y, z and translations."""
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeStep:
+    """Estimate of the pose from edges, started from a given pose: `pose` (4, 4) is the estimate.
+
+    `error` (6,) is the error of the given pose relative to the estimate: roll, pitch, yaw in deg and x, y, z in m
+    (`p2o.geometry.pose_error`); `covariance` (6, 6) is its predicted covariance, in the same order and units.
+    """
+
+    pose: Float
+    error: Float
+    covariance: Float
+    agreement: Agreement
+    places: int
+
+    @property
+    def sigma(self) -> Float:
+        """Return the standard deviations (6,) of the predicted errors."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+
+def edge_step(
+    views: Sequence[View],
+    camera_from_lidar: Float,
+    matcher: Matcher,
+    options: PipelineOptions,
+    *,
+    around: Float | None = None,
+    reach_px: float = REACH_PX,
+) -> EdgeStep | str:
+    """Estimate the pose from edges, starting at a given pose (4, 4); return the reason as a string if this fails.
+
+    Matching within a decreasing distance and solving alternate until the pose converges; the motion during raw sweeps
+    is estimated with the pose. The given pose is the initial guess and no prior; `around` (4, 4) replaces it.
+    """
+    pose = begin = camera_from_lidar if around is None else around
+    raw = [view.as_seen_from(begin).without_hidden(begin) for view in views]
+    cameras = tuple(view.camera for view in raw)
+    nuisance = Nuisance.expected(raw, motion_prior(raw, options))
+    reach = reach_px
+    for _ in range(_ROUNDS):
+        problem = matcher(nuisance.views(raw), pose, reach)
+        if not _enough(problem, options):
+            return "too few pairs of edges are within reach"
+        fit = nuisance.fit(problem, cameras, pose, fits_cameras=False)
+        pose, nuisance = fit.camera_from_lidar, nuisance.after(fit)
+        step = se3.inverse(begin) @ pose
+        if se3.angle_deg(step) > _FARTHEST_DEG or se3.distance_m(step) > _FARTHEST_M:
+            return "edges converge far from the pose"
+        if fit.step_px < _STILL_PX and reach <= options.min_reach_px:
+            break
+        reach = max(options.min_reach_px, reach * options.shrink)
+    seen = nuisance.views(raw)
+    problem = matcher(seen, pose, options.min_reach_px)
+    if not _enough(problem, options):
+        return "too few pairs of edges are within reach"
+    last = nuisance.fit(problem, cameras, pose, fits_cameras=options.camera != "trust")
+    agreed = agreement_of(seen, pose)
+    if last.covariance is None or agreed is None:
+        return "edges meet in too few places to predict the error"
+    different = view_count(problem.xyz, problem.side, problem.frame)
+    budget = ErrorBudget.of(last.covariance, problem, pose, different)
+    likely = (DEFAULT_ERROR_MODEL.axis / Z_67) ** 2 * likely_covariance(budget, pose, agreed.odds_ratio)
+    units = np.repeat([np.degrees(1.0), 1.0], 3)
+    covariance = (units[:, None] * likely * units)[np.ix_(_AXES, _AXES)]
+    if not np.isfinite(covariance).all():
+        return "a direction is unobservable"
+    error = np.array(list(pose_error(camera_from_lidar, pose).per_axis.values()))
+    return EdgeStep(pose, error, outlier_inflation(agreed) ** 2 * covariance, agreed, last.places)
+
+
+def _enough(problem: Problem, options: PipelineOptions) -> TypeGuard[PointToLine]:
+    return enough_pairs(problem) and len(problem) >= options.min_matches
+
+
+AXES = (("roll", "deg"), ("pitch", "deg"), ("yaw", "deg"), ("x", "m"), ("y", "m"), ("z", "m"))
+"""Camera axes and their units, in the order of errors."""
+
+
+class Tail(NamedTuple):
+    """Error distribution: Student's t with `degrees` of freedom, scaled by `scale` times the predicted deviations.
+
+    A search also finds another pose for a correct one: such a pose counts only if it matches `lead_edges` more edges.
+    """
+
+    degrees: float
+    scale: float
+    lead_edges: float
+
+
+TAIL = Tail(20.0, 1.0, 6.0)
+"""Fitted to steps at correct extrinsics on simulated frames and KITTI's `train` (`python benchmarks/audit.py`)."""
+_SEARCHED = 3
+"""Frames used by the search: a few frames suffice to detect a slip of degrees, and many would take long."""
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Requirements of a check: error rates and the smallest error that it must detect.
+
+    `alarm` is the false alarm rate for a correct extrinsic, `power` the detection rate of an error equal to a limit.
+    """
+
+    alarm: float = 0.01
+    power: float = 0.95
+    notice_deg: float = 1.0
+    notice_m: float = 0.3
+
+    @property
+    def noticed(self) -> float:
+        """Return the alarm threshold of one axis in standard deviations; the axes share half of the alarm rate."""
+        return TAIL.scale * _t(1 - self.alarm / 2 / (2 * len(AXES)))
+
+    @property
+    def limit(self) -> float:
+        """Return the error of one axis, in standard deviations, that is detected at the rate `power`."""
+        return self.noticed + TAIL.scale * _t(self.power)
+
+    @property
+    def joint(self) -> float:
+        """Return the alarm threshold of the chi-square of all six axes."""
+        from scipy.stats import f
+
+        return float(TAIL.scale**2 * 6 * f.ppf(1 - self.alarm / 2, 6, TAIL.degrees))
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Edge evidence on a given pose (4, 4): the local step `near`, or why there is none; and `far`, a step to the best
+    other pose that a search finds, if any, which matches `lead_edges` more edges.
+    """
+
+    frames: tuple[str, ...]
+    camera_from_lidar: Float
+    near: EdgeStep | str
+    far: EdgeStep | None = None
+    lead_edges: float = 0.0
+
+    @classmethod
+    def of(
+        cls, views: Sequence[View], camera_from_lidar: Float, algorithm: Algorithm, *, search: bool = True
+    ) -> Evidence:
+        """Evaluate the edges of prepared views at a given pose.
+
+        The local step starts at the given pose within a short matching distance and without a prior; `search` enables
+        a global search for a better pose.
+        """
+        given, names = se3.check_rigid("the extrinsic", camera_from_lidar), tuple(view.name for view in views)
+        missing = missing_features(views, given, algorithm.needs)
+        if missing is not None:
+            return cls(names, given, missing[1])
+        near = edge_step(views, given, algorithm.matcher, algorithm.options)
+        return cls(names, given, near, *(_searched(views, given, near, algorithm) if search else ()))
+
+    @property
+    def led_away(self) -> bool:
+        """Whether edges match clearly better at another pose."""
+        return self.far is not None and self.lead_edges >= TAIL.lead_edges
+
+
+def audit(evidence: Evidence, options: PipelineOptions, rates: Rates) -> Check:
+    """Decide by the edge evidence whether a given pose is correct."""
+    step = evidence.far if evidence.led_away and evidence.far is not None else evidence.near
+    undecided = Check(
+        frames=evidence.frames,
+        camera_from_lidar=evidence.camera_from_lidar,
+        holding=CheckStatus.CANNOT_TELL,
+        reason=step if isinstance(step, str) else "",
+        axes=tuple(AxisCheck(axis, unit, CheckStatus.CANNOT_TELL) for axis, unit in AXES),
+        alarm_rate=rates.alarm,
+        power=rates.power,
+        notice_deg=rates.notice_deg,
+        notice_m=rates.notice_m,
+    )
+    if isinstance(step, str):
+        return undecided
+    met = step.agreement
+    if met.odds_ratio < options.min_odds_ratio or met.strength < options.min_strength:
+        text = (
+            f"image and LiDAR edges meet in too few places, or little more often than under random alignment (odds "
+            f"ratio {met.odds_ratio:.1f}, strength {met.strength:.1f}; {options.min_odds_ratio:g} and "
+            f"{options.min_strength:g} are needed): take more frames"
+        )
+        return replace(undecided, reason=text, agreement=met)
+    return _decided(undecided, evidence.led_away, step, rates)
+
+
+def _decided(undecided: Check, far: bool, step: EdgeStep, rates: Rates) -> Check:
+    """Decide on each axis by the edge step; a share of its predicted variance is uncorrelated between axes."""
+    notice = np.repeat([rates.notice_deg, rates.notice_m], 3)
+    limit, off = rates.limit * step.sigma, np.abs(step.error) > rates.noticed * step.sigma
+    axes = []
+    for (axis, unit), error, sigma, least, most, is_off in zip(
+        AXES, step.error.tolist(), step.sigma.tolist(), limit.tolist(), notice.tolist(), off.tolist(), strict=True
+    ):
+        holding = CheckStatus.OFF if is_off else CheckStatus.HOLDS if least <= most else CheckStatus.CANNOT_TELL
+        axes.append(AxisCheck(axis, unit, holding, error, sigma, least))
+    covariance = (1 - OWN_SHARE) * step.covariance + OWN_SHARE * np.diag(np.diag(step.covariance))
+    chi_square = float(step.error @ np.linalg.solve(covariance, step.error))
+    apart = chi_square > rates.joint
+    if apart and not off.any():
+        # The joint test does not identify the axis, so no axis can be confirmed.
+        axes = [replace(axis, holding=CheckStatus.CANNOT_TELL) for axis in axes]
+    holding, reason = _in_all(axes, apart, far)
+    return replace(
+        undecided,
+        holding=holding,
+        reason=reason,
+        axes=tuple(axes),
+        estimate=step.pose,
+        far=far,
+        chi_square=chi_square,
+        p_value=p_value(chi_square),
+        agreement=step.agreement,
+    )
+
+
+def _in_all(axes: Sequence[AxisCheck], apart: bool, far: bool) -> tuple[CheckStatus, str]:
+    """Return the status of all axes together, and the reason."""
+    off = [a for a in axes if a.holding is CheckStatus.OFF]
+    undecided = [a for a in axes if a.holding is CheckStatus.CANNOT_TELL]
+    if off:
+        searched = "; a search found edges to meet far better there" if far else ""
+        return CheckStatus.OFF, "off by about " + ", ".join(map(amount, off)) + searched
+    if apart or far:
+        return CheckStatus.OFF, "off, but these frames do not tell on which axis"
+    if undecided:
+        names = ", ".join(a.axis for a in undecided)
+        return CheckStatus.CANNOT_TELL, f"an error of {names} as large as asked might go unnoticed: take more frames"
+    return CheckStatus.HOLDS, "no axis is off by more than its limit"
+
+
+def amount(check: AxisCheck) -> str:
+    """Format the error of an axis."""
+    assert check.off is not None
+    return f"{check.axis} {check.off:+.2f} deg" if check.unit == "deg" else f"{check.axis} {100 * check.off:+.1f} cm"
+
+
+def p_value(chi_square: float) -> float:
+    """Return the probability that a correct extrinsic has at least this chi-square."""
+    from scipy.stats import f
+
+    return float(f.sf(chi_square / TAIL.scale**2 / 6, 6, TAIL.degrees))
+
+
+def _searched(
+    views: Sequence[View], given: Float, near: EdgeStep | str, algorithm: Algorithm
+) -> tuple[EdgeStep | None, float]:
+    """Search for the best other pose; return the step to it and by how many edges it matches more."""
+    some = [views[at] for at in np.unique(np.linspace(0, len(views) - 1, _SEARCHED).round().astype(int))]
+    raw = [view.as_seen_from(given).without_hidden(given) for view in some]
+    known = [given] if isinstance(near, str) else [given, near.pose]
+    from_known = [se3.inverse(other) for other in known]
+    poses = algorithm.initializer(raw, given)
+    proposed = [pose for pose in poses if all(is_distinct(inverse @ pose) for inverse in from_known)]
+    if not proposed:
+        return None, 0.0
+    options, judge = algorithm.options, algorithm.judge(raw, given, proposed)
+    best = proposed[int(np.argmin(judge.costs(proposed)))]
+    step = edge_step(views, given, algorithm.matcher, options, around=best, reach_px=options.reach_after_search_px)
+    if isinstance(step, str) or not all(is_distinct(inverse @ step.pose) for inverse in from_known):
+        return None, 0.0
+    *costs, cost = judge.costs([*known, step.pose])
+    lead, unit = judge.lead(cost, min(costs))
+    return (step, lead) if unit == "edges" else (None, 0.0)
+
+
+def _t(share: float) -> float:
+    from scipy.stats import t
+
+    return float(t.ppf(share, TAIL.degrees))

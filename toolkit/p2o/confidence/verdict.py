@@ -1,0 +1,194 @@
+"""The verdict on a pose, from agreement of edges, rival pose, predicted error and calibration of the camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from p2o.arrays import Float
+from p2o.calibration.intrinsics import IntrinsicFit
+from p2o.calibration.judge import Judge
+from p2o.calibration.nuisance import NuisanceEstimate
+from p2o.calibration.options import PipelineOptions
+from p2o.calibration.rounds import End
+from p2o.confidence.agreement import agreement
+from p2o.features.view import View
+from p2o.geometry import se3
+from p2o.geometry.camera import Camera
+from p2o.geometry.pose_error import is_distinct
+from p2o.geometry.radial_error import RadialError, RadialFit
+from p2o.results.evidence import Accuracy, Agreement, Rival
+from p2o.results.result import CameraCheck
+from p2o.results.verdict import Doubt, Reason, Verdict
+
+_MIN_PLACES = 12
+"""Twice the number of unknowns: with fewer independent cells, errors of several degrees occurred at odds ratios above
+20, and the scatter of pairs did not reveal them.
+"""
+
+
+def rival_of(ends: Sequence[End], best: End, judge: Judge) -> Rival | None:
+    """Return the best end away from the best pose: its additional cost and its distance; None without one."""
+    steps = {id(end): se3.inverse(end.pose) @ best.pose for end in ends if end.solved}
+    others = [end for end in ends if end.solved and is_distinct(steps[id(end)])]
+    if not others:
+        return None
+    cost_of_best, *costs = judge.costs([best.pose, *(end.pose for end in others)])
+    cost, number = min((cost, i) for i, cost in enumerate(costs))
+    step = steps[id(others[number])]
+    return Rival(*judge.lead(cost_of_best, cost), se3.angle_deg(step), se3.distance_m(step))
+
+
+def agreement_of(views: Sequence[View], camera_from_lidar: Float) -> Agreement | None:
+    """Return the agreement of both sensors' edges at a pose (4, 4); None where one sensor has none."""
+    if not any(view.count("image-edges") and view.count("cloud-edges") for view in views):
+        return None
+    return agreement(views, camera_from_lidar)
+
+
+def verdict_of(
+    agreed: Agreement | None,
+    rival: Rival | None,
+    cameras: Sequence[CameraCheck],
+    options: PipelineOptions,
+    accuracy: Accuracy | None = None,
+    *,
+    places: int | None = None,
+) -> Verdict:
+    """Return the verdict on a pose: doubtful where edges agree little more than under random alignment.
+
+    It is also doubtful where its predicted error (`accuracy`) is large. `places` is the number of independent image
+    cells that the pairs come from, None where unknown.
+    """
+    reasons = [*_rival_doubts(rival, options.min_lead_edges), *agreement_doubts(agreed, options)]
+    reasons += accuracy_doubts(accuracy, options)
+    if places is not None and places < _MIN_PLACES:
+        text = f"pairs come from only {places} places of the image, too few to predict the error; take more frames"
+        reasons.append(Reason(Doubt.TOO_FEW_PLACES, f"{text} jointly"))
+    return Verdict((*reasons, *filter(None, map(camera_doubt, cameras))))
+
+
+def _rival_doubts(rival: Rival | None, min_lead_edges: float) -> list[Reason]:
+    """Return a reason for doubt where another pose fits as well; only leads in edges have a bound."""
+    if rival is None or rival.unit != "edges" or rival.lead >= min_lead_edges:
+        return []
+    away = f"{rival.rotation_deg:.2f} deg and {rival.translation_m:.2f} m away"
+    text = f"another pose, {away}, fits as well but for {rival.lead:.1f} edges; take more frames jointly, or a nearer"
+    return [Reason(Doubt.RIVAL_POSE, f"{text} start")]
+
+
+def agreement_doubts(agreed: Agreement | None, options: PipelineOptions) -> list[Reason]:
+    """Return a reason for doubt where edges agree little more than under random alignment, or there are none."""
+    if agreed is None:
+        text = "nothing could check that image and sweep meet at this pose: there are no edges of both sensors"
+        return [Reason(Doubt.NOT_CHECKED, text)]
+    if agreed.odds_ratio >= options.min_odds_ratio and agreed.strength >= options.min_strength:
+        return []
+    text = (
+        f"image and LiDAR edges meet little more often than under random alignment, or in too few places (odds ratio "
+        f"{agreed.odds_ratio:.1f} in {agreed.places} places, strength {agreed.strength:.1f}; "
+        f"{options.min_odds_ratio:g} and {options.min_strength:g} or more are usual at a right pose); look at the "
+        "overlay, check that image and sweep belong to the same moment, or take more frames jointly"
+    )
+    return [Reason(Doubt.LITTLE_AGREEMENT, text)]
+
+
+def accuracy_doubts(accuracy: Accuracy | None, options: PipelineOptions) -> list[Reason]:
+    """Return a reason for doubt where the 95 % bound of the predicted error exceeds the limits of the options."""
+    if accuracy is None:
+        return []
+    if accuracy.rotation_deg_95 <= options.most_deg and accuracy.translation_m_95 <= options.most_m:
+        return []
+    may = f"{accuracy.rotation_deg_95:.2f} deg or {accuracy.translation_m_95:.2f} m"
+    text = f"one of twenty such results is {may} off, or more; take more frames jointly"
+    return [Reason(Doubt.TOO_UNSURE, text)]
+
+
+_PARAMETERS = ("focal length", "radial distortion", "principal point x", "principal point y")
+
+
+def checks_of(estimate: NuisanceEstimate, cameras: Sequence[Camera]) -> tuple[CameraCheck, ...]:
+    """Return the errors of the cameras as checks of a result; `cameras` are those of all frames."""
+    if estimate.intrinsics is not None:
+        return tuple(_check(fit, cameras.count(fit.camera)) for fit in estimate.intrinsics.fits)
+    if not estimate.cameras_corrected:
+        return ()
+    errors = estimate.nuisance.errors
+    corrected = [replace(fit, error=errors[fit.camera]) for fit in estimate.cameras if fit.camera in errors]
+    return tuple(
+        CameraCheck(
+            frames=cameras.count(fit.camera),
+            camera=fit.camera,
+            better=fit.error.corrected(fit.camera),
+            focal=fit.error.focal,
+            focal_sigma=float(np.sqrt(fit.covariance[0, 0])),
+            radial=fit.error.radial,
+            radial_sigma=float(np.sqrt(fit.covariance[1, 1])),
+            shift_px=fit.error.shift_px(fit.camera),
+            shift_sigma_px=fit.sigma_px,
+            corrected=True,
+            x_px=fit.error.x_px,
+            y_px=fit.error.y_px,
+        )
+        for fit in corrected
+    )
+
+
+def _check(fit: IntrinsicFit, frames: int) -> CameraCheck:
+    """Return a check of a camera that was not corrected."""
+    radial = RadialFit(fit.camera, fit.error, fit.covariance[:2, :2])
+    focal_sigma, radial_sigma, x_sigma, y_sigma = np.sqrt(np.diag(fit.covariance)).tolist()
+    return CameraCheck(
+        frames=frames,
+        camera=fit.camera,
+        better=fit.error.corrected(fit.camera),
+        focal=fit.error.focal,
+        focal_sigma=focal_sigma,
+        radial=fit.error.radial,
+        radial_sigma=radial_sigma,
+        shift_px=fit.error.shift_px(fit.camera),
+        shift_sigma_px=radial.sigma_px,
+        corrected=False,
+        x_px=fit.error.x_px,
+        x_sigma_px=x_sigma * fit.camera.focal_px,
+        y_px=fit.error.y_px,
+        y_sigma_px=y_sigma * fit.camera.focal_px,
+        evidence=fit.evidence,
+        wrong=tuple(name for name, wrong in zip(_PARAMETERS, fit.significant, strict=True) if wrong),
+    )
+
+
+def at_full_size(checks: Sequence[CameraCheck], views: Sequence[View]) -> tuple[CameraCheck, ...]:
+    """Return checks of downsampled images as checks of the cameras at full size."""
+    given = {view.camera: view.full_size for view in views if view.full_size is not None}
+    out = []
+    for check in checks:
+        camera = given.get(check.camera)
+        if camera is not None:
+            larger = camera.focal_px / check.camera.focal_px
+            lengths = ("shift_px", "shift_sigma_px", "x_px", "x_sigma_px", "y_px", "y_sigma_px")
+            check = replace(check, camera=camera, **{name: getattr(check, name) * larger for name in lengths})
+            error = RadialError(check.focal, check.radial, check.x_px, check.y_px)
+            check = replace(check, better=error.corrected(camera))
+        out.append(check)
+    return tuple(out)
+
+
+def camera_doubt(check: CameraCheck) -> Reason | None:
+    """Return a reason for doubt where errors of the intrinsics are significant and not corrected, else None."""
+    if check.corrected or not check.wrong:
+        return None
+    values = {
+        "focal length": f"{100 * check.focal:+.1f} % (sigma {100 * check.focal_sigma:.1f})",
+        "radial distortion": f"{check.radial:+.3f} (sigma {check.radial_sigma:.3f})",
+        "principal point x": f"{check.x_px:+.0f} px (sigma {check.x_sigma_px:.0f})",
+        "principal point y": f"{check.y_px:+.0f} px (sigma {check.y_sigma_px:.0f})",
+    }
+    errors = ", ".join(f"{name} {values[name]}" for name in check.wrong)
+    return Reason(
+        Doubt.CAMERA,
+        f"the camera's intrinsics are in doubt: the edges fit {check.evidence:.1f} sigma better with another {errors}; "
+        "calibrate the intrinsics again, or correct them here with --set pipeline.camera=refine",
+    )

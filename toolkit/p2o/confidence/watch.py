@@ -1,0 +1,201 @@
+"""Detect when a given extrinsic changed during a drive, from the edge step of each frame (CUSUM charts)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from p2o.arrays import Float, Int
+from p2o.confidence.audit import AXES, EdgeStep
+from p2o.results.check import Slip, WatchedFrame
+
+CLIP = 3.0
+"""Limit of the value of a single frame, in standard deviations: its edges may be wrong matches."""
+CORRELATION = 0.45
+"""Minimum autocorrelation of the steps of successive frames, measured on drives (`python benchmarks/audit.py`)."""
+_MOST_CORRELATION = 0.9
+
+
+@dataclass(frozen=True)
+class Rule:
+    """Parameters of the monitoring of a drive: `alarms_per_hour` is the design rate of false alarms at `rate_hz` Hz.
+
+    The first `settle` frames only estimate the usual mean. A chart subtracts `slack` from each value: half of the shift
+    that it detects with the shortest delay, in standard deviations of a value.
+    """
+
+    alarms_per_hour: float = 0.1
+    rate_hz: float = 10.0
+    settle: int = 20
+    slack: float = 0.35
+
+    @property
+    def run(self) -> float:
+        """Return the mean number of frames between false alarms (average run length)."""
+        return 3600.0 * self.rate_hz / self.alarms_per_hour
+
+    @property
+    def limit(self) -> float:
+        """Return the alarm limit of a chart, for two-sided charts of six axes."""
+        return limit_for(self.slack, self.run, 2 * len(AXES))
+
+
+@dataclass(frozen=True, eq=False)
+class Watched:
+    """Monitoring result of a drive: the level of the charts for each frame, and the slips that were detected."""
+
+    frames: tuple[WatchedFrame, ...]
+    slips: tuple[Slip, ...]
+    correlation: float
+    limit: float
+
+
+def watched(names: Sequence[str], steps: Sequence[EdgeStep | None], rule: Rule) -> Watched:
+    """Detect slips of the extrinsic from the steps of single frames, in order; None is a frame without a step.
+
+    Each step is divided by its predicted error and clipped at `CLIP`. The part that the previous value predicts and the
+    mean of all previous values are subtracted; the charts sum up the innovations. An alarm resets the charts.
+    """
+    nothing = np.full(len(AXES), np.nan)
+    errors = np.array([nothing if step is None else step.error for step in steps])
+    sigma = np.array([nothing if step is None else step.sigma for step in steps])
+    standard = np.clip(errors / sigma, -CLIP, CLIP)
+    correlation = min(max(autocorrelation(standard[: rule.settle]), CORRELATION), _MOST_CORRELATION)
+    level: list[WatchedFrame] = []
+    slips: list[Slip] = []
+    limit, begin = rule.limit, 0
+    while begin < len(names):
+        values = beside_mean(innovations(standard[begin:], correlation))
+        values[: rule.settle] = np.nan
+        seen = charts(values, rule.slack)
+        over = np.flatnonzero((np.maximum(seen.up, seen.down) > limit).any(axis=1))
+        alarm = int(over[0]) if len(over) else None
+        last = len(values) if alarm is None else alarm + 1
+        level += [_frame(names[begin + at], seen, at, values, limit) for at in range(last)]
+        if alarm is None:
+            break
+        slips.append(_slip(names, seen, alarm, begin, errors, sigma, correlation))
+        begin += last
+    return Watched(tuple(level), tuple(slips), correlation, limit)
+
+
+def _mean(errors: Float, sigma: Float) -> Float:
+    """Return the mean (A,) of errors, weighted by their inverse variances; zero for an axis without errors."""
+    weight = np.where(np.isfinite(errors), 1 / sigma**2, 0.0)
+    total = weight.sum(axis=0)
+    return np.where(total > 0, (weight * np.nan_to_num(errors)).sum(axis=0) / np.where(total > 0, total, 1.0), 0.0)
+
+
+def _frame(name: str, seen: Charts, at: int, values: Float, limit: float) -> WatchedFrame:
+    if np.isnan(values[at]).all():
+        return WatchedFrame(name)
+    highest = np.maximum(seen.up[at], seen.down[at])
+    return WatchedFrame(name, float(highest.max() / limit), AXES[int(highest.argmax())][0])
+
+
+def _slip(
+    names: Sequence[str], seen: Charts, alarm: int, begin: int, errors: Float, sigma: Float, correlation: float
+) -> Slip:
+    """Estimate the slip of an alarm: its onset is where the sum last left zero, its size is the change of the mean."""
+    highest = np.maximum(seen.up[alarm], seen.down[alarm])
+    axis = int(highest.argmax())
+    since = seen.up_since if seen.up[alarm, axis] >= seen.down[alarm, axis] else seen.down_since
+    began, noticed = begin + int(since[alarm, axis]), begin + alarm
+    before, its = slice(begin, began), slice(began, noticed + 1)
+    size = float((_mean(errors[its], sigma[its]) - _mean(errors[before], sigma[before]))[axis])
+    # Correlated values contain less information than the same number of independent values.
+    wider = (1 + correlation) / (1 - correlation)
+    known = [sigma[part, axis][np.isfinite(sigma[part, axis])] for part in (before, its)]
+    spread = float(np.sqrt(wider * sum(float(1 / (1 / own**2).sum()) for own in known)))
+    return Slip(*AXES[axis], noticed, names[noticed], began, names[began], size, spread)
+
+
+_OVERSHOOT = 1.166
+"""Mean overshoot of a sum over its limit, for Gaussian values (Siegmund, Sequential Analysis, 1985)."""
+
+
+def mean_run(slack: float, limit: float, shift: float = 0.0) -> float:
+    """Return the average run length of a one-sided chart until an alarm (Siegmund's approximation).
+
+    Values have standard deviation 1 and mean `shift`; 0 gives the run length to a false alarm.
+    """
+    drift, reach = shift - slack, limit + _OVERSHOOT
+    if abs(drift) < 1e-9:
+        return reach**2
+    steps = 2 * drift * reach
+    return float((np.exp(-steps) + steps - 1) / (2 * drift**2))
+
+
+def limit_for(slack: float, run: float, charts: int = 1) -> float:
+    """Return the limit for which `charts` one-sided charts raise one false alarm per `run` values on average."""
+    low, high = 0.0, 1.0
+    while mean_run(slack, high) < charts * run:
+        low, high = high, 2 * high
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (middle, high) if mean_run(slack, middle) < charts * run else (low, middle)
+    return high
+
+
+@dataclass(frozen=True, eq=False)
+class Charts:
+    """Two-sided charts of values (T, A): sums `up` and `down` (T, A), and the onset of each sum.
+
+    `up_since` and `down_since` (T, A) are the indices of the first value of each sum; the next index if it is zero.
+    """
+
+    up: Float
+    down: Float
+    up_since: Int
+    down_since: Int
+
+
+def charts(values: Float, slack: float) -> Charts:
+    """Compute the sums S_t = max(0, S_(t-1) +- value_t - slack) of rows (T, A); NaN does not change a sum."""
+    sums: list[tuple[Float, Int]] = []
+    for sign in (1.0, -1.0):
+        level: Float = np.zeros(values.shape)
+        since: Int = np.zeros(values.shape, np.int64)
+        run, begin = np.zeros(values.shape[1]), np.zeros(values.shape[1], np.int64)
+        for place, row in enumerate(values):
+            run = np.where(np.isnan(row), run, np.maximum(0.0, run + sign * row - slack))
+            begin = np.where(run > 0, begin, place + 1)
+            level[place], since[place] = run, begin
+        sums.append((level, since))
+    (up, up_since), (down, down_since) = sums
+    return Charts(up, down, up_since, down_since)
+
+
+def innovations(values: Float, correlation: float) -> Float:
+    """Subtract from rows (T, A) the AR(1) prediction of the previous row; standard deviation 1 is preserved.
+
+    A permanent shift d of the values becomes a shift of d sqrt((1 - c) / (1 + c)).
+    """
+    before = np.vstack([np.full((1, values.shape[1]), np.nan), values[:-1]])
+    innovation = (values - correlation * before) / np.sqrt(1 - correlation**2)
+    return np.where(np.isnan(before), values, innovation)
+
+
+def beside_mean(values: Float) -> Float:
+    """Return the differences of rows (T, A) from the mean of all n previous rows, times sqrt(n / (n + 1)).
+
+    If values are independent with standard deviation 1 about an unknown mean, the differences are independent with
+    standard deviation 1 about zero (Hawkins, The Statistician 1987, with a known standard deviation). The first value
+    of a column and missing values are NaN.
+    """
+    known = np.isfinite(values)
+    before = np.cumsum(known, axis=0) - known
+    total = np.cumsum(np.where(known, values, 0.0), axis=0) - np.where(known, values, 0.0)
+    mean = np.where(known & (before > 0), total / np.maximum(before, 1), np.nan)
+    return np.asarray(np.sqrt(before / (before + 1.0)) * (values - mean))
+
+
+def autocorrelation(values: Float) -> float:
+    """Return the lag-1 autocorrelation of the rows (T, A), pooled over columns with their own means; 0 if unknown."""
+    centred = values - np.nansum(values, axis=0) / np.maximum(np.isfinite(values).sum(axis=0), 1)
+    products, squares = centred[1:] * centred[:-1], centred**2
+    if not np.isfinite(products).any():
+        return 0.0
+    return float(np.nanmean(products) / max(np.nanmean(squares), np.finfo(float).tiny))

@@ -1,1 +1,0 @@
-"""Points that a person picked in image and sweep: their file, and the page on which `p2o pick` has them clicked."""

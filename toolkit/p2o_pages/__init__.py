@@ -1,0 +1,1 @@
+"""Interactive pages: `p2o view` and `p2o pick`."""

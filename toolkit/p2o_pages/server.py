@@ -1,0 +1,201 @@
+"""The viser server of both pages: protection, the list of frames, status lines, errors."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import importlib
+import io
+import socket
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from html import escape
+from typing import Any, Protocol, Self
+
+from p2o.errors import InputError, MethodUnavailable, P2OError, printable
+
+HOST = "127.0.0.1"
+_MAX_LISTED_FRAMES = 500
+"""Number of frames in the dropdown: those around the current frame."""
+
+
+class FrameSession(Protocol):
+    """State of a page that shows one frame at a time; `number` indexes `names`."""
+
+    names: tuple[str, ...]
+    number: int
+
+    def look_at(self, number: int) -> None:
+        """Show another frame; raises InputError if it cannot be read, and then changes nothing."""
+
+
+class PageServer(ABC):
+    """Serves one page of viser on `host` until `close`; use it in a `with`. `url` is the address of the page.
+
+    Connections from pages of other origins are refused, and viser's share function is off. All clients see one state.
+    Raises MethodUnavailable if viser is not installed, InputError if the port is in use or not permitted.
+    """
+
+    def __init__(self, command: str, session: FrameSession, host: str = HOST, port: int = 0) -> None:
+        viser = require_viser(command)
+        self.host, self.port = host, _free_port(host, port)
+
+        class _Server(viser.ViserServer):  # type: ignore[name-defined, misc]
+            """A server that refuses to publish its page through viser's relay."""
+
+            def request_share_url(self, verbose: bool = True) -> str | None:
+                return None
+
+        with _silent(), _same_origin(host, self.port):
+            self._viser = _Server(host=host, port=self.port, label=command, verbose=False)
+        if self._viser.get_port() != self.port:
+            self.close()
+            raise _port_error(host, self.port)
+        self._viser.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large", dark_mode=True)
+        self.session, self._lock, self._notice = session, threading.RLock(), ""
+        if len(session.names) > 1:
+            self.frames = self._viser.gui.add_dropdown(
+                "frame", self._frame_labels(), initial_value=self._frame_label(session.number)
+            )
+            self.frames.on_update(lambda _: self._open_frame(int(self.frames.value.partition(":")[0])))
+        self.status = self._viser.gui.add_html("")
+
+    @property
+    def url(self) -> str:
+        """The address of the page."""
+        return f"http://{'localhost' if self.host in ('0.0.0.0', '::') else self.host}:{self.port}/"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop serving."""
+        with _silent():
+            self._viser.stop()
+
+    @abstractmethod
+    def show(self, *, frame: bool = False) -> None:
+        """Show the state of the session; with `frame` also the image and points of a new frame."""
+
+    @abstractmethod
+    def lines(self) -> list[str]:
+        """Return the lines of the status: name of the frame, then sentences."""
+
+    def tell(self, text: str) -> None:
+        """Show a message below the status lines."""
+        with self._lock:
+            self._notice = text
+            self._show_status()
+
+    def _show_status(self) -> None:
+        self.status.content = _html([*self.lines(), *([self._notice] if self._notice else [])])
+
+    def _succeeds(self, change: Callable[[], Any]) -> bool:
+        """Change the session; on an error show its message instead and return False."""
+        self._notice = ""
+        try:
+            change()
+        except P2OError as problem:
+            self.tell(str(problem))
+        except Exception as problem:
+            self.tell(f"unexpected {type(problem).__name__}: {problem}")
+        else:
+            return True
+        return False
+
+    # ---- the list of frames
+
+    def _open_frame(self, number: int) -> None:
+        """Show another frame, and mark it in the list; the current one stays there if the other cannot be read."""
+        with self._lock:
+            if number == self.session.number or not 0 <= number < len(self.session.names):
+                return
+            if self._succeeds(lambda: self.session.look_at(number)):
+                self.show(frame=True)
+            self._list_frames()
+
+    def _list_frames(self) -> None:
+        """Update the list of frames."""
+        if len(self.session.names) > 1:
+            # In this order: viser selects the first option if the value is not among new options.
+            self.frames.value = self._frame_label(self.session.number)
+            self.frames.options = self._frame_labels()
+
+    def _frame_labels(self) -> list[str]:
+        count = len(self.session.names)
+        first = max(min(self.session.number - _MAX_LISTED_FRAMES // 2, count - _MAX_LISTED_FRAMES), 0)
+        return [self._frame_label(number) for number in range(first, min(first + _MAX_LISTED_FRAMES, count))]
+
+    def _frame_label(self, number: int) -> str:
+        """Return the text of a frame in the list, which begins with its number and a colon."""
+        return f"{number}: {printable(self.session.names[number])}"
+
+
+def require_viser(command: str) -> Any:
+    """Return the package viser; raises MethodUnavailable if it is not installed."""
+    try:
+        return importlib.import_module("viser")
+    except ModuleNotFoundError as problem:
+        raise MethodUnavailable(
+            f"{command} needs the package viser, which is not installed", hint='run: pip install "viser>=1.1"'
+        ) from problem
+
+
+def _html(lines: Sequence[str]) -> str:
+    first, *rest = (escape(printable(line, 500)) for line in lines)
+    style = "margin:2px 0;font-size:0.8em;line-height:1.3;overflow-wrap:anywhere"
+    texts = "".join(f'<p style="{style}">{text}</p>' for text in rest)
+    return f'<div style="padding:0 0.8em"><b>{first}</b>{texts}</div>'
+
+
+def _free_port(host: str, port: int) -> int:
+    """Return the port, or any free one for 0; viser itself would silently use the next free port instead."""
+    try:
+        with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind((host, port))
+            return int(probe.getsockname()[1])
+    except (OSError, OverflowError) as problem:
+        raise _port_error(host, port, problem) from problem
+
+
+def _port_error(host: str, port: int, problem: Exception | None = None) -> InputError:
+    return InputError(
+        "the port cannot be used",
+        where=f"{host}:{port}",
+        got=getattr(problem, "strerror", None) or problem,
+        hint="leave --port out, or name another",
+    )
+
+
+@contextlib.contextmanager
+def _same_origin(host: str, port: int) -> Iterator[None]:
+    """Make the server that viser starts within this context accept connections from its own page only.
+
+    viser does not check the origin of a connection: any other page in the same browser could read images and clouds.
+    """
+    import re
+
+    from websockets.asyncio import server
+
+    origins: list[Any] = [f"http://{name}:{port}" for name in ("localhost", HOST, host)]
+    if host not in (HOST, "localhost"):
+        # Other machines reach it by names that are unknown here.
+        origins.append(re.compile(rf"http://[^/]+:{port}"))
+    serve = server.serve
+    server.serve = functools.partial(serve, origins=origins)
+    try:
+        yield
+    finally:
+        server.serve = serve
+
+
+@contextlib.contextmanager
+def _silent() -> Iterator[None]:
+    """Discard what viser prints to the terminal."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        yield

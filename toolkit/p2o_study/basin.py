@@ -1,0 +1,165 @@
+"""Measure the basin of attraction of methods: the share of successes over rotation and translation of the start error.
+
+A basin is a study whose rows are methods x sizes of the start error; it is stored and resumed as a study.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from p2o.arrays import Float
+from p2o.errors import InputError, UnknownNameError
+from p2o.geometry.perturb import Perturbation
+from p2o.host.registry import Registry
+from p2o.host.slots import METHOD_WORDS, Kind
+from p2o.results.verdict import Trust
+from p2o.run.words import parse_settings
+
+from p2o_study.store import StoredRow
+from p2o_study.study import Study, StudyFile, parse_study
+from p2o_study.tally import by_row, is_within
+
+_BESIDE = ("extractor", "solver", "init")
+"""Stages that the example of a matcher selects."""
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A method under the name shown in heat maps: words of a recipe, and options by stage."""
+
+    name: str
+    words: Mapping[str, str]
+    options: Mapping[str, Mapping[str, Any]]
+
+    @classmethod
+    def of(cls, text: str, study: Study | None, registry: Registry) -> Contender:
+        """Return the method named `text`: a row of the study, else an installed matcher or calibrator.
+
+        A matcher is combined with the extractor, solver and init of its example, else with those of the default
+        recipe; the settings of the example are applied. Raises UnknownNameError.
+        """
+        rows = {} if study is None else {row.label: row for row in study.rows()}
+        if text in rows:
+            words = {word: value for word, value in rows[text].words.items() if word in (*METHOD_WORDS, "accumulate")}
+            return cls(text, words, rows[text].words.get("options", {}))
+        for kind, word in ((Kind.MATCHER, "matcher"), (Kind.CALIBRATOR, "calibrator")):
+            offer = next((offer for offer in registry.of_kind(kind) if offer.name == text), None)
+            if offer is None:
+                continue
+            example = offer.method.example
+            if example is None:
+                return cls(text, {word: text}, {})
+            beside = _BESIDE if kind is Kind.MATCHER else ()
+            companions = {stage: value for stage in beside if (value := getattr(example, stage))}
+            return cls(text, {word: text, **companions}, parse_settings(example.settings))
+        known = [o.name for kind in (Kind.MATCHER, Kind.CALIBRATOR) for o in registry.of_kind(kind)]
+        raise UnknownNameError("method", text, [*rows, *known], hint="name a matcher, a calibrator or a row of --study")
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The sizes of start errors, and the maximum final error of a success.
+
+    Raises InputError for no sizes, equal sizes and sizes outside 0 to 180.
+    """
+
+    rotations_deg: tuple[float, ...]
+    translations_m: tuple[float, ...]
+    within: Perturbation
+
+    def __post_init__(self) -> None:
+        for field in fields(self)[:2]:
+            sizes = getattr(self, field.name)
+            if not sizes or len(set(sizes)) < len(sizes) or not all(0 <= size <= 180 for size in sizes):
+                raise InputError(
+                    "the sizes of start errors form no grid",
+                    where=field.name,
+                    expected="different numbers from 0 to 180",
+                    got=" ".join(f"{size:g}" for size in sizes) or "none",
+                )
+
+    @property
+    def cells(self) -> list[Perturbation]:
+        """The start errors, ordered by rotation, then by translation."""
+        return [Perturbation(a, d) for a, d in itertools.product(self.rotations_deg, self.translations_m)]
+
+
+def basin_study(
+    contenders: Sequence[Contender], grid: Grid, data: str, frames: str, seeds: int, joint: int | bool
+) -> StudyFile:
+    """Return the study of a basin: one row for each method and size of the start error, named by `label`."""
+    lines = [
+        'name = "basin"',
+        'title = "Basins of attraction"',
+        f"seeds = {seeds}",
+        f"joint = {json.dumps(joint)}",
+        "[[dataset]]",
+        'name = "data"',
+        f"data = {json.dumps(data)}",
+        f"frames = {json.dumps(frames)}",
+    ]
+    for contender, cell in itertools.product(contenders, grid.cells):
+        lines += ["[[row]]", f"label = {json.dumps(label(contender, cell))}", f"section = {json.dumps(contender.name)}"]
+        lines += [f"{word} = {json.dumps(value)}" for word, value in contender.words.items()]
+        lines.append(f'perturb = "{cell}"')
+        for stage, values in contender.options.items():
+            lines += [f"options.{stage}.{name} = {toml_value(value)}" for name, value in values.items()]
+    text = "\n".join(lines) + "\n"
+    return StudyFile(parse_study(text, "basin"), text, "basin")
+
+
+def label(contender: Contender, cell: Perturbation) -> str:
+    """Return the label of the row of a method and a size of the start error."""
+    return f"{contender.name} from {cell}"
+
+
+def toml_value(value: Any) -> str:
+    """Return a value as TOML, with inline tables."""
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{name} = {toml_value(inner)}" for name, inner in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(toml_value, value)) + "]"
+    return repr(value) if isinstance(value, float) else json.dumps(value)
+
+
+@dataclass(frozen=True, eq=False)
+class Basin:
+    """The basin of one method: shares of calibrations (R, T) over rotation and translation of the start error.
+
+    `success` is the share that ended within the limits of the grid, `refused` the share without an estimate,
+    `deceived` the share of false accepts (trusted, but outside the limits). `count` is the number of calibrations;
+    shares are NaN where it is 0.
+    """
+
+    name: str
+    success: Float
+    refused: Float
+    deceived: Float
+    count: Float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the shares as lists, for JSON; NaN becomes null."""
+        shares = {name: value for name, value in vars(self).items() if name != "name"}
+        plain = {k: [[None if np.isnan(x) else float(x) for x in row] for row in v] for k, v in shares.items()}
+        return {"name": self.name, **plain}
+
+
+def basin_of(contender: Contender, grid: Grid, rows: Sequence[StoredRow]) -> Basin:
+    """Return the basin of one method from the finished rows of the study."""
+    by_label = by_row(rows)
+    shape = (len(grid.rotations_deg), len(grid.translations_m))
+    shares_of_cells = []
+    for cell in grid.cells:
+        runs = by_label.get(label(contender, cell), [])
+        arrived = [is_within(row, grid.within) for row in runs]
+        wrong = [row.trust is Trust.TRUSTED and not good for row, good in zip(runs, arrived, strict=True)]
+        count = len(runs)
+        shares = (sum(arrived), sum(not row.solved for row in runs), sum(wrong))
+        shares_of_cells.append([*(x / count if count else np.nan for x in shares), count])
+    table = np.array(shares_of_cells, dtype=np.float64).T.reshape(4, *shape)
+    return Basin(contender.name, *table)

@@ -1,0 +1,417 @@
+"""Enumerate the calibrations (cells) of a study without building them: a study may have a million of them."""
+
+from __future__ import annotations
+
+import json
+import math
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache, partial
+from itertools import accumulate
+from typing import Any
+
+from p2o.arrays import Float
+from p2o.errors import InputError, P2OError
+from p2o.frames.frame import Frame
+from p2o.frames.selection import select
+from p2o.geometry.pose_error import pose_error
+from p2o.host import guard
+from p2o.host.guard import GuardedDataset
+from p2o.host.registry import Registry
+from p2o.run.assembly import INPUTS
+from p2o.run.recipe import Part, Plan, open_dataset
+from p2o.run.run import common_pose, listed_errors, start_of
+from p2o.run.words import split_data
+from p2o.work.cache import content_hash, features_key, method_content
+from p2o.work.sources import Code, code_of
+
+from p2o_study import worker
+from p2o_study.damage import STAGE as DAMAGE
+from p2o_study.damage import Damage
+from p2o_study.store import Planned, StoredRow
+from p2o_study.study import ALL_JOINT, BY_CAMERA, MAX_SEEDS, StudyRow, with_place
+from p2o_study.worker import FrameRecord, Plugins, Source
+
+_INPUT_STAGES = ("data", "accumulate")
+"""Stages that affect a result only through the content of the frames."""
+
+CANNOT_ALTER_A_POSE = (
+    # They resolve methods and read frames: the outcome is in the key by its content.
+    "p2o.host.hookspecs",
+    "p2o.host.registry",
+    "p2o.run.joined",
+    "p2o.run.recipe",
+    "p2o.work",
+    # They store, display and export results.
+    "p2o.calibration_files",
+    "p2o.cli",
+    "p2o.draw",
+    "p2o.learn",
+    "p2o.testing",
+    "p2o_formats",
+    "p2o_pages",
+    "p2o_sim",
+    "p2o_study.columns",
+    "p2o_study.report",
+    "p2o_study.store",
+)
+"""Modules that are not part of the key of a row, unless a method uses them itself."""
+
+
+@dataclass(frozen=True, eq=False)
+class Method:
+    """The methods of one row and seed: `recipe` (JSON) for workers, `key` the hash of all that a result depends on."""
+
+    recipe: str
+    plan: Plan
+    described: Mapping[str, Any]
+    versions: Mapping[str, str]
+    damage: Damage
+    key: str
+
+    @classmethod
+    def of(cls, row: StudyRow, seed: int, data_options: str, versions: Mapping[str, str], registry: Registry) -> Method:
+        """Return the methods of a seed; `data_options` are the options of the dataset as JSON."""
+        recipe = row.recipe(seed)
+        options = {**recipe.options, "data": json.loads(data_options)}
+        if not options["data"]:
+            del options["data"]
+        recipe = recipe.model_copy(update={"options": options})
+        plan = recipe.resolve(registry)
+        described, damage = plan.described(), row.damage(seed)
+        if damage.missing_edges:
+            described["options"][DAMAGE] = damage.model_dump(mode="json")
+        acting = {
+            "methods": {
+                # A result depends on the content of the frames, not on their source.
+                stage: [part.offer.full_name, part.options.model_dump(mode="json")]
+                if stage in _INPUT_STAGES
+                else method_content(part)
+                for stage, part in sorted(plan.parts.items())
+                if stage != "data"
+            },
+            "pipeline": described["options"].get("pipeline"),
+            "damage": damage_content(damage) if damage.missing_edges else None,
+            "seed": seed,
+            "perturb": recipe.perturb,
+            "versions": versions,
+            "code": calibration_code().hash,
+        }
+        words = recipe.model_dump(mode="json", exclude_unset=True)
+        return cls(json.dumps(words, sort_keys=True), plan, described, versions, damage, content_hash(acting))
+
+    @cached_property
+    def prepared(self) -> tuple[tuple[str, str, Part], ...]:
+        """Stage, name and part of each stage whose output can be cached; equal names give equal outputs."""
+        parts = self.plan.parts
+        stages = worker.prepared_stages(self.plan)
+        return tuple((stage, worker.part_name(parts[stage]), parts[stage]) for stage in stages)
+
+    @property
+    def extractors(self) -> dict[str, tuple[str, str]]:
+        """Recipe and stage by part name, for each stage whose output can be cached."""
+        return {name: (self.recipe, stage) for stage, name, _ in self.prepared}
+
+
+def damage_content(damage: Damage) -> list[Any]:
+    """Return everything of the damage that a result depends on: options and code."""
+    return [damage.model_dump(mode="json"), code_of(Damage, leave_out=CANNOT_ALTER_A_POSE).hash]
+
+
+def calibration_code() -> Code:
+    """Return the definitions that every row depends on, in addition to those of its methods."""
+    # Results depend on parts and frames, although recipe and registry, which create them, are left out.
+    return code_of(worker.calibrate, Part, guard.build, Frame, leave_out=CANNOT_ALTER_A_POSE)
+
+
+@dataclass(frozen=True, eq=False)
+class OpenRow:
+    """One row with its frames; `method` returns the methods of a seed, `listed` holds start errors from a list."""
+
+    row: StudyRow
+    sources: tuple[Source, ...]
+    method: Callable[[int], Method]
+    listed: Mapping[int, Float]
+
+    @property
+    def first(self) -> Method:
+        """The methods of the first seed."""
+        return self.method(self.row.seeds[0])
+
+
+def open_rows(rows: Sequence[StudyRow], plugins: Plugins, at_most: int) -> list[OpenRow]:
+    """Return each row with its frames; no frame is read. Raises InputError for more than `at_most` calibrations."""
+    registry = plugins.registry()
+    datasets: dict[tuple[str, str], GuardedDataset] = {}
+    sources: dict[tuple[str, str, str, str], tuple[Source, ...]] = {}
+    out = []
+    count = 0
+    asked: list[tuple[StudyRow, str, Mapping[str, str]]] = []
+
+    # Cells iterate over frames, then seeds: the cache must hold the methods of all seeds of a row.
+    @lru_cache(maxsize=MAX_SEEDS)
+    def method_of(number: int, seed: int) -> Method:
+        row, data_options, versions = asked[number]
+        return Method.of(row, seed, data_options, versions, registry)
+
+    for row in rows:
+        data, options = row.dataset.data, _data_options(row, registry)
+        where = f"{row.where}, dataset '{row.dataset.name}'"
+        if (data, options) not in datasets:
+            try:
+                datasets[data, options] = open_dataset(data, registry, json.loads(options))
+            except P2OError as problem:
+                raise with_place(problem, where, f"name the path: --data {data.partition(':')[0]}:PATH") from problem
+        dataset = datasets[data, options]
+        # Versions do not depend on the seed; reading the metadata of packages is slow.
+        plan = row.resolve(registry, row.seeds[0])
+        versions, joins = plan.versions(), _joins(plan)
+        chosen = data, options, row.dataset.frames, joins
+        if chosen not in sources:
+            indices = select(dataset.names, row.dataset.frames, where=where, skipped=dataset.skipped)
+            sources[chosen] = tuple(
+                Source(plugins, data, options, index, dataset.names[index], joins) for index in indices
+            )
+        size = group_size(row.joint, len(sources[chosen]))
+        count += len(row.seeds) * math.ceil(len(sources[chosen]) / size)
+        if count > at_most:
+            raise InputError(
+                "the study asks for too many calibrations",
+                where=where,
+                expected=f"at most {at_most}",
+                got=f"{count} up to this row",
+                hint="choose fewer frames or seeds (--frames, --seeds), or confirm the number: --at-most N",
+            )
+        asked.append((row, options, versions))
+        method = partial(method_of, len(asked) - 1)
+        # Raises before any work if an option does not accept such a seed.
+        for seed in {min(row.seeds), max(row.seeds)}:
+            method(seed)
+        first = [source.index for source in sources[chosen][::size]]
+        listed = listed_errors(row.recipe(row.seeds[0]), dataset.names, first)
+        out.append(OpenRow(row, sources[chosen], method, listed))
+    return out
+
+
+def _joins(plan: Plan) -> str:
+    """Return name and options of the accumulator as JSON, or an empty text."""
+    part = plan.parts.get("accumulate")
+    if part is None:
+        return ""
+    return json.dumps([part.offer.full_name, part.options.model_dump(mode="json")], sort_keys=True)
+
+
+def _data_options(row: StudyRow, registry: Registry) -> str:
+    """Return the options of the dataset as JSON; its seed is fixed, so that all seeds of a row use the same frames."""
+    options = {**row.dataset.options, **row.words["options"].get("data", {})}
+    fields = row.resolve(registry, row.seeds[0]).parts["data"].options.model_fields
+    if "seed" in fields and "seed" not in split_data(row.dataset.data)[1]:
+        options.setdefault("seed", 0)
+    return json.dumps(options, sort_keys=True)
+
+
+def group_size(joint: int, frames: int) -> int:
+    """Return the number of frames per group out of `frames`; 1 where groups depend on the cameras."""
+    return {0: 1, ALL_JOINT: frames, BY_CAMERA: 1}.get(joint, joint)
+
+
+def groups_of(joint: int, records: Sequence[FrameRecord]) -> list[tuple[FrameRecord, ...]]:
+    """Return the groups of frames for joint calibration; `joint` is that of a `StudyRow`.
+
+    The frames of a group are in the order of the dataset, on which the last bits of the result depend.
+    """
+    if joint == BY_CAMERA:
+        return _by_camera(records)
+    size = group_size(joint, len(records))
+    return [_in_order(records[first : first + size]) for first in range(0, len(records), size)]
+
+
+def _in_order(records: Iterable[FrameRecord]) -> tuple[FrameRecord, ...]:
+    return tuple(sorted(records, key=lambda record: record.source.index))
+
+
+def _by_camera(records: Sequence[FrameRecord]) -> list[tuple[FrameRecord, ...]]:
+    """Return one group per camera; a frame that cannot be read is its own group and does not affect the others."""
+    groups: list[list[FrameRecord]] = []
+    for record in records:
+        own = None if record.failure is not None else next((g for g in groups if _of_one_camera(g[0], record)), None)
+        if own is None:
+            groups.append([record])
+        else:
+            own.append(record)
+    return [_in_order(group) for group in groups]
+
+
+def _of_one_camera(first: FrameRecord, other: FrameRecord) -> bool:
+    if first.failure is not None or (first.camera_name, first.camera) != (other.camera_name, other.camera):
+        return False
+    try:
+        # Records have the poses of a frame under the same names as the frame.
+        poses: Any = (first, other)
+        common_pose(poses, "camera_from_lidar")
+    except InputError:
+        return False
+    return True
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Frames of one calibration of a row; `joint` is their number, 0 for a single frame.
+
+    `check` is the recipe (JSON) whose required inputs are checked.
+    """
+
+    records: tuple[FrameRecord, ...]
+    joint: int
+    check: str
+
+    @cached_property
+    def truth(self) -> Float | None:
+        """The ground truth camera_from_lidar (4, 4) of all frames; None if unknown or a frame cannot be read."""
+        return common_pose(self.poses, "camera_from_lidar") if self.readable else None
+
+    @property
+    def poses(self) -> Any:
+        """The records as frames: they have the poses of a frame under the same names."""
+        return self.records
+
+    @property
+    def readable(self) -> bool:
+        """True where every frame can be read."""
+        return all(record.failure is None for record in self.records)
+
+    @cached_property
+    def content(self) -> str:
+        """The hash of everything of the frames that a result depends on."""
+        frames = [{"name": record.name, **record.inputs} for record in self.records]
+        return content_hash({"joint": bool(self.joint), "frames": frames, "truth": self.truth})
+
+    @property
+    def failure(self) -> tuple[str, str] | None:
+        """Reason and traceback of the first frame that cannot be read or lacks a required input."""
+        for record in self.records:
+            if record.failure is not None:
+                return record.reason, record.failure
+            if self.check in record.missing_inputs:
+                return record.missing_inputs[self.check], record.missing_inputs[self.check]
+        return None
+
+
+InitialGuess = Callable[[str, Sequence[FrameRecord], Float | None, int], Float]
+"""`(dataset, records of the frames, ground truth (4, 4) or None, seed) -> camera_from_lidar (4, 4)`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """One calibration: a row of the table, a seed, frames, and the initial guess `start` (4, 4) if it is known."""
+
+    planned: Planned
+    seed: int
+    method: Method
+    group: Group
+    start: Float | None
+
+    @property
+    def stored(self) -> StoredRow:
+        """The stored row with all values that are known before the calibration."""
+        records, truth = self.group.records, self.group.truth
+        names = tuple(record.name for record in records)
+        before: dict[str, Any] = {}
+        if truth is not None and self.start is not None:
+            error = pose_error(self.start, truth)
+            before = {"start_rotation_deg": error.rotation_deg, "start_translation_m": error.translation_m}
+        return StoredRow(
+            **{name: getattr(self.planned, name) for name in Planned.__dataclass_fields__},
+            frames=names,
+            joint=self.group.joint,
+            seed=self.seed,
+            perturb=self.method.described["perturb"],
+            start=self.start,
+            truth=truth,
+            recipe={**self.method.described, "frames": ",".join(names), "joint": bool(self.group.joint)},
+            versions=self.method.versions,
+            inputs={record.name: dict(record.inputs) for record in records},
+            **before,
+        )
+
+
+class Cells(Sequence[Cell]):
+    """All calibrations of a study, ordered by row, frames and seed; each is built on access."""
+
+    def __init__(
+        self,
+        rows: Sequence[OpenRow],
+        records: Mapping[Source, FrameRecord],
+        initial_guess: InitialGuess | None = None,
+    ) -> None:
+        self._initial_guess = initial_guess
+        known: dict[tuple[int, int], list[tuple[FrameRecord, ...]]] = {}
+        self._rows = rows
+        self._groups: list[list[tuple[FrameRecord, ...]]] = []
+        for entry in rows:
+            # Rows on the same frames share the groups.
+            its = entry.row.joint, id(entry.sources)
+            if its not in known:
+                known[its] = groups_of(entry.row.joint, [records[source] for source in entry.sources])
+            self._groups.append(known[its])
+        counts = (len(groups) * len(entry.row.seeds) for entry, groups in zip(rows, self._groups, strict=True))
+        self._ends = list(accumulate(counts))
+        self._last: tuple[int, int, Group] | None = None
+
+    def __len__(self) -> int:
+        return self._ends[-1] if self._ends else 0
+
+    def __getitem__(self, position: Any) -> Any:
+        if isinstance(position, slice):
+            return [self[number] for number in range(*position.indices(len(self)))]
+        entry, group, seed = self.place(position)
+        method, start = entry.method(seed), None
+        if group.readable and self._initial_guess is not None:
+            start = self._initial_guess(entry.row.dataset.name, group.records, group.truth, seed)
+        elif group.readable:
+            first = group.records[0].source.index
+            start, _ = start_of(group.poses, group.truth, method.plan.recipe, None, first, entry.listed)
+        row = entry.row
+        planned = Planned(
+            key=content_hash([method.key, group.content, start]),
+            study=row.where.removeprefix("study "),
+            row=row.label,
+            section=row.section,
+            dataset=row.dataset.name,
+            **row.method_words,
+        )
+        return Cell(planned, seed, method, group, start)
+
+    def place(self, position: int) -> tuple[OpenRow, Group, int]:
+        """Return row, frames and seed of a calibration without building the cell."""
+        if not -len(self) <= position < len(self):
+            raise IndexError(position)
+        position %= len(self)
+        at = bisect_right(self._ends, position)
+        entry = self._rows[at]
+        number, seed = divmod(position - (self._ends[at - 1] if at else 0), len(entry.row.seeds))
+        last = self._last
+        if last is None or last[:2] != (at, number):
+            records = self._groups[at][number]
+            group = Group(records, len(records) if entry.row.joint else 0, entry.first.recipe)
+            # Successive cells are the seeds of a row on the same frames.
+            self._last = last = at, number, group
+        return entry, last[2], entry.row.seeds[seed]
+
+
+class FeatureKeys:
+    """The cache keys of the features of frames; each is computed once for all seeds and rows."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[str, str], str] = {}
+
+    def of(self, method: Method, records: FrameRecord) -> dict[str, str]:
+        """Return by stage the cache key of the features of a frame, for stages whose output can be cached."""
+        keys = {}
+        for stage, name, part in method.prepared:
+            seen = name, records.inputs[INPUTS[stage]]
+            if seen not in self._known:
+                self._known[seen] = features_key(part, seen[1])
+            keys[stage] = self._known[seen]
+        return keys

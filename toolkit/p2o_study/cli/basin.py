@@ -1,0 +1,146 @@
+"""`p2o basin`: the basin of attraction of methods, as heat maps."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+from p2o.cli.plugin_options import plugin_options
+from p2o.errors import InputError
+
+from p2o_study.cli.ablate import at_most_option, progress_shown
+
+_ROTATIONS = "0.5,1,2,4,8"
+_TRANSLATIONS = "0.05,0.15,0.3,0.6"
+
+
+@click.command("basin")
+@click.argument("methods", nargs=-1, required=True, metavar="METHOD...")
+@click.option("--data", default="synthetic:", show_default=True, metavar="DATASET:PATH", help="The data.")
+@click.option("--frames", default="all", show_default=True, metavar="SPEC", help="Which frames, as in `p2o run`.")
+@click.option(
+    "--rotations",
+    default=_ROTATIONS,
+    show_default=True,
+    metavar="DEG,...",
+    help="Rotation errors of the initial guess.",
+)
+@click.option(
+    "--translations",
+    default=_TRANSLATIONS,
+    show_default=True,
+    metavar="M,...",
+    help="Translation errors of the initial guess.",
+)
+@click.option(
+    "--seeds", default=1, show_default=True, type=click.IntRange(1, 1000), help="Initial guesses per size and frame."
+)
+@click.option("--within", default="0.5deg 0.2m", show_default=True, metavar="SIZE", help="Maximum error of a success.")
+@at_most_option
+@click.option("--joint", is_flag=True, help="Calibrate all frames jointly.")
+@click.option("--study", metavar="STUDY", help="METHOD may be a label of a row of this study, with its options.")
+@click.option("--out", default="p2o-out/basin", show_default=True, metavar="DIR", help="Folder of rows and results.")
+@click.option(
+    "--jobs", type=click.IntRange(min=1), default=1, show_default=True, metavar="N", help="Number of processes."
+)
+@click.option("--quiet", is_flag=True, help="No progress.")
+@plugin_options
+def command(
+    methods: tuple[str, ...],
+    data: str,
+    frames: str,
+    rotations: str,
+    translations: str,
+    seeds: int,
+    within: str,
+    at_most: int | None,
+    joint: bool,
+    study: str | None,
+    out: str,
+    jobs: int,
+    quiet: bool,
+    plugin: tuple[str, ...],
+    block: tuple[str, ...],
+) -> int:
+    """Measure the share of successes over rotation and translation errors of the initial guess.
+
+    METHOD is a matcher (with extractors and solver of its example), a calibrator, or the label of a row of --study.
+    Started again, it continues with the missing rows. Writes basin.png, basin.json and the rows (study.sqlite) to DIR.
+    """
+    from p2o.draw.plots import heat_maps
+    from p2o.files.whole_file import write_whole
+    from p2o.geometry.perturb import parse_perturbation
+    from p2o.work.parallel import Workers
+
+    from p2o_study.ablate import MAX_CALIBRATIONS, ablate
+    from p2o_study.basin import Contender, Grid, basin_of, basin_study
+    from p2o_study.study import find_study
+    from p2o_study.worker import Plugins
+
+    plugins = Plugins.of(block, plugin)
+    registry = plugins.registry()
+    grid = Grid(
+        _sizes("--rotations", rotations),
+        _sizes("--translations", translations),
+        parse_perturbation(within, "--within"),
+    )
+    known_study = None if study is None else find_study(study, registry).study
+    contenders = [Contender.of(name, known_study, registry) for name in dict.fromkeys(methods)]
+    most, count = MAX_CALIBRATIONS if at_most is None else at_most, len(contenders) * len(grid.cells) * seeds
+    if count > most:
+        raise InputError(
+            "too many calibrations",
+            where="p2o basin",
+            expected=f"at most {most}",
+            got=f"{count} for each frame",
+            hint="reduce sizes, methods or seeds, or confirm the number: --at-most N",
+        )
+    file = basin_study(contenders, grid, data, frames, seeds, joint)
+    with progress_shown(quiet) as (say, warn):
+        done = ablate(
+            file, out, plugins=plugins, workers=Workers(jobs), at_most=at_most, on_progress=say, on_warning=warn
+        )
+    basins = [basin_of(contender, grid, done.rows) for contender in contenders]
+    for basin in basins:
+        click.echo(_table(basin, grid))
+    report: dict[str, Any] = {
+        "rotations_deg": grid.rotations_deg,
+        "translations_m": grid.translations_m,
+        "within": str(grid.within),
+        "data": data,
+        "frames": frames,
+        "seeds": seeds,
+        "joint": joint,
+        "methods": [basin.as_dict() for basin in basins],
+    }
+    write_whole(Path(out) / "basin.json", (json.dumps(report, indent=1, allow_nan=False) + "\n").encode())
+    heat_maps(
+        {basin.name: basin.success for basin in basins},
+        grid.rotations_deg,
+        grid.translations_m,
+        Path(out) / "basin.png",
+        row_label="rotation error of the initial guess, deg",
+        column_label="translation, m",
+        title=f"% of calibrations that end within {grid.within}",
+    )
+    return 130 if done.interrupted else 0
+
+
+def _sizes(where: str, text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError as problem:
+        raise InputError("cannot read the sizes", where=where, expected="numbers such as 1,2,5", got=text) from problem
+
+
+def _table(basin: Any, grid: Any) -> str:
+    """Return the shares of successes in percent: a line per rotation, a column per translation."""
+    head = f"{basin.name}: % within {grid.within} of {int(basin.count.max())} calibrations each"
+    lines = [head, "  deg \\ m" + "".join(f"{size:>7g}" for size in grid.translations_m)]
+    for angle, row in zip(grid.rotations_deg, basin.success, strict=True):
+        lines.append(
+            f"  {angle:>7g}" + "".join("      -" if share != share else f"{100 * share:>7.0f}" for share in row)
+        )
+    return "\n".join(lines)

@@ -1,0 +1,101 @@
+"""`p2o compare`: rank methods on frames without ground truth."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import click
+from p2o.cli.plugin_options import plugin_options
+from p2o.cli.pose_options import StartCommand
+
+from p2o_study.cli.ablate import at_most_option, progress_shown
+
+
+@click.command("compare", cls=StartCommand)
+@click.argument("data", required=False, metavar="DATASET:PATH")
+@click.option("--data", "data_option", metavar="DATASET:PATH", help="The data, as in `p2o run`.")
+@click.option("--methods", required=True, metavar="NAME,...", help="The methods: ours,ours-without-prior,nid,gmm,...")
+@click.option("--frames", default="all", show_default=True, metavar="SPEC", help="Which frames, as in `p2o run`.")
+@click.option("--groups", default=6, show_default=True, metavar="N", help="Number of disjoint groups of frames.")
+@click.option("--seeds", default="3", show_default=True, metavar="N|LIST", help="Initial guesses for each group.")
+@click.option("--start", metavar='FILE | roughly "WORDS"', help="The initial guess, if the data have none.")
+@click.option(
+    "--perturb",
+    default="1deg 0.1m",
+    show_default=True,
+    metavar="SIZE",
+    help="How far the initial guesses are from it, in random directions.",
+)
+@at_most_option
+@click.option("--out", default="p2o-out/compare", show_default=True, metavar="DIR", help="Folder of rows and page.")
+@click.option(
+    "--jobs", type=click.IntRange(min=1), default=1, show_default=True, metavar="N", help="Number of processes."
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else on stdout.")
+@click.option("--quiet", is_flag=True, help="No progress.")
+@plugin_options
+def command(
+    data: str | None,
+    data_option: str | None,
+    methods: str,
+    seeds: str,
+    out: str,
+    jobs: int,
+    as_json: bool,
+    quiet: bool,
+    plugin: tuple[str, ...],
+    block: tuple[str, ...],
+    **words: Any,
+) -> int:
+    """Compare methods on your frames without ground truth.
+
+    Each method calibrates disjoint groups of frames from several initial guesses. It is ranked by the spread of its
+    poses, by their cost on the other groups, and by their distance from methods of other families. Methods that cannot
+    be distinguished from the best at 95 % form the top group. Started again, it continues with the missing rows. Writes
+    compare.html, compare.json and the rows (study.sqlite) to DIR.
+
+    \b
+    p2o compare kitti-raw:PATH --frames 0-23 --methods ours,nid,gmm
+    p2o compare folder:PATH --start extrinsic.yaml --methods ours,hand-eye --groups 5
+
+    Exit status 1 if a calibration crashed or a method gives no estimate, 2 for wrong input, 130 if interrupted.
+    """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
+    from p2o.files.whole_file import write_whole
+    from p2o.work.parallel import Workers
+
+    from p2o_study.ablate import parse_seeds
+    from p2o_study.compare import BLIND, compare, contenders_of
+    from p2o_study.report.comparison_page import comparison_page, comparison_text
+    from p2o_study.worker import Plugins
+
+    if (data is None) == (data_option is None):
+        raise click.UsageError("name the data once: p2o compare DATASET:PATH --methods NAME,...")
+    plugins = Plugins.of(block, plugin)
+    contenders = contenders_of([name.strip() for name in methods.split(",")], plugins.registry())
+    with progress_shown(quiet or as_json) as (say, warn):
+        done, comparison = compare(
+            contenders,
+            data or data_option or "",
+            out,
+            seeds=parse_seeds(seeds),
+            plugins=plugins,
+            workers=Workers(jobs),
+            on_progress=say,
+            on_warning=warn,
+            **words,
+        )
+    if comparison is None:
+        click.echo(f"p2o: interrupted; {len(done.rows)} rows are kept in {out}; the same command continues", err=True)
+        return 130
+    plain = {**asdict(comparison), "not_observable": BLIND}
+    content = json.dumps(plain, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+    write_whole(Path(out) / "compare.json", content.encode())
+    write_whole(Path(out) / "compare.html", comparison_page(comparison).encode())
+    click.echo(content if as_json else comparison_text(comparison), nl=False)
+    if not as_json:
+        click.echo(f"wrote {Path(out) / 'compare.html'}; single calibrations: p2o report {out}")
+    crashed = any(outcome.crashed for outcome in comparison.outcomes.values())
+    return 1 if crashed or comparison.unranked else 0

@@ -1,0 +1,103 @@
+"""Reports of studies: tables, figures and a page, computed from the single runs in a store (docs/reports.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from shlex import quote
+from typing import TYPE_CHECKING
+
+from p2o.errors import InputError, UnknownNameError, printable
+from p2o.files.input_file import expanded
+from p2o.files.whole_file import make_writable, write_whole
+from p2o.host.registry import Registry
+
+if TYPE_CHECKING:
+    from p2o_study.report.summary import Summary
+
+Tell = Callable[[str, int, int], None]
+"""Callback with the name of the current image or figure, the number of finished ones and their total."""
+_LONGEST_NAME = 100
+"""Maximum length of the name of a study in errors: a foreign store may contain any text."""
+
+
+def write_report(
+    folder: str | Path,
+    out: str | Path | None = None,
+    *,
+    studies: Sequence[str] = (),
+    data: Sequence[str] = (),
+    overlays: int = 12,
+    registry: Registry | None = None,
+    on_progress: Tell | None = None,
+    on_warning: Callable[[str], None] | None = None,
+) -> list[Path]:
+    """Write the report of the studies in a folder and return its files: report.html, report.md, report.tex, figures.
+
+    `out` is the folder to write to (default: `report` in the folder), `studies` selects studies by name (default: all),
+    `data` gives the paths of their frames as DATASET:PATH or NAME=DATASET:PATH. With data, overlays of at most
+    `overlays` frames of each row are drawn, the worst first. The same store gives the same bytes. `on_warning`
+    receives a message if the page has no plots because plotly is missing.
+
+    Raises InputError if there is no store or no finished run, or `out` cannot be written; UnknownNameError for an
+    unknown study or dataset; and as `p2o_study.report.overlays.draw_all`.
+    """
+    from p2o_study.report import figures, page, tables
+    from p2o_study.report.overlays import OverlayImages, draw_all
+
+    folder = expanded(folder)
+    summaries = _summaries(folder, studies)
+    home = folder / "report" if out is None else expanded(out)
+    try:
+        make_writable(home)
+    except OSError as problem:
+        raise InputError(
+            "cannot write the report", where=home, got=problem.strerror or str(problem), hint="choose another --out"
+        ) from problem
+    tell = on_progress or (lambda what, done, total: None)
+    images = OverlayImages()
+    if data:
+        images = draw_all(summaries, data, overlays, registry or Registry.load(), tell)
+    files: dict[str, bytes] = {}
+    drawn: dict[str, list[tuple[str, str]]] = {}
+    # An upper limit: groups without rounds or errors have fewer figures.
+    done, total = 0, figures.KINDS * sum(len(summary.groups) for summary in summaries)
+    for summary, names in zip(summaries, figures.figure_names(summaries), strict=True):
+        for name, title, figure in figures.figures_of(summary, names):
+            tell(title, done, total)
+            done += 1
+            drawn.setdefault(summary.name, []).append((title, f"{name}.png"))
+            for form in ("png", "svg"):
+                files[f"{name}.{form}"] = figures.rendered(figure, form)
+    files["report.md"] = tables.markdown(summaries, lambda summary: drawn.get(summary.name, ())).encode()
+    files["report.tex"] = tables.latex(summaries).encode()
+    library = page.plot_library()
+    if not library and on_warning is not None:
+        on_warning(page.NO_PLOTS)
+    files["report.html"] = page.page(summaries, images, library).encode()
+    for name, content in files.items():
+        write_whole(home / name, content)
+    return [home / name for name in reversed(files)]
+
+
+def _summaries(folder: Path, names: Sequence[str]) -> list[Summary]:
+    """Return the summaries of studies with runs; raises InputError if a study selected by name has none."""
+    from p2o_study.report.summary import summarise_study
+    from p2o_study.store import Store
+
+    with Store.open(folder, create=False) as store:
+        known = {study.name: study for study in store.studies()}
+        for name in names:
+            if name not in known:
+                raise UnknownNameError("study", name, known, where=store.path)
+        wanted = [known[name] for name in dict.fromkeys(names or known)]
+        parts = [(study, store.rows(study.name), store.missing(study.name)) for study in wanted]
+    finished = [summarise_study(study, runs, missing) for study, runs, missing in parts if runs]
+    if not finished or (names and len(finished) < len(wanted)):
+        empty = next((study.name for study, runs, _ in parts if not runs), None)
+        what, word = "the store has no study with a finished run", "STUDY"
+        if empty:
+            what = f"study '{printable(empty, _LONGEST_NAME)}' has no finished run yet"
+            word = quote(empty) if len(empty) <= _LONGEST_NAME else word
+        raise InputError(what, where=store.path, hint=f"run: p2o ablate {word} --out {quote(str(folder))}")
+    return finished

@@ -1,0 +1,206 @@
+"""Draw overlays of runs before and after calibration from the data of the user; stores contain no images."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from p2o.arrays import Float, UInt8
+from p2o.draw.one_file import jpeg_uri
+from p2o.errors import InputError, P2OError
+from p2o.frames.scale import image_at_scale
+from p2o.host.slots import Kind
+from p2o.run.assembly import Assembly
+from p2o.run.part import Part
+from p2o.run.recipe import Recipe
+from p2o.run.words import data_by_name, split_data
+from p2o.work.cache import FeatureCache, content_hash, features_key
+
+from p2o_study.damage import Damage, split_options
+from p2o_study.report.summary import Summary
+from p2o_study.report.worst import error_rank
+from p2o_study.store import StoredRow
+
+if TYPE_CHECKING:
+    from p2o.frames.frame import Frame
+    from p2o.host.guard import GuardedDataset
+    from p2o.host.registry import Registry
+    from p2o.run.joined import JoinedFrames
+
+
+class Wanted(NamedTuple):
+    """One frame of one run to draw."""
+
+    run: StoredRow
+    frame: str
+
+
+@dataclass
+class OverlayImages:
+    """JPEG images as data URIs without duplicates: `of` maps (key of the run, frame) to indices (before, after)."""
+
+    uris: list[str] = field(default_factory=list)
+    of: dict[tuple[str, str], tuple[int, int]] = field(default_factory=dict)
+
+    def add(self, wanted: Wanted, before: UInt8, after: UInt8) -> None:
+        """Add the overlays of a run, (H, W, 3) each."""
+        self.of[wanted.run.key, wanted.frame] = (self._number(before), self._number(after))
+
+    def _number(self, image: UInt8) -> int:
+        uri = jpeg_uri(image)
+        # Rows with the same frame, initial guess and extractor share the overlay before.
+        if uri not in self._numbers:
+            self._numbers[uri] = len(self.uris)
+            self.uris.append(uri)
+        return self._numbers[uri]
+
+    _numbers: dict[str, int] = field(default_factory=dict, repr=False)
+
+
+def chosen(summary: Summary, most: int) -> list[Wanted]:
+    """Select for each row at most `most` frames, the worst first, each with its worst seed."""
+    requests = []
+    for group in summary.groups:
+        for runs in group.runs.values():
+            # The sort is stable: the first is that of `worst_run`.
+            ranked = sorted((run for run in runs if run.estimate is not None), key=error_rank, reverse=True)
+            worst: dict[str, StoredRow] = {}
+            for run in ranked:
+                for frame in run.frames:
+                    worst.setdefault(frame, run)
+            requests += [Wanted(run, frame) for frame, run in list(worst.items())[:most]]
+    return requests
+
+
+def draw_all(
+    summaries: Sequence[Summary],
+    data: Sequence[str],
+    most: int,
+    registry: Registry,
+    tell: Callable[[str, int, int], None] = lambda what, done, total: None,
+) -> OverlayImages:
+    """Return the overlays of the selected frames of all studies from data such as ["kitti-raw:PATH"].
+
+    With several datasets each text is NAME=DATASET:PATH with the NAME in the studies. `tell` receives the frame, the
+    number of finished overlays and their total. Raises UnknownNameError for an unknown dataset, InputError if NAME is
+    missing but needed, or if frames are missing or differ from those of the study.
+    """
+    runs = [run for s in summaries for group in s.groups for some in group.runs.values() for run in some]
+    text_of = data_by_name(data, sorted({run.dataset for run in runs}), "the studies")
+    wanted = [w for summary in summaries for w in chosen(summary, most) if w.run.dataset in text_of]
+    for name, text in text_of.items():
+        own = [w for w in wanted if w.run.dataset == name]
+        if own:
+            _check_names(own, text, _opened(text, own[0].run, registry).dataset.names)
+    images = OverlayImages()
+    done = 0
+    # Grouped by recipe, then frame, so that each frame is read and its features are extracted once.
+    for own in _by_recipe(wanted):
+        text = text_of[own[0].run.dataset]
+        source = _opened(text, own[0].run, registry)
+        _check_names(own, text, source.dataset.names)
+        for name in dict.fromkeys(w.frame for w in own):
+            tell(name, done, len(wanted))
+            frame = source.frame(name)
+            for w in own:
+                if w.frame == name:
+                    done += 1
+                    _check_content(w, frame)
+                    images.add(w, *source.drawn(w.run, frame))
+    return images
+
+
+def _by_recipe(wanted: Sequence[Wanted]) -> Iterable[list[Wanted]]:
+    """Group requests by dataset and recipe, ignoring frames and initial guesses."""
+    by_recipe: dict[str, list[Wanted]] = {}
+    for w in wanted:
+        recipe = {key: value for key, value in w.run.recipe.items() if key not in ("seed", "perturb", "frames")}
+        by_recipe.setdefault(json.dumps([w.run.dataset, recipe], sort_keys=True), []).append(w)
+    return by_recipe.values()
+
+
+@dataclass(frozen=True)
+class _Source:
+    """The frames of one recipe and the methods whose features are drawn."""
+
+    dataset: GuardedDataset | JoinedFrames
+    assembly: Assembly
+    damage: Damage
+
+    def frame(self, name: str) -> Frame:
+        frame: Frame = self.dataset[self.dataset.names.index(name)]
+        return frame
+
+    def drawn(self, run: StoredRow, frame: Frame) -> tuple[UInt8, UInt8]:
+        """Return the overlays at the initial guess and at the estimate of a run."""
+        assert run.estimate is not None
+        start = run.estimate if run.start is None else run.start
+        return self._at(frame, start), self._at(frame, run.estimate)
+
+    def _at(self, frame: Frame, camera_from_lidar: Float) -> UInt8:
+        """Draw edges of both sensors at a pose, or the sweep if there are none or an extractor raises."""
+        from p2o.draw import overlay
+
+        with contextlib.suppress(P2OError):
+            view = self.assembly.view(frame)
+            if view is not None:
+                image = self.damage.image_features(view.image, frame.camera, frame.name)
+                view = replace(view, image=image).as_seen_from(camera_from_lidar)
+                if len(view.image_edges) or len(view.cloud_edges):
+                    rgb = image_at_scale(frame.image).rgb
+                    return overlay.draw(rgb, view.image_edges, view.cloud_edges, view.camera, camera_from_lidar)
+        return overlay.draw_cloud(frame.image.rgb, frame.cloud, frame.camera, camera_from_lidar)
+
+
+def _opened(text: str, run: StoredRow, registry: Registry) -> _Source:
+    """Return the dataset and the methods of a run, reading frames from the data in `text`."""
+    recipe = dict(run.recipe)
+    name, data_options = split_data(text)
+    options, damage = split_options(recipe.get("options", {}), recipe.get("seed", 0))
+    if name == split_data(recipe.get("data") or text)[0]:
+        # The dataset of the study, possibly at another path.
+        data_options = {**options.get("data", {}), **data_options}
+    options["data"] = data_options
+    plan = Recipe.of(**{**recipe, "data": f"{name}:", "options": options}).resolve(registry)
+    return _Source(plan.dataset(), Assembly.of(plan.parts, plan.pipeline, _kept), damage)
+
+
+def _kept(part: Part) -> Any:
+    """Return the stage of a part; an extractor reads cached features and is built on demand."""
+    if part.offer.kind not in (Kind.IMAGE_EXTRACTOR, Kind.CLOUD_EXTRACTOR):
+        return part.build()
+    features, extractor = FeatureCache.of_user(), cache(part.build)
+
+    def find(data: Any, /) -> Any:
+        kept = features.get(features_key(part, content_hash(data)), part.offer)
+        return extractor()(data) if kept is None else kept.features
+
+    return find
+
+
+def _check_names(wanted: Sequence[Wanted], text: str, names: Sequence[str]) -> None:
+    absent = list(dict.fromkeys(w.frame for w in wanted if w.frame not in names))
+    if absent:
+        frames, name = len({w.frame for w in wanted}), wanted[0].run.dataset
+        raise InputError(
+            f"{len(absent)} of {frames} frames of dataset '{name}' are missing from the data",
+            where=f"--data {text}",
+            expected=f"{absent[0]}{', ...' if len(absent) > 1 else ''}",
+            got=f"{len(names)} frames such as {names[0]}" if names else "no frames",
+            hint="give the data of the study, or leave out --data",
+        )
+
+
+def _check_content(wanted: Wanted, frame: Frame) -> None:
+    known: Any = wanted.run.inputs.get(wanted.frame, {})
+    for part, value in (("image", frame.image), ("cloud", frame.cloud)):
+        if part in known and known[part] != content_hash(value):
+            raise InputError(
+                f"the {part} of this frame differs from that of the study",
+                where=wanted.frame,
+                hint="give the data of the study, run the study again, or leave out --data",
+            )

@@ -1,0 +1,668 @@
+"""Study files: TOML files that define methods, frames, initial guesses and published figures to compare.
+
+A study is validated completely before any work: names, options and the compatibility of stages. docs/studies.md
+explains each key.
+"""
+
+from __future__ import annotations
+
+import importlib.resources
+import itertools
+import math
+import re
+import string
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import date, time
+from importlib.metadata import entry_points
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from p2o.errors import InputError, P2OError, UnknownNameError, printable
+from p2o.files.input_file import existing_folder, expanded, read_text
+from p2o.files.parsed_text import parse_toml
+from p2o.geometry.perturb import Perturbation, parse_perturbation
+from p2o.geometry.start_list import parse_starts
+from p2o.host.registry import GROUP, Registry
+from p2o.host.slots import METHOD_WORDS, SLOTS, STAGED_WORDS, STAGES
+from p2o.options import fault_of
+from p2o.run.recipe import Plan, Recipe
+from p2o.run.run import starts_of
+from p2o.run.words import data_by_name
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StrictBool, StringConstraints, ValidationError
+
+from p2o_study.damage import STAGE as DAMAGE
+from p2o_study.damage import Damage, split_options
+
+FOLDER = "studies"
+"""Folder of studies in a package: PACKAGE/studies/NAME.toml."""
+
+ALL_JOINT = -1
+"""Number of frames per joint calibration: all."""
+BY_CAMERA = -2
+"""Number of frames per joint calibration: all frames of one camera and rig."""
+
+MAX_SEEDS = 10_000
+"""Maximum number of initial guesses per row; more do not improve the statistics."""
+LARGEST_SEED = 2**32 - 1
+MAX_ROWS = 20_000
+"""Maximum number of rows times seeds without confirmation (--at-most): validation takes milliseconds for each, and a
+file of a few lines may define billions."""
+
+
+def _shown_as_it_is(text: str) -> str:
+    if printable(text) != text:
+        raise ValueError("one line without control characters")
+    return text
+
+
+Line = Annotated[str, StringConstraints(max_length=500), AfterValidator(_shown_as_it_is)]
+Slug = Annotated[str, StringConstraints(pattern=r"^[a-z0-9]+([-_.][a-z0-9]+)*$", max_length=100)]
+Label = Annotated[
+    str, StringConstraints(strip_whitespace=True, min_length=1, max_length=120), AfterValidator(_shown_as_it_is)
+]
+Seed = Annotated[int, Field(strict=True, ge=0, le=LARGEST_SEED)]
+Seeds = (
+    Annotated[int, Field(strict=True, ge=1, le=MAX_SEEDS)] | Annotated[tuple[Seed, ...], Field(max_length=MAX_SEEDS)]
+)
+Joint = StrictBool | Annotated[int, Field(strict=True, ge=2)] | Literal["camera"]
+
+
+Metric = Literal["rotation_deg", "translation_m", "roll_deg", "pitch_deg", "yaw_deg", "x_m", "y_m", "z_m"]
+if TYPE_CHECKING:
+    MetricName = str  # a key of mappings, which are indexed by any text
+else:
+    MetricName = Metric
+Options = dict[str, dict[str, Any]]
+
+PLAIN = ("accumulate", "witness", "perturb")
+"""Words whose value cannot be the name of a variant."""
+
+_KIND_OF_WORD = {slot.word: slot.kind for slot in SLOTS if slot.word in METHOD_WORDS and not slot.sensor}
+
+
+def limits_of(text: str, where: str) -> Perturbation:
+    """Parse an angle and a length such as "0.5deg 0.15m"; raises InputError, with `where`, for any other text."""
+    limits = parse_perturbation(text, where)
+    if limits.in_camera or not limits.exact:
+        raise InputError("cannot read the size", where=where, expected='text such as "0.5deg 0.15m"', got=repr(text))
+    return limits
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Words(_Table):
+    """Words of a recipe; missing ones are set by other tables or take the default of `Recipe`."""
+
+    extractor: str | None = None
+    matcher: str | None = None
+    solver: str | None = None
+    init: str | None = None
+    calibrator: str | None = None
+    accumulate: str | None = None
+    witness: str | None = None
+    perturb: str | None = None
+    options: Options = Field(default_factory=dict)
+
+
+class Variant(Words):
+    """Named words and options; the name is used in place of a method or in `use` of a row."""
+
+    name: Slug
+
+
+class DatasetTable(_Table):
+    """A dataset: `data` is DATASET:PATH as in `p2o run`, or DATASET: with the path from --data or --root.
+
+    `path` is the path relative to the folder of --root. `split` names the lists of frames in a file of splits, for
+    `--frames @FILE`. An `optional` dataset is left out if its path is not given.
+    """
+
+    name: Slug
+    data: str
+    frames: str = "all"
+    path: str = ""
+    split: tuple[str, ...] = ()
+    optional: bool = False
+    options: dict[str, Any] = Field(default_factory=dict)
+
+    @property
+    def left_out(self) -> bool:
+        """True if the dataset is optional and has no path: its rows are left out."""
+        return self.optional and not self.data.partition(":")[2]
+
+    def below(self, root: Path) -> DatasetTable:
+        """Return the dataset with the path `root`/`path` if that folder exists and no other path is given."""
+        at = root / self.path
+        if not self.path or self.data.partition(":")[2] or not at.is_dir():
+            return self
+        return self.model_copy(update={"data": f"{self.data.partition(':')[0]}:{at}"})
+
+    def chosen(self, spec: str) -> DatasetTable:
+        """Return the dataset with other frames; a file of splits without names selects the lists in `split`."""
+        if self.split and spec.startswith("@") and not set("#,") & set(spec):
+            spec = ",".join(f"{spec}#{split}" for split in self.split)
+        return self.model_copy(update={"frames": spec})
+
+
+class _Scope(_Table):
+    """Keys of a row or product that are not words of a recipe."""
+
+    section: Line = ""
+    dataset: tuple[Slug, ...] | None = None
+    joint: Joint | None = None
+    seeds: Seeds | None = None
+
+
+class RowTable(Words, _Scope):
+    """One row of the table: label, variants and words."""
+
+    label: Label
+    use: tuple[Slug, ...] = ()
+
+
+class Product(_Scope):
+    """Every combination of the lists; `label` is a pattern such as "{matcher} {solver}"."""
+
+    label: Label | None = None
+    use: tuple[tuple[Slug, ...], ...] = ()
+    extractor: tuple[str, ...] = ()
+    matcher: tuple[str, ...] = ()
+    solver: tuple[str, ...] = ()
+    init: tuple[str, ...] = ()
+    calibrator: tuple[str, ...] = ()
+    accumulate: tuple[str, ...] = ()
+    witness: tuple[str, ...] = ()
+    perturb: tuple[str, ...] = ()
+
+
+class Published(_Table):
+    """Figures of a publication as printed, in degrees and metres; `beside` is the label of the row to compare with."""
+
+    label: Label
+    source: Label
+    values: dict[MetricName, float]
+    beside: Label | None = None
+    start: Line = ""
+    note: str = ""
+
+    def compares_with(self, label: str) -> bool:
+        """Return whether it compares with the row of a label, or with "LABEL @ DATASET" of several datasets."""
+        return bool(self.beside) and self.beside in (label, label.rpartition(" @ ")[0])
+
+
+class Study(_Table):
+    """The content of a study file.
+
+    `defaults` are the words of rows that do not set them; `perturb`, `joint` and `seeds` are defaults, too. `perturb`
+    is a perturbation as in `p2o run`; instead, a `protocol` draws the initial guesses, and its figures are printed
+    below the table. `joint` is False (each frame alone), True (joint calibration of all frames), "camera" (joint
+    calibration of all frames of one camera) or a number N (groups of N successive frames; the last may be smaller).
+    `seeds` is a number N of seeds, 0 to N - 1, or a list. `metrics` are the columns of the tables. With `within`, a
+    size such as "0.5deg 0.15m", tables count calibrations within these errors, and those with a larger error than the
+    initial guess.
+    """
+
+    name: Slug
+    title: Label
+    note: str = ""
+    dataset: tuple[DatasetTable, ...] = Field(min_length=1)
+    defaults: Words = Words()
+    variant: tuple[Variant, ...] = ()
+    product: tuple[Product, ...] = ()
+    row: tuple[RowTable, ...] = ()
+    published: tuple[Published, ...] = Field(default=(), max_length=1000)
+    perturb: str | None = None
+    protocol: str | None = None
+    within: str | None = None
+    joint: Joint = False
+    seeds: Seeds = 1
+    metrics: tuple[Metric, ...] = Field(default=("rotation_deg", "translation_m"), min_length=1, max_length=8)
+
+    @property
+    def limits(self) -> Perturbation | None:
+        """The parsed `within`; raises InputError if it is invalid."""
+        return None if self.within is None else limits_of(self.within, f"study {self.name}, within")
+
+    def overridden(
+        self,
+        data: Sequence[str] = (),
+        frames: str | Sequence[str] | None = None,
+        seeds: int | Sequence[int] | None = None,
+        root: str | Path | None = None,
+    ) -> Study:
+        """Return the study with other data, frames or seeds, in the form of the command line.
+
+        `data` are texts DATASET:PATH (a study of one dataset) or NAME=DATASET:PATH, `root` the folder with the `path`
+        of all other datasets. `frames` apply to all datasets, or to one (NAME=SPEC). `seeds` also replaces those of
+        single rows. Raises UnknownNameError for an unknown dataset, InputError if NAME is missing but needed, or `root`
+        is no folder.
+        """
+        tables = {table.name: table for table in self.dataset}
+        for name, value in data_by_name(data, tables, f"study {self.name}").items():
+            tables[name] = tables[name].model_copy(update={"data": value})
+        if root is not None:
+            folder = existing_folder(Path(root), "the data of studies")
+            tables = {name: table.below(folder) for name, table in tables.items()}
+        for spec in () if frames is None else (frames,) if isinstance(frames, str) else frames:
+            name, equals, rest = spec.partition("=")
+            one = bool(equals) and name in tables
+            for key in (name,) if one else tuple(tables):
+                tables[key] = tables[key].chosen(rest if one else spec)
+        changes: dict[str, Any] = {"dataset": tuple(tables.values())}
+        if seeds is not None:
+            own = {"seeds": seeds if isinstance(seeds, int) else tuple(seeds)}
+            changes |= own
+            changes["row"] = tuple(row.model_copy(update=own) for row in self.row)
+            changes["product"] = tuple(product.model_copy(update=own) for product in self.product)
+        return self.model_copy(update=changes)
+
+    def rows(self, at_most: int = MAX_ROWS) -> list[StudyRow]:
+        """Return the rows of the table: products first, then explicit rows, in the order of the file.
+
+        Raises InputError for clashing names and words and for more than `at_most` rows times seeds, UnknownNameError
+        for unknown variants and datasets.
+        """
+        return list(_Expansion(self, at_most).rows())
+
+
+@dataclass(frozen=True, eq=False)
+class StudyRow:
+    """One row of a study's table on one dataset.
+
+    `method_words` holds the words of the file (with names of variants), `words` those of the recipe without data,
+    frames, seed and joint. `joint` is the number of frames per joint calibration: 0 each alone, ALL_JOINT all,
+    BY_CAMERA all of one camera.
+    """
+
+    label: str
+    section: str
+    dataset: DatasetTable
+    method_words: Mapping[str, str]
+    words: Mapping[str, Any]
+    seeds: tuple[int, ...]
+    joint: int
+    where: str
+
+    def recipe(self, seed: int) -> Recipe:
+        """Return the recipe of one seed; the seed of the dataset is that of the file."""
+        options, _ = split_options(self.words.get("options", {}), seed)
+        data = {**self.dataset.options, **options.get("data", {})}
+        if data:
+            options["data"] = data
+        words = {**self.words, "options": options, "data": self.dataset.data, "frames": self.dataset.frames}
+        return Recipe.of(**words, seed=seed, joint=self.joint == ALL_JOINT)
+
+    def damage(self, seed: int) -> Damage:
+        """Return the damage to the features of frames for one seed."""
+        return split_options(self.words.get("options", {}), seed)[1]
+
+    def resolve(self, registry: Registry, seed: int) -> Plan:
+        """Return the plan of one seed; raises as `Recipe.resolve`, with the place of the row."""
+        try:
+            return self.recipe(seed).resolve(registry)
+        except P2OError as problem:
+            raise with_place(problem, f"{self.where}, row '{self.label}'") from problem
+
+
+def with_place(problem: P2OError, where: str, hint: str | None = None) -> P2OError:
+    """Return an error with its place in the study, and with `hint` if it has none."""
+    kind = InputError if isinstance(problem, UnknownNameError) else type(problem)
+    what = problem.what if problem.where is None else f"{problem.where}: {problem.what}"
+    return kind(what, where=where, expected=problem.expected, got=problem.got, hint=problem.hint or hint)
+
+
+class _Expansion:
+    """Expands the tables of a study into rows."""
+
+    def __init__(self, study: Study, at_most: int) -> None:
+        self.study, self.at_most = study, at_most
+        self.where = f"study {study.name}"
+        self.variants = {variant.name: variant for variant in study.variant}
+        self._refuse_twice("variant", [variant.name for variant in study.variant])
+        self._refuse_twice("dataset", [table.name for table in study.dataset])
+        for variant in study.variant:
+            for word in METHOD_WORDS:
+                if getattr(variant, word) in self.variants:
+                    what = f"variant '{variant.name}' uses the variant '{getattr(variant, word)}'"
+                    self._fail(what, "names of methods")
+
+    def rows(self) -> Iterator[StudyRow]:
+        self._refuse_too_many()
+        rows: list[StudyRow] = []
+        for product in self.study.product:
+            for words, use, label in self._combinations(product):
+                rows += self._row(label, words, use, product)
+        for row in self.study.row:
+            rows += self._row(row.label, _words_of(row), row.use, row, row.options)
+        if not rows:
+            self._fail("the study has no rows", "[[row]] or [[product]] tables")
+        self._refuse_twice("row", [row.label for row in rows])
+        self._refuse_twice("published row", [published.label for published in self.study.published])
+        labels = {row.label for row in rows} | {row.label.rpartition(" @ ")[0] for row in rows}
+        for published in self.study.published:
+            if published.beside is not None and published.beside not in labels:
+                raise UnknownNameError("row", published.beside, labels - {""}, where=f"{self.where}, published rows")
+        given = [row for row in rows if not row.dataset.left_out]
+        if not given:
+            raise InputError(
+                "no data are given",
+                where=self.where,
+                expected="--root DIR or --data NAME=DATASET:PATH with a NAME of "
+                + ", ".join(dict.fromkeys(row.dataset.name for row in rows)),
+            )
+        yield from given
+
+    def _refuse_too_many(self) -> None:
+        """Raise InputError for too many rows times seeds, without expanding them."""
+        count = 0
+        for scope in (*self.study.product, *self.study.row):
+            seeds = self.study.seeds if scope.seeds is None else scope.seeds
+            combined = 1
+            if isinstance(scope, Product):
+                combined = math.prod(map(len, _words_of(scope).values())) * max(1, len(scope.use))
+            datasets = len(self.study.dataset if scope.dataset is None else scope.dataset)
+            count += combined * datasets * (seeds if isinstance(seeds, int) else len(seeds))
+        if count > self.at_most:
+            raise InputError(
+                f"the study asks for {count:.6g} rows times seeds",
+                where=self.where,
+                expected=f"at most {self.at_most}",
+                hint="reduce rows or seeds, or confirm the number: --at-most N",
+            )
+
+    def _combinations(self, product: Product) -> Iterator[tuple[dict[str, str], tuple[str, ...], str]]:
+        """Yield words, variants and label of each combination."""
+        axes = _words_of(product)
+        uses = product.use or ((),)
+        if not axes and not product.use:
+            self._fail("a product has no lists to combine", ", ".join(METHOD_WORDS))
+        for name, values in (*axes.items(), ("use", [" ".join(use) for use in product.use])):
+            self._refuse_twice(f"{name} of a product", values)
+        varying = [word for word, values in axes.items() if len(values) > 1] or list(axes)
+        named = [*varying, *(["use"] if len(uses) > 1 or not varying else [])]
+        pattern = product.label or " ".join(f"{{{word}}}" for word in named)
+        for chosen, use in itertools.product(itertools.product(*axes.values()), uses):
+            words = dict(zip(axes, chosen, strict=True))
+            label = _filled(pattern, {**words, "use": " ".join(use)})
+            if label is None:
+                names = " ".join(f"{{{w}}}" for w in (*axes, "use"))
+                self._fail(f"the label '{pattern}' of a product cannot be filled in", f"names such as {names}")
+            else:
+                yield words, use, label
+
+    def _row(
+        self, label: str, words: Mapping[str, str], use: Sequence[str], scope: _Scope, options: Options | None = None
+    ) -> list[StudyRow]:
+        """Return the row once for each of its datasets."""
+        method_words = dict(words)
+        sources: list[tuple[str, Words]] = []
+        for name in use:
+            if name not in self.variants:
+                raise UnknownNameError("variant", name, self.variants, where=f"{self.where}, row '{label}'")
+            sources.append((f"variant '{name}'", self.variants[name]))
+            for word in METHOD_WORDS:
+                if getattr(self.variants[name], word) is not None:
+                    method_words.setdefault(word, name)
+        plain: dict[str, Any] = {}
+        for word, value in words.items():
+            variant = self.variants.get(value)
+            if variant is None or word in PLAIN:
+                plain[word] = value
+            elif getattr(variant, word) is None:
+                self._fail(f"row '{label}': variant '{value}' sets no {word}", f"a {word}")
+            else:
+                sources.append((f"variant '{value}'", variant))
+        sources.append((f"row '{label}'", Words(**plain, options=options or {})))
+        merged = self._merged(label, sources)
+        datasets = self._datasets(label, scope)
+        seeds = self.study.seeds if scope.seeds is None else scope.seeds
+        seeds = tuple(range(seeds)) if isinstance(seeds, int) else seeds
+        if len(set(seeds)) < len(seeds) or not seeds:
+            self._fail(f"row '{label}' has seeds {list(seeds)}", "different seeds, at least one")
+        joint = self.study.joint if scope.joint is None else scope.joint
+        frames = {False: 0, True: ALL_JOINT, "camera": BY_CAMERA}.get(joint, joint)
+        for word in ("calibrator",) if "calibrator" in merged else STAGED_WORDS:
+            method_words.setdefault(word, merged.get(word, Recipe.model_fields[word].default))
+        return [
+            StudyRow(
+                label=label if len(self.study.dataset) == 1 else f"{label} @ {table.name}",
+                section=scope.section,
+                dataset=table,
+                method_words={word: value for word, value in method_words.items() if word in METHOD_WORDS},
+                words=merged,
+                seeds=seeds,
+                joint=int(frames),
+                where=self.where,
+            )
+            for table in datasets
+        ]
+
+    def _merged(self, label: str, sources: Sequence[tuple[str, Words]]) -> dict[str, Any]:
+        """Merge the words of all sources, which may not contradict each other, with the defaults of the study."""
+        values: dict[tuple[str, ...], Any] = {}
+        giver: dict[tuple[str, ...], str] = {}
+        for source, words in sources:
+            for key, value in _flat(words):
+                if key in values and values[key] != value:
+                    self._fail(f"row '{label}': {giver[key]} and {source} both set {'.'.join(key[-2:])}", "one of them")
+                values[key], giver[key] = value, source
+        staged = any((word,) in values for word in STAGED_WORDS)
+        whole = ("calibrator",) in values or (self.study.defaults.calibrator is not None and not staged)
+        defaults = {key: value for key, value in _flat(self.study.defaults) if _applies(key, whole)}
+        by_default, own = _methods(defaults), _methods(values)
+        for key, value in defaults.items():
+            # Options of the default method do not apply to a method that replaces it.
+            if not (len(key) == 3 and key[1] in own and by_default.get(key[1]) != own[key[1]]):
+                values.setdefault(key, value)
+        start = starts_of(self.study.protocol, self.study.perturb, f"{self.where}, protocol")
+        if start is not None:
+            values.setdefault(("perturb",), start)
+        merged: dict[str, Any] = {"options": {}}
+        for key, value in values.items():
+            if len(key) == 1:
+                merged[key[0]] = value
+            else:
+                merged["options"].setdefault(key[1], {})[key[2]] = value
+        return merged
+
+    def _datasets(self, label: str, scope: _Scope) -> list[DatasetTable]:
+        tables = {table.name: table for table in self.study.dataset}
+        for name in scope.dataset or ():
+            if name not in tables:
+                raise UnknownNameError("dataset", name, tables, where=f"{self.where}, row '{label}'")
+        return [tables[name] for name in dict.fromkeys(tables if scope.dataset is None else scope.dataset)]
+
+    def _refuse_twice(self, kind: str, names: Sequence[str]) -> None:
+        twice = next((name for name, count in Counter(names).items() if count > 1), None)
+        if twice is not None:
+            self._fail(f"the name '{twice}' of a {kind} is used twice", "unique names")
+
+    def _fail(self, what: str, expected: str) -> None:
+        raise InputError(what, where=self.where, expected=expected)
+
+
+def _words_of(table: Words | Product) -> dict[str, Any]:
+    """Return the words that a table sets; of a product, the lists that it combines, without `use`."""
+    return {word: value for word in (*METHOD_WORDS, *PLAIN) if (value := getattr(table, word)) not in (None, ())}
+
+
+def _filled(pattern: str, words: Mapping[str, str]) -> str | None:
+    """Fill in the {names} of a label; return None for unknown names and anything but names.
+
+    `str.format` is not used: it accesses attributes ("{x.__class__}") and accepts any width ("{x:>9999999}").
+    """
+    try:
+        pieces = list(string.Formatter().parse(pattern))
+    except ValueError:
+        return None
+    filled = []
+    for text, name, spec, conversion in pieces:
+        if name is not None and (name not in words or spec or conversion):
+            return None
+        filled += [text, "" if name is None else words[name]]
+    return "".join(filled).strip()
+
+
+def check_study(study: Study, registry: Registry, at_most: int = MAX_ROWS) -> list[StudyRow]:
+    """Return the rows of a study after resolving each with its first seed; no data are read.
+
+    Raises a P2OError that names the row for unknown names, invalid options, incompatible stages (with compatible
+    ones), a variant with the name of a method and an invalid perturbation; and as `Study.rows`.
+    """
+    for variant in study.variant:
+        for word, kind in _KIND_OF_WORD.items():
+            if getattr(variant, word) is not None and any(o.name == variant.name for o in registry.of_kind(kind)):
+                raise InputError(
+                    f"variant '{variant.name}' has the name of an installed {kind.value}",
+                    where=f"study {study.name}",
+                    expected="another name",
+                )
+        stages = (*STAGES, DAMAGE)
+        for stage in variant.options:
+            if stage not in stages:
+                raise UnknownNameError("stage", stage, stages, where=f"study {study.name}, variant '{variant.name}'")
+        if variant.perturb is not None:
+            parse_starts(variant.perturb)
+    _ = study.limits
+    rows = study.rows(at_most)
+    for row in rows:
+        row.resolve(registry, row.seeds[0])
+    return rows
+
+
+def _flat(words: Words) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Yield (key, value): the key is ("matcher",) for a word, ("options", "matcher", "sides") for an option."""
+    yield from (((word,), value) for word, value in _words_of(words).items())
+    for stage, values in words.options.items():
+        yield from ((("options", stage, field), value) for field, value in values.items())
+
+
+def _applies(key: tuple[str, ...], whole: bool) -> bool:
+    """Return whether a default applies to a row with a calibrator (`whole`) or with stages."""
+    name = key[-2] if len(key) == 3 else key[0]
+    if name in (*PLAIN, "data", "witness-cloud"):
+        return True
+    return (name == "calibrator") == whole
+
+
+def _methods(values: Mapping[tuple[str, ...], Any]) -> dict[str, str]:
+    """Return the method of each stage that words, in the form of `_flat`, select."""
+    words = {key[0]: value for key, value in values.items() if len(key) == 1}
+    image, _, cloud = words.get("extractor", "").partition("/")
+    return {stage: name for stage, name in {**words, "extractor": image, "cloud": cloud}.items() if name}
+
+
+@dataclass(frozen=True)
+class StudyFile:
+    """A study with the text of its file; `source` is the path or name."""
+
+    study: Study
+    text: str
+    source: str
+
+    @classmethod
+    def read(cls, file: Traversable | Path) -> StudyFile:
+        """Read a study file; raises as `find_study`."""
+        with importlib.resources.as_file(file) as path:
+            text = read_text(path, "study file")
+        return cls(parse_study(text, str(file)), text, str(file))
+
+
+def find_study(word: str, registry: Registry) -> StudyFile:
+    """Return the study of a path, or of the name of a study that a loaded plugin ships.
+
+    A plugin ships studies in the folder `studies` of its package; NAME@DISTRIBUTION selects one of several with the
+    same name. A word that ends in .toml or contains a slash is a path.
+
+    Raises UnknownNameError for an unknown name, InputError for a file that cannot be read or an ambiguous name, and
+    as `parse_study`.
+    """
+    path = expanded(word)
+    if word.endswith(".toml") or "/" in word or "\\" in word:
+        if not path.exists():
+            raise InputError("the study file is missing", where=word, expected="a TOML file, or the name of a study")
+        return StudyFile.read(path)
+    name, at, dist = word.partition("@")
+    shipped = shipped_studies(registry)
+    matches = [(owner, file) for owner, file in shipped.get(name, []) if not at or owner == dist]
+    if not matches:
+        raise UnknownNameError("study", word, shipped, hint="or give the path of a TOML file")
+    if len(matches) > 1:
+        raise InputError(
+            f"study '{name}' is shipped by several plugins: {' and '.join(owner for owner, _ in matches)}",
+            hint="write " + " or ".join(f"{name}@{owner}" for owner, _ in matches),
+        )
+    return StudyFile.read(matches[0][1])
+
+
+def shipped_studies(registry: Registry) -> dict[str, list[tuple[str, Traversable]]]:
+    """Return the study files of loaded plugins by name, each with the distribution that ships it."""
+    loaded = {(plugin.dist, plugin.entry) for plugin in registry.plugins}
+    packages: dict[str, str] = {}
+    for entry in entry_points(group=GROUP):
+        dist = "" if entry.dist is None else re.sub(r"[-_.]+", "-", entry.dist.name).lower()
+        if (dist, entry.name) in loaded:
+            packages.setdefault(entry.module.partition(".")[0], dist)
+    studies: dict[str, list[tuple[str, Traversable]]] = {}
+    for package, dist in sorted(packages.items()):
+        try:
+            folder = importlib.resources.files(package).joinpath(FOLDER)
+            files = sorted(folder.iterdir(), key=lambda file: file.name) if folder.is_dir() else []
+        except (ImportError, OSError, TypeError):  # a plugin of a single module has no folder
+            continue
+        for file in files:
+            if file.name.endswith(".toml"):
+                studies.setdefault(file.name.removesuffix(".toml"), []).append((dist, file))
+    return dict(sorted(studies.items()))
+
+
+def parse_study(text: str, source: str = "study") -> Study:
+    """Parse a study from TOML.
+
+    Raises InputError for text that is not TOML and for invalid values, UnknownNameError for an unknown key, both with
+    the place.
+    """
+    content = parse_toml(text, "study", source)
+    _refuse_unsupported_values(content, source)
+    try:
+        return Study.model_validate(content)
+    except ValidationError as problem:
+        raise _explained(problem, content, source) from problem
+
+
+def _refuse_unsupported_values(value: Any, source: str, path: tuple[str, ...] = ()) -> None:
+    """Raise InputError for TOML values that no word or option accepts and that JSON cannot represent."""
+    if isinstance(value, dict | list):
+        inner = value.items() if isinstance(value, dict) else enumerate(value, start=1)
+        for key, part in inner:
+            _refuse_unsupported_values(part, source, (*path, str(key)))
+        return
+    where, expected = f"{source}, {'.'.join(path)}", ""
+    if isinstance(value, date | time):
+        value, expected = value.isoformat(), "a text in quotes, a number, a switch or a list"
+    elif isinstance(value, float) and not math.isfinite(value):
+        expected = "a finite number"
+    elif isinstance(value, int) and abs(value) >= 2**63:
+        value, expected = "a larger integer", "an integer of 64 bits"
+    if expected:
+        raise InputError("a study cannot contain this value", where=where, expected=expected, got=value)
+
+
+def _explained(problem: ValidationError, content: Mapping[str, Any], source: str) -> InputError:
+    """Return the error for the first fault, with table, key, expected and actual value."""
+    fault = fault_of(problem, Study, content)
+    table, *rest = fault.path
+    entry, place = content.get(str(table)), f"[{table}]"
+    if rest and isinstance(rest[0], int) and isinstance(entry, list):
+        number = rest[0]
+        entry, place, rest = entry[number], f"[[{table}]] {number + 1}", rest[1:]
+    if not (rest and isinstance(entry, dict)):
+        return fault.error(where=source)
+    named = entry.get("label") or entry.get("name")
+    where = f"{source}, {place}" + (f" '{named}'" if named else "")
+    return replace(fault, path=tuple(rest)).error(where=where)

@@ -1,0 +1,440 @@
+"""The jobs of a study's workers: read a frame, extract features, calibrate. Each job is self-contained.
+
+A worker process caches plugins, datasets, stages and features, which successive jobs share.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import threading
+import time
+import traceback
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from p2o.arrays import Float, leaves
+from p2o.errors import InputError, P2OError
+from p2o.frames.frame import Frame
+from p2o.geometry.camera import Camera
+from p2o.geometry.pose_error import AXES, pose_error
+from p2o.host.method import Kind
+from p2o.host.registry import Registry
+from p2o.host.slots import WITNESS
+from p2o.results.figures import figure_values
+from p2o.results.result import Result, Status
+from p2o.run.assembly import INPUTS, Assembly, given
+from p2o.run.joined import JoinedFrames
+from p2o.run.read_again import FrameInfo, ReadAgain
+from p2o.run.recipe import Part, Plan, Recipe, open_dataset
+from p2o.work.cache import FeatureCache, content_hash, features_key
+from p2o.work.parallel import limit_threads
+
+from p2o_study.damage import Damage
+from p2o_study.store import StoredRow
+
+_Key = TypeVar("_Key", bound=Hashable)
+_Value = TypeVar("_Value")
+
+UNREADABLE = "unreadable"
+"""Replaces the content hash of a frame that cannot be read."""
+
+_FEATURES_IN_MEMORY = 128
+"""Number of features in memory: enough for the joint calibration of a few dozen frames."""
+_FRAMES_BYTES = 256 * 2**20
+"""Size of frames in memory, about 30 frames of KITTI: calibrators read all frames of a joint row for every seed."""
+
+
+@dataclass(frozen=True)
+class Plugins:
+    """The plugins to load, as parameters of `Registry.load`; every worker loads them."""
+
+    only: tuple[str, ...] | None = None
+    block: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, block: Iterable[str] = (), files: Iterable[str | Path] = ()) -> Plugins:
+        """Return the plugins selected by `P2O_PLUGINS` and the command line, also valid on other machines."""
+        chosen = os.environ.get("P2O_PLUGINS")
+        only = None if chosen is None else tuple(chosen.split(","))
+        return cls(only, tuple(block), tuple(str(Path(file).resolve()) for file in files))
+
+    def registry(self) -> Registry:
+        """Return the registry of this process."""
+        return _registry(self)
+
+
+@dataclass(frozen=True)
+class Source:
+    """One frame of a dataset, not read yet. `options` is JSON.
+
+    `accumulate` is JSON of name and options of the accumulator, or empty.
+    """
+
+    plugins: Plugins
+    data: str
+    options: str
+    index: int
+    name: str
+    accumulate: str = ""
+
+
+@dataclass(frozen=True)
+class ReadJob:
+    """A job to read a frame: `checks` are recipes (JSON) whose inputs are checked.
+
+    The features of the extractors in `wanted` (recipe, stage) are cached, so that the frame is read only once.
+    """
+
+    source: Source
+    cache: Path
+    checks: tuple[str, ...] = ()
+    wanted: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class FrameRecord:
+    """The data of a frame that planning needs; `inputs` are content hashes of its parts.
+
+    `missing_inputs` describes by recipe of the `checks` what the frame lacks. For a frame that cannot be read,
+    `failure` is the traceback and `reason` one line. `cache_error` is the reason if features could not be cached.
+    """
+
+    source: Source
+    inputs: Mapping[str, str]
+    camera: Camera | None = None
+    camera_from_lidar: Float | None = None
+    start: Float | None = None
+    camera_name: str = ""
+    twist: Float | None = None
+    warnings: tuple[str, ...] = ()
+    missing_inputs: Mapping[str, str] = field(default_factory=dict)
+    reason: str = ""
+    failure: str | None = None
+    cache_error: str = ""
+
+    @property
+    def name(self) -> str:
+        """Name of the frame."""
+        return self.source.name
+
+
+@dataclass(frozen=True)
+class ExtractJob:
+    """A job to extract features of one frame into the cache: key, recipe (JSON) and stage of each."""
+
+    source: Source
+    cache: Path
+    wanted: tuple[tuple[str, str, str], ...]
+
+
+@dataclass(frozen=True)
+class Extracted:
+    """Reason and traceback by key of failures; `cache_error` is the reason if features could not be cached."""
+
+    failed: Mapping[str, tuple[str, str]]
+    cache_error: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrateJob:
+    """A job to compute one row: `row` has the fields known in advance, `recipe` (JSON) the methods.
+
+    `keys` are the cache keys of the features of each frame by stage; stages without a key have no cached output.
+    `damage` is applied to image features between extraction and calibration.
+    """
+
+    row: StoredRow
+    recipe: str
+    records: tuple[FrameRecord, ...]
+    cache: Path
+    keys: tuple[Mapping[str, str], ...]
+    damage: Damage = field(default_factory=Damage)
+
+
+_OF_FRAME = ("camera", "camera_from_lidar", "start", "camera_name", "twist", "warnings")
+
+
+def read(job: ReadJob) -> FrameRecord:
+    """Read a frame and return its record; a frame that cannot be read has a `failure`."""
+    source, cache = job.source, _BestEffortCache(job.cache)
+    try:
+        frame = _frame(source)
+        hashes = _inputs(frame)
+        missing = {recipe: _missing_input(_plan(source.plugins, recipe), frame) for recipe in job.checks}
+        missing_inputs = {recipe: misfit for recipe, misfit in missing.items() if misfit}
+        for recipe, stage in () if missing_inputs else job.wanted:
+            part = _plan(source.plugins, recipe).parts[stage]
+            key = features_key(part, hashes[INPUTS[stage]])
+            # An extractor that fails here fails again in a row that needs it, which reports the error.
+            with contextlib.suppress(Exception):
+                _prepare(cache, key, source, part, stage)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as problem:  # also SystemExit, which would end the worker
+        return _failed_record(source, _one_line(problem), traceback.format_exc())
+    kept = {name: getattr(frame, name) for name in _OF_FRAME}
+    return FrameRecord(source, hashes, **kept, missing_inputs=missing_inputs, cache_error=cache.cache_error)
+
+
+def read_failed(job: ReadJob, problem: P2OError) -> FrameRecord:
+    """Return the record of a frame whose reading terminated every worker."""
+    return _failed_record(job.source, str(problem), str(problem))
+
+
+def _failed_record(source: Source, reason: str, failure: str) -> FrameRecord:
+    hashes = dict.fromkeys(("image", "cloud", "frame", "sweep"), UNREADABLE)
+    return FrameRecord(source, hashes, reason=reason, failure=failure)
+
+
+def _inputs(frame: Frame) -> dict[str, str]:
+    """Return content hashes of the inputs of stages; "frame" is the input of a calibrator without its warnings."""
+    seen = replace(frame.without_truth(), start=None, warnings=())
+    cloud = content_hash(frame.cloud)
+    return {
+        "image": content_hash(frame.image),
+        "cloud": cloud,
+        "sweep": cloud if frame.sweep is None else content_hash(frame.sweep),
+        "frame": content_hash(seen),
+    }
+
+
+def _missing_input(plan: Plan, frame: Frame) -> str:
+    try:
+        plan.check_frame(frame)
+    except InputError as problem:
+        return str(problem)
+    return ""
+
+
+def extract(job: ExtractJob) -> Extracted:
+    """Extract the features that are not cached and return the failures."""
+    cache = _BestEffortCache(job.cache)
+    failed = {}
+    for key, recipe, stage in job.wanted:
+        if not cache.has(key):
+            try:
+                _prepare(cache, key, job.source, _plan(job.source.plugins, recipe).parts[stage], stage)
+            except KeyboardInterrupt:
+                raise
+            except BaseException as problem:
+                # Without the second extractor, results are not checked, which their verdict reports.
+                if stage in WITNESS:
+                    continue
+                failed[key] = (_one_line(problem), traceback.format_exc())
+    return Extracted(failed, cache.cache_error)
+
+
+def extraction_failed(job: ExtractJob, problem: P2OError) -> Extracted:
+    """Return the failures of a job that terminated every worker."""
+    return Extracted({key: (str(problem), str(problem)) for key, _, _ in job.wanted})
+
+
+def calibrate(job: CalibrateJob) -> StoredRow:
+    """Calibrate and return the complete row; an exception of a method is part of the row."""
+    try:
+        row = _filled(job.row, _result(job))
+    except KeyboardInterrupt:
+        raise
+    except BaseException as problem:
+        row = replace(job.row, reason=_one_line(problem), exception=traceback.format_exc())
+    return replace(row, finished=now())
+
+
+def calibration_failed(job: CalibrateJob, problem: P2OError) -> StoredRow:
+    """Return the row of a calibration that terminated every worker."""
+    return replace(job.row, reason=str(problem), exception=str(problem), finished=now())
+
+
+def now() -> str:
+    """Return date and time in UTC, ISO 8601."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def prepared_stages(plan: Plan) -> tuple[str, ...]:
+    """Return the stages of a plan whose output can be cached: extractors, and others that have `prepares`."""
+    stages = [stage for stage in INPUTS if stage in plan.parts]
+    return tuple(s for s in stages if s not in ("calibrator", "init") or built(plan.parts[s]).prepares)
+
+
+def _filled(row: StoredRow, result: Result) -> StoredRow:
+    row = replace(
+        row,
+        status=result.status.value,
+        reason=result.reason,
+        trust=result.verdict.trust,
+        why=result.verdict.why,
+        figures=figure_values(result),
+        estimate=result.camera_from_lidar,
+        rounds=result.rounds,
+        matches=result.matches,
+        seconds=result.seconds,
+    )
+    if row.truth is None or result.status is Status.STAGE_FAILED:
+        return row
+    error = pose_error(result.camera_from_lidar, row.truth)
+    if not np.isfinite([error.rotation_deg, error.translation_m]).all():
+        raise InputError("the error of the estimate is not finite", got=f"camera_from_lidar {row.estimate}")
+    axes: dict[str, Any] = {axis: error.per_axis[axis] for axis in AXES}
+    return replace(row, rotation_deg=error.rotation_deg, translation_m=error.translation_m, **axes)
+
+
+def _result(job: CalibrateJob) -> Result:
+    assert job.row.start is not None
+    plugins, cache, took = job.records[0].source.plugins, _BestEffortCache(job.cache), []
+    plan = _plan(plugins, job.recipe)
+    assembly = Assembly.of(plan.parts, plan.pipeline, built)
+    limit_threads()
+
+    def pieces(records: FrameRecord, keys: Mapping[str, str], stages: Iterable[str]) -> dict[str, Any]:
+        values = {}
+        for stage in stages:
+            values[stage], seconds = _prepare(cache, keys[stage], records.source, plan.parts[stage], stage)
+            took.append(seconds)
+        return values
+
+    def features(info: FrameInfo, records: FrameRecord, keys: Mapping[str, str]) -> dict[str, Any]:
+        values = pieces(records, keys, (stage for stage in assembly.stages if stage not in WITNESS))
+        if "extractor" in values:
+            values["extractor"] = job.damage.image_features(values["extractor"], info.camera, info.name)
+        return values
+
+    infos = [FrameInfo(r.name, r.camera, twist=r.twist) for r in job.records if r.camera is not None]
+    each = list(zip(job.records, job.keys, strict=True))
+    prepared: Sequence[Any]
+    if assembly.reads_frames:
+        prepared = ReadAgain(lambda number: _frame(job.records[number].source), range(len(each)), truth=False)
+    else:
+        prepared = [features(info, records, keys) for info, (records, keys) in zip(infos, each, strict=True)]
+    result = assembly.calibrated(infos, prepared, job.row.start)
+    # For cached features, the time of their extraction counts.
+    seconds = {**result.seconds, "extract": sum(took)}
+    result = assembly.checked(result, infos, lambda number: pieces(*each[number], WITNESS))
+    warnings = [f"{records.name}: {text}" for records in job.records for text in records.warnings]
+    return replace(result, seconds=seconds, warnings=(*warnings, *result.warnings))
+
+
+@lru_cache(maxsize=4)
+def _registry(plugins: Plugins) -> Registry:
+    environ = {name: value for name, value in os.environ.items() if name != "P2O_PLUGINS"}
+    return Registry.load(plugins.only, plugins.block, plugins.files, environ)
+
+
+@lru_cache(maxsize=256)
+def _plan(plugins: Plugins, recipe: str) -> Plan:
+    return Recipe.of(**json.loads(recipe)).resolve(_registry(plugins))
+
+
+@lru_cache(maxsize=8)
+def _dataset(source: Source) -> Any:
+    """Return the dataset of a source without index and name, with accumulated sweeps if it has an accumulator."""
+    registry = _registry(source.plugins)
+    dataset = open_dataset(source.data, registry, json.loads(source.options))
+    if not source.accumulate:
+        return dataset
+    name, options = json.loads(source.accumulate)
+    offer = registry.find(Kind.ACCUMULATOR, name)
+    return JoinedFrames(dataset, Part(offer, offer.method.options.model_validate(options)).build())
+
+
+class _Recent(Generic[_Key, _Value]):
+    """The most recently used values of this process, up to a total size; at least one. Thread-safe."""
+
+    def __init__(self, most: int, size: Callable[[_Value], int]) -> None:
+        self.most, self.size = most, size
+        self.values: OrderedDict[_Key, tuple[_Value, int]] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def get(self, key: _Key, make: Callable[[], _Value]) -> _Value:
+        """Return the value of a key, which is made if it is not in memory."""
+        with self._lock:
+            if key in self.values:
+                self.values.move_to_end(key)
+                return self.values[key][0]
+        value = make()
+        with self._lock:
+            self.values[key] = value, self.size(value)
+            while len(self.values) > 1 and sum(size for _, size in self.values.values()) > self.most:
+                self.values.popitem(last=False)
+        return value
+
+
+def _size(value: Any) -> int:
+    """Return the size in bytes of all arrays in a value."""
+    return sum(leaf.nbytes for _, leaf in leaves(value) if isinstance(leaf, np.ndarray))
+
+
+_frames: _Recent[Source, Frame] = _Recent(_FRAMES_BYTES, _size)
+_features: _Recent[str, tuple[Any, float]] = _Recent(_FEATURES_IN_MEMORY, lambda features: 1)
+
+
+def _frame(source: Source) -> Frame:
+    """Return a frame; the last ones stay in memory, because successive jobs use the same frames."""
+
+    def read_frame() -> Frame:
+        frame: Frame = _dataset(replace(source, index=0, name=""))[source.index]
+        limit_threads()
+        return frame
+
+    return _frames.get(source, read_frame)
+
+
+def part_name(part: Part) -> str:
+    """Return a name that is equal for parts with the same method and options."""
+    return f"{part.offer.kind} {part.offer.full_name} {part.options.model_dump_json()}"
+
+
+_stages: dict[str, Any] = {}
+
+
+def built(part: Part) -> Any:
+    """Return the stage of a part, built once per method and options."""
+    name = part_name(part)
+    if name not in _stages:
+        _stages[name] = part.build()
+        limit_threads()
+    return _stages[name]
+
+
+class _BestEffortCache(FeatureCache):
+    """A cache whose write errors are recorded but not raised: a full disk costs time only."""
+
+    cache_error: str = ""
+
+    def put(self, key: str, features: Any, seconds: float) -> bool:
+        try:
+            return super().put(key, features, seconds)
+        except InputError as problem:
+            object.__setattr__(self, "cache_error", str(problem))
+            return False
+
+
+def _prepare(cache: FeatureCache, key: str, source: Source, part: Part, stage: str) -> tuple[Any, float]:
+    """Return the output of a stage for a frame and its time in s, from memory, the cache or the stage."""
+
+    def find_or_compute() -> tuple[Any, float]:
+        kept = cache.get(key, part.offer)
+        if kept is not None:
+            return kept.features, kept.seconds
+        frame, method = _frame(source), built(part)
+        prepare = method.prepare if stage in ("calibrator", "init") else method
+        began = time.perf_counter()
+        features = prepare(given(frame, stage))
+        seconds = time.perf_counter() - began
+        cache.put(key, features, seconds)
+        return features, seconds
+
+    return _features.get(key, find_or_compute)
+
+
+def _one_line(problem: BaseException) -> str:
+    text = " ".join(str(problem).split())
+    return text if isinstance(problem, P2OError) else f"{type(problem).__name__}: {text}"
