@@ -9,10 +9,11 @@ SOURCES := $(shell find toolkit plugins baselines -name '*.py' -o -name '*.pyi' 
 
 .PHONY: run test test-system fuzz bench dev lint docs clean
 
-# torch==2.13.0 of the default index brings CUDA on Linux; where disk is short: make PIP_ARGS="--extra-index-url CPU_INDEX"
+# PyTorch of the default index brings CUDA on Linux; where disk is short: make PIP_ARGS="--extra-index-url CPU_INDEX"
 $(VENV)/.locked: requirements.lock
 	$(PYTHON) -m venv $(VENV)
-	$(VENV)/bin/python -m pip install -q --disable-pip-version-check $(PIP_ARGS) -r requirements.lock
+	$(VENV)/bin/python -m pip install -q --disable-pip-version-check --no-deps --require-hashes -r requirements.lock
+	$(VENV)/bin/python -m pip install -q --disable-pip-version-check $(PIP_ARGS) torch==2.13.0
 	touch $@
 
 # The wheel is what is run and tested, not the source tree.

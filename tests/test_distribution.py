@@ -92,7 +92,7 @@ def test_the_wheel_says_what_it_is_and_what_it_needs(wheel: Path) -> None:
         [name] = [name for name in held.namelist() if name.endswith(".dist-info/METADATA")]
         said = email.message_from_bytes(held.read(name))
     assert said["Name"] == "p2o-calib"
-    assert said["License-Expression"] == "Apache-2.0"
+    assert said["License-Expression"] == "Apache-2.0 AND CC-BY-NC-SA-3.0"  # code, and weights trained on KITTI
     assert said["Description-Content-Type"] == "text/markdown"
     assert "# p2o" in said.get_payload()
     assert {"ros", "las", "report", "docs"} <= set(said.get_all("Provides-Extra"))
