@@ -5,6 +5,7 @@ from __future__ import annotations
 import unittest
 from collections.abc import Callable, Set
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any, TypeVar
 
 from p2o.frames.frame import Frame
@@ -103,15 +104,20 @@ def _installed(_: Subject) -> Registry:
 
 def frames_of(subject: Subject) -> tuple[Frame, ...]:
     """Return the frames of the example, else the stage, or the drive through it if the stage is not suitable."""
-    example = subject.example
-    if example is not None:
-        frames: Any = open_dataset(example.data, subject.registry)
-        if example.accumulate:
-            joins = subject.registry.find(Kind.ACCUMULATOR, example.accumulate)
-            frames = JoinedFrames(frames, build(joins, joins.method.options()))
-        return tuple(frames[:])
+    if subject.example is not None:
+        return _frames_of_example(subject.example.data, subject.example.accumulate, subject.registry)
     one = (stage.frame(),)
     return stage.drive() if lacking(subject.needs, one) else one
+
+
+@lru_cache(maxsize=1)
+def _frames_of_example(data: str, accumulate: str, registry: Registry) -> tuple[Frame, ...]:
+    """Return the frames of an example; methods with the same example share them, and what is cached by sweep."""
+    frames: Any = open_dataset(data, registry)
+    if accumulate:
+        joins = registry.find(Kind.ACCUMULATOR, accumulate)
+        frames = JoinedFrames(frames, build(joins, joins.method.options()))
+    return tuple(frames[:])
 
 
 When = Callable[[Method], bool]
