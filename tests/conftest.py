@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -43,8 +45,10 @@ SYSTEM = {
     "tests/test_report_page.py",
     "tests/test_ros_bag_page.py",
     "tests/test_run_page.py",
+    "tests/test_staged_families.py",
     "tests/test_tutorials.py",
     "tests/test_view_page.py",
+    "tests/test_whole_families.py",
 }
 """Files of system tests: fuzzing, killed processes, browsers, lines of the docs, distributions, long studies."""
 
@@ -64,6 +68,28 @@ def _numpy_error_state() -> Iterator[None]:
     yield
     after = np.seterr(**before)
     assert after == before
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Make the folder of the synthetic frames of this run; workers inherit its name."""
+    if not hasattr(config, "workerinput"):
+        build = Path(__file__).parents[1] / "build"
+        build.mkdir(exist_ok=True)
+        os.environ["RENDERED_FRAMES"] = tempfile.mkdtemp(prefix="rendered-frames-", dir=build)
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """Remove the folder, once all workers have ended."""
+    if not hasattr(config, "workerinput"):
+        shutil.rmtree(os.environ["RENDERED_FRAMES"], ignore_errors=True)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _synthetic_frames_are_rendered_once() -> Iterator[None]:
+    from tests.rendered_frames import stored_in
+
+    with stored_in(Path(os.environ["RENDERED_FRAMES"])):
+        yield
 
 
 DATA = Path(os.environ.get("P2O_DATA", Path(__file__).parents[1] / "build" / "data"))

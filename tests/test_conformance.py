@@ -24,6 +24,9 @@ from p2o.testing import (
 )
 
 from tests.broken_methods import BROKEN, REGISTRY
+from tests.rendered_frames import frames_are_rendered
+
+__all__ = ["frames_are_rendered"]
 
 FAMILIES = Path(__file__).with_name("family_plugins")
 SMALL = {"synthetic": {"width_px": 310, "height_px": 94}}

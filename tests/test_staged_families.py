@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,6 @@ from p2o.host.registry import Offer
 from p2o.testing import Case, checks_for
 from p2o.work.cache import FeatureCache
 from p2o.work.parallel import Workers
-from p2o_sim import synthetic
 from p2o_study import worker
 from p2o_study.ablate import Ablation, ablate
 from p2o_study.study import StudyFile, parse_study
@@ -131,10 +129,8 @@ FAMILIES = pytest.mark.parametrize("family", ALL, ids=lambda family: family.file
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _each_frame_once() -> Iterator[None]:
-    """Pictures take longest: each is drawn once for all tests of this file."""
+def _all_plugins() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(synthetic, "view", cache(synthetic.view))
         patch.delenv("P2O_PLUGINS", raising=False)
         yield
 

@@ -268,6 +268,11 @@ def view(options: SyntheticOptions, scene_number: int, number: int = 0, camera: 
     return View(frame, scene, moment, rendered, boards)
 
 
+def frame(options: SyntheticOptions, scene_number: int, number: int = 0, camera: str = "") -> Frame:
+    """Return frame `number` of a scene, for one of `cameras` if there are several."""
+    return view(options, scene_number, number, camera).frame
+
+
 def _most_speed_m_s(options: SyntheticOptions) -> float:
     """Return the speed of the options, the largest possible one if it depends on the drawn kind of scene."""
     if options.speed_m_s is None:
@@ -457,7 +462,7 @@ def build(options: SyntheticOptions) -> LazyFrames:
         for number in range(options.frames_per_scene)
         for camera in options.cameras or ("",)
     }
-    return LazyFrames(entries, lambda entry: view(options, *entry).frame)
+    return LazyFrames(entries, lambda entry: frame(options, *entry))
 
 
 def _require_bounded(options: SyntheticOptions) -> None:

@@ -365,6 +365,7 @@ def learn(
     return path, told
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("which", METHODS, ids=lambda module: module.DESIGN.name)
 def test_every_network_learns(labels: list[Path], tmp_path: Path, which: ModuleType) -> None:
     still = {"augmentation": STILL, "average": 0.0, "validate_every": 20}

@@ -38,6 +38,7 @@ def test_sweeps_of_other_rigs_are_told_by_their_values_in_any_order(
                 assert columns_of(shown.ravel(), path) == KNOWN[columns], (path, dropped)
 
 
+@pytest.mark.system
 def test_no_real_picture_is_called_damaged_and_all_have_the_pixels_that_opencv_finds(real_data: Path) -> None:
     paths = sorted(path for suffix in ("jpg", "png") for path in real_data.rglob(f"*.{suffix}"))
     assert len(paths) > 10

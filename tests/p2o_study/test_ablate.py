@@ -205,6 +205,7 @@ def test_progress_tells_rows_failures_and_the_time_that_is_left(bench: Bench) ->
     assert (again[-1].done, again[-1].kept) == (6, 6)
 
 
+@pytest.mark.system
 def test_two_processes_of_one_machine_give_the_same_bits_as_one(bench: Bench) -> None:
     text = STAGED + '[[row]]\nlabel = "quick"\ncalibrator = "quick"\n[[row]]\nlabel = "all"\njoint = true\n'
     alone = bench.run(text)
@@ -229,6 +230,7 @@ def test_the_order_of_the_chosen_frames_does_not_change_a_joint_row(bench: Bench
     assert bits(bench.run(text.replace("ORDER", "2,0,1"), out="again").rows) == bits(given.rows)
 
 
+@pytest.mark.system
 def test_a_plugin_that_crashes_with_one_job_is_a_row_and_its_worker_prints_nothing(bench: Bench) -> None:
     done = bench.cli(QUICK + 'options.calibrator.die_on = "tiny/001"\n', "--jobs", "1", "--quiet")
     assert (done.returncode, done.stderr) == (1, "")
@@ -246,6 +248,7 @@ def test_jobs_run_in_this_process_where_no_worker_can_be_started(
     assert "/dev/shm: Read-only file system" in line
 
 
+@pytest.mark.system
 def test_a_study_outlives_a_worker_that_is_killed(bench: Bench) -> None:
     text = QUICK + f'options.calibrator.die_once = "{bench.root / "died"}"\n'
     done = bench.run(text, jobs=2)
@@ -514,6 +517,7 @@ def test_a_study_that_is_killed_at_any_moment_goes_on_and_computes_no_finished_r
     assert bits(done.rows) == bits(alone.rows)
 
 
+@pytest.mark.system
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
 def test_two_processes_share_one_study_without_harm(bench: Bench) -> None:
     text = LONG + "options.calibrator.sleep_s = 0.004\n"
@@ -578,6 +582,7 @@ def test_seeds_are_a_number_or_a_list() -> None:
             parse_seeds(text)
 
 
+@pytest.mark.system
 def test_the_gate_of_the_how_to_works_with_the_example_plugin(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

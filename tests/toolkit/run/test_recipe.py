@@ -405,7 +405,7 @@ def test_a_joint_run_is_one_call_with_all_frames() -> None:
 
 def test_the_order_of_the_chosen_frames_does_not_change_a_joint_calibration() -> None:
     words: dict[str, Any] = {
-        "data": "synthetic:?frames_per_scene=3",
+        "data": "synthetic:?frames_per_scene=3&width_px=621&height_px=188&right=false",
         "extractor": "depth/rings",
         "perturb": "1deg 0.05m",
     }
