@@ -20,7 +20,7 @@ from p2o.errors import InputError
 from p2o.files.file_names import distinct_names
 from p2o.files.input_file import read_bytes, read_text
 from p2o.files.parsed_text import parse_json
-from p2o.files.whole_file import write_whole
+from p2o.files.whole_file import write_errors, write_whole
 from p2o.geometry import se3
 from p2o.geometry.pose_error import AXES
 from p2o.geometry.rpy import rpy_of
@@ -183,10 +183,8 @@ def write_page_of_folder(root: Path, out: Path | None = None) -> Path:
     """
     page = page_of_folder(root)
     home = root if out is None else out
-    try:
+    with write_errors("the page", home):
         home.mkdir(parents=True, exist_ok=True)
-    except OSError as problem:
-        raise InputError("cannot write the page", where=home, got=problem.strerror or str(problem)) from problem
     write_whole(home / PAGE, page.encode())
     return home / PAGE
 

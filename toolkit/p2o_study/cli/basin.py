@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +69,7 @@ def command(
     Started again, it continues with the missing rows. Writes basin.png, basin.json and the rows (study.sqlite) to DIR.
     """
     from p2o.draw.plots import heat_maps
-    from p2o.files.whole_file import write_whole
+    from p2o.files.whole_file import write_json
     from p2o.geometry.perturb import parse_perturbation
     from p2o.work.parallel import Workers
 
@@ -115,7 +114,7 @@ def command(
         "joint": joint,
         "methods": [basin.as_dict() for basin in basins],
     }
-    write_whole(Path(out) / "basin.json", (json.dumps(report, indent=1, allow_nan=False) + "\n").encode())
+    write_json(Path(out) / "basin.json", report)
     heat_maps(
         {basin.name: basin.success for basin in basins},
         grid.rotations_deg,
