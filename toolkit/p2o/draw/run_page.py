@@ -196,8 +196,8 @@ def _read(run: Mapping[str, Any]) -> tuple[list[Shown], list[tuple[str, str]]]:
     shown = []
     for row in rows:
         result = result_from_dict(row)
-        errors = (_error(row.get(name)) for name in ("error", "start_error"))
-        shown.append(Shown(result, str(row.get("camera", "")), *errors))
+        error, start_error = (_error(row.get(name)) for name in ("error", "start_error"))
+        shown.append(Shown(result, str(row.get("camera", "")), error, start_error))
     reasons = [(str(one.get("frame")), str(one.get("reason"))) for one in failed if isinstance(one, Mapping)]
     return shown, reasons
 
@@ -235,7 +235,7 @@ def _overlays(folder: Path, frame: str) -> Iterator[FrameOverlays]:
             pairs.append((what, images))
     if pairs:
         height, width = pairs[0][1][0].shape[:2]
-        yield FrameOverlays(frame, width, height, [(what, *map(jpeg_uri, images)) for what, images in pairs])
+        yield FrameOverlays(frame, width, height, [(what, jpeg_uri(a), jpeg_uri(b)) for what, (a, b) in pairs])
 
 
 def _image(path: Path) -> UInt8:

@@ -29,6 +29,11 @@ def sweep_page(data: str, shown: Sequence[ShownSweep], total: int) -> str:
     uris: list[str] = []
     for one in shown:
         uris.append(jpeg_uri(one.image) if sum(map(len, uris)) < _MOST_CHARS else "")
-    content = {"data": data, "shown": list(zip(shown, uris, strict=True)), "total": total}
-    title, style = "The sweep on the image", "p2o.draw/run_page.css"
-    return rendered("p2o.draw/sweep_page.html", style=style, title=title, **content)
+    return rendered(
+        "p2o.draw/sweep_page.html",
+        style="p2o.draw/run_page.css",
+        title="The sweep on the image",
+        data=data,
+        shown=list(zip(shown, uris, strict=True)),
+        total=total,
+    )
