@@ -170,12 +170,12 @@ class Outcome:
     def of(cls, rows: Sequence[StoredRow]) -> Outcome:
         """Return the counts of the rows of a method."""
         errors = [(row.rotation_deg, row.translation_m) for row in rows if row.rotation_deg is not None]
-        seconds = _median_seconds(rows)
+        seconds = [row.total_s for row in rows if row.total_s is not None]
         return cls(
             len(rows),
             sum(row.solved for row in rows),
             sum(row.crashed for row in rows),
-            None if np.isnan(seconds) else seconds,
+            float(np.median(seconds)) if seconds else None,
             *(np.mean(np.array(errors, np.float64), axis=0).tolist() if errors else ()),
         )
 
@@ -198,12 +198,6 @@ class Comparison:
     outcomes: Mapping[str, Outcome]
     shares: Mapping[str, Mapping[str, bool]]
     distances: Sequence[tuple[str, str, float, float]]
-
-
-def _median_seconds(rows: Sequence[StoredRow]) -> float:
-    """Return the median time in s of a calibration including feature extraction; NaN if none is known."""
-    known = [sum(value for value in row.seconds.values() if value is not None) for row in rows if row.seconds]
-    return float(np.median(known)) if known else float("nan")
 
 
 def compare(

@@ -25,7 +25,7 @@ from p2o.geometry import se3
 from p2o.geometry.pose_error import AXES
 from p2o.geometry.rpy import rpy_of
 from p2o.results.advice import next_steps
-from p2o.results.figures import result_lines
+from p2o.results.figures import result_lines, result_name
 from p2o.results.result import Result
 from p2o.results.result_json import result_from_dict
 from p2o.results.verdict import Trust
@@ -68,9 +68,7 @@ class Shown:
     @property
     def name(self) -> str:
         """The title of the result."""
-        frames = self.result.frames
-        name = frames[0] if len(frames) == 1 else f"{len(frames)} frames jointly"
-        return name if self.camera in name else f"{name} ({self.camera})"
+        return result_name(self.result, self.camera)
 
     @property
     def reasons(self) -> list[str]:
@@ -117,14 +115,14 @@ class Shown:
         return f"ros2 run tf2_ros static_transform_publisher {' '.join(words)} {frames}"
 
     @property
-    def not_drawn(self) -> Sequence[str]:
-        """As many of the first frames as have no overlays on the page."""
-        return self.result.frames[: len(self.result.frames) - len(self.overlays)]
+    def not_drawn(self) -> int:
+        """The number of frames without overlays on the page."""
+        return len(self.result.frames) - len(self.overlays)
 
     def folders_of(self, folders: Mapping[str, str]) -> str:
         """Return the folders of the first three frames as text."""
         known = [folders[frame] for frame in self.result.frames[:3] if frame in folders]
-        return ", ".join(known) + (" ..." if len(self.not_drawn) > 3 else "")
+        return ", ".join(known) + (" ..." if self.not_drawn > 3 else "")
 
     @property
     def provenance(self) -> str:

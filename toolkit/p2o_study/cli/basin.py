@@ -9,7 +9,7 @@ import click
 from p2o.cli.plugin_options import plugin_options
 from p2o.errors import InputError
 
-from p2o_study.cli.ablate import at_most_option, progress_shown
+from p2o_study.cli.ablate import at_most_option, jobs_option, progress_shown
 
 _ROTATIONS = "0.5,1,2,4,8"
 _TRANSLATIONS = "0.05,0.15,0.3,0.6"
@@ -41,9 +41,7 @@ _TRANSLATIONS = "0.05,0.15,0.3,0.6"
 @click.option("--joint", is_flag=True, help="Calibrate all frames jointly.")
 @click.option("--study", metavar="STUDY", help="METHOD may be a label of a row of this study, with its options.")
 @click.option("--out", default="p2o-out/basin", show_default=True, metavar="DIR", help="Folder of rows and results.")
-@click.option(
-    "--jobs", type=click.IntRange(min=1), default=1, show_default=True, metavar="N", help="Number of processes."
-)
+@jobs_option
 @click.option("--quiet", is_flag=True, help="No progress.")
 @plugin_options
 def command(

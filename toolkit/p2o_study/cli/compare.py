@@ -10,7 +10,7 @@ import click
 from p2o.cli.plugin_options import plugin_options
 from p2o.cli.pose_options import StartCommand
 
-from p2o_study.cli.ablate import at_most_option, progress_shown
+from p2o_study.cli.ablate import at_most_option, jobs_option, progress_shown
 
 
 @click.command("compare", cls=StartCommand)
@@ -30,9 +30,7 @@ from p2o_study.cli.ablate import at_most_option, progress_shown
 )
 @at_most_option
 @click.option("--out", default="p2o-out/compare", show_default=True, metavar="DIR", help="Folder of rows and page.")
-@click.option(
-    "--jobs", type=click.IntRange(min=1), default=1, show_default=True, metavar="N", help="Number of processes."
-)
+@jobs_option
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else on stdout.")
 @click.option("--quiet", is_flag=True, help="No progress.")
 @plugin_options
