@@ -59,7 +59,7 @@ def test_json_holds_every_finding(capsys: pytest.CaptureFixture[str]) -> None:
     assert all(each["advice"] for each in said["findings"] if each["state"] == "BAD")
 
 
-@pytest.mark.parametrize(("version", "detail"), [(None, "not installed"), ("1.26.4", "1.26.4 is too old")])
+@pytest.mark.parametrize(("version", "detail"), [(None, "not installed"), ("1.26.4", "1.26.4 does not satisfy >=2.0")])
 def test_a_missing_or_old_dependency_fails_with_the_command_that_gets_it(
     version: str | None, detail: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

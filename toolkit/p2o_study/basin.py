@@ -93,24 +93,19 @@ def basin_study(
     contenders: Sequence[Contender], grid: Grid, data: str, frames: str, seeds: int, joint: int | bool
 ) -> StudyFile:
     """Return the study of a basin: one row for each method and size of the start error, named by `label`."""
-    lines = [
-        'name = "basin"',
-        'title = "Basins of attraction"',
-        f"seeds = {seeds}",
-        f"joint = {json.dumps(joint)}",
-        "[[dataset]]",
-        'name = "data"',
-        f"data = {json.dumps(data)}",
-        f"frames = {json.dumps(frames)}",
+    rows = [
+        {"label": label(contender, cell), "section": contender.name, **contender.words, "perturb": str(cell)}
+        | ({"options": contender.options} if contender.options else {})
+        for contender, cell in itertools.product(contenders, grid.cells)
     ]
-    for contender, cell in itertools.product(contenders, grid.cells):
-        lines += ["[[row]]", f"label = {json.dumps(label(contender, cell))}", f"section = {json.dumps(contender.name)}"]
-        lines += [f"{word} = {json.dumps(value)}" for word, value in contender.words.items()]
-        lines.append(f'perturb = "{cell}"')
-        for stage, values in contender.options.items():
-            lines += [f"options.{stage}.{name} = {toml_value(value)}" for name, value in values.items()]
-    text = "\n".join(lines) + "\n"
-    return StudyFile(parse_study(text, "basin"), text, "basin")
+    content = {"title": "Basins of attraction", "seeds": seeds, "joint": joint, "row": rows}
+    return study_file("basin", {**content, "dataset": [{"name": "data", "data": data, "frames": frames}]})
+
+
+def study_file(name: str, content: Mapping[str, Any]) -> StudyFile:
+    """Return the study of this name with the content of a study file."""
+    text = "".join(f"{key} = {toml_value(value)}\n" for key, value in {"name": name, **content}.items())
+    return StudyFile(parse_study(text, name), text, name)
 
 
 def label(contender: Contender, cell: Perturbation) -> str:

@@ -34,11 +34,11 @@ from p2o_study import ablate as studies
 from p2o_study import comparison as figures
 from p2o_study import worker
 from p2o_study.ablate import MAX_CALIBRATIONS, Ablation
-from p2o_study.basin import Contender, toml_value
+from p2o_study.basin import Contender, study_file
 from p2o_study.cells import OpenRow, open_rows
 from p2o_study.comparison import MIN_GROUPS
 from p2o_study.store import StoredRow
-from p2o_study.study import StudyFile, check_study, find_study, parse_study
+from p2o_study.study import StudyFile, check_study, find_study
 from p2o_study.worker import FrameRecord, Plugins, ReadJob, Source
 
 PRESETS = "rivals"
@@ -101,7 +101,6 @@ def split_frames(data: str, frames: str, groups: int, registry: Registry) -> lis
 def compare_study(contenders: Sequence[Contender], data: str, groups: Sequence[Sequence[int]], seeds: Any) -> StudyFile:
     """Return the study: a row per method, a dataset per group, each calibrated jointly."""
     content = {
-        "name": "compare",
         "title": "Comparison without ground truth",
         "joint": True,
         "seeds": seeds,
@@ -112,8 +111,7 @@ def compare_study(contenders: Sequence[Contender], data: str, groups: Sequence[S
         ],
         "row": [{"label": c.name, "section": c.name, **c.words, "options": c.options} for c in contenders],
     }
-    text = "".join(f"{key} = {toml_value(value)}\n" for key, value in content.items())
-    return StudyFile(parse_study(text, "compare"), text, "compare")
+    return study_file("compare", content)
 
 
 def _group(number: int) -> str:
@@ -172,12 +170,12 @@ class Outcome:
     def of(cls, rows: Sequence[StoredRow]) -> Outcome:
         """Return the counts of the rows of a method."""
         errors = [(row.rotation_deg, row.translation_m) for row in rows if row.rotation_deg is not None]
-        seconds = _median_seconds(rows)
+        seconds = [row.total_s for row in rows if row.total_s is not None]
         return cls(
             len(rows),
             sum(row.solved for row in rows),
             sum(row.crashed for row in rows),
-            None if np.isnan(seconds) else seconds,
+            float(np.median(seconds)) if seconds else None,
             *(np.mean(np.array(errors, np.float64), axis=0).tolist() if errors else ()),
         )
 
@@ -200,12 +198,6 @@ class Comparison:
     outcomes: Mapping[str, Outcome]
     shares: Mapping[str, Mapping[str, bool]]
     distances: Sequence[tuple[str, str, float, float]]
-
-
-def _median_seconds(rows: Sequence[StoredRow]) -> float:
-    """Return the median time in s of a calibration including feature extraction; NaN if none is known."""
-    known = [sum(value for value in row.seconds.values() if value is not None) for row in rows if row.seconds]
-    return float(np.median(known)) if known else float("nan")
 
 
 def compare(

@@ -14,9 +14,9 @@ from p2o.errors import InputError, printable
 from p2o.files.input_file import read_text
 from p2o.files.parsed_text import parse_json
 from p2o.files.whole_file import write_whole
-from p2o.options import validated
+from p2o.options import Options, validated
 from p2o.results.verdict import Trust
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from p2o_study.store import Planned, StoredRow
 from p2o_study.study import MetricName, Study
@@ -32,11 +32,7 @@ Size = Annotated[float, Field(ge=0)]
 Count = Annotated[int, Field(ge=0)]
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class Tolerance(_Part):
+class Tolerance(Options):
     """How much worse than the reference a study may be; users edit it in the file, `--update` keeps it.
 
     `mean` is the tolerance of the mean by metric, in its unit, `rows` the exceptions by row label, `failures` the
@@ -49,7 +45,7 @@ class Tolerance(_Part):
     run: dict[MetricName, Size]
 
 
-class RowReference(_Part):
+class RowReference(Options):
     """One row of the reference; `runs` holds the errors by metric of each calibration, None where it was refused.
 
     `trust` counts the calibrations by verdict; references of earlier versions have no counts.
@@ -62,7 +58,7 @@ class RowReference(_Part):
     runs: dict[str, dict[MetricName, Size | None] | None]
 
 
-class Reference(_Part):
+class Reference(Options):
     """The reference file of a study."""
 
     study: str

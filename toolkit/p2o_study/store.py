@@ -133,6 +133,11 @@ class StoredRow(Planned):
         return self.status == Status.STAGE_FAILED
 
     @property
+    def total_s(self) -> float | None:
+        """Time of the calibration in s including feature extraction; None if unknown."""
+        return sum(value for value in self.seconds.values() if value is not None) if self.seconds else None
+
+    @property
     def place(self) -> str:
         """Name of the frame, or "first +N" for a joint calibration with N more frames."""
         more = len(self.frames) - 1

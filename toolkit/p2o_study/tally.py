@@ -107,8 +107,8 @@ class RunningCounts:
         self.trust[row.trust] += 1
         self.coverage = bound_coverage([row], self.coverage)
         self.false_accepts += false_accepts([row])
-        if row.seconds:
-            self.seconds.append(sum(value for value in row.seconds.values() if value is not None))
+        if row.total_s is not None:
+            self.seconds.append(row.total_s)
         for metric, known in self.errors.items():
             if (value := getattr(row, metric)) is not None:
                 known.append(abs(value))

@@ -7,7 +7,6 @@ import io
 import json
 import os
 import platform
-import re
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
@@ -18,12 +17,12 @@ from typing import TYPE_CHECKING
 import click
 
 from p2o.errors import InputError, P2OError, one_line
+from p2o.host.registry import DISTRIBUTION, Registry, requirements
 from p2o.runtime.native import available_cores
 
 if TYPE_CHECKING:
-    from p2o.host.registry import Registry
+    from packaging.requirements import Requirement
 
-DISTRIBUTION = "p2o-calib"
 _REINSTALL = f"reinstall it: pip install --force-reinstall {DISTRIBUTION}"
 _LEAST_MEMORY_GIB = 2.0
 _SELF_CHECK = "synthetic:?scenes=1&width_px=621&height_px=188"
@@ -130,7 +129,7 @@ def _memory_gib() -> float | None:
 
 
 def _dependencies() -> Iterator[_Outcome]:
-    yield from (_package(required, State.BAD) for required in _required(""))
+    yield from (_package(required, State.BAD) for required in requirements(DISTRIBUTION))
 
 
 def _extras() -> Iterator[_Outcome]:
@@ -138,7 +137,7 @@ def _extras() -> Iterator[_Outcome]:
     for extra in metadata.metadata(DISTRIBUTION).get_all("Provides-Extra") or []:
         if extra in ("dev", "docs"):
             continue
-        packages = {required: _package(required, State.ABSENT) for required in _required(extra)}
+        packages = {required: _package(required, State.ABSENT) for required in requirements(DISTRIBUTION, extra)}
         missing = {required: each for required, each in packages.items() if each[1] is not State.OK}
         detail = ", ".join(f"{each[0]} {each[2]}" for each in (missing or packages).values())
         # The packages instead of the extra, because p2o may not be on a package index.
@@ -146,40 +145,14 @@ def _extras() -> Iterator[_Outcome]:
         yield (extra, State.ABSENT if missing else State.OK, detail, advice)
 
 
-def _package(required: str, lacking: State) -> _Outcome:
-    name, least = _parsed(required)
-    version = _version(name)
+def _package(required: Requirement, lacking: State) -> _Outcome:
+    version = _version(required.name)
+    advice = f'pip install "{required}"'
     if version is None:
-        return (name, lacking, "not installed", f'pip install "{required}"')
-    if least and _numbers(version) < _numbers(least):
-        return (name, lacking, f"{version} is too old", f'pip install "{required}"')
-    return (name, State.OK, version)
-
-
-def _required(extra: str) -> list[str]:
-    """Return the requirements of an extra, or of p2o for ""."""
-    requirements = []
-    for text in metadata.requires(DISTRIBUTION) or []:
-        required, _, marker = text.partition(";")
-        of_extra = re.search(r"""extra\s*==\s*['"]([^'"]+)['"]""", marker)
-        if (of_extra[1] if of_extra else "") == extra:
-            requirements.append(required.strip())
-    return requirements
-
-
-def _parsed(required: str) -> tuple[str, str]:
-    """Return the name of a requirement and its minimum version, "" for any."""
-    name = re.match(r"[\w.-]+", required)
-    least = re.search(r">=\s*([\d.]+)", required)
-    return name[0] if name else required, least[1] if least else ""
-
-
-def _numbers(version: str) -> tuple[int, ...]:
-    """Return the leading numbers of a version, without trailing zeros: 2.0 is 2."""
-    numbers = [int(part) for part in re.split(r"[^\d.]", version)[0].split(".") if part]
-    while numbers and not numbers[-1]:
-        numbers.pop()
-    return tuple(numbers)
+        return (required.name, lacking, "not installed", advice)
+    if not required.specifier.contains(version, prereleases=True):
+        return (required.name, lacking, f"{version} does not satisfy {required.specifier}", advice)
+    return (required.name, State.OK, version)
 
 
 def _version(name: str) -> str | None:
@@ -225,8 +198,6 @@ def _plugins() -> Iterator[_Outcome]:
 
 def _registry() -> Registry:
     """Return the installed plugins without messages on stderr: broken plugins are findings here, not errors."""
-    from p2o.host.registry import Registry
-
     environ = {name: value for name, value in os.environ.items() if name != "P2O_STRICT"}
     with contextlib.redirect_stderr(io.StringIO()):
         return Registry.load(environ=environ)

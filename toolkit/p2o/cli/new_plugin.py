@@ -13,6 +13,7 @@ from pathlib import Path
 
 from p2o.errors import InputError
 from p2o.files.input_file import existing_folder
+from p2o.files.whole_file import write_errors
 from p2o.host.method import Kind
 from p2o.host.registry import Registry
 
@@ -114,20 +115,18 @@ class NewPlugin:
         root = parent / self.name
         if os.path.lexists(root):
             raise InputError("this folder is there already", where=root, hint="choose another name or another --out")
+        with write_errors("the package", parent):
+            folder = Path(tempfile.mkdtemp(prefix=f".{self.name}-", dir=parent))
         try:
-            part = Path(tempfile.mkdtemp(prefix=f".{self.name}-", dir=parent))
-        except OSError as problem:
-            raise _cannot_write(parent, problem) from problem
-        try:
-            for path, text in self.files().items():
-                (part / path).parent.mkdir(parents=True, exist_ok=True)
-                (part / path).write_text(text, encoding="utf-8")
-            part.chmod(0o777 & ~_umask())
-            part.rename(root)
-        except OSError as problem:
-            raise _cannot_write(root, problem) from problem
+            with write_errors("the package", root):
+                # Unlike a folder of mkdtemp, one of mkdir has the usual permissions.
+                part = folder / self.name
+                for path, text in self.files().items():
+                    (part / path).parent.mkdir(parents=True, exist_ok=True)
+                    (part / path).write_text(text, encoding="utf-8")
+                part.rename(root)
         finally:
-            shutil.rmtree(part, ignore_errors=True)
+            shutil.rmtree(folder, ignore_errors=True)
         return root
 
     @property
@@ -139,14 +138,3 @@ class NewPlugin:
         words["TRY"] = f"    {self.tried}"
         text = (TEMPLATE / f"{source}.txt").read_text(encoding="utf-8")
         return re.sub(r"@([A-Z]+)@", lambda match: words[match[1]], text)
-
-
-def _umask() -> int:
-    """Return the rights that this process takes from what it makes; reading them means setting them for a moment."""
-    mask = os.umask(0o077)
-    os.umask(mask)
-    return mask
-
-
-def _cannot_write(path: Path, problem: OSError) -> InputError:
-    return InputError("cannot write the package", where=path, got=problem.strerror or str(problem))

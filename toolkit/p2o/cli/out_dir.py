@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from p2o.draw.run_page import IN_ROOT, PAGE, RESULT, ROUNDS, RUN, run_page
 from p2o.errors import InputError
 from p2o.files.input_file import expanded
-from p2o.files.whole_file import make_writable, write_whole
+from p2o.files.whole_file import make_writable, write_errors, write_json, write_whole
 from p2o.frames.scale import camera_at_scale, image_at_scale
 from p2o.results.result import Status
 
@@ -47,10 +47,8 @@ class OutDir:
             expected = "a folder, such as . for the current one"
             raise InputError("the folder has no name", where="--out", expected=expected)
         root = expanded(path)
-        try:
+        with _write_errors(root):
             make_writable(root)
-        except OSError as problem:
-            raise _cannot_write(root, problem) from problem
         return cls(root)
 
     def for_frames(self, names: Sequence[str]) -> OutDir:
@@ -72,23 +70,18 @@ class OutDir:
             return
         joint = len(progress.row.result.frames) > 1 and not progress.camera
         home = self.root if joint else self.root / self.folders[progress.camera or progress.frames[0].name]
-        try:
-            _write_json(home / RESULT, progress.row.as_dict())
+        with _write_errors(home):
+            write_json(home / RESULT, progress.row.as_dict())
             self._draw(home, progress, progress.row.result)
-        except OSError as problem:
-            raise _cannot_write(home, problem) from problem
 
     def finish(self, run: Run) -> Path | None:
         """Write run.json and the page, and return the page; None without finished results."""
-        try:
+        with _write_errors(self.root):
             content = run.as_dict()
-            _write_json(self.root / RUN, content)
-            if not run.rows:
-                return None
-            write_whole(self.root / PAGE, run_page(self.root, content, self.folders).encode())
-            return self.root / PAGE
-        except OSError as problem:
-            raise _cannot_write(self.root, problem) from problem
+            write_json(self.root / RUN, content)
+            if run.rows:
+                write_whole(self.root / PAGE, run_page(self.root, content, self.folders).encode())
+        return self.root / PAGE if run.rows else None
 
     def content_text(self) -> str:
         """Return the content of the folder as text."""
@@ -140,13 +133,5 @@ def _draw_sweeps(
     coloured_cloud.write_coloured_cloud(folder / _CLOUD, rgb, frame.cloud, camera, pose)
 
 
-def _cannot_write(path: Path, problem: OSError) -> InputError:
-    place, fault = problem.filename or path, problem.strerror or str(problem)
-    return InputError(
-        "cannot write the results", where=place, got=fault, hint="free some space or choose another --out"
-    )
-
-
-def _write_json(path: Path, value: Any) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, (json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode())
+def _write_errors(folder: Path) -> AbstractContextManager[None]:
+    return write_errors("the results", folder, "free some space or choose another --out")

@@ -6,7 +6,7 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from p2o.errors import printable
-from p2o.results.figures import accuracy_text, result_lines
+from p2o.results.figures import accuracy_text, result_lines, result_name
 from p2o.results.verdict import Trust
 from p2o.run.protocol import figures_text
 
@@ -24,10 +24,11 @@ _AXES = (("roll", "deg"), ("pitch", "deg"), ("yaw", "deg"), ("x", "m"), ("y", "m
 def describe(row: Row) -> str:
     """Return the text about one result: status, verdict, poses, errors, and every figure (`p2o.results.figures`)."""
     result = row.result
-    name = result.frames[0] if len(result.frames) == 1 else f"{len(result.frames)} frames jointly"
-    if row.camera not in name:
-        name = f"{name} ({row.camera})"
-    lines = [name, f"  {'status':<9} {result.status.value}: {result.reason}", *_verdict(result)]
+    lines = [
+        result_name(result, row.camera),
+        f"  {'status':<9} {result.status.value}: {result.reason}",
+        *_verdict(result),
+    ]
     lines += _pose("initial", result.start) + _pose("result", result.camera_from_lidar)
     if row.start_error is not None and row.error is not None:
         lines += _errors(row.start_error, row.error)

@@ -1,34 +1,74 @@
-"""Self-contained HTML pages: a template, its parts, and a content security policy that blocks all requests."""
+"""Self-contained HTML pages: Jinja2 templates, and a content security policy that blocks all requests."""
 
 from __future__ import annotations
 
 import base64
 import hashlib
 import importlib.resources
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+from markupsafe import Markup, escape
 
 from p2o.arrays import UInt8
+from p2o.errors import printable
 
 WIDEST_PX = 1400
 _QUALITY = 78
+_LONGEST = 5000
+"""Maximum number of characters of a text on a page."""
 
 
-def part(name: str, package: str = "p2o.draw") -> str:
-    """Return the text of a file of a package."""
-    return importlib.resources.files(package).joinpath(name).read_text(encoding="utf-8")
+def part(name: str) -> str:
+    """Return the text of a file PACKAGE/FILE."""
+    package, _, file = name.partition("/")
+    return importlib.resources.files(package).joinpath(file).read_text(encoding="utf-8")
 
 
-def filled(body: str, parts: Mapping[str, str], scripts: Sequence[str]) -> str:
-    """Return the page of a body with its placeholders {{name}} replaced; only `scripts` may run.
+def rendered(template: str, *, style: str, scripts: Sequence[str] = (), **values: Any) -> str:
+    """Return the page of a template and a style sheet, PACKAGE/FILE each; only `scripts` may run.
 
-    The body is embedded in the common head and style; `parts` contains the `title` and the `style` of the page.
+    The template extends "p2o.draw/shell.html"; `values` contain the `title` of the page. Texts are escaped, and their
+    control characters written out.
     """
     policy = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'; "
     policy += "script-src " + " ".join(map(_source_hash, scripts))
-    # Only the template is searched for placeholders, not the parts.
-    head, *rest = part("shell.html").replace("{{body}}", body).split("{{")
-    values = {"policy": policy, **parts, "style": part("shell.css") + parts["style"]}
-    return head + "".join(values[name] + text for name, text in (piece.split("}}", 1) for piece in rest))
+    css = part("p2o.draw/shell.css") + part(style)
+    own = {"policy": Markup(policy), "style": Markup(css), "scripts": [Markup(script) for script in scripts]}
+    return _templates().get_template(template).render(values, **own)  # type: ignore[no-any-return]
+
+
+@cache
+def _templates() -> Any:
+    import jinja2
+
+    loader = jinja2.FunctionLoader(part)
+    # StrictUndefined: a misspelt name in a template raises.
+    undefined = jinja2.StrictUndefined
+    environment = jinja2.Environment(
+        loader=loader, autoescape=True, finalize=_text, undefined=undefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters |= {"number": number_text, "lines": _lines}
+    return environment
+
+
+def number_text(value: Any, places: int) -> str:
+    """Return a number with these decimals, "-" for other values and numbers that are not finite."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return "-"
+    return f"{value:.{places}f}"
+
+
+def _text(value: Any) -> Any:
+    """Return HTML unchanged, other values as text with control characters written out."""
+    return value if hasattr(value, "__html__") else printable(value, _LONGEST)
+
+
+def _lines(text: str) -> Markup:
+    """Return a text of several lines as HTML."""
+    return Markup("\n").join(escape(_text(line)) for line in text.split("\n"))
 
 
 def jpeg_uri(image: UInt8) -> str:
@@ -41,7 +81,8 @@ def jpeg_uri(image: UInt8) -> str:
         size = (max(1, round(width * WIDEST_PX / longest)), max(1, round(height * WIDEST_PX / longest)))
         image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
     _, data = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
+    # Base64 needs no escapes.
+    return Markup("data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode())
 
 
 def _source_hash(script: str) -> str:

@@ -17,6 +17,7 @@ from p2o.draw.overlay import COLOURS
 from p2o.errors import InputError, printable
 from p2o.features.side import SIDES
 from p2o.files.whole_file import write_whole
+from p2o.results.figures import result_name
 from p2o.results.result import DIRECTED, Result, Round
 
 _PIXELS = "pixels"
@@ -37,7 +38,7 @@ def convergence(result: Result, path: Path | str) -> None:
     rounds = result.rounds
     numbers = list(range(1, len(rounds) + 1))
     # Dollar signs in names are no formulas.
-    top.set_title(f"{printable(_named(result), 80)}: {result.status.value}", fontsize=10, parse_math=False)
+    top.set_title(f"{printable(result_name(result), 80)}: {result.status.value}", fontsize=10, parse_math=False)
 
     floor = [0] * len(rounds)
     for side in SIDES:
@@ -111,10 +112,6 @@ def _cost(result: Result) -> tuple[str, str]:
     if judged is None or judged.judge == DIRECTED:
         return "directed cost", _PIXELS
     return judged.judge, _PIXELS if judged.unit == "px" else judged.unit
-
-
-def _named(result: Result) -> str:
-    return result.frames[0] if len(result.frames) == 1 else f"{len(result.frames)} frames jointly"
 
 
 def _face(letter: str) -> tuple[float, ...]:

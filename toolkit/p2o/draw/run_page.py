@@ -6,10 +6,8 @@ It is made from the folder of `p2o run --out`, run.json and the overlays in it, 
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from html import escape
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,17 +15,17 @@ import numpy as np
 
 from p2o.arrays import Float, UInt8
 from p2o.calibration_files.number_text import digits, listed, matrix_rows, plain, quaternion_xyzw, spaced
-from p2o.draw.one_file import filled, jpeg_uri, part
-from p2o.errors import InputError, printable
+from p2o.draw.one_file import jpeg_uri, number_text, part, rendered
+from p2o.errors import InputError
 from p2o.files.file_names import distinct_names
 from p2o.files.input_file import read_bytes, read_text
 from p2o.files.parsed_text import parse_json
-from p2o.files.whole_file import write_whole
+from p2o.files.whole_file import write_errors, write_whole
 from p2o.geometry import se3
 from p2o.geometry.pose_error import AXES
 from p2o.geometry.rpy import rpy_of
 from p2o.results.advice import next_steps
-from p2o.results.figures import result_lines
+from p2o.results.figures import result_lines, result_name
 from p2o.results.result import Result
 from p2o.results.result_json import result_from_dict
 from p2o.results.verdict import Trust
@@ -48,20 +46,90 @@ _ROS_KEYS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 @dataclass(frozen=True)
+class FrameOverlays:
+    """The overlays of one frame, `pairs` of a label and two data URIs, before and after, and their size in px."""
+
+    name: str
+    width: int
+    height: int
+    pairs: Sequence[tuple[str, str, str]]
+
+
+@dataclass(frozen=True)
 class Shown:
-    """One result in the JSON of a run, with its errors where the ground truth is known."""
+    """One result in the JSON of a run, with its errors where the ground truth is known, in the form of the template."""
 
     result: Result
     camera: str
     error: Mapping[str, Any] | None
     start_error: Mapping[str, Any] | None
+    overlays: list[FrameOverlays] = field(default_factory=list)
 
     @property
     def name(self) -> str:
         """The title of the result."""
-        frames = self.result.frames
-        name = frames[0] if len(frames) == 1 else f"{len(frames)} frames jointly"
-        return name if self.camera in name else f"{name} ({self.camera})"
+        return result_name(self.result, self.camera)
+
+    @property
+    def reasons(self) -> list[str]:
+        """The reasons of the verdict that the status does not state."""
+        verdict = self.result.verdict
+        texts = [reason.text for reason in verdict.reasons if reason.text != self.result.reason]
+        return texts or (["no doubts"] if verdict.trusted else [])
+
+    @property
+    def predicted(self) -> list[list[str]]:
+        """Predicted errors, overall and by axis, with the true errors where they are known; empty without any."""
+        accuracy, error = self.result.accuracy, self.error
+        rows = []
+        for name in ("rotation_deg", "translation_m", *AXES):
+            axis, _, unit = name.rpartition("_")
+            values = (getattr(accuracy, name, None), getattr(accuracy, f"{name}_95", None))
+            row = [f"{axis} [{unit}]", *(number_text(value, 2 if unit == "deg" else 3) for value in values)]
+            if error is not None:
+                row += [number_text(_map(e).get(name), 3) for e in (self.start_error, error)]
+            rows.append(row)
+        return [] if accuracy is None and error is None else rows
+
+    @property
+    def poses(self) -> dict[str, dict[str, str]]:
+        """The pose in common forms to copy, by direction; a refused result has its initial guess."""
+        pose = self.result.camera_from_lidar
+        transforms = {"camera_from_lidar": pose, "lidar_from_camera": se3.inverse(pose)}
+        return {
+            name: {
+                "matrix": _matrix(transform),
+                "quaternion": f"{spaced(transform[:3, 3])} {spaced(quaternion_xyzw(transform))}",
+                "rpy": " ".join(digits(round(v, 9)) for v in plain(np.degrees(rpy_of(transform[:3, :3])))),
+            }
+            for name, transform in transforms.items()
+        }
+
+    @property
+    def ros_command(self) -> str:
+        """The shell command that publishes lidar_from_camera: metres, quaternion x y z w."""
+        lidar_from_camera = se3.inverse(self.result.camera_from_lidar)
+        values = [*plain(lidar_from_camera[:3, 3]), *quaternion_xyzw(lidar_from_camera)]
+        words = [f"--{key} {digits(value)}" for key, value in zip(_ROS_KEYS, values, strict=True)]
+        frames = "--frame-id lidar --child-frame-id camera_optical_frame"
+        return f"ros2 run tf2_ros static_transform_publisher {' '.join(words)} {frames}"
+
+    @property
+    def not_drawn(self) -> int:
+        """The number of frames without overlays on the page."""
+        return len(self.result.frames) - len(self.overlays)
+
+    def folders_of(self, folders: Mapping[str, str]) -> str:
+        """Return the folders of the first three frames as text."""
+        known = [folders[frame] for frame in self.result.frames[:3] if frame in folders]
+        return ", ".join(known) + (" ..." if self.not_drawn > 3 else "")
+
+    @property
+    def provenance(self) -> str:
+        """Recipe, seed and versions as JSON."""
+        result = self.result
+        content = {"recipe": dict(result.recipe), "seed": result.seed, "versions": dict(result.versions)}
+        return json.dumps(content, indent=1, ensure_ascii=False, default=str)
 
 
 def run_page(root: Path, run: Mapping[str, Any], folders: Mapping[str, str] | None = None) -> str:
@@ -76,20 +144,22 @@ def run_page(root: Path, run: Mapping[str, Any], folders: Mapping[str, str] | No
         frames = [frame for one in shown for frame in one.result.frames]
         names = list(dict.fromkeys([*cameras, *frames, *(frame for frame, _ in failed)]))
         folders = distinct_names(names, taken=IN_ROOT)
-    figures = _figures(root, shown, folders)
-    results = [_article(number, one, figures[number], folders) for number, one in enumerate(shown)]
+    _add_overlays(root, shown, folders)
     title = shown[0].name if len(shown) == 1 else f"{len(shown)} calibrations"
-    versions = shown[0].result.versions if shown else {}
-    script = part("run_page.js")
-    parts = {
-        "title": _text(f"{title}: p2o result"),
-        "style": part("run_page.css"),
-        "summary": _summary(shown, failed, run.get("rig")),
-        "results": "\n".join(results),
-        "versions": _text(", ".join(f"{name} {version}" for name, version in versions.items())),
-        "script": script,
-    }
-    return filled(part("run_page.html"), parts, scripts=(script,))
+    return rendered(
+        "p2o.draw/run_page.html",
+        style="p2o.draw/run_page.css",
+        scripts=(part("p2o.draw/run_page.js"),),
+        title=f"{title}: p2o result",
+        results=shown,
+        failed=failed,
+        folders=folders,
+        rig=_rig(run["rig"]) if "rig" in run else None,
+        trusts=list(Trust),
+        next_steps=next_steps,
+        result_lines=result_lines,
+        versions=shown[0].result.versions if shown else {},
+    )
 
 
 def page_of_folder(root: Path) -> str:
@@ -111,10 +181,8 @@ def write_page_of_folder(root: Path, out: Path | None = None) -> Path:
     """
     page = page_of_folder(root)
     home = root if out is None else out
-    try:
+    with write_errors("the page", home):
         home.mkdir(parents=True, exist_ok=True)
-    except OSError as problem:
-        raise InputError("cannot write the page", where=home, got=problem.strerror or str(problem)) from problem
     write_whole(home / PAGE, page.encode())
     return home / PAGE
 
@@ -126,8 +194,8 @@ def _read(run: Mapping[str, Any]) -> tuple[list[Shown], list[tuple[str, str]]]:
     shown = []
     for row in rows:
         result = result_from_dict(row)
-        errors = (_error(row.get(name)) for name in ("error", "start_error"))
-        shown.append(Shown(result, str(row.get("camera", "")), *errors))
+        error, start_error = (_error(row.get(name)) for name in ("error", "start_error"))
+        shown.append(Shown(result, str(row.get("camera", "")), error, start_error))
     reasons = [(str(one.get("frame")), str(one.get("reason"))) for one in failed if isinstance(one, Mapping)]
     return shown, reasons
 
@@ -140,51 +208,32 @@ def _error(value: Any) -> Mapping[str, Any] | None:
     return {**value, **(by_axis if isinstance(by_axis, Mapping) else {})}
 
 
-# ---- overlays
-
-
-def _figures(root: Path, shown: Sequence[Shown], folders: Mapping[str, str]) -> list[list[str]]:
-    """Return the overlays of each result: one frame of each result in turn, the least trusted result first."""
-    order = sorted(range(len(shown)), key=lambda i: -list(Trust).index(shown[i].result.verdict.trust))
+def _add_overlays(root: Path, shown: Sequence[Shown], folders: Mapping[str, str]) -> None:
+    """Add the overlays of results: one frame of each result in turn, the least trusted result first."""
+    order = sorted(shown, key=lambda one: -list(Trust).index(one.result.verdict.trust))
     depth = max((len(one.result.frames) for one in shown), default=0)
-    turns = [(i, turn) for turn in range(depth) for i in order if turn < len(shown[i].result.frames)]
-    figures: list[list[str]] = [[] for _ in shown]
+    turns = [(one, turn) for turn in range(depth) for one in order if turn < len(one.result.frames)]
     drawn, size = 0, 0
-    for i, turn in turns:
+    for one, turn in turns:
         if drawn == _MOST_FRAMES or size > _MOST_CHARS:
             break
-        frame = shown[i].result.frames[turn]
-        overlays = list(_sliders(root / folders[frame], frame)) if frame in folders else []
-        if overlays:
-            figures[i].append("\n".join(overlays))
-            drawn, size = drawn + 1, size + sum(map(len, overlays))
-    return figures
+        frame = one.result.frames[turn]
+        for overlays in _overlays(root / folders[frame], frame) if frame in folders else ():
+            one.overlays.append(overlays)
+            drawn, size = drawn + 1, size + sum(len(before) + len(after) for _, before, after in overlays.pairs)
 
 
-def _sliders(folder: Path, frame: str) -> Iterator[str]:
-    """Yield one block of overlays, before and after, of those in the folder of a frame."""
+def _overlays(folder: Path, frame: str) -> Iterator[FrameOverlays]:
+    """Yield the overlays in the folder of a frame, if there are any before and after."""
     pairs = []
     for name, what in OVERLAYS:
         paths = [folder / name.format(time) for time in ("before", "after")]
         images = [_image(path) for path in paths if path.is_file()]
         if len(images) == 2 and images[0].shape == images[1].shape:
             pairs.append((what, images))
-    if not pairs:
-        return
-    height, width = pairs[0][1][0].shape[:2]
-    yield f'<div class="overlays{" tall" if height > width else ""}">'
-    for what, images in pairs:
-        before, after = map(jpeg_uri, images)
-        label = _text(f"{frame}: {what}")
-        yield (
-            f'<figure class="slides"><div class="compare"><img src="{after}" alt="{label}, at the result" '
-            f'width="{width}" height="{height}" draggable="false"><img src="{before}" '
-            f'alt="{label}, at the initial guess" draggable="false"><div class="edge"></div></div>'
-            '<div class="ends"><span>before</span>'
-            '<input class="slider" type="range" min="0" max="100" step="0.5" value="50" aria-label="before to after">'
-            f"<span>after</span></div><figcaption>{label}</figcaption></figure>"
-        )
-    yield "</div>"
+    if pairs:
+        height, width = pairs[0][1][0].shape[:2]
+        yield FrameOverlays(frame, width, height, [(what, jpeg_uri(a), jpeg_uri(b)) for what, (a, b) in pairs])
 
 
 def _image(path: Path) -> UInt8:
@@ -199,142 +248,21 @@ def _image(path: Path) -> UInt8:
     return np.ascontiguousarray(pixels[..., ::-1])
 
 
-# ---- words
-
-
-def _summary(shown: Sequence[Shown], failed: Sequence[tuple[str, str]], rig: Any) -> str:
-    parts = []
-    if isinstance(rig, Mapping):
-        parts.append(_rig(rig))
-    if len(shown) > 1:
-        head = ("result", "verdict", "status", "rotation [deg]", "translation [m]", "95 %")
-        rows = []
-        for number, one in enumerate(shown):
-            its, trust = one.result.accuracy, one.result.verdict.trust
-            likely = ("-", "-", "-")
-            if its is not None:
-                rare = f"{its.rotation_deg_95:.2f} deg, {its.translation_m_95:.3f} m"
-                likely = (f"{its.rotation_deg:.2f}", f"{its.translation_m:.3f}", rare)
-            link = f'<a href="#result-{number}">{_text(one.name)}</a>'
-            word = f'<span class="{trust.value}">{trust.value}</span>'
-            rows.append([link, word, _text(one.result.status.value), *likely])
-        parts.append(_table(head, rows, texts=3))
-        parts.append('<p class="quiet">Predicted errors (67 %, 95 %).</p>')
-    if failed:
-        items = "".join(f"<li>{_text(frame)}: {_text(reason)}</li>" for frame, reason in failed)
-        parts.append(f'<p class="refused">{len(failed)} could not be calibrated:</p><ul>{items}</ul>')
-    return "\n".join(parts)
-
-
-def _rig(rig: Mapping[str, Any]) -> str:
-    """Return the common result of a rig and its table of cameras."""
-    verdict, accuracy = (_map(rig.get(name)) for name in ("verdict", "accuracy"))
-    trust = str(verdict.get("trust"))
-    parts = [f"<h2>Rig</h2><p>{_badge(trust)} {_text(rig.get('reason', ''))}</p>"]
-    if accuracy:
-        usual = f"{_number(accuracy.get('rotation_deg'), 2)} deg and {_number(accuracy.get('translation_m'), 3)} m"
-        parts.append(f"<p>Predicted error (67 %): {usual}.</p>")
-    body = _pose(rig.get("body_from_lidar"))
-    if body is not None:
-        parts.append("<h3>body_from_lidar, 4x4</h3>" + _paste(_matrix(body)))
-    rows = []
-    for camera in rig.get("cameras") or ():
-        its = _map(camera)
-        apart = (_number(its.get("rotation_deg"), 2), _number(its.get("translation_m"), 3))
-        rows.append([_text(its.get("name")), *apart, _number(its.get("chi_square"), 1), _text(its.get("left_out", ""))])
-    head = ("camera", "from the others [deg]", "[m]", "chi-square (6)", "left out")
-    parts.append('<div id="rig">' + _table(head, rows, texts=1) + "</div>")
-    return "\n".join(parts)
-
-
-def _article(number: int, shown: Shown, figures: Sequence[str], folders: Mapping[str, str]) -> str:
-    result = shown.result
-    verdict = result.verdict
-    texts = [reason.text for reason in verdict.reasons if reason.text != result.reason]
-    reasons = "".join(f"<li>{_text(text)}</li>" for text in texts) or ("<li>no doubts</li>" if verdict.trusted else "")
-    parts = [
-        f'<article id="result-{number}"><h2>{_text(shown.name)}</h2>',
-        f"<p>{_badge(verdict.trust.value)} {_text(result.status.value)}: {_text(result.reason)}</p>",
-        f'<ul class="reasons">{reasons}</ul>' if reasons else "",
-        '<div class="facts"><div><h3>Predicted error</h3>' + _predicted(shown),
-        '<div class="next"><h3>What to do next</h3><ul>'
-        + "".join(f"<li>{_text(step)}</li>" for step in next_steps(result))
-        + "</ul></div></div>",
-        '<div class="pose">' + _pose_forms(result) + "</div></div>",
-        *figures,
-    ]
-    left = len(result.frames) - len(figures)
-    if left:
-        where = ", ".join(folders[f] for f in result.frames[:3] if f in folders) + (" ..." if left > 3 else "")
-        more = "further frames" if figures else "frames"
-        parts.append(f'<p class="quiet">Overlays of {left} {more} are in the folder of this page: {_text(where)}</p>')
-    rounds = [
-        (
-            _text(r.stage),
-            f"{r.reach_px:.3g}",
-            str(sum(r.matches.values())),
-            *(_number(value, 3) for value in (r.mean_residual, r.cost, r.step_deg, r.step_m)),
-            "yes" if r.accepted else "no",
-        )
-        for r in result.rounds
-    ]
-    head = ("stage", "reach [px]", "matches", "residual [px]", "cost", "step [deg]", "step [m]", "kept")
-    provenance = {"recipe": dict(result.recipe), "seed": result.seed, "versions": dict(result.versions)}
-    seconds = [(_text(stage), f"{took:.2f} s") for stage, took in result.seconds.items()]
-    # The seconds have a table of their own.
-    evidence = [(_text(line[0]), _text(line[1])) for line in result_lines(result) if line[0] != "seconds"]
-    parts += [
-        '<div class="facts"><div><h3>Evidence</h3>' + _table((), evidence, texts=2) + "</div>",
-        "<div><h3>Rounds</h3>" + _table(head, rounds, texts=1) if rounds else "<div>",
-        "<h3>Time</h3>" + _table((), seconds, texts=1) if seconds else "",
-        "</div></div>",
-        "<details><summary>recipe, seed, versions</summary><pre>"
-        + _text(json.dumps(provenance, indent=1, ensure_ascii=False, default=str), lines=True)
-        + "</pre></details></article>",
-    ]
-    return "\n".join(piece for piece in parts if piece)
-
-
-def _predicted(shown: Shown) -> str:
-    """Return the table of predicted errors, overall and by axis, with the true errors where they are known."""
-    accuracy, error = shown.result.accuracy, shown.error
-    if accuracy is None and error is None:
-        return "<p>The error cannot be predicted: do not rely on this result.</p>"
-    rows = []
-    for name in ("rotation_deg", "translation_m", *AXES):
-        axis, _, unit = name.rpartition("_")
-        values = (getattr(accuracy, name, None), getattr(accuracy, f"{name}_95", None))
-        row = [f"{axis} [{unit}]", *(_number(value, 2 if unit == "deg" else 3) for value in values)]
-        if error is not None:
-            row += [_number(_map(e).get(name), 3) for e in (shown.start_error, error)]
-        rows.append(row)
-    head = ["", "67 %", "95 %", *(["initial error", "error"] if error is not None else [])]
-    return _table(head, rows, texts=1) + '<p class="quiet">Camera axes: x right, y down, z forward.</p>'
-
-
-def _pose_forms(result: Result) -> str:
-    """Return the pose in common forms to copy; a refused result shows its initial guess."""
-    pose = result.camera_from_lidar
-    refused = '<p class="refused">There is no new pose: this is the initial guess.</p>'
-    parts = ["" if result.status.solved else refused]
-    for name, transform in (("camera_from_lidar", pose), ("lidar_from_camera", se3.inverse(pose))):
-        numbers = f"{spaced(transform[:3, 3])} {spaced(quaternion_xyzw(transform))}"
-        rpy = " ".join(digits(round(value, 9)) for value in plain(np.degrees(rpy_of(transform[:3, :3]))))
-        parts.append(f'<div class="{name}"><h3>{name}, 4x4</h3>{_paste(_matrix(transform))}')
-        parts.append(f"<h3>{name}, x y z [m], quaternion x y z w</h3>{_paste(numbers)}")
-        parts.append(f"<h3>{name}, roll pitch yaw [deg]: R = Rz(yaw) Ry(pitch) Rx(roll)</h3>{_paste(rpy)}</div>")
-    about = "Static transform lidar_from_camera of ROS 2. Axes of camera_optical_frame: x right, y down, z forward."
-    parts.append(f'<h3>ROS 2</h3><p class="quiet">{about}</p><div class="ros">{_paste(_ros_command(pose))}</div>')
-    return "".join(parts)
-
-
-def _ros_command(camera_from_lidar: Float) -> str:
-    """Return the shell command that publishes lidar_from_camera: metres, quaternion x y z w."""
-    lidar_from_camera = se3.inverse(camera_from_lidar)
-    values = [*plain(lidar_from_camera[:3, 3]), *quaternion_xyzw(lidar_from_camera)]
-    words = [f"--{key} {digits(value)}" for key, value in zip(_ROS_KEYS, values, strict=True)]
-    frames = "--frame-id lidar --child-frame-id camera_optical_frame"
-    return f"ros2 run tf2_ros static_transform_publisher {' '.join(words)} {frames}"
+def _rig(rig: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the common result of a rig in the form of the template; values of other types count as unknown."""
+    accuracy, body = _map(rig.get("accuracy")), _pose(rig.get("body_from_lidar"))
+    cameras = []
+    for its in map(_map, rig.get("cameras") or ()):
+        numbers = (("rotation_deg", 2), ("translation_m", 3), ("chi_square", 1))
+        values = [number_text(its.get(name), places) for name, places in numbers]
+        cameras.append([its.get("name"), *values, its.get("left_out", "")])
+    return {
+        "verdict": {"trust": str(_map(rig.get("verdict")).get("trust"))},
+        "reason": rig.get("reason", ""),
+        "accuracy": {name: accuracy.get(name) for name in ("rotation_deg", "translation_m")} if accuracy else None,
+        "body_from_lidar": None if body is None else _matrix(body),
+        "cameras": cameras,
+    }
 
 
 def _matrix(pose: Float) -> str:
@@ -352,41 +280,5 @@ def _pose(value: Any) -> Float | None:
     return matrix if matrix.shape == (4, 4) and np.isfinite(matrix).all() else None
 
 
-# ---- HTML
-
-
-def _text(value: Any, *, lines: bool = False) -> str:
-    """Return a text escaped for HTML and its attributes; control characters are written out."""
-    texts = str(value).split("\n") if lines else [str(value)]
-    return "\n".join(escape(printable(text, 5000)) for text in texts)
-
-
-def _badge(trust: str) -> str:
-    known = trust if trust in list(Trust) else "refused"
-    return f'<span class="verdict {known}">{_text(trust)}</span>'
-
-
-def _paste(text: str) -> str:
-    return f'<pre class="paste" title="one click selects all" tabindex="0">{_text(text, lines=True)}</pre>'
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]], texts: int) -> str:
-    """Return a table whose cells are HTML already; the first `texts` columns are texts."""
-    kinds = [' class="text"' if column < texts else "" for column in range(max(map(len, [head, *rows])))]
-    top = "".join(f"<th{kind}>{_text(name)}</th>" for kind, name in zip(kinds, head, strict=False))
-    body = "".join(
-        "<tr>" + "".join(f"<td{kind}>{cell}</td>" for kind, cell in zip(kinds, row, strict=False)) + "</tr>"
-        for row in rows
-    )
-    head_row = f"<thead><tr>{top}</tr></thead>" if top else ""
-    return f'<div class="scroll"><table>{head_row}<tbody>{body}</tbody></table></div>'
-
-
 def _map(value: Any) -> Mapping[str, Any]:
     return value if isinstance(value, Mapping) else {}
-
-
-def _number(value: Any, places: int) -> str:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        return "-"
-    return f"{value:.{places}f}"

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import os
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from p2o.errors import InputError
 
@@ -31,6 +35,27 @@ def write_whole(path: Path | str, data: bytes) -> None:
     except OSError as problem:
         got = problem.strerror or str(problem)
         raise InputError("cannot write the file", where=path, got=got, hint=_hint(path)) from problem
+
+
+def json_text(value: Any) -> str:
+    """Return a value as JSON text with indentation, ending in a newline."""
+    return json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write a value as `json_text`; raises InputError as `write_whole`, and OSError if the folder cannot be created."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, json_text(value).encode())
+
+
+@contextlib.contextmanager
+def write_errors(what: str, where: Path, hint: str | None = None) -> Iterator[None]:
+    """Convert errors of the operating system to InputError "cannot write WHAT"; `where` is the file or folder."""
+    try:
+        yield
+    except OSError as problem:
+        got = problem.strerror or str(problem)
+        raise InputError(f"cannot write {what}", where=where, got=got, hint=hint) from problem
 
 
 def _hint(path: Path) -> str:

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, requires
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pluggy
 
@@ -26,6 +26,9 @@ from p2o.errors import LONGEST, InputError, MethodUnavailable, P2OError, PluginE
 from p2o.files.input_file import MAX_TEXT_BYTES, expanded, read_bytes
 from p2o.host import hookspecs
 from p2o.host.method import PLUGIN_API, Kind, Method
+
+if TYPE_CHECKING:
+    from packaging.requirements import Requirement
 
 GROUP = "p2o"
 DISTRIBUTION = "p2o-calib"
@@ -393,15 +396,25 @@ def requirement(offer: Offer) -> str:
     These are the packages of the extra of the method's distribution: the distribution itself may be on no index.
     """
     extra = offer.method.extra
-    if not extra:
-        return ""
+    packages = [f'"{package}"' for package in requirements(offer.dist, extra)] if extra else []
+    return " ".join(packages) or extra
+
+
+def requirements(dist: str, extra: str = "") -> list[Requirement]:
+    """Return the packages that an extra of a distribution requires, or the distribution itself, without markers."""
+    from packaging.requirements import InvalidRequirement, Requirement
+
     try:
-        required = requires(offer.dist) or []
-    except PackageNotFoundError:
-        required = []
-    of_extra = re.compile(rf"""([^;]+);.*\bextra\s*==\s*['"]{re.escape(extra)}['"]""")
-    packages = [match[1].strip() for text in required if (match := of_extra.fullmatch(text.strip()))]
-    return " ".join(f'"{package}"' for package in packages) or extra
+        packages = [Requirement(text) for text in requires(dist) or []]
+    except (PackageNotFoundError, InvalidRequirement):
+        return []
+    required = []
+    for package in packages:
+        marker, package.marker = package.marker, None
+        of_extra = marker is not None and "extra" in str(marker)
+        if of_extra == bool(extra) and (marker is None or marker.evaluate({"extra": extra})):
+            required.append(package)
+    return required
 
 
 def _raised(offer: Offer, doing: str, problem: BaseException) -> PluginError:

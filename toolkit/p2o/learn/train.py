@@ -16,7 +16,7 @@ from p2o.errors import InputError
 from p2o.files.file_names import distinct_names
 from p2o.files.input_file import expanded, read_text
 from p2o.files.parsed_text import parse_json
-from p2o.files.whole_file import write_whole
+from p2o.files.whole_file import write_errors, write_whole
 from p2o.frames.selection import select
 from p2o.host.guard import GuardedDataset, trainer_of
 from p2o.host.method import Trainer, TrainingGroup, TrainingProgress
@@ -130,11 +130,8 @@ def write_labels(
     written = []
     for source in sources:
         folder = out / source.folder
-        try:
+        with write_errors("labels", folder, "choose another --out"):
             folder.mkdir(parents=True, exist_ok=True)
-        except OSError as problem:
-            text = "labels cannot be written"
-            raise InputError(text, where=folder, got=problem.strerror, hint="choose another --out") from problem
         write_whole(folder / "labels.json", (json.dumps(source.version, indent=1) + "\n").encode())
         paths = [folder / name for name in source.files(trainer)]
         for index, path in zip(source.chosen, paths, strict=True):

@@ -135,6 +135,12 @@ def figure_lines(values: Mapping[str, Value]) -> list[Line]:
     return [(label, ", ".join(filter(None, texts))) for label, texts in by_label.items() if any(texts)]
 
 
+def result_name(result: Result, camera: str = "") -> str:
+    """Return the frame of a result or the number of its frames, with the camera unless the frame names it."""
+    name = result.frames[0] if len(result.frames) == 1 else f"{len(result.frames)} frames jointly"
+    return name if camera in name else f"{name} ({camera})"
+
+
 def result_lines(result: Result) -> list[Line]:
     """Return the lines of all figures and notes of a result."""
     notes = ((note.label, text) for note in NOTES for text in note.texts(result))

@@ -5,13 +5,13 @@ The dataclasses are the schema (`p2o.results.json_types`). NaN is null, infiniti
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any, TypeVar
 
 from p2o.errors import InputError
 from p2o.files.parsed_text import parse_json
+from p2o.files.whole_file import json_text
 from p2o.results.check import Check, Watch
 from p2o.results.figures import figure_values
 from p2o.results.json_types import Schema, json_tree
@@ -70,7 +70,7 @@ def result_from_dict(value: Any) -> Result:
 
 def result_to_json(result: Result) -> str:
     """Return a result as JSON text with indentation, ending in a newline."""
-    return json.dumps(result_to_dict(result), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+    return json_text(result_to_dict(result))
 
 
 def result_from_json(text: str) -> Result:

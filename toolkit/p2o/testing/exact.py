@@ -88,6 +88,13 @@ def require_near(pose: Float, truth: Float, angle_deg: float, distance_m: float)
     )
 
 
+def nearest_m(xyz: Float, others: Float) -> Float:
+    """Return the distance (N,) in m of each point (N, 3) to the nearest of the others."""
+    from scipy.spatial import cKDTree
+
+    return np.asarray(cKDTree(others).query(xyz)[0])
+
+
 _PREFIXES = ("image-", "cloud-")
 
 

@@ -128,6 +128,7 @@ class Workers:
             f"the worker process died in each of {1 + _TRIES_ALONE} attempts, {_TRIES_ALONE} of them without other "
             "jobs",
             expected="a job that returns",
+            # loky reports the signal.
             got=", ".join(sorted(set(re.findall(r"SIG[A-Z]+", str(death))))) or type(death).__name__,
             hint="out of memory: use fewer --jobs or smaller frames; or native code has crashed",
         )
@@ -277,12 +278,6 @@ def _deaths(backend: Backend) -> tuple[type[BaseException], ...]:
     if backend == "ray":
         return (importlib.import_module("ray").exceptions.RayActorError,)
     return (concurrent.futures.BrokenExecutor,)
-
-
-def _cause_of_death(death: BaseException | None) -> str:
-    """Return the cause of death of a worker; loky reports the signal."""
-    signals = sorted(set(re.findall(r"SIG[A-Z]+", str(death))))
-    return ", ".join(signals) or type(death).__name__
 
 
 def _numbered(work: Work, batch: list[tuple[int, Any]]) -> tuple[float, list[tuple[int, Any]]]:

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 at_most_option = click.option(
     "--at-most", type=click.IntRange(min=1), metavar="N", help="Confirm up to N calibrations, if more than 100,000."
 )
+jobs_option = click.option(
+    "--jobs", type=click.IntRange(min=1), default=1, show_default=True, metavar="N", help="Number of processes."
+)
 
 
 @click.command("ablate")

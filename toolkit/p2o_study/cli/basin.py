@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,7 @@ import click
 from p2o.cli.plugin_options import plugin_options
 from p2o.errors import InputError
 
-from p2o_study.cli.ablate import at_most_option, progress_shown
+from p2o_study.cli.ablate import at_most_option, jobs_option, progress_shown
 
 _ROTATIONS = "0.5,1,2,4,8"
 _TRANSLATIONS = "0.05,0.15,0.3,0.6"
@@ -42,9 +41,7 @@ _TRANSLATIONS = "0.05,0.15,0.3,0.6"
 @click.option("--joint", is_flag=True, help="Calibrate all frames jointly.")
 @click.option("--study", metavar="STUDY", help="METHOD may be a label of a row of this study, with its options.")
 @click.option("--out", default="p2o-out/basin", show_default=True, metavar="DIR", help="Folder of rows and results.")
-@click.option(
-    "--jobs", type=click.IntRange(min=1), default=1, show_default=True, metavar="N", help="Number of processes."
-)
+@jobs_option
 @click.option("--quiet", is_flag=True, help="No progress.")
 @plugin_options
 def command(
@@ -70,7 +67,7 @@ def command(
     Started again, it continues with the missing rows. Writes basin.png, basin.json and the rows (study.sqlite) to DIR.
     """
     from p2o.draw.plots import heat_maps
-    from p2o.files.whole_file import write_whole
+    from p2o.files.whole_file import write_json
     from p2o.geometry.perturb import parse_perturbation
     from p2o.work.parallel import Workers
 
@@ -115,7 +112,7 @@ def command(
         "joint": joint,
         "methods": [basin.as_dict() for basin in basins],
     }
-    write_whole(Path(out) / "basin.json", (json.dumps(report, indent=1, allow_nan=False) + "\n").encode())
+    write_json(Path(out) / "basin.json", report)
     heat_maps(
         {basin.name: basin.success for basin in basins},
         grid.rotations_deg,

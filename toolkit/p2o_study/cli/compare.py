@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import click
 from p2o.cli.plugin_options import plugin_options
 from p2o.cli.pose_options import StartCommand
 
-from p2o_study.cli.ablate import at_most_option, progress_shown
+from p2o_study.cli.ablate import at_most_option, jobs_option, progress_shown
 
 
 @click.command("compare", cls=StartCommand)
@@ -31,9 +30,7 @@ from p2o_study.cli.ablate import at_most_option, progress_shown
 )
 @at_most_option
 @click.option("--out", default="p2o-out/compare", show_default=True, metavar="DIR", help="Folder of rows and page.")
-@click.option(
-    "--jobs", type=click.IntRange(min=1), default=1, show_default=True, metavar="N", help="Number of processes."
-)
+@jobs_option
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else on stdout.")
 @click.option("--quiet", is_flag=True, help="No progress.")
 @plugin_options
@@ -63,7 +60,7 @@ def command(
 
     Exit status 1 if a calibration crashed or a method gives no estimate, 2 for wrong input, 130 if interrupted.
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
-    from p2o.files.whole_file import write_whole
+    from p2o.files.whole_file import json_text, write_json, write_whole
     from p2o.work.parallel import Workers
 
     from p2o_study.ablate import parse_seeds
@@ -91,10 +88,9 @@ def command(
         click.echo(f"p2o: interrupted; {len(done.rows)} rows are kept in {out}; the same command continues", err=True)
         return 130
     plain = {**asdict(comparison), "not_observable": BLIND}
-    content = json.dumps(plain, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
-    write_whole(Path(out) / "compare.json", content.encode())
+    write_json(Path(out) / "compare.json", plain)
     write_whole(Path(out) / "compare.html", comparison_page(comparison).encode())
-    click.echo(content if as_json else comparison_text(comparison), nl=False)
+    click.echo(json_text(plain) if as_json else comparison_text(comparison), nl=False)
     if not as_json:
         click.echo(f"wrote {Path(out) / 'compare.html'}; single calibrations: p2o report {out}")
     crashed = any(outcome.crashed for outcome in comparison.outcomes.values())

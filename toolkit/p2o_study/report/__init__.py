@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from p2o.errors import InputError, UnknownNameError, printable
 from p2o.files.input_file import expanded
-from p2o.files.whole_file import make_writable, write_whole
+from p2o.files.whole_file import make_writable, write_errors, write_whole
 from p2o.host.registry import Registry
 
 if TYPE_CHECKING:
@@ -48,12 +48,8 @@ def write_report(
     folder = expanded(folder)
     summaries = _summaries(folder, studies)
     home = folder / "report" if out is None else expanded(out)
-    try:
+    with write_errors("the report", home, "choose another --out"):
         make_writable(home)
-    except OSError as problem:
-        raise InputError(
-            "cannot write the report", where=home, got=problem.strerror or str(problem), hint="choose another --out"
-        ) from problem
     tell = on_progress or (lambda what, done, total: None)
     images = OverlayImages()
     if data:

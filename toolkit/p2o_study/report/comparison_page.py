@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from html import escape
-
-from p2o.draw.one_file import filled, part
+from p2o.draw.one_file import rendered
 from p2o.errors import printable
 
 from p2o_study.compare import BLIND, Comparison
@@ -68,27 +65,12 @@ def comparison_page(comparison: Comparison) -> str:
     names = [s.name for s in comparison.ranking]
     apart = {frozenset((a, b)): f"{deg:.2f} deg {100 * m:.1f} cm" for a, b, deg, m in comparison.distances}
     pairs = [["", *names], *([a, *(apart.get(frozenset((a, b)), NONE) for b in names)] for a in names)]
-    facts = (
-        f"{comparison.frames} frames in {comparison.groups} disjoint groups, each calibrated jointly by every method,"
+    return rendered(
+        "p2o_study.report/comparison.html",
+        style="p2o.draw/run_page.css",
+        title="Comparison of methods without ground truth",
+        comparison=comparison,
+        ranking=table_of(comparison, brief=False),
+        distances=pairs,
+        remarks=(*comparison.remarks, BLIND),
     )
-    facts += f" from initial guesses that are off by {comparison.perturb}."
-    parts = {
-        "title": "Comparison of methods without ground truth",
-        "style": part("run_page.css"),
-        "summary": _html(facts),
-        "sentence": _html(comparison.sentence),
-        "ranking": _table(table_of(comparison, brief=False)),
-        "distances": _table(pairs),
-        "remarks": "".join(f"<li>{_html(line)}</li>" for line in (*comparison.remarks, BLIND)),
-    }
-    return filled(part("comparison.html", __package__), parts, scripts=())
-
-
-def _table(rows: Sequence[Sequence[str]]) -> str:
-    tags = ["th", *["td"] * (len(rows) - 1)]
-    cells = ["".join(f"<{tag}>{_html(cell)}</{tag}>" for cell in row) for tag, row in zip(tags, rows, strict=True)]
-    return f'<div class="scroll"><table>{"".join(f"<tr>{row}</tr>" for row in cells)}</table></div>'
-
-
-def _html(text: str) -> str:
-    return escape(printable(text, 2000))

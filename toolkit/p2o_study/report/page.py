@@ -10,8 +10,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 from p2o.arrays import Float
-from p2o.draw.one_file import filled, part
+from p2o.draw.one_file import part, rendered
 from p2o.errors import printable
 from p2o.geometry.pose_error import AXES
 from p2o.results.figures import figure_lines
@@ -59,15 +60,15 @@ def page(summaries: Sequence[Summary], images: OverlayImages, library: str) -> s
         "rule": RULE,
         "noPlots": "" if library else f"{NO_PLOTS}. The figures beside this page, PNG and SVG, show the same.",
     }
-    script, style = part("page.js", __package__), part("page.css", __package__)
-    parts = {"title": "p2o report", "style": style, "library": library, "script": script, "data": _json(data)}
-    return filled(part("page.html", __package__), parts, scripts=(library, script))
+    scripts = (library, part("p2o_study.report/page.js"))
+    template, style = "p2o_study.report/page.html", "p2o_study.report/page.css"
+    return rendered(template, style=style, scripts=scripts, title="p2o report", data=_json(data))
 
 
-def _json(value: Any) -> str:
+def _json(value: Any) -> Markup:
     """Return JSON for a script element: `<` is escaped, so that no text can end the element."""
     text = json.dumps(_shown(value), allow_nan=False, ensure_ascii=False, separators=(",", ":"))
-    return text.replace("<", "\\u003c")
+    return Markup(text.replace("<", "\\u003c"))
 
 
 def _shown(value: Any) -> Any:

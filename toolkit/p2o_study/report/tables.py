@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from p2o.errors import printable
 
@@ -70,29 +70,35 @@ def tables_of(group: Group, summary: Summary) -> list[Table]:
 
 def markdown(summaries: Sequence[Summary], figures: Callable[[Summary], Sequence[tuple[str, str]]]) -> str:
     """Return the report as Markdown; `figures` gives (title, file name) of the figures of a study."""
-    parts = ["# Report\n"]
-    for summary in summaries:
-        parts.append(f"## {_md(summary.title)}\n")
-        if summary.note:
-            parts.append(f"{_md(summary.note)}\n")
-        for group in summary.groups:
-            parts += [_markdown_table(table) for table in tables_of(group, summary)]
-        parts += [f"{_md(line)}\n" for line in summary.pooled]
-        parts += [f"![{_md(title)}]({file})\n" for title, file in figures(summary)]
-    parts += ["## How to read it\n", *(f"{note}\n" for note in NOTES)]
-    return "\n".join(parts)
+    return _rendered("report.md", summaries, figures=figures)
 
 
 def latex(summaries: Sequence[Summary]) -> str:
     r"""Return the tables as LaTeX, to be \input in a document that loads booktabs and graphicx."""
-    parts = [r"% \usepackage{booktabs,graphicx}"]
-    for summary in summaries:
-        parts.append(f"\n% {_one_line(summary.name)}")
-        for group in summary.groups:
-            parts += [_latex_table(table, summary) for table in tables_of(group, summary)]
-        parts += [f"% {_one_line(line)}" for line in summary.pooled]
-    parts += ["", *(f"% {note}" for note in NOTES)]
-    return "\n".join(parts) + "\n"
+    return _rendered("report.tex", summaries)
+
+
+def _rendered(template: str, summaries: Sequence[Summary], **values: Any) -> str:
+    """Return the text of a template, which escapes texts by its filters `md`, `tex` and `one_line`."""
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader(__package__, "."),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        # The default delimiters are LaTeX.
+        block_start_string="<%",
+        block_end_string="%>",
+        variable_start_string="<<",
+        variable_end_string=">>",
+        comment_start_string="<#",
+        comment_end_string="#>",
+    )
+    environment.filters |= {"md": _md, "tex": _tex, "one_line": _one_line}
+    content = {"summaries": summaries, "tables_of": tables_of, "notes": NOTES, **values}
+    return environment.get_template(template).render(content)
 
 
 def unit_of(metric: str) -> tuple[str, float, int]:
@@ -229,23 +235,6 @@ def _figure(row: Measured | Published, group: Group, metric: str, statistic: str
     return Cell(shown(value, metric), "bold" if leads else "")
 
 
-def _markdown_table(table: Table) -> str:
-    marks = {"": "", "bold": "**", "italic": "*"}
-    lines = [
-        f"**{_md(table.caption)}**",
-        "",
-        _md_row(map(_md, table.header)),
-        _md_row([":--", *["--:"] * (len(table.header) - 1)]),
-        *(_md_row(marks[c.style] + _md(c.text) + marks[c.style] for c in row) for row in table.rows),
-        "",
-    ]
-    return "\n".join(lines)
-
-
-def _md_row(cells: Iterable[str]) -> str:
-    return f"| {' | '.join(cells)} |"
-
-
 def _md(text: str) -> str:
     """Escape a text for Markdown: one line without marks, links and formulas."""
     plain = _one_line(text)
@@ -257,27 +246,6 @@ def _md(text: str) -> str:
 
 def _one_line(text: str) -> str:
     return printable(" ".join(text.split()))
-
-
-def _latex_table(table: Table, summary: Summary) -> str:
-    styles = {"": "{}", "bold": r"\textbf{{{}}}", "italic": r"\textit{{{}}}"}
-    body = [" & ".join(styles[c.style].format(_tex(c.text)) for c in row) + r" \\" for row in table.rows]
-    return "\n".join(
-        [
-            r"\begin{table}[htbp]",
-            r"\centering",
-            rf"\caption{{{_tex(summary.title)}. {_tex(table.caption)}.}}",
-            r"\resizebox{\linewidth}{!}{%",
-            rf"\begin{{tabular}}{{l{'r' * (len(table.header) - 1)}}}",
-            r"\toprule",
-            " & ".join(map(_tex, table.header)) + r" \\",
-            r"\midrule",
-            *body,
-            r"\bottomrule",
-            r"\end{tabular}}",
-            r"\end{table}",
-        ]
-    )
 
 
 _TEX = {

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from p2o.arrays import Float
 from p2o.errors import P2OError
 from p2o.frames.cloud import Cloud
 from p2o.frames.frame import Dataset, Frame
@@ -14,6 +11,7 @@ from p2o.geometry import se3
 from p2o.host.method import Kind
 from p2o.run.fit import FRAME_CONTENT
 from p2o.testing import stage
+from p2o.testing.exact import nearest_m
 from p2o.testing.same import Snapshot, require_equal
 from p2o.testing.subject import CheckFailed, Checks, NotApplicable, Subject, gives, lacking, require
 
@@ -121,13 +119,6 @@ def _join(subject: Subject) -> tuple[Cloud, str]:
     return cloud, snapshot.written
 
 
-def _gap_m(xyz: Float, others: Float) -> Any:
-    """Return the distance (N,) in m of each point (N, 3) to the nearest of the others."""
-    from scipy.spatial import cKDTree
-
-    return cKDTree(others).query(xyz)[0]
-
-
 @ACCUMULATORS.of()
 def joined_points_lie_on_surfaces(subject: Subject) -> None:
     """Nearly all points of three joined sweeps lie on the stage, seen from the LiDAR of their own frame.
@@ -149,7 +140,7 @@ def joined_points_lie_on_surfaces(subject: Subject) -> None:
 def joined_sweeps_hold_the_frames_own(subject: Subject) -> None:
     """The points of the frame itself are among the joined ones, or within a voxel of 20 cm of one."""
     cloud, _ = subject.once(_join)
-    missed = float((_gap_m(stage.drive()[_REFERENCE].cloud.xyz, cloud.xyz) > 0.2).mean())
+    missed = float((nearest_m(stage.drive()[_REFERENCE].cloud.xyz, cloud.xyz) > 0.2).mean())
     require(missed <= 0.05, f"{100 * missed:.0f} % of the frame's own points are not in the joined sweep")
 
 
@@ -159,7 +150,7 @@ def joined_sweeps_hold_more(subject: Subject) -> None:
     cloud, _ = subject.once(_join)
     if len(_frames(subject)) == 1:
         raise NotApplicable("its default options join no neighbours")
-    more = int((_gap_m(cloud.xyz, stage.drive()[_REFERENCE].cloud.xyz) > 0.02).sum())
+    more = int((nearest_m(cloud.xyz, stage.drive()[_REFERENCE].cloud.xyz) > 0.02).sum())
     require(more >= 100, f"only {more} of {len(cloud)} points are not of the frame's own sweep")
 
 
@@ -187,5 +178,5 @@ def a_frame_alone_stays_as_it_is(subject: Subject) -> None:
     except P2OError as problem:
         require("raised" not in str(problem), str(problem))
         return
-    off_m = float(_gap_m(cloud.xyz, frame.cloud.xyz).max())
+    off_m = float(nearest_m(cloud.xyz, frame.cloud.xyz).max())
     require(off_m <= 0.05, f"a frame alone has a point {off_m:.2f} m from its own sweep")

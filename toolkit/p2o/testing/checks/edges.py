@@ -11,6 +11,7 @@ from p2o.features.edges import CloudEdges
 from p2o.features.side import Side
 from p2o.testing import stage
 from p2o.testing.checks.extractors import CLOUDS, IMAGES, look, seen
+from p2o.testing.exact import nearest_m
 from p2o.testing.subject import Subject, both, but, gives, needs, require
 
 _image_edges, _cloud_edges = gives("image-edges"), gives("cloud-edges")
@@ -53,25 +54,21 @@ def image_edges_lie_on_outlines(subject: Subject) -> None:
 @CLOUDS.of(_cloud_edges)
 def cloud_edges_lie_on_surfaces(subject: Subject) -> None:
     """Edges are found on the test stage, and each lies within half a metre of a measured point."""
-    from scipy.spatial import cKDTree
-
     cloud, edges = subject.frames[0].cloud, _edges(subject)
     require(len(edges), "no edges on a sweep of five plates in front of a wall")
-    distance = np.asarray(cKDTree(cloud.xyz).query(edges.xyz)[0])
+    distance = nearest_m(edges.xyz, cloud.xyz)
     require(distance.max() <= 0.5, f"an edge lies {distance.max():.2f} m from the nearest point")
 
 
 @CLOUDS.of(_cloud_edges)
 def cloud_edges_lie_on_outlines(subject: Subject) -> None:
     """At least half of the edges lie within 15 cm of an outline (of their side, where sides are given)."""
-    from scipy.spatial import cKDTree
-
     edges, truth = _on_the_stage(subject)
     near = np.zeros(len(edges), bool)
     for side in np.unique(edges.side):
         rows, known = edges.side == side, truth.side == side
         if known.any():
-            near[rows] = cKDTree(truth.xyz[known]).query(edges.xyz[rows])[0] <= 0.15
+            near[rows] = nearest_m(edges.xyz[rows], truth.xyz[known]) <= 0.15
     require(near.any(), "no edge is within 15 cm of an outline")
     require(near.mean() >= 0.5, f"only {100 * near.mean():.0f} % of the edges are within 15 cm of an outline")
 
