@@ -42,6 +42,7 @@ def test_the_method_of_every_slot_loads_from_its_file_and_keeps_its_promises(
     assert ("ok " in out) == (slot != "dataset")  # one that reads files is checked by its own tests
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("slot", ["image-extractor", "dataset"])
 def test_its_own_tests_pass_once_it_is_installed(slot: str, tmp_path: Path) -> None:
     root, site = written(tmp_path, slot), tmp_path / "site"

@@ -56,6 +56,7 @@ def test_a_text_that_is_gone_is_named_and_nothing_runs(tree: Path, monkeypatch, 
     assert capsys.readouterr().err == f"gone: {FAULT.path}: the text is there 0 times instead of once: 4 * x\n"
 
 
+@pytest.mark.system
 def test_a_fault_is_caught_by_the_nearest_test_and_undone(tree: Path, tmp_path: Path):
     copy, sound = trees(tree, tmp_path)
     outcome = tried(FAULT, copy, sound, 2)
@@ -63,6 +64,7 @@ def test_a_fault_is_caught_by_the_nearest_test_and_undone(tree: Path, tmp_path: 
     assert (copy.root / FAULT.path).read_text() == (tree / FAULT.path).read_text()
 
 
+@pytest.mark.system
 def test_a_fault_that_no_test_sees_survives_a_test_that_always_fails(tree: Path, tmp_path: Path):
     (tree / "tests/test_sums.py").write_text("def test_nothing():\n    pass\n")
     outcome = tried(FAULT, *trees(tree, tmp_path), 2)
