@@ -152,7 +152,7 @@ def _camera(bag: Bag, options: RosOptions, chosen: Chosen) -> RosCamera:
     topic = chosen.camera_info
     if topic is None:
         fault = "the bag has no CameraInfo"
-        hint = "give a YAML file with the camera: --set data.camera=FILE"
+        hint = "give a calibration file of any format (`p2o methods`): --set data.camera=FILE"
         raise InputError(fault, where=bag.path, expected="a topic of sensor_msgs/CameraInfo", hint=hint)
     message = bag.first(topic.name)
     where = Path(f"{bag.path}: {topic.name}")
@@ -243,7 +243,10 @@ def _extrinsic(tree: FrameTree, options: RosOptions, image_frame: str, cloud_fra
             got = f"frames {', '.join(tree.names) or '(none)'}"
             hint = "give the frames: --set data.image_frame=NAME, data.cloud_frame=NAME; or --set data.tf=ignore"
             raise InputError(fault, where=bag.path, expected="/tf_static from one to the other", got=got, hint=hint)
-        warning = f"{bag.name}: no static transforms of TF connect {lidar} and {camera}: no initial guess"
+        warning = (
+            f"{bag.name}: no static transforms of TF connect {lidar} and {camera}: no initial guess; frames of TF: "
+            f"{', '.join(tree.names)}: choose with data.cloud_frame or data.image_frame, or give --start"
+        )
         return _Extrinsic(None, (warning,))
     return _Extrinsic(pose)
 

@@ -163,6 +163,7 @@ def test_a_bag_without_the_transform_has_no_start_and_says_so(tmp_path: Path) ->
     frame = dataset(path)[0]
     assert frame.start is None
     assert "no static transforms of TF connect lidar and camera: no initial guess" in frame.warnings[0]
+    assert "frames of TF: base, map: choose with data.cloud_frame" in frame.warnings[0]
     with pytest.raises(InputError, match="no static transforms of TF connect"):
         dataset(path, tf="truth")
 
@@ -451,4 +452,4 @@ def test_several_cameras_of_a_bag_are_a_rig(tmp_path: Path) -> None:
 
 def test_the_dataset_keeps_the_contract_of_its_slot(tmp_path: Path) -> None:
     path = write_bag(tmp_path, drive(intensity=np.ones(200, np.float32), t=np.linspace(0, 1e8, 200).astype(np.uint32)))
-    assert main(["check-plugin", "ros", "--set", f"data.root={path}"]) == 0
+    assert main(["plugin", "check", "ros", "--set", f"data.root={path}"]) == 0

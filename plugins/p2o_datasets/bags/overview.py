@@ -64,7 +64,7 @@ def chosen_words(bag: Bag) -> dict[str, str]:
     return {
         "image": chosen.image.name,
         "cloud": chosen.cloud.name,
-        "camera": info.name if info else "none: give a YAML file with the camera (--set data.camera=FILE)",
+        "camera": info.name if info else "none: give a calibration file (--set data.camera=FILE)",
         "start": start,
     }
 
@@ -77,8 +77,11 @@ def _start_words(bag: Bag, chosen: Chosen) -> str:
         header = read_header(message.data, ros1=message.ros1, where=f"{bag.path}: {topic}")
         frames.append(bare(header.frame_id))
     camera, lidar = frames
-    joined = read_frame_tree(bag).pose(camera, lidar) is not None
-    return ("TF connects" if joined else "none: no static transforms of TF connect") + f" {lidar} and {camera}"
+    tree = read_frame_tree(bag)
+    if tree.pose(camera, lidar) is not None:
+        return f"TF connects {lidar} and {camera}"
+    names = f"; frames of TF: {', '.join(tree.names)} (data.cloud_frame, data.image_frame)" if tree.names else ""
+    return f"none: no static transforms of TF connect {lidar} and {camera}{names}"
 
 
 def _topic(bag: Bag, topic: Topic) -> TopicOverview:

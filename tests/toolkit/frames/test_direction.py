@@ -105,3 +105,35 @@ def test_a_pose_that_shows_nothing_either_way_is_worth_a_warning() -> None:
     down = se3.make(np.diag([1.0, -1.0, -1.0]))
     (warning,) = check_direction(cloud(180), CAMERA, down)
     assert warning == "no point of the sweep lies in the image at start"
+
+
+@pytest.mark.parametrize("yaw_deg", [60, 90, 180, -45])
+@pytest.mark.parametrize("inverse", [False, True])
+def test_a_quaternion_in_the_other_order_is_named(yaw_deg: float, inverse: bool) -> None:
+    from scipy.spatial.transform import Rotation
+
+    body = se3.make(Rotation.from_euler("zyx", [yaw_deg, 2, -3], degrees=True).as_matrix())
+    good = VELO_TO_CAM @ se3.inverse(body)
+    assert check_direction(street(), CAMERA, good) == ()
+    written = se3.inverse(good) if inverse else good
+    x, y, z, w = Rotation.from_matrix(written[:3, :3]).as_quat()
+    bad = se3.make(Rotation.from_quat([w, x, y, z]).as_matrix(), written[:3, 3])
+    try:
+        texts = check_direction(street(), CAMERA, se3.inverse(bad) if inverse else bad, where="frame.yaml")
+    except InputError as problem:
+        texts = (str(problem),)
+    assert "p2o and ROS have x y z w" in " ".join(texts)
+
+
+def test_a_camera_on_its_side_is_warned_of_but_not_refused() -> None:
+    for angle_deg in (90, 180, -90):
+        c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
+        rolled = se3.make([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ VELO_TO_CAM
+        assert all("unless that is right" in text for text in check_direction(street(), CAMERA, rolled))
+
+
+def test_a_translation_in_millimetres_is_named() -> None:
+    wrong = VELO_TO_CAM.copy()
+    wrong[:3, 3] = (-4.0, -76.0, -270.0)
+    texts = check_direction(street(), CAMERA, wrong, name="truth", where="frame.yaml")
+    assert "frame.yaml: the translation of truth is 280.5 m long: if it is in millimetres, divide it by 1000" in texts

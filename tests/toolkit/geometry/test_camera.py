@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import Camera, InputError, UnknownNameError
+from p2o.geometry.camera import centre_remark
 
 WIDTH, HEIGHT = 1242, 375
 PARAMS: dict[str, tuple[float, ...]] = {
@@ -302,3 +303,28 @@ def test_lenses_that_are_the_same_all_around_fold_where_a_look_all_around_says(c
         patch.setattr(Camera, "_is_radial", False)
         expected = around._max_tangent
     assert camera._max_tangent == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("model", ["PINHOLE", "OPENCV_FISHEYE"])
+@pytest.mark.parametrize("scale", [0.5, 0.25, 2.0])
+def test_the_intrinsics_of_an_image_of_another_size_are_named_with_the_factor(model: str, scale: float) -> None:
+    width, height = round(1242 * scale), round(375 * scale)
+    params = (720.0, 720.0, 609.0, 173.0, *((0.0,) * 4 if model != "PINHOLE" else ()))
+    (text,) = centre_remark(Camera(model, width, height, params))
+    assert "if the images were resized, scale fx, fy, cx, cy by about" in text
+    assert float(text.rpartition(" ")[2]) == pytest.approx(scale, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("size", "centre"), [((1242, 375), (609, 173)), ((1600, 900), (816, 491)), ((1920, 886), (961, 587))]
+)
+def test_intrinsics_of_whole_and_cropped_images_are_not_doubted(
+    size: tuple[int, int], centre: tuple[float, float]
+) -> None:
+    assert centre_remark(Camera.pinhole(700, 700, *centre, *size)) == ()
+
+
+def test_a_principal_point_outside_the_image_is_named_without_a_factor_if_the_axes_differ() -> None:
+    (text,) = centre_remark(Camera.pinhole(700, 700, 700, 190, 640, 375))
+    assert text.startswith("the principal point (700, 190) is outside the image of 640x375 px")
+    assert text.endswith("scale fx, fy, cx, cy with the image")

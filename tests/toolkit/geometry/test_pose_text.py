@@ -97,6 +97,7 @@ ROWS = "3 or 4 rows of 4 numbers, or translation_m with one of rotation_xyzw, ro
         ({"rpy_deg": [0, 0, 0], "rpy_rad": [0, 0, 0], "translation_m": [0, 0, 0]}, "start is not a pose"),
         ({"rpy_deg": [0, 0], "translation_m": [0, 0, 0]}, r"start\.rpy_deg is not valid; expected 3 finite numbers"),
         ({"rpy_deg": [0, 0, 0], "translation_m": 5}, r"start\.translation_m is not valid"),
+        ({"rpy_rad": [-91, 0, 90], "translation_m": [0, 0, 0]}, "an angle of start is more than a full turn.*rpy_deg"),
         ({"rotation": [1, 0, 0], "translation_m": [0, 0, 0]}, r"start\.rotation is not valid; expected 3x3"),
         ({"lidar_from_camera": 3}, rf"start\.lidar_from_camera is not a pose; expected {ROWS}"),
         ({"rotation_xyzw": [0, 0, 0, 1e300], "translation_m": [0, 0, 0]}, "the quaternion of start is not a rotation"),

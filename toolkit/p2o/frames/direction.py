@@ -1,4 +1,4 @@
-"""Detect a pose that is lidar_from_camera instead of camera_from_lidar.
+"""Detect a pose that is lidar_from_camera instead of camera_from_lidar, in millimetres, or of a reordered quaternion.
 
 There are two criteria: whether the sweep projects into the image, and whether the vertical of the scene is upright in
 the image. The vertical is estimated from the points of the sweep, for any axes of the LiDAR. docs/datasets.md gives
@@ -19,6 +19,8 @@ from p2o.geometry import se3
 from p2o.geometry.camera import Camera
 
 _HINT = "give its inverse, the pose that takes LiDAR points to the camera (x right, y down, z forward)"
+_REORDERED = "write its quaternion in the other order (p2o and ROS have x y z w, others w x y z)"
+_MILLIMETRES = "if it is in millimetres, divide it by 1000"
 # Estimate of the vertical: maximum and minimum number of points, minimum ratio of the scatter along other axes to that
 # along the vertical, and maximum range, which excludes hills and towers.
 _SAMPLE, _FEW, _FLATTER, _NEAR_M = 20_000, 100, 2.0, 30.0
@@ -28,6 +30,12 @@ _SHARPEST_M, _LOOKS_DOWN, _SURE = 0.01, 10.0, 0.5
 # Angles of the camera to the vertical: a correct initial guess may have an error of 20 deg and tilted sensors; a camera
 # on its side is at 90 deg.
 _UPRIGHT_DEG, _NOT_UPRIGHT_DEG, _START_OFF_DEG = 45.0, 52.0, 25.0
+# A random reordered quaternion is rarely within this limit, which is narrower than that of the inverse.
+_REORDERED_UPRIGHT_DEG = 25.0
+# Shares of the points that have to be in the image, and their minimum number, to say what is wrong with a pose.
+_SEEN_SHARE, _SEEN = 0.01, 20
+_LONG_M = 30.0
+"""Length of a translation from which it is probably in millimetres: rigs are smaller."""
 
 
 class Direction(Enum):
@@ -36,12 +44,15 @@ class Direction(Enum):
     PLAUSIBLE = "camera_from_lidar"
     NOTHING_VISIBLE = "no point in the image"
     POSSIBLY_INVERSE = "upright only as lidar_from_camera"
+    POSSIBLY_REORDERED = "upright only with the quaternion in the other order"
 
     def warnings(self, name: str, where: object = None) -> tuple[str, ...]:
         """Return the warnings about the pose `name` from the file `where`."""
         prefix = "" if where is None else f"{where}: "
         if self is Direction.NOTHING_VISIBLE:
             return (f"{prefix}no point of the sweep lies in the image at {name}",)
+        if self is Direction.POSSIBLY_REORDERED:
+            return (f"{prefix}the scene is not upright or not visible at {name}: unless that is right, {_REORDERED}",)
         if self is Direction.POSSIBLY_INVERSE:
             return (f"{prefix}{name} may be lidar_from_camera: its inverse stands upright; if so, {_HINT}",)
         return ()
@@ -58,8 +69,18 @@ class Vertical:
 def check_direction(
     cloud: Cloud, camera: Camera, camera_from_lidar: Float, *, name: str = "start", where: object = None
 ) -> tuple[str, ...]:
-    """Return the outcome of `pose_direction` as warnings; raises as `pose_direction`."""
-    return pose_direction(cloud, camera, camera_from_lidar, name=name, where=where).warnings(name, where)
+    """Return the outcomes of `pose_direction` and `unit_remark` as warnings; raises as `pose_direction`."""
+    direction = pose_direction(cloud, camera, camera_from_lidar, name=name, where=where)
+    return (*direction.warnings(name, where), *unit_remark(camera_from_lidar, name, where))
+
+
+def unit_remark(camera_from_lidar: Float, name: str, where: object = None) -> tuple[str, ...]:
+    """Return a warning about a translation of more than 30 m, which is probably in millimetres."""
+    length_m = se3.distance_m(camera_from_lidar)
+    if length_m < _LONG_M:
+        return ()
+    prefix = "" if where is None else f"{where}: "
+    return (f"{prefix}the translation of {name} is {length_m:.4g} m long: {_MILLIMETRES}",)
 
 
 def pose_direction(
@@ -69,7 +90,8 @@ def pose_direction(
 
     Raises InputError if (nearly) no point projects into the image, also with a rotation error of 25 deg, but many do at
     the inverse. A sweep of 360 deg projects into the image at both poses: then a scene that is upright only at the
-    inverse is POSSIBLY_INVERSE, because a rolled camera gives the same observation.
+    inverse is POSSIBLY_INVERSE, because a rolled camera gives the same observation. A pose at which the scene is
+    upright and visible only if the numbers of its quaternion are read in the other order is POSSIBLY_REORDERED.
     """
     lidar_from_camera = se3.inverse(camera_from_lidar)
     up = vertical(cloud)
@@ -77,14 +99,36 @@ def pose_direction(
     falls = leans and up is not None and _lean_deg(lidar_from_camera, up) < _UPRIGHT_DEG
     seen, seen_around = _seen(cloud, camera, camera_from_lidar)
     seen_inverse, _ = _seen(cloud, camera, lidar_from_camera)
-    few = 0.01 * seen_inverse
-    if seen_inverse >= max(20, 0.01 * len(cloud)) and seen < few and (falls or seen_around < few):
+    few = _SEEN_SHARE * seen_inverse
+    enough = max(_SEEN, _SEEN_SHARE * len(cloud))
+    reordered = up is not None and (leans or not seen) and _is_reordered(cloud, camera, camera_from_lidar, up, enough)
+    if seen_inverse >= enough and seen < few and (falls or seen_around < few):
         text = f"{name} looks like lidar_from_camera"
         got = f"{seen} points in the image, {seen_inverse} with the inverse"
-        raise InputError(text, where=where, expected="camera_from_lidar", got=got, hint=_HINT)
-    if not seen:
-        return Direction.NOTHING_VISIBLE
-    return Direction.POSSIBLY_INVERSE if falls and seen_inverse else Direction.PLAUSIBLE
+        hint = f"{_HINT}; or {_REORDERED}" if reordered else _HINT
+        raise InputError(text, where=where, expected="camera_from_lidar", got=got, hint=hint)
+    if falls and seen and seen_inverse:
+        return Direction.POSSIBLY_INVERSE
+    if reordered:
+        return Direction.POSSIBLY_REORDERED
+    return Direction.PLAUSIBLE if seen else Direction.NOTHING_VISIBLE
+
+
+def _is_reordered(cloud: Cloud, camera: Camera, camera_from_lidar: Float, up: Vertical, enough: float) -> bool:
+    """Return whether the scene is upright and in the image if the quaternion of a pose is read as w x y z.
+
+    The quaternion may be that of the pose or of its inverse.
+    """
+    from scipy.spatial.transform import Rotation
+
+    for inverted in (False, True):
+        written = se3.inverse(camera_from_lidar) if inverted else camera_from_lidar
+        w, x, y, z = Rotation.from_matrix(written[:3, :3]).as_quat()
+        read = se3.make(Rotation.from_quat([x, y, z, w]).as_matrix(), written[:3, 3])
+        pose = se3.inverse(read) if inverted else read
+        if _lean_deg(pose, up) < _REORDERED_UPRIGHT_DEG and _seen(cloud, camera, pose)[0] >= enough:
+            return True
+    return False
 
 
 def vertical(cloud: Cloud) -> Vertical | None:

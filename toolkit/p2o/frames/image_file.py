@@ -180,6 +180,8 @@ def _check_size(have: tuple[int, int], path: object, what: str, size: tuple[int,
     if size is not None and have != size:
         text = f"the {what} size does not fit the camera"
         hint = "is this the calibration of another camera or of the unrectified images?"
+        if abs(have[0] * size[1] - have[1] * size[0]) <= max(*have, *size):  # the same shape, within rounding
+            hint = f"if the image was resized, scale fx, fy, cx, cy by {have[0] / size[0]:.4g}, and write the new size"
         raise InputError(text, where=path, expected=f"{size[0]}x{size[1]} px", got=f"{have[0]}x{have[1]} px", hint=hint)
 
 

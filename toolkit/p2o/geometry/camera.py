@@ -27,6 +27,8 @@ _MAX_SIDE_PX, _MAX_PIXELS = 30_000, 200_000_000
 """Maximum image size: larger values in files would exhaust memory."""
 _MIN_FOCAL_PX, _MAX_PARAMETER = 0.01, 1e7
 """Limits of parameters: projections overflow beyond them."""
+_OFF_CENTRE, _SAME_SCALE = 0.2, 0.1
+"""Principal points of resized images: least offset from the centre, largest difference of x and y, in image sizes."""
 
 
 @dataclass(frozen=True)
@@ -276,3 +278,26 @@ class Camera:
             rays[~is_inverse] = np.nan
         rays /= np.sqrt(np.einsum("...i,...i->...", rays, rays))[..., None]
         return rays
+
+
+def centre_remark(camera: Camera) -> tuple[str, ...]:
+    """Return a warning if the intrinsics seem to be those of a larger or smaller image, judged by the principal point.
+
+    It is then outside the image, or off the centre by the same large share of the width and of the height.
+    """
+    centre = camera.project(np.array([[0.0, 0.0, 1.0]]))
+    share = (centre[0] + 0.5) / (camera.width, camera.height)
+    if not np.isfinite(share).all():
+        return ()
+    outside = not camera.in_image(centre)[0]
+    scaled = bool(np.ptp(share) < _SAME_SCALE * max(1.0, share.mean()) and (np.abs(share - 0.5) > _OFF_CENTRE).all())
+    if not outside and not scaled:
+        return ()
+    x, y = centre[0]
+    where = "outside" if outside else "far from the centre of"
+    # The principal point of most cameras is near the centre of the image.
+    scale = f"by about {0.5 / float(share.mean()):.2g}" if scaled else "with the image"
+    return (
+        f"the principal point ({x:.4g}, {y:.4g}) is {where} the image of {camera.width}x{camera.height} px: if the "
+        f"images were resized, scale fx, fy, cx, cy {scale}",
+    )

@@ -95,6 +95,10 @@ def _rotation(name: str, key: str, values: Any, where: Path) -> tuple[Float, tup
 
     if key == "rotation":
         return values, ()
+    if key == "rpy_rad" and (largest := float(np.abs(values).max())) > 2 * math.pi + _ROTATION_AT_ALL:
+        text = f"an angle of {name} is more than a full turn"
+        hint = "if the angles are in degrees, use rpy_deg, or multiply them by pi/180"
+        raise InputError(text, where=where, expected="roll, pitch, yaw in radians", got=f"{largest:g} rad", hint=hint)
     if key != "rotation_xyzw":
         # Lower case means fixed (extrinsic) axes.
         return np.asarray(Rotation.from_euler("xyz", values, degrees=key == "rpy_deg").as_matrix()), ()

@@ -145,7 +145,8 @@ def _errors(rows: Float, lines: Sequence[int], path: str) -> Float:
         angle = np.linalg.norm(rows[:, :3], axis=1)
         for row in np.flatnonzero(~(angle <= np.pi + 1e-6))[:1]:
             text, where = "the rotation of a start is too large", f"{path}, line {lines[row]}"
-            expected, hint = "a rotation vector of at most pi rad", "the rotation comes first, in radians"
+            expected = "a rotation vector of at most pi rad"
+            hint = "the rotation comes first, in radians: multiply degrees by pi/180"
             raise InputError(text, where=where, expected=expected, got=f"{angle[row]:g} rad", hint=hint)
         _check_near(rows[:, 3:], lines, path)
         return se3.exp(rows)
@@ -164,7 +165,8 @@ def _check_near(shift_m: Float, lines: Sequence[int], path: str) -> None:
     length = np.abs(shift_m).max(axis=1)
     for row in np.flatnonzero(~(length <= FARTHEST_M))[:1]:
         text, expected = "the translation of a start is too long", f"at most {FARTHEST_M:g} m along each axis"
-        raise InputError(text, where=f"{path}, line {lines[row]}", expected=expected, got=f"{length[row]:g}")
+        where, hint = f"{path}, line {lines[row]}", "if it is in millimetres, divide it by 1000"
+        raise InputError(text, where=where, expected=expected, got=f"{length[row]:g}", hint=hint)
 
 
 def _named(by_name: Mapping[str, int], name: str, path: Path) -> int:

@@ -19,7 +19,7 @@ from p2o.features.view import View
 from p2o.frames.cloud import Cloud
 from p2o.frames.frame import Dataset, Frame, LazyFrames
 from p2o.geometry import se3
-from p2o.geometry.camera import Camera
+from p2o.geometry.camera import Camera, centre_remark
 from p2o.host.method import Kind, Trainer
 from p2o.host.registry import Offer, fault, watch
 from p2o.host.stages import Accumulator, Calibrator, InitializerBase, Judge, MatcherBase
@@ -281,7 +281,8 @@ class GuardedDataset(Sequence[Frame]):
             raise fault(self._offer, f"frame {index} is {type(frame).__name__}", "p2o.Frame")
         if frame.name != self.names[index]:
             raise fault(self._offer, f"frame {index} is called {frame.name!r}", repr(self.names[index]))
-        return frame
+        remark = centre_remark(frame.camera)
+        return replace(frame, warnings=(*frame.warnings, *remark)) if remark else frame
 
 
 def _pose(offer: Offer, value: Any) -> Float:

@@ -461,7 +461,7 @@ def start_of(
     if truth is not None:
         return truth, ("the start is the calibration that the data give: this checks it (see --perturb)",)
     expected = "a start pose camera_from_lidar in the data"
-    hint = "write one in the folder's YAML, or pass start= in Python"
+    hint = 'give one: --start FILE, or --start "roughly x forward, z up; camera looks forward"; start= in Python'
     raise InputError("there is no start to calibrate from", where=frames[0].name, expected=expected, hint=hint)
 
 
