@@ -1,4 +1,4 @@
-"""Read .bin and .txt sweeps: rows of numbers without a description of their columns."""
+"""Read .bin, .npy and .txt sweeps: rows of numbers without a description of their columns."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from p2o import InputError
+from p2o.reading import read_npy
 
 from p2o_datasets.number_text import read_table
 
@@ -33,7 +34,10 @@ def read_bin(data: bytes, path: Path, columns: Sequence[str] | None = None) -> M
     row = 4 * len(columns)
     if len(data) % row:
         expected = f"a multiple of {row} bytes ({' '.join(columns)} as float32)"
-        raise InputError("the point cloud is truncated", where=path, expected=expected, got=f"{len(data)} bytes")
+        bare = len(data) % 12 == 0 and _is_possible(values, 3) and not _is_possible(values, len(columns))
+        text = "the point cloud has other columns, or is truncated" if bare else "the point cloud is truncated"
+        hint = "rows of three numbers (x y z) fit" if bare else None
+        raise InputError(text, where=path, expected=expected, got=f"{len(data)} bytes", hint=hint)
     return _named(values, columns)
 
 
@@ -46,6 +50,22 @@ def read_txt(data: bytes, path: Path, columns: Sequence[str] | None = None) -> M
         first = len(next((words for line in data[:65536].splitlines() if (words := line.split())), []))
         columns = KNOWN.get(first, KITTI_COLUMNS)
     return _named(read_table(data, len(columns), path), columns)
+
+
+def read_rows(data: bytes, path: Path, columns: Sequence[str] | None = None) -> Mapping[str, Any]:
+    """Return the columns, each (N,), of an .npy array (N, 3) to (N, 6), or of the width of `columns`.
+
+    Without `columns`, their number determines them, see `KNOWN`. Raises InputError for any other array.
+    """
+    table = read_npy(data, path)
+    known = {3: KITTI_COLUMNS[:3], **KNOWN}
+    width = table.shape[1] if table.ndim == 2 else 0
+    names = columns or known.get(width, ())
+    if table.dtype.kind not in "iuf" or not width or len(names) != width:
+        expected = f"numbers of shape (N, {len(columns)})" if columns else "numbers of shape (N, 3) to (N, 6)"
+        got, hint = f"{table.dtype} {table.shape}", f"other columns: '{OPTION}: [x, y, z, _, ring]'"
+        raise InputError("the .npy file is no sweep", where=path, expected=expected, got=got, hint=hint)
+    return {name: column for name, column in zip(names, table.T, strict=True) if name != "_"}
 
 
 def columns_of(values: Any, path: Path) -> Sequence[str]:
@@ -121,6 +141,10 @@ def _ambiguous(values: Any, possible: Sequence[int], path: Path, *, near: bool) 
     if not near:
         expected = f"rows of float32, coordinates below {FAR_M:g} m"
         return InputError("this is not a point cloud in metres", where=path, expected=expected, got="larger numbers")
+    if possible:
+        expected, hint = "float32 x y z intensity", f"if the file has no intensity, give '{OPTION}: [x, y, z]'"
+        got = "rows of three numbers, such as x y z"
+        return InputError("the point cloud has no intensity", where=path, expected=expected, got=got, hint=hint)
     if values.size % 4 and values.size % 5 and values.size % 6:
         expected = "rows of 16, 20 or 24 bytes (x y z intensity, ring, time as float32)"
         return InputError("the point cloud is truncated", where=path, expected=expected, got=f"{4 * values.size} bytes")

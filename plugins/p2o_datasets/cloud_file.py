@@ -1,4 +1,4 @@
-"""Read a sweep from a file: .bin and .txt (KITTI), .pcd, .ply, .npz, .las and .laz."""
+"""Read a sweep from a file: .bin, .npy and .txt (rows of numbers), .pcd, .ply, .npz, .las and .laz."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from p2o import Bool, Cloud, InputError
 from p2o.reading import naming, read_bytes
 from p2o.reading import read_npz as read_archive
 
-from p2o_datasets.bin_file import FAR_M, OPTION, check_columns, read_bin, read_txt
+from p2o_datasets.bin_file import FAR_M, OPTION, check_columns, read_bin, read_rows, read_txt
 from p2o_datasets.las_file import read_las
 from p2o_datasets.number_text import MAX_POINTS
 from p2o_datasets.pcd_file import read_pcd
@@ -32,7 +32,7 @@ def read_cloud(
 
     `image_time_s` is subtracted from the times of the points, which are seconds if stored as floating point numbers and
     nanoseconds if stored as integers; times more than 1000 s from the image are dropped with a warning. `columns` name
-    the columns of files without names (.bin, .txt), _ those to ignore.
+    the columns of files without names (.bin, .npy, .txt), _ those to ignore.
 
     Raises InputError if the file is missing, a folder, empty, unreadable, truncated, too large or of another format,
     or has no finite points.
@@ -63,10 +63,12 @@ def read_npz(data: bytes, path: Path) -> Mapping[str, Any]:
     return {**arrays, "x": xyz[:, 0], "y": xyz[:, 1], "z": xyz[:, 2]}
 
 
-_ROWS = {".bin": read_bin, ".txt": read_txt}
+_ROWS = {".bin": read_bin, ".npy": read_rows, ".txt": read_txt}
 _READERS = {".pcd": read_pcd, ".ply": read_ply, ".npz": read_npz, ".las": read_las, ".laz": read_las}
 SUFFIXES = (".bin", *_READERS)
-"""Suffixes of files that are always sweeps, unlike .txt."""
+"""Suffixes of files that are always sweeps, unlike .npy and .txt."""
+NAMED_SUFFIXES = (*SUFFIXES, ".npy")
+"""Suffixes of sweeps called `cloud`."""
 
 
 def cloud_from_fields(

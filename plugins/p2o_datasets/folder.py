@@ -50,8 +50,7 @@ from p2o.reading import (
 from p2o_formats.camera_entry import read_camera
 from pydantic import Field
 
-from p2o_datasets.cloud_file import SUFFIXES as CLOUD_SUFFIXES
-from p2o_datasets.cloud_file import read_cloud
+from p2o_datasets.cloud_file import NAMED_SUFFIXES, read_cloud
 
 FRAME_FILE = "frame.yaml"
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
@@ -138,7 +137,7 @@ class FrameEntry(Options):
     image: str | None = field(None, help="File of the image; default: image.*, or the only image of the folder.")
     cloud: str | None = field(None, help="File of the sweep; default: cloud.*, or the only point cloud of the folder.")
     cloud_columns: tuple[str, ...] | None = field(
-        None, help="Columns of a .bin or .txt sweep: x y z intensity ring time, _ for others; default: inferred."
+        None, help="Columns of a .bin, .npy or .txt sweep: x y z intensity ring time, _ for others; default: inferred."
     )
     start: Any = field(None, help="Initial camera_from_lidar: rows, rotation and translation, words, or a file.")
     truth: Any = field(None, help="Ground truth of camera_from_lidar, if known, in the forms of start, or a file.")
@@ -244,7 +243,7 @@ def _read(root: Path, faults: Mapping[Path, InputError], folder: Path) -> Frame:
         targets = tuple(_target(f"targets.{number}", values, path) for number, values in enumerate(entry.targets))
     image, warnings = _image(root, folder, entry, camera)
     warnings += tuple(warning for _, remarks in read.values() for warning in remarks)
-    cloud_path = _file(root, folder, entry.cloud, "cloud", CLOUD_SUFFIXES)
+    cloud_path = _file(root, folder, entry.cloud, "cloud", NAMED_SUFFIXES)
     cloud, cloud_warnings = read_cloud(cloud_path, entry.image_time_s, entry.cloud_columns)
     warnings += cloud_warnings
     if entry.image_time_s is not None and cloud.time_s is not None and np.abs(cloud.time_s).min() > _SAME_MOMENT_S:
@@ -332,12 +331,12 @@ def _read_depth(path: Path, size: tuple[int, int]) -> Float:
 def _file(
     root: Path, folder: Path, name: str | None, default: str, suffixes: Iterable[str], others: Iterable[str] = ()
 ) -> Path:
-    """Return the named file, else default.*, else the only file of the folder with one of the suffixes."""
+    """Return the named file, else default.*, else the only file of the folder with one of the suffixes but .npy."""
     if name is not None:
         return _inside(root, folder, name)
     files = [path for path in listing(folder, "a frame") if path.suffix.lower() in suffixes]
     names = sorted(path.name for path in files if path.name not in set(others))
-    names = [n for n in names if Path(n).stem == default] or names
+    names = [n for n in names if Path(n).stem == default] or [n for n in names if Path(n).suffix.lower() != ".npy"]
     if len(names) != 1:
         fault = f"the {default} is ambiguous" if names else f"there is no {default}"
         expected = f"{default} with one of {' '.join(suffixes)}"

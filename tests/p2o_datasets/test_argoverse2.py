@@ -220,4 +220,4 @@ def test_every_frame_is_good_for_data_check(tmp_path: Path, capsys: pytest.Captu
 
 
 def test_the_dataset_keeps_the_contract_of_its_slot(tmp_path: Path) -> None:
-    assert main(["check-plugin", "argoverse2", "--set", f"data.root={Log(tmp_path).write()}"]) == 0
+    assert main(["plugin", "check", "argoverse2", "--set", f"data.root={Log(tmp_path).write()}"]) == 0

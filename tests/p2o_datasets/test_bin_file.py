@@ -1,10 +1,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from p2o import InputError
+from p2o_datasets.bin_file import KITTI_COLUMNS
 from p2o_datasets.cloud_file import read_cloud
 
 NAMES = ("x", "y", "z", "intensity", "ring", "time")
@@ -83,7 +85,7 @@ def test_columns_that_are_none_of_the_known_have_to_be_named(tmp_path: Path, col
     known = rows(6)
     written = np.column_stack([known[:, NAMES.index(n)] if n != "_" else -known[:, 5] for n in columns])
     path = write(tmp_path / "a.bin", written)
-    with pytest.raises(InputError, match=r"a\.bin: .*'cloud_columns: \[x, y, z, intensity, ring\]'"):
+    with pytest.raises(InputError, match=r"a\.bin: .*'cloud_columns: \[x, y, z(, intensity, ring)?\]'"):
         read_cloud(path)
     cloud, warnings = read_cloud(path, columns=columns)
     assert np.array_equal(cloud.xyz, known[:, :3])
@@ -116,3 +118,46 @@ def test_text_has_the_columns_of_its_first_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"other columns; expected 4 numbers per line; got 3 numbers"):
         read_cloud(tmp_path / "a.txt")
     assert len(read_cloud(tmp_path / "a.txt", columns=("x", "y", "z"))[0]) == len(written)
+
+
+@pytest.mark.parametrize("count", [240, 241, 242, 243])
+def test_coordinates_alone_are_not_called_truncated(tmp_path: Path, count: int) -> None:
+    path = write(tmp_path / "a.bin", rows(4, count)[:, :3].copy())
+    with pytest.raises(InputError, match=r"no intensity; .*'cloud_columns: \[x, y, z\]'"):
+        read_cloud(path)
+    cloud, warnings = read_cloud(path, columns=("x", "y", "z"))
+    assert (len(cloud), cloud.intensity, warnings) == (count, None, ())
+    if count % 4:
+        with pytest.raises(InputError, match=r"other columns, or is truncated; .*three numbers \(x y z\) fit"):
+            read_cloud(path, columns=KITTI_COLUMNS)
+
+
+@pytest.mark.parametrize("dtype", ["<f4", "<f8", ">f4"])
+@pytest.mark.parametrize("columns", [3, 4, 5, 6])
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_an_npy_array_has_the_columns_of_its_width(tmp_path: Path, dtype: str, columns: int, order: Any) -> None:
+    written = rows(6)[:, :columns]
+    np.save(tmp_path / "a.npy", np.asarray(written, dtype, order=order))
+    cloud, warnings = read_cloud(tmp_path / "a.npy")
+    assert np.array_equal(cloud.xyz, written[:, :3])
+    told = cloud.intensity is not None, cloud.ring is not None, cloud.time_s is not None
+    assert (told, warnings) == ((columns > 3, columns > 4, columns > 5), ())
+
+
+def test_columns_of_an_npy_array_can_be_named(tmp_path: Path) -> None:
+    written = rows(5)
+    np.save(tmp_path / "a.npy", written[:, [4, 0, 1, 2]])
+    cloud, _ = read_cloud(tmp_path / "a.npy", columns=("ring", "x", "y", "z"))
+    assert np.array_equal(cloud.xyz, written[:, :3])
+    assert np.array_equal(cloud.ring, written[:, 4])
+    with pytest.raises(InputError, match=r"the \.npy file is no sweep; expected numbers of shape \(N, 3\); got .*4"):
+        read_cloud(tmp_path / "a.npy", columns=("x", "y", "z"))
+
+
+@pytest.mark.parametrize(
+    "array", [np.zeros((3, 240)), np.zeros(240), np.zeros((4, 3, 2)), np.zeros((5, 2)), np.zeros((5, 3), complex)]
+)
+def test_other_npy_arrays_are_no_sweep(tmp_path: Path, array: np.ndarray) -> None:
+    np.save(tmp_path / "a.npy", array)
+    with pytest.raises(InputError, match=r"a\.npy: the \.npy file is no sweep; expected numbers of shape \(N, 3\) to"):
+        read_cloud(tmp_path / "a.npy")

@@ -78,7 +78,7 @@ def test_text_gives_the_same_points_as_bin_and_refuses_words_and_cuts(tmp_path: 
 
 
 def test_an_unknown_suffix_lists_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"a\.xyz: unknown format .* \.bin \.txt \.pcd \.ply \.npz"):
+    with pytest.raises(InputError, match=r"a\.xyz: unknown format .* \.bin \.npy \.txt \.pcd \.ply \.npz"):
         read_cloud(tmp_path / "a.xyz")
 
 

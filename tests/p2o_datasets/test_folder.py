@@ -156,6 +156,23 @@ def test_an_image_that_does_not_fit_the_camera_is_refused_by_name(tmp_path: Path
         dataset(tmp_path)[0]
 
 
+def test_an_image_of_another_size_but_the_same_shape_comes_with_the_factor(tmp_path: Path) -> None:
+    write_frame(tmp_path)
+    write_image(tmp_path / "image.png", size=(WIDTH // 2, HEIGHT // 2))
+    with pytest.raises(InputError, match=r"if the image was resized, scale fx, fy, cx, cy by 0\.5, and write the new"):
+        dataset(tmp_path)[0]
+
+
+def test_an_array_called_cloud_is_the_sweep_and_others_are_not(tmp_path: Path) -> None:
+    write_frame(tmp_path, depth="depth.npy")
+    (tmp_path / "cloud.bin").unlink()
+    np.save(tmp_path / "depth.npy", np.full((HEIGHT, WIDTH), 9.0))
+    with pytest.raises(InputError, match=r"there is no cloud"):
+        dataset(tmp_path)[0]
+    np.save(tmp_path / "cloud.npy", sweep())
+    assert np.array_equal(dataset(tmp_path)[0].cloud.xyz, sweep()[:, :3])
+
+
 def test_a_depth_map_that_does_not_fit_is_refused_by_name(tmp_path: Path) -> None:
     write_frame(tmp_path, depth="depth.npy")
     np.save(tmp_path / "depth.npy", np.ones((3, 3)))

@@ -237,4 +237,4 @@ def test_every_frame_is_good_for_data_check(tmp_path: Path, capsys: pytest.Captu
 
 
 def test_the_dataset_keeps_the_contract_of_its_slot(tmp_path: Path) -> None:
-    assert main(["check-plugin", "kitti-360", "--set", f"data.root={Drive(tmp_path).write()}"]) == 0
+    assert main(["plugin", "check", "kitti-360", "--set", f"data.root={Drive(tmp_path).write()}"]) == 0

@@ -172,4 +172,4 @@ def test_every_frame_is_good_for_data_check(tmp_path: Path, capsys: pytest.Captu
 
 
 def test_the_dataset_keeps_the_contract_of_its_slot(tmp_path: Path) -> None:
-    assert main(["check-plugin", "once", "--set", f"data.root={Sequence(tmp_path).write()}"]) == 0
+    assert main(["plugin", "check", "once", "--set", f"data.root={Sequence(tmp_path).write()}"]) == 0

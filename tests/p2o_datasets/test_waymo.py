@@ -239,7 +239,7 @@ def test_every_frame_is_good_for_data_check(tmp_path: Path, capsys: pytest.Captu
 
 
 def test_the_dataset_keeps_the_contract_of_its_slot(tmp_path: Path) -> None:
-    assert main(["check-plugin", "waymo", "--set", f"data.root={Segment(tmp_path).write()}"]) == 0
+    assert main(["plugin", "check", "waymo", "--set", f"data.root={Segment(tmp_path).write()}"]) == 0
 
 
 def test_the_highest_row_is_the_highest_beam(tmp_path: Path) -> None:
