@@ -94,6 +94,21 @@ def test_more_refused_calibrations_than_may_be_close_it() -> None:
     assert judge(STUDY, rows(), [], make_reference(STUDY, refused)).open
 
 
+def test_a_refusal_is_no_improvement_and_cannot_hide_a_loss() -> None:
+    # The initial guess of the second calibration has an error of 0.05 deg, its estimate in the reference 0.2 deg.
+    tolerance = REFERENCE.tolerance.model_copy(update={"failures": 1})
+    reference = REFERENCE.model_copy(update={"tolerance": tolerance})
+    first, second, *others = rows()
+    refused = replace(second, status="no-improvement", rotation_deg=0.05)
+    ruling = judge(STUDY, [first, refused, *others], [], reference)
+    assert ruling.open
+    assert ruling.moved == ("  a, f/1, seed 0: was solved, now refused or crashed",)
+    worse = judge(STUDY, [replace(first, rotation_deg=0.25), refused, *others], [], reference)
+    assert worse.failures == ("a: mean rotation_deg 0.2250, was 0.1500 and may be 0.2000",)
+    bad_guess = replace(second, status="no-improvement", rotation_deg=2.0)
+    assert not judge(STUDY, [first, bad_guess, *others], [], reference).open
+
+
 def test_verdicts_that_changed_are_shown_and_do_not_close_it(tmp_path: Path) -> None:
     trusted = [replace(row, trust=Trust.TRUSTED) for row in rows()]
     reference = make_reference(STUDY, trusted)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -117,7 +117,7 @@ def judge(study: Study, rows: Sequence[StoredRow], missing: Sequence[Planned], r
     """Compare finished rows with the reference, within its tolerances.
 
     The gate is closed by crashed or missing calibrations, a worse mean, too many refused calibrations, a row or
-    calibration of the reference that the study lacks, and a row that the reference lacks.
+    calibration of the reference that the study lacks, and a row that the reference lacks. A refusal improves no mean.
     """
     by_label = {tally.row: tally for tally in tallies(rows, study.metrics)}
     stored = by_row(rows)
@@ -137,13 +137,31 @@ def judge(study: Study, rows: Sequence[StoredRow], missing: Sequence[Planned], r
             if label not in absent_rows:
                 failures.append(f"{label}: in the reference, but not in the study")
             continue
-        failures += _worse(by_label[label], expected, reference.tolerance)
+        tally = _unimproved(by_label[label], stored[label], expected)
+        failures += _worse(tally, expected, reference.tolerance)
         runs = {_name(row): _errors(row, study.metrics) for row in stored[label]}
         absent = [name for name in expected.runs if name not in runs]
         if absent:
             failures.append(f"{label}: {len(absent)} calibrations of the reference are missing, such as {absent[0]}")
-        moved += _moved(by_label[label], runs, expected, reference.tolerance)
+        moved += _moved(tally, runs, expected, reference.tolerance)
     return Ruling(tuple(failures), tuple(moved))
+
+
+def _unimproved(tally: Tally, rows: Sequence[StoredRow], expected: RowReference) -> Tally:
+    """Return the tally with means in which a refusal is no improvement.
+
+    A refused calibration has the error of its initial guess. If the reference has an estimate with a larger error, the
+    larger one counts: otherwise a method would become better by refusing its worst frames.
+    """
+    means: dict[str, float] = {}
+    for metric in tally.mean:
+        errors = []
+        for row in rows:
+            before = None if row.solved else (expected.runs.get(_name(row)) or {}).get(metric)
+            if (error := getattr(row, metric)) is not None:
+                errors.append(max(abs(error), before or 0.0))
+        means[metric] = float(np.mean(errors)) if errors else float("nan")
+    return replace(tally, mean=means)
 
 
 def _worse(tally: Tally, expected: RowReference, tolerance: Tolerance) -> list[str]:
