@@ -70,3 +70,32 @@ def test_frames_that_tell_nothing_leave_the_charts_as_they_are() -> None:
 
 def test_a_rarer_false_alarm_has_a_higher_limit() -> None:
     assert Rule(alarms_per_hour=0.01).limit > Rule(alarms_per_hour=1.0).limit
+
+
+@pytest.mark.parametrize("number", [0, 3])
+@pytest.mark.parametrize("count", [120, 400])
+def test_slips_of_the_detectable_size_are_detected_in_about_half_of_the_drives(number: int, count: int) -> None:
+    rule = Rule(settle=60, alarms_per_hour=1.0)
+    size = watched(names(count), steps(drive(count, 0)), rule).detectable[number].size
+    assert size is not None
+
+    def share(factor: float) -> float:
+        found = 0
+        for seed in range(20):
+            errors = drive(count, seed)
+            for error in errors[60:]:
+                error[number] += factor * size
+            found += bool(watched(names(count), steps(errors), rule).slips)
+        return found / 20
+
+    assert share(0.4) < 0.35
+    assert 0.2 <= share(1.0) <= 0.98
+    assert share(2.0) >= 0.9
+
+
+def test_more_frames_detect_smaller_slips_and_too_few_none() -> None:
+    few, some, many = (
+        [one.size for one in watched(names(n), steps(drive(n, 1)), Rule(settle=20)).detectable] for n in (22, 80, 400)
+    )
+    assert few == [None] * 6
+    assert all(a is not None and b is not None and a >= b for a, b in zip(some, many, strict=True))

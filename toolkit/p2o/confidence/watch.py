@@ -9,7 +9,7 @@ import numpy as np
 
 from p2o.arrays import Float, Int
 from p2o.confidence.audit import AXES, EdgeStep
-from p2o.results.check import Slip, WatchedFrame
+from p2o.results.check import Detectable, Slip, WatchedFrame
 
 CLIP = 3.0
 """Limit of the value of a single frame, in standard deviations: its edges may be wrong matches."""
@@ -44,10 +44,11 @@ class Rule:
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """Monitoring result of a drive: the level of the charts for each frame, and the slips that were detected."""
+    """Monitoring result of a drive: the level of the charts for each frame, the detected and the detectable slips."""
 
     frames: tuple[WatchedFrame, ...]
     slips: tuple[Slip, ...]
+    detectable: tuple[Detectable, ...]
     correlation: float
     limit: float
 
@@ -78,7 +79,41 @@ def watched(names: Sequence[str], steps: Sequence[EdgeStep | None], rule: Rule) 
             break
         slips.append(_slip(names, seen, alarm, begin, errors, sigma, correlation))
         begin += last
-    return Watched(tuple(level), tuple(slips), correlation, limit)
+    return Watched(tuple(level), tuple(slips), detectable(sigma, correlation, rule), correlation, limit)
+
+
+def detectable(sigma: Float, correlation: float, rule: Rule) -> tuple[Detectable, ...]:
+    """Return the smallest slips that raise an alarm on frames with errors of standard deviation sigma (T, A).
+
+    They begin after the frames that settle, and the charts of their expected values reach the limit by the last frame.
+    """
+    smallest = []
+    for (axis, unit), own in zip(AXES, sigma.T, strict=True):
+        known = own[np.isfinite(own)]
+        shift = _smallest_shift(len(known), correlation, rule)
+        size = None if shift is None else float(shift * np.median(known))
+        smallest.append(Detectable(axis, unit, size))
+    return tuple(smallest)
+
+
+def _smallest_shift(count: int, correlation: float, rule: Rule) -> float | None:
+    """Return the shift, in standard deviations of `count` values, whose expected chart reaches the limit; else None."""
+    before = np.arange(rule.settle, count)
+    if not len(before):
+        return None
+    # The mean of all previous values follows the shift: n of k previous values are those before it.
+    share = rule.settle / before * np.sqrt(before / (before + 1.0)) * np.sqrt((1 - correlation) / (1 + correlation))
+
+    def reaches(shift: float) -> bool:
+        return bool(np.cumsum(shift * share - rule.slack).max() > rule.limit)
+
+    low, high = 0.0, CLIP
+    if not reaches(high):
+        return None
+    for _ in range(30):
+        middle = (low + high) / 2
+        low, high = (low, middle) if reaches(middle) else (middle, high)
+    return high
 
 
 def _mean(errors: Float, sigma: Float) -> Float:

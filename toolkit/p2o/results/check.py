@@ -95,9 +95,23 @@ class WatchedFrame:
     axis: str | None = None
 
 
+@dataclass(frozen=True)
+class Detectable:
+    """The smallest slip on one axis, in `unit`, that the charts of a drive detect; None if they detect none.
+
+    The slip happens after the frames that define the normal level, and is detected by half of such drives.
+    """
+
+    axis: str
+    unit: str
+    size: Number | None
+
+
 @dataclass(frozen=True, eq=False)
 class Watch:
     """The check of an extrinsic (4, 4) over the frames of a drive; `slips` are those that were detected, in order.
+
+    `detectable` are the smallest ones that these frames can show, by axis.
 
     Charts are sums (CUSUM) of normalised steps of single frames, `slack` less each, against `limit`; the
     `correlation` of consecutive steps is removed. The first `settled` frames define the normal level. A correct
@@ -108,6 +122,7 @@ class Watch:
     holding: CheckStatus
     reason: str
     slips: tuple[Slip, ...]
+    detectable: tuple[Detectable, ...]
     frames: tuple[WatchedFrame, ...]
     settled: Count
     slack: Number

@@ -13,7 +13,7 @@ from p2o.confidence.audit import EdgeStep, Evidence, Rates, audit, edge_step
 from p2o.confidence.watch import Rule, watched
 from p2o.errors import InputError
 from p2o.features.view import View
-from p2o.frames.direction import Direction, pose_direction
+from p2o.frames.direction import Direction, pose_direction, unit_remark
 from p2o.frames.frame import Dataset, Frame
 from p2o.geometry import se3
 from p2o.geometry.perturb import parse_perturbation
@@ -122,7 +122,9 @@ def watch(
     assert given is not None  # there are more frames than have to settle
     given.refuse_inverse(holding)
     pose = given.camera_from_lidar
-    charts: dict[str, Any] = {name: getattr(seen, name) for name in ("slips", "frames", "limit", "correlation")}
+    charts: dict[str, Any] = {
+        name: getattr(seen, name) for name in ("slips", "detectable", "frames", "limit", "correlation")
+    }
     charts |= {name: getattr(rule, name) for name in ("slack", "alarms_per_hour", "rate_hz")}
     return Watch(pose, holding, reason, settled=settle, warnings=given.warnings, **charts, **opened.stamp)
 
@@ -203,7 +205,8 @@ class _Given:
         else:
             pose, remarks = se3.check_rigid("the extrinsic", extrinsic), ()
         direction = pose_direction(frames[0].cloud, frames[0].camera, pose, name="the extrinsic", where=name)
-        return cls(pose, name, direction, (*remarks, *direction.warnings("the extrinsic", name)))
+        remarks = (*remarks, *direction.warnings("the extrinsic", name), *unit_remark(pose, "the extrinsic", name))
+        return cls(pose, name, direction, remarks)
 
     def refuse_inverse(self, holding: CheckStatus) -> None:
         """Raise InputError if no edges fit the pose and the scene is upright only at its inverse."""
