@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from p2o.cli.plugin_options import load, plugin_options
+from p2o.cli.plugin_options import data_argument, load, plugin_options
+from p2o.cli.progress import long_work, status_line
 from p2o.errors import InputError, printable
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @click.command("check")
-@click.argument("data", metavar="DATASET:PATH")
+@data_argument("The data.")
 @click.option(
     "--extrinsic", required=True, metavar="FILE|truth|start", help="The extrinsic: a file, or that of the data."
 )
@@ -85,7 +86,12 @@ def command(
     of_watch = {name: words.pop(name) for name in ("alarms_per_hour", "rate_hz", "settle")}
     _check_words(watching, words["notice"], of_watch)
     stdout = sys.stdout
-    with contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext():
+    with (
+        contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext(),
+        status_line("checking", quiet=as_json) as show,
+        long_work(show) as work,
+    ):
+        work("checking the extrinsic")
         words |= {"options": settings or None, "registry": load(plugin, block)}
         check_result: Check | Watch
         if watching:
@@ -158,6 +164,7 @@ def _axis(axis: AxisCheck) -> str:
 def _of_watch(watch: Watch) -> list[str]:
     lines = [f"{len(watch.frames)} frames, checked separately", f"  {_word(watch.holding):<12} {watch.reason}"]
     lines += [f"  {'slip':<12} {_slip(slip)}" for slip in watch.slips]
+    lines.append(f"  {'detectable':<12} {_detectable(watch)}")
     observed = [frame for frame in watch.frames if frame.level is not None]
     if observed:
         highest = max(observed, key=lambda frame: frame.level or 0.0)
@@ -167,6 +174,20 @@ def _of_watch(watch: Watch) -> list[str]:
         f"second (correlation {watch.correlation:.2f}); the first {watch.settled} frames define the normal level"
     )
     return [*lines, *(f"  {'warning':<12} {text}" for text in watch.warnings)]
+
+
+def _detectable(watch: Watch) -> str:
+    """Return the smallest detectable slip of each axis."""
+    after = f"slips after the first {watch.settled} of {len(watch.frames)} frames"
+    known = [one for one in watch.detectable if one.size is not None]
+    if not known:
+        return f"no {after}: take more frames"
+    sizes = (f"{one.axis} {_sized(one.unit, one.size or 0.0)}" for one in known)
+    return f"{after} from about {', '.join(sizes)}"
+
+
+def _sized(unit: str, size: float) -> str:
+    return f"{size:.2f} deg" if unit == "deg" else f"{100 * size:.1f} cm"
 
 
 def _slip(slip: Slip) -> str:

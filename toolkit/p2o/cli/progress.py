@@ -1,15 +1,20 @@
-"""Progress on stderr: a status line on a terminal, and durations as text."""
+"""Progress on stderr: a status line on a terminal, lines about work that takes long, and durations as text."""
 
 from __future__ import annotations
 
 import contextlib
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator
 
 from p2o.errors import printable
 
 LINE_INTERVAL_S = 5.0
 """Interval of progress lines if stderr is no terminal."""
+LONG_WORK_S = 20.0
+"""Duration of a piece of work after which its duration is shown."""
+_LONGEST_PAUSE_S = 300.0
 
 
 @contextlib.contextmanager
@@ -23,6 +28,46 @@ def status_line(initial: str, *, quiet: bool = False) -> Iterator[Callable[[str]
 
     with Console(stderr=True).status(initial) as status:
         yield lambda text: status.update(escape(printable(text)))
+
+
+@contextlib.contextmanager
+def long_work(show: Callable[[str], None], rest: str = "") -> Iterator[Callable[[str], None]]:
+    """Yield a function that names the current piece of work, whose duration is shown if it takes long.
+
+    On a terminal the duration is part of the status line, written by `show`. Elsewhere a line is written to stderr
+    after 20 s, and again after twice that time, at least every 5 min. `rest` ends the lines.
+    """
+    changed, ended = threading.Event(), threading.Event()
+    name, terminal = [""], sys.stderr.isatty()
+
+    def work(text: str) -> None:
+        name[0] = text
+        show(text)
+        changed.set()
+
+    def watch() -> None:
+        since, pause = time.monotonic(), LONG_WORK_S
+        while not ended.is_set():
+            if changed.wait(pause):
+                changed.clear()
+                since, pause = time.monotonic(), LONG_WORK_S
+                continue
+            took = time.monotonic() - since
+            line = f"{name[0]}, for {duration_text(took)}{rest}"
+            if terminal:
+                show(line)
+            elif name[0]:
+                print(f"p2o: {printable(line)}", file=sys.stderr, flush=True)
+            pause = 1.0 if terminal else min(took, _LONGEST_PAUSE_S)
+
+    thread = threading.Thread(target=watch, name="p2o-progress", daemon=True)
+    thread.start()
+    try:
+        yield work
+    finally:
+        ended.set()
+        changed.set()
+        thread.join()
 
 
 def duration_text(seconds: float) -> str:
