@@ -37,6 +37,8 @@ _PX_A_UNIT = 800
 _DARK, _LEGIBLE = 0.22, 0.4
 """Mean grey below which an image is brightened, and the target mean grey; black is 0 and white 1."""
 _LEAST_GAMMA = 0.35
+_DIMMED = 0.65
+"""Brightness of the background of an overlay relative to the image."""
 _GREY = np.array([0.299, 0.587, 0.114], np.float32)
 
 
@@ -120,7 +122,7 @@ def dimmed(rgb: UInt8, camera: Camera) -> UInt8:
     gamma = display_gamma(given)
     bright = brightened(given, gamma).astype(np.float32)
     grey = bright @ _GREY
-    canvas = np.asarray(0.5 * (0.75 * grey[..., None] + 0.25 * bright), np.uint8)
+    canvas = np.asarray(_DIMMED * (0.75 * grey[..., None] + 0.25 * bright), np.uint8)
     if gamma != 1 and camera.width >= _LEGEND_PX + _GAMMA_PX and camera.height >= _LEGEND_HIGH_PX:
         unit = _unit(canvas)
         left = camera.width - round(unit * _GAMMA_PX)

@@ -17,7 +17,7 @@ from p2o.draw.overlay import COLOURS
 from p2o.errors import InputError, printable
 from p2o.features.side import SIDES
 from p2o.files.whole_file import write_whole
-from p2o.results.figures import result_name
+from p2o.results.figures import result_name, status_text
 from p2o.results.result import DIRECTED, Result, Round
 
 _PIXELS = "pixels"
@@ -38,7 +38,7 @@ def convergence(result: Result, path: Path | str) -> None:
     rounds = result.rounds
     numbers = list(range(1, len(rounds) + 1))
     # Dollar signs in names are no formulas.
-    top.set_title(f"{printable(result_name(result), 80)}: {result.status.value}", fontsize=10, parse_math=False)
+    top.set_title(f"{printable(result_name(result), 80)}: {status_text(result.status)}", fontsize=10, parse_math=False)
 
     floor = [0] * len(rounds)
     for side in SIDES:

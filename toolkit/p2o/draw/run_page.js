@@ -16,3 +16,11 @@ for (const figure of document.querySelectorAll("figure.slides")) {
   slider.addEventListener("input", move);
   move();
 }
+// One brightness for all overlays of the page.
+const lights = [...document.querySelectorAll(".light .slider")];
+for (const light of lights) {
+  light.addEventListener("input", () => {
+    for (const other of lights) other.value = light.value;
+    document.body.style.setProperty("--light", light.value);
+  });
+}

@@ -25,7 +25,7 @@ from p2o.geometry import se3
 from p2o.geometry.pose_error import AXES
 from p2o.geometry.rpy import rpy_of
 from p2o.results.advice import next_steps
-from p2o.results.figures import result_lines, result_name
+from p2o.results.figures import result_lines, result_name, status_text
 from p2o.results.result import Result
 from p2o.results.result_json import result_from_dict
 from p2o.results.verdict import Trust
@@ -42,6 +42,8 @@ OVERLAYS = (
 _MOST_FRAMES, _MOST_CHARS = 8, 24_000_000
 """At most this number of frames is shown, and none once the overlays exceed this number of characters."""
 _MOST_PIXELS = 100_000_000
+_DECIMALS = 9
+"""Decimals of poses on the page, in metres or as elements of rotations; result.json contains all digits."""
 _ROS_KEYS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 
@@ -99,8 +101,8 @@ class Shown:
         return {
             name: {
                 "matrix": _matrix(transform),
-                "quaternion": f"{spaced(transform[:3, 3])} {spaced(quaternion_xyzw(transform))}",
-                "rpy": " ".join(digits(round(v, 9)) for v in plain(np.degrees(rpy_of(transform[:3, :3])))),
+                "quaternion": spaced(np.round([*transform[:3, 3], *quaternion_xyzw(transform)], _DECIMALS)),
+                "rpy": spaced(np.round(np.degrees(rpy_of(transform[:3, :3])), _DECIMALS)),
             }
             for name, transform in transforms.items()
         }
@@ -109,7 +111,7 @@ class Shown:
     def ros_command(self) -> str:
         """The shell command that publishes lidar_from_camera: metres, quaternion x y z w."""
         lidar_from_camera = se3.inverse(self.result.camera_from_lidar)
-        values = [*plain(lidar_from_camera[:3, 3]), *quaternion_xyzw(lidar_from_camera)]
+        values = plain(np.round([*lidar_from_camera[:3, 3], *quaternion_xyzw(lidar_from_camera)], _DECIMALS))
         words = [f"--{key} {digits(value)}" for key, value in zip(_ROS_KEYS, values, strict=True)]
         frames = "--frame-id lidar --child-frame-id camera_optical_frame"
         return f"ros2 run tf2_ros static_transform_publisher {' '.join(words)} {frames}"
@@ -158,6 +160,7 @@ def run_page(root: Path, run: Mapping[str, Any], folders: Mapping[str, str] | No
         trusts=list(Trust),
         next_steps=next_steps,
         result_lines=result_lines,
+        status_text=status_text,
         versions=shown[0].result.versions if shown else {},
     )
 
@@ -266,7 +269,7 @@ def _rig(rig: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _matrix(pose: Float) -> str:
-    return "[" + ",\n ".join(listed(row) for row in matrix_rows(pose)) + "]"
+    return "[" + ",\n ".join(listed(row) for row in matrix_rows(np.round(pose, _DECIMALS))) + "]"
 
 
 def _pose(value: Any) -> Float | None:
