@@ -46,8 +46,8 @@ class Machine:
         return subprocess.run(command, capture_output=True, text=True, check=False, cwd=self.python.parent)
 
     def methods(self) -> set[str]:
-        listed = json.loads(self.p2o("plugins").stdout)
-        return {method["name"] for plugin in listed["plugins"] for method in plugin["methods"]}
+        listed = json.loads(self.p2o("plugin", "list").stdout)
+        return {method["name"] for plugin in listed["plugin", "list"] for method in plugin["methods"]}
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +91,7 @@ def test_a_third_partys_plugin_is_there_when_installed_and_gone_when_not(wheel: 
 def test_the_example_keeps_every_contract(wheel: Path, tmp_path: Path) -> None:
     machine = Machine(tmp_path / "machine")
     machine.pip("install", "--no-index", "--no-deps", str(wheel))
-    done = machine.p2o("check-plugin", "p2o-example")
+    done = machine.p2o("plugin", "check", "p2o-example")
     assert done.returncode == 0, done.stdout + done.stderr
     lines = done.stdout.splitlines()
     assert lines[-1] == "every check passed"
@@ -111,7 +111,7 @@ def test_the_smallest_plugin_of_the_docs_works(tmp_path: Path, capsys: pytest.Ca
     file.write_text(code)
     assert main(["methods", "hello", "--plugin", str(file)]) == 0
     assert "threshold  30.0  float > 0, <= 255" in capsys.readouterr().out
-    assert main(["check-plugin", "hello", "--plugin", str(file)]) == 0
+    assert main(["plugin", "check", "hello", "--plugin", str(file)]) == 0
     assert "ok    image extractor hello: image_edges_lie_on_outlines" in capsys.readouterr().out
 
 
@@ -150,4 +150,4 @@ def test_the_method_that_learns_on_the_page_learns_and_is_used(
     said = capsys.readouterr().out
     assert "extractor.weights=trained/weights.json" in said
     assert "scene-0000" in said
-    assert main(["check-plugin", "learned-steps", "--plugin", "learned.py"]) == 0
+    assert main(["plugin", "check", "learned-steps", "--plugin", "learned.py"]) == 0

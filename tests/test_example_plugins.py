@@ -24,7 +24,7 @@ def test_an_example_is_short_and_uses_the_author_api_only(file: Path) -> None:
 def test_an_example_passes_every_check(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     [offer] = p2o.Registry.load(plugins=[], extra_files=[file]).offers
     assert offer.kind.value == file.stem.replace("_", " ")
-    assert main(["check-plugin", offer.name, "--plugin", str(file)]) == 0
+    assert main(["plugin", "check", offer.name, "--plugin", str(file)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[-1] == "every check passed"
     assert all(line.startswith("ok ") for line in lines[:-1])

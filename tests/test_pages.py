@@ -28,7 +28,7 @@ from typing import Any, NoReturn
 import click
 import p2o
 import pytest
-from p2o.cli import group, main
+from p2o.cli import group, main, plugin_check
 from p2o.host import guard
 from p2o.host.method import Kind
 from p2o.host.slots import KIND_OF, SLOT_OF
@@ -76,7 +76,7 @@ ONLY_CHECKED = (
     (r"--data DATA | COMMAND$| \.\.\.$", "it leaves words to the reader"),
     (r"^p2o train learned-steps|--set extractor\.weights=trained/", "tests/test_example_plugin.py, on whole frames"),
     (r"--watch", "minutes: more frames than 20"),
-    (r"^p2o check-plugin", "tests/test_example_plugin.py, on the same file"),
+    (r"^p2o plugin check", "tests/test_example_plugin.py, on the same file"),
 )
 """What stands on lines that are not run, and why."""
 
@@ -258,10 +258,8 @@ def _check_p2o(command: Command, words: list[str], monkeypatch: pytest.MonkeyPat
     """Let a command go on to its first frame; words that are left to the reader are left out."""
     from p2o_study import study as studies
 
-    if words[0] == "check-plugin":
-        command_of_it = group.get_command(click.Context(group), words[0])
-        assert command_of_it is not None
-        command_of_it.make_context(words[0], words[1:])
+    if words[:2] == ["plugin", "check"]:
+        plugin_check.command.make_context(" ".join(words[:2]), words[2:])
         return
     words = ["synthetic:" if word == "DATA" else word for word in words if word not in ("COMMAND", "...")]
     real_build = guard.build

@@ -35,7 +35,7 @@ def test_the_method_of_every_slot_loads_from_its_file_and_keeps_its_promises(
     bounded = [field for field in offer.method.options.model_fields.values() if field.metadata]
     assert bounded, "no option has bounds"
     assert all(field.description for field in offer.method.options.model_fields.values())
-    assert main(["check-plugin", "acme-thing", "--plugin", file]) == 0
+    assert main(["plugin", "check", "acme-thing", "--plugin", file]) == 0
     out = capsys.readouterr().out
     assert "FAIL" not in out
     assert "n/a" not in out
@@ -74,7 +74,7 @@ def test_every_file_is_filled_in_and_is_what_its_name_says(slot: str, tmp_path: 
     assert project["project"]["entry-points"]["p2o"] == {"acme-thing": "acme_thing.plugin"}
     steps = yaml.safe_load(texts[".github/workflows/check.yml"])["jobs"]["check"]["steps"]
     said = [step["run"] for step in steps if "run" in step]
-    assert said[-2:] == ["python -m pytest", "p2o check-plugin acme-thing"]
+    assert said[-2:] == ["python -m pytest", "p2o plugin check acme-thing"]
     assert "No licence has been chosen yet" in texts["LICENSE"]
     assert slot.replace("-", " ") in texts["README.md"]
 

@@ -188,7 +188,7 @@ def words(rng: Random, bases: Bases, home: Path) -> Case:
     """The words of the command line."""
     _frame(bases, home)
     (home / OUT / "file").touch()
-    command = rng.choice(("run",) * 6 + ("data", "methods", "check-plugin", "simulate", "labels", "report", "plugins"))
+    command = rng.choice(("run",) * 6 + ("data", "methods", "plugin", "simulate", "labels", "report"))
     argv = [command]
     if command == "data":
         argv += [rng.choice(("list", "check", "check", _word(rng))), _data(rng)]
@@ -196,8 +196,8 @@ def words(rng: Random, bases: Bases, home: Path) -> Case:
     elif command == "methods":
         argv += [rng.choice(("ogm", "synthetic", "pipeline", "rings@p2o-calib", _word(rng)))]
         argv += ["--matrix"] if rng.random() < 0.2 else []
-    elif command == "check-plugin":
-        argv += [rng.choice(("given", "json", "kitti", _word(rng)))]
+    elif command == "plugin":
+        argv += rng.choice((["list"], ["check", rng.choice(("given", "json", "kitti", _word(rng)))]))
     elif command == "simulate":
         argv += [OUT, "--layout", rng.choice(("folder", "kitti-raw", "vkitti2", _word(rng)))]
         small = {"width_px": 96, "height_px": 64, "lidar": "vlp-16"}

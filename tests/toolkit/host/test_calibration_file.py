@@ -120,12 +120,12 @@ def test_methods_and_help_list_readers(capsys: pytest.CaptureFixture[str]) -> No
 
 
 def test_check_plugin_checks_a_reader(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["check-plugin", "calibration_reader.py", "--plugin", str(PLUGIN)]) == 0
+    assert main(["plugin", "check", "calibration_reader.py", "--plugin", str(PLUGIN)]) == 0
     told = capsys.readouterr().out
     assert "ok    calibration reader acme: the_example_is_recognised" in told
     broken = tmp_path / "broken_reader.py"
     broken.write_text(PLUGIN.read_text().replace("return source.text.startswith(HEADER)", "return True"))
-    assert main(["check-plugin", "broken_reader.py", "--plugin", str(broken)]) == 1
+    assert main(["plugin", "check", "broken_reader.py", "--plugin", str(broken)]) == 1
     assert "FAIL  calibration reader acme: other_files_are_not_recognised" in capsys.readouterr().out
 
 

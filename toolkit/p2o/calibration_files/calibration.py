@@ -186,4 +186,4 @@ class CalibrationReader(ABC):
 
     @abstractmethod
     def example(self) -> bytes:
-        """Return the bytes of a small file of this format, on which `p2o check-plugin` tests the reader."""
+        """Return the bytes of a small file of this format, on which `p2o plugin check` tests the reader."""

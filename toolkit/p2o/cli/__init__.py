@@ -24,9 +24,7 @@ _COMMANDS = {
     "run": "Calibrate frames: estimate the transform from the LiDAR to the camera.",
     "check": "Check whether an extrinsic in use is still valid, by axis, or since when it is not.",
     "methods": "List the installed methods, or explain one with all its options.",
-    "plugins": "List the plugins as JSON: name, version, methods; broken ones with reasons.",
-    "plugin": "Create a package for your own plugin, with one method.",
-    "check-plugin": "Check that methods fulfil the contracts of their slots.",
+    "plugin": "List the installed plugins, create a package for your own, or check one.",
     "data": "List, check, show or select the frames of a dataset, or list the topics of a bag.",
     "labels": "Write the training labels of frames, one file per frame.",
     "train": "Train a method on frames, or resume a training.",
@@ -83,6 +81,10 @@ def load_command(module: str) -> click.Command:
     return command
 
 
+class _ClosedPipeError(Exception):
+    """The reader of stdout (head, less) has ended."""
+
+
 class _Commands(click.Group):
     """A group that imports the module of a command when it is called, not to list it."""
 
@@ -100,6 +102,8 @@ class _Commands(click.Group):
             return super().invoke(ctx)
         except KeyboardInterrupt as problem:  # click would print an empty line
             raise click.Abort from problem
+        except BrokenPipeError as problem:  # click would exit with status 1
+            raise _ClosedPipeError from problem
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
@@ -143,7 +147,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except click.exceptions.NoArgsIsHelpError as problem:
         problem.show()
         return 2
-    except BrokenPipeError:
+    except (BrokenPipeError, _ClosedPipeError):
         # The reader (head, less) has closed the pipe; Python would raise again when it closes stdout.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0

@@ -1,4 +1,4 @@
-"""`p2o plugin new`: create a package for a plugin."""
+"""`p2o plugin`: list, create and check plugins."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from p2o.cli import plugin_check, plugin_list
 from p2o.cli.plugin_options import load
 
 _SLOTS = ["image-extractor", "cloud-extractor", "matcher", "solver", "initializer", "calibrator", "accumulator"]
@@ -15,7 +16,11 @@ _SLOTS += ["dataset", "exporter", "calibration-reader"]
 
 @click.group("plugin")
 def command() -> None:
-    """Create a package for your own plugin, with one method."""
+    """List the installed plugins, create a package for your own, or check one."""
+
+
+command.add_command(plugin_list.command)
+command.add_command(plugin_check.command)
 
 
 @command.command("new")

@@ -1,4 +1,4 @@
-"""`p2o check-plugin`: run the conformance checks."""
+"""`p2o plugin check`: run the conformance checks."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Outcome(StrEnum):
     NOT_APPLICABLE = "n/a"
 
 
-@click.command("check-plugin")
+@click.command("check")
 @click.argument("name")
 @click.option("--set", "settings", multiple=True, metavar="STAGE.FIELD=VALUE", help="An option of the method.")
 @plugin_options
@@ -100,5 +100,5 @@ def _meant(registry: Registry, name: str) -> tuple[Offer, ...]:
         plugins = {o.dist for o in registry.offers}
         hint = problem.advice
         if name.endswith(".py"):
-            hint = f"load a file with --plugin: p2o check-plugin {Path(name).stem} --plugin {name}"
+            hint = f"load a file with --plugin: p2o plugin check {Path(name).stem} --plugin {name}"
         raise UnknownNameError("plugin or method", name, {*plugins, *problem.known}, hint=hint) from None

@@ -1,4 +1,4 @@
-"""`p2o plugins`: list installed and broken plugins as JSON."""
+"""`p2o plugin list`: list installed and broken plugins as JSON."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import click
 from p2o.cli.plugin_options import load, plugin_options
 
 
-@click.command("plugins")
+@click.command("list")
 @plugin_options
 def command(plugin: tuple[str, ...], block: tuple[str, ...]) -> int:
     """List the plugins as JSON: name, version, methods; broken ones with reasons.

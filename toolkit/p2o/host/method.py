@@ -79,7 +79,7 @@ PLUGIN_API = 1
 
 @dataclass(frozen=True)
 class Example:
-    """Frames on which a method promises to come near the truth, for `p2o check-plugin` and its own tests.
+    """Frames on which a method promises to come near the truth, for `p2o plugin check` and its own tests.
 
     `data` is DATASET:PATH of a dataset that needs no files, `perturb` the initial guess, `within` the required
     accuracy as in `p2o run`; `joint` calibrates all frames jointly, `accumulate` accumulates their sweeps before. A
