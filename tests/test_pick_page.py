@@ -160,7 +160,7 @@ def test_clicks_make_pairs_that_yield_the_pose(browser: Any, server: PickServer)
                 says(page, "now the same point of the " + ("sweep" if i % 2 else "image"))
         says(page, f"{i + 1} pairs of this frame, saved")
         assert len(read_pairs(session.path)["<b>first</b>"]) == i + 1, "the file is written after every pair"
-    says(page, "converged: 9 of 10 picks agree")
+    says(page, "solved: 9 of 10 picks agree")
     says(page, "predicted error (67 %)")
     page.until_equal(lambda: page.texts("table.pairs tr.outlier td:first-child"), ["4"])
     errors = [float(text) for text in page.texts("table.pairs td:last-child")]

@@ -83,12 +83,12 @@ def test_a_bad_frame_is_a_row_with_its_reason_and_the_others_are_calibrated(
     captured = capsys.readouterr()
     lines = [line for line in captured.out.splitlines() if line.startswith(("drive/", "  status", "  failed"))]
     assert lines[1:4] == [
-        "  status    converged: because it is a test",
+        "  status    solved: because it is a test",
         "drive/0001",
         "  failed    a.png: the image is cut short",
     ]
     assert lines[4] == "drive/0002"
-    assert "2 calibrations: 2 converged\n  1 frames failed" in captured.out
+    assert "2 calibrations: 2 solved\n  1 frames failed" in captured.out
     assert captured.err.splitlines()[-1] == (
         "p2o: error: 1 of 3 frames could not be calibrated; got drive/0001: a.png: the image is cut short"
     )

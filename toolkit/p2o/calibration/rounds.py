@@ -58,7 +58,7 @@ class Rounds:
         options, rounds = self.options, []
         if found_by:
             rounds.append(_round_record(found_by, 0.0, None, start, pose, judge.costs([pose])[0], accepted=True))
-        best, status, reason = pose, Status.ROUNDS_SPENT, f"all {options.rounds} rounds were used"
+        best, status, reason = pose, Status.ROUNDS_SPENT, "without rounds"
         solution, improved, stopped, reach = None, False, None, reach_px
         for _ in range(options.rounds):
             problem = self.matcher(views, pose, reach)
@@ -82,6 +82,8 @@ class Rounds:
             if still and (reach <= options.min_reach_px or independent):
                 status, reason = Status.CONVERGED, "the last round moved the pose by less than the tolerance"
                 break
+            step = f"{record.step_deg:.2g} deg and {record.step_m:.2g} m"
+            reason = f"the last of {options.rounds} rounds moved the pose by {step}"
             reach = max(options.min_reach_px, reach * options.shrink)
         if stopped is not None and not improved:
             return End(start, stopped, reason, tuple(rounds))

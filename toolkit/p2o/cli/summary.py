@@ -6,7 +6,7 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from p2o.errors import printable
-from p2o.results.figures import accuracy_text, result_lines, result_name
+from p2o.results.figures import accuracy_text, result_lines, result_name, status_text
 from p2o.results.verdict import Trust
 from p2o.run.protocol import figures_text
 
@@ -26,7 +26,7 @@ def describe(row: Row) -> str:
     result = row.result
     lines = [
         result_name(result, row.camera),
-        f"  {'status':<9} {result.status.value}: {result.reason}",
+        f"  {'status':<9} {status_text(result.status)}: {result.reason}",
         *_verdict(result),
     ]
     lines += _pose("initial", result.start) + _pose("result", result.camera_from_lidar)
@@ -65,7 +65,8 @@ def describe_failed(failed: FailedFrame) -> str:
 def describe_run(run: Run) -> str:
     """Return the summary of many results: counts by status and by verdict, then means and medians of the errors."""
     summary = run.summary
-    counts = ", ".join(f"{count} {status}" for status, count in summary["status"].items())
+    by_text = Counter(status_text(row.result.status) for row in run.rows)
+    counts = ", ".join(f"{count} {status}" for status, count in sorted(by_text.items()))
     lines = [f"{summary['count']} calibrations: {counts or 'none finished'}"]
     if run.failed:
         sort = "frames" if run.rig is None else "cameras"

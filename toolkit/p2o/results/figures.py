@@ -14,7 +14,7 @@ from typing import Any
 from p2o.arrays import Float
 from p2o.geometry import se3
 from p2o.results.evidence import Accuracy
-from p2o.results.result import CameraCheck, Result, SweepMotion
+from p2o.results.result import CameraCheck, Result, Status, SweepMotion
 
 Value = float | int | str | None
 """What a figure can be; None where it is unknown."""
@@ -145,6 +145,11 @@ def result_lines(result: Result) -> list[Line]:
     """Return the lines of all figures and notes of a result."""
     notes = ((note.label, text) for note in NOTES for text in note.texts(result))
     return [*figure_lines(figure_values(result)), *notes]
+
+
+def status_text(status: Status) -> str:
+    """Return `solved` if there is an estimate, which the verdict assesses, else the reason of the refusal."""
+    return "solved" if status.solved else status.value
 
 
 def accuracy_text(accuracy: Accuracy | None) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from p2o.arrays import Float, UInt8
 from p2o.geometry.camera import Camera
 from p2o.problems.picked_pairs import PickedPairs
+from p2o.results.figures import status_text
 
 from p2o_pages.pick.range_image import LAYERS, RangeImage
 from p2o_pages.pick.session import MIN_SOLVED_PAIRS, PickSession, Residuals
@@ -218,7 +219,7 @@ class PickServer(PageServer):
         solved = self.session.solved
         if solved is None:
             return [self.session.name, f"a pose is estimated from {MIN_SOLVED_PAIRS} pairs on"]
-        lines = [self.session.name, f"{solved.status.value}: {solved.reason}"]
+        lines = [self.session.name, f"{status_text(solved.status)}: {solved.reason}"]
         if solved.accuracy is not None:
             rotation_deg, translation_m = solved.accuracy.rotation_deg, solved.accuracy.translation_m
             lines.append(f"predicted error (67 %): {rotation_deg:.2f} deg and {translation_m:.3f} m")
