@@ -71,7 +71,7 @@ def test_help_imports_nothing_heavy() -> None:
 
 
 def test_listing_imports_no_package_that_methods_need() -> None:
-    commands = [["methods"], ["plugins"], ["methods", "ogm"], ["data", "list", "synthetic:"]]
+    commands = [["methods"], ["plugin", "list"], ["methods", "ogm"], ["data", "list", "synthetic:"]]
     code = "import sys; from p2o.cli import main; "
     code += f"print([main(words) for words in {commands}]); print(*sys.modules, file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -106,7 +106,7 @@ def test_without_a_driver_of_a_gpu_the_default_run_imports_no_torch() -> None:
     assert done.stderr.splitlines()[-1] == "False"
 
 
-@pytest.mark.parametrize("command", ["", *_COMMANDS, "data list", "data check"])
+@pytest.mark.parametrize("command", ["", *_COMMANDS, "data list", "data check", "plugin list", "plugin check"])
 def test_every_command_explains_itself(
     command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -121,7 +121,7 @@ def test_every_command_explains_itself(
 def test_the_examples_in_the_help_keep_their_lines(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", "--help"]) == 0
     lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
-    assert 'p2o run --data kitti-raw:PATH --perturb "2deg 0.15m" --seed 1' in lines
+    assert 'p2o run folder:PATH --start roughly "x forward, z up; camera looks 45 deg left"' in lines
     assert main(["simulate", "--help"]) == 0
     lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
     assert "p2o simulate out --layout kitti-raw --set scenes=20 --seed 1" in lines
@@ -292,7 +292,7 @@ def test_solved_results_of_a_run_are_counted_by_their_verdict() -> None:
     rows = (judged(), judged(), judged(Doubt.RIVAL_POSE), judged(Doubt.CAMERA), judged())
     run = Run((*rows, judged(Doubt.NOT_SOLVED)))
     lines = describe_run(run).splitlines()
-    assert lines[:2] == ["6 calibrations: 5 converged, 1 no-edges", "  5 solved: 3 trusted, 1 ambiguous, 1 doubtful"]
+    assert lines[:2] == ["6 calibrations: 1 no-edges, 5 solved", "  5 solved: 3 trusted, 1 ambiguous, 1 doubtful"]
     assert run.summary["trust"] == {"trusted": 3, "ambiguous": 1, "doubtful": 1, "refused": 1}
     assert describe_run(Run((judged(Doubt.NOT_SOLVED),))) == "1 calibrations: 1 no-edges"
 
@@ -510,18 +510,30 @@ DIGITS = 5000 * "9"
         ),
         (["simulate", "~nosuch/x", "--layout", "folder"], "~nosuch/x: the home folder of an unknown user"),
         (["simulate", "x", "--layout", "folder", "--set", "a.x=1", "--set", "a=2"], "--set: a.x is set already"),
-        (["check-plugin", "a/b.py"], "load a file with --plugin: p2o check-plugin b --plugin a/b.py"),
+        (["plugin", "check", "a/b.py"], "load a file with --plugin: p2o plugin check b --plugin a/b.py"),
         (["run", "--frames", "7"], "--frames: frame index 7 is out of range; expected 0 to 0"),
         (["run", "--frames", "@absent.json#test"], "absent.json: the file of splits is missing"),
         (["run", "--data", "kitti-raw:/no/such/folder"], "/no/such/folder"),
-        (["run", "--data", "/no/such/folder"], "data need a dataset name; expected DATASET:PATH"),
+        (
+            ["run", "--data", "/no/such/folder"],
+            "/no/such/folder: no such dataset, file or folder; expected DATASET:PATH",
+        ),
+        (["run", "a:", "--data", "b:"], "the data are given twice, as DATA and as --data"),
+        (["check", "--extrinsic", "truth"], "Missing argument '[DATASET:]PATH'"),
+        (["run", "--matcher", "koo"], "koo is a method of another kind, calibrator: --calibrator koo"),
+        (["run", "--extractor", "rings/rings"], "another kind, cloud extractor: --extractor IMAGE/rings"),
+        (["run", "--method", "nidd"], "unknown method 'nidd'"),
+        (
+            ["run", "--matcher", "mi"],
+            "--method mi, which stands for --extractor grey/reflectance --matcher mi --solver",
+        ),
         (["run", "--seed", "-1"], "Invalid value for '--seed'"),
         (["run", "--block", "p2o-calibb"], "unknown plugin to block 'p2o-calibb'"),
         (["run", "--plugin", "absent.py"], "absent.py: no such plugin file"),
         (["run", "--frobnicate"], "No such option '--frobnicate'"),
         (["rum"], "No such command 'rum'"),
         (["methods", "ogmm"], "unknown method 'ogmm'"),
-        (["check-plugin", "p2o-cali"], "unknown plugin or method 'p2o-cali'"),
+        (["plugin", "check", "p2o-cali"], "unknown plugin or method 'p2o-cali'"),
         (["data", "list", "kitti-raw:/no/such/folder"], "/no/such/folder"),
     ],
 )
@@ -565,10 +577,14 @@ def test_stderr_is_silent_where_it_is_no_terminal() -> None:
 
 
 def test_a_closed_pipe_is_no_error() -> None:
-    command = f"{sys.executable} -m p2o methods | head -n 1"
-    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
-    assert done.stdout == "image extractors\n"
-    assert done.stderr == ""
+    for words, line in (
+        ("methods", "methods (p2o run --method NAME"),
+        ("data list 'synthetic:?scenes=20000'", "scene-"),
+    ):
+        command = f"{sys.executable} -m p2o {words} | head -n 1"
+        done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+        assert done.stdout.startswith(line)
+        assert done.stderr == ""
 
 
 # ---- the other commands
@@ -627,7 +643,7 @@ def test_plugins_are_json_with_the_broken_ones_and_those_left_out(
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: bad-one\nVersion: 0.9\n")
     (info / "entry_points.txt").write_text("[p2o]\nhooks = no_such_module_at_all\n")
     monkeypatch.syspath_prepend(str(tmp_path))
-    assert main(["plugins", "--block", "p2o-calib:baselines"]) == 0
+    assert main(["plugin", "list", "--block", "p2o-calib:baselines"]) == 0
     captured = capsys.readouterr()
     shown = json.loads(captured.out)
     [ours] = [plugin for plugin in shown["plugins"] if plugin["name"] == "p2o-calib:plugins"]
@@ -642,11 +658,11 @@ def test_plugins_are_json_with_the_broken_ones_and_those_left_out(
     assert main(["run", "--matcher", "theirs"]) == 2
     assert "plugin bad-one:hooks is broken" in capsys.readouterr().err
     monkeypatch.setenv("P2O_STRICT", "1")
-    assert main(["plugins"]) == 2
+    assert main(["plugin", "list"]) == 2
 
 
 def test_check_plugin_says_what_is_promised_and_broken(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["check-plugin", "lm"]) == 0
+    assert main(["plugin", "check", "lm"]) == 0
     out = capsys.readouterr().out
     assert "ok    solver lm: solver_returns_to_the_truth" in out
     assert out.endswith("every check passed\n")
@@ -657,7 +673,7 @@ def test_check_plugin_says_what_is_promised_and_broken(tmp_path: Path, capsys: p
         "        summary='Stays.', needs={'pairs'},\n"
         "        expected_failures=(('solver_returns_to_the_truth', 'it is lazy'),))\n"
     )
-    assert main(["check-plugin", "lazy", "--plugin", str(file)]) == 1
+    assert main(["plugin", "check", "lazy", "--plugin", str(file)]) == 1
     out = capsys.readouterr().out
     assert "known solver lazy: solver_returns_to_the_truth (it is lazy)" in out
     assert "FAIL  solver lazy: solver_says_when_nothing_is_determined\n      promised: Without any pairs" in out
@@ -671,7 +687,7 @@ def test_check_plugin_tells_what_it_could_not_check(tmp_path: Path, capsys: pyte
         "    yield p2o.Method(name='lonely', build=lambda o: lambda *given: None, summary='Wants lines.',\n"
         "        needs={'image-circles'}, gives={'pairs'})\n"
     )
-    assert main(["check-plugin", "lonely", "--plugin", str(file)]) == 0
+    assert main(["plugin", "check", "lonely", "--plugin", str(file)]) == 0
     out = capsys.readouterr().out
     said = "n/a   matcher lonely: matches_repeat\n      not applicable: no installed extractor gives image-circles\n"
     assert said in out

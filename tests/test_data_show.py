@@ -184,3 +184,11 @@ def test_the_same_frame_under_two_names_is_not_suggested_twice_first(capsys: pyt
 def test_wrong_words_are_one_clear_line(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["data", "suggest", "fake:", *STAGE, "--extractor", "depth/rings", *words]) == 2
     assert said in capsys.readouterr().err
+
+
+def test_a_guess_in_words_is_drawn_in_both_forms(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["data", "show", "synthetic:?scenes=1&width_px=310&height_px=94&right=false", "--out", str(tmp_path)]
+    guess = "x forward, z up; camera looks forward"
+    for start in (["--start", "roughly", guess], ["--start", f"roughly {guess}"]):
+        assert main([*words, *start]) == 0
+        assert f"at the pose of roughly {guess}" in capsys.readouterr().out

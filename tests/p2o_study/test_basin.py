@@ -11,7 +11,8 @@ from p2o import InputError, Registry, UnknownNameError
 from p2o.cli import main
 from p2o.geometry.perturb import Perturbation, parse_perturbation
 from p2o.results.verdict import Trust
-from p2o_study.basin import Contender, Grid, basin_of, basin_study, label
+from p2o.run.presets import Preset
+from p2o_study.basin import Grid, basin_of, basin_study, contender_of, label
 from p2o_study.study import check_study, parse_study
 
 from tests.fake_study import run_of
@@ -21,7 +22,7 @@ GRID = Grid((1.0, 4.0), (0.1, 0.5, 2.0), parse_perturbation("0.5deg 0.2m"))
 
 def test_a_basin_is_a_study_of_every_method_from_every_size_of_start() -> None:
     registry = Registry.load()
-    contenders = [Contender.of(name, None, registry) for name in ("ogm", "nearest")]
+    contenders = [contender_of(name, None, registry) for name in ("ogm", "nearest")]
     file = basin_study(contenders, GRID, "synthetic:", "0", 3, False)
     rows = check_study(file.study, registry)
     assert {row.label for row in rows} == {label(c, cell) for c in contenders for cell in GRID.cells}
@@ -45,7 +46,7 @@ def test_a_row_of_a_study_comes_with_its_words_and_options() -> None:
     options.pipeline.rounds = 3
     """
     registry = Registry.load()
-    contender = Contender.of("simple", parse_study(text), registry)
+    contender = contender_of("simple", parse_study(text), registry)
     assert contender.words["extractor"] == "depth/rings"
     [row, *_] = check_study(basin_study([contender], GRID, "synthetic:", "0", 1, True).study, registry)
     assert row.words["options"]["matcher"]["huber_px"] == 2.5
@@ -55,11 +56,11 @@ def test_a_row_of_a_study_comes_with_its_words_and_options() -> None:
 
 def test_a_name_that_is_no_method_is_told_with_the_nearest() -> None:
     with pytest.raises(UnknownNameError, match="did you mean nearest"):
-        Contender.of("neares", None, Registry.load())
+        contender_of("neares", None, Registry.load())
 
 
 def test_shares_count_what_arrives_what_is_refused_and_what_deceives() -> None:
-    contender = Contender("ours", {"matcher": "ogm"}, {})
+    contender = Preset("ours", {"matcher": "ogm"}, {})
     first, second = GRID.cells[:2]
     common = {"study": "basin", "trust": Trust.TRUSTED}
     rows = [

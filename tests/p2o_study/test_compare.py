@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from p2o import InputError, UnknownNameError, se3
 from p2o.cli import main
+from p2o.run.presets import Preset
 from p2o.work.cache import FeatureCache
 from p2o_study import compare as module
 from p2o_study import comparison as figures
-from p2o_study.basin import Contender
 from p2o_study.compare import Comparison, compare, contenders_of, family_of, split_frames
 from p2o_study.comparison import Samples, Standing
 from p2o_study.report.bootstrap import Interval
@@ -25,7 +25,7 @@ from tests.study_plugin import TRUTH
 
 OWN = PLUGIN.with_name("compare_plugin.py")
 PLUGINS = Plugins(files=(str(PLUGIN), str(OWN)))
-EDGES = Contender("edges", {"extractor": "tiny/tiny", "matcher": "ogm", "init": "given"}, {})
+EDGES = Preset("edges", {"extractor": "tiny/tiny", "matcher": "ogm", "init": "given"}, {})
 GUESS = np.array([1.0, 0, 0, 0, 0.1, 0])
 rng = np.random.default_rng(3)
 
@@ -205,15 +205,15 @@ def test_edges_judge_poses_on_frames_that_had_no_part_in_them(bench: Bench) -> N
     by_name = {s.name: s.figures["edges"].value for s in comparison.ranking}
     assert by_name["sharp"] < by_name["stuck"] - 1
     assert comparison.shares == {"edges": {"stuck": False, "sharp": False}}
-    stereo = Contender("stereo", {**EDGES.words, "extractor": "stereo/tiny"}, {})
-    partly = Contender("partly", EDGES.words, {"extractor": {"fail_on": 0}})
+    stereo = Preset("stereo", {**EDGES.words, "extractor": "stereo/tiny"}, {})
+    partly = Preset("partly", EDGES.words, {"extractor": {"fail_on": 0}})
     _, own = run(bench, "stuck,sharp", judges={"stereo": stereo, "partly": partly}, seeds=2)
     assert [*own.shares] == ["partly"], "the groups that it can judge"
     assert any(line.startswith("no held-out agreement by stereo: ") for line in own.remarks)
 
 
 def test_a_restarted_comparison_computes_what_is_missing(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    tired = [Contender("quick", {"calibrator": "quick"}, {"calibrator": {"interrupt_after": 5}})]
+    tired = [Preset("quick", {"calibrator": "quick"}, {"calibrator": {"interrupt_after": 5}})]
     words: dict[str, Any] = {"groups": 5, "judges": {}, "plugins": PLUGINS, "cache": FeatureCache(bench.root / "c")}
     done, comparison = compare(tired, "tiny:?frames=5", bench.root / "o", **words)
     assert (done.interrupted, comparison, len(done.rows)) == (True, None, 4)
@@ -282,7 +282,7 @@ def test_the_command_prints_the_ranking_and_writes_page_and_json(
     assert main([*words, "--methods", "sharp,lose"]) == 2
     assert "did you mean loose" in capsys.readouterr().err
     assert main(["compare", "--methods", "sharp"]) == 2
-    assert "name the data once" in capsys.readouterr().err
+    assert "Missing argument '[DATASET:]PATH'" in capsys.readouterr().err
 
 
 def test_names_in_the_page_are_text(bench: Bench) -> None:

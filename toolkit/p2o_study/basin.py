@@ -13,52 +13,26 @@ from typing import Any
 
 import numpy as np
 from p2o.arrays import Float
-from p2o.errors import InputError, UnknownNameError
+from p2o.errors import InputError
 from p2o.geometry.perturb import Perturbation
 from p2o.host.registry import Registry
-from p2o.host.slots import METHOD_WORDS, Kind
+from p2o.host.slots import METHOD_WORDS
 from p2o.results.verdict import Trust
-from p2o.run.words import parse_settings
+from p2o.run.presets import Preset, preset_of
 
 from p2o_study.store import StoredRow
 from p2o_study.study import Study, StudyFile, parse_study
 from p2o_study.tally import by_row, is_within
 
-_BESIDE = ("extractor", "solver", "init")
-"""Stages that the example of a matcher selects."""
 
-
-@dataclass(frozen=True)
-class Contender:
-    """A method under the name shown in heat maps: words of a recipe, and options by stage."""
-
-    name: str
-    words: Mapping[str, str]
-    options: Mapping[str, Mapping[str, Any]]
-
-    @classmethod
-    def of(cls, text: str, study: Study | None, registry: Registry) -> Contender:
-        """Return the method named `text`: a row of the study, else an installed matcher or calibrator.
-
-        A matcher is combined with the extractor, solver and init of its example, else with those of the default
-        recipe; the settings of the example are applied. Raises UnknownNameError.
-        """
-        rows = {} if study is None else {row.label: row for row in study.rows()}
-        if text in rows:
-            words = {word: value for word, value in rows[text].words.items() if word in (*METHOD_WORDS, "accumulate")}
-            return cls(text, words, rows[text].words.get("options", {}))
-        for kind, word in ((Kind.MATCHER, "matcher"), (Kind.CALIBRATOR, "calibrator")):
-            offer = next((offer for offer in registry.of_kind(kind) if offer.name == text), None)
-            if offer is None:
-                continue
-            example = offer.method.example
-            if example is None:
-                return cls(text, {word: text}, {})
-            beside = _BESIDE if kind is Kind.MATCHER else ()
-            companions = {stage: value for stage in beside if (value := getattr(example, stage))}
-            return cls(text, {word: text, **companions}, parse_settings(example.settings))
-        known = [o.name for kind in (Kind.MATCHER, Kind.CALIBRATOR) for o in registry.of_kind(kind)]
-        raise UnknownNameError("method", text, [*rows, *known], hint="name a matcher, a calibrator or a row of --study")
+def contender_of(text: str, study: Study | None, registry: Registry) -> Preset:
+    """Return the method named `text`: a row of the study, else as `preset_of`. Raises UnknownNameError."""
+    rows = {} if study is None else {row.label: row for row in study.rows()}
+    if text not in rows:
+        hint = "name a published method, a calibrator, a matcher or a row of --study"
+        return preset_of(text, registry, None, rows, hint)
+    words = {word: value for word, value in rows[text].words.items() if word in (*METHOD_WORDS, "accumulate")}
+    return Preset(text, words, rows[text].words.get("options", {}))
 
 
 @dataclass(frozen=True)
@@ -90,7 +64,7 @@ class Grid:
 
 
 def basin_study(
-    contenders: Sequence[Contender], grid: Grid, data: str, frames: str, seeds: int, joint: int | bool
+    contenders: Sequence[Preset], grid: Grid, data: str, frames: str, seeds: int, joint: int | bool
 ) -> StudyFile:
     """Return the study of a basin: one row for each method and size of the start error, named by `label`."""
     rows = [
@@ -108,7 +82,7 @@ def study_file(name: str, content: Mapping[str, Any]) -> StudyFile:
     return StudyFile(parse_study(text, name), text, name)
 
 
-def label(contender: Contender, cell: Perturbation) -> str:
+def label(contender: Preset, cell: Perturbation) -> str:
     """Return the label of the row of a method and a size of the start error."""
     return f"{contender.name} from {cell}"
 
@@ -144,7 +118,7 @@ class Basin:
         return {"name": self.name, **plain}
 
 
-def basin_of(contender: Contender, grid: Grid, rows: Sequence[StoredRow]) -> Basin:
+def basin_of(contender: Preset, grid: Grid, rows: Sequence[StoredRow]) -> Basin:
     """Return the basin of one method from the finished rows of the study."""
     by_label = by_row(rows)
     shape = (len(grid.rotations_deg), len(grid.translations_m))

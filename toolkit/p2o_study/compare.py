@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +16,15 @@ import numpy as np
 from p2o.arrays import Float
 from p2o.calibration.algorithm import EDGES
 from p2o.calibration.judge import DirectedJudge
-from p2o.errors import InputError, P2OError, UnknownNameError
+from p2o.errors import InputError, P2OError
 from p2o.frames.selection import select
 from p2o.geometry import se3
 from p2o.geometry.perturb import Perturbation, parse_perturbation
 from p2o.host.calibration_file import read_initial_guess
-from p2o.host.method import Kind
 from p2o.host.registry import Registry
 from p2o.run.assembly import INPUTS
 from p2o.run.pipeline import Pipeline
+from p2o.run.presets import Preset, preset_of, presets
 from p2o.run.recipe import Plan, Recipe, open_dataset
 from p2o.run.run import start_of
 from p2o.work.cache import FeatureCache, features_key
@@ -34,20 +34,13 @@ from p2o_study import ablate as studies
 from p2o_study import comparison as figures
 from p2o_study import worker
 from p2o_study.ablate import MAX_CALIBRATIONS, Ablation
-from p2o_study.basin import Contender, study_file
+from p2o_study.basin import study_file
 from p2o_study.cells import OpenRow, open_rows
 from p2o_study.comparison import MIN_GROUPS
 from p2o_study.store import StoredRow
-from p2o_study.study import StudyFile, check_study, find_study
+from p2o_study.study import StudyFile, check_study
 from p2o_study.worker import FrameRecord, Plugins, ReadJob, Source
 
-PRESETS = "rivals"
-"""The study whose rows are the published methods; the name of a method is the label of its row up to a comma."""
-OWN = {
-    "ours": Contender("ours", {}, {}),
-    "ours-without-prior": Contender("ours-without-prior", {}, {"init": {"weigh_start": False}}),
-}
-"""Our method with the defaults of a recipe, and without the initial guess as a prior."""
 JUDGES = {"edges": "ours", "nid": "nid"}
 """Methods whose cost evaluates poses on other frames, by the name of the judge."""
 BLIND = (
@@ -59,26 +52,14 @@ _EXTRACTORS = ("extractor", "cloud")
 _SAME_DEG, _SAME_M = 1e-3, 1e-4
 
 
-def contenders_of(names: Sequence[str], registry: Registry) -> list[Contender]:
-    """Return the methods of these names: ours, the published ones of the study `rivals`, other installed methods.
+def contenders_of(names: Sequence[str], registry: Registry) -> list[Preset]:
+    """Return the methods of these names (`preset_of`).
 
     Raises UnknownNameError, with similar names, for an unknown one, and InputError if one is named twice.
     """
-    try:
-        published = find_study(PRESETS, registry).study
-    except UnknownNameError:
-        published = None
-    rows = [] if published is None else [row.label for row in published.rows()]
-    labels = {label.partition(",")[0].lower(): label for label in reversed(rows)}
-    others = {offer.name for kind in (Kind.MATCHER, Kind.CALIBRATOR) for offer in registry.of_kind(kind)}
     if len(set(names)) < len(names):
         raise InputError("a method is named twice", where="--methods", got=", ".join(names))
-    for name in names:
-        if name not in {*OWN, *labels, *others}:
-            raise UnknownNameError("method", name, {*OWN, *labels, *others}, where="--methods")
-    return [
-        OWN.get(name) or replace(Contender.of(labels.get(name, name), published, registry), name=name) for name in names
-    ]
+    return [preset_of(name, registry, "--methods") for name in names]
 
 
 def split_frames(data: str, frames: str, groups: int, registry: Registry) -> list[list[int]]:
@@ -98,7 +79,7 @@ def split_frames(data: str, frames: str, groups: int, registry: Registry) -> lis
     return [indices[first::groups] for first in range(groups)]
 
 
-def compare_study(contenders: Sequence[Contender], data: str, groups: Sequence[Sequence[int]], seeds: Any) -> StudyFile:
+def compare_study(contenders: Sequence[Preset], data: str, groups: Sequence[Sequence[int]], seeds: Any) -> StudyFile:
     """Return the study: a row per method, a dataset per group, each calibrated jointly."""
     content = {
         "title": "Comparison without ground truth",
@@ -201,7 +182,7 @@ class Comparison:
 
 
 def compare(
-    contenders: Sequence[Contender],
+    contenders: Sequence[Preset],
     data: str,
     folder: str | Path,
     *,
@@ -210,7 +191,7 @@ def compare(
     seeds: int | Sequence[int] = 3,
     start: str | None = None,
     perturb: str = "1deg 0.1m",
-    judges: Mapping[str, Contender] | None = None,
+    judges: Mapping[str, Preset] | None = None,
     plugins: Plugins | None = None,
     workers: Workers | None = None,
     cache: FeatureCache | None = None,
@@ -239,8 +220,8 @@ def compare(
         reason = next(row.reason for row in done.rows if row.start is None)
         raise InputError("too few groups of frames can be read", expected=f"at least {MIN_GROUPS}", got=reason)
     if judges is None:
-        matchers = {offer.name for offer in registry.of_kind(Kind.MATCHER)}
-        judges = {j: contenders_of([n], registry)[0] for j, n in JUDGES.items() if n in {*OWN, *matchers}}
+        published = presets(registry)
+        judges = {judge: published[name] for judge, name in JUDGES.items() if name in published}
     judging = {}
     for judge, contender in judges.items():
         study = compare_study([contender], data, [parts[n] for n in readable], 1).study

@@ -9,13 +9,11 @@ from __future__ import annotations
 import importlib.resources
 import itertools
 import math
-import re
 import string
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date, time
-from importlib.metadata import entry_points
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -25,7 +23,8 @@ from p2o.files.input_file import existing_folder, expanded, read_text
 from p2o.files.parsed_text import parse_toml
 from p2o.geometry.perturb import Perturbation, parse_perturbation
 from p2o.geometry.start_list import parse_starts
-from p2o.host.registry import GROUP, Registry
+from p2o.host.registry import Registry
+from p2o.host.shipped import shipped_files
 from p2o.host.slots import METHOD_WORDS, SLOTS, STAGED_WORDS, STAGES
 from p2o.options import fault_of
 from p2o.run.recipe import Plan, Recipe
@@ -602,22 +601,10 @@ def find_study(word: str, registry: Registry) -> StudyFile:
 
 def shipped_studies(registry: Registry) -> dict[str, list[tuple[str, Traversable]]]:
     """Return the study files of loaded plugins by name, each with the distribution that ships it."""
-    loaded = {(plugin.dist, plugin.entry) for plugin in registry.plugins}
-    packages: dict[str, str] = {}
-    for entry in entry_points(group=GROUP):
-        dist = "" if entry.dist is None else re.sub(r"[-_.]+", "-", entry.dist.name).lower()
-        if (dist, entry.name) in loaded:
-            packages.setdefault(entry.module.partition(".")[0], dist)
     studies: dict[str, list[tuple[str, Traversable]]] = {}
-    for package, dist in sorted(packages.items()):
-        try:
-            folder = importlib.resources.files(package).joinpath(FOLDER)
-            files = sorted(folder.iterdir(), key=lambda file: file.name) if folder.is_dir() else []
-        except (ImportError, OSError, TypeError):  # a plugin of a single module has no folder
-            continue
-        for file in files:
-            if file.name.endswith(".toml"):
-                studies.setdefault(file.name.removesuffix(".toml"), []).append((dist, file))
+    for dist, file in shipped_files(registry, FOLDER):
+        if file.name.endswith(".toml"):
+            studies.setdefault(file.name.removesuffix(".toml"), []).append((dist, file))
     return dict(sorted(studies.items()))
 
 

@@ -59,7 +59,7 @@ def command(
     camera_frame, direction, width, height. `p2o methods FORM` lists the options of a format.
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     from p2o.reading import expanded, read_calibration, validated, write_whole
-    from p2o.run.words import split_data
+    from p2o.run.words import split_name
 
     from p2o_formats.formats import format_named
 
@@ -67,7 +67,7 @@ def command(
     # Same syntax as --data and --export, but without a path: NAME?FIELD=VALUE.
     name, _, query = to.partition("?")
     chosen = format_named(name, "--to")
-    values = split_data(f"{name}:?{query}")[1] if query else {}
+    values = split_name(f"{name}:?{query}")[1] if query else {}
     options = validated(chosen.options, values, chosen.name, where="--to", noun=f"option of {chosen.name}")
     if chosen.write is None:
         raise InputError(f"{chosen.name} can only be read", where="--to", expected="another form", got=chosen.name)

@@ -253,7 +253,7 @@ def test_a_dataset_with_and_without_a_path() -> None:
         resolved(data="files:")
     with pytest.raises(InputError, match="dataset synthetic takes no path; expected synthetic:; got /a"):
         resolved(data="synthetic:/a")
-    with pytest.raises(InputError, match=r"data need a dataset name; expected DATASET:PATH.*got /a/b"):
+    with pytest.raises(InputError, match=r"/a/b: no such dataset, file or folder; expected DATASET:PATH"):
         resolved(data="/a/b")
     with pytest.raises(UnknownNameError, match=r"unknown dataset 'fils'.*did you mean files\?"):
         resolved(data="fils:/a")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from p2o.cli import added_commands, data_show, data_suggest, load_command
-from p2o.cli.plugin_options import load, plugin_options
+from p2o.cli.plugin_options import data_argument, load, plugin_options
 from p2o.errors import P2OError, printable
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 def _dataset_options(command: Callable[..., Any]) -> Callable[..., Any]:
     command = click.option("--set", "settings", multiple=True, metavar="data.FIELD=VALUE", help="An option.")(command)
     command = click.option("--frames", default=None, metavar="SPEC", help="Which frames, as in `p2o run`.")(command)
-    return click.argument("data", metavar="DATASET:PATH")(plugin_options(command))
+    return data_argument("The data.")(plugin_options(command))
 
 
 class _DataCommands(click.Group):

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from p2o.cli.plugin_options import load, plugin_options
+from p2o.cli.plugin_options import data_argument, load, plugin_options
 from p2o.cli.pose_options import StartCommand, most_option, pose_options
 from p2o.errors import InputError, P2OError, printable
 
@@ -18,7 +18,7 @@ MOST = 8
 
 
 @click.command("show", cls=StartCommand)
-@click.argument("data", metavar="DATASET:PATH")
+@data_argument("The data.")
 @click.option("--frames", default=None, metavar="SPEC", help="Which frames, as in `p2o run` (default: all).")
 @most_option(MOST, 200, "Maximum number of frames, evenly spaced.")
 @pose_options

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from p2o.cli.plugin_options import load, plugin_options
+from p2o.cli.plugin_options import data_argument, load, plugin_options
 from p2o.cli.pose_options import StartCommand, most_option, pose_options
 from p2o.errors import InputError, printable
 
@@ -26,7 +26,7 @@ _REACH_PX = 12.0
 
 
 @click.command("suggest", cls=StartCommand)
-@click.argument("data", metavar="DATASET:PATH")
+@data_argument("The data.")
 @click.option("--frames", default="all", metavar="SPEC", help="Candidate frames, as in `p2o run` (default: all).")
 @most_option(MOST, 2000, "Maximum number of evaluated frames, evenly spaced.")
 @click.option(

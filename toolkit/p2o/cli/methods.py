@@ -22,13 +22,18 @@ _PIPELINE = "pipeline"
 def command(name: str | None, matrix: bool, plugin: tuple[str, ...], block: tuple[str, ...]) -> int:
     """List the installed methods, or explain one with all its options.
 
-    NAME may be name@distribution if two plugins offer it. `pipeline` explains the options of the rounds of extraction,
-    matching and solving.
+    The first list contains the methods of `p2o run --method` with the options that they stand for. NAME may be
+    name@distribution if two plugins offer it. `pipeline` explains the options of the rounds of extraction, matching and
+    solving.
     """
+    from p2o.run.presets import presets
+
     registry = load(plugin, block)
     if name is not None:
+        published = presets(registry)
         ours = [pipeline_explained()] if name == _PIPELINE else []
-        named = [o for o in registry.offers if o.name == _PIPELINE] if ours else registry.named(name)
+        ours += [f"method {name}\n  --method {name} stands for {published[name]}"] if name in published else []
+        named = [o for o in registry.offers if o.name == name] if ours else registry.named(name)
         click.echo("\n\n".join([*ours, *map(explained, named)]))
     elif matrix:
         click.echo(fit_matrix(registry))
@@ -38,9 +43,15 @@ def command(name: str | None, matrix: bool, plugin: tuple[str, ...], block: tupl
 
 
 def listed(registry: Registry) -> str:
-    """Return all methods by kind, one per line, with the distribution if it is not p2o."""
+    """Return all methods by kind, one per line, with the distribution if it is not p2o; first the published ones."""
+    from p2o.run.presets import presets
+
     blocks = []
-    width = max((len(_shown(offer)) for offer in registry.offers), default=0)
+    published = presets(registry)
+    width = max((len(name) for name in [*map(_shown, registry.offers), *published]), default=0)
+    if published:
+        rows = [f"  {name:<{width}}  {preset}" for name, preset in published.items()]
+        blocks.append("\n".join(["methods (p2o run --method NAME; calibrators, too)", *rows]))
     for kind in dict.fromkeys(offer.kind for offer in registry.offers):
         rows = [f"  {_shown(offer):<{width}}  {offer.method.summary}" for offer in registry.of_kind(kind)]
         blocks.append("\n".join([f"{kind.value}s", *rows]))

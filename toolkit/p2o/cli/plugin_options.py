@@ -1,7 +1,8 @@
-"""The options --plugin and --block of all commands that load plugins."""
+"""The argument DATA, and the options --plugin and --block of all commands that load plugins."""
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -24,3 +25,29 @@ def load(plugin: tuple[str, ...], block: tuple[str, ...]) -> Registry:
     from p2o.host.registry import Registry
 
     return Registry.load(block=block, extra_files=plugin)
+
+
+DATA = "[DATASET:]PATH"
+"""How an argument or option for data is shown."""
+
+
+def data_argument(text: str, default: str | None = None) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return a decorator that adds DATA as an argument and as the option --data, as parameter `data`.
+
+    Without `default`, the data have to be given; with an empty one they are None if they are not given.
+    """
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        @functools.wraps(command)
+        def with_data(*, data_argument: str | None, data_option: str | None, **words: Any) -> Any:
+            if data_argument is not None and data_option is not None:
+                raise click.UsageError("the data are given twice, as DATA and as --data")
+            data = data_option if data_argument is None else data_argument
+            if data is None and default is None:
+                raise click.UsageError(f"Missing argument '{DATA}'")
+            return command(data=data or default or None, **words)
+
+        option = click.option("--data", "data_option", metavar=DATA, help=text)(with_data)
+        return click.argument("data_argument", required=False, metavar=DATA)(option)
+
+    return decorate

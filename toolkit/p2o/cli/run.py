@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from p2o.cli.plugin_options import load, plugin_options
+from p2o.cli.plugin_options import data_argument, load, plugin_options
 from p2o.cli.pose_options import StartCommand
-from p2o.cli.progress import status_line
+from p2o.cli.progress import long_work, status_line
 from p2o.errors import InputError, P2OError, printable
 
 if TYPE_CHECKING:
@@ -28,9 +28,14 @@ if TYPE_CHECKING:
 
 
 @click.command("run", cls=StartCommand)
-@click.option("--data", metavar="DATASET:PATH", help="The data (default: a synthetic scene, synthetic:).")
+@data_argument("The data (default: a synthetic scene, synthetic:).", default="")
 @click.option(
     "--frames", metavar="SPEC", help="all, indices and ranges (0,4-7), @splits.json#test, or names (default: all)."
+)
+@click.option(
+    "--method",
+    metavar="NAME",
+    help="A published method, calibrator or matcher with all its parts (`p2o methods`); other options override them.",
 )
 @click.option("--extractor", metavar="IMAGE/CLOUD", help="The two extractors (default: p2ornet/rings).")
 @click.option("--matcher", metavar="NAME", help="The matcher (default: ogm).")
@@ -98,10 +103,11 @@ def command(
 
     \b
     p2o run                                            a synthetic scene
-    p2o run --data kitti-raw:PATH --perturb "2deg 0.15m" --seed 1
-    p2o run --data kitti-raw:PATH --frames @splits.json#test --joint --out out
-    p2o run --data folder:PATH --rig rig.yaml
-    p2o run --data folder:PATH --start roughly "x forward, z up; camera looks 45 deg left"
+    p2o run PATH --perturb "2deg 0.15m" --seed 1       the dataset is inferred from the files
+    p2o run kitti-raw:PATH --frames @splits.json#test --joint --out out
+    p2o run folder:PATH --method nid --joint           a published method
+    p2o run folder:PATH --rig rig.yaml
+    p2o run folder:PATH --start roughly "x forward, z up; camera looks 45 deg left"
 
     For several results, PATH of --export contains {frame}, or {camera} with --rig. A result that is not trusted or does
     not meet --require is not exported, except as json, which stores the verdict. Exit status 1 if a result was not
@@ -111,6 +117,7 @@ def command(
     stdout = sys.stdout
     # With --json, stdout is reserved for the object: output of plugins is redirected.
     with contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext():
+        from p2o.run.presets import preset_of
         from p2o.run.recipe import Recipe
         from p2o.run.run import starts_of
         from p2o.run.words import parse_settings
@@ -123,6 +130,8 @@ def command(
             words["perturb"] = starts_of(protocol, words.get("perturb"), "--protocol")
         if settings:
             words["options"] = parse_settings(settings)
+        if (method := words.pop("method", None)) is not None:
+            words = preset_of(method, registry).merged(words)
         plan = Recipe.of(**words).resolve(registry)
         folder: OutDir | None = None
         if out is not None:
@@ -239,6 +248,10 @@ class _Output:
             self.write(f"wrote {page} (open it in a browser), {self.folder.content_text()}\n")
 
 
+_SLOW = ("matcher", "solver", "calibrator")
+"""Stages whose methods a line about a long calibration names."""
+
+
 def _calibrated(plan: Plan, output: _Output, protocol: str | None) -> tuple[Run, Exception | None]:
     """Run a plan; return the finished results and the exception that ended it after at least one result."""
     from p2o.run.protocol import protocol_of
@@ -246,11 +259,13 @@ def _calibrated(plan: Plan, output: _Output, protocol: str | None) -> tuple[Run,
 
     interrupted, common = False, None
     problem: Exception | None = None
-    with status_line("starting") as show:
+    names = (f"{stage} {plan.parts[stage].offer.name}" for stage in _SLOW if stage in plan.parts)
+    methods = ", ".join(names)
+    with status_line("starting") as show, long_work(show, f" ({methods})") as work:
 
         def on_progress(progress: Progress) -> None:
             if progress.failed is None and progress.row is None:
-                show(f"{progress.done + 1} of {progress.total}: {progress.name}")
+                work(f"calibration {progress.done + 1} of {progress.total}: {progress.name}")
             output.add(progress)
 
         try:

@@ -26,6 +26,7 @@ from p2o.errors import LONGEST, InputError, MethodUnavailable, P2OError, PluginE
 from p2o.files.input_file import MAX_TEXT_BYTES, expanded, read_bytes
 from p2o.host import hookspecs
 from p2o.host.method import PLUGIN_API, Kind, Method
+from p2o.host.slots import SLOT_OF
 
 if TYPE_CHECKING:
     from packaging.requirements import Requirement
@@ -218,13 +219,23 @@ class Registry:
         offers = [offer for offer in self.of_kind(kind) if _matches(offer, name)]
         if not offers:
             known = {o.full_name if "@" in name else o.name for o in self.of_kind(kind)}
-            raise UnknownNameError(kind.value, name, known, hint=self._broken_hint())
+            hint = "; ".join(filter(None, (self._other_kind(name), self._broken_hint())))
+            raise UnknownNameError(kind.value, name, known, hint=hint)
         if len(offers) > 1:
             givers = " and ".join(f"{o.dist}:{o.entry}" for o in offers)
             text = f"{kind.value} '{name}' is offered by two plugins: {givers}"
             names = " or ".join(sorted({o.full_name for o in offers}))
             raise PluginError(text, hint=f"write {names}, or leave one out with --block")
         return offers[0]
+
+    def _other_kind(self, name: str) -> str:
+        """Return how a method of this name but of another kind is selected, else an empty text."""
+        offer = next((offer for offer in self.offers if _matches(offer, name)), None)
+        if offer is None:
+            return ""
+        slot = SLOT_OF[offer.kind]
+        option = f"{slot.option} {slot.spec(name, {'extractor': 'IMAGE', 'cloud': 'CLOUD'})}"
+        return f"{name} is a method of another kind, {offer.kind}: {option}"
 
     def _broken_hint(self) -> str:
         hints = [f"plugin {b.name} is broken: {b.error}" for b in self.broken]

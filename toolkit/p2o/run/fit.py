@@ -10,6 +10,7 @@ from p2o.frames.frame import Frame
 from p2o.host.method import Kind
 from p2o.host.registry import Offer, Registry
 from p2o.host.slots import SLOTS, STAGE_OF
+from p2o.run.presets import presets
 
 
 def missing_words(needs: Iterable[str], upstream: Sequence[Offer]) -> list[tuple[str, Offer]]:
@@ -117,4 +118,7 @@ def check_fit(offers: Mapping[str, Offer], registry: Registry) -> None:
     if misfit is not None:
         word, giver, user = misfit
         hint = suggest_alternative(offers, registry, user)
+        matcher = offers["matcher"].name if "matcher" in offers else ""
+        if (preset := presets(registry).get(matcher)) is not None:
+            hint += f"; {matcher} is published with these: --method {matcher}, which stands for {preset}"
         raise InputError(f"{giver.name} gives no {word}; {user.name} needs it", hint=hint)

@@ -21,6 +21,7 @@ from p2o.run.part import part_of
 from p2o.run.rig import Rig
 from p2o.run.words import parse_settings as parse_settings
 from p2o.run.words import split_data as split_data
+from p2o.run.words import split_name
 from p2o.run.words import value_of as value_of
 
 if TYPE_CHECKING:
@@ -39,14 +40,14 @@ MOST_SEED = 2**63 - 1
 class Recipe(BaseModel):
     """Specification of a run; omitted fields take the defaults of this class.
 
-    `data` is DATASET:PATH, or None if frames are passed in Python; `frames` selects them; `extractor` is IMAGE/CLOUD;
-    `calibrator` replaces extractor, matcher, solver and init by one whole method; `options` maps stage to field to
-    value; `perturb` is a text such as "2deg 0.15m", or "camera @FILE" for a list of starts; `start` tells in words
-    where the camera looks (`p2o.geometry.rough_start`), or names a calibration file; `joint` gives one result for all
-    frames. `rig` gives one for each camera: True where frames name their camera, else a rig file or its content
-    (`p2o.run.rig`). `accumulate` names a method that joins sweeps of a sequence. `witness` is IMAGE/CLOUD, extractors
-    whose edges check results of methods without edges of their own: None takes those of the default recipe where frames
-    allow it, "none" goes without.
+    `data` is DATASET:PATH, a path whose dataset is evident, or None if frames are passed in Python; `frames`
+    selects them; `extractor` is IMAGE/CLOUD; `calibrator` replaces extractor, matcher, solver and init by one whole
+    method; `options` maps stage to field to value; `perturb` is a text such as "2deg 0.15m", or "camera @FILE" for
+    a list of starts; `start` states in words where the camera looks (`p2o.geometry.rough_start`), or names a
+    calibration file; `joint` gives one result for all frames. `rig` gives one for each camera: True where frames
+    name their camera, else a rig file or its content (`p2o.run.rig`). `accumulate` names a method that joins sweeps
+    of a sequence. `witness` is IMAGE/CLOUD, extractors whose edges check results of methods without edges of their
+    own: None takes those of the default recipe where frames allow it, "none" goes without.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -286,7 +287,7 @@ def open_exporter(text: str, registry: Registry) -> tuple[Exporter, Path]:
 
     Raises UnknownNameError for an unknown exporter, InputError where the path is missing or an option is bad.
     """
-    name, values = split_data(text)
+    name, values = split_name(text)
     path = values.pop("root", None)
     if path is None:
         raise InputError("an export needs a path", where="--export", expected="NAME:PATH, such as json:result.json")

@@ -13,6 +13,7 @@ from p2o.errors import InputError, UnknownNameError
 from p2o.files.input_file import expanded
 from p2o.files.parsed_text import parse_yaml
 from p2o.host.slots import STAGES
+from p2o.run.data_kind import data_kind
 
 
 @dataclass(frozen=True)
@@ -45,18 +46,34 @@ def data_by_name(texts: Iterable[str], names: Collection[str], owner: str) -> di
         name = named.name or next(iter(names), "")
         if name not in names:
             raise UnknownNameError(f"dataset of {owner}", name, names, where="--data")
-        data[name] = named.data
+        data[name] = named_data(named.data)
     return data
 
 
+def named_data(text: str) -> str:
+    """Return DATASET:PATH of a text that may be a PATH alone, whose dataset is inferred from its files.
+
+    A text is a path if it contains a separator before any colon, begins with ~, or exists and has no colon. Raises
+    InputError as `data_kind`.
+    """
+    name, colon, _ = text.partition(":")
+    if not (set("/\\") & set(name) or name[:1] in ("~", ".") or (not colon and os.path.exists(name))):
+        return text
+    path, query, _ = text.partition("?")
+    return f"{data_kind(expanded(path if query else text))}:{text}"
+
+
 def split_data(text: str) -> tuple[str, dict[str, Any]]:
-    """Return the dataset name and the options that DATASET:PATH states.
+    """Return the dataset name and the options of DATASET:PATH, or of a PATH as in `named_data`.
 
     `kitti-raw:build/data` gives root; `synthetic:?scenes=4&seed=1` gives options; both may be there.
     """
-    name, colon, rest = text.partition(":")
-    if not colon and ("/" in name or os.path.exists(name)):
-        raise InputError("data need a dataset name", expected="DATASET:PATH, such as kitti-raw:PATH", got=text)
+    return split_name(named_data(text))
+
+
+def split_name(text: str) -> tuple[str, dict[str, Any]]:
+    """Return the name and the options of NAME:PATH?OPTION=VALUE&...; the path is the option `root`."""
+    name, _, rest = text.partition(":")
     options: dict[str, Any] = {}
     query = re.fullmatch(r"(.*?)\?((?:[a-z0-9_]+=[^&]*)(?:&[a-z0-9_]+=[^&]*)*)?", rest, re.DOTALL)
     if query is not None:

@@ -6,13 +6,13 @@ import contextlib
 from pathlib import Path
 
 import click
-from p2o.cli.plugin_options import load, plugin_options
+from p2o.cli.plugin_options import data_argument, load, plugin_options
 
 _POLL_S = 0.2
 
 
 @click.command("pick")
-@click.option("--data", required=True, metavar="DATASET:PATH", help="The dataset.")
+@data_argument("The data.")
 @click.option("--frames", default="all", metavar="SPEC", help="Which frames, as in `p2o run` (default: all).")
 @click.option(
     "--out",
@@ -38,8 +38,8 @@ def command(
     """Pick points in image and sweep by hand, on a page in the browser.
 
     \b
-    p2o pick --data kitti-raw:PATH --frames 0 --out pairs.yaml
-    p2o run --data kitti-raw:PATH --frames 0 --calibrator picked --set calibrator.pairs=pairs.yaml
+    p2o pick kitti-raw:PATH --frames 0 --out pairs.yaml
+    p2o run kitti-raw:PATH --frames 0 --calibrator picked --set calibrator.pairs=pairs.yaml
 
     The page is served to this machine alone. The file is written after every change; "done" on the page, or Ctrl-C
     here, ends it. Exit status 1 if there are no pairs. Needs viser: pip install "viser>=1.1".

@@ -76,7 +76,7 @@ def command(
     from p2o.frames.selection import select
     from p2o.run.given_pose import GivenPose
     from p2o.run.recipe import Recipe, open_dataset
-    from p2o.run.words import parse_settings
+    from p2o.run.words import named_data, parse_settings
 
     from p2o_pages.server import require_viser
     from p2o_pages.view.server import ViewServer
@@ -99,7 +99,7 @@ def command(
             )
         if of_run:
             data, options = str(run.data), {**run.options, **options}
-    elif ":" not in source:
+    elif ":" not in (data := named_data(source)):
         raise InputError(
             "the argument is neither the folder of a run nor a dataset",
             where=source,

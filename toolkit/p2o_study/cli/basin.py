@@ -63,7 +63,7 @@ def command(
 ) -> int:
     """Measure the share of successes over rotation and translation errors of the initial guess.
 
-    METHOD is a matcher (with extractors and solver of its example), a calibrator, or the label of a row of --study.
+    METHOD is a published method (`p2o methods`), a calibrator, a matcher, or the label of a row of --study.
     Started again, it continues with the missing rows. Writes basin.png, basin.json and the rows (study.sqlite) to DIR.
     """
     from p2o.draw.plots import heat_maps
@@ -72,7 +72,7 @@ def command(
     from p2o.work.parallel import Workers
 
     from p2o_study.ablate import MAX_CALIBRATIONS, ablate
-    from p2o_study.basin import Contender, Grid, basin_of, basin_study
+    from p2o_study.basin import Grid, basin_of, basin_study, contender_of
     from p2o_study.study import find_study
     from p2o_study.worker import Plugins
 
@@ -84,7 +84,7 @@ def command(
         parse_perturbation(within, "--within"),
     )
     known_study = None if study is None else find_study(study, registry).study
-    contenders = [Contender.of(name, known_study, registry) for name in dict.fromkeys(methods)]
+    contenders = [contender_of(name, known_study, registry) for name in dict.fromkeys(methods)]
     most, count = MAX_CALIBRATIONS if at_most is None else at_most, len(contenders) * len(grid.cells) * seeds
     if count > most:
         raise InputError(

@@ -7,15 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import click
-from p2o.cli.plugin_options import plugin_options
+from p2o.cli.plugin_options import data_argument, plugin_options
 from p2o.cli.pose_options import StartCommand
 
 from p2o_study.cli.ablate import at_most_option, jobs_option, progress_shown
 
 
 @click.command("compare", cls=StartCommand)
-@click.argument("data", required=False, metavar="DATASET:PATH")
-@click.option("--data", "data_option", metavar="DATASET:PATH", help="The data, as in `p2o run`.")
+@data_argument("The data.")
 @click.option("--methods", required=True, metavar="NAME,...", help="The methods: ours,ours-without-prior,nid,gmm,...")
 @click.option("--frames", default="all", show_default=True, metavar="SPEC", help="Which frames, as in `p2o run`.")
 @click.option("--groups", default=6, show_default=True, metavar="N", help="Number of disjoint groups of frames.")
@@ -35,8 +34,7 @@ from p2o_study.cli.ablate import at_most_option, jobs_option, progress_shown
 @click.option("--quiet", is_flag=True, help="No progress.")
 @plugin_options
 def command(
-    data: str | None,
-    data_option: str | None,
+    data: str,
     methods: str,
     seeds: str,
     out: str,
@@ -68,14 +66,12 @@ def command(
     from p2o_study.report.comparison_page import comparison_page, comparison_text
     from p2o_study.worker import Plugins
 
-    if (data is None) == (data_option is None):
-        raise click.UsageError("name the data once: p2o compare DATASET:PATH --methods NAME,...")
     plugins = Plugins.of(block, plugin)
     contenders = contenders_of([name.strip() for name in methods.split(",")], plugins.registry())
     with progress_shown(quiet or as_json) as (say, warn):
         done, comparison = compare(
             contenders,
-            data or data_option or "",
+            data,
             out,
             seeds=parse_seeds(seeds),
             plugins=plugins,
