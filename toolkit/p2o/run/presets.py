@@ -76,7 +76,7 @@ def presets(registry: Registry) -> dict[str, Preset]:
 
 
 def preset_of(
-    name: str, registry: Registry, where: str | None = "--method", others: Iterable[str] = (), hint: str | None = None
+    name: str, registry: Registry, where: str | None = "--method", others: Iterable[str] = (), hint: str = ""
 ) -> Preset:
     """Return the published method of this name, else the calibrator, else the matcher.
 
