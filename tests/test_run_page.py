@@ -226,7 +226,13 @@ def test_the_page_stands_in_a_browser(
         page.until_equal(lambda: page.run(form), pytest.approx(1, abs=0.02))
         shown = "return getComputedStyle(document.querySelectorAll('.compare img')[1]).clipPath"
         middle = page.run(shown)
-        page.run("const s = document.querySelector('.slider'); s.value = 100; s.dispatchEvent(new Event('input'));")
+        page.run(
+            "const s = document.querySelector('.slides .slider'); s.value = 100; s.dispatchEvent(new Event('input'));"
+        )
         page.until(lambda: page.run(shown) != middle)
+        light = "return getComputedStyle(document.querySelector('.compare img')).filter"
+        assert page.run(light) == "brightness(1)"
+        page.run("const s = document.querySelector('.light input'); s.value = 2; s.dispatchEvent(new Event('input'));")
+        page.until_equal(lambda: page.run(light), "brightness(2)")
         assert page.complaints() == []
         assert page.requests() == []
