@@ -232,7 +232,7 @@ def test_the_page_stands_in_a_browser(
         page.until(lambda: page.run(shown) != middle)
         light = "return getComputedStyle(document.querySelector('.compare img')).filter"
         assert page.run(light) == "brightness(1)"
-        page.run("const s = document.querySelector('.light input'); s.value = 2; s.dispatchEvent(new Event('input'));")
+        page.run(moved.format(".light input", 2))
         page.until_equal(lambda: page.run(light), "brightness(2)")
         assert page.complaints() == []
         assert page.requests() == []
