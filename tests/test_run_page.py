@@ -226,9 +226,8 @@ def test_the_page_stands_in_a_browser(
         page.until_equal(lambda: page.run(form), pytest.approx(1, abs=0.02))
         shown = "return getComputedStyle(document.querySelectorAll('.compare img')[1]).clipPath"
         middle = page.run(shown)
-        page.run(
-            "const s = document.querySelector('.slides .slider'); s.value = 100; s.dispatchEvent(new Event('input'));"
-        )
+        moved = "const s = document.querySelector('{}'); s.value = {}; s.dispatchEvent(new Event('input'));"
+        page.run(moved.format(".slides .slider", 100))
         page.until(lambda: page.run(shown) != middle)
         light = "return getComputedStyle(document.querySelector('.compare img')).filter"
         assert page.run(light) == "brightness(1)"
