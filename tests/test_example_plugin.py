@@ -47,7 +47,7 @@ class Machine:
 
     def methods(self) -> set[str]:
         listed = json.loads(self.p2o("plugin", "list").stdout)
-        return {method["name"] for plugin in listed["plugin", "list"] for method in plugin["methods"]}
+        return {method["name"] for plugin in listed["plugins"] for method in plugin["methods"]}
 
 
 @pytest.fixture(scope="module")

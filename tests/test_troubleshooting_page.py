@@ -48,7 +48,7 @@ def points_in_millimetres(frame: Frame, folder: Path) -> None:
     np.savez(folder / "cloud.npz", **{**points, "xyz": 1000 * points["xyz"]})
 
 
-def columns_unknown(frame: Frame, folder: Path) -> None:
+def intensity_absent(frame: Frame, folder: Path) -> None:
     np.load(folder / "cloud.npz")["xyz"].astype(np.float32).tofile(folder / "cloud.bin")
     frame["cloud"] = "cloud.bin"
 
@@ -85,8 +85,8 @@ CHECK, RUN = ("data", "check"), ("run", "--data")
         (millimetres, CHECK, (), r"no point of the sweep lies in the image at start"),
         (millimetres, RUN, (), r"every LiDAR edge lies behind the camera.*lidar_from_camera\?"),
         (points_in_millimetres, CHECK, (), r"this is not a point cloud in metres.*farther away"),
-        (columns_unknown, CHECK, (), r"the columns of the point cloud are unknown"),
-        (camera_of_another_size, CHECK, (), r"the image size does not fit the camera.*images\?"),
+        (intensity_absent, CHECK, (), r"the point cloud has no intensity"),
+        (camera_of_another_size, CHECK, (), r"the image size does not fit the camera.*new size"),
         (distortion_without_model, CHECK, (), r"camera.distortion_model is missing.*0\)"),
         (late, CHECK, (), r"image and sweep are not of the same time.*apart"),
         (no_start, RUN, (), r"there is no start to calibrate from.*in Python"),
