@@ -9,6 +9,7 @@ import pytest
 import threadpoolctl
 from p2o_study import worker
 
+from tests.p2o_study.benchmark_board import Board
 from tests.study_bench import Bench
 
 
@@ -23,3 +24,9 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     # Two threads in this process, whatever OMP_NUM_THREADS says: whoever computes rows has to go back to one.
     with threadpoolctl.threadpool_limits(2):
         yield Bench(tmp_path)
+
+
+@pytest.fixture
+def board(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Board:
+    monkeypatch.setenv("P2O_CACHE", str(bench.root / "cache"))
+    return Board(bench.root)

@@ -10,6 +10,7 @@ import os
 import re
 import time
 import warnings
+from array import array
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,7 +24,7 @@ from p2o.work.parallel import Run, Workers
 from p2o_study import worker
 from p2o_study.cells import Cell, Cells, FeatureKeys, InitialGuess, OpenRow, open_rows
 from p2o_study.store import Planned, Store, StoredRow, StoredStudy
-from p2o_study.study import LARGEST_SEED, MAX_ROWS, MAX_SEEDS, StudyFile, StudyRow, check_study
+from p2o_study.study import LARGEST_SEED, MAX_ROWS, MAX_SEEDS, Study, StudyFile, StudyRow, check_study
 from p2o_study.worker import CalibrateJob, ExtractJob, FrameRecord, Plugins, ReadJob, Source
 
 Phase = Literal["read", "extract", "calibrate"]
@@ -75,6 +76,7 @@ def ablate(
     overrides: Mapping[str, Any] | None = None,
     at_most: int | None = None,
     initial_guess: InitialGuess | None = None,
+    wanted: Callable[[Cell], bool] | None = None,
     on_progress: OnProgress | None = None,
     on_warning: OnWarning | None = None,
 ) -> Ablation:
@@ -83,35 +85,30 @@ def ablate(
     `plugins` are those of this process by default, `workers` one job in this process (with `isolate` None in a worker
     if the study uses plugins of other distributions), `cache` the user's cache of
     features. `overrides` are recorded in the store as the differences from the study file. `at_most` confirms a number
-    of calibrations above MAX_CALIBRATIONS. `initial_guess` replaces the initial guesses of the rows. Ctrl-C ends the
-    study with `interrupted`; finished rows are kept.
+    of calibrations above MAX_CALIBRATIONS. `initial_guess` replaces the initial guesses of the rows. `wanted` selects
+    the calibrations that the study consists of (default: all). Ctrl-C ends the study with `interrupted`; finished rows
+    are kept.
     `on_warning` (default: `warnings.warn`) receives the datasets that are left out because they have no path, and one
     message if the cache cannot be written, which costs time only.
 
     Raises a P2OError before any work if the study, its data or the plugins are invalid, and later if the store cannot
     be written. A calibration that raises is a row with status stage-failed; it is repeated the next time.
     """
-    plugins = Plugins.of() if plugins is None else plugins
-    workers = Workers() if workers is None else workers
     cache = FeatureCache.of_user() if cache is None else cache
     warn_user = on_warning or _warn
-    rows = check_study(study.study, plugins.registry(), MAX_ROWS if at_most is None else max(at_most, MAX_ROWS))
-    if absent := [table.name for table in study.study.dataset if table.left_out]:
-        warn_user(f"datasets without a path are left out: {', '.join(absent)} (--root DIR or --data NAME=DATASET:PATH)")
-    its = open_rows(rows, plugins, MAX_CALIBRATIONS if at_most is None else at_most)
-    if workers.isolate is None:
-        parts = [part for entry in its for part in entry.first.plan.parts.values()]
-        workers = replace(workers, isolate=any(part.offer.dist != DISTRIBUTION for part in parts))
+    rows, its = _opened(study.study, Plugins.of() if plugins is None else plugins, at_most, warn_user)
+    workers = _isolated(Workers() if workers is None else workers, its)
     name = study.study.name
     with Store.open(folder) as store, _first_process_lock(store.path.parent) as forward, workers.start() as run:
         work = _Work(run, cache, on_progress or (lambda progress: None), _Once(warn_user))
         pace, interrupted = _RunProgress(work.say), False
         try:
             # If rows exist already, the missing ones may need no features: extract only on demand.
-            records = _read(work, its, extract=not store.count(name))
+            records = _read(work, its, extract=wanted is None and not store.count(name))
             cells = Cells(its, records, initial_guess)
-            begun = store.begin(_stored_study(study, rows, overrides), (cell.planned for cell in cells))
-            pending = begun.pending if forward else begun.pending[::-1]
+            chosen = range(len(cells)) if wanted is None else [i for i in range(len(cells)) if wanted(cells[i])]
+            begun = store.begin(_stored_study(study, rows, overrides), (cells[i].planned for i in chosen))
+            pending = array("q", (chosen[place] for place in (begun.pending if forward else begun.pending[::-1])))
             _compute(work, store, cells, pending, begun.kept, pace)
         except KeyboardInterrupt:
             interrupted = True
@@ -119,6 +116,40 @@ def ablate(
         if len(finished) + len(missing) <= MAX_CALIBRATIONS:
             finished, missing = tuple(finished), tuple(missing)
         return Ablation(study, finished, missing, pace.computed, interrupted)
+
+
+def read_cells(
+    study: StudyFile,
+    *,
+    plugins: Plugins | None = None,
+    workers: Workers | None = None,
+    on_progress: OnProgress | None = None,
+    on_warning: OnWarning | None = None,
+) -> Cells:
+    """Read the frames of a study and return its calibrations, of which none is computed; parameters as of `ablate`."""
+    warn_user = on_warning or _warn
+    _, its = _opened(study.study, Plugins.of() if plugins is None else plugins, None, warn_user)
+    with _isolated(Workers() if workers is None else workers, its).start() as run:
+        work = _Work(run, FeatureCache.of_user(), on_progress or (lambda progress: None), _Once(warn_user))
+        return Cells(its, _read(work, its, extract=False))
+
+
+def _opened(
+    study: Study, plugins: Plugins, at_most: int | None, warn_user: OnWarning
+) -> tuple[list[StudyRow], list[OpenRow]]:
+    """Return the rows of a study that have data, before and after their datasets are opened."""
+    rows = check_study(study, plugins.registry(), MAX_ROWS if at_most is None else max(at_most, MAX_ROWS))
+    if absent := [table.name for table in study.dataset if table.left_out]:
+        warn_user(f"datasets without a path are left out: {', '.join(absent)} (--root DIR or --data NAME=DATASET:PATH)")
+    return rows, open_rows(rows, plugins, MAX_CALIBRATIONS if at_most is None else at_most)
+
+
+def _isolated(workers: Workers, rows: Sequence[OpenRow]) -> Workers:
+    """Return the workers with `isolate` set: True for methods of other distributions, which may crash a process."""
+    if workers.isolate is not None:
+        return workers
+    parts = [part for entry in rows for part in entry.first.plan.parts.values()]
+    return replace(workers, isolate=any(part.offer.dist != DISTRIBUTION for part in parts))
 
 
 class _Once:

@@ -53,6 +53,7 @@ CANNOT_ALTER_A_POSE = (
     "p2o_pages",
     "p2o_sim",
     "p2o_study.columns",
+    "p2o_study.machine",
     "p2o_study.report",
     "p2o_study.store",
 )
@@ -61,7 +62,10 @@ CANNOT_ALTER_A_POSE = (
 
 @dataclass(frozen=True, eq=False)
 class Method:
-    """The methods of one row and seed: `recipe` (JSON) for workers, `key` the hash of all that a result depends on."""
+    """The methods of one row and seed: `recipe` (JSON) for workers, `key` the hash of all that a result depends on.
+
+    `digest` is the hash of code, weights and options alone: without packages, seed and initial guess.
+    """
 
     recipe: str
     plan: Plan
@@ -69,6 +73,7 @@ class Method:
     versions: Mapping[str, str]
     damage: Damage
     key: str
+    digest: str
 
     @classmethod
     def of(cls, row: StudyRow, seed: int, data_options: str, versions: Mapping[str, str], registry: Registry) -> Method:
@@ -82,7 +87,7 @@ class Method:
         described, damage = plan.described(), row.damage(seed)
         if damage.missing_edges:
             described["options"][DAMAGE] = damage.model_dump(mode="json")
-        acting = {
+        content = {
             "methods": {
                 # A result depends on the content of the frames, not on their source.
                 stage: [part.offer.full_name, part.options.model_dump(mode="json")]
@@ -93,13 +98,12 @@ class Method:
             },
             "pipeline": described["options"].get("pipeline"),
             "damage": damage_content(damage) if damage.missing_edges else None,
-            "seed": seed,
-            "perturb": recipe.perturb,
-            "versions": versions,
             "code": calibration_code().hash,
         }
+        acting = {**content, "seed": seed, "perturb": recipe.perturb, "versions": versions}
         words = recipe.model_dump(mode="json", exclude_unset=True)
-        return cls(json.dumps(words, sort_keys=True), plan, described, versions, damage, content_hash(acting))
+        keys = content_hash(acting), content_hash(content)
+        return cls(json.dumps(words, sort_keys=True), plan, described, versions, damage, *keys)
 
     @cached_property
     def prepared(self) -> tuple[tuple[str, str, Part], ...]:

@@ -47,11 +47,13 @@ _TYPES: dict[str, Any] = {
     "recipe": Tree,
     "versions": Mapping[str, _Text],
     "inputs": Tree,
+    "machine": Tree,
 }
 """Types of the columns that are not figures; all others are texts."""
 _FIGURES: dict[type, Any] = {float: _Figure | None, int: _Index | None, str: _Text | None}
 """Types of the columns of figures by the type of the figure."""
 _JSON = {"estimate", "start", "truth", "frames", "rounds", "matches", "seconds", "recipe", "versions", "inputs"}
+_JSON |= {"machine"}
 
 
 def figure_columns() -> tuple[str, ...]:

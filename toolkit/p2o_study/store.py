@@ -38,7 +38,7 @@ from p2o_study.columns import (
 FILE = "study.sqlite"
 _PAGE_ROWS = 1000
 """Number of rows per query."""
-_VERSION = 4
+_VERSION = 5
 _BUSY_S = 60.0
 _WAIT_S = 1.0
 """Time that SQLite waits for a lock; Ctrl-C has no effect while it waits."""
@@ -88,7 +88,7 @@ class StoredRow(Planned):
     of the result (`p2o.results.figures`) by name, each a column of its own; unknown ones are None or absent.
     `estimate`, `start` and `truth` are camera_from_lidar (4, 4). `matches` holds counts by direction, `seconds` the
     time by stage, `recipe` every option that took effect, `inputs` the hashes of each frame's image and sweep.
-    `finished` is the time of day in UTC, ISO 8601.
+    `machine` is the machine that computed the row (`p2o_study.machine`), `finished` the time in UTC, ISO 8601.
     """
 
     frames: tuple[str, ...] = ()
@@ -120,6 +120,7 @@ class StoredRow(Planned):
     versions: Mapping[str, str] = field(default_factory=dict)
     inputs: Mapping[str, Any] = field(default_factory=dict)
     exception: str | None = None
+    machine: Mapping[str, Any] = field(default_factory=dict)
     finished: str = ""
 
     @property

@@ -38,11 +38,13 @@ from p2o.work.cache import FeatureCache, content_hash, features_key
 from p2o.work.parallel import limit_threads
 
 from p2o_study.damage import Damage
+from p2o_study.machine import machine_info
 from p2o_study.store import StoredRow
 
 _Key = TypeVar("_Key", bound=Hashable)
 _Value = TypeVar("_Value")
 
+_DIGEST_DECIMALS = 6
 UNREADABLE = "unreadable"
 """Replaces the content hash of a frame that cannot be read."""
 
@@ -104,6 +106,7 @@ class ReadJob:
 class FrameRecord:
     """The data of a frame that planning needs; `inputs` are content hashes of its parts.
 
+    `digests` are hashes of image, sweep and calibration that are equal on all machines (`portable_hash`).
     `missing_inputs` describes by recipe of the `checks` what the frame lacks. For a frame that cannot be read,
     `failure` is the traceback and `reason` one line. `cache_error` is the reason if features could not be cached.
     """
@@ -116,6 +119,7 @@ class FrameRecord:
     camera_name: str = ""
     twist: Float | None = None
     warnings: tuple[str, ...] = ()
+    digests: Mapping[str, str] = field(default_factory=dict)
     missing_inputs: Mapping[str, str] = field(default_factory=dict)
     reason: str = ""
     failure: str | None = None
@@ -182,7 +186,9 @@ def read(job: ReadJob) -> FrameRecord:
     except BaseException as problem:  # also SystemExit, which would end the worker
         return _failed_record(source, _one_line(problem), traceback.format_exc())
     kept = {name: getattr(frame, name) for name in _OF_FRAME}
-    return FrameRecord(source, hashes, **kept, missing_inputs=missing_inputs, cache_error=cache.cache_error)
+    return FrameRecord(
+        source, hashes, **kept, digests=_digests(frame), missing_inputs=missing_inputs, cache_error=cache.cache_error
+    )
 
 
 def read_failed(job: ReadJob, problem: P2OError) -> FrameRecord:
@@ -205,6 +211,24 @@ def _inputs(frame: Frame) -> dict[str, str]:
         "sweep": cloud if frame.sweep is None else content_hash(frame.sweep),
         "frame": content_hash(seen),
     }
+
+
+def _digests(frame: Frame) -> dict[str, str]:
+    parts = {"image": frame.image, "sweep": frame.cloud if frame.sweep is None else frame.sweep}
+    return {**{name: portable_hash(part) for name, part in parts.items()}, "calibration": portable_hash(frame.camera)}
+
+
+def portable_hash(value: Any) -> str:
+    """Return the hash of arrays and numbers rounded to 6 decimals: machines differ in the last bits of functions."""
+
+    def rounded(leaf: Any) -> Any:
+        if isinstance(leaf, np.ndarray) and leaf.dtype.kind == "f":
+            return np.round(leaf.astype(np.float64), _DIGEST_DECIMALS) + 0.0  # without negative zeros
+        return round(leaf, _DIGEST_DECIMALS) + 0.0 if isinstance(leaf, float) else leaf
+
+    return content_hash(
+        [[list(path) if isinstance(path, tuple) else path, rounded(leaf)] for path, leaf in leaves(value)]
+    )
 
 
 def _missing_input(plan: Plan, frame: Frame) -> str:
@@ -246,7 +270,7 @@ def calibrate(job: CalibrateJob) -> StoredRow:
         raise
     except BaseException as problem:
         row = replace(job.row, reason=_one_line(problem), exception=traceback.format_exc())
-    return replace(row, finished=now())
+    return replace(row, machine=machine_info(), finished=now())
 
 
 def calibration_failed(job: CalibrateJob, problem: P2OError) -> StoredRow:

@@ -1,0 +1,249 @@
+"""Rows of the benchmark, suites, and what is measured again when."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import p2o
+import pytest
+from p2o.errors import InputError
+from p2o.work import sources
+from p2o_study.benchmark.row import MAX_LINE_BYTES, FrameData, Row, add_records, latest, parsed_line, read_records
+from p2o_study.benchmark.suite import FOLDER, find_suite, suite_names
+
+from tests.p2o_study.benchmark_board import QUICK_ROW, STUDY, SUITE, Board
+
+ROOT = Path(__file__).parents[2]
+
+
+def row(**values: Any) -> Row:
+    """Return a row of a fixed calibration with other values."""
+    pose = np.eye(4).tolist()
+    plain = {
+        "suite": "tiny",
+        "row": "quick",
+        "dataset": "tiny",
+        "frames": [{"name": "tiny/000", "digest": "0" * 64}],
+        "joint": False,
+        "protocol": "1deg 0.05m",
+        "seed": 0,
+        "start": pose,
+        "method": {"words": {"calibrator": "quick"}},
+        "digest": "1" * 64,
+        "commit": "abc",
+        "estimate": pose,
+        "status": "converged",
+        "verdict": "trusted",
+        "predicted": {"rotation_deg": 0.1, "translation_m": "inf", "rotation_deg_95": 0.3, "translation_m_95": "inf"},
+        "seconds": 0.5,
+        "machine": {"processor": "p", "cores": 2, "load": 0.5},
+        "measured_by": "tests",
+        "finished": "2026-01-01T00:00:00+00:00",
+    }
+    return Row.model_validate(plain | values)
+
+
+# ---- rows
+
+
+def test_a_row_is_one_line_that_reads_back_bit_by_bit() -> None:
+    turned = p2o.se3.exp(np.array([0.1, 0.2, -0.3, 1e-17, 2, 3]))
+    before = row(estimate=turned.tolist(), row="ä | b")
+    after = parsed_line(Row, before.line.encode(), "x:1")
+    assert "\n" not in before.line
+    assert after.line == before.line
+    assert np.array_equal(np.asarray(after.estimate), turned)
+
+
+def test_errors_are_those_of_the_pose_and_never_of_the_file() -> None:
+    truth = p2o.se3.make(p2o.se3.exp(np.array([0, 0, np.radians(2), 0, 0, 0]))[:3, :3], [0.3, 0, 0])
+    assert row().stored(truth).rotation_deg == pytest.approx(2.0)
+    assert row().stored(truth).translation_m == pytest.approx(0.3)
+    refused = row(estimate=None, status="no-edges", verdict="refused", start=truth.tolist())
+    assert refused.stored(truth).rotation_deg == pytest.approx(0.0, abs=1e-6)
+    assert row(estimate=None, status="stage-failed", verdict=None).stored(truth).rotation_deg is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"seed":0', '"seed":0,"rotation_deg":0.01', "rows:2: the line states an error: rotation_deg"),
+        ('"seed":0', '"seed":0,"__class__":"os"', "rows:2: unknown key '__class__'"),
+        ('"seed":0', '"seed":-1', "rows:2: seed is out of bounds"),
+        ('"version":1', '"version":2', "rows:2: version is not valid; expected 1"),
+        ('"estimate":[[1.0', '"estimate":[[1.1', "rows:2: estimate is not valid; expected a rigid transform"),
+        ('"estimate":[[1.0', '"estimate":[[NaN', "rows:2: "),
+        ('"status":"converged"', '"status":"no-edges"', "an estimate if, and only if"),
+        ('"digest":"1', '"digest":"x', "rows:2: digest is not valid"),
+        ("{", "[", "rows:2: the line is not JSON"),
+        ('"reason":""', f'"reason":"{"x" * MAX_LINE_BYTES}"', "rows:2: the line is too long"),
+    ],
+)
+def test_an_invalid_line_is_refused_in_one_line_with_its_place(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    file = tmp_path / "rows"
+    assert old in row().line
+    file.write_text(f"{row(row='first').line}\n{row().line.replace(old, new, 1)}\n")
+    with pytest.raises(InputError) as problem:
+        read_records(Row, file)
+    assert message in str(problem.value)
+    assert len(str(problem.value)) < 4000
+
+
+def test_files_merge_to_the_same_bytes_in_any_order(tmp_path: Path) -> None:
+    parts = [[row(seed=2), row(seed=0)], [row(seed=1), row(seed=0)], [row(seed=0, row="another")]]
+    contents = set()
+    for number, order in enumerate(itertools.permutations(parts)):
+        file = tmp_path / str(number)
+        added = sum(add_records(file, part, Row) for part in order)
+        assert added == 4
+        contents.add(file.read_bytes())
+    assert len(contents) == 1
+
+
+def test_the_last_measured_row_of_a_calibration_counts() -> None:
+    rows = [row(finished=f"2026-01-0{day}T00:00:00+00:00", commit=str(day)) for day in (2, 3, 1)]
+    assert [known.commit for known in latest([*rows, row(seed=1)])] == ["3", "abc"]
+
+
+def test_the_digest_of_a_frame_covers_content_and_truth() -> None:
+    plain = {"dataset": "d", "name": "n", "image": "0" * 64, "sweep": "1" * 64, "calibration": "2" * 64}
+    base = FrameData.model_validate(plain | {"truth": np.eye(4).tolist()})
+    moved = p2o.se3.make(np.eye(3), [0.01, 0, 0]).tolist()
+    others = [{"image": "3" * 64}, {"sweep": "3" * 64}, {"calibration": "3" * 64}, {"truth": moved}, {"truth": None}]
+    digests = {FrameData.model_validate(base.model_dump(mode="json") | other).digest for other in others}
+    assert len(digests | {base.digest}) == 6
+
+
+# ---- suites
+
+
+def test_every_suite_of_the_repository_is_valid(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    registry = p2o.Registry.load(environ={})
+    assert {"smoke", "single-frames", "joint-frames", "initial-error", "rigs"} <= set(suite_names())
+    for name in suite_names():
+        file = find_suite(name, registry)
+        assert file.name == name
+        for study_row in file.rows:
+            study_row.resolve(registry, study_row.seeds[0])
+        assert file.suite.question
+    frames = {study_row.joint for study_row in find_suite("joint-frames", registry).rows}
+    assert frames == {0, 2, 4, 10, 24}
+    assert FOLDER.is_dir()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (SUITE + "seeds = 4\n", "the same seeds for all rows, at least 5"),
+        (SUITE + f"{QUICK_ROW}seeds = 6\n{QUICK_ROW.replace('quick', 'other', 1)}", "seeds of row 'other'"),
+        (SUITE + '[[row]]\nlabel = "a"\nextractor = "p2ornet/rings"\n', "lacks rows: synthetic weights, without prior"),
+        (SUITE + "sedes = 5\n", "unknown key 'sedes'"),
+        (SUITE.replace("study.toml", "nothing.toml"), "the study file is missing"),
+    ],
+)  # fmt: skip
+def test_a_suite_that_compares_unfairly_or_is_wrong_is_refused(
+    board: Board, capsys: pytest.CaptureFixture[str], text: str, message: str
+) -> None:
+    board.write(suite=text)
+    assert board.command("run") == 2
+    assert message in capsys.readouterr().err
+
+
+def test_rows_of_a_suite_have_the_same_initial_guesses(board: Board) -> None:
+    by_label: dict[str, dict[tuple[str, int], bytes]] = {}
+    for known in board.measured():
+        starts = by_label.setdefault(known.row, {})
+        starts[known.frames[0].name, known.seed] = np.asarray(known.start).tobytes()
+    assert set(by_label) == {"quick", "nearest"}
+    assert by_label["quick"] == by_label["nearest"]
+    assert len(set(by_label["quick"].values())) == 15
+
+
+# ---- run and status
+
+
+def test_a_suite_is_measured_once_and_its_rows_state_how(board: Board, capsys: pytest.CaptureFixture[str]) -> None:
+    assert board.outdated(capsys) == [("quick", "missing")] * 15 + [("nearest", "missing")] * 15
+    rows = board.measured("--by", "A. Name")
+    assert len(rows) == 30
+    assert board.calls()["quick"] == 15
+    first = rows[-1]
+    assert (first.measured_by, first.protocol, first.row) == ("A. Name", "1deg 0.05m", "quick")
+    assert first.method.words["calibrator"] == "quick"
+    assert first.method.options["calibrator"]["gain"] == 0.5
+    assert first.machine.cores > 0
+    assert board.results.frames.truth_of(first) is not None
+    assert board.outdated(capsys) == []
+    assert board.measured() == []
+    assert board.calls()["quick"] == 0
+
+
+def test_only_what_is_missing_is_computed_and_the_rest_kept(board: Board) -> None:
+    rows = board.measured()
+    kept = [known for known in rows if not (known.row == "quick" and known.seed in (1, 3))]
+    board.results.path("tiny").write_text("".join(f"{known.line}\n" for known in kept))
+    for file in (board.root / "store").iterdir():
+        file.unlink()
+    board.calls()
+    again = board.measured()
+    assert {(known.row, known.seed) for known in again} == {("quick", 1), ("quick", 3)}
+    assert board.calls()["quick"] == 6
+
+
+def test_an_interrupted_run_continues(board: Board) -> None:
+    label = 'label = "quick"\n'
+    board.write(study=STUDY.replace(label, f"{label}options.calibrator.interrupt_after = 4\n"))
+    assert board.command("run") == 130
+    assert len([known for known in board.results.rows("tiny") if known.row == "quick"]) == 3
+    assert len(board.measured()) == 27
+
+
+def test_a_changed_constant_of_one_method_makes_exactly_its_rows_stale(
+    board: Board, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    board.measured()
+    original = sources.read_source
+    forget = (sources._code_of, sources.package_hash, sources.module_named)
+
+    def edited(path: Path) -> bytes:
+        content = original(path)
+        if path.as_posix().endswith("p2o_baselines/nearest.py"):
+            assert b"-weight, *place.T" in content
+            content = content.replace(b"-weight, *place.T", b"-2 * weight, *place.T", 1)
+        return content
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sources, "read_source", edited)
+        for cached in forget:
+            cached.cache_clear()
+        assert board.outdated(capsys) == [("nearest", "method changed")] * 15
+        again = board.measured()
+    for cached in forget:
+        cached.cache_clear()
+    assert {known.row for known in again} == {"nearest"}
+    assert len(board.results.rows("tiny")) == 45
+
+
+def test_changed_data_make_the_rows_of_these_frames_stale(board: Board, capsys: pytest.CaptureFixture[str]) -> None:
+    board.measured()
+    board.write(study=STUDY.replace("frames = 3 }", "frames = 3, salt = 1 }"))
+    assert board.outdated(capsys) == [("quick", "data changed")] * 15 + [("nearest", "data changed")] * 15
+
+
+def test_a_calibration_that_raises_is_one_row_and_is_tried_again(
+    board: Board, capsys: pytest.CaptureFixture[str]
+) -> None:
+    failing = STUDY.replace('label = "quick"\n', 'label = "quick"\noptions.calibrator.fail_on = "tiny/001"\n')
+    board.write(study=failing)
+    for _ in range(2):
+        assert board.command("run") == 1
+        crashed = [known for known in board.results.rows("tiny") if known.crashed]
+        assert len(crashed) == 5
+        assert "raised ValueError" in crashed[0].reason
+    assert board.outdated(capsys) == [("quick", "crashed")] * 5

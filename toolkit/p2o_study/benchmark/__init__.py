@@ -1,0 +1,1 @@
+"""The benchmark: suites, rows of results as JSON lines, external methods, bundles and tables."""

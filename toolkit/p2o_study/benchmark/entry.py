@@ -1,0 +1,215 @@
+"""External methods: initial guesses as a CSV file, and poses of any program as rows of the benchmark."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from p2o.arrays import Float
+from p2o.errors import InputError, UnknownNameError
+from p2o.files.input_file import read_bytes, read_text
+from p2o.geometry import se3
+from p2o.results.result import Status
+from p2o.results.verdict import Trust
+
+from p2o_study.benchmark.plan import Task
+from p2o_study.benchmark.row import FrameOfRow, Machine, Method, Row, place_of
+from p2o_study.worker import now
+
+KEY = ("group", "protocol", "seed")
+"""Columns that identify a calibration of a suite."""
+MATRIX = tuple(f"m{row}{column}" for row in range(4) for column in range(4))
+QUATERNION = ("qx", "qy", "qz", "qw", "tx", "ty", "tz")
+_MAX_ROWS = 1_000_000
+_SHOWN = 3
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d{1,3})?", re.ASCII)
+_ROUNDING = 1e-3
+"""Largest deviation of a rotation from orthonormal that printed digits explain; it is projected onto SO(3)."""
+
+Key = tuple[str, str, int]
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """One calibration that every method of a suite makes: a group of frames and an initial guess."""
+
+    key: Key
+    task: Task
+
+
+def starts_of(tasks: Iterable[Task]) -> dict[Key, Start]:
+    """Return the calibrations of a suite by group, protocol and seed; each is the same for all methods.
+
+    Raises InputError if two methods have different initial guesses or frames for one of them.
+    """
+    starts: dict[Key, Start] = {}
+    for task in tasks:
+        dataset = task.cell.planned.dataset
+        key = f"{dataset}: {place_of(list(task.names))}", task.protocol, task.cell.seed
+        known = starts.setdefault(key, Start(key, task)).task
+        if not np.array_equal(known.start, task.start) or known.names != task.names:
+            text = f"rows '{known.cell.planned.row}' and '{task.cell.planned.row}' differ in frames or initial guess"
+            raise InputError(text, where=f"suite {task.suite}, {key[0]}, seed {key[2]}", expected="the same for all")
+    return starts
+
+
+def starts_csv(starts: Mapping[Key, Start]) -> str:
+    """Return the initial guesses as CSV: group, protocol, seed, frames (separated by ";"), camera_from_lidar (4, 4)."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow((*KEY, "frames", *MATRIX))
+    for key, start in starts.items():
+        writer.writerow((*key, ";".join(start.task.names), *(repr(float(x)) for x in start.task.start.ravel())))
+    return text.getvalue()
+
+
+def score(
+    path: Path, starts: Mapping[Key, Start], name: str, *, source: str, measured_by: str, known: Iterable[str] = ()
+) -> list[Row]:
+    """Return the rows of an external method from its file of poses.
+
+    The file is CSV with a header: group, protocol and seed as in `starts_csv`, then camera_from_lidar as m00 to m33, or
+    as qx, qy, qz, qw, tx, ty, tz (quaternion with the scalar last, translation in metres), and optionally seconds.
+    Empty pose columns are a refused calibration. `known` are the labels of the suite's own rows.
+
+    Raises InputError with file and line for a pose that is missing, doubled, unknown or not rigid.
+    """
+    if name in known:
+        raise InputError(f"'{name}' is a row of the suite", where="--name", expected="another name")
+    digest = hashlib.sha256(read_bytes(path, "file of poses")).hexdigest()
+    rows: dict[Key, Row] = {}
+    lines: dict[Key, int] = {}
+    for number, values in _records(path):
+        where = f"{path}:{number}"
+        key = values["group"], values["protocol"], _seed(values["seed"], where)
+        if key not in starts:
+            _raise_unknown(key, starts, where)
+        if key in rows:
+            text = f"a second pose for {key[0]}, {key[1]}, seed {key[2]}"
+            raise InputError(text, where=where, expected="one line each", got=f"the first in line {lines[key]}")
+        lines[key] = number
+        seconds = values.get("seconds", "").strip()
+        rows[key] = _row(
+            starts[key].task,
+            _pose(values, where),
+            _finite(seconds, "seconds", where) if seconds else None,
+            name=name,
+            source=source,
+            digest=digest,
+            measured_by=measured_by,
+        )
+    missing = [key for key in starts if key not in rows]
+    if missing:
+        shown = "; ".join(f"{group}, {protocol}, seed {seed}" for group, protocol, seed in missing[:_SHOWN])
+        hint = "write a line with an empty pose where the method refuses"
+        text = f"{len(missing)} of {len(starts)} poses are missing"
+        raise InputError(text, where=path, expected="a line for each initial guess of the suite", got=shown, hint=hint)
+    return list(rows.values())
+
+
+def _row(
+    task: Task, pose: Float | None, seconds: float | None, *, name: str, source: str, digest: str, measured_by: str
+) -> Row:
+    planned = task.cell.planned
+    return Row(
+        suite=task.suite,
+        row=name,
+        section=planned.section,
+        dataset=planned.dataset,
+        frames=tuple(FrameOfRow(name=frame.name, digest=frame.digest) for frame in task.frames),
+        joint=bool(task.cell.group.joint),
+        protocol=task.protocol,
+        seed=task.cell.seed,
+        start=task.start.tolist(),
+        method=Method(external=True, source=source),
+        digest=digest,
+        commit="external",
+        estimate=None if pose is None else pose.tolist(),
+        status=Status.NO_IMPROVEMENT if pose is None else Status.CONVERGED,
+        reason="no pose in the file" if pose is None else "pose of an external method",
+        verdict=Trust.REFUSED if pose is None else None,
+        predicted=None,
+        seconds=seconds,
+        machine=Machine(),
+        measured_by=measured_by,
+        finished=now(),
+    )
+
+
+def _records(path: Path) -> Iterable[tuple[int, dict[str, str]]]:
+    """Yield line number and values by column; raises InputError for a wrong header or number of columns."""
+    reader = csv.reader(io.StringIO(read_text(path, "file of poses").lstrip("\ufeff"), newline=""), strict=True)
+    expected = f"columns {', '.join(KEY)}, and {MATRIX[0]} to {MATRIX[-1]} or {', '.join(QUATERNION)}"
+    try:
+        header = [column.strip() for column in next(reader, [])]
+        if len(set(header)) < len(header):
+            raise InputError("a column is named twice", where=f"{path}:1", expected=expected, got=", ".join(header))
+        columns = set(header)
+        if not columns.issuperset(KEY) or columns.issuperset(MATRIX) == columns.issuperset(QUATERNION):
+            raise InputError(
+                "the columns are not those of poses", where=f"{path}:1", expected=expected, got=", ".join(header)
+            )
+        for values in reader:
+            if not values:
+                continue
+            where = f"{path}:{reader.line_num}"
+            if reader.line_num > _MAX_ROWS:
+                raise InputError("too many lines", where=where, expected=f"at most {_MAX_ROWS}")
+            if len(values) != len(header):
+                raise InputError("wrong number of columns", where=where, expected=len(header), got=len(values))
+            yield reader.line_num, dict(zip(header, values, strict=True))
+    except csv.Error as problem:
+        raise InputError("the file of poses is not CSV", where=f"{path}:{reader.line_num}", got=problem) from problem
+
+
+def _seed(text: str, where: str) -> int:
+    if not re.fullmatch("[0-9]{1,10}", text.strip()):
+        raise InputError("the seed is not valid", where=where, expected="a whole number", got=repr(text))
+    return int(text)
+
+
+def _raise_unknown(key: Key, starts: Mapping[Key, Start], where: str) -> None:
+    """Raise the error for a key that the suite lacks: the first part that is unknown."""
+    group, protocol, seed = key
+    groups = {start[0] for start in starts}
+    if group not in groups:
+        raise UnknownNameError("group", group, groups, where=where)
+    protocols = {start[1] for start in starts if start[0] == group}
+    if protocol not in protocols:
+        raise UnknownNameError("protocol", protocol, protocols, where=where)
+    seeds = sorted(start[2] for start in starts if start[:2] == key[:2])
+    raise InputError("unknown seed", where=where, expected=f"one of {', '.join(map(str, seeds[:20]))}", got=seed)
+
+
+def _pose(values: Mapping[str, str], where: str) -> Float | None:
+    """Return camera_from_lidar (4, 4), None for an empty pose; raises InputError for one that is not rigid."""
+    columns: Sequence[str] = MATRIX if MATRIX[0] in values else QUATERNION
+    texts = [values[column].strip() for column in columns]
+    if not any(texts):
+        return None
+    numbers = [_finite(text, column, where) for text, column in zip(texts, columns, strict=True)]
+    if columns is MATRIX:
+        return se3.check_rigid("the pose", np.reshape(numbers, (4, 4)), where=where, tolerance=_ROUNDING)
+    *quaternion, x, y, z = numbers
+    length = math.hypot(*quaternion)
+    if abs(length - 1) > _ROUNDING:
+        expected = "x, y, z, w of length 1"
+        raise InputError("the quaternion is no rotation", where=where, expected=expected, got=f"length {length:.6g}")
+    from scipy.spatial.transform import Rotation
+
+    return se3.check_rigid("the pose", se3.make(Rotation.from_quat(quaternion).as_matrix(), [x, y, z]), where=where)
+
+
+def _finite(text: str, column: str, where: str) -> float:
+    value = float(text) if _NUMBER.fullmatch(text) else math.nan
+    if not math.isfinite(value):
+        expected = "a finite number, or an empty pose for a refused calibration"
+        raise InputError(f"column {column} is not a number", where=where, expected=expected, got=repr(text[:40]))
+    return value

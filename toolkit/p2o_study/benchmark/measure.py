@@ -1,0 +1,151 @@
+"""Measure what the results of a suite lack, by a study of the missing and stale rows, and add the rows."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import p2o
+from p2o.work.parallel import Workers
+
+from p2o_study.ablate import OnProgress, OnWarning, ablate
+from p2o_study.benchmark.plan import GIVEN, State, Task, by_identity, state_of
+from p2o_study.benchmark.results import Results
+from p2o_study.benchmark.row import FrameOfRow, Machine, Method, Predicted, Row
+from p2o_study.benchmark.suite import SuiteFile
+from p2o_study.cells import Cell
+from p2o_study.store import StoredRow
+from p2o_study.worker import Plugins
+
+_WORDS = ("extractor", "matcher", "solver", "init", "calibrator", "accumulate", "witness")
+_BOUNDS = ("rotation_deg", "translation_m", "rotation_deg_95", "translation_m_95")
+
+
+@dataclass(frozen=True)
+class Measured:
+    """The outcome: `fresh` rows were there before, `added` are new, `crashed` raised, `missing` are not computed.
+
+    `unreadable` are calibrations with a frame that cannot be read.
+    """
+
+    fresh: int
+    added: int
+    crashed: int
+    missing: int
+    unreadable: int
+    interrupted: bool
+
+
+def measure(
+    suite: SuiteFile,
+    results: Results,
+    store: Path,
+    *,
+    measured_by: str,
+    plugins: Plugins | None = None,
+    workers: Workers | None = None,
+    at_most: int | None = None,
+    on_progress: OnProgress | None = None,
+    on_warning: OnWarning | None = None,
+) -> Measured:
+    """Compute the missing and stale rows of a suite and add them to the results.
+
+    `store` is the folder of the study's store, from which an interrupted measurement continues. Raises as `ablate`.
+    """
+    rows = by_identity(results.rows(suite.name))
+    tasks: dict[str, Task] = {}
+    fresh = unreadable = 0
+
+    def wanted(cell: Cell) -> bool:
+        nonlocal fresh, unreadable
+        task = Task.of(suite.name, cell)
+        if task is None:
+            unreadable += 1
+            return False
+        if state_of(task, rows) is State.FRESH:
+            fresh += 1
+            return False
+        tasks[cell.planned.key] = task
+        return True
+
+    done = ablate(
+        suite.study,
+        store,
+        plugins=plugins,
+        workers=workers,
+        at_most=at_most,
+        wanted=wanted,
+        on_progress=on_progress,
+        on_warning=on_warning,
+    )
+    commit = source_version()
+    new = []
+    crashed = 0
+    for stored in done.rows:
+        task = tasks[stored.key]
+        row = row_of(task, stored, commit, measured_by)
+        crashed += row.crashed
+        # A calibration that raises again is the same outcome, not a further one.
+        if not (row.crashed and any(known.crashed for known in rows.get(task.identity, ()))):
+            new.append((row, task))
+    frames = {frame.line: frame for _, task in new for frame in task.frames}
+    added = results.add(suite.name, [row for row, _ in new], frames.values())
+    return Measured(fresh, added, crashed, len(done.missing), unreadable, done.interrupted)
+
+
+def row_of(task: Task, stored: StoredRow, commit: str, measured_by: str) -> Row:
+    """Return the row of a finished calibration."""
+    described = task.cell.method.described
+    bounds: Mapping[str, object] = {name: stored.figures.get(f"predicted_{name}") for name in _BOUNDS}
+    seconds = [value for value in stored.seconds.values() if value is not None]
+    return Row(
+        suite=task.suite,
+        row=stored.row,
+        section=stored.section,
+        dataset=stored.dataset,
+        frames=tuple(FrameOfRow(name=frame.name, digest=frame.digest) for frame in task.frames),
+        joint=bool(stored.joint),
+        protocol=stored.perturb or GIVEN,
+        seed=stored.seed,
+        start=task.start.tolist(),
+        method=Method(
+            words={word: described[word] for word in _WORDS if described.get(word)},
+            options={stage: options for stage, options in described["options"].items() if stage != "data"},
+        ),
+        digest=task.cell.method.digest,
+        commit=commit,
+        estimate=stored.estimate.tolist() if stored.solved and stored.estimate is not None else None,
+        status=stored.status,
+        reason=stored.reason[:2000],
+        verdict=stored.trust,
+        predicted=None if None in bounds.values() else Predicted.model_validate(bounds),
+        seconds=float(sum(seconds)) if seconds else None,
+        machine=Machine.model_validate(dict(stored.machine)),
+        versions=dict(stored.versions),
+        measured_by=measured_by,
+        finished=stored.finished,
+    )
+
+
+@cache
+def source_version() -> str:
+    """Return the Git commit of the sources, with "+changes" if files differ from it, or the installed version."""
+    folder = str(Path(p2o.__file__).parent)
+
+    def git(*words: str) -> str:
+        done = subprocess.run(["git", "-C", folder, *words], capture_output=True, text=True, check=True, timeout=60)
+        return done.stdout.strip()
+
+    try:
+        commit = git("rev-parse", "HEAD")
+        return commit + ("+changes" if git("status", "--porcelain", "--untracked-files=no", "--", folder) else "")
+    except (OSError, subprocess.SubprocessError):
+        pass
+    try:
+        return f"version {version('p2o-calib')}"
+    except PackageNotFoundError:
+        return "unknown"

@@ -1,0 +1,108 @@
+"""The calibrations that a suite asks for, and whether a row of the results is a measurement of one of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cached_property, lru_cache
+
+import numpy as np
+from p2o.arrays import Float
+
+from p2o_study.benchmark.row import FrameData, Row
+from p2o_study.cells import Cell
+from p2o_study.worker import FrameRecord
+
+GIVEN = "as given"
+"""Protocol of a row whose initial guess is that of the data."""
+_SAME_START = 1e-6
+"""Largest difference of two initial guesses of one draw: machines differ in the last bits of sine and cosine."""
+
+
+class State(StrEnum):
+    """Whether the results have a row of a calibration, and whether it is a measurement of the current version."""
+
+    FRESH = "fresh"
+    MISSING = "missing"
+    CRASHED = "crashed"
+    METHOD = "method changed"
+    DATA = "data changed"
+    START = "initial guess changed"
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """One calibration of a suite; `frames` hold content and truth of its frames, `digest` is that of the method."""
+
+    suite: str
+    cell: Cell
+    frames: tuple[FrameData, ...]
+
+    @classmethod
+    def of(cls, suite: str, cell: Cell) -> Task | None:
+        """Return the task of a calibration; None if a frame cannot be read."""
+        if cell.start is None or not cell.group.readable:
+            return None
+        dataset = cell.planned.dataset
+        return cls(suite, cell, tuple(frame_data(dataset, record) for record in cell.group.records))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the frames."""
+        return tuple(frame.name for frame in self.frames)
+
+    @property
+    def protocol(self) -> str:
+        """The draw of the initial guess."""
+        return self.cell.method.described["perturb"] or GIVEN
+
+    @property
+    def start(self) -> Float:
+        """The initial guess (4, 4)."""
+        assert self.cell.start is not None
+        return self.cell.start
+
+    @cached_property
+    def identity(self) -> tuple[str, ...]:
+        """What is measured, as `Row.identity`."""
+        return self.identity_for(self.cell.planned.row)
+
+    def identity_for(self, label: str) -> tuple[str, ...]:
+        """Return the identity of a row with another label on the same frames from the same initial guess."""
+        return (self.suite, self.cell.planned.dataset, label, self.protocol, f"{self.cell.seed:010d}", *self.names)
+
+    def state_of(self, row: Row) -> State:
+        """Return whether a row with this identity is a measurement of this task."""
+        if row.crashed:
+            return State.CRASHED
+        if [frame.digest for frame in row.frames] != [frame.digest for frame in self.frames]:
+            return State.DATA
+        if not row.method.external and row.digest != self.cell.method.digest:
+            return State.METHOD
+        return State.FRESH if np.allclose(row.start, self.start, rtol=0, atol=_SAME_START) else State.START
+
+
+@lru_cache(maxsize=20_000)
+def frame_data(dataset: str, record: FrameRecord) -> FrameData:
+    """Return content digests and ground truth of a frame that was read; computed once per record."""
+    return FrameData(
+        dataset=dataset,
+        name=record.name,
+        **record.digests,
+        truth=None if record.camera_from_lidar is None else record.camera_from_lidar.tolist(),
+    )
+
+
+def by_identity(rows: Iterable[Row]) -> Mapping[tuple[str, ...], list[Row]]:
+    """Return the rows of each identity, the last measured one first."""
+    out: dict[tuple[str, ...], list[Row]] = {}
+    for row in sorted(rows, key=lambda row: row.order, reverse=True):
+        out.setdefault(row.identity, []).append(row)
+    return out
+
+
+def state_of(task: Task, rows: Mapping[tuple[str, ...], list[Row]]) -> State:
+    """Return the state of a task: fresh if any row is, otherwise that of the last measured one."""
+    states = [task.state_of(row) for row in rows.get(task.identity, ())]
+    return State.MISSING if not states else State.FRESH if State.FRESH in states else states[0]

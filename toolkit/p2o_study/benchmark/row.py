@@ -1,0 +1,293 @@
+"""Rows of the benchmark: one calibration per JSON line, without errors, which are computed from poses on reading.
+
+A results folder holds SUITE.jsonl, one file of rows per suite, and frames.jsonl, the digests and the ground truth of
+every frame that a row names. Lines are sorted and unique, so that merging files is a set union in any order.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Iterator
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import numpy as np
+from p2o.arrays import Float
+from p2o.errors import InputError
+from p2o.files.input_file import read_start
+from p2o.files.parsed_text import parse_json
+from p2o.files.whole_file import write_whole
+from p2o.geometry.pose_error import pose_error
+from p2o.options import validated
+from p2o.results.json_types import Number, Pose
+from p2o.results.result import Status
+from p2o.results.verdict import Trust
+from pydantic import BaseModel, ConfigDict, Field, StrictBool, StringConstraints, model_validator
+
+from p2o_study.columns import METRICS
+from p2o_study.store import StoredRow
+from p2o_study.study import Label, Line, Seed, Slug
+
+VERSION = 1
+MAX_LINE_BYTES = 1 << 20
+"""Maximum length of a line: a joint calibration of 4,541 frames needs 600 kB."""
+MAX_LINES = 2_000_000
+_MAX_FRAMES = 10_000
+
+Digest = Annotated[str, StringConstraints(pattern="^[0-9a-f]{64}$")]
+Name = Annotated[str, StringConstraints(min_length=1, max_length=500)]
+Bound = Annotated[Number, Field(ge=0)]
+_Finite = Annotated[float, Field(ge=0, le=1e9)]
+
+
+class _Record(BaseModel):
+    """One line of a file: frozen, without unknown keys, written with sorted keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    version: Literal[1] = VERSION
+
+    @cached_property
+    def line(self) -> str:
+        """The record as one line of JSON; equal records have equal lines."""
+        plain = self.model_dump(mode="json")
+        return json.dumps(plain, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
+
+    @property
+    def order(self) -> tuple[Any, ...]:
+        """The position in a sorted file."""
+        return (self.line,)
+
+
+_Line = TypeVar("_Line", bound=_Record)
+
+
+class FrameData(_Record):
+    """Content and ground truth of one frame of a dataset.
+
+    `image`, `sweep` and `calibration` are the SHA-256 of the arrays as read, rounded to 6 decimals: pixels with the
+    camera, points with their attributes, camera model. `truth` is camera_from_lidar (4, 4), None if unknown.
+    """
+
+    dataset: Slug
+    name: Name
+    image: Digest
+    sweep: Digest
+    calibration: Digest
+    truth: Pose | None
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of content and ground truth, by which rows name the frame."""
+        # Machines differ in the last bits of matrix products; adding 0 removes negative zeros.
+        truth = None if self.truth is None else (np.round(np.asarray(self.truth), 9) + 0.0).tolist()
+        content = json.dumps([self.image, self.sweep, self.calibration, truth])
+        return hashlib.sha256(content.encode()).hexdigest()
+
+    @property
+    def order(self) -> tuple[Any, ...]:
+        """Sort by dataset and name."""
+        return (self.dataset, self.name, self.line)
+
+
+class FrameOfRow(BaseModel):
+    """A frame that a row names, with the digest of its `FrameData`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: Name
+    digest: Digest
+
+
+class Method(BaseModel):
+    """A method: the words of its row and every option that took effect, or the name of an external method."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    external: bool = False
+    source: Line = ""
+    words: dict[Slug, Line] = Field(default_factory=dict, max_length=50)
+    options: dict[str, Any] = Field(default_factory=dict, max_length=100)
+
+
+class Predicted(BaseModel):
+    """Predicted errors (67 % and 95 %) in degrees and metres; "inf" where a direction is unobservable."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    rotation_deg: Bound
+    translation_m: Bound
+    rotation_deg_95: Bound
+    translation_m_95: Bound
+
+
+class Machine(BaseModel):
+    """The machine of a row; `load` is the load average of one minute at its end, -1 if unknown."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    processor: Line = ""
+    cores: int = Field(0, ge=0, le=100_000)
+    load: float = Field(-1.0, ge=-1, le=1e6)
+    system: Line = ""
+    python: Line = ""
+
+
+class Row(_Record):
+    """One calibration of a suite.
+
+    `row` and `section` are the labels of the study, `protocol` the draw of the initial guess `start` (4, 4) with
+    `seed`. `digest` is the hash of code, weights and options, for an external method that of its file of poses.
+    `estimate` is camera_from_lidar (4, 4), None if the calibration was refused. `seconds` is the time of computation,
+    `commit` the version of the sources, `versions` that of packages, `measured_by` who computed the row.
+    """
+
+    suite: Slug
+    row: Label
+    section: Line = ""
+    dataset: Slug
+    frames: tuple[FrameOfRow, ...] = Field(min_length=1, max_length=_MAX_FRAMES)
+    joint: StrictBool
+    protocol: Line
+    seed: Seed
+    start: Pose
+    method: Method
+    digest: Digest
+    commit: Line
+    estimate: Pose | None
+    status: Status
+    reason: Annotated[str, StringConstraints(max_length=2000)] = ""
+    verdict: Trust | None
+    predicted: Predicted | None
+    seconds: _Finite | None
+    machine: Machine
+    versions: dict[Line, Line] = Field(default_factory=dict, max_length=200)
+    measured_by: Line
+    finished: Annotated[str, StringConstraints(pattern=r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00$")]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Row:
+        if self.status.solved != (self.estimate is not None):
+            raise ValueError("an estimate if, and only if, the status is converged or rounds-spent")
+        if len(self.frames) > 1 and not self.joint:
+            raise ValueError("one frame unless joint is true")
+        return self
+
+    @property
+    def identity(self) -> tuple[str, ...]:
+        """What is measured: suite, dataset, row, protocol, seed and names of the frames; not the outcome."""
+        return (self.suite, self.dataset, self.row, self.protocol, f"{self.seed:010d}", *(f.name for f in self.frames))
+
+    @property
+    def order(self) -> tuple[Any, ...]:
+        """Sort by identity, then by time."""
+        return (self.identity, self.finished, self.line)
+
+    @property
+    def crashed(self) -> bool:
+        """True if the calibration raised; such a row counts as missing."""
+        return self.status is Status.STAGE_FAILED
+
+    @property
+    def place(self) -> str:
+        """The names of the frames as one text: first, and the number of others."""
+        return place_of([frame.name for frame in self.frames])
+
+    def stored(self, truth: Float | None) -> StoredRow:
+        """Return the row as tables of studies take it, with the errors against `truth` (4, 4)."""
+        result = self.start if self.estimate is None else self.estimate
+        values: dict[str, Any] = {}
+        if truth is not None:
+            before = pose_error(self.start, truth)
+            values = {"start_rotation_deg": before.rotation_deg, "start_translation_m": before.translation_m}
+            if not self.crashed:
+                error = pose_error(result, truth)
+                values |= {"rotation_deg": error.rotation_deg, "translation_m": error.translation_m}
+                values |= error.per_axis
+        bounds = {} if self.predicted is None else self.predicted.model_dump()
+        names = tuple(frame.name for frame in self.frames)
+        return StoredRow(
+            key=self.digest,
+            study=self.suite,
+            row=self.row,
+            section=self.section,
+            dataset=self.dataset,
+            frames=names,
+            joint=len(names) if self.joint else 0,
+            seed=self.seed,
+            perturb=self.protocol,
+            status=self.status.value,
+            reason=self.reason,
+            trust=self.verdict,
+            figures={f"predicted_{name}": value for name, value in bounds.items()},
+            estimate=result,
+            start=self.start,
+            truth=truth,
+            seconds={} if self.seconds is None else {"total": self.seconds},
+            finished=self.finished,
+            **values,
+        )
+
+
+def place_of(names: list[str]) -> str:
+    """Return the names of frames as one text: the first, and the number of others."""
+    return names[0] + (f" +{len(names) - 1}" if len(names) > 1 else "")
+
+
+def parsed_line(model: type[_Line], text: bytes, where: str) -> _Line:
+    """Return the record of one line; raises InputError with the place for anything else, and for stated errors."""
+    value = parse_json(text, "line", where)
+    if not isinstance(value, dict):
+        raise InputError("the line is no row", where=where, expected="a JSON object", got=type(value).__name__)
+    stated = next((metric for metric in METRICS if metric in value), None)
+    if stated is not None:
+        message, hint = f"the line states an error: {stated}", "remove it; errors are computed from the poses"
+        raise InputError(message, where=where, expected="poses only", hint=hint)
+    return validated(model, value, where=where)
+
+
+def parsed_lines(model: type[_Line], lines: Iterable[bytes], where: object) -> Iterator[_Line]:
+    """Yield the records of lines; raises InputError with `where` and the number of the line."""
+    for number, text in enumerate(lines, start=1):
+        place = f"{where}:{number}"
+        if number > MAX_LINES:
+            raise InputError("too many lines", where=place, expected=f"at most {MAX_LINES}")
+        if len(text) > MAX_LINE_BYTES:
+            raise InputError("the line is too long", where=place, expected=f"at most {MAX_LINE_BYTES} bytes")
+        if text.strip():
+            yield parsed_line(model, text, place)
+
+
+def read_records(model: type[_Line], path: Path) -> list[_Line]:
+    """Return the records of a file, sorted and without repetitions; none if the file is missing."""
+    if not path.exists():
+        return []
+    read_start(path, "file of rows", 1)
+    with path.open("rb") as file:
+        return merged(parsed_lines(model, iter(lambda: file.readline(MAX_LINE_BYTES + 1), b""), path))
+
+
+def merged(*parts: Iterable[_Line]) -> list[_Line]:
+    """Return the records of all parts, sorted and without repetitions: the order of the parts has no effect."""
+    unique = {record.line: record for part in parts for record in part}
+    return sorted(unique.values(), key=lambda record: record.order)
+
+
+def add_records(path: Path, records: Iterable[_Line], model: type[_Line]) -> int:
+    """Add records to a file, which keeps all that it has, and return the number of new ones."""
+    before = read_records(model, path)
+    after = merged(before, records)
+    if len(after) > len(before) or not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(path, "".join(f"{record.line}\n" for record in after).encode())
+    return len(after) - len(before)
+
+
+def latest(rows: Iterable[Row]) -> list[Row]:
+    """Return the last measured row of each identity, in the order of the file."""
+    by_identity: dict[tuple[str, ...], Row] = {}
+    for row in sorted(rows, key=lambda row: row.order):
+        by_identity[row.identity] = row
+    return list(by_identity.values())

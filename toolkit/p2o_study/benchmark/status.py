@@ -1,0 +1,124 @@
+"""Which rows of a suite are missing or stale: its method, data or initial guesses changed since they were measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from p2o.work.parallel import Workers
+
+from p2o_study.ablate import OnProgress, OnWarning, read_cells
+from p2o_study.benchmark.plan import State, Task, by_identity, state_of
+from p2o_study.benchmark.results import Results
+from p2o_study.benchmark.row import latest, place_of
+from p2o_study.benchmark.suite import SuiteFile
+from p2o_study.cells import Method
+from p2o_study.worker import Plugins
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One calibration of a suite and the state of its row."""
+
+    dataset: str
+    row: str
+    place: str
+    protocol: str
+    seed: int
+    state: State
+
+
+@dataclass(frozen=True)
+class SuiteStatus:
+    """The state of every calibration of a suite.
+
+    `unchecked` are datasets without a path: their existing rows are compared by method only, and missing ones are
+    unknown. `surplus` is the number of rows that the suite no longer asks for, `unreadable` that of calibrations with a
+    frame that cannot be read.
+    """
+
+    suite: str
+    entries: tuple[Entry, ...]
+    unchecked: tuple[str, ...]
+    surplus: int
+    unreadable: int
+
+    def count(self, state: State) -> int:
+        """Return the number of calibrations in a state."""
+        return sum(entry.state is state for entry in self.entries)
+
+    @property
+    def outdated(self) -> tuple[Entry, ...]:
+        """The calibrations without a fresh row."""
+        return tuple(entry for entry in self.entries if entry.state is not State.FRESH)
+
+    def as_dict(self) -> dict[str, object]:
+        """Return the status for JSON."""
+        return {
+            "suite": self.suite,
+            "counts": {state.value: self.count(state) for state in State},
+            "outdated": [vars(entry) for entry in self.outdated],
+            "unchecked_datasets": list(self.unchecked),
+            "surplus_rows": self.surplus,
+            "unreadable": self.unreadable,
+        }
+
+
+def status_of(
+    suite: SuiteFile,
+    results: Results,
+    *,
+    plugins: Plugins,
+    workers: Workers | None = None,
+    on_progress: OnProgress | None = None,
+    on_warning: OnWarning | None = None,
+) -> SuiteStatus:
+    """Return the status of a suite; frames of datasets with a path are read, nothing is computed."""
+    rows = results.rows(suite.name)
+    known = by_identity(rows)
+    unchecked = {table.name for table in suite.study.study.dataset if table.left_out}
+    entries: list[Entry] = []
+    asked: set[tuple[str, ...]] = set()
+    unreadable = 0
+    tasks: dict[tuple[str, ...], Task] = {}
+    if len(unchecked) < len(suite.study.study.dataset):
+        cells = read_cells(
+            suite.study, plugins=plugins, workers=workers, on_progress=on_progress, on_warning=on_warning
+        )
+        for cell in cells:
+            task = Task.of(suite.name, cell)
+            if task is None:
+                unreadable += 1
+                continue
+            asked.add(task.identity)
+            tasks.setdefault(task.identity_for(""), task)
+            entries.append(_entry(task, task.cell.planned.row, state_of(task, known)))
+    digests = _digests(suite, plugins) if unchecked else {}
+    surplus = 0
+    for row in latest(rows):
+        if row.identity in asked:
+            continue
+        same = tasks.get((*row.identity[:2], "", *row.identity[3:]))
+        if row.method.external and same is not None:
+            entries.append(_entry(same, row.row, same.state_of(row)))
+        elif row.dataset in unchecked and (row.method.external or row.row in digests):
+            changed = not row.method.external and digests[row.row].get(row.seed) != row.digest
+            state = State.CRASHED if row.crashed else State.METHOD if changed else State.FRESH
+            names = [frame.name for frame in row.frames]
+            entries.append(Entry(row.dataset, row.row, place_of(names), row.protocol, row.seed, state))
+        else:
+            surplus += 1
+    return SuiteStatus(suite.name, tuple(entries), tuple(sorted(unchecked)), surplus, unreadable)
+
+
+def _entry(task: Task, label: str, state: State) -> Entry:
+    planned = task.cell.planned
+    return Entry(planned.dataset, label, place_of(list(task.names)), task.protocol, task.cell.seed, state)
+
+
+def _digests(suite: SuiteFile, plugins: Plugins) -> Mapping[str, Mapping[int, str]]:
+    """Return the digest of the methods of each row and seed; no data are needed."""
+    registry = plugins.registry()
+    return {
+        row.label: {seed: Method.of(row, seed, "{}", {}, registry).digest for seed in row.seeds} for row in suite.rows
+    }

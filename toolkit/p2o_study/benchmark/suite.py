@@ -1,0 +1,163 @@
+"""Suites of the benchmark: TOML files that name a study and add the question, the protocol and independent groups.
+
+A suite takes datasets, defaults and variants of its study; rows and products of the suite replace those of the study.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from p2o.errors import InputError, UnknownNameError
+from p2o.files.input_file import expanded, read_text
+from p2o.files.parsed_text import parse_toml
+from p2o.host.registry import Registry
+from p2o.options import validated
+from p2o.run.protocol import PROTOCOLS
+from pydantic import BaseModel, ConfigDict
+
+from p2o_study.study import (
+    DatasetTable,
+    Line,
+    Product,
+    RowTable,
+    Seeds,
+    Slug,
+    Study,
+    StudyFile,
+    StudyRow,
+    Variant,
+    find_study,
+)
+
+FOLDER = Path("benchmarks/suites")
+MIN_SEEDS = 5
+"""Minimum number of initial guesses of each frame or group."""
+_OWN_IMAGE_SIDE = "p2ornet"
+"""The image extractor of our method; its rows need those without prior and with synthetic weights beside them."""
+
+
+class Suite(BaseModel):
+    """The content of a suite file.
+
+    `study` is the name of a study, or a path relative to the suite file. `protocol` replaces that of the study: the
+    name of a publication's protocol, or a size such as "2deg 0.15m". `groups` are the units of the bootstrap:
+    "frames" (each frame or joint group of frames) or "drive" (all frames whose names differ after the last "/").
+    `splits` is a file of splits, relative to the suite file, from which datasets take the lists in their `split`.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: Slug
+    question: Line
+    study: Line
+    protocol: Line = ""
+    groups: Literal["frames", "drive"] = "frames"
+    splits: Line = ""
+    seeds: Seeds = MIN_SEEDS
+    dataset: tuple[DatasetTable, ...] = ()
+    variant: tuple[Variant, ...] = ()
+    product: tuple[Product, ...] = ()
+    row: tuple[RowTable, ...] = ()
+
+    def applied_to(self, study: Study) -> Study:
+        """Return the study with the tables of the suite."""
+        changes: dict[str, Any] = {"name": self.name, "title": self.name, "note": self.question}
+        changes |= {"seeds": self.seeds, "published": (), "variant": (*study.variant, *self.variant)}
+        if self.dataset:
+            changes["dataset"] = self.dataset
+        if self.row or self.product:
+            changes |= {"row": self.row, "product": self.product}
+        if self.protocol:
+            named = self.protocol in PROTOCOLS
+            changes |= {"protocol": self.protocol if named else None, "perturb": None if named else self.protocol}
+        return study.model_copy(update=changes)
+
+
+@dataclass(frozen=True)
+class SuiteFile:
+    """A suite with its study; `source` is the path of the suite file."""
+
+    suite: Suite
+    study: StudyFile
+    source: Path
+
+    @property
+    def name(self) -> str:
+        """The name of the suite."""
+        return self.suite.name
+
+    @property
+    def rows(self) -> list[StudyRow]:
+        """The rows of the study on all datasets, also on those without a path."""
+        tables = tuple(table.model_copy(update={"optional": False}) for table in self.study.study.dataset)
+        return self.study.study.model_copy(update={"dataset": tables}).rows()
+
+    def on(self, data: Sequence[str] = (), root: str | None = None) -> SuiteFile:
+        """Return the suite with the paths of datasets, as in `Study.overridden`."""
+        study = self.study.study.overridden(data=data, root=root)
+        return SuiteFile(self.suite, StudyFile(study, self.study.text, self.study.source), self.source)
+
+
+def find_suite(word: str, registry: Registry, folder: Path = FOLDER) -> SuiteFile:
+    """Return the suite of a path, or of a name in a folder of suites.
+
+    Raises UnknownNameError for an unknown name or key, InputError for a file that cannot be read, is not valid, or
+    whose rows are not comparable (`check_rows`).
+    """
+    path = expanded(word)
+    if not word.endswith(".toml"):
+        known = suite_names(folder)
+        if word not in known:
+            raise UnknownNameError("suite", word, known, where=folder, hint="or give the path of a TOML file")
+        path = folder / f"{word}.toml"
+    suite = validated(Suite, parse_toml(read_text(path, "suite"), "suite", path), where=path)
+    named = path.parent / suite.study if suite.study.endswith(".toml") else suite.study
+    base = find_study(str(named), registry)
+    study = suite.applied_to(base.study)
+    if suite.splits:
+        study = study.overridden(frames=f"@{path.parent / suite.splits}")
+    file = SuiteFile(suite, StudyFile(study, base.text, base.source), path)
+    check_rows(file.rows, str(path))
+    return file
+
+
+def suite_names(folder: Path = FOLDER) -> list[str]:
+    """Return the names of the suites in a folder."""
+    return sorted(path.stem for path in folder.glob("*.toml"))
+
+
+def check_rows(rows: Sequence[StudyRow], where: str) -> None:
+    """Raise InputError for rows that are not comparable.
+
+    Every row needs the same seeds, at least `MIN_SEEDS`. Where our method is a row, the suite also needs it without
+    the prior on the initial guess and with weights of synthetic images, on the same data, frames and initial guesses.
+    """
+    for row in rows:
+        if row.seeds != rows[0].seeds or len(row.seeds) < MIN_SEEDS:
+            expected = f"the same seeds for all rows, at least {MIN_SEEDS}"
+            raise InputError(f"seeds of row '{row.label}'", where=where, expected=expected, got=list(row.seeds))
+    versions: dict[tuple[object, ...], set[str]] = {}
+    for row in rows:
+        recipe = row.recipe(row.seeds[0])
+        init, image = recipe.options.get("init", {}), recipe.options.get("extractor", {})
+        if (
+            recipe.calibrator is None
+            and recipe.extractor.partition("/")[0] == _OWN_IMAGE_SIDE
+            and recipe.matcher == "ogm"
+        ):
+            version = "synthetic weights" if image.get("weights") == "synthetic" else "default"
+            if init.get("prior") == 0 and init.get("weigh_start") is False:
+                version = "without prior"
+            key = row.dataset.name, row.joint, recipe.perturb, recipe.accumulate
+            versions.setdefault(key, set()).add(version)
+    for key, known in versions.items():
+        lacking = {"default", "without prior", "synthetic weights"} - known
+        if lacking:
+            raise InputError(
+                f"our method on dataset '{key[0]}' lacks rows: {', '.join(sorted(lacking))}",
+                where=where,
+                expected="three rows: default, init.prior=0 with init.weigh_start=false, extractor.weights=synthetic",
+            )

@@ -1,0 +1,302 @@
+"""`p2o benchmark`: measure suites, list stale rows, score external methods, verify bundles and write tables."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+from p2o.cli.plugin_options import plugin_options
+from p2o.errors import printable
+
+from p2o_study.cli.ablate import at_most_option, progress_shown
+
+if TYPE_CHECKING:
+    from p2o_study.benchmark.status import SuiteStatus
+    from p2o_study.benchmark.suite import SuiteFile
+    from p2o_study.worker import Plugins
+
+_SHOWN = 20
+
+
+@click.group("benchmark")
+def command() -> None:
+    """Measure suites as rows of data, score external methods, verify bundles, write tables.
+
+    A suite is a file in benchmarks/suites, its rows are lines of JSON in benchmarks/results. docs/how-to/benchmark.md
+    explains how to run a suite and how to enter a method.
+    """
+
+
+_results = click.option(
+    "--results", default="benchmarks/results", show_default=True, metavar="DIR", help="Folder of the rows."
+)
+_suites = click.option(
+    "--suites", default="benchmarks/suites", show_default=True, metavar="DIR", help="Folder of the suites."
+)
+_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else on stdout.")
+_quiet = click.option("--quiet", is_flag=True, help="No progress.")
+_workers = click.option(
+    "--workers", type=click.IntRange(min=1), default=1, show_default=True, metavar="N", help="Number of processes."
+)
+
+
+def _data_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options that name the data of a suite."""
+    many = "Run on these data; NAME selects one of several datasets."
+    function = click.option("--data", multiple=True, metavar="[NAME=]DATASET:PATH", help=many)(function)
+    text = "Folder with the data; the suite names the path of each dataset in it."
+    return click.option("--root", metavar="DIR", help=text)(function)
+
+
+def _opened(
+    name: str, suites: str, data: tuple[str, ...], root: str | None, plugin: tuple[str, ...], block: tuple[str, ...]
+) -> tuple[SuiteFile, Plugins]:
+    """Return a suite on its data, and the plugins."""
+    from p2o_study.benchmark.suite import find_suite
+    from p2o_study.worker import Plugins
+
+    plugins = Plugins.of(block, plugin)
+    return find_suite(name, plugins.registry(), Path(suites)).on(data, root), plugins
+
+
+@command.command("run")
+@click.argument("suite")
+@_data_options
+@_workers
+@click.option(
+    "--backend", type=click.Choice(["loky", "dask", "ray"]), default="loky", help="Backend that runs the jobs."
+)
+@click.option("--address", metavar="ADDRESS", help="Scheduler of an existing dask or ray cluster.")
+@click.option("--by", default="anonymous", show_default=True, metavar="NAME", help="Who measures; part of each row.")
+@click.option("--store", metavar="DIR", help="Folder of unfinished work (default: p2o-out/benchmark/SUITE).")
+@_results
+@_suites
+@at_most_option
+@_quiet
+@plugin_options
+def run(
+    suite: str,
+    data: tuple[str, ...],
+    root: str | None,
+    workers: int,
+    backend: Any,
+    address: str | None,
+    by: str,
+    store: str | None,
+    results: str,
+    suites: str,
+    at_most: int | None,
+    quiet: bool,
+    plugin: tuple[str, ...],
+    block: tuple[str, ...],
+) -> int:
+    """Measure the missing and stale rows of a suite and add them to the results.
+
+    Rows that are measurements of the current code, weights, options and data are not computed again. Started again
+    after an interruption, it continues.
+
+    \b
+    p2o benchmark run smoke
+    p2o benchmark run rigs --root DIR --workers 4 --by "A. Name"
+
+    Exit status 1 if a calibration raised or is missing, 130 if interrupted.
+    """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
+    from p2o.work.parallel import Workers
+
+    from p2o_study.benchmark.measure import measure
+    from p2o_study.benchmark.results import Results
+
+    file, plugins = _opened(suite, suites, data, root, plugin, block)
+    folder = Path("p2o-out") / "benchmark" / file.name if store is None else Path(store)
+    with progress_shown(quiet) as (say, warn):
+        done = measure(
+            file,
+            Results(Path(results)),
+            folder,
+            measured_by=by,
+            plugins=plugins,
+            workers=Workers(workers, backend, address),
+            at_most=at_most,
+            on_progress=say,
+            on_warning=warn,
+        )
+    parts = [f"{done.added} rows added", f"{done.fresh} fresh", f"{done.crashed} crashed", f"{done.missing} missing"]
+    parts += [f"{done.unreadable} with unreadable frames"] if done.unreadable else []
+    click.echo(f"{file.name}: {', '.join(parts)}; {Results(Path(results)).path(file.name)}")
+    if done.interrupted:
+        click.echo("p2o: interrupted: the same command continues", err=True)
+        return 130
+    return 1 if done.crashed or done.missing or done.unreadable else 0
+
+
+@command.command("status")
+@click.argument("suite", required=False)
+@_data_options
+@_workers
+@_results
+@_suites
+@_json
+@_quiet
+@plugin_options
+def status(
+    suite: str | None,
+    data: tuple[str, ...],
+    root: str | None,
+    workers: int,
+    results: str,
+    suites: str,
+    as_json: bool,
+    quiet: bool,
+    plugin: tuple[str, ...],
+    block: tuple[str, ...],
+) -> int:
+    """List the rows of a suite, or of all, that are missing or whose method or data changed since.
+
+    Nothing is computed. Datasets without a path are not compared: their rows are compared by method only.
+
+    Exit status 1 if a row is missing or stale.
+    """
+    from p2o.work.parallel import Workers
+
+    from p2o_study.benchmark.results import Results
+    from p2o_study.benchmark.status import status_of
+    from p2o_study.benchmark.suite import suite_names
+
+    if suite is None and data:
+        raise click.UsageError("--data needs the name of a suite; --root is for all")
+    names = suite_names(Path(suites)) if suite is None else [suite]
+    states = []
+    with progress_shown(quiet or as_json) as (say, _):
+        for name in names:
+            file, plugins = _opened(name, suites, data, root, plugin, block)
+            known = Results(Path(results))
+            states.append(
+                status_of(
+                    file,
+                    known,
+                    plugins=plugins,
+                    workers=Workers(workers),
+                    on_progress=say,
+                    on_warning=lambda text: None,
+                )
+            )
+    if as_json:
+        click.echo(json.dumps([state.as_dict() for state in states], indent=1, ensure_ascii=False, allow_nan=False))
+    else:
+        click.echo("\n".join(map(_status_text, states)) or f"no suites in {suites}")
+    return 1 if any(state.outdated for state in states) else 0
+
+
+def _status_text(status: SuiteStatus) -> str:
+    """Return the counts of a suite, and its missing and stale rows."""
+    from p2o_study.benchmark.plan import State
+
+    counts = [f"{status.count(state)} {state.value}" for state in State if status.count(state)]
+    counts += [f"{status.surplus} surplus rows"] if status.surplus else []
+    counts += [f"{status.unreadable} with unreadable frames"] if status.unreadable else []
+    lines = [f"{status.suite}: {', '.join(counts) or 'no rows'}"]
+    if status.unchecked:
+        lines.append(f"  without data (--root DIR or --data), compared by method only: {', '.join(status.unchecked)}")
+    lines += [f"  {e.state.value}: {e.row}, {e.place}, {e.protocol}, seed {e.seed}" for e in status.outdated[:_SHOWN]]
+    if len(status.outdated) > _SHOWN:
+        lines.append(f"  and {len(status.outdated) - _SHOWN} more (--json lists all)")
+    return "\n".join(map(printable, lines))
+
+
+def _starts(file: SuiteFile, plugins: Plugins, quiet: bool) -> Any:
+    """Return the initial guesses of a suite by group, protocol and seed; frames are read."""
+    from p2o_study.ablate import read_cells
+    from p2o_study.benchmark.entry import starts_of
+    from p2o_study.benchmark.plan import Task
+
+    with progress_shown(quiet) as (say, warn):
+        cells = read_cells(file.study, plugins=plugins, on_progress=say, on_warning=warn)
+        tasks = (Task.of(file.name, cell) for cell in cells)
+        return starts_of(task for task in tasks if task is not None)
+
+
+@command.command("starts")
+@click.argument("suite")
+@click.option("--out", required=True, metavar="FILE.csv", help="The file to write.")
+@_data_options
+@_suites
+@_quiet
+@plugin_options
+def starts(
+    suite: str,
+    out: str,
+    data: tuple[str, ...],
+    root: str | None,
+    suites: str,
+    quiet: bool,
+    plugin: tuple[str, ...],
+    block: tuple[str, ...],
+) -> int:
+    """Write the initial guesses of a suite as CSV, for a method outside p2o.
+
+    Each line is one calibration: group, protocol, seed, the names of its frames separated by ";", and the initial guess
+    camera_from_lidar as m00 to m33 (row by row, metres).
+
+    \b
+    p2o benchmark starts smoke --out starts.csv
+    """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
+    from p2o.files.whole_file import write_whole
+
+    from p2o_study.benchmark.entry import starts_csv
+
+    file, plugins = _opened(suite, suites, data, root, plugin, block)
+    known = _starts(file, plugins, quiet)
+    write_whole(out, starts_csv(known).encode())
+    click.echo(f"wrote {out}: {len(known)} initial guesses")
+    return 0
+
+
+@command.command("score")
+@click.argument("poses")
+@click.option("--suite", required=True, metavar="SUITE", help="The suite of the initial guesses.")
+@click.option("--name", required=True, metavar="NAME", help="The name of the method in tables.")
+@click.option("--source", default="", metavar="TEXT", help="Where the method is described: a paper or an address.")
+@click.option("--by", default="anonymous", show_default=True, metavar="NAME", help="Who measured; part of each row.")
+@_data_options
+@_results
+@_suites
+@_quiet
+@plugin_options
+def score(
+    poses: str,
+    suite: str,
+    name: str,
+    source: str,
+    by: str,
+    data: tuple[str, ...],
+    root: str | None,
+    results: str,
+    suites: str,
+    quiet: bool,
+    plugin: tuple[str, ...],
+    block: tuple[str, ...],
+) -> int:
+    """Add the poses of a method outside p2o to the results of a suite.
+
+    POSES is a CSV file with the columns group, protocol and seed of `p2o benchmark starts`, and camera_from_lidar as
+    m00 to m33 or as qx, qy, qz, qw, tx, ty, tz (scalar last, metres); optionally seconds. An empty pose is a refused
+    calibration. Every calibration of the suite needs a line.
+
+    \b
+    p2o benchmark score poses.csv --suite smoke --name "PnP on boards"
+    """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
+    from p2o_study.benchmark import entry
+    from p2o_study.benchmark.results import Results
+
+    file, plugins = _opened(suite, suites, data, root, plugin, block)
+    known = _starts(file, plugins, quiet)
+    labels = [row.label for row in file.rows]
+    rows = entry.score(Path(poses), known, name, source=source, measured_by=by, known=labels)
+    frames = {frame.line: frame for start in known.values() for frame in start.task.frames}
+    Results(Path(results)).add(file.name, rows, frames.values())
+    refused = sum(row.estimate is None for row in rows)
+    click.echo(f"{file.name}: {len(rows)} rows of '{name}' added, {refused} refused")
+    return 0
