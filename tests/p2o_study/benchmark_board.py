@@ -32,8 +32,8 @@ class Board(Bench):
     def command(self, word: str, *words: str) -> int:
         """Run a command that takes the suite as its argument, or as an option."""
         suite = str(self.root / "tiny.toml")
-        named = ["--suite", suite] if word == "score" else [] if word in ("verify", "docs") else [suite]
-        folders = [] if word == "starts" else ["--results", str(self.results.folder)]
+        named = ["--suite", suite] if word in ("score", "verify") else [] if word == "docs" else [suite]
+        folders = [] if word in ("starts", "verify") else ["--results", str(self.results.folder)]
         folders += ["--store", str(self.root / "store")] if word == "run" else []
         quiet = [] if word in ("table", "docs") else ["--quiet"]
         plugin = [] if word == "docs" else ["--plugin", str(PLUGIN)]

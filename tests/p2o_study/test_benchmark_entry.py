@@ -92,7 +92,7 @@ def without_first(text: str) -> str:
     ("edit", "message"),
     [
         (without_first, "1 of 15 poses are missing; expected a line for each initial guess of the suite"),
-        (lambda t: t + t.splitlines()[1], "poses.csv:17: a second pose for tiny: tiny/000, 1deg 0.05m, seed 0; expected"),
+        (lambda t: t + t.splitlines()[1], "poses.csv:17: a second pose for tiny: tiny/000, 1deg 0.05m, seed 0;"),
         (lambda t: t.replace("tiny/000", "tiny/0000", 1), "poses.csv:2: unknown group 'tiny: tiny/0000'"),
         (lambda t: t.replace("1deg", "2deg", 1), "poses.csv:2: unknown protocol '2deg 0.05m'"),
         (lambda t: t.replace(",0,", ",77,", 1), "poses.csv:2: unknown seed; expected one of 0, 1, 2, 3, 4; got 77"),

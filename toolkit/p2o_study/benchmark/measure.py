@@ -10,6 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import p2o
+from p2o.results.result import Status
 from p2o.work.parallel import Workers
 
 from p2o_study.ablate import OnProgress, OnWarning, ablate
@@ -119,7 +120,7 @@ def row_of(task: Task, stored: StoredRow, commit: str, measured_by: str) -> Row:
         digest=task.cell.method.digest,
         commit=commit,
         estimate=stored.estimate.tolist() if stored.solved and stored.estimate is not None else None,
-        status=stored.status,
+        status=Status(stored.status),
         reason=stored.reason[:2000],
         verdict=stored.trust,
         predicted=None if None in bounds.values() else Predicted.model_validate(bounds),

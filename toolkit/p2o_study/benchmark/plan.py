@@ -89,7 +89,9 @@ def frame_data(dataset: str, record: FrameRecord) -> FrameData:
     return FrameData(
         dataset=dataset,
         name=record.name,
-        **record.digests,
+        image=record.digests["image"],
+        sweep=record.digests["sweep"],
+        calibration=record.digests["calibration"],
         truth=None if record.camera_from_lidar is None else record.camera_from_lidar.tolist(),
     )
 

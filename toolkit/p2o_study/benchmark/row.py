@@ -30,7 +30,6 @@ from p2o_study.columns import METRICS
 from p2o_study.store import StoredRow
 from p2o_study.study import Label, Line, Seed, Slug
 
-VERSION = 1
 MAX_LINE_BYTES = 1 << 20
 """Maximum length of a line: a joint calibration of 4,541 frames needs 600 kB."""
 MAX_LINES = 2_000_000
@@ -47,7 +46,7 @@ class _Record(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    version: Literal[1] = VERSION
+    version: Literal[1] = 1
 
     @cached_property
     def line(self) -> str:
@@ -129,8 +128,8 @@ class Machine(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     processor: Line = ""
-    cores: int = Field(0, ge=0, le=100_000)
-    load: float = Field(-1.0, ge=-1, le=1e6)
+    cores: Annotated[int, Field(ge=0, le=100_000)] = 0
+    load: Annotated[float, Field(ge=-1, le=1e6)] = -1.0
     system: Line = ""
     python: Line = ""
 

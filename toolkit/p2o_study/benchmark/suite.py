@@ -153,11 +153,11 @@ def check_rows(rows: Sequence[StudyRow], where: str) -> None:
                 version = "without prior"
             key = row.dataset.name, row.joint, recipe.perturb, recipe.accumulate
             versions.setdefault(key, set()).add(version)
-    for key, known in versions.items():
+    for group, known in versions.items():
         lacking = {"default", "without prior", "synthetic weights"} - known
         if lacking:
             raise InputError(
-                f"our method on dataset '{key[0]}' lacks rows: {', '.join(sorted(lacking))}",
+                f"our method on dataset '{group[0]}' lacks rows: {', '.join(sorted(lacking))}",
                 where=where,
                 expected="three rows: default, init.prior=0 with init.weigh_start=false, extractor.weights=synthetic",
             )

@@ -300,3 +300,82 @@ def score(
     refused = sum(row.estimate is None for row in rows)
     click.echo(f"{file.name}: {len(rows)} rows of '{name}' added, {refused} refused")
     return 0
+
+
+@command.command("bundle")
+@click.argument("suite")
+@click.option("--out", metavar="FILE.zip", help="The file to write (default: SUITE.zip).")
+@_results
+@_suites
+@_quiet
+@plugin_options
+def bundle(
+    suite: str, out: str | None, results: str, suites: str, quiet: bool, plugin: tuple[str, ...], block: tuple[str, ...]
+) -> int:
+    """Pack the last measured rows of a suite: poses, frame digests, errors and environment in one zip file."""
+    from p2o_study.benchmark.bundle import pack
+    from p2o_study.benchmark.results import Results
+
+    file, _ = _opened(suite, suites, (), None, plugin, block)
+    path = Path(f"{file.name}.zip" if out is None else out)
+    count = pack(Results(Path(results)), file.name, path)
+    if not quiet:
+        click.echo(f"wrote {path}: {count} rows")
+    return 0
+
+
+@command.command("verify")
+@click.argument("bundle")
+@click.option("--suite", metavar="SUITE", help="The suite (default: that of the bundle, if it is in --suites).")
+@click.option(
+    "--sample", type=click.IntRange(min=0), default=5, show_default=True, metavar="N", help="Rows to compute."
+)
+@_data_options
+@_workers
+@_suites
+@_quiet
+@plugin_options
+def verify(
+    bundle: str,
+    suite: str | None,
+    sample: int,
+    data: tuple[str, ...],
+    root: str | None,
+    workers: int,
+    suites: str,
+    quiet: bool,
+    plugin: tuple[str, ...],
+    block: tuple[str, ...],
+) -> int:
+    """Verify a bundle and print its certificate.
+
+    Every error is computed again from its pose. Where the data are on this machine, frame digests and initial guesses
+    are compared with them, and a random sample of rows is computed again.
+
+    \b
+    p2o benchmark verify smoke.zip --sample 10
+
+    Exit status 1 if the bundle is refused, 2 if it is not a bundle.
+    """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
+    from p2o.work.parallel import Workers
+
+    from p2o_study.benchmark import bundle as bundles
+    from p2o_study.benchmark.suite import suite_names
+    from p2o_study.worker import Plugins
+
+    name = bundles.read_bundle(Path(bundle))[0].suite if suite is None else suite
+    file, plugins = None, Plugins.of(block, plugin)
+    if suite is not None or name in suite_names(Path(suites)):
+        file, plugins = _opened(name, suites, data, root, plugin, block)
+    with progress_shown(quiet) as (say, warn):
+        certificate = bundles.verify(
+            Path(bundle),
+            file,
+            sample=sample,
+            plugins=plugins,
+            workers=Workers(workers),
+            on_progress=say,
+            on_warning=warn,
+        )
+    click.echo("\n".join(map(printable, str(certificate).splitlines())))
+    return 1 if certificate.failures else 0

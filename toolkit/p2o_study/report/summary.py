@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -134,7 +134,7 @@ def summarise_study(study: StoredStudy, runs: Sequence[StoredRow], missing: Sequ
     within = _limits(words.get("within"))
     groups = []
     for number, (heading, labels) in enumerate(zip(headings, members.values(), strict=True)):
-        measured = [_measured(label, by_label[label], waiting[label], within) for label in labels]
+        measured = [measured_row(label, by_label[label], waiting[label], within) for label in labels]
         rows: list[Measured | Published] = []
         for row in measured:
             rows.append(row)
@@ -191,7 +191,16 @@ def _places(published: Iterable[Published], groups: Sequence[Sequence[str]]) -> 
     ]
 
 
-def _measured(label: str, runs: Sequence[StoredRow], waiting: int, within: Perturbation | None) -> Measured:
+def measured_row(
+    label: str,
+    runs: Sequence[StoredRow],
+    waiting: int,
+    within: Perturbation | None,
+    cluster: Callable[[StoredRow], str] = lambda run: run.place,
+) -> Measured:
+    """Return one row of a table from its runs, of which `waiting` are missing; `cluster` names the independent group
+    of a run, over which intervals are drawn.
+    """
     failures = Counter(run.status for run in runs if not run.solved)
     solved = [run for run in runs if run.solved]
     bounds = {norm: [value for run in solved if (value := predicted(run, norm)) is not None] for norm in NORMS}
@@ -201,7 +210,7 @@ def _measured(label: str, runs: Sequence[StoredRow], waiting: int, within: Pertu
     for run in runs:
         counts.add(run)
     for metric in METRICS:
-        known = [(value, run.place) for run in runs if (value := error_of(run, metric)) is not None]
+        known = [(value, cluster(run)) for run in runs if (value := error_of(run, metric)) is not None]
         values, places = [value for value, _ in known], [place for _, place in known]
         mean, median = (interval(values, places, statistic) for statistic in ("mean", "median"))
         if mean is not None and median is not None:

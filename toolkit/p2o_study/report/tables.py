@@ -96,7 +96,7 @@ def _rendered(template: str, summaries: Sequence[Summary], **values: Any) -> str
         comment_start_string="<#",
         comment_end_string="#>",
     )
-    environment.filters |= {"md": _md, "tex": _tex, "one_line": _one_line}
+    environment.filters |= {"md": md_text, "tex": _tex, "one_line": _one_line}
     content = {"summaries": summaries, "tables_of": tables_of, "notes": NOTES, **values}
     return environment.get_template(template).render(content)
 
@@ -235,7 +235,7 @@ def _figure(row: Measured | Published, group: Group, metric: str, statistic: str
     return Cell(shown(value, metric), "bold" if leads else "")
 
 
-def _md(text: str) -> str:
+def md_text(text: str) -> str:
     """Escape a text for Markdown: one line without marks, links and formulas."""
     plain = _one_line(text)
     for mark in "\\`*_|<>#&$~":

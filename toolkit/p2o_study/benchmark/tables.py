@@ -1,0 +1,154 @@
+"""Tables of a suite in Markdown, rendered from its rows, and the marked parts of pages that they replace."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+from p2o.errors import InputError
+from p2o.files.input_file import read_text
+from p2o.results.verdict import Trust
+
+from p2o_study.benchmark.results import Results
+from p2o_study.benchmark.row import latest
+from p2o_study.benchmark.suite import SuiteFile
+from p2o_study.report.bootstrap import MIN_FRAMES, Interval
+from p2o_study.report.summary import measured_row
+from p2o_study.report.tables import NONE, md_text, shown
+from p2o_study.store import StoredRow
+from p2o_study.tally import brief_seconds
+
+_HEADER = (
+    "method",
+    "n",
+    "groups",
+    "refused",
+    "rotation mean [deg]",
+    "median",
+    "solved only",
+    "translation mean [cm]",
+    "median",
+    "solved only",
+    "trusted",
+    "false accepts",
+    "coverage 67 %",
+    "coverage 95 %",
+    "time [s]",
+)
+_NORMS = ("rotation_deg", "translation_m")
+_PART = re.compile(
+    r"(?P<head><!-- rows: (?P<suite>[a-z0-9._-]+)(?:, (?P<section>[^>\n]+?))? -->\n)(?P<body>.*?)(?P<tail><!-- /rows -->)",
+    re.DOTALL,
+)
+_HEAD = re.compile(r"<!-- rows:")
+
+
+def table_of(suite: SuiteFile, results: Results, section: str | None = None) -> str:
+    """Return the tables of a suite in Markdown, one for each section, from its last measured rows; no data are read.
+
+    Raises InputError for a section that the suite lacks, and for a row whose frame is not listed.
+    """
+    frames = results.frames
+    runs: dict[str, list[StoredRow]] = {}
+    external: dict[str, list[str]] = {}
+    for row in latest(results.rows(suite.name)):
+        # The rows of an external method are those of all sections together, in the first one.
+        runs.setdefault(row.row, []).append(row.stored(frames.truth_of(row)))
+        if row.method.external and row.row not in external.setdefault(row.section, []):
+            external[row.section].append(row.row)
+    sections: dict[str, list[str]] = {}
+    for study_row in suite.rows:
+        sections.setdefault(study_row.section, []).append(study_row.label)
+    if section is not None and section not in sections:
+        raise InputError("unknown section", where=suite.source, expected=" or ".join(map(repr, sections)), got=section)
+    cluster = _CLUSTERS[suite.suite.groups]
+    parts = []
+    for name, labels in sections.items():
+        measured = [label for label in (*labels, *external.get(name, ())) if label in runs]
+        if section in (None, name):
+            parts.append(_section(name, measured, len(labels) - sum(label in runs for label in labels), runs, cluster))
+    return "\n".join(parts)
+
+
+def _line(cells: Iterable[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _place(run: StoredRow) -> str:
+    return f"{run.dataset} {run.place}"
+
+
+def _drive(run: StoredRow) -> str:
+    return f"{run.dataset} {run.frames[0].rpartition('/')[0]}"
+
+
+_CLUSTERS: dict[str, Callable[[StoredRow], str]] = {"frames": _place, "drive": _drive}
+
+
+def _section(
+    name: str,
+    labels: Sequence[str],
+    unmeasured: int,
+    runs: dict[str, list[StoredRow]],
+    cluster: Callable[[StoredRow], str],
+) -> str:
+    """Return the table of a section with its caption."""
+    own = {run.perturb for label in labels for run in runs[label]}
+    start = f", from {', '.join(sorted(filter(None, own)))}" if len(own) == 1 else ""
+    lines = [f"**{md_text(name or 'all rows')}{md_text(start)}**", ""]
+    if labels:
+        lines += [_line(_HEADER), _line([":--", *["--:"] * (len(_HEADER) - 1)])]
+        lines += [_line([md_text(label), *_figures(label, runs[label], cluster)]) for label in labels]
+    if unmeasured:
+        lines += [""] if labels else []
+        lines.append(f"{unmeasured} rows are not measured.")
+    return "\n".join([*lines, ""])
+
+
+def _figures(label: str, runs: Sequence[StoredRow], cluster: Callable[[StoredRow], str]) -> list[str]:
+    """Return the cells of a row behind its label."""
+    row = measured_row(label, runs, 0, None, cluster)
+    cells = [str(row.runs), str(len({cluster(run) for run in runs})), str(sum(row.failures.values()))]
+    for norm in _NORMS:
+        cells += [shown(row.mean.get(norm), norm), _value(norm, row.median[norm].value if norm in row.median else None)]
+        errors = [abs(getattr(run, norm)) for run in runs if run.solved and getattr(run, norm) is not None]
+        cells.append(_value(norm, float(np.mean(errors)) if errors else None))
+    judged = any(row.trust)
+    cells += [str(row.trust.get(Trust.TRUSTED, 0)), str(row.false_accepts)] if judged else [NONE, NONE]
+    return [*cells, row.coverage.text_67, row.coverage.text_95, brief_seconds(row.seconds)]
+
+
+def _value(norm: str, value: float | None) -> str:
+    return shown(None if value is None else Interval(value), norm)
+
+
+NOTE = (
+    "n is the number of calibrations, groups that of independent groups (frames or drives). In brackets: 95 % interval "
+    f"by bootstrap over groups, none for fewer than {MIN_FRAMES}. Means and medians contain refused calibrations with the "
+    "error of their initial guess; solved only: the mean without them. Methods whose intervals overlap have no order."
+)
+"""How to read the tables."""
+
+
+def rendered(text: str, where: str, table: Callable[[str, str | None], str]) -> str:
+    """Return a page with its marked parts replaced; `table` returns that of a suite and section.
+
+    A part is marked by `<!-- rows: SUITE -->` or `<!-- rows: SUITE, SECTION -->` and `<!-- /rows -->`. Raises
+    InputError for a mark that is not closed.
+    """
+    parts = list(_PART.finditer(text))
+    starts = {part.start() for part in parts}
+    for head in _HEAD.finditer(text):
+        if head.start() not in starts:
+            line = text.count("\n", 0, head.start()) + 1
+            expected = "<!-- rows: SUITE -->, or <!-- rows: SUITE, SECTION -->, on its own line, and <!-- /rows --> after it"
+            raise InputError("a marked part is not valid", where=f"{where}:{line}", expected=expected)
+    return _PART.sub(lambda part: f"{part['head']}{table(part['suite'], part['section'])}{part['tail']}", text)
+
+
+def pages_with_marks(paths: Sequence[Path]) -> dict[Path, str]:
+    """Return the text of the pages that have a marked part."""
+    texts = {path: read_text(path, "page") for path in paths}
+    return {path: text for path, text in texts.items() if _HEAD.search(text)}
