@@ -69,6 +69,7 @@ ONLY_CHECKED = (
     ),
     (r"\b(argoverse2|kitti-360|once|pandaset|waymo):/", "tests/p2o_datasets/test_public_rigs.py, on small files"),
     (r"^(time )?p2o (ablate (?!--list)|basin|compare)", "minutes to hours"),
+    (r"^p2o benchmark ", "tests/p2o_study/test_benchmark*.py; it would write to the rows of the repository"),
     (r"^p2o report (out|p2o-out)", "it needs what such a study has left; the tutorial's is reported"),
     (r"^p2o (train|labels) p2ornet", "an hour"),
     (r"^p2o pick ", "somebody clicks"),
@@ -260,6 +261,12 @@ def _check_p2o(command: Command, words: list[str], monkeypatch: pytest.MonkeyPat
 
     if words[:2] == ["plugin", "check"]:
         plugin_check.command.make_context(" ".join(words[:2]), words[2:])
+        return
+    if words[0] == "benchmark":
+        benchmark: Any = group.get_command(click.Context(group), words[0])
+        context = benchmark.get_command(click.Context(benchmark), words[1]).make_context(words[1], words[2:])
+        suite = context.params.get("suite")
+        assert suite is None or (ROOT / f"benchmarks/suites/{suite}.toml").is_file(), command
         return
     words = ["synthetic:" if word == "DATA" else word for word in words if word not in ("COMMAND", "...")]
     real_build = guard.build

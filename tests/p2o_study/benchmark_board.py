@@ -32,11 +32,11 @@ class Board(Bench):
     def command(self, word: str, *words: str) -> int:
         """Run a command that takes the suite as its argument, or as an option."""
         suite = str(self.root / "tiny.toml")
-        named = ["--suite", suite] if word in ("score", "verify") else [] if word == "docs" else [suite]
+        named = ["--suite", suite] if word in ("score", "verify") else [suite]
         folders = [] if word in ("starts", "verify") else ["--results", str(self.results.folder)]
         folders += ["--store", str(self.root / "store")] if word == "run" else []
-        quiet = [] if word in ("table", "docs") else ["--quiet"]
-        plugin = [] if word == "docs" else ["--plugin", str(PLUGIN)]
+        quiet = [] if word == "table" else ["--quiet"]
+        plugin = ["--plugin", str(PLUGIN)]
         return main(["benchmark", word, *words, *named, *plugin, *folders, *quiet])
 
     def measured(self, *words: str) -> list[Row]:

@@ -134,7 +134,7 @@ def row_of(task: Task, stored: StoredRow, commit: str, measured_by: str) -> Row:
 
 @cache
 def source_version() -> str:
-    """Return the Git commit of the sources, with "+changes" if files differ from it, or the installed version."""
+    """Return the Git commit of the sources, with "+changes" if code differs from it, or the installed version."""
     folder = str(Path(p2o.__file__).parent)
 
     def git(*words: str) -> str:
@@ -143,7 +143,7 @@ def source_version() -> str:
 
     try:
         commit = git("rev-parse", "HEAD")
-        return commit + ("+changes" if git("status", "--porcelain", "--untracked-files=no", "--", folder) else "")
+        return commit + ("+changes" if git("status", "--porcelain", "--untracked-files=no", "--", ":(top)*.py") else "")
     except (OSError, subprocess.SubprocessError):
         pass
     try:

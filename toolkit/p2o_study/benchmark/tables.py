@@ -39,7 +39,8 @@ _HEADER = (
 )
 _NORMS = ("rotation_deg", "translation_m")
 _PART = re.compile(
-    r"(?P<head><!-- rows: (?P<suite>[a-z0-9._-]+)(?:, (?P<section>[^>\n]+?))? -->\n)(?P<body>.*?)(?P<tail><!-- /rows -->)",
+    r"(?P<head><!-- rows: (?P<suite>[a-z0-9._-]+)(?:, (?P<section>[^>\n]+?))? -->\n)"
+    r"(?:(?!<!-- rows:).)*?(?P<tail><!-- /rows -->)",
     re.DOTALL,
 )
 _HEAD = re.compile(r"<!-- rows:")
@@ -126,8 +127,9 @@ def _value(norm: str, value: float | None) -> str:
 
 NOTE = (
     "n is the number of calibrations, groups that of independent groups (frames or drives). In brackets: 95 % interval "
-    f"by bootstrap over groups, none for fewer than {MIN_FRAMES}. Means and medians contain refused calibrations with the "
-    "error of their initial guess; solved only: the mean without them. Methods whose intervals overlap have no order."
+    f"by bootstrap over groups, none for fewer than {MIN_FRAMES}. Means and medians contain refused calibrations with "
+    "the error of their initial guess; solved only: the mean without them. Methods whose intervals overlap have no "
+    "order."
 )
 """How to read the tables."""
 
@@ -143,7 +145,9 @@ def rendered(text: str, where: str, table: Callable[[str, str | None], str]) -> 
     for head in _HEAD.finditer(text):
         if head.start() not in starts:
             line = text.count("\n", 0, head.start()) + 1
-            expected = "<!-- rows: SUITE -->, or <!-- rows: SUITE, SECTION -->, on its own line, and <!-- /rows --> after it"
+            expected = (
+                "<!-- rows: SUITE -->, or <!-- rows: SUITE, SECTION -->, on its own line, and <!-- /rows --> after it"
+            )
             raise InputError("a marked part is not valid", where=f"{where}:{line}", expected=expected)
     return _PART.sub(lambda part: f"{part['head']}{table(part['suite'], part['section'])}{part['tail']}", text)
 

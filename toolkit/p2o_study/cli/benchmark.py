@@ -379,3 +379,74 @@ def verify(
         )
     click.echo("\n".join(map(printable, str(certificate).splitlines())))
     return 1 if certificate.failures else 0
+
+
+def _table(suites: str, results: str, plugins: Plugins) -> Callable[[str, str | None], str]:
+    """Return the function that renders the table of a suite and section."""
+    from p2o_study.benchmark.results import Results
+    from p2o_study.benchmark.suite import find_suite
+    from p2o_study.benchmark.tables import table_of
+
+    def table(suite: str, section: str | None) -> str:
+        return table_of(find_suite(suite, plugins.registry(), Path(suites)), Results(Path(results)), section)
+
+    return table
+
+
+@command.command("table")
+@click.argument("suite")
+@click.option("--section", metavar="NAME", help="One section of the suite (default: all).")
+@_results
+@_suites
+@plugin_options
+def table(
+    suite: str, section: str | None, results: str, suites: str, plugin: tuple[str, ...], block: tuple[str, ...]
+) -> int:
+    """Print the tables of a suite in Markdown, from its rows; no data are needed.
+
+    Means with 95 % intervals by bootstrap over independent groups, medians, refused calibrations, false accepts and
+    coverage of the predicted errors.
+    """
+    from p2o_study.benchmark.tables import NOTE
+    from p2o_study.worker import Plugins
+
+    click.echo(_table(suites, results, Plugins.of(block, plugin))(suite, section))
+    click.echo(NOTE)
+    return 0
+
+
+@command.command("docs")
+@click.argument("pages", nargs=-1, metavar="[FILE.md]...")
+@click.option("--check", is_flag=True, help="Change nothing; exit status 1 if a page differs from the rows.")
+@_results
+@_suites
+@plugin_options
+def docs(
+    pages: tuple[str, ...],
+    check: bool,
+    results: str,
+    suites: str,
+    plugin: tuple[str, ...],
+    block: tuple[str, ...],
+) -> int:
+    """Write the tables of marked parts of pages from the rows (default: README.md and docs).
+
+    A part is marked by the lines `<!-- rows: SUITE -->`, or `<!-- rows: SUITE, SECTION -->`, and `<!-- /rows -->`.
+    """
+    from p2o.files.whole_file import write_whole
+
+    from p2o_study.benchmark.tables import pages_with_marks, rendered
+    from p2o_study.worker import Plugins
+
+    paths = [Path(page) for page in pages] or [Path("README.md"), *sorted(Path("docs").rglob("*.md"))]
+    render = _table(suites, results, Plugins.of(block, plugin))
+    different = 0
+    for path, before in pages_with_marks(paths).items():
+        after = rendered(before, str(path), render)
+        if after != before:
+            different += 1
+            click.echo(f"{path}: {'differs from the rows' if check else 'written'}")
+            if not check:
+                write_whole(path, after.encode())
+    click.echo(f"{different} pages {'differ' if check else 'changed'}")
+    return 1 if check and different else 0

@@ -1,0 +1,105 @@
+"""Tables are rendered from rows alone, and pages of the docs equal the rows."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from p2o.cli import main
+
+from tests.p2o_study.benchmark_board import QUICK_ROW, SUITE, Board
+from tests.study_bench import HEAD
+
+ROOT = Path(__file__).parents[2]
+
+
+def cells(text: str, label: str) -> dict[str, str]:
+    """Return the cells of a row of a Markdown table by their heading; of equal headings the first."""
+    lines = [line.strip("| ").split(" | ") for line in text.splitlines() if line.startswith("|")]
+    [row] = [line for line in lines if line[0] == label]
+    return dict(zip(reversed(lines[0]), reversed(row), strict=True))
+
+
+def table(board: Board, capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    capsys.readouterr()
+    assert board.command("table", *words) == 0
+    return capsys.readouterr().out
+
+
+def test_a_table_needs_no_data_and_contains_what_the_rows_do(board: Board, capsys: pytest.CaptureFixture[str]) -> None:
+    board.write(study=HEAD.replace("frames = 3", "frames = 6") + QUICK_ROW)
+    rows = board.measured()
+    board.write(study=(board.root / "study.toml").read_text().replace("tiny:", "tiny:/nowhere"))
+    row = cells(table(board, capsys), "quick")
+    errors = [board.results.frames.error_of(known) for known in rows]
+    mean = np.mean([error.rotation_deg for error in errors if error is not None])
+    assert (row["n"], row["groups"], row["refused"]) == ("30", "6", "0")
+    assert row["rotation mean [deg]"].startswith(f"{mean:.3f} [")
+    assert row["median"] == row["solved only"] == "0.500"
+
+
+def test_refused_calibrations_count_with_their_initial_guess_and_are_apart_in_solved_only(
+    board: Board, capsys: pytest.CaptureFixture[str]
+) -> None:
+    board.write(study=HEAD + QUICK_ROW + 'options.calibrator.status = "not-observable"\n')
+    board.measured()
+    row = cells(table(board, capsys), "quick")
+    assert (row["refused"], row["solved only"]) == ("15", "-")
+    assert row["rotation mean [deg]"] == "1.000"
+
+
+def test_intervals_are_over_groups_not_over_calibrations(board: Board, capsys: pytest.CaptureFixture[str]) -> None:
+    board.write(study=HEAD.replace("frames = 3", "frames = 6") + QUICK_ROW)
+    board.measured()
+    assert "[" in cells(table(board, capsys), "quick")["rotation mean [deg]"]
+    board.write(study=(board.root / "study.toml").read_text(), suite=SUITE + 'groups = "drive"\n')
+    row = cells(table(board, capsys), "quick")
+    assert row["groups"] == "1"
+    assert "[" not in row["rotation mean [deg]"]
+
+
+def test_rows_that_are_not_measured_are_counted(board: Board, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "2 rows are not measured." in table(board, capsys)
+
+
+def test_a_foreign_method_is_in_the_table(board: Board, capsys: pytest.CaptureFixture[str]) -> None:
+    starts = board.root / "starts.csv"
+    board.measured()
+    assert board.command("starts", "--out", str(starts)) == 0
+    assert board.command("score", str(starts), "--name", "nothing | at all") == 0
+    assert r"| nothing \| at all | 15 | 3 | 0 | 1.000 |" in table(board, capsys)
+
+
+def test_marked_parts_are_replaced_and_nothing_else(board: Board, capsys: pytest.CaptureFixture[str]) -> None:
+    board.measured()
+    suites = board.root / "suites"
+    suites.mkdir()
+    shutil.copy(board.root / "tiny.toml", suites)
+    shutil.copy(board.root / "study.toml", suites)
+    page = board.root / "page.md"
+    page.write_text("# Before\n\n<!-- rows: tiny -->\nold\n<!-- /rows -->\n\nAfter `<b>`\n")
+    words = (str(page), "--suites", str(suites))
+    plugin = ["--plugin", str(ROOT / "tests/study_plugin.py"), "--results", str(board.results.folder)]
+    assert main(["benchmark", "docs", *words, "--check", *plugin]) == 1
+    assert "old" in page.read_text()
+    assert main(["benchmark", "docs", *words, *plugin]) == 0
+    text = page.read_text()
+    assert text.startswith("# Before\n\n<!-- rows: tiny -->\n**all rows")
+    assert text.endswith("<!-- /rows -->\n\nAfter `<b>`\n")
+    assert "old" not in text
+    assert main(["benchmark", "docs", *words, "--check", *plugin]) == 0
+    page.write_text("\n\n<!-- rows: tiny -->\nnever closed\n")
+    assert main(["benchmark", "docs", *words, *plugin]) == 2
+    assert "page.md:3: a marked part is not valid" in capsys.readouterr().err
+
+
+def test_the_marked_parts_of_readme_and_docs_equal_the_committed_rows(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(ROOT)
+    assert main(["benchmark", "docs", "--check"]) == 0, capsys.readouterr().out + " (p2o benchmark docs)"
+    pages = [page for page in ROOT.glob("docs/**/*.md") if re.search("<!-- rows: smoke", page.read_text("utf-8"))]
+    assert pages
