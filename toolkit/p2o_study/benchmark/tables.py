@@ -39,11 +39,11 @@ _HEADER = (
 )
 _NORMS = ("rotation_deg", "translation_m")
 _PART = re.compile(
-    r"(?P<head><!-- rows: (?P<suite>[a-z0-9._-]+)(?:, (?P<section>[^>\n]+?))? -->\n)"
-    r"(?:(?!<!-- rows:).)*?(?P<tail><!-- /rows -->)",
-    re.DOTALL,
+    r"^(?P<head><!-- rows: (?P<suite>[a-z0-9._-]+)(?:, (?P<section>[^>\n]+?))? -->\n)"
+    r"(?:(?!^<!-- rows:).)*?(?P<tail>^<!-- /rows -->$)",
+    re.DOTALL | re.MULTILINE,
 )
-_HEAD = re.compile(r"<!-- rows:")
+_HEAD = re.compile(r"^<!-- rows:", re.MULTILINE)
 
 
 def table_of(suite: SuiteFile, results: Results, section: str | None = None) -> str:
