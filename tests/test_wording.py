@@ -20,7 +20,7 @@ LEFT = {
     "docs": 6,
     "plugins/p2o_datasets": 0,
     "plugins/p2o_formats": 0,
-    "plugins/p2o_plugins": 3,
+    "plugins/p2o_plugins": 1,
     "plugins/p2o_sim": 0,
     "toolkit/p2o": 0,
     "toolkit/p2o_pages": 0,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 from p2o import Bool, Float, Int
@@ -24,36 +24,30 @@ class Tap:
     slope: Float | None = None
 
 
-class Levels(Protocol):
-    """A image of which every pixel has a level from 0 to `count` - 1."""
+@dataclass(frozen=True, eq=False)
+class Levels:
+    """An image `level` (H, W) of levels from 0 to `count` - 1, which is shown up to `border` px from its ends."""
 
-    @property
-    def count(self) -> int: ...
+    level: Any
+    count: int
+    border: ClassVar[float]
 
-    def shown(self, uv: Float, /) -> Bool:
+    def shown(self, uv: Float) -> Bool:
         """Return which positions (..., 2) can be sampled."""
-        ...
+        u, v, (far_v, far_u) = uv[..., 0], uv[..., 1], np.array(self.level.shape) - 1 - self.border
+        with np.errstate(invalid="ignore"):
+            return np.asarray((u >= self.border) & (v >= self.border) & (u <= far_u) & (v <= far_v))
 
-    def taps(self, uv: Float, /, *, slopes: bool = False) -> Iterator[Tap]:
+    def taps(self, uv: Float, *, slopes: bool = False) -> Iterator[Tap]:
         """Yield the shares of points at places (..., 2), all of which are shown."""
-        ...
-
-
-def _within(uv: Float, shape: tuple[int, ...], border: float) -> Bool:
-    u, v, far_u, far_v = uv[..., 0], uv[..., 1], shape[1] - 1 - border, shape[0] - 1 - border
-    with np.errstate(invalid="ignore"):
-        return np.asarray((u >= border) & (v >= border) & (u <= far_u) & (v <= far_v))
+        raise TypeError("a subclass samples the image")
 
 
 @dataclass(frozen=True, eq=False)
-class Hard:
+class Hard(Levels):
     """The level of the nearest pixel; `level` (H, W) int. Quick, and a staircase over poses."""
 
-    level: Int
-    count: int
-
-    def shown(self, uv: Float) -> Bool:
-        return _within(uv, self.level.shape, -0.499)
+    border = -0.499
 
     def taps(self, uv: Float, *, slopes: bool = False) -> Iterator[Tap]:
         u, v = np.moveaxis(np.rint(uv).astype(np.intp), -1, 0)
@@ -61,21 +55,17 @@ class Hard:
 
 
 @dataclass(frozen=True, eq=False)
-class Linear:
-    """Bilinear grey values, divided between the two nearest levels; `value` (H, W) in levels."""
+class Linear(Levels):
+    """Bilinear grey values, divided between the two nearest levels; `level` (H, W) float."""
 
-    value: Float
-    count: int
-
-    def shown(self, uv: Float) -> Bool:
-        return _within(uv, self.value.shape, 0.0)
+    border = 0.0
 
     def taps(self, uv: Float, *, slopes: bool = False) -> Iterator[Tap]:
-        height, width = self.value.shape
+        height, width = self.level.shape
         u, v = uv[..., 0], uv[..., 1]
         column, row = np.minimum(u.astype(np.intp), width - 2), np.minimum(v.astype(np.intp), height - 2)
         fu, fv = u - column, v - row
-        flat, place = self.value.ravel(), row * width + column
+        flat, place = self.level.ravel(), row * width + column
         a, b, c, d = flat[place], flat[place + 1], flat[place + width], flat[place + width + 1]
         value = (a * (1 - fu) + b * fu) * (1 - fv) + (c * (1 - fu) + d * fu) * fv
         low = np.clip(value.astype(np.intp), 0, self.count - 2)
@@ -86,14 +76,10 @@ class Linear:
 
 
 @dataclass(frozen=True, eq=False)
-class Spline:
+class Spline(Levels):
     """Every pixel has one level (H, W) int; a point is shared among 4x4 by cubic B-splines, after Koide et al."""
 
-    level: Int
-    count: int
-
-    def shown(self, uv: Float) -> Bool:
-        return _within(uv, self.level.shape, 1.0)
+    border = 1.0
 
     def taps(self, uv: Float, *, slopes: bool = False) -> Iterator[Tap]:
         height, width = self.level.shape
@@ -146,31 +132,21 @@ def joint_counts(row: Int, column: Int, weight: Float, rows: int, columns: int) 
 # ---- estimators
 
 
-class Estimator(Protocol):
-    """Turns counts into shares."""
-
-    def shares(self, counts: Float, /) -> Float:
-        """Return probabilities (B, R, C) of counts (B, R, C); zero without counts."""
-        ...
-
-    def slope(self, counts: Float, by_shares: Float, /) -> Float:
-        """Return derivatives (R, C) by counts (R, C) whose sum stays, of what has derivatives `by_shares` (R, C)."""
-        ...
-
-
 @dataclass(frozen=True)
 class Plain:
     """Shares of the counts as they are: the estimate of maximum likelihood."""
 
     def shares(self, counts: Float) -> Float:
+        """Return probabilities (B, R, C) of counts (B, R, C); zero without counts."""
         return counts / np.maximum(counts.sum(axis=(-2, -1), keepdims=True), 1e-12)
 
     def slope(self, counts: Float, by_shares: Float) -> Float:
+        """Return derivatives (R, C) by counts (R, C) whose sum stays, of what has derivatives `by_shares` (R, C)."""
         return np.asarray(by_shares / max(float(counts.sum()), 1e-12))
 
 
 @dataclass(frozen=True, eq=False)
-class Smoothed:
+class Smoothed(Plain):
     """Probabilities smoothed by kernels for both axes, (R, R) and (C, C), whose columns distribute a level."""
 
     over_rows: Float
@@ -184,14 +160,14 @@ class Smoothed:
         return cls(*(kernel(size, width) for size, width in zip(counts.shape, widths, strict=True)))
 
     def shares(self, counts: Float) -> Float:
-        return Plain().shares(self.over_rows @ counts @ self.over_columns.T)
+        return super().shares(self.over_rows @ counts @ self.over_columns.T)
 
     def slope(self, counts: Float, by_shares: Float) -> Float:
-        return self.over_rows.T @ Plain().slope(counts, by_shares) @ self.over_columns
+        return self.over_rows.T @ super().slope(counts, by_shares) @ self.over_columns
 
 
 @dataclass(frozen=True)
-class Shrunk:
+class Shrunk(Plain):
     """Probabilities between the relative counts and equal ones, t = 1 / (R C): p = k t + (1 - k) p_counts.
 
     k = (1 - sum p^2) / ((n - 1) sum (t - p)^2), limited to 0 and 1: the James-Stein estimator of Hausser and Strimmer
@@ -200,24 +176,24 @@ class Shrunk:
 
     def share_of_target(self, counts: Float) -> Float:
         """Return k (B,) of counts (B, R, C)."""
-        p, total = Plain().shares(counts), counts.sum(axis=(-2, -1))
+        p, total = super().shares(counts), counts.sum(axis=(-2, -1))
         spread = np.maximum((total - 1) * ((p - 1 / p[0].size) ** 2).sum(axis=(-2, -1)), 1e-12)
         return np.clip((1 - (p**2).sum(axis=(-2, -1))) / spread, 0.0, 1.0)
 
     def shares(self, counts: Float) -> Float:
         k = self.share_of_target(counts)[:, None, None]
         counted = counts.sum(axis=(-2, -1), keepdims=True) > 0
-        return np.where(counted, k / counts[0].size + (1 - k) * Plain().shares(counts), 0.0)
+        return np.where(counted, k / counts[0].size + (1 - k) * super().shares(counts), 0.0)
 
     def slope(self, counts: Float, by_shares: Float) -> Float:
-        p, target, total = Plain().shares(counts), 1 / counts.size, float(counts.sum())
+        p, target, total = super().shares(counts), 1 / counts.size, float(counts.sum())
         k = float(self.share_of_target(counts[None])[0])
         slope = (1 - k) * by_shares
         if 0 < k < 1:
             above, below = 1 - float((p**2).sum()), (total - 1) * float(((p - target) ** 2).sum())
             of_k = -2 * p / below - above * 2 * (total - 1) * (p - target) / below**2
             slope = slope + of_k * float((by_shares * (target - p)).sum())
-        return Plain().slope(counts, slope)
+        return super().slope(counts, slope)
 
 
 def kernel(size: int, sigma: float) -> Float:

@@ -12,7 +12,7 @@ import p2o
 from p2o import Bool, Float, Int
 from p2o.solving import Objective
 
-from p2o_baselines.histogram import Estimator, Levels, Measure, joint_counts
+from p2o_baselines.histogram import Levels, Measure, Plain, joint_counts
 
 From = TypeVar("From")
 Made = TypeVar("Made")
@@ -81,7 +81,7 @@ class Information:
     """The mean of a measure over groups of sweeps; the points of a group are counted in one histogram."""
 
     groups: tuple[tuple[SeenPoints, ...], ...]
-    estimators: tuple[Estimator, ...]
+    estimators: tuple[Plain, ...]
     measure: Measure
 
     def cost(self, poses: Float) -> Float:
@@ -96,7 +96,7 @@ class Information:
         """Return the cost as what matchers give."""
         return Objective(self.cost)
 
-    def _costs(self, group: Sequence[SeenPoints], estimator: Estimator, poses: Float) -> Float:
+    def _costs(self, group: Sequence[SeenPoints], estimator: Plain, poses: Float) -> Float:
         """Return the costs (B,) of one group."""
         size = max(1, _CELLS // (group[0].rows * group[0].levels.count))
         parts = [poses[i : i + size] for i in range(0, len(poses), size)]

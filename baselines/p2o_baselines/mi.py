@@ -21,7 +21,7 @@ from p2o import Float, field
 from p2o.solving import Objective
 
 from p2o_baselines import examples
-from p2o_baselines.histogram import MI, Estimator, Linear, Shrunk, Smoothed
+from p2o_baselines.histogram import MI, Linear, Plain, Shrunk, Smoothed
 from p2o_baselines.information import SeenPoints, SmoothInformation, Span, counts_of, remembered, sightings
 
 
@@ -51,7 +51,7 @@ def build(options: MiOptions) -> p2o.Matcher:
         )
         if not group:
             return SmoothInformation((), (), MI).objective()
-        estimator: Estimator = Shrunk()
+        estimator: Plain = Shrunk()
         if options.estimator == "kernel":
             estimator = Smoothed.by_silverman(counts_of(group, camera_from_lidar[None])[0], options.bandwidth)
         return SmoothInformation((group,), (estimator,), MI).objective()

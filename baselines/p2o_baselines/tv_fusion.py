@@ -43,12 +43,6 @@ def divergence(down: Float, across: Float) -> Float:
     return out
 
 
-def variation(values: Float, weight: Float) -> Float:
-    """Return the weighted total variation (...) of maps (..., H, W): 0 for constant ones."""
-    down, across = gradient(values)
-    return np.asarray(np.sum(weight * np.hypot(down, across), axis=(-2, -1)))
-
-
 def filled(depth: Float, known: Bool, weight: Float, strength: float, iterations: int) -> Float:
     """Return the maps psi (..., H, W) of least 1/2 |psi - depth|^2 + strength TV(psi), by Chambolle and Pock (2011)."""
     step = 1.0 / np.sqrt(8.0)

@@ -9,7 +9,6 @@ from p2o_baselines.histogram import (
     NID,
     NMI,
     Entropies,
-    Estimator,
     Measure,
     Plain,
     Shrunk,
@@ -77,14 +76,14 @@ def test_one_grey_or_no_points_cost_the_most(measure: Measure) -> None:
 
 
 @ESTIMATORS
-def test_shares_add_up_to_one_and_those_of_nothing_to_nothing(estimator: Estimator) -> None:
+def test_shares_add_up_to_one_and_those_of_nothing_to_nothing(estimator: Plain) -> None:
     counts = np.concatenate([COUNTS, np.zeros((1, 6, 8))])
     assert estimator.shares(counts).sum(axis=(1, 2)) == pytest.approx([1, 1, 1, 1, 1, 0])
 
 
 @MEASURES
 @ESTIMATORS
-def test_derivatives_by_counts_are_those_of_differences(measure: Measure, estimator: Estimator) -> None:
+def test_derivatives_by_counts_are_those_of_differences(measure: Measure, estimator: Plain) -> None:
     counts = COUNTS[1] + 0.5
     change = RNG.normal(size=counts.shape)
     change -= change.mean()  # points go from level to level

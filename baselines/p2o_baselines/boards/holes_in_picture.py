@@ -48,11 +48,6 @@ class Ellipses(NamedTuple):
     axes: Float
     turn: Float
 
-    @property
-    def radius(self) -> Float:
-        """The root of the product of the half axes (N,)."""
-        return np.asarray(np.sqrt(self.axes.prod(axis=1)))
-
 
 class Rims(NamedTuple):
     """Samples on rims: hole (K,), pixels (K, 2), outward normals (K, 2), points (K, 3), and if a wall is visible."""

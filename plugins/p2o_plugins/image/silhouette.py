@@ -38,23 +38,6 @@ blurred border: ties are resolved to the inner place. Above an object it is usua
 ties are resolved to the outer place. Tuned on layered pairs synthesised from images of the `train` split.
 """
 
-FEATURES = (
-    "contrast",
-    "lead",
-    "shift",
-    "jump",
-    "ratio",
-    "votes_inside",
-    "votes_outside",
-    "near_votes_inside",
-    "near_votes_outside",
-    "misfit_inside",
-    "misfit_outside",
-    "known_inside",
-    "known_outside",
-)
-"""Names of the features from which the confidence of a silhouette is computed, see `locate`."""
-
 _ACROSS = (
     (4.76, 1.63, -0.16, 0.25, -0.50, 1.91, 0.31, 2.25, 1.51, -0.71, -3.77, -0.03, 0.27, -2.76),
     (0.74, 2.13, -0.84),
@@ -73,7 +56,10 @@ JUDGEMENT = {
 }
 """Coefficients of `confidence` for the directions; L and R are mirror images and share theirs.
 
-Those of FEATURES and a constant; then those of the first estimate, of the neighbours' estimates, and a constant.
+Those of the features contrast, lead, shift, jump, ratio, votes inside and outside, near votes inside and outside,
+misfit inside and outside, known inside and outside (see `locate`), and a constant; then those of the first estimate, of
+the neighbours' estimates, and a constant.
+
 Logistic regression on layered pairs synthesised from images of the `train` split: `python benchmarks/stereo_bias.py
 --fit`.
 """
@@ -83,7 +69,7 @@ Logistic regression on layered pairs synthesised from images of the `train` spli
 class Silhouettes:
     """Silhouette points of one direction: `uv` (N, 2) px, `disparity` (N,) px of the foreground.
 
-    `features` (N, 13) as named in FEATURES, each of order one.
+    `features` (N, 13) as listed at JUDGEMENT, each of order one.
     """
 
     uv: Float

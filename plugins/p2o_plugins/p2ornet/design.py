@@ -1,8 +1,7 @@
 """Architecture of P2ORNet without torch: shapes, encoders, and one traversal of all layers.
 
 The traversal (`network`) names every layer with its sizes and calls a `Layers` for each: a graph for inference
-(`graph.py`), or the list of tensors of a weights file (`tensor_sizes`). The trainable module (`network.py`,
-`encoders.py`) is built from the same blocks.
+(`graph.py`), the trainable module (`network.py`), or the list of tensors of a weights file (`tensor_sizes`).
 """
 
 from __future__ import annotations
@@ -41,7 +40,8 @@ class EncoderPlan:
     Its maps have `channels` and `strides`, from fine to coarse; odd sizes are rounded up at every step. The size of an
     image must be a multiple of `multiple`, so that maps are aligned independently of the size: SAME padding shifts them
     by half a cell for odd sizes. Normalisation of the image (`mean`, `std`, per colour of an RGB in 0..1) belongs to
-    the pretrained weights. `epsilon` is that of its batch norms. A map is passed on after each of the blocks `taps`.
+    the pretrained weights; `unused` are prefixes of their parameters that the encoder does not have. `epsilon` and
+    `momentum` are those of its batch norms. A map is passed on after each of the blocks `taps`.
     """
 
     channels: tuple[int, ...]
@@ -52,6 +52,8 @@ class EncoderPlan:
     epsilon: float
     blocks: tuple[Block, ...]
     taps: tuple[int, ...]
+    momentum: float = 0.1
+    unused: tuple[str, ...] = ()
 
 
 def _resnet50() -> Iterator[Block]:
@@ -93,6 +95,7 @@ PLANS: dict[str, EncoderPlan] = {
         epsilon=1e-5,
         blocks=tuple(_resnet50()),
         taps=(2, 6, 12),
+        unused=("layer4.", "fc."),
     ),
     "efficientnet-lite0": EncoderPlan(
         channels=(16, 24, 40, 112, 320),
@@ -103,6 +106,8 @@ PLANS: dict[str, EncoderPlan] = {
         epsilon=1e-3,
         blocks=tuple(_lite0()),
         taps=(0, 2, 4, 10, 15),
+        momentum=0.01,
+        unused=("_conv_head.", "_bn1.", "_fc."),
     ),
 }
 """The encoders by their name in weights files and in `p2o train`."""
@@ -136,32 +141,34 @@ class Shape:
 Map = TypeVar("Map")
 
 
+class Conv(NamedTuple):
+    """A convolution padded by half a kernel (`same`: as TensorFlow does), then batch norm `norm`, then ReLU to `relu`.
+
+    `name` is that of the module with the weights. With a `cell` over 1, the kernel runs over the cells of the image,
+    whose pixels count as channels.
+    """
+
+    name: str
+    outputs: int
+    kernel: int = 1
+    stride: int = 1
+    depthwise: bool = False
+    same: bool = False
+    bias: bool = False
+    norm: str = ""
+    epsilon: float = 1e-5
+    cell: int = 1
+    relu: float | None = None
+
+
 class Layers(Protocol[Map]):
-    """The operation of each layer of the traversal. `name` is that of the module with the weights.
+    """The operation of each layer of the traversal.
 
     Layers have biases if no batch norm follows, and in the decoder.
     """
 
-    def convolution(
-        self,
-        x: Map,
-        name: str,
-        outputs: int,
-        kernel: int = 1,
-        stride: int = 1,
-        *,
-        depthwise: bool = False,
-        same: bool = False,
-        bias: bool = False,
-        norm: str = "",
-        epsilon: float = 1e-5,
-        cell: int = 1,
-        relu: float | None = None,
-    ) -> Map:
-        """Convolve, padded by half a kernel (`same`: as TensorFlow does), then batch norm `norm`, then ReLU to `relu`.
-
-        With a `cell` over 1, the kernel runs over the cells of the image, whose pixels count as channels.
-        """
+    def convolution(self, x: Map, layer: Conv) -> Map:
+        """Convolve."""
         ...
 
     def deconvolution(self, x: Map, name: str, outputs: int, like: Map) -> Map:
@@ -192,7 +199,7 @@ INFINITY = float("inf")
 def network(on: Layers[Map], image: Map, shape: Shape) -> Map:
     """Return the outputs of the heads for a normalised image, whose size is a multiple of `shape.multiple`."""
     plan, cell, widths = PLANS[shape.encoder], shape.cell, shape.widths
-    maps = _ENCODED[shape.encoder](on, image, plan)
+    maps = ENCODERS[shape.encoder](on, image, plan)
     finest = _doubled(on, image, "picture", widths[0], cell)
     if plan.strides[0] == cell:  # the encoder's own finest map has the resolution of the image's
         maps[0] = on.joined(finest, maps[0])
@@ -207,21 +214,22 @@ def network(on: Layers[Map], image: Map, shape: Shape) -> Map:
 
 
 def _doubled(on: Layers[Map], x: Map, name: str, outputs: int, cell: int = 1) -> Map:
-    x = on.convolution(x, f"{name}.0", outputs, 3, bias=True, norm=f"{name}.1", cell=cell, relu=INFINITY)
-    return on.convolution(x, f"{name}.3", outputs, 3, bias=True, norm=f"{name}.4", relu=INFINITY)
+    x = on.convolution(x, Conv(f"{name}.0", outputs, 3, bias=True, norm=f"{name}.1", cell=cell, relu=INFINITY))
+    return on.convolution(x, Conv(f"{name}.3", outputs, 3, bias=True, norm=f"{name}.4", relu=INFINITY))
 
 
 def _resnet_maps(on: Layers[Map], x: Map, plan: EncoderPlan) -> list[Map]:
-    half = on.convolution(x, "encoder.conv1", 64, 7, 2, norm="encoder.bn1", relu=INFINITY)
+    """ResNet (He et al., CVPR 2016), version 1.5: the stride is that of the 3x3 convolution; torchvision's names."""
+    half = on.convolution(x, Conv("encoder.conv1", 64, 7, 2, norm="encoder.bn1", relu=INFINITY))
     maps, x = [half], on.pooled(half)
     for number, block in enumerate(plan.blocks):
         name, y = f"encoder.{block.name}", x
-        y = on.convolution(y, f"{name}.conv1", block.width, norm=f"{name}.bn1", relu=INFINITY)
-        y = on.convolution(y, f"{name}.conv2", block.width, 3, block.stride, norm=f"{name}.bn2", relu=INFINITY)
-        y = on.convolution(y, f"{name}.conv3", block.outputs, norm=f"{name}.bn3")
+        y = on.convolution(y, Conv(f"{name}.conv1", block.width, norm=f"{name}.bn1", relu=INFINITY))
+        y = on.convolution(y, Conv(f"{name}.conv2", block.width, 3, block.stride, norm=f"{name}.bn2", relu=INFINITY))
+        y = on.convolution(y, Conv(f"{name}.conv3", block.outputs, norm=f"{name}.bn3"))
         if block.stride != 1 or block.inputs != block.outputs:
             down = f"{name}.downsample"
-            x = on.convolution(x, f"{down}.0", block.outputs, 1, block.stride, norm=f"{down}.1")
+            x = on.convolution(x, Conv(f"{down}.0", block.outputs, 1, block.stride, norm=f"{down}.1"))
         x = on.added(y, x, relu=True)
         if number in plan.taps:
             maps.append(x)
@@ -229,44 +237,42 @@ def _resnet_maps(on: Layers[Map], x: Map, plan: EncoderPlan) -> list[Map]:
 
 
 def _lite0_maps(on: Layers[Map], x: Map, plan: EncoderPlan) -> list[Map]:
+    """EfficientNet-lite0 without squeeze-and-excitation; names are those of the weights' package."""
     e, maps = plan.epsilon, []
-    x = on.convolution(x, "encoder._conv_stem", 32, 3, 2, same=True, norm="encoder._bn0", epsilon=e, relu=6)
+    x = on.convolution(x, Conv("encoder._conv_stem", 32, 3, 2, same=True, norm="encoder._bn0", epsilon=e, relu=6))
     for number, block in enumerate(plan.blocks):
         name, y, width = f"encoder.{block.name}", x, block.width
         if width != block.inputs:
-            y = on.convolution(y, f"{name}._expand_conv", width, norm=f"{name}._bn0", epsilon=e, relu=6)
-        y = on.convolution(
-            y, f"{name}._depthwise_conv", width, block.kernel, block.stride,
-            depthwise=True, same=True, norm=f"{name}._bn1", epsilon=e, relu=6,
-        )  # fmt: skip
-        y = on.convolution(y, f"{name}._project_conv", block.outputs, norm=f"{name}._bn2", epsilon=e)
+            y = on.convolution(y, Conv(f"{name}._expand_conv", width, norm=f"{name}._bn0", epsilon=e, relu=6))
+        depthwise = Conv(f"{name}._depthwise_conv", width, block.kernel, block.stride, depthwise=True, same=True)
+        y = on.convolution(y, depthwise._replace(norm=f"{name}._bn1", epsilon=e, relu=6))
+        y = on.convolution(y, Conv(f"{name}._project_conv", block.outputs, norm=f"{name}._bn2", epsilon=e))
         x = on.added(x, y, relu=False) if block.stride == 1 and block.inputs == block.outputs else y
         if number in plan.taps:
             maps.append(x)
     return maps
 
 
-_ENCODED = {"resnet50": _resnet_maps, "efficientnet-lite0": _lite0_maps}
+ENCODERS = {"resnet50": _resnet_maps, "efficientnet-lite0": _lite0_maps}
+"""The traversals of the encoders by name, which return their maps from fine to coarse."""
 
 
-class _Wanted:
+class TensorSizes:
     """Layers that record only the tensors they need; a map is represented by its number of channels."""
 
     def __init__(self) -> None:
         self.tensors: dict[str, tuple[int, ...]] = {}
 
-    def convolution(
-        self, x: int, name: str, outputs: int, kernel: int = 1, stride: int = 1, *, depthwise: bool = False,
-        same: bool = False, bias: bool = False, norm: str = "", epsilon: float = 1e-5, cell: int = 1,
-        relu: float | None = None,
-    ) -> int:  # fmt: skip
-        self.tensors[f"{name}.weight"] = (outputs, 1 if depthwise else x * cell * cell, kernel, kernel)
-        if bias:
-            self.tensors[f"{name}.bias"] = (outputs,)
-        if norm:
-            self.tensors |= {f"{norm}.{part}": (outputs,) for part in ("weight", "bias", "running_mean", "running_var")}
-            self.tensors[f"{norm}.num_batches_tracked"] = ()
-        return outputs
+    def convolution(self, x: int, layer: Conv) -> int:
+        inputs = 1 if layer.depthwise else x * layer.cell * layer.cell
+        self.tensors[f"{layer.name}.weight"] = (layer.outputs, inputs, layer.kernel, layer.kernel)
+        if layer.bias:
+            self.tensors[f"{layer.name}.bias"] = (layer.outputs,)
+        if layer.norm:
+            parts = ("weight", "bias", "running_mean", "running_var")
+            self.tensors |= {f"{layer.norm}.{part}": (layer.outputs,) for part in parts}
+            self.tensors[f"{layer.norm}.num_batches_tracked"] = ()
+        return layer.outputs
 
     def deconvolution(self, x: int, name: str, outputs: int, like: int) -> int:
         self.tensors |= {f"{name}.weight": (x, outputs, 3, 3), f"{name}.bias": (outputs,)}
@@ -282,11 +288,11 @@ class _Wanted:
         return x + y
 
     def heads(self, x: int, name: str, inclinations: int, cell: int) -> int:
-        return self.convolution(x, name, inclinations * CLASSES * cell * cell, bias=True)
+        return self.convolution(x, Conv(name, inclinations * CLASSES * cell * cell, bias=True))
 
 
 def tensor_sizes(shape: Shape) -> dict[str, tuple[int, ...]]:
     """Return the sizes of the tensors of a network by name; those named `num_batches_tracked` are integers."""
-    wanted = _Wanted()
+    wanted = TensorSizes()
     network(wanted, 3, shape)
     return wanted.tensors

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from p2o import Float, UInt8
 from p2o.solving import cores
 
-from p2o_plugins.p2ornet.design import CLASSES, INFINITY, PLANS, Shape, network
+from p2o_plugins.p2ornet.design import CLASSES, INFINITY, PLANS, Conv, Shape, network
 
 _Float32 = NDArray[np.float32]
 _OPSET, _IR_VERSION = 17, 8
@@ -115,28 +115,21 @@ class _Graph:
         self.constants.append(numpy_helper.from_array(np.ascontiguousarray(values), name))
         return name
 
-    def convolution(
-        self, x: _Map, name: str, outputs: int, kernel: int = 1, stride: int = 1, *, depthwise: bool = False,
-        same: bool = False, bias: bool = False, norm: str = "", epsilon: float = 1e-5, cell: int = 1,
-        relu: float | None = None,
-    ) -> _Map:  # fmt: skip
-        weight = self.tensors[f"{name}.weight"].astype(np.float64)
-        shift = self.tensors[f"{name}.bias"].astype(np.float64) if bias else np.zeros(outputs)
-        if norm:
+    def convolution(self, x: _Map, layer: Conv) -> _Map:
+        weight = self.tensors[f"{layer.name}.weight"].astype(np.float64)
+        shift = self.tensors[f"{layer.name}.bias"].astype(np.float64) if layer.bias else np.zeros(layer.outputs)
+        if layer.norm:
             mean, variance, gain, offset = (
-                self.tensors[f"{norm}.{part}"].astype(np.float64)
+                self.tensors[f"{layer.norm}.{part}"].astype(np.float64)
                 for part in ("running_mean", "running_var", "weight", "bias")
             )
-            scale = gain / np.sqrt(variance + epsilon)
+            scale = gain / np.sqrt(variance + layer.epsilon)
             weight, shift = weight * scale[:, None, None, None], (shift - mean) * scale + offset
-        return self._convolved(x, weight, shift, stride, depthwise=depthwise, same=same, cell=cell, relu=relu)
+        return self._convolved(x, weight, shift, layer)
 
-    def _convolved(
-        self, x: _Map, weight: NDArray[Any], shift: NDArray[Any], stride: int = 1, *, depthwise: bool = False,
-        same: bool = False, cell: int = 1, relu: float | None = None,
-    ) -> _Map:  # fmt: skip
-        """Add a convolution with weights (outputs, inputs, k, k) and shifts (outputs,)."""
-        outputs, _, kernel, _ = weight.shape
+    def _convolved(self, x: _Map, weight: NDArray[Any], shift: NDArray[Any], layer: Conv) -> _Map:
+        """Add a convolution with weights (outputs, inputs, k, k) and shifts (outputs,), those of a layer or a part."""
+        outputs, kernel, stride, cell = len(weight), layer.kernel, layer.stride, layer.cell
         before = (kernel // 2) * cell
         if cell > 1:
             # Channels of a cell are its pixels: the same sums as of a larger kernel that steps from cell to cell.
@@ -145,13 +138,15 @@ class _Graph:
             stride = cell
         pads = [before, before, before, before]
         height, width = -(-x.height // stride), -(-x.width // stride)
-        if same:
+        if layer.same:
             totals = [max((o - 1) * stride + kernel - i, 0) for o, i in ((height, x.height), (width, x.width))]
             pads = [t // 2 for t in totals] + [t - t // 2 for t in totals]
         y, first = "", 0
         for name, channels in x.parts:
             # Sums of convolutions instead of one of joined maps: nothing is copied, and maps keep their layout.
-            constants = [weight if depthwise else weight[:, first : first + channels]] + ([] if first else [shift])
+            constants = [weight if layer.depthwise else weight[:, first : first + channels]] + (
+                [] if first else [shift]
+            )
             part = self.node(
                 "Conv",
                 name,
@@ -159,13 +154,13 @@ class _Graph:
                 kernel_shape=weight.shape[2:],
                 strides=[stride, stride],
                 pads=pads,
-                group=channels if depthwise else 1,
+                group=channels if layer.depthwise else 1,
             )
             y, first = self.node("Add", y, part) if y else part, first + channels
-        if relu == INFINITY:
+        if layer.relu == INFINITY:
             y = self.node("Relu", y)
-        elif relu is not None:
-            y = self.node("Clip", y, self.constant(np.float32(0)), self.constant(np.float32(relu)))
+        elif layer.relu is not None:
+            y = self.node("Clip", y, self.constant(np.float32(0)), self.constant(np.float32(layer.relu)))
         return _Map(((y, outputs),), height, width)
 
     def deconvolution(self, x: _Map, name: str, outputs: int, like: _Map) -> _Map:
@@ -197,7 +192,7 @@ class _Graph:
         weight = weight.reshape(inclinations, CLASSES, -1, *weight.shape[1:])
         shift = shift.reshape(inclinations, CLASSES, -1)
         logits = [
-            self._convolved(x, np.concatenate(weight[:, number]), np.concatenate(shift[:, number])).name
+            self._convolved(x, np.concatenate(weight[:, number]), np.concatenate(shift[:, number]), Conv(name, 0)).name
             for number in range(CLASSES)
         ]
         highest = self.node("Max", *logits)

