@@ -30,6 +30,7 @@ SYSTEM = {
     "tests/benchmarks/test_kills.py",
     "tests/fuzz/test_contract.py",
     "tests/fuzz/test_fuzz.py",
+    "tests/p2o_study/test_benchmark_bundle.py",
     "tests/p2o_study/test_trouble.py",
     "tests/test_data_show.py",
     "tests/test_distribution.py",
