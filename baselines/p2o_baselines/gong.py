@@ -43,7 +43,6 @@ class Corner:
     frame: int
     image: TrihedronInPicture
     sweep: TrihedronInSweep
-    count: int = 9
 
     @property
     def distance_m(self) -> float:

@@ -138,7 +138,6 @@ class Ball:
     """One pair in the least squares; its own unknowns are its middle (3,) m in the LiDAR frame."""
 
     pair: SpherePair
-    count: int = 3
 
     @property
     def distance_m(self) -> float:

@@ -38,7 +38,6 @@ class Cuboid:
     """One pair in the least squares; its own unknown is a left update (6,) of its pose in the sweep."""
 
     pair: BoxPair
-    count: int = 6
 
     @property
     def distance_m(self) -> float:

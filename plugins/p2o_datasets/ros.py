@@ -69,23 +69,18 @@ class _MessageRef:
 
 
 @dataclass(frozen=True, eq=False)
-class _Extrinsic:
-    """camera_from_lidar (4, 4) of the optical frame in TF if it is known, else a warning."""
-
-    pose: Float | None = None
-    warnings: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
 class _Source:
-    """Data that all frames of a camera share; `camera_name` is empty for a single camera without a name."""
+    """Data that all frames of a camera share; `camera_name` is empty for a single camera without a name.
+
+    `extrinsic` is camera_from_lidar (4, 4) of the optical frame in TF if it is known, and the warnings about it.
+    """
 
     bag: Bag
     options: RosOptions
     chosen: Chosen
     camera: RosCamera
     camera_name: str
-    extrinsic: _Extrinsic
+    extrinsic: tuple[Float | None, tuple[str, ...]]
     first_ns: int
 
 
@@ -133,7 +128,7 @@ def _cameras(bag: Bag, options: RosOptions) -> list[_Source]:
     for topic in topics or (None,):
         chosen = choose(bag, topic, options.cloud_topic, options.camera_info_topic)
         name = _camera_name(chosen.image.name) if len(topics) > 1 else options.camera_name
-        cameras.append(_Source(bag, options, chosen, _camera(bag, options, chosen), name, _Extrinsic(), 0))
+        cameras.append(_Source(bag, options, chosen, _camera(bag, options, chosen), name, (None, ()), 0))
     names = [source.camera_name for source in cameras]
     if len(set(names)) < len(names):
         raise InputError("the topics of two cameras give the same name", where=bag.path, got=", ".join(names))
@@ -228,13 +223,16 @@ def _tree(bag: Bag, options: RosOptions, image_frame: str, cloud_frame: str) -> 
     return tree if joined and options.every_m is None else read_frame_tree(bag, moving=True)
 
 
-def _extrinsic(tree: FrameTree, options: RosOptions, image_frame: str, cloud_frame: str, bag: Bag) -> _Extrinsic:
+def _extrinsic(
+    tree: FrameTree, options: RosOptions, image_frame: str, cloud_frame: str, bag: Bag
+) -> tuple[Float | None, tuple[str, ...]]:
+    """Return camera_from_lidar (4, 4) of the optical frame in TF if it is known, and warnings."""
     if options.tf == "ignore":
-        return _Extrinsic()
+        return None, ()
     named = ((options.image_frame, image_frame, "image_frame"), (options.cloud_frame, cloud_frame, "cloud_frame"))
     camera, lidar = (bare(own) if name is None else tree.known(name, f"data.{key}") for name, own, key in named)
     if not tree.names and options.image_frame is None and options.cloud_frame is None:
-        return _Extrinsic()
+        return None, ()
     with naming(bag.path):
         pose = tree.pose(camera, lidar)
     if pose is None:
@@ -247,8 +245,8 @@ def _extrinsic(tree: FrameTree, options: RosOptions, image_frame: str, cloud_fra
             f"{bag.name}: no static transforms of TF connect {lidar} and {camera}: no initial guess; frames of TF: "
             f"{', '.join(tree.names)}: choose with data.cloud_frame or data.image_frame, or give --start"
         )
-        return _Extrinsic(None, (warning,))
-    return _Extrinsic(pose)
+        return None, (warning,)
+    return pose, ()
 
 
 def _position_at(bag: Bag, options: RosOptions, tree: FrameTree, cloud_frame: str) -> Callable[[Int], Float] | None:
@@ -317,8 +315,8 @@ def _read(entry: tuple[_Source, _MessageRef, _MessageRef]) -> Frame:
     rgb, warnings = rgb_of(content, where, image_name, (camera.width, camera.height))
     image = Image(rgb, camera)
     cloud, cloud_warnings = _cloud(source, image_ref, cloud_ref)
-    warnings += (*cloud_warnings, *source.camera.warnings, *source.extrinsic.warnings)
-    pose = source.extrinsic.pose
+    pose, pose_warnings = source.extrinsic
+    warnings += (*cloud_warnings, *source.camera.warnings, *pose_warnings)
     if pose is not None:
         pose = se3.make(source.camera.rotation) @ pose
         warnings += check_direction(cloud, camera, pose, name=f"TF ({options.tf})", where=bag.path)

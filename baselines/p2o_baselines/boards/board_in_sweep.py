@@ -197,7 +197,7 @@ def pieces_of(
         of_size: list[BoardInSweep] = []
         taken = np.zeros(len(near), np.bool_)
         for plane in _planes(rays, near, taken, size, sigma_m, _LEAST_PIECE[bool(holes)]):
-            board = _outlined(rays, plane, size, sigma_m, holes)
+            board = _outlined(rays, plane, size, holes)
             taken[plane.on] = True
             if board is not None and not any(np.linalg.norm(board.middle - b.middle) < min(size) / 2 for b in of_size):
                 of_size.append(board)
@@ -302,9 +302,7 @@ def _through(rays: Rays, piece: Int, others: Sequence[Int], about: Int, sigma_m:
     return _Plane(normal, offset, about[on]) if offset < 0 else _Plane(-normal, -offset, about[on])
 
 
-def _outlined(
-    rays: Rays, plane: _Plane, size_m: tuple[float, float], sigma_m: float, holes: Holes
-) -> BoardInSweep | None:
+def _outlined(rays: Rays, plane: _Plane, size_m: tuple[float, float], holes: Holes) -> BoardInSweep | None:
     """Return the board in a plane; None if no outline of its size separates the plane's points from others."""
     normal, diagonal = plane.normal, float(np.hypot(*size_m))
     points = rays.xyz[plane.on]

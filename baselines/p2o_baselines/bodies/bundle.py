@@ -16,19 +16,17 @@ _STEPS, _STEP = 40, 1e-6
 
 
 class Body(Protocol):
-    """Residuals of one body in standard deviations at a pose, with `count` unknowns of its own.
+    """Residuals of one body in standard deviations at a pose, which may depend on unknowns of its own.
 
     `distance_m` from the camera and `px_per_rad` determine the effect of common errors of the camera.
     """
 
     @property
-    def count(self) -> int: ...
-    @property
     def distance_m(self) -> float: ...
     @property
     def px_per_rad(self) -> float: ...
     def residuals(self, camera_from_lidar: Float, own: Float, bias_m: float) -> Float:
-        """Return residuals (K,), with own unknowns (count,), as if all ranges were too long by `bias_m`."""
+        """Return residuals (K,), with own unknowns (U,), as if all ranges were too long by `bias_m`."""
         ...
 
 
@@ -90,9 +88,7 @@ def _part(body: Body, pose: Float, own: Float, damping: float = 0.0) -> _Part:
     backward = [body.residuals(down @ pose, own, 0.0) for down in minus]
     by_pose = (np.stack(forward, axis=1) - np.stack(backward, axis=1)) / (2 * _STEP)
     by_bias = (body.residuals(pose, own, _STEP) - body.residuals(pose, own, -_STEP)) / (2 * _STEP)
-    if not body.count:
-        return _Part(by_pose.T @ at, by_pose.T @ by_pose, by_pose.T @ by_bias, np.zeros((0, 6)), np.zeros(0))
-    steps = _STEP * np.eye(body.count)
+    steps = _STEP * np.eye(len(own))
     both = [(body.residuals(pose, own + step, 0.0), body.residuals(pose, own - step, 0.0)) for step in steps]
     by_own = np.stack([(ahead - behind) / (2 * _STEP) for ahead, behind in both], axis=1)
     inner = by_own.T @ by_own

@@ -108,11 +108,11 @@ def jumps_between(seen: Scattered, near: Around, behind: Neighbours, side: Side,
         far = ahead & (r[beyond] - r[rows, None] > leap[:, None])
         rows = rows[far.sum(axis=1) >= options.open_share * ahead.sum(axis=1)]
     if options.slant_ratio > 0 and len(rows):
-        predicted = _continued(seen, near, rows, behind.row[rows], jump[rows], options)
+        predicted = _continued(seen, near, rows, behind.row[rows], jump[rows])
         rows = rows[~(jump[rows] <= options.slant_ratio * (predicted - r[rows]))]
     if options.grazing_share > 0 and len(rows):
         back = behind.row[rows]
-        predicted = _continued(seen, near, back, rows, jump[rows], options)
+        predicted = _continued(seen, near, back, rows, jump[rows])
         rows = rows[~(r[back] - predicted > options.grazing_share * jump[rows])]
     return rows
 
@@ -132,7 +132,7 @@ def own_step(seen: Scattered, near: Around, rows: Int, side: Side, options: Rang
     return step
 
 
-def _continued(seen: Scattered, near: Around, rows: Int, to: Int, jump: Float, options: RangeViewOptions) -> Float:
+def _continued(seen: Scattered, near: Around, rows: Int, to: Int, jump: Float) -> Float:
     """Return the ranges (M,) of the surfaces of `rows` in the directions of `to`, NaN where they are not observable.
 
     On a plane the inverse range is linear in the angle (to second order). The plane is fitted to the returns around a
