@@ -6,7 +6,7 @@ A run and a row of a study share this code; a study takes what is prepared of fr
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
@@ -54,7 +54,8 @@ class Assembly:
     `stages` prepare something of a frame, by stage; the outcome follows from the content of their inputs (`INPUTS`), so
     it may be cached. Where all of them are `parallel`, several frames are prepared at once. `witness` are the stages
     that correct a pose by the edges of the independent check; None if these edges have no directions. `wide` searches
-    again where the result of a rough initial guess is not trusted.
+    again where the result of a rough initial guess is not trusted. `twists` (6,) are known velocities during the raw
+    sweeps of frames, by name, for which a pipeline compensates their edges.
     """
 
     calibrator: Pipeline | GuardedCalibrator
@@ -63,6 +64,7 @@ class Assembly:
     parallel: bool = False
     witness: Algorithm | None = None
     wide: Initializer | None = None
+    twists: Mapping[str, Float] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -137,7 +139,9 @@ class Assembly:
             views = []
             for info, piece in zip(frames, pieces, strict=True):
                 features = piece["extractor"], piece["cloud"]
-                views.append(self.calibrator.view(info.name, info.camera, *features, info.twist, piece.get("init")))
+                view = self.calibrator.view(info.name, info.camera, *features, info.twist, piece.get("init"))
+                known = self.twists.get(info.name)
+                views.append(view if known is None else view.untwisted(known))
             return solve_widely(self.calibrator, self.wide, views, camera_from_lidar)
         if not self.reads_frames:
             pieces = [piece["calibrator"] for piece in pieces]
