@@ -49,8 +49,9 @@ def single_axis_pose(views: Sequence[View], camera_from_lidar: Float) -> Float:
     The given pose is returned unless another one matches `_LEAD_EDGES` more edges.
     """
     margin_px = max(view.camera.focal_px for view in views) * float(np.tan(np.radians(_FARTHEST[0])))
-    limits = {"margin_px": margin_px, "max_points": _MOST_POINTS}
-    cost = DirectedCost.of(views, camera_from_lidar, _TRUNCATE_PX, smooth=False, **limits)
+    cost = DirectedCost.of(
+        views, camera_from_lidar, _TRUNCATE_PX, smooth=False, margin_px=margin_px, max_points=_MOST_POINTS
+    )
     if not cost.points:
         return camera_from_lidar
     best, lowest = camera_from_lidar, cost.at(camera_from_lidar) - _LEAD_EDGES * cost.truncate_px / cost.edges

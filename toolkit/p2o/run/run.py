@@ -454,7 +454,7 @@ class _Rows:
     def __enter__(self) -> _Rows:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
         rows = [row for _, _, row in self.waiting]
         try:
             if kind is None:

@@ -9,11 +9,14 @@ import numpy as np
 
 from p2o.arrays import Float
 from p2o.features.view import View
+from p2o.geometry import se3
 from p2o.host.stages import Initializer
 from p2o.results.result import Result, Status
 from p2o.results.verdict import Doubt
 from p2o.run.pipeline import Pipeline
 
+_NEAR_DEG = 4.0
+"""Two standard deviations of the search: from initial guesses farther away it may converge to another pose."""
 _NOT_SEARCHED = (Status.NO_EDGES, Status.NO_FEATURES)
 
 
@@ -22,29 +25,34 @@ def solve_widely(
 ) -> Result:
     """Calibrate prepared views jointly from an initial extrinsic (4, 4), and again by the `wide` search if needed.
 
-    It is needed if there are edges and the result is not trusted. The result of the higher strength of agreement is
-    returned, and a warning reports the search. Where `wide` is None and edges do not agree at the result of a search
-    near the initial guess, a warning names the option.
+    It is needed if there are edges and the result is not trusted or more than `_NEAR_DEG` from the initial extrinsic.
+    The result of the higher strength of agreement is returned, and a warning reports the search. Where `wide` is None
+    and edges do not agree at the result of a search near the initial guess, a warning names the option.
     """
     result = pipeline.solve(views, camera_from_lidar)
     if wide is None:
         return replace(result, warnings=(*result.warnings, *_small_box(result, pipeline)))
-    if not _needed(result):
+    cause = _cause(result)
+    if not cause:
         return result
     wider = replace(pipeline, initializer=wide).solve(views, camera_from_lidar)
     better = _strength(wider) > _strength(result)
     outcome = "its result replaces that" if better else "edges do not agree better at its result"
-    text = f"the search near the rough start gave no trusted result: the wide search (init far) ran, and {outcome}"
+    text = f"the search near the rough start gave {cause}: the wide search (init far) ran, and {outcome}"
     chosen = wider if better else result
     stages = dict.fromkeys([*result.seconds, *wider.seconds])
     seconds = {stage: result.seconds.get(stage, 0.0) + wider.seconds.get(stage, 0.0) for stage in stages}
     return replace(chosen, warnings=(*chosen.warnings, text), seconds=seconds)
 
 
-def _needed(result: Result) -> bool:
-    if not result.status.solved:
-        return result.status not in _NOT_SEARCHED
-    return any(reason.doubt is not Doubt.CAMERA for reason in result.verdict.reasons)
+def _cause(result: Result) -> str:
+    """Return why a wider search may find a better pose, empty if it is not needed."""
+    if result.status in _NOT_SEARCHED:
+        return ""
+    if not result.status.solved or any(reason.doubt is not Doubt.CAMERA for reason in result.verdict.reasons):
+        return "no trusted result"
+    away_deg = se3.angle_deg(result.camera_from_lidar @ se3.inverse(result.start))
+    return f"a result {away_deg:.1f} deg from it" if away_deg > _NEAR_DEG else ""
 
 
 def _small_box(result: Result, pipeline: Pipeline) -> tuple[str, ...]:
