@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -138,3 +139,67 @@ def test_a_pose_that_a_search_finds_counts_only_where_edges_clearly_meet_better_
     for lead, word in ((audits.TAIL.lead_edges - 1, CheckStatus.HOLDS), (audits.TAIL.lead_edges + 1, CheckStatus.OFF)):
         evidence = Evidence(("frame",), np.eye(4), near, far, lead)
         assert audit(evidence, PipelineOptions(), Rates()).holding is word
+
+
+LONG_LENS = p2o.Camera.pinhole(2000.0, 2000.0, 960.0, 540.0, 1920, 1080)
+
+
+@pytest.mark.parametrize(("axis", "size"), [("yaw", 0.8), ("pitch", -0.8), ("x", 0.3), ("y", -0.3)])
+def test_a_slip_beyond_the_matching_distance_of_a_long_lens_is_named_by_its_axis_alone(
+    axis: str, size: float, pipeline: Pipeline
+) -> None:
+    """0.8 deg are 28 px at this focal length: nearest edges of a dense scene lead to another pose."""
+    views = [edge_scene.view(LONG_LENS, boxes=120, seed=seed, noise_px=0.3, name=f"{seed}") for seed in (1, 2)]
+    found = checked(views, off(axis, size), pipeline)
+    assert [each.axis for each in found.axes if each.holding is CheckStatus.OFF] == [axis]
+    assert found.axes[NAMES.index(axis)].off == pytest.approx(size, rel=0.15)
+    assert named(found) == [axis]
+
+
+def named(check: Check) -> list[str]:
+    """The axes whose errors the reason states."""
+    return re.findall(r"(\w+) [+-]\d", check.reason)
+
+
+def correlated(first: str, second: str, correlation: float) -> np.ndarray:
+    """A covariance with standard deviations of 0.1 deg and 2 cm, and one correlation."""
+    sigma, out = np.repeat([0.1, 0.02], 3), np.eye(6)
+    out[NAMES.index(first), NAMES.index(second)] = out[NAMES.index(second), NAMES.index(first)] = correlation
+    return sigma[:, None] * out * sigma
+
+
+def test_one_axis_is_named_where_it_explains_what_noise_puts_on_two() -> None:
+    """A yaw slip of 0.6 deg, and noise along the direction that yaw and x have in common."""
+    error = np.array([0.0, 0, 0.6 - 0.15, 0, 0, 0])
+    error[3] = -0.15 / 0.1 * 0.02
+    found = said(error, correlated("yaw", "x", 0.7))
+    assert [axis.axis for axis in found.axes if axis.holding is CheckStatus.OFF] == ["yaw"]
+    assert named(found) == ["yaw"]
+
+
+def test_axes_that_cannot_be_told_apart_are_named_as_a_group() -> None:
+    error = np.zeros(6)
+    error[[NAMES.index("yaw"), NAMES.index("x")]] = 0.22, 0.044
+    found = said(error, correlated("yaw", "x", -0.99))
+    assert found.holding is CheckStatus.OFF
+    assert sorted(named(found)) == ["x", "yaw"]
+    assert " or " in found.reason
+    assert "not distinguishable" in found.reason
+    by_name = {axis.axis: axis.holding for axis in found.axes}
+    assert by_name["yaw"] is by_name["x"] is CheckStatus.CANNOT_TELL
+    assert by_name["pitch"] is CheckStatus.HOLDS
+
+
+def test_an_error_of_three_and_a_half_sigma_is_neither_off_nor_confirmed() -> None:
+    error = np.zeros(6)
+    error[NAMES.index("x")] = 3.4 * 0.01
+    found = said(error, np.eye(6) * 1e-4)
+    assert found.axes[NAMES.index("x")].holding is CheckStatus.CANNOT_TELL
+    assert found.holding is CheckStatus.CANNOT_TELL
+    assert "x differs by 3.4 sigma" in found.reason
+    assert found.axes[NAMES.index("y")].holding is CheckStatus.HOLDS
+
+
+def test_all_errors_of_a_slip_on_six_axes_are_named() -> None:
+    found = said(np.full(6, 0.1), np.eye(6) * 1e-4)
+    assert {axis.holding for axis in found.axes} == {CheckStatus.OFF}

@@ -37,6 +37,11 @@ def motion_prior(views: Sequence[View], options: PipelineOptions) -> MotionPrior
     """Return the prior of the vehicle's motion; None where it is not estimated, or no sweep is raw."""
     if options.motion == "trust" or not any(view.cloud_edges.time_s.any() for view in views):
         return None
+    return motion_prior_of(options)
+
+
+def motion_prior_of(options: PipelineOptions) -> MotionPrior:
+    """Return the prior of the vehicle's motion during a raw sweep."""
     expected = EgoMotion(options.speed_m_s, 0.0, options.forward)
     return MotionPrior(expected, options.speed_sigma_m_s, float(np.radians(options.turn_sigma_deg_s)))
 

@@ -8,12 +8,13 @@ from typing import NamedTuple, TypeGuard
 
 import numpy as np
 
-from p2o.arrays import Float
+from p2o.arrays import Bool, Float
 from p2o.calibration.algorithm import Algorithm, missing_features
 from p2o.calibration.nuisance import Nuisance, enough_pairs, motion_prior
 from p2o.calibration.options import PipelineOptions
 from p2o.confidence.accuracy import DEFAULT_ERROR_MODEL, Z_67, ErrorBudget, likely_covariance, outlier_inflation
 from p2o.confidence.agreement import view_count
+from p2o.confidence.explanation import Explanation, explanations, single_axis_pose
 from p2o.confidence.fusion import OWN_SHARE
 from p2o.confidence.verdict import agreement_of
 from p2o.features.view import View
@@ -125,6 +126,10 @@ class Tail(NamedTuple):
 
 TAIL = Tail(20.0, 1.0, 6.0)
 """Fitted to steps at correct extrinsics on simulated frames and KITTI's `train` (`python benchmarks/audit.py`)."""
+_UNCONFIRMED = 0.05
+"""Share of correct extrinsics with an axis that differs too much to be confirmed, and too little to be off."""
+_MOST_EXPLAINING, _MOST_ALTERNATIVES = 3, 3
+"""More axes than this explain nothing: each of them must be off separately; more alternatives are not named."""
 _SEARCHED = 3
 """Frames used by the search: a few frames suffice to detect a slip of degrees, and many would take long."""
 
@@ -152,11 +157,15 @@ class Rates:
         return self.noticed + TAIL.scale * _t(self.power)
 
     @property
-    def joint(self) -> float:
-        """Return the alarm threshold of the chi-square of all six axes."""
+    def confirmed(self) -> float:
+        """Return the largest deviation, in standard deviations, at which an axis is confirmed to hold."""
+        return TAIL.scale * _t(1 - _UNCONFIRMED / (2 * len(AXES)))
+
+    def joint(self, degrees: int) -> float:
+        """Return the alarm threshold of a chi-square with these degrees of freedom: six for all axes."""
         from scipy.stats import f
 
-        return float(TAIL.scale**2 * 6 * f.ppf(1 - self.alarm / 2, 6, TAIL.degrees))
+        return float(TAIL.scale**2 * degrees * f.ppf(1 - self.alarm / 2, degrees, TAIL.degrees)) if degrees else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,14 +186,14 @@ class Evidence:
     ) -> Evidence:
         """Evaluate the edges of prepared views at a given pose.
 
-        The local step starts at the given pose within a short matching distance and without a prior; `search` enables
-        a global search for a better pose.
+        The local step has no prior and starts at the given pose, or at the pose that an error of one axis explains
+        clearly better (`single_axis_pose`); `search` enables a global search for a better pose.
         """
         given, names = se3.check_rigid("the extrinsic", camera_from_lidar), tuple(view.name for view in views)
         missing = missing_features(views, given, algorithm.needs)
         if missing is not None:
             return cls(names, given, missing[1])
-        near = edge_step(views, given, algorithm.matcher, algorithm.options)
+        near = _near(views, given, algorithm)
         return cls(names, given, near, *(_searched(views, given, near, algorithm) if search else ()))
 
     @property
@@ -224,19 +233,24 @@ def _decided(undecided: Check, far: bool, step: EdgeStep, rates: Rates) -> Check
     """Decide on each axis by the edge step; a share of its predicted variance is uncorrelated between axes."""
     notice = np.repeat([rates.notice_deg, rates.notice_m], 3)
     limit, off = rates.limit * step.sigma, np.abs(step.error) > rates.noticed * step.sigma
-    axes = []
-    for (axis, unit), error, sigma, least, most, is_off in zip(
-        AXES, step.error.tolist(), step.sigma.tolist(), limit.tolist(), notice.tolist(), off.tolist(), strict=True
-    ):
-        holding = CheckStatus.OFF if is_off else CheckStatus.HOLDS if least <= most else CheckStatus.CANNOT_TELL
-        axes.append(AxisCheck(axis, unit, holding, error, sigma, least))
     covariance = (1 - OWN_SHARE) * step.covariance + OWN_SHARE * np.diag(np.diag(step.covariance))
     chi_square = float(step.error @ np.linalg.solve(covariance, step.error))
-    apart = chi_square > rates.joint
-    if apart and not off.any():
-        # The joint test does not identify the axis, so no axis can be confirmed.
-        axes = [replace(axis, holding=CheckStatus.CANNOT_TELL) for axis in axes]
-    holding, reason = _in_all(axes, apart, far)
+    possible: tuple[Explanation, ...] = ()
+    if off.any() or far or chi_square > rates.joint(len(AXES)):
+        possible = explanations(step.error, covariance, rates.joint, rates.noticed**2)
+    named = set.union(set(), *(each.axes for each in possible))
+    common = set.intersection(named, *(each.axes for each in possible))
+    doubtful = np.abs(step.error) > rates.confirmed * step.sigma
+    axes = []
+    for number, (axis, unit) in enumerate(AXES):
+        holding = CheckStatus.HOLDS
+        if number in common and (len(common) <= _MOST_EXPLAINING or off[number]):
+            holding = CheckStatus.OFF
+        elif number in named or doubtful[number] or limit[number] > notice[number]:
+            holding = CheckStatus.CANNOT_TELL
+        figures = (float(values[number]) for values in (step.error, step.sigma, limit))
+        axes.append(AxisCheck(axis, unit, holding, *figures))
+    holding, reason = _in_all(axes, possible, far, doubtful)
     return replace(
         undecided,
         holding=holding,
@@ -250,25 +264,34 @@ def _decided(undecided: Check, far: bool, step: EdgeStep, rates: Rates) -> Check
     )
 
 
-def _in_all(axes: Sequence[AxisCheck], apart: bool, far: bool) -> tuple[CheckStatus, str]:
-    """Return the status of all axes together, and the reason."""
-    off = [a for a in axes if a.holding is CheckStatus.OFF]
-    undecided = [a for a in axes if a.holding is CheckStatus.CANNOT_TELL]
-    if off:
+def _in_all(
+    axes: Sequence[AxisCheck], possible: Sequence[Explanation], far: bool, doubtful: Bool
+) -> tuple[CheckStatus, str]:
+    """Return the status of all axes together, and the reason; `possible` are the explanations of an error, if any."""
+    if possible:
         searched = "; a search found edges to meet far better there" if far else ""
-        return CheckStatus.OFF, "off by about " + ", ".join(map(amount, off)) + searched
-    if apart or far:
-        return CheckStatus.OFF, "off, but these frames do not tell on which axis"
+        if len(possible) > _MOST_ALTERNATIVES or not (
+            len(possible) > 1 or any(a.holding is CheckStatus.OFF for a in axes)
+        ):
+            return CheckStatus.OFF, "off, but these frames do not tell on which axis" + searched
+        amounts = [", ".join(map(_amount, each.axes, each.sizes.tolist())) for each in possible]
+        which = ": not distinguishable on these frames" if len(possible) > 1 else ""
+        return CheckStatus.OFF, "off by about " + " or ".join(amounts) + which + searched
+    unclear = [a for a, is_doubtful in zip(axes, doubtful, strict=True) if is_doubtful]
+    if unclear:
+        text = ", ".join(f"{a.axis} differs by {abs((a.off or 0) / (a.sigma or 1)):.1f} sigma" for a in unclear)
+        return CheckStatus.CANNOT_TELL, f"{text}: too much to hold, too little to be off; take more frames"
+    undecided = [a for a in axes if a.holding is CheckStatus.CANNOT_TELL]
     if undecided:
         names = ", ".join(a.axis for a in undecided)
         return CheckStatus.CANNOT_TELL, f"an error of {names} as large as asked might go unnoticed: take more frames"
     return CheckStatus.HOLDS, "no axis is off by more than its limit"
 
 
-def amount(check: AxisCheck) -> str:
-    """Format the error of an axis."""
-    assert check.off is not None
-    return f"{check.axis} {check.off:+.2f} deg" if check.unit == "deg" else f"{check.axis} {100 * check.off:+.1f} cm"
+def _amount(axis: int, size: float) -> str:
+    """Format an error, in deg or m, of an axis of `AXES`."""
+    name, unit = AXES[axis]
+    return f"{name} {size:+.2f} deg" if unit == "deg" else f"{name} {100 * size:+.1f} cm"
 
 
 def p_value(chi_square: float) -> float:
@@ -278,12 +301,24 @@ def p_value(chi_square: float) -> float:
     return float(f.sf(chi_square / TAIL.scale**2 / 6, 6, TAIL.degrees))
 
 
+def _near(views: Sequence[View], given: Float, algorithm: Algorithm) -> EdgeStep | str:
+    """Return the step from the given pose (4, 4), or from a better one that differs from it on one axis."""
+    matcher, options = algorithm.matcher, algorithm.options
+    begin = single_axis_pose(algorithm.visible(_some(views), given).corrected, given) if algorithm.directed else given
+    if begin is given:
+        return edge_step(views, given, matcher, options)
+    return edge_step(views, given, matcher, options, around=begin, reach_px=options.reach_after_search_px)
+
+
+def _some(views: Sequence[View]) -> list[View]:
+    return [views[at] for at in np.unique(np.linspace(0, len(views) - 1, _SEARCHED).round().astype(int))]
+
+
 def _searched(
     views: Sequence[View], given: Float, near: EdgeStep | str, algorithm: Algorithm
 ) -> tuple[EdgeStep | None, float]:
     """Search for the best other pose; return the step to it and by how many edges it matches more."""
-    some = [views[at] for at in np.unique(np.linspace(0, len(views) - 1, _SEARCHED).round().astype(int))]
-    raw = [view.as_seen_from(given).without_hidden(given) for view in some]
+    raw = [view.as_seen_from(given).without_hidden(given) for view in _some(views)]
     known = [given] if isinstance(near, str) else [given, near.pose]
     from_known = [se3.inverse(other) for other in known]
     poses = algorithm.initializer(raw, given)

@@ -104,5 +104,7 @@ SENSORS = {slot.stage: slot.sensor for slot in SLOTS if slot.sensor}
 """The part of a frame that each extractor looks at, by stage."""
 WITNESS = ("witness", "witness-cloud")
 """What extracts the edges by which a result is checked whose method has none: stages of a plan."""
+WIDE = "wide"
+"""The stage of a plan that searches a whole box of poses if the result of a rough initial guess is not trusted."""
 WITNESS_STAGES = {"matcher": "witness-matcher", "solver": "witness-solver", "init": "witness-init"}
 """The stages of a plan that solve the independent check, by the stage of a pipeline."""

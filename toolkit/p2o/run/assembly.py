@@ -6,7 +6,7 @@ A run and a row of a study share this code; a study takes what is prepared of fr
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
@@ -19,12 +19,13 @@ from p2o.errors import P2OError
 from p2o.features.view import View
 from p2o.frames.frame import Frame
 from p2o.frames.scale import camera_at_scale, image_at_scale
-from p2o.host.slots import WITNESS, WITNESS_STAGES
-from p2o.host.stages import InitializerBase
+from p2o.host.slots import WIDE, WITNESS, WITNESS_STAGES
+from p2o.host.stages import Initializer, InitializerBase
 from p2o.options import Options
 from p2o.results.result import Result
 from p2o.run.pipeline import Clock, Pipeline
 from p2o.run.read_again import FrameInfo, cache_key, without_truth
+from p2o.run.wide import solve_widely
 from p2o.runtime.native import for_each
 
 if TYPE_CHECKING:
@@ -52,7 +53,9 @@ class Assembly:
 
     `stages` prepare something of a frame, by stage; the outcome follows from the content of their inputs (`INPUTS`), so
     it may be cached. Where all of them are `parallel`, several frames are prepared at once. `witness` are the stages
-    that correct a pose by the edges of the independent check; None if these edges have no directions.
+    that correct a pose by the edges of the independent check; None if these edges have no directions. `wide` searches
+    again where the result of a rough initial guess is not trusted. `twists` (6,) are known velocities during the raw
+    sweeps of frames, by name, for which a pipeline compensates their edges.
     """
 
     calibrator: Pipeline | GuardedCalibrator
@@ -60,6 +63,8 @@ class Assembly:
     options: PipelineOptions
     parallel: bool = False
     witness: Algorithm | None = None
+    wide: Initializer | None = None
+    twists: Mapping[str, Float] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -95,7 +100,7 @@ class Assembly:
             directed="side" in needs,
             needs=frozenset(needs | parts["init"].offer.method.needs),
         )
-        return cls(pipeline, stages, options, parallel, _witness(parts, built))
+        return cls(pipeline, stages, options, parallel, _witness(parts, built), built.get(WIDE))
 
     @property
     def reads_frames(self) -> bool:
@@ -134,8 +139,10 @@ class Assembly:
             views = []
             for info, piece in zip(frames, pieces, strict=True):
                 features = piece["extractor"], piece["cloud"]
-                views.append(self.calibrator.view(info.name, info.camera, *features, info.twist, piece.get("init")))
-            return self.calibrator.solve(views, camera_from_lidar)
+                view = self.calibrator.view(info.name, info.camera, *features, info.twist, piece.get("init"))
+                known = self.twists.get(info.name)
+                views.append(view if known is None else view.untwisted(known))
+            return solve_widely(self.calibrator, self.wide, views, camera_from_lidar)
         if not self.reads_frames:
             pieces = [piece["calibrator"] for piece in pieces]
         result = self.calibrator.solve(pieces, camera_from_lidar)

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 from pydantic import BaseModel, ConfigDict, Field, StrictBool
 
 from p2o.errors import InputError, UnknownNameError
+from p2o.geometry.rough_start import is_rough_start
 from p2o.host.method import Kind, Method
 from p2o.host.registry import Offer, Registry, watch
-from p2o.host.slots import KIND_OF, STAGED_WORDS, STAGES, WITNESS, WITNESS_STAGES
+from p2o.host.slots import KIND_OF, STAGED_WORDS, STAGES, WIDE, WITNESS, WITNESS_STAGES
 from p2o.options import Options
 from p2o.options import validated as validated
 from p2o.run.fit import FRAME_CONTENT, check_fit, misfit_of, suggest_alternative
@@ -40,14 +41,15 @@ MOST_SEED = 2**63 - 1
 class Recipe(BaseModel):
     """Specification of a run; omitted fields take the defaults of this class.
 
-    `data` is DATASET:PATH, a path whose dataset is evident, or None if frames are passed in Python; `frames`
-    selects them; `extractor` is IMAGE/CLOUD; `calibrator` replaces extractor, matcher, solver and init by one whole
-    method; `options` maps stage to field to value; `perturb` is a text such as "2deg 0.15m", or "camera @FILE" for
-    a list of starts; `start` states in words where the camera looks (`p2o.geometry.rough_start`), or names a
-    calibration file; `joint` gives one result for all frames. `rig` gives one for each camera: True where frames
-    name their camera, else a rig file or its content (`p2o.run.rig`). `accumulate` names a method that joins sweeps
-    of a sequence. `witness` is IMAGE/CLOUD, extractors whose edges check results of methods without edges of their
-    own: None takes those of the default recipe where frames allow it, "none" goes without.
+    `data` is DATASET:PATH, a path whose dataset is evident, or None if frames are passed in Python; `frames` selects
+    them; `extractor` is IMAGE/CLOUD; `calibrator` replaces extractor, matcher, solver and init by one whole method;
+    `options` maps stage to field to value; `perturb` is a text such as "2deg 0.15m", or "camera @FILE" for a list of
+    starts; `start` states in words where the camera looks (`p2o.geometry.rough_start`; `far` searches again if the
+    result of `search` is not trusted), or names a calibration file; `joint` gives one result for all frames. `rig`
+    gives one for each camera: True where frames name their camera, else a rig file or its content (`p2o.run.rig`).
+    `accumulate` names a method that joins sweeps of a sequence. `witness` is IMAGE/CLOUD, extractors whose edges check
+    results of methods without edges of their own: None takes those of the default recipe where frames allow it, "none"
+    goes without.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -101,7 +103,7 @@ class Recipe(BaseModel):
         for stage, name in names.items():
             values = {**values_of.get(stage, {}), **self.options.get(stage, {})}
             parts[stage] = part_of(registry.find(KIND_OF[stage], name), stage, values, self.seed)
-        parts |= self._witness(parts, registry)
+        parts |= self._witness(parts, registry) | self._wide(registry)
         for stage in self.options:
             if stage not in parts and stage != "pipeline":
                 raise InputError(f"options for {stage}, which this recipe does not use", expected=", ".join(parts))
@@ -157,6 +159,21 @@ class Recipe(BaseModel):
         beside = {stage: parts[of].offer for stage, of in WITNESS_STAGES.items()}
         return parts if misfit_of({**offers, **beside}) is None else {}
 
+    @property
+    def _searches_rough_start(self) -> bool:
+        """Whether the default initializer searches around an initial guess in words."""
+        staged = self.calibrator is None and self.init == Recipe.model_fields["init"].default
+        return staged and self.start is not None and is_rough_start(self.start)
+
+    def _wide(self, registry: Registry) -> dict[str, Part]:
+        """Return the search of a whole box, for initial guesses in words; none with another initializer."""
+        if not self._searches_rough_start:
+            return {}
+        try:
+            return {WIDE: part_of(registry.find(Kind.INITIALIZER, _WIDE_SEARCH), WIDE, {}, self.seed)}
+        except UnknownNameError:
+            return {}
+
     def _names(self) -> tuple[dict[str, str], dict[str, dict[str, Any]]]:
         """Return the method name of each stage, and options that the data text holds."""
         names: dict[str, str] = {}
@@ -171,10 +188,14 @@ class Recipe(BaseModel):
                 text = f"calibrator '{self.calibrator}' is a whole method"
                 raise InputError(text, expected="no " + ", ".join(extra) + " beside it")
             return {**names, "calibrator": self.calibrator}, options
+        if self._searches_rough_start:
+            # Words state no standard deviation, so that the initial guess is no prior of the result.
+            options["init"] = {"weigh_start": False}
         names["extractor"], names["cloud"] = _pair("an extractor", self.extractor)
         return {**names, "matcher": self.matcher, "solver": self.solver, "init": self.init}, options
 
 
+_WIDE_SEARCH = "far"
 _SELDOM = ("accumulate", "rig", "witness", "start")
 
 
@@ -235,8 +256,8 @@ class Plan:
         """Return the recipe with every option that took effect, ready for JSON; `Recipe.of(**it)` repeats the run."""
         unused = set(STAGED_WORDS) if self.recipe.calibrator is not None else {"calibrator"}
         words = {k: v for k, v in self.recipe.model_dump(mode="json", exclude=unused).items() if k not in _SELDOM or v}
-        # The stages of the independent check follow from the recipe: they have no options of their own.
-        own = {stage: part for stage, part in self.parts.items() if stage not in WITNESS_STAGES.values()}
+        # The stages of the independent check and the wide search follow from the recipe: they have no options.
+        own = {stage: part for stage, part in self.parts.items() if stage not in (WIDE, *WITNESS_STAGES.values())}
         words["options"] = {stage: part.options.model_dump(mode="json") for stage, part in own.items()}
         if self.pipeline is not None:
             words["options"]["pipeline"] = self.pipeline.model_dump(mode="json")

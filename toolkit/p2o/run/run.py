@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -31,6 +31,7 @@ from p2o.run.assembly import Assembly
 from p2o.run.protocol import Protocol, protocol_of
 from p2o.run.read_again import MAX_FRAMES_IN_MEMORY, FrameInfo, ReadAgain, frame_infos, without_truth
 from p2o.run.recipe import Plan, Recipe
+from p2o.run.rig_motion import CameraSweeps, with_common_motions
 from p2o.run.words import parse_settings
 from p2o.runtime.native import for_each
 
@@ -272,47 +273,50 @@ def run(
     else:
         by_camera, remarks = plan.rig.groups(names, indices, lambda index: _camera_name(dataset, index))
         cameras, groups = dict(enumerate(by_camera)), [sorted(group) for group in by_camera.values()]
+    in_memory = MAX_FRAMES_IN_MEMORY // (1 if plan.rig is None else max(1, len(groups)))
     listed = listed_errors(recipe, names, [group[0] for group in groups])
     if on_names is not None:
         on_names([names[index] for index in indices], list(cameras.values()))
     parallel = frames is None and "accumulate" not in plan.parts and plan.parts["data"].offer.method.parallel
     assembly = plan.assembly()
     stamp = {"recipe": plan.described(), "seed": recipe.seed, "versions": plan.versions(), "licences": plan.licences()}
-    rows: list[Row] = []
     failed: list[FailedFrame] = []
     first: P2OError | None = None
     tell, tried = on_progress or (lambda _: None), partial(_tried, len(groups) > 1)
-    for done, group in enumerate(groups):
-        camera = cameras.get(done, "")
-        name = camera or (names[group[0]] if len(group) == 1 else f"{len(group)} frames jointly")
-        progress = Progress(done, len(groups), name, (), assembly, camera=camera)
-        first_guess = start
-        if plan.rig is not None and recipe.perturb is None:
-            first_guess = plan.rig.start_of(camera)
-        chosen = [(index, names[index]) for index in group]
-        begin = tried(_Begin.of, plan, dataset, chosen, first_guess, listed, parallel)
-        row: Row | P2OError
-        if isinstance(begin, P2OError):
-            row = begin
-        else:
-            begin = replace(begin, warnings=(*begin.warnings, *remarks.get(camera, ())), camera=camera or begin.camera)
-            progress = replace(progress, frames=begin.frames)
-            tell(progress)
-            row = tried(_calibrate_one, assembly, begin, stamp)
-        if isinstance(row, P2OError):
-            first = first or row
-            failed.append(FailedFrame(name, str(row)))
-            tell(replace(progress, done=done + 1, frames=(), failed=failed[-1]))
-        else:
-            rows.append(row)
-            tell(replace(progress, done=done + 1, row=row))
-    if first is not None and not rows:
+    with _Rows(tell, assembly, stamp, plan.rig is not None) as rows:
+        for done, group in enumerate(groups):
+            camera = cameras.get(done, "")
+            name = camera or (names[group[0]] if len(group) == 1 else f"{len(group)} frames jointly")
+            progress = Progress(done, len(groups), name, (), assembly, camera=camera)
+            first_guess = start
+            if plan.rig is not None and recipe.perturb is None:
+                first_guess = plan.rig.start_of(camera)
+            chosen = [(index, names[index]) for index in group]
+            begin = tried(_Begin.of, plan, dataset, chosen, first_guess, listed, parallel, in_memory)
+            row: Row | P2OError
+            if isinstance(begin, P2OError):
+                row = begin
+            else:
+                texts = (*begin.warnings, *remarks.get(camera, ()))
+                begin = replace(begin, warnings=texts, camera=camera or begin.camera)
+                progress = replace(progress, frames=begin.frames)
+                tell(progress)
+                row = tried(_calibrate_one, assembly, begin, stamp)
+            if isinstance(row, P2OError) or isinstance(begin, P2OError):
+                problem = begin if isinstance(begin, P2OError) else row
+                assert isinstance(problem, P2OError)
+                first = first or problem
+                failed.append(FailedFrame(name, str(problem)))
+                tell(replace(progress, done=done + 1, frames=(), failed=failed[-1]))
+            else:
+                rows.add(progress, begin, row)
+    if first is not None and not rows.done:
         sort = "frames" if plan.rig is None else "cameras"
         raise InputError(f"none of the {len(groups)} {sort} can be calibrated", got=first) from first
     common = None
     if plan.rig is not None and plan.rig.camera_from_body:
-        common = rig_result({row.camera: row.result for row in rows}, plan.rig.camera_from_body)
-    return Run(tuple(rows), joint=recipe.joint, failed=tuple(failed), rig=common)
+        common = rig_result({row.camera: row.result for row in rows.done}, plan.rig.camera_from_body)
+    return Run(tuple(rows.done), joint=recipe.joint, failed=tuple(failed), rig=common)
 
 
 def _initial_guess(plan: Plan, start: Float | None) -> tuple[Float | None, tuple[str, ...]]:
@@ -387,15 +391,16 @@ class _Begin:
         start: Float | None,
         listed: Mapping[int, Float],
         parallel: bool,
+        in_memory: int,
     ) -> _Begin:
-        """Read the frames of these indices and names; a large number of frames is read again on each access.
+        """Read the frames of these indices and names; more than `in_memory` are read again on each access.
 
         With `parallel` the dataset may be read by several threads.
         """
         names = dict(chosen)
         read = partial(_usable, plan, dataset, names=names)
         frames: Sequence[Frame] = ReadAgain(read, list(names))
-        if len(names) <= MAX_FRAMES_IN_MEMORY:
+        if len(names) <= in_memory:
             frames = tuple(for_each(read, list(names), parallel=parallel))
         infos = frame_infos(frames)
         camera = infos[0].camera_name if plan.rig is not None else one_camera(infos)
@@ -418,6 +423,56 @@ def _calibrate_one(assembly: Assembly, begin: _Begin, stamp: Mapping[str, Any]) 
     if truth is None:
         return Row(result, None, None, None, begin.camera)
     return Row(result, truth, pose_error(start, truth), pose_error(result.camera_from_lidar, truth), begin.camera)
+
+
+@dataclass(eq=False)
+class _Rows:
+    """The rows of a run, reported as soon as they are complete.
+
+    From the first one with an estimated motion on, rows of a rig wait for those of all cameras: one sweep has one
+    motion. If the run ends early, they are reported as they are.
+    """
+
+    tell: OnProgress
+    assembly: Assembly
+    stamp: Mapping[str, Any]
+    rig: bool
+    done: list[Row] = field(default_factory=list)
+    waiting: list[tuple[Progress, _Begin, Row]] = field(default_factory=list)
+
+    def add(self, progress: Progress, begin: _Begin, row: Row) -> None:
+        """Report a row, or let it wait."""
+        if self.rig and (self.waiting or row.result.motions):
+            self.waiting.append((progress, begin, row))
+        else:
+            self._report(progress, row)
+
+    def _report(self, progress: Progress, row: Row) -> None:
+        self.done.append(row)
+        self.tell(replace(progress, done=progress.done + 1, row=row))
+
+    def __enter__(self) -> _Rows:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+        rows = [row for _, _, row in self.waiting]
+        try:
+            if kind is None:
+                rows = self._with_common_motions()
+        finally:
+            for (progress, _, _), row in zip(self.waiting, rows, strict=True):
+                self._report(progress, row)
+
+    def _with_common_motions(self) -> list[Row]:
+        def solve(number: int, assembly: Assembly) -> Result:
+            return _calibrate_one(assembly, self.waiting[number][1], self.stamp).result
+
+        cameras = [CameraSweeps.of(row.camera, begin.frames, row.result) for _, begin, row in self.waiting]
+        rows = []
+        for (_, _, row), result in zip(self.waiting, with_common_motions(cameras, self.assembly, solve), strict=True):
+            error = None if row.truth is None else pose_error(result.camera_from_lidar, row.truth)
+            rows.append(replace(row, result=result, error=error))
+        return rows
 
 
 def listed_errors(recipe: Recipe, names: Sequence[str], indices: Sequence[int]) -> dict[int, Float]:

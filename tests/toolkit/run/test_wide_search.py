@@ -1,0 +1,76 @@
+"""A rough initial guess that the search near it cannot correct leads to the wide search; others name its option."""
+
+from __future__ import annotations
+
+import numpy as np
+import p2o
+import pytest
+from p2o import se3
+from p2o.geometry.pose_error import pose_error
+from p2o.results.result import Result
+from p2o.run.read_again import FrameInfo
+from p2o.run.recipe import Recipe
+from p2o.solving import Pipeline
+
+from tests import edge_scene
+
+WORDS = "roughly x forward, z up; camera looks forward"
+TILT = se3.exp(np.array([np.radians(14.0), np.radians(6.0), 0, 0, 0, 0]))
+TRUTH = TILT @ se3.make(edge_scene.AXES, [0.02, -0.08, -0.27])
+ROUGH = se3.make(edge_scene.AXES, np.zeros(3))
+
+
+def solved(begin: np.ndarray, /, **words: str) -> Result:
+    assembly = Recipe.of(data=None, **words).resolve(p2o.Registry.load()).assembly()
+    assert isinstance(assembly.calibrator, Pipeline)
+    view = edge_scene.view(truth=TRUTH, boxes=60, seed=4, noise_px=0.3)
+    pieces = {"extractor": view.image, "cloud": view.cloud}
+    return assembly.calibrated([FrameInfo("frame", view.camera)], [pieces], begin)
+
+
+def error_deg(result: Result) -> float:
+    return pose_error(result.camera_from_lidar, TRUTH).rotation_deg
+
+
+def test_a_rough_start_beyond_the_reach_of_the_search_is_corrected_by_the_wide_search() -> None:
+    result = solved(ROUGH, start=WORDS)
+    assert error_deg(result) < 0.5
+    assert any("wide search" in text for text in result.warnings)
+
+
+def test_a_trusted_result_far_from_a_rough_start_is_compared_with_the_wide_search() -> None:
+    """On KITTI such a result was trusted with an error of 2.5 deg, which the wide search corrected."""
+    result = solved(se3.exp(np.array([np.radians(5.0), 0, 0, 0, 0, 0])) @ TRUTH, start=WORDS)
+    assert error_deg(result) < 0.5
+    assert any("5.0 deg from it" in text for text in result.warnings)
+
+
+def test_a_start_that_is_no_rough_one_names_the_wide_search_in_one_line() -> None:
+    result = solved(ROUGH)
+    assert error_deg(result) > 2.0
+    [text] = [text for text in result.warnings if "--init far" in text]
+    assert "4 deg" in text
+    assert "\n" not in text
+
+
+def test_a_trusted_result_runs_no_wide_search_and_takes_no_prior_from_rough_words() -> None:
+    near = se3.exp(np.array([0.02, 0, 0, 0, 0, 0])) @ TRUTH
+    result = solved(near, start=WORDS)
+    assert result.verdict.trusted
+    assert not result.warnings
+    assert result.start_weight is None
+    assert solved(near).start_weight is not None
+
+
+@pytest.mark.parametrize("words", [{"start": WORDS, "init": "grid"}, {}])
+def test_another_initializer_or_start_has_no_wide_search(words: dict[str, str]) -> None:
+    plan = Recipe.of(data=None, **words).resolve(p2o.Registry.load())
+    assert plan.assembly().wide is None
+    assert plan.described()["options"]["init"].get("weigh_start") is not False
+
+
+def test_a_recipe_with_a_wide_search_repeats_from_its_description() -> None:
+    plan = Recipe.of(data=None, start=WORDS).resolve(p2o.Registry.load())
+    again = Recipe.of(**plan.described()).resolve(p2o.Registry.load())
+    assert again.described() == plan.described()
+    assert "wide" in again.parts
