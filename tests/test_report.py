@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import subprocess
@@ -19,7 +20,7 @@ from p2o.results.verdict import Trust
 from p2o_study.report import write_report
 from p2o_study.report.bootstrap import MIN_FRAMES, interval
 from p2o_study.report.figures import figures_of
-from p2o_study.report.series import convergence, differ_much, lifted
+from p2o_study.report.series import Histories, differ_much, lifted
 from p2o_study.report.summary import Measured, summarise_study
 from p2o_study.report.tables import latex, markdown
 from p2o_study.report.worst import outcome_text, worst_run
@@ -56,7 +57,19 @@ def test_a_median_of_weighted_values_is_that_of_the_values_repeated() -> None:
     weights[:, 3] += 1
     for statistic, of in (("mean", np.mean), ("median", np.median)):
         expected = [of(np.repeat(values, w)) for w in weights]
-        assert np.allclose(_statistics(values, weights, statistic), expected, rtol=1e-12)
+        assert np.allclose(_statistics(values, np.arange(9), weights, statistic), expected, rtol=1e-12)
+
+
+def test_a_median_of_drawn_frames_is_that_of_all_runs_of_each_drawn_frame() -> None:
+    """Frames with different numbers of runs, enough for several blocks of values."""
+    from p2o_study.report.bootstrap import _statistics
+
+    rng = np.random.default_rng(2)
+    values, frame = np.sort(rng.normal(size=150)), rng.integers(0, 12, 150)
+    draws = rng.multinomial(12, np.full(12, 1 / 12), 40).astype(np.uint8)
+    for statistic, of in (("mean", np.mean), ("median", np.median)):
+        expected = [of(np.repeat(values, drawn[frame])) for drawn in draws]
+        assert np.allclose(_statistics(values, frame, draws, statistic), expected, rtol=1e-12)
 
 
 def test_frames_that_all_say_the_same_leave_no_doubt() -> None:
@@ -346,7 +359,7 @@ def test_costs_that_are_not_finite_are_no_figures(tmp_path: Path) -> None:
     run = run_of(
         "a", "f0", 0, 1.0, 0.1, rounds=(first, replace(second, cost=math.inf), replace(second, mean_residual=math.inf))
     )
-    assert convergence([run]).residual_px.tolist() == [[18.0]] * 3
+    assert Histories.of([run]).convergence().residual_px.tolist() == [[18.0]] * 3
     figures = {"judge": "directed-distance", "cost_unit": "px", "cost_initial": math.inf, "cost_result": None}
     html = write_report(write_store(tmp_path, [replace(run, figures=figures)]))[0].read_text()
     assert "inf px at the initial guess, by directed-distance" in html
@@ -359,11 +372,11 @@ def test_a_run_that_has_ended_keeps_its_last_round() -> None:
     """Three runs of 3, 2 and 1 rounds: in the third round the medians are over all three."""
     histories = [[(900, 18.0), (400, 4.0), (300, 1.0)], [(800, 16.0), (500, 3.0)], [(700, 14.0)]]
     runs = [run_of("a", f"f{i}", 0, 1.0, 0.1, rounds=rounds(*h)) for i, h in enumerate(histories)]
-    found = convergence(runs)
+    found = Histories.of(runs).convergence()
     assert found.runs == 3
     assert found.matches[1].tolist() == [800, 500, 500]
     assert found.residual_px[1].tolist() == [16, 4, 3]
-    assert convergence([run_of("a", "f", 0, 1.0, 0.1, rounds=rounds())]) is None
+    assert Histories.of([run_of("a", "f", 0, 1.0, 0.1, rounds=rounds())]).convergence() is None
 
 
 def test_a_box_shows_the_quartiles_of_the_signed_errors() -> None:
@@ -755,3 +768,46 @@ def test_without_plotly_all_but_the_plots_is_written_and_one_line_says_how_to_ge
     names = {Path(text).name for text in captured.out.splitlines()}
     assert {"report.html", "report.md", "report.tex", "table2-1-boxplot.svg"} <= names
     assert (tmp_path / "report" / "report.html").stat().st_size < 200_000, "the library alone has millions"
+
+
+def test_a_page_has_the_worst_runs_of_each_row_and_plots_of_all_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A page of 100,000 runs would have 136 MB."""
+    from p2o_study.report import page
+
+    monkeypatch.setattr(page, "_RUN_BYTES", 20_000)
+    monkeypatch.setattr(page, "_MOST_POINTS", 10)
+    runs = table2(12, 3)
+    text = write_report(write_store(tmp_path, runs))[0].read_text(encoding="utf-8")
+    group = json.loads(re.search(r'id="data">(.*?)</script>', text, re.DOTALL)[1])["studies"][0]["groups"][0]
+    assert group["total"] == 108 > len(group["runs"]) > 3
+    assert len(json.dumps(group["runs"])) < 20_000
+    for row, label in enumerate(group["labels"]):
+        errors = [run.rotation_deg for run in runs if run.row == label]
+        assert np.isclose(group["boxes"]["rotation_deg"][row][2], np.median(errors), rtol=1e-5)
+        shown = [run["errors"][0] for run in group["runs"] if run["row"] == row]
+        worst = sorted(errors)[-len(shown) :]
+        assert np.allclose(sorted(shown), worst, rtol=1e-5)
+        assert group["runs"][group["worst"][row]["run"]]["errors"][0] == max(shown)
+    assert len(group["places"]) == 3, "ten points of three rows"
+
+
+def test_a_page_has_the_first_of_very_many_rows() -> None:
+    from p2o_study.report import page
+    from p2o_study.report.overlays import OverlayImages
+
+    runs = [run_of(f"row {i}", "f", 0, 1.0, 0.1) for i in range(450)]
+    html = page.page([summarise_study(STUDY, runs)], OverlayImages(), "")
+    data = json.loads(re.search(r'id="data">(.*?)</script>', html, re.DOTALL)[1])["studies"][0]
+    assert data["note"].endswith("This page has the first 400 of 450 rows; report.md has all.")
+    assert data["groups"][0]["labels"] == [f"row {i}" for i in range(400)]
+
+
+def test_a_brief_row_of_a_store_is_completed_to_the_row_itself(tmp_path: Path) -> None:
+    with Store.open(write_store(tmp_path, table2(3, 2))) as store:
+        rows, brief = store.rows("table2"), list(store.brief_rows("table2"))
+        assert all(run.estimate is None and not run.recipe for run in brief)
+        for row, run in zip(rows, store.completed(brief), strict=True):
+            for name in StoredRow.__dataclass_fields__:
+                assert np.array_equal(getattr(row, name), getattr(run, name)), name

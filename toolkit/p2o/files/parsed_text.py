@@ -79,14 +79,14 @@ def _shallow(value: Any, what: str, where: object, *, halves: bool = False) -> A
     level = [value]
     for _ in range(DEEPEST + 1):
         for inner in level:
-            for text in inner if isinstance(inner, dict) else (inner,):
-                if isinstance(text, str) and not halves:
+            for text in () if halves else inner if isinstance(inner, dict) else (inner,):
+                if isinstance(text, str):
                     _refuse_halves(text, what, where)
             if isinstance(inner, int) and inner.bit_length() > _MAX_BITS:
                 fault, expected = f"the {what} contains too large a number", f"integers of at most {_MAX_BITS} bits"
                 raise InputError(fault, where=where, expected=expected, got=f"{inner.bit_length()} bits")
-        nested = (list(outer.values()) if isinstance(outer, dict) else outer for outer in level)
-        level = [inner for outer in nested if isinstance(outer, list) for inner in outer]
+        nested = [outer for outer in level if isinstance(outer, dict | list)]
+        level = [inner for outer in nested for inner in (outer.values() if isinstance(outer, dict) else outer)]
         if not level:
             return value
     raise _too_deep(what, where)

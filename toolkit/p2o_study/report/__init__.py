@@ -14,6 +14,7 @@ from p2o.host.registry import Registry
 
 if TYPE_CHECKING:
     from p2o_study.report.summary import Summary
+    from p2o_study.store import Store
 
 Tell = Callable[[str, int, int], None]
 """Callback with the name of the current image or figure, the number of finished ones and their total."""
@@ -44,16 +45,20 @@ def write_report(
     """
     from p2o_study.report import figures, page, tables
     from p2o_study.report.overlays import OverlayImages, draw_all
+    from p2o_study.store import Store
 
     folder = expanded(folder)
-    summaries = _summaries(folder, studies)
+    images, library = OverlayImages(), page.plot_library()
     home = folder / "report" if out is None else expanded(out)
-    with write_errors("the report", home, "choose another --out"):
-        make_writable(home)
     tell = on_progress or (lambda what, done, total: None)
-    images = OverlayImages()
-    if data:
-        images = draw_all(summaries, data, overlays, registry or Registry.load(), tell)
+    # Most fields of a run are read from the store for the runs on the page only.
+    with Store.open(folder, create=False) as store:
+        summaries = _summaries(store, studies)
+        with write_errors("the report", home, "choose another --out"):
+            make_writable(home)
+        if data:
+            images = draw_all(summaries, data, overlays, registry or Registry.load(), tell)
+        html = page.page(summaries, images, library).encode()
     files: dict[str, bytes] = {}
     drawn: dict[str, list[tuple[str, str]]] = {}
     # An upper limit: groups without rounds or errors have fewer figures.
@@ -67,33 +72,29 @@ def write_report(
                 files[f"{name}.{form}"] = figures.rendered(figure, form)
     files["report.md"] = tables.markdown(summaries, lambda summary: drawn.get(summary.name, ())).encode()
     files["report.tex"] = tables.latex(summaries).encode()
-    library = page.plot_library()
     if not library and on_warning is not None:
         on_warning(page.NO_PLOTS)
-    files["report.html"] = page.page(summaries, images, library).encode()
+    files["report.html"] = html
     for name, content in files.items():
         write_whole(home / name, content)
     return [home / name for name in reversed(files)]
 
 
-def _summaries(folder: Path, names: Sequence[str]) -> list[Summary]:
+def _summaries(store: Store, names: Sequence[str]) -> list[Summary]:
     """Return the summaries of studies with runs; raises InputError if a study selected by name has none."""
-    from p2o_study.report.summary import summarise_study
-    from p2o_study.store import Store
+    from p2o_study.report.summary import summarise_stored
 
-    with Store.open(folder, create=False) as store:
-        known = {study.name: study for study in store.studies()}
-        for name in names:
-            if name not in known:
-                raise UnknownNameError("study", name, known, where=store.path)
-        wanted = [known[name] for name in dict.fromkeys(names or known)]
-        parts = [(study, store.rows(study.name), store.missing(study.name)) for study in wanted]
-    finished = [summarise_study(study, runs, missing) for study, runs, missing in parts if runs]
-    if not finished or (names and len(finished) < len(wanted)):
-        empty = next((study.name for study, runs, _ in parts if not runs), None)
+    known = {study.name: study for study in store.studies()}
+    for name in names:
+        if name not in known:
+            raise UnknownNameError("study", name, known, where=store.path)
+    parts = {name: summarise_stored(store, known[name]) for name in dict.fromkeys(names or known)}
+    finished = [summary for summary in parts.values() if summary is not None]
+    if not finished or (names and len(finished) < len(parts)):
+        empty = next((name for name, summary in parts.items() if summary is None), None)
         what, word = "the store has no study with a finished run", "STUDY"
         if empty:
             what = f"study '{printable(empty, _LONGEST_NAME)}' has no finished run yet"
             word = quote(empty) if len(empty) <= _LONGEST_NAME else word
-        raise InputError(what, where=store.path, hint=f"run: p2o ablate {word} --out {quote(str(folder))}")
+        raise InputError(what, where=store.path, hint=f"run: p2o ablate {word} --out {quote(str(store.path.parent))}")
     return finished

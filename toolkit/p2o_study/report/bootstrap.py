@@ -6,20 +6,22 @@ intervals. Efron and Tibshirani, An Introduction to the Bootstrap (1993), sectio
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from p2o.arrays import Float, Int
+from p2o.arrays import Float, Int, UInt8
+from scipy.sparse import csr_array
 
 RESAMPLES = 2000
 SHARE = 0.95
 MIN_FRAMES = 5
 """With fewer frames there are too few distinct resamples for an interval: none is given."""
-_WEIGHTS_AT_ONCE = 4_000_000
-"""Maximum number of weights (resamples x values) in memory."""
+_WEIGHTS_AT_ONCE = 2_000_000
+"""Maximum number of weights (resamples x frames) in memory."""
 
 Statistic = Literal["mean", "median"]
 
@@ -47,30 +49,48 @@ def interval(values: Sequence[float] | Float, frames: Sequence[str], statistic: 
     names, frame = np.unique(np.asarray(frames), return_inverse=True)
     order = np.lexsort((frame, sample))
     sample, frame = sample[order], frame[order]
-    whole = float(_statistics(sample, np.ones((1, len(sample)), np.int64), statistic)[0])
+    whole = float(_statistics(sample, frame, np.ones((1, len(names)), np.uint8), statistic)[0])
     if len(names) < MIN_FRAMES:
         return Interval(whole)
     draws = draws_of(len(names))
-    step = max(1, _WEIGHTS_AT_ONCE // len(sample))
-    drawn = [_statistics(sample, draws[i : i + step, frame], statistic) for i in range(0, len(draws), step)]
+    step = max(1, _WEIGHTS_AT_ONCE // len(names))
+    drawn = [_statistics(sample, frame, draws[i : i + step], statistic) for i in range(0, len(draws), step)]
     low, high = np.quantile(np.concatenate(drawn), [(1 - SHARE) / 2, (1 + SHARE) / 2])
     return Interval(whole, float(low), float(high))
 
 
-@lru_cache(maxsize=16)
-def draws_of(frames: int) -> Int:
+@lru_cache(maxsize=2)
+def draws_of(frames: int) -> UInt8:
     """Return the number of times each frame is drawn in each resample, (RESAMPLES, frames)."""
     rng = np.random.default_rng([RESAMPLES, frames])
-    return rng.multinomial(frames, np.full(frames, 1 / frames), RESAMPLES)
+    shares, draws = np.full(frames, 1 / frames), np.empty((RESAMPLES, frames), np.uint8)
+    step = max(1, _WEIGHTS_AT_ONCE // frames)
+    for i in range(0, RESAMPLES, step):
+        # A frame is drawn once on average, and never 256 times.
+        draws[i : i + step] = rng.multinomial(frames, shares, len(draws[i : i + step]))
+    return draws
 
 
-def _statistics(ordered: Float, weights: Int, statistic: Statistic) -> Float:
-    """Return the statistic (B,) of ascending values (N,) with integer weights (B, N)."""
+def _statistics(ordered: Float, frame: Int, draws: UInt8, statistic: Statistic) -> Float:
+    """Return the statistic (B,) of ascending values (N,) of frames (N,), drawn as often as `draws` (B, frames) states.
+
+    The median is the mean of the two middle values, which are equal if the count is odd.
+    """
+    counts = np.bincount(frame, minlength=draws.shape[1])
+    weights = draws.astype(np.float64)
+    total = weights @ counts
     if statistic == "mean":
-        return np.asarray((weights @ ordered) / weights.sum(axis=1))
-    # The median is the mean of the two middle values, which are equal if the count is odd.
-    upto = np.cumsum(weights, axis=1)
-    total = upto[:, -1:]
-    lower = np.argmax(upto > (total - 1) // 2, axis=1)
-    upper = np.argmax(upto > total // 2, axis=1)
-    return np.asarray((ordered[lower] + ordered[upper]) / 2)
+        return np.asarray((weights @ np.bincount(frame, ordered, draws.shape[1])) / total)
+    # Values drawn up to the end of each block; then only one block per resample is searched.
+    size = math.isqrt(len(ordered) - 1) + 1
+    blocks = np.arange(len(ordered)) // size
+    in_block = csr_array((np.ones(len(ordered)), (frame, blocks)), shape=(draws.shape[1], blocks[-1] + 1))
+    upto = np.cumsum(weights @ in_block, axis=1)
+    resample, middles = np.arange(len(draws)), []
+    for before in ((total - 1) // 2, total // 2):
+        block = np.argmax(upto > before[:, None], axis=1)
+        skipped = np.where(block > 0, upto[resample, block - 1], 0.0)
+        places = np.minimum(block[:, None] * size + np.arange(size), len(ordered) - 1)
+        reached = skipped[:, None] + np.cumsum(weights[resample[:, None], frame[places]], axis=1)
+        middles.append(ordered[places[resample, np.argmax(reached > before[:, None], axis=1)]])
+    return np.asarray((middles[0] + middles[1]) / 2)

@@ -13,7 +13,7 @@ from p2o.arrays import Float
 from p2o.errors import printable
 from p2o.files.file_names import distinct_names
 
-from p2o_study.report.series import convergence, differ_much, lifted, rounds_differ_much
+from p2o_study.report.series import differ_much, lifted, rounds_differ_much
 from p2o_study.report.summary import Group, Summary, error_of
 from p2o_study.report.tables import name_of, unit_of
 from p2o_study.store import StoredRow
@@ -192,7 +192,7 @@ def _convergence(group: Group, _: Summary) -> Figure | None:
 
     An axis is logarithmic if the medians in the last round `differ_much`.
     """
-    histories = [(row.label, convergence(group.runs[row.label])) for row in group.measured]
+    histories = [(row.label, group.convergence[row.label]) for row in group.measured]
     if not any(history for _, history in histories):
         return None
     from matplotlib.ticker import MaxNLocator

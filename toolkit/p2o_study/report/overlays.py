@@ -67,11 +67,14 @@ def chosen(summary: Summary, most: int) -> list[Wanted]:
     for group in summary.groups:
         for runs in group.runs.values():
             # The sort is stable: the first is that of `worst_run`.
-            ranked = sorted((run for run in runs if run.estimate is not None), key=error_rank, reverse=True)
             worst: dict[str, StoredRow] = {}
-            for run in ranked:
-                for frame in run.frames:
-                    worst.setdefault(frame, run)
+            for run in sorted(runs, key=error_rank, reverse=True):
+                if len(worst) >= most:
+                    break
+                if not worst.keys() >= set(run.frames):
+                    [complete] = summary.completed([run])
+                    for frame in run.frames if complete.estimate is not None else ():
+                        worst.setdefault(frame, complete)
             requests += [Wanted(run, frame) for frame, run in list(worst.items())[:most]]
     return requests
 

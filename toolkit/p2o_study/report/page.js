@@ -214,7 +214,7 @@ function refilter() {
 }
 
 function showRuns() {
-  const { labels, runs } = group();
+  const { labels, runs, total } = group();
   const starts = new Set(runs.map((run) => run.perturb)).size > 1;
   const columns = [
     words("row", (run) => labels[run.row], { long: true }),
@@ -228,7 +228,8 @@ function showRuns() {
     number("matches", (run) => sum(run.matches) || null, (run) => String(sum(run.matches) || NONE)),
   ];
   runsTable.show(columns, state.list, state.shown);
-  at("count").textContent = `${state.list.length} of ${runs.length} runs`;
+  const part = total > runs.length ? `, the worst of each row; all ${total} runs are in study.sqlite` : "";
+  at("count").textContent = `${state.list.length} of ${runs.length} runs${part}`;
   at("more").hidden = state.list.length <= state.shown;
 }
 
@@ -249,59 +250,50 @@ const config = { displaylogo: false, responsive: true, modeBarButtonsToRemove: [
 const LOG_TICKS = [-4, -3, -2, -1, 0, 1, 2, 3].flatMap((power) => [10 ** power, 3 * 10 ** power]);
 const LOG_TEXTS = LOG_TICKS.map((v) => String(Number(v.toPrecision(1))));
 const title = (metric) => ({ text: `${nameOf(metric)} error [${unit(metric)}]` });
-const quantile = (ordered, share) => {
-  const place = share * (ordered.length - 1), low = Math.floor(place);
-  return ordered[low] + (place - low) * ((ordered[low + 1] ?? ordered[low]) - ordered[low]);
-};
-
-function byRow(metric) {
-  const { labels, runs } = group();
-  return labels.map((label, i) => ({ label, i, runs: runs.filter((run) => run.row === i && errorOf(run, metric) !== null) }))
-    .filter((row) => row.runs.length);
-}
-
 const narrow = matchMedia("(max-width: 700px)");
 // Names of frames differ at their end; complete names would leave no space for the plot on a phone.
 const shortened = (name) => (narrow.matches && name.length > 14 ? `…${name.slice(-13)}` : name);
-const plotting = typeof Plotly !== "undefined";
+const packed = at("library").textContent;
+const plotting = packed !== "" && typeof DecompressionStream !== "undefined";
 
 function showBoxes() {
-  const metric = at("metric").value, { layout, axis, ink } = look(), rows = byRow(metric), log = at("log").checked;
-  // A logarithmic axis shows absolute values, with zeros as the smallest positive value.
-  const sizes = rows.flatMap((row) => row.runs.map((run) => sizeOf(run, metric))).filter((size) => size > 0);
-  const least = sizes.reduce((a, b) => Math.min(a, b), Infinity);
-  const value = (run) => (log ? Math.max(sizeOf(run, metric), least) : errorOf(run, metric));
+  const metric = at("metric").value, { layout, axis, ink } = look(), { labels, runs } = group(), log = at("log").checked;
+  // A logarithmic axis shows absolute values; zeros of boxes are the smallest positive value.
+  const boxes = group()[log ? "sizeBoxes" : "boxes"][metric];
   const scale = log ? { type: "log", tickvals: LOG_TICKS, ticktext: LOG_TEXTS } : {};
   const name = log ? { text: `|${nameOf(metric)} error| [${unit(metric)}]` } : title(metric);
-  const traces = rows.map((row) => ({
-    type: "box", orientation: "h", name: plain(row.label), boxpoints: "outliers", whiskerwidth: 0.4,
-    x: row.runs.map((run) => factor(metric) * value(run)), y0: plain(row.label),
-    text: row.runs.map((run) => plain(`${run.place}, seed ${run.seed}`)), customdata: row.runs.map((run) => group().runs.indexOf(run)),
-    line: { color: ink, width: 1 }, fillcolor: colour(row.i), marker: { color: colour(row.i), size: 4 },
-    hovertemplate: `%{text}<br>%{x:.3f} ${unit(metric)}<extra></extra>`,
-  }));
-  Plotly.react("boxes", traces, { ...layout, showlegend: false, height: 130 + 46 * rows.length,
-    xaxis: { ...axis, ...scale, title: name }, yaxis: { ...axis, autorange: "reversed" } }, config);
+  const traces = [], beyond = [];
+  boxes.forEach((box, i) => {
+    if (!box) return;
+    const [lowerfence, q1, median, q3, upperfence] = box.map((value) => [factor(metric) * value]);
+    traces.push({ type: "box", orientation: "h", name: plain(labels[i]), y: [plain(labels[i])], whiskerwidth: 0.4,
+      lowerfence, q1, median, q3, upperfence, line: { color: ink, width: 1 }, fillcolor: colour(i), hoverinfo: "x" });
+    runs.forEach((run, number) => {
+      const value = log ? sizeOf(run, metric) : errorOf(run, metric);
+      if (run.row === i && value !== null && (value < box[0] || value > box[4]) && !(log && value === 0)) beyond.push({ run, number, i, value });
+    });
+  });
+  const count = traces.length;
+  traces.push({ type: "scatter", mode: "markers", x: beyond.map((p) => factor(metric) * p.value), y: beyond.map((p) => plain(labels[p.i])),
+    text: beyond.map((p) => plain(`${p.run.place}, seed ${p.run.seed}`)), customdata: beyond.map((p) => p.number),
+    marker: { color: beyond.map((p) => colour(p.i)), size: 4 }, hovertemplate: `%{text}<br>%{x:.3f} ${unit(metric)}<extra></extra>` });
+  Plotly.react("boxes", traces, { ...layout, showlegend: false, height: 130 + 46 * count,
+    xaxis: { ...axis, ...scale, title: name }, yaxis: { ...axis, type: "category", autorange: "reversed" } }, config);
 }
 
 function showFrames() {
-  const metric = at("metric").value, { layout, axis } = look(), rows = byRow(metric);
-  const places = [...new Set(rows.flatMap((row) => row.runs.map((run) => run.place)))];
-  const traces = rows.map((row, n) => {
-    const of = new Map();
-    for (const run of row.runs) of.set(run.place, [...(of.get(run.place) || []), run]);
-    const points = [...of].map(([place, runs]) => {
-      const ordered = runs.toSorted((a, b) => sizeOf(a, metric) - sizeOf(b, metric));
-      const values = ordered.map((run) => factor(metric) * sizeOf(run, metric));
-      return { place, middle: quantile(values, 0.5), low: values[0], high: values.at(-1), worst: ordered.at(-1) };
-    });
+  const metric = at("metric").value, { layout, axis } = look(), { labels, places, frames } = group();
+  const rows = frames.map((of, i) => ({ i, points: of.map((ranges, place) => ({ place, range: ranges[metric] })).filter((p) => p.range) }))
+    .filter((row) => row.points.length);
+  const traces = rows.map(({ i, points }, n) => {
+    const values = points.map((p) => p.range.slice(0, 3).map((value) => factor(metric) * value));
     return {
-      type: "scatter", mode: "markers", name: plain(row.label), x: points.map((p) => p.middle),
-      y: points.map((p) => places.indexOf(p.place) + 0.6 * ((n + 0.5) / rows.length - 0.5)),
-      text: points.map((p) => plain(p.place)), customdata: points.map((p) => group().runs.indexOf(p.worst)),
-      error_x: { type: "data", symmetric: false, array: points.map((p) => p.high - p.middle), arrayminus: points.map((p) => p.middle - p.low), thickness: 1, width: 0 },
-      marker: { color: colour(row.i), symbol: SYMBOLS[row.i % SYMBOLS.length], size: 7 },
-      hovertemplate: `%{text}<br>%{x:.3f} ${unit(metric)}<extra>${plain(row.label)}</extra>`,
+      type: "scatter", mode: "markers", name: plain(labels[i]), x: values.map(([, middle]) => middle),
+      y: points.map((p) => p.place + 0.6 * ((n + 0.5) / rows.length - 0.5)),
+      text: points.map((p) => plain(places[p.place])), customdata: points.map((p) => p.range[3]),
+      error_x: { type: "data", symmetric: false, array: values.map(([, middle, high]) => high - middle), arrayminus: values.map(([low, middle]) => middle - low), thickness: 1, width: 0 },
+      marker: { color: colour(i), symbol: SYMBOLS[i % SYMBOLS.length], size: 7 },
+      hovertemplate: `%{text}<br>%{x:.3f} ${unit(metric)}<extra>${plain(labels[i])}</extra>`,
     };
   });
   Plotly.react("frames", traces, { ...layout, height: Math.max(130 + 46 * rows.length, 110 + Math.max(22, 6 * rows.length) * places.length + 22 * rows.length),
@@ -333,7 +325,7 @@ function chooseScale() {
 }
 
 function showPlots() {
-  if (!plotting) return;
+  if (typeof Plotly === "undefined") return;
   showBoxes();
   showFrames();
   showRounds();
@@ -455,8 +447,8 @@ at("notes").append(...[...data.notes, data.rule].map((text) => make("p", {}, tex
 at("study").addEventListener("change", () => { state.study = Number(at("study").value); chooseStudy(); });
 at("group").addEventListener("change", () => { state.group = Number(at("group").value); chooseGroup(); });
 at("axes").addEventListener("change", showRows);
-at("metric").addEventListener("change", () => { chooseScale(); showBoxes(); showFrames(); });
-at("log").addEventListener("change", showBoxes);
+at("metric").addEventListener("change", () => { chooseScale(); showPlots(); });
+at("log").addEventListener("change", showPlots);
 for (const [id, event] of [["find", "input"], ["row", "change"], ["status", "change"], ["trust", "change"], ["drawn", "change"]]) at(id).addEventListener(event, refilter);
 at("more").addEventListener("click", () => { state.shown += PAGE; showRuns(); });
 at("more-worst").addEventListener("click", () => { state.cards = Infinity; showWorst(); });
@@ -476,9 +468,18 @@ at("theme").addEventListener("click", () => {
 });
 dark.addEventListener("change", showPlots);
 narrow.addEventListener("change", showPlots);
-at("no-plots").textContent = data.noPlots;
+at("no-plots").textContent = data.noPlots || "the plots need a newer browser; the figures beside this page, PNG and SVG, show the same";
 for (const id of ["errors-title", "plots", "rounds-section"]) at(id).hidden = !plotting;
 at("no-plots").hidden = plotting;
 chooseStudy();
-for (const id of plotting ? ["boxes", "frames"] : [])
-  at(id).on("plotly_click", ({ points }) => { if (points[0].customdata !== undefined) openRun(group().runs[points[0].customdata]); });
+
+// The library is compressed in the page; the policy contains the hash of its text.
+async function loadPlots() {
+  const bytes = Uint8Array.from(atob(packed), (letter) => letter.charCodeAt(0));
+  const text = await new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"))).text();
+  document.head.append(make("script", {}, text));
+  showPlots();
+  for (const id of ["boxes", "frames"])
+    at(id).on("plotly_click", ({ points }) => { if (Number.isInteger(points[0].customdata)) openRun(group().runs[points[0].customdata]); });
+}
+if (plotting) loadPlots();

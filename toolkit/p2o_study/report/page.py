@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import base64
+import gzip
 import importlib
 import itertools
 import json
 import math
+import statistics
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from markupsafe import Markup
@@ -22,15 +26,20 @@ from p2o_study.columns import METRICS
 from p2o_study.report.bootstrap import Interval
 from p2o_study.report.figures import COLOURS
 from p2o_study.report.overlays import OverlayImages
-from p2o_study.report.series import RULE, Convergence, convergence, differ_much, rounds_differ_much
-from p2o_study.report.summary import NORMS, Comparison, Group, Measured, Summary, best
+from p2o_study.report.series import QUARTILES, RULE, Convergence, differ_much, lifted, rounds_differ_much
+from p2o_study.report.summary import NORMS, Comparison, Group, Measured, Summary, best, error_of
 from p2o_study.report.tables import DIGITS, NOTES, failures_of, predicted_text, starts_of
-from p2o_study.report.worst import outcome_text, worst_run
+from p2o_study.report.worst import error_rank, outcome_text, worst_run
 from p2o_study.store import StoredRow
 from p2o_study.study import Published
 from p2o_study.tally import brief_seconds, trust_text
 
 _SIGNIFICANT = 6
+_RUN_BYTES = 1_500_000
+"""Maximum size of the single runs on the page, as JSON; about 1,000 runs."""
+_MOST_ROWS = 400
+_MOST_POINTS = 2000
+"""Maximum number of points of the plot of errors by frame: rows times frames."""
 NO_PLOTS = 'the page has no plots, because plotly is missing; run: pip install "plotly>=6", and p2o report again'
 
 
@@ -46,10 +55,15 @@ def plot_library() -> str:
 def page(summaries: Sequence[Summary], images: OverlayImages, library: str) -> str:
     """Return the page of these studies; `library` is `plot_library()`, "" for a page without plots.
 
-    The content security policy allows the page's own scripts only and no requests.
+    Without overlays the page stays below 5 MB for any number of runs and rows: it has the first `_MOST_ROWS` rows, and
+    the worst runs of each row as far as `_RUN_BYTES` allows; plots are of all runs. The content security policy allows
+    the page's own scripts only and no requests.
     """
+    summaries = _with_first_rows(summaries)
     data = {
-        "studies": [_study(summary, images) for summary in summaries],
+        "studies": [
+            _study(summary, runs) for summary, runs in zip(summaries, _chosen_runs(summaries, images), strict=True)
+        ],
         "images": images.uris,
         "metrics": METRICS,
         "norms": NORMS,
@@ -62,7 +76,10 @@ def page(summaries: Sequence[Summary], images: OverlayImages, library: str) -> s
     }
     scripts = (library, part("p2o_study.report/page.js"))
     template, style = "p2o_study.report/page.html", "p2o_study.report/page.css"
-    return rendered(template, style=style, scripts=scripts, title="p2o report", data=_json(data))
+    # Compressed, because the library has 5 MB; the policy contains the hash of its text.
+    packed = base64.b64encode(gzip.compress(library.encode(), mtime=0)).decode() if library else ""
+    values = {"title": "p2o report", "data": _json(data), "library": Markup(packed)}
+    return rendered(template, style=style, scripts=scripts, **values)
 
 
 def _json(value: Any) -> Markup:
@@ -80,13 +97,62 @@ def _shown(value: Any) -> Any:
     return [_shown(part) for part in value] if isinstance(value, list | tuple) else value
 
 
-def _study(summary: Summary, images: OverlayImages) -> dict[str, Any]:
-    recipes = _Numbered()
+def _with_first_rows(summaries: Sequence[Summary]) -> list[Summary]:
+    """Return the summaries with the first `_MOST_ROWS` rows of all groups together; a note counts those left out."""
+    left, out = _MOST_ROWS, []
+    for summary in summaries:
+        groups = []
+        for group in summary.groups:
+            labels = list(group.runs)[:left]
+            left -= len(labels)
+            if labels:
+                kept = {label: group.runs[label] for label in labels}
+                rows = [row for row in group.rows if isinstance(row, Published) or row.label in kept]
+                pairs = tuple(pair for pair in group.comparisons if {pair.row, pair.against} <= kept.keys())
+                groups.append(replace(group, rows=tuple(rows), comparisons=pairs, runs=kept))
+        shown, every = (sum(len(group.runs) for group in some) for some in (groups, summary.groups))
+        note = f"{summary.note} This page has the first {shown} of {every} rows; report.md has all."
+        out.append(replace(summary, groups=tuple(groups), note=summary.note if shown == every else note.strip()))
+    return [summary for summary in out if summary.groups]
+
+
+def _chosen_runs(summaries: Sequence[Summary], images: OverlayImages) -> list[_Runs]:
+    """Return the runs on the page: the worst run of each row, then the next worst of each, up to `_RUN_BYTES`."""
+    chosen = [_Runs(_Numbered(), [{} for _ in summary.groups]) for summary in summaries]
+    drawn = {key for key, _ in images.of}
+    queues = []
+    for runs, summary in zip(chosen, summaries, strict=True):
+        for taken, group in zip(runs.groups, summary.groups, strict=True):
+            for row, some in enumerate(group.runs.values()):
+                first, *rest = sorted(range(len(some)), key=lambda i: error_rank(some[i]), reverse=True) or [None]
+                order = [first, *sorted(rest, key=lambda i: some[i].key not in drawn)] if first is not None else []
+                queues.append([(runs, taken, summary, row, place, some[place]) for place in order])
+    left = _RUN_BYTES
+    turns = (entry for turn in itertools.zip_longest(*queues) for entry in turn if entry is not None)
+    for runs, taken, summary, row, place, brief in turns:
+        [run] = summary.completed([brief])
+        before = runs.recipes.size
+        shown = _run(run, row, runs.recipes, images)
+        left -= len(json.dumps(shown)) + runs.recipes.size - before
+        if left < 0:
+            break
+        taken[row, place] = (run, shown)
+    return chosen
+
+
+class _Runs(NamedTuple):
+    """The runs of a study on the page, by group: (row, place in the row) to the run and its JSON."""
+
+    recipes: _Numbered
+    groups: list[dict[tuple[int, int], tuple[StoredRow, dict[str, Any]]]]
+
+
+def _study(summary: Summary, runs: _Runs) -> dict[str, Any]:
     return {
         **{name: getattr(summary, name) for name in ("name", "title", "norms", "within", "axes")},
         "note": " ".join([summary.note, *(f"{line}." for line in summary.pooled)]).strip(),
-        "groups": [_group(group, summary.norms, recipes, images) for group in summary.groups],
-        "recipes": recipes.values,
+        "groups": [_group(group, summary.norms, own) for group, own in zip(summary.groups, runs.groups, strict=True)],
+        "recipes": runs.recipes.values,
     }
 
 
@@ -96,6 +162,7 @@ class _Numbered:
     def __init__(self) -> None:
         self.values: list[Any] = []
         self._numbers: dict[str, int] = {}
+        self.size = 0
 
     def number(self, value: Any) -> int:
         """Return the index of a value, which is added if it is new."""
@@ -103,27 +170,75 @@ class _Numbered:
         if key not in self._numbers:
             self._numbers[key] = len(self.values)
             self.values.append(value)
+            self.size += len(key)
         return self._numbers[key]
 
 
-def _group(group: Group, norms: Sequence[str], recipes: _Numbered, images: OverlayImages) -> dict[str, Any]:
+def _group(
+    group: Group, norms: Sequence[str], chosen: Mapping[tuple[int, int], tuple[StoredRow, dict[str, Any]]]
+) -> dict[str, Any]:
     labels = list(group.runs)
-    every = [run for label in labels for run in group.runs[label]]
-    worst = [worst_run(runs) for runs in group.runs.values() if runs]
-    histories = [convergence(group.runs[label]) for label in labels]
+    numbers = {place: number for number, place in enumerate(sorted(chosen))}
+    worst = [(row, runs.index(worst_run(runs))) for row, runs in enumerate(group.runs.values()) if runs]
+    histories = [group.convergence[label] for label in labels]
+    errors = {metric: _values(group, metric) for metric in METRICS}
     return {
         "heading": group.heading,
         "rows": [_row(row, group, norms) for row in group.rows],
-        "worst": [{"run": every.index(run), "text": outcome_text(run)} for run in worst],
+        "worst": [{"run": numbers[at], "text": outcome_text(chosen[at][0])} for at in worst if at in chosen],
         "labels": labels,
         "rounds": [None if history is None else _rounds(history) for history in histories],
-        "log": [metric for metric in METRICS if differ_much(_values(group, metric))],
+        "log": [metric for metric in METRICS if differ_much(errors[metric])],
         "logRounds": list(itertools.compress(("matches", "residual"), rounds_differ_much(histories))),
+        "boxes": {metric: [_box(values) for values in rows] for metric, rows in errors.items()},
+        "sizeBoxes": {metric: [_box(values) for values in lifted(rows)] for metric, rows in errors.items()},
+        **_by_frame(group, numbers),
         "pairs": [_pair(pair) for pair in group.comparisons],
-        "runs": [
-            _run(run, number, recipes, images) for number, label in enumerate(labels) for run in group.runs[label]
-        ],
+        "runs": [chosen[place][1] for place in numbers],
+        "total": sum(map(len, group.runs.values())),
     }
+
+
+def _box(values: Float) -> list[float | None] | None:
+    """Return lower whisker, quartiles and upper whisker of errors; None without errors."""
+    if not len(values):
+        return None
+    low, middle, high = np.quantile(values, QUARTILES)
+    length = 1.5 * (high - low)
+    inner = values[(values >= low - length) & (values <= high + length)]
+    return [_brief(float(value)) for value in (inner.min(), low, middle, high, inner.max())]
+
+
+def _by_frame(group: Group, numbers: Mapping[tuple[int, int], int]) -> dict[str, Any]:
+    """Return the frames with the largest errors, and by row and frame the range of each metric and its worst run."""
+    largest: dict[str, float] = {}
+    for run in itertools.chain(*group.runs.values()):
+        largest[run.place] = max(largest.get(run.place, -1.0), error_rank(run)[0])
+    most = max(1, _MOST_POINTS // max(1, len(group.runs)))
+    kept = set(sorted(largest, key=lambda place: -largest[place])[:most])
+    places = [place for place in largest if place in kept]
+    rows = []
+    for row, runs in enumerate(group.runs.values()):
+        members: dict[str, list[int]] = {place: [] for place in places}
+        for number, run in enumerate(runs):
+            if run.place in members:
+                members[run.place].append(number)
+        rows.append([_ranges(row, runs, some, numbers) for some in members.values()])
+    return {"places": places, "frames": rows}
+
+
+def _ranges(
+    row: int, runs: Sequence[StoredRow], members: Sequence[int], numbers: Mapping[tuple[int, int], int]
+) -> dict[str, list[float | int | None]]:
+    """Return by metric minimum, median and maximum error, and the number of the worst run if it is on the page."""
+    ranges: dict[str, list[float | int | None]] = {}
+    for metric in METRICS:
+        sizes = sorted((size, i) for i in members if (size := error_of(runs[i], metric)) is not None)
+        if sizes:
+            values = [size for size, _ in sizes]
+            three = (values[0], statistics.median(values), values[-1])
+            ranges[metric] = [*map(_brief, three), numbers.get((row, sizes[-1][1]))]
+    return ranges
 
 
 def _values(group: Group, metric: str) -> list[Float]:

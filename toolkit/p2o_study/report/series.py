@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import math
+from array import array
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,24 +27,42 @@ class Convergence:
     residual_px: Float
 
 
-def convergence(runs: Sequence[StoredRow]) -> Convergence | None:
-    """Return the convergence of the runs of a row; None if no run has rounds of matching and solving.
+class Histories:
+    """The rounds of the runs of one row, stored as plain numbers, because there may be 100,000 runs."""
 
-    A run that has ended is continued with the values of its last round; otherwise the last rounds would represent the
-    slowest runs only.
-    """
-    histories = []
-    for run in runs:
+    def __init__(self) -> None:
+        self._values, self._lengths = array("d"), array("q")
+
+    @classmethod
+    def of(cls, runs: Iterable[StoredRow]) -> Histories:
+        """Return the rounds of runs."""
+        histories = cls()
+        for run in runs:
+            histories.add(run)
+        return histories
+
+    def add(self, run: StoredRow) -> None:
+        """Add the rounds of a run."""
         # The round of an initializer has no matches.
-        solved = [r for r in run.rounds if np.isfinite(r.mean_residual) and r.matches]
+        solved = [r for r in run.rounds if math.isfinite(r.mean_residual) and r.matches]
         if solved:
-            histories.append([(sum(r.matches.values()), r.mean_residual) for r in solved])
-    if not histories:
-        return None
-    longest = max(map(len, histories))
-    values = np.array([history + [history[-1]] * (longest - len(history)) for history in histories], dtype=np.float64)
-    matches, residual_px = np.moveaxis(np.quantile(values, QUARTILES, axis=0), -1, 0)
-    return Convergence(len(histories), matches, residual_px)
+            self._lengths.append(len(solved))
+            self._values.extend(x for r in solved for x in (sum(r.matches.values()), r.mean_residual))
+
+    def convergence(self) -> Convergence | None:
+        """Return the convergence of the runs; None if no run has rounds of matching and solving.
+
+        A run that has ended is continued with the values of its last round; otherwise the last rounds would represent
+        the slowest runs only.
+        """
+        if not self._lengths:
+            return None
+        lengths, values = np.array(self._lengths), np.array(self._values).reshape(-1, 2)
+        first = np.cumsum(lengths) - lengths
+        places = (first + np.minimum(number, lengths - 1) for number in range(lengths.max()))
+        quartiles = np.array([np.quantile(values[place], QUARTILES, axis=0) for place in places])
+        matches, residual_px = np.moveaxis(quartiles, (2, 1), (0, 1))
+        return Convergence(len(lengths), matches, residual_px)
 
 
 def rounds_differ_much(histories: Iterable[Convergence | None]) -> tuple[bool, bool]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 import itertools
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,8 @@ from p2o.geometry.pose_error import AXES
 from p2o_study.columns import METRICS
 from p2o_study.coverage import pooled, predicted
 from p2o_study.report.bootstrap import Interval, interval
-from p2o_study.store import Planned, StoredRow, StoredStudy
+from p2o_study.report.series import Convergence, Histories
+from p2o_study.store import Planned, Store, StoredRow, StoredStudy
 from p2o_study.study import Published, limits_of
 from p2o_study.tally import Counts, RunningCounts
 
@@ -73,12 +74,16 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Group:
-    """Comparable rows: one section, one dataset, single frames or joint calibrations. `runs` is by label."""
+    """Comparable rows: one section, one dataset, single frames or joint ones. `runs` and `convergence` are by label.
+
+    Runs that a store gives by `brief_rows` lack some fields and, to save memory, their rounds: see `Summary.completed`.
+    """
 
     heading: str
     rows: tuple[Measured | Published, ...]
     comparisons: tuple[Comparison, ...]
     runs: Mapping[str, tuple[StoredRow, ...]]
+    convergence: Mapping[str, Convergence | None]
 
     @property
     def measured(self) -> tuple[Measured, ...]:
@@ -86,12 +91,17 @@ class Group:
         return tuple(row for row in self.rows if isinstance(row, Measured))
 
 
+def _unchanged(runs: Sequence[StoredRow]) -> Sequence[StoredRow]:
+    return runs
+
+
 @dataclass(frozen=True)
 class Summary:
     """A study with its rows.
 
     `norms` and `axes` are the metrics to show, `within` the limits of the study file as text, or empty. `pooled` are
-    lines on the coverage of predicted errors and on false accepts over all runs.
+    lines on the coverage of predicted errors and on false accepts over all runs. `completed` returns runs of `groups`
+    with all fields.
     """
 
     name: str
@@ -102,6 +112,7 @@ class Summary:
     within: str
     groups: tuple[Group, ...]
     pooled: tuple[str, ...] = ()
+    completed: Callable[[Sequence[StoredRow]], Sequence[StoredRow]] = _unchanged
 
 
 def error_of(run: StoredRow, metric: str) -> float | None:
@@ -110,8 +121,30 @@ def error_of(run: StoredRow, metric: str) -> float | None:
     return None if value is None else abs(value)
 
 
-def summarise_study(study: StoredStudy, runs: Sequence[StoredRow], missing: Sequence[Planned] = ()) -> Summary:
-    """Return the summary of a study from its runs, in the order of its table; `missing` are not computed yet."""
+def summarise_stored(store: Store, study: StoredStudy) -> Summary | None:
+    """Return the summary of a study in a store, which has to stay open; None without finished runs."""
+    histories: dict[str, Histories] = {}
+
+    def without_rounds() -> Iterator[StoredRow]:
+        for run in store.brief_rows(study.name):
+            histories.setdefault(run.row, Histories()).add(run)
+            yield replace(run, rounds=())
+
+    runs = list(without_rounds())
+    summary = summarise_study(study, runs, store.all_missing(study.name), histories) if runs else None
+    return None if summary is None else replace(summary, completed=store.completed)
+
+
+def summarise_study(
+    study: StoredStudy,
+    runs: Sequence[StoredRow],
+    missing: Sequence[Planned] = (),
+    histories: Mapping[str, Histories] | None = None,
+) -> Summary:
+    """Return the summary of a study from its runs, in the order of its table; `missing` are not computed yet.
+
+    `histories` are the rounds by label of the row (default: those of the runs).
+    """
     words = _study_words(study)
     asked = words.get("metrics", ())
     metrics = [metric for metric in METRICS if isinstance(asked, list) and metric in asked]
@@ -141,7 +174,9 @@ def summarise_study(study: StoredStudy, runs: Sequence[StoredRow], missing: Sequ
             rows += [p for p, place in zip(published, places, strict=True) if (number, row.label) in place]
         rows += [p for p, place in zip(published, places, strict=True) if not place and number == 0]
         own = {label: tuple(by_label[label]) for label in labels}
-        groups.append(Group(heading, tuple(rows), _comparisons(measured, own), own))
+        known = {label: Histories.of(own[label]) if histories is None else histories.get(label) for label in labels}
+        rounds = {label: None if history is None else history.convergence() for label, history in known.items()}
+        groups.append(Group(heading, tuple(rows), _comparisons(measured, own), own, rounds))
     title, note = (str(words.get(word, "")) for word in ("title", "note"))
     limits, note = "" if within is None else str(within), " ".join(note.split())
     return Summary(study.name, title or study.name, note, norms, axes, limits, tuple(groups), tuple(pooled(runs)))
