@@ -9,7 +9,10 @@ import signal
 import socket
 import subprocess
 import sys
+from collections import deque
 from collections.abc import Iterator
+from http.client import HTTPConnection
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -171,6 +174,55 @@ def test_other_pages_get_no_connection_and_nothing_is_handed_on(server: ViewServ
         connect(address, origin=origin, subprotocols=["viser-v1.1.1"])
     connect(address, origin=server.url.rstrip("/"), subprotocols=["viser-v1.1.1"]).close()
     assert server._viser.request_share_url() is None
+
+
+def test_other_names_of_this_machine_get_no_page(server: ViewServer) -> None:
+    """A foreign name may resolve to 127.0.0.1 (DNS rebinding): its pages would have the origin of this page."""
+    for host, status in ((None, 200), ("evil.example", 403), (f"evil.example:{server.port}", 403)):
+        connection = HTTPConnection(server.host, server.port)
+        connection.request("GET", "/", headers={} if host is None else {"Host": host})
+        response = connection.getresponse()
+        assert response.status == status
+        policy = response.getheader("Content-Security-Policy") or ""
+        assert ("frame-ancestors 'none'" in policy and "default-src 'self' data: blob:;" in policy) == (status == 200)
+        connection.close()
+
+
+@pytest.mark.parametrize("message", ["text", b"", b"\xff\xff", b"\x81\xa4type\xa1x"])
+def test_a_malformed_message_is_one_line(server: ViewServer, message: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    from websockets.exceptions import ConnectionClosedError
+    from websockets.sync.client import connect
+
+    address, origin = server.url.replace("http", "ws"), server.url.rstrip("/")
+    versions = [f"viser-v{version('viser')}"]
+    with connect(address, origin=origin, subprotocols=versions, max_size=None) as client:
+        client.send(message)
+        with pytest.raises(ConnectionClosedError, match="1007"):
+            deque(client, maxlen=0)
+    said = capsys.readouterr().err.splitlines()
+    assert [line[:38] for line in said] == ["p2o: ignored a malformed message of th"]
+    connect(address, origin=origin, subprotocols=versions, max_size=None).close()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1e308])
+def test_a_slider_value_that_the_page_does_not_offer_is_set_back_with_one_line(
+    server: ViewServer, value: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pose = server.session.pose
+    for control, default in (
+        (server.sliders["turn x"], 0.0),
+        (server.sliders["shift z"], 0.0),
+        (server.point_size, 4.0),
+    ):
+        control.value = value
+        assert control.value == default
+        assert "invalid value" in server.status.content
+    server.axes.value = "nonsense"
+    assert server.axes.value == "camera"
+    server.frames.value = "nonsense"
+    assert np.array_equal(server.session.pose, pose)
+    assert server.session.number == 0
+    assert capsys.readouterr().err == ""
 
 
 # ---- the command

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
-import functools
 import importlib
 import io
 import socket
+import sys
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
@@ -58,7 +59,7 @@ class PageServer(ABC):
             self.frames = self._viser.gui.add_dropdown(
                 "frame", self._frame_labels(), initial_value=self._frame_label(session.number)
             )
-            self.frames.on_update(lambda _: self._open_frame(int(self.frames.value.partition(":")[0])))
+            self.frames.on_update(lambda _: self._open_frame(_number_of(self.frames.value)))
         self.status = self._viser.gui.add_html("")
 
     @property
@@ -135,6 +136,12 @@ class PageServer(ABC):
         return f"{number}: {printable(self.session.names[number])}"
 
 
+def _number_of(label: str) -> int:
+    """Return the number in a text of the list of frames, -1 for other texts, as a foreign client may send."""
+    number = label.partition(":")[0]
+    return int(number) if number.isascii() and number.isdigit() and len(number) < 10 else -1
+
+
 def require_viser(command: str) -> Any:
     """Return the package viser; raises MethodUnavailable if it is not installed."""
     try:
@@ -174,7 +181,7 @@ def _port_error(host: str, port: int, problem: Exception | None = None) -> Input
 
 @contextlib.contextmanager
 def _same_origin(host: str, port: int) -> Iterator[None]:
-    """Make the server that viser starts within this context accept connections from its own page only.
+    """Make the server that viser starts within this context accept requests of its own page only, without tracebacks.
 
     viser does not check the origin of a connection: any other page in the same browser could read images and clouds.
     """
@@ -182,16 +189,58 @@ def _same_origin(host: str, port: int) -> Iterator[None]:
 
     from websockets.asyncio import server
 
-    origins: list[Any] = [f"http://{name}:{port}" for name in ("localhost", HOST, host)]
-    if host not in (HOST, "localhost"):
+    addresses = {f"{name}:{port}" for name in ("localhost", HOST, host)}
+    origins: list[Any] = [f"http://{address}" for address in addresses]
+    is_local = host in (HOST, "localhost")
+    if not is_local:
         # Other machines reach it by names that are unknown here.
         origins.append(re.compile(rf"http://[^/]+:{port}"))
     serve = server.serve
-    server.serve = functools.partial(serve, origins=origins)
+
+    def guarded_serve(handler: Any, *words: Any, process_request: Any = None, **options: Any) -> Any:
+        def respond(connection: Any, request: Any) -> Any:
+            # A page of another name that resolves to this machine (DNS rebinding) has its own name here.
+            if is_local and not {*request.headers.get_all("Host")} <= addresses:
+                return connection.respond(403, "unknown Host\n")
+            response = process_request(connection, request) if process_request else None
+            if response is not None:
+                response.headers["Content-Security-Policy"] = _POLICY.format(port=port)
+                response.headers["X-Content-Type-Options"] = "nosniff"
+            return response
+
+        return serve(_one_line_errors(handler), *words, process_request=respond, origins=origins, **options)
+
+    server.serve = guarded_serve
     try:
         yield
     finally:
         server.serve = serve
+
+
+_POLICY = (
+    "default-src 'self' data: blob:; script-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:; "
+    "style-src 'self' 'unsafe-inline'; connect-src 'self' data: blob: ws://*:{port}; "
+    "frame-ancestors 'none'; form-action 'none'; base-uri 'none'"
+)
+"""Content security policy of the client of viser, which unpacks itself in scripts: nothing is loaded from outside."""
+
+
+def _one_line_errors(handler: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Return a handler of connections that reports a malformed message in one line and closes its connection."""
+
+    def report(_: object, context: dict[str, Any]) -> None:
+        problem = context.get("exception") or context.get("message", "")
+        print(f"p2o: ignored a malformed message of the page: {printable(repr(problem), 200)}", file=sys.stderr)
+
+    async def handle(connection: Any) -> None:
+        asyncio.get_running_loop().set_exception_handler(report)
+        try:
+            await handler(connection)
+        except Exception as problem:
+            report(None, {"exception": problem})
+            await connection.close(1007)
+
+    return handle
 
 
 @contextlib.contextmanager

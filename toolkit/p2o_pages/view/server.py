@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from p2o.arrays import Float
-from p2o.errors import P2OError, printable
+from p2o.errors import InputError, P2OError, printable
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
 from p2o.geometry.nudge import AXES, Nudge
@@ -167,9 +167,10 @@ class ViewServer(PageServer):
             return
         self._last_request += 1
         request = self._last_request
-        with self._lock:
-            if not self._succeeds(change):
-                return
+
+        def change_and_show() -> None:
+            self._check_controls()
+            change()
             if reset_sliders:
                 self._resetting = True
                 try:
@@ -179,6 +180,21 @@ class ViewServer(PageServer):
                     self._resetting = False
             if request == self._last_request:
                 self.show()
+
+        with self._lock:
+            self._succeeds(change_and_show)
+
+    def _check_controls(self) -> None:
+        """Raise InputError for a value that the page does not offer, as a foreign client may send; it is set back."""
+        numbers = [(slider, 0.0, -slider.max, slider.max) for slider in self.sliders.values()]
+        for control, default, low, high in (*numbers, (self.point_size, 4.0, 0.5, 15.0)):
+            value = control.value
+            if not low <= value <= high:
+                control.value = default
+                raise InputError("invalid value", where=control.label, expected=f"{low:g} to {high:g}", got=value)
+        if self.axes.value not in AXES:
+            value, self.axes.value = self.axes.value, self.session.nudge.axes
+            raise InputError("unknown axes", expected=" or ".join(AXES), got=value)
 
     def _begin_at(self, which: Which, _: object) -> None:
         self._do(lambda: self.session.begin_at(which), reset_sliders=True)

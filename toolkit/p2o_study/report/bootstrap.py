@@ -85,7 +85,7 @@ def _statistics(ordered: Float, frame: Int, draws: UInt8, statistic: Statistic) 
     size = math.isqrt(len(ordered) - 1) + 1
     blocks = np.arange(len(ordered)) // size
     in_block = csr_array((np.ones(len(ordered)), (frame, blocks)), shape=(draws.shape[1], blocks[-1] + 1))
-    upto = np.cumsum(weights @ in_block, axis=1)
+    upto = np.cumsum(np.asarray(weights @ in_block), axis=1)
     resample, middles = np.arange(len(draws)), []
     for before in ((total - 1) // 2, total // 2):
         block = np.argmax(upto > before[:, None], axis=1)

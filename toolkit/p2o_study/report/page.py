@@ -124,8 +124,9 @@ def _chosen_runs(summaries: Sequence[Summary], images: OverlayImages) -> list[_R
     for runs, summary in zip(chosen, summaries, strict=True):
         for taken, group in zip(runs.groups, summary.groups, strict=True):
             for row, some in enumerate(group.runs.values()):
-                first, *rest = sorted(range(len(some)), key=lambda i: error_rank(some[i]), reverse=True) or [None]
-                order = [first, *sorted(rest, key=lambda i: some[i].key not in drawn)] if first is not None else []
+                order = sorted(range(len(some)), key=lambda i: error_rank(some[i]), reverse=True)
+                # The worst run of a row is always its first, those with overlays are next.
+                order[1:] = sorted(order[1:], key=lambda i: some[i].key not in drawn)
                 queues.append([(runs, taken, summary, row, place, some[place]) for place in order])
     left = _RUN_BYTES
     turns = (entry for turn in itertools.zip_longest(*queues) for entry in turn if entry is not None)
