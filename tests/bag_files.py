@@ -224,9 +224,14 @@ def odometry(topic: str, stamp_ns: int, place: Sequence[float]) -> Said:
     return Said(topic, "nav_msgs/msg/Odometry", stamp_ns, fields)
 
 
-def messages_of(frames: Sequence[Frame], start_ns: int = 1_700_000_000_000_000_000) -> list[Said]:
-    """Return frames as a recording: a picture and a sweep each 0.1 s, their camera, and where the sensors are."""
-    truth = frames[0].camera_from_lidar
+def messages_of(
+    frames: Sequence[Frame], start_ns: int = 1_700_000_000_000_000_000, *, drawing: Any = None
+) -> list[Said]:
+    """Return frames as a recording: a picture and a sweep each 0.1 s, their camera, and where the sensors are.
+
+    TF contains `drawing` (camera_from_lidar) where it is given, else the true pose.
+    """
+    truth = frames[0].camera_from_lidar if drawing is None else drawing
     assert truth is not None
     said = [
         tf(

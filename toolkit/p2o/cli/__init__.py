@@ -213,7 +213,7 @@ def _report(problem: BaseException) -> int:
         return problem.exit_code
     if isinstance(problem, click.UsageError):
         command = problem.ctx.command_path if problem.ctx is not None else "p2o"
-        text, status = f"{problem.format_message()}; see {command} --help", problem.exit_code
+        text, status = f"{problem.format_message().rstrip('.')}; see {command} --help", problem.exit_code
     elif isinstance(problem, click.ClickException):
         text, status = problem.format_message(), problem.exit_code
     elif isinstance(problem, OSError):

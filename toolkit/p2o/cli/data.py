@@ -87,6 +87,7 @@ def described(frame: Frame) -> str:
         *(name for name in ("right", "depth_m", "masked") if getattr(image, name) is not None),
         "truth" if frame.camera_from_lidar is not None else "no truth",
         *(name for name in ("start", "twist") if getattr(frame, name) is not None),
+        *(["no start"] if frame.start is None and frame.camera_from_lidar is None else []),
     ]
     lines = [f"{frame.name}: {', '.join(parts)}", *(f"  warning: {text}" for text in frame.warnings)]
     return "\n".join(map(printable, lines))
