@@ -32,7 +32,9 @@ def written(root: Path, width_px: int = 800, height_px: int = 300, frames: int =
     write_bag(root, messages_of(recorded, drawing=recorded[0].start), "ros1")
     for file in (root / "mine").glob("*/frame.yaml"):
         known = yaml.safe_load(file.read_text(encoding="utf-8"))
-        file.write_text(yaml.safe_dump({key: known[key] for key in KEPT if key in known}, sort_keys=False), encoding="utf-8")
+        file.write_text(
+            yaml.safe_dump({key: known[key] for key in KEPT if key in known}, sort_keys=False), encoding="utf-8"
+        )
         (file.parent / "depth.npy").unlink()
     return root
 

@@ -11,6 +11,7 @@ import p2o
 import pytest
 from p2o import se3
 from p2o.cli import main
+from p2o.cli.check import percent
 from p2o.frames.direction import Direction, pose_direction
 from p2o.results.check import CheckStatus
 from p2o.results.result_json import check_from_dict, check_to_dict, watch_from_dict
@@ -24,6 +25,13 @@ def frames() -> list[p2o.Frame]:
 
     dataset = open_dataset(DATA, p2o.Registry.load())
     return [dataset[0], dataset[1]]
+
+
+@pytest.mark.parametrize(
+    ("probability", "text"), [(1.0, "100"), (0.9961, "100"), (0.123, "12"), (0.0022, "0.22"), (5.5e-16, "5.5e-14")]
+)
+def test_a_probability_is_a_readable_percentage(probability: float, text: str) -> None:
+    assert percent(probability) == text
 
 
 @pytest.fixture(scope="module")

@@ -531,6 +531,7 @@ DIGITS = 5000 * "9"
         (["run", "--block", "p2o-calibb"], "unknown plugin to block 'p2o-calibb'"),
         (["run", "--plugin", "absent.py"], "absent.py: no such plugin file"),
         (["run", "--frobnicate"], "No such option '--frobnicate'"),
+        (["run", "--zzzqq"], "No such option '--zzzqq'; see p2o run --help"),
         (["rum"], "No such command 'rum'"),
         (["methods", "ogmm"], "unknown method 'ogmm'"),
         (["plugin", "check", "p2o-cali"], "unknown plugin or method 'p2o-cali'"),

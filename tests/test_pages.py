@@ -51,6 +51,7 @@ from tests.pages import (
 
 ELSEWHERE = {
     "docs/tutorial/first-calibration.md": "tests/test_tutorials.py",
+    "docs/tutorial/first-day.md": "tests/test_tutorials.py",
     "docs/tutorial/first-plugin.md": "tests/test_tutorials.py",
     "docs/tutorial/first-study.md": "tests/test_tutorials.py",
     "docs/tutorial/your-own-frames.md": "tests/test_tutorials.py",
@@ -101,6 +102,7 @@ SMALLER = (
 
 NOT_EXECUTED = {
     "import pandas": "pandas is not installed with p2o",
+    'copytree("mine", "wrong")': "tests/test_tutorials.py runs it on recordings",
     'conformance_cases("my-distribution")': "there is no such distribution",
 }
 """Python that is compiled, and its names of p2o looked up."""

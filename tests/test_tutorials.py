@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,7 +12,8 @@ import pytest
 import yaml
 from p2o.cli import main
 
-from tests.pages import shell_blocks
+from tests.first_day import written
+from tests.pages import python_blocks, shell_blocks
 
 FOLDER = Path(__file__).parents[1] / "docs/tutorial"
 
@@ -75,3 +77,38 @@ def test_the_first_plugin(follow: Callable[[str], str], tmp_path: Path) -> None:
         "return p2o.CloudFeatures(edges=p2o.CloudEdges(xyz[rows],"
         in (tmp_path / "acme-edges/src/acme_edges/plugin.py").read_text()
     ), "the page says to break xyz[rows]"
+
+
+def test_the_first_day(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """The lines of the page on smaller images; the verdicts of right and wrong intrinsics are those of the page."""
+    name = "docs/tutorial/first-day.md"
+    monkeypatch.chdir(written(tmp_path / "recordings", width_px=480, height_px=180, frames=6))
+    [block] = python_blocks(name)
+    commands = [c for shell in shell_blocks(name) for c in shell.commands()]
+    assert [c.text for c in commands[:2]] == ["python -m tests.first_day recordings", "cd recordings"]
+    said: list[tuple[str, int, str]] = []
+    for command in commands:
+        if command.words[0] != "p2o" or command.words[1] == "doctor":  # tests/test_doctor_command.py
+            continue
+        if "wrong" in command.words and not Path("wrong").exists():
+            focal_px = yaml.safe_load(Path("mine/scene-0000/frame.yaml").read_text())["camera"]["params"][0]
+            Path("wrong.py").write_text(block.text.replace("450.0", str(450 / 464.73 * focal_px)))
+            runpy.run_path("wrong.py")
+        # `nid` takes ten times as long as `canny`.
+        words = ["ours,canny,gmm" if word == "ours,nid,gmm" else word for word in command.words[1:]]
+        capsys.readouterr()
+        status = main(words)
+        printed = capsys.readouterr()
+        said.append((command.text, status, printed.out + printed.err))
+    for text, status, output in said:
+        wrong = "wrong.txt" in text and "--export-anyway" not in text
+        assert status == (1 if wrong else 0), f"{text}: {output}"
+    outputs = {text: output for text, _, output in said}
+    assert "no truth, no start" in outputs["p2o data check mine"]
+    assert "no start" not in outputs["p2o data check drive.bag"]
+    doubted = next(o for t, o in outputs.items() if "--out doubt" in t)
+    assert "intrinsics are in doubt" in doubted
+    assert "not exported: wrong.txt" in doubted
+    assert "wrote extrinsic.txt (matrix, trusted)" in next(o for t, o in outputs.items() if "--out bag" in t)
+    assert "off by about z -" in next(o for t, o in outputs.items() if "--extrinsic wrong.txt" in t)
+    assert Path("compared/compare.html").is_file()

@@ -132,10 +132,10 @@ def describe_check(check_result: Check | Watch) -> str:
     return "\n".join(printable(line) for line in lines)
 
 
-def _percent(probability: float) -> str:
+def percent(probability: float) -> str:
     """Return a probability in percent with two digits, without an exponent from 0.01 % on."""
-    percent = 100 * probability
-    return f"{percent:.0f}" if percent >= 10 else f"{percent:.2g}"
+    value = 100 * probability
+    return f"{value:.0f}" if value >= 10 else f"{value:.2g}"
 
 
 def _of_check(check: Check) -> list[str]:
@@ -145,7 +145,7 @@ def _of_check(check: Check) -> list[str]:
         lines.append(f"  {'axis':<12} {'':<12} {'error':>10}  {'+-':>8}  {'detectable':>12}")
         lines += [_axis(axis) for axis in check.axes]
         lines.append(
-            f"  {'all axes':<12} p-value of a correct extrinsic: {_percent(check.p_value or 0)} %; "
+            f"  {'all axes':<12} p-value of a correct extrinsic: {percent(check.p_value or 0)} %; "
             f"limits: {100 * check.power:g} % detected, {100 * check.alarm_rate:g} % false alarms"
         )
     if check.agreement is not None:
