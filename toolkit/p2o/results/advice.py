@@ -48,10 +48,16 @@ _GOOD = (
 
 
 def next_steps(result: Result) -> tuple[str, ...]:
-    """Return the advice for a result, each sentence once; for a trusted result, how to confirm it."""
+    """Return the advice for a result, each sentence once; for a trusted result, how to confirm it.
+
+    If the camera is in doubt, its advice is the first and more frames are not advised, because they repeat its error.
+    """
     steps = [] if result.status.solved else [*BY_STATUS.get(result.status, ())]
-    for reason in result.verdict.reasons:
-        steps += BY_DOUBT[reason.doubt]
+    doubts = sorted((reason.doubt for reason in result.verdict.reasons), key=lambda doubt: doubt is not Doubt.CAMERA)
+    for doubt in doubts:
+        steps += BY_DOUBT[doubt]
+    if Doubt.CAMERA in doubts:
+        steps = [step for step in steps if step != _MORE]
     if result.verdict.trusted:
         steps += _GOOD
     return tuple(dict.fromkeys(steps))
