@@ -194,7 +194,7 @@ def promises(errors: list[PoseError], likely: list[Accuracy | None]) -> str:
         first, second = (np.array([getattr(a, bound) for _, a in told]) for bound in (wide, wider))
         rank = stats.spearmanr(first, error)[0] if len(told) > 2 else float("nan")
         columns.append(f"{100 * np.mean(error <= first):.0f} % / {100 * np.mean(error <= second):.0f} % ({rank:.2f})")
-    return f"| | within the likely error | | | {columns[0]} | {columns[1]} | {len(told)} of {len(errors)} tell | | |"
+    return f"| | coverage (67 % / 95 %) | | | {columns[0]} | {columns[1]} | {len(told)} of {len(errors)} tell | | |"
 
 
 def thirds(errors: list[PoseError], likely: list[Accuracy | None]) -> dict[str, list[PoseError]]:
@@ -202,7 +202,7 @@ def thirds(errors: list[PoseError], likely: list[Accuracy | None]) -> dict[str, 
     order = np.argsort([np.inf if a is None else a.translation_m for a in likely], kind="stable")
     parts = np.array_split(order, 3)
     return {
-        f"{name} third by likely error": [errors[i] for i in p]
+        f"{name} third by predicted error": [errors[i] for i in p]
         for name, p in zip(("best", "middle", "worst"), parts, strict=True)
     }
 

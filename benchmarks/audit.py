@@ -333,7 +333,7 @@ def false_alarms(correlation: float, hours: int) -> str:
             values[at] = correlation * values[at - 1] + np.sqrt(1 - correlation**2) * fresh[at]
         steps = [EdgeStep(np.eye(4), row, np.eye(6), met, 100) for row in values]
         raised += len(watched(_names(steps), steps, rule).slips)
-    return f"noise as likely errors have it, {hours} hours: {raised} alarms, {rule.alarms_per_hour:g} per hour expected"
+    return f"noise of the predicted errors, {hours} hours: {raised} alarms, {rule.alarms_per_hour:g} per hour expected"
 
 
 def _slipped(step: EdgeStep | None, at: int, begin: int, axis: int, size: float) -> EdgeStep | None:

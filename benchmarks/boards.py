@@ -248,7 +248,7 @@ def main() -> None:
         draw(next(iter(chosen.values())), arguments.draw, arguments.frame)
         return
     print(
-        "| rig | method | poses | refused | deg, mean / median | cm, mean / median | likely error held | mean by axis |"
+        "| rig | method | poses | refused | deg, mean / median | cm, mean / median | coverage (67 %) | mean by axis |"
     )
     print("|---|---|---|---|---|---|---|---|")
     for name, rig in chosen.items():

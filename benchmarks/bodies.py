@@ -196,7 +196,7 @@ def main() -> None:
         draw(arguments.draw)
         return
     print(
-        "| rig | method | poses | refused | deg, mean / median | cm, mean / median | likely error held | mean by axis |"
+        "| rig | method | poses | refused | deg, mean / median | cm, mean / median | coverage (67 %) | mean by axis |"
     )
     print("|---|---|---|---|---|---|---|---|")
     for rig in arguments.rig or RIGS:

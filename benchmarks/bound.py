@@ -537,7 +537,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         command.add_argument("--data", default="kitti-odometry:build/data/kitti_odometry")
         command.add_argument("--frames", default="all")
         command.add_argument("--most", type=int, default=6, help="so many frames at most")
-        command.add_argument("--joint", type=int, default=1, help="so many frames together")
+        command.add_argument("--joint", type=int, default=1, help="number of frames that are calibrated jointly")
         command.add_argument("--weights", default="kitti", help="of p2ornet")
         command.add_argument("--seed", type=int, default=0, help="of starts")
         command.add_argument("--within", type=float, nargs="+", default=within, help="deg, then m (0: shift is known)")

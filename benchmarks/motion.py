@@ -209,7 +209,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--gallery", type=Path, default=Path("docs/gallery"), help="folder of the pictures")
     parser.add_argument("--only", choices=("hand-eye", "csc"), help="draw this picture alone")
-    parser.add_argument("--coverage", type=int, metavar="DRIVES", help="print likely errors against true ones")
+    parser.add_argument("--coverage", type=int, metavar="DRIVES", help="print predicted errors against true ones")
     parser.add_argument("--drive-frames", type=int, default=8, help="frames of each drive of --coverage")
     asked = parser.parse_args()
     if asked.coverage:

@@ -35,7 +35,7 @@ def main() -> None:
     views = [pipeline.prepare(frame) for frame in frames]
     print(
         "| pair | flagged (doubtful or refused) | or ambiguous | odds ratio, median | error of flagged "
-        "| error of others (medians) | likely error, median | required 0.5 deg 15 cm |"
+        "| error of others (medians) | predicted error, median | required 0.5 deg 15 cm |"
     )
     print("|---|---|---|---|---|---|---|---|")
     for kind, shift in (("right", 0), ("wrong", 7)):

@@ -34,7 +34,7 @@ def named(*names: str) -> list[str]:
 
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of one calibration with edges, rounds and a likely error."""
+    """The folder of one calibration with edges, rounds and a predicted error."""
     out = tmp_path_factory.mktemp("quick") / "out"
     words = ["--plugin", str(STAGE), "--data", "fake:?frames=1", "--extractor", "depth/rings", "--init", "given"]
     assert main(["run", *words, "--perturb", "0.5deg 0.02m", "--out", str(out)]) == 0
