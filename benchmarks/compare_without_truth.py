@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 from p2o.geometry.pose_error import pose_error
-from p2o.work.parallel import Workers
 from p2o_study.compare import compare, contenders_of
 from p2o_study.comparison import size_m
+from p2o_study.parallel import Workers
 from p2o_study.worker import Plugins
 from scipy.stats import spearmanr
 

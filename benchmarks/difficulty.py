@@ -27,7 +27,7 @@ from p2o.host.registry import Registry
 from p2o.results.evidence import Agreement
 from p2o.results.verdict import Trust
 from p2o.run.recipe import Recipe, open_dataset
-from p2o.work.parallel import limit_threads
+from p2o_study.parallel import limit_threads
 
 MATCHERS = {"stereo": "ogm", "canny": "nearest"}
 """Image sides to look at, each with the matcher that can use it."""

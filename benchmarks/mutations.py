@@ -210,7 +210,7 @@ MUTATIONS = (
         "{value.dtype.str} {value.shape};", "{value.dtype.str};",
     ),
     Mutation(
-        "held-out-frames", "learn", "leaked truth", f"{_T}/learn/train.py",
+        "held-out-frames", "p2o_train", "leaked truth", "toolkit/p2o_train/train.py",
         "for path in chosen(number, True)]", "for path in chosen(number, False)]",
     ),
     Mutation(

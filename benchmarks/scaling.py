@@ -29,9 +29,9 @@ from typing import Any
 import numpy as np
 from p2o import P2OError, Registry
 from p2o.work.cache import FeatureCache, content_hash
-from p2o.work.parallel import Workers
 from p2o_study import worker
 from p2o_study.ablate import ablate
+from p2o_study.parallel import Workers
 from p2o_study.store import FILE, Store, StoredRow
 from p2o_study.study import find_study
 

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from p2o.work.cache import FeatureCache
-from p2o.work.parallel import Workers
 from p2o_study.ablate import Ablation, ablate
+from p2o_study.parallel import Workers
 from p2o_study.store import StoredRow
 from p2o_study.study import StudyFile, parse_study
 from p2o_study.worker import Plugins

@@ -18,6 +18,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = {
     "p2o": ROOT / "toolkit/p2o",
     "p2o_study": ROOT / "toolkit/p2o_study",
+    "p2o_train": ROOT / "toolkit/p2o_train",
     "p2o_pages": ROOT / "toolkit/p2o_pages",
     "p2o_plugins": ROOT / "plugins/p2o_plugins",
     "p2o_datasets": ROOT / "plugins/p2o_datasets",
@@ -45,7 +46,7 @@ FLOORS = (
     {"calibration"},
     {"confidence"},
     {"run"},
-    {"work", "learn"},
+    {"work", "training_loop"},
     {"testing"},
     {"cli"},
 )

@@ -18,6 +18,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = (
     "toolkit/p2o",
     "toolkit/p2o_study",
+    "toolkit/p2o_train",
     "toolkit/p2o_pages",
     "plugins/p2o_plugins",
     "plugins/p2o_datasets",

@@ -20,9 +20,9 @@ from p2o.host import guard
 from p2o.host.registry import Offer
 from p2o.testing import Case, checks_for
 from p2o.work.cache import FeatureCache
-from p2o.work.parallel import Workers
 from p2o_study import worker
 from p2o_study.ablate import Ablation, ablate
+from p2o_study.parallel import Workers
 from p2o_study.study import StudyFile, parse_study
 from p2o_study.worker import Plugins
 

@@ -25,9 +25,9 @@ from p2o.run.recipe import open_dataset
 from p2o.run.words import split_data
 from p2o.testing import checks_for, stage
 from p2o.work.cache import FeatureCache
-from p2o.work.parallel import Workers
 from p2o_study import worker
 from p2o_study.ablate import Ablation, ablate
+from p2o_study.parallel import Workers
 from p2o_study.study import StudyFile, parse_study
 from p2o_study.worker import Plugins
 

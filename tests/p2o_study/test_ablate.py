@@ -23,10 +23,9 @@ import p2o
 import pytest
 from p2o import InputError, MethodUnavailable, P2OError, se3
 from p2o.cli import main
-from p2o.work import parallel
-from p2o.work.parallel import Workers
-from p2o_study import worker
+from p2o_study import parallel, worker
 from p2o_study.ablate import parse_seeds
+from p2o_study.parallel import Workers
 from p2o_study.store import Store
 from p2o_study.study import Published, RowTable, Study, check_study, parse_study
 from p2o_study.worker import Plugins
@@ -240,7 +239,7 @@ def test_a_plugin_that_crashes_with_one_job_is_a_row_and_its_worker_prints_nothi
 def test_jobs_run_in_this_process_where_no_worker_can_be_started(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("p2o.work.parallel._cannot_start", lambda: "/dev/shm: Read-only file system")
+    monkeypatch.setattr("p2o_study.parallel._cannot_start", lambda: "/dev/shm: Read-only file system")
     with Workers(2).start() as run:
         assert list(run(abs, iter([-1, -2]), lambda job, problem: job)) == [1, 2]
     [line] = capsys.readouterr().err.splitlines()

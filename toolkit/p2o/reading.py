@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from p2o.host.calibration_file import read_camera_file as read_camera_file
     from p2o.host.calibration_file import read_extrinsic_file as read_extrinsic_file
     from p2o.host.calibration_file import read_initial_guess as read_initial_guess
-    from p2o.learn.training_loop import read_tensors as read_tensors, write_tensors as write_tensors
+    from p2o.training_loop import read_tensors as read_tensors, write_tensors as write_tensors
     from p2o.options import validated as validated
     from p2o.results.figures import provenance as provenance
     from p2o.results.result_json import result_from_dict as result_from_dict, result_to_json as result_to_json

@@ -19,10 +19,10 @@ from typing import Any, Literal
 from p2o.errors import InputError
 from p2o.host.registry import DISTRIBUTION
 from p2o.work.cache import FeatureCache
-from p2o.work.parallel import Run, Workers
 
 from p2o_study import worker
 from p2o_study.cells import Cell, Cells, FeatureKeys, InitialGuess, OpenRow, open_rows
+from p2o_study.parallel import Run, Workers
 from p2o_study.store import Planned, Store, StoredRow, StoredStudy
 from p2o_study.study import LARGEST_SEED, MAX_ROWS, MAX_SEEDS, Study, StudyFile, StudyRow, check_study
 from p2o_study.worker import CalibrateJob, ExtractJob, FrameRecord, Plugins, ReadJob, Source

@@ -28,7 +28,6 @@ from p2o.run.presets import Preset, preset_of, presets
 from p2o.run.recipe import Plan, Recipe, open_dataset
 from p2o.run.run import start_of
 from p2o.work.cache import FeatureCache, features_key
-from p2o.work.parallel import Workers
 
 from p2o_study import ablate as studies
 from p2o_study import comparison as figures
@@ -37,6 +36,7 @@ from p2o_study.ablate import MAX_CALIBRATIONS, Ablation
 from p2o_study.basin import study_file
 from p2o_study.cells import OpenRow, open_rows
 from p2o_study.comparison import MIN_GROUPS
+from p2o_study.parallel import Workers
 from p2o_study.store import StoredRow
 from p2o_study.study import StudyFile, check_study
 from p2o_study.worker import FrameRecord, Plugins, ReadJob, Source

@@ -35,10 +35,10 @@ from p2o.run.joined import JoinedFrames
 from p2o.run.read_again import FrameInfo, ReadAgain
 from p2o.run.recipe import Part, Plan, Recipe, open_dataset
 from p2o.work.cache import FeatureCache, content_hash, features_key
-from p2o.work.parallel import limit_threads
 
 from p2o_study.damage import Damage
 from p2o_study.machine import machine_info
+from p2o_study.parallel import limit_threads
 from p2o_study.store import StoredRow
 
 _Key = TypeVar("_Key", bound=Hashable)

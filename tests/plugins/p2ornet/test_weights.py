@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 from p2o import InputError
-from p2o.learn.training_loop import write_tensors
+from p2o.training_loop import write_tensors
 from p2o_plugins.p2ornet.design import Shape
 from p2o_plugins.p2ornet.network import P2ORNet
 from p2o_plugins.p2ornet.weights import load_weights, save_weights

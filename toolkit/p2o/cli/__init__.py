@@ -26,8 +26,6 @@ _COMMANDS = {
     "methods": "List the installed methods, or explain one with all its options.",
     "plugin": "List the installed plugins, create a package for your own, or check one.",
     "data": "List, check, show or select the frames of a dataset, or list the topics of a bag.",
-    "labels": "Write the training labels of frames, one file per frame.",
-    "train": "Train a method on frames, or resume a training.",
     "doctor": "Check whether this installation works, and what is missing.",
 }
 """Name and one-line help of the commands of this package; the code of `a-b` is in `p2o.cli.a_b`, as `command`."""

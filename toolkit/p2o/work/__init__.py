@@ -1,1 +1,1 @@
-"""How work is kept and shared: the cache by content, hashes of code, several processes."""
+"""How work is kept and shared: the cache by content, hashes of code."""

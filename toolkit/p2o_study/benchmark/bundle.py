@@ -21,7 +21,6 @@ from p2o.files.parsed_text import parse_json
 from p2o.files.whole_file import write_whole
 from p2o.geometry.pose_error import pose_error
 from p2o.options import validated
-from p2o.work.parallel import Workers
 from pydantic import BaseModel, ConfigDict, Field
 
 from p2o_study.ablate import OnProgress, OnWarning, ablate
@@ -32,6 +31,7 @@ from p2o_study.benchmark.row import Digest, FrameData, Row, latest, merged, pars
 from p2o_study.benchmark.suite import SuiteFile
 from p2o_study.cells import Cell
 from p2o_study.machine import machine_info
+from p2o_study.parallel import Workers
 from p2o_study.store import StoredRow
 from p2o_study.study import Line, Slug
 from p2o_study.worker import Plugins

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import p2o
 from p2o.results.result import Status
-from p2o.work.parallel import Workers
 
 from p2o_study.ablate import OnProgress, OnWarning, ablate
 from p2o_study.benchmark.plan import GIVEN, State, Task, by_identity, state_of
@@ -19,6 +18,7 @@ from p2o_study.benchmark.results import Results
 from p2o_study.benchmark.row import FrameOfRow, Machine, Method, Predicted, Row
 from p2o_study.benchmark.suite import SuiteFile
 from p2o_study.cells import Cell
+from p2o_study.parallel import Workers
 from p2o_study.store import StoredRow
 from p2o_study.worker import Plugins
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from p2o.work.parallel import Workers
-
 from p2o_study.ablate import OnProgress, OnWarning, read_cells
 from p2o_study.benchmark.plan import State, Task, by_identity, state_of
 from p2o_study.benchmark.results import Results
 from p2o_study.benchmark.row import latest, place_of
 from p2o_study.benchmark.suite import SuiteFile
 from p2o_study.cells import Method
+from p2o_study.parallel import Workers
 from p2o_study.worker import Plugins
 
 

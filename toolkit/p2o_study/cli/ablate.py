@@ -112,10 +112,10 @@ def command(
         raise InputError("the reference has no file", where="--update", expected="--gate FILE")
 
     from p2o.runtime.native import available_cores
-    from p2o.work.parallel import Workers
 
     from p2o_study import gate as gates
     from p2o_study.ablate import ablate, parse_seeds
+    from p2o_study.parallel import Workers
     from p2o_study.study import StudyFile, find_study
     from p2o_study.tally import table
 

@@ -69,10 +69,10 @@ def command(
     from p2o.draw.plots import heat_maps
     from p2o.files.whole_file import write_json
     from p2o.geometry.perturb import parse_perturbation
-    from p2o.work.parallel import Workers
 
     from p2o_study.ablate import MAX_CALIBRATIONS, ablate
     from p2o_study.basin import Grid, basin_of, basin_study, contender_of
+    from p2o_study.parallel import Workers
     from p2o_study.study import find_study
     from p2o_study.worker import Plugins
 

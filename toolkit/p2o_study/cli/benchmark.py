@@ -104,10 +104,9 @@ def run(
 
     Exit status 1 if a calibration raised or is missing, 130 if interrupted.
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
-    from p2o.work.parallel import Workers
-
     from p2o_study.benchmark.measure import measure
     from p2o_study.benchmark.results import Results
+    from p2o_study.parallel import Workers
 
     file, plugins = _opened(suite, suites, data, root, plugin, block)
     folder = Path("p2o-out") / "benchmark" / file.name if store is None else Path(store)
@@ -159,11 +158,10 @@ def status(
 
     Exit status 1 if a row is missing or stale.
     """
-    from p2o.work.parallel import Workers
-
     from p2o_study.benchmark.results import Results
     from p2o_study.benchmark.status import status_of
     from p2o_study.benchmark.suite import suite_names
+    from p2o_study.parallel import Workers
 
     if suite is None and data:
         raise click.UsageError("--data needs the name of a suite; --root is for all")
@@ -357,10 +355,9 @@ def verify(
 
     Exit status 1 if the bundle is refused, 2 if it is not a bundle.
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
-    from p2o.work.parallel import Workers
-
     from p2o_study.benchmark import bundle as bundles
     from p2o_study.benchmark.suite import suite_names
+    from p2o_study.parallel import Workers
     from p2o_study.worker import Plugins
 
     name = bundles.read_bundle(Path(bundle))[0].suite if suite is None else suite

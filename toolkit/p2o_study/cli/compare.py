@@ -59,10 +59,10 @@ def command(
     Exit status 1 if a calibration crashed or a method gives no estimate, 2 for wrong input, 130 if interrupted.
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     from p2o.files.whole_file import json_text, write_json, write_whole
-    from p2o.work.parallel import Workers
 
     from p2o_study.ablate import parse_seeds
     from p2o_study.compare import BLIND, compare, contenders_of
+    from p2o_study.parallel import Workers
     from p2o_study.report.comparison_page import comparison_page, comparison_text
     from p2o_study.worker import Plugins
 

@@ -9,14 +9,14 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 import click
-
 from p2o.cli.plugin_options import plugin_options
 from p2o.cli.progress import LINE_INTERVAL_S, duration_text
 from p2o.errors import printable
 
 if TYPE_CHECKING:
     from p2o.host.method import TrainingProgress
-    from p2o.learn.train import LabelProgress
+
+    from p2o_train.train import LabelProgress
 
 
 def training_data_options(command: Callable[..., Any]) -> Callable[..., Any]:

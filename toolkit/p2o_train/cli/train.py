@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import click
-
 from p2o.cli.plugin_options import load
-from p2o.cli.training_progress import shown, training_data_options
 from p2o.errors import InputError, UnknownNameError, printable
+
+from p2o_train.cli.progress import shown, training_data_options
 
 if TYPE_CHECKING:
     from p2o.host.method import Trainer
@@ -63,7 +63,8 @@ def command(
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     from p2o.cli.out_dir import OutDir
     from p2o.host.guard import trainer_of
-    from p2o.learn.train import sources_of, train, trainable, usage
+
+    from p2o_train.train import sources_of, train, trainable, usage
 
     if not all(map(math.isfinite, shares)):
         raise InputError("the share is not finite", where="--share", expected="more than 0", got=max(shares))

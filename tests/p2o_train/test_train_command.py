@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from p2o import Registry, Trainer
 from p2o.cli import main
-from p2o.cli.training_progress import Shown
 from p2o.errors import PluginError
 from p2o.files.file_names import distinct_names
+from p2o_train.cli.progress import Shown
 
 PLUGIN = ["--plugin", str(Path(__file__).with_name("trainer_plugin.py"))]
 STREETS = "synthetic:?scenes=2&width_px=160&height_px=96&right=false&lidar=vlp-16"

@@ -9,7 +9,7 @@ from types import ModuleType
 import pytest
 import torch
 from p2o import InputError, TrainingProgress
-from p2o.learn.training_loop import TrainingLog, TrainingState, cosine_rate, run_steps
+from p2o.training_loop import TrainingLog, TrainingState, cosine_rate, run_steps
 
 
 class Events:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import click
-
 from p2o.cli.plugin_options import load
-from p2o.cli.training_progress import shown, training_data_options
 from p2o.errors import printable
+
+from p2o_train.cli.progress import shown, training_data_options
 
 
 @click.command("labels")
@@ -32,7 +32,8 @@ def command(
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     from p2o.cli.out_dir import OutDir
     from p2o.host.guard import trainer_of
-    from p2o.learn.train import sources_of, trainable, write_labels
+
+    from p2o_train.train import sources_of, trainable, write_labels
 
     registry = load(**plugins)
     offer = trainable(method, registry)

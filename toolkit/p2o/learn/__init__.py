@@ -1,1 +1,0 @@
-"""Training of methods that learn, and their label files."""
