@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 from p2o import Checkerboard, Frame, Registry, Result, pose_error, se3
 from p2o.arrays import Float
+from p2o.cache import FeatureCache, content_hash
 from p2o.geometry.perturb import parse_perturbation
 from p2o.run.recipe import Recipe
-from p2o.work.cache import FeatureCache, content_hash
 from p2o_baselines import acsc, domhof, geiger, koo, mirzaei, velas, velo2cam, zhou
 from p2o_baselines.boards.holes_in_sweep import HoleBoardInSweep
 from p2o_baselines.boards.pairing import paired

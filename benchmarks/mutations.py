@@ -206,7 +206,7 @@ MUTATIONS = (
         f"{_T}/results/accuracy.py",
     ),
     Mutation(
-        "array-shape", "work", "wrong key", f"{_T}/work/cache.py",
+        "array-shape", "cache", "wrong key", f"{_T}/cache.py",
         "{value.dtype.str} {value.shape};", "{value.dtype.str};",
     ),
     Mutation(

@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 from p2o import P2OError, Registry
-from p2o.work.cache import FeatureCache, content_hash
+from p2o.cache import FeatureCache, content_hash
 from p2o_study import worker
 from p2o_study.ablate import ablate
 from p2o_study.parallel import Workers

@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 from p2o.arrays import Float
+from p2o.cache import FeatureCache, content_hash
 from p2o.features.view import View
 from p2o.frames.frame import Frame
 from p2o.frames.selection import select
 from p2o.host.registry import Registry
 from p2o.run.recipe import Plan, Recipe
-from p2o.work.cache import FeatureCache, content_hash, features_key
+from p2o_study.keys import features_key
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from p2o.work.cache import FeatureCache
+from p2o.cache import FeatureCache
 from p2o_study.ablate import Ablation, ablate
 from p2o_study.parallel import Workers
 from p2o_study.store import StoredRow

@@ -43,10 +43,9 @@ FLOORS = (
     {"results"},
     {"problems", "draw"},
     {"host"},
-    {"calibration"},
+    {"calibration", "cache", "training_loop"},
     {"confidence"},
     {"run"},
-    {"work", "training_loop"},
     {"testing"},
     {"cli"},
 )

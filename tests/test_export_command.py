@@ -12,7 +12,7 @@ import pytest
 from p2o import Recipe, Registry
 from p2o.cli import main
 from p2o.results.figures import result_lines
-from p2o.work.cache import method_content
+from p2o_study.keys import method_content
 
 PLUGIN = Path(__file__).with_name("stage_plugin.py")
 DOUBTFUL = ["--plugin", str(PLUGIN), "--calibrator", "spy", "--perturb", "2deg 0.1m", "--witness", "none"]

@@ -15,11 +15,11 @@ from typing import Any
 import p2o
 import pytest
 from p2o import Kind
+from p2o.cache import FeatureCache
 from p2o.cli import main
 from p2o.host import guard
 from p2o.host.registry import Offer
 from p2o.testing import Case, checks_for
-from p2o.work.cache import FeatureCache
 from p2o_study import worker
 from p2o_study.ablate import Ablation, ablate
 from p2o_study.parallel import Workers

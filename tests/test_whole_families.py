@@ -17,6 +17,7 @@ import p2o
 import pytest
 import threadpoolctl
 from p2o import Kind, Registry, Status, se3
+from p2o.cache import FeatureCache
 from p2o.calibration.options import PipelineOptions
 from p2o.cli import main
 from p2o.geometry.perturb import parse_perturbation
@@ -24,7 +25,6 @@ from p2o.host.guard import GuardedCalibrator
 from p2o.run.recipe import open_dataset
 from p2o.run.words import split_data
 from p2o.testing import checks_for, stage
-from p2o.work.cache import FeatureCache
 from p2o_study import worker
 from p2o_study.ablate import Ablation, ablate
 from p2o_study.parallel import Workers

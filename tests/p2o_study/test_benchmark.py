@@ -10,7 +10,7 @@ import numpy as np
 import p2o
 import pytest
 from p2o.errors import InputError
-from p2o.work import sources
+from p2o_study import sources
 from p2o_study.benchmark.row import MAX_LINE_BYTES, FrameData, Row, add_records, latest, parsed_line, read_records
 from p2o_study.benchmark.suite import FOLDER, find_suite, suite_names
 

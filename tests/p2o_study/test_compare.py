@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 from p2o import InputError, UnknownNameError, se3
+from p2o.cache import FeatureCache
 from p2o.cli import main
 from p2o.run.presets import Preset
-from p2o.work.cache import FeatureCache
 from p2o_study import compare as module
 from p2o_study import comparison as figures
 from p2o_study.compare import Comparison, compare, contenders_of, family_of, split_frames

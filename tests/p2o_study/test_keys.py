@@ -8,11 +8,11 @@ from pathlib import Path
 import p2o
 import pytest
 from p2o.run.recipe import Recipe
-from p2o.work import sources
-from p2o.work.cache import features_key, method_content
-from p2o.work.sources import code_of
 from p2o_plugins.p2ornet import shipped
+from p2o_study import sources
 from p2o_study.cells import CANNOT_ALTER_A_POSE, Method, calibration_code
+from p2o_study.keys import features_key, method_content
+from p2o_study.sources import code_of
 from p2o_study.study import check_study, parse_study
 
 STUDY = """

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import pytest
 from p2o import InputError
+from p2o.cache import FeatureCache
 from p2o.cli import main
-from p2o.work.cache import FeatureCache
 from p2o_study import worker
 from p2o_study.store import Store, StoredRow
 

@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from p2o.cache import FeatureCache
 from p2o.errors import InputError
 from p2o.host.registry import DISTRIBUTION
-from p2o.work.cache import FeatureCache
 
 from p2o_study import worker
 from p2o_study.cells import Cell, Cells, FeatureKeys, InitialGuess, OpenRow, open_rows

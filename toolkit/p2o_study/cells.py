@@ -12,6 +12,7 @@ from itertools import accumulate
 from typing import Any
 
 from p2o.arrays import Float
+from p2o.cache import content_hash
 from p2o.errors import InputError, P2OError
 from p2o.frames.frame import Frame
 from p2o.frames.selection import select
@@ -23,12 +24,12 @@ from p2o.run.assembly import INPUTS
 from p2o.run.recipe import Part, Plan, open_dataset
 from p2o.run.run import common_pose, listed_errors, start_of
 from p2o.run.words import split_data
-from p2o.work.cache import content_hash, features_key, method_content
-from p2o.work.sources import Code, code_of
 
 from p2o_study import worker
 from p2o_study.damage import STAGE as DAMAGE
 from p2o_study.damage import Damage
+from p2o_study.keys import features_key, method_content
+from p2o_study.sources import Code, code_of
 from p2o_study.store import Planned, StoredRow
 from p2o_study.study import ALL_JOINT, BY_CAMERA, MAX_SEEDS, StudyRow, with_place
 from p2o_study.worker import FrameRecord, Plugins, Source
@@ -38,11 +39,13 @@ _INPUT_STAGES = ("data", "accumulate")
 
 CANNOT_ALTER_A_POSE = (
     # They resolve methods and read frames: the outcome is in the key by its content.
+    "p2o.cache",
     "p2o.host.hookspecs",
     "p2o.host.registry",
     "p2o.run.joined",
     "p2o.run.recipe",
-    "p2o.work",
+    "p2o_study.keys",
+    "p2o_study.sources",
     # They store, display and export results.
     "p2o.calibration_files",
     "p2o.cli",

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from p2o.arrays import Float
+from p2o.cache import FeatureCache
 from p2o.calibration.algorithm import EDGES
 from p2o.calibration.judge import DirectedJudge
 from p2o.errors import InputError, P2OError
@@ -27,7 +28,6 @@ from p2o.run.pipeline import Pipeline
 from p2o.run.presets import Preset, preset_of, presets
 from p2o.run.recipe import Plan, Recipe, open_dataset
 from p2o.run.run import start_of
-from p2o.work.cache import FeatureCache, features_key
 
 from p2o_study import ablate as studies
 from p2o_study import comparison as figures
@@ -36,6 +36,7 @@ from p2o_study.ablate import MAX_CALIBRATIONS, Ablation
 from p2o_study.basin import study_file
 from p2o_study.cells import OpenRow, open_rows
 from p2o_study.comparison import MIN_GROUPS
+from p2o_study.keys import features_key
 from p2o_study.parallel import Workers
 from p2o_study.store import StoredRow
 from p2o_study.study import StudyFile, check_study

@@ -21,6 +21,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 from p2o.arrays import Float, leaves
+from p2o.cache import FeatureCache, content_hash
 from p2o.errors import InputError, P2OError
 from p2o.frames.frame import Frame
 from p2o.geometry.camera import Camera
@@ -34,9 +35,9 @@ from p2o.run.assembly import INPUTS, Assembly, given
 from p2o.run.joined import JoinedFrames
 from p2o.run.read_again import FrameInfo, ReadAgain
 from p2o.run.recipe import Part, Plan, Recipe, open_dataset
-from p2o.work.cache import FeatureCache, content_hash, features_key
 
 from p2o_study.damage import Damage
+from p2o_study.keys import features_key
 from p2o_study.machine import machine_info
 from p2o_study.parallel import limit_threads
 from p2o_study.store import StoredRow

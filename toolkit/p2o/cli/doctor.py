@@ -172,8 +172,8 @@ def _gpu() -> Iterator[_Outcome]:
 
 
 def _cache() -> Iterator[_Outcome]:
+    from p2o.cache import cache_folder
     from p2o.files.whole_file import make_writable
-    from p2o.work.cache import cache_folder
 
     folder = cache_folder()
     try:

@@ -254,6 +254,12 @@ def _installed_registry(selection: str | None) -> Registry:
     return Registry.load(None if selection is None else selection.split(","))
 
 
+@cache
+def plugin_packages() -> frozenset[str]:
+    """Return the top-level packages that p2o and the installed plugins are in."""
+    return frozenset({"p2o", *(entry.module.partition(".")[0] for entry in entry_points(group=GROUP))})
+
+
 def _matches(offer: Offer, name: str) -> bool:
     bare, at, dist = name.partition("@")
     return offer.name == bare and (not at or _slug(dist) == _slug(offer.dist))

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from p2o.arrays import leaves, parts
+from p2o.cache import FeatureCache, why_not_kept
 from p2o.testing.subject import require
-from p2o.work.cache import FeatureCache, why_not_kept
 
 _PLAIN = (str, bool, int, float, type(None))
 

@@ -10,6 +10,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from p2o.arrays import Float, UInt8
+from p2o.cache import FeatureCache, content_hash
 from p2o.draw.one_file import jpeg_uri
 from p2o.errors import InputError, P2OError
 from p2o.frames.scale import image_at_scale
@@ -18,9 +19,9 @@ from p2o.run.assembly import Assembly
 from p2o.run.part import Part
 from p2o.run.recipe import Recipe
 from p2o.run.words import data_by_name, split_data
-from p2o.work.cache import FeatureCache, content_hash, features_key
 
 from p2o_study.damage import Damage, split_options
+from p2o_study.keys import features_key
 from p2o_study.report.summary import Summary
 from p2o_study.report.worst import error_rank
 from p2o_study.store import StoredRow

@@ -10,15 +10,13 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache, cached_property, lru_cache, partial
-from importlib.metadata import entry_points
 from pathlib import Path
 from types import CodeType, FunctionType, MethodType
 from typing import Any
 
 import numpy as np
-
 from p2o.arrays import parts
-from p2o.host.registry import GROUP
+from p2o.host.registry import plugin_packages
 
 
 def _words(text: str) -> frozenset[str]:
@@ -377,12 +375,6 @@ def code_of(*starts: Callable[..., Any], leave_out: Iterable[str] = ()) -> Code:
     packages = plugin_packages() | {_package_of(start) for start in starts}
     code = _code_of(tuple(sorted(targets)), packages, tuple(leave_out))
     return Code({**code.definitions, "values": repr(values)}, code.locates_files)
-
-
-@cache
-def plugin_packages() -> frozenset[str]:
-    """Return the top-level packages that p2o and the installed plugins are in."""
-    return frozenset({"p2o", *(entry.module.partition(".")[0] for entry in entry_points(group=GROUP))})
 
 
 @cache
