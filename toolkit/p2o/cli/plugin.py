@@ -8,10 +8,10 @@ import click
 
 from p2o.cli import plugin_check, plugin_list
 from p2o.cli.plugin_options import load
+from p2o.host.slots import Kind
 
-_SLOTS = ["image-extractor", "cloud-extractor", "matcher", "solver", "initializer", "calibrator", "accumulator"]
-_SLOTS += ["dataset", "exporter", "calibration-reader"]
-"""Repeated here, so that `p2o plugin new --help` imports no other module."""
+_SLOTS = [kind.value.replace(" ", "-") for kind in Kind]
+"""The keys of `p2o.cli.new_plugin.SLOT_WORDS`, without its imports, which `p2o plugin new --help` does not need."""
 
 
 @click.group("plugin")

@@ -6,6 +6,7 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from p2o.errors import printable
+from p2o.geometry.pose_error import AXES
 from p2o.results.figures import accuracy_text, result_lines, result_name, status_text
 from p2o.results.verdict import Trust
 from p2o.run.protocol import figures_text
@@ -17,8 +18,6 @@ if TYPE_CHECKING:
     from p2o.geometry.pose_error import PoseError
     from p2o.results.result import Result, RigResult
     from p2o.run.run import FailedFrame, Row, Run
-
-_AXES = (("roll", "deg"), ("pitch", "deg"), ("yaw", "deg"), ("x", "m"), ("y", "m"), ("z", "m"))
 
 
 def describe(row: Row) -> str:
@@ -101,9 +100,9 @@ def _pose(label: str, pose: Float) -> list[str]:
 
 
 def _errors(before: PoseError, after: PoseError) -> list[str]:
-    head = "  ".join(f"{axis:>7}" for axis, _ in _AXES)
+    head = "  ".join(f"{axis.partition('_')[0]:>7}" for axis in AXES)
     lines = [f"  {'error':<9} {'deg':>7}  {'m':>7}  {head}"]
     for label, error in (("initial", before), ("result", after)):
-        axes = "  ".join(f"{error.per_axis[f'{axis}_{unit}']:>7.3f}" for axis, unit in _AXES)
+        axes = "  ".join(f"{error.per_axis[axis]:>7.3f}" for axis in AXES)
         lines.append(f"    {label:<7} {error.rotation_deg:>7.3f}  {error.translation_m:>7.3f}  {axes}")
     return lines

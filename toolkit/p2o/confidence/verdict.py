@@ -112,34 +112,29 @@ _PARAMETERS = ("focal length", "radial distortion", "principal point x", "princi
 def checks_of(estimate: NuisanceEstimate, cameras: Sequence[Camera]) -> tuple[CameraCheck, ...]:
     """Return the errors of the cameras as checks of a result; `cameras` are those of all frames."""
     if estimate.intrinsics is not None:
-        return tuple(_check(fit, cameras.count(fit.camera)) for fit in estimate.intrinsics.fits)
+        return tuple(_uncorrected(fit, cameras.count(fit.camera)) for fit in estimate.intrinsics.fits)
     if not estimate.cameras_corrected:
         return ()
     errors = estimate.nuisance.errors
-    corrected = [replace(fit, error=errors[fit.camera]) for fit in estimate.cameras if fit.camera in errors]
-    return tuple(
-        CameraCheck(
-            frames=cameras.count(fit.camera),
-            camera=fit.camera,
-            better=fit.error.corrected(fit.camera),
-            focal=fit.error.focal,
-            focal_sigma=float(np.sqrt(fit.covariance[0, 0])),
-            radial=fit.error.radial,
-            radial_sigma=float(np.sqrt(fit.covariance[1, 1])),
-            shift_px=fit.error.shift_px(fit.camera),
-            shift_sigma_px=fit.sigma_px,
-            corrected=True,
-            x_px=fit.error.x_px,
-            y_px=fit.error.y_px,
-        )
-        for fit in corrected
+    fits = [replace(fit, error=errors[fit.camera]) for fit in estimate.cameras if fit.camera in errors]
+    return tuple(_check(fit, cameras.count(fit.camera), corrected=True) for fit in fits)
+
+
+def _uncorrected(fit: IntrinsicFit, frames: int) -> CameraCheck:
+    """Return a check of a camera that was not corrected."""
+    x_sigma, y_sigma = np.sqrt(np.diag(fit.covariance)[2:]).tolist()
+    return replace(
+        _check(RadialFit(fit.camera, fit.error, fit.covariance[:2, :2]), frames, corrected=False),
+        x_sigma_px=x_sigma * fit.camera.focal_px,
+        y_sigma_px=y_sigma * fit.camera.focal_px,
+        evidence=fit.evidence,
+        wrong=tuple(name for name, wrong in zip(_PARAMETERS, fit.significant, strict=True) if wrong),
     )
 
 
-def _check(fit: IntrinsicFit, frames: int) -> CameraCheck:
-    """Return a check of a camera that was not corrected."""
-    radial = RadialFit(fit.camera, fit.error, fit.covariance[:2, :2])
-    focal_sigma, radial_sigma, x_sigma, y_sigma = np.sqrt(np.diag(fit.covariance)).tolist()
+def _check(fit: RadialFit, frames: int, *, corrected: bool) -> CameraCheck:
+    """Return a check of a camera by the error and the covariance of a fit."""
+    focal_sigma, radial_sigma = np.sqrt(np.diag(fit.covariance)).tolist()
     return CameraCheck(
         frames=frames,
         camera=fit.camera,
@@ -149,14 +144,10 @@ def _check(fit: IntrinsicFit, frames: int) -> CameraCheck:
         radial=fit.error.radial,
         radial_sigma=radial_sigma,
         shift_px=fit.error.shift_px(fit.camera),
-        shift_sigma_px=radial.sigma_px,
-        corrected=False,
+        shift_sigma_px=fit.sigma_px,
+        corrected=corrected,
         x_px=fit.error.x_px,
-        x_sigma_px=x_sigma * fit.camera.focal_px,
         y_px=fit.error.y_px,
-        y_sigma_px=y_sigma * fit.camera.focal_px,
-        evidence=fit.evidence,
-        wrong=tuple(name for name, wrong in zip(_PARAMETERS, fit.significant, strict=True) if wrong),
     )
 
 

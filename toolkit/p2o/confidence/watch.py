@@ -98,22 +98,19 @@ def detectable(sigma: Float, correlation: float, rule: Rule) -> tuple[Detectable
 
 def _smallest_shift(count: int, correlation: float, rule: Rule) -> float | None:
     """Return the shift, in standard deviations of `count` values, whose expected chart reaches the limit; else None."""
+    from scipy.optimize import brentq
+
     before = np.arange(rule.settle, count)
     if not len(before):
         return None
     # The mean of all previous values follows the shift: n of k previous values are those before it.
     share = rule.settle / before * np.sqrt(before / (before + 1.0)) * np.sqrt((1 - correlation) / (1 + correlation))
+    limit = rule.limit
 
-    def reaches(shift: float) -> bool:
-        return bool(np.cumsum(shift * share - rule.slack).max() > rule.limit)
+    def excess(shift: float) -> float:
+        return float(np.cumsum(shift * share - rule.slack).max()) - limit
 
-    low, high = 0.0, CLIP
-    if not reaches(high):
-        return None
-    for _ in range(30):
-        middle = (low + high) / 2
-        low, high = (low, middle) if reaches(middle) else (middle, high)
-    return high
+    return float(brentq(excess, 0.0, CLIP)) if excess(CLIP) > 0 else None
 
 
 def _mean(errors: Float, sigma: Float) -> Float:

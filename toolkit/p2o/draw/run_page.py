@@ -23,6 +23,7 @@ from p2o.files.parsed_text import parse_json
 from p2o.files.whole_file import write_errors, write_whole
 from p2o.geometry import se3
 from p2o.geometry.pose_error import AXES
+from p2o.geometry.pose_text import numbers
 from p2o.geometry.rpy import rpy_of
 from p2o.results.advice import next_steps
 from p2o.results.figures import result_lines, result_name, status_text
@@ -253,11 +254,11 @@ def _image(path: Path) -> UInt8:
 
 def _rig(rig: Mapping[str, Any]) -> dict[str, Any]:
     """Return the common result of a rig in the form of the template; values of other types count as unknown."""
-    accuracy, body = _map(rig.get("accuracy")), _pose(rig.get("body_from_lidar"))
+    accuracy, body = _map(rig.get("accuracy")), numbers(rig.get("body_from_lidar"), (4, 4))
     cameras = []
     for its in map(_map, rig.get("cameras") or ()):
-        numbers = (("rotation_deg", 2), ("translation_m", 3), ("chi_square", 1))
-        values = [number_text(its.get(name), places) for name, places in numbers]
+        figures = (("rotation_deg", 2), ("translation_m", 3), ("chi_square", 1))
+        values = [number_text(its.get(name), places) for name, places in figures]
         cameras.append([its.get("name"), *values, its.get("left_out", "")])
     return {
         "verdict": {"trust": str(_map(rig.get("verdict")).get("trust"))},
@@ -270,17 +271,6 @@ def _rig(rig: Mapping[str, Any]) -> dict[str, Any]:
 
 def _matrix(pose: Float) -> str:
     return "[" + ",\n ".join(listed(row) for row in matrix_rows(np.round(pose, _DECIMALS))) + "]"
-
-
-def _pose(value: Any) -> Float | None:
-    """Return a transform (4, 4) of JSON, None for anything else."""
-    if value is None:
-        return None
-    try:
-        matrix = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        return None
-    return matrix if matrix.shape == (4, 4) and np.isfinite(matrix).all() else None
 
 
 def _map(value: Any) -> Mapping[str, Any]:

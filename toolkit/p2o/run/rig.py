@@ -14,7 +14,7 @@ from pydantic import Field
 
 from p2o.arrays import Float
 from p2o.errors import InputError, UnknownNameError
-from p2o.files.input_file import expanded, read_text
+from p2o.files.input_file import expanded, naming, read_text
 from p2o.files.parsed_text import parse_json, parse_yaml
 from p2o.frames.frame import check_camera_name
 from p2o.geometry import se3
@@ -194,11 +194,8 @@ def _places(
     """Return camera_from_body (4, 4) of each camera when its image was taken, or none at all, and remarks."""
     words = {}
     for name, camera in cameras.items():
-        try:
+        with naming(Path(f"{where}, {name}")):
             words[name] = camera.place
-        except InputError as problem:
-            place = f"{where}, {name}"
-            raise InputError(problem.what, where=place, expected=problem.expected, got=problem.got) from None
     used = {word for word in words.values() if word}
     if len(used) > 1:
         text = "the places of the cameras have several forms"
