@@ -207,11 +207,11 @@ MUTATIONS = (
     ),
     Mutation(
         "array-shape", "cache", "wrong key", f"{_T}/cache.py",
-        "{value.dtype.str} {value.shape};", "{value.dtype.str};",
+        "{value.dtype.str} {value.shape};", "{value.dtype.str};", f"{_T}/work/cache.py",
     ),
     Mutation(
         "held-out-frames", "p2o_train", "leaked truth", "toolkit/p2o_train/train.py",
-        "for path in chosen(number, True)]", "for path in chosen(number, False)]",
+        "for path in chosen(number, True)]", "for path in chosen(number, False)]", f"{_T}/learn/train.py",
     ),
     Mutation(
         "far-points-on-top", "draw", "flipped sign", f"{_T}/draw/overlay.py",
