@@ -9,6 +9,7 @@ import pytest
 from p2o import Camera, InputError, Side, se3
 from p2o.calibration.adjustment import fit_with_nuisances
 from p2o.geometry.pose_error import pose_error
+from p2o.geometry.radial_error import slopes
 from p2o.reading import RadialError
 from p2o.solving import PointToLine
 
@@ -48,6 +49,25 @@ def test_the_shift_is_that_of_the_farthest_corner() -> None:
     )
     rho = np.hypot(corner[0] - cx, corner[1] - cy) / fx
     assert RadialError(radial=0.01).shift_px(PINHOLE) == pytest.approx(fx * 0.01 * rho**3, rel=1e-9)
+
+
+THIN_PRISM = Camera(
+    "THIN_PRISM_FISHEYE", 1242, 375, (480, 480, 620, 187, 0.02, -0.006, 5e-4, -3e-4, 1e-3, -2e-4, 4e-4, 0)
+)
+RATIONAL = Camera("FULL_OPENCV", 1242, 375, (700, 705, 620, 187, 0.1, -0.02, 1e-3, -1e-3, 0.01, 0.05, 0.01, 0.002))
+
+
+@pytest.mark.parametrize("camera", [PINHOLE, DISTORTED, FISHEYE, THIN_PRISM, RATIONAL], ids=lambda c: c.model)
+def test_the_slopes_are_those_of_the_pixels(camera: Camera) -> None:
+    xyz = np.vstack([np.random.default_rng(0).uniform([-4, -2, 6], [4, 2, 20], size=(50, 3)), [0, 0, 5], [1, 1, -5]])
+    for error in (RadialError(), replace(ERROR, x_px=3.0)):
+        for parameter, name in enumerate(("focal", "radial")):
+            ahead, behind = (
+                replace(error, **{name: getattr(error, name) + step}).corrected(camera).project(xyz)
+                for step in (1e-4, -1e-4)
+            )
+            by_error = slopes(camera, error, xyz)[..., parameter]
+            np.testing.assert_allclose(by_error, (ahead - behind) / 2e-4, rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.parametrize("values", [(0.3, 0.0), (0.0, -0.21), (np.nan, 0.0), (0.0, np.inf)])

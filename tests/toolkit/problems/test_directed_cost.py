@@ -247,3 +247,15 @@ def test_many_points_of_one_direction_cost_what_one_does(poses: int) -> None:
     cost = DirectedCost.of([replace(view, cloud=CloudFeatures(edges))], np.eye(4), 20.0, smooth=False)
     shifted = np.stack([se3.make(translation=[0.1, 0, 0])] * poses)  # 7 px
     np.testing.assert_allclose(cost(shifted), np.full(poses, 7.0), rtol=0.02)
+
+
+@pytest.mark.parametrize("scale", [1, 2])
+def test_the_slopes_are_central_differences_of_the_distances(scale: int) -> None:
+    view = edge_scene.view()
+    cost = DirectedCost.of([view], edge_scene.TRUTH, 8.0, scale=scale)
+    low, high = [-3.0, -3.0], [view.camera.width + 2.0, view.camera.height + 2.0]
+    for seed in range(5):
+        uv = np.random.default_rng(seed).uniform(low, high, (cost.points, 2))
+        uv[::7], uv[1::7, 0], uv[2::7, 1] = np.nan, np.rint(uv[1::7, 0]), uv[2::7, 1] % 5 - 2
+        slopes = [(cost.sampled(0, uv + step) - cost.sampled(0, uv - step)) / (2 * scale) for step in scale * np.eye(2)]
+        np.testing.assert_allclose(cost.slopes(0, uv), slopes, atol=2e-3)

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -130,6 +132,14 @@ class _State:
     cost: float = np.inf
 
 
+class _Seen(NamedTuple):
+    """All points (K, 3) in the frame of the camera, their pixels (K, 2), and the corrected cameras."""
+
+    xyz: Float
+    uv: Float
+    cameras: list[Camera]
+
+
 @dataclass(frozen=True, eq=False)
 class _Field:
     """The distances of all points to the image edges of their direction, as a function of pose and cameras."""
@@ -151,7 +161,9 @@ class _Field:
         cost = DirectedCost.of(
             views, pose, truncate_px, scale=scale, margin_px=_MARGIN_PX, max_points=points, max_views=_MAX_VIEWS
         )
-        return cls(cost, cameras) if cost.edges > 0 else None
+        order = [view.camera for view in views]
+        parts = tuple(sorted(cost.parts, key=lambda part: order.index(part.camera)))
+        return cls(replace(cost, parts=parts), cameras) if cost.edges > 0 else None
 
     @cached_property
     def weight(self) -> Float:
@@ -159,38 +171,57 @@ class _Field:
         weight = np.concatenate([part.weight for part in self.cost.parts])
         return np.asarray(weight / weight.sum())
 
-    def distances(self, pose: Float, errors: Float) -> Float:
-        """Return the truncated distances (K,) in px at a pose (4, 4) with errors (C, 4) of the cameras."""
-        return np.concatenate(
-            [
-                self.cost.sampled(number, self._camera(part.camera, errors).project(self._placed(part.xyz, pose)))
-                for number, part in enumerate(self.cost.parts)
-            ]
-        )
+    @cached_property
+    def xyz(self) -> Float:
+        """The points (K, 3), in the frame of the camera at the pose that the cost was made at."""
+        return np.concatenate([part.xyz for part in self.cost.parts])
 
-    def linearised(self, pose: Float, errors: Float) -> Float:
-        """Return the derivatives (K, 6 + 4 C) of the distances by a left update of the pose and by the errors."""
-        blocks = []
-        for number, part in enumerate(self.cost.parts):
-            xyz, camera = self._placed(part.xyz, pose), self._camera(part.camera, errors)
-            uv, by_xyz = camera.project_with_jacobian(xyz)
-            step = self.cost.scale * np.eye(2)
-            by_u, by_v = (
-                (self.cost.sampled(number, uv + d) - self.cost.sampled(number, uv - d)) / (2 * self.cost.scale)
-                for d in step
-            )
-            moved = np.nan_to_num(by_u[:, None] * by_xyz[:, 0] + by_v[:, None] * by_xyz[:, 1])
-            rows = np.zeros((len(xyz), 6 + 4 * len(self.cameras)))
-            rows[:, :3], rows[:, 3:6] = np.cross(xyz, moved), moved
-            if part.camera in self.cameras:
-                index = self.cameras.index(part.camera)
-                slope = np.nan_to_num(slopes(part.camera, _error(errors[index], part.camera), xyz))
-                centre = part.camera.focal_px * np.column_stack([by_u, by_v])
-                at = 6 + 4 * index
-                rows[:, at : at + 2] = by_u[:, None] * slope[:, 0] + by_v[:, None] * slope[:, 1]
-                rows[:, at + 2 : at + 4] = centre
-            blocks.append(rows)
-        return np.vstack(blocks)
+    @cached_property
+    def rows(self) -> tuple[slice, ...]:
+        """The points of each part."""
+        ends = np.cumsum([0, *(len(part.xyz) for part in self.cost.parts)]).tolist()
+        return tuple(slice(first, end) for first, end in pairwise(ends))
+
+    @cached_property
+    def rows_of_cameras(self) -> tuple[tuple[Camera, int | None, slice], ...]:
+        """The cameras of the parts, their numbers, None for those that stay as given, and their points."""
+        its: dict[Camera, slice] = {}  # the parts of a camera follow one another
+        for part, rows in zip(self.cost.parts, self.rows, strict=True):
+            its[part.camera] = slice(its.get(part.camera, rows).start, rows.stop)
+        numbers = {camera: number for number, camera in enumerate(self.cameras)}
+        return tuple((camera, numbers.get(camera), rows) for camera, rows in its.items())
+
+    def seen(self, pose: Float, errors: Float) -> _Seen:
+        """Return what cameras with errors (C, 4) see at a pose (4, 4)."""
+        xyz = se3.apply(pose @ self.cost.lidar_from_around, self.xyz)
+        uv, cameras = np.empty((len(xyz), 2)), []
+        for given, number, rows in self.rows_of_cameras:
+            camera = given if number is None else _error(errors[number], given).corrected(given)
+            uv[rows] = camera.project(xyz[rows])
+            cameras.append(camera)
+        return _Seen(xyz, uv, cameras)
+
+    def distances(self, seen: _Seen) -> Float:
+        """Return the truncated distances (K,) in px."""
+        return np.concatenate([self.cost.sampled(number, seen.uv[rows]) for number, rows in enumerate(self.rows)])
+
+    def linearised(self, seen: _Seen, errors: Float) -> Float:
+        """Return the derivatives (6 + 4 C, K) of the distances by a left update of the pose and by the errors."""
+        out = np.zeros((6 + 4 * len(self.cameras), len(seen.xyz)))
+        slope = np.hstack([self.cost.slopes(number, seen.uv[rows]) for number, rows in enumerate(self.rows)])
+        for (given, number, rows), camera in zip(self.rows_of_cameras, seen.cameras, strict=True):
+            xyz, uv, by_u, by_v = seen.xyz[rows], seen.uv[rows], *slope[:, rows]
+            _, by_xyz = camera.project_with_jacobian(xyz)
+            out[3:6, rows] = by_u * by_xyz[:, 0].T + by_v * by_xyz[:, 1].T
+            if number is not None:
+                by_error = slopes(given, _error(errors[number], given), xyz, uv)
+                at = 6 + 4 * number
+                out[at : at + 2, rows] = by_u * by_error[:, 0].T + by_v * by_error[:, 1].T
+                out[at + 2 : at + 4, rows] = given.focal_px * slope[:, rows]
+        np.copyto(out, 0.0, where=np.isnan(out))
+        (x, y, z), (by_x, by_y, by_z) = seen.xyz.T, out[3:6]
+        out[:3] = y * by_z - z * by_y, z * by_x - x * by_z, x * by_y - y * by_x
+        return out
 
     def fit(
         self, start: _State, *, free: bool = True, prior: Float | None = None, iterations: int = _ITERATIONS
@@ -202,21 +233,25 @@ class _Field:
         count = 6 + (4 * len(self.cameras) if free else 0)
         precision = np.tile(np.zeros(4) if prior is None else prior, len(self.cameras))
         pose, errors, damping = start.pose, start.errors, 1e-3
-        distances = self.distances(pose, errors)
+        seen = self.seen(pose, errors)
+        distances = self.distances(seen)
         cost = self._cost(distances, errors, precision)
         for _ in range(iterations):
-            rows = self.linearised(pose, errors)[:, :count]
+            by = self.linearised(seen, errors)[:count]
             weight = self.weight / np.maximum(distances, _MIN_DISTANCE_PX)
-            hessian, gradient = rows.T @ (rows * weight[:, None]), rows.T @ (weight * distances)
+            hessian, gradient = (by * weight) @ by.T, by @ (weight * distances)
             if free:
                 hessian[6:, 6:] += np.diag(precision)
                 gradient[6:] += precision * errors.ravel()
             for _ in range(_MAX_HALVINGS):
-                damped = hessian + damping * np.diag(np.diag(hessian))
+                damped = hessian.copy()
+                # A parameter without influence keeps its value.
+                damped.flat[:: count + 1] += damping * hessian.diagonal() + np.finfo(float).tiny
                 step = np.zeros(6 + errors.size)
-                step[:count] = -np.linalg.lstsq(damped, gradient, rcond=None)[0]
+                step[:count] = -np.linalg.solve(damped, gradient)
                 next_pose, next_errors = se3.exp(step[:6]) @ pose, _bounded(errors + step[6:].reshape(-1, 4))
-                next_distances = self.distances(next_pose, next_errors)
+                next_seen = self.seen(next_pose, next_errors)
+                next_distances = self.distances(next_seen)
                 next_cost = self._cost(next_distances, next_errors, precision)
                 if next_cost < cost:
                     break
@@ -224,6 +259,7 @@ class _Field:
             else:
                 break
             gain, pose, errors, distances, cost = cost - next_cost, next_pose, next_errors, next_distances, next_cost
+            seen = next_seen
             damping /= 5
             if gain < _CONVERGED_PX:
                 break
@@ -233,7 +269,7 @@ class _Field:
         """Return the number (K,) of the view, direction and cell of the image that each point belongs to."""
         keys = []
         for part in self.cost.parts:
-            uv = np.nan_to_num(part.camera.project(self._placed(part.xyz, pose)), nan=-1.0)
+            uv = np.nan_to_num(part.camera.project(se3.apply(pose @ self.cost.lidar_from_around, part.xyz)), nan=-1.0)
             cell = np.floor(uv / OUTLINE_CELL_PX).astype(np.int64)
             keys.append(np.column_stack([np.full(len(cell), part.view), part.side_index, cell]))
         return np.asarray(np.unique(np.concatenate(keys), axis=0, return_inverse=True)[1].reshape(-1))
@@ -270,22 +306,13 @@ class _Field:
     def _information(self, state: _State, cells: Int) -> tuple[Float, Float]:
         """Return the curvature of the cost and the covariance of its gradient over cells, each (6 + 4 C, 6 + 4 C)."""
         assert state.distances is not None
-        rows = self.linearised(state.pose, state.errors)
+        by = self.linearised(self.seen(state.pose, state.errors), state.errors)
         weight = self.weight / np.maximum(state.distances, _MIN_DISTANCE_PX)
-        gradient = np.zeros((int(cells.max()) + 1, rows.shape[1]))
-        np.add.at(gradient, cells, rows * (weight * state.distances)[:, None])
-        return rows.T @ (rows * weight[:, None]), gradient.T @ gradient
+        gradient = np.array([np.bincount(cells, row) for row in by * (weight * state.distances)])
+        return (by * weight) @ by.T, gradient @ gradient.T
 
     def _cost(self, distances: Float, errors: Float, precision: Float) -> float:
         return float(self.weight @ distances + 0.5 * precision @ errors.ravel() ** 2)
-
-    def _placed(self, xyz: Float, pose: Float) -> Float:
-        return se3.apply(pose @ self.cost.lidar_from_around, xyz)
-
-    def _camera(self, camera: Camera, errors: Float) -> Camera:
-        if camera not in self.cameras:
-            return camera
-        return _error(errors[self.cameras.index(camera)], camera).corrected(camera)
 
 
 def _error(values: Float, camera: Camera) -> RadialError:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -122,16 +122,13 @@ class Camera:
 
         Beyond it, the polynomial of the distortion decreases and the determinant of the derivative changes its sign.
         """
-        angle = np.radians(np.linspace(0.0, 89.95, 512))[:, None]
         # A rotationally symmetric lens needs one direction only.
-        azimuth = np.linspace(-np.pi, np.pi, 1 if self._is_radial else 64, endpoint=False)
-        sine, cosine, one = np.sin(angle), np.cos(angle), np.ones_like(azimuth)
+        angle, azimuth, a, b = _directions(1 if self._is_radial else 64)
         if self._closed is not None:
-            tangent = np.tan(angle)
             with np.errstate(over="ignore", invalid="ignore"):
-                u_a, u_b, v_a, v_b = self._closed.slopes(tangent * np.cos(azimuth), tangent * np.sin(azimuth))
-                one_to_one = (u_a * v_b - u_b * v_a > 0).all(axis=1)
+                one_to_one = (self._closed.determinant(a, b) > 0).all(axis=1)
         else:
+            sine, cosine, one = np.sin(angle), np.cos(angle), np.ones_like(azimuth)
             ray = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), cosine * one], axis=-1)
             outward = np.stack([cosine * np.cos(azimuth), cosine * np.sin(azimuth), -sine * one], axis=-1)
             around = np.broadcast_to(np.stack([-np.sin(azimuth), np.cos(azimuth), 0 * azimuth], axis=-1), ray.shape)
@@ -301,3 +298,11 @@ def centre_remark(camera: Camera) -> tuple[str, ...]:
         f"the principal point ({x:.4g}, {y:.4g}) is {where} the image of {camera.width}x{camera.height} px: if the "
         f"images were resized, scale fx, fy, cx, cy {scale}",
     )
+
+
+@cache
+def _directions(azimuths: int) -> tuple[Float, Float, Float, Float]:
+    """Return angles from the axis (512, 1), azimuths (A,), and x / z and y / z (512, A) of these directions."""
+    angle = np.radians(np.linspace(0.0, 89.95, 512))[:, None]
+    azimuth = np.linspace(-np.pi, np.pi, azimuths, endpoint=False)
+    return angle, azimuth, np.tan(angle) * np.cos(azimuth), np.tan(angle) * np.sin(azimuth)

@@ -93,6 +93,26 @@ class Projection:
             u_b, v_a = u_b + both, v_a + both
         return fx * u_a, fx * u_b, fy * v_a, fy * v_b
 
+    def determinant(self, a: Float, b: Float) -> Float:
+        """Return the determinant of the derivatives by a and b at points of the plane z = 1, in px^2."""
+        if any(self._tangential):
+            u_a, u_b, v_a, v_b = self.slopes(a, b)
+            return np.asarray(u_a * v_b - u_b * v_a)
+        (fx, fy), square = self.focal, a * a + b * b
+        factor, steepness = self._factor_and_slope(square)
+        return np.asarray(fx * fy * factor * (factor + 2 * square * steepness))
+
+    def by_first_radial(self, a: Float, b: Float) -> tuple[Float, Float]:
+        """Return the derivatives of u and v by the first radial coefficient at points of the plane z = 1."""
+        (fx, fy), square = self.focal, a * a + b * b
+        if self.lens.fisheye:
+            tangent = np.sqrt(np.maximum(square, _ON_AXIS**2))
+            factor = np.arctan(tangent) ** 3 / tangent
+        else:
+            _, below = self._coefficients
+            factor = square / _polynomial(below, square) if any(below) else square
+        return fx * a * factor, fy * b * factor
+
     @property
     def _tangential(self) -> tuple[float, ...]:
         return tuple(self.params[i] for i in self.lens.tangential)

@@ -9,6 +9,7 @@ import numpy as np
 from p2o.arrays import Float
 from p2o.errors import InputError
 from p2o.geometry.camera import Camera
+from p2o.geometry.projection import LENSES, Projection
 
 LARGEST = 0.2
 """Maximum error of the intrinsics of a calibrated camera."""
@@ -53,13 +54,7 @@ class RadialError:
         """
         if not self:
             return camera
-        model, params = _radial_model(camera)
-        count = 1 if model in _ONE_FOCAL else 2
-        focal = [f * (1 + self.focal) for f in params[:count]]
-        params = [*focal, *params[count:]]
-        params[_FIRST_RADIAL[model]] += self.radial
-        params[count] += self.x_px
-        params[count + 1] += self.y_px
+        model, params = _corrected(camera, self)
         return Camera(model, camera.width, camera.height, tuple(params))
 
     def seen(self, camera: Camera, uv: Float) -> Float:
@@ -94,24 +89,45 @@ def _radial_model(camera: Camera) -> tuple[str, list[float]]:
     raise InputError(text, expected=", ".join(["PINHOLE", *_FIRST_RADIAL]), hint="use pipeline.camera=trust")
 
 
+def _corrected(camera: Camera, error: RadialError) -> tuple[str, list[float]]:
+    """Return the model, one with a radial coefficient, and the parameters of the camera without the error."""
+    model, params = _radial_model(camera)
+    count = 1 if model in _ONE_FOCAL else 2
+    params[:count] = [f * (1 + error.focal) for f in params[:count]]
+    params[_FIRST_RADIAL[model]] += error.radial
+    params[count] += error.x_px
+    params[count + 1] += error.y_px
+    return model, params
+
+
 def _grid(camera: Camera) -> Float:
     """Return a grid of pixels (33, 33, 2) over the image."""
     u, v = np.meshgrid(np.linspace(-0.5, camera.width - 0.5, 33), np.linspace(-0.5, camera.height - 0.5, 33))
     return np.stack([u, v], axis=-1)
 
 
-def slopes(camera: Camera, error: RadialError, xyz: Float) -> Float:
-    """Return derivatives (K, 2, 2) of pixels of points (K, 3) by focal and radial error: [k, axis, parameter]."""
-    columns = []
-    for step in ((_STEP, 0.0), (0.0, _STEP)):
-        ahead, behind = (
-            replace(error, focal=error.focal + sign * step[0], radial=error.radial + sign * step[1])
-            .corrected(camera)
-            .project(xyz)
-            for sign in (1, -1)
+def slopes(camera: Camera, error: RadialError, xyz: Float, uv: Float | None = None) -> Float:
+    """Return derivatives (K, 2, 2) of pixels of points (K, 3) by focal and radial error: [k, axis, parameter].
+
+    Pixels are affine in the focal length and in the radial coefficient of every model. `uv` (K, 2) are those of the
+    camera without the error, where they are known.
+    """
+    if uv is None:
+        uv = error.corrected(camera).project(xyz)
+    model, params = _corrected(camera, error)
+    count = 1 if model in _ONE_FOCAL else 2
+    by_error = np.empty((len(xyz), 2, 2))
+    by_error[..., 0] = (uv - params[count : count + 2]) / (1 + error.focal)
+    if model in LENSES:
+        inverse_depth = 1 / np.where(np.isnan(uv[:, 0]), np.nan, xyz[:, 2])
+        lens = Projection(LENSES[model], tuple(params))
+        by_error[:, 0, 1], by_error[:, 1, 1] = lens.by_first_radial(
+            xyz[:, 0] * inverse_depth, xyz[:, 1] * inverse_depth
         )
-        columns.append((ahead - behind) / (2 * _STEP))
-    return np.stack(columns, axis=-1)
+    else:
+        ahead, behind = (replace(error, radial=error.radial + step).corrected(camera) for step in (_STEP, -_STEP))
+        by_error[..., 1] = (ahead.project(xyz) - behind.project(xyz)) / (2 * _STEP)
+    return by_error
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from p2o.arrays import Float, Int
+from p2o.arrays import Bool, Float, Int
 from p2o.features.side import Side
 from p2o.features.view import View
 from p2o.geometry import se3
@@ -40,6 +40,16 @@ class _Part:
     def weight32(self) -> Float32:
         """The weights (N,) in single precision."""
         return self.weight.astype(np.float32)
+
+    @cached_property
+    def first_cell(self) -> Int:
+        """The numbers (N,) of the first cells of the points' maps."""
+        return np.asarray(self.side_index * (self.maps.shape[1] * self.maps.shape[2]))
+
+    @cached_property
+    def neutral_of_points(self) -> Float:
+        """What the points (N,) cost outside the image."""
+        return np.asarray(self.neutral[self.side_index])
 
     @cached_property
     def by_side(self) -> tuple[tuple[int, slice], ...]:
@@ -265,14 +275,43 @@ class DirectedCost:
 
         Pixels outside the image and NaN have the mean distance of the direction.
         """
-        its, out = self.parts[part], np.empty(len(uv))
-        u, v = np.nan_to_num(uv.T / self.scale, nan=-1.0).astype(np.float32)
-        for side, rows in its.by_side:
-            cells = its.maps[side]
-            inside = (u[rows] >= 0) & (v[rows] >= 0) & (u[rows] <= cells.shape[1] - 1) & (v[rows] <= cells.shape[0] - 1)
-            values = np.minimum(_interpolated(cells, u[rows], v[rows]), self.truncate_px)
-            out[rows] = np.where(inside, values, its.neutral[side])
-        return out
+        its = self.parts[part]
+        u, v = self._cells(uv)
+        values = np.minimum(_interpolated(its.maps, u, v, its.first_cell), self.truncate_px)
+        return np.where(_inside(its.maps, u, v), values, its.neutral_of_points)
+
+    def slopes(self, part: int, uv: Float) -> Float:
+        """Return the derivatives (2, N) of `sampled` by pixels (N, 2): central differences over one cell each way."""
+        its = self.parts[part]
+        height, width = its.maps.shape[1:]
+        last, at, flat = np.array([[width - 1], [height - 1]], np.float32), self._cells(uv), its.maps.reshape(-1)
+        # Outside the map anything is read, but not used.
+        cell = np.floor(np.maximum(np.minimum(at, last + 2), np.float32(-2.0)))
+        u, v = at - cell
+        column, row = cell.astype(np.intp)
+        columns = [np.maximum(np.minimum(column + step, width - 1), 0) for step in range(-1, 3)]
+        rows = [np.maximum(np.minimum(row + step, height - 1), 0) * width + its.first_cell for step in range(-1, 3)]
+
+        def across(row: int, column: int) -> Float32:
+            left = flat.take(rows[row] + columns[column])
+            return np.asarray(left + (flat.take(rows[row] + columns[column + 1]) - left) * u)
+
+        def value(row: int, column: int) -> Float32:
+            above = across(row, column)
+            return np.asarray(above + (across(row + 1, column) - above) * v)
+
+        inside = ((at >= 0) & (at <= last))[::-1]
+        ends = []
+        for step in (1, -1):
+            values = np.minimum([value(1, 1 + step), value(1 + step, 1)], self.truncate_px)
+            ends.append(np.where((at >= -step) & (at <= last - step) & inside, values, its.neutral_of_points))
+        return np.asarray(ends[0] - ends[1]) / (2 * self.scale)
+
+    def _cells(self, uv: Float) -> Float32:
+        """Return columns and rows (2, N) of the maps at pixels (N, 2); -1 for NaN."""
+        cells = np.asarray((uv.T / self.scale).astype(np.float32))
+        np.copyto(cells, np.float32(-1.0), where=np.isnan(cells))
+        return cells
 
     def at(self, pose: Float) -> float:
         """Return the cost in pixels of one pose (4, 4)."""
@@ -362,13 +401,24 @@ def _project_to_cells(part: _Part, matrix: Float32, chunk: slice, scale: int) ->
     return u, v
 
 
-def _interpolated(cells: Float32, u: Float32, v: Float32) -> Float32:
-    """Return the values of a map (H, W) between its cells at columns and rows (N, B); anything outside the map."""
-    height, width = cells.shape
+def _inside(maps: Float32, u: Float32, v: Float32) -> Bool:
+    """Return whether columns and rows are between the cells of maps (..., H, W)."""
+    height, width = maps.shape[-2:]
+    return np.asarray((u >= 0) & (v >= 0) & (u <= width - 1) & (v <= height - 1))
+
+
+def _interpolated(cells: Float32, u: Float32, v: Float32, first: Int | None = None) -> Float32:
+    """Return the values of a map (H, W) between its cells at columns and rows (N, B); anything outside the map.
+
+    Of several maps (..., H, W), `first` (N, B) are the numbers of the first cells of those that are read.
+    """
+    height, width = cells.shape[-2:]
     inside_u, inside_v = (np.clip(at, 0, np.float32(max(size - 1.001, 0.0))) for at, size in ((u, width), (v, height)))
     column, row = np.floor(inside_u), np.floor(inside_v)
     u, v = inside_u - column, inside_v - row
     flat, index = cells.reshape(-1), _numbers(column, row, width)
+    if first is not None:
+        index += first
     right, below = (1 if width > 1 else 0), (width if height > 1 else 0)
     top = flat.take(index)
     top += (flat.take(index + right) - top) * u
