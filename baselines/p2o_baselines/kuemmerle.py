@@ -24,21 +24,12 @@ import p2o
 from p2o import Float, Result, Sphere, Status, se3
 from p2o.solving import Judged
 
-from p2o_baselines import examples
+from p2o_baselines import examples, target_method
 from p2o_baselines.boards.pairing import from_points
 from p2o_baselines.bodies.bundle import adjusted
 from p2o_baselines.bodies.sphere_in_picture import SphereInPicture, spheres_in_picture
 from p2o_baselines.bodies.sphere_in_sweep import SphereInSweep, off_sphere, range_sigma, spheres_in_sweep
-from p2o_baselines.target_method import (
-    Sight,
-    TargetOptions,
-    missing_targets,
-    once_per_sweep,
-    pairing_warnings,
-    refused,
-    solved,
-    unsolved,
-)
+from p2o_baselines.target_method import Sight, TargetOptions, missing_targets, once_per_sweep, refused, solved, unsolved
 
 _LEVER_M = 3.0  # maximum distance between the sensors, so that a ball has about the same range from both
 _MOST_TRIPLES = 20_000
@@ -203,7 +194,7 @@ class Kuemmerle:
         result = replace(
             result,
             matches={"spheres": len(pairs), "points": sum(len(pair.sweep.xyz) for pair in pairs)},
-            warnings=pairing_warnings("sphere", "spheres", prepared, unmatched=unmatched),
+            warnings=target_method.pairing_warnings("sphere", "spheres", prepared, unmatched=unmatched),
         )
         wrong = _other_radius(pairs)
         if wrong:

@@ -18,21 +18,9 @@ from pathlib import Path
 
 import numpy as np
 import p2o
-from p2o import Float, field
+from p2o import Float, field, solving
 from p2o.reading import expanded
-from p2o.solving import (
-    Doubt,
-    Judged,
-    PickedFrame,
-    PickedPairs,
-    PickedPose,
-    Reason,
-    Rival,
-    Verdict,
-    picks_off_px,
-    read_pairs,
-    solve_picks,
-)
+from p2o.solving import PickedFrame, PickedPairs, PickedPose, Rival, Verdict, picks_off_px, read_pairs, solve_picks
 
 EXAMPLE = Path(__file__).with_name("picked-example.yaml")
 """Pairs of the first frame of `synthetic:` with noise of 1.5 px and 1 cm; two of twelve are wrong."""
@@ -85,7 +73,7 @@ class Picked:
             covariance=solved.covariance,
             accuracy=solved.accuracy,
             residual_px=dict(zip(_names(solved), solved.off_px.tolist(), strict=True)),
-            judged=Judged("picks", "px", float(np.sqrt((before**2).mean())), solved.rms_px),
+            judged=solving.Judged("picks", "px", float(np.sqrt((before**2).mean())), solved.rms_px),
             **_rivalry(solved),
         )
 
@@ -122,7 +110,7 @@ def _rivalry(solved: PickedPose) -> dict[str, object]:
     away = p2o.se3.angle_deg(step), p2o.se3.distance_m(step)
     rival = Rival(rms_px - solved.rms_px, "px", *away)
     text = f"another pose, {away[0]:.2f} deg and {away[1]:.2f} m away, fits the picks nearly as well; pick more points"
-    return {"rival": rival, "verdict": Verdict((Reason(Doubt.RIVAL_POSE, text),))}
+    return {"rival": rival, "verdict": Verdict((solving.Reason(solving.Doubt.RIVAL_POSE, text),))}
 
 
 def build(options: PickedOptions) -> p2o.Calibrator:

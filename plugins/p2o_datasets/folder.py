@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
+import p2o
 from p2o import (
     Box,
-    Camera,
     Checkerboard,
     Dataset,
     Float,
@@ -19,34 +19,13 @@ from p2o import (
     HoleBoard,
     Image,
     InputError,
-    Method,
     Options,
     Sphere,
     Target,
-    UnknownNameError,
     field,
+    reading,
 )
-from p2o.reading import (
-    MAX_BYTES,
-    LazyFrames,
-    check_direction,
-    existing_folder,
-    listing,
-    names_file,
-    naming,
-    parse_yaml,
-    read_bytes,
-    read_camera_file,
-    read_extrinsic,
-    read_extrinsic_file,
-    read_initial_guess,
-    read_npy,
-    read_pose,
-    read_rgb,
-    read_text,
-    read_uint16,
-    validated,
-)
+from p2o.reading import LazyFrames, listing, naming, parse_yaml, read_extrinsic, read_rgb, read_text, validated
 from p2o_formats.camera_entry import read_camera
 from pydantic import Field
 
@@ -164,7 +143,7 @@ def build(options: FolderOptions) -> Dataset:
 
     Raises InputError if the folder is missing, cannot be read or has no frame.yaml.
     """
-    root = existing_folder(options.root, "frames").resolve()
+    root = reading.existing_folder(options.root, "frames").resolve()
     inside = listing(root, "frames")
     entries = {root.name: root} if root / FRAME_FILE in inside else {}
     skipped: dict[str, str] = {}
@@ -227,14 +206,14 @@ def _read(root: Path, faults: Mapping[Path, InputError], folder: Path) -> Frame:
         raise faults[folder]
     entry = read_frame_file(path)
     resolve = partial(_inside, root, folder)
-    camera = read_camera_file(entry.camera, path, resolve) if isinstance(entry.camera, str) else None
+    camera = reading.read_camera_file(entry.camera, path, resolve) if isinstance(entry.camera, str) else None
     camera = camera or read_camera(entry.camera, path)
     if (entry.right is None) != (entry.baseline_m is None):
         fault = "a rectified pair needs its right image and its baseline"
         raise InputError(fault, where=path, expected="right, baseline_m")
     values = {name: getattr(entry, name) for name in (*_EXTRINSICS, *_WORLDS)}
     read = {
-        name: read_pose(name, value, path) if name in _WORLDS else _extrinsic(name, value, path, resolve)
+        name: reading.read_pose(name, value, path) if name in _WORLDS else _extrinsic(name, value, path, resolve)
         for name, value in values.items()
         if value is not None
     }
@@ -262,7 +241,7 @@ def _read(root: Path, faults: Mapping[Path, InputError], folder: Path) -> Frame:
         # Times without a relation to the image's clock carry no information; compensated sweeps may keep theirs.
         cloud = replace(cloud, time_s=None)
     for name in (name for name in _EXTRINSICS if name in poses):
-        warnings += check_direction(cloud, camera, poses[name], name=name, where=path)
+        warnings += reading.check_direction(cloud, camera, poses[name], name=name, where=path)
     given: dict[str, Any] = {"camera_from_lidar": poses.pop("truth", None), **poses, "twist": twist, "targets": targets}
     given |= entry.model_dump(include={"sequence", "time_s", "camera_name"})
     return Frame(folder.name, image, cloud, warnings=warnings, **given)
@@ -271,9 +250,9 @@ def _read(root: Path, faults: Mapping[Path, InputError], folder: Path) -> Frame:
 def _extrinsic(name: str, value: Any, path: Path, resolve: Callable[[str], Path]) -> tuple[Float, tuple[str, ...]]:
     """Return camera_from_lidar (4, 4) of a value of frame.yaml, and remarks; a text is words or a calibration file."""
     if isinstance(value, str) and name == "start":
-        return read_initial_guess(value, path, resolve)
-    if isinstance(value, str) and names_file(value):
-        return read_extrinsic_file(value, path, resolve)
+        return reading.read_initial_guess(value, path, resolve)
+    if isinstance(value, str) and reading.names_file(value):
+        return reading.read_extrinsic_file(value, path, resolve)
     return read_extrinsic(name, value, path)
 
 
@@ -283,12 +262,12 @@ def _target(name: str, values: Mapping[str, Any], path: Path) -> Target:
         raise InputError(f"{name}.kind is missing", where=path, expected=" or ".join(_TARGETS))
     kind = str(values["kind"])
     if kind not in _TARGETS:
-        raise UnknownNameError("kind of target", kind, _TARGETS, where=path)
+        raise p2o.UnknownNameError("kind of target", kind, _TARGETS, where=path)
     sizes = {key: value for key, value in values.items() if key != "kind"}
     return validated(_TARGETS[kind], sizes, name, where=path, noun=f"key of {name}").target()
 
 
-def _image(root: Path, folder: Path, entry: FrameEntry, camera: Camera) -> tuple[Image, tuple[str, ...]]:
+def _image(root: Path, folder: Path, entry: FrameEntry, camera: p2o.Camera) -> tuple[Image, tuple[str, ...]]:
     others = {name for name in (entry.right, entry.depth) if name is not None}
     path = _file(root, folder, entry.image, "image", _IMAGE_SUFFIXES, others)
     size = (camera.width, camera.height)
@@ -314,8 +293,8 @@ def _image(root: Path, folder: Path, entry: FrameEntry, camera: Camera) -> tuple
 
 def _read_depth(path: Path, size: tuple[int, int]) -> Float:
     if path.suffix.lower() != ".npy":
-        return read_uint16(path, "depth", size)
-    values = read_npy(read_bytes(path, "depth", MAX_BYTES), path)
+        return reading.read_uint16(path, "depth", size)
+    values = reading.read_npy(reading.read_bytes(path, "depth", reading.MAX_BYTES), path)
     if values.dtype.kind not in "iuf":
         raise InputError("the .npy file has no numbers", where=path, expected="(H, W) float", got=values.dtype)
     if values.shape != size[::-1]:
@@ -360,7 +339,7 @@ def _inside(root: Path, folder: Path, name: str) -> Path:
     return path
 
 
-METHOD = Method(
+METHOD = p2o.Method(
     name="folder",
     build=build,
     options=FolderOptions,

@@ -16,19 +16,9 @@ from p2o.reading import RadialError, existing_folder, naming
 from p2o_formats.kitti_calibration import KittiCalibration, read_calibration, rectified_extrinsic
 from pydantic import Field, field_validator
 
+from p2o_datasets import kitti_folder
 from p2o_datasets.disparity_speed import forward_speed
-from p2o_datasets.kitti_folder import (
-    image_in,
-    images_in,
-    is_number,
-    paired,
-    read_rectified,
-    read_stamp,
-    read_stamps,
-    seconds_of,
-    sweeps,
-    without_radial_error,
-)
+from p2o_datasets.kitti_folder import images_in, is_number, read_stamp, read_stamps, seconds_of, without_radial_error
 from p2o_datasets.kitti_oxts import has_fix, lidar_pose, read_packet, twist_of
 from p2o_datasets.lazy_dataset import in_drive, lazy_dataset, read_image
 from p2o_datasets.velodyne_file import IMAGE_DELAY_S, SWEEP_S, compensated, read_sweep
@@ -99,11 +89,11 @@ def build(options: KittiRawOptions) -> Dataset:
     image_folder = f"image_{options.camera:02d}"
     for drive in sorted(drives.values(), key=lambda drive: drive.name):
         images = images_in(drive.folder / image_folder / "data")
-        clouds = sweeps(drive.folder / "velodyne_points/data")
+        clouds = kitti_folder.sweeps(drive.folder / "velodyne_points/data")
         if not drive.synchronised:
             clouds = _nearest_in_time(drive.folder, image_folder, images, clouds)
         folders = (f"{image_folder}/data", "velodyne_points/data")
-        both, without = paired(images, clouds, drive.folder, *folders, prefix=f"{drive.name}/")
+        both, without = kitti_folder.paired(images, clouds, drive.folder, *folders, prefix=f"{drive.name}/")
         entries.update({name: (drive, image, sweep) for name, (_, image, sweep) in both.items()})
         skipped.update(without)
     expected = f"DATE/DATE_drive_NNNN_sync with {image_folder}/data and velodyne_points/data"
@@ -148,12 +138,14 @@ def _rectified(
     right = None
     if options.camera in (0, 2):
         other = f"{options.camera + 1:02d}"
-        right_path = image_in(drive.folder / f"image_{other}/data", path.stem) if options.right else None
+        right_path = kitti_folder.image_in(drive.folder / f"image_{other}/data", path.stem) if options.right else None
         right = (cameras.projection(f"P_rect_{other}"), right_path)
     disparity = drive.folder / "disparity/data" / f"{path.stem}.png"
     has_disparity = options.depth and options.camera == 2 and disparity.exists()
     size, disparity_path = cameras.size(f"S_rect_{options.camera:02d}"), disparity if has_disparity else None
-    image, warnings = read_rectified(path, projection, size=size, right=right, disparity_path=disparity_path)
+    image, warnings = kitti_folder.read_rectified(
+        path, projection, size=size, right=right, disparity_path=disparity_path
+    )
     rectified_from_lidar = cameras.rigid("R_rect_00") @ cam0_from_lidar
     return image, warnings, rectified_extrinsic(projection, rectified_from_lidar, pykitti_compat=options.pykitti_compat)
 

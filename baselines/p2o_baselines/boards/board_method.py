@@ -10,22 +10,14 @@ import p2o
 from p2o import Checkerboard, Float, HoleBoard, Result, Status, se3
 from p2o.solving import Judged
 
+from p2o_baselines import target_method
 from p2o_baselines.boards.adjustment import Cost, adjusted, covariance_of
 from p2o_baselines.boards.board_in_picture import boards_in_picture
 from p2o_baselines.boards.board_in_sweep import boards_in_sweep
 from p2o_baselines.boards.holes_in_picture import hole_boards_in_picture
 from p2o_baselines.boards.holes_in_sweep import hole_boards_in_sweep
 from p2o_baselines.boards.pairing import Hypotheses, Pair, Pairing, by_outline, paired
-from p2o_baselines.target_method import (
-    Sight,
-    TargetOptions,
-    missing_targets,
-    once_per_sweep,
-    pairing_warnings,
-    refused,
-    solved,
-    unsolved,
-)
+from p2o_baselines.target_method import Sight, TargetOptions, missing_targets, once_per_sweep, pairing_warnings, refused
 
 _LEAST_TURN_DEG = 5.0  # normals within this angle of one plane leave a direction of the pose unobservable
 REMEDY = "add boards with other orientations, or with sides that rings cross"
@@ -94,7 +86,7 @@ class BoardMethod:
     def solve(self, prepared: Sequence[Sight], camera_from_lidar: Float) -> Result:
         """Return the pose that aligns the boards of both sensors."""
         options, algorithm, start = self.options, self.algorithm, np.asarray(camera_from_lidar, np.float64)
-        result = unsolved(prepared, start)
+        result = target_method.unsolved(prepared, start)
         missing = _missing(prepared, algorithm)
         if missing:
             return refused(result, missing)
@@ -113,7 +105,7 @@ class BoardMethod:
         cost = algorithm.cost(pairs, pose)
         covariance = covariance_of(pairs, cost, pose, range_bias_m=options.range_bias_m, camera_px=options.camera_px)
         before, after = (_off_m(pairs, each) for each in (start, pose))
-        return solved(
+        return target_method.solved(
             replace(result, matches=_matches(pairs)),
             pose,
             covariance,

@@ -8,21 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from p2o import (
-    SIDES,
-    Float,
-    Frame,
-    Image,
-    ImageEdges,
-    ImageExtractor,
-    ImageFeatures,
-    InputError,
-    Method,
-    Options,
-    Trainer,
-    UInt8,
-    field,
-)
+import p2o
+from p2o import SIDES, Float, Frame, Image, ImageExtractor, ImageFeatures, InputError, Method, Options, UInt8, field
 from p2o.solving import has_gpu_driver
 from pydantic import Field
 
@@ -82,7 +69,7 @@ def build(options: P2ORNetOptions) -> ImageExtractor:
             keep &= ~image.masked[v, u]
         edges, confidence = edges.select(keep), confidence[keep]
         long = long_enough(edges.pixel, edges.side, image.rgb.shape[:2], options.min_line_px)
-        return ImageFeatures(ImageEdges(edges.uv[long], edges.side[long], confidence[long]))
+        return ImageFeatures(p2o.ImageEdges(edges.uv[long], edges.side[long], confidence[long]))
 
     return extract
 
@@ -203,6 +190,6 @@ METHOD = Method(
     summary="Directed occlusion edges of one image, labelled by a network.",
     gives={"image-edges", "side"},
     parallel=True,
-    trainer=Trainer(options=TrainingOptions, presets=PRESETS, label=label, draw=draw, train=train, label_version=3),
+    trainer=p2o.Trainer(options=TrainingOptions, presets=PRESETS, label=label, draw=draw, train=train, label_version=3),
     cite="Wang et al., P2O-Calib, 2023, Sec. III-B; Qiu, Xiao, Wang, Marlet, P2ORM, ECCV 2020",
 )

@@ -3,20 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from p2o import (
-    SIDES,
-    Float,
-    Image,
-    ImageEdges,
-    ImageExtractor,
-    ImageFeatures,
-    InputError,
-    Method,
-    Options,
-    Side,
-    UInt8,
-    field,
-)
+import p2o
+from p2o import SIDES, Float, Image, ImageExtractor, ImageFeatures, InputError, Method, Options, Side, UInt8, field
 
 from p2o_plugins.image.disparity import both_views, ground
 from p2o_plugins.image.silhouette import SPAN, Silhouettes, confidence, line_lengths, locate, snap, steps, votes_against
@@ -113,7 +101,7 @@ def build(options: StereoOptions) -> ImageExtractor:
             keep[keep] = line_lengths(candidates.uv[keep], size) >= options.min_line_px
             parts.append((candidates.uv[keep], np.full(keep.sum(), side, np.int8), certain[keep]))
         uv, sides, weight = (np.concatenate(column) for column in zip(*parts, strict=True))
-        return ImageFeatures(ImageEdges(uv, sides, weight))
+        return ImageFeatures(p2o.ImageEdges(uv, sides, weight))
 
     return extract
 

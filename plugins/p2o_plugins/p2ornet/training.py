@@ -8,18 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import p2o
 import torch
-from p2o import (
-    Bool,
-    Float,
-    InputError,
-    TrainingGroup,
-    TrainingProgress,
-    TrainingState,
-    UnknownNameError,
-    cosine_rate,
-    run_steps,
-)
+from p2o import Bool, Float, InputError, TrainingGroup, TrainingState, UnknownNameError, cosine_rate, run_steps
 from torch import Tensor, nn
 
 from p2o_plugins.p2ornet import calibration
@@ -42,7 +33,7 @@ def train(
     groups: Sequence[TrainingGroup],
     validation: Sequence[Path],
     out: Path,
-    report: Callable[[TrainingProgress], None] = lambda progress: None,
+    report: Callable[[p2o.TrainingProgress], None] = lambda progress: None,
 ) -> Path:
     """Train into the folder `out`, or resume the training in it, and return the weights file.
 

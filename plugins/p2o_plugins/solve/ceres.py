@@ -11,17 +11,8 @@ from typing import Any
 
 import numpy as np
 import p2o
-from p2o import Float
-from p2o.solving import (
-    LeastSquares,
-    Problem,
-    checked_solution,
-    import_keeping_signals,
-    left_from_chart,
-    linearise,
-    pose_from_chart,
-    require_residuals,
-)
+from p2o import Float, solving
+from p2o.solving import Problem, checked_solution, import_keeping_signals, linearise, pose_from_chart, require_residuals
 
 
 class CeresOptions(p2o.Options):
@@ -43,7 +34,7 @@ def build(options: CeresOptions) -> p2o.Solver:
     class Pairs(pyceres.CostFunction):  # type: ignore[misc,name-defined]
         """All pairs as one block: a call from C++ into Python costs as much as the work on hundreds of pairs."""
 
-        def __init__(self, pairs: LeastSquares, start: Float) -> None:
+        def __init__(self, pairs: solving.LeastSquares, start: Float) -> None:
             super().__init__()
             self.pairs, self.start, self.root_weight = pairs, start, np.sqrt(pairs.weight)
             self.set_num_residuals(len(pairs))
@@ -55,7 +46,7 @@ def build(options: CeresOptions) -> p2o.Solver:
             residuals[:], slope = robust_roots(raw, self.pairs.huber)
             residuals *= self.root_weight
             if jacobians is not None and jacobians[0] is not None:
-                by_chart = jacobian @ left_from_chart(delta)
+                by_chart = jacobian @ solving.left_from_chart(delta)
                 jacobians[0][:] = (by_chart * (slope * self.root_weight)[:, None]).ravel()
             return True
 

@@ -6,16 +6,8 @@ from typing import Any
 
 import numpy as np
 import p2o
-from p2o import Float
-from p2o.solving import (
-    LeastSquares,
-    Problem,
-    checked_solution,
-    left_from_chart,
-    linearise,
-    pose_from_chart,
-    require_residuals,
-)
+from p2o import Float, solving
+from p2o.solving import LeastSquares, Problem, checked_solution, linearise, pose_from_chart, require_residuals
 
 
 class ScipyOptions(p2o.Options):
@@ -46,7 +38,7 @@ def build(options: ScipyOptions) -> p2o.Solver:
             return linearise(pairs, pose_from_chart(start, delta))[0]
 
         def jacobian(delta: Float) -> Float:
-            return linearise(pairs, pose_from_chart(start, delta))[1] @ left_from_chart(delta)
+            return linearise(pairs, pose_from_chart(start, delta))[1] @ solving.left_from_chart(delta)
 
         # SciPy divides by zero singular values; `checked_solution` reports the unobservable directions.
         with np.errstate(all="ignore"):

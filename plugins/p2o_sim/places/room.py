@@ -7,21 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from p2o_sim.places.building_shell import FloorPlan, Hall, Opening, daylight, outside, plinth, slab, wall
-from p2o_sim.things.fittings import (
-    FLOOR_ITEMS,
-    WALL_ITEMS,
-    Item,
-    Items,
-    Style,
-    blind,
-    coat_rack,
-    floor_lamp,
-    pendant,
-    plant,
-    strip_light,
-    wall_print,
-    window_frame,
-)
+from p2o_sim.things import fittings
+from p2o_sim.things.fittings import Item, Items, Style, coat_rack, floor_lamp, pendant, plant, strip_light, window_frame
 from p2o_sim.things.people import pedestrian
 from p2o_sim.world.lighting import Lamp, triple
 from p2o_sim.world.mesh import boxes, tubes
@@ -111,7 +98,7 @@ def _filled(rng: np.random.Generator, hall: Hall, style: Style, name: str, holes
             frame = window_frame(wide, high, 0.2, max(1, round(wide / 0.8)), rim, bool(rng.random() < 0.15))
             out.append(hall.on_wall(name, frame, hole.start, z=hole.low))
             if rng.random() < 0.4:
-                out.append(hall.on_wall(name, blind(rng, wide, high), hole.start, z=hole.low))
+                out.append(hall.on_wall(name, fittings.blind(rng, wide, high), hole.start, z=hole.low))
             continue
         case = boxes(
             [[-0.07, -0.02, 0.0], [wide, -0.02, 0.0], [-0.07, -0.02, high]],
@@ -147,7 +134,7 @@ def _along_walls(
     for name, (_, _, _, length) in hall.walls.items():
         at = rng.uniform(0.05, 0.6)
         while at < length - 0.4:
-            thing, wide, deep = _drawn(rng, WALL_ITEMS[kind])(style)
+            thing, wide, deep = _drawn(rng, fittings.WALL_ITEMS[kind])(style)
             middle = at + wide / 2
             high = max(float(part.mesh.vertices[:, 2].max()) for part in thing)
             hidden = [h for h in openings[name] if h.start < at + wide and at < h.stop]
@@ -156,7 +143,7 @@ def _along_walls(
             elif middle + wide / 2 <= length and floor.take_before(name, middle, wide, deep):
                 out.append(hall.on_wall(name, thing, middle, 0.02))
                 if high < 1.3 and not hidden and rng.random() < 0.6:
-                    out.append(hall.on_wall(name, wall_print(style), middle, z=1.65))
+                    out.append(hall.on_wall(name, fittings.wall_print(style), middle, z=1.65))
                 at += wide + rng.choice([0.01, 0.05, 0.3, 0.8])
             else:
                 at += 0.3
@@ -174,7 +161,7 @@ def _in_the_middle(rng: np.random.Generator, floor: FloorPlan, style: Style, kin
     for number, (x, y) in enumerate(floor.spots(rng, int(rng.integers(20, 70)))):
         draw = rng.random()
         if draw < 0.5 or number < 4:
-            thing, wide, deep = _drawn(rng, FLOOR_ITEMS[kind])(style)
+            thing, wide, deep = _drawn(rng, fittings.FLOOR_ITEMS[kind])(style)
         else:
             maker = (pedestrian, plant, floor_lamp, coat_rack, pedestrian)[rng.integers(5)]
             thing, wide, deep = maker(rng), 0.75, 0.75

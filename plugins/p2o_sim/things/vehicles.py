@@ -5,21 +5,9 @@ from __future__ import annotations
 import numpy as np
 from p2o import Bool, Float
 
+from p2o_sim.world import palette
 from p2o_sim.world.mesh import Mesh, boxes, join, sized, stacked, wheel
-from p2o_sim.world.palette import (
-    CLOTH,
-    DARK_STEEL,
-    GLASS,
-    HEADLIGHT,
-    PLATE,
-    RIM,
-    SIGNS,
-    TAIL_LIGHT,
-    TRIM,
-    TYRE,
-    lacquer,
-    pick,
-)
+from p2o_sim.world.palette import CLOTH, DARK_STEEL, GLASS, HEADLIGHT, PLATE, RIM, SIGNS, TAIL_LIGHT, TRIM, TYRE, pick
 from p2o_sim.world.place import Plan, Thing, placed
 from p2o_sim.world.scene import Class, Material, Part
 
@@ -172,7 +160,7 @@ def _vehicle(
          [mirror + 0.1, 0.5 * wide + 0.16, belt + 0.14], [mirror + 0.1, -0.5 * wide, belt + 0.14]],
     )  # fmt: skip
     solids = (
-        (Mesh(body.vertices, body.faces[~is_glass]), paint or lacquer(rng)),
+        (Mesh(body.vertices, body.faces[~is_glass]), paint or palette.lacquer(rng)),
         (Mesh(body.vertices, body.faces[is_glass]), GLASS),
         (sized([[front - 0.12, s * at - 0.16, z - 0.07] for s in (-1, 1)], [0.13, 0.32, 0.14]), HEADLIGHT),
         (sized([[back - 0.012, s * at - 0.14, z - 0.02] for s in (-1, 1)], [0.12, 0.28, 0.2]), TAIL_LIGHT),
