@@ -45,14 +45,9 @@ class Corner:
     sweep: TrihedronInSweep
 
     @property
-    def distance_m(self) -> float:
-        """How far the corner is from the LiDAR, which is about that from the camera."""
-        return float(np.linalg.norm(self.sweep.corner))
-
-    @property
-    def px_per_rad(self) -> float:
-        """The scale of the image at the corner."""
-        return self.image.flat.scale_px
+    def camera_scale(self) -> tuple[float, float]:
+        """Distance of the corner from the LiDAR in m, which is about that from the camera, and pixels per radian."""
+        return float(np.linalg.norm(self.sweep.corner)), self.image.flat.scale_px
 
     def residuals(self, camera_from_lidar: Float, own: Float, bias_m: float) -> Float:
         """Return how far two places of each edge are from the sweep's, then how far planes were moved; deviations."""

@@ -131,14 +131,9 @@ class Ball:
     pair: SpherePair
 
     @property
-    def distance_m(self) -> float:
-        """How far the ball is from the camera."""
-        return float(np.linalg.norm(self.pair.image.centre))
-
-    @property
-    def px_per_rad(self) -> float:
-        """The scale of the image at the ball."""
-        return self.pair.image.px_per_rad
+    def camera_scale(self) -> tuple[float, float]:
+        """Distance of the ball from the camera in m, and pixels per radian there."""
+        return float(np.linalg.norm(self.pair.image.centre)), self.pair.image.px_per_rad
 
     def residuals(self, camera_from_lidar: Float, own: Float, bias_m: float) -> Float:
         """Return angles of the contour's rays from the ball, then how much too long ranges are, in deviations."""

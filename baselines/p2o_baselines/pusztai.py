@@ -40,14 +40,9 @@ class Cuboid:
     pair: BoxPair
 
     @property
-    def distance_m(self) -> float:
-        """How far the box is from the camera."""
-        return float(np.linalg.norm(self.pair.image.camera_from_box[:3, 3]))
-
-    @property
-    def px_per_rad(self) -> float:
-        """The scale of the image at the box."""
-        return self.pair.image.flat.scale_px
+    def camera_scale(self) -> tuple[float, float]:
+        """Distance of the box from the camera in m, and pixels per radian there."""
+        return float(np.linalg.norm(self.pair.image.camera_from_box[:3, 3])), self.pair.image.flat.scale_px
 
     @cached_property
     def root(self) -> Float:

@@ -18,13 +18,12 @@ _STEPS, _STEP = 40, 1e-6
 class Body(Protocol):
     """Residuals of one body in standard deviations at a pose, which may depend on unknowns of its own.
 
-    `distance_m` from the camera and `px_per_rad` determine the effect of common errors of the camera.
+    `camera_scale` are its distance from the camera in m and the pixels per radian of the image there, which determine
+    the effect of common errors of the camera.
     """
 
     @property
-    def distance_m(self) -> float: ...
-    @property
-    def px_per_rad(self) -> float: ...
+    def camera_scale(self) -> tuple[float, float]: ...
     def residuals(self, camera_from_lidar: Float, own: Float, bias_m: float) -> Float:
         """Return residuals (K,), with own unknowns (U,), as if all ranges were too long by `bias_m`."""
         ...
@@ -121,6 +120,5 @@ def _covariance(
     inverse = np.linalg.inv(hessian)
     covariance = inverse * max(1.0, variance_factor((part.slope, part.hessian) for part in parts))
     bias = inverse @ np.asarray(sum(part.bias for part in parts))
-    camera_rad = camera_px / float(np.median([body.px_per_rad for body in bodies]))
-    distance_m = float(np.median([body.distance_m for body in bodies]))
-    return np.asarray(covariance + shared_errors(bias, range_bias_m, camera_rad, distance_m))
+    distance_m, px_per_rad = np.median([body.camera_scale for body in bodies], axis=0).tolist()
+    return np.asarray(covariance + shared_errors(bias, range_bias_m, camera_px / px_per_rad, distance_m))
