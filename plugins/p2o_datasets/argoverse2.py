@@ -27,7 +27,7 @@ from p2o_datasets.arrow_file import read_feather
 from p2o_datasets.cloud_file import cloud_from_fields
 from p2o_datasets.ego_path import EgoPath, moved_cloud, nearest, pose_rows
 from p2o_datasets.kitti_folder import is_number
-from p2o_datasets.lazy_dataset import Words, cameras_field, chosen, in_drive, lazy_dataset, no_sequences, read_image
+from p2o_datasets.lazy_dataset import Listed, Words, cameras_field, chosen, in_drive, no_sequences, read_image
 
 RING_CAMERAS = ("front_center", "front_left", "front_right", "side_left", "side_right", "rear_left", "rear_right")
 CAMERAS = (*(f"ring_{name}" for name in RING_CAMERAS), "stereo_front_left", "stereo_front_right")
@@ -133,9 +133,8 @@ def build(options: Argoverse2Options) -> Dataset:
     cameras = chosen("camera", options.cameras, CAMERAS)
     pairs = [pair for log in logs for camera in cameras for pair in _pairs(_Log(log), camera, options)]
     expected = f"images in sensors/cameras/{cameras[0]} and sweeps of their time in sensors/lidar"
-    entries = {pair.name: pair for pair in pairs}
-    got = f"none in {len(logs)} logs"
-    return lazy_dataset("Argoverse 2", root, entries, partial(_read, options), {}, expected=expected, got=got)
+    frames, got = Listed({pair.name: pair for pair in pairs}), f"none in {len(logs)} logs"
+    return frames.lazy("Argoverse 2", root, partial(_read, options), expected=expected, got=got)
 
 
 def _logs(root: Path, wanted: Sequence[str]) -> list[Path]:

@@ -23,18 +23,10 @@ from p2o import Camera, Dataset, Float, Frame, InputError, Method, Options, fiel
 from p2o.reading import existing_folder, listing, naming, parse_yaml, read_text
 from p2o_formats.kitti_calibration import calibration_of, read_calibration, rectified_camera
 
+from p2o_datasets import lazy_dataset
 from p2o_datasets.ego_path import EgoPath
 from p2o_datasets.kitti_folder import images_in, is_number, paired, read_stamps, sweeps
-from p2o_datasets.lazy_dataset import (
-    Words,
-    cameras_field,
-    chosen,
-    finite_number,
-    in_drive,
-    lazy_dataset,
-    no_sequences,
-    read_image,
-)
+from p2o_datasets.lazy_dataset import Listed, Words, cameras_field, chosen, finite_number, in_drive, no_sequences
 from p2o_datasets.mei_camera import MeiLens, mei_camera
 from p2o_datasets.velodyne_file import SWEEP_S, compensated, read_sweep
 
@@ -153,19 +145,18 @@ def build(options: Kitti360Options) -> Dataset:
     root = existing_folder(options.root, "KITTI-360")
     drives = _drives(root, options.sequences)
     cameras = chosen("camera", options.cameras, CAMERAS)
-    entries: dict[str, tuple[_Drive, str, Path, Path]] = {}
-    skipped: dict[str, str] = {}
+    frames = Listed()
     for drive in drives:
         clouds = sweeps(drive.sweeps / "data")
         for camera in cameras:
             folder = drive.images(camera) / CAMERAS[camera]
             names, prefix = (str(folder), str(drive.sweeps / "data")), f"{drive.name}/{camera}/"
             both, without = paired(images_in(folder), clouds, root, *names, prefix)
-            entries |= {name: (drive, camera, image, sweep) for name, (_, image, sweep) in both.items()}
-            skipped |= without
+            frames.entries.update({name: (drive, camera, *files) for name, (_, *files) in both.items()})
+            frames.skipped.update(without)
     expected = f"data_2d_raw/DRIVE/{cameras[0]}/{CAMERAS[cameras[0]]} and data_3d_raw/DRIVE/velodyne_points/data"
     got = f"{len(drives)} drives without images and sweeps"
-    return lazy_dataset("KITTI-360", root, entries, partial(_read, options), skipped, expected=expected, got=got)
+    return frames.lazy("KITTI-360", root, partial(_read, options), expected=expected, got=got)
 
 
 def _drives(root: Path, wanted: Sequence[str]) -> list[_Drive]:
@@ -182,7 +173,7 @@ def _read(options: Kitti360Options, entry: tuple[_Drive, str, Path, Path]) -> Fr
     # Names have ten digits; larger numbers would overflow the times.
     frame = min(int(image_path.stem), 10**10)
     camera, extrinsic = (_rectified if camera_name in RECTIFIED else _fisheye)(drive, camera_name)
-    image, warnings = read_image(image_path, camera)
+    image, warnings = lazy_dataset.read_image(image_path, camera)
     cloud, cloud_warnings = read_sweep(sweep_path, sweep_s=drive.turn_s)
     if cloud.time_s is not None:
         cloud = replace(cloud, time_s=cloud.time_s - options.image_delay_s)

@@ -11,7 +11,7 @@ from p2o.reading import existing_folder
 from p2o_formats.kitti_calibration import read_calibration, rectified_extrinsic
 
 from p2o_datasets.kitti_folder import image_in, images_in, paired, read_rectified, sweeps
-from p2o_datasets.lazy_dataset import lazy_dataset
+from p2o_datasets.lazy_dataset import Listed
 from p2o_datasets.velodyne_file import IMAGE_DELAY_S, NOT_UNTWISTED, SWEEP_S, read_sweep
 
 
@@ -29,9 +29,9 @@ def build(options: KittiObjectOptions) -> Dataset:
     root = existing_folder(options.root, "KITTI object frames")
     folder = root / "training" if (root / "training").is_dir() else root
     images, clouds = images_in(folder / "image_2"), sweeps(folder / "velodyne")
-    entries, skipped = paired(images, clouds, folder, "image_2", "velodyne", numbered=False)
+    frames = Listed(*paired(images, clouds, folder, "image_2", "velodyne", numbered=False))
     expected = "frames with image_2/ID.png and velodyne/ID.bin"
-    return lazy_dataset("KITTI object", folder, entries, partial(_read, folder, options), skipped, expected=expected)
+    return frames.lazy("KITTI object", folder, partial(_read, folder, options), expected=expected)
 
 
 def _read(folder: Path, options: KittiObjectOptions, entry: tuple[str, Path, Path]) -> Frame:

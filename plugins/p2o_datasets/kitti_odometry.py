@@ -15,7 +15,7 @@ from p2o.reading import existing_folder, read_text
 from p2o_formats.kitti_calibration import camera_offset, read_calibration, rectified_extrinsic, refuse_cut_off
 
 from p2o_datasets.kitti_folder import image_in, images_in, paired, read_rectified, sweeps
-from p2o_datasets.lazy_dataset import lazy_dataset
+from p2o_datasets.lazy_dataset import Listed
 from p2o_datasets.velodyne_file import read_sweep
 
 
@@ -34,17 +34,16 @@ def build(options: KittiOdometryOptions) -> Dataset:
     root = existing_folder(options.root, "KITTI odometry sequences")
     folder = root / "sequences" if (root / "sequences").is_dir() else root
     sequences = [folder] if (folder / "velodyne").is_dir() else sorted(p.parent for p in folder.glob("*/velodyne"))
-    entries: dict[str, tuple[str, Path, Path]] = {}
-    skipped: dict[str, str] = {}
+    frames = Listed()
     image_folder = f"image_{options.camera}"
     for sequence in sequences:
         images, prefix = images_in(sequence / image_folder), f"{sequence.resolve().name}/"
         clouds = sweeps(sequence / "velodyne")
-        more, without = paired(images, clouds, sequence, image_folder, "velodyne", prefix=prefix)
-        entries.update(more)
-        skipped.update(without)
+        both, without = paired(images, clouds, sequence, image_folder, "velodyne", prefix=prefix)
+        frames.entries.update(both)
+        frames.skipped.update(without)
     expected = f"frames with NN/{image_folder}/ID.png and NN/velodyne/ID.bin"
-    return lazy_dataset("KITTI odometry", folder, entries, partial(_read, options), skipped, expected=expected)
+    return frames.lazy("KITTI odometry", folder, partial(_read, options), expected=expected)
 
 
 def _read(options: KittiOdometryOptions, entry: tuple[str, Path, Path]) -> Frame:

@@ -20,7 +20,7 @@ from p2o_datasets import kitti_folder
 from p2o_datasets.disparity_speed import forward_speed
 from p2o_datasets.kitti_folder import images_in, is_number, read_stamp, read_stamps, seconds_of, without_radial_error
 from p2o_datasets.kitti_oxts import has_fix, lidar_pose, read_packet, twist_of
-from p2o_datasets.lazy_dataset import in_drive, lazy_dataset, read_image
+from p2o_datasets.lazy_dataset import Listed, in_drive, read_image
 from p2o_datasets.velodyne_file import IMAGE_DELAY_S, SWEEP_S, compensated, read_sweep
 
 _DRIVE = re.compile(r"(\d{4}_\d\d_\d\d)_drive_(\d{4})_(sync|extract)", re.ASCII)
@@ -84,8 +84,7 @@ def build(options: KittiRawOptions) -> Dataset:
             date, number, kind = match.groups()
             # "_extract" sorts before "_sync", which replaces it.
             drives[f"{date}/{number}"] = _Drive(folder, f"{date}/{number}", kind == "sync")
-    entries: dict[str, tuple[_Drive, Path, Path]] = {}
-    skipped: dict[str, str] = {}
+    frames = Listed()
     image_folder = f"image_{options.camera:02d}"
     for drive in sorted(drives.values(), key=lambda drive: drive.name):
         images = images_in(drive.folder / image_folder / "data")
@@ -94,11 +93,11 @@ def build(options: KittiRawOptions) -> Dataset:
             clouds = _nearest_in_time(drive.folder, image_folder, images, clouds)
         folders = (f"{image_folder}/data", "velodyne_points/data")
         both, without = kitti_folder.paired(images, clouds, drive.folder, *folders, prefix=f"{drive.name}/")
-        entries.update({name: (drive, image, sweep) for name, (_, image, sweep) in both.items()})
-        skipped.update(without)
+        frames.entries.update({name: (drive, image, sweep) for name, (_, image, sweep) in both.items()})
+        frames.skipped.update(without)
     expected = f"DATE/DATE_drive_NNNN_sync with {image_folder}/data and velodyne_points/data"
     got = f"{len(drives)} drives" if drives else "no drive"
-    return lazy_dataset("KITTI raw", root, entries, partial(_read, options), skipped, expected=expected, got=got)
+    return frames.lazy("KITTI raw", root, partial(_read, options), expected=expected, got=got)
 
 
 def _read(options: KittiRawOptions, entry: tuple[_Drive, Path, Path]) -> Frame:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+import dataclasses
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,23 +13,31 @@ from p2o.reading import LazyFrames, listing, naming, read_rgb
 from pydantic import BeforeValidator
 
 
-def lazy_dataset(
-    title: str,
-    root: Path,
-    entries: Mapping[str, Any],
-    read: Callable[[Any], Frame],
-    skipped: Mapping[str, str],
-    *,
-    expected: str,
-    got: str | None = None,
-) -> LazyFrames:
-    """Return the frames of a data set, read from `entries` on demand.
+@dataclass(frozen=True, eq=False)
+class Listed:
+    """Frames of a data set by name: `entries` to read, and the reasons why others are `skipped`."""
 
-    Raises InputError without entries, with the first reason of `skipped`, else `got`.
-    """
-    if not entries:
-        raise InputError(f"no {title} frames", where=root, expected=expected, got=next(iter(skipped.values()), got))
-    return LazyFrames(entries, read, skipped)
+    entries: dict[str, Any] = dataclasses.field(default_factory=dict)
+    skipped: dict[str, str] = dataclasses.field(default_factory=dict)
+
+    def add(self, name: str, entry: object, reason: str = "") -> None:
+        """Add a frame, which is skipped if there is a reason."""
+        if reason:
+            self.skipped[name] = reason
+        else:
+            self.entries[name] = entry
+
+    def lazy(
+        self, title: str, root: Path, read: Callable[[Any], Frame], *, expected: str, got: str | None = None
+    ) -> LazyFrames:
+        """Return the frames, read from their entries on demand.
+
+        Raises InputError without entries, with the first reason of `skipped`, else `got`.
+        """
+        if not self.entries:
+            got = next(iter(self.skipped.values()), got)
+            raise InputError(f"no {title} frames", where=root, expected=expected, got=got)
+        return LazyFrames(self.entries, read, self.skipped)
 
 
 def cameras_field(default: str, cameras: Iterable[str]) -> Any:

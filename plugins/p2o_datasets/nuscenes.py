@@ -16,7 +16,7 @@ from p2o_formats.camera_entry import read_camera
 
 from p2o_datasets.cloud_file import read_cloud
 from p2o_datasets.ego_path import moved_cloud
-from p2o_datasets.lazy_dataset import Words, cameras_field, chosen, file_inside, in_drive, lazy_dataset, read_image
+from p2o_datasets.lazy_dataset import Listed, Words, cameras_field, chosen, file_inside, in_drive, read_image
 from p2o_datasets.nuscenes_tables import by_token, matrix_of, named, number_of, pose_of, records, text_of
 
 CAMERAS = ("CAM_FRONT", "CAM_FRONT_LEFT", "CAM_FRONT_RIGHT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_BACK_RIGHT")
@@ -77,24 +77,20 @@ def build(options: NuscenesOptions) -> Dataset:
     channels = chosen("camera", options.cameras, CAMERAS)
     files = _files(tables, channels, options)
     pairs = _pairs(files, options)
-    entries: dict[str, tuple[_File, _File]] = {}
-    skipped: dict[str, str] = {}
+    frames = Listed()
     for image, sweep in pairs:
         name = f"{image.scene}/{image.channel}/{image.time_us}"
-        missing = next((file.file for file in (image, sweep) if not os.path.isfile(root / file.file)), None)
-        if missing is None:
-            entries[name] = (image, sweep)
-        else:
-            skipped[name] = f"{root / missing} is missing"
-    wanted = {file.ego_pose for pair in entries.values() for file in pair}
+        missing = (root / file.file for file in (image, sweep) if not os.path.isfile(root / file.file))
+        frames.add(name, (image, sweep), next((f"{path} is missing" for path in missing), ""))
+    wanted = {file.ego_pose for pair in frames.entries.values() for file in pair}
     poses = by_token(tables, "ego_pose", lambda record: record.get("token") in wanted)
     first_us: dict[str, int] = {}
-    for image, _ in entries.values():
+    for image, _ in frames.entries.values():
         first_us[image.scene] = min(image.time_us, first_us.get(image.scene, image.time_us))
     source = _Source(root, tables, options, by_token(tables, "calibrated_sensor"), poses, first_us)
     expected = f"images of {', '.join(channels)} and sweeps of {_LIDAR}"
     got = f"{len(files)} files in the table, no pair of image and sweep"
-    return lazy_dataset("nuScenes", root, entries, partial(_read, source), skipped, expected=expected, got=got)
+    return frames.lazy("nuScenes", root, partial(_read, source), expected=expected, got=got)
 
 
 def _tables(root: Path, version: str | None) -> Path:

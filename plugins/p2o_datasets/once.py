@@ -25,7 +25,7 @@ from p2o_datasets.bin_file import KITTI_COLUMNS
 from p2o_datasets.cloud_file import read_cloud
 from p2o_datasets.ego_path import pose_rows
 from p2o_datasets.kitti_folder import is_number
-from p2o_datasets.lazy_dataset import Words, cameras_field, chosen, file_inside, in_drive, lazy_dataset, no_sequences
+from p2o_datasets.lazy_dataset import Listed, Words, cameras_field, chosen, file_inside, in_drive, no_sequences
 
 CAMERAS = ("cam01", "cam03", "cam05", "cam06", "cam07", "cam08", "cam09")
 _LIDAR = "lidar_roof"
@@ -81,21 +81,17 @@ def build(options: OnceOptions) -> Dataset:
     """
     root = existing_folder(options.root, "ONCE").resolve()
     cameras = chosen("camera", options.cameras, CAMERAS)
-    entries: dict[str, _Shot] = {}
-    skipped: dict[str, str] = {}
+    frames = Listed()
     for sequence in _sequences(root, options.sequences):
         folder = sequence.path.parent
         for camera in cameras:
             for number, record in enumerate(sequence.frames):
                 shot = _Shot(sequence, camera, number, _id(record, sequence.path))
-                missing = next((file for file in shot.files if not os.path.isfile(folder / file)), None)
-                if missing is None:
-                    entries[shot.name] = shot
-                else:
-                    skipped[shot.name] = f"{folder / missing} is missing"
+                missing = (f"{folder / file} is missing" for file in shot.files if not os.path.isfile(folder / file))
+                frames.add(shot.name, shot, next(missing, ""))
     expected = f"images of {', '.join(cameras)} and sweeps in {_LIDAR}"
     got = "sequences without frames"
-    return lazy_dataset("ONCE", root, entries, partial(_read, options), skipped, expected=expected, got=got)
+    return frames.lazy("ONCE", root, partial(_read, options), expected=expected, got=got)
 
 
 def _sequences(root: Path, wanted: Sequence[str]) -> list[_Sequence]:

@@ -24,7 +24,7 @@ from p2o_formats.kitti_calibration import rectified_camera
 from p2o_datasets.cloud_file import cloud_from_fields
 from p2o_datasets.ego_path import EgoPath, moved_cloud, pose_rows
 from p2o_datasets.kitti_folder import is_number
-from p2o_datasets.lazy_dataset import Words, cameras_field, chosen, finite_number, in_drive, lazy_dataset, no_sequences
+from p2o_datasets.lazy_dataset import Listed, Words, cameras_field, chosen, finite_number, in_drive, no_sequences
 from p2o_datasets.pickled_table import read_pickled_table
 
 CAMERAS = tuple(f"{place}_camera" for place in ("front", "front_left", "front_right", "left", "right", "back"))
@@ -157,21 +157,18 @@ def build(options: PandasetOptions) -> Dataset:
     """
     root = existing_folder(options.root, "PandaSet").resolve()
     cameras = chosen("camera", options.cameras, CAMERAS)
-    entries: dict[str, tuple[_Rig, str, Path, Path]] = {}
-    skipped: dict[str, str] = {}
+    frames = Listed()
     for folder in _folders(root, options.sequences):
         sequence = _Sequence(folder, _Sensor(folder / "lidar"))
         for camera in cameras:
             rig = _Rig(sequence, _Sensor(folder / "camera" / camera))
             for image in _images(rig.camera.folder):
                 name, sweep = f"{sequence.name}/{camera}/{image.stem}", sequence.lidar.file(image.stem, _SUFFIXES)
-                if sweep is None:
-                    skipped[name] = f"{sequence.lidar.folder / image.stem}.pkl.gz is missing"
-                else:
-                    entries[name] = (rig, image.stem, image, sweep)
+                reason = "" if sweep else f"{sequence.lidar.folder / image.stem}.pkl.gz is missing"
+                frames.add(name, (rig, image.stem, image, sweep), reason)
     expected = f"images in camera/{cameras[0]} and sweeps in lidar"
     got = "sequences without such images"
-    return lazy_dataset("PandaSet", root, entries, partial(_read, options), skipped, expected=expected, got=got)
+    return frames.lazy("PandaSet", root, partial(_read, options), expected=expected, got=got)
 
 
 def _folders(root: Path, wanted: Sequence[str]) -> list[Path]:

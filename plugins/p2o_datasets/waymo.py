@@ -22,7 +22,7 @@ from p2o_formats.camera_entry import read_camera
 
 from p2o_datasets.cloud_file import cloud_from_fields
 from p2o_datasets.ego_path import moved_cloud
-from p2o_datasets.lazy_dataset import Words, cameras_field, chosen, finite_number, in_drive, lazy_dataset, no_sequences
+from p2o_datasets.lazy_dataset import Listed, Words, cameras_field, chosen, finite_number, in_drive, no_sequences
 from p2o_datasets.waymo_parquet import COMPONENTS, ParquetSegment
 from p2o_datasets.waymo_range_image import LENS, SHUTTER, STAMPS, points_of, to_world, uniform_inclinations
 from p2o_datasets.waymo_records import SUFFIX, RecordSegment, segment_name
@@ -80,8 +80,7 @@ def build(options: WaymoOptions) -> Dataset:
     root = existing_folder(options.root, "Waymo").resolve()
     segments = _segments(root, options.segments)
     cameras = chosen("camera", options.cameras, CAMERAS)
-    entries: dict[str, _Pair] = {}
-    skipped: dict[str, str] = {}
+    frames = Listed()
     for segment in segments:
         sweeps = segment.sweeps(LIDARS.index(options.lidar) + 1)
         for camera in cameras:
@@ -90,13 +89,11 @@ def build(options: WaymoOptions) -> Dataset:
             first_us = min((*images, *sweeps), default=0)
             for frame_us, image_row in sorted(images.items()):
                 pair = _Pair(segment, number, frame_us, first_us, image_row, sweeps.get(frame_us, -1))
-                if frame_us in sweeps:
-                    entries[pair.name] = pair
-                else:
-                    skipped[pair.name] = f"{segment.where('lidar')} has no sweep of {options.lidar} for the frame"
+                lacking = f"{segment.where('lidar')} has no sweep of {options.lidar} for the frame"
+                frames.add(pair.name, pair, "" if frame_us in sweeps else lacking)
     expected = f"images of {', '.join(cameras)} and sweeps of {options.lidar}"
     got = f"{len(segments)} segments without such images"
-    return lazy_dataset("Waymo", root, entries, partial(_read, options), skipped, expected=expected, got=got)
+    return frames.lazy("Waymo", root, partial(_read, options), expected=expected, got=got)
 
 
 def _segments(root: Path, wanted: Sequence[str]) -> Sequence[Segment]:
