@@ -39,6 +39,8 @@ def estimate(error: RadialError) -> IntrinsicsEstimate:
         (RadialError(focal=0.03), 0),
         (RadialError(focal=-0.05), 0),
         (RadialError(radial=0.06), 1),
+        (RadialError(radial=0.18), 1),
+        (RadialError(radial=-0.18), 1),
         (RadialError(x_px=30.0), 2),
         (RadialError(x_px=-20.0), 2),
     ],
@@ -58,6 +60,17 @@ def test_a_correct_camera_is_not_in_doubt() -> None:
     [fit] = estimate(RadialError()).fits
     assert not any(fit.significant)
     assert abs(fit.error.focal) < 0.003
+
+
+@pytest.mark.parametrize("y_px", [-6.5, 6.5])
+def test_an_error_too_small_to_be_named_is_part_of_the_predicted_error(y_px: float) -> None:
+    """A rotation absorbs a shift of the principal point in y: the image is too low for edges to name a small one."""
+    wrong, correct = (estimate(RadialError(y_px=its)) for its in (y_px, 0.0))
+    assert not wrong.fits[0].significant[3]
+    pitch_deg, usual_deg = (np.degrees(np.sqrt(its.covariance[0, 0])) for its in (wrong, correct))
+    absorbed_deg = np.degrees(abs(y_px) / PINHOLE.focal_px)
+    assert usual_deg < 0.05 * absorbed_deg
+    assert 0.3 * absorbed_deg < pitch_deg < absorbed_deg
 
 
 def test_parameters_that_are_not_fitted_stay_exactly_zero() -> None:

@@ -27,8 +27,8 @@ _MAX_VIEWS = 32
 _MARGIN_PX = 30.0
 _FINE, _COARSE = (5.0, 1), (15.0, 2)
 """Truncation in px and scale of the maps of the final fit, and of the search for it, where farther edges attract."""
-_FOCAL_STARTS = (0.03, -0.03)
-"""Relative errors of the focal length from which the fit on coarse maps starts, too."""
+_COARSE_STARTS = np.array([[0.03, 0, 0, 0], [-0.03, 0, 0, 0], [0, 0.1, 0, 0], [0, -0.1, 0, 0]])
+"""Errors of focal length and radial distortion from which the fit on coarse maps starts, too."""
 _MIN_DISTANCE_PX = 0.5
 """Smaller distances count as this in the weights of the iterations (least absolute distances)."""
 _ITERATIONS, _COARSE_ITERATIONS, _MAX_HALVINGS = 30, 12, 8
@@ -37,7 +37,7 @@ _PRIOR = np.array([0.03, 0.06, 0.02, 0.02])
 """Standard deviations of the errors that are expected: focal length (relative), radial distortion, centre (of f)."""
 _SIGMA_INFLATION = 2.5
 """Errors are larger than the scatter between image cells predicts, by this factor (simulated streets)."""
-_SYSTEMATIC = np.array([0.003, 0.006, 0.003, 0.012])
+_SYSTEMATIC = np.array([0.003, 0.006, 0.003, 0.004])
 """Errors found for correct cameras of real rigs with many frames: biases of the extractors, in units of `_PRIOR`."""
 SIGNIFICANT, SIGMAS = 3.0, 2.5
 """Smallest evidence, and smallest ratio of an error to its standard deviation, for which a camera is in doubt."""
@@ -47,6 +47,8 @@ _LEAD = 2.0
 """Smallest evidence for which a fit from another initial value replaces the one from the given cameras."""
 _CALIBRATED = np.array([0.0015, 0.002, 0.0003, 0.0003])
 """Standard deviations of the errors of a usual calibration, in units of `_PRIOR`: part of the predicted error."""
+_UNEXPECTED = 2.0
+"""What the square of an estimated error exceeds its variance by this factor is part of the predicted error, too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +81,8 @@ class IntrinsicFit:
 class IntrinsicsEstimate:
     """The fits of all cameras, the pose (4, 4) with their errors corrected, and what they mean for the pose.
 
-    `covariance` (6, 6) is that of a left update in rad and m because calibrations of cameras have errors of the usual
-    size, which the edges do not reveal.
+    `covariance` (6, 6) is that of a left update in rad and m by the errors of the cameras: those of usual calibrations,
+    which the edges do not reveal, and estimated errors as far as their scatter does not explain them.
     """
 
     fits: tuple[IntrinsicFit, ...]
@@ -96,7 +98,7 @@ def estimate_intrinsics(
     Focal length, first radial coefficient and principal point of every camera are fitted together with the pose, by
     Gauss-Newton steps on the distance maps with weights of least absolute deviations; Gaussian priors are scaled by
     the scatter of the gradient over image cells. The fit starts from the given cameras, and from the best of fits on
-    coarse maps that start from other focal lengths: its result is used where it is significantly better. `parameters`
+    coarse maps that start from other focal lengths and radial distortions: its result is used where it is significantly better. `parameters`
     (4,) are those that are fitted: focal length, radial coefficient, principal point x and y.
     """
     cameras = tuple(camera for camera in dict.fromkeys(view.camera for view in views) if is_correctable(camera))
@@ -112,8 +114,8 @@ def estimate_intrinsics(
     cells = fine.cells(best.pose)
     if coarse is not None:
         starts = [fixed]
-        for focal in _FOCAL_STARTS:
-            start = replace(fixed, errors=fixed.errors + [focal, 0, 0, 0])
+        for error in _COARSE_STARTS[np.any(_COARSE_STARTS[:, np.asarray(parameters, np.bool_)], axis=1)]:
+            start = replace(fixed, errors=fixed.errors + error)
             starts.append(coarse.fit(start, free=False, iterations=_COARSE_ITERATIONS))
         ends = [coarse.fit(start, prior=prior, iterations=_COARSE_ITERATIONS) for start in starts]
         other = fine.fit(min(ends, key=lambda end: end.cost), prior=prior)
@@ -298,10 +300,13 @@ class _Field:
             its = slice(6 + 4 * index, 10 + 4 * index)
             covariance = scatter[its, its] + np.diag(_SYSTEMATIC**2)
             fits.append(IntrinsicFit(camera, _error(errors[index], camera), covariance, evidence))
-        # The pose follows unnoticed errors of the cameras: those of a usual calibration, as far as edges allow them.
+        # The pose follows unnoticed errors of the cameras: those of a usual calibration, as far as edges allow them, and
+        # estimated ones that exceed their scatter but are too small to be significant.
         by_errors = np.linalg.pinv(hessian[:6, :6]) @ hessian[:6, 6:]
-        allowed = np.tile(1 / _CALIBRATED**2, len(self.cameras)) + 1 / np.diag(scatter)[6:]
-        return IntrinsicsEstimate(tuple(fits), best.pose, (by_errors / allowed) @ by_errors.T)
+        usual = 1 / (np.tile(1 / _CALIBRATED**2, len(self.cameras)) + 1 / np.diag(scatter)[6:])
+        expected = np.concatenate([np.diag(fit.covariance) for fit in fits])
+        unexpected = np.maximum(errors.ravel() ** 2 - _UNEXPECTED * expected, 0.0)
+        return IntrinsicsEstimate(tuple(fits), best.pose, (by_errors * (usual + unexpected)) @ by_errors.T)
 
     def _information(self, state: _State, cells: Int) -> tuple[Float, Float]:
         """Return the curvature of the cost and the covariance of its gradient over cells, each (6 + 4 C, 6 + 4 C)."""
