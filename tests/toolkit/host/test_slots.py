@@ -10,7 +10,7 @@ from p2o import Kind
 from p2o.cli.run import command
 from p2o.frames.frame import Frame
 from p2o.host import hookspecs, method
-from p2o.host.slots import KIND_OF, METHOD_WORDS, SENSORS, SLOT_OF, SLOTS, STAGE_OF, STAGED_WORDS, STAGES, Slot
+from p2o.host.slots import KIND_OF, METHOD_WORDS, SLOT_OF, SLOTS, STAGE_OF, STAGED_WORDS, STAGES, Slot
 from p2o.testing import stage
 from p2o_study.store import Planned
 from p2o_study.study import Product, RowTable, Words
@@ -51,9 +51,10 @@ def test_study_files_and_stored_rows_take_the_word_of_each_slot(word: str) -> No
 
 
 def test_extractors_look_at_parts_of_a_frame() -> None:
-    assert SENSORS == {"extractor": "image", "cloud": "cloud"}
-    assert all(isinstance(getattr(stage.frame(), part), getattr(p2o, part.title())) for part in SENSORS.values())
-    assert set(SENSORS.values()) <= set(Frame.__dataclass_fields__)
+    sensors = {slot.stage: slot.sensor for slot in SLOTS if slot.sensor}
+    assert sensors == {"extractor": "image", "cloud": "cloud"}
+    assert all(isinstance(getattr(stage.frame(), part), getattr(p2o, part.title())) for part in sensors.values())
+    assert set(sensors.values()) <= set(Frame.__dataclass_fields__)
 
 
 def test_an_extractor_is_written_beside_the_other_one() -> None:

@@ -295,18 +295,14 @@ class Required:
     @classmethod
     def of(cls, text: str) -> Required:
         """Parse a requirement; raises InputError unless it has both parts of an accuracy, or none."""
-        from p2o.geometry.perturb import parse_perturbation
+        from p2o.geometry.perturb import parse_accuracy
         from p2o.results.verdict import Trust
 
         word, _, rest = text.strip().partition(" ")
         size = rest if word == Trust.TRUSTED else text
         if not size.strip() and word == Trust.TRUSTED:
             return cls(None)
-        bound = parse_perturbation(size, "--require")
-        if not bound.exact or not (bound.angle_deg > 0 and bound.distance_m > 0):
-            expected = '"trusted", or an angle and a length, "0.3deg 0.1m"'
-            raise InputError("the accuracy needs two parts", where="--require", expected=expected, got=repr(text))
-        return cls(bound)
+        return cls(parse_accuracy(size, "--require", '"trusted", or an angle and a length, "0.3deg 0.1m"'))
 
     def unmet(self, results: Sequence[Result | RigResult]) -> list[str]:
         """Return a line for each violated requirement."""

@@ -89,6 +89,14 @@ def parse_perturbation(text: str, where: str = "--perturb") -> Perturbation:
     return replace(perturbation, angle_deg=amounts["deg"], distance_m=amounts["m"])
 
 
+def parse_accuracy(text: str, where: str, expected: str = 'an angle and a length, "0.3deg 0.1m"') -> Perturbation:
+    """Parse an angle and a length, both more than zero; raises InputError, with `where`, for any other text."""
+    bound = parse_perturbation(text, where)
+    if not bound.exact or not (bound.angle_deg > 0 and bound.distance_m > 0):
+        raise InputError("the accuracy needs two parts", where=where, expected=expected, got=repr(text))
+    return bound
+
+
 def _bounds(low: str, high: str, text: str, where: str) -> tuple[float, float]:
     try:
         bounds = float(low), float(high)

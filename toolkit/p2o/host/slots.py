@@ -100,8 +100,6 @@ STAGED_WORDS = tuple(dict.fromkeys(slot.word for slot in SLOTS if slot.staged))
 METHOD_WORDS = (*STAGED_WORDS, SLOT_OF[Kind.CALIBRATOR].word)
 """The words of a recipe that choose methods for frames."""
 
-SENSORS = {slot.stage: slot.sensor for slot in SLOTS if slot.sensor}
-"""The part of a frame that each extractor looks at, by stage."""
 WITNESS = ("witness", "witness-cloud")
 """What extracts the edges by which a result is checked whose method has none: stages of a plan."""
 WIDE = "wide"

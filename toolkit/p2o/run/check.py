@@ -16,7 +16,7 @@ from p2o.features.view import View
 from p2o.frames.direction import Direction, pose_direction, unit_remark
 from p2o.frames.frame import Dataset, Frame
 from p2o.geometry import se3
-from p2o.geometry.perturb import parse_perturbation
+from p2o.geometry.perturb import parse_accuracy
 from p2o.geometry.rough_start import is_rough_start
 from p2o.host.calibration_file import read_extrinsic_file, read_initial_guess
 from p2o.host.registry import Registry
@@ -180,10 +180,7 @@ def _rates(notice: str | None, alarm_rate: float, power: float) -> Rates:
             raise InputError(f"{name} is out of bounds", expected="a share between 0 and 1", got=value)
     if notice is None:
         return Rates(alarm_rate, power)
-    size = parse_perturbation(notice, "--notice")
-    if not size.exact or not (size.angle_deg > 0 and size.distance_m > 0):
-        expected = 'an angle and a length, "0.3deg 3cm"'
-        raise InputError("what is to be noticed has two parts", where="--notice", expected=expected, got=repr(notice))
+    size = parse_accuracy(notice, "--notice")
     return Rates(alarm_rate, power, size.angle_deg, size.distance_m)
 
 
