@@ -225,7 +225,7 @@ def train(
 
     weights = trainer.train(options, groups, validation, out, report)
     if (out / "log.csv").is_file():
-        from p2o.draw.plots import learning_curves
+        from p2o_train.curves import learning_curves
 
         learning_curves(out / "log.csv", out / "log.png")
     return weights

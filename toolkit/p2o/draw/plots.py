@@ -1,20 +1,16 @@
-"""Write figures of results, trainings and shares, without global state of matplotlib."""
+"""Write figures without global state of matplotlib; the figure of a result by round."""
 
 from __future__ import annotations
 
-import csv
 import io
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from p2o.arrays import Float
 from p2o.draw.overlay import COLOURS
-from p2o.errors import InputError, printable
+from p2o.errors import printable
 from p2o.features.side import SIDES
 from p2o.files.whole_file import write_whole
 from p2o.results.figures import result_name, status_text
@@ -22,7 +18,6 @@ from p2o.results.result import DIRECTED, Result, Round
 
 _PIXELS = "pixels"
 _SIZE = (7.0, 4.6)
-_MAPS_IN_ROW = 4
 _LEGEND: dict[str, Any] = {"fontsize": 8, "frameon": False, "ncols": 4, "loc": "upper right"}
 
 
@@ -34,7 +29,7 @@ def convergence(result: Result, path: Path | str) -> None:
     """
     from matplotlib.ticker import MaxNLocator
 
-    figure, (top, bottom) = _figure(_SIZE, 2, sharex=True, height_ratios=(1, 1.2))
+    figure, (top, bottom) = figure_with_panels(_SIZE, 2, sharex=True, height_ratios=(1, 1.2))
     rounds = result.rounds
     numbers = list(range(1, len(rounds) + 1))
     # Dollar signs in names are no formulas.
@@ -76,10 +71,10 @@ def convergence(result: Result, path: Path | str) -> None:
             top.legend(**_LEGEND)
         lines = [line for axis in dict.fromkeys((bottom, side)) for line in axis.get_legend_handles_labels()[0]]
         bottom.legend(handles=lines, **_LEGEND)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
-def _figure(size: tuple[float, float], rows: int, columns: int = 1, **layout: Any) -> tuple[Any, Any]:
+def figure_with_panels(size: tuple[float, float], rows: int, columns: int = 1, **layout: Any) -> tuple[Any, Any]:
     """Return a figure of a size in inches and its panels."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -89,7 +84,8 @@ def _figure(size: tuple[float, float], rows: int, columns: int = 1, **layout: An
     return figure, figure.subplots(rows, columns, **layout)
 
 
-def _save(figure: Any, path: Path | str) -> None:
+def save_figure(figure: Any, path: Path | str) -> None:
+    """Write a figure as PNG; raises InputError if the file cannot be written."""
     buffer = io.BytesIO()
     with warnings.catch_warnings():
         # Characters that the font lacks are drawn as boxes.
@@ -116,78 +112,3 @@ def _cost(result: Result) -> tuple[str, str]:
 
 def _face(letter: str) -> tuple[float, ...]:
     return tuple(c / 255 for c in COLOURS[letter])
-
-
-def learning_curves(log: Path, path: Path | str) -> None:
-    """Write a PNG of a training's log: a CSV file with columns step, loss, validation (may be empty), learning_rate.
-
-    Raises InputError if the log is invalid or the figure cannot be written.
-    """
-    try:
-        with log.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-        columns = {
-            name: [(int(row["step"]), float(row[name])) for row in rows if row[name]]
-            for name in ("loss", "validation", "learning_rate")
-        }
-    except (OSError, ValueError, KeyError, TypeError) as problem:
-        raise InputError(
-            "the log of a training cannot be read",
-            where=log,
-            expected="columns step, loss, validation, learning_rate",
-            got=problem,
-        ) from problem
-    figure, (top, bottom) = _figure(_SIZE, 2, sharex=True, height_ratios=(2, 1))
-    for name, colour, label in (("loss", "tab:blue", "training"), ("validation", "tab:orange", "held out")):
-        if columns[name]:
-            top.plot(*zip(*columns[name], strict=True), "o-", ms=3, lw=1.3, color=colour, label=label)
-    if columns["learning_rate"]:
-        bottom.plot(*zip(*columns["learning_rate"], strict=True), lw=1.3, color="0.4")
-    top.set_ylabel("loss")
-    bottom.set_ylabel("learning rate")
-    bottom.set_xlabel("step")
-    for axis in (top, bottom):
-        axis.grid(axis="y", alpha=0.3)
-        axis.spines[["top", "right"]].set_visible(False)
-        axis.set_ylim(bottom=0)
-    if any(columns[name] for name in ("loss", "validation")):
-        top.legend(fontsize=8, frameon=False)
-    _save(figure, path)
-
-
-def heat_maps(
-    shares: Mapping[str, Float],
-    rows: Sequence[float],
-    columns: Sequence[float],
-    path: Path | str,
-    *,
-    row_label: str,
-    column_label: str,
-    title: str = "",
-) -> None:
-    """Write a PNG of one heat map for each name: shares (R, C) from 0 to 1 over sizes `rows` (R,) and `columns` (C,).
-
-    Cells without a share (NaN) are empty. Raises InputError if the file cannot be written.
-    """
-    across = min(_MAPS_IN_ROW, len(shares))
-    down = -(-len(shares) // across)
-    size = (1.6 + across * (0.9 + 0.55 * len(columns)), 1.2 + down * (0.9 + 0.45 * len(rows)))
-    figure, panels = _figure(size, down, across, squeeze=False)
-    axes = panels.ravel()
-    for axis, (name, values) in zip(axes, shares.items(), strict=False):
-        axis.imshow(values, vmin=0, vmax=1, cmap="viridis", origin="lower", aspect="auto")
-        for i, j in np.ndindex(values.shape):
-            if np.isfinite(values[i, j]):
-                dark = values[i, j] < 0.6
-                text = f"{100 * values[i, j]:.0f}"
-                axis.text(j, i, text, ha="center", va="center", fontsize=8, color="w" if dark else "k")
-        axis.set_xticks(range(len(columns)), [f"{x:g}" for x in columns], fontsize=8)
-        axis.set_yticks(range(len(rows)), [f"{x:g}" for x in rows], fontsize=8)
-        axis.set_title(name.replace("$", r"\$"), fontsize=10)
-        axis.set_xlabel(column_label, fontsize=8)
-        axis.set_ylabel(row_label, fontsize=8)
-    for axis in axes[len(shares) :]:
-        axis.set_visible(False)
-    if title:
-        figure.suptitle(title, fontsize=11)
-    _save(figure, path)

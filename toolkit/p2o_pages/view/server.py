@@ -11,9 +11,9 @@ from p2o.arrays import Float
 from p2o.errors import InputError, P2OError, printable
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
-from p2o.geometry.nudge import AXES, Nudge
 
 from p2o_pages.server import HOST, PageServer
+from p2o_pages.view.nudge import AXES, Nudge
 from p2o_pages.view.session import ViewSession, Which
 from p2o_pages.view.shown_frame import Colouring
 

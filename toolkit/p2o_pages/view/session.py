@@ -14,11 +14,11 @@ from p2o.errors import InputError
 from p2o.files.input_file import expanded
 from p2o.files.whole_file import write_whole
 from p2o.frames.frame import Frame
-from p2o.geometry.nudge import Axes, Nudge
 from p2o.geometry.pose_error import pose_error
 from p2o.host.calibration_file import names_file
 from p2o_formats.plain_text import FORMAT as TEXT_FORMAT
 
+from p2o_pages.view.nudge import Axes, Nudge
 from p2o_pages.view.shown_frame import MOST_POINTS, ShownFrame
 
 Which = Literal["start", "result"]

@@ -66,13 +66,13 @@ def command(
     METHOD is a published method (`p2o methods`), a calibrator, a matcher, or the label of a row of --study.
     Started again, it continues with the missing rows. Writes basin.png, basin.json and the rows (study.sqlite) to DIR.
     """
-    from p2o.draw.plots import heat_maps
     from p2o.files.whole_file import write_json
     from p2o.geometry.perturb import parse_perturbation
 
     from p2o_study.ablate import MAX_CALIBRATIONS, ablate
     from p2o_study.basin import Grid, basin_of, basin_study, contender_of
     from p2o_study.parallel import Workers
+    from p2o_study.report.heat_maps import heat_maps
     from p2o_study.study import find_study
     from p2o_study.worker import Plugins
 

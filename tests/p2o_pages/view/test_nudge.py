@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from p2o import se3
-from p2o.geometry.nudge import Nudge
+from p2o_pages.view.nudge import Nudge
 
 # A camera that looks along x of a LiDAR whose z is up.
 POSE = se3.make(np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]), [0.1, -0.2, 0.3])

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-
 from p2o.arrays import Float
 from p2o.geometry import se3
 
