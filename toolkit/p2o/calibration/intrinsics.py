@@ -98,8 +98,8 @@ def estimate_intrinsics(
     Focal length, first radial coefficient and principal point of every camera are fitted together with the pose, by
     Gauss-Newton steps on the distance maps with weights of least absolute deviations; Gaussian priors are scaled by
     the scatter of the gradient over image cells. The fit starts from the given cameras, and from the best of fits on
-    coarse maps that start from other focal lengths and radial distortions: its result is used where it is significantly better. `parameters`
-    (4,) are those that are fitted: focal length, radial coefficient, principal point x and y.
+    coarse maps that start from other focal lengths and radial distortions: its result is used where it is significantly
+    better. `parameters` (4,) are those that are fitted: focal length, radial coefficient, principal point x and y.
     """
     cameras = tuple(camera for camera in dict.fromkeys(view.camera for view in views) if is_correctable(camera))
     if not cameras:
@@ -300,8 +300,8 @@ class _Field:
             its = slice(6 + 4 * index, 10 + 4 * index)
             covariance = scatter[its, its] + np.diag(_SYSTEMATIC**2)
             fits.append(IntrinsicFit(camera, _error(errors[index], camera), covariance, evidence))
-        # The pose follows unnoticed errors of the cameras: those of a usual calibration, as far as edges allow them, and
-        # estimated ones that exceed their scatter but are too small to be significant.
+        # The pose follows unnoticed errors of the cameras: those of a usual calibration, as far as edges allow them,
+        # and estimated ones that exceed their scatter but are too small to be significant.
         by_errors = np.linalg.pinv(hessian[:6, :6]) @ hessian[:6, 6:]
         usual = 1 / (np.tile(1 / _CALIBRATED**2, len(self.cameras)) + 1 / np.diag(scatter)[6:])
         expected = np.concatenate([np.diag(fit.covariance) for fit in fits])
