@@ -47,8 +47,11 @@ _LEAD = 2.0
 """Smallest evidence for which a fit from another initial value replaces the one from the given cameras."""
 _CALIBRATED = np.array([0.0015, 0.002, 0.0003, 0.0003])
 """Standard deviations of the errors of a usual calibration, in units of `_PRIOR`: part of the predicted error."""
-_UNEXPECTED = 2.0
-"""What the square of an estimated error exceeds its variance by this factor is part of the predicted error, too."""
+_UNEXPECTED = np.array([SIGMAS**2, SIGMAS**2, SIGMAS**2, 2.0])
+"""The part of the square of an estimated error beyond this multiple of its variance belongs to the predicted error.
+
+Less for the vertical principal point, of which a rotation absorbs more than the edges of a low image reveal.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,7 +308,7 @@ class _Field:
         by_errors = np.linalg.pinv(hessian[:6, :6]) @ hessian[:6, 6:]
         usual = 1 / (np.tile(1 / _CALIBRATED**2, len(self.cameras)) + 1 / np.diag(scatter)[6:])
         expected = np.concatenate([np.diag(fit.covariance) for fit in fits])
-        unexpected = np.maximum(errors.ravel() ** 2 - _UNEXPECTED * expected, 0.0)
+        unexpected = np.maximum(errors.ravel() ** 2 - np.tile(_UNEXPECTED, len(self.cameras)) * expected, 0.0)
         return IntrinsicsEstimate(tuple(fits), best.pose, (by_errors * (usual + unexpected)) @ by_errors.T)
 
     def _information(self, state: _State, cells: Int) -> tuple[Float, Float]:
