@@ -11,6 +11,8 @@ import p2o
 import pytest
 from p2o.errors import InputError
 from p2o_study import sources
+from p2o_study.benchmark.outcomes import Outcomes
+from p2o_study.benchmark.results import Results
 from p2o_study.benchmark.row import MAX_LINE_BYTES, FrameData, Row, add_records, latest, parsed_line, read_records
 from p2o_study.benchmark.suite import FOLDER, find_suite, suite_names
 
@@ -58,13 +60,50 @@ def test_a_row_is_one_line_that_reads_back_bit_by_bit() -> None:
     assert np.array_equal(np.asarray(after.estimate), turned)
 
 
-def test_errors_are_those_of_the_pose_and_never_of_the_file() -> None:
+def frame(truth: Any) -> FrameData:
+    """Return the frame of `row`; its content is not that of any image."""
+    plain = {"dataset": "tiny", "name": "tiny/000", "image": "0" * 64, "sweep": "1" * 64, "calibration": "2" * 64}
+    return FrameData.model_validate(plain | {"truth": truth.tolist()})
+
+
+def outcomes(folder: Path, rows: list[Row], truth: Any) -> Outcomes:
+    """Return the arrays of rows that are written to a folder of results."""
+    known = frame(truth)
+    named = [{"name": known.name, "digest": known.digest}]
+    Results(folder).add(
+        "tiny", [Row.model_validate(r.model_dump(mode="json") | {"frames": named}) for r in rows], [known]
+    )
+    return Outcomes.read(Results(folder), "tiny", Results(folder).frames)
+
+
+def test_errors_are_those_of_the_pose_and_never_of_the_file(tmp_path: Path) -> None:
     truth = p2o.se3.make(p2o.se3.exp(np.array([0, 0, np.radians(2), 0, 0, 0]))[:3, :3], [0.3, 0, 0])
-    assert row().stored(truth).rotation_deg == pytest.approx(2.0)
-    assert row().stored(truth).translation_m == pytest.approx(0.3)
-    refused = row(estimate=None, status="no-edges", verdict="refused", start=truth.tolist())
-    assert refused.stored(truth).rotation_deg == pytest.approx(0.0, abs=1e-6)
-    assert row(estimate=None, status="stage-failed", verdict=None).stored(truth).rotation_deg is None
+    refused = row(row="refused", estimate=None, status="no-edges", verdict="refused", start=truth.tolist())
+    raised = row(row="raised", estimate=None, status="stage-failed", verdict=None)
+    runs = outcomes(tmp_path, [row(), refused, raised], truth).runs
+    assert runs["rotation_deg"] == pytest.approx([2.0, np.nan, 0.0], abs=1e-6, nan_ok=True)
+    assert runs["translation_m"] == pytest.approx([0.3, np.nan, 0.0], nan_ok=True)
+
+
+def test_arrays_hold_the_rows_in_the_order_of_the_file_whatever_the_order_of_the_lines(tmp_path: Path) -> None:
+    random = np.random.default_rng(0)
+    days = ("2026-01-02T00:00:00+00:00", "2026-01-01T00:00:00+00:00")
+    truth, rows = p2o.se3.exp(np.array([0.1, 0, 0, 0, 0, 0])), []
+    for label, seed, finished, commit in itertools.product(("b", "a"), (10, 9), days, ("x", "y")):
+        estimate = p2o.se3.exp(random.normal(size=6))
+        rows.append(row(row=label, seed=seed, finished=finished, commit=commit, estimate=estimate.tolist()))
+    its = outcomes(tmp_path, rows, truth)
+    path = its.path
+    path.write_text("".join(path.read_text().splitlines(keepends=True)[::-1] * 2))
+    its = Outcomes.read(Results(tmp_path), "tiny", Results(tmp_path).frames)
+    last = latest(read_records(Row, path))
+    runs = its.runs[its.latest]
+    errors = [Results(tmp_path).frames.error_of(known) for known in last]
+    assert runs["rotation_deg"] == pytest.approx([error.rotation_deg for error in errors if error is not None])
+    assert runs["translation_m"] == pytest.approx([error.translation_m for error in errors if error is not None])
+    assert [known.line for known in map(its.row, np.flatnonzero(its.latest))] == [known.line for known in last]
+    assert its.measured(last[0].identity)[0].line == last[0].line
+    assert its.measured(("tiny", "tiny", "c", *last[0].identity[3:])) == []
 
 
 @pytest.mark.parametrize(
@@ -76,6 +115,10 @@ def test_errors_are_those_of_the_pose_and_never_of_the_file() -> None:
         ('"version":1', '"version":2', "rows:2: version is not valid; expected 1"),
         ('"estimate":[[1.0', '"estimate":[[1.1', "rows:2: estimate is not valid; expected a rigid transform"),
         ('"estimate":[[1.0', '"estimate":[[NaN', "rows:2: "),
+        ('"estimate":[[1.0', '"estimate":[["1.0"', "rows:2: estimate"),
+        ('"start":[[1.0', '"start":[[-1.0', "rows:2: start is not valid; expected a rigid transform"),
+        ('"seed":0', '"seed":"\\ud800"', "rows:2: "),
+        ('"options":{}', '"options":{"a":' + "[" * 80 + "]" * 80 + "}", "rows:2: the line is nested too deeply"),
         ('"status":"converged"', '"status":"no-edges"', "an estimate if, and only if"),
         ('"digest":"1', '"digest":"x', "rows:2: digest is not valid"),
         ("{", "[", "rows:2: the line is not JSON"),
@@ -85,13 +128,14 @@ def test_errors_are_those_of_the_pose_and_never_of_the_file() -> None:
 def test_an_invalid_line_is_refused_in_one_line_with_its_place(
     tmp_path: Path, old: str, new: str, message: str
 ) -> None:
-    file = tmp_path / "rows"
+    file = tmp_path / "tiny.jsonl"
     assert old in row().line
     file.write_text(f"{row(row='first').line}\n{row().line.replace(old, new, 1)}\n")
-    with pytest.raises(InputError) as problem:
-        read_records(Row, file)
-    assert message in str(problem.value)
-    assert len(str(problem.value)) < 4000
+    for read in (lambda: read_records(Row, file), lambda: Outcomes.read(Results(tmp_path), "tiny")):
+        with pytest.raises(InputError) as problem:
+            read()
+        assert message.replace("rows:", "tiny.jsonl:") in str(problem.value)
+        assert len(str(problem.value)) < 4000
 
 
 def test_files_merge_to_the_same_bytes_in_any_order(tmp_path: Path) -> None:

@@ -13,7 +13,8 @@ import p2o
 from p2o.results.result import Status
 
 from p2o_study.ablate import OnProgress, OnWarning, ablate
-from p2o_study.benchmark.plan import GIVEN, State, Task, by_identity, state_of
+from p2o_study.benchmark.outcomes import Outcomes
+from p2o_study.benchmark.plan import GIVEN, State, Task, state_of
 from p2o_study.benchmark.results import Results
 from p2o_study.benchmark.row import FrameOfRow, Machine, Method, Predicted, Row
 from p2o_study.benchmark.suite import SuiteFile
@@ -22,7 +23,7 @@ from p2o_study.parallel import Workers
 from p2o_study.store import StoredRow
 from p2o_study.worker import Plugins
 
-_WORDS = ("extractor", "matcher", "solver", "init", "calibrator", "accumulate", "witness")
+WORDS = ("extractor", "matcher", "solver", "init", "calibrator", "accumulate", "witness")
 _BOUNDS = ("rotation_deg", "translation_m", "rotation_deg_95", "translation_m_95")
 
 
@@ -57,7 +58,7 @@ def measure(
 
     `store` is the folder of the study's store, from which an interrupted measurement continues. Raises as `ablate`.
     """
-    rows = by_identity(results.rows(suite.name))
+    outcomes = Outcomes.read(results, suite.name)
     tasks: dict[str, Task] = {}
     fresh = unreadable = 0
 
@@ -67,7 +68,7 @@ def measure(
         if task is None:
             unreadable += 1
             return False
-        if state_of(task, rows) is State.FRESH:
+        if state_of(task, outcomes.measured(task.identity)) is State.FRESH:
             fresh += 1
             return False
         tasks[cell.planned.key] = task
@@ -91,7 +92,7 @@ def measure(
         row = row_of(task, stored, commit, measured_by)
         crashed += row.crashed
         # A calibration that raises again is the same outcome, not a further one.
-        if not (row.crashed and any(known.crashed for known in rows.get(task.identity, ()))):
+        if not (row.crashed and any(known.crashed for known in outcomes.measured(task.identity))):
             new.append((row, task))
     frames = {frame.line: frame for _, task in new for frame in task.frames}
     added = results.add(suite.name, [row for row, _ in new], frames.values())
@@ -114,7 +115,7 @@ def row_of(task: Task, stored: StoredRow, commit: str, measured_by: str) -> Row:
         seed=stored.seed,
         start=task.start.tolist(),
         method=Method(
-            words={word: described[word] for word in _WORDS if described.get(word)},
+            words={word: described[word] for word in WORDS if described.get(word)},
             options={stage: options for stage, options in described["options"].items() if stage != "data"},
         ),
         digest=task.cell.method.digest,

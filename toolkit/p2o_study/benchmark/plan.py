@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property, lru_cache
@@ -96,15 +96,7 @@ def frame_data(dataset: str, record: FrameRecord) -> FrameData:
     )
 
 
-def by_identity(rows: Iterable[Row]) -> Mapping[tuple[str, ...], list[Row]]:
-    """Return the rows of each identity, the last measured one first."""
-    out: dict[tuple[str, ...], list[Row]] = {}
-    for row in sorted(rows, key=lambda row: row.order, reverse=True):
-        out.setdefault(row.identity, []).append(row)
-    return out
-
-
-def state_of(task: Task, rows: Mapping[tuple[str, ...], list[Row]]) -> State:
-    """Return the state of a task: fresh if any row is, otherwise that of the last measured one."""
-    states = [task.state_of(row) for row in rows.get(task.identity, ())]
+def state_of(task: Task, rows: Sequence[Row]) -> State:
+    """Return the state of a task from the rows of its identity: fresh if any is, otherwise that of the first."""
+    states = [task.state_of(row) for row in rows]
     return State.MISSING if not states else State.FRESH if State.FRESH in states else states[0]

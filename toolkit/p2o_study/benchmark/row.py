@@ -11,15 +11,13 @@ import json
 from collections.abc import Iterable, Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, BinaryIO, Literal, TypeVar
 
 import numpy as np
-from p2o.arrays import Float
 from p2o.errors import InputError
 from p2o.files.input_file import read_start
 from p2o.files.parsed_text import parse_json
 from p2o.files.whole_file import write_whole
-from p2o.geometry.pose_error import pose_error
 from p2o.options import validated
 from p2o.results.json_types import Number, Pose
 from p2o.results.result import Status
@@ -27,7 +25,6 @@ from p2o.results.verdict import Trust
 from pydantic import BaseModel, ConfigDict, Field, StrictBool, StringConstraints, model_validator
 
 from p2o_study.columns import METRICS
-from p2o_study.store import StoredRow
 from p2o_study.study import Label, Line, Seed, Slug
 
 MAX_LINE_BYTES = 1 << 20
@@ -194,41 +191,6 @@ class Row(_Record):
         """The names of the frames as one text: first, and the number of others."""
         return place_of([frame.name for frame in self.frames])
 
-    def stored(self, truth: Float | None) -> StoredRow:
-        """Return the row as tables of studies take it, with the errors against `truth` (4, 4)."""
-        result = self.start if self.estimate is None else self.estimate
-        values: dict[str, Any] = {}
-        if truth is not None:
-            before = pose_error(self.start, truth)
-            values = {"start_rotation_deg": before.rotation_deg, "start_translation_m": before.translation_m}
-            if not self.crashed:
-                error = pose_error(result, truth)
-                values |= {"rotation_deg": error.rotation_deg, "translation_m": error.translation_m}
-                values |= error.per_axis
-        bounds = {} if self.predicted is None else self.predicted.model_dump()
-        names = tuple(frame.name for frame in self.frames)
-        return StoredRow(
-            key=self.digest,
-            study=self.suite,
-            row=self.row,
-            section=self.section,
-            dataset=self.dataset,
-            frames=names,
-            joint=len(names) if self.joint else 0,
-            seed=self.seed,
-            perturb=self.protocol,
-            status=self.status.value,
-            reason=self.reason,
-            trust=self.verdict,
-            figures={f"predicted_{name}": value for name, value in bounds.items()},
-            estimate=result,
-            start=self.start,
-            truth=truth,
-            seconds={} if self.seconds is None else {"total": self.seconds},
-            finished=self.finished,
-            **values,
-        )
-
 
 def place_of(names: list[str]) -> str:
     """Return the names of frames as one text: the first, and the number of others."""
@@ -249,6 +211,12 @@ def parsed_line(model: type[_Line], text: bytes, where: str) -> _Line:
 
 def parsed_lines(model: type[_Line], lines: Iterable[bytes], where: object) -> Iterator[_Line]:
     """Yield the records of lines; raises InputError with `where` and the number of the line."""
+    for place, text in checked_lines(lines, where):
+        yield parsed_line(model, text, place)
+
+
+def checked_lines(lines: Iterable[bytes], where: object) -> Iterator[tuple[str, bytes]]:
+    """Yield place and text of the lines that are not empty; raises InputError for too many and too long ones."""
     for number, text in enumerate(lines, start=1):
         place = f"{where}:{number}"
         if number > MAX_LINES:
@@ -256,7 +224,12 @@ def parsed_lines(model: type[_Line], lines: Iterable[bytes], where: object) -> I
         if len(text) > MAX_LINE_BYTES:
             raise InputError("the line is too long", where=place, expected=f"at most {MAX_LINE_BYTES} bytes")
         if text.strip():
-            yield parsed_line(model, text, place)
+            yield place, text
+
+
+def lines_of(file: BinaryIO) -> Iterator[bytes]:
+    """Yield the lines of an open file; of one that is too long, the beginning, which `checked_lines` refuses."""
+    return iter(lambda: file.readline(MAX_LINE_BYTES + 1), b"")
 
 
 def read_records(model: type[_Line], path: Path) -> list[_Line]:
@@ -265,7 +238,7 @@ def read_records(model: type[_Line], path: Path) -> list[_Line]:
         return []
     read_start(path, "file of rows", 1)
     with path.open("rb") as file:
-        return merged(parsed_lines(model, iter(lambda: file.readline(MAX_LINE_BYTES + 1), b""), path))
+        return merged(parsed_lines(model, lines_of(file), path))
 
 
 def merged(*parts: Iterable[_Line]) -> list[_Line]:

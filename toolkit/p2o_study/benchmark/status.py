@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+
+import numpy as np
 
 from p2o_study.ablate import OnProgress, OnWarning, read_cells
-from p2o_study.benchmark.plan import State, Task, by_identity, state_of
+from p2o_study.benchmark.outcomes import CRASHED, Outcomes
+from p2o_study.benchmark.plan import State, Task, state_of
 from p2o_study.benchmark.results import Results
-from p2o_study.benchmark.row import latest, place_of
+from p2o_study.benchmark.row import place_of
 from p2o_study.benchmark.suite import SuiteFile
 from p2o_study.cells import Method
 from p2o_study.parallel import Workers
 from p2o_study.worker import Plugins
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Entry:
     """One calibration of a suite and the state of its row."""
 
@@ -56,7 +59,7 @@ class SuiteStatus:
         return {
             "suite": self.suite,
             "counts": {state.value: self.count(state) for state in State},
-            "outdated": [vars(entry) for entry in self.outdated],
+            "outdated": [asdict(entry) for entry in self.outdated],
             "unchecked_datasets": list(self.unchecked),
             "surplus_rows": self.surplus,
             "unreadable": self.unreadable,
@@ -73,11 +76,10 @@ def status_of(
     on_warning: OnWarning | None = None,
 ) -> SuiteStatus:
     """Return the status of a suite; frames of datasets with a path are read, nothing is computed."""
-    rows = results.rows(suite.name)
-    known = by_identity(rows)
+    outcomes = Outcomes.read(results, suite.name)
     unchecked = {table.name for table in suite.study.study.dataset if table.left_out}
     entries: list[Entry] = []
-    asked: set[tuple[str, ...]] = set()
+    left = outcomes.latest.copy()
     unreadable = 0
     tasks: dict[tuple[str, ...], Task] = {}
     if len(unchecked) < len(suite.study.study.dataset):
@@ -89,22 +91,26 @@ def status_of(
             if task is None:
                 unreadable += 1
                 continue
-            asked.add(task.identity)
+            known = outcomes.find(task.identity)
+            left[known.start : known.stop] = False
             tasks.setdefault(task.identity_for(""), task)
-            entries.append(_entry(task, task.cell.planned.row, state_of(task, known)))
+            entries.append(_entry(task, task.cell.planned.row, state_of(task, outcomes.measured(task.identity))))
     digests = _digests(suite, plugins) if unchecked else {}
+    places = [place_of(list(names)) for names in outcomes.places]
     surplus = 0
-    for row in latest(rows):
-        if row.identity in asked:
-            continue
-        same = tasks.get((*row.identity[:2], "", *row.identity[3:]))
-        if row.method.external and same is not None:
-            entries.append(_entry(same, row.row, same.state_of(row)))
-        elif row.dataset in unchecked and (row.method.external or row.row in digests):
-            changed = not row.method.external and digests[row.row].get(row.seed) != row.digest
-            state = State.CRASHED if row.crashed else State.METHOD if changed else State.FRESH
-            names = [frame.name for frame in row.frames]
-            entries.append(Entry(row.dataset, row.row, place_of(names), row.protocol, row.seed, state))
+    for number in np.flatnonzero(left).tolist():
+        run = outcomes.runs[number]
+        dataset, label, protocol = outcomes.datasets[run["dataset"]], outcomes.rows[run["row"]], run["protocol"]
+        seed, (method, digest) = int(run["seed"]), outcomes.methods[run["method"]]
+        names = outcomes.places[run["place"]]
+        same = tasks.get((suite.name, dataset, "", outcomes.protocols[protocol], f"{seed:010d}", *names))
+        if method.external and same is not None:
+            entries.append(_entry(same, label, same.state_of(outcomes.row(number))))
+        elif dataset in unchecked and (method.external or label in digests):
+            changed = not method.external and digests[label].get(seed) != digest
+            state = State.CRASHED if run["status"] == CRASHED else State.METHOD if changed else State.FRESH
+            place = places[run["place"]]
+            entries.append(Entry(dataset, label, place, outcomes.protocols[protocol], seed, state))
         else:
             surplus += 1
     return SuiteStatus(suite.name, tuple(entries), tuple(sorted(unchecked)), surplus, unreadable)

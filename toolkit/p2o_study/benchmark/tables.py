@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from p2o.arrays import Int
 from p2o.errors import InputError
 from p2o.files.input_file import read_text
-from p2o.results.verdict import Trust
 
+from p2o_study.benchmark.outcomes import Outcomes, Runs, split_by
 from p2o_study.benchmark.results import Results
-from p2o_study.benchmark.row import latest
 from p2o_study.benchmark.suite import SuiteFile
+from p2o_study.benchmark.summary import clusters_of, dataset_clusters, summarised
 from p2o_study.report.bootstrap import MIN_FRAMES, Interval
-from p2o_study.report.summary import measured_row
+from p2o_study.report.summary import NORMS
 from p2o_study.report.tables import NONE, md_text, shown
-from p2o_study.store import StoredRow
 from p2o_study.tally import brief_seconds
 
 _HEADER = (
@@ -37,7 +38,6 @@ _HEADER = (
     "coverage 95 %",
     "time [s]",
 )
-_NORMS = ("rotation_deg", "translation_m")
 _PART = re.compile(
     r"^(?P<head><!-- rows: (?P<suite>[a-z0-9._-]+)(?:, (?P<section>[^>\n]+?))? -->\n)"
     r"(?:(?!^<!-- rows:).)*?(?P<tail>^<!-- /rows -->$)",
@@ -46,30 +46,31 @@ _PART = re.compile(
 _HEAD = re.compile(r"^<!-- rows:", re.MULTILINE)
 
 
+class _Labelled(NamedTuple):
+    """The runs of one label, and the draws of their initial guesses."""
+
+    runs: Runs
+    protocols: tuple[str, ...]
+
+
 def table_of(suite: SuiteFile, results: Results, section: str | None = None) -> str:
     """Return the tables of a suite in Markdown, one for each section, from its last measured rows; no data are read.
 
     Raises InputError for a section that the suite lacks, and for a row whose frame is not listed.
     """
-    frames = results.frames
-    runs: dict[str, list[StoredRow]] = {}
-    external: dict[str, list[str]] = {}
-    for row in latest(results.rows(suite.name)):
-        # The rows of an external method are those of all sections together, in the first one.
-        runs.setdefault(row.row, []).append(row.stored(frames.truth_of(row)))
-        if row.method.external and row.row not in external.setdefault(row.section, []):
-            external[row.section].append(row.row)
+    outcomes = Outcomes.read(results, suite.name, results.frames)
+    clusters = clusters_of(outcomes, suite.suite.groups)
+    runs, external = _by_label(outcomes)
     sections: dict[str, list[str]] = {}
     for study_row in suite.rows:
         sections.setdefault(study_row.section, []).append(study_row.label)
     if section is not None and section not in sections:
         raise InputError("unknown section", where=suite.source, expected=" or ".join(map(repr, sections)), got=section)
-    cluster = _CLUSTERS[suite.suite.groups]
     parts = []
     for name, labels in sections.items():
         measured = [label for label in (*labels, *external.get(name, ())) if label in runs]
         if section in (None, name):
-            parts.append(_section(name, measured, len(labels) - sum(label in runs for label in labels), runs, cluster))
+            parts.append(_section(name, measured, len(labels) - sum(label in runs for label in labels), runs, clusters))
     return "\n".join(parts)
 
 
@@ -77,47 +78,51 @@ def _line(cells: Iterable[str]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def _place(run: StoredRow) -> str:
-    return f"{run.dataset} {run.place}"
-
-
-def _drive(run: StoredRow) -> str:
-    return f"{run.dataset} {run.frames[0].rpartition('/')[0]}"
-
-
-_CLUSTERS: dict[str, Callable[[StoredRow], str]] = {"frames": _place, "drive": _drive}
+def _by_label(outcomes: Outcomes) -> tuple[dict[str, _Labelled], dict[str, list[str]]]:
+    """Return the last measured runs of each label, and the labels of external methods by section."""
+    latest = outcomes.runs[outcomes.latest]
+    runs = {
+        outcomes.rows[own["row"][0]]: _Labelled(own, tuple(outcomes.protocols[i] for i in np.unique(own["protocol"])))
+        for own in split_by(latest, "row")
+    }
+    # The rows of an external method are those of all sections together, in the first one.
+    foreign = np.array([method.external for method, _ in outcomes.methods], bool)
+    external: dict[str, list[str]] = {}
+    for run in latest[foreign[latest["method"]]] if len(latest) else ():
+        known = external.setdefault(outcomes.sections[run["section"]], [])
+        if outcomes.rows[run["row"]] not in known:
+            known.append(outcomes.rows[run["row"]])
+    return runs, external
 
 
 def _section(
     name: str,
     labels: Sequence[str],
     unmeasured: int,
-    runs: dict[str, list[StoredRow]],
-    cluster: Callable[[StoredRow], str],
+    runs: Mapping[str, _Labelled],
+    clusters: Int,
 ) -> str:
     """Return the table of a section with its caption."""
-    own = {run.perturb for label in labels for run in runs[label]}
+    own = {protocol for label in labels for protocol in runs[label].protocols}
     start = f", from {', '.join(sorted(filter(None, own)))}" if len(own) == 1 else ""
     lines = [f"**{md_text(name or 'all rows')}{md_text(start)}**", ""]
     if labels:
         lines += [_line(_HEADER), _line([":--", *["--:"] * (len(_HEADER) - 1)])]
-        lines += [_line([md_text(label), *_figures(label, runs[label], cluster)]) for label in labels]
+        lines += [_line([md_text(label), *_figures(runs[label].runs, clusters)]) for label in labels]
     if unmeasured:
         lines += [""] if labels else []
         lines.append(f"{unmeasured} rows are not measured.")
     return "\n".join([*lines, ""])
 
 
-def _figures(label: str, runs: Sequence[StoredRow], cluster: Callable[[StoredRow], str]) -> list[str]:
+def _figures(runs: Runs, clusters: Int) -> list[str]:
     """Return the cells of a row behind its label."""
-    row = measured_row(label, runs, 0, None, cluster)
-    cells = [str(row.runs), str(len({cluster(run) for run in runs})), str(sum(row.failures.values()))]
-    for norm in _NORMS:
-        cells += [shown(row.mean.get(norm), norm), _value(norm, row.median[norm].value if norm in row.median else None)]
-        errors = [abs(getattr(run, norm)) for run in runs if run.solved and getattr(run, norm) is not None]
-        cells.append(_value(norm, float(np.mean(errors)) if errors else None))
-    judged = any(row.trust)
-    cells += [str(row.trust.get(Trust.TRUSTED, 0)), str(row.false_accepts)] if judged else [NONE, NONE]
+    row = summarised(runs, dataset_clusters(runs, clusters))
+    cells = [str(row.count), str(row.groups), str(row.refused)]
+    for norm in NORMS:
+        cells += [shown(row.mean.get(norm), norm), _value(norm, row.median.get(norm))]
+        cells.append(_value(norm, row.solved_only.get(norm)))
+    cells += [NONE if count is None else str(count) for count in (row.trusted, row.false_accepts)]
     return [*cells, row.coverage.text_67, row.coverage.text_95, brief_seconds(row.seconds)]
 
 

@@ -35,7 +35,7 @@ class Interval:
     high: float | None = None
 
 
-def interval(values: Sequence[float] | Float, frames: Sequence[str], statistic: Statistic) -> Interval | None:
+def interval(values: Sequence[float] | Float, frames: Sequence[str] | Int, statistic: Statistic) -> Interval | None:
     """Return mean or median of values (N,) with its percentile interval; `frames` (N,) names the frame of each value.
 
     The interval does not depend on the order of the values, because the random draws depend on the number of frames

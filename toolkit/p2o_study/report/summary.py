@@ -231,11 +231,8 @@ def measured_row(
     runs: Sequence[StoredRow],
     waiting: int,
     within: Perturbation | None,
-    cluster: Callable[[StoredRow], str] = lambda run: run.place,
 ) -> Measured:
-    """Return one row of a table from its runs, of which `waiting` are missing; `cluster` names the independent group
-    of a run, over which intervals are drawn.
-    """
+    """Return one row of a table from its runs; `waiting` further ones are missing."""
     failures = Counter(run.status for run in runs if not run.solved)
     solved = [run for run in runs if run.solved]
     bounds = {norm: [value for run in solved if (value := predicted(run, norm)) is not None] for norm in NORMS}
@@ -245,7 +242,7 @@ def measured_row(
     for run in runs:
         counts.add(run)
     for metric in METRICS:
-        known = [(value, cluster(run)) for run in runs if (value := error_of(run, metric)) is not None]
+        known = [(value, run.place) for run in runs if (value := error_of(run, metric)) is not None]
         values, places = [value for value, _ in known], [place for _, place in known]
         mean, median = (interval(values, places, statistic) for statistic in ("mean", "median"))
         if mean is not None and median is not None:
