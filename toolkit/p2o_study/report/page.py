@@ -74,27 +74,27 @@ def page(summaries: Sequence[Summary], images: OverlayImages, library: str) -> s
         "rule": RULE,
         "noPlots": "" if library else f"{NO_PLOTS}. The figures beside this page, PNG and SVG, show the same.",
     }
-    scripts = (library, part("p2o_study.report/page.js"))
+    scripts = (library, part("p2o_study.report/elements.js") + part("p2o_study.report/page.js"))
     template, style = "p2o_study.report/page.html", "p2o_study.report/page.css"
     # Compressed, because the library has 5 MB; the policy contains the hash of its text.
     packed = base64.b64encode(gzip.compress(library.encode(), mtime=0)).decode() if library else ""
-    values = {"title": "p2o report", "data": _json(data), "library": Markup(packed)}
+    values: dict[str, Any] = {"title": "p2o report", "data": script_json(data), "library": Markup(packed)}
     return rendered(template, style=style, scripts=scripts, **values)
 
 
-def _json(value: Any) -> Markup:
+def script_json(value: Any) -> Markup:
     """Return JSON for a script element: `<` is escaped, so that no text can end the element."""
-    text = json.dumps(_shown(value), allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+    text = json.dumps(shown_texts(value), allow_nan=False, ensure_ascii=False, separators=(",", ":"))
     return Markup(text.replace("<", "\\u003c"))
 
 
-def _shown(value: Any) -> Any:
+def shown_texts(value: Any) -> Any:
     """Return a value with control characters in texts escaped, except for newlines."""
     if isinstance(value, str):
         return "\n".join(map(printable, value.split("\n")))
     if isinstance(value, Mapping):
-        return {_shown(key): _shown(part) for key, part in value.items()}
-    return [_shown(part) for part in value] if isinstance(value, list | tuple) else value
+        return {shown_texts(key): shown_texts(part) for key, part in value.items()}
+    return [shown_texts(part) for part in value] if isinstance(value, list | tuple) else value
 
 
 def _with_first_rows(summaries: Sequence[Summary]) -> list[Summary]:
@@ -207,7 +207,7 @@ def _box(values: Float) -> list[float | None] | None:
     low, middle, high = np.quantile(values, QUARTILES)
     length = 1.5 * (high - low)
     inner = values[(values >= low - length) & (values <= high + length)]
-    return [_brief(float(value)) for value in (inner.min(), low, middle, high, inner.max())]
+    return [brief(float(value)) for value in (inner.min(), low, middle, high, inner.max())]
 
 
 def _by_frame(group: Group, numbers: Mapping[tuple[int, int], int]) -> dict[str, Any]:
@@ -238,7 +238,7 @@ def _ranges(
         if sizes:
             values = [size for size, _ in sizes]
             three = (values[0], statistics.median(values), values[-1])
-            ranges[metric] = [*map(_brief, three), numbers.get((row, sizes[-1][1]))]
+            ranges[metric] = [*map(brief, three), numbers.get((row, sizes[-1][1]))]
     return ranges
 
 
@@ -250,7 +250,7 @@ def _values(group: Group, metric: str) -> list[Float]:
 
 def _row(row: Measured | Published, group: Group, norms: Sequence[str]) -> dict[str, Any]:
     if isinstance(row, Published):
-        means = {metric: [_brief(value), None, None] for metric, value in row.values.items()}
+        means = {metric: [brief(value), None, None] for metric, value in row.values.items()}
         texts = {"label": row.label, "published": row.source, "note": row.note, "start": starts_of(row)}
         return {**texts, "mean": means, "median": {}}
     out: dict[str, Any] = {
@@ -264,7 +264,7 @@ def _row(row: Measured | Published, group: Group, norms: Sequence[str]) -> dict[
         "trusted": row.trust.get(Trust.TRUSTED, 0) if row.trust else None,
         "falseAccepts": row.false_accepts if row.trust else None,
         "predicted": predicted_text(row, norms) if row.predicted else None,
-        "predictedSize": None if not row.predicted else _brief(next(iter(row.predicted.values()))),
+        "predictedSize": None if not row.predicted else brief(next(iter(row.predicted.values()))),
         "coverage": [row.coverage.text_67, row.coverage.text_95] if row.coverage.count else None,
         "coverageRotations": [row.coverage.rotation, row.coverage.rotation_95] if row.coverage.count else None,
         "seconds": None if math.isnan(row.seconds) else row.seconds,
@@ -303,14 +303,14 @@ def _run(run: StoredRow, row: int, recipes: _Numbered, images: OverlayImages) ->
         "why": run.why or "",
         "evidence": figure_lines(run.figures),
         "costUnit": run.figures.get("cost_unit") or "",
-        "errors": [_brief(getattr(run, metric)) for metric in METRICS],
-        "start": [_brief(run.start_rotation_deg), _brief(run.start_translation_m)],
+        "errors": [brief(getattr(run, metric)) for metric in METRICS],
+        "start": [brief(run.start_rotation_deg), brief(run.start_translation_m)],
         "matches": dict(run.matches),
-        "seconds": {stage: _brief(value) for stage, value in run.seconds.items()},
+        "seconds": {stage: brief(value) for stage, value in run.seconds.items()},
         "rounds": [
-            [r.stage, _brief(r.reach_px), sum(r.matches.values()), *numbers, r.accepted]
+            [r.stage, brief(r.reach_px), sum(r.matches.values()), *numbers, r.accepted]
             for r in run.rounds
-            for numbers in [map(_brief, (r.mean_residual, r.cost, r.step_deg, r.step_m))]
+            for numbers in [map(brief, (r.mean_residual, r.cost, r.step_deg, r.step_m))]
         ],
         "estimate": None if run.estimate is None else np.round(run.estimate, 9).tolist(),
         "recipe": recipes.number({"recipe": unseeded, "versions": dict(run.versions)}),
@@ -322,12 +322,12 @@ def _run(run: StoredRow, row: int, recipes: _Numbered, images: OverlayImages) ->
 
 def _rounds(history: Convergence) -> dict[str, Any]:
     quartiles = {"matches": history.matches, "residual": history.residual_px}
-    return {"runs": history.runs, **{k: [[_brief(x) for x in line] for line in v] for k, v in quartiles.items()}}
+    return {"runs": history.runs, **{k: [[brief(x) for x in line] for line in v] for k, v in quartiles.items()}}
 
 
 def _pair(pair: Comparison) -> dict[str, Any]:
     differences = {
-        metric: {"median": _interval(value.median), "better": _brief(value.better), "tied": _brief(value.tied)}
+        metric: {"median": _interval(value.median), "better": brief(value.better), "tied": brief(value.tied)}
         for metric, value in pair.differences.items()
     }
     names = {"row": pair.row, "against": pair.against, "pairs": pair.pairs, "otherStart": pair.other_start}
@@ -335,9 +335,9 @@ def _pair(pair: Comparison) -> dict[str, Any]:
 
 
 def _interval(value: Interval) -> list[float | None]:
-    return [_brief(value.value), _brief(value.low), _brief(value.high)]
+    return [brief(value.value), brief(value.low), brief(value.high)]
 
 
-def _brief(value: float | str | None) -> float | None:
+def brief(value: float | str | None) -> float | None:
     """Return a number with 6 significant digits; None for None and non-finite values, which stores keep as text."""
     return None if value is None or not np.isfinite(float(value)) else float(f"{value:.{_SIGNIFICANT}g}")
