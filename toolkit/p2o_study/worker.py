@@ -188,7 +188,12 @@ def read(job: ReadJob) -> FrameRecord:
         return _failed_record(source, _one_line(problem), traceback.format_exc())
     kept = {name: getattr(frame, name) for name in _OF_FRAME}
     return FrameRecord(
-        source, hashes, **kept, digests=_digests(frame), missing_inputs=missing_inputs, cache_error=cache.cache_error
+        source,
+        hashes,
+        **kept,
+        digests=content_digests(frame),
+        missing_inputs=missing_inputs,
+        cache_error=cache.cache_error,
     )
 
 
@@ -214,7 +219,8 @@ def _inputs(frame: Frame) -> dict[str, str]:
     }
 
 
-def _digests(frame: Frame) -> dict[str, str]:
+def content_digests(frame: Frame) -> dict[str, str]:
+    """Return the hashes of image, sweep and calibration of a frame (`portable_hash`)."""
     parts = {"image": frame.image, "sweep": frame.cloud if frame.sweep is None else frame.sweep}
     return {**{name: portable_hash(part) for name, part in parts.items()}, "calibration": portable_hash(frame.camera)}
 

@@ -27,14 +27,19 @@ def part(name: str) -> str:
     return importlib.resources.files(package).joinpath(file).read_text(encoding="utf-8")
 
 
-def rendered(template: str, *, style: str, scripts: Sequence[str] = (), **values: Any) -> str:
+def rendered(
+    template: str, *, style: str, scripts: Sequence[str] = (), script_files: bool = False, **values: Any
+) -> str:
     """Return the page of a template and a style sheet, PACKAGE/FILE each; only `scripts` may run.
+
+    With `script_files` these may load further scripts from the folder of the page, and from nowhere else.
 
     The template extends "p2o.draw/shell.html"; `values` contain the `title` of the page. Texts are escaped, and their
     control characters written out.
     """
     policy = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'; "
-    policy += "script-src " + " ".join(map(_source_hash, scripts))
+    # A file has no origin in all browsers: 'self' is that of a server, file: that of a page that is opened from disk.
+    policy += " ".join(["script-src", *map(_source_hash, scripts), *(["'self'", "file:"] if script_files else [])])
     css = part("p2o.draw/shell.css") + part(style)
     own = {"policy": Markup(policy), "style": Markup(css), "scripts": [Markup(script) for script in scripts]}
     return _templates().get_template(template).render(values, **own)  # type: ignore[no-any-return]

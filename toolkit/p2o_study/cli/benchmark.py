@@ -1,4 +1,4 @@
-"""`p2o benchmark`: measure suites, list stale rows, score external methods, verify bundles and write tables."""
+"""`p2o benchmark`: measure suites, list stale rows, score external methods, verify bundles, write tables and a page."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _SHOWN = 20
 
 @click.group("benchmark")
 def command() -> None:
-    """Measure suites as rows of data, score external methods, verify bundles, write tables.
+    """Measure suites as rows of data, score external methods, verify bundles, write tables and a page.
 
     A suite is a file in benchmarks/suites, its rows are lines of JSON in benchmarks/results. docs/how-to/benchmark.md
     explains how to run a suite and how to enter a method.
@@ -409,6 +409,43 @@ def table(
 
     click.echo(_table(suites, results, Plugins.of(block, plugin))(suite, section))
     click.echo(NOTE)
+    return 0
+
+
+@command.command("page")
+@click.option("--out", required=True, metavar="FOLDER", help="The folder to write: index.html, and its runs in data.")
+@click.option("--overlays", is_flag=True, help="Draw worst and median run of each row on synthetic data.")
+@_results
+@_suites
+@_quiet
+@plugin_options
+def page(
+    out: str, overlays: bool, results: str, suites: str, quiet: bool, plugin: tuple[str, ...], block: tuple[str, ...]
+) -> int:
+    """Write one page of all suites: tables with top groups, plots, and the runs of each row; no data are needed.
+
+    The page works offline, on a phone and without a server. It has filters by data set, initial error, number of
+    frames, family and needs of the methods.
+
+    \b
+    p2o benchmark page --out p2o-out/benchmark/page
+    """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
+    from p2o_study.benchmark.overlays import Overlays
+    from p2o_study.benchmark.page import write_page
+    from p2o_study.benchmark.results import Results
+    from p2o_study.benchmark.suite import find_suite, suite_names
+    from p2o_study.worker import Plugins
+
+    registry = Plugins.of(block, plugin).registry()
+    files = [find_suite(name, registry, Path(suites)) for name in suite_names(Path(suites))]
+    tell = (lambda name: None) if quiet else (lambda name: click.echo(f"suite {name}", err=True))
+    drawing = Overlays(registry) if overlays else None
+    written = write_page(files, Results(Path(results)), Path(out), registry, overlays=drawing, on_suite=tell)
+    left_out = f", {written.left_out} rows left out" if written.left_out else ""
+    click.echo(f"wrote {written.path}: {written.rows} rows, {written.runs} runs{left_out}")
+    if drawing is not None:
+        reason = "method or frame differs from that of the row, or the method is external"
+        click.echo(f"{drawing.drawn} runs drawn, {drawing.left_out} not ({reason})")
     return 0
 
 

@@ -118,6 +118,17 @@ def draw_all(
     return images
 
 
+def drawn_run(run: StoredRow, text: str, registry: Registry) -> tuple[Frame, UInt8, UInt8]:
+    """Return the first frame of a run with an estimate, and its overlays (H, W, 3) before and after the calibration.
+
+    `text` is the data, such as "synthetic:". Raises InputError if they lack the frame, and as `Recipe.resolve`.
+    """
+    source = _opened(text, run, registry)
+    _check_names([Wanted(run, run.frames[0])], text, source.dataset.names)
+    frame = source.frame(run.frames[0])
+    return frame, *source.drawn(run, frame)
+
+
 def _by_recipe(wanted: Sequence[Wanted]) -> Iterable[list[Wanted]]:
     """Group requests by dataset and recipe, ignoring frames and initial guesses."""
     by_recipe: dict[str, list[Wanted]] = {}

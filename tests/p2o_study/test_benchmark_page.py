@@ -1,0 +1,77 @@
+"""The page of the benchmark: top groups, names, and what is written."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from p2o.cli import main
+from p2o_study.benchmark import page as pages
+from p2o_study.benchmark.results import Results
+from p2o_study.benchmark.row import FrameData, Row
+from p2o_study.benchmark.summary import top_groups
+from p2o_study.report.bootstrap import Interval
+
+from tests.p2o_study.benchmark_pages import command, rows_of, written
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_intervals_that_overlap_share_a_group_also_through_a_third_one() -> None:
+    means = [Interval(3.0, 2.5, 3.5), Interval(1.0, 0.5, 1.5), Interval(1.8, 1.4, 2.2), Interval(2.1, 1.9, 2.3)]
+    assert top_groups([*means, Interval(0.1), None]) == [2, 1, 1, 1, None, None]
+
+
+def test_the_common_name_of_a_method_is_that_of_its_labels_in_whole_words() -> None:
+    assert pages.common_name(["ours from 1deg 0.08m", "ours from 1deg 0.3m", "ours from 20deg 1.5m"]) == "ours"
+    assert pages.common_name(["edges, search", "edges, search, 5 frames"]) == "edges, search"
+    assert pages.common_name(["alone, 2 frames"]) == "alone, 2 frames"
+    assert pages.common_name(["one", "other"]) == "one"
+
+
+def test_an_earlier_page_leaves_no_runs_behind(tmp_path: Path) -> None:
+    written(tmp_path, rows_of("quick", [0.1]))
+    (tmp_path / "page/data/tiny-7-0.js").write_text("old")
+    assert main(command(tmp_path)) == 0
+    assert [path.name for path in (tmp_path / "page/data").iterdir()] == ["tiny-0-0.js"]
+
+
+def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "page").write_text("a file")
+    with pytest.raises(AssertionError):
+        written(tmp_path, rows_of("quick", [0.1]))
+    assert "cannot write the folder of the page" in capsys.readouterr().err
+
+
+def test_rows_beyond_the_size_of_the_page_are_left_out_and_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(pages, "MAX_BYTES", 2500)
+    page = written(tmp_path, [row for number in range(9) for row in rows_of(f"method {number}", [0.1])])
+    out = capsys.readouterr().out
+    assert "rows left out" in out
+    data = page.read_text().split('id="data">')[1].split("</script>")[0]
+    known = json.loads(data)
+    assert len(known["rows"]) + known["leftOut"] == 9
+    assert len(known["rows"]) < 9
+
+
+def test_overlays_are_drawn_on_the_frames_of_the_rows_and_on_no_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    smoke = Results(ROOT / "benchmarks/results")
+    rows = [row for row in smoke.rows("smoke") if (row.row, row.place) == ("edges without directions", "scene-0000")]
+    [known] = smoke.frames.of(rows[0])
+    other = FrameData.model_validate(known.model_dump(mode="json") | {"image": "0" * 64})
+    for folder, frame in (("same", known), ("other", other)):
+        named = {"frames": [{"name": frame.name, "digest": frame.digest}]}
+        own = [Row.model_validate(row.model_dump(mode="json") | named) for row in rows]
+        Results(tmp_path / folder).add("smoke", own, [frame])
+        places = ["--suites", str(ROOT / "benchmarks/suites"), "--out", str(tmp_path / "page" / folder)]
+        assert main(["benchmark", "page", "--results", str(tmp_path / folder), *places, "--overlays", "--quiet"]) == 0
+        drawn = (tmp_path / "page" / folder / "data/smoke-0-0.js").read_text().count("data:image/jpeg")
+        assert drawn == (4 if folder == "same" else 0)
+    out = capsys.readouterr().out
+    assert "2 runs drawn, 0 not" in out
+    assert "0 runs drawn, 2 not" in out
