@@ -37,6 +37,8 @@ MIN_SEEDS = 5
 """Minimum number of initial guesses of each frame or group."""
 _OWN_IMAGE_SIDE = "p2ornet"
 """The image extractor of our method; its rows need those without prior and with synthetic weights beside them."""
+_INIT_WITH_PRIOR = "search"
+"""The initializer that uses the initial guess as a prior; rows of others are without prior."""
 
 
 class Suite(BaseModel):
@@ -118,7 +120,8 @@ def find_suite(word: str, registry: Registry, folder: Path = FOLDER) -> SuiteFil
     base = find_study(str(named), registry)
     study = suite.applied_to(base.study)
     if suite.splits:
-        study = study.overridden(frames=f"@{path.parent / suite.splits}")
+        spec = f"@{path.parent / suite.splits}"
+        study = study.overridden(frames=[f"{table.name}={spec}" for table in study.dataset if table.split])
     file = SuiteFile(suite, StudyFile(study, base.text, base.source), path)
     check_rows(file.rows, str(path))
     return file
@@ -132,14 +135,16 @@ def suite_names(folder: Path = FOLDER) -> list[str]:
 def check_rows(rows: Sequence[StudyRow], where: str) -> None:
     """Raise InputError for rows that are not comparable.
 
-    Every row needs the same seeds, at least `MIN_SEEDS`. Where our method is a row, the suite also needs it without
-    the prior on the initial guess and with weights of synthetic images, on the same data, frames and initial guesses.
+    Every row needs the same seeds, at least `MIN_SEEDS`. Where our method is a row, the suite also needs it with
+    weights of synthetic images and, if a row uses the prior on the initial guess, without it, on the same data, frames
+    and initial guesses.
     """
     for row in rows:
         if row.seeds != rows[0].seeds or len(row.seeds) < MIN_SEEDS:
             expected = f"the same seeds for all rows, at least {MIN_SEEDS}"
             raise InputError(f"seeds of row '{row.label}'", where=where, expected=expected, got=list(row.seeds))
     versions: dict[tuple[object, ...], set[str]] = {}
+    with_prior: set[tuple[object, ...]] = set()
     for row in rows:
         recipe = row.recipe(row.seeds[0])
         init, image = recipe.options.get("init", {}), recipe.options.get("extractor", {})
@@ -153,8 +158,11 @@ def check_rows(rows: Sequence[StudyRow], where: str) -> None:
                 version = "without prior"
             key = row.dataset.name, row.joint, recipe.perturb, recipe.accumulate
             versions.setdefault(key, set()).add(version)
+            if recipe.init == _INIT_WITH_PRIOR:
+                with_prior.add(key)
     for group, known in versions.items():
-        lacking = {"default", "without prior", "synthetic weights"} - known
+        needed = {"default", "synthetic weights"} | ({"without prior"} if group in with_prior else set())
+        lacking = needed - known
         if lacking:
             raise InputError(
                 f"our method on dataset '{group[0]}' lacks rows: {', '.join(sorted(lacking))}",

@@ -44,6 +44,7 @@ _PART = re.compile(
     re.DOTALL | re.MULTILINE,
 )
 _HEAD = re.compile(r"^<!-- rows:", re.MULTILINE)
+_MARK = re.compile(r"^<!-- (?:rows:|cards -->)", re.MULTILINE)
 
 
 class _Labelled(NamedTuple):
@@ -158,6 +159,6 @@ def rendered(text: str, where: str, table: Callable[[str, str | None], str]) -> 
 
 
 def pages_with_marks(paths: Sequence[Path]) -> dict[Path, str]:
-    """Return the text of the pages that have a marked part."""
+    """Return the text of the pages that have a marked part, of rows or cards."""
     texts = {path: read_text(path, "page") for path in paths}
-    return {path: text for path, text in texts.items() if _HEAD.search(text)}
+    return {path: text for path, text in texts.items() if _MARK.search(text)}

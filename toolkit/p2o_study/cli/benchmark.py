@@ -36,6 +36,9 @@ _results = click.option(
 _suites = click.option(
     "--suites", default="benchmarks/suites", show_default=True, metavar="DIR", help="Folder of the suites."
 )
+_cards = click.option(
+    "--cards", default="benchmarks/cards", show_default=True, metavar="DIR", help="Folder of the cards of data."
+)
 _json = click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else on stdout.")
 _quiet = click.option("--quiet", is_flag=True, help="No progress.")
 _workers = click.option(
@@ -449,26 +452,75 @@ def page(
     return 0
 
 
+@command.command("cards")
+@click.argument("name", required=False)
+@click.option("--digest", metavar="DATASET:PATH", help="Print the digests of these frames and verify them.")
+@click.option("--frames", metavar="SPEC", help="Frames of --digest (default: those of the card, all if it has none).")
+@_cards
+@plugin_options
+def cards(
+    name: str | None,
+    digest: str | None,
+    frames: str | None,
+    cards: str,
+    plugin: tuple[str, ...],
+    block: tuple[str, ...],
+) -> int:
+    """Print the cards of data in Markdown, or verify that frames are those of a card.
+
+    \b
+    p2o benchmark cards waymo
+    p2o benchmark cards waymo --digest folder:build/data/rigs/waymo
+
+    Exit status 1 if a frame differs from the card.
+    """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
+    from p2o.errors import UnknownNameError
+
+    from p2o_study.benchmark.card import cards_text, differences, frame_digests, read_cards
+    from p2o_study.worker import Plugins
+
+    known = read_cards(Path(cards))
+    if name is not None and name not in known:
+        raise UnknownNameError("card", name, known, where=cards)
+    if digest is None:
+        click.echo(cards_text(known if name is None else {name: known[name]}), nl=False)
+        return 0
+    if name is None:
+        raise click.UsageError("--digest needs the name of a card")
+    card = known[name]
+    digests = frame_digests(digest, frames or ",".join(card.digests) or "all", Plugins.of(block, plugin))
+    different = differences(card, digests)
+    click.echo("\n".join(["digests:", *(f"  {json.dumps(frame)}: {value}" for frame, value in digests.items())]))
+    click.echo("\n".join(map(printable, different)), nl=bool(different))
+    state = f"{len(digests) - len(different)} of {len(digests)} frames as in" if card.digests else "no digests in"
+    click.echo(f"{state} the card {name}")
+    return 1 if different else 0
+
+
 @command.command("docs")
 @click.argument("pages", nargs=-1, metavar="[FILE.md]...")
-@click.option("--check", is_flag=True, help="Change nothing; exit status 1 if a page differs from the rows.")
+@click.option("--check", is_flag=True, help="Change nothing; exit status 1 if a page differs from the rows or cards.")
 @_results
 @_suites
+@_cards
 @plugin_options
 def docs(
     pages: tuple[str, ...],
     check: bool,
     results: str,
     suites: str,
+    cards: str,
     plugin: tuple[str, ...],
     block: tuple[str, ...],
 ) -> int:
-    """Write the tables of marked parts of pages from the rows (default: README.md and docs).
+    """Write the tables of marked parts of pages from rows and cards of data (default: README.md and docs).
 
-    A part is marked by the lines `<!-- rows: SUITE -->`, or `<!-- rows: SUITE, SECTION -->`, and `<!-- /rows -->`.
+    A part is marked by the lines `<!-- rows: SUITE -->`, or `<!-- rows: SUITE, SECTION -->`, and `<!-- /rows -->`; the
+    cards by `<!-- cards -->` and `<!-- /cards -->`.
     """
     from p2o.files.whole_file import write_whole
 
+    from p2o_study.benchmark.card import read_cards, with_cards
     from p2o_study.benchmark.tables import pages_with_marks, rendered
     from p2o_study.worker import Plugins
 
@@ -476,10 +528,10 @@ def docs(
     render = _table(suites, results, Plugins.of(block, plugin))
     different = 0
     for path, before in pages_with_marks(paths).items():
-        after = rendered(before, str(path), render)
+        after = with_cards(rendered(before, str(path), render), str(path), lambda: read_cards(Path(cards)))
         if after != before:
             different += 1
-            click.echo(f"{path}: {'differs from the rows' if check else 'written'}")
+            click.echo(f"{path}: {'differs from the rows or cards' if check else 'written'}")
             if not check:
                 write_whole(path, after.encode())
     click.echo(f"{different} pages {'differ' if check else 'changed'}")

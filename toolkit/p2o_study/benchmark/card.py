@@ -1,0 +1,143 @@
+"""Cards of data: YAML files that describe the data sets of the benchmark, their ground truth and who learned from them.
+
+A card also holds the digests of its frames, by which a reader verifies that own data are the ones that were measured.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Annotated
+
+from p2o.errors import InputError
+from p2o.files.input_file import listing, read_text
+from p2o.files.parsed_text import parse_yaml
+from p2o.frames.selection import select
+from p2o.options import validated
+from p2o.run.recipe import open_dataset
+from p2o.work.cache import FeatureCache
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+
+from p2o_study.benchmark.plan import frame_data
+from p2o_study.benchmark.row import Digest, Name
+from p2o_study.report.tables import md_text
+from p2o_study.study import DatasetTable, Label
+from p2o_study.worker import Plugins, ReadJob, Source, read
+
+FOLDER = Path("benchmarks/cards")
+_FACTS = ("sensor", "camera", "place", "frames", "licence", "source", "truth", "faults", "learned")
+_HEAD = "<!-- cards -->\n"
+_PART = re.compile(r"(?<=^<!-- cards -->\n).*?(?=^<!-- /cards -->$)", re.DOTALL | re.MULTILINE)
+
+Text = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, max_length=4000)]
+
+
+class Card(BaseModel):
+    """The description of one data set.
+
+    `frames` states their number, `shown` whether images may be published, `truth` the accuracy of the ground truth and
+    how it is known, `learned` which of our methods were trained, tuned or chosen on it. `lists` are the lists of
+    benchmarks/splits.json and the datasets of suites that it describes. `digests` are those of rows
+    (`FrameData.digest`) by frame, empty if none is recorded.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    title: Label
+    sensor: Text
+    camera: Text
+    place: Text
+    frames: Text
+    licence: Text
+    shown: bool
+    source: Text
+    truth: Text
+    faults: Text
+    learned: Text
+    lists: tuple[Label, ...] = ()
+    digests: dict[Name, Digest] = Field(default_factory=dict, max_length=10_000)
+
+    def covers(self, dataset: DatasetTable) -> bool:
+        """Return whether it describes one of the lists of a dataset of a suite, or the dataset by its name."""
+        return bool(set(self.lists) & set(dataset.split or (dataset.name,)))
+
+
+def read_cards(folder: Path = FOLDER) -> dict[str, Card]:
+    """Return the cards of a folder by name, sorted.
+
+    Raises InputError for a missing folder and an invalid card, UnknownNameError for an unknown key, with the file.
+    """
+    cards = {}
+    for path in listing(folder, "cards"):
+        if path.suffix == ".yaml":
+            values = parse_yaml(read_text(path, "card"), "card", path)
+            if not isinstance(values, dict):
+                raise InputError("the card is not valid", where=path, expected="keys with values")
+            cards[path.stem] = validated(Card, values, where=path)
+    return cards
+
+
+def cards_text(cards: Mapping[str, Card]) -> str:
+    """Return cards in Markdown: a table of all, then a section for each."""
+    lines = ["| card | data | LiDAR | camera | images may be shown | digests |", "|:--|:--|:--|:--|:--|--:|"]
+    for name, card in cards.items():
+        facts = [md_text(text) for text in (card.title, card.sensor, card.camera)]
+        cells = [f"[{name}](#{name})", *facts, _yes(card.shown), str(len(card.digests) or "-")]
+        lines.append(f"| {' | '.join(cells)} |")
+    for name, card in cards.items():
+        lines += ["", f"## {name}", "", f"{md_text(card.title)}.", "", "| | |", "|:--|:--|"]
+        recorded = f"of {len(card.digests)} frames" if card.digests else "none recorded"
+        content = {fact: getattr(card, fact) for fact in _FACTS}
+        content |= {"images may be shown": _yes(card.shown), "digests": recorded}
+        lines += [f"| {fact} | {md_text(text)} |" for fact, text in content.items()]
+    return "\n".join([*lines, ""])
+
+
+def _yes(value: bool) -> str:
+    return "yes" if value else "no"
+
+
+def with_cards(text: str, where: str, cards: Callable[[], Mapping[str, Card]]) -> str:
+    """Return a page with the part between `<!-- cards -->` and `<!-- /cards -->` replaced.
+
+    Cards are read only for a page that has the mark. Raises InputError for a mark that is not closed.
+    """
+    if _HEAD not in text:
+        return text
+    parts = list(_PART.finditer(text))
+    if len(parts) != 1 or text.count(_HEAD) != 1:
+        expected = "<!-- cards --> on its own line once, and <!-- /cards --> after it"
+        raise InputError("the marked part of the cards is not valid", where=where, expected=expected)
+    return text[: parts[0].start()] + cards_text(cards()) + text[parts[0].end() :]
+
+
+def frame_digests(data: str, frames: str, plugins: Plugins) -> dict[str, str]:
+    """Return the digest (`FrameData.digest`) of each frame of DATASET:PATH that `frames` selects.
+
+    Raises as `open_dataset` and `select`, and InputError for a frame that cannot be read.
+    """
+    dataset = open_dataset(data, plugins.registry())
+    digests = {}
+    for index in select(dataset.names, frames, where=data, skipped=dataset.skipped):
+        source = Source(plugins, data, json.dumps({}), index, dataset.names[index])
+        record = read(ReadJob(source, FeatureCache.of_user().root))
+        if record.failure is not None:
+            raise InputError(record.reason, where=f"{data}, frame {record.name}")
+        digests[record.name] = frame_data("card", record).digest
+    return digests
+
+
+def differences(card: Card, digests: Mapping[str, str]) -> list[str]:
+    """Return one line for each frame that a card with digests lists with another digest, or not at all."""
+    if not card.digests:
+        return []
+    lines = []
+    for name, digest in digests.items():
+        known = card.digests.get(name)
+        if known is None:
+            lines.append(f"{name}: the card has no digest of this frame")
+        elif known != digest:
+            lines.append(f"{name}: image, sweep, calibration or ground truth differs from the card")
+    return lines
