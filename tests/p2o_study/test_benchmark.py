@@ -19,6 +19,7 @@ from p2o_study.benchmark.suite import FOLDER, find_suite, suite_names
 from tests.p2o_study.benchmark_board import QUICK_ROW, STUDY, SUITE, Board
 
 ROOT = Path(__file__).parents[2]
+OWN_ROW = '[[row]]\nlabel = "a"\nextractor = "p2ornet/rings"\n'
 
 
 def row(**values: Any) -> Row:
@@ -186,7 +187,8 @@ def test_every_suite_of_the_repository_is_valid(monkeypatch: pytest.MonkeyPatch)
     [
         (SUITE + "seeds = 4\n", "the same seeds for all rows, at least 5"),
         (SUITE + f"{QUICK_ROW}seeds = 6\n{QUICK_ROW.replace('quick', 'other', 1)}", "seeds of row 'other'"),
-        (SUITE + '[[row]]\nlabel = "a"\nextractor = "p2ornet/rings"\n', "lacks rows: synthetic weights, without prior"),
+        (SUITE + f'{OWN_ROW}init = "search"\n', "lacks rows: synthetic weights, without prior"),
+        (SUITE + OWN_ROW, "lacks rows: synthetic weights\n"),
         (SUITE + "sedes = 5\n", "unknown key 'sedes'"),
         (SUITE.replace("study.toml", "nothing.toml"), "the study file is missing"),
     ],

@@ -76,7 +76,7 @@ def read_cards(folder: Path = FOLDER) -> dict[str, Card]:
             if not isinstance(values, dict):
                 raise InputError("the card is not valid", where=path, expected="keys with values")
             cards[path.stem] = validated(Card, values, where=path)
-    return cards
+    return dict(sorted(cards.items()))
 
 
 def cards_text(cards: Mapping[str, Card]) -> str:

@@ -490,7 +490,9 @@ def cards(
     card = known[name]
     digests = frame_digests(digest, frames or ",".join(card.digests) or "all", Plugins.of(block, plugin))
     different = differences(card, digests)
-    click.echo("\n".join(["digests:", *(f"  {json.dumps(frame)}: {value}" for frame, value in digests.items())]))
+    click.echo(
+        "\n".join(["digests:", *(f"  {json.dumps(frame)}: {json.dumps(value)}" for frame, value in digests.items())])
+    )
     click.echo("\n".join(map(printable, different)), nl=bool(different))
     state = f"{len(digests) - len(different)} of {len(digests)} frames as in" if card.digests else "no digests in"
     click.echo(f"{state} the card {name}")

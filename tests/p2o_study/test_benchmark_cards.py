@@ -1,0 +1,179 @@
+"""Cards of data: every data set of a suite has one, pages equal them, and frames are verified by their digests."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import p2o
+import pytest
+from p2o.cli import main
+from p2o.run.words import split_data
+from p2o_study.benchmark.card import FOLDER, cards_text, read_cards
+from p2o_study.benchmark.results import Results
+from p2o_study.benchmark.status import status_of
+from p2o_study.benchmark.suite import SuiteFile, find_suite, suite_names
+from p2o_study.study import DatasetTable, StudyFile
+from p2o_study.worker import Plugins
+
+from tests.study_bench import PLUGIN
+
+ROOT = Path(__file__).parents[2]
+SUITES = ROOT / "benchmarks/suites"
+SIZE = {"scenes": 1, "width_px": 128, "height_px": 64}
+CARD = """title: Tiny frames
+sensor: none
+camera: none
+place: nowhere
+frames: "3"
+licence: Apache-2.0
+shown: true
+source: the plugin of the tests
+truth: exact
+faults: none
+learned: nothing
+"""
+
+
+def command(*words: str) -> int:
+    return main(["benchmark", "cards", *words, "--plugin", str(PLUGIN)])
+
+
+def folder(tmp_path: Path, text: str = CARD) -> str:
+    (tmp_path / "tiny.yaml").write_text(text)
+    return str(tmp_path)
+
+
+# ---- the cards of the repository
+
+
+@pytest.mark.parametrize("name", suite_names(SUITES))
+def test_every_data_set_of_a_suite_has_one_card(name: str) -> None:
+    suite = find_suite(name, p2o.Registry.load(environ={}), SUITES)
+    cards = read_cards(ROOT / FOLDER)
+    for table in suite.study.study.dataset:
+        owners = [card for card in cards if cards[card].covers(table)]
+        assert len(owners) == 1, f"{table.name}: {owners}"
+        assert set(table.split) <= set(cards[owners[0]].lists)
+
+
+def test_cards_have_the_digests_of_exactly_the_frames_of_their_lists() -> None:
+    splits = json.loads((ROOT / "benchmarks/splits.json").read_text())
+    cards = read_cards(ROOT / FOLDER)
+    for name, card in cards.items():
+        assert set(card.digests) == {frame for label in card.lists for frame in splits.get(label, ())}, name
+    assert set(splits) <= {label for card in cards.values() for label in card.lists}
+
+
+def test_the_page_of_cards_equals_the_cards() -> None:
+    page = (ROOT / "docs/data-cards.md").read_text(encoding="utf-8")
+    assert page.endswith(f"<!-- cards -->\n{cards_text(read_cards(ROOT / FOLDER))}<!-- /cards -->\n")
+
+
+@pytest.mark.real
+def test_the_frames_of_this_machine_are_those_of_their_card(
+    real_data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = f"kitti-object:{real_data / 'kitti_object'}"
+    assert command("kitti-object", "--cards", str(ROOT / FOLDER), "--digest", data) == 0
+    assert "5 of 5 frames as in the card kitti-object" in capsys.readouterr().out
+
+
+# ---- suites
+
+
+def small(table: DatasetTable) -> DatasetTable:
+    """Return a simulated dataset with images of a few pixels and two frames at most; others without a path."""
+    name, options = split_data(table.data)
+    if name != "synthetic":
+        return table
+    size = {**SIZE, "frames_per_scene": min(2, int(options.get("frames_per_scene", 1)))}
+    return table.model_copy(update={"data": "synthetic:", "options": {**options, **table.options, **size}})
+
+
+@pytest.mark.parametrize("name", [name for name in suite_names(SUITES) if name != "smoke"])
+def test_every_suite_is_planned_without_data(name: str, tmp_path: Path) -> None:
+    file = find_suite(name, p2o.Registry.load(environ={}), SUITES)
+    study = file.study.study
+    real = {table.name for table in study.dataset if not table.data.startswith("synthetic:")}
+    study = study.model_copy(update={"dataset": tuple(map(small, study.dataset))})
+    reduced = SuiteFile(file.suite, StudyFile(study, file.study.text, file.study.source), file.source)
+    status = status_of(reduced, Results(tmp_path), plugins=Plugins(), on_warning=lambda text: None)
+    assert set(status.unchecked) == real
+    assert status.unreadable == status.surplus == 0
+    planned = {(row.dataset.name, row.label) for row in file.rows if row.dataset.name not in real}
+    assert {(entry.dataset, entry.row) for entry in status.entries} == planned
+    assert all(len({e.seed for e in status.entries if e.row == label}) == 5 for _, label in planned)
+
+
+# ---- the command
+
+
+def test_digests_are_printed_for_a_card_and_verified_after_they_are_in_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cards = folder(tmp_path)
+    assert command("tiny", "--cards", cards, "--digest", "tiny:?frames=3") == 0
+    *lines, last = capsys.readouterr().out.splitlines()
+    assert last == "no digests in the card tiny"
+    folder(tmp_path, CARD + "\n".join(lines) + "\n")
+    assert command("tiny", "--cards", cards, "--digest", "tiny:?frames=3") == 0
+    assert capsys.readouterr().out.splitlines() == [*lines, "3 of 3 frames as in the card tiny"]
+
+
+def test_a_changed_digest_is_reported_with_the_name_of_the_frame(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cards = folder(tmp_path)
+    command("tiny", "--cards", cards, "--digest", "tiny:?frames=3")
+    lines = capsys.readouterr().out.splitlines()[:-1]
+    lines[2] = f'{lines[2][:-5]}0000"'
+    folder(tmp_path, CARD + "\n".join(lines) + "\n")
+    assert command("tiny", "--cards", cards, "--digest", "tiny:?frames=3") == 1
+    out = capsys.readouterr().out
+    assert "tiny/001: image, sweep, calibration or ground truth differs from the card\n" in out
+    assert "2 of 3 frames as in the card tiny" in out
+    assert command("tiny", "--cards", cards, "--digest", "tiny:?frames=4", "--frames", "3") == 1
+    assert "tiny/003: the card has no digest of this frame" in capsys.readouterr().out
+
+
+def test_a_frame_of_the_card_that_is_not_in_the_data_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cards = folder(tmp_path, CARD + f'digests: {{"tiny/007": "{"0" * 64}"}}\n')
+    assert command("tiny", "--cards", cards, "--digest", "tiny:?frames=3") == 2
+    assert "unknown frame 'tiny/007'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (CARD.replace("truth: exact\n", ""), "tiny.yaml: truth is missing"),
+        (CARD + "accuracy: good\n", "tiny.yaml: unknown key 'accuracy'"),
+        (CARD + 'digests: {"tiny/000": abc}\n', "tiny.yaml: digests"),
+        ("- a list\n", "tiny.yaml: the card is not valid; expected keys with values"),
+    ],
+)
+def test_an_invalid_card_is_refused_with_its_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, message: str
+) -> None:
+    assert command("--cards", folder(tmp_path, text)) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_cards_are_written_between_the_marks_of_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "cards").mkdir()
+    cards = folder(tmp_path / "cards")
+    page = tmp_path / "page.md"
+    page.write_text("# Before\n\n<!-- cards -->\nold\n<!-- /cards -->\n\nafter\n")
+    words = ["benchmark", "docs", str(page), "--cards", cards]
+    assert main([*words, "--check"]) == 1
+    assert main(words) == 0
+    assert main([*words, "--check"]) == 0
+    text = page.read_text()
+    assert text.startswith("# Before\n\n<!-- cards -->\n| card |")
+    assert "\n## tiny\n\nTiny frames.\n" in text
+    assert text.endswith("\n<!-- /cards -->\n\nafter\n")
+    page.write_text("<!-- cards -->\nnever closed\n")
+    assert main(words) == 2
+    assert "page.md: the marked part of the cards is not valid" in capsys.readouterr().err
