@@ -167,5 +167,5 @@ def check_rows(rows: Sequence[StudyRow], where: str) -> None:
             raise InputError(
                 f"our method on dataset '{group[0]}' lacks rows: {', '.join(sorted(lacking))}",
                 where=where,
-                expected="three rows: default, init.prior=0 with init.weigh_start=false, extractor.weights=synthetic",
+                expected="rows: default, extractor.weights=synthetic; with search, init.prior=0 init.weigh_start=false",
             )
