@@ -11,13 +11,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated
 
+from p2o.cache import FeatureCache
 from p2o.errors import InputError
 from p2o.files.input_file import listing, read_text
 from p2o.files.parsed_text import parse_yaml
 from p2o.frames.selection import select
 from p2o.options import validated
 from p2o.run.recipe import open_dataset
-from p2o.work.cache import FeatureCache
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
 from p2o_study.benchmark.plan import frame_data
