@@ -63,6 +63,11 @@ class Card(BaseModel):
         """Return whether it describes one of the lists of a dataset of a suite, or the dataset by its name."""
         return bool(set(self.lists) & set(dataset.split or (dataset.name,)))
 
+    @property
+    def facts(self) -> dict[str, str]:
+        """The texts of the card by heading."""
+        return {fact: getattr(self, fact) for fact in _FACTS}
+
 
 def read_cards(folder: Path = FOLDER) -> dict[str, Card]:
     """Return the cards of a folder by name, sorted.
@@ -89,7 +94,7 @@ def cards_text(cards: Mapping[str, Card]) -> str:
     for name, card in cards.items():
         lines += ["", f"## {name}", "", f"{md_text(card.title)}.", "", "| | |", "|:--|:--|"]
         recorded = f"of {len(card.digests)} frames" if card.digests else "none recorded"
-        content = {fact: getattr(card, fact) for fact in _FACTS}
+        content = card.facts
         content |= {"images may be shown": _yes(card.shown), "digests": recorded}
         lines += [f"| {fact} | {md_text(text)} |" for fact, text in content.items()]
     return "\n".join([*lines, ""])

@@ -420,10 +420,18 @@ def table(
 @click.option("--overlays", is_flag=True, help="Draw worst and median run of each row on synthetic data.")
 @_results
 @_suites
+@_cards
 @_quiet
 @plugin_options
 def page(
-    out: str, overlays: bool, results: str, suites: str, quiet: bool, plugin: tuple[str, ...], block: tuple[str, ...]
+    out: str,
+    overlays: bool,
+    results: str,
+    suites: str,
+    cards: str,
+    quiet: bool,
+    plugin: tuple[str, ...],
+    block: tuple[str, ...],
 ) -> int:
     """Write one page of all suites: tables with top groups, plots, and the runs of each row; no data are needed.
 
@@ -433,6 +441,7 @@ def page(
     \b
     p2o benchmark page --out p2o-out/benchmark/page
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
+    from p2o_study.benchmark.card import read_cards
     from p2o_study.benchmark.overlays import Overlays
     from p2o_study.benchmark.page import write_page
     from p2o_study.benchmark.results import Results
@@ -443,7 +452,16 @@ def page(
     files = [find_suite(name, registry, Path(suites)) for name in suite_names(Path(suites))]
     tell = (lambda name: None) if quiet else (lambda name: click.echo(f"suite {name}", err=True))
     drawing = Overlays(registry) if overlays else None
-    written = write_page(files, Results(Path(results)), Path(out), registry, overlays=drawing, on_suite=tell)
+    known = read_cards(Path(cards)).values()
+    written = write_page(
+        files,
+        Results(Path(results)),
+        Path(out),
+        registry,
+        cards=lambda table: {card.title: card.facts for card in known if card.covers(table)},
+        overlays=drawing,
+        on_suite=tell,
+    )
     left_out = f", {written.left_out} rows left out" if written.left_out else ""
     click.echo(f"wrote {written.path}: {written.rows} rows, {written.runs} runs{left_out}")
     if drawing is not None:
