@@ -460,7 +460,7 @@ def test_names_are_no_formulas() -> None:
     from p2o_study.report.figures import rendered
 
     for _, _, figure in figures_of(summarise_study(replace(STUDY, toml="title = '$x$ $\\frac$'"), runs)):
-        assert rendered(figure, "png").startswith(b"\x89PNG")
+        assert rendered(figure)["png"].startswith(b"\x89PNG")
 
 
 # ---- the worst run of a row
@@ -543,6 +543,12 @@ def test_the_median_predicted_error_of_a_row_is_in_its_tables() -> None:
 # ---- the whole report
 
 
+@pytest.fixture
+def blank_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Write empty figures, in tests of other parts of a report: drawing takes most of its time."""
+    monkeypatch.setattr("p2o_study.report.figures.rendered", lambda figure: {"png": b"", "svg": b""})
+
+
 @pytest.fixture(scope="module")
 def reported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ...]:
     """The files of a report, in the folder `report` of its store."""
@@ -571,6 +577,7 @@ def test_the_same_store_gives_the_same_bytes_in_any_process(reported: tuple[Path
         assert path.read_bytes() == (tmp_path / path.name).read_bytes(), path.name
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_the_command_names_what_it_wrote(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("plotly")
     write_store(tmp_path, table2(3, 1))
@@ -585,6 +592,7 @@ def test_the_command_explains_itself(capsys: pytest.CaptureFixture[str]) -> None
     assert capsys.readouterr().out.startswith("Usage: p2o report")
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_only_the_studies_that_are_named_are_reported(tmp_path: Path) -> None:
     pytest.importorskip("plotly")
     write_store(tmp_path, table2(3, 1))
@@ -612,6 +620,7 @@ def pictures_in(folder: Path) -> tuple[list[str], list[list[dict[str, object]]]]
     return data["images"], [run["overlays"] for run in data["studies"][0]["groups"][0]["runs"]]
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_pictures_are_drawn_from_the_users_data_worst_frames_first(tmp_path: Path) -> None:
     pytest.importorskip("plotly")
     import base64
@@ -635,6 +644,7 @@ def test_pictures_are_drawn_from_the_users_data_worst_frames_first(tmp_path: Pat
     assert (np.abs(before.astype(int) - after) > 40).any(), "0.3 m aside moves the edges"
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_without_data_there_are_numbers_and_no_pictures(tmp_path: Path) -> None:
     pytest.importorskip("plotly")
     write_report(write_store(tmp_path, staged()))
@@ -643,6 +653,7 @@ def test_without_data_there_are_numbers_and_no_pictures(tmp_path: Path) -> None:
     assert shown == [[]] * 6
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_joint_runs_show_each_of_their_frames(tmp_path: Path) -> None:
     pytest.importorskip("plotly")
     names = ("drive/0000", "drive/0001")
@@ -652,6 +663,7 @@ def test_joint_runs_show_each_of_their_frames(tmp_path: Path) -> None:
     assert [[p["frame"] for p in shown] for shown in pictures_in(tmp_path)[1]] == [list(names)]
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_progress_names_each_frame_and_figure_in_turn(tmp_path: Path) -> None:
     write_store(tmp_path, staged())
     told: list[tuple[str, int, int]] = []
@@ -666,6 +678,7 @@ def test_progress_names_each_frame_and_figure_in_turn(tmp_path: Path) -> None:
     assert told == [*frames, *titles]
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_progress_is_shown_on_a_terminal_alone_and_not_when_quiet(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -754,6 +767,7 @@ def test_of_several_datasets_one_has_to_be_named(tmp_path: Path) -> None:
         write_report(tmp_path, data=["fake:"])
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_without_plotly_all_but_the_plots_is_written_and_one_line_says_how_to_get_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -770,6 +784,7 @@ def test_without_plotly_all_but_the_plots_is_written_and_one_line_says_how_to_ge
     assert (tmp_path / "report" / "report.html").stat().st_size < 200_000, "the library alone has millions"
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_a_page_has_the_worst_runs_of_each_row_and_plots_of_all_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

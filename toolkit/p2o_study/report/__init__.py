@@ -68,8 +68,7 @@ def write_report(
             tell(title, done, total)
             done += 1
             drawn.setdefault(summary.name, []).append((title, f"{name}.png"))
-            for form in ("png", "svg"):
-                files[f"{name}.{form}"] = figures.rendered(figure, form)
+            files |= {f"{name}.{form}": content for form, content in figures.rendered(figure).items()}
     files["report.md"] = tables.markdown(summaries, lambda summary: drawn.get(summary.name, ())).encode()
     files["report.tex"] = tables.latex(summaries).encode()
     if not library and on_warning is not None:

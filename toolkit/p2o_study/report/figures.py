@@ -81,17 +81,20 @@ def figures_of(summary: Summary, names: Sequence[str] = ()) -> Iterator[tuple[st
                 yield f"{name}-{kind}", text, figure
 
 
-def rendered(figure: Figure, form: str) -> bytes:
-    """Return a figure as "png" or "svg"; the same figure gives the same bytes."""
+def rendered(figure: Figure) -> dict[str, bytes]:
+    """Return a figure as "png" and "svg", in one layout; the same figure gives the same bytes."""
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
 
-    FigureCanvasAgg(figure)
-    file = io.BytesIO()
-    metadata: dict[str, Any] = {"Software": None} if form == "png" else {"Date": None, "Creator": None}
+    png, svg = io.BytesIO(), io.BytesIO()
+    figure.dpi = 130
+    # Not `savefig`, which draws everything twice, with a layout each time.
+    FigureCanvasAgg(figure).print_png(png, metadata={"Software": None})
+    figure.set_layout_engine("none")
     with matplotlib.rc_context({"svg.hashsalt": "p2o"}):
-        figure.savefig(file, format=form, dpi=130, metadata=metadata)
-    return file.getvalue()
+        FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None, "Creator": None})
+    return {"png": png.getvalue(), "svg": svg.getvalue()}
 
 
 def _boxes(group: Group, summary: Summary) -> Figure | None:
