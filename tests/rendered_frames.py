@@ -41,9 +41,16 @@ def stored_in(folder: Path) -> Iterator[None]:
         yield
 
 
-@pytest.fixture(autouse=True, scope="module")
-def frames_are_rendered() -> Iterator[None]:
-    """Render every frame, in the tests of the simulator itself, which import this fixture."""
+@contextmanager
+def all_rendered() -> Iterator[None]:
+    """Let the data set `synthetic` render every frame, for tests of the simulator itself."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(synthetic, "frame", rendered)
+        yield
+
+
+@pytest.fixture(autouse=True, scope="module")
+def frames_are_rendered() -> Iterator[None]:
+    """Render every frame, in the modules that import this fixture."""
+    with all_rendered():
         yield

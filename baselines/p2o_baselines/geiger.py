@@ -94,7 +94,7 @@ def residuals(pair: Pair, pose: Float) -> Block:
         out = beyond != 0
         if out.any():
             by_update = by_update_along(camera[out], pair.board.camera_from_board[:3, axis])
-            noise = np.eye(int(out.sum())) * pair.patch.sigma_m**2
+            noise = np.full(int(out.sum()), pair.patch.sigma_m**2)
             blocks.append(Block(beyond[out], by_update, np.zeros(int(out.sum())), noise))
     return joined(*blocks)
 

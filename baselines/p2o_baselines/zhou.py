@@ -103,7 +103,7 @@ def residuals(pair: Pair, pose: Float, outset: float = 0.0) -> Block:
                     vote * ((ends - at) @ direction),
                     vote * by_update_along(ends, direction),
                     vote * (rays @ direction),
-                    np.eye(len(ends)) * (vote * np.broadcast_to(sigma, len(ends))) ** 2,
+                    (vote * np.broadcast_to(sigma, len(ends))) ** 2,
                 )
             )
     return joined(*blocks)

@@ -18,8 +18,9 @@ class Block(NamedTuple):
     """Residuals (K,) of one board at a pose, and their derivatives.
 
     `by_update` (K, 6) is the derivative by a left update of camera_from_lidar (rad, m), `by_bias` (K,) that by an error
-    in m common to all ranges, `covariance` (K, K) that of the residuals due to noise of the sweep alone; with `whole`
-    it includes the noise of the image, which acts like an error of the LiDAR's pose, independent for each board.
+    in m common to all ranges, `covariance` (K, K) that of the residuals due to noise of the sweep alone, (K,) the
+    variances where they are independent; with `whole` it includes the noise of the image, which acts like an error of
+    the LiDAR's pose, independent for each board.
     """
 
     residuals: Float
@@ -94,7 +95,10 @@ def is_determined(hessian: Float) -> bool:
 
 def _noise(pair: Pair, block: Block) -> Float:
     """Return how noise of sweep and image spreads the slope (6,) that a board has at a pose, (6, 6)."""
-    noise = block.by_update.T @ block.covariance @ block.by_update
+    if block.covariance.ndim == 1:
+        noise = (block.by_update.T * block.covariance) @ block.by_update
+    else:
+        noise = block.by_update.T @ block.covariance @ block.by_update
     if not block.whole:
         own = block.by_update.T @ block.by_update
         noise = noise + own @ pair.board.covariance @ own

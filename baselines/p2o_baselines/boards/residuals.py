@@ -20,7 +20,7 @@ def off_plane(pair: Pair, pose: Float, weight: float = 1.0) -> Block:
         weight * (xyz @ normal - pair.board.offset_m),
         weight * by_update_along(xyz, normal),
         weight * (rays @ normal),
-        np.eye(len(xyz)) * (weight * pair.patch.sigma_m) ** 2,
+        np.full(len(xyz), (weight * pair.patch.sigma_m) ** 2),
     )
 
 
@@ -30,11 +30,9 @@ def by_update_along(xyz: Float, direction: Float) -> Float:
 
 
 def joined(*blocks: Block) -> Block:
-    """Return blocks of one board as one; their noise is independent."""
-    from scipy.linalg import block_diag
-
-    rows = (np.concatenate(each) for each in zip(*(block[:3] for block in blocks), strict=True))
-    return Block(*rows, block_diag(*(block.covariance for block in blocks)))
+    """Return blocks of one board with independent residuals as one."""
+    residuals, by_update, by_bias, variances = zip(*(block[:4] for block in blocks), strict=True)
+    return Block(*map(np.concatenate, (residuals, by_update, by_bias, variances)))
 
 
 def in_sweep(pair: Pair) -> tuple[Float, Float]:
