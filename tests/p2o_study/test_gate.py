@@ -295,7 +295,8 @@ def test_the_command_writes_the_reference_passes_it_and_fails_when_a_method_gets
     file, reference = tmp_path / "s.toml", tmp_path / "reference.json"
     plain = TEXT.replace('title = "S"', 'title = "S"\nperturb = "1deg 0.05m"')
     file.write_text(plain)
-    words = ["ablate", str(file), "--plugin", str(PLUGIN), "--out", str(tmp_path / "out"), "--jobs", "1", "--quiet"]
+    words = ["ablate", str(file), "--plugin", str(PLUGIN), "--out", str(tmp_path / "out"), "--quiet"]
+    words += ["--jobs", "1", "--no-isolate"]
     assert main([*words, "--gate", str(reference)]) == 2
     assert "--update" in capsys.readouterr().err
     assert main([*words, "--gate", str(reference), "--update"]) == 0
