@@ -10,10 +10,10 @@ from p2o.cli import main
 from p2o_study.benchmark.results import Results
 from p2o_study.benchmark.row import Row
 
-from tests.study_bench import HEAD, PLUGIN, Bench
+from tests.study_bench import HEAD, PLUGIN, TRUSTED, Bench
 
 QUICK_ROW = '[[row]]\nlabel = "quick"\ncalibrator = "quick"\nwitness = "none"\n'
-STUDY = HEAD + QUICK_ROW + '[[row]]\nlabel = "nearest"\nmatcher = "nearest"\nwitness = "none"\n'
+STUDY = HEAD + QUICK_ROW + '[[row]]\nlabel = "nearest"\nmatcher = "nearest"\nwitness = "none"\n' + TRUSTED
 SUITE = 'name = "tiny"\nquestion = "Which is better?"\nstudy = "study.toml"\n'
 
 

@@ -30,7 +30,7 @@ from p2o_study.store import Store
 from p2o_study.study import Published, RowTable, Study, check_study, parse_study
 from p2o_study.worker import Plugins
 
-from tests.study_bench import HEAD, PLUGIN, QUICK, STAGED, Bench, bits
+from tests.study_bench import HEAD, PLUGIN, QUICK, STAGED, TRUSTED, Bench, bits
 
 
 def test_features_are_extracted_once_for_all_seeds_matchers_solvers_and_studies(bench: Bench) -> None:
@@ -49,7 +49,7 @@ def test_features_are_extracted_once_for_all_seeds_matchers_solvers_and_studies(
 
 
 def test_changing_an_option_extracts_again_only_what_it_acts_on(bench: Bench) -> None:
-    text = HEAD + '[[row]]\nlabel = "a"\n'
+    text = HEAD + '[[row]]\nlabel = "a"\n' + TRUSTED
     bench.run(text)
     bench.calls()
     for change, expected in (

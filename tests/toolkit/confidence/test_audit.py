@@ -144,13 +144,17 @@ def test_a_pose_that_a_search_finds_counts_only_where_edges_clearly_meet_better_
 LONG_LENS = p2o.Camera.pinhole(2000.0, 2000.0, 960.0, 540.0, 1920, 1080)
 
 
+@pytest.fixture(scope="module")
+def views_of_a_long_lens() -> list[p2o.View]:
+    return [edge_scene.view(LONG_LENS, boxes=120, seed=seed, noise_px=0.3, name=f"{seed}") for seed in (1, 2)]
+
+
 @pytest.mark.parametrize(("axis", "size"), [("yaw", 0.8), ("pitch", -0.8), ("x", 0.3), ("y", -0.3)])
 def test_a_slip_beyond_the_matching_distance_of_a_long_lens_is_named_by_its_axis_alone(
-    axis: str, size: float, pipeline: Pipeline
+    axis: str, size: float, views_of_a_long_lens: list[p2o.View], pipeline: Pipeline
 ) -> None:
     """0.8 deg are 28 px at this focal length: nearest edges of a dense scene lead to another pose."""
-    views = [edge_scene.view(LONG_LENS, boxes=120, seed=seed, noise_px=0.3, name=f"{seed}") for seed in (1, 2)]
-    found = checked(views, off(axis, size), pipeline)
+    found = checked(views_of_a_long_lens, off(axis, size), pipeline)
     assert [each.axis for each in found.axes if each.holding is CheckStatus.OFF] == [axis]
     assert found.axes[NAMES.index(axis)].off == pytest.approx(size, rel=0.15)
     assert named(found) == [axis]
