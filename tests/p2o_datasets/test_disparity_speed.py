@@ -22,7 +22,7 @@ def street(speed_m_s: float, deskew: bool = False) -> Frame:
 
     Its depth is that of the corrected returns, and unknown elsewhere, as in KITTI's disparity truth.
     """
-    options = SyntheticOptions(place="street", seed=3, right=False, speed_m_s=speed_m_s)
+    options = SyntheticOptions(place="street", seed=3, right=False, speed_m_s=speed_m_s, width_px=621, height_px=188)
     corrected = build(options)[0]
     assert corrected.camera_from_lidar is not None
     xyz = se3.apply(corrected.camera_from_lidar, corrected.cloud.xyz)
@@ -56,8 +56,8 @@ def test_dense_depth_too_little_depth_and_a_sweep_without_times_tell_nothing() -
     frame = street(6.0)
     depth = frame.image.depth_m
     assert depth is not None
-    little = np.where(np.arange(depth.shape[1]) < 620, np.nan, depth)
-    little[:, 640:] = np.nan
+    little = np.where(np.arange(depth.shape[1]) < 310, np.nan, depth)
+    little[:, 320:] = np.nan
     for other in (np.full_like(depth, 20.0), np.full_like(depth, np.nan), little):
         assert speed(replace(frame, image=replace(frame.image, depth_m=other))) is None
     assert speed(replace(frame, cloud=replace(frame.cloud, time_s=None))) is None
