@@ -33,16 +33,36 @@ SMALL = {"synthetic": {"width_px": 310, "height_px": 94}}
 SOLVED = "the_example_is_solved"
 """The check that solves the example of a matcher, some 10 s each."""
 
+SOLVE_DRIVES = {"csc", "geiger", "hand-eye", "koo", "mirzaei", "zhou"}
+"""Methods whose example is a whole drive; what needs its frames is a system test."""
+
+WITHOUT_FRAMES = {
+    "every_option_has_a_default",
+    "every_option_is_described",
+    "options_survive_json",
+    "builds_twice_offline",
+    "the_example_needs_no_files",
+}
+"""The checks that read no frame."""
+
 
 def groups() -> list[Any]:
     """Return all other checks of our methods; those of methods that share an example are one group, in one process."""
-    found: dict[str, list[Case]] = {}
+    found: dict[tuple[str, bool], list[Case]] = {}
     for parameter in conformance_cases("p2o-calib", SMALL):
         case, offer = parameter.values[0], parameter.values[0].subject.offer
         if case.check.name != SOLVED:
             shared = offer.method.example.data if offer.method.example else f"{offer.kind.value} {offer.name}"
-            found.setdefault(shared, []).append(case)
-    return [pytest.param(cases, id=",".join(sorted({c.subject.offer.name for c in cases}))) for cases in found.values()]
+            system = offer.name in SOLVE_DRIVES and case.check.name not in WITHOUT_FRAMES
+            found.setdefault((shared, system), []).append(case)
+    return [
+        pytest.param(
+            cases,
+            id=",".join(sorted({c.subject.offer.name for c in cases})) + " solved" * system,
+            marks=[pytest.mark.system] * system,
+        )
+        for (_, system), cases in found.items()
+    ]
 
 
 @pytest.mark.parametrize("cases", groups())
@@ -83,6 +103,11 @@ def test_datasets_of_real_frames_keep_their_contract(name: str, request: pytest.
     root = request.getfixturevalue(name.replace("-", "_"))
     for case in checks_for(p2o.Registry.load().find(Kind.DATASET, name), options={"root": str(root)}):
         case()
+
+
+def test_the_names_of_checks_and_methods_are_those_of_the_kit() -> None:
+    assert {SOLVED, *WITHOUT_FRAMES} <= {check.name for check in CHECKS}
+    assert {offer.name for offer in p2o.Registry.load().offers} >= SOLVE_DRIVES
 
 
 def test_every_check_has_a_promise_and_every_kind_has_checks() -> None:
