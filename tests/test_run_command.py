@@ -272,7 +272,8 @@ def test_a_request_to_end_keeps_what_is_finished(number: signal.Signals, tmp_pat
 
 
 def test_a_simulation_ends_tidily_when_asked_to(tmp_path: Path) -> None:
-    words = ["simulate", str(tmp_path / "out"), "--layout", "folder", "--set", "scenes=1000"]
+    sizes = ("scenes=1000", "place=room", "width_px=160", "height_px=64", "lidar=vlp-16")
+    words = ["simulate", str(tmp_path / "out"), "--layout", "folder", *(w for size in sizes for w in ("--set", size))]
     process = subprocess.Popen(
         [sys.executable, "-u", "-m", "p2o", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
