@@ -11,6 +11,7 @@ import contextlib
 import faulthandler
 import importlib
 import itertools
+import logging
 import multiprocessing
 import os
 import re
@@ -34,6 +35,8 @@ _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS
 _TRIES_ALONE = 2
 """Number of retries of a job whose worker died, without other jobs in parallel."""
 _POLL_INTERVAL_S = 0.5
+_ABSENT_S = 30.0
+"""Duration for which a dask scheduler may have no workers or give no answer: those of a cluster may be restarted."""
 _IDLE_S = 300
 """Duration after which an idle worker ends, as in joblib."""
 _BATCH_S, _MOST_IN_BATCH = 1.0, 64
@@ -112,7 +115,12 @@ class Workers:
         except Exception as problem:
             text = f"the workers of --backend {self.backend} were lost"
             hint = "finished rows are kept: run the same command, with fewer --jobs if memory was exhausted"
-            raise P2OError(text, got=f"{type(problem).__name__}: {problem}", hint=hint) from problem
+            got = f"{type(problem).__name__}: {problem}"
+            if self.address is not None:
+                hint = "finished rows are kept: start scheduler and workers again, then run the same command"
+            if "scheduler-connection-lost" in got:
+                got = "no connection to the scheduler"
+            raise P2OError(text, where=self.address, got=got, hint=hint) from problem
 
     def _alone(self, work: Work, number: int, job: Any, lost: Lost) -> Any:
         """Return the result of a job that was running when a worker died."""
@@ -175,13 +183,16 @@ class Workers:
 
             connect: Any = distributed.Client
             here = {"n_workers": self.jobs, "threads_per_worker": 1, "dashboard_address": None}
-            try:
-                client = connect(**here) if self.address is None else connect(self.address, timeout=20)
-            except (OSError, ValueError, TimeoutError) as problem:
-                text, expected = "the dask scheduler does not respond", "an address such as tcp://HOST:8786"
-                raise InputError(text, where=self.address or "dask", expected=expected, got=problem) from problem
-            with client:
-                yield
+            if not _debugging():
+                here["silence_logs"] = logging.CRITICAL
+            with _silent_dask():
+                try:
+                    client = connect(**here) if self.address is None else connect(self.address, timeout=20)
+                except (OSError, ValueError, TimeoutError) as problem:
+                    text, expected = "the dask scheduler does not respond", "an address such as tcp://HOST:8786"
+                    raise InputError(text, where=self.address or "dask", expected=expected, got=problem) from problem
+                with client, _closed_without_workers(client):
+                    yield
         elif self.backend == "ray":
             ray = importlib.import_module("ray")
             importlib.import_module("ray.util.joblib").register_ray()
@@ -195,6 +206,48 @@ class Workers:
                 ended = True
             finally:
                 _dismiss_workers(kill=not ended)
+
+
+@contextlib.contextmanager
+def _silent_dask() -> Iterator[None]:
+    """Suppress the log of dask in this process: what it reports with tracebacks is a row or one line of an error."""
+    loggers = [logging.getLogger(name) for name in logging.root.manager.loggerDict if name.startswith("distributed")]
+    before = [logger.disabled for logger in loggers]
+    try:
+        for logger in loggers:
+            logger.disabled = logger.disabled or not _debugging()
+        yield
+    finally:
+        for logger, disabled in zip(loggers, before, strict=True):
+            logger.disabled = disabled
+
+
+@contextlib.contextmanager
+def _closed_without_workers(client: Any) -> Iterator[None]:
+    """Close a dask client, which cancels its jobs, if its scheduler is without workers or silent for a while.
+
+    Otherwise jobs would wait without end.
+    """
+    ended = threading.Event()
+
+    def watch() -> None:
+        last = time.monotonic()
+        while not ended.wait(_POLL_INTERVAL_S):
+            with contextlib.suppress(Exception):
+                if client.sync(client.scheduler.identity, callback_timeout=_ABSENT_S)["workers"]:
+                    last = time.monotonic()
+            if time.monotonic() - last > _ABSENT_S:
+                with contextlib.suppress(Exception):
+                    client.close(timeout=_POLL_INTERVAL_S)
+                return
+
+    thread = threading.Thread(target=watch, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join(_ABSENT_S)
 
 
 def _cannot_start() -> str:

@@ -369,6 +369,40 @@ def test_what_a_stage_must_not_return_names_plugin_and_stage(kind: Kind, stage: 
         build(offer_of(kind, stage), p2o.Options())(*arguments.get(kind, ([], np.eye(4))))
 
 
+class _PreparingCalibrator:
+    def __init__(self, value: object) -> None:
+        self.prepare = lambda frame: value
+
+    def solve(self, prepared: object, pose: object) -> object:
+        raise AssertionError("what was prepared is refused before")
+
+
+class _PreparingInitializer(p2o.InitializerBase):
+    def __init__(self, value: object) -> None:
+        self.value = value
+
+    def prepare(self, frame: p2o.Frame) -> object:  # type: ignore[override]
+        return self.value
+
+    def __call__(self, views: object, pose: object) -> list[object]:  # type: ignore[override]
+        raise AssertionError("what was prepared is refused before")
+
+
+@pytest.mark.parametrize("value", [None, len, lambda frame: frame, np.ndarray, iter([1])], ids=type)
+@pytest.mark.parametrize(
+    ("kind", "stage"), [(Kind.CALIBRATOR, _PreparingCalibrator), (Kind.INITIALIZER, _PreparingInitializer)]
+)
+def test_a_prepare_that_returns_none_or_code_names_plugin_and_stage(
+    kind: Kind, stage: Callable[[object], object], value: object
+) -> None:
+    camera = p2o.Camera.pinhole(50, 50, 8, 6, 16, 12)
+    frame = p2o.Frame("one", p2o.Image(np.zeros((12, 16, 3), np.uint8), camera), p2o.Cloud(np.ones((4, 3))))
+    guarded = build(offer_of(kind, stage(value)), p2o.Options())
+    returned = f"prepare returned {type(value).__name__} for one; expected the data"
+    with pytest.raises(PluginError, match=f"plugin acme-p2o: {kind} 'fake'.*{returned}"):
+        guarded.prepare(frame)
+
+
 @pytest.mark.parametrize("sigma", [(2.0,), (2.0, -0.1), (np.nan, 0.1)])
 def test_how_good_an_initializer_takes_starts_to_be_is_two_numbers_above_zero(sigma: tuple[float, ...]) -> None:
     class Proposing(p2o.InitializerBase):

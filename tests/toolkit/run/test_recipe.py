@@ -430,7 +430,7 @@ class Unnamed:
         return Result(tuple(str(one) for one in prepared), start, start, Status.CONVERGED, "because it is a test")
 
 
-@pytest.mark.parametrize("prepared", [None, print, "x"])
+@pytest.mark.parametrize("prepared", ["x", 3])
 def test_frames_of_a_result_are_named_by_the_frames(prepared: Any) -> None:
     class Plugin:
         @p2o.hookimpl

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+import inspect
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -367,6 +368,19 @@ def _solver(offer: Offer, stage: Callable[..., Any]) -> Any:
     return solve
 
 
+def _prepared(offer: Offer, frame: Frame, prepare: Callable[[Frame], Any]) -> Any:
+    """Return what a method prepares of a frame without truth; raises PluginError for None and for code instead of data.
+
+    A function or an iterator would be evaluated later, perhaps in another process or several times.
+    """
+    with watch(offer, f"preparing {frame.name}"):
+        value = prepare(frame.without_truth())
+    if value is None or inspect.isroutine(value) or inspect.isclass(value) or isinstance(value, Iterator):
+        expected = "the data of the frame that solve() needs, e.g. arrays or a dataclass"
+        raise fault(offer, f"prepare returned {type(value).__name__} for {frame.name}", expected)
+    return value
+
+
 class GuardedInitializer(_Guarded, InitializerBase):
     """A plugin's initializer whose poses are checked."""
 
@@ -407,8 +421,7 @@ class GuardedInitializer(_Guarded, InitializerBase):
         """Return what the method prepares of a frame, which it receives without truth."""
         if not self.prepares:
             return None
-        with watch(self._offer, f"preparing {frame.name}"):
-            return self._stage.prepare(frame.without_truth())
+        return _prepared(self._offer, frame, self._stage.prepare)
 
 
 class GuardedCalibrator:
@@ -425,11 +438,9 @@ class GuardedCalibrator:
 
     def prepare(self, frame: Frame, /) -> Any:
         """Return what the method prepares of a frame, which it sees without its truth."""
-        frame = frame.without_truth()
         if not self.prepares:
-            return frame
-        with watch(self._offer, f"preparing {frame.name}"):
-            return self._stage.prepare(frame)
+            return frame.without_truth()
+        return _prepared(self._offer, frame, self._stage.prepare)
 
     def solve(self, prepared: Sequence[Any], camera_from_lidar: Float, /) -> Result:
         """Return the result of what was prepared, from a start (4, 4)."""
