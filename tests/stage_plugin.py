@@ -1,6 +1,8 @@
 """A plugin of the tests: frames of the conformance stage, and a method that answers with its start."""
 
 import asyncio
+import os
+import signal
 import time
 import warnings
 from collections.abc import Sequence
@@ -37,6 +39,8 @@ class SpyOptions(p2o.Options):
     warn: bool = p2o.field(False, help="Let Python warn.")
     raises: str = p2o.field("ValueError", help="What `fail_at` raises: the name of an exception.")
     fail_at: int = p2o.field(-1, help="Raise on this frame.")
+    end_on: str = p2o.field("", help="End the process on the frame of this name.")
+    end_by: str = p2o.field("SIGSEGV", help="The signal that ends it, or `exit`.")
     interrupt_at: int = p2o.field(-1, help="Press Ctrl-C on this frame.")
     status: str = p2o.field("converged", help="How it ends.")
 
@@ -72,6 +76,10 @@ def build(options: SpyOptions) -> p2o.Calibrator:
             time.sleep(600)
         if options.warn:
             warnings.warn("a\nwarning of Python", RuntimeWarning, stacklevel=1)
+        if frames[0].name == options.end_on:
+            if options.end_by == "exit":
+                os._exit(0)
+            os.kill(os.getpid(), getattr(signal, options.end_by))
         if len(calls) - 1 == options.fail_at:
             raise EXCEPTIONS[options.raises]
         if len(calls) - 1 == options.interrupt_at:

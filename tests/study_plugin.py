@@ -124,6 +124,7 @@ class QuickOptions(p2o.Options):
     status: str = p2o.field("converged", help="How it ends.")
     interrupt_after: int = p2o.field(-1, help="Press Ctrl-C after so many calls.")
     die_on: str = p2o.field("", help="Kill the own process on the frame of this name.")
+    die_by: str = p2o.field("SIGKILL", help="The signal by which it dies.")
     die_once: str = p2o.field("", help="A folder that the first call makes, which then kills its own process.")
 
 
@@ -145,7 +146,7 @@ def build_quick(options: QuickOptions) -> p2o.Calibrator:
             else:
                 os.kill(os.getpid(), signal.SIGKILL)
         if options.die_on in names:
-            os.kill(os.getpid(), signal.SIGKILL)
+            os.kill(os.getpid(), getattr(signal, options.die_by))
         time.sleep(options.sleep_s)
         if options.fail_on in names:
             raise getattr(builtins, options.raises)("no such luck")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import email
+import hashlib
 import importlib.util
 import re
 import shutil
@@ -132,3 +133,37 @@ def test_the_container_runs_p2o_as_an_ordinary_user() -> None:
     assert said.index(user) < said.index('ENTRYPOINT ["p2o"]')
     taken = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
     assert taken == set(copied())
+
+
+def test_every_locked_version_has_the_hashes_of_its_files_and_the_makefile_requires_them() -> None:
+    lock = (ROOT / "requirements.lock").read_text(encoding="utf-8").replace("\\\n", " ")
+    entries = [line.split() for line in lock.splitlines() if line.strip() and not line.startswith("#")]
+    assert len(entries) > 50
+    for requirement, *hashes in entries:
+        assert re.fullmatch(r"[\w.-]+(\[[\w,-]+\])?==[\w.+!]+", requirement)
+        assert hashes, requirement
+        assert all(re.fullmatch(r"--hash=sha256:[0-9a-f]{64}", text) for text in hashes), requirement
+    # torch is the exception: its index determines the build.
+    assert not [requirement for requirement, *_ in entries if requirement.startswith("torch==")]
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    locked = [line for line in makefile.splitlines() if "requirements.lock" in line and "pip install" in line]
+    assert len(locked) == 1
+    assert {"--require-hashes", "--no-deps"} <= set(locked[0].split())
+    others = [line for line in makefile.splitlines() if "pip install" in line and line not in locked]
+    assert all("torch==" in line or "--no-deps" in line for line in others)
+
+
+def test_pip_refuses_a_file_whose_hash_is_not_in_the_lock(tmp_path: Path) -> None:
+    wheel = tmp_path / "thing-1.0-py3-none-any.whl"
+    with zipfile.ZipFile(wheel, "w") as archive:
+        archive.writestr("thing-1.0.dist-info/METADATA", "Metadata-Version: 2.1\nName: thing\nVersion: 1.0\n")
+        archive.writestr("thing-1.0.dist-info/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n")
+        archive.writestr("thing-1.0.dist-info/RECORD", "")
+    options = ["--no-deps", "--no-index", "--find-links", str(tmp_path), "--target", str(tmp_path / "to")]
+    right = hashlib.sha256(wheel.read_bytes()).hexdigest()
+    for digest, status in ((right, 0), ("0" * 64, 1)):
+        (tmp_path / "lock").write_text(f"thing==1.0 --hash=sha256:{digest}\n")
+        command = [sys.executable, "-m", "pip", "install", "-q", "--require-hashes", "-r", str(tmp_path / "lock")]
+        done = subprocess.run([*command, *options], capture_output=True, text=True, check=False)
+        assert done.returncode == status, done.stderr
+        assert ("DO NOT MATCH THE HASHES" in done.stderr) == bool(status)

@@ -55,6 +55,34 @@ def test_whatever_a_method_raises_is_a_failed_result_that_names_it(
     )
 
 
+@pytest.mark.parametrize(
+    ("by", "got"), [("SIGSEGV", "SIGSEGV"), ("SIGABRT", "SIGABRT"), ("SIGKILL", "SIGKILL"), ("exit", "exit status 0")]
+)
+def test_a_method_that_ends_its_process_is_a_failed_result_with_isolate(
+    by: str, got: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    words = ("--json", "--isolate", "--set", "calibrator.end_on=b", "--set", f"calibrator.end_by={by}")
+    assert main(spy(named("a", "b", "c"), *words)) == 1
+    out, error = capfd.readouterr()
+    results = json.loads(out)["results"]
+    assert [result["status"] for result in results] == ["converged", "stage-failed", "converged"]
+    begin = f"plugin stage_plugin.py: calibrator 'spy' ended its process while calibrating; got {got}; "
+    assert results[1]["reason"].startswith(begin)
+    assert set(error.splitlines()) == {"a plugin that prints"}
+
+
+def test_an_isolated_calibration_gives_the_same_bits(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["run", "--data", "synthetic:?width_px=160&height_px=96&lidar=vlp-16", "--extractor", "depth/rings"]
+    words += ["--init", "given", "--perturb", "1deg 0.05m", "--json"]
+    poses = []
+    for more in ([], ["--isolate"]):
+        main([*words, *more])
+        [result] = json.loads(capsys.readouterr().out)["results"]
+        poses.append((result["status"], result["camera_from_lidar"], result["rounds"]))
+    assert poses[0] == poses[1]
+    assert len(poses[0][2]) > 1
+
+
 def test_a_method_that_is_interrupted_is_interrupted(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(spy("fake:?frames=3", "--json", "--set", "calibrator.interrupt_at=1")) == 130
     assert len(json.loads(capsys.readouterr().out)["results"]) == 1

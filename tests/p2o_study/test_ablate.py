@@ -234,10 +234,15 @@ def test_the_order_of_the_chosen_frames_does_not_change_a_joint_row(bench: Bench
 
 
 @pytest.mark.system
-def test_a_plugin_that_crashes_with_one_job_is_a_row_and_its_worker_prints_nothing(bench: Bench) -> None:
-    done = bench.cli(QUICK + 'options.calibrator.die_on = "tiny/001"\n', "--jobs", "1", "--quiet")
+@pytest.mark.parametrize("by", ["SIGKILL", "SIGSEGV", "SIGABRT"])
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_a_plugin_that_crashes_is_a_row_and_its_worker_prints_nothing(bench: Bench, jobs: str, by: str) -> None:
+    text = QUICK + f'options.calibrator = {{ die_on = "tiny/001", die_by = "{by}" }}\n'
+    done = bench.cli(text, "--jobs", jobs, "--quiet")
     assert (done.returncode, done.stderr) == (1, "")
     assert "2 (2 crashed)" in done.stdout
+    with Store.open(bench.root / "out") as store:
+        assert all(by in row.reason for row in store.rows("tiny") if row.crashed)
 
 
 def test_jobs_run_in_this_process_where_no_worker_can_be_started(

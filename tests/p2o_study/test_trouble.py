@@ -213,6 +213,23 @@ def test_a_full_disk_is_one_line_and_exit_2(bench: Bench) -> None:
     assert (len(done.rows), done.computed) == (180, 180 - len(kept))
 
 
+@pytest.mark.parametrize("limit", [12, 20])
+def test_too_few_open_files_are_one_line_that_names_the_limit_and_the_next_step(bench: Bench, limit: int) -> None:
+    (bench.root / "s.toml").write_text(QUICK)
+    command = [sys.executable, "-m", "p2o", "ablate", str(bench.root / "s.toml"), "--plugin", str(PLUGIN)]
+    command += ["--out", str(bench.root / "out"), "--jobs", "2", "--quiet"]
+    environ = {**os.environ, "P2O_CACHE": str(bench.root / "cache")}
+
+    def few() -> None:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (limit, limit))
+
+    ended = subprocess.run(command, capture_output=True, text=True, check=False, env=environ, preexec_fn=few)
+    assert ended.returncode == 2, ended.stderr
+    [line] = [line for line in ended.stderr.splitlines() if not line.startswith("p2o: 0 rows")]
+    assert line.startswith("p2o: error: ")
+    assert f"Too many open files; this process may open {limit} files: raise the limit, e.g. `ulimit -n 1024`" in line
+
+
 def test_a_lock_file_that_is_something_else_does_not_matter(bench: Bench) -> None:
     (bench.root / "out" / ".running").mkdir(parents=True)
     assert bench.run(QUICK).computed == 6

@@ -34,8 +34,9 @@ _PACKAGES = {"dask": ("distributed", "dask distributed"), "ray": ("ray", "ray")}
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 _TRIES_ALONE = 2
 """Number of retries of a job whose worker died, without other jobs in parallel."""
+_DASK_LOGGERS = ("distributed", "tornado", "asyncio")
 _POLL_INTERVAL_S = 0.5
-_ABSENT_S = 30.0
+_ABSENT_S = 60.0
 """Duration for which a dask scheduler may have no workers or give no answer: those of a cluster may be restarted."""
 _IDLE_S = 300
 """Duration after which an idle worker ends, as in joblib."""
@@ -118,8 +119,8 @@ class Workers:
             got = f"{type(problem).__name__}: {problem}"
             if self.address is not None:
                 hint = "finished rows are kept: start scheduler and workers again, then run the same command"
-            if "scheduler-connection-lost" in got:
-                got = "no connection to the scheduler"
+            if type(problem).__name__ == "FutureCancelledError":
+                got = "the scheduler does not respond, or has no workers"
             raise P2OError(text, where=self.address, got=got, hint=hint) from problem
 
     def _alone(self, work: Work, number: int, job: Any, lost: Lost) -> Any:
@@ -150,13 +151,9 @@ class Workers:
         batches = _Batches(jobs)
         # Only the workers of loky are children of this process.
         watch = {"initializer": _watch, "initargs": (os.getpid(),)} if self.backend == "loky" else {}
-        if self.backend == "loky" and self.jobs == 1:
-            from joblib.externals.loky import get_reusable_executor
-
-            # joblib would run a single job in this process.
-            worker = get_reusable_executor(max_workers=1, timeout=_IDLE_S, **watch)
+        if (submit := self._single_worker(watch)) is not None:
             for batch in batches:
-                yield from batches.results_of(*worker.submit(_numbered, work, batch).result())
+                yield from batches.results_of(*submit(_numbered, work, batch).result())
             return
         try:
             with joblib.parallel_config(backend=self.backend, **watch):
@@ -175,6 +172,19 @@ class Workers:
             if done is not None:
                 done.close()
 
+    def _single_worker(self, watch: dict[str, Any]) -> Callable[..., Any] | None:
+        """Return `submit` of the only worker, None for several: joblib would run single jobs in this process."""
+        submit: Callable[..., Any] | None = None
+        if self.backend == "loky" and self.jobs == 1:
+            from joblib.externals.loky import get_reusable_executor
+
+            submit = get_reusable_executor(max_workers=1, timeout=_IDLE_S, **watch).submit
+        elif self.backend == "dask":
+            client: Any = importlib.import_module("distributed").default_client()
+            client.wait_for_workers(1, timeout=_ABSENT_S)  # a worker that died may be about to restart
+            submit = partial(client.submit, pure=False) if sum(client.ncores().values()) == 1 else None
+        return submit
+
     @contextlib.contextmanager
     def _cluster(self) -> Iterator[None]:
         """Connect to the cluster, or start one on this machine."""
@@ -191,7 +201,8 @@ class Workers:
                 except (OSError, ValueError, TimeoutError) as problem:
                     text, expected = "the dask scheduler does not respond", "an address such as tcp://HOST:8786"
                     raise InputError(text, where=self.address or "dask", expected=expected, got=problem) from problem
-                with client, _closed_without_workers(client):
+                watched = contextlib.nullcontext() if self.address is None else _closed_without_workers(client)
+                with client, watched:
                     yield
         elif self.backend == "ray":
             ray = importlib.import_module("ray")
@@ -211,7 +222,8 @@ class Workers:
 @contextlib.contextmanager
 def _silent_dask() -> Iterator[None]:
     """Suppress the log of dask in this process: what it reports with tracebacks is a row or one line of an error."""
-    loggers = [logging.getLogger(name) for name in logging.root.manager.loggerDict if name.startswith("distributed")]
+    names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in _DASK_LOGGERS]
+    loggers = [logging.getLogger(name) for name in names]
     before = [logger.disabled for logger in loggers]
     try:
         for logger in loggers:

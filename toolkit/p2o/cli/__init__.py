@@ -34,9 +34,8 @@ _SYNONYMS = {"check-plugin": "p2o.cli.plugin_check", "plugins": "p2o.cli.plugin_
 COMMAND_GROUP = "p2o.commands"
 """Entry points of packages that add commands: each names a mapping of names to one-line helps in `PACKAGE.commands`."""
 
-_OPEN_FILES = "this process may not open more files: raise the limit, e.g. `ulimit -n 1024`, or use fewer --jobs"
 _SYSTEM_HINTS = {
-    errno.EMFILE: _OPEN_FILES,
+    errno.EMFILE: "this process may open {limit} files: raise the limit, e.g. `ulimit -n 1024`, or use fewer --jobs",
     errno.ENFILE: "the system has no more open files: end other programs, or use fewer --jobs",
     errno.ENOSPC: "free some space there, and run the same command again",
     errno.EROFS: "make it writable, or choose another folder with --out, P2O_CACHE or TMPDIR",
@@ -204,6 +203,17 @@ def _terminated_as_interrupted() -> Iterator[None]:
             signal.signal(number, signal.SIG_DFL)
 
 
+def _system_hint(number: int | None) -> str:
+    """Return the next step for an error number of the operating system, empty if there is none."""
+    try:
+        from resource import RLIMIT_NOFILE, getrlimit
+
+        limit = str(getrlimit(RLIMIT_NOFILE)[0])
+    except ImportError:  # Windows, or no file may be opened to import it
+        limit = "no more"
+    return _SYSTEM_HINTS.get(number or 0, "").format(limit=limit)
+
+
 def _report(problem: BaseException) -> int:
     """Print an error in one line and return the exit status."""
     if isinstance(problem, P2OError):
@@ -216,7 +226,7 @@ def _report(problem: BaseException) -> int:
         text, status = problem.format_message(), problem.exit_code
     elif isinstance(problem, OSError):
         text = f"{problem.filename or 'system'}: {problem.strerror or problem}"
-        text, status = "; ".join(filter(None, (text, _SYSTEM_HINTS.get(problem.errno or 0)))), 2
+        text, status = "; ".join(filter(None, (text, _system_hint(problem.errno)))), 2
     elif isinstance(problem, MemoryError):
         text, status = "not enough memory; use fewer or smaller frames", 2
     else:

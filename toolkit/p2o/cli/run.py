@@ -87,6 +87,11 @@ if TYPE_CHECKING:
 )
 @click.option("--export", "exports", multiple=True, metavar="NAME:PATH", help="Write a trusted result to a file.")
 @click.option("--export-anyway", is_flag=True, help="Export doubtful and ambiguous results, too.")
+@click.option(
+    "--isolate",
+    is_flag=True,
+    help="Calibrate in a worker process: a plugin that crashes gives a failed result that names it.",
+)
 @plugin_options
 def command(
     settings: tuple[str, ...],
@@ -95,6 +100,7 @@ def command(
     out: str | None,
     exports: tuple[str, ...],
     export_anyway: bool,
+    isolate: bool,
     plugin: tuple[str, ...],
     block: tuple[str, ...],
     **words: Any,
@@ -122,8 +128,7 @@ def command(
         from p2o.run.run import starts_of
         from p2o.run.words import parse_settings
 
-        registry = load(plugin, block)
-        required = None if require is None else Required.of(require)
+        registry, required = load(plugin, block), None if require is None else Required.of(require)
         words = {name: value for name, value in words.items() if value is not None}
         protocol = words.pop("protocol", None)
         if protocol is not None:
@@ -142,16 +147,16 @@ def command(
         write = (lambda text: None) if as_json else stdout.write
         opened = [Export.of(text, registry) for text in exports]
         output = _Output(write, plan.recipe.joint, folder, opened, required, export_anyway)
-        done, problem = _calibrated(plan, output, protocol)
-        page = None
+        done, problem = _calibrated(plan, output, protocol, (block, plugin) if isolate else None)
+        page: Path | None = None
         if output.folder is not None:
             try:
                 page = output.folder.finish(done)
             except P2OError as error:
                 problem = problem or error
     if as_json:
-        listed = {"exports": output.exported} if exports else {}
-        stdout.write(json.dumps({**done.as_dict(), **listed}, allow_nan=False) + "\n")
+        shown = done.as_dict() | ({"exports": output.exported} if exports else {})
+        stdout.write(json.dumps(shown, allow_nan=False) + "\n")
     else:
         output.summarise(done, page)
     if done.interrupted:
@@ -252,8 +257,15 @@ _SLOW = ("matcher", "solver", "calibrator")
 """Stages whose methods a line about a long calibration names."""
 
 
-def _calibrated(plan: Plan, output: _Output, protocol: str | None) -> tuple[Run, Exception | None]:
-    """Run a plan; return the finished results and the exception that ended it after at least one result."""
+def _calibrated(
+    plan: Plan, output: _Output, protocol: str | None, isolate: tuple[tuple[str, ...], tuple[str, ...]] | None
+) -> tuple[Run, Exception | None]:
+    """Run a plan; return the finished results and the exception that ended it after at least one result.
+
+    `isolate` are plugins to leave out and files of plugins for a worker process, None for this process.
+    """
+    from p2o.run.assembly import Assembly
+    from p2o.run.isolated import isolated
     from p2o.run.protocol import protocol_of
     from p2o.run.run import Run, run
 
@@ -261,7 +273,8 @@ def _calibrated(plan: Plan, output: _Output, protocol: str | None) -> tuple[Run,
     problem: Exception | None = None
     names = (f"{stage} {plan.parts[stage].offer.name}" for stage in _SLOW if stage in plan.parts)
     methods = ", ".join(names)
-    with status_line("starting") as show, long_work(show, f" ({methods})") as work:
+    by = contextlib.nullcontext(Assembly.__call__) if isolate is None else isolated(plan.recipe, *isolate)
+    with by as calibration, status_line("starting") as show, long_work(show, f" ({methods})") as work:
 
         def on_progress(progress: Progress) -> None:
             if progress.failed is None and progress.row is None:
@@ -269,7 +282,7 @@ def _calibrated(plan: Plan, output: _Output, protocol: str | None) -> tuple[Run,
             output.add(progress)
 
         try:
-            common = run(plan, on_progress=on_progress, on_names=output.plan_files).rig
+            common = run(plan, on_progress=on_progress, on_names=output.plan_files, calibration=calibration).rig
         except KeyboardInterrupt:
             interrupted = True
             click.echo(f"p2o: interrupted; {len(output.rows)} finished calibrations are kept", err=True)

@@ -392,6 +392,10 @@ def watch(offer: Offer, doing: str) -> Iterator[None]:
     SystemExit and other classes that do not derive from Exception are faults, too: they would end the program. A
     missing package becomes MethodUnavailable, and an OSError of a data set or exporter an InputError with the file.
     """
+    before = None if _running is None else _running.value
+    if _running is not None:
+        text = f"plugin {offer.dist}: {offer.kind} '{offer.name}' ended its process while {doing}"
+        _running.value = text.encode()[: len(_running) - 1]
     try:
         yield
     except (P2OError, KeyboardInterrupt):
@@ -405,6 +409,24 @@ def watch(offer: Offer, doing: str) -> Iterator[None]:
         raise _raised(offer, doing, problem) from problem
     except BaseException as problem:
         raise _raised(offer, doing, problem) from problem
+    finally:
+        if _running is not None:
+            _running.value = before
+
+
+_running: Any = None
+"""Array of bytes shared with another process, which names the running call of a plugin; None for no process."""
+
+
+@contextmanager
+def watched_calls(running: Any) -> Iterator[None]:
+    """Store the running call of a plugin in `running`, a shared array of bytes, for a process that watches this one."""
+    global _running
+    _running = running
+    try:
+        yield
+    finally:
+        _running = None
 
 
 def requirement(offer: Offer) -> str:

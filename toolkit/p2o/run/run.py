@@ -170,6 +170,7 @@ class Progress:
 
 OnProgress = Callable[[Progress], None]
 OnNames = Callable[[Sequence[str], Sequence[str]], None]
+Calibration = Callable[[Assembly, Sequence[Frame], Float], Result]
 
 
 def calibrate(
@@ -252,6 +253,7 @@ def run(
     start: Float | None = None,
     on_progress: OnProgress | None = None,
     on_names: OnNames | None = None,
+    calibration: Calibration = Assembly.__call__,
 ) -> Run:
     """Run a resolved recipe on its own dataset, or on `frames`; frames are read one at a time unless joint.
 
@@ -260,6 +262,7 @@ def run(
     `Run.failed`; the others go on. A joint calibration and its result have the frames in the order of the dataset,
     whatever the order of `recipe.frames`. Raises InputError where no frame can be used, and for the first bad one with
     `joint`. `on_names` receives the names of all frames, and of the cameras of a rig, before any of them is calibrated.
+    `calibration` calls the built methods, by default in this process (`p2o.run.isolated`: in another one).
     """
     recipe = plan.recipe
     start, start_remarks = _initial_guess(plan, start)
@@ -283,7 +286,7 @@ def run(
     failed: list[FailedFrame] = []
     first: P2OError | None = None
     tell, tried = on_progress or (lambda _: None), partial(_tried, len(groups) > 1)
-    with _Rows(tell, assembly, stamp, plan.rig is not None) as rows:
+    with _Rows(tell, assembly, stamp, plan.rig is not None, calibration) as rows:
         for done, group in enumerate(groups):
             camera = cameras.get(done, "")
             name = camera or (names[group[0]] if len(group) == 1 else f"{len(group)} frames jointly")
@@ -301,7 +304,7 @@ def run(
                 begin = replace(begin, warnings=texts, camera=camera or begin.camera)
                 progress = replace(progress, frames=begin.frames)
                 tell(progress)
-                row = tried(_calibrate_one, assembly, begin, stamp)
+                row = tried(_calibrate_one, calibration, assembly, begin, stamp)
             if isinstance(row, P2OError) or isinstance(begin, P2OError):
                 problem = begin if isinstance(begin, P2OError) else row
                 assert isinstance(problem, P2OError)
@@ -409,10 +412,10 @@ class _Begin:
         return cls(frames, frozenset(info.camera for info in infos), truth, *begin, camera)
 
 
-def _calibrate_one(assembly: Assembly, begin: _Begin, stamp: Mapping[str, Any]) -> Row:
+def _calibrate_one(calibration: Calibration, assembly: Assembly, begin: _Begin, stamp: Mapping[str, Any]) -> Row:
     frames, truth, start = begin.frames, begin.truth, begin.start
     try:
-        result = assembly(without_truth(frames), start)
+        result = calibration(assembly, without_truth(frames), start)
     except PluginError as problem:
         if _strict():
             raise
@@ -437,6 +440,7 @@ class _Rows:
     assembly: Assembly
     stamp: Mapping[str, Any]
     rig: bool
+    calibration: Calibration
     done: list[Row] = field(default_factory=list)
     waiting: list[tuple[Progress, _Begin, Row]] = field(default_factory=list)
 
@@ -465,7 +469,7 @@ class _Rows:
 
     def _with_common_motions(self) -> list[Row]:
         def solve(number: int, assembly: Assembly) -> Result:
-            return _calibrate_one(assembly, self.waiting[number][1], self.stamp).result
+            return _calibrate_one(self.calibration, assembly, self.waiting[number][1], self.stamp).result
 
         cameras = [CameraSweeps.of(row.camera, begin.frames, row.result) for _, begin, row in self.waiting]
         rows = []

@@ -1,0 +1,165 @@
+"""A study on a dask cluster that breaks: at most one line of an error, all finished rows kept, the next step stated."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import os
+import socket
+import sqlite3
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.study_bench import PLUGIN, QUICK, Bench
+
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason='needs pip install ".[dask]"'),
+    pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc"),
+]
+SEEDS = 100
+
+
+def _started(bench: Bench, *words: str) -> subprocess.Popen[str]:
+    """Start a study on dask and return when some of its rows are stored."""
+    file = bench.root / "s.toml"
+    file.write_text(QUICK.replace("seeds = 2", f"seeds = {SEEDS}") + "options.calibrator.sleep_s = 0.05\n")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "p2o", "ablate", str(file), "--plugin", str(PLUGIN), "--out", str(bench.root / "out")]
+        + ["--quiet", "--backend", "dask", "--jobs", "2", *words],
+        env={**os.environ, "P2O_CACHE": str(bench.root / "cache")},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    until = time.monotonic() + 120
+    while process.poll() is None and time.monotonic() < until and _rows(bench) < 5:
+        time.sleep(0.05)
+    assert process.poll() is None, process.communicate()[1]
+    return process
+
+
+def _rows(bench: Bench) -> int:
+    with contextlib.suppress(sqlite3.Error):
+        if (bench.root / "out/study.sqlite").exists():
+            with contextlib.closing(sqlite3.connect(bench.root / "out/study.sqlite")) as connection:
+                return int(connection.execute("select count(*) from runs").fetchone()[0])
+    return 0
+
+
+def _workers_of(process: subprocess.Popen[str]) -> list[int]:
+    """Return the ids of the dask workers that a process has started."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            parent = int(stat.read_text().rpartition(")")[2].split()[1])
+            if parent == process.pid and b"multiprocessing-fork" in (stat.parent / "cmdline").read_bytes():
+                found.append(int(stat.parent.name))
+    return found
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_killed_workers_cost_no_row_and_no_line(bench: Bench, count: int) -> None:
+    process = _started(bench)
+    workers = _workers_of(process)
+    assert len(workers) == 2
+    for pid in workers[:count]:
+        os.kill(pid, 9)
+    _, error = process.communicate(timeout=300)
+    assert (process.returncode, error) == (0, "")
+    assert _rows(bench) == 3 * SEEDS
+
+
+def test_a_plugin_that_crashes_the_only_worker_is_a_row(bench: Bench) -> None:
+    done = bench.cli(QUICK + 'options.calibrator.die_on = "tiny/001"\n', "--backend", "dask", "--jobs", "1", "--quiet")
+    assert (done.returncode, done.stderr) == (1, "")
+    assert "2 (2 crashed)" in done.stdout
+
+
+class _Cluster:
+    """A scheduler with two workers, and a relay in front of the scheduler that can be cut."""
+
+    def __init__(self, folder: Path) -> None:
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.address = f"tcp://127.0.0.1:{self._listener.getsockname()[1]}"
+        with socket.create_server(("127.0.0.1", 0)) as probe:
+            self._port = probe.getsockname()[1]
+        command = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--no-dashboard"]
+        self.scheduler = self._process(*command, "--port", str(self._port))
+        command = [sys.executable, "-m", "distributed.cli.dask_worker", f"tcp://127.0.0.1:{self._port}", "--no-nanny"]
+        command += ["--nthreads", "1", "--no-dashboard", "--local-directory", str(folder)]
+        self.workers = [self._process(*command) for _ in range(2)]
+        self._ends: list[socket.socket] = []
+        threading.Thread(target=self._relay, daemon=True).start()
+
+    @staticmethod
+    def _process(*command: str) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+    def _relay(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                near, _ = self._listener.accept()
+                try:
+                    far = socket.create_connection(("127.0.0.1", self._port))
+                except OSError:  # the scheduler has not started yet, or has ended
+                    near.close()
+                    continue
+                self._ends += [near, far]
+                for source, sink in ((near, far), (far, near)):
+                    threading.Thread(target=self._copy, args=(source, sink), daemon=True).start()
+
+    @staticmethod
+    def _copy(source: socket.socket, sink: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while data := source.recv(1 << 16):
+                sink.sendall(data)
+        for end in (source, sink):
+            with contextlib.suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+
+    def cut(self) -> None:
+        """Close all connections and accept no more."""
+        with contextlib.suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)
+        for end in (self._listener, *self._ends):
+            with contextlib.suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+            end.close()
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[_Cluster]:
+    made = _Cluster(tmp_path)
+    yield made
+    made.cut()
+    for process in (*made.workers, made.scheduler):
+        process.kill()
+        process.wait()
+
+
+@pytest.mark.parametrize("case", ["the scheduler is killed", "the connection is cut", "all workers are killed"])
+def test_a_lost_cluster_is_one_line_that_states_the_next_step(bench: Bench, cluster: _Cluster, case: str) -> None:
+    process = _started(bench, "--address", cluster.address)
+    before = _rows(bench)
+    if case == "the scheduler is killed":
+        cluster.scheduler.kill()
+    elif case == "the connection is cut":
+        cluster.cut()
+    else:
+        for worker in cluster.workers:
+            worker.kill()
+    out, error = process.communicate(timeout=200)
+    assert process.returncode == 2, error
+    kept, line = error.splitlines()
+    assert kept.startswith(f"p2o: {_rows(bench)} rows are kept in ")
+    assert _rows(bench) >= before
+    assert out.startswith("Tiny\n"), "the table of the kept rows"
+    assert line.startswith(f"p2o: error: {cluster.address}: the workers of --backend dask were lost; ")
+    assert line.endswith("start scheduler and workers again, then run the same command")

@@ -1,0 +1,134 @@
+"""Calibrate in a worker process: a plugin that crashes ends the worker, not the command."""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import json
+import multiprocessing
+import signal
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from p2o.arrays import Float
+from p2o.errors import P2OError, PluginError
+from p2o.frames.frame import Frame
+from p2o.host.registry import Registry, watched_calls
+from p2o.results.result import Result
+from p2o.run.assembly import Assembly
+from p2o.run.recipe import Recipe
+
+_LONGEST_CALL = 300
+"""Bytes of the text that names the running call of a plugin."""
+
+
+@dataclass(eq=False)
+class IsolatedCalibration:
+    """Calibrate frames in a worker process, which is replaced if it ends.
+
+    The worker loads the plugins (`block`, `files`) and resolves the recipe (`words`) itself. A call raises PluginError
+    if the process ends, and what the calibration raises.
+    """
+
+    words: dict[str, Any]
+    block: Sequence[str] = ()
+    files: Sequence[str] = ()
+    _worker: _Worker | None = None
+
+    def __call__(self, assembly: Assembly, frames: Sequence[Frame], camera_from_lidar: Float) -> Result:
+        if self._worker is None:
+            self._worker = _Worker.start((json.dumps(self.words), tuple(self.block), tuple(self.files)))
+        job = tuple(frames), camera_from_lidar, assembly.options, assembly.twists
+        try:
+            outcome = self._worker.answer(job)
+        except PluginError:
+            self.close()
+            raise
+        if isinstance(outcome, BaseException):
+            raise outcome
+        result: Result = outcome
+        return result
+
+    def close(self) -> None:
+        """Terminate the worker."""
+        if self._worker is not None:
+            self._worker.process.kill()
+            self._worker.process.join()
+            self._worker = None
+
+
+@dataclass(eq=False)
+class _Worker:
+    """A process, the connection to it, and the call of a plugin that it runs."""
+
+    process: Any
+    connection: Any
+    call: Any = field(repr=False)
+
+    @classmethod
+    def start(cls, setup: tuple[str, tuple[str, ...], tuple[str, ...]]) -> _Worker:
+        context = multiprocessing.get_context("spawn")
+        ours, theirs = context.Pipe()
+        call = context.RawArray("c", _LONGEST_CALL)
+        process = context.Process(target=_serve, args=(theirs, call, *setup), daemon=True)
+        process.start()
+        # Only the worker keeps its end: it is closed when the worker ends.
+        theirs.close()
+        return cls(process, ours, call)
+
+    def answer(self, job: Any) -> Result | BaseException:
+        """Return the outcome of a job; raises PluginError if the process ends."""
+        try:
+            self.connection.send(job)
+            answer: Result | BaseException = self.connection.recv()
+        except (EOFError, OSError) as problem:
+            self.process.join()
+            code = self.process.exitcode
+            name = signal.Signals(-code).name if code < 0 else f"exit status {code}"
+            text = self.call.value.decode(errors="replace") or "the worker process ended outside of any plugin"
+            hint = "use another method, or report it to the author of the plugin"
+            if name == "SIGKILL":
+                hint = "use fewer or smaller frames if memory was exhausted"
+            raise PluginError(text, got=name, hint=hint) from problem
+        return answer
+
+
+def _serve(connection: Any, call: Any, words: str, block: tuple[str, ...], files: tuple[str, ...]) -> None:
+    """Run the jobs that arrive at a connection until it is closed."""
+    faulthandler.disable()  # the error names the signal
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C signals all processes; the command terminates this one
+    assembly: Assembly | None = None
+    # The stdout of the command may be reserved for JSON.
+    with contextlib.redirect_stdout(sys.stderr), contextlib.suppress(EOFError, BrokenPipeError), watched_calls(call):
+        while True:
+            frames, start, options, twists = connection.recv()
+            outcome: Result | BaseException
+            try:
+                if assembly is None:
+                    registry = Registry.load(block=block, extra_files=files)
+                    assembly = Recipe.of(**json.loads(words)).resolve(registry).assembly()
+                outcome = _with(assembly, options, twists)(frames, start)
+            except P2OError as problem:
+                outcome = problem
+            connection.send(outcome)
+
+
+def _with(assembly: Assembly, options: Any, twists: Any) -> Assembly:
+    """Return the assembly with the options and velocities of the one in the main process."""
+    calibrator: Any = assembly.calibrator
+    if hasattr(calibrator, "options"):
+        calibrator = replace(calibrator, options=options)
+    return replace(assembly, calibrator=calibrator, options=options, twists=twists)
+
+
+@contextlib.contextmanager
+def isolated(recipe: Recipe, block: Sequence[str], files: Sequence[str]) -> Iterator[IsolatedCalibration]:
+    """Yield the calibration of a recipe in a worker process, which is terminated in the end."""
+    words = recipe.model_dump(mode="json", exclude_unset=True)
+    calibration = IsolatedCalibration(words, tuple(block), tuple(files))
+    try:
+        yield calibration
+    finally:
+        calibration.close()
