@@ -2,11 +2,14 @@
 
     python benchmarks/memory.py joint [--counts 50 125 250 500] [--distinct 25] [--out]
     python benchmarks/memory.py commands
+    python benchmarks/memory.py bag [--gb 5]
 
 `joint` calibrates synthetic frames (1242 x 375 px, HDL-64E) jointly, as `p2o run --joint --perturb "2deg 0.15m"` does:
 `--distinct` of them are made once and stored in a folder dataset under the requested number of names. So images and
 sweeps repeat, but p2o reads, holds and solves each name as a frame of its own. `commands` runs each command in a
-process of its own on small data. Peaks are of the largest process of a command; each job of a study has one of its own.
+process of its own on small data. `bag` writes a bag of ROS 2 of this size (images 1242 x 375, 120,000 points a sweep,
+the same content under new time stamps) to the temporary folder, lists its topics, reads all of its frames, and deletes
+it. Peaks are of the largest process of a command; each job of a study has one of its own.
 Frames are kept in build/bench and made again if that folder is away. Seconds are of one run, and of this machine.
 """
 
@@ -20,7 +23,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -137,6 +140,40 @@ def commands() -> dict[str, Cost]:
     return found
 
 
+def bag(size_gb: float) -> dict[str, Cost]:
+    """Return the cost of listing the topics of a bag of this size, and of reading its frames."""
+    sys.path.insert(0, str(ROOT))
+    import numpy as np
+    from p2o import Camera
+
+    from tests import bag_files
+
+    rng = np.random.default_rng(0)
+    camera = Camera.pinhole(720, 720, 621, 187, 1242, 375)
+    pixels = rng.integers(0, 256, (375, 1242, 3), dtype=np.uint8)
+    columns = {axis: rng.uniform(2, 60, 120_000).astype(np.float32) for axis in "xyz"}
+    columns |= {"t": np.linspace(0, 1e8, 120_000).astype(np.uint32)}
+    columns |= {"ring": (np.arange(120_000) % 64).astype(np.uint16)}
+    count = round(size_gb * 1e9 / (pixels.nbytes + sum(column.nbytes for column in columns.values())))
+
+    def messages() -> Iterator[bag_files.Said]:
+        yield bag_files.tf([bag_files.transform("lidar", "camera", np.eye(4))])
+        for number in range(count):
+            time_ns = 10**18 + number * 100_000_000
+            yield bag_files.camera_info("/camera_info", time_ns, camera)
+            yield bag_files.image("/image", time_ns, pixels)
+            yield bag_files.cloud("/points", time_ns, columns)
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = bag_files.write_bag(Path(folder), messages(), "mcap")
+        size = sum(file.stat().st_size for file in path.iterdir()) / 1e9
+        words = {"data topics": [str(path)], "data check": [f"ros:{path}"]}
+        return {
+            f"{name}, {size:.2f} GB, {count} frames": measured([*name.split(), *arguments]).cost
+            for name, arguments in words.items()
+        }
+
+
 def commands_table(costs: Mapping[str, Cost]) -> str:
     """Return a line for each command as a Markdown table."""
     lines = ["| command | peak MiB | wall s | processor s |", "|---|---|---|---|"]
@@ -153,6 +190,7 @@ def main() -> None:
     jointly.add_argument("--distinct", type=int, default=25)
     jointly.add_argument("--out", action="store_true", help="with pictures")
     asked.add_parser("commands")
+    asked.add_parser("bag").add_argument("--gb", type=float, default=5.0)
     said = parser.parse_args()
     if said.command == "joint":
         peaks = joint(said.counts, said.distinct, said.out)
@@ -160,7 +198,8 @@ def main() -> None:
         if len(peaks) > 1:
             print(f"\n{per_frame(peaks):.2f} MiB for each further frame")
         return
-    print(f"{machine()}, load {os.getloadavg()[0]:.1f}\n\n{commands_table(commands())}")
+    costs = bag(said.gb) if said.command == "bag" else commands()
+    print(f"{machine()}, load {os.getloadavg()[0]:.1f}\n\n{commands_table(costs)}")
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ import click
 
 from tests.fuzz.bases import build
 from tests.fuzz.campaign import Tally, campaign, one
-from tests.fuzz.surfaces import SURFACES
+from tests.fuzz.doors import SURFACES
 
 
 @click.command()

@@ -16,6 +16,7 @@ from p2o.cli import main
 from tests import bag_files
 from tests.p2o_datasets import argoverse2_files, kitti_360_files, once_files, pandaset_files, waymo_files
 from tests.p2o_datasets.nuscenes_files import Tree
+from tests.study_bench import HEAD, PLUGIN
 
 STUDY = """name = "small"
 title = "A small study"
@@ -88,6 +89,11 @@ class Bases:
         return self.root / "study"
 
     @property
+    def board(self) -> Path:
+        """A folder with the suite tiny.toml, its results, its bundle tiny.zip, and poses.csv to score."""
+        return self.root / "board"
+
+    @property
     def result(self) -> Path:
         """The result.json of a frame."""
         return self.root / "run" / "scene-0000" / "result.json"
@@ -116,6 +122,7 @@ def build(root: Path) -> Bases:
     gate = bases.study / "reference.json"
     _p2o("ablate", toml, "--out", bases.study / "out", "--jobs", 1, "--quiet", "--gate", gate, "--update")
     _p2o("run", "--data", f"folder:{bases.folder}", *RUN, "--out", root / "run")
+    _board(bases.board)
     # What these load stays loaded in every fork.
     _p2o("run", "--data", f"folder:{bases.folder}", "--frames", "0")
     _p2o("report", bases.study / "out", "--out", root / "report")
@@ -126,6 +133,17 @@ def build(root: Path) -> Bases:
     shutil.rmtree(root / "report")
     del os.environ["P2O_CACHE"]
     return bases
+
+
+def _board(root: Path) -> None:
+    root.mkdir()
+    (root / "study.toml").write_text(HEAD + '[[row]]\nlabel = "quick"\ncalibrator = "quick"\nwitness = "none"\n')
+    (root / "tiny.toml").write_text('name = "tiny"\nquestion = "Which is better?"\nstudy = "study.toml"\n')
+    suite, more = root / "tiny.toml", ("--plugin", PLUGIN, "--quiet")
+    results = ("--results", root / "results")
+    _p2o("benchmark", "run", suite, *results, "--store", root / "store", "--workers", 1, *more)
+    _p2o("benchmark", "bundle", suite, *results, "--out", root / "tiny.zip", *more)
+    _p2o("benchmark", "starts", suite, "--out", root / "poses.csv", *more)
 
 
 def _bags(root: Path) -> None:

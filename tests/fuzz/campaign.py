@@ -15,7 +15,7 @@ from typing import Any
 from tests.fuzz import sandbox
 from tests.fuzz.bases import Bases
 from tests.fuzz.contract import broken
-from tests.fuzz.surfaces import SURFACES, draw
+from tests.fuzz.doors import SURFACES, draw
 
 
 @dataclass(frozen=True)

@@ -148,6 +148,8 @@ def _watched(folder: Path, trespass: int) -> Iterator[None]:
                 two = event in ("os.rename", "os.link")
                 for number, path in enumerate(args[:2] if two else args[:1]):
                     check(event, path, args[2 + number] if two else args[-1])
+            elif event == "subprocess.Popen" and args[0] == sys.executable:
+                pass  # a process of p2o's own, such as the one that unpacks .laz files
             elif event in _FORBIDDEN:
                 os.write(trespass, f"{event} {args!r}\n".encode(errors="replace"))
         finally:

@@ -59,7 +59,7 @@ def sweep(rng: Random, bases: Bases, home: Path) -> Case:
     _said(frame, cloud=name, **({"twist": None} if rng.random() < 0.7 else {}))
     if rng.random() < 0.05:
         _swap(rng, frame / name)
-    return _read_or_run(rng, "folder:in")
+    return read_or_run(rng, "folder:in")
 
 
 def picture(rng: Random, bases: Bases, home: Path) -> Case:
@@ -83,7 +83,7 @@ def picture(rng: Random, bases: Bases, home: Path) -> Case:
     _said(frame, **{what: name})
     if rng.random() < 0.05:
         _swap(rng, frame / name)
-    return _read_or_run(rng, "folder:in")
+    return read_or_run(rng, "folder:in")
 
 
 def frame_file(rng: Random, bases: Bases, home: Path) -> Case:
@@ -99,7 +99,7 @@ def frame_file(rng: Random, bases: Bases, home: Path) -> Case:
     except (yaml.YAMLError, UnicodeEncodeError):
         text = json.dumps(said).encode()
     path.write_bytes(bytes_of(rng, text) if rng.random() < 0.5 else text)
-    return _read_or_run(rng, "folder:in")
+    return read_or_run(rng, "folder:in")
 
 
 def rig(rng: Random, bases: Bases, home: Path) -> Case:
@@ -168,7 +168,7 @@ def layout(rng: Random, bases: Bases, home: Path) -> Case:
         texts = [path for path in found if path.suffix in (".txt", ".json", ".yaml")] or found
         if not all(path.exists() for path in texts):
             break
-    return _read_or_run(rng, f"{name}:in")
+    return read_or_run(rng, f"{name}:in")
 
 
 def bag(rng: Random, bases: Bases, home: Path) -> Case:
@@ -657,38 +657,6 @@ def calibration(rng: Random, bases: Bases, home: Path) -> Case:
     return Case(("convert", f"in/{path.name}{said}", f"{OUT}/calibration", "--to", to))
 
 
-SURFACES: Mapping[str, tuple[int, Draw]] = {
-    "sweep": (20, sweep),
-    "picture": (13, picture),
-    "frame-file": (14, frame_file),
-    "rig": (5, rig),
-    "layout": (13, layout),
-    "bag": (8, bag),
-    "calibration": (4, calibration),
-    "words": (16, words),
-    "study": (7, study),
-    "store": (6, store),
-    "cache": (3, cache),
-    "result": (4, result),
-    "gate": (3, gate),
-    "weights": (1, weights),
-    "pairs": (3, pairs),
-}
-"""Every door by name: how often it is drawn, and how."""
-
-
-def draw(rng: Random, bases: Bases, home: Path, names: Sequence[str]) -> tuple[str, Case]:
-    """Return the name of a door and a case at it, whose files are written to `home`."""
-    (home / "in").mkdir(parents=True)
-    (home / OUT).mkdir()
-    name = rng.choices(names, [SURFACES[name][0] for name in names])[0]
-    if name in ("store", "gate"):
-        (home / OUT).rmdir()
-    if name == "layout":
-        (home / "in").rmdir()
-    return name, SURFACES[name][1](rng, bases, home)
-
-
 _RIGS: tuple[dict[str, Any], ...] = (
     {"cameras": {"A": {"frames": ["scene*"]}}},
     {"cameras": {"A": {"frames": ["scene"], "camera_from_body": _EYE}}, "body_from_lidar": _EYE},
@@ -748,7 +716,8 @@ def _small(path: Path) -> bool:
     return path.is_file() and not path.is_symlink() and path.stat().st_size < 1 << 26
 
 
-def _read_or_run(rng: Random, data: str) -> Case:
+def read_or_run(rng: Random, data: str) -> Case:
+    """Return a command that reads the data, or calibrates its first frame."""
     how = rng.random()
     if how < 0.65:
         return Case(("data", "check", data))

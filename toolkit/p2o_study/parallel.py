@@ -195,7 +195,9 @@ class Workers:
             here = {"n_workers": self.jobs, "threads_per_worker": 1, "dashboard_address": None}
             if not _debugging():
                 here["silence_logs"] = logging.CRITICAL
-            with _silent_dask():
+            # Jobs of workers that died are repeated by `_alone`.
+            once = importlib.import_module("dask").config.set({"distributed.scheduler.allowed-failures": 0})
+            with _silent_dask(), once:
                 try:
                     client = connect(**here) if self.address is None else connect(self.address, timeout=20)
                 except (OSError, ValueError, TimeoutError) as problem:

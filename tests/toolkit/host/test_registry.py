@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import textwrap
 from collections.abc import Callable, Iterator
@@ -367,6 +368,20 @@ def test_what_a_stage_must_not_return_names_plugin_and_stage(kind: Kind, stage: 
     arguments = {Kind.MATCHER: ([], np.eye(4), 1.0), Kind.IMAGE_EXTRACTOR: (None,), Kind.CLOUD_EXTRACTOR: (None,)}
     with pytest.raises(PluginError, match=f"plugin acme-p2o: {kind} 'fake'.*{message}"):
         build(offer_of(kind, stage), p2o.Options())(*arguments.get(kind, ([], np.eye(4))))
+
+
+def test_a_stage_that_changes_directory_and_recursion_limit_changes_them_for_itself_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def solve(problem: object, pose: np.ndarray) -> p2o.Solution:
+        os.chdir("/")
+        sys.setrecursionlimit(5000)
+        return p2o.Solution(pose, 0.0, 1)
+
+    monkeypatch.chdir(tmp_path)
+    before = sys.getrecursionlimit()
+    build(offer_of(Kind.SOLVER, solve), p2o.Options())(None, np.eye(4))
+    assert (os.getcwd(), sys.getrecursionlimit()) == (str(tmp_path.resolve()), before)
 
 
 class _PreparingCalibrator:

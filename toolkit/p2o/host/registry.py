@@ -12,7 +12,7 @@ import os
 import re
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
@@ -170,7 +170,8 @@ class Registry:
             try:
                 if source.name in seen:
                     raise PluginError(f"two plugins are called {source.name}", expected="one entry point of a name")
-                good.append(_register(host, source))
+                with _same_process():
+                    good.append(_register(host, source))
                 if isinstance(source.value, Path):
                     _file_plugins[source.value.resolve()] = good[-1]
             except KeyboardInterrupt:
@@ -392,12 +393,12 @@ def watch(offer: Offer, doing: str) -> Iterator[None]:
     SystemExit and other classes that do not derive from Exception are faults, too: they would end the program. A
     missing package becomes MethodUnavailable, and an OSError of a data set or exporter an InputError with the file.
     """
-    before = None if _running is None else _running.value
-    if _running is not None:
-        text = f"plugin {offer.dist}: {offer.kind} '{offer.name}' ended its process while {doing}"
-        _running.value = text.encode()[: len(_running) - 1]
     try:
-        yield
+        with (
+            _same_process(),
+            _reported(f"plugin {offer.dist}: {offer.kind} '{offer.name}' ended its process while {doing}"),
+        ):
+            yield
     except (P2OError, KeyboardInterrupt):
         raise
     except ModuleNotFoundError as problem:
@@ -409,24 +410,52 @@ def watch(offer: Offer, doing: str) -> Iterator[None]:
         raise _raised(offer, doing, problem) from problem
     except BaseException as problem:
         raise _raised(offer, doing, problem) from problem
-    finally:
-        if _running is not None:
-            _running.value = before
-
-
-_running: Any = None
-"""Array of bytes shared with another process, which names the running call of a plugin; None for no process."""
 
 
 @contextmanager
-def watched_calls(running: Any) -> Iterator[None]:
-    """Store the running call of a plugin in `running`, a shared array of bytes, for a process that watches this one."""
-    global _running
-    _running = running
+def _same_process() -> Iterator[None]:
+    """Restore working directory and recursion limit: paths that a user gives are relative to the directory."""
+    limit = sys.getrecursionlimit()
+    try:
+        folder = os.getcwd()
+    except FileNotFoundError:  # it was removed meanwhile
+        folder = ""
     try:
         yield
     finally:
-        _running = None
+        if sys.getrecursionlimit() != limit:
+            sys.setrecursionlimit(limit)
+        if folder and os.getcwd() != folder:
+            os.chdir(folder)
+
+
+_reports: list[Callable[[str], object]] = []
+"""Receives the running call of a plugin, for a process that watches this one; at most one."""
+_running: list[str] = []
+
+
+@contextmanager
+def _reported(call: str) -> Iterator[None]:
+    if not _reports:
+        yield
+        return
+    _running.append(call)
+    _reports[0](call)
+    try:
+        yield
+    finally:
+        _running.pop()
+        _reports[0](_running[-1] if _running else "")
+
+
+@contextmanager
+def reported_calls(report: Callable[[str], object]) -> Iterator[None]:
+    """Report the running call of a plugin when it changes, for a process that watches this one."""
+    _reports.append(report)
+    try:
+        yield
+    finally:
+        _reports.clear()
 
 
 def requirement(offer: Offer) -> str:

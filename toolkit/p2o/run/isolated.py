@@ -9,19 +9,16 @@ import multiprocessing
 import signal
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from p2o.arrays import Float
 from p2o.errors import P2OError, PluginError
 from p2o.frames.frame import Frame
-from p2o.host.registry import Registry, watched_calls
+from p2o.host.registry import Registry, reported_calls
 from p2o.results.result import Result
 from p2o.run.assembly import Assembly
 from p2o.run.recipe import Recipe
-
-_LONGEST_CALL = 300
-"""Bytes of the text that names the running call of a plugin."""
 
 
 @dataclass(eq=False)
@@ -61,47 +58,52 @@ class IsolatedCalibration:
 
 @dataclass(eq=False)
 class _Worker:
-    """A process, the connection to it, and the call of a plugin that it runs."""
+    """A process and the connection to it, over which it sends the call of a plugin that it runs, and outcomes."""
 
     process: Any
     connection: Any
-    call: Any = field(repr=False)
 
     @classmethod
     def start(cls, setup: tuple[str, tuple[str, ...], tuple[str, ...]]) -> _Worker:
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
-        call = context.RawArray("c", _LONGEST_CALL)
-        process = context.Process(target=_serve, args=(theirs, call, *setup), daemon=True)
+        process = context.Process(target=_serve, args=(theirs, *setup), daemon=True)
         process.start()
         # Only the worker keeps its end: it is closed when the worker ends.
         theirs.close()
-        return cls(process, ours, call)
+        return cls(process, ours)
 
     def answer(self, job: Any) -> Result | BaseException:
         """Return the outcome of a job; raises PluginError if the process ends."""
+        call = ""
         try:
             self.connection.send(job)
-            answer: Result | BaseException = self.connection.recv()
+            while isinstance(answer := self.connection.recv(), str):
+                call = answer
         except (EOFError, OSError) as problem:
             self.process.join()
             code = self.process.exitcode
             name = signal.Signals(-code).name if code < 0 else f"exit status {code}"
-            text = self.call.value.decode(errors="replace") or "the worker process ended outside of any plugin"
+            text = call or "the worker process ended outside of any plugin"
             hint = "use another method, or report it to the author of the plugin"
             if name == "SIGKILL":
                 hint = "use fewer or smaller frames if memory was exhausted"
             raise PluginError(text, got=name, hint=hint) from problem
-        return answer
+        outcome: Result | BaseException = answer
+        return outcome
 
 
-def _serve(connection: Any, call: Any, words: str, block: tuple[str, ...], files: tuple[str, ...]) -> None:
+def _serve(connection: Any, words: str, block: tuple[str, ...], files: tuple[str, ...]) -> None:
     """Run the jobs that arrive at a connection until it is closed."""
     faulthandler.disable()  # the error names the signal
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C signals all processes; the command terminates this one
     assembly: Assembly | None = None
     # The stdout of the command may be reserved for JSON.
-    with contextlib.redirect_stdout(sys.stderr), contextlib.suppress(EOFError, BrokenPipeError), watched_calls(call):
+    with (
+        contextlib.redirect_stdout(sys.stderr),
+        contextlib.suppress(EOFError, BrokenPipeError),
+        reported_calls(connection.send),
+    ):
         while True:
             frames, start, options, twists = connection.recv()
             outcome: Result | BaseException
