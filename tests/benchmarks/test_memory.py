@@ -1,10 +1,10 @@
-"""The tables of `benchmarks/memory.py`, made from given numbers: nothing is measured here."""
+"""The tables of `benchmarks/memory.py`, made from given numbers, and the memory of reading a bag."""
 
 from __future__ import annotations
 
 import pytest
 from bench import Cost
-from memory import Peak, commands_table, names_of, per_frame, table
+from memory import Peak, bag, commands_table, names_of, per_frame, table
 
 PEAKS = {
     50: Peak(Cost(60.0, 40.0, 2000.0), {"extract": 30.0, "refine": 5.25}),
@@ -30,3 +30,13 @@ def test_each_number_of_frames_has_its_peak_and_the_seconds_of_all_stages() -> N
 
 def test_each_command_has_a_line() -> None:
     assert commands_table({"run": Cost(4.0, 3.25, 512.4)}).splitlines()[2] == "| `run` | 512 | 3.2 | 4.0 |"
+
+
+@pytest.mark.system
+def test_reading_a_bag_does_not_keep_its_frames_in_memory() -> None:
+    peaks = []
+    for size_gb in (0.05, 0.4):
+        [_, read] = bag(size_gb).items()
+        assert read[0].startswith("data check")
+        peaks.append(read[1].peak_mib)
+    assert peaks[1] < peaks[0] + 100, "350 MB more of messages"
