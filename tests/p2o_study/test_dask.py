@@ -76,8 +76,9 @@ def test_killed_workers_cost_no_row_and_no_line(bench: Bench, count: int) -> Non
     assert _rows(bench) == 3 * SEEDS
 
 
-def test_a_plugin_that_crashes_the_only_worker_is_a_row(bench: Bench) -> None:
-    done = bench.cli(QUICK + 'options.calibrator.die_on = "tiny/001"\n', "--backend", "dask", "--jobs", "1", "--quiet")
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_a_plugin_that_crashes_its_dask_worker_is_a_row(bench: Bench, jobs: str) -> None:
+    done = bench.cli(QUICK + 'options.calibrator.die_on = "tiny/001"\n', "--backend", "dask", "--jobs", jobs, "--quiet")
     assert (done.returncode, done.stderr) == (1, "")
     assert "2 (2 crashed)" in done.stdout
 

@@ -151,6 +151,9 @@ class Workers:
         batches = _Batches(jobs)
         # Only the workers of loky are children of this process.
         watch = {"initializer": _watch, "initargs": (os.getpid(),)} if self.backend == "loky" else {}
+        if self.backend == "dask":
+            yield from _dask_results(work, batches)
+            return
         if (submit := self._single_worker(watch)) is not None:
             for batch in batches:
                 yield from batches.results_of(*submit(_numbered, work, batch).result())
@@ -164,8 +167,7 @@ class Workers:
                         for took_s, results in joblib.Parallel(n_jobs=self.jobs, batch_size=1)(some):
                             yield from batches.results_of(took_s, results)
                     return
-                jobs_at_once = self.jobs if self.backend == "loky" else -1
-                done = joblib.Parallel(n_jobs=jobs_at_once, batch_size=1, return_as="generator_unordered")(tasks)
+                done = joblib.Parallel(n_jobs=self.jobs, batch_size=1, return_as="generator_unordered")(tasks)
                 for took_s, results in done:
                     yield from batches.results_of(took_s, results)
         finally:
@@ -173,16 +175,12 @@ class Workers:
                 done.close()
 
     def _single_worker(self, watch: dict[str, Any]) -> Callable[..., Any] | None:
-        """Return `submit` of the only worker, None for several: joblib would run single jobs in this process."""
+        """Return `submit` of the only worker of loky, None for others: joblib would run single jobs in this process."""
         submit: Callable[..., Any] | None = None
         if self.backend == "loky" and self.jobs == 1:
             from joblib.externals.loky import get_reusable_executor
 
             submit = get_reusable_executor(max_workers=1, timeout=_IDLE_S, **watch).submit
-        elif self.backend == "dask":
-            client: Any = importlib.import_module("distributed").default_client()
-            client.wait_for_workers(1, timeout=_ABSENT_S)  # a worker that died may be about to restart
-            submit = partial(client.submit, pure=False) if sum(client.ncores().values()) == 1 else None
         return submit
 
     @contextlib.contextmanager
@@ -219,6 +217,32 @@ class Workers:
                 ended = True
             finally:
                 _dismiss_workers(kill=not ended)
+
+
+def _dask_results(work: Work, batches: _Batches) -> Generator[tuple[int, Any], None, None]:
+    """Yield number and result of each job until a worker dies, then cancel the others.
+
+    joblib waits without end if a worker dies, and runs the jobs of a single worker in this process.
+    """
+    distributed = importlib.import_module("distributed")
+    client = distributed.default_client()
+    client.wait_for_workers(1, timeout=_ABSENT_S)  # a worker that died may be about to restart
+    queue, running, waiting = distributed.as_completed(), set[Any](), iter(batches)
+    try:
+        while True:
+            while len(running) < 2 * max(1, sum(client.ncores().values())):
+                if (batch := next(waiting, None)) is None:
+                    break
+                running.add(future := client.submit(_numbered, work, batch, pure=False))
+                queue.add(future)
+            if not running:
+                return
+            future = next(queue)
+            running.remove(future)
+            yield from batches.results_of(*future.result())
+    finally:
+        with contextlib.suppress(Exception):  # the cluster may be lost
+            client.cancel(list(running))
 
 
 @contextlib.contextmanager
