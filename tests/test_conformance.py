@@ -33,8 +33,11 @@ SMALL = {"synthetic": {"width_px": 310, "height_px": 94}}
 SOLVED = "the_example_is_solved"
 """The check that solves the example of a matcher, some 10 s each."""
 
-SOLVE_DRIVES = {"csc", "geiger", "hand-eye", "koo", "mirzaei", "zhou"}
-"""Methods whose example is a whole drive; what needs its frames is a system test."""
+SOLVE_DRIVES = {
+    *("csc", "hand-eye"),
+    *("acsc", "domhof", "geiger", "gong", "koo", "mirzaei", "velas", "velo2cam", "zhou"),
+}
+"""Methods whose example is a drive or many poses of a board; what needs its frames is a system test."""
 
 WITHOUT_FRAMES = {
     "every_option_has_a_default",
