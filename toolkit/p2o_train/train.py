@@ -18,13 +18,15 @@ from p2o.files.input_file import expanded, read_text
 from p2o.files.parsed_text import parse_json
 from p2o.files.whole_file import write_errors, write_whole
 from p2o.frames.selection import select
-from p2o.host.guard import GuardedDataset, trainer_of
+from p2o.host.guard import GuardedDataset
 from p2o.host.method import Trainer, TrainingGroup, TrainingProgress
 from p2o.host.registry import Offer, Registry
 from p2o.host.slots import SLOT_OF
 from p2o.options import Options
 from p2o.run.recipe import Part, Recipe, dataset_part
 from p2o.run.words import NamedData
+
+from p2o_train.guarded_trainer import trainer_of
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from p2o.frames.cloud import Cloud
 from p2o.frames.frame import Dataset, Frame, LazyFrames
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera, centre_remark
-from p2o.host.method import Kind, Trainer
+from p2o.host.method import Kind
 from p2o.host.registry import Offer, fault, watch
 from p2o.host.stages import Accumulator, Calibrator, InitializerBase, Judge, MatcherBase
 from p2o.options import Options
@@ -214,36 +214,6 @@ def build(offer: Offer, options: Options) -> Any:
     if not callable(stage):
         raise fault(offer, f"build returned {type(stage).__name__}", "something to call")
     return _GUARDS[offer.kind](offer, stage)
-
-
-def trainer_of(offer: Offer) -> Trainer:
-    """Return the trainer of an offer, guarded as `build` guards a stage.
-
-    Raises InputError where the method does not learn.
-    """
-    trainer = offer.method.trainer
-    if trainer is None:
-        raise InputError(f"{offer.kind} '{offer.name}' cannot be trained", expected="a method that learns")
-
-    def label(frame: Frame) -> bytes:
-        with watch(offer, f"labelling {frame.name}"):
-            content = trainer.label(frame)
-        if not isinstance(content, bytes):
-            raise fault(offer, f"label returned {type(content).__name__}", "the bytes of a file")
-        return content
-
-    def draw(path: Path) -> Any:
-        with watch(offer, f"drawing {path}"):
-            return trainer.draw(path)
-
-    def train(*arguments: Any) -> Path:
-        with watch(offer, "training"):
-            weights = trainer.train(*arguments)
-        if not isinstance(weights, Path) or not weights.is_file():
-            raise fault(offer, "train returned no file", "the path of the weights")
-        return weights
-
-    return replace(trainer, label=label, draw=draw, train=train)
 
 
 class GuardedDataset(Sequence[Frame]):

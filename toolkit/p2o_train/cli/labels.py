@@ -31,8 +31,8 @@ def command(
     Existing files are kept, so that an interrupted command continues. docs/training.md explains labels.
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     from p2o.cli.out_dir import OutDir
-    from p2o.host.guard import trainer_of
 
+    from p2o_train.guarded_trainer import trainer_of
     from p2o_train.train import sources_of, trainable, write_labels
 
     registry = load(**plugins)

@@ -62,8 +62,8 @@ def command(
     docs/training.md explains options, presets and files.
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     from p2o.cli.out_dir import OutDir
-    from p2o.host.guard import trainer_of
 
+    from p2o_train.guarded_trainer import trainer_of
     from p2o_train.train import sources_of, train, trainable, usage
 
     if not all(map(math.isfinite, shares)):
