@@ -185,7 +185,8 @@ MUTATIONS = (
     ),
     Mutation(
         "truth-to-calibrator", "host", "leaked truth", f"{_T}/host/guard.py",
-        "frame = frame.without_truth()", "frame = replace(frame)",
+        "value = prepare(frame.without_truth())", "value = prepare(replace(frame))",
+        old_find="frame = frame.without_truth()", old_replace="frame = replace(frame)",
     ),
     Mutation(
         "blocked-plugin", "host", "dropped guard", f"{_T}/host/registry.py",
