@@ -35,9 +35,9 @@ SOLVED = "the_example_is_solved"
 
 SOLVE_DRIVES = {
     *("csc", "hand-eye"),
-    *("acsc", "domhof", "geiger", "gong", "koo", "mirzaei", "velas", "velo2cam", "zhou"),
+    *("acsc", "domhof", "geiger", "gong", "koo", "kuemmerle", "mirzaei", "velas", "velo2cam", "zhou"),
 }
-"""Methods whose example is a drive or many poses of a board; what needs its frames is a system test."""
+"""Methods whose example is a drive or many poses of a target; what needs its frames is a system test."""
 
 WITHOUT_FRAMES = {
     "every_option_has_a_default",
