@@ -85,7 +85,7 @@ class IntrinsicsEstimate:
     """The fits of all cameras, the pose (4, 4) with their errors corrected, and what they mean for the pose.
 
     `covariance` (6, 6) is that of a left update in rad and m by the errors of the cameras: those of usual calibrations,
-    which the edges do not reveal, and estimated errors as far as their scatter does not explain them.
+    which the edges do not reveal, and insignificant estimates as far as their scatter does not explain them.
     """
 
     fits: tuple[IntrinsicFit, ...]
@@ -309,6 +309,7 @@ class _Field:
         usual = 1 / (np.tile(1 / _CALIBRATED**2, len(self.cameras)) + 1 / np.diag(scatter)[6:])
         expected = np.concatenate([np.diag(fit.covariance) for fit in fits])
         unexpected = np.maximum(errors.ravel() ** 2 - np.tile(_UNEXPECTED, len(self.cameras)) * expected, 0.0)
+        unexpected[np.concatenate([fit.significant for fit in fits])] = 0.0  # these make the camera doubtful
         return IntrinsicsEstimate(tuple(fits), best.pose, (by_errors * (usual + unexpected)) @ by_errors.T)
 
     def _information(self, state: _State, cells: Int) -> tuple[Float, Float]:
