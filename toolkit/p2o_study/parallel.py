@@ -14,6 +14,7 @@ import itertools
 import logging
 import multiprocessing
 import os
+import queue
 import re
 import signal
 import sys
@@ -38,6 +39,8 @@ _DASK_LOGGERS = ("distributed", "tornado", "asyncio")
 _POLL_INTERVAL_S = 0.5
 _ABSENT_S = 60.0
 """Duration for which a dask scheduler may have no workers or give no answer: those of a cluster may be restarted."""
+_TRANSFER_S = 10.0
+"""Duration after which the presence of workers is checked while the result of a complete job is transferred."""
 _IDLE_S = 300
 """Duration after which an idle worker ends, as in joblib."""
 _BATCH_S, _MOST_IN_BATCH = 1.0, 64
@@ -119,7 +122,7 @@ class Workers:
             got = f"{type(problem).__name__}: {problem}"
             if self.address is not None:
                 hint = "finished rows are kept: start scheduler and workers again, then run the same command"
-            if type(problem).__name__ == "FutureCancelledError":
+            if type(problem).__name__ in ("FutureCancelledError", "TimeoutError"):
                 got = "the scheduler does not respond, or has no workers"
             raise P2OError(text, where=self.address, got=got, hint=hint) from problem
 
@@ -201,9 +204,11 @@ class Workers:
                 except (OSError, ValueError, TimeoutError) as problem:
                     text, expected = "the dask scheduler does not respond", "an address such as tcp://HOST:8786"
                     raise InputError(text, where=self.address or "dask", expected=expected, got=problem) from problem
-                watched = contextlib.nullcontext() if self.address is None else _closed_without_workers(client)
-                with client, watched:
+                try:
                     yield
+                finally:
+                    with contextlib.suppress(TimeoutError):
+                        client.close(timeout=_ABSENT_S)
         elif self.backend == "ray":
             ray = importlib.import_module("ray")
             importlib.import_module("ray.util.joblib").register_ray()
@@ -222,27 +227,51 @@ class Workers:
 def _dask_results(work: Work, batches: _Batches) -> Generator[tuple[int, Any], None, None]:
     """Yield number and result of each job until a worker dies, then cancel the others.
 
-    joblib waits without end if a worker dies, and runs the jobs of a single worker in this process.
+    joblib waits without end if a worker dies, and runs the jobs of a single worker in this process. Raises TimeoutError
+    if the cluster is lost.
     """
-    distributed = importlib.import_module("distributed")
-    client = distributed.default_client()
+    client = importlib.import_module("distributed").default_client()
     client.wait_for_workers(1, timeout=_ABSENT_S)  # a worker that died may be about to restart
-    queue, running, waiting = distributed.as_completed(), set[Any](), iter(batches)
+    running, complete, waiting = set[Any](), queue.SimpleQueue[Any](), iter(batches)
     try:
         while True:
             while len(running) < 2 * max(1, sum(client.ncores().values())):
                 if (batch := next(waiting, None)) is None:
                     break
                 running.add(future := client.submit(_numbered, work, batch, pure=False))
-                queue.add(future)
+                future.add_done_callback(complete.put)
             if not running:
                 return
-            future = next(queue)
+            future, timed_results = _next_complete(client, complete)
             running.remove(future)
-            yield from batches.results_of(*future.result())
+            yield from batches.results_of(*timed_results)
+    except TimeoutError:
+        running.clear()  # to cancel them would wait for the cluster
+        raise
     finally:
-        with contextlib.suppress(Exception):  # the cluster may be lost
+        with contextlib.suppress(Exception):
             client.cancel(list(running))
+
+
+def _next_complete(client: Any, complete: queue.SimpleQueue[Any]) -> tuple[Any, Any]:
+    """Return the next complete job and its result.
+
+    Workers that die take the results that they hold with them, and dask waits without end for others to compute them
+    again. Raises TimeoutError if the scheduler is without workers or silent for `_ABSENT_S`.
+    """
+    future, present = None, time.monotonic()
+    while True:
+        try:
+            future = future or complete.get(timeout=_POLL_INTERVAL_S)
+            return future, future.result(timeout=_TRANSFER_S)
+        except (queue.Empty, TimeoutError):
+            if future is not None and future.status == "error":
+                raise  # by the job
+            with contextlib.suppress(Exception):
+                if client.sync(client.scheduler.identity, callback_timeout=_ABSENT_S)["workers"]:
+                    present = time.monotonic()
+            if time.monotonic() - present > _ABSENT_S:
+                raise TimeoutError("the scheduler does not respond, or has no workers") from None
 
 
 @contextlib.contextmanager
@@ -258,34 +287,6 @@ def _silent_dask() -> Iterator[None]:
     finally:
         for logger, disabled in zip(loggers, before, strict=True):
             logger.disabled = disabled
-
-
-@contextlib.contextmanager
-def _closed_without_workers(client: Any) -> Iterator[None]:
-    """Close a dask client, which cancels its jobs, if its scheduler is without workers or silent for a while.
-
-    Otherwise jobs would wait without end.
-    """
-    ended = threading.Event()
-
-    def watch() -> None:
-        last = time.monotonic()
-        while not ended.wait(_POLL_INTERVAL_S):
-            with contextlib.suppress(Exception):
-                if client.sync(client.scheduler.identity, callback_timeout=_ABSENT_S)["workers"]:
-                    last = time.monotonic()
-            if time.monotonic() - last > _ABSENT_S:
-                with contextlib.suppress(Exception):
-                    client.close(timeout=_POLL_INTERVAL_S)
-                return
-
-    thread = threading.Thread(target=watch, daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        thread.join(_ABSENT_S)
 
 
 def _cannot_start() -> str:
