@@ -47,7 +47,7 @@ _LEAD = 2.0
 """Smallest evidence for which a fit from another initial value replaces the one from the given cameras."""
 _CALIBRATED = np.array([0.0015, 0.002, 0.0003, 0.0003])
 """Standard deviations of the errors of a usual calibration, in units of `_PRIOR`: part of the predicted error."""
-_UNEXPECTED = np.array([SIGMAS**2, SIGMAS**2, SIGMAS**2, 2.0])
+_UNEXPECTED = np.array([9.0, 9.0, 9.0, 2.0])
 """The part of the square of an estimated error beyond this multiple of its variance belongs to the predicted error.
 
 Less for the vertical principal point, of which a rotation absorbs more than the edges of a low image reveal.
