@@ -17,7 +17,7 @@ from p2o.files.input_file import naming
 from p2o.frames.accumulate import accumulated
 from p2o.host.registry import file_module_name
 from p2o.solving import Doubt, Objective, PointToLine, Reason, Verdict
-from p2o.testing import exact, stage
+from p2o_testing import exact, stage
 from pydantic import field_serializer
 
 HERE = Path(__file__).parent

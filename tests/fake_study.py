@@ -15,8 +15,8 @@ from p2o.cache import content_hash
 from p2o.geometry.pose_error import pose_error
 from p2o.results.verdict import Trust
 from p2o.solving import Round
-from p2o.testing import stage
 from p2o_study.store import Planned, Store, StoredRow, StoredStudy
+from p2o_testing import stage
 
 TRUTH = se3.make(np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]), [0.0, -0.1, -0.3])
 PLUGIN = str(Path(__file__).with_name("stage_plugin.py"))

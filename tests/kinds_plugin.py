@@ -161,7 +161,7 @@ def spots_matched(views: Sequence[p2o.View], pose: Any, reach_px: float) -> Any:
 
 def marked(views: Sequence[p2o.View], pose: Any, reach_px: float) -> Any:
     """Return a cost that asks for marks and spots, and is lowest at the truth of the stage."""
-    from p2o.testing import stage
+    from p2o_testing import stage
 
     for view in views:
         assert view.image.words == {"image-spots"}

@@ -56,7 +56,7 @@ class Frames(Sequence[p2o.Frame]):
         return len(self.names)
 
     def __getitem__(self, index: Any) -> Any:
-        from p2o.testing import stage
+        from p2o_testing import stage
 
         if index == self.options.bad:
             raise p2o.InputError("the image is cut short", where="a.png")

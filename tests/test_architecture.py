@@ -19,6 +19,7 @@ PACKAGES = {
     "p2o": ROOT / "toolkit/p2o",
     "p2o_study": ROOT / "toolkit/p2o_study",
     "p2o_train": ROOT / "toolkit/p2o_train",
+    "p2o_testing": ROOT / "toolkit/p2o_testing",
     "p2o_pages": ROOT / "toolkit/p2o_pages",
     "p2o_plugins": ROOT / "plugins/p2o_plugins",
     "p2o_datasets": ROOT / "plugins/p2o_datasets",
@@ -46,7 +47,6 @@ FLOORS = (
     {"calibration", "cache", "training_loop"},
     {"confidence"},
     {"run"},
-    {"testing"},
     {"cli"},
 )
 """The rooms of p2o, lowest first: a room imports from lower floors only, for type checkers too."""

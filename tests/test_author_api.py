@@ -21,7 +21,7 @@ from p2o.run.recipe import STAGES
 from pydantic import BaseModel
 
 KNOWN = Path(__file__).with_name("author_api.json")
-MODULES = ("p2o", "p2o.solving", "p2o.reading", "p2o.testing")
+MODULES = ("p2o", "p2o.solving", "p2o.reading", "p2o_testing")
 PROPERTIES = (property, cached_property)
 UPDATE = "python -m tests.test_author_api"
 
@@ -94,7 +94,7 @@ def members(cls: type) -> Iterator[tuple[str, Any]]:
     """Return the public attributes that a class and its bases in p2o define, and how it is called."""
     found: dict[str, Any] = {}
     for base in reversed(cls.__mro__):
-        if base.__module__.partition(".")[0] == "p2o":
+        if base.__module__.partition(".")[0] in ("p2o", "p2o_testing"):
             found.update(vars(base))
     kept = (*PROPERTIES, staticmethod, classmethod)
     for name, value in found.items():
@@ -123,7 +123,7 @@ def current() -> dict[str, Any]:
         **names,
         "hooks": sorted(name for name in vars(hookspecs) if name.startswith("p2o_")),
         "stages": sorted(STAGES),
-        "checks": sorted(check.name for check in modules["p2o.testing"].CHECKS),
+        "checks": sorted(check.name for check in modules["p2o_testing"].CHECKS),
     }
 
 

@@ -215,7 +215,7 @@ def test_json_of_a_joint_run_is_of_the_same_schema(
 
 
 def test_errors_are_null_where_the_truth_is_not_known() -> None:
-    from p2o.testing import stage
+    from p2o_testing import stage
 
     frame = stage.frame()
     told = p2o.Frame("a", frame.image, frame.cloud, start=frame.camera_from_lidar)

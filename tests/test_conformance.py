@@ -12,7 +12,7 @@ import p2o
 import pytest
 from p2o import Kind, Method, Registry, UnknownNameError
 from p2o.solving import Objective
-from p2o.testing import (
+from p2o_testing import (
     CHECKS,
     Case,
     CheckFailed,
@@ -140,7 +140,7 @@ def test_the_stage_is_exact() -> None:
 def test_the_sweep_of_the_stage_is_whole() -> None:
     cloud = stage.frame().cloud
     assert np.bincount(cloud.ring).tolist() == [1500] * 64
-    assert pytest.approx(cloud.xyz[:, 2].min()) == p2o.testing.stage.FLOOR_M
+    assert pytest.approx(cloud.xyz[:, 2].min()) == stage.FLOOR_M
 
 
 # ---- methods that break their promise

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from p2o.cli import main
 from p2o.frames.selection import spread
-from p2o.testing import stage
+from p2o_testing import stage
 
 STAGE = ["--plugin", str(Path(__file__).with_name("stage_plugin.py"))]
 

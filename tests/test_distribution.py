@@ -20,6 +20,7 @@ PACKAGES = (
     "toolkit/p2o",
     "toolkit/p2o_study",
     "toolkit/p2o_train",
+    "toolkit/p2o_testing",
     "toolkit/p2o_pages",
     "plugins/p2o_plugins",
     "plugins/p2o_datasets",
@@ -82,7 +83,7 @@ def test_the_wheel_holds_every_file_of_the_packages_and_nothing_else(wheel: Path
         "p2o_plugins/weights/p2ornet-kitti.safetensors",
         "p2o_plugins/weights/MODEL_CARD.md",
         "p2o_baselines/studies/smoke.toml",
-        "p2o/cli/plugin_template/slots/matcher.py.txt",
+        "p2o_testing/plugin_template/slots/matcher.py.txt",
         "p2o/py.typed",
     ):
         assert name in names

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from p2o.cli import doctor, main
-from p2o.cli.doctor import State
+from p2o.cli import main
 from p2o.host.registry import Broken, Registry
+from p2o_testing.cli import doctor
+from p2o_testing.cli.doctor import State
 
 
 def found(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, dict[str, Any]]:

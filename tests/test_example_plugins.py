@@ -33,8 +33,8 @@ def test_an_example_passes_every_check(file: Path, capsys: pytest.CaptureFixture
 
 def test_the_problem_of_a_matcher_on_the_page_is_solved() -> None:
     """The class that docs/plugins.md prints, posed on the stage and solved by our own solver."""
-    from p2o.testing import stage
     from p2o_plugins.solve import lm
+    from p2o_testing import stage
 
     from tests.pages import python_blocks
 

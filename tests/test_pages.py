@@ -28,12 +28,13 @@ from typing import Any, NoReturn
 import click
 import p2o
 import pytest
-from p2o.cli import group, main, plugin_check
+from p2o.cli import group, main
 from p2o.host import guard
 from p2o.host.method import Kind
 from p2o.host.slots import KIND_OF, SLOT_OF
 from p2o.run.protocol import protocol_of
 from p2o.run.recipe import dataset_part
+from p2o_testing.cli import plugin_check
 
 from tests.page_data import linked, written
 from tests.pages import (

@@ -19,8 +19,8 @@ from p2o.arrays import Float
 from p2o.cli import main
 from p2o.problems.picked_pairs import PickedPairs, read_pairs, write_pairs
 from p2o.problems.picked_pose import PickedFrame, solve_picks
-from p2o.testing import stage
 from p2o_pages.pick.session import PickSession
+from p2o_testing import stage
 
 pytest.importorskip("viser", reason="the extra `view` is not installed")
 

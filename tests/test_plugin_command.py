@@ -12,9 +12,9 @@ import p2o
 import pytest
 import yaml
 from p2o.cli import main
-from p2o.cli.new_plugin import SLOT_WORDS, NewPlugin
-from p2o.cli.plugin import _SLOTS
 from p2o.host.registry import Registry
+from p2o_testing.cli.plugin_new import SLOTS
+from p2o_testing.new_plugin import SLOT_WORDS, NewPlugin
 
 ROOT = Path(__file__).parents[1]
 
@@ -147,5 +147,5 @@ def test_it_says_what_it_wrote_and_what_to_do_next(tmp_path: Path, capsys: pytes
 
 
 def test_the_command_offers_every_slot() -> None:
-    assert set(_SLOTS) == set(SLOT_WORDS)
+    assert set(SLOTS) == set(SLOT_WORDS)
     assert set(SLOT_WORDS.values()) == set(p2o.Kind)

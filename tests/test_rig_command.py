@@ -15,8 +15,8 @@ from p2o import InputError, se3
 from p2o.cli import main
 from p2o.results.result_json import result_from_dict
 from p2o.run.run import Run
-from p2o.testing import stage
 from p2o_sim.synthetic import SyntheticOptions, truth_at
+from p2o_testing import stage
 
 PLUGIN = Path(__file__).with_name("stage_plugin.py")
 SPY = ["--plugin", str(PLUGIN), "--calibrator", "spy", "--witness", "none"]

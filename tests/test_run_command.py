@@ -139,7 +139,7 @@ def test_in_python_bad_frames_are_beside_the_rows() -> None:
 
 
 def test_where_no_frame_can_be_calibrated_the_first_says_why(capsys: pytest.CaptureFixture[str]) -> None:
-    from p2o.testing import stage
+    from p2o_testing import stage
 
     frame = stage.frame()
     told = [p2o.Frame(name, frame.image, frame.cloud, start=frame.camera_from_lidar) for name in "abc"]

@@ -15,11 +15,11 @@ from p2o.cli import main
 from p2o.frames.frame import Box, Checkerboard, HoleBoard, Sphere
 from p2o.host.registry import Registry
 from p2o.run.recipe import open_dataset
-from p2o.testing import stage
 from p2o_sim.write import folder as write_folder
 from p2o_sim.write import kitti_raw as write_kitti_raw
 from p2o_sim.write import vkitti2 as write_vkitti2
 from p2o_sim.write.files import write_file
+from p2o_testing import stage
 
 SMALL = ["--set", "width_px=160", "--set", "height_px=64"]
 WRITERS = {"kitti-raw": write_kitti_raw, "vkitti2": write_vkitti2, "folder": write_folder}

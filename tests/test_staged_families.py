@@ -19,12 +19,12 @@ from p2o.cache import FeatureCache
 from p2o.cli import main
 from p2o.host import guard
 from p2o.host.registry import Offer
-from p2o.testing import Case, checks_for
 from p2o_study import worker
 from p2o_study.ablate import Ablation, ablate
 from p2o_study.parallel import Workers
 from p2o_study.study import StudyFile, parse_study
 from p2o_study.worker import Plugins
+from p2o_testing import Case, checks_for
 
 from tests.test_architecture import Source, private_names
 

@@ -21,9 +21,9 @@ import pytest
 from p2o import Camera, se3
 from p2o.cli import main
 from p2o.host.calibration_file import read_initial_guess
-from p2o.testing import stage
 from p2o_pages.view.nudge import Nudge
 from p2o_pages.view.session import KnownPose, Opened, ViewSession
+from p2o_testing import stage
 
 pytest.importorskip("viser", reason="the extra `view` is not installed")
 

@@ -24,12 +24,12 @@ from p2o.geometry.perturb import parse_perturbation
 from p2o.host.guard import GuardedCalibrator
 from p2o.run.recipe import open_dataset
 from p2o.run.words import split_data
-from p2o.testing import checks_for, stage
 from p2o_study import worker
 from p2o_study.ablate import Ablation, ablate
 from p2o_study.parallel import Workers
 from p2o_study.study import StudyFile, parse_study
 from p2o_study.worker import Plugins
+from p2o_testing import checks_for, stage
 
 from tests.test_architecture import HEAVY, Source, private_names
 

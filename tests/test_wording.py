@@ -26,6 +26,7 @@ LEFT = {
     "toolkit/p2o_pages": 0,
     "toolkit/p2o_study": 0,
     "toolkit/p2o_train": 0,
+    "toolkit/p2o_testing": 0,
 }
 """Phrases and names that are left to replace in each part; lower the number with every part that is rewritten."""
 PHRASE = re.compile(rf"\b(?:{'|'.join(PHRASES)})\b", re.IGNORECASE)

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import p2o
 import pytest
-from p2o.testing import stage
 from p2o_baselines.gmm import METHOD, Gmm, GmmOptions, Mixture, mixtures, scattered
+from p2o_testing import stage
 
 
 def test_one_edge_pixel_makes_a_gaussian() -> None:

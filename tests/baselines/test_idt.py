@@ -6,11 +6,11 @@ import numpy as np
 import p2o
 import pytest
 from p2o.solving import Objective
-from p2o.testing import stage
 from p2o_baselines.idt import RIGHT, WRONG, IdtOptions, build, probability_right, share_of_worse
 from p2o_baselines.inverse_distance import edge_strength, inverse_distance, sampled, spread
 from p2o_baselines.line_points import along_lines, range_image_jumps
 from p2o_baselines.ring_discontinuity import ring_jumps
+from p2o_testing import stage
 
 
 @pytest.mark.parametrize("gamma", [0.6, 0.98])

@@ -11,10 +11,10 @@ import p2o
 import pytest
 from p2o import se3
 from p2o.solving import Objective
-from p2o.testing import stage
 from p2o_baselines import gom, grey, mi, nid, nmi, reflectance
 from p2o_baselines.gom import gradients
 from p2o_baselines.information import Sighting, Span, sightings
+from p2o_testing import stage
 
 TRUTH = stage.camera_from_lidar()
 OFF = se3.exp(np.array([0.004, -0.006, 0.003, 0.03, -0.02, 0.04])) @ TRUTH

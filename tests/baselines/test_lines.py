@@ -7,10 +7,10 @@ import numpy as np
 import p2o
 import pytest
 from p2o.solving import LeastSquares
-from p2o.testing import stage
 from p2o_baselines import canny_long, knn_line, lines, lsd, plane_lines, voxel_planes
 from p2o_baselines.lsd import ImageLines
 from p2o_baselines.plane_lines import CloudLines
+from p2o_testing import stage
 
 
 def image(grey: np.ndarray, masked: np.ndarray | None = None) -> p2o.Image:

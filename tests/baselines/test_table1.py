@@ -9,10 +9,10 @@ import pytest
 from p2o import Registry, pose_error
 from p2o.cli import main
 from p2o.geometry.pose_error import AXES
-from p2o.testing import stage
 from p2o_sim.write import vkitti2 as write_vkitti2
 from p2o_study.store import Store
 from p2o_study.study import check_study, find_study
+from p2o_testing import stage
 
 STUDY = find_study("table1", Registry.load())
 NAMES = [f"test{i}" for i in range(1, 6)]

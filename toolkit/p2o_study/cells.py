@@ -50,7 +50,7 @@ CANNOT_ALTER_A_POSE = (
     "p2o.calibration_files",
     "p2o.cli",
     "p2o.draw",
-    "p2o.testing",
+    "p2o_testing",
     "p2o.training_loop",
     "p2o_formats",
     "p2o_pages",

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import Camera, Cloud, Frame, Image, se3
-from p2o.testing import stage
 from p2o_pages.pick.range_image import (
     LAYERS,
     RangeImage,
@@ -17,6 +16,7 @@ from p2o_pages.pick.range_image import (
     range_image,
     sector_of,
 )
+from p2o_testing import stage
 
 WHOLE = Sector()
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from p2o import InputError, pose_error, se3
 from p2o.problems.picked_pairs import PickedPairs, read_pairs, write_pairs
-from p2o.testing import stage
 from p2o_pages.pick.session import PickSession
+from p2o_testing import stage
 
 FRAME = stage.frame()
 POSE = stage.camera_from_lidar()

@@ -10,10 +10,10 @@ import pytest
 from p2o import Camera, Frame, Image, InputError, se3
 from p2o.draw.sweep_image import draw_sweep, sweep_colours
 from p2o.host.calibration_file import read_initial_guess
-from p2o.testing import stage
 from p2o_pages.view.nudge import Nudge
 from p2o_pages.view.session import KnownPose, Opened, ViewSession
 from p2o_pages.view.shown_frame import LONGEST_PX, ShownFrame
+from p2o_testing import stage
 
 FRAME = stage.frame()
 START = stage.camera_from_lidar()

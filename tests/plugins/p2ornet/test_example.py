@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from p2o import InputError
 from p2o.frames.scale import LONGEST_FOCAL_PX
-from p2o.testing import stage
 from p2o_datasets.kitti_raw import KittiRawOptions
 from p2o_datasets.kitti_raw import build as build_raw
 from p2o_plugins.p2ornet.example import UNKNOWN, Example, example_of
 from p2o_plugins.p2ornet.spans import EAST, SOUTH, Spans
+from p2o_testing import stage
 
 TRAIN = "2011_09_26/0009/0000000354"
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import torch
 from p2o import SIDES, Camera, Image, ImageEdges, InputError, Kind, Side, UnknownNameError
-from p2o.testing import checks_for, stage
 from p2o_plugins.image import depth
 from p2o_plugins.image.p2ornet import METHOD, P2ORNetOptions, build
 from p2o_plugins.p2ornet.design import Shape
@@ -18,6 +17,7 @@ from p2o_plugins.p2ornet.network import P2ORNet
 from p2o_plugins.p2ornet.shipped import SHIPPED, path_of
 from p2o_plugins.p2ornet.weights import save_weights
 from p2o_sim import synthetic
+from p2o_testing import checks_for, stage
 
 THIN = Shape("efficientnet-lite0", (8, 4, 4, 4, 4), 2)
 

@@ -4,9 +4,9 @@ import numpy as np
 import p2o
 from p2o.problems.problem import pose_from_chart
 from p2o.solving import Objective
-from p2o.testing import stage
 from p2o_plugins.solve import random_shrink
 from p2o_plugins.solve.random_shrink import RandomShrinkOptions
+from p2o_testing import stage
 
 TRUTH = stage.camera_from_lidar()
 OFFSET = np.array([0.01, -0.02, 0.015, 0.05, -0.08, 0.1])

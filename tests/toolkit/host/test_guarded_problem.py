@@ -15,8 +15,8 @@ from p2o.host.guard import build
 from p2o.host.registry import Offer, Registry
 from p2o.problems.normal_equations import linearise
 from p2o.solving import LeastSquares, Objective, PointToLine, Problem
-from p2o.testing import stage
 from p2o_plugins.solve import bfgs, lm, nelder_mead
+from p2o_testing import stage
 
 from tests.edge_scene import TRUTH
 from tests.plugins.solve.exact_pairs import NEAR, pairs

@@ -11,9 +11,9 @@ from p2o.cli.run import command
 from p2o.frames.frame import Frame
 from p2o.host import hookspecs, method
 from p2o.host.slots import KIND_OF, METHOD_WORDS, SLOT_OF, SLOTS, STAGE_OF, STAGED_WORDS, STAGES, Slot
-from p2o.testing import stage
 from p2o_study.store import Planned
 from p2o_study.study import Product, RowTable, Words
+from p2o_testing import stage
 
 
 def test_every_kind_has_one_slot_and_one_stage() -> None:

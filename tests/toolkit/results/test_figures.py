@@ -18,10 +18,10 @@ from p2o.results.result import Result, Status, TimeOffset
 from p2o.results.result_json import result_from_json, result_to_json
 from p2o.run.run import Row
 from p2o.solving import Accuracy
-from p2o.testing.same import difference
 from p2o_study.columns import METRICS, type_of
 from p2o_study.store import Planned, Store, StoredRow, StoredStudy
 from p2o_study.worker import _filled
+from p2o_testing.same import difference
 
 
 def result(**values: object) -> Result:

@@ -8,7 +8,7 @@ import numpy as np
 import p2o
 import pytest
 from p2o import Cloud, Frame, InputError, Method, PluginError, Recipe, Registry
-from p2o.testing import stage
+from p2o_testing import stage
 
 
 class Frames(list[Frame]):

@@ -11,7 +11,7 @@ import pytest
 from p2o import Frame, InputError, Kind, Method, Recipe, Registry, Result, Status, UnknownNameError
 from p2o.host.slots import WITNESS, WITNESS_STAGES
 from p2o.solving import Doubt
-from p2o.testing import stage
+from p2o_testing import stage
 
 TRUTH = stage.camera_from_lidar()
 START = TRUTH @ p2o.se3.exp(np.array([0.01, 0, 0, 0.02, 0, 0]))

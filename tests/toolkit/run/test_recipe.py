@@ -11,7 +11,7 @@ import pytest
 from p2o import Frame, InputError, Kind, Method, PluginError, Recipe, Registry, Result, Status, UnknownNameError
 from p2o.run.recipe import open_exporter, parse_settings, split_data
 from p2o.run.run import Run
-from p2o.testing import stage
+from p2o_testing import stage
 
 
 class Sized(p2o.Options):

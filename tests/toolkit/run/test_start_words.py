@@ -16,8 +16,8 @@ from p2o.cli.run import command
 from p2o.geometry.rough_start import rough_start
 from p2o.run.recipe import Recipe
 from p2o.run.run import run
-from p2o.testing import stage
 from p2o_formats.formats import FORMATS
+from p2o_testing import stage
 
 PLUGIN = str(Path(__file__).parents[2] / "stage_plugin.py")
 WORDS = "x forward, z up; camera looks 10 deg left; camera 0.27 m forward of lidar"

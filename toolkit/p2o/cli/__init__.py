@@ -26,10 +26,9 @@ _COMMANDS = {
     "methods": "List the installed methods, or explain one with all its options.",
     "plugin": "List the installed plugins, create a package for your own, or check one.",
     "data": "List, check, show or select the frames of a dataset, or list the topics of a bag.",
-    "doctor": "Check whether this installation works, and what is missing.",
 }
 """Name and one-line help of the commands of this package; the code of `a-b` is in `p2o.cli.a_b`, as `command`."""
-_SYNONYMS = {"check-plugin": "p2o.cli.plugin_check", "plugins": "p2o.cli.plugin_list"}
+_SYNONYMS = {"check-plugin": "p2o_testing.cli.plugin_check", "plugins": "p2o.cli.plugin_list"}
 """Modules of commands of the group `plugin` under a name of their own, which no help lists."""
 COMMAND_GROUP = "p2o.commands"
 """Entry points of packages that add commands: each names a mapping of names to one-line helps in `PACKAGE.commands`."""
@@ -78,6 +77,19 @@ def load_command(module: str) -> click.Command:
     """Return the command that a module defines as `command`."""
     command: click.Command = importlib.import_module(module).command
     return command
+
+
+class SubGroup(click.Group):
+    """A group with the commands that other packages add to it."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        word = f"{self.name} "
+        added = [name.removeprefix(word) for name in added_commands() if name.startswith(word)]
+        return [*super().list_commands(ctx), *added]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        added = added_commands().get(f"{self.name} {cmd_name}")
+        return super().get_command(ctx, cmd_name) if added is None else load_command(added[1])
 
 
 class _ClosedPipeError(Exception):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from p2o.cli import added_commands, data_show, data_suggest, load_command
+from p2o.cli import SubGroup, data_show, data_suggest
 from p2o.cli.plugin_options import data_argument, load, plugin_options
 from p2o.errors import P2OError, printable
 
@@ -23,19 +23,7 @@ def _dataset_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return data_argument("The data.")(plugin_options(command))
 
 
-class _DataCommands(click.Group):
-    """The group `p2o data`, with the commands that other packages add to it."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        added = (name.removeprefix("data ") for name in added_commands() if name.startswith("data "))
-        return [*super().list_commands(ctx), *added]
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        added = added_commands().get(f"data {cmd_name}")
-        return super().get_command(ctx, cmd_name) if added is None else load_command(added[1])
-
-
-@click.group("data", cls=_DataCommands)
+@click.group("data", cls=SubGroup)
 def command() -> None:
     """List, check, show or select the frames of a dataset, or list the topics of a bag."""
 

@@ -2,46 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
-from p2o.cli import plugin_check, plugin_list
-from p2o.cli.plugin_options import load
-from p2o.host.slots import Kind
-
-_SLOTS = [kind.value.replace(" ", "-") for kind in Kind]
-"""The keys of `p2o.cli.new_plugin.SLOT_WORDS`, without its imports, which `p2o plugin new --help` does not need."""
+from p2o.cli import SubGroup, plugin_list
 
 
-@click.group("plugin")
+@click.group("plugin", cls=SubGroup)
 def command() -> None:
     """List the installed plugins, create a package for your own, or check one."""
 
 
 command.add_command(plugin_list.command)
-command.add_command(plugin_check.command)
-
-
-@command.command("new")
-@click.argument("name")
-@click.option("--slot", type=click.Choice(_SLOTS), default=_SLOTS[0], show_default=True, help="The slot of its method.")
-@click.option("--out", default=".", metavar="DIR", help="Parent of the new folder NAME (default: the current folder).")
-def new(name: str, slot: str, out: str) -> int:
-    """Create the package NAME with a small working method, its tests, and a workflow that checks it.
-
-    NAME is that of the distribution and of the method: a-z, 0-9 and single -, such as acme-edges. An existing folder is
-    not changed.
-    """
-    from p2o.cli.new_plugin import SLOT_WORDS, NewPlugin
-
-    plugin = NewPlugin(name, SLOT_WORDS[slot])
-    plugin.check_free(load((), ()))
-    root = plugin.write(Path(out))
-    click.echo(f"wrote {root}:")
-    for path in sorted(plugin.files()):
-        click.echo(f"  {path}")
-    click.echo(f"\ntest it before it is installed:\n  cd {root}\n  {plugin.tried}")
-    click.echo('then:\n  pip install -e ".[test]"\n  python -m pytest')
-    click.echo("\nReplace the method by your own, and choose a license (LICENSE is empty).")
-    return 0

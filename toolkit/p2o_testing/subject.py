@@ -16,7 +16,8 @@ from p2o.options import Options
 from p2o.run.fit import FRAME_CONTENT
 from p2o.run.joined import JoinedFrames
 from p2o.run.recipe import open_dataset
-from p2o.testing import stage
+
+from p2o_testing import stage
 
 T = TypeVar("T")
 

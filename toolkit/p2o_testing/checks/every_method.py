@@ -11,7 +11,8 @@ from typing import Any
 from p2o.geometry.perturb import parse_perturbation
 from p2o.host.method import Kind
 from p2o.run.recipe import dataset_part
-from p2o.testing.subject import CheckFailed, Checks, Subject, frames_of, lacking, require
+
+from p2o_testing.subject import CheckFailed, Checks, Subject, frames_of, lacking, require
 
 CHECKS = Checks(*Kind)
 OF_FRAMES = Checks(Kind.IMAGE_EXTRACTOR, Kind.CLOUD_EXTRACTOR, Kind.CALIBRATOR, Kind.ACCUMULATOR)

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
 from p2o.arrays import leaves, parts
 from p2o.cache import FeatureCache, why_not_kept
-from p2o.testing.subject import require
+
+from p2o_testing.subject import require
 
 _PLAIN = (str, bool, int, float, type(None))
 

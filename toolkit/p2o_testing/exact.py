@@ -7,7 +7,6 @@ from functools import lru_cache
 from typing import Any, ClassVar
 
 import numpy as np
-
 from p2o.arrays import Float, Int
 from p2o.errors import MethodUnavailable
 from p2o.features.sets import CloudFeatures, ImageFeatures
@@ -19,8 +18,9 @@ from p2o.host.guard import build
 from p2o.host.method import Kind
 from p2o.problems.point_to_line import PointToLine
 from p2o.problems.problem import LeastSquares
-from p2o.testing import stage
-from p2o.testing.subject import NotApplicable, Subject, lacking, require
+
+from p2o_testing import stage
+from p2o_testing.subject import NotApplicable, Subject, lacking, require
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
 from p2o.calibration_files.calibration import Calibration, Source
 from p2o.errors import InputError, P2OError
 from p2o.geometry.camera import Camera
@@ -15,10 +14,11 @@ from p2o.host.method import Kind
 from p2o.results.evidence import Accuracy, Agreement, Judged, Rival, StartWeight
 from p2o.results.result import DIRECTED, Result, Round, Status
 from p2o.results.verdict import Doubt, Reason, Verdict
-from p2o.testing import stage
-from p2o.testing.exact import around
-from p2o.testing.same import require_equal
-from p2o.testing.subject import CheckFailed, Checks, Subject, require
+
+from p2o_testing import stage
+from p2o_testing.exact import around
+from p2o_testing.same import require_equal
+from p2o_testing.subject import CheckFailed, Checks, Subject, require
 
 CHECKS = Checks(Kind.EXPORTER)
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-
 from p2o.arrays import Float
 from p2o.frames.frame import Frame
 from p2o.geometry import se3
@@ -18,9 +17,10 @@ from p2o.host.stages import Calibrator
 from p2o.results.result import Result
 from p2o.results.verdict import Trust, Verdict
 from p2o.run.run import common_pose
-from p2o.testing.exact import around
-from p2o.testing.same import Snapshot, difference, require_equal, require_kept
-from p2o.testing.subject import Checks, NotApplicable, Subject, require
+
+from p2o_testing.exact import around
+from p2o_testing.same import Snapshot, difference, require_equal, require_kept
+from p2o_testing.subject import Checks, NotApplicable, Subject, require
 
 CHECKS = Checks(Kind.CALIBRATOR)
 

@@ -3,7 +3,7 @@
 In the tests of a plugin:
 
     import pytest
-    from p2o.testing import conformance_cases
+    from p2o_testing import conformance_cases
 
     @pytest.mark.parametrize("check", conformance_cases("my-distribution"))
     def test_conformance(check):
@@ -20,9 +20,10 @@ from p2o.errors import MethodUnavailable, UnknownNameError
 from p2o.host.method import Kind, Method
 from p2o.host.registry import Offer, Registry
 from p2o.options import validated
-from p2o.testing import stage
-from p2o.testing.checks import CHECKS
-from p2o.testing.subject import Check, CheckFailed, NotApplicable, Subject
+
+from p2o_testing import stage
+from p2o_testing.checks import CHECKS
+from p2o_testing.subject import Check, CheckFailed, NotApplicable, Subject
 
 __all__ = ["CHECKS", "Case", "Check", "CheckFailed", "NotApplicable", "Subject"]
 __all__ += ["checks_for", "conformance_cases", "reads_files", "stage"]

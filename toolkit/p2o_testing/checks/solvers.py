@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-
 from p2o.host.method import Kind
 from p2o.problems.point_to_line import PointToLine
 from p2o.results.result import SolverStatus
-from p2o.testing import stage
-from p2o.testing.exact import around, pairs, planes, require_near
-from p2o.testing.same import unchanged
-from p2o.testing.subject import Checks, Subject, but, needs, require
+
+from p2o_testing import stage
+from p2o_testing.exact import around, pairs, planes, require_near
+from p2o_testing.same import unchanged
+from p2o_testing.subject import Checks, Subject, but, needs, require
 
 CHECKS = Checks(Kind.SOLVER)
 

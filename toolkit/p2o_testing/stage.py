@@ -10,7 +10,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-
 from p2o.arrays import Float, Int
 from p2o.features.edges import CloudEdges, ImageEdges
 from p2o.features.sets import CloudFeatures, CloudPoints, GreyMap, ImageFeatures

@@ -15,7 +15,6 @@ from importlib import metadata
 from typing import TYPE_CHECKING
 
 import click
-
 from p2o.errors import InputError, P2OError, one_line
 from p2o.host.registry import DISTRIBUTION, Registry, requirements
 from p2o.runtime.native import available_cores
@@ -208,7 +207,8 @@ def _weights() -> Iterator[_Outcome]:
     from p2o.host.guard import build
     from p2o.host.method import Kind
     from p2o.run.recipe import Recipe
-    from p2o.testing import stage
+
+    from p2o_testing import stage
 
     name = str(Recipe.model_fields["extractor"].default).partition("/")[0]
     offer = _registry().find(Kind.IMAGE_EXTRACTOR, name)

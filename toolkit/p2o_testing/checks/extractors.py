@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-
 from p2o.arrays import Float
 from p2o.errors import P2OError
 from p2o.features.feature import CloudFeature, Feature
 from p2o.geometry import se3
 from p2o.host.method import Kind
-from p2o.testing import stage
-from p2o.testing.same import Snapshot, arrays_of, difference, require_equal, require_kept
-from p2o.testing.subject import Checks, NotApplicable, Subject, but, gives, require
+
+from p2o_testing import stage
+from p2o_testing.same import Snapshot, arrays_of, difference, require_equal, require_kept
+from p2o_testing.subject import Checks, NotApplicable, Subject, but, gives, require
 
 CHECKS = Checks(Kind.IMAGE_EXTRACTOR, Kind.CLOUD_EXTRACTOR)
 IMAGES, CLOUDS = Checks(Kind.IMAGE_EXTRACTOR), Checks(Kind.CLOUD_EXTRACTOR)

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-
 from p2o.cli.plugin_options import load, plugin_options
 from p2o.errors import P2OError, UnknownNameError, printable
 
 if TYPE_CHECKING:
     from p2o.host.registry import Offer, Registry
-    from p2o.testing import Case
+
+    from p2o_testing import Case
 
 
 class Outcome(StrEnum):
@@ -41,7 +41,8 @@ def command(name: str, settings: tuple[str, ...], plugin: tuple[str, ...], block
     """
     from p2o.host.slots import SLOT_OF
     from p2o.run.words import parse_settings
-    from p2o.testing import checks_for, reads_files
+
+    from p2o_testing import checks_for, reads_files
 
     options = parse_settings(settings)
     registry = load(plugin, block)
@@ -61,7 +62,7 @@ def command(name: str, settings: tuple[str, ...], plugin: tuple[str, ...], block
 
 def _ran(case: Case) -> Outcome:
     """Run one check, print and return its outcome."""
-    from p2o.testing import NotApplicable
+    from p2o_testing import NotApplicable
 
     offer, reason = case.subject.offer, case.expected_failure
     title = f"{offer.kind} {offer.name}: {case.check.name}"

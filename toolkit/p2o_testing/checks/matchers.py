@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-
 from p2o.arrays import Float
 from p2o.features.side import Side
 from p2o.features.view import View
@@ -18,10 +17,11 @@ from p2o.host.method import Kind
 from p2o.problems.point_to_line import PointToLine
 from p2o.problems.problem import LeastSquares, Objective
 from p2o.run.run import common_pose
-from p2o.testing import stage
-from p2o.testing.exact import around, bare_view, view
-from p2o.testing.same import Snapshot, equal, require_equal, unchanged
-from p2o.testing.subject import Checks, Subject, both, but, gives, needs, require
+
+from p2o_testing import stage
+from p2o_testing.exact import around, bare_view, view
+from p2o_testing.same import Snapshot, equal, require_equal, unchanged
+from p2o_testing.subject import Checks, Subject, both, but, gives, needs, require
 
 CHECKS = Checks(Kind.MATCHER)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from p2o.testing.checks import (
+from p2o_testing.checks import (
     calibrators,
     datasets,
     edges,
@@ -12,7 +12,7 @@ from p2o.testing.checks import (
     matchers,
     solvers,
 )
-from p2o.testing.subject import Check
+from p2o_testing.subject import Check
 
 CHECKS: list[Check] = [*every_method.CHECKS, *every_method.OF_FRAMES, *extractors.CHECKS, *edges.CHECKS]
 CHECKS += [*matchers.CHECKS, *solvers.CHECKS, *matchers.INITIALIZERS, *calibrators.CHECKS, *datasets.ACCUMULATORS]

@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-
 from p2o.arrays import Float
 from p2o.features.edges import CloudEdges
 from p2o.features.side import Side
-from p2o.testing import stage
-from p2o.testing.checks.extractors import CLOUDS, IMAGES, look, seen
-from p2o.testing.exact import nearest_m
-from p2o.testing.subject import Subject, both, but, gives, needs, require
+
+from p2o_testing import stage
+from p2o_testing.checks.extractors import CLOUDS, IMAGES, look, seen
+from p2o_testing.exact import nearest_m
+from p2o_testing.subject import Subject, both, but, gives, needs, require
 
 _image_edges, _cloud_edges = gives("image-edges"), gives("cloud-edges")
 

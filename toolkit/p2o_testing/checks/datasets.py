@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-
 from p2o.errors import P2OError
 from p2o.frames.cloud import Cloud
 from p2o.frames.frame import Dataset, Frame
 from p2o.geometry import se3
 from p2o.host.method import Kind
 from p2o.run.fit import FRAME_CONTENT
-from p2o.testing import stage
-from p2o.testing.exact import nearest_m
-from p2o.testing.same import Snapshot, require_equal
-from p2o.testing.subject import CheckFailed, Checks, NotApplicable, Subject, gives, lacking, require
+
+from p2o_testing import stage
+from p2o_testing.exact import nearest_m
+from p2o_testing.same import Snapshot, require_equal
+from p2o_testing.subject import CheckFailed, Checks, NotApplicable, Subject, gives, lacking, require
 
 CHECKS = Checks(Kind.DATASET)
 

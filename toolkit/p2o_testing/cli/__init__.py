@@ -1,0 +1,1 @@
+"""Commands of the package for plugin authors and installations."""
