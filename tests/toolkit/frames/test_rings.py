@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from p2o import Cloud
-from p2o.cli.data import rings_of
+from p2o.cli.data import ring_count
 from p2o.frames.rings import RingsUnknownError, told_rings
 
 
@@ -24,7 +24,7 @@ def shuffled(cloud):
     return cloud.select(np.random.default_rng(1).permutation(len(cloud)))
 
 
-def test_elevations_tell_rings_of_any_order_and_number_them_upwards():
+def test_elevations_tell_ring_count_any_order_and_number_them_upwards():
     cloud = shuffled(sweep())
     x, y, z = cloud.xyz.T.astype(np.float32)
     label, by = told_rings(np.mod(np.arctan2(y, x), np.float32(2 * np.pi)), z / np.hypot(x, y))
@@ -40,13 +40,13 @@ def test_beams_that_do_not_cross_in_the_origin_tell_no_rings_by_elevation():
 
 def test_a_check_says_how_many_rings_there_are_and_what_tells_them():
     cloud = sweep()
-    assert rings_of(cloud) == "16 rings"
-    assert rings_of(Cloud(cloud.xyz)) == "16 rings from the order of the points"
-    assert rings_of(Cloud(shuffled(cloud).xyz)) == "16 rings from the elevations of the points"
-    assert rings_of(Cloud(shuffled(sweep(lift_m=0.2)).xyz)) == "no rings"
-    assert rings_of(Cloud([[1.0, 2, 3]])) == "no rings"
+    assert ring_count(cloud) == "16 rings"
+    assert ring_count(Cloud(cloud.xyz)) == "16 rings from the order of the points"
+    assert ring_count(Cloud(shuffled(cloud).xyz)) == "16 rings from the elevations of the points"
+    assert ring_count(Cloud(shuffled(sweep(lift_m=0.2)).xyz)) == "no rings"
+    assert ring_count(Cloud([[1.0, 2, 3]])) == "no rings"
 
 
 def test_scattered_points_tell_no_rings():
     rng = np.random.default_rng(0)
-    assert rings_of(Cloud(rng.normal(size=(5000, 3)))) == "no rings"
+    assert ring_count(Cloud(rng.normal(size=(5000, 3)))) == "no rings"

@@ -248,7 +248,9 @@ def test_paths_of_data_know_the_home_folder(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_a_dataset_with_and_without_a_path() -> None:
-    assert resolved(data="files:/a?scenes=2").parts["data"].options == Rooted(root="/a", scenes=2)
+    options = resolved(data="files:/a?scenes=2").parts["data"].options
+    assert isinstance(options, Rooted)
+    assert (options.root, options.scenes) == ("/a", 2)
     with pytest.raises(InputError, match="dataset files needs a path; expected files:PATH"):
         resolved(data="files:")
     with pytest.raises(InputError, match="dataset synthetic takes no path; expected synthetic:; got /a"):

@@ -70,7 +70,7 @@ def described(frame: Frame) -> str:
         *([frame.camera_name] if frame.camera_name else []),
         f"{frame.camera.width}x{frame.camera.height} px {frame.camera.model}",
         f"{len(cloud)} points",
-        rings_of(cloud),
+        ring_count(cloud),
         *(name for name in ("column", "intensity", "time_s") if getattr(cloud, name) is not None),
         *(name for name in ("right", "depth_m", "masked") if getattr(image, name) is not None),
         "truth" if frame.camera_from_lidar is not None else "no truth",
@@ -81,21 +81,15 @@ def described(frame: Frame) -> str:
     return "\n".join(map(printable, lines))
 
 
-def rings_of(cloud: Cloud) -> str:
+def ring_count(cloud: Cloud) -> str:
     """Return the number of rings of a sweep as text, with the source if they are estimated."""
-    import numpy as np
+    from p2o.frames.rings import RingsUnknownError, rings_of
 
-    from p2o.frames.rings import RingsUnknownError, told_rings
-
-    if cloud.ring is not None:
-        return f"{len(np.unique(cloud.ring))} rings"
-    x, y, z = cloud.as_measured().T.astype(np.float32)
-    azimuth = np.mod(np.arctan2(y, x), np.float32(2 * np.pi))
     try:
-        label, by = told_rings(azimuth, z / np.maximum(np.hypot(x, y), np.float32(1e-6)))
+        label, by = rings_of(cloud)
     except RingsUnknownError:
         return "no rings"
-    return f"{len(np.unique(label))} rings from {by}"
+    return f"{len(set(label.tolist()))} rings" + (f" from {by}" if by else "")
 
 
 def _opened(

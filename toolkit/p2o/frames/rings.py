@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from p2o.arrays import Int
 from p2o.errors import InputError
+from p2o.frames.cloud import Cloud
 
 Single = NDArray[np.float32]
 
@@ -20,6 +21,17 @@ _STEPS, _CLEAR, _FEWEST, _MOST_RINGS = np.geomspace(2e-4, 2e-2, 12), 3.0, 5, 256
 
 class RingsUnknownError(InputError):
     """The rings of a cloud are neither given nor observable from the order or the elevations of its points."""
+
+
+def rings_of(cloud: Cloud) -> tuple[Int, str]:
+    """Return the ring (N,) of each point, 0, 1, 2, ..., and the source as text, empty if the cloud has rings.
+
+    Raises RingsUnknownError as `told_rings`.
+    """
+    if cloud.ring is not None:
+        return np.unique(cloud.ring, return_inverse=True)[1], ""
+    x, y, z = cloud.as_measured().T.astype(np.float32)
+    return told_rings(np.mod(np.arctan2(y, x), np.float32(_TURN)), z / np.maximum(np.hypot(x, y), np.float32(1e-6)))
 
 
 def told_rings(azimuth: Single, rise: Single) -> tuple[Int, str]:

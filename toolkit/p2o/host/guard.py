@@ -19,6 +19,7 @@ from p2o.features.sets import CloudFeatures, ImageFeatures
 from p2o.features.view import View
 from p2o.frames.cloud import Cloud
 from p2o.frames.frame import Dataset, Frame, LazyFrames
+from p2o.frames.sparse import SparseOptions, sparse
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera, centre_remark
 from p2o.host.method import Kind
@@ -209,6 +210,8 @@ def build(offer: Offer, options: Options) -> Any:
     """
     with watch(offer, "building"):
         stage = offer.method.build(options)
+    if offer.kind is Kind.DATASET:
+        return GuardedDataset(offer, stage, options)
     if offer.kind in _CLASSES:
         return _CLASSES[offer.kind](offer, stage)
     if not callable(stage):
@@ -219,10 +222,11 @@ def build(offer: Offer, options: Options) -> Any:
 class GuardedDataset(Sequence[Frame]):
     """A plugin's dataset whose frames are checked as they are read."""
 
-    def __init__(self, offer: Offer, dataset: Any) -> None:
+    def __init__(self, offer: Offer, dataset: Any, options: Options) -> None:
         if not isinstance(dataset, Dataset):
             raise fault(offer, f"build returned {type(dataset).__name__}", "a p2o.Dataset: names, len() and [index]")
         self._offer, self._dataset = offer, dataset
+        self._sparse = options if isinstance(options, SparseOptions) else SparseOptions()
         with watch(offer, "listing frames"):
             self.names: tuple[str, ...] = tuple(dataset.names)
             count = len(dataset)
@@ -252,6 +256,7 @@ class GuardedDataset(Sequence[Frame]):
             raise fault(self._offer, f"frame {index} is {type(frame).__name__}", "p2o.Frame")
         if frame.name != self.names[index]:
             raise fault(self._offer, f"frame {index} is called {frame.name!r}", repr(self.names[index]))
+        frame = sparse(frame, self._sparse)
         remark = centre_remark(frame.camera)
         return replace(frame, warnings=(*frame.warnings, *remark)) if remark else frame
 
@@ -520,7 +525,6 @@ _GUARDS: dict[Kind, Callable[[Offer, Callable[..., Any]], Any]] = {
 }
 
 _CLASSES: dict[Kind, Callable[[Offer, Any], Any]] = {
-    Kind.DATASET: GuardedDataset,
     Kind.MATCHER: GuardedMatcher,
     Kind.INITIALIZER: GuardedInitializer,
     Kind.CALIBRATOR: GuardedCalibrator,

@@ -24,6 +24,7 @@ import pluggy
 
 from p2o.errors import LONGEST, InputError, MethodUnavailable, P2OError, PluginError, UnknownNameError, one_line
 from p2o.files.input_file import MAX_TEXT_BYTES, expanded, read_bytes
+from p2o.frames.sparse import with_sparse_options
 from p2o.host import hookspecs
 from p2o.host.method import PLUGIN_API, Kind, Method
 from p2o.host.slots import SLOT_OF
@@ -377,6 +378,8 @@ def _register(host: pluggy.PluginManager, source: _Source) -> Plugin:
                     raise PluginError(f"{kind.hook} offered {type(method).__name__}", expected="p2o.Method")
                 if any(o.kind == kind and o.name == method.name for o in offers):
                     raise PluginError(f"{kind.hook} offers '{method.name}' twice", expected="each name once")
+                if kind is Kind.DATASET:
+                    method = replace(method, options=with_sparse_options(method.options))
                 offers.append(Offer(kind, method, source.dist, source.version, source.entry))
     return Plugin(source.dist, source.version, source.entry, tuple(offers))
 
