@@ -217,6 +217,15 @@ def test_a_header_of_another_or_an_absurd_size_is_refused_before_anything_is_dec
         read_rgb(tmp_path / "a.png", (640, 480))
 
 
+@pytest.mark.parametrize("size", [(160, 121), (161, 120), (120, 160)])
+def test_an_image_that_differs_from_the_camera_in_one_direction_only_is_refused(
+    tmp_path: Path, size: tuple[int, int]
+) -> None:
+    (tmp_path / "a.png").write_bytes(encoded(scene(160, 120), "PNG"))
+    with pytest.raises(InputError, match=rf"expected {size[0]}x{size[1]} px; got 160x120 px"):
+        read_rgb(tmp_path / "a.png", size)
+
+
 @pytest.mark.parametrize("kind", ["PNG", "JPEG", "BMP", "TIFF", "WEBP"])
 def test_every_format_gives_its_pixels_and_none_when_cut(tmp_path: Path, kind: str) -> None:
     pixels = scene(48, 32)

@@ -228,6 +228,19 @@ def test_a_fisheye_of_half_the_sphere_sees_up_to_the_image_plane() -> None:
 
 
 @each_model
+def test_the_camera_of_an_enlarged_image_projects_to_the_enlarged_pixels(camera: Camera) -> None:
+    # Pixel centres are at whole numbers: the image begins at -0.5 px in both sizes.
+    xyz = camera.rays(pixels(camera, 100)) * 10
+    expected = 3 * (camera.project(xyz) + 0.5) - 0.5
+    np.testing.assert_allclose(camera.resized(3 * WIDTH, 3 * HEIGHT).project(xyz), expected, rtol=1e-9)
+
+
+def test_the_image_may_be_resampled_by_another_factor_in_each_direction() -> None:
+    camera = Camera.pinhole(700, 710, 620, 187, WIDTH, HEIGHT)
+    assert camera.resized(2 * WIDTH, 4 * HEIGHT) == Camera.pinhole(1400, 2840, 1240.5, 749.5, 2 * WIDTH, 4 * HEIGHT)
+
+
+@each_model
 def test_the_focal_length_is_the_size_of_a_radian_at_the_centre(camera: Camera) -> None:
     uv = camera.project(np.array([[-1e-4, 0, 1], [1e-4, 0, 1], [0, -1e-4, 1], [0, 1e-4, 1]]))
     sizes = np.linalg.norm(uv[1::2] - uv[::2], axis=1) / 2e-4

@@ -108,6 +108,19 @@ def test_points_with_a_large_variance_count_less() -> None:
     assert costs[1] < 0.5 * costs[0]
 
 
+@pytest.mark.parametrize("distance_m", [5.0, 20.0])
+def test_a_point_whose_uncertainty_spans_one_pixel_counts_half(distance_m: float) -> None:
+    view, focal = one_edge(Side.LEFT, Side.LEFT), edge_scene.PINHOLE.focal_px
+    matched, missed = [0.0, 0.0, distance_m], [7.0 * distance_m / focal, 0.0, distance_m]  # 0 px and 7 px
+    one_pixel = np.linalg.norm(matched) / focal
+    for sigma_px, weight in ((0.0, 1.0), (1.0, 1 / 2), (3.0, 1 / 10)):
+        sigma_m = np.array([sigma_px * one_pixel, 0.0])
+        edges = CloudEdges(np.array([matched, missed]), np.full(2, Side.LEFT), sigma_m=sigma_m)
+        cost = DirectedCost.of([replace(view, cloud=CloudFeatures(edges))], np.eye(4), 20.0)
+        assert cost.at(np.eye(4)) == pytest.approx(7.0 / (1 + weight), abs=1e-3)
+        assert cost.edges == pytest.approx(1 + weight)
+
+
 def test_exact_maps_are_the_same_bytes_wherever_they_lie_in_memory_and_on_any_number_of_threads() -> None:
     view = edge_scene.view()
     before, found, others = cv2.getNumThreads(), set(), []
