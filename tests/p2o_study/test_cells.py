@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import tracemalloc
+from typing import Any
 
 import pytest
+from p2o import se3
 from p2o_study.cells import Cells, FeatureKeys, open_rows
 from p2o_study.study import check_study, parse_study
 from p2o_study.worker import FrameRecord, Plugins
@@ -15,7 +17,7 @@ from tests.study_plugin import CAMERA, TRUTH
 HASHES = {"cloud": "c" * 64, "sweep": "c" * 64, "frame": "f" * 64}
 
 
-def cells_of(frames: int, seeds: int, row: str) -> Cells:
+def cells_of(frames: int, seeds: int, row: str, initial_guess: Any = None) -> Cells:
     plugins = Plugins(files=(str(PLUGIN),))
     text = HEAD.replace("seeds = 2", f"seeds = {seeds}").replace("frames = 3", f"frames = {frames}") + row
     rows = open_rows(check_study(parse_study(text), plugins.registry()), plugins, at_most=10**6)
@@ -24,7 +26,7 @@ def cells_of(frames: int, seeds: int, row: str) -> Cells:
         for entry in rows
         for source in entry.sources
     }
-    return Cells(rows, facts)
+    return Cells(rows, facts, initial_guess)
 
 
 def test_a_million_calibrations_are_known_and_none_of_them_is_held() -> None:
@@ -66,3 +68,14 @@ def test_keys_of_features_hang_on_the_frame_and_the_extractor_and_on_no_seed() -
     assert [one["extractor"] for one in found] == 3 * [found[0]["extractor"]] + 3 * [found[3]["extractor"]]
     assert found[0]["extractor"] != found[3]["extractor"]
     assert found[0]["cloud"] == found[3]["cloud"], "both sweeps have the same content"
+
+
+def test_a_calibration_from_another_initial_guess_has_another_key() -> None:
+    row = '[[row]]\nlabel = "one"\n'
+    near, same, far = (
+        next(iter(cells_of(1, 1, row, lambda *_, x_m=x_m: se3.make(translation=[x_m, 0, 0]))))
+        for x_m in (0.1, 0.1, 0.2)
+    )
+    assert near.method.key == far.method.key
+    assert near.group.content == far.group.content
+    assert near.planned.key == same.planned.key != far.planned.key
