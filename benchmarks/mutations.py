@@ -375,7 +375,7 @@ def nearest_tests(tree: Path, path: str) -> list[str]:
     module = module_of(path)
     stem = module.rpartition(".")[2]
     files = test_files(tree)
-    named = [file for file in files if Path(file).stem in (f"test_{stem}", f"test_{stem}_command")]
+    named = [file for name in (f"test_{stem}", f"test_{stem}_command") for file in files if Path(file).stem == name]
     counts = {
         file: imported((tree / file).read_text(encoding="utf-8"))[module]
         for file in files
