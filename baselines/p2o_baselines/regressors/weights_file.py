@@ -52,13 +52,14 @@ def read_weights(path: Path, design: Design) -> tuple[PairNetwork, Trained]:
         raise _foreign(path, design.name, f"a size of {design.name}", trained.size)
     # Compare before memory is allocated for sizes that an invalid header may contain.
     with torch.device("meta"):
-        wanted = {name: tuple(value.shape) for name, value in design.network(trained.size).state_dict().items()}
+        network = design.network(trained.size)
+    wanted = {name: tuple(value.shape) for name, value in network.state_dict().items()}
     sizes = {name: tuple(value.shape) for name, value in state.items()}
     wrong = sorted(name for name in wanted.keys() | sizes.keys() if wanted.get(name) != sizes.get(name))
     if wrong:
         raise _foreign(path, design.name, f"{wrong[0]} {wanted.get(wrong[0], 'absent')}", sizes.get(wrong[0], "none"))
-    network = design.network(trained.size)
-    network.load_state_dict({n: v.float() if v.is_floating_point() else v for n, v in state.items()})
+    tensors = {n: v.float() if v.is_floating_point() else v for n, v in state.items()}
+    network.load_state_dict(tensors, assign=True)
     if any(not bool(torch.isfinite(value).all()) for value in network.state_dict().values()):
         raise InputError("weights are not finite", where=path, expected="numbers", got="NaN or infinity")
     return network.eval(), trained
