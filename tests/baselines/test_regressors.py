@@ -376,21 +376,22 @@ def test_every_network_learns(labels: list[Path], tmp_path: Path, which: ModuleT
 
 def test_a_training_goes_on_as_if_it_had_not_stopped(labels: list[Path], tmp_path: Path) -> None:
     whole, broken = tmp_path / "whole", tmp_path / "broken"
-    learn(calibrcnn.DESIGN, labels, whole, iterations=10)
-    learn(calibrcnn.DESIGN, labels, broken, iterations=10, stop=5)
-    path, told = learn(calibrcnn.DESIGN, labels, broken, iterations=10)
-    assert [each.step for each in told] == [10]
+    brief = {"iterations": 2, "validate_every": 1, "batch": 2}
+    learn(calibrcnn.DESIGN, labels, whole, **brief)
+    learn(calibrcnn.DESIGN, labels, broken, stop=1, **brief)
+    path, told = learn(calibrcnn.DESIGN, labels, broken, **brief)
+    assert [each.step for each in told] == [2]
     assert path.read_bytes() == (whole / "weights.safetensors").read_bytes()
     with pytest.raises(InputError, match="holds another training"):
-        learn(calibrcnn.DESIGN, labels, broken, iterations=10, seed=1)
+        learn(calibrcnn.DESIGN, labels, broken, seed=1, **brief)
     with pytest.raises(InputError, match="holds another training"):
-        learn(calibnet.DESIGN, labels, broken, iterations=10)
+        learn(calibnet.DESIGN, labels, broken, **brief)
     with pytest.raises(InputError, match="nothing to train on"):
         training.train(calibnet.DESIGN, TrainingOptions(), [], [], tmp_path)
 
 
-def test_branches_of_one_method_begin_another(labels: list[Path], tmp_path: Path) -> None:
-    first, _ = learn(calibnet.DESIGN, labels, tmp_path / "a", iterations=5)
+def test_branches_of_one_method_begin_another(tmp_path: Path) -> None:
+    first = written(calibnet.DESIGN, tmp_path / "calibnet.safetensors")
     network = training._initial_network(calibrcnn.DESIGN, TrainingOptions(branches=str(first)))
     taken, _ = read_weights(first, calibnet.DESIGN)
     assert torch.equal(network.picture[0][0].weight, taken.picture[0][0].weight)
