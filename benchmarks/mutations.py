@@ -228,8 +228,8 @@ MUTATIONS = (
         "", "return 1 if found.holding in bad else 0",
     ),
     Mutation(
-        "wrong-derivatives-pass", "testing", "dropped guard", f"{_T}/testing/checks/matchers.py",
-        "require(wrong <= 0.1,", "require(wrong <= 1.0,",
+        "wrong-derivatives-pass", "p2o_testing", "dropped guard", "toolkit/p2o_testing/checks/matchers.py",
+        "require(wrong <= 0.1,", "require(wrong <= 1.0,", f"{_T}/testing/checks/matchers.py",
     ),
     Mutation(
         "start-not-in-key", "p2o_study", "wrong key", "toolkit/p2o_study/cells.py",

@@ -12,7 +12,7 @@ import pytest
 from p2o import Frame, Kind, Method, PluginError, Result, Status
 from p2o.host.guard import build
 from p2o.host.registry import Offer
-from p2o.testing import stage
+from p2o_testing import stage
 
 
 class Recorder(p2o.Calibrator, p2o.InitializerBase):

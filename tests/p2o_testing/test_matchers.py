@@ -8,8 +8,8 @@ import numpy as np
 import p2o
 import pytest
 from p2o import Kind, Method
-from p2o.testing import CheckFailed, checks_for
-from p2o.testing.checks import matchers
+from p2o_testing import CheckFailed, checks_for
+from p2o_testing.checks import matchers
 
 from tests.broken_methods import REGISTRY, kinds
 
