@@ -122,9 +122,9 @@ def columns(rng: Random, bases: Bases, home: Path) -> Case:
         if how == 0 and table.num_columns > 1:
             table = table.remove_column(place)
         elif how == 1:
-            table = table.rename_columns(
-                [rng.choice(WORDS) if i == place else n for i, n in enumerate(table.column_names)]
-            )
+            names = [rng.choice(WORDS) if i == place else n for i, n in enumerate(table.column_names)]
+            with contextlib.suppress(UnicodeEncodeError):
+                table = table.rename_columns(names)
         elif how == 2:
             table = table.slice(0, rng.choice((0, 1, table.num_rows // 2)))
         elif how == 3:
