@@ -3,45 +3,96 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from p2o import Float, InputError
-from p2o.reading import read_bytes, read_pose
+from p2o.reading import read_pose, read_start
 
 # In the full data set, ego_pose.json and sample_data.json have about 1 GB each.
 _MAX_BYTES = 4 << 30
-_BLANK = " \t\r\n"
+_PART = 1 << 20
+"""Number of characters in memory, and of the longest record."""
+_BLANKS = re.compile(r"[ \t\r\n]*")
 
 
 def records(folder: Path, table: str) -> Iterator[Mapping[str, Any]]:
-    """Yield the records of a table one by one, without storing them.
+    """Yield the records of a table one by one; only a part of the file is in memory.
 
     Raises InputError if the file is missing or is not a list of records.
     """
     path = folder / f"{table}.json"
-    try:
-        text = read_bytes(path, "table", _MAX_BYTES).decode("utf-8")
-    except UnicodeDecodeError as problem:
-        raise InputError("the table is not text", where=path, expected="UTF-8 text") from problem
-    decode = json.JSONDecoder().raw_decode
-    place = _after_blanks(text, 0)
-    _expect(text, place, "[", path)
-    place = _after_blanks(text, place + 1)
-    while text[place : place + 1] != "]":
+    read_start(path, "table", 1)
+    size = path.stat().st_size
+    if size > _MAX_BYTES:
+        raise InputError(
+            "the table is too large", where=path, expected=f"at most {_MAX_BYTES} bytes", got=f"{size} bytes"
+        )
+    with path.open(encoding="utf-8", newline="") as file:
+        text = _Text(file, path)
+        text.skip("[")
+        while text.next_sign() != "]":
+            record = text.value()
+            if not isinstance(record, dict):
+                raise InputError("an entry of the table is not a record", where=path, got=str(record)[:80])
+            yield record
+            if text.next_sign() != "]":
+                text.skip(",")
+
+
+@dataclass
+class _Text:
+    """The text of a table, of which `part` is in memory; `place` is the next character, after `before` others."""
+
+    file: TextIO
+    path: Path
+    part: str = ""
+    place: int = 0
+    before: int = 0
+
+    def next_sign(self) -> str:
+        """Return the next character that is not blank, without passing it; "" at the end."""
+        while True:
+            self.place = _BLANKS.match(self.part, self.place).end()  # type: ignore[union-attr]  # matches always
+            if self.place < len(self.part) or not self._read_more():
+                return self.part[self.place : self.place + 1]
+
+    def skip(self, sign: str) -> None:
+        """Pass a character; raises InputError if another one is next."""
+        if self.next_sign() != sign:
+            expected = f"'{sign}' at character {self.before + self.place}"
+            got = self.part[self.place : self.place + 20] or "its end"
+            fault = "the table is not a list of records, or is truncated"
+            raise InputError(fault, where=self.path, expected=expected, got=got)
+        self.place += 1
+
+    def value(self) -> Any:
+        """Return the next value of JSON; raises InputError if it is damaged or has more than `_PART` characters."""
+        while True:
+            try:
+                value, self.place = _DECODER.raw_decode(self.part, self.place)
+                return value
+            except (ValueError, RecursionError) as problem:
+                # It may be incomplete.
+                if len(self.part) - self.place > _PART or not self._read_more():
+                    message = getattr(problem, "msg", str(problem))
+                    got = f"{message} in the record at character {self.before + self.place}"
+                    raise InputError("the table is not JSON", where=self.path, got=got) from problem
+
+    def _read_more(self) -> bool:
         try:
-            record, place = decode(text, place)
-        except (ValueError, RecursionError) as problem:
-            raise InputError("the table is not JSON", where=path, got=str(problem)[:200]) from problem
-        if not isinstance(record, dict):
-            raise InputError("an entry of the table is not a record", where=path, got=str(record)[:80])
-        yield record
-        place = _after_blanks(text, place)
-        if text[place : place + 1] == ",":
-            place = _after_blanks(text, place + 1)
-        else:
-            _expect(text, place, "]", path)
+            more = self.file.read(_PART)
+        except UnicodeDecodeError as problem:
+            raise InputError("the table is not text", where=self.path, expected="UTF-8 text") from problem
+        self.before += self.place
+        self.part, self.place = self.part[self.place :] + more, 0
+        return bool(more)
+
+
+_DECODER = json.JSONDecoder()
 
 
 def by_token(
@@ -98,16 +149,3 @@ def matrix_of(record: Mapping[str, Any], key: str, path: Path) -> Any:
 def _wrong(record: Mapping[str, Any], key: str, expected: str, path: Path) -> InputError:
     got = f"{str(record.get(key))[:80]} (token {str(record.get('token'))[:80]})"
     return InputError(f"a record has a wrong '{key}'", where=path, expected=expected, got=got)
-
-
-def _after_blanks(text: str, place: int) -> int:
-    while text[place : place + 1] and text[place] in _BLANK:
-        place += 1
-    return place
-
-
-def _expect(text: str, place: int, sign: str, path: Path) -> None:
-    if text[place : place + 1] != sign:
-        expected = f"'{sign}' at character {place}"
-        got = text[place : place + 20] or "its end"
-        raise InputError("the table is not a list of records, or is truncated", where=path, expected=expected, got=got)

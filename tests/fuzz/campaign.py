@@ -79,7 +79,7 @@ def one(bases: Bases, home: Path, seed: int, number: int, doors: Sequence[str], 
         door, case = draw(Random(f"{seed} {number}"), bases, home, doors)
     except Exception as problem:  # a fault of ours: the campaign tells it and goes on
         return Verdict(number, "none", (), None, 0.0, 0, (f"cannot be drawn: {problem!r}",), home)
-    outcome = sandbox.run(case, home)
+    outcome = sandbox.run(case, home, case.hangs)
     found = tuple(broken(case, outcome, home))
     if not found and not keep:
         shutil.rmtree(home)

@@ -122,9 +122,9 @@ def columns(rng: Random, bases: Bases, home: Path) -> Case:
         if how == 0 and table.num_columns > 1:
             table = table.remove_column(place)
         elif how == 1:
-            table = table.rename_columns(
-                [rng.choice(WORDS) if i == place else n for i, n in enumerate(table.column_names)]
-            )
+            names = [rng.choice(WORDS) if i == place else n for i, n in enumerate(table.column_names)]
+            with contextlib.suppress(UnicodeEncodeError):
+                table = table.rename_columns(names)
         elif how == 2:
             table = table.slice(0, rng.choice((0, 1, table.num_rows // 2)))
         elif how == 3:
@@ -221,12 +221,15 @@ def las(rng: Random, bases: Bases, home: Path) -> Case:
     header.scales = [1e-3] * 3
     header.add_extra_dim(laspy.ExtraBytesParams(name="ring", type=np.uint16))
     file = laspy.LasData(header)
-    file.x, file.y, file.z = np.random.default_rng(0).uniform(-20, 20, (3, 400))
-    file.ring = np.arange(400) % 16
+    with np.load(bases.folder / "scene-0000/cloud.npz") as cloud:
+        file.x, file.y, file.z = cloud["xyz"].T
+        file.ring, file.gps_time = cloud["ring"], cloud["time_s"]
     out, packed = io.BytesIO(), rng.random() < 0.2
     file.write(out, do_compress=packed, laz_backend=laspy.LazBackend.Lazrs if packed else None)
     data = bytearray(out.getvalue())
-    if rng.random() < 0.7:
+    # One in seven is correct, and a third has changed bytes only, most of them of points.
+    how = rng.random()
+    if how < 0.5:
         # Fields of the public header block: sizes, offsets, counts, format, scales.
         place, form = rng.choice(
             ((94, "H"), (96, "I"), (100, "I"), (104, "B"), (105, "H"), (107, "I"), (131, "d"), (247, "Q"))
@@ -239,10 +242,10 @@ def las(rng: Random, bases: Bases, home: Path) -> Case:
     frame = home / "in/scene"
     shutil.copytree(bases.folder / "scene-0000", frame, ignore=lambda *_: ("cloud.npz",))
     name = f"cloud{'.laz' if packed else '.las'}"
-    (frame / name).write_bytes(bytes_of(rng, bytes(data)) if rng.random() < 0.5 else bytes(data))
+    (frame / name).write_bytes(bytes_of(rng, bytes(data)) if 0.3 < how < 0.85 else bytes(data))
     text = (frame / "frame.yaml").read_text(encoding="utf-8").replace("cloud.npz", name)
     (frame / "frame.yaml").write_text(text, encoding="utf-8")
-    return Case(("data", "check", "folder:in"))
+    return read_or_run(rng, "folder:in")
 
 
 _ACTS = {
@@ -258,10 +261,19 @@ _ACTS = {
     "environment": "os.environ.clear()",
     "folder": "os.chdir('/')",
     "threads": "sys.setrecursionlimit(60)",
+    "wait": "open('HANGS', 'w').close(); time.sleep(1000)",
+    "spin": "open('HANGS', 'w').close()\n        while True: pass",
+    "deaf": """open('HANGS', 'w').close()
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        while True: time.sleep(1)""",
 }
+_ISOLATED = ("leave", "crash", "deaf")
+"""What only a process of its own survives."""
+_HANGS = f"{OUT}/hangs"
+"""The file that a plugin writes when it begins to hang."""
 _OUTPUTS = ("None", "3", "'x'", "[]", "np.full((4, 4), np.nan)", "lambda *a: None", "iter(())", "type", "object()")
 _KINDS = ("image_extractors", "cloud_extractors", "matchers", "solvers", "initializers", "calibrators", "datasets")
-_PLUGIN = """import os, random, sys
+_PLUGIN = """import os, random, signal, sys, time
 import numpy as np
 import p2o
 def act(where):
@@ -306,14 +318,14 @@ _USES = {
 
 
 def plugin(rng: Random, bases: Bases, home: Path) -> Case:
-    """A plugin that raises, exits, crashes, returns something else or changes the process, in any of its functions."""
+    """A plugin that raises, exits, crashes, hangs until Ctrl-C, returns something else or changes the process."""
     kind, how = rng.choice(_KINDS), rng.choice(sorted(_ACTS))
     where = rng.choice(("call", "call", "prepare", "build", "hook", "import", "len"))
-    if how in ("leave", "crash"):
+    if how in _ISOLATED:
         # Only a calibration is isolated; only what calibrates is.
         kind, where = rng.choice(_KINDS[:-1]), rng.choice(("call", "prepare"))
     prepared = rng.choice(("1", "frame", *_OUTPUTS))
-    text = _PLUGIN.replace("WHERE", where).replace("ACT", _ACTS[how]).replace("KIND", kind)
+    text = _PLUGIN.replace("WHERE", where).replace("ACT", _ACTS[how]).replace("KIND", kind).replace("HANGS", _HANGS)
     (home / "in/odd.py").write_text(text.replace("OUTPUT", rng.choice(_OUTPUTS)).replace("PREPARED", prepared))
     shutil.copytree(bases.folder / "scene-0000", home / "in/data/scene")
     words = list(RUN)
@@ -325,9 +337,9 @@ def plugin(rng: Random, bases: Bases, home: Path) -> Case:
     if kind == "calibrators":
         words = list(_USES[kind])
     data = "odd:" if kind == "datasets" else "folder:in/data"
-    isolate = ["--isolate"] if how in ("leave", "crash") or rng.random() < 0.03 else []
+    isolate = ["--isolate"] if how in _ISOLATED or rng.random() < 0.03 else []
     more = rng.choice((["--json"], ["--json"], [], ["--out", OUT], ["--export", f"json:{OUT}/r.json"]))
-    return Case(("run", "--data", data, *words, "--plugin", "in/odd.py", *isolate, *more))
+    return Case(("run", "--data", data, *words, "--plugin", "in/odd.py", *isolate, *more), hangs=_HANGS)
 
 
 def benchmark(rng: Random, bases: Bases, home: Path) -> Case:

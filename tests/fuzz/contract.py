@@ -12,7 +12,8 @@ import numpy as np
 from tests.fuzz.sandbox import PEAK_BYTES, Outcome
 from tests.fuzz.surfaces import OUT, Case
 
-STATUSES = {0, 1, 2, 130}
+INTERRUPTED = 130
+STATUSES = {0, 1, 2, INTERRUPTED}
 _LONGEST_LINE = 2000
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 _OURS = re.compile(r"p2o|\d+ ")
@@ -29,6 +30,8 @@ def broken(case: Case, outcome: Outcome, home: Path) -> list[str]:
         return [f"ended by signal {outcome.signal}"]
     if outcome.status not in STATUSES:
         found.append(f"status {outcome.status}: {_last_line(outcome.stderr)}")
+    if outcome.interrupted and outcome.status != INTERRUPTED:
+        found.append(f"interrupted, and status {outcome.status}")
     if outcome.peak_bytes > PEAK_BYTES:
         found.append(f"took {outcome.peak_bytes / 1e9:.1f} GB")
     found += [f"touched what it must not: {line}" for line in outcome.trespass]

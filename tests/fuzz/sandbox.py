@@ -8,6 +8,7 @@ import resource
 import select
 import signal
 import sys
+import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterator
@@ -31,11 +32,15 @@ _FORBIDDEN = {"os.system", "os.exec", "os.posix_spawn", "os.fork", "subprocess.P
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a command ended: `status` is None where a signal ended it; `trespass` names what it must not touch."""
+    """How a command ended: `status` is None where a signal ended it; `trespass` names what it must not touch.
+
+    `interrupted` states that it was interrupted because it announced to hang; `hung`, that it did not end in time.
+    """
 
     status: int | None
     signal: int
     hung: bool
+    interrupted: bool
     cpu_s: float
     peak_bytes: int
     stdout: bytes
@@ -43,8 +48,11 @@ class Outcome:
     trespass: tuple[str, ...]
 
 
-def run(command: Callable[[], int], folder: Path) -> Outcome:
-    """Run a command in a fork of this process, inside `folder`, and return how it ended."""
+def run(command: Callable[[], int], folder: Path, hangs: str = "") -> Outcome:
+    """Run a command in a fork of this process, inside `folder`, and return how it ended.
+
+    If the command writes the file `hangs`, its process group is sent a SIGINT, as Ctrl-C does.
+    """
     for name in WRITABLE:
         (folder / name).mkdir(exist_ok=True)
     files = [folder / "stdout", folder / "stderr", folder / "trespass"]
@@ -54,7 +62,7 @@ def run(command: Callable[[], int], folder: Path) -> Outcome:
         _inside(command, folder, *handles)
     for handle in handles:
         os.close(handle)
-    hung = not _ended(child)
+    interrupted, hung = _waited(child, folder / hangs if hangs else None)
     if hung:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(child, signal.SIGKILL)
@@ -64,6 +72,7 @@ def run(command: Callable[[], int], folder: Path) -> Outcome:
     return Outcome(
         status=os.WEXITSTATUS(state) if os.WIFEXITED(state) else None,
         signal=killed,
+        interrupted=interrupted,
         hung=hung or killed == signal.SIGXCPU,
         cpu_s=used.ru_utime + used.ru_stime,
         peak_bytes=used.ru_maxrss * 1024,
@@ -73,10 +82,18 @@ def run(command: Callable[[], int], folder: Path) -> Outcome:
     )
 
 
-def _ended(child: int) -> bool:
-    handle = os.pidfd_open(child)
+def _waited(child: int, hangs: Path | None) -> tuple[bool, bool]:
+    """Wait for a process; return whether it was interrupted, and whether it still runs."""
+    handle, interrupted, end_s = os.pidfd_open(child), False, time.monotonic() + WALL_S
     try:
-        return bool(select.select([handle], [], [], WALL_S)[0])
+        while (left_s := end_s - time.monotonic()) > 0:
+            watched = hangs is not None and not interrupted
+            if select.select([handle], [], [], min(left_s, 0.1) if watched else left_s)[0]:
+                return interrupted, False
+            if watched and hangs is not None and hangs.exists():
+                os.killpg(child, signal.SIGINT)
+                interrupted = True
+        return interrupted, True
     finally:
         os.close(handle)
 

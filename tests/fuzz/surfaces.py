@@ -31,12 +31,14 @@ OUT = "out"
 class Case:
     """A command of p2o, or a reader called in Python; `result` is a file of results that has to be right after it.
 
-    `same` maps a file of the case to what it has to hold afterwards, by a function that reads both.
+    `same` maps a file of the case to what it has to hold afterwards, by a function that reads both. `hangs` is a file
+    that the case writes if it begins to hang; it is then interrupted as by Ctrl-C.
     """
 
     argv: tuple[str, ...] = ()
     call: Callable[[], int] | None = None
     same: Mapping[str, Callable[[Path], str]] = field(default_factory=dict)
+    hangs: str = ""
 
     def __call__(self) -> int:
         """Return the exit status."""

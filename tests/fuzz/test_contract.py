@@ -121,8 +121,33 @@ def test_a_broken_promise_is_seen(
     (tmp_path / "in").mkdir()
     (tmp_path / "in/file").touch()
     case = Case(call=command)
-    found = broken(case, sandbox.run(case, tmp_path), tmp_path)
+    found = broken(case, sandbox.run(case, tmp_path, case.hangs), tmp_path)
     assert any(fault in line for line in found), found
+
+
+def _waits() -> int:
+    Path("out/hangs").touch()
+    time.sleep(60)
+    return 0
+
+
+def test_a_command_that_announces_to_hang_is_interrupted(tmp_path: Path) -> None:
+    def right() -> int:
+        try:
+            return _waits()
+        except KeyboardInterrupt:
+            return 130
+
+    def wrong() -> int:
+        try:
+            return _waits()
+        except KeyboardInterrupt:
+            return 0
+
+    case = Case(call=right, hangs="out/hangs")
+    assert broken(case, sandbox.run(case, tmp_path, case.hangs), tmp_path) == []
+    case = Case(call=wrong, hangs="out/hangs")
+    assert broken(case, sandbox.run(case, tmp_path, case.hangs), tmp_path) == ["interrupted, and status 0"]
 
 
 def test_a_command_that_keeps_its_promises_is_left_alone(tmp_path: Path) -> None:
@@ -132,4 +157,4 @@ def test_a_command_that_keeps_its_promises_is_left_alone(tmp_path: Path) -> None
         return 0
 
     case = Case(call=fine)
-    assert broken(case, sandbox.run(case, tmp_path), tmp_path) == []
+    assert broken(case, sandbox.run(case, tmp_path, case.hangs), tmp_path) == []

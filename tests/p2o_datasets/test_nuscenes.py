@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import json
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,7 @@ from p2o import InputError, UnknownNameError, se3
 from p2o.cli import main
 from p2o.frames.frame import LazyFrames
 from p2o_datasets.nuscenes import CAMERAS, NuscenesOptions, build
+from p2o_datasets.nuscenes_tables import by_token, records
 
 from .nuscenes_files import CAMERA, EGO_FROM, START_US, WORLD, Tree, points_of, world_from_ego
 
@@ -152,6 +155,8 @@ def test_files_outside_of_the_folder_are_refused(tmp_path: Path) -> None:
         ("[1]", "is not a record"),
         ("[{]", "is not JSON"),
         ("[" * 100_000, "is not JSON"),
+        ('[{"token": "' + "a" * (3 << 20), "is not JSON"),
+        ('[{"token": "a", "scene_token": "s1"}' + " " * (3 << 20) + "x]", "expected ',' at character 3145764; got x"),
     ],
 )
 def test_tables_that_are_no_lists_of_records_are_refused(tmp_path: Path, text: str, words: str) -> None:
@@ -159,6 +164,29 @@ def test_tables_that_are_no_lists_of_records_are_refused(tmp_path: Path, text: s
     (root / "v1.0-mini/sample.json").write_text(text)
     with pytest.raises(InputError, match=words):
         dataset(root)
+
+
+def test_a_table_is_read_in_parts(tmp_path: Path) -> None:
+    """Records cross the borders of the parts, and the memory of the records that are kept is the only one."""
+    path = tmp_path / "ego_pose.json"
+    path.write_text(
+        json.dumps([{"token": str(number), "text": "ä" * 1000} for number in range(20_000)], ensure_ascii=False)
+    )
+    tracemalloc.start()
+    tokens = list(by_token(tmp_path, "ego_pose", lambda record: record["token"].endswith("77")))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert tokens == [str(number) for number in range(77, 20_000, 100)]
+    assert path.stat().st_size > 40_000_000
+    assert peak < 16_000_000
+
+
+def test_a_sparse_table_of_gigabytes_is_refused_without_reading_it(tmp_path: Path) -> None:
+    for size in (2 << 30, 1 << 40):
+        with (tmp_path / "sensor.json").open("wb") as file:
+            file.truncate(size)
+        with pytest.raises(InputError, match=r"not a list of records|too large"):
+            next(records(tmp_path, "sensor"))
 
 
 def test_folders_that_are_none_are_one_line_and_status_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
