@@ -90,7 +90,7 @@ def unconverged(monkeypatch: pytest.MonkeyPatch, step: np.ndarray) -> None:
 
 
 def test_sweeps_that_only_tremble_about_their_fit_are_one_drive(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pairs that come and go keep small_gicp from converging: at the minimum of sparse sweeps, steps stay above 0.1 mm."""
+    """Pairs that come and go keep small_gicp from converging: steps at the minimum stay above 0.1 mm."""
     unconverged(monkeypatch, se3.exp(np.array([0.0, 0.0, 1e-4, 1e-3, 0.0, 0.0])))
     _, pose = poses_by_gicp(drive(2))
     assert se3.distance_m(se3.inverse(STEP) @ pose) < 0.02

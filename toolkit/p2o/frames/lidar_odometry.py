@@ -18,7 +18,7 @@ _MIN_SHARE = 0.75
 On KITTI it is 0.98 for consecutive sweeps, 0.86 at a distance of 4 m, and 0.6 at 8 m, where the alignment fails.
 """
 _MAX_DRIFT_DEG, _MAX_DRIFT_M = 0.02, 0.005
-"""Maximum change of a pose when its alignment is repeated, well below the error of a step on KITTI, 0.1 deg and 3 cm."""
+"""Maximum change of a pose when its alignment is repeated, well below its error on KITTI (0.1 deg, 3 cm)."""
 
 
 def poses_by_gicp(
