@@ -127,8 +127,13 @@ class SyntheticOptions(Options):
     vignetting: float = field(0.3, ge=0, le=1, help="Share of light that is lost in the corners of the image.")
     jpeg_quality: int = field(95, ge=0, le=100, help="Quality of JPEG compression, 0 for no compression.")
     right: bool = field(True, help="Whether a pinhole camera has a right image.")
-    lidar: Literal["hdl-64e", "hdl-32e", "vlp-16", "os1-64", "os1-128", "pandar64", "mid-40"] = field(
-        "hdl-64e", help="Model of the LiDAR; mid-40 has a rosette scan without rings, all others rotate."
+    lidar: Literal[
+        "hdl-64e", "hdl-32e", "vlp-16", "os1-64", "os1-128", "pandar64", "mid-40", "avia", "mid-360"
+    ] = field(
+        "hdl-64e", help="Model of the LiDAR; mid-40, avia and mid-360 have no rings, all others rotate."
+    )  # fmt: skip
+    sweep_s: Annotated[float, Field(ge=0.01, le=10)] | None = field(
+        None, help="Duration of a sweep of a LiDAR without rings in seconds, around the time of the image; null: 0.1."
     )
     noise_m: float | None = field(None, ge=0, le=1, help="Standard deviation of the range in m; null: of the model.")
     angle_noise_deg: float = field(0.02, ge=0, le=5, help="Standard deviation of the angles of each beam in degrees.")
@@ -225,6 +230,7 @@ def view(options: SyntheticOptions, scene_number: int, number: int = 0, camera: 
     """
     options = _with_rig(options, scene_number)
     names = {"seed", "place", "frames_per_scene", "period_s", "swing_deg", "tilt_deg", "lidar_height_m", "weather"}
+    names |= {"sweep_s"}
     still = options.targets != "none" and not options.speed_m_s
     weather = simulate.weather_of(options.weather, _stream(options, _WEATHER, scene_number))
     scene, moments = _drive(
@@ -324,9 +330,12 @@ def _target(options: SyntheticOptions) -> Target | None:
     return simulate.target_of(options.targets, options.board, **options.model_dump(include=_TARGET_SIZES))
 
 
-def _travel_m(speed_m_s: float, period_s: float, frames: int) -> float:
-    """Return the length of a drive, rounded up to multiples of 10 frames, so that shorter drives share a layout."""
-    return speed_m_s * period_s * (10 * -(-frames // 10))
+def _travel_m(speed_m_s: float, period_s: float, frames: int, sweep_s: float | None) -> float:
+    """Return the length of a drive, rounded up to multiples of 10 frames, so that shorter drives share a layout.
+
+    The duration `sweep_s` of a long sweep is added.
+    """
+    return speed_m_s * (period_s * (10 * -(-frames // 10)) + (sweep_s or 0.0))
 
 
 @lru_cache(maxsize=2)
@@ -340,6 +349,7 @@ def _drive(
     speed_m_s: float | None,
     lidar_height_m: float | None,
     frames_per_scene: int,
+    sweep_s: float | None,
     period_s: float,
     swing_deg: float,
     tilt_deg: float,
@@ -349,7 +359,7 @@ def _drive(
     layout, shake = (np.random.default_rng([seed, stream, scene_number]) for stream in (_PLACE, _DRIVE))
     drawn = simulate.place_of(place, layout)
     speed_m_s = _USUAL_M_S.get(drawn, _ROAD_M_S) if speed_m_s is None else speed_m_s
-    travel = _travel_m(speed_m_s, period_s, frames_per_scene)
+    travel = _travel_m(speed_m_s, period_s, frames_per_scene, sweep_s)
     scene, twist = simulate.scene_of(drawn, layout, speed_m_s=speed_m_s, travel_m=travel, around=around)
     drawn_weather = np.random.default_rng([seed, _WEATHER, scene_number])
     scene = simulate.in_weather(scene, simulate.weather_of(weather, drawn_weather), drawn_weather)
@@ -413,6 +423,7 @@ def _lidar(options: SyntheticOptions) -> Any:
     """Return the LiDAR of the options, with the modified parameters."""
     given = options.model_dump(include={"max_range_m", "divergence_mrad", "angle_noise_deg", "keeps"})
     given["range_noise_m"] = options.noise_m
+    given["sweep_s"] = options.sweep_s
     changes = {name: value for name, value in given.items() if value is not None}
     return replace(simulate.LIDARS[options.lidar], **changes)
 
@@ -451,6 +462,11 @@ def build(options: SyntheticOptions) -> LazyFrames:
     if options.targets != "none" and options.rig != "fixed":
         fault = "a random rig may not observe the boards"
         raise InputError(fault, where="rig, targets", expected="rig=fixed with targets", got=f"rig={options.rig}")
+    rosette = options.rig == "fixed" and isinstance(simulate.LIDARS[options.lidar], simulate.Rosette)
+    if options.sweep_s is not None and not rosette:
+        fault = "the duration of a revolution is that of the model"
+        got = f"lidar={options.lidar}, rig={options.rig}"
+        raise InputError(fault, where="sweep_s", expected="lidar=mid-40, avia or mid-360 of a fixed rig", got=got)
     if len(set(options.cameras)) < len(options.cameras):
         names = ",".join(options.cameras)
         raise InputError("a camera is named twice", where="cameras", expected="each once", got=names)
@@ -471,7 +487,8 @@ def _require_bounded(options: SyntheticOptions) -> None:
     if frames > _MAX_FRAMES:
         limit = f"at most {_MAX_FRAMES} in all"
         raise InputError("too many frames", where="scenes, frames_per_scene", expected=limit, got=frames)
-    travel_m = _travel_m(_most_speed_m_s(options), options.period_s, options.frames_per_scene)
+    speed_m_s = _most_speed_m_s(options)
+    travel_m = _travel_m(speed_m_s, options.period_s, options.frames_per_scene, options.sweep_s)
     megapixels = options.width_px * options.height_px / 1e6 if options.rig == "fixed" else options.megapixels
     needed = _ALWAYS_MB + _PER_METRE_MB * travel_m * min(options.scenes, 2) + _PER_MEGAPIXEL_MB * megapixels
     if needed > _MAX_MB:
@@ -488,6 +505,6 @@ METHOD = Method(
     name="synthetic",
     build=build,
     options=SyntheticOptions,
-    summary="Synthetic roads, halls and rooms: image, right image, depth, seven LiDARs, targets, exact ground truth.",
+    summary="Synthetic roads, halls and rooms: image, right image, depth, nine LiDARs, targets, exact ground truth.",
     gives=frozenset({"right", "depth", "truth", "rings", "intensity", "time", "twist"}),
 )

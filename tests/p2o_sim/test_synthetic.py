@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from p2o import Dataset, Frame, InputError, se3
 from p2o.geometry.perturb import parse_perturbation
-from p2o_sim import Class, synthetic
+from p2o_sim import LIDARS, Class, synthetic
 from p2o_sim.synthetic import BASELINE_M, METHOD, SyntheticOptions, View, build, camera_from_lidar, view
 from pydantic import ValidationError
 from scipy import ndimage
@@ -138,13 +138,30 @@ def test_noise_and_camera_leave_the_place_as_it_is() -> None:
     assert fisheye.cloud.xyz.tobytes() == quiet.cloud.xyz.tobytes()
 
 
-@pytest.mark.parametrize("lidar", ["hdl-64e", "hdl-32e", "vlp-16", "os1-64", "os1-128", "pandar64", "mid-40"])
+@pytest.mark.parametrize("lidar", LIDARS)
 def test_every_lidar_gives_what_it_has(lidar: str) -> None:
     cloud = build(SyntheticOptions(**{**SMALL, "lidar": lidar}))[0].cloud
-    assert (cloud.ring is None) == (lidar == "mid-40")
+    assert (cloud.ring is None) == (lidar in ("mid-40", "avia", "mid-360"))
     assert len(cloud) > 3000
     assert 0 <= cloud.intensity.min() < cloud.intensity.max() <= 1
     assert -0.05 <= cloud.time_s.min() < cloud.time_s.max() <= 0.05
+
+
+@pytest.mark.parametrize("speed_m_s", [0.0, 3.0])
+def test_a_dwell_lasts_as_long_as_asked_and_is_compensated_exactly(speed_m_s: float) -> None:
+    dwell: dict[str, Any] = {**SMALL, "lidar": "mid-40", "speed_m_s": speed_m_s, "noise_m": 0.0}
+    short, long = (build(SyntheticOptions(**dwell, sweep_s=sweep_s))[0] for sweep_s in (0.1, 1.0))
+    assert len(long.cloud) > 5 * len(short.cloud)
+    assert np.ptp(long.cloud.time_s) == pytest.approx(1.0, abs=0.02)
+    raw = build(SyntheticOptions(**dwell, sweep_s=1.0, deskew=False))[0]
+    np.testing.assert_array_equal(raw.cloud.untwisted(raw.twist).xyz, long.cloud.xyz)
+    assert np.abs(raw.cloud.xyz - long.cloud.xyz).max() == pytest.approx(speed_m_s / 2, abs=0.2)
+
+
+@pytest.mark.parametrize("wrong", [{"lidar": "vlp-16"}, {"lidar": "mid-40", "rig": "random"}])
+def test_a_rotating_lidar_has_no_other_sweep_than_a_revolution(wrong: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=r"sweep_s: the duration .* expected lidar=mid-40, avia or mid-360"):
+        build(SyntheticOptions(sweep_s=2.0, **wrong))
 
 
 def test_a_raw_sweep_untwisted_by_the_frames_twist_is_the_deskewed_one() -> None:

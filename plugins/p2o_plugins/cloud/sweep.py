@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from p2o import Bool, Cloud, Float, Int
-from p2o.reading import told_rings
+from p2o.reading import RingsUnknownError, told_rings
+
+from p2o_plugins.cloud.firing_order import rings_in_firing_order
 
 Single = NDArray[np.float32]
 
@@ -78,13 +80,13 @@ class Neighbours:
 def order_sweep(cloud: Cloud) -> Sweep:
     """Return the sweep in order; of several returns of one ray only the nearest is kept.
 
-    Rings come from `cloud.ring`, else from the order or the elevations of the points (see `told_rings`). Raises
-    RingsUnknownError where neither tells them.
+    Rings come from `cloud.ring`, else from the order or the elevations of the points (see `told_rings`), else from the
+    cones of a sweep in firing order. Raises RingsUnknownError where they are unknown.
     """
     x, y, z = np.ascontiguousarray(cloud.as_measured().T, dtype=np.float32)
     azimuth = azimuth_of(x, y)
     flat = np.sqrt(x * x + y * y)
-    label = told_rings(azimuth, z / np.maximum(flat, 1e-6))[0] if cloud.ring is None else _compact(cloud.ring)
+    label = _recovered(cloud, azimuth, z / np.maximum(flat, 1e-6)) if cloud.ring is None else _compact(cloud.ring)
     count = int(label.max()) + 1
     slope, offset = _cones(label, flat, z, count)
     top_down = _from_top(slope, np.bincount(label, z / np.maximum(flat, 1e-3)) / np.bincount(label))
@@ -99,6 +101,17 @@ def order_sweep(cloud: Cloud) -> Sweep:
     range_m, flat, azimuth, ring = range_m[point], flat[point], azimuth[point], ring[point]
     start = np.searchsorted(ring, np.arange(count + 1))
     return Sweep(cloud, point, range_m, flat, azimuth, ring, start, slope[top_down], offset[top_down])
+
+
+def _recovered(cloud: Cloud, azimuth: Single, rise: Single) -> Int:
+    """Return the ring (N,) of the points of a cloud without rings; raises RingsUnknownError as `order_sweep`."""
+    try:
+        return told_rings(azimuth, rise)[0]
+    except RingsUnknownError:
+        ring = rings_in_firing_order(cloud)
+        if ring is None:
+            raise
+        return ring
 
 
 def azimuth_of(x: Single, y: Single) -> Single:

@@ -99,16 +99,19 @@ class Lidar(Ranging):
 
 @dataclass(frozen=True, kw_only=True)
 class Rosette(Ranging):
-    """A beam behind two rotating wedge prisms, small-angle Risley model (METHODS 10.1: Livox).
+    """Beams behind two rotating wedge prisms, small-angle Risley model (METHODS 10.1: Livox), without rings.
 
     Azimuth = sum d_k cos(w_k t), elevation = sum d_k sin(w_k t), for deflections d = `deflection_deg` and speeds w =
-    `rpm`, negative for reverse rotation; `points_per_s` pulses per second for `sweep_s` seconds around time 0.
+    `rpm`, negative for reverse rotation; `points_per_s` pulses per second for `sweep_s` seconds around time 0. Beams
+    fire in turn, each with its own elevation `lines_deg` added. With `spin_rpm` the whole optic also rotates about z.
     """
 
     deflection_deg: tuple[float, float]
     rpm: tuple[float, float]
     points_per_s: float
     sweep_s: float = 0.1
+    lines_deg: tuple[float, ...] = (0.0,)
+    spin_rpm: float = 0.0
 
     @property
     def beams(self) -> Beams:
@@ -161,6 +164,7 @@ def _flower(lidar: Rosette) -> Beams:
     time_s: Float = (np.arange(count, dtype=np.float64) + 0.5) / lidar.points_per_s - lidar.sweep_s / 2
     phase = 2 * np.pi / 60 * np.array(lidar.rpm)[:, None] * time_s
     deflection = np.radians(lidar.deflection_deg)[:, None]
-    across, up = (deflection * np.cos(phase)).sum(axis=0), (deflection * np.sin(phase)).sum(axis=0)
+    across = (deflection * np.cos(phase)).sum(axis=0) + 2 * np.pi / 60 * lidar.spin_rpm * time_s
+    up = (deflection * np.sin(phase)).sum(axis=0) + np.resize(np.radians(lidar.lines_deg), count)
     directions = np.column_stack([np.cos(up) * np.cos(across), np.cos(up) * np.sin(across), np.sin(up)])
     return Beams(np.zeros((count, 3)), directions, time_s, None, np.arange(count), None)

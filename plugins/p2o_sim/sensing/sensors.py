@@ -68,6 +68,19 @@ LIDARS: Mapping[str, Lidar | Rosette] = MappingProxyType(
             name="Livox Mid-40", deflection_deg=(9.6, 9.6), rpm=(7294.0, -4664.0), points_per_s=100_000.0,
             max_range_m=260.0, dark_range_m=90.0, divergence_mrad=4.9,
         ),
+        "avia": Rosette(
+            name="Livox Avia", deflection_deg=(17.6, 17.6), rpm=(7294.0, -4664.0), points_per_s=240_000.0,
+            lines_deg=_even(3.4, -3.4, 6), min_range_m=1.0, max_range_m=450.0, dark_range_m=190.0, divergence_mrad=4.9,
+        ),
+        "mid-360": Rosette(
+            name="Livox Mid-360", deflection_deg=(14.0, 14.0), rpm=(1207.0, -7411.0), points_per_s=200_000.0,
+            lines_deg=_even(24.0, 21.0, 4), spin_rpm=613.0, min_range_m=0.1, max_range_m=70.0, dark_range_m=40.0,
+            divergence_mrad=4.9,
+        ),
     }
 )  # fmt: skip
-"""All LiDAR models by name."""
+"""All LiDAR models by name.
+
+Avia and Mid-360 have fields of view, rates and ranges of their data sheets; the speeds of their optics are not
+published, and are chosen such that the pattern does not repeat within seconds.
+"""

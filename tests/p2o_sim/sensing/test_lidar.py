@@ -78,6 +78,30 @@ def test_the_rosette_fills_a_round_field_of_38_degrees_and_never_repeats_within_
     assert len(np.unique(np.round(beams.directions, 6), axis=0)) > 9_900
 
 
+def cells(lidar: Rosette, sweep_s: float) -> int:
+    """Return the number of cells of half a degree that the pulses of a sweep hit."""
+    x, y, z = replace(lidar, sweep_s=sweep_s).beams.directions.T
+    angles = np.degrees([np.arctan2(y, x), np.arcsin(z)])
+    return len(np.unique(np.round(2 * angles), axis=1).T)
+
+
+@pytest.mark.parametrize(
+    ("slug", "wide_deg", "low_deg", "high_deg"),
+    [("mid-40", 38.4, -19.2, 19.2), ("avia", 70.4, -38.6, 38.6), ("mid-360", 360.0, -7.0, 52.0)],
+)
+def test_a_pattern_that_does_not_repeat_fills_the_field_of_view_of_the_data_sheet(
+    slug: str, wide_deg: float, low_deg: float, high_deg: float
+) -> None:
+    lidar = LIDARS[slug]
+    assert isinstance(lidar, Rosette)
+    x, y, z = replace(lidar, sweep_s=1.0).beams.directions.T
+    azimuth, elevation = np.degrees(np.arctan2(y, x)), np.degrees(np.arcsin(z))
+    assert np.ptp(azimuth) == pytest.approx(wide_deg, abs=0.5)
+    assert (elevation.min(), elevation.max()) == pytest.approx((low_deg, high_deg), abs=0.3)
+    short, longer, long = (cells(lidar, sweep_s) for sweep_s in (0.1, 0.5, 2.0))
+    assert short * 1.5 < longer < long
+
+
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [

@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 from p2o import se3
-from p2o_sim import LIDARS, RandomRig, random_rig
-from p2o_sim.sensing.rig_sampling import FIELD_DEG, FOCAL_PX, SIZES_PX
+from p2o_sim import RandomRig, random_rig
+from p2o_sim.sensing.rig_sampling import DRAWN_LIDARS, FIELD_DEG, FOCAL_PX, SIZES_PX
 
 
 @cache
@@ -23,7 +23,7 @@ def _axes(rig: RandomRig) -> np.ndarray:
 
 
 def test_every_kind_of_camera_and_lidar_is_drawn() -> None:
-    assert {rig.lidar for rig in rigs()} == set(LIDARS)
+    assert {rig.lidar for rig in rigs()} == set(DRAWN_LIDARS)
     assert {rig.camera for rig in rigs()} == {"pinhole", "opencv-distorted", "fisheye"}
     assert {(rig.width_px, rig.height_px) for rig in rigs()} == set(SIZES_PX)
 

@@ -13,6 +13,7 @@ from p2o_sim.world.mesh import box
 
 from tests.p2o_sim.walls import FLOOR_Z, GREY, WALL_X, walls
 
+ROSETTES = [slug for slug, lidar in LIDARS.items() if isinstance(lidar, Rosette)]
 EXACT = {"range_noise_m": 0.0, "divergence_mrad": 0.0}
 POSE = se3.exp(np.array([0.02, -0.03, 0.4, 0.0, 0.0, 0.0]))
 COARSE = Lidar(name="coarse", elevation_deg=tuple(np.linspace(4.0, -24.0, 57)), columns=720, **EXACT)
@@ -137,9 +138,9 @@ def test_the_first_return_prefers_the_foreground_and_the_strongest_the_brighter(
     assert near["first"] > near["strongest"] + 20
 
 
-def test_a_rosette_has_no_rings_and_its_times_rise() -> None:
-    cloud = sweep(walls(), LIDARS["mid-40"], np.eye(4), _rng())
-    assert isinstance(LIDARS["mid-40"], Rosette)
+@pytest.mark.parametrize("slug", ROSETTES)
+def test_a_rosette_has_no_rings_and_its_times_rise(slug: str) -> None:
+    cloud = sweep(walls(), LIDARS[slug], np.eye(4), _rng())
     assert cloud.ring is None
     assert (np.diff(cloud.time_s) > 0).all()
     assert (np.diff(cloud.column) > 0).all()
@@ -159,6 +160,17 @@ def test_points_of_a_moving_sweep_brought_to_its_middle_lie_on_the_still_surface
 
     assert worst(straight) < 1e-9
     assert worst(raw) > 0.05
+
+
+@pytest.mark.parametrize("slug", ROSETTES)
+@pytest.mark.parametrize("twist", [None, 0.1 * TWIST])
+def test_a_long_dwell_at_rest_or_on_the_move_is_exact_and_denser(slug: str, twist: np.ndarray | None) -> None:
+    lidar = replace(LIDARS[slug], **EXACT, sweep_s=2.0, points_per_s=20_000.0)
+    cloud = sweep(walls(with_box=False), lidar, POSE, _rng(), twist=twist)
+    straight = cloud.xyz if twist is None else moved(twist, cloud.time_s, cloud.xyz)
+    x, _, z = se3.apply(POSE, straight).T
+    assert np.minimum(abs(x - WALL_X), abs(z - FLOOR_Z)).max() < 1e-9
+    assert np.ptp(cloud.time_s) == pytest.approx(2.0, abs=0.1)
 
 
 def test_moving_points_in_closed_form_are_those_of_the_exponential() -> None:
