@@ -154,7 +154,7 @@ def test_suggested_likely_errors_are_near_those_that_a_run_states(capsys: pytest
     data = ["synthetic:?scenes=2&seed=4", "--extractor", "depth/rings"]
     assert main(["data", "suggest", *data, "--pose", "truth", "--count", "2", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)["steps"][-1]["accuracy"]
-    words = ["--joint", "--perturb", "1deg 0.1m", "--set", "init.weigh_start=false", "--json"]
+    words = ["--joint", "--perturb", "1deg 0.1m", "--json"]
     assert main(["run", "--data", *data, *words]) == 0
     stated = json.loads(capsys.readouterr().out)["results"][0]["accuracy"]
     assert told["rotation_deg"] == pytest.approx(stated["rotation_deg"], rel=0.6)

@@ -333,3 +333,21 @@ def test_warnings_of_python_stay_off_stderr() -> None:
     assert (done.returncode, done.stderr) == (0, "")
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment | {"P2O_DEBUG": "1"})
     assert re.search("RuntimeWarning: a\nwarning of Python", done.stderr)
+
+
+def test_the_accuracy_of_the_initial_guess_is_an_input_that_results_state(capsys: pytest.CaptureFixture[str]) -> None:
+    words = [
+        "run",
+        "--data",
+        "synthetic:?scenes=1&right=false&seed=3",
+        "--extractor",
+        "depth/rings",
+        "--perturb",
+        "2deg 0.15m",
+    ]
+    assert main([*words, "--start-sigma", "2deg 0.1m", "--json"]) == 0
+    [result] = json.loads(capsys.readouterr().out)["results"]
+    assert result["recipe"]["options"]["pipeline"]["start_sigma"] == [2.0, 0.1]
+    assert result["start_weight"]["sigma_deg"] == 2.0
+    assert main([*words, "--start-sigma", "2deg"]) == 2
+    assert "--start-sigma" in capsys.readouterr().err

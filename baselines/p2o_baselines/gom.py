@@ -6,7 +6,8 @@ rotated into the image; -1 if all are parallel, -2/pi on average if they are unr
 particle-swarm` with `--set pipeline.rounds=1`.
 
 As in the paper, the gradient of a point uses its eight nearest neighbours by direction; the fit (least squares in the
-plane across the beam), the width of the blur, and the number of points are ours. The clouds of the paper are dense: in
+plane across the beam), the width of the blur, the number of points, and a weight that decreases over the last 10 px to
+the border are ours. The clouds of the paper are dense: in
 sweeps with few rings the neighbours are on one ring and gradients across rings are poor.
 """
 
@@ -23,7 +24,7 @@ from p2o.solving import Objective
 from scipy.spatial import cKDTree
 
 from p2o_baselines import examples
-from p2o_baselines.histogram import by_rank
+from p2o_baselines.histogram import by_rank, presence
 from p2o_baselines.information import Sighting, remembered, sightings
 
 _CHUNK = 1 << 17
@@ -60,14 +61,15 @@ class Slopes:
         uv = self.camera.project(p2o.se3.apply(poses, self.xyz))
         step = self.camera.project(p2o.se3.apply(poses, self.xyz + step_m[:, None] * self.along)) - uv
         u, v, du, dv = uv[..., 0], uv[..., 1], step[..., 0], step[..., 1]
-        shown = self.camera.in_image(uv) & np.isfinite(du)
         height, width = self.camera.height, self.camera.width
+        weight = presence(uv, width, height, -0.5)[0] * np.isfinite(du)
+        shown = weight > 0
         column, row = (np.rint(np.where(shown, at, 0.0)).astype(np.intp) for at in (u, v))
         pixel = np.clip(row, 0, height - 1) * width + np.clip(column, 0, width - 1)
         gu, gv = self.grey[0][pixel], self.grey[1][pixel]
         long = np.maximum(np.sqrt(du**2 + dv**2), 1e-12)
-        aligned = np.where(shown, np.abs(gu * du + gv * dv) / long, 0.0)
-        return aligned @ size, np.where(shown, np.sqrt(gu**2 + gv**2), 0.0) @ size
+        aligned = np.where(shown, weight * np.abs(gu * du + gv * dv) / long, 0.0)
+        return aligned @ size, (weight * np.sqrt(gu**2 + gv**2)) @ size
 
 
 def gradients(xyz: Float, value: Float, neighbours: int) -> Float:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from p2o import Bool, Float, Int
+from p2o import Float, Int
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +24,25 @@ class Tap:
     slope: Float | None = None
 
 
+_FADE_PX = 10.0
+"""Points count less from this distance to the border on: a pose that moves them out changes a cost steadily."""
+
+
+def presence(uv: Float, width: int, height: int, border: float) -> tuple[Float, Float]:
+    """Return weights (...) of positions (..., 2) and their derivatives (..., 2) by u, v.
+
+    The weight is 0 outside and at `border` px from the outermost pixel centres, and 1 from 10 px further inside.
+    """
+    far = np.array([width - 1.0, height - 1.0]) - border
+    with np.errstate(invalid="ignore"):
+        inside = np.stack([uv - border, far - uv], axis=-1) / _FADE_PX
+        by_axis, nearer = np.nan_to_num(inside.min(axis=-1), nan=-1.0), np.where(inside[..., 0] < inside[..., 1], 1, -1)
+    weight = np.clip(by_axis.min(axis=-1), 0.0, 1.0)
+    least = np.arange(2) == by_axis.argmin(axis=-1)[..., None]
+    fading = (weight > 0) & (weight < 1)
+    return weight, np.where(least & fading[..., None], nearer / _FADE_PX, 0.0)
+
+
 @dataclass(frozen=True, eq=False)
 class Levels:
     """An image `level` (H, W) of levels from 0 to `count` - 1, which is shown up to `border` px from its ends."""
@@ -32,11 +51,10 @@ class Levels:
     count: int
     border: ClassVar[float]
 
-    def shown(self, uv: Float) -> Bool:
-        """Return which positions (..., 2) can be sampled."""
-        u, v, (far_v, far_u) = uv[..., 0], uv[..., 1], np.array(self.level.shape) - 1 - self.border
-        with np.errstate(invalid="ignore"):
-            return np.asarray((u >= self.border) & (v >= self.border) & (u <= far_u) & (v <= far_v))
+    def presence(self, uv: Float) -> tuple[Float, Float]:
+        """Return weights (...) of positions (..., 2) and their derivatives; those of weight 0 cannot be sampled."""
+        height, width = self.level.shape
+        return presence(uv, width, height, self.border)
 
     def taps(self, uv: Float, *, slopes: bool = False) -> Iterator[Tap]:
         """Yield the shares of points at places (..., 2), all of which are shown."""
@@ -141,8 +159,9 @@ class Plain:
         return counts / np.maximum(counts.sum(axis=(-2, -1), keepdims=True), 1e-12)
 
     def slope(self, counts: Float, by_shares: Float) -> Float:
-        """Return derivatives (R, C) by counts (R, C) whose sum stays, of what has derivatives `by_shares` (R, C)."""
-        return np.asarray(by_shares / max(float(counts.sum()), 1e-12))
+        """Return derivatives (R, C) by counts (R, C) of what has derivatives `by_shares` (R, C)."""
+        total = max(float(counts.sum()), 1e-12)
+        return np.asarray((by_shares - float((by_shares * counts).sum()) / total) / total)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,10 +179,14 @@ class Smoothed(Plain):
         return cls(*(kernel(size, width) for size, width in zip(counts.shape, widths, strict=True)))
 
     def shares(self, counts: Float) -> Float:
-        return super().shares(self.over_rows @ counts @ self.over_columns.T)
+        return super().shares(self.smoothed(counts))
 
     def slope(self, counts: Float, by_shares: Float) -> Float:
-        return self.over_rows.T @ super().slope(counts, by_shares) @ self.over_columns
+        return self.over_rows.T @ super().slope(self.smoothed(counts), by_shares) @ self.over_columns
+
+    def smoothed(self, counts: Float) -> Float:
+        """Return smoothed counts (..., R, C), whose sum is that of counts (..., R, C)."""
+        return self.over_rows @ counts @ self.over_columns.T
 
 
 @dataclass(frozen=True)
@@ -192,7 +215,9 @@ class Shrunk(Plain):
         if 0 < k < 1:
             above, below = 1 - float((p**2).sum()), (total - 1) * float(((p - target) ** 2).sum())
             of_k = -2 * p / below - above * 2 * (total - 1) * (p - target) / below**2
-            slope = slope + of_k * float((by_shares * (target - p)).sum())
+            along = float((by_shares * (target - p)).sum())
+            of_total = -above / below * along / (total - 1)
+            return super().slope(counts, slope + of_k * along) + of_total
         return super().slope(counts, slope)
 
 

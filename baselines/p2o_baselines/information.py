@@ -31,7 +31,7 @@ def remembered(make: Callable[[From], Made]) -> Callable[[From], Made]:
 
 
 _CHUNK, _CELLS = 1 << 17, 1 << 22  # points, and cells of histograms, that are worked on at once
-_MARGIN_DEG = 5.0
+MARGIN_DEG = 5.0
 """Margin around the image of points that are kept, because other poses may project them into the image."""
 _MAX_CONDITION = 1e8
 
@@ -53,24 +53,31 @@ class SeenPoints:
 
     def _counts(self, poses: Float) -> Float:
         uv = self.camera.project(p2o.se3.apply(poses, self.xyz))
-        shown = self.levels.shown(uv)
-        uv = np.where(shown[..., None], uv, 2.0)
+        weight, _ = self.levels.presence(uv)
+        uv = np.where(weight[..., None] > 0, uv, 2.0)
         out = np.zeros((len(poses), self.rows, self.levels.count))
         for tap in self.levels.taps(uv):
-            out += joint_counts(self.row, tap.level, tap.weight * shown, self.rows, self.levels.count)
+            out += joint_counts(self.row, tap.level, tap.weight * weight, self.rows, self.levels.count)
         return out
 
-    def scores(self, pose: Float, by_counts: Float) -> Float:
-        """Return each visible point's derivatives (N, 6) by a left update, of a sum with derivatives (R, C)."""
+    def scores(self, pose: Float, by_counts: Float, *, fading: bool = True) -> Float:
+        """Return each visible point's derivatives (N, 6) by a left update, of a sum with derivatives (R, C).
+
+        With `fading` the weights at the border change with the pose, as in `counts`.
+        """
         xyz = p2o.se3.apply(pose, self.xyz)
         uv = self.camera.project(xyz)
-        seen = np.flatnonzero(self.levels.shown(uv))
+        weight, fade = self.levels.presence(uv)
+        seen = np.flatnonzero(weight > 0)
         _, by_place = self.camera.project_with_jacobian(xyz[seen])
         by_update = np.concatenate([-p2o.se3.skew(xyz[seen]), np.broadcast_to(np.eye(3), (len(seen), 3, 3))], axis=2)
         by_pixel = np.zeros((len(seen), 2))
         for tap in self.levels.taps(uv[seen], slopes=True):
             assert tap.slope is not None
-            by_pixel += by_counts[self.row[seen], tap.level][:, None] * tap.slope
+            slope = weight[seen, None] * tap.slope
+            if fading:
+                slope += tap.weight[:, None] * fade[seen]
+            by_pixel += by_counts[self.row[seen], tap.level][:, None] * slope
         out = np.zeros((len(xyz), 6))
         out[seen] = np.einsum("ni,nij,njk->nk", by_pixel, by_place, by_update)
         return out
@@ -111,7 +118,7 @@ class SmoothInformation(Information):
         return Objective(self.cost, self.gradient, self.covariance)
 
     def gradient(self, pose: Float) -> Float:
-        """Return the derivatives (6,) of the cost by a left update (rad, m) of a pose, for the points in view."""
+        """Return the derivatives (6,) of the cost by a left update (rad, m) of a pose."""
         out = np.zeros(6)
         for group, estimator in zip(self.groups, self.estimators, strict=True):
             counts = counts_of(group, pose[None])[0]
@@ -127,7 +134,7 @@ class SmoothInformation(Information):
             shares = estimator.shares(counts_of(group, pose[None]))[0]
             log = np.log(np.maximum(shares, 1e-12))
             for part in group:
-                scores = part.scores(pose, log)
+                scores = part.scores(pose, log, fading=False)
                 fisher += scores.T @ scores
         scale = np.sqrt(np.diagonal(fisher))
         if not (np.isfinite(fisher).all() and (scale > 0).all()):
@@ -160,9 +167,9 @@ class Sighting:
         """Return the sighting with the points of a mask or index."""
         return Sighting(self.camera, self.grey, self.xyz[keep], self.value[keep])
 
-    def near_image(self, pose: Float, most: int) -> Sighting:
-        """Return the points in the image at a pose or near it, `most` of them spread evenly."""
-        margin_px = self.camera.focal_px * float(np.tan(np.radians(_MARGIN_DEG)))
+    def near_image(self, pose: Float, most: int, margin_deg: float = MARGIN_DEG) -> Sighting:
+        """Return the points in the image at a pose or within a margin of it, `most` of them spread evenly."""
+        margin_px = self.camera.focal_px * float(np.tan(np.radians(margin_deg)))
         uv = self.camera.project(p2o.se3.apply(pose, self.xyz))
         near = np.flatnonzero(self.camera.in_image(uv, margin_px))
         if len(near) > most:

@@ -83,7 +83,8 @@ def read_masks(folder: str, name: str, shape: tuple[int, int]) -> list[Bool]:
     `FOLDER/NAME/*.png` are masks, whose pixels above half of the largest value are set. NAME is that of the frame, or
     the same with every character that a file name cannot have replaced by `_` (2011_09_26_0005_0000000010).
 
-    Raises InputError if there is neither, and if a mask has another size than the image.
+    Masks of the original image are downsampled to the size of a smaller one. Raises InputError if there is neither, and
+    if a mask has the size of another image.
     """
     root = existing_folder(Path(folder), "masks")
     for stem in dict.fromkeys((name, folder_name(name))):
@@ -119,10 +120,18 @@ def _mask_image(path: Path, shape: tuple[int, int]) -> UInt8:
         image = image[..., :3] if image.ndim == 3 else image
         if image.ndim == 3 and (image == image[..., :1]).all():
             image = image[..., 0]
+        if image.shape[:2] != shape and _is_larger(image.shape[:2], shape):
+            # Images of long focal lengths are downsampled before a calibration, masks are of the original image.
+            image = cv2.resize(image, shape[::-1], interpolation=cv2.INTER_NEAREST)
         if image.shape[:2] != shape:
             size, got = (f"{width}x{height} px" for height, width in (shape, image.shape[:2]))
             raise p2o.InputError("the mask has another size than the image", expected=size, got=got)
     return np.asarray(image)
+
+
+def _is_larger(size: tuple[int, int], shape: tuple[int, int]) -> bool:
+    """Return whether an image (H, W) becomes one of another shape (H, W) by downsampling, up to half a pixel."""
+    return size[0] > shape[0] and abs(size[1] * shape[0] / size[0] - shape[1]) <= 0.5 * (1 + shape[1] / shape[0])
 
 
 class MasksOptions(p2o.Options):

@@ -5,10 +5,15 @@ smoothed by a Gaussian kernel of Silverman's width on each axis (1.06 sigma n^(-
 shrunk towards equal probabilities (`estimator=james-stein`). Intended for the paper's `--solver barzilai-borwein` with
 `--set pipeline.rounds=1`; results have the Cramer-Rao bound as covariance.
 
+`per_frame` counts each frame in a histogram of its own and averages their information, which is not in the paper: grey
+values of images with different exposures and scenes do not mix. A frame has fewer points and needs fewer levels:
+`bins=32` and `estimator=counts`. On KITTI's `train` frames it is more accurate than the joint histogram, and therefore
+`--method mi` has it.
+
 Departures: a grey value between two levels is divided between both, so that the cost has an analytic gradient
 (numerical in the original); kernels are those of the pose at which the matcher is called; reflectances are scaled to
 the levels between their 0.1 % and 99.9 % quantiles. As in the paper, occlusion is ignored and points outside the image
-are not counted.
+are not counted; over the last 10 px to the border their weight decreases, so that the cost has no steps.
 """
 
 from __future__ import annotations
@@ -29,11 +34,19 @@ class MiOptions(p2o.Options):
     """Options of `mi`."""
 
     bins: int = field(256, ge=2, le=1024, help="Levels of grey, and of reflectance.")
-    estimator: Literal["kernel", "james-stein"] = field(
-        "kernel", help="Shares of levels: smoothed by a Gaussian kernel, or shrunk towards equal shares."
+    estimator: Literal["kernel", "james-stein", "counts"] = field(
+        "kernel", help="Shares of levels: smoothed by a Gaussian kernel, shrunk towards equal shares, or as counted."
     )
+    per_frame: bool = field(False, help="Average the information of one histogram a frame, instead of a joint one.")
     bandwidth: float = field(1.06, gt=0, le=10, help="Kernel width over sigma n^(-1/5); 1.06 is Silverman's.")
     points: int = field(20_000, ge=100, le=10_000_000, help="Largest number of points per view.")
+
+
+def estimator_of(group: Sequence[SeenPoints], camera_from_lidar: Float, options: MiOptions) -> Plain:
+    """Return the estimator of probabilities for the points of a histogram, with kernels for those at a pose (4, 4)."""
+    if options.estimator == "kernel":
+        return Smoothed.by_silverman(counts_of(group, camera_from_lidar[None])[0], options.bandwidth)
+    return Shrunk() if options.estimator == "james-stein" else Plain()
 
 
 def build(options: MiOptions) -> p2o.Matcher:
@@ -44,17 +57,14 @@ def build(options: MiOptions) -> p2o.Matcher:
         all_sightings = list(sightings(views))
         span = Span.of([sighting.value for sighting in all_sightings])
         near = [sighting.near_image(camera_from_lidar, options.points) for sighting in all_sightings]
-        group = tuple(
+        seen = tuple(
             SeenPoints(s.camera, levels(s.grey), s.xyz, span.levels(s.value, options.bins), options.bins)
             for s in near
             if len(s.xyz)
         )
-        if not group:
-            return SmoothInformation((), (), MI).objective()
-        estimator: Plain = Shrunk()
-        if options.estimator == "kernel":
-            estimator = Smoothed.by_silverman(counts_of(group, camera_from_lidar[None])[0], options.bandwidth)
-        return SmoothInformation((group,), (estimator,), MI).objective()
+        groups = tuple((part,) for part in seen) if options.per_frame else (seen,) if seen else ()
+        estimators = tuple(estimator_of(group, camera_from_lidar, options) for group in groups)
+        return SmoothInformation(groups, estimators, MI).objective()
 
     return match
 

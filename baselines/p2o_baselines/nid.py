@@ -7,9 +7,12 @@ round. Intended for `--solver bfgs`, whose box of 2 deg and 0.2 m is the paper's
 pipeline.tolerance_deg=0.5 --set pipeline.tolerance_m=0.1`: the outer loop of the paper, at most ten rounds. The paper
 accumulates sweeps first: use `--accumulate poses` for the frames of a drive.
 
-Departures: its initial guess from SuperGlue matches is left out (the licence of the weights is restricted); points
-slightly outside the image are included, since they may enter it; logarithms need no offset of 1e-6, because empty cells
-do not contribute; the mean over frames replaces the sum.
+Points that are outside the image at the pose of a round are left out of it, as in the code of the authors.
+
+Departures: its initial guess from SuperGlue matches is left out (the licence of the weights is restricted); the weight
+of a point decreases over the last 10 px to the border, so that the cost has no steps there; logarithms need no offset
+of 1e-6, because empty cells do not contribute; the mean over frames replaces the sum; the extractor `grey` blurs by
+1 px (`--set extractor.blur_sigma_px=0` for none).
 """
 
 from __future__ import annotations
@@ -31,6 +34,7 @@ class NidOptions(p2o.Options):
     bins: int = field(16, ge=2, le=256, help="Levels of grey, and of reflectance.")
     cell_px: float = field(1.0, gt=0, le=64, help="Cell size of the occlusion test, in pixels.")
     slack_m: float = field(0.1, ge=0, le=100, help="Largest distance of a visible point behind the nearest one.")
+    margin_deg: float = field(0.0, ge=0, le=60, help="Margin around the image of points that are included.")
     points: int = field(50_000, ge=100, le=10_000_000, help="Largest number of points per view.")
 
 
@@ -42,7 +46,7 @@ def build(options: NidOptions) -> p2o.Matcher:
         groups = []
         for sighting in sightings(views):
             seen = sighting.visible(camera_from_lidar, options.cell_px, options.slack_m)
-            s = seen.near_image(camera_from_lidar, options.points)
+            s = seen.near_image(camera_from_lidar, options.points, options.margin_deg)
             if len(s.xyz):
                 row = ranked_levels(s.value, options.bins)
                 groups.append((SeenPoints(s.camera, levels(s.grey), s.xyz, row, options.bins),))

@@ -5,8 +5,9 @@ cloud.normal_neighbours=20`), both equalised, are counted in a joint histogram f
 H(Y)) / H(X, Y), its mean over frames. Intended for the paper's `--solver particle-swarm` with `--set
 pipeline.rounds=1`.
 
-Ours, since the parameters of the paper are not known to us: 64 levels, 6,000 points per view, the nearest pixel of
-each, and the angle of the normal to the z axis of the LiDAR as the quantity that determines shading.
+Ours, since the parameters of the paper are not known to us: 16 levels, the nearest pixel of each point, a weight that
+decreases over the last 10 px to the border, and the angle of the normal to the z axis of the LiDAR as the quantity that
+determines shading. With more levels than the points can fill, the measure increases when points leave the image.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ class NmiOptions(p2o.Options):
     """Options of `nmi`."""
 
     by: Literal["reflectance", "normals"] = field("reflectance", help="Compare reflectance, or steepness of surfaces.")
-    bins: int = field(64, ge=2, le=1024, help="Levels of grey, and of the points' values.")
-    points: int = field(6_000, ge=100, le=10_000_000, help="Largest number of points per view.")
+    bins: int = field(16, ge=2, le=1024, help="Levels of grey, and of the points' values.")
+    points: int = field(20_000, ge=100, le=10_000_000, help="Largest number of points per view.")
 
 
 def build(options: NmiOptions) -> p2o.Matcher:

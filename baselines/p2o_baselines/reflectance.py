@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import p2o
-from p2o import Float, field
+from p2o import Float, Int, field
+from p2o.reading import told_rings
 from scipy.spatial import cKDTree
 
 from p2o_baselines.histogram import by_rank
@@ -17,7 +20,11 @@ class ReflectanceOptions(p2o.Options):
     min_range_m: float = field(1.5, ge=0, le=1000, help="Drop points nearer than this, on the car itself.")
     max_range_m: float = field(80.0, gt=1, le=1000, help="Drop points farther than this.")
     points: int = field(400_000, ge=100, le=10_000_000, help="Largest number of points, evenly sampled.")
-    equalise: bool = field(False, help="Replace intensities by ranks; matchers that need that do it themselves.")
+    equalise: Literal["none", "sweep", "ring"] = field(
+        "none",
+        help="Replace intensities by ranks in the sweep, which matchers that need that do themselves; or in each ring, "
+        "for lasers that are not calibrated to each other.",
+    )
     normal_neighbours: int = field(0, ge=0, le=200, help="Neighbours for surface normals (3 or more); 0: none.")
 
 
@@ -29,10 +36,29 @@ def extract(cloud: p2o.Cloud, options: ReflectanceOptions) -> p2o.CloudFeatures:
     if options.normal_neighbours and len(near) >= max(options.normal_neighbours, 3):
         normal = normals(xyz, max(options.normal_neighbours, 3))
     intensity = None if cloud.intensity is None else cloud.intensity[near]
-    if intensity is not None and options.equalise:
+    if intensity is not None and options.equalise == "sweep":
         intensity = by_rank(intensity)
+    elif intensity is not None and options.equalise == "ring":
+        intensity = ranked_by_ring(intensity, rings(cloud)[near])
     points = p2o.CloudPoints(xyz, intensity, normal, raw_times(cloud, near))
     return p2o.CloudFeatures(points=points.thinned(options.points))
+
+
+def rings(cloud: p2o.Cloud) -> Int:
+    """Return the ring (N,) of each point; raises InputError if it is neither given nor observable."""
+    if cloud.ring is not None:
+        return cloud.ring
+    x, y, z = cloud.xyz.T.astype(np.float32)
+    azimuth = np.mod(np.arctan2(y, x), np.float32(2 * np.pi))
+    return told_rings(azimuth, z / np.maximum(np.hypot(x, y), np.float32(1e-6)))[0]
+
+
+def ranked_by_ring(values: Float, ring: Int) -> Float:
+    """Return values (N,) replaced by their ranks in (0, 1) among those of the same ring (N,)."""
+    out = np.empty(len(values))
+    for number in np.unique(ring):
+        out[ring == number] = by_rank(values[ring == number])
+    return out
 
 
 def normals(xyz: Float, neighbours: int) -> Float:

@@ -109,6 +109,18 @@ def test_folders_of_one_picture_a_mask_are_read(tmp_path, cv2):
     assert [mask.any(axis=1).nonzero()[0].tolist() for mask in found] == [[0], [2]]
 
 
+def test_masks_of_the_original_image_fit_a_downsampled_one(tmp_path, cv2):
+    mask = np.zeros((1200, 1920), np.uint8)
+    mask[600:, 480:960] = 255
+    (tmp_path / "frame").mkdir()
+    cv2.imwrite(str(tmp_path / "frame/0.png"), mask)
+    [read] = read_masks(str(tmp_path), "frame", (557, 891))
+    assert read.shape == (557, 891)
+    assert np.mean(read) == pytest.approx(np.mean(mask > 0), abs=2e-3)
+    assert read[400, 300]
+    assert not read[100, 300]
+
+
 def test_masks_of_another_size_are_refused(tmp_path, cv2):
     cv2.imwrite(str(tmp_path / "a.png"), np.ones((4, 6), np.uint8))
     with pytest.raises(InputError, match="another size"):

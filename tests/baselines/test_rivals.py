@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from p2o import Registry
 from p2o.cli import main
+from p2o.run.presets import presets
 from p2o_study.report import write_report
 from p2o_study.store import Store
 from p2o_study.study import check_study, find_study
@@ -35,6 +36,27 @@ def test_a_rival_is_the_same_in_every_study(registry: Registry) -> None:
         common = first.keys() & other.keys()
         assert len(common) > 5
         assert {name: first[name] for name in common} == {name: other[name] for name in common}
+
+
+@pytest.mark.parametrize("name", [*STUDIES, "families"])
+def test_rows_have_the_label_of_their_method_which_names_what_is_missing(name: str, registry: Registry) -> None:
+    by_matcher = {preset.words["matcher"]: preset.label for preset in presets(registry).values() if preset.label}
+    assert "without SAM" in by_matcher["mask-consistency"]
+    rows = [row for row in check_study(find_study(name, registry).study, registry) if not row.words.get("calibrator")]
+    labels = {row.label: by_matcher[row.words["matcher"]] for row in rows if row.words["matcher"] in by_matcher}
+    assert len(labels) > 3
+    assert [label for label, begin in labels.items() if not label.startswith(begin)] == []
+
+
+def test_networks_are_called_stand_ins_and_are_in_no_table_of_families(registry: Registry) -> None:
+    learned = check_study(find_study("learned", registry).study, registry)
+    networks = {"calibnet", "calibrcnn", "lccnet", "regnet", "rggnet"}
+    used = [variant.name for variant in find_study("learned", registry).study.variant if variant.calibrator in networks]
+    assert used
+    assert all(name.endswith("-stand-in") for name in used)
+    assert learned
+    families = check_study(find_study("families", registry).study, registry)
+    assert not networks & {row.words.get("calibrator") for row in families}
 
 
 def test_both_studies_of_motion_have_the_same_methods(registry: Registry) -> None:

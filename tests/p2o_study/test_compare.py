@@ -152,7 +152,7 @@ def test_names_are_presets_with_the_options_of_their_study_and_families() -> Non
     contenders = contenders_of(names, registry)
     assert contenders[2].words["extractor"] == "grey/reflectance"
     assert contenders[2].options["pipeline"]["reach_px"] == 5.0
-    assert contenders[1].options == {"init": {"weigh_start": False}}
+    assert contenders[1].options == {"init": {"prior": 0.0}}
     file = module.compare_study(contenders, "synthetic:?scenes=5", [[0, 5], [1]], 2)
     assert file.study.dataset[0].frames == "0:1,5:6"
     families = {row.section: family_of(row.resolve(registry, 0)) for row in file.study.rows()}

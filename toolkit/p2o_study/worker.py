@@ -33,6 +33,7 @@ from p2o.results.figures import figure_values
 from p2o.results.result import Result, Status
 from p2o.run.assembly import INPUTS, Assembly, given
 from p2o.run.joined import JoinedFrames
+from p2o.run.pipeline import Pipeline
 from p2o.run.read_again import FrameInfo, ReadAgain
 from p2o.run.recipe import Part, Plan, Recipe, open_dataset
 
@@ -345,12 +346,31 @@ def _result(job: CalibrateJob) -> Result:
         prepared = ReadAgain(lambda number: _frame(job.records[number].source), range(len(each)), truth=False)
     else:
         prepared = [features(info, records, keys) for info, (records, keys) in zip(infos, each, strict=True)]
-    result = assembly.calibrated(infos, prepared, job.row.start)
+    result = with_cost_of_truth(
+        assembly, infos, prepared, assembly.calibrated(infos, prepared, job.row.start), job.row.truth
+    )
     # For cached features, the time of their extraction counts.
     seconds = {**result.seconds, "extract": sum(took)}
     result = assembly.checked(result, infos, lambda number: pieces(*each[number], WITNESS))
     warnings = [f"{records.name}: {text}" for records in job.records for text in records.warnings]
     return replace(result, seconds=seconds, warnings=(*warnings, *result.warnings))
+
+
+def with_cost_of_truth(
+    assembly: Assembly, infos: Sequence[FrameInfo], pieces: Sequence[Any], result: Result, truth: Float | None
+) -> Result:
+    """Return the result with the cost of the true extrinsic (4, 4) minus that of the estimate, where both are known.
+
+    Both poses are judged on the same points, with the motions that are expected before the calibration. A negative
+    value is a failed search, a positive one a cost that prefers a wrong pose.
+    """
+    pipeline = assembly.calibrator
+    if truth is None or result.judged is None or not isinstance(pipeline, Pipeline):
+        return result
+    views = pipeline.visible(assembly.views(pipeline, infos, pieces), result.start).corrected
+    poses = [truth, result.camera_from_lidar]
+    at_truth, at_result = pipeline.judge(views, result.start, poses).costs(poses)
+    return replace(result, judged=replace(result.judged, excess_truth=at_truth - at_result))
 
 
 @lru_cache(maxsize=4)

@@ -34,11 +34,6 @@ class SearchOptions(NarrowOptions):
         ge=0,
         help="One sigma away from the start costs as much as this many LiDAR edges without an image edge; 0: off.",
     )
-    weigh_start: bool = field(
-        True,
-        help="Weigh the start in at the end, taken to be good to sigma_deg and sigma_m an axis; false: the pose is "
-        "that of the edges alone.",
-    )
     scatter: int = field(3000, ge=100, le=1_000_000, help="Poses drawn around the start, to find further basins.")
     basins: int = field(12, ge=1, le=1000, help="Number of them, the best and separate, that are narrowed.")
     finest_px: float = field(4.0, gt=1, le=500, help="Truncation of the distances at which basins end and are ranked.")
@@ -85,9 +80,8 @@ class Search(InitializerBase):
 
     @property
     def start_sigma(self) -> tuple[float, float] | None:
-        """Standard deviation of the initial guess in deg and m, if it is to be used as a prior."""
-        options = self.options
-        return (options.sigma_deg, options.sigma_m) if options.weigh_start and options.sigma_m > 0 else None
+        """Standard deviation of the initial guesses in deg and m that are searched."""
+        return (self.options.sigma_deg, self.options.sigma_m) if self.options.sigma_m > 0 else None
 
 
 def build(options: SearchOptions) -> Initializer:

@@ -4,14 +4,24 @@ The step along the gradient g is gamma = (s.s) / (s.y), with s the last change o
 gradient. Unlike the original, the unknowns are in units (degrees against metres) in one vector, a step is limited to
 `longest` units, a step that increases the cost is rejected and halved, and a negative gamma (negative curvature) is
 replaced by twice the last one. Public third-party code steps rotation and translation alternately.
+
+Costs of projected points are rough: their derivative at a point leads to the next of many minima. Descents with
+derivatives by differences over the steps of `schedule`, from coarse to fine, precede the descent with the gradient.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Annotated
+
 import numpy as np
 import p2o
+from p2o import Float
+from pydantic import Field
 
 from p2o_plugins.solve.scalar_cost import ScalarCost, StepOptions, scalar_solver
+
+Positive = Annotated[float, Field(gt=0, le=100)]
 
 
 class BarzilaiBorweinOptions(StepOptions):
@@ -20,10 +30,16 @@ class BarzilaiBorweinOptions(StepOptions):
     unit_deg: float = p2o.field(0.5, gt=0, le=90, help="Rotation equivalent to `unit_m`.")
     unit_m: float = p2o.field(0.03, gt=0, le=100, help="Translation equivalent to `unit_deg`.")
     first: float = p2o.field(0.25, gt=0, help="Length of the first step, in units.")
+    schedule: tuple[tuple[Positive, Positive], ...] = p2o.field(
+        ((1.0, 0.1), (0.5, 0.05), (0.25, 0.025)),
+        max_length=20,
+        help="Steps [[deg, m], ...] of derivatives by differences, with each of which a descent is made before that "
+        "with the gradient; [] for none.",
+    )
     longest: float = p2o.field(1.0, gt=0, help="Largest length of a step, in units.")
     box_deg: float = p2o.field(0.0, ge=0, le=90, help="Bound of each rotation from the initial pose; 0 for no bound.")
     box_m: float = p2o.field(0.0, ge=0, le=100, help="Bound of each translation from the initial pose; 0 for no bound.")
-    max_iterations: int = p2o.field(300, ge=1, help="Largest number of steps, including rejected ones.")
+    max_iterations: int = p2o.field(300, ge=1, help="Largest number of steps of a descent, including rejected ones.")
     tolerance: float = p2o.field(1e-5, gt=0, help="Stop if a step is shorter than this, in units.")
 
 
@@ -33,8 +49,16 @@ def build(options: BarzilaiBorweinOptions) -> p2o.Solver:
     reach[reach == 0] = np.inf
 
     def minimise(cost: ScalarCost) -> p2o.Solution:
-        x, lowest = np.zeros(6), cost.one(np.zeros(6))
-        slope = cost.gradient(x, options)
+        x, iterations, converged = np.zeros(6), 0, False
+        for step in options.schedule:
+            x, spent, _ = descend(cost, x, lambda x, step=step: cost.differences(x, *step))
+            iterations += spent
+        x, spent, converged = descend(cost, x, lambda x: cost.gradient(x, options))
+        return cost.solution(x, iterations + spent, converged=converged)
+
+    def descend(cost: ScalarCost, x: Float, gradient: Callable[[Float], Float]) -> tuple[Float, int, bool]:
+        """Return where a descent from x (6,) ends, the number of its steps, and whether it converged."""
+        lowest, slope = cost.one(x), gradient(x)
         gamma = options.first / max(float(np.linalg.norm(slope)), np.finfo(float).tiny)
         for iteration in range(1, options.max_iterations + 1):
             step = -gamma * slope
@@ -43,16 +67,16 @@ def build(options: BarzilaiBorweinOptions) -> p2o.Solver:
             trial = np.clip(x + step, -reach, reach)
             step = trial - x
             if np.linalg.norm(step) < options.tolerance:
-                return cost.solution(x, iteration, converged=True)
+                return x, iteration, True
             trial_cost = cost.one(trial)
             if not trial_cost < lowest:
                 gamma *= 0.5
                 continue
-            ahead = cost.gradient(trial, options)
+            ahead = gradient(trial)
             bend = float(step @ (ahead - slope))
             gamma = float(step @ step) / bend if bend > 0 else 2 * gamma
             x, lowest, slope = trial, trial_cost, ahead
-        return cost.solution(x, options.max_iterations, converged=False)
+        return x, options.max_iterations, False
 
     return scalar_solver(minimise, options.unit_deg, options.unit_m)
 

@@ -55,7 +55,11 @@ class ScalarCost:
         if isinstance(self.problem, Objective) and self.problem.gradient is not None:
             by_left_update = self.problem.gradient(self.pose(x))
             return np.asarray(by_left_update @ left_from_chart(x * self.unit) * self.unit)
-        step = np.repeat([np.radians(steps.step_deg), steps.step_m], 3) / self.unit
+        return self.differences(x, steps.step_deg, steps.step_m)
+
+    def differences(self, x: Float, step_deg: float, step_m: float) -> Float:
+        """Return derivatives (6,) at x (6,) by central differences over these steps, 0 where they are not finite."""
+        step = np.repeat([np.radians(step_deg), step_m], 3) / self.unit
         around = self.many(np.asarray(x) + np.concatenate([np.diag(step), -np.diag(step)]))
         with np.errstate(invalid="ignore"):
             slope = (around[:6] - around[6:]) / (2 * step)

@@ -43,10 +43,6 @@ def built(method, **options):
     return method.METHOD.build(method.METHOD.options(**options))
 
 
-EDGES_ALONE = search.SearchOptions(weigh_start=False)
-"""What the start is worth has tests of its own (test_start_weight)."""
-
-
 def pipeline(matcher=ogm, solver=lm, initializer=search, directed=True, **options) -> Pipeline:
     """The pipeline on views made elsewhere: its extractors are never called."""
     return Pipeline(
@@ -54,7 +50,7 @@ def pipeline(matcher=ogm, solver=lm, initializer=search, directed=True, **option
         cloud_extractor=lambda cloud: CloudFeatures(),
         matcher=built(matcher),
         solver=built(solver),
-        initializer=search.build(EDGES_ALONE) if initializer is search else built(initializer),
+        initializer=search.build(search.SearchOptions()) if initializer is search else built(initializer),
         options=PipelineOptions(**options),
         directed=directed,
     )

@@ -86,17 +86,18 @@ def test_turn_and_place_are_those_that_errors_are_told_in() -> None:
     np.testing.assert_allclose(place[3:, :3], -se3.skew(POSE[:3, 3]))
 
 
-def solved(**options: object) -> p2o.Result:
+def solved(sigma: tuple[float, float] | None, **words: str) -> p2o.Result:
     return p2o.calibrate(
         "synthetic:?scenes=1&right=false&seed=3",
         extractor="depth/rings",
         perturb="2deg 0.15m",
-        options={"init": options},
+        options={"pipeline": {"start_sigma": sigma}},
+        **words,
     ).result
 
 
 def test_the_result_says_what_the_edges_alone_say_and_what_the_start_changed() -> None:
-    both, alone = solved(), solved(weigh_start=False)
+    both, alone = solved(SIGMA), solved(None)
     assert alone.start_weight is None
     weight = both.start_weight
     assert weight is not None
@@ -111,6 +112,13 @@ def test_the_result_says_what_the_edges_alone_say_and_what_the_start_changed() -
 
 
 def test_a_start_much_worse_than_it_was_said_to_be_leaves_the_pose_to_the_edges() -> None:
-    good, bad = solved(sigma_m=0.1), solved(sigma_deg=0.01, sigma_m=0.001)
+    good, bad = solved(SIGMA), solved((0.01, 0.001))
     assert good.start_weight is not None
     assert bad.start_weight is None
+
+
+@pytest.mark.parametrize("init", ["search", "given", "grid"])
+def test_no_method_averages_an_initial_guess_of_unknown_accuracy_and_all_can_be_told_it(init: str) -> None:
+    assert solved(None, init=init).start_weight is None
+    known = solved(SIGMA, init=init)
+    assert not known.status.solved or known.start_weight is not None

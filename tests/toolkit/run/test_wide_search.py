@@ -53,20 +53,17 @@ def test_a_start_that_is_no_rough_one_names_the_wide_search_in_one_line() -> Non
     assert "\n" not in text
 
 
-def test_a_trusted_result_runs_no_wide_search_and_takes_no_prior_from_rough_words() -> None:
+def test_a_trusted_result_runs_no_wide_search() -> None:
     near = se3.exp(np.array([0.02, 0, 0, 0, 0, 0])) @ TRUTH
     result = solved(near, start=WORDS)
     assert result.verdict.trusted
     assert not result.warnings
-    assert result.start_weight is None
-    assert solved(near).start_weight is not None
 
 
 @pytest.mark.parametrize("words", [{"start": WORDS, "init": "grid"}, {}])
 def test_another_initializer_or_start_has_no_wide_search(words: dict[str, str]) -> None:
     plan = Recipe.of(data=None, **words).resolve(p2o.Registry.load())
     assert plan.assembly().wide is None
-    assert plan.described()["options"]["init"].get("weigh_start") is not False
 
 
 def test_a_recipe_with_a_wide_search_repeats_from_its_description() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from pydantic import field_validator
+from pydantic import PositiveFloat, field_validator
 
 from p2o.options import Options
 from p2o.options import field as option
@@ -16,14 +16,10 @@ class PipelineOptions(Options):
 
     rounds: int = option(10, ge=1, le=100, help="Largest number of match-and-solve rounds (paper: n_opt = 10).")
     reach_px: float = option(50.0, gt=1, le=500, help="First cutting distance d_c from the given start (paper: 50).")
-    reach_after_search_px: float = option(
-        12.0, gt=1, le=500, help="First cutting distance from a pose that an initializer has found."
-    )
+    reach_after_search_px: float = option(12.0, gt=1, le=500, help="First cutting distance after an initializer.")
     shrink: float = option(0.7, gt=0.1, lt=1, help="Factor on the cutting distance from round to round.")
     min_reach_px: float = option(5.0, gt=0.5, le=100, help="Smallest cutting distance.")
-    min_matches: int = option(
-        30, ge=6, help="Fewer point-to-line pairs than this end a calibration as too-few-matches."
-    )
+    min_matches: int = option(30, ge=6, help="Fewer point-to-line pairs end a calibration as too-few-matches.")
     judge_px: float = option(5.0, gt=1, le=100, help="Truncation of the directed distance that poses are judged by.")
     min_odds_ratio: float = option(
         2.0, ge=0, help="Mark a result as doubtful if the odds ratio of the edge agreement is below this value."
@@ -34,14 +30,14 @@ class PipelineOptions(Options):
         help="Mark a result as doubtful if the strength of the agreement is below this value: the logarithm of the "
         "odds ratio times the root of the number of independent cells where edges agree.",
     )
-    most_deg: float = option(
-        1.0, gt=0, help="Mark a result as doubtful if its 95 % rotation bound exceeds this value, in degrees."
-    )
-    most_m: float = option(
-        0.3, gt=0, help="Mark a result as doubtful if its 95 % translation bound exceeds this value, in metres."
-    )
+    most_deg: float = option(1.0, gt=0, help="A larger 95 % rotation bound, in degrees, marks a result as doubtful.")
+    most_m: float = option(0.3, gt=0, help="A larger 95 % translation bound, in metres, marks a result as doubtful.")
     min_lead_edges: float = option(
         1.5, ge=0, help="Mark a result as ambiguous if another pose loses fewer matched edges than this against it."
+    )
+    start_sigma: tuple[PositiveFloat, PositiveFloat] | None = option(
+        None,
+        help="Standard deviation of the initial guess per axis, deg and m: then a prior of the result. null: unknown.",
     )
     camera: Literal["trust", "check", "refine"] = option(
         "check",

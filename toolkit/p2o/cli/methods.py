@@ -32,7 +32,11 @@ def command(name: str | None, matrix: bool, plugin: tuple[str, ...], block: tupl
     if name is not None:
         published = presets(registry)
         ours = [pipeline_explained()] if name == _PIPELINE else []
-        ours += [f"method {name}\n  --method {name} stands for {published[name]}"] if name in published else []
+        ours += (
+            [f"method {published[name].label or name}\n  --method {name} stands for {published[name]}"]
+            if name in published
+            else []
+        )
         named = [o for o in registry.offers if o.name == name] if ours else registry.named(name)
         click.echo("\n\n".join([*ours, *map(explained, named)]))
     elif matrix:

@@ -62,6 +62,11 @@ if TYPE_CHECKING:
     help="Initial guess in words (two axes of the LiDAR, viewing direction and, if known, position of the camera), or "
     "from a calibration file (formats of `p2o convert`).",
 )
+@click.option(
+    "--start-sigma",
+    metavar='"2deg 0.1m"',
+    help="Standard deviation of the initial guess per axis: then a prior of the result (default: unknown).",
+)
 @click.option("--protocol", metavar="NAME", help="Draw initial guesses and report errors as in a publication.")
 @click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Seed of all random numbers (default: 0).")
 @click.option("--joint", is_flag=True, default=None, help="Calibrate all frames jointly, with one result.")
@@ -123,6 +128,7 @@ def command(
     stdout = sys.stdout
     # With --json, stdout is reserved for the object: output of plugins is redirected.
     with contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext():
+        from p2o.geometry.perturb import parse_accuracy
         from p2o.run.presets import preset_of
         from p2o.run.recipe import Recipe
         from p2o.run.run import starts_of
@@ -133,6 +139,9 @@ def command(
         protocol = words.pop("protocol", None)
         if protocol is not None:
             words["perturb"] = starts_of(protocol, words.get("perturb"), "--protocol")
+        if (sigma := words.pop("start_sigma", None)) is not None:
+            known = parse_accuracy(sigma, "--start-sigma")
+            settings = (*settings, f"pipeline.start_sigma=[{known.angle_deg}, {known.distance_m}]")
         if settings:
             words["options"] = parse_settings(settings)
         if (method := words.pop("method", None)) is not None:

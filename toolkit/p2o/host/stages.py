@@ -103,9 +103,9 @@ class InitializerBase(ABC):
 
     @property
     def start_sigma(self) -> tuple[float, float] | None:
-        """Standard deviation of the given initial guess about (deg) and along (m) each axis, or None if unknown.
+        """Standard deviation of the initial guesses about (deg) and along (m) each axis that the method is made for.
 
-        If it is known, the initial guess is used as a prior of the result (`Result.start_weight`).
+        None if it has no such range. The prior of a result is an option of the pipeline, for all methods.
         """
         return None
 

@@ -104,3 +104,4 @@ class Judged:
     unit: str
     start: Number
     estimate: Number
+    excess_truth: Number | None = None  # cost of the truth minus that of the estimate, where the truth is known

@@ -93,6 +93,7 @@ FIGURES: tuple[Figure, ...] = (
     Figure("moved_m", lambda result: se3.distance_m(_moved(result)), "moved", "{} from the initial guess", "m", ".3f"),
     Figure("cost_initial", _of("judged.start"), "cost", "{} {cost_unit} at the initial guess", digits=".4g"),
     Figure("cost_result", _of("judged.estimate"), "cost", "{} {cost_unit} at the result", digits=".4g"),
+    Figure("cost_excess_truth", _of("judged.excess_truth"), "cost", "{} {cost_unit} more at the truth", digits=".4g"),
     Figure("cost_unit", _of("judged.unit"), "cost", "", kind=str),
     Figure("judge", _of("judged.judge"), "cost", "by {}", kind=str),
     Figure("near", _of("agreement.near"), _AGREED, "{} of LiDAR edges at an image edge", "%", ".0f", 100),

@@ -136,18 +136,23 @@ class Assembly:
         Where the method `reads_frames`, `pieces` are the frames, without truth.
         """
         if isinstance(self.calibrator, Pipeline):
-            views = []
-            for info, piece in zip(frames, pieces, strict=True):
-                features = piece["extractor"], piece["cloud"]
-                view = self.calibrator.view(info.name, info.camera, *features, info.twist, piece.get("init"))
-                known = self.twists.get(info.name)
-                views.append(view if known is None else view.untwisted(known))
+            views = self.views(self.calibrator, frames, pieces)
             return solve_widely(self.calibrator, self.wide, views, camera_from_lidar)
         if not self.reads_frames:
             pieces = [piece["calibrator"] for piece in pieces]
         result = self.calibrator.solve(pieces, camera_from_lidar)
         # A whole method knows only what it prepared, which may lack the names.
         return replace(result, frames=tuple(info.name for info in frames))
+
+    def views(self, pipeline: Pipeline, frames: Sequence[FrameInfo], pieces: Sequence[Any]) -> list[View]:
+        """Return the views of frames from what was prepared of each of them, by stage."""
+        views = []
+        for info, piece in zip(frames, pieces, strict=True):
+            features = piece["extractor"], piece["cloud"]
+            view = pipeline.view(info.name, info.camera, *features, info.twist, piece.get("init"))
+            known = self.twists.get(info.name)
+            views.append(view if known is None else view.untwisted(known))
+        return views
 
     def checked(
         self, result: Result, frames: Sequence[FrameInfo], extract: Callable[[int], Mapping[str, Any]]

@@ -68,7 +68,7 @@ class Pipeline(Algorithm):
     @property
     def start_sigma(self) -> tuple[float, float] | None:
         """Standard deviation (deg, m) of the initial guess about and along each axis, or None if it is no prior."""
-        return self.initializer.start_sigma if isinstance(self.initializer, InitializerBase) else None
+        return self.options.start_sigma
 
     def prepare(self, frame: Frame) -> View:
         """Extract the features of one frame; its true extrinsic is not used."""

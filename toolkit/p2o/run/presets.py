@@ -25,11 +25,12 @@ _BESIDE = ("extractor", "solver", "init")
 
 @dataclass(frozen=True)
 class Preset:
-    """A method under one name: words of a recipe, and options by stage."""
+    """A method under one name: words of a recipe, options by stage, and the `label` that tables name it by."""
 
     name: str
     words: Mapping[str, str]
     options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    label: str = ""
 
     def merged(self, words: Mapping[str, Any]) -> dict[str, Any]:
         """Return the words of a recipe with those of this method where `words` has no others."""
@@ -49,6 +50,7 @@ class Preset:
 class _Table(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    label: str = ""
     extractor: str | None = None
     matcher: str | None = None
     solver: str | None = None
@@ -70,8 +72,8 @@ def presets(registry: Registry) -> dict[str, Preset]:
         where = f"{dist}, {FILE}"
         for name, content in parse_toml(file.read_text(encoding="utf-8"), "file of methods", where).items():
             table = validated(_Table, content, name, where=where)
-            words = table.model_dump(exclude={"options"}, exclude_none=True)
-            methods.setdefault(name, Preset(name, words, table.options))
+            words = table.model_dump(exclude={"options", "label"}, exclude_none=True)
+            methods.setdefault(name, Preset(name, words, table.options, table.label))
     return methods
 
 

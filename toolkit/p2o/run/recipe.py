@@ -188,9 +188,6 @@ class Recipe(BaseModel):
                 text = f"calibrator '{self.calibrator}' is a whole method"
                 raise InputError(text, expected="no " + ", ".join(extra) + " beside it")
             return {**names, "calibrator": self.calibrator}, options
-        if self._searches_rough_start:
-            # Words state no standard deviation, so that the initial guess is no prior of the result.
-            options["init"] = {"weigh_start": False}
         names["extractor"], names["cloud"] = _pair("an extractor", self.extractor)
         return {**names, "matcher": self.matcher, "solver": self.solver, "init": self.init}, options
 

@@ -10,7 +10,7 @@ import numpy as np
 from p2o.arrays import Float
 from p2o.features.view import View
 from p2o.geometry import se3
-from p2o.host.stages import Initializer
+from p2o.host.stages import Initializer, InitializerBase
 from p2o.results.result import Result, Status
 from p2o.results.verdict import Doubt
 from p2o.run.pipeline import Pipeline
@@ -57,7 +57,7 @@ def _cause(result: Result) -> str:
 
 def _small_box(result: Result, pipeline: Pipeline) -> tuple[str, ...]:
     """Return a warning that names the wide search if edges do not agree after a search near the initial guess."""
-    near = pipeline.start_sigma
+    near = pipeline.initializer.start_sigma if isinstance(pipeline.initializer, InitializerBase) else None
     agreed = all(reason.doubt is not Doubt.LITTLE_AGREEMENT for reason in result.verdict.reasons)
     if near is None or result.status in _NOT_SEARCHED or (result.status.solved and agreed):
         return ()

@@ -154,7 +154,7 @@ def check_rows(rows: Sequence[StudyRow], where: str) -> None:
             and recipe.matcher == "ogm"
         ):
             version = "synthetic weights" if image.get("weights") == "synthetic" else "default"
-            if init.get("prior") == 0 and init.get("weigh_start") is False:
+            if init.get("prior") == 0 and recipe.options.get("pipeline", {}).get("start_sigma") is None:
                 version = "without prior"
             key = row.dataset.name, row.joint, recipe.perturb, recipe.accumulate
             versions.setdefault(key, set()).add(version)
@@ -167,5 +167,5 @@ def check_rows(rows: Sequence[StudyRow], where: str) -> None:
             raise InputError(
                 f"our method on dataset '{group[0]}' lacks rows: {', '.join(sorted(lacking))}",
                 where=where,
-                expected="rows: default, extractor.weights=synthetic; with search, init.prior=0 init.weigh_start=false",
+                expected="rows: default, extractor.weights=synthetic; with search, init.prior=0 without start_sigma",
             )
