@@ -13,7 +13,7 @@ SHIPPED = {"kitti": "p2ornet-kitti.safetensors", "synthetic": "p2ornet-synthetic
 
 LICENCES = {
     "kitti": "kitti: research only (CC BY-NC-SA 3.0); P2O_WEIGHTS=free selects weights without this restriction",
-    "synthetic": "synthetic: Apache-2.0; its encoder was initialised with weights under Apache-2.0 that were trained on ImageNet",
+    "synthetic": "synthetic: Apache-2.0; encoder initialised with weights under Apache-2.0, trained on ImageNet",
 }
 """Licences of the shipped weights, each in one line."""
 

@@ -128,25 +128,9 @@ def command(
     stdout = sys.stdout
     # With --json, stdout is reserved for the object: output of plugins is redirected.
     with contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext():
-        from p2o.geometry.perturb import parse_accuracy
-        from p2o.run.presets import preset_of
-        from p2o.run.recipe import Recipe
-        from p2o.run.run import starts_of
-        from p2o.run.words import parse_settings
-
         registry, required = load(plugin, block), None if require is None else Required.of(require)
-        words = {name: value for name, value in words.items() if value is not None}
-        protocol = words.pop("protocol", None)
-        if protocol is not None:
-            words["perturb"] = starts_of(protocol, words.get("perturb"), "--protocol")
-        if (sigma := words.pop("start_sigma", None)) is not None:
-            known = parse_accuracy(sigma, "--start-sigma")
-            settings = (*settings, f"pipeline.start_sigma=[{known.angle_deg}, {known.distance_m}]")
-        if settings:
-            words["options"] = parse_settings(settings)
-        if (method := words.pop("method", None)) is not None:
-            words = preset_of(method, registry).merged(words)
-        plan = Recipe.of(**words).resolve(registry)
+        protocol = words.get("protocol")
+        plan = _plan(words, settings, registry)
         folder: OutDir | None = None
         if out is not None:
             # Imported here, because drawing needs packages that are slow to import.
@@ -182,6 +166,27 @@ def command(
     for line in unmet:
         click.echo(f"p2o: {line}, as --require asks", err=True)
     return 0 if done.solved and not unmet and all(export["written"] for export in output.exported) else 1
+
+
+def _plan(words: Mapping[str, Any], settings: Sequence[str], registry: Registry) -> Plan:
+    """Return the plan of the words that are given on the command line, with a preset and the options in `settings`."""
+    from p2o.geometry.perturb import parse_accuracy
+    from p2o.run.presets import preset_of
+    from p2o.run.recipe import Recipe
+    from p2o.run.run import starts_of
+    from p2o.run.words import parse_settings
+
+    given = {name: value for name, value in words.items() if value is not None}
+    if (protocol := given.pop("protocol", None)) is not None:
+        given["perturb"] = starts_of(protocol, given.get("perturb"), "--protocol")
+    if (sigma := given.pop("start_sigma", None)) is not None:
+        known = parse_accuracy(sigma, "--start-sigma")
+        settings = (*settings, f"pipeline.start_sigma=[{known.angle_deg}, {known.distance_m}]")
+    if settings:
+        given["options"] = parse_settings(settings)
+    if (method := given.pop("method", None)) is not None:
+        given = preset_of(method, registry).merged(given)
+    return Recipe.of(**given).resolve(registry)
 
 
 @dataclass
