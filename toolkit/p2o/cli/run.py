@@ -128,7 +128,6 @@ def command(
     stdout = sys.stdout
     # With --json, stdout is reserved for the object: output of plugins is redirected.
     with contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext():
-        from p2o.geometry.perturb import parse_accuracy
         from p2o.run.presets import preset_of
         from p2o.run.recipe import Recipe
         from p2o.run.run import starts_of
@@ -139,10 +138,7 @@ def command(
         protocol = words.pop("protocol", None)
         if protocol is not None:
             words["perturb"] = starts_of(protocol, words.get("perturb"), "--protocol")
-        if (sigma := words.pop("start_sigma", None)) is not None:
-            known = parse_accuracy(sigma, "--start-sigma")
-            settings = (*settings, f"pipeline.start_sigma=[{known.angle_deg}, {known.distance_m}]")
-        if settings:
+        if settings := (*settings, *_sigma_setting(words.pop("start_sigma", None))):
             words["options"] = parse_settings(settings)
         if (method := words.pop("method", None)) is not None:
             words = preset_of(method, registry).merged(words)
@@ -182,6 +178,16 @@ def command(
     for line in unmet:
         click.echo(f"p2o: {line}, as --require asks", err=True)
     return 0 if done.solved and not unmet and all(export["written"] for export in output.exported) else 1
+
+
+def _sigma_setting(text: str | None) -> tuple[str, ...]:
+    """Return the setting of the pipeline for the option --start-sigma, as for --set; none without it."""
+    from p2o.geometry.perturb import parse_accuracy
+
+    if text is None:
+        return ()
+    known = parse_accuracy(text, "--start-sigma")
+    return (f"pipeline.start_sigma=[{known.angle_deg}, {known.distance_m}]",)
 
 
 @dataclass
