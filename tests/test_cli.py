@@ -523,6 +523,7 @@ DIGITS = 5000 * "9"
         (["run", "--matcher", "koo"], "koo is a method of another kind, calibrator: --calibrator koo"),
         (["run", "--extractor", "rings/rings"], "another kind, cloud extractor: --extractor IMAGE/rings"),
         (["run", "--method", "nidd"], "unknown method 'nidd'"),
+        (["run", "--recipe", "papr"], "unknown method 'papr'"),
         (
             ["run", "--matcher", "mi"],
             "--method mi, which stands for --extractor grey/reflectance --matcher mi --solver",

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--method",
+    "--recipe",
+    "method",
     metavar="NAME",
     help="A published method, calibrator or matcher with all its parts (`p2o methods`); other options override them.",
 )
