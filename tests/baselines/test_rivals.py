@@ -41,6 +41,7 @@ def test_a_rival_is_the_same_in_every_study(registry: Registry) -> None:
 @pytest.mark.parametrize("name", [*STUDIES, "families"])
 def test_rows_have_the_label_of_their_method_which_names_what_is_missing(name: str, registry: Registry) -> None:
     by_matcher = {preset.words["matcher"]: preset.label for preset in presets(registry).values() if preset.label}
+    by_matcher.pop("ogm", None)  # the label of the method `paper`, of which these studies have no row
     assert "without SAM" in by_matcher["mask-consistency"]
     rows = [row for row in check_study(find_study(name, registry).study, registry) if not row.words.get("calibrator")]
     labels = {row.label: by_matcher[row.words["matcher"]] for row in rows if row.words["matcher"] in by_matcher}
