@@ -3,13 +3,16 @@
     python benchmarks/memory.py joint [--counts 50 125 250 500] [--distinct 25] [--out]
     python benchmarks/memory.py commands
     python benchmarks/memory.py bag [--gb 5]
+    python benchmarks/memory.py report [--rows 100000]
 
 `joint` calibrates synthetic frames (1242 x 375 px, HDL-64E) jointly, as `p2o run --joint --perturb "2deg 0.15m"` does:
 `--distinct` of them are made once and stored in a folder dataset under the requested number of names. So images and
 sweeps repeat, but p2o reads, holds and solves each name as a frame of its own. `commands` runs each command in a
 process of its own on small data. `bag` writes a bag of ROS 2 of this size (images 1242 x 375, 120,000 points a sweep,
 the same content under new time stamps) to the temporary folder, lists its topics, reads all of its frames, and deletes
-it. Peaks are of the largest process of a command; each job of a study has one of its own.
+it. `report` runs a small study (5 rows, 2 frames, 2 seeds), stores its calibrations again under other names of 100
+frames, other seeds and with errors that are scaled at random, up to this number, and writes the report.
+Peaks are of the largest process of a command; each job of a study has one of its own.
 Frames are kept in build/bench and made again if that folder is away. Seconds are of one run, and of this machine.
 """
 
@@ -24,7 +27,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from bench import HOME, ROOT, START, Cost, frames_on_disk, machine, surroundings
@@ -174,6 +177,45 @@ def bag(size_gb: float) -> dict[str, Cost]:
         }
 
 
+def report(count: int) -> dict[str, Cost]:
+    """Return the cost of the report of a study with this number of calibrations."""
+    with tempfile.TemporaryDirectory() as folder:
+        store_of_many(Path(folder), count)
+        cost = measured(["report", folder, "--quiet"]).cost
+        size = (Path(folder) / "report/report.html").stat().st_size / 1e6
+    return {f"report, {count} calibrations, page of {size:.1f} MB": cost}
+
+
+def store_of_many(folder: Path, count: int) -> None:
+    """Write a store with this number of calibrations, which repeat those of a small study."""
+    import numpy as np
+    from p2o_study.store import METRICS, Planned, Store
+
+    rows = {
+        "ours": "",
+        "nearest": 'matcher = "nearest"',
+        "canny": 'extractor = "canny/rings"\nmatcher = "nearest"',
+        "given": 'init = "given"',
+        "simplex": 'solver = "nelder-mead"',
+    }
+    text = 'name = "many"\ntitle = "Many"\nperturb = "1deg 0.05m"\nseeds = 2\n'
+    text += f'[[dataset]]\nname = "streets"\ndata = "{SMALL}"\n'
+    text += "".join(f'[[row]]\nlabel = "{label}"\n{words}\n' for label, words in rows.items())
+    (folder / "many.toml").write_text(text)
+    measured(["ablate", str(folder / "many.toml"), "--out", str(folder), "--jobs", "1", "--quiet"])
+    rng = np.random.default_rng(0)
+    with Store.open(folder) as store:
+        [study], base, many = store.studies(), store.rows("many"), []
+        for number in range(count):
+            row = base[number % len(base)]
+            place, seed = number // len(base) % 100, number // len(base) // 100
+            changed = {m: error * rng.lognormal() for m in METRICS if (error := getattr(row, m)) is not None}
+            many.append(replace(row, key=f"{number:064x}", frames=(f"frame-{place:03d}",), seed=seed, **changed))
+        store.begin(study, [Planned(**{name: getattr(row, name) for name in Planned.__slots__}) for row in many])
+        for row in many:
+            store.put(row)
+
+
 def commands_table(costs: Mapping[str, Cost]) -> str:
     """Return a line for each command as a Markdown table."""
     lines = ["| command | peak MiB | wall s | processor s |", "|---|---|---|---|"]
@@ -191,6 +233,7 @@ def main() -> None:
     jointly.add_argument("--out", action="store_true", help="with pictures")
     asked.add_parser("commands")
     asked.add_parser("bag").add_argument("--gb", type=float, default=5.0)
+    asked.add_parser("report").add_argument("--rows", type=int, default=100_000)
     said = parser.parse_args()
     if said.command == "joint":
         peaks = joint(said.counts, said.distinct, said.out)
@@ -198,7 +241,7 @@ def main() -> None:
         if len(peaks) > 1:
             print(f"\n{per_frame(peaks):.2f} MiB for each further frame")
         return
-    costs = bag(said.gb) if said.command == "bag" else commands()
+    costs = bag(said.gb) if said.command == "bag" else report(said.rows) if said.command == "report" else commands()
     print(f"{machine()}, load {os.getloadavg()[0]:.1f}\n\n{commands_table(costs)}")
 
 

@@ -15,7 +15,7 @@ from typing import ClassVar, Literal
 import numpy as np
 import p2o
 from p2o import Bool, Int, UInt8, field
-from p2o.reading import existing_folder, folder_name, naming, read_bytes
+from p2o.reading import MAX_BYTES, existing_folder, folder_name, naming, read_bytes
 from p2o.solving import checked
 
 LAYERS = 4
@@ -114,7 +114,7 @@ def _mask_image(path: Path, shape: tuple[int, int]) -> UInt8:
     import cv2
 
     with naming(path):
-        image = cv2.imdecode(np.frombuffer(read_bytes(path, "mask"), np.uint8), cv2.IMREAD_UNCHANGED)
+        image = cv2.imdecode(np.frombuffer(read_bytes(path, "mask", MAX_BYTES), np.uint8), cv2.IMREAD_UNCHANGED)
         if image is None:
             raise p2o.InputError("the mask is no image", expected="a PNG file")
         image = image[..., :3] if image.ndim == 3 else image

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import json
+import math
 import os
 import random
 import shutil
@@ -13,6 +15,9 @@ from pathlib import Path
 import pytest
 from p2o import InputError
 from p2o.cli import main
+from p2o.results.json_types import Schema
+from p2o.results.result import Round
+from p2o_study import columns
 from p2o_study.store import Store
 
 from tests.fake_study import run_of, table2, write_store
@@ -335,3 +340,39 @@ def test_a_name_that_is_no_text_is_kept_in_json_and_written_out_elsewhere(tmp_pa
         [row] = opened.rows("table2")
     assert row.frames == ("frame \udcff",)
     assert row.reason == "no \\udcff luck"
+
+
+_ROUND = {
+    "stage": "refine",
+    "reach_px": 8.5,
+    "matches": {"L": 3},
+    "mean_residual": 1.5,
+    "cost": 2.5,
+    "step_deg": 0.25,
+    "step_m": 0.125,
+    "accepted": True,
+}
+
+
+def test_usual_rounds_are_read_as_the_schema_reads_them() -> None:
+    """Each field is replaced by values of every type; what is not read quickly is left to the schema."""
+    schema, quick = Schema(tuple[Round, ...]), 0
+    values = (None, 0.5, 3, -1, True, "x", "inf", "", {}, {"L": 1.0}, {"L": True}, {"L": None}, [], 1e308, 2**70)
+    rounds: list[dict[str, object]] = [{**_ROUND, name: value} for name in _ROUND for value in values]
+    rounds += [{**_ROUND, "more": 1}, {k: v for k, v in _ROUND.items() if k != "cost"}]
+    for entries in ([], *([entry] for entry in rounds), [_ROUND, rounds[1]]):
+        found = columns._usual_rounds(json.dumps(entries))
+        if found is None:
+            continue
+        quick += 1
+        expected = schema.read(entries)
+        assert repr(found) == repr(expected)
+        assert [type(x) for r in found for x in vars(r).values()] == [
+            type(x) for r in expected for x in vars(r).values()
+        ]
+    assert quick > 20
+    texts = ("{}", "null", "3", '"x"', "[3]", "[null]", "[[]]", "[{}]", "[" * 100_000, "[NaN]", "")
+    texts += tuple(json.dumps([{**_ROUND, "cost": number}]) for number in (math.nan, math.inf))
+    assert [columns._usual_rounds(text) for text in texts] == [None] * len(texts)
+    assert columns._usual_rounds(json.dumps([_ROUND]).replace("2.5", "1e999")) is None
+    assert columns._usual_rounds(json.dumps([_ROUND]).encode()) is None

@@ -26,6 +26,8 @@ from p2o.host.registry import Offer, plugin_packages
 
 _KINDS = "biuf"
 """Kinds of array types: booleans, integers, floats."""
+_MAX_BYTES = 512 << 20
+"""Maximum size of a file; a larger one counts as invalid: a sparse file could exhaust memory."""
 
 _CONTAINERS: dict[str, type] = {kind.__name__: kind for kind in (tuple, list, dict)}
 _PLUGIN_FILE = "p2o_plugin_file_"
@@ -111,7 +113,7 @@ class FeatureCache:
         """
         try:
             # Cache files are not compressed: their content is not larger than the file.
-            data = read_bytes(self.path(key), "file of the cache")
+            data = read_bytes(self.path(key), "file of the cache", _MAX_BYTES)
             # Copies have the memory layout of extracted arrays.
             arrays = {name: array.copy("K") for name, array in read_npz(data, most=len(data)).items()}
             if not all(array.dtype.kind in _KINDS for array in arrays.values()):

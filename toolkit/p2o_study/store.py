@@ -393,12 +393,14 @@ class Store:
         """
         return list(self._each_row(study))
 
-    def brief_rows(self, study: str) -> Iterator[StoredRow]:
+    def brief_rows(
+        self, study: str, on_rounds: Callable[[str, tuple[Round, ...]], None] = lambda label, rounds: None
+    ) -> Iterator[StoredRow]:
         """Yield the finished calibrations of the study with the fields that a summary of many rows needs, in order.
 
-        They are labels, frames, status, verdict, errors, predicted errors, seconds and rounds; all other fields have
-        their default. `completed` reads the others. Rows share equal values, 1.3 kB each instead of 30 kB.
-        Raises InputError for a value that no study writes.
+        They are labels, frames, status, verdict, errors, predicted errors and seconds; all other fields have their
+        default. `on_rounds` receives the label of each row and its rounds. `completed` reads the other fields. Rows
+        share equal values, 1.3 kB each instead of 30 kB. Raises InputError for a value that no study writes.
         """
         known: dict[tuple[str, Any], Any] = {}
 
@@ -414,7 +416,8 @@ class Store:
             key, rounds = (from_column(c, values.pop(c)) for c in ("key", "rounds"))
             numbers = {c: from_column(c, values.pop(c)) for c in _BRIEF_NUMBERS}
             rest = {c: shared(c, value) for c, value in values.items()}
-            return StoredRow(key, rounds=rounds, figures=figures, **numbers, **rest)
+            on_rounds(rest["row"], rounds)
+            return StoredRow(key, figures=figures, **numbers, **rest)
 
         own = (*_BRIEF_TEXTS, *_BRIEF_NUMBERS, *_BRIEF_FIGURES, "rounds")
         yield from self._each(brief, (*_BRIEF_LABELS, *own), _query_of(_BRIEF_LABELS, own), study, read=_unchanged)
@@ -433,7 +436,7 @@ class Store:
 
     def missing(self, study: str) -> list[Planned]:
         """Return the missing calibrations of the study, in the order of its table."""
-        return list(self._each_missing(study))
+        return list(self.each_missing(study))
 
     def all_rows(self, study: str) -> Sequence[StoredRow]:
         """Return `rows` as a sequence that reads the file on each access: a million rows are 20 GB."""
@@ -445,13 +448,14 @@ class Store:
         return _LazyRows(
             self.path.parent,
             lambda store: int(store._all(query, (study,))[0][0]),
-            lambda store: store._each_missing(study),
+            lambda store: store.each_missing(study),
         )
 
     def _each_row(self, study: str) -> Iterator[StoredRow]:
         yield from self._each(_stored_row, (*_LABELS, *_values()), _query_of(_LABELS, _values()), study)
 
-    def _each_missing(self, study: str) -> Iterator[Planned]:
+    def each_missing(self, study: str) -> Iterator[Planned]:
+        """Yield the missing calibrations of the study, in the order of its table."""
         yield from self._each(Planned, _LABELS, f"SELECT position, {', '.join(_LABELS)} {_MISSING}", study)
 
     def _each(

@@ -18,7 +18,7 @@ from p2o.calibration_files.number_text import digits, listed, matrix_rows, plain
 from p2o.draw.one_file import jpeg_uri, number_text, part, rendered
 from p2o.errors import InputError
 from p2o.files.file_names import distinct_names
-from p2o.files.input_file import read_bytes, read_text
+from p2o.files.input_file import MAX_TEXT_BYTES, read_bytes, read_text
 from p2o.files.parsed_text import parse_json
 from p2o.files.whole_file import write_errors, write_whole
 from p2o.geometry import se3
@@ -243,7 +243,7 @@ def _overlays(folder: Path, frame: str) -> Iterator[FrameOverlays]:
 def _image(path: Path) -> UInt8:
     import cv2
 
-    data = np.frombuffer(read_bytes(path, "overlay"), np.uint8)
+    data = np.frombuffer(read_bytes(path, "overlay", MAX_TEXT_BYTES), np.uint8)
     # A small PNG file may declare a huge image in its header.
     width, height = (int.from_bytes(data[at : at + 4].tobytes(), "big") for at in (16, 20))
     pixels = cv2.imdecode(data, cv2.IMREAD_COLOR) if 0 < width * height <= _MOST_PIXELS else None

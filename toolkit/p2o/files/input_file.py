@@ -10,7 +10,7 @@ from pathlib import Path
 
 from p2o.errors import InputError
 
-MAX_BYTES = 512 << 20
+MAX_BYTES = 4 << 30
 """Maximum size of a file, above that of sweeps and images: a sparse file could exhaust memory."""
 MAX_TEXT_BYTES = 64 << 20
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from p2o.arrays import Float
 from p2o.errors import InputError, UnknownNameError
-from p2o.files.input_file import read_bytes, read_text
+from p2o.files.input_file import MAX_TEXT_BYTES, read_bytes, read_text
 from p2o.geometry import se3
 from p2o.results.result import Status
 from p2o.results.verdict import Trust
@@ -83,7 +83,7 @@ def score(
     """
     if name in known:
         raise InputError(f"'{name}' is a row of the suite", where="--name", expected="another name")
-    digest = hashlib.sha256(read_bytes(path, "file of poses")).hexdigest()
+    digest = hashlib.sha256(read_bytes(path, "file of poses", MAX_TEXT_BYTES)).hexdigest()
     rows: dict[Key, Row] = {}
     lines: dict[Key, int] = {}
     for number, values in _records(path):

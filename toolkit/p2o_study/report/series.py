@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from p2o.arrays import Float
+from p2o.results.result import Round
 
 from p2o_study.store import StoredRow
 
@@ -38,13 +39,13 @@ class Histories:
         """Return the rounds of runs."""
         histories = cls()
         for run in runs:
-            histories.add(run)
+            histories.add(run.rounds)
         return histories
 
-    def add(self, run: StoredRow) -> None:
+    def add(self, rounds: Iterable[Round]) -> None:
         """Add the rounds of a run."""
         # The round of an initializer has no matches.
-        solved = [r for r in run.rounds if math.isfinite(r.mean_residual) and r.matches]
+        solved = [r for r in rounds if math.isfinite(r.mean_residual) and r.matches]
         if solved:
             self._lengths.append(len(solved))
             self._values.extend(x for r in solved for x in (sum(r.matches.values()), r.mean_residual))

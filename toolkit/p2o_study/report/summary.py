@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -123,22 +123,16 @@ def error_of(run: StoredRow, metric: str) -> float | None:
 
 def summarise_stored(store: Store, study: StoredStudy) -> Summary | None:
     """Return the summary of a study in a store, which has to stay open; None without finished runs."""
-    histories: dict[str, Histories] = {}
-
-    def without_rounds() -> Iterator[StoredRow]:
-        for run in store.brief_rows(study.name):
-            histories.setdefault(run.row, Histories()).add(run)
-            yield replace(run, rounds=())
-
-    runs = list(without_rounds())
-    summary = summarise_study(study, runs, store.all_missing(study.name), histories) if runs else None
+    histories: defaultdict[str, Histories] = defaultdict(Histories)
+    runs = list(store.brief_rows(study.name, lambda label, rounds: histories[label].add(rounds)))
+    summary = summarise_study(study, runs, store.each_missing(study.name), histories) if runs else None
     return None if summary is None else replace(summary, completed=store.completed)
 
 
 def summarise_study(
     study: StoredStudy,
     runs: Sequence[StoredRow],
-    missing: Sequence[Planned] = (),
+    missing: Iterable[Planned] = (),
     histories: Mapping[str, Histories] | None = None,
 ) -> Summary:
     """Return the summary of a study from its runs, in the order of its table; `missing` are not computed yet.
@@ -151,9 +145,10 @@ def summarise_study(
     norms = tuple(metric for metric in NORMS if metric in metrics) or NORMS
     axes = tuple(metric for metric in AXES if metric in metrics) or AXES
     kinds = {run.row: "jointly solved frames" if run.joint else "each frame alone" for run in runs}
-    waiting = Counter(planned.row for planned in missing)
+    waiting: Counter[str] = Counter()
     members: dict[tuple[str, str, str], list[str]] = {}
-    for planned in (*runs, *missing):
+    for planned in itertools.chain(runs, missing):
+        waiting[planned.row] += not isinstance(planned, StoredRow)
         # A row without runs is grouped with those of single frames.
         key = (planned.section, planned.dataset, kinds.setdefault(planned.row, "each frame alone"))
         if planned.row not in members.setdefault(key, []):
