@@ -7,15 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import CloudFeatures, MatcherBase, Side, View, se3
-from p2o.calibration.judge import DirectedJudge, ProblemJudge, judge_of
+from p2o.calibration.judge import DirectedJudge, IntervalJudge, ProblemJudge, judge_of
 from p2o.geometry.motion import EgoMotion
 from p2o.geometry.perturb import wrong_start
 from p2o.reading import RadialError
-from p2o.results.result import DIRECTED
+from p2o.results.result import DIRECTED, INTERVALS
 from p2o.solving import Objective, PointToLine
 
 from tests import edge_scene
 from tests.edge_scene import TRUTH
+from tests.sparse_scene import sparse_view
 
 EDGES = frozenset({"image-edges", "cloud-edges", "side"})
 
@@ -114,3 +115,29 @@ def test_costs_of_pairs_are_means_so_that_more_pairs_cost_no_more() -> None:
 def test_a_problem_without_pairs_says_nothing_and_all_without_are_infinite() -> None:
     empty = PointToLine.empty((edge_scene.PINHOLE,))
     assert ProblemJudge(lambda *_: empty, (), 5.0).costs([TRUTH]) == [float("inf")]
+
+
+def test_sweeps_whose_rings_are_far_apart_are_judged_as_intervals() -> None:
+    start = far_start()
+
+    def matcher(views, pose, reach_px):
+        return Objective(lambda poses: np.zeros(len(poses)))
+
+    def judge(step_deg: float, interval_deg: float) -> str:
+        limits = {"truncate_px": 5.0, "reach_px": 5.0, "interval_deg": interval_deg}
+        return judge_of(matcher, EDGES, [sparse_view(0, step_deg)], start, [start], **limits).name
+
+    assert judge(1.7, 0.75) == INTERVALS
+    assert judge(0.4, 0.75) == DIRECTED
+    assert judge(1.7, 90.0) == DIRECTED
+
+
+def test_the_truth_is_judged_better_than_a_pitch_that_the_middle_of_intervals_does_not_reveal() -> None:
+    views = [sparse_view(seed) for seed in range(4)]
+    pitched = se3.exp(np.array([np.radians(0.7), 0, 0, 0, 0, 0])) @ TRUTH
+    intervals = IntervalJudge.of(views, TRUTH, [TRUTH, pitched])
+    right, wrong = intervals.costs([TRUTH, pitched])
+    lead, unit = intervals.lead(right, wrong)
+    assert unit == "edges"
+    assert lead > 20
+    assert intervals.on(views).costs([TRUTH, pitched]) == pytest.approx([right, wrong])

@@ -9,7 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from p2o.arrays import Float
-from p2o.calibration.judge import Judge, judge_of
+from p2o.calibration.interval_search import most_likely_pose
+from p2o.calibration.judge import Judge, is_sparse, judge_of
 from p2o.calibration.nuisance import Nuisance, NuisanceEstimate, estimate_nuisances, known_twists, motion_prior
 from p2o.calibration.options import PipelineOptions
 from p2o.calibration.rounds import End, Rounds
@@ -22,6 +23,12 @@ EDGES = frozenset({"image-edges", "cloud-edges"})
 
 _FAR_DEG, _FAR_M = 6.0, 0.5
 """A camera displaced by more than this sees other surfaces, and edges may have other directions in its image."""
+
+
+def is_far(start: Float, pose: Float) -> bool:
+    """Return whether a pose (4, 4) is so far from the initial one that the camera sees other edges from it."""
+    moved_m = float(np.linalg.norm(se3.inverse(pose)[:3, 3] - se3.inverse(start)[:3, 3]))
+    return se3.angle_deg(pose @ se3.inverse(start)) > _FAR_DEG or moved_m > _FAR_M
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,9 +57,7 @@ class Refined:
     @property
     def far(self) -> bool:
         """Whether the best pose is so far from the initial one that other edges may be visible from it."""
-        pose, start = self.best.pose, self.start
-        moved_m = float(np.linalg.norm(se3.inverse(pose)[:3, 3] - se3.inverse(start)[:3, 3]))
-        return se3.angle_deg(pose @ se3.inverse(start)) > _FAR_DEG or moved_m > _FAR_M
+        return is_far(self.start, self.best.pose)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +105,12 @@ class Algorithm:
     def refine(self, views: VisibleViews, start: Float, proposals: Sequence[Float]) -> Refined:
         """Run the rounds of Algorithm 1 from each proposed pose (4, 4).
 
-        The initial extrinsic is refined only where nothing else is proposed.
+        The initial extrinsic is refined only where nothing else is proposed. For sweeps whose rings are far apart, the
+        pose of the highest interval likelihood is added to the proposals.
         """
+        if self.needs >= EDGES and is_sparse(views.corrected, self.options.interval_deg):
+            centre = proposals[0] if is_far(start, proposals[0]) else start
+            proposals = [most_likely_pose(views.corrected, centre, proposals), *proposals]
         options, rounds = self.options, Rounds(self.matcher, self.solver, self.options)
         judge = self.judge(views.corrected, start, proposals)
         ends = [
@@ -123,6 +132,7 @@ class Algorithm:
     def judge(self, views: Sequence[View], start: Float, poses: Sequence[Float]) -> Judge:
         """Return the judge of poses (4, 4) that are proposed from an initial one (4, 4)."""
         reach = {"truncate_px": self.options.judge_px, "reach_px": self.options.min_reach_px}
+        reach["interval_deg"] = self.options.interval_deg
         return judge_of(self.matcher, self.needs, views, start, poses, **reach)
 
     def estimate_nuisances(self, refined: Refined) -> Estimate:

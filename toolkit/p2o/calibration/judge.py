@@ -14,8 +14,9 @@ from p2o.geometry import se3
 from p2o.host.stages import Judge as Judge
 from p2o.host.stages import Matcher, MatcherBase
 from p2o.problems.directed_cost import DirectedCost
+from p2o.problems.interval_likelihood import IntervalLikelihood, ring_step_deg
 from p2o.problems.problem import LeastSquares, Problem
-from p2o.results.result import DIRECTED
+from p2o.results.result import DIRECTED, INTERVALS
 
 _MOST_VIEWS = 128
 """Poses of more frames are judged on this many: distance maps dominate the memory of a joint calibration."""
@@ -50,6 +51,52 @@ class DirectedJudge:
     def on(self, views: Sequence[View]) -> DirectedJudge:
         """Return the judge of the same points and weights where `views` put them."""
         return replace(self, cost=self.cost.on(views), _known={})
+
+
+SIGMA_PX = 2.0
+"""Standard deviation in pixels of an image edge from the outline that it belongs to."""
+_MAX_INTERVALS = 6000
+_NATS_PER_EDGE = 2.5
+"""About what an edge adds to the log-likelihood ratio if its interval contains the only image edge around."""
+
+
+@dataclass(frozen=True, eq=False)
+class IntervalJudge:
+    """Judges by the likelihood of the intervals between beams, for sweeps whose rings are far apart."""
+
+    likelihood: IntervalLikelihood
+    name: ClassVar[str] = INTERVALS
+    unit: ClassVar[str] = "nats"
+
+    @classmethod
+    def of(cls, views: Sequence[View], start: Float, poses: Sequence[Float]) -> IntervalJudge:
+        """Return the judge of poses near the start; shares of edges with a counterpart are those of the best pose."""
+        margin_px = _margin_px(views, start, poses)
+        some = views[:: -(-len(views) // _MOST_VIEWS)]
+        likelihood = IntervalLikelihood.of(some, start, SIGMA_PX, margin_px=margin_px, max_points=_MAX_INTERVALS)
+        for _ in range(2):
+            likelihood = likelihood.fitted(poses[int(np.argmax(likelihood(np.stack(poses))))])
+        return cls(likelihood)
+
+    def costs(self, poses: Sequence[Float]) -> list[float]:
+        """Return minus the log-likelihood ratio of each pose; infinite without edges."""
+        if not self.likelihood.points:
+            return [float("inf")] * len(poses)
+        costs: list[float] = (-self.likelihood(np.stack(poses))).tolist()
+        return costs
+
+    def lead(self, best: float, other: float) -> tuple[float, str]:
+        """Return how many matched edges the other pose loses."""
+        return (other - best) / _NATS_PER_EDGE, "edges"
+
+    def on(self, views: Sequence[View]) -> IntervalJudge:
+        """Return the judge of the same edges and weights where `views` put them."""
+        return IntervalJudge(self.likelihood.on(views[:: -(-len(views) // _MOST_VIEWS)]))
+
+
+def is_sparse(views: Sequence[View], interval_deg: float) -> bool:
+    """Return whether edges of views are treated as intervals: their rings are at least `interval_deg` apart."""
+    return 0 < ring_step_deg(views) >= interval_deg
 
 
 def _margin_px(views: Sequence[View], start: Float, poses: Sequence[Float]) -> float:
@@ -111,8 +158,11 @@ def judge_of(
     *,
     truncate_px: float,
     reach_px: float,
+    interval_deg: float = 90.0,
 ) -> Judge:
     """Return the judge of a method: the matcher's own, else by directed edges where it needs edges, else by its cost.
+
+    Directed edges of sweeps whose rings are at least `interval_deg` apart are judged as intervals.
 
     `needs` are the words of the matcher, `poses` (4, 4) those that are proposed to begin from.
     """
@@ -120,5 +170,7 @@ def judge_of(
     if own is not None:
         return own
     if {"image-edges", "cloud-edges"} <= needs:
+        if is_sparse(views, interval_deg):
+            return IntervalJudge.of(views, start, poses)
         return DirectedJudge.of(views, start, poses, truncate_px)
     return ProblemJudge(matcher, tuple(views), reach_px)

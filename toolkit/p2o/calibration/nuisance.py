@@ -11,7 +11,7 @@ import numpy as np
 from p2o.arrays import Float
 from p2o.calibration.adjustment import Adjustment, MotionFit, TimeFit, fit_with_nuisances
 from p2o.calibration.intrinsics import IntrinsicsEstimate, estimate_intrinsics
-from p2o.calibration.judge import DirectedJudge, Judge
+from p2o.calibration.judge import DirectedJudge, IntervalJudge, Judge
 from p2o.calibration.options import PipelineOptions
 from p2o.calibration.rounds import End, Rounds
 from p2o.features.view import View
@@ -22,6 +22,8 @@ from p2o.problems.point_to_line import PointToLine
 from p2o.problems.problem import Problem
 from p2o.results.result import SweepMotion, TimeOffset
 
+EdgeJudge = DirectedJudge | IntervalJudge
+"""Judges of directed edges, from which nuisance parameters are observable."""
 _MAX_ROUNDS = 12
 _REACH_FACTOR, _SHRINK = 1.6, 0.85
 _STILL_PX = 0.05
@@ -166,16 +168,16 @@ def estimate_nuisances(
         return NuisanceEstimate(best, judge, nuisance, covariance=fit.covariance, places=fit.places)
     refined: Adjustment | None = None
     offset: TimeFit | None = None
-    if refines and isinstance(judge, DirectedJudge):
+    if refines and isinstance(judge, EdgeJudge):
         corrected_cameras = _cameras_corrected(raw, start, best, judge, nuisance, rounds)
         if corrected_cameras is not None:
             best, judge, nuisance = corrected_cameras
-    if (refines or nuisance.prior is not None) and isinstance(judge, DirectedJudge):
+    if (refines or nuisance.prior is not None) and isinstance(judge, EdgeJudge):
         better = _refined_jointly(raw, start, best, judge, nuisance, rounds)
         if better is not None:
             best, judge, refined = better
             nuisance = nuisance.after(refined)
-    if nuisance.twists is not None and isinstance(judge, DirectedJudge):
+    if nuisance.twists is not None and isinstance(judge, EdgeJudge):
         assert best.problem is not None
         offset = nuisance.timed().fit(best.problem, cameras, best.pose, fits_cameras=refines).time
         better = _refined_jointly(raw, start, best, judge, nuisance.timed(), rounds)
@@ -191,7 +193,7 @@ def estimate_nuisances(
         assert best.problem is not None
         fit = nuisance.fit(best.problem, cameras, best.pose, fits_cameras=fits_cameras)
     checked = None
-    if fits_cameras and not corrected and isinstance(judge, DirectedJudge):
+    if fits_cameras and not corrected and isinstance(judge, EdgeJudge):
         checked = estimate_intrinsics(nuisance.views(raw), best.pose)
     return NuisanceEstimate(best, judge, nuisance, fit.cameras, corrected, fit.covariance, fit.places, time, checked)
 
@@ -202,8 +204,8 @@ def enough_pairs(problem: Problem | None) -> TypeGuard[PointToLine]:
 
 
 def _cameras_corrected(
-    raw: Sequence[View], start: Float, best: End, judge: DirectedJudge, nuisance: Nuisance, rounds: Rounds
-) -> tuple[End, DirectedJudge, Nuisance] | None:
+    raw: Sequence[View], start: Float, best: End, judge: EdgeJudge, nuisance: Nuisance, rounds: Rounds
+) -> tuple[End, EdgeJudge, Nuisance] | None:
     """Return the end with significant errors of the cameras corrected, its judge and nuisances; None without any."""
     views = nuisance.views(raw)
     estimate = estimate_intrinsics(views, best.pose)
@@ -225,8 +227,8 @@ def _cameras_corrected(
 
 
 def _refined_jointly(
-    raw: Sequence[View], start: Float, best: End, judge: DirectedJudge, nuisance: Nuisance, rounds: Rounds
-) -> tuple[End, DirectedJudge, Adjustment] | None:
+    raw: Sequence[View], start: Float, best: End, judge: EdgeJudge, nuisance: Nuisance, rounds: Rounds
+) -> tuple[End, EdgeJudge, Adjustment] | None:
     """Return the end, its judge and the fit of a joint estimation of pose and nuisances; None where it costs more."""
     options, cameras = rounds.options, tuple(view.camera for view in raw)
     refines = options.camera == "refine"

@@ -21,6 +21,13 @@ class PipelineOptions(Options):
     min_reach_px: float = option(5.0, gt=0.5, le=100, help="Smallest cutting distance.")
     min_matches: int = option(30, ge=6, help="Fewer point-to-line pairs end a calibration as too-few-matches.")
     judge_px: float = option(5.0, gt=1, le=100, help="Truncation of the directed distance that poses are judged by.")
+    interval_deg: float = option(
+        0.75,
+        ge=0,
+        le=90,
+        help="Rings at least this far apart, in degrees: edges are intervals between two beams, and the pose of the "
+        "highest interval likelihood is searched for; 0: for every sweep, 90: never.",
+    )
     min_odds_ratio: float = option(
         2.0, ge=0, help="Mark a result as doubtful if the odds ratio of the edge agreement is below this value."
     )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from p2o.arrays import Float
-from p2o.calibration.judge import Judge
+from p2o.calibration.judge import IntervalJudge, Judge
 from p2o.calibration.options import PipelineOptions
 from p2o.features.side import Side
 from p2o.features.view import View
@@ -85,6 +85,10 @@ class Rounds:
             step = f"{record.step_deg:.2g} deg and {record.step_m:.2g} m"
             reason = f"the last of {options.rounds} rounds moved the pose by {step}"
             reach = max(options.min_reach_px, reach * options.shrink)
+        if isinstance(judge, IntervalJudge):
+            best, record = _maximised(judge, best)
+            rounds.append(record)
+            improved = improved or record.accepted
         if stopped is not None and not improved:
             return End(start, stopped, reason, tuple(rounds))
         if found_by and not improved:
@@ -116,6 +120,15 @@ class Rounds:
         least, what = (self.options.min_matches, "pairs") if pairs else (MIN_PAIRS, "residuals")
         few = f"{len(problem)} {what} within {reach_px:.0f} px, at least {least} are needed"
         return few if len(problem) < least else ""
+
+
+def _maximised(judge: IntervalJudge, pose: Float) -> tuple[Float, Round]:
+    """Return the local maximum of the likelihood near a pose (4, 4) if it is higher, else the pose, and the record."""
+    after = judge.likelihood.maximised(pose)
+    before_cost, cost = judge.costs([pose, after])
+    better = cost < before_cost
+    record = _round_record("intervals", 0.0, None, pose, after, cost, accepted=better)
+    return (after if better else pose), record
 
 
 def _round_record(

@@ -40,6 +40,15 @@ class ErrorBudget:
         rings = ring_gaps(problem, camera_from_lidar) / np.sqrt(max(views, 1.0))
         return cls(pairs, beam_covariance(problem, camera_from_lidar), rings)
 
+    @classmethod
+    def of_intervals(cls, covariance: Float) -> ErrorBudget:
+        """Return the budget of a pose by its interval likelihood: where outlines lie between beams is part of it."""
+        return cls(covariance * _INTERVAL_INFLATION**2, np.zeros((6, 6)), np.zeros(6))
+
+
+_INTERVAL_INFLATION = 1.0
+"""Errors of poses by intervals, in deviations from the scatter of outlines."""
+
 
 def ring_gaps(problem: PointToLine, camera_from_lidar: Float) -> Float:
     """Return the rotation in rad and shift in m (6,) of a pose for an edge error of half a gap between beams.

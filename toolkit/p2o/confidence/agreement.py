@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import KDTree
 
-from p2o.arrays import Float, Int, Int8
-from p2o.features.side import Side
+from p2o.arrays import Bool, Float, Int, Int8
+from p2o.features.side import SIDES, Side
 from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.problems.directed_cost import distance_maps
@@ -51,6 +51,60 @@ def agreement(views: Sequence[View], camera_from_lidar: Float) -> Agreement:
     xyz, side, frame = map(np.concatenate, zip(*met_at, strict=True))
     distinct = view_count(xyz, side, frame) / max(1, len(np.unique(frame)))
     return Agreement(near / points, chance / points, points, round(places * distinct))
+
+
+_DRAWS = 16
+"""Random positions of every interval, at which the agreement under random alignment is counted."""
+
+
+def interval_agreement(views: Sequence[View], camera_from_lidar: Float) -> Agreement:
+    """Compute the agreement of edges as intervals at a pose (4, 4): an edge agrees if its interval has an image edge.
+
+    Intervals are wider by `NEAR_PX` on both sides. Under random alignment they are elsewhere in the rows of the image
+    that have LiDAR edges of their side. Everything else is as in `agreement`.
+    """
+    rng, points, near, chance, places = np.random.default_rng(0), 0, 0.0, 0.0, 0
+    met_at: list[tuple[Float, Int8, Int]] = []
+    for number, view in enumerate(map(_surest, views)):
+        edges, size = view.cloud_edges, np.array([view.camera.width, view.camera.height])
+        ends = np.stack([view.camera.project(se3.apply(camera_from_lidar, xyz)) for xyz in edges.ends], axis=1)
+        inside = view.camera.in_image(ends.mean(axis=1))
+        for side in (side for side in SIDES if (edges.side[inside] == side).any()):
+            rows = np.flatnonzero(inside & (edges.side == side))
+            along = 0 if side in (Side.LEFT, Side.RIGHT) else 1
+            middle = ends[rows].mean(axis=1)
+            half = 0.5 * np.abs(ends[rows, 1, along] - ends[rows, 0, along]) + NEAR_PX
+            count = _counts(view, side, along)
+            meets = _meets(count, middle, half, along)
+            low, high = np.percentile(middle[:, 1], [2, 98])
+            drawn = rng.uniform((0.0, low), (size[0] - 1.0, high), (_DRAWS, len(rows), 2))
+            chance += float(np.mean([_meets(count, uv, half, along) for uv in drawn])) * len(rows)
+            near, points = near + float(meets.sum()), points + len(rows)
+            places += len(np.unique(np.floor(middle[meets] / OUTLINE_CELL_PX), axis=0))
+            met_at.append((edges.xyz[rows[meets]], edges.side[rows[meets]], np.full(int(meets.sum()), number)))
+    if not points:
+        return Agreement(0.0, 0.0, 0)
+    xyz, side_of, frame = map(np.concatenate, zip(*met_at, strict=True))
+    distinct = view_count(xyz, side_of, frame) / max(1, len(np.unique(frame)))
+    return Agreement(near / points, chance / points, points, round(places * distinct))
+
+
+def _counts(view: View, side: Side, along: int) -> Int:
+    """Return the number of image edges of a side before each pixel along rows or columns: (W + 1, H) or (H + 1, W)."""
+    marked = np.zeros((view.camera.height, view.camera.width), np.int64)
+    uv = view.image_edges.uv[view.image_edges.index.get(side, np.zeros(0, np.int64))]
+    column, row = np.clip(np.rint(uv).astype(np.int64), 0, [view.camera.width - 1, view.camera.height - 1]).T
+    marked[row, column] = 1
+    marked = marked if along == 1 else marked.T
+    return np.concatenate([np.zeros((1, marked.shape[1]), np.int64), np.cumsum(marked, axis=0)])
+
+
+def _meets(count: Int, middle: Float, half: Float, along: int) -> Bool:
+    """Return whether intervals of half a length (N,) around pixels (N, 2) contain an edge."""
+    across = np.clip(np.rint(middle[:, 1 - along]).astype(np.int64), 0, count.shape[1] - 1)
+    first, last = (np.rint(middle[:, along] + sign * half).astype(np.int64) for sign in (-1, 1))
+    first, last = np.clip(first, 0, len(count) - 1), np.clip(last + 1, 0, len(count) - 1)
+    return np.asarray(count[last, across] > count[first, across])
 
 
 def _surest(view: View) -> View:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from p2o.arrays import Float
 from p2o.calibration.algorithm import Algorithm, Estimate
+from p2o.calibration.judge import IntervalJudge
 from p2o.calibration.options import PipelineOptions
 from p2o.calibration.rounds import counts, mean_residuals_px
 from p2o.confidence.accuracy import (
@@ -35,7 +36,7 @@ from p2o.geometry import se3
 from p2o.geometry.pose_error import pose_error
 from p2o.results.check import CheckStatus
 from p2o.results.evidence import Accuracy, Agreement, Judged, StartWeight
-from p2o.results.result import DIRECTED, Result, Round, Status
+from p2o.results.result import DIRECTED, INTERVALS, Result, Round, Status
 from p2o.results.verdict import Doubt, Reason, Verdict
 
 StartSigma = tuple[float, float]
@@ -55,12 +56,16 @@ def assess(
     judged = judged_of(estimate, end.pose)
     if not judged.estimate < judged.start:
         return replace(refused(views, start, Status.NO_IMPROVEMENT, _no_improvement(judged), end.rounds), judged=judged)
-    agreement = agreement_of(estimate.views, end.pose)
+    agreement = agreement_of(estimate.views, end.pose, intervals=isinstance(judge, IntervalJudge))
+    places = None if judge.name not in (DIRECTED, INTERVALS) else final.places
     pose, accuracy, weight, warnings = end.pose, None, None, remarks_of(views)
     if final.covariance is not None and agreement is not None and end.problem is not None:
         different = view_count(end.problem.xyz, end.problem.side, end.problem.frame)
         warnings = (*warnings, *standing_still(different, len(views)))
         budget = ErrorBudget.of(final.covariance, end.problem, end.pose, different)
+        if isinstance(final.judge, IntervalJudge):
+            by_intervals, places = final.judge.likelihood.covariance(end.pose)
+            budget = ErrorBudget.of_intervals(by_intervals * len(views) / max(different, 1.0))
         if final.intrinsics is not None:
             budget = replace(budget, cameras=final.intrinsics.covariance)
         accuracy = likely_accuracy(budget, end.pose, agreement)
@@ -73,7 +78,6 @@ def assess(
     cameras = checks_of(final, [view.camera for view in views])
     if accuracy is not None:
         accuracy = or_other_cameras(accuracy, pose, final.intrinsics)
-    places = final.places if judge.name == DIRECTED else None
     return Result(
         frames=tuple(view.name for view in views),
         start=start,

@@ -13,7 +13,7 @@ from p2o.calibration.judge import Judge
 from p2o.calibration.nuisance import NuisanceEstimate
 from p2o.calibration.options import PipelineOptions
 from p2o.calibration.rounds import End
-from p2o.confidence.agreement import agreement
+from p2o.confidence.agreement import agreement, interval_agreement
 from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
@@ -41,11 +41,11 @@ def rival_of(ends: Sequence[End], best: End, judge: Judge) -> Rival | None:
     return Rival(*judge.lead(cost_of_best, cost), se3.angle_deg(step), se3.distance_m(step))
 
 
-def agreement_of(views: Sequence[View], camera_from_lidar: Float) -> Agreement | None:
-    """Return the agreement of both sensors' edges at a pose (4, 4); None where one sensor has none."""
+def agreement_of(views: Sequence[View], camera_from_lidar: Float, *, intervals: bool = False) -> Agreement | None:
+    """Return the agreement of both sensors' edges at a pose (4, 4), on demand as intervals; None without edges."""
     if not any(view.count("image-edges") and view.count("cloud-edges") for view in views):
         return None
-    return agreement(views, camera_from_lidar)
+    return interval_agreement(views, camera_from_lidar) if intervals else agreement(views, camera_from_lidar)
 
 
 def verdict_of(

@@ -155,6 +155,21 @@ class CloudEdges(CloudFeature):
         return replace(self, xyz=moved(twist, self.time_s, self.xyz), background=background)
 
     @property
+    def ends(self) -> tuple[Float, Float]:
+        """Both ends (M, 3) m of the interval that holds each outline: from the last beam on it to the first beyond it.
+
+        They follow from `sigma_m` and `background`; both are at `xyz` where either is unknown. The interval is centred
+        at `xyz`, as cloud extractors place it by default.
+        """
+        half = np.sqrt(3.0) * self.sigma_m[:, None] * self.background
+        return self.xyz - half, self.xyz + half
+
+    @property
+    def gap_rad(self) -> Float:
+        """Angle (M,) in rad between the two beams, seen from the origin."""
+        return np.asarray(np.sqrt(12.0) * self.sigma_m / np.maximum(np.linalg.norm(self.xyz, axis=1), 1e-9))
+
+    @property
     def times_s(self) -> Float:
         """Time of each edge of a raw sweep relative to the image; 0 if unknown or compensated."""
         return self.time_s

@@ -277,7 +277,7 @@ class DirectedCost:
         """
         its = self.parts[part]
         u, v = self._cells(uv)
-        values = np.minimum(_interpolated(its.maps, u, v, its.first_cell), self.truncate_px)
+        values = np.minimum(interpolated(its.maps, u, v, its.first_cell), self.truncate_px)
         return np.where(_inside(its.maps, u, v), values, its.neutral_of_points)
 
     def slopes(self, part: int, uv: Float) -> Float:
@@ -368,7 +368,7 @@ def _sample_distance(part: _Part, matrix: Float32, chunk: slice, side: int, cost
     # As unsigned bits, negative floats exceed all positive ones: one comparison checks both bounds.
     inside = (u.view(np.uint32) <= last_u.view(np.uint32)) & (v.view(np.uint32) <= last_v.view(np.uint32))
     if cost.smooth:
-        value = _interpolated(cells, u, v)
+        value = interpolated(cells, u, v)
     else:
         # One pass of OpenCV: rounding, bounds and look-up.
         value = cv2.remap(cells, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT)
@@ -407,7 +407,7 @@ def _inside(maps: Float32, u: Float32, v: Float32) -> Bool:
     return np.asarray((u >= 0) & (v >= 0) & (u <= width - 1) & (v <= height - 1))
 
 
-def _interpolated(cells: Float32, u: Float32, v: Float32, first: Int | None = None) -> Float32:
+def interpolated(cells: Float32, u: Float32, v: Float32, first: Int | None = None) -> Float32:
     """Return the values of a map (H, W) between its cells at columns and rows (N, B); anything outside the map.
 
     Of several maps (..., H, W), `first` (N, B) are the numbers of the first cells of those that are read.

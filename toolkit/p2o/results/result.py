@@ -17,7 +17,7 @@ from p2o.results.evidence import Accuracy, Agreement, Judged, Rival, StartWeight
 from p2o.results.json_types import Count, Covariance, Derived, Flag, Number, Pose, Tree
 from p2o.results.verdict import Doubt, Reason, Verdict
 
-DIRECTED = "directed-distance"
+DIRECTED, INTERVALS = "directed-distance", "interval-likelihood"
 """Name of the judge of methods that match directed edges."""
 
 
