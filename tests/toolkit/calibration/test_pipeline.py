@@ -28,6 +28,7 @@ from p2o.geometry.motion import EgoMotion, moved, pose_at
 from p2o.geometry.perturb import wrong_start
 from p2o.geometry.pose_error import deviations, pose_error
 from p2o.reading import RadialError
+from p2o.results.result import DIRECTED, INTERVALS
 from p2o.results.verdict import Doubt, Trust, Verdict
 from p2o.run.pipeline import Pipeline
 from p2o_baselines import nearest
@@ -37,6 +38,7 @@ from p2o_plugins.solve import lm, nelder_mead
 
 from tests import edge_scene
 from tests.edge_scene import TRUTH
+from tests.sparse_scene import sparse_view
 
 
 def built(method, **options):
@@ -591,3 +593,44 @@ def test_an_offset_in_time_and_a_wrong_camera_are_found_together() -> None:
     assert refined.later_s == pytest.approx(LATER_S, abs=1.5e-3)
     assert check.focal == pytest.approx(MISCALIBRATED.focal, abs=5e-4)
     assert pose_error(refined.camera_from_lidar, TRUTH).translation_m < 0.015
+
+
+@cache
+def sparse(interval_deg: float) -> Result:
+    """The result on four views of a LiDAR whose rings are 1.7 deg apart."""
+    views = [sparse_view(seed) for seed in range(4)]
+    return pipeline(interval_deg=interval_deg).solve(views, start())
+
+
+def test_rings_that_are_far_apart_are_calibrated_by_their_intervals() -> None:
+    result, by_middle = sparse(0.75), sparse(90.0)
+    assert result.judged is not None
+    assert by_middle.judged is not None
+    assert (result.judged.judge, by_middle.judged.judge) == (INTERVALS, DIRECTED)
+    error = pose_error(result.camera_from_lidar, TRUTH)
+    assert error.rotation_deg < 0.15
+    assert error.translation_m < 0.04
+    assert error.rotation_deg < 0.5 * pose_error(by_middle.camera_from_lidar, TRUTH).rotation_deg
+    assert any(record.stage == "intervals" for record in result.rounds)
+
+
+def test_a_result_by_intervals_is_trusted_and_within_its_predicted_error() -> None:
+    result = sparse(0.75)
+    assert result.verdict.trusted
+    assert result.accuracy is not None
+    error = pose_error(result.camera_from_lidar, TRUTH)
+    assert error.rotation_deg < result.accuracy.rotation_deg_95 < 0.7
+    assert error.translation_m < result.accuracy.translation_m_95 < 0.2
+
+
+def test_dense_rings_give_the_same_bytes_with_and_without_the_option() -> None:
+    view = sparse_view(0, 0.4)
+    results = [pipeline(interval_deg=angle).solve([view], start()) for angle in (0.75, 90.0)]
+    np.testing.assert_array_equal(results[0].camera_from_lidar, results[1].camera_from_lidar)
+    assert results[0].accuracy == results[1].accuracy
+
+
+def test_without_directions_no_edge_is_an_interval() -> None:
+    views = [replace(view, image=view.image.without_sides()) for view in [sparse_view(0)]]
+    result = pipeline(directed=False, matcher=nearest).solve([view.without_sides() for view in views], start())
+    assert result.judged is None or result.judged.judge == DIRECTED

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, View, se3
-from p2o.confidence.agreement import agreement
+from p2o.confidence.agreement import agreement, interval_agreement
 from p2o.results.evidence import Agreement
 
 from tests import edge_scene
 from tests.edge_scene import TRUTH
+from tests.sparse_scene import sparse_view
 
 
 def test_at_the_truth_nearly_every_edge_meets_its_own() -> None:
@@ -84,3 +85,37 @@ def test_an_extractor_that_is_never_sure_is_asked_all_the_same() -> None:
     view = edge_scene.view()
     weak = replace(view.image_edges, weight=np.full(len(view.image_edges), 0.1))
     assert agreement([replace(view, image=ImageFeatures(weak))], TRUTH) == agreement([view], TRUTH)
+
+
+def test_intervals_between_far_rings_agree_where_their_middles_do_not() -> None:
+    views = [sparse_view(seed) for seed in range(2)]
+    by_middle, by_interval = agreement(views, TRUTH), interval_agreement(views, TRUTH)
+    assert by_interval.near > 0.95
+    assert by_interval.odds_ratio > 2 * by_middle.odds_ratio
+
+
+def test_intervals_of_another_place_agree_by_chance_only() -> None:
+    here, there = sparse_view(0), sparse_view(1)
+    assert 0.4 < interval_agreement([replace(here, cloud=there.cloud)], TRUTH).odds_ratio < 2.5
+
+
+def test_intervals_at_random_have_an_odds_ratio_of_one() -> None:
+    rng = np.random.default_rng(0)
+    view = sparse_view(0)
+    pixels = rng.uniform([0, 0], [1241, 374], (len(view.cloud_edges), 2))
+    edges = replace(view.cloud_edges, xyz=edge_scene.PINHOLE.rays(pixels) * 10.0)
+    turned = edges.background @ TRUTH[:3, :3].T
+    found = interval_agreement([replace(view, cloud=CloudFeatures(replace(edges, background=turned)))], np.eye(4))
+    assert found.near == pytest.approx(found.chance, abs=0.03)
+    assert found.odds_ratio == pytest.approx(1.0, abs=0.2)
+
+
+def test_intervals_of_the_same_view_again_are_no_further_evidence() -> None:
+    view = sparse_view(0)
+    once, again = interval_agreement([view], TRUTH), interval_agreement([view] * 4, TRUTH)
+    assert again.strength == pytest.approx(once.strength, rel=0.05)
+
+
+def test_views_without_edges_in_sight_have_no_agreement() -> None:
+    behind = se3.make(translation=[0, 0, -1000.0]) @ TRUTH
+    assert interval_agreement([sparse_view(0)], behind).points == 0

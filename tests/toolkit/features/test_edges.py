@@ -177,3 +177,23 @@ def test_features_that_hold_nothing_stay_empty() -> None:
 def test_points_of_the_cloud_features_are_checked() -> None:
     with pytest.raises(InputError, match="points of the cloud features has the wrong shape"):
         CloudFeatures(points=XYZ[:, :2])
+
+
+def test_the_ends_of_an_edge_are_half_a_gap_towards_and_away_from_its_background() -> None:
+    edges = cloud_edges()
+    first, last = edges.ends
+    np.testing.assert_allclose(0.5 * (first + last), XYZ)
+    np.testing.assert_allclose(last - first, np.sqrt(12) * 0.01 * np.arange(5)[:, None] * [0, 1, 0])
+    np.testing.assert_allclose(edges.gap_rad * np.linalg.norm(XYZ, axis=1), np.sqrt(12) * 0.01 * np.arange(5))
+
+
+def test_the_ends_of_an_edge_without_a_known_gap_are_at_the_edge() -> None:
+    for end in CloudEdges(XYZ, SIDES).ends:
+        np.testing.assert_array_equal(end, XYZ)
+
+
+def test_the_ends_of_edges_move_with_them() -> None:
+    motion = se3.exp(np.array([0.3, -0.2, 1.0, 0.5, 2.0, -1.0]))
+    edges = cloud_edges()
+    for moved, end in zip(edges.moved(motion).ends, edges.ends, strict=True):
+        np.testing.assert_allclose(moved, se3.apply(motion, end), atol=1e-12)

@@ -37,7 +37,7 @@ _AT_ONCE = 40_000
 _STEPS = np.radians(0.1) * np.ones(6) * [1, 1, 1, 5, 5, 5]
 """Steps of a left update (rad, m) in which the local maximisation is well conditioned: 0.1 deg and about 1 cm."""
 _DIFFERENCE, _WIDE_DIFFERENCE = 0.1, 2.5
-"""Half a step of differences, in `_STEPS`; that of the curvature is wider: single intervals end close to the maximum."""
+"""Half a step of differences, in `_STEPS`; for the curvature it is wider: single intervals end close to the maximum."""
 
 
 @dataclass(frozen=True, eq=False)
