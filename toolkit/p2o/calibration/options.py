@@ -22,7 +22,7 @@ class PipelineOptions(Options):
     min_matches: int = option(30, ge=6, help="Fewer point-to-line pairs end a calibration as too-few-matches.")
     judge_px: float = option(5.0, gt=1, le=100, help="Truncation of the directed distance that poses are judged by.")
     interval_deg: float = option(
-        0.75,
+        0.6,
         ge=0,
         le=90,
         help="Rings at least this far apart, in degrees: edges are intervals between two beams, and the pose of the "

@@ -23,12 +23,14 @@ class ErrorBudget:
     """Components of the error of a pose: `pairs` (6, 6), the covariance of a left update in rad and m from the scatter
     of pairs (`p2o.calibration.adjustment`), `beams` (6, 6) as of `beam_covariance`, and `rings` (6,) as of `ring_gaps`.
     `cameras` (6, 6) is the covariance by unnoticed errors of the intrinsics (`p2o.calibration.intrinsics`).
+    With `by_odds` the error by pairs falls with the odds ratio of the agreement.
     """
 
     pairs: Float
     beams: Float
     rings: Float
     cameras: Float = field(default_factory=lambda: np.zeros((6, 6)))
+    by_odds: bool = True
 
     @classmethod
     def of(cls, pairs: Float, problem: PointToLine, camera_from_lidar: Float, views: float) -> ErrorBudget:
@@ -42,12 +44,12 @@ class ErrorBudget:
 
     @classmethod
     def of_intervals(cls, covariance: Float) -> ErrorBudget:
-        """Return the budget of a pose by its interval likelihood: where outlines lie between beams is part of it."""
-        return cls(covariance * _INTERVAL_INFLATION**2, np.zeros((6, 6)), np.zeros(6))
+        """Return the budget of a pose by its interval likelihood, from the scatter of outlines (6, 6).
 
-
-_INTERVAL_INFLATION = 1.0
-"""Errors of poses by intervals, in deviations from the scatter of outlines."""
+        It contains the error by the position of outlines between beams, and does not depend on the odds ratio, which is
+        small for long intervals.
+        """
+        return cls(covariance, np.zeros((6, 6)), np.zeros(6), by_odds=False)
 
 
 def ring_gaps(problem: PointToLine, camera_from_lidar: Float) -> Float:
@@ -160,7 +162,8 @@ def likely_covariance(
     """
     odds = float(np.clip(np.nan_to_num(odds_ratio, nan=0.0), _MIN_ODDS, _MAX_ODDS))
     own = np.repeat([np.radians(model.floor_deg), model.floor_m], 3) ** 2 + (model.rings * budget.rings) ** 2
-    scatter = (model.pairs * (odds / 10.0) ** -model.by_odds) ** 2 * budget.pairs + model.beams**2 * budget.beams
+    scale = model.pairs * ((odds / 10.0) ** -model.by_odds if budget.by_odds else 1.0)
+    scatter = scale**2 * budget.pairs + model.beams**2 * budget.beams
     scatter = scatter + budget.cameras
     by_update = place_by_update(camera_from_lidar)
     return np.asarray(by_update @ scatter @ by_update.T + np.diag(own))
