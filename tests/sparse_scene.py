@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from p2o import CloudFeatures, Side, View
+from p2o import Camera, CloudFeatures, Side, View
 
 from tests import edge_scene
 
 
-def sparse_view(seed: int, step_deg: float = 1.7, *, boxes: int = 25, noise_px: float = 0.7) -> View:
+def sparse_view(seed: int, step_deg: float = 1.7, *, camera: Camera = edge_scene.PINHOLE) -> View:
     """Return boxes whose horizontal outlines are anywhere between two rings; the vertical ones are known better."""
     rng = np.random.default_rng(seed)
-    view = edge_scene.view(seed=seed, boxes=boxes, noise_px=noise_px)
+    view = edge_scene.view(camera, seed=seed, noise_px=0.7)
     edges = view.cloud_edges
     level = np.isin(edges.side, (Side.UPPER, Side.BOTTOM))
     gap_m = np.radians(np.where(level, step_deg, 0.2)) * np.linalg.norm(edges.xyz, axis=1)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from p2o import CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, Side, View, pose_error, se3
+from p2o import Camera, CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, Side, View, pose_error, se3
 from p2o.problems.interval_likelihood import IntervalLikelihood, integral_of_edges, ring_step_deg
 from scipy.stats import norm
 
@@ -18,7 +18,7 @@ DEPTH_M, SIGMA_PX = 10.0, 2.0
 SIZE = (edge_scene.PINHOLE.width, edge_scene.PINHOLE.height)
 DIRECTION = {Side.LEFT: (-1.0, 0, 0), Side.RIGHT: (1.0, 0, 0), Side.UPPER: (0, -1.0, 0), Side.BOTTOM: (0, 1.0, 0)}
 CENTRE = np.array(edge_scene.PINHOLE.params[2:])
-EXPECTED = 1 / 161 + 0.002
+EXPECTED = 1 / 241 + 0.002
 """Density of one line across the window of the local density, with the smallest density."""
 
 
@@ -95,6 +95,20 @@ def test_the_integral_of_an_image_without_edges_is_zero() -> None:
     integral = integral_of_edges(view, Side.LEFT, SIGMA_PX)
     assert integral.shape == SIZE  # transposed: it integrates along rows
     assert not integral.any()
+
+
+@pytest.mark.parametrize("camera", [edge_scene.PINHOLE, edge_scene.FISHEYE], ids=lambda c: c.model)
+def test_the_gradient_is_that_of_differences(camera: Camera) -> None:
+    views = [sparse_view(seed, camera=camera) for seed in range(3)]
+    likelihood = IntervalLikelihood.of(views, TRUTH, SIGMA_PX)
+    step = np.array([1e-3, 1e-3, 1e-3, 1e-2, 1e-2, 1e-2])  # about half a pixel: the density is linear between pixels
+    for seed in range(3):
+        pose = se3.exp(np.random.default_rng(seed).normal(0, 3 * step)) @ TRUTH
+        value, gradient = likelihood.with_gradient(pose)
+        assert value == pytest.approx(float(likelihood(pose[None])[0]))
+        around = likelihood(se3.exp(np.concatenate([np.diag(step), -np.diag(step)])) @ pose)
+        differences = (around[:6] - around[6:]) / 2
+        np.testing.assert_allclose(gradient * step, differences, atol=0.15 * np.abs(differences).max())
 
 
 def test_the_step_between_rings_is_that_of_horizontal_edges() -> None:

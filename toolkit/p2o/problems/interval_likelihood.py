@@ -24,11 +24,11 @@ from p2o.runtime.native import for_each
 
 Float32 = np.ndarray
 
-_WINDOW_PX = 161
+_WINDOW_PX = 241
 """Width and height of the window in which the density of image edges is the one of random alignment."""
 _MIN_DENSITY = 0.002
 """Smallest density of weighted image edges per pixel that is expected under random alignment."""
-_ACROSS_PX = 1.0
+_ACROSS_PX = 2.0
 """Standard deviation of an image edge along itself: outlines have gaps."""
 _LEAST_PX = 0.5
 _SHARE, _MIN_SHARE, _MAX_SHARE, _SHARE_ITERATIONS = 0.3, 0.03, 0.9, 20
@@ -36,8 +36,8 @@ _AT_ONCE = 40_000
 """Number of intervals times poses in one batch: more do not fit in the cache of a core."""
 _STEPS = np.radians(0.1) * np.ones(6) * [1, 1, 1, 5, 5, 5]
 """Steps of a left update (rad, m) in which the local maximisation is well conditioned: 0.1 deg and about 1 cm."""
-_DIFFERENCE, _WIDE_DIFFERENCE = 0.1, 2.5
-"""Half a step of differences, in `_STEPS`; for the curvature it is wider: single intervals end close to the maximum."""
+_DIFFERENCE = 2.5
+"""Half a step of differences for the curvature, in `_STEPS`: single intervals end closer to the maximum."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,19 +211,52 @@ class IntervalLikelihood:
             shares[side] = share
         return replace(self, shares=shares)
 
+    def with_gradient(self, pose: Float) -> tuple[float, Float]:
+        """Return the log-likelihood ratio of a pose (4, 4) and its derivatives (6,) by a left update in rad and m."""
+        total, gradient = 0.0, np.zeros(6)
+        for part in self.parts:
+            density, by_update = self._linearised(part, pose)
+            share = self.shares[part.side]
+            ratio = 1.0 + share * (density - 1.0)
+            total += float(part.weight @ np.log(ratio))
+            gradient += (part.weight * share / ratio) @ by_update
+        return total, gradient
+
+    def _linearised(self, part: _Part, pose: Float) -> tuple[Float, Float]:
+        """Return the density (N,) of a part at a pose (4, 4), and its derivatives (N, 6) by a left update."""
+        density = self.density(part, pose[None])[0]
+        along = 1 if part.upright else 0
+        xyz = np.stack([se3.apply(pose @ self.lidar_from_around, ends) for ends in part.ends])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            uv, by_xyz = part.camera.project_with_jacobian(xyz.reshape(-1, 3))
+        uv, by_xyz = uv.reshape(2, -1, 2), by_xyz.reshape(2, -1, 2, 3)
+        known = np.isfinite(uv).all(axis=(0, 2)) & (density != 1.0)  # outside of the image it is constant
+        uv, by_xyz, xyz = uv[:, known], by_xyz[:, known], xyz[:, known]
+        across, length = uv[:, :, 1 - along].mean(axis=0), uv[1, :, along] - uv[0, :, along]
+        length = np.where(length < 0, -1.0, 1.0) * np.maximum(np.abs(length), _LEAST_PX)
+        # Derivatives by the position of each end along the interval, and by that of both across it.
+        at_ends = [_slope(part, across, end) for end in uv[:, :, along]]
+        by_ends = (density[known] - at_ends[0]) / length, (at_ends[1] - density[known]) / length
+        across_ends = [_slope_across(part, across, end) for end in uv[:, :, along]]
+        by_across = (across_ends[1] - across_ends[0]) / length
+        out = np.zeros((len(density), 6))
+        for by_end, jacobian, point in zip(by_ends, by_xyz, xyz, strict=True):
+            by_point = by_end[:, None] * jacobian[:, along] + 0.5 * by_across[:, None] * jacobian[:, 1 - along]
+            out[known] += np.concatenate([np.cross(point, by_point), by_point], axis=1)
+        return density, out
+
     def maximised(self, pose: Float) -> Float:
-        """Return the pose (4, 4) of the local maximum near a pose (BFGS with central differences)."""
+        """Return the pose (4, 4) of the local maximum near a pose, by BFGS."""
         from scipy.optimize import minimize
 
         if not self.points:
             return pose
-        shifts = _DIFFERENCE * np.concatenate([np.zeros((1, 6)), np.eye(6), -np.eye(6)])
 
         def cost_and_gradient(x: Float) -> tuple[float, Float]:
-            values = -self(se3.exp((x + shifts) * _STEPS) @ pose)
-            return float(values[0]), (values[1:7] - values[7:]) / (2 * _DIFFERENCE)
+            value, gradient = self.with_gradient(se3.exp(x * _STEPS) @ pose)
+            return -value, -gradient * _STEPS
 
-        best = minimize(cost_and_gradient, np.zeros(6), jac=True, method="BFGS", options={"maxiter": 15, "gtol": 0.2})
+        best = minimize(cost_and_gradient, np.zeros(6), jac=True, method="BFGS", options={"maxiter": 20, "gtol": 0.2})
         return np.asarray(se3.exp(best.x * _STEPS) @ pose)
 
     def covariance(self, pose: Float) -> tuple[Float, int]:
@@ -232,15 +265,15 @@ class IntervalLikelihood:
         It is cluster robust: the scatter of the gradient over outlines (edges of one side in a cell of 64 px), between
         two inverses of the curvature.
         """
-        shifts = _WIDE_DIFFERENCE * np.eye(6)
+        shifts = _DIFFERENCE * np.eye(6)
         steps = np.concatenate([(a + b)[None] for a in (*shifts, *-shifts) for b in (*shifts, *-shifts)])
         values = self(se3.exp(steps * _STEPS) @ pose).reshape(2, 6, 2, 6)
         signs = np.array([[1.0, -1.0], [-1.0, 1.0]])
-        curvature = -np.einsum("iajb,ij->ab", values, signs) / (2 * _WIDE_DIFFERENCE) ** 2
+        curvature = -np.einsum("iajb,ij->ab", values, signs) / (2 * _DIFFERENCE) ** 2
         eigenvalues, axes = np.linalg.eigh(0.5 * (curvature + curvature.T))
         inverse = (axes / np.maximum(eigenvalues, _LEAST_CURVATURE)) @ axes.T
         around = self.terms(se3.exp(np.concatenate([shifts, -shifts]) * _STEPS) @ pose)
-        gradient = (around[:6] - around[6:]) / (2 * _WIDE_DIFFERENCE)
+        gradient = (around[:6] - around[6:]) / (2 * _DIFFERENCE)
         cells = self._outlines(pose)
         by_outline = np.array([np.bincount(cells, row) for row in gradient])
         score = by_outline @ by_outline.T
@@ -273,3 +306,15 @@ def _integrated(part: _Part, across: Float, along: Float) -> Float:
     inside = np.clip(along, 0.0, part.integral.shape[0] - 1.001)
     values = interpolated(part.integral, across.astype(np.float32), inside.astype(np.float32))
     return np.asarray(values + (along - inside))
+
+
+def _slope(part: _Part, across: Float, along: Float) -> Float:
+    """Return the derivative of the integral along the interval: the density of image edges."""
+    return np.asarray(_integrated(part, across, along + 0.5) - _integrated(part, across, along - 0.5))
+
+
+def _slope_across(part: _Part, across: Float, along: Float) -> Float:
+    """Return the derivative of the integral across the interval."""
+    last = part.integral.shape[1] - 1.0
+    low, high = np.maximum(across - 0.5, 0.0), np.minimum(across + 0.5, last)
+    return np.asarray((_integrated(part, high, along) - _integrated(part, low, along)) / np.maximum(high - low, 0.5))
