@@ -194,7 +194,8 @@ def estimate_nuisances(
         fit = nuisance.fit(best.problem, cameras, best.pose, fits_cameras=fits_cameras)
     checked = None
     if fits_cameras and not corrected and isinstance(judge, EdgeJudge):
-        checked = estimate_intrinsics(nuisance.views(raw), best.pose)
+        # Edges between rings that are far apart do not reveal the vertical principal point.
+        checked = estimate_intrinsics(nuisance.views(raw), best.pose, (True,) * 3 + (isinstance(judge, DirectedJudge),))
     return NuisanceEstimate(best, judge, nuisance, fit.cameras, corrected, fit.covariance, fit.places, time, checked)
 
 
@@ -208,7 +209,7 @@ def _cameras_corrected(
 ) -> tuple[End, EdgeJudge, Nuisance] | None:
     """Return the end with significant errors of the cameras corrected, its judge and nuisances; None without any."""
     views = nuisance.views(raw)
-    estimate = estimate_intrinsics(views, best.pose)
+    estimate = estimate_intrinsics(views, best.pose, (True,) * 3 + (isinstance(judge, DirectedJudge),))
     wrong = (
         np.any([fit.significant for fit in estimate.fits], axis=0) if estimate is not None else np.zeros(4, np.bool_)
     )
