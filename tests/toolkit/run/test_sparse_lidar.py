@@ -14,7 +14,6 @@ def test_a_simulated_sweep_is_calibrated_by_the_measure_of_its_rings(lidar: str,
         joint=True,
         perturb="2deg 0.15m",
         extractor="depth/rings",
-        options=["init.weigh_start=false"],
     )
     error = done.rows[0].error
     assert error is not None
