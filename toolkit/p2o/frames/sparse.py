@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zlib
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,7 @@ class SparseOptions(Options):
         return value.removeprefix("1/") if isinstance(value, str) else value
 
 
+@cache
 def with_sparse_options(options: type[Options]) -> type[Options]:
     """Return the options of a data set with those of `SparseOptions`, unless it has options of these names itself."""
     if options.model_fields.keys() & SparseOptions.model_fields.keys():

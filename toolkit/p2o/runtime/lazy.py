@@ -14,7 +14,7 @@ def attach(module: str, file: str) -> tuple[Callable[[str], Any], Callable[[], l
     """Return `__getattr__`, `__dir__` and `__all__` of a public module.
 
     The names are those that `file` imports from p2o in its block `if TYPE_CHECKING:`, which type checkers read, too.
-    A name that is imported from a folder is a module itself.
+    A name that is imported from a folder, and that the folder does not define, is a module itself.
     """
     blocks = [node for node in ast.parse(Path(file).read_bytes()).body if isinstance(node, ast.If)]
     imports = [node for block in blocks for node in block.body if isinstance(node, ast.ImportFrom)]
@@ -24,8 +24,8 @@ def attach(module: str, file: str) -> tuple[Callable[[str], Any], Callable[[], l
         if name not in home_of:
             raise AttributeError(f"module '{module}' has no attribute {name!r}")
         home = importlib.import_module(home_of[name])
-        is_folder = hasattr(home, "__path__")
-        value = importlib.import_module(f"{home.__name__}.{name}") if is_folder else getattr(home, name)
+        is_module = hasattr(home, "__path__") and name not in vars(home)
+        value = importlib.import_module(f"{home.__name__}.{name}") if is_module else getattr(home, name)
         setattr(sys.modules[module], name, value)
         return value
 
