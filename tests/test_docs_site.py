@@ -9,6 +9,7 @@ import subprocess
 import sys
 from html import unescape
 from pathlib import Path
+from typing import Any
 
 import p2o
 import pytest
@@ -87,3 +88,24 @@ def test_the_reference_names_every_public_name(site: Path) -> None:
     page = (site / "reference/python/index.html").read_text(encoding="utf-8")
     for name in (*p2o.__all__, *p2o.solving.__all__, *p2o.reading.__all__):
         assert f'id="{name.lower()}"' in page
+
+
+WIDER_THAN_A_PHONE = """
+const wide = (e) => e.getBoundingClientRect().right > innerWidth + 1;
+const scrolls = (e) => ['auto', 'scroll'].includes(getComputedStyle(e).overflowX);
+const held = (e) => e !== null && ((scrolls(e) && !wide(e)) || held(e.parentElement));
+const blocks = [...document.querySelectorAll('article pre, article table')].filter((e) => wide(e) && !held(e));
+return [document.documentElement.scrollWidth > innerWidth ? 'the page' : '', ...blocks.map((e) => e.textContent)];
+"""
+
+
+def test_every_code_block_and_table_is_readable_on_a_phone(site: Path, browser: Any) -> None:
+    from tests.in_browser import Page, window
+
+    offenders = {}
+    with window(browser, 390, 844):
+        for path in sorted(site.rglob("index.html")):
+            page = Page(browser, path)
+            offenders[path.parent.name] = [text[:60] for text in page.run(WIDER_THAN_A_PHONE) if text]
+    assert len(offenders) > 40
+    assert not {name: texts for name, texts in offenders.items() if texts}
