@@ -28,7 +28,7 @@ run: $(VENV)/.installed
 # One thread per process: BLAS and PyTorch threads of several processes would wait for each other. Tests of one file stay
 # in one process, which shares their fixtures; idle processes take over tests of others.
 test: $(VENV)/.installed
-	OMP_NUM_THREADS=1 P2O_STRICT=1 $(VENV)/bin/python -m pytest -q -n $(JOBS) --dist worksteal -m "not system"
+	OMP_NUM_THREADS=1 P2O_STRICT=1 $(VENV)/bin/python -m pytest -q -n $(JOBS) --dist worksteal --durations=40 -m "not system"
 
 # Fuzzing, killed processes, browsers, the lines of the docs, distributions and long studies.
 test-system: $(VENV)/.installed
