@@ -151,6 +151,7 @@ def test_a_file_that_holds_no_pose_is_told(tmp_path: Path, capsys: pytest.Captur
     assert "extrinsic.json" in capsys.readouterr().err
 
 
+@pytest.mark.system
 def test_a_drive_that_does_not_slip_is_watched_frame_after_frame(capsys: pytest.CaptureFixture[str]) -> None:
     drive = DATA.replace("frames_per_scene=2&period_s=1.5", "frames_per_scene=5")
     words = ["check", drive, "--extrinsic", "truth", "--watch", "--settle", "2", "--rate", "20"]

@@ -122,6 +122,7 @@ def test_figures_of_two_studies_never_share_a_file() -> None:
     assert figure_names(summaries[:1]) == [("a-1", "a-2")]
 
 
+@pytest.mark.system
 def test_a_study_of_very_many_rows_has_figures_of_the_first() -> None:
     """A picture may be 65535 px high, which boxes of some 800 rows would not fit into."""
     runs = [run_of(f"row {i}", "f", 0, 1.0, 0.1) for i in range(250)]

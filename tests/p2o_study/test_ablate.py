@@ -325,6 +325,7 @@ def _batches_of(jobs: list[float]) -> list[list[float]]:
     return [[done.pop(0) for _ in range(size)] for size in sizes]
 
 
+@pytest.mark.system
 def test_short_jobs_go_to_a_worker_several_at_once_and_long_ones_alone() -> None:
     short = _batches_of([0.001 + n / 1e6 for n in range(300)])
     assert sum(map(len, short)) == 300

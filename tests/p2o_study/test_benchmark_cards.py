@@ -91,6 +91,7 @@ def small(table: DatasetTable) -> DatasetTable:
     return table.model_copy(update={"data": "synthetic:", "options": {**options, **table.options, **size}})
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("name", [name for name in suite_names(SUITES) if name != "smoke"])
 def test_every_suite_is_planned_without_data(name: str, tmp_path: Path) -> None:
     file = find_suite(name, p2o.Registry.load(environ={}), SUITES)

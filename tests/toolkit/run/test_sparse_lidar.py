@@ -7,10 +7,12 @@ import pytest
 from p2o.results.result import DIRECTED, INTERVALS
 
 
-@pytest.mark.parametrize(("lidar", "judge"), [("vlp-16", INTERVALS), ("os1-64", DIRECTED)])
+@pytest.mark.parametrize(
+    ("lidar", "judge"), [("vlp-16", INTERVALS), pytest.param("os1-64", DIRECTED, marks=pytest.mark.system)]
+)
 def test_a_simulated_sweep_is_calibrated_by_the_measure_of_its_rings(lidar: str, judge: str) -> None:
     done = p2o.calibrate(
-        f"synthetic:?scenes=4&place=street&right=false&seed=3&lidar={lidar}",
+        f"synthetic:?scenes=3&place=street&right=false&seed=3&lidar={lidar}",
         joint=True,
         perturb="2deg 0.15m",
         extractor="depth/rings",
