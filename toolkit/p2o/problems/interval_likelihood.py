@@ -38,6 +38,8 @@ _STEPS = np.radians(0.1) * np.ones(6) * [1, 1, 1, 5, 5, 5]
 """Steps of a left update (rad, m) in which the local maximisation is well conditioned: 0.1 deg and about 1 cm."""
 _DIFFERENCE = 2.5
 """Half a step of differences for the curvature, in `_STEPS`: single intervals end closer to the maximum."""
+_LEAST_CURVATURE = 0.05
+"""Smallest curvature in nats per square of a step of `_STEPS`: 0.45 deg and 4.5 cm where nothing is observable."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,10 +291,6 @@ class IntervalLikelihood:
             keys.append(np.column_stack([np.full((len(cell), 2), (part.view, int(part.side))), cell]))
         numbers = np.unique(np.concatenate([np.zeros((0, 4)), *keys]), axis=0, return_inverse=True)[1]
         return np.asarray(numbers.reshape(-1), np.int64)
-
-
-_LEAST_CURVATURE = 0.05
-"""Smallest curvature in nats per square of a step of `_STEPS`: 0.45 deg and 4.5 cm where nothing is observable."""
 
 
 def _ends(view: View, rows: Int, around: Float) -> tuple[Float, Float]:
