@@ -242,6 +242,26 @@ def test_only_what_is_missing_is_computed_and_the_rest_kept(board: Board) -> Non
     assert board.calls()["quick"] == 6
 
 
+def test_a_calibration_that_another_suite_has_measured_is_not_computed_again(
+    board: Board, capsys: pytest.CaptureFixture[str]
+) -> None:
+    known = {(row.row, row.frames[0].name, row.seed): row for row in board.measured()}
+    first = board.root / "results" / "tiny.jsonl"
+    first.write_text(first.read_text().replace('"suite":"tiny"', '"suite":"earlier"'))
+    first.rename(first.with_name("earlier.jsonl"))
+    board.write(study=STUDY.replace('label = "quick"', 'label = "renamed"'))
+    board.calls()
+    again = board.measured()
+    assert board.calls()["quick"] == 0
+    assert "30 rows added (30 measured for other suites)" in capsys.readouterr().out
+    for row in again:
+        before = known[row.row.replace("renamed", "quick"), row.frames[0].name, row.seed]
+        assert np.array_equal(np.asarray(row.estimate), np.asarray(before.estimate))
+        assert (row.finished, row.seconds) == (before.finished, before.seconds)
+    board.write(study=STUDY.replace('label = "quick"', 'label = "alone"'), suite=SUITE + "share = false\n")
+    assert {row.row for row in board.measured()} == {"alone"}
+
+
 def test_an_interrupted_run_continues(board: Board) -> None:
     label = 'label = "quick"\n'
     board.write(study=STUDY.replace(label, f"{label}options.calibrator.interrupt_after = 4\n"))

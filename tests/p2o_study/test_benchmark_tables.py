@@ -9,9 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from p2o.cli import main
+from p2o.errors import InputError, UnknownNameError
+from p2o_study.benchmark.suite import find_suite
+from p2o_study.benchmark.tables import Choice, SuiteTables, rendered
+from p2o_study.worker import Plugins
 
 from tests.p2o_study.benchmark_board import QUICK_ROW, SUITE, Board
-from tests.study_bench import HEAD
+from tests.study_bench import HEAD, PLUGIN
 
 ROOT = Path(__file__).parents[2]
 
@@ -36,9 +40,10 @@ def test_a_table_needs_no_data_and_contains_what_the_rows_do(board: Board, capsy
     row = cells(table(board, capsys), "quick")
     errors = [board.results.frames.error_of(known) for known in rows]
     mean = np.mean([error.rotation_deg for error in errors if error is not None])
-    assert (row["n"], row["groups"], row["refused"]) == ("30", "6", "0")
+    assert row["n (groups)"] == "30 (6)"
     assert row["rotation mean [deg]"].startswith(f"{mean:.3f} [")
-    assert row["median"] == row["solved only"] == "0.500"
+    assert row["median"] == "0.500"
+    assert "refused" not in row
 
 
 def test_refused_calibrations_count_with_their_initial_guess_and_are_apart_in_solved_only(
@@ -57,7 +62,7 @@ def test_intervals_are_over_groups_not_over_calibrations(board: Board, capsys: p
     assert "[" in cells(table(board, capsys), "quick")["rotation mean [deg]"]
     board.write(study=(board.root / "study.toml").read_text(), suite=SUITE + 'groups = "drive"\n')
     row = cells(table(board, capsys), "quick")
-    assert row["groups"] == "1"
+    assert row["n (groups)"] == "30 (1)"
     assert "[" not in row["rotation mean [deg]"]
 
 
@@ -70,7 +75,43 @@ def test_a_foreign_method_is_in_the_table(board: Board, capsys: pytest.CaptureFi
     board.measured()
     assert board.command("starts", "--out", str(starts)) == 0
     assert board.command("score", str(starts), "--name", "nothing | at all") == 0
-    assert r"| nothing \| at all | 15 | 3 | 0 | 1.000 |" in table(board, capsys)
+    assert r"| nothing \| at all | 15 (3) | 1.000 |" in table(board, capsys)
+
+
+def two_data_sets(board: Board) -> SuiteTables:
+    """Measure a suite with two data sets, and return its tables."""
+    second = '[[dataset]]\nname = "other"\ndata = "tiny:?frames=2"\n'
+    board.write(study=HEAD + second + QUICK_ROW)
+    board.measured()
+    registry = Plugins.of((), (str(PLUGIN),)).registry()
+    return SuiteTables.read(find_suite(str(board.root / "tiny.toml"), registry), board.results)
+
+
+def test_each_data_set_has_rows_of_its_own_and_a_page_chooses_some(board: Board) -> None:
+    tables = two_data_sets(board)
+    lines = [line for line in tables.markdown(Choice("tiny")).splitlines() if line.startswith("| ")]
+    assert [line.split(" | ")[:3] for line in lines[2:]] == [
+        ["| tiny", "quick", "15 (3)"],
+        ["| other", "quick", "10 (2)"],
+    ]
+    [only] = [line for line in tables.markdown(Choice("tiny", data=("other",))).splitlines() if "quick" in line]
+    assert only.startswith("| quick | 10 (2) |")
+    with pytest.raises(UnknownNameError, match="othr"):
+        tables.markdown(Choice("tiny", data=("othr",)))
+
+
+def test_one_figure_of_a_row_stands_in_a_sentence(board: Board) -> None:
+    tables = two_data_sets(board)
+    page = (
+        "The median <!-- value: tiny; ; quick; other; rotation median -->9 deg<!-- /value --> of "
+        "<!-- value: tiny; ; quick; other; n -->7<!-- /value --> (mark: `<!-- value: A -->`).\n"
+    )
+    text = rendered(page, "page.md", lambda suite: tables)
+    assert text == page.replace("9 deg", "0.500 deg").replace("7<", "10<")
+    with pytest.raises(UnknownNameError, match="rotation mode"):
+        rendered(page.replace("rotation median", "rotation mode"), "page.md", lambda suite: tables)
+    with pytest.raises(InputError, match=r"page.md:1: a marked part is not valid"):
+        rendered(page.replace("; n ", " "), "page.md", lambda suite: tables)
 
 
 def test_marked_parts_are_replaced_and_nothing_else(board: Board, capsys: pytest.CaptureFixture[str]) -> None:
@@ -91,9 +132,10 @@ def test_marked_parts_are_replaced_and_nothing_else(board: Board, capsys: pytest
     assert text.endswith("<!-- /rows -->\n\nAfter `<b>`\n")
     assert "old" not in text
     assert main(["benchmark", "docs", *words, "--check", *plugin]) == 0
-    page.write_text("\n\n<!-- rows: tiny -->\nnever closed\n")
-    assert main(["benchmark", "docs", *words, *plugin]) == 2
-    assert "page.md:3: a marked part is not valid" in capsys.readouterr().err
+    for wrong in ("<!-- rows: tiny -->\nnever closed\n", "<!-- rows: tiny; sensor: a -->\n<!-- /rows -->\n"):
+        page.write_text(f"\n\n{wrong}")
+        assert main(["benchmark", "docs", *words, *plugin]) == 2
+        assert "page.md:3: a marked part is not valid" in capsys.readouterr().err
 
 
 def test_the_marked_parts_of_readme_and_docs_equal_the_committed_rows(

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+import numpy as np
 import p2o
 from p2o.results.result import Status
 
@@ -31,11 +32,13 @@ _BOUNDS = ("rotation_deg", "translation_m", "rotation_deg_95", "translation_m_95
 class Measured:
     """The outcome: `fresh` rows were there before, `added` are new, `crashed` raised, `missing` are not computed.
 
-    `unreadable` are calibrations with a frame that cannot be read.
+    `shared` of the new rows are measurements of other suites, `unreadable` are calibrations with a frame that cannot be
+    read.
     """
 
     fresh: int
     added: int
+    shared: int
     crashed: int
     missing: int
     unreadable: int
@@ -56,10 +59,14 @@ def measure(
 ) -> Measured:
     """Compute the missing and stale rows of a suite and add them to the results.
 
-    `store` is the folder of the study's store, from which an interrupted measurement continues. Raises as `ablate`.
+    A calibration that another suite has measured is not computed again, unless the suite has `share = false`. `store`
+    is the folder of the study's store, from which an interrupted measurement continues. Raises as `ablate`.
     """
     outcomes = Outcomes.read(results, suite.name)
-    tasks: dict[str, Task] = {}
+    others = [Outcomes.read(results, name) for name in results.suites if suite.suite.share and name != suite.name]
+    # Equal frames of two data sets have one key.
+    tasks: dict[tuple[str, str], Task] = {}
+    shared: list[tuple[Row, Task]] = []
     fresh = unreadable = 0
 
     def wanted(cell: Cell) -> bool:
@@ -71,7 +78,11 @@ def measure(
         if state_of(task, outcomes.measured(task.identity)) is State.FRESH:
             fresh += 1
             return False
-        tasks[cell.planned.key] = task
+        known = measured_elsewhere(task, others)
+        if known is not None:
+            shared.append((known, task))
+            return False
+        tasks[cell.planned.key, cell.planned.row] = task
         return True
 
     done = ablate(
@@ -85,10 +96,10 @@ def measure(
         on_warning=on_warning,
     )
     commit = source_version()
-    new = []
+    new = list(shared)
     crashed = 0
     for stored in done.rows:
-        task = tasks[stored.key]
+        task = tasks[stored.key, stored.row]
         row = row_of(task, stored, commit, measured_by)
         crashed += row.crashed
         # A calibration that raises again is the same outcome, not a further one.
@@ -96,7 +107,30 @@ def measure(
             new.append((row, task))
     frames = {frame.line: frame for _, task in new for frame in task.frames}
     added = results.add(suite.name, [row for row, _ in new], frames.values())
-    return Measured(fresh, added, crashed, len(done.missing), unreadable, done.interrupted)
+    return Measured(fresh, added, len(shared), crashed, len(done.missing), unreadable, done.interrupted)
+
+
+def measured_elsewhere(task: Task, others: Sequence[Outcomes]) -> Row | None:
+    """Return the row of another suite that is a measurement of the same calibration, under the names of the task.
+
+    Method, content and truth of the frames, initial guess and seed are equal; labels and the name of the dataset may
+    differ. None if no suite has one.
+    """
+    for outcomes in others:
+        number = outcomes.runs["method"]
+        same = np.array([digest == task.cell.method.digest for _, digest in outcomes.methods], bool)
+        if not same.any():
+            continue
+        named = np.array([place == task.names for place in outcomes.places], bool)
+        runs = outcomes.runs
+        for place in np.flatnonzero(same[number] & named[runs["place"]] & (runs["seed"] == task.cell.seed)):
+            row = outcomes.row(int(place))
+            same_draw = row.protocol == task.protocol and row.joint == (len(task.names) > 1)
+            if same_draw and task.state_of(row) is State.FRESH:
+                own = task.cell.planned
+                names = {"suite": task.suite, "row": own.row, "section": own.section, "dataset": own.dataset}
+                return Row.model_validate({**row.model_dump(mode="json"), **names})
+    return None
 
 
 def row_of(task: Task, stored: StoredRow, commit: str, measured_by: str) -> Row:

@@ -54,6 +54,11 @@ class Results:
 
     folder: Path
 
+    @property
+    def suites(self) -> list[str]:
+        """The names of the suites with rows."""
+        return sorted(path.stem for path in self.folder.glob("*.jsonl") if path.name != FRAMES_FILE)
+
     def path(self, suite: str) -> Path:
         """Return the file of the rows of a suite."""
         return self.folder / f"{suite}.jsonl"

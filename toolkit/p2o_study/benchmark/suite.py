@@ -48,6 +48,7 @@ class Suite(BaseModel):
     name of a publication's protocol, or a size such as "2deg 0.15m". `groups` are the units of the bootstrap:
     "frames" (each frame or joint group of frames) or "drive" (all frames whose names differ after the last "/").
     `splits` is a file of splits, relative to the suite file, from which datasets take the lists in their `split`.
+    `share` allows rows that another suite has measured: not for a suite of seconds.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -58,6 +59,7 @@ class Suite(BaseModel):
     protocol: Line = ""
     groups: Literal["frames", "drive"] = "frames"
     splits: Line = ""
+    share: bool = True
     seeds: Seeds = MIN_SEEDS
     dataset: tuple[DatasetTable, ...] = ()
     variant: tuple[Variant, ...] = ()

@@ -4,158 +4,252 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from p2o.arrays import Int
-from p2o.errors import InputError
+from p2o.errors import InputError, UnknownNameError
 from p2o.files.input_file import read_text
 
-from p2o_study.benchmark.outcomes import Outcomes, Runs, split_by
+from p2o_study.benchmark.outcomes import Outcomes, split_by
 from p2o_study.benchmark.results import Results
 from p2o_study.benchmark.suite import SuiteFile
-from p2o_study.benchmark.summary import clusters_of, dataset_clusters, summarised
+from p2o_study.benchmark.summary import RowSummary, clusters_of, dataset_clusters, summarised
 from p2o_study.report.bootstrap import MIN_FRAMES, Interval
 from p2o_study.report.summary import NORMS
 from p2o_study.report.tables import NONE, md_text, shown
 from p2o_study.tally import brief_seconds
 
-_HEADER = (
-    "method",
-    "n",
-    "groups",
-    "refused",
-    "rotation mean [deg]",
-    "median",
-    "solved only",
-    "translation mean [cm]",
-    "median",
-    "solved only",
-    "trusted",
-    "false accepts",
-    "coverage 67 %",
-    "coverage 95 %",
-    "time [s]",
-)
+_WORDS = ("data", "methods")
 _PART = re.compile(
-    r"^(?P<head><!-- rows: (?P<suite>[a-z0-9._-]+)(?:, (?P<section>[^>\n]+?))? -->\n)"
+    r"^(?P<head><!-- rows: (?P<suite>[a-z0-9._-]+)(?:, (?P<section>[^>;\n]+?))?(?P<filters>(?:; [^>;\n]+?)*) -->\n)"
     r"(?:(?!^<!-- rows:).)*?(?P<tail>^<!-- /rows -->$)",
     re.DOTALL | re.MULTILINE,
 )
-_HEAD = re.compile(r"^<!-- rows:", re.MULTILINE)
-_MARK = re.compile(r"^<!-- (?:rows:|cards -->)", re.MULTILINE)
+_VALUE = re.compile(r"(?P<head>(?<!`)<!-- value: (?P<named>[^>\n]+?) -->)[^\n]*?(?P<tail><!-- /value -->)")
+_HEAD = re.compile(r"^<!-- rows:|(?<!`)<!-- value:", re.MULTILINE)
+_MARK = re.compile(r"^<!-- (?:rows:|cards -->)|(?<!`)<!-- value:", re.MULTILINE)
+VALUES = ("n", "groups", "refused", "trusted", "false accepts", "within 67 %", "within 95 %", "time")
+"""Names of the values of a row, beside mean, median and interval of a norm (`rotation mean`)."""
 
 
-class _Labelled(NamedTuple):
-    """The runs of one label, and the draws of their initial guesses."""
+class Key(NamedTuple):
+    """Names of a row of a table; `label` is without "@ DATA SET"."""
 
-    runs: Runs
-    protocols: tuple[str, ...]
+    section: str
+    label: str
+    dataset: str
 
 
-def table_of(suite: SuiteFile, results: Results, section: str | None = None) -> str:
-    """Return the tables of a suite in Markdown, one for each section, from its last measured rows; no data are read.
+def _key(section: str, label: str, dataset: str) -> Key:
+    return Key(section, label.removesuffix(f" @ {dataset}"), dataset)
 
-    Raises InputError for a section that the suite lacks, and for a row whose frame is not listed.
+
+@dataclass(frozen=True)
+class Choice:
+    """What a page takes of a suite: one section (None: all), and some of the data sets and labels (empty: all)."""
+
+    suite: str
+    section: str | None = None
+    data: tuple[str, ...] = ()
+    methods: tuple[str, ...] = ()
+
+    def has(self, key: Key) -> bool:
+        """Return whether a row is among the chosen data sets and methods."""
+        return key.dataset in (self.data or (key.dataset,)) and key.label in (self.methods or (key.label,))
+
+
+@dataclass(frozen=True)
+class SuiteTables:
+    """The last measured rows of a suite with their errors, from which its tables are rendered; no data are read.
+
+    `lines` are the figures by section, label and data set, in the order of the suite, with those of external methods
+    last; `protocols` the draws of their initial guesses. `asked` are the rows of the suite. Labels are without
+    "@ DATA SET".
     """
-    outcomes = Outcomes.read(results, suite.name, results.frames)
-    clusters = clusters_of(outcomes, suite.suite.groups)
-    runs, external = _by_label(outcomes)
-    sections: dict[str, list[str]] = {}
-    for study_row in suite.rows:
-        sections.setdefault(study_row.section, []).append(study_row.label)
-    if section is not None and section not in sections:
-        raise InputError("unknown section", where=suite.source, expected=" or ".join(map(repr, sections)), got=section)
-    parts = []
-    for name, labels in sections.items():
-        measured = [label for label in (*labels, *external.get(name, ())) if label in runs]
-        if section in (None, name):
-            parts.append(_section(name, measured, len(labels) - sum(label in runs for label in labels), runs, clusters))
-    return "\n".join(parts)
+
+    suite: SuiteFile
+    lines: Mapping[Key, RowSummary]
+    protocols: Mapping[Key, frozenset[str]]
+    asked: Sequence[Key]
+
+    @classmethod
+    def read(cls, suite: SuiteFile, results: Results) -> SuiteTables:
+        """Return the tables of a suite; raises InputError for a row whose frame is not listed."""
+        outcomes = Outcomes.read(results, suite.name, results.frames)
+        clusters = clusters_of(outcomes, suite.suite.groups)
+        asked = {(row.label, row.dataset.name): _key(row.section, row.label, row.dataset.name) for row in suite.rows}
+        figures: dict[Key, RowSummary] = {}
+        protocols: dict[Key, frozenset[str]] = {}
+        for runs in split_by(outcomes.runs[outcomes.latest], "row", "dataset"):
+            label, dataset = outcomes.rows[runs["row"][0]], outcomes.datasets[runs["dataset"][0]]
+            # The rows of an external method are those of all sections together, in the first one.
+            external = outcomes.methods[runs["method"][0]][0].external
+            key = (
+                Key(outcomes.sections[runs["section"][0]], label, dataset) if external else asked.get((label, dataset))
+            )
+            if key is not None:
+                figures[key] = summarised(runs, dataset_clusters(runs, clusters))
+                protocols[key] = frozenset(outcomes.protocols[number] for number in np.unique(runs["protocol"]))
+        keys = [key for key in asked.values() if key in figures]
+        keys += [key for key in figures if key not in set(keys)]
+        data = list(dict.fromkeys(key.dataset for key in keys))
+        keys.sort(key=lambda key: data.index(key.dataset))
+        return cls(suite, {key: figures[key] for key in keys}, protocols, list(asked.values()))
+
+    def markdown(self, choice: Choice) -> str:
+        """Return the tables in Markdown, one for each section; raises InputError for a name that the suite lacks."""
+        self._check(choice)
+        sections = dict.fromkeys(key.section for key in (*self.asked, *self.lines))
+        return "\n".join(self._section(name, choice) for name in sections if choice.section in (None, name))
+
+    def _check(self, choice: Choice) -> None:
+        keys = [*self.asked, *self.lines]
+        asked = [
+            *(("section", word, {key.section for key in keys}) for word in (choice.section,) if word is not None),
+            *(("data set", word, {table.name for table in self.suite.study.study.dataset}) for word in choice.data),
+            *(("method", word, {key.label for key in keys}) for word in choice.methods),
+        ]
+        for kind, word, known in asked:
+            if word not in known:
+                raise UnknownNameError(kind, word, sorted(known), where=self.suite.source)
+
+    def _section(self, section: str, choice: Choice) -> str:
+        """Return the table of a section with its caption."""
+        lines = {key: row for key, row in self.lines.items() if key.section == section and choice.has(key)}
+        drawn = frozenset[str]().union(*(self.protocols[key] for key in lines)) - {""}
+        start = f", initial error {next(iter(drawn))}" if len(drawn) == 1 else ""
+        text = [f"**{md_text(section or 'all rows')}{md_text(start)}**", ""]
+        datasets = {key.dataset for key in lines}
+        refused = any(row.refused for row in lines.values())
+        judged = any(row.trusted is not None for row in lines.values())
+        if lines:
+            header = [*(["data"] if len(datasets) > 1 else []), "method", *_header(refused, judged)]
+            text += [_line(header), _line([":--", *["--:"] * (len(header) - 1)])]
+            for key, row in lines.items():
+                cells = [key.dataset, key.label][len(datasets) < 2 :]
+                text.append(_line([*map(md_text, cells), *_figures(row, refused, judged)]))
+        missing = sum(key.section == section and choice.has(key) and key not in lines for key in self.asked)
+        if missing:
+            text += [*([""] if lines else []), f"{missing} rows are not measured."]
+        return "\n".join([*text, ""])
+
+    def value(self, section: str, label: str, dataset: str, name: str) -> str:
+        """Return one figure of a row as text with its unit, "not measured" without the row.
+
+        `name` is one of `VALUES`, or "rotation" or "translation" with "mean", "median" or "interval". Raises
+        InputError for a name that the suite lacks.
+        """
+        self._check(Choice(self.suite.name, section, (dataset,), (label,)))
+        row = self.lines.get(Key(section, label, dataset))
+        return "not measured" if row is None else _named_value(row, name, str(self.suite.source))
 
 
 def _line(cells: Iterable[str]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def _by_label(outcomes: Outcomes) -> tuple[dict[str, _Labelled], dict[str, list[str]]]:
-    """Return the last measured runs of each label, and the labels of external methods by section."""
-    latest = outcomes.runs[outcomes.latest]
-    runs = {
-        outcomes.rows[own["row"][0]]: _Labelled(own, tuple(outcomes.protocols[i] for i in np.unique(own["protocol"])))
-        for own in split_by(latest, "row")
-    }
-    # The rows of an external method are those of all sections together, in the first one.
-    foreign = np.array([method.external for method, _ in outcomes.methods], bool)
-    external: dict[str, list[str]] = {}
-    for run in latest[foreign[latest["method"]]] if len(latest) else ():
-        known = external.setdefault(outcomes.sections[run["section"]], [])
-        if outcomes.rows[run["row"]] not in known:
-            known.append(outcomes.rows[run["row"]])
-    return runs, external
+def _header(refused: bool, judged: bool) -> list[str]:
+    """Return the columns of a table behind the method: some have no entries without refused or judged runs."""
+    header = ["n (groups)", *(["refused"] if refused else [])]
+    for name, unit in (("rotation", "deg"), ("translation", "cm")):
+        header += [f"{name} mean [{unit}]", "median", *(["solved only"] if refused else [])]
+    return [*header, *(["trusted", "false accepts", "within 67 %", "within 95 %"] if judged else []), "time [s]"]
 
 
-def _section(
-    name: str,
-    labels: Sequence[str],
-    unmeasured: int,
-    runs: Mapping[str, _Labelled],
-    clusters: Int,
-) -> str:
-    """Return the table of a section with its caption."""
-    own = {protocol for label in labels for protocol in runs[label].protocols}
-    start = f", from {', '.join(sorted(filter(None, own)))}" if len(own) == 1 else ""
-    lines = [f"**{md_text(name or 'all rows')}{md_text(start)}**", ""]
-    if labels:
-        lines += [_line(_HEADER), _line([":--", *["--:"] * (len(_HEADER) - 1)])]
-        lines += [_line([md_text(label), *_figures(runs[label].runs, clusters)]) for label in labels]
-    if unmeasured:
-        lines += [""] if labels else []
-        lines.append(f"{unmeasured} rows are not measured.")
-    return "\n".join([*lines, ""])
-
-
-def _figures(runs: Runs, clusters: Int) -> list[str]:
+def _figures(row: RowSummary, refused: bool, judged: bool) -> list[str]:
     """Return the cells of a row behind its label."""
-    row = summarised(runs, dataset_clusters(runs, clusters))
-    cells = [str(row.count), str(row.groups), str(row.refused)]
+    cells = [f"{row.count} ({row.groups})", *([str(row.refused)] if refused else [])]
     for norm in NORMS:
         cells += [shown(row.mean.get(norm), norm), _value(norm, row.median.get(norm))]
-        cells.append(_value(norm, row.solved_only.get(norm)))
-    cells += [NONE if count is None else str(count) for count in (row.trusted, row.false_accepts)]
-    return [*cells, row.coverage.text_67, row.coverage.text_95, brief_seconds(row.seconds)]
+        cells += [_value(norm, row.solved_only.get(norm))] if refused else []
+    if judged:
+        cells += [NONE if count is None else str(count) for count in (row.trusted, row.false_accepts)]
+        cells += [row.coverage.text_67, row.coverage.text_95]
+    return [*cells, brief_seconds(row.seconds)]
 
 
 def _value(norm: str, value: float | None) -> str:
     return shown(None if value is None else Interval(value), norm)
 
 
+def _named_value(row: RowSummary, name: str, where: str) -> str:
+    """Return a figure of a row by its name, with its unit."""
+    plain: dict[str, object] = {
+        "n": row.count,
+        "groups": row.groups,
+        "refused": row.refused,
+        "trusted": NONE if row.trusted is None else row.trusted,
+        "false accepts": NONE if row.false_accepts is None else row.false_accepts,
+        "within 67 %": row.coverage.text_67,
+        "within 95 %": row.coverage.text_95,
+        "time": f"{brief_seconds(row.seconds)} s",
+    }
+    if name in plain:
+        return str(plain[name])
+    for norm, unit in zip(NORMS, ("deg", "cm"), strict=True):
+        average = row.mean.get(norm)
+        mean = _value(norm, None if average is None else average.value)
+        texts = {"mean": mean, "median": _value(norm, row.median.get(norm)), "interval": shown(average, norm)}
+        word, _, statistic = name.partition(" ")
+        if norm.startswith(word) and statistic in texts:
+            return f"{texts[statistic]} {unit}"
+    kinds = [f"{word} {kind}" for word in ("rotation", "translation") for kind in ("mean", "median", "interval")]
+    raise UnknownNameError("value", name, [*VALUES, *kinds], where=where)
+
+
 NOTE = (
-    "n is the number of calibrations, groups that of independent groups (frames or drives). In brackets: 95 % interval "
-    f"by bootstrap over groups, none for fewer than {MIN_FRAMES}. Means and medians contain refused calibrations with "
-    "the error of their initial guess; solved only: the mean without them. Methods whose intervals overlap have no "
+    "n is the number of calibrations, in parentheses that of independent groups (frames or drives). In brackets: 95 % "
+    f"interval by bootstrap over groups, none for fewer than {MIN_FRAMES}. Means and medians contain refused "
+    "calibrations with the error of their initial guess; solved only: the mean without them. Within 67 % and 95 %: "
+    "rotation errors, then translation errors, within the predicted ones. Methods whose intervals overlap have no "
     "order."
 )
 """How to read the tables."""
 
 
-def rendered(text: str, where: str, table: Callable[[str, str | None], str]) -> str:
-    """Return a page with its marked parts replaced; `table` returns that of a suite and section.
+def rendered(text: str, where: str, tables: Callable[[str], SuiteTables]) -> str:
+    """Return a page with its marked parts replaced; `tables` returns the tables of a suite.
 
-    A part is marked by `<!-- rows: SUITE -->` or `<!-- rows: SUITE, SECTION -->` and `<!-- /rows -->`. Raises
-    InputError for a mark that is not closed.
+    A table is between `<!-- rows: SUITE -->` and `<!-- /rows -->`. The mark may name a section and choose data sets and
+    methods: `<!-- rows: SUITE, SECTION; data: A, B; methods: X, Y -->`. One figure is between
+    `<!-- value: SUITE; SECTION; METHOD; DATA; NAME -->` and `<!-- /value -->` in a line. Raises InputError for a mark
+    that is not valid or not closed.
     """
-    parts = list(_PART.finditer(text))
-    starts = {part.start() for part in parts}
+    starts = {part.start() for pattern in (_PART, _VALUE) for part in pattern.finditer(text)}
     for head in _HEAD.finditer(text):
         if head.start() not in starts:
-            line = text.count("\n", 0, head.start()) + 1
-            expected = (
-                "<!-- rows: SUITE -->, or <!-- rows: SUITE, SECTION -->, on its own line, and <!-- /rows --> after it"
-            )
-            raise InputError("a marked part is not valid", where=f"{where}:{line}", expected=expected)
-    return _PART.sub(lambda part: f"{part['head']}{table(part['suite'], part['section'])}{part['tail']}", text)
+            raise InputError("a marked part is not valid", where=_place(text, where, head), expected=_EXPECTED)
+
+    def table(part: re.Match[str]) -> str:
+        filters: dict[str, tuple[str, ...]] = {}
+        for words in filter(None, part["filters"].split("; ")):
+            name, _, values = words.partition(": ")
+            if name not in _WORDS or not values:
+                raise InputError("a marked part is not valid", where=_place(text, where, part), expected=_EXPECTED)
+            filters[name] = tuple(values.split(", "))
+        choice = Choice(part["suite"], part["section"], **filters)
+        return f"{part['head']}{tables(choice.suite).markdown(choice)}{part['tail']}"
+
+    def value(part: re.Match[str]) -> str:
+        words = part["named"].split("; ")
+        if len(words) != 5:
+            raise InputError("a marked part is not valid", where=_place(text, where, part), expected=_EXPECTED)
+        suite, section, label, dataset, name = words
+        return f"{part['head']}{tables(suite).value(section, label, dataset, name)}{part['tail']}"
+
+    return _VALUE.sub(value, _PART.sub(table, text))
+
+
+_EXPECTED = (
+    "<!-- rows: SUITE, SECTION; data: A, B; methods: X, Y --> on its own line (all but SUITE optional) and "
+    "<!-- /rows --> after it, or <!-- value: SUITE; SECTION; METHOD; DATA; NAME --> and <!-- /value --> in one line"
+)
+
+
+def _place(text: str, where: str, part: re.Match[str]) -> str:
+    return f"{where}:{text.count(chr(10), 0, part.start()) + 1}"
 
 
 def pages_with_marks(paths: Sequence[Path]) -> dict[Path, str]:

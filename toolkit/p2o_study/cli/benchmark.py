@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from p2o_study.cli.ablate import at_most_option, progress_shown
 if TYPE_CHECKING:
     from p2o_study.benchmark.status import SuiteStatus
     from p2o_study.benchmark.suite import SuiteFile
+    from p2o_study.benchmark.tables import SuiteTables
     from p2o_study.worker import Plugins
 
 _SHOWN = 20
@@ -125,7 +127,13 @@ def run(
             on_progress=say,
             on_warning=warn,
         )
-    parts = [f"{done.added} rows added", f"{done.fresh} fresh", f"{done.crashed} crashed", f"{done.missing} missing"]
+    shared = f" ({done.shared} measured for other suites)" if done.shared else ""
+    parts = [
+        f"{done.added} rows added{shared}",
+        f"{done.fresh} fresh",
+        f"{done.crashed} crashed",
+        f"{done.missing} missing",
+    ]
     parts += [f"{done.unreadable} with unreadable frames"] if done.unreadable else []
     click.echo(f"{file.name}: {', '.join(parts)}; {Results(Path(results)).path(file.name)}")
     if done.interrupted:
@@ -381,16 +389,17 @@ def verify(
     return 1 if certificate.failures else 0
 
 
-def _table(suites: str, results: str, plugins: Plugins) -> Callable[[str, str | None], str]:
-    """Return the function that renders the table of a suite and section."""
+def _tables(suites: str, results: str, plugins: Plugins) -> Callable[[str], SuiteTables]:
+    """Return the function that reads the tables of a suite, once each."""
     from p2o_study.benchmark.results import Results
     from p2o_study.benchmark.suite import find_suite
-    from p2o_study.benchmark.tables import table_of
+    from p2o_study.benchmark.tables import SuiteTables
 
-    def table(suite: str, section: str | None) -> str:
-        return table_of(find_suite(suite, plugins.registry(), Path(suites)), Results(Path(results)), section)
+    @cache
+    def tables(suite: str) -> SuiteTables:
+        return SuiteTables.read(find_suite(suite, plugins.registry(), Path(suites)), Results(Path(results)))
 
-    return table
+    return tables
 
 
 @command.command("table")
@@ -407,10 +416,11 @@ def table(
     Means with 95 % intervals by bootstrap over independent groups, medians, refused calibrations, false accepts and
     coverage of the predicted errors.
     """
-    from p2o_study.benchmark.tables import NOTE
+    from p2o_study.benchmark.tables import NOTE, Choice
     from p2o_study.worker import Plugins
 
-    click.echo(_table(suites, results, Plugins.of(block, plugin))(suite, section))
+    tables = _tables(suites, results, Plugins.of(block, plugin))(suite)
+    click.echo(tables.markdown(Choice(tables.suite.name, section)))
     click.echo(NOTE)
     return 0
 
@@ -535,8 +545,10 @@ def docs(
 ) -> int:
     """Write the tables of marked parts of pages from rows and cards of data (default: README.md and docs).
 
-    A part is marked by the lines `<!-- rows: SUITE -->`, or `<!-- rows: SUITE, SECTION -->`, and `<!-- /rows -->`; the
-    cards by `<!-- cards -->` and `<!-- /cards -->`.
+    A table is marked by the lines `<!-- rows: SUITE -->`, or
+    `<!-- rows: SUITE, SECTION; data: A, B; methods: X, Y -->`, and `<!-- /rows -->`; one figure by
+    `<!-- value: SUITE; SECTION; METHOD; DATA; NAME -->` and `<!-- /value -->`; the cards by `<!-- cards -->` and
+    `<!-- /cards -->`.
     """
     from p2o.files.whole_file import write_whole
 
@@ -545,10 +557,10 @@ def docs(
     from p2o_study.worker import Plugins
 
     paths = [Path(page) for page in pages] or [Path("README.md"), *sorted(Path("docs").rglob("*.md"))]
-    render = _table(suites, results, Plugins.of(block, plugin))
+    tables = _tables(suites, results, Plugins.of(block, plugin))
     different = 0
     for path, before in pages_with_marks(paths).items():
-        after = with_cards(rendered(before, str(path), render), str(path), lambda: read_cards(Path(cards)))
+        after = with_cards(rendered(before, str(path), tables), str(path), lambda: read_cards(Path(cards)))
         if after != before:
             different += 1
             click.echo(f"{path}: {'differs from the rows or cards' if check else 'written'}")
