@@ -115,6 +115,19 @@ def test_one_figure_of_a_row_stands_in_a_sentence(board: Board) -> None:
         rendered(page.replace("; n ", " "), "page.md", lambda suite: tables)
 
 
+def test_labels_with_commas_are_chosen_by_their_whole_words(board: Board) -> None:
+    board.write(study=HEAD + QUICK_ROW.replace('"quick"', '"quick, 3 frames"', 1) + QUICK_ROW)
+    board.measured()
+    page = "<!-- rows: tiny; methods: quick, 3 frames -->\n<!-- /rows -->\n"
+    registry = Plugins.of((), (str(PLUGIN),)).registry()
+    tables = SuiteTables.read(find_suite(str(board.root / "tiny.toml"), registry), board.results)
+    first = {line.split(" | ")[0] for line in rendered(page, "page.md", lambda suite: tables).splitlines()}
+    assert "| quick, 3 frames" in first
+    assert "| quick" not in first
+    both = rendered(page.replace("frames", "frames, quick"), "page.md", lambda suite: tables)
+    assert "| quick |" in both
+
+
 def test_marked_parts_are_replaced_and_nothing_else(board: Board, capsys: pytest.CaptureFixture[str]) -> None:
     board.measured()
     suites = board.root / "suites"

@@ -108,6 +108,18 @@ class SuiteTables:
         sections = dict.fromkeys(key.section for key in (*self.asked, *self.lines))
         return "\n".join(self._section(name, choice) for name in sections if choice.section in (None, name))
 
+    def labels_in(self, words: Sequence[str]) -> tuple[str, ...]:
+        """Return the labels of words that were separated by commas, which labels may contain."""
+        known = {key.label for key in (*self.asked, *self.lines)}
+        labels = []
+        first = 0
+        while first < len(words):
+            ends = [end for end in range(len(words), first + 1, -1) if ", ".join(words[first:end]) in known]
+            end = ends[0] if ends else first + 1
+            labels.append(", ".join(words[first:end]))
+            first = end
+        return tuple(labels)
+
     def _check(self, choice: Choice) -> None:
         keys = [*self.asked, *self.lines]
         asked = [
@@ -247,6 +259,7 @@ def rendered(text: str, where: str, tables: Callable[[str], SuiteTables]) -> str
             if name not in _WORDS or not values or (name == "columns" and values not in ("all", "brief")):
                 raise InputError("a marked part is not valid", where=_place(text, where, part), expected=_EXPECTED)
             filters[name] = values if name == "columns" else tuple(values.split(", "))
+        filters["methods"] = tables(part["suite"]).labels_in(filters.get("methods", ()))
         choice = Choice(part["suite"], part["section"], **filters)
         return f"{part['head']}{tables(choice.suite).markdown(choice)}{part['tail']}"
 
