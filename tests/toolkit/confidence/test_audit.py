@@ -14,6 +14,7 @@ from p2o import se3
 from p2o.calibration.options import PipelineOptions
 from p2o.confidence import audit as audits
 from p2o.confidence.audit import AXES, EdgeStep, Evidence, Rates, audit
+from p2o.confidence.explanation import explanations
 from p2o.results.check import Check, CheckStatus
 from p2o.results.evidence import Agreement
 from p2o.results.result_json import check_from_dict, check_to_dict
@@ -217,3 +218,13 @@ def test_an_error_of_three_and_a_half_sigma_is_neither_off_nor_confirmed() -> No
 def test_all_errors_of_a_slip_on_six_axes_are_named() -> None:
     found = said(np.full(6, 0.1), np.eye(6) * 1e-4)
     assert {axis.holding for axis in found.axes} == {CheckStatus.OFF}
+
+
+def test_all_axes_together_explain_any_error_also_of_an_ill_conditioned_covariance() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        axes = np.linalg.qr(rng.normal(size=(6, 6)))[0]
+        covariance = axes @ np.diag(10.0 ** rng.uniform(-14, 2, 6)) @ axes.T
+        [found] = explanations(error := rng.normal(size=6), covariance, lambda degrees: 0.0, 0.0)
+        assert found.axes == tuple(range(6))
+        assert np.array_equal(found.sizes, error)

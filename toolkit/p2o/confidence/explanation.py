@@ -92,6 +92,9 @@ def explanations(
 
     def chi_square(axes: tuple[int, ...]) -> tuple[float, Float]:
         """Return the lowest chi-square if only these axes are wrong, and their errors."""
+        if len(axes) == count:
+            # Solved numerically, an ill-conditioned covariance would leave a residual.
+            return 0.0, error.copy()
         rows = list(axes)
         sizes = np.linalg.solve(weight[np.ix_(rows, rows)], weight[rows] @ error) if rows else np.zeros(0)
         residual = error.copy()
