@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from p2o import Bool, Float, Initializer, Int, Method, Options, View, field, se3
+from p2o import Bool, Float, InitializerBase, Int, Method, Options, View, field, se3
 
 from p2o_plugins.initialize.edge_density import DensityAt, EdgeDensity
 
@@ -23,8 +24,9 @@ class FarOptions(Options):
     seed: int = field(0, ge=0, help="Seed of the random generator.")
 
 
-# The search box is slightly enlarged, because rotations and translations depend on the order of composition.
-_BEYOND, _FARTHEST = 1.1, 1.4
+# The box is slightly enlarged, because rotations and translations depend on the order of composition. A pose that an
+# ascent leads out of it by more than its remaining error is dropped.
+_BEYOND = 1.1
 # Error of the nearest of the poses sampled in the box; then, per refinement: remaining error in deg and m, steps, and
 # the fraction of poses that is kept. Tuned on every other frame of KITTI odometry 00.
 _SPREAD = (3.0, 0.45)
@@ -34,15 +36,25 @@ _SEPARATE = 0.7
 _DAMPING, _EASED, _STIFFER = 0.03, 0.5, 8.0
 
 
-def build(options: FarOptions) -> Initializer:
-    """Return an initializer that proposes the poses at which the ascents converge, best first.
+@dataclass(frozen=True)
+class Far(InitializerBase):
+    """The initializer: propose the poses at which the ascents converge, best first.
 
     Poses sampled evenly in the box are scored by the density of image edges at LiDAR edges of their direction, blurred
     by the distance between these poses. The best distinct ones are refined by ascent with decreasing blur, and their
     number is reduced at each stage: near the true pose the score increases more with every step than elsewhere.
     """
 
-    def initialize(views: Sequence[View], camera_from_lidar: Float) -> list[Float]:
+    options: FarOptions
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """The box of the search."""
+        return self.options.reach_deg, self.options.reach_m
+
+    def __call__(self, views: Sequence[View], camera_from_lidar: Float, /) -> list[Float]:
+        """Return up to `proposals` poses (4, 4)."""
+        options, box = self.options, _unit(*self.reach)
         rng = np.random.default_rng(options.seed)
         rows = np.unique(np.linspace(0, len(views) - 1, min(len(views), options.max_frames)).astype(int))
         chosen = [views[row] for row in rows]
@@ -54,15 +66,13 @@ def build(options: FarOptions) -> Initializer:
         for deg, metres, steps, share in _CLIMBS:
             unit = _unit(deg, metres)
             moves, score = _climbed(density.at(np.radians(deg), metres), moves, unit, steps)
-            inside = (np.abs(_tangents(moves)) <= _FARTHEST * _unit(options.reach_deg, options.reach_m)).all(axis=1)
+            inside = (np.abs(_tangents(moves)) <= _BEYOND * box + unit).all(axis=1)
             moves, score = moves[inside], score[inside]
             if not len(moves):
                 return [camera_from_lidar]
             most = max(options.proposals, round(share * options.kept))
             moves = moves[_separate(_tangents(moves) / unit, score, most)]
         return [np.asarray(move @ camera_from_lidar) for move in moves[: options.proposals]]
-
-    return initialize
 
 
 def _unit(deg: float, metres: float) -> Float:
@@ -143,7 +153,7 @@ def _climbed(score: DensityAt, moves: Float, unit: Float, steps: int) -> tuple[F
 
 METHOD = Method(
     name="far",
-    build=build,
+    build=Far,
     options=FarOptions,
     summary="Whole box of 20 deg and 1.5 m: densities of edges, then many climbs (far starts).",
     needs={"image-edges", "cloud-edges"},

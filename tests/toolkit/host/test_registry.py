@@ -418,15 +418,17 @@ def test_a_prepare_that_returns_none_or_code_names_plugin_and_stage(
         guarded.prepare(frame)
 
 
-@pytest.mark.parametrize("sigma", [(2.0,), (2.0, -0.1), (np.nan, 0.1)])
-def test_how_good_an_initializer_takes_starts_to_be_is_two_numbers_above_zero(sigma: tuple[float, ...]) -> None:
+@pytest.mark.parametrize("name", ["start_sigma", "reach"])
+@pytest.mark.parametrize("sizes", [(2.0,), (2.0, -0.1), (np.nan, 0.1)])
+def test_the_initial_errors_that_an_initializer_is_made_for_are_two_numbers_above_zero(
+    sizes: tuple[float, ...], name: str
+) -> None:
     class Proposing(p2o.InitializerBase):
-        start_sigma = sigma  # type: ignore[assignment]
-
         def __call__(self, views: object, pose: object) -> list[object]:  # type: ignore[override]
             return [pose]
 
-    with pytest.raises(PluginError, match=r"initializer 'fake': start_sigma is .*; expected degrees and metres"):
+    setattr(Proposing, name, sizes)
+    with pytest.raises(PluginError, match=rf"initializer 'fake': {name} is .*; expected degrees and metres"):
         build(offer_of(Kind.INITIALIZER, Proposing()), p2o.Options())
 
 

@@ -14,9 +14,10 @@ from p2o.calibration.judge import Judge, is_sparse, judge_of
 from p2o.calibration.nuisance import Nuisance, NuisanceEstimate, estimate_nuisances, known_twists, motion_prior
 from p2o.calibration.options import PipelineOptions
 from p2o.calibration.rounds import End, Rounds
+from p2o.calibration.search_box import SearchBox
 from p2o.features.view import View
 from p2o.geometry import se3
-from p2o.host.stages import Initializer, Matcher, Solver
+from p2o.host.stages import Initializer, InitializerBase, Matcher, Solver
 from p2o.results.result import Status
 
 EDGES = frozenset({"image-edges", "cloud-edges"})
@@ -35,18 +36,24 @@ def is_far(start: Float, pose: Float) -> bool:
 class Refined:
     """The poses that rounds of matching and solving ended at, one for each proposal, and the judge that compares them.
 
-    `views` are those that the rounds matched.
+    `views` are those that the rounds matched, `box` that of the initializer's search, None if it has none.
     """
 
     views: VisibleViews
     start: Float
     ends: Sequence[End]
     judge: Judge
+    box: SearchBox | None = None
 
     @property
     def solved(self) -> list[End]:
-        """The ends with a pose to judge."""
-        return [end for end in self.ends if end.solved]
+        """The ends with a pose to judge: those within the box of the search, all of them if none is."""
+        solved = [end for end in self.ends if end.solved]
+        return [end for end in solved if self.within(end.pose)] or solved
+
+    def within(self, pose: Float) -> bool:
+        """Return whether a pose (4, 4) is within the box of the search."""
+        return self.box is None or self.box.has(self.start, pose)
 
     @cached_property
     def best(self) -> End:
@@ -118,7 +125,8 @@ class Algorithm:
             for pose in proposals
             if not np.allclose(pose, start, atol=1e-12)
         ] or [rounds(views.corrected, start, start, judge, reach_px=options.reach_px)]
-        return Refined(views, start, ends, judge)
+        reach = self.initializer.reach if isinstance(self.initializer, InitializerBase) else None
+        return Refined(views, start, ends, judge, None if reach is None else SearchBox(*reach))
 
     def refine_again(self, views: Sequence[View], refined: Refined) -> Refined:
         """Repeat the rounds from all solved poses, with what is visible from the best of them.

@@ -76,6 +76,7 @@ def assess(
     if covariance is None and end.solution is not None:
         covariance = end.solution.covariance
     cameras = checks_of(final, [view.camera for view in views])
+    left_box = None if estimate.refined.within(pose) else estimate.refined.box
     if accuracy is not None:
         accuracy = or_other_cameras(accuracy, pose, final.intrinsics)
     return Result(
@@ -92,7 +93,7 @@ def assess(
         judged=judged,
         agreement=agreement,
         rival=rival,
-        verdict=verdict_of(agreement, rival, cameras, options, accuracy, places=places),
+        verdict=verdict_of(agreement, rival, cameras, options, accuracy, places=places, box=left_box),
         cameras=at_full_size(cameras, views),
         motions=final.nuisance.sweep_motions(views),
         time=final.time,

@@ -13,6 +13,7 @@ from p2o.calibration.judge import Judge
 from p2o.calibration.nuisance import NuisanceEstimate
 from p2o.calibration.options import PipelineOptions
 from p2o.calibration.rounds import End
+from p2o.calibration.search_box import SearchBox
 from p2o.confidence.agreement import agreement, interval_agreement
 from p2o.features.view import View
 from p2o.geometry import se3
@@ -56,17 +57,21 @@ def verdict_of(
     accuracy: Accuracy | None = None,
     *,
     places: int | None = None,
+    box: SearchBox | None = None,
 ) -> Verdict:
     """Return the verdict on a pose: doubtful where edges agree little more than under random alignment.
 
     It is also doubtful where its predicted error (`accuracy`) is large. `places` is the number of independent image
-    cells that the pairs come from, None where unknown.
+    cells that the pairs come from, None where unknown. `box` is that of the search if the pose is outside it.
     """
     reasons = [*_rival_doubts(rival, options.min_lead_edges), *agreement_doubts(agreed, options)]
     reasons += accuracy_doubts(accuracy, options)
     if places is not None and places < _MIN_PLACES:
         text = f"pairs come from only {places} places of the image, too few to predict the error; take more frames"
         reasons.append(Reason(Doubt.TOO_FEW_PLACES, f"{text} jointly"))
+    if box is not None:
+        text = f"the pose is outside the searched box, {box.text} around the initial guess"
+        reasons.append(Reason(Doubt.OUTSIDE_BOX, f"{text}; enlarge the box if the guess may be that far off"))
     return Verdict((*reasons, *filter(None, map(camera_doubt, cameras))))
 
 

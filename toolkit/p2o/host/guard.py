@@ -361,15 +361,19 @@ class GuardedInitializer(_Guarded, InitializerBase):
 
     def __init__(self, offer: Offer, stage: Any) -> None:
         super().__init__(offer, stage)
-        sigma: Any = None
-        if isinstance(stage, InitializerBase):
-            with watch(offer, "reading start_sigma"):
-                sigma = stage.start_sigma
-        if sigma is not None:
-            if np.shape(sigma) != (2,) or not (np.isfinite(sigma).all() and np.all(np.asarray(sigma) > 0)):
-                raise fault(offer, f"start_sigma is {sigma!r}", "degrees and metres, both above zero")
-            sigma = float(sigma[0]), float(sigma[1])
-        self._start_sigma: tuple[float, float] | None = sigma
+        self._start_sigma, self._reach = self._sizes("start_sigma"), self._sizes("reach")
+
+    def _sizes(self, name: str) -> tuple[float, float] | None:
+        """Return a property of the initializer in deg and m, or None; raises PluginError for other values."""
+        if not isinstance(self._stage, InitializerBase):
+            return None
+        with watch(self._offer, f"reading {name}"):
+            value: Any = getattr(self._stage, name)
+        if value is None:
+            return None
+        if np.shape(value) != (2,) or not (np.isfinite(value).all() and np.all(np.asarray(value) > 0)):
+            raise fault(self._offer, f"{name} is {value!r}", "degrees and metres, both above zero")
+        return float(value[0]), float(value[1])
 
     def __call__(self, views: Sequence[View], camera_from_lidar: Float, /) -> list[Float]:
         """Return at least one initial pose (4, 4), best first."""
@@ -383,6 +387,11 @@ class GuardedInitializer(_Guarded, InitializerBase):
     def start_sigma(self) -> tuple[float, float] | None:
         """Standard deviation of the initial guess in deg and m, or None."""
         return self._start_sigma
+
+    @property
+    def reach(self) -> tuple[float, float] | None:
+        """Half sizes of the box of the search in deg and m, or None."""
+        return self._reach
 
     @property
     def prepares(self) -> bool:

@@ -109,6 +109,15 @@ class InitializerBase(ABC):
         """
         return None
 
+    @property
+    def reach(self) -> tuple[float, float] | None:
+        """Half sizes of the box of initial errors that the method searches, about (deg) and along (m) each camera axis.
+
+        Among refined poses, one within the box is preferred; a result outside it by more than 10 % is doubtful. None if
+        the method has no such box.
+        """
+        return None
+
     def prepare(self, frame: Frame, /) -> Any:
         """Return the inputs that the method needs of a frame in addition to its features, stored in `View.prepared`.
 

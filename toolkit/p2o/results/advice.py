@@ -28,6 +28,10 @@ BY_DOUBT: Mapping[Doubt, tuple[str, ...]] = {
     Doubt.CAMERA: (
         "Calibrate the intrinsics again, or estimate them from many frames jointly (--set pipeline.camera=refine).",
     ),
+    Doubt.OUTSIDE_BOX: (
+        _MORE,
+        "If the initial guess may be that far off, enlarge the box (--set init.reach_deg, init.reach_m).",
+    ),
     Doubt.CONTRADICTION: ("Cameras or frames contradict each other: inspect each of them separately.",),
     Doubt.TOO_FEW_CAMERAS: ("A rig needs two cameras with a pose of their own: inspect those that were left out.",),
 }

@@ -26,6 +26,7 @@ class Doubt(StrEnum):
     TOO_UNSURE = "too-unsure"
     LED_AWAY = "led-away"
     CAMERA = "camera"
+    OUTSIDE_BOX = "outside-box"
     CONTRADICTION = "contradiction"
     TOO_FEW_CAMERAS = "too-few-cameras"
 
@@ -52,7 +53,8 @@ class Verdict:
     """The verdict on a result and its `reasons`; a trusted result has none.
 
     `refused`: there is no new pose. `doubtful`: image and sweep do not agree at this pose, no independent check was
-    possible, the predicted error is large, or the intrinsics of the camera are in doubt. `ambiguous`: another pose fits
+    possible, the predicted error is large, the pose is outside the box of the search, or the intrinsics of the camera
+    are in doubt. `ambiguous`: another pose fits
     about as well. `trusted`: none of these.
     """
 
