@@ -470,6 +470,10 @@ DIGITS = 5000 * "9"
         (["run", "--require", "trusted 0.3deg"], '--require: the accuracy needs two parts; expected "trusted", or'),
         (["run", "--require", "2 degrees"], "--require: cannot read the size"),
         (["run", "--require", "0.3deg"], "--require: the accuracy needs two parts"),
+        (
+            ["run", "--start-sigma", "2 apples"],
+            "--start-sigma: cannot read the accuracy; expected an angle and a length",
+        ),
         (["run", "--perturb", "1deg 101m"], "--perturb: the size is out of bounds; expected 0..180 deg and 0..100 m"),
         (["run", "--perturb", "1e999deg"], "--perturb: the size is out of bounds"),
         (["run", "--require", "1deg 1e300m"], "--require: the size is out of bounds"),

@@ -13,6 +13,7 @@ from p2o.runtime.lazy import attach
 
 if TYPE_CHECKING:
     from p2o.arrays import checked as checked
+    from p2o.calibration.search_box import SearchBox as SearchBox
     from p2o.frames.accumulate import accumulated as accumulated, one_per_voxel as one_per_voxel
     from p2o.frames.lidar_odometry import poses_by_gicp as poses_by_gicp, poses_by_kiss_icp as poses_by_kiss_icp
     from p2o.frames.scale import image_at_scale as image_at_scale

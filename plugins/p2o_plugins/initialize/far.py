@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from p2o import Bool, Float, InitializerBase, Int, Method, Options, View, field, se3
+from p2o.solving import SearchBox
 
 from p2o_plugins.initialize.edge_density import DensityAt, EdgeDensity
 
@@ -24,9 +25,8 @@ class FarOptions(Options):
     seed: int = field(0, ge=0, help="Seed of the random generator.")
 
 
-# The box is slightly enlarged, because rotations and translations depend on the order of composition. A pose that an
-# ascent leads out of it by more than its remaining error is dropped.
-_BEYOND = 1.1
+# The search box is slightly enlarged, because rotations and translations depend on the order of composition.
+_BEYOND, _FARTHEST = 1.1, 1.4
 # Error of the nearest of the poses sampled in the box; then, per refinement: remaining error in deg and m, steps, and
 # the fraction of poses that is kept. Tuned on every other frame of KITTI odometry 00.
 _SPREAD = (3.0, 0.45)
@@ -38,7 +38,7 @@ _DAMPING, _EASED, _STIFFER = 0.03, 0.5, 8.0
 
 @dataclass(frozen=True)
 class Far(InitializerBase):
-    """The initializer: propose the poses at which the ascents converge, best first.
+    """The initializer: propose the poses at which the ascents converge, best first, those inside the box before others.
 
     Poses sampled evenly in the box are scored by the density of image edges at LiDAR edges of their direction, blurred
     by the distance between these poses. The best distinct ones are refined by ascent with decreasing blur, and their
@@ -54,7 +54,7 @@ class Far(InitializerBase):
 
     def __call__(self, views: Sequence[View], camera_from_lidar: Float, /) -> list[Float]:
         """Return up to `proposals` poses (4, 4)."""
-        options, box = self.options, _unit(*self.reach)
+        options, box = self.options, SearchBox(*self.reach)
         rng = np.random.default_rng(options.seed)
         rows = np.unique(np.linspace(0, len(views) - 1, min(len(views), options.max_frames)).astype(int))
         chosen = [views[row] for row in rows]
@@ -66,13 +66,15 @@ class Far(InitializerBase):
         for deg, metres, steps, share in _CLIMBS:
             unit = _unit(deg, metres)
             moves, score = _climbed(density.at(np.radians(deg), metres), moves, unit, steps)
-            inside = (np.abs(_tangents(moves)) <= _BEYOND * box + unit).all(axis=1)
+            inside = (np.abs(_tangents(moves)) <= _FARTHEST * _unit(*self.reach)).all(axis=1)
             moves, score = moves[inside], score[inside]
             if not len(moves):
                 return [camera_from_lidar]
             most = max(options.proposals, round(share * options.kept))
             moves = moves[_separate(_tangents(moves) / unit, score, most)]
-        return [np.asarray(move @ camera_from_lidar) for move in moves[: options.proposals]]
+        poses = [np.asarray(move @ camera_from_lidar) for move in moves]
+        poses.sort(key=lambda pose: not box.has(camera_from_lidar, pose))
+        return poses[: options.proposals]
 
 
 def _unit(deg: float, metres: float) -> Float:

@@ -91,7 +91,10 @@ def parse_perturbation(text: str, where: str = "--perturb") -> Perturbation:
 
 def parse_accuracy(text: str, where: str, expected: str = 'an angle and a length, "0.3deg 0.1m"') -> Perturbation:
     """Parse an angle and a length, both more than zero; raises InputError, with `where`, for any other text."""
-    bound = parse_perturbation(text, where)
+    try:
+        bound = parse_perturbation(text, where)
+    except InputError as problem:
+        raise InputError("cannot read the accuracy", where=where, expected=expected, got=repr(text)) from problem
     if not bound.exact or not (bound.angle_deg > 0 and bound.distance_m > 0):
         raise InputError("the accuracy needs two parts", where=where, expected=expected, got=repr(text))
     return bound
