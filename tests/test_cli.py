@@ -472,7 +472,7 @@ DIGITS = 5000 * "9"
         (["run", "--require", "0.3deg"], "--require: the accuracy needs two parts"),
         (
             ["run", "--start-sigma", "2 apples"],
-            "--start-sigma: cannot read the accuracy; expected an angle and a length",
+            "--start-sigma: cannot read the size; expected an angle and a length",
         ),
         (["run", "--perturb", "1deg 101m"], "--perturb: the size is out of bounds; expected 0..180 deg and 0..100 m"),
         (["run", "--perturb", "1e999deg"], "--perturb: the size is out of bounds"),

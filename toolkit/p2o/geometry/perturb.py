@@ -61,12 +61,12 @@ class Perturbation:
 
 
 @lru_cache(maxsize=256)
-def parse_perturbation(text: str, where: str = "--perturb") -> Perturbation:
+def parse_perturbation(text: str, where: str = "--perturb", expected: str = _EXAMPLES) -> Perturbation:
     """Parse a perturbation such as "2deg 0.15m" (or "2deg,15cm"); a missing part is zero.
 
     A leading word selects the draw ("uniform 3deg 0.15m"), "camera" the camera frame, and a trailing "z=-1.5..1m" sets
-    the bounds of the translation along z. Raises InputError, with `where`, for any other text, negative sizes, angles
-    above 180 degrees and lengths above 100 m.
+    the bounds of the translation along z. Raises InputError, with `where` and `expected`, for any other text, negative
+    sizes, angles above 180 degrees and lengths above 100 m.
     """
     amounts = {"deg": 0.0, "m": 0.0}
     parts = [p for p in re.split(r"[\s,;]+", text.strip()) if p]
@@ -80,21 +80,18 @@ def parse_perturbation(text: str, where: str = "--perturb") -> Perturbation:
     for part in parts:
         match = re.fullmatch(r"([0-9]*\.?[0-9]+(?:e-?[0-9]+)?)(deg|m|cm|mm)", part, re.ASCII)
         if match is None:
-            raise InputError("cannot read the size", where=where, expected=_EXAMPLES, got=repr(text))
+            raise InputError("cannot read the size", where=where, expected=expected, got=repr(text))
         value, unit = float(match[1]), match[2]
         amounts["deg" if unit == "deg" else "m"] = value * {"deg": 1, "m": 1, "cm": 0.01, "mm": 0.001}[unit]
     if not parts or amounts["deg"] > 180 or amounts["m"] > FARTHEST_M:
-        expected = f"0..180 deg and 0..{FARTHEST_M:g} m"
-        raise InputError("the size is out of bounds", where=where, expected=expected, got=repr(text))
+        limits = f"0..180 deg and 0..{FARTHEST_M:g} m"
+        raise InputError("the size is out of bounds", where=where, expected=limits, got=repr(text))
     return replace(perturbation, angle_deg=amounts["deg"], distance_m=amounts["m"])
 
 
 def parse_accuracy(text: str, where: str, expected: str = 'an angle and a length, "0.3deg 0.1m"') -> Perturbation:
     """Parse an angle and a length, both more than zero; raises InputError, with `where`, for any other text."""
-    try:
-        bound = parse_perturbation(text, where)
-    except InputError as problem:
-        raise InputError("cannot read the accuracy", where=where, expected=expected, got=repr(text)) from problem
+    bound = parse_perturbation(text, where, expected)
     if not bound.exact or not (bound.angle_deg > 0 and bound.distance_m > 0):
         raise InputError("the accuracy needs two parts", where=where, expected=expected, got=repr(text))
     return bound
