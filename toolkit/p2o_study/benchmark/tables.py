@@ -29,7 +29,7 @@ _PART = re.compile(
 )
 _VALUE = re.compile(r"(?P<head>(?<!`)<!-- value: (?P<named>[^>\n]+?) -->)[^\n]*?(?P<tail><!-- /value -->)")
 _HEAD = re.compile(r"^<!-- rows:|(?<!`)<!-- value:", re.MULTILINE)
-_MARK = re.compile(r"^<!-- (?:rows:|cards -->)|(?<!`)<!-- value:", re.MULTILINE)
+_MARK = re.compile(r"^<!-- (?:rows:|record:|cards -->)|(?<!`)<!-- value:", re.MULTILINE)
 VALUES = ("n", "groups", "refused", "trusted", "false accepts", "within 67 %", "within 95 %", "time")
 """Names of the values of a row, beside mean, median and interval of a norm (`rotation mean`)."""
 
@@ -284,6 +284,6 @@ def _place(text: str, where: str, part: re.Match[str]) -> str:
 
 
 def pages_with_marks(paths: Sequence[Path]) -> dict[Path, str]:
-    """Return the text of the pages that have a marked part, of rows or cards."""
+    """Return the text of the pages that have a marked part, of rows, records or cards."""
     texts = {path: read_text(path, "page") for path in paths}
     return {path: text for path, text in texts.items() if _MARK.search(text)}
