@@ -20,6 +20,7 @@ FROM_ROOT = {
     "CONTRIBUTING.md": "contributing.md",
     "CHANGELOG.md": "changelog.md",
     "plugins/p2o_plugins/weights/MODEL_CARD.md": "model-card.md",
+    "THIRD_PARTY.md": "third-party.md",
     "CITATION.cff": "CITATION.cff",
 }
 """Files of the repository that are shown on the site, by their path on it."""
