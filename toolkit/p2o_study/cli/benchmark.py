@@ -70,6 +70,9 @@ def _opened(
 
 @command.command("run")
 @click.argument("suite")
+@click.option(
+    "--section", "sections", multiple=True, metavar="NAME", help="Measure one section; repeat it for several."
+)
 @_data_options
 @_workers
 @click.option(
@@ -85,6 +88,7 @@ def _opened(
 @plugin_options
 def run(
     suite: str,
+    sections: tuple[str, ...],
     data: tuple[str, ...],
     root: str | None,
     workers: int,
@@ -122,6 +126,7 @@ def run(
             Results(Path(results)),
             folder,
             measured_by=by,
+            sections=sections,
             plugins=plugins,
             workers=Workers(workers, backend, address),
             at_most=at_most,
