@@ -262,6 +262,12 @@ def test_a_calibration_that_another_suite_has_measured_is_not_computed_again(
     assert {row.row for row in board.measured()} == {"alone"}
 
 
+def test_a_run_that_measures_nothing_leaves_no_empty_file(board: Board) -> None:
+    board.write(study=STUDY.replace('label = "quick"\n', 'label = "quick"\noptions.calibrator.interrupt_after = 1\n'))
+    assert board.command("run", "--section", "") == 130
+    assert not board.results.path("tiny").exists()
+
+
 def test_one_section_is_measured_alone(board: Board, capsys: pytest.CaptureFixture[str]) -> None:
     board.write(study=STUDY.replace("calibrator", 'section = "whole methods"\ncalibrator', 1))
     assert {row.row for row in board.measured("--section", "whole methods")} == {"quick"}

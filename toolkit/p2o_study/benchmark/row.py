@@ -251,7 +251,7 @@ def add_records(path: Path, records: Iterable[_Line], model: type[_Line]) -> int
     """Add records to a file, which keeps all that it has, and return the number of new ones."""
     before = read_records(model, path)
     after = merged(before, records)
-    if len(after) > len(before) or not path.exists():
+    if len(after) > len(before):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, "".join(f"{record.line}\n" for record in after).encode())
     return len(after) - len(before)
