@@ -37,7 +37,9 @@ class ImageOptions(MapOptions):
     """Options of the image extractor `line-idt`."""
 
     min_length_px: float = field(15.0, ge=0, help="Shortest line segment, in pixels.")
-    width_px: int = field(3, ge=1, le=50, help="Edges within a stroke of this width along a segment are kept.")
+    width_px: int = field(
+        3, ge=0, le=50, help="Width of the strokes along segments outside which edges are dropped; 0: none."
+    )
 
 
 def extract(image: p2o.Image, options: ImageOptions) -> p2o.ImageFeatures:

@@ -96,6 +96,7 @@ def test_each_data_set_has_rows_of_its_own_and_a_page_chooses_some(board: Board)
     ]
     [only] = [line for line in tables.markdown(Choice("tiny", data=("other",))).splitlines() if "quick" in line]
     assert only.startswith("| quick | 10 (2) |")
+    assert "within 67 %" not in tables.markdown(Choice("tiny", columns="brief"))
     with pytest.raises(UnknownNameError, match="othr"):
         tables.markdown(Choice("tiny", data=("othr",)))
 
@@ -112,6 +113,19 @@ def test_one_figure_of_a_row_stands_in_a_sentence(board: Board) -> None:
         rendered(page.replace("rotation median", "rotation mode"), "page.md", lambda suite: tables)
     with pytest.raises(InputError, match=r"page.md:1: a marked part is not valid"):
         rendered(page.replace("; n ", " "), "page.md", lambda suite: tables)
+
+
+def test_labels_with_commas_are_chosen_by_their_whole_words(board: Board) -> None:
+    board.write(study=HEAD + QUICK_ROW.replace('"quick"', '"quick, 3 frames"', 1) + QUICK_ROW)
+    board.measured()
+    page = "<!-- rows: tiny; methods: quick, 3 frames -->\n<!-- /rows -->\n"
+    registry = Plugins.of((), (str(PLUGIN),)).registry()
+    tables = SuiteTables.read(find_suite(str(board.root / "tiny.toml"), registry), board.results)
+    first = {line.split(" | ")[0] for line in rendered(page, "page.md", lambda suite: tables).splitlines()}
+    assert "| quick, 3 frames" in first
+    assert "| quick" not in first
+    both = rendered(page.replace("frames", "frames, quick"), "page.md", lambda suite: tables)
+    assert "| quick |" in both
 
 
 def test_marked_parts_are_replaced_and_nothing_else(board: Board, capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from p2o.errors import InputError, UnknownNameError
@@ -21,7 +21,7 @@ from p2o_study.report.summary import NORMS
 from p2o_study.report.tables import NONE, md_text, shown
 from p2o_study.tally import brief_seconds
 
-_WORDS = ("data", "methods")
+_WORDS = ("data", "methods", "columns")
 _PART = re.compile(
     r"^(?P<head><!-- rows: (?P<suite>[a-z0-9._-]+)(?:, (?P<section>[^>;\n]+?))?(?P<filters>(?:; [^>;\n]+?)*) -->\n)"
     r"(?:(?!^<!-- rows:).)*?(?P<tail>^<!-- /rows -->$)",
@@ -48,12 +48,16 @@ def _key(section: str, label: str, dataset: str) -> Key:
 
 @dataclass(frozen=True)
 class Choice:
-    """What a page takes of a suite: one section (None: all), and some of the data sets and labels (empty: all)."""
+    """What a page takes of a suite: one section (None: all), and some of the data sets and labels (empty: all).
+
+    `columns` are all, or of a brief table without "solved only" and coverage.
+    """
 
     suite: str
     section: str | None = None
     data: tuple[str, ...] = ()
     methods: tuple[str, ...] = ()
+    columns: Literal["all", "brief"] = "all"
 
     def has(self, key: Key) -> bool:
         """Return whether a row is among the chosen data sets and methods."""
@@ -104,6 +108,18 @@ class SuiteTables:
         sections = dict.fromkeys(key.section for key in (*self.asked, *self.lines))
         return "\n".join(self._section(name, choice) for name in sections if choice.section in (None, name))
 
+    def labels_in(self, words: Sequence[str]) -> tuple[str, ...]:
+        """Return the labels of words that were separated by commas, which labels may contain."""
+        known = {key.label for key in (*self.asked, *self.lines)}
+        labels = []
+        first = 0
+        while first < len(words):
+            ends = [end for end in range(len(words), first + 1, -1) if ", ".join(words[first:end]) in known]
+            end = ends[0] if ends else first + 1
+            labels.append(", ".join(words[first:end]))
+            first = end
+        return tuple(labels)
+
     def _check(self, choice: Choice) -> None:
         keys = [*self.asked, *self.lines]
         asked = [
@@ -122,14 +138,17 @@ class SuiteTables:
         start = f", initial error {next(iter(drawn))}" if len(drawn) == 1 else ""
         text = [f"**{md_text(section or 'all rows')}{md_text(start)}**", ""]
         datasets = {key.dataset for key in lines}
-        refused = any(row.refused for row in lines.values())
-        judged = any(row.trusted is not None for row in lines.values())
+        form = _Form(
+            refused=any(row.refused for row in lines.values()),
+            judged=any(row.trusted is not None for row in lines.values()),
+            brief=choice.columns == "brief",
+        )
         if lines:
-            header = [*(["data"] if len(datasets) > 1 else []), "method", *_header(refused, judged)]
+            header = [*(["data"] if len(datasets) > 1 else []), "method", *form.header]
             text += [_line(header), _line([":--", *["--:"] * (len(header) - 1)])]
             for key, row in lines.items():
                 cells = [key.dataset, key.label][len(datasets) < 2 :]
-                text.append(_line([*map(md_text, cells), *_figures(row, refused, judged)]))
+                text.append(_line([*map(md_text, cells), *form.cells(row)]))
         missing = sum(key.section == section and choice.has(key) and key not in lines for key in self.asked)
         if missing:
             text += [*([""] if lines else []), f"{missing} rows are not measured."]
@@ -150,24 +169,35 @@ def _line(cells: Iterable[str]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def _header(refused: bool, judged: bool) -> list[str]:
-    """Return the columns of a table behind the method: some have no entries without refused or judged runs."""
-    header = ["n (groups)", *(["refused"] if refused else [])]
-    for name, unit in (("rotation", "deg"), ("translation", "cm")):
-        header += [f"{name} mean [{unit}]", "median", *(["solved only"] if refused else [])]
-    return [*header, *(["trusted", "false accepts", "within 67 %", "within 95 %"] if judged else []), "time [s]"]
+@dataclass(frozen=True)
+class _Form:
+    """The columns of a table: some have no entries without `refused` or `judged` runs."""
 
+    refused: bool
+    judged: bool
+    brief: bool
 
-def _figures(row: RowSummary, refused: bool, judged: bool) -> list[str]:
-    """Return the cells of a row behind its label."""
-    cells = [f"{row.count} ({row.groups})", *([str(row.refused)] if refused else [])]
-    for norm in NORMS:
-        cells += [shown(row.mean.get(norm), norm), _value(norm, row.median.get(norm))]
-        cells += [_value(norm, row.solved_only.get(norm))] if refused else []
-    if judged:
-        cells += [NONE if count is None else str(count) for count in (row.trusted, row.false_accepts)]
-        cells += [row.coverage.text_67, row.coverage.text_95]
-    return [*cells, brief_seconds(row.seconds)]
+    @property
+    def header(self) -> list[str]:
+        """The columns behind the method."""
+        header = ["n (groups)", *(["refused"] if self.refused else [])]
+        for name, unit in (("rotation", "deg"), ("translation", "cm")):
+            header += [f"{name} mean [{unit}]", "median"]
+            header += ["solved only"] if self.refused and not self.brief else []
+        header += ["trusted", "false accepts"] if self.judged else []
+        header += ["within 67 %", "within 95 %"] if self.judged and not self.brief else []
+        return [*header, "time [s]"]
+
+    def cells(self, row: RowSummary) -> list[str]:
+        """Return the cells of a row behind its label."""
+        cells = [f"{row.count} ({row.groups})", *([str(row.refused)] if self.refused else [])]
+        for norm in NORMS:
+            cells += [shown(row.mean.get(norm), norm), _value(norm, row.median.get(norm))]
+            cells += [_value(norm, row.solved_only.get(norm))] if self.refused and not self.brief else []
+        counts = (row.trusted, row.false_accepts) if self.judged else ()
+        cells += [NONE if count is None else str(count) for count in counts]
+        cells += [row.coverage.text_67, row.coverage.text_95] if self.judged and not self.brief else []
+        return [*cells, brief_seconds(row.seconds)]
 
 
 def _value(norm: str, value: float | None) -> str:
@@ -213,7 +243,7 @@ def rendered(text: str, where: str, tables: Callable[[str], SuiteTables]) -> str
     """Return a page with its marked parts replaced; `tables` returns the tables of a suite.
 
     A table is between `<!-- rows: SUITE -->` and `<!-- /rows -->`. The mark may name a section and choose data sets and
-    methods: `<!-- rows: SUITE, SECTION; data: A, B; methods: X, Y -->`. One figure is between
+    methods: `<!-- rows: SUITE, SECTION; data: A, B; methods: X, Y; columns: brief -->`. One figure is between
     `<!-- value: SUITE; SECTION; METHOD; DATA; NAME -->` and `<!-- /value -->` in a line. Raises InputError for a mark
     that is not valid or not closed.
     """
@@ -223,12 +253,13 @@ def rendered(text: str, where: str, tables: Callable[[str], SuiteTables]) -> str
             raise InputError("a marked part is not valid", where=_place(text, where, head), expected=_EXPECTED)
 
     def table(part: re.Match[str]) -> str:
-        filters: dict[str, tuple[str, ...]] = {}
+        filters: dict[str, Any] = {}
         for words in filter(None, part["filters"].split("; ")):
             name, _, values = words.partition(": ")
-            if name not in _WORDS or not values:
+            if name not in _WORDS or not values or (name == "columns" and values not in ("all", "brief")):
                 raise InputError("a marked part is not valid", where=_place(text, where, part), expected=_EXPECTED)
-            filters[name] = tuple(values.split(", "))
+            filters[name] = values if name == "columns" else tuple(values.split(", "))
+        filters["methods"] = tables(part["suite"]).labels_in(filters.get("methods", ()))
         choice = Choice(part["suite"], part["section"], **filters)
         return f"{part['head']}{tables(choice.suite).markdown(choice)}{part['tail']}"
 
