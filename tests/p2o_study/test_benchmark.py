@@ -262,6 +262,14 @@ def test_a_calibration_that_another_suite_has_measured_is_not_computed_again(
     assert {row.row for row in board.measured()} == {"alone"}
 
 
+def test_one_section_is_measured_alone(board: Board, capsys: pytest.CaptureFixture[str]) -> None:
+    board.write(study=STUDY.replace("calibrator", 'section = "whole methods"\ncalibrator', 1))
+    assert {row.row for row in board.measured("--section", "whole methods")} == {"quick"}
+    assert {row.row for row in board.measured()} == {"nearest"}
+    assert board.command("run", "--section", "hole methods") == 2
+    assert "unknown section 'hole methods'" in capsys.readouterr().err
+
+
 def test_an_interrupted_run_continues(board: Board) -> None:
     label = 'label = "quick"\n'
     board.write(study=STUDY.replace(label, f"{label}options.calibrator.interrupt_after = 4\n"))

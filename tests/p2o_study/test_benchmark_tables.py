@@ -124,6 +124,12 @@ def test_labels_with_commas_are_chosen_by_their_whole_words(board: Board) -> Non
     first = {line.split(" | ")[0] for line in rendered(page, "page.md", lambda suite: tables).splitlines()}
     assert "| quick, 3 frames" in first
     assert "| quick" not in first
+    text = HEAD + QUICK_ROW.replace("witness", 'section = "one"\nwitness')
+    text += QUICK_ROW.replace('"quick"', '"other"', 1).replace("witness", 'section = "two"\nwitness')
+    board.write(study=text)
+    apart = SuiteTables.read(find_suite(str(board.root / "tiny.toml"), registry), board.results)
+    assert apart.markdown(Choice("tiny")).count("**") == 4
+    assert apart.markdown(Choice("tiny", sections="together")).count("**") == 2
     both = rendered(page.replace("frames", "frames, quick"), "page.md", lambda suite: tables)
     assert "| quick |" in both
 

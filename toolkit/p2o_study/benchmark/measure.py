@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import p2o
+from p2o.errors import UnknownNameError
 from p2o.results.result import Status
 
 from p2o_study.ablate import OnProgress, OnWarning, ablate
@@ -51,17 +52,23 @@ def measure(
     store: Path,
     *,
     measured_by: str,
+    sections: Collection[str] = (),
     plugins: Plugins | None = None,
     workers: Workers | None = None,
     at_most: int | None = None,
     on_progress: OnProgress | None = None,
     on_warning: OnWarning | None = None,
 ) -> Measured:
-    """Compute the missing and stale rows of a suite and add them to the results.
+    """Compute the missing and stale rows of a suite, or of some of its `sections`, and add them to the results.
 
     A calibration that another suite has measured is not computed again, unless the suite has `share = false`. `store`
-    is the folder of the study's store, from which an interrupted measurement continues. Raises as `ablate`.
+    is the folder of the study's store, from which an interrupted measurement continues. Raises UnknownNameError for an
+    unknown section, and as `ablate`.
     """
+    names = list(dict.fromkeys(row.section for row in suite.rows))
+    for section in sections:
+        if section not in names:
+            raise UnknownNameError("section", section, names, where=suite.source)
     outcomes = Outcomes.read(results, suite.name)
     others = [Outcomes.read(results, name) for name in results.suites if suite.suite.share and name != suite.name]
     # Equal frames of two data sets have one key.
@@ -71,6 +78,8 @@ def measure(
 
     def wanted(cell: Cell) -> bool:
         nonlocal fresh, unreadable
+        if sections and cell.planned.section not in sections:
+            return False
         task = Task.of(suite.name, cell)
         if task is None:
             unreadable += 1

@@ -21,7 +21,8 @@ from p2o_study.report.summary import NORMS
 from p2o_study.report.tables import NONE, md_text, shown
 from p2o_study.tally import brief_seconds
 
-_WORDS = ("data", "methods", "columns")
+_WORDS = {"data": None, "methods": None, "columns": ("all", "brief"), "sections": ("apart", "together")}
+"""Words of a mark and their values, None for names of the suite."""
 _PART = re.compile(
     r"^(?P<head><!-- rows: (?P<suite>[a-z0-9._-]+)(?:, (?P<section>[^>;\n]+?))?(?P<filters>(?:; [^>;\n]+?)*) -->\n)"
     r"(?:(?!^<!-- rows:).)*?(?P<tail>^<!-- /rows -->$)",
@@ -29,7 +30,7 @@ _PART = re.compile(
 )
 _VALUE = re.compile(r"(?P<head>(?<!`)<!-- value: (?P<named>[^>\n]+?) -->)[^\n]*?(?P<tail><!-- /value -->)")
 _HEAD = re.compile(r"^<!-- rows:|(?<!`)<!-- value:", re.MULTILINE)
-_MARK = re.compile(r"^<!-- (?:rows:|cards -->)|(?<!`)<!-- value:", re.MULTILINE)
+_MARK = re.compile(r"^<!-- (?:rows:|record:|cards -->)|(?<!`)<!-- value:", re.MULTILINE)
 VALUES = ("n", "groups", "refused", "trusted", "false accepts", "within 67 %", "within 95 %", "time")
 """Names of the values of a row, beside mean, median and interval of a norm (`rotation mean`)."""
 
@@ -50,7 +51,8 @@ def _key(section: str, label: str, dataset: str) -> Key:
 class Choice:
     """What a page takes of a suite: one section (None: all), and some of the data sets and labels (empty: all).
 
-    `columns` are all, or of a brief table without "solved only" and coverage.
+    `columns` are all, or of a brief table without "solved only" and coverage. The rows of all sections are in one table
+    with `sections` "together".
     """
 
     suite: str
@@ -58,6 +60,7 @@ class Choice:
     data: tuple[str, ...] = ()
     methods: tuple[str, ...] = ()
     columns: Literal["all", "brief"] = "all"
+    sections: Literal["apart", "together"] = "apart"
 
     def has(self, key: Key) -> bool:
         """Return whether a row is among the chosen data sets and methods."""
@@ -105,8 +108,11 @@ class SuiteTables:
     def markdown(self, choice: Choice) -> str:
         """Return the tables in Markdown, one for each section; raises InputError for a name that the suite lacks."""
         self._check(choice)
-        sections = dict.fromkeys(key.section for key in (*self.asked, *self.lines))
-        return "\n".join(self._section(name, choice) for name in sections if choice.section in (None, name))
+        keys = [key for key in (*self.asked, *self.lines) if choice.has(key)]
+        if choice.sections == "together":
+            return self._table(self.suite.suite.name, keys, choice)
+        sections = dict.fromkeys(key.section for key in keys if choice.section in (None, key.section))
+        return "\n".join(self._table(name, [key for key in keys if key.section == name], choice) for name in sections)
 
     def labels_in(self, words: Sequence[str]) -> tuple[str, ...]:
         """Return the labels of words that were separated by commas, which labels may contain."""
@@ -131,12 +137,13 @@ class SuiteTables:
             if word not in known:
                 raise UnknownNameError(kind, word, sorted(known), where=self.suite.source)
 
-    def _section(self, section: str, choice: Choice) -> str:
-        """Return the table of a section with its caption."""
-        lines = {key: row for key, row in self.lines.items() if key.section == section and choice.has(key)}
+    def _table(self, caption: str, keys: Sequence[Key], choice: Choice) -> str:
+        """Return the table of some rows with its caption."""
+        wanted = set(keys)
+        lines = {key: row for key, row in self.lines.items() if key in wanted}
         drawn = frozenset[str]().union(*(self.protocols[key] for key in lines)) - {""}
         start = f", initial error {next(iter(drawn))}" if len(drawn) == 1 else ""
-        text = [f"**{md_text(section or 'all rows')}{md_text(start)}**", ""]
+        text = [f"**{md_text(caption or 'all rows')}{md_text(start)}**", ""]
         datasets = {key.dataset for key in lines}
         form = _Form(
             refused=any(row.refused for row in lines.values()),
@@ -149,7 +156,7 @@ class SuiteTables:
             for key, row in lines.items():
                 cells = [key.dataset, key.label][len(datasets) < 2 :]
                 text.append(_line([*map(md_text, cells), *form.cells(row)]))
-        missing = sum(key.section == section and choice.has(key) and key not in lines for key in self.asked)
+        missing = sum(key in wanted and key not in lines for key in self.asked)
         if missing:
             text += [*([""] if lines else []), f"{missing} rows are not measured."]
         return "\n".join([*text, ""])
@@ -243,7 +250,8 @@ def rendered(text: str, where: str, tables: Callable[[str], SuiteTables]) -> str
     """Return a page with its marked parts replaced; `tables` returns the tables of a suite.
 
     A table is between `<!-- rows: SUITE -->` and `<!-- /rows -->`. The mark may name a section and choose data sets and
-    methods: `<!-- rows: SUITE, SECTION; data: A, B; methods: X, Y; columns: brief -->`. One figure is between
+    methods: `<!-- rows: SUITE, SECTION; data: A, B; methods: X, Y; columns: brief -->`, and
+    `sections: together` makes one table of all. One figure is between
     `<!-- value: SUITE; SECTION; METHOD; DATA; NAME -->` and `<!-- /value -->` in a line. Raises InputError for a mark
     that is not valid or not closed.
     """
@@ -256,9 +264,10 @@ def rendered(text: str, where: str, tables: Callable[[str], SuiteTables]) -> str
         filters: dict[str, Any] = {}
         for words in filter(None, part["filters"].split("; ")):
             name, _, values = words.partition(": ")
-            if name not in _WORDS or not values or (name == "columns" and values not in ("all", "brief")):
+            known = _WORDS.get(name, ())
+            if not values or (known is not None and values not in known):
                 raise InputError("a marked part is not valid", where=_place(text, where, part), expected=_EXPECTED)
-            filters[name] = values if name == "columns" else tuple(values.split(", "))
+            filters[name] = tuple(values.split(", ")) if known is None else values
         filters["methods"] = tables(part["suite"]).labels_in(filters.get("methods", ()))
         choice = Choice(part["suite"], part["section"], **filters)
         return f"{part['head']}{tables(choice.suite).markdown(choice)}{part['tail']}"
@@ -284,6 +293,6 @@ def _place(text: str, where: str, part: re.Match[str]) -> str:
 
 
 def pages_with_marks(paths: Sequence[Path]) -> dict[Path, str]:
-    """Return the text of the pages that have a marked part, of rows or cards."""
+    """Return the text of the pages that have a marked part, of rows, records or cards."""
     texts = {path: read_text(path, "page") for path in paths}
     return {path: text for path, text in texts.items() if _MARK.search(text)}

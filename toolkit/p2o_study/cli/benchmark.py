@@ -43,6 +43,7 @@ _cards = click.option(
 )
 _json = click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else on stdout.")
 _quiet = click.option("--quiet", is_flag=True, help="No progress.")
+_by = click.option("--by", default="anonymous", show_default=True, metavar="NAME", help="Who measures.")
 _workers = click.option(
     "--workers", type=click.IntRange(min=1), default=1, show_default=True, metavar="N", help="Number of processes."
 )
@@ -69,13 +70,16 @@ def _opened(
 
 @command.command("run")
 @click.argument("suite")
+@click.option(
+    "--section", "sections", multiple=True, metavar="NAME", help="Measure one section; repeat it for several."
+)
 @_data_options
 @_workers
 @click.option(
     "--backend", type=click.Choice(["loky", "dask", "ray"]), default="loky", help="Backend that runs the jobs."
 )
 @click.option("--address", metavar="ADDRESS", help="Scheduler of an existing dask or ray cluster.")
-@click.option("--by", default="anonymous", show_default=True, metavar="NAME", help="Who measures; part of each row.")
+@_by
 @click.option("--store", metavar="DIR", help="Folder of unfinished work (default: p2o-out/benchmark/SUITE).")
 @_results
 @_suites
@@ -84,6 +88,7 @@ def _opened(
 @plugin_options
 def run(
     suite: str,
+    sections: tuple[str, ...],
     data: tuple[str, ...],
     root: str | None,
     workers: int,
@@ -121,6 +126,7 @@ def run(
             Results(Path(results)),
             folder,
             measured_by=by,
+            sections=sections,
             plugins=plugins,
             workers=Workers(workers, backend, address),
             at_most=at_most,
@@ -527,6 +533,27 @@ def cards(
     return 1 if different else 0
 
 
+@command.command("record", context_settings={"ignore_unknown_options": True})
+@click.argument("name")
+@click.argument("measuring", nargs=-1, required=True, metavar="COMMAND", type=click.UNPROCESSED)
+@_by
+@_results
+def record(name: str, measuring: tuple[str, ...], by: str, results: str) -> int:
+    """Run a measuring command and record what it prints, for pages: figures that are no calibrations.
+
+    The record states command, commit, date and machine. A page shows it between `<!-- record: NAME -->` and
+    `<!-- /record -->` (`p2o benchmark docs`).
+
+    \b
+    p2o benchmark record structure python benchmarks/structure.py
+    """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
+    from p2o_study.benchmark.record import recorded, write_record
+
+    path = write_record(Path(results), recorded(name, measuring, by))
+    click.echo(f"wrote {path}")
+    return 0
+
+
 @command.command("docs")
 @click.argument("pages", nargs=-1, metavar="[FILE.md]...")
 @click.option("--check", is_flag=True, help="Change nothing; exit status 1 if a page differs from the rows or cards.")
@@ -547,12 +574,13 @@ def docs(
 
     A table is marked by the lines `<!-- rows: SUITE -->`, or
     `<!-- rows: SUITE, SECTION; data: A, B; methods: X, Y -->`, and `<!-- /rows -->`; one figure by
-    `<!-- value: SUITE; SECTION; METHOD; DATA; NAME -->` and `<!-- /value -->`; the cards by `<!-- cards -->` and
-    `<!-- /cards -->`.
+    `<!-- value: SUITE; SECTION; METHOD; DATA; NAME -->` and `<!-- /value -->`; a record by `<!-- record: NAME -->` and
+    `<!-- /record -->`; the cards by `<!-- cards -->` and `<!-- /cards -->`.
     """
     from p2o.files.whole_file import write_whole
 
     from p2o_study.benchmark.card import read_cards, with_cards
+    from p2o_study.benchmark.record import with_records
     from p2o_study.benchmark.tables import pages_with_marks, rendered
     from p2o_study.worker import Plugins
 
@@ -561,9 +589,10 @@ def docs(
     different = 0
     for path, before in pages_with_marks(paths).items():
         after = with_cards(rendered(before, str(path), tables), str(path), lambda: read_cards(Path(cards)))
+        after = with_records(after, str(path), Path(results))
         if after != before:
             different += 1
-            click.echo(f"{path}: {'differs from the rows or cards' if check else 'written'}")
+            click.echo(f"{path}: {'differs from rows, records or cards' if check else 'written'}")
             if not check:
                 write_whole(path, after.encode())
     click.echo(f"{different} pages {'differ' if check else 'changed'}")

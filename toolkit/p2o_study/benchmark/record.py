@@ -1,0 +1,129 @@
+"""Outputs of measuring commands that are no calibrations, recorded with their origin and shown in pages.
+
+Coverage of an audit, the memory of a run or the rate of wrong pairs are no poses: they have no rows. A record is the
+output of their command, in RESULTS/records/NAME.json, so that no figure of a page is typed.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+import time
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Literal
+
+from p2o.errors import InputError, UnknownNameError
+from p2o.files.input_file import read_text
+from p2o.files.parsed_text import parse_json
+from p2o.files.whole_file import write_whole
+from p2o.options import validated
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+
+from p2o_study.benchmark.measure import source_version
+from p2o_study.benchmark.row import Machine
+from p2o_study.machine import machine_info
+from p2o_study.study import Line, Slug
+
+FOLDER = "records"
+MAX_CHARACTERS = 20_000
+_PART = re.compile(
+    r"^(?P<head><!-- record: (?P<name>[a-z0-9._-]+) -->\n)(?:(?!^<!-- record:).)*?(?P<tail>^<!-- /record -->$)",
+    re.DOTALL | re.MULTILINE,
+)
+MARK = re.compile(r"^<!-- record:", re.MULTILINE)
+
+
+class Record(BaseModel):
+    """What a command printed: `output` is its standard output, `seconds` its duration on `machine`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    version: Literal[1] = 1
+    name: Slug
+    command: Annotated[str, StringConstraints(min_length=1, max_length=2000)]
+    output: Annotated[str, StringConstraints(min_length=1, max_length=MAX_CHARACTERS)]
+    seconds: Annotated[float, Field(ge=0, le=1e9)]
+    commit: Line
+    machine: Machine
+    measured_by: Line
+    finished: Line
+
+    @property
+    def markdown(self) -> str:
+        """Command, output and origin; an output of Markdown tables is not quoted."""
+        lines = [line.rstrip() for line in self.output.strip("\n").splitlines()]
+        tables = all(not line or line.startswith("|") for line in lines)
+        shown = lines if tables else ["```text", *lines, "```"]
+        machine = f"{self.machine.processor}, {self.machine.cores} cores"
+        commit, changed, _ = self.commit.partition("+changes")
+        version = commit if commit.startswith("version") else f"commit {commit[:10]}{changed}"
+        origin = f"Measured on {self.finished[:10]} with {version} in {self.seconds:.0f} s ({machine})."
+        return "\n".join([f"    {self.command}", "", *shown, "", origin, ""])
+
+
+def recorded(name: str, command: Sequence[str], measured_by: str) -> Record:
+    """Run a command without a shell, and return the record of its output.
+
+    Raises InputError if it cannot be started, fails, or prints nothing or too much.
+    """
+    began = time.monotonic()
+    try:
+        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, encoding="utf-8", check=False)
+    except (OSError, UnicodeDecodeError) as problem:
+        raise InputError("the command cannot be run", where=command[0], got=problem) from problem
+    where = shlex.join(command)
+    if done.returncode:
+        raise InputError("the command failed", where=where, expected="exit status 0", got=done.returncode)
+    if not 0 < len(done.stdout.strip()) <= len(done.stdout) <= MAX_CHARACTERS:
+        expected = f"1 to {MAX_CHARACTERS} characters on standard output"
+        raise InputError("the output is no record", where=where, expected=expected, got=len(done.stdout))
+    values = {
+        "name": name,
+        "command": where,
+        "output": done.stdout,
+        "seconds": round(time.monotonic() - began, 1),
+        "commit": source_version(),
+        "machine": machine_info(),
+        "measured_by": measured_by,
+        "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+    return validated(Record, values, where=where)
+
+
+def path_of(results: Path, name: str) -> Path:
+    """Return the file of a record."""
+    return results / FOLDER / f"{name}.json"
+
+
+def write_record(results: Path, record: Record) -> Path:
+    """Write a record to the folder of results, in place of an earlier one, and return its file."""
+    path = path_of(results, record.name)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, f"{record.model_dump_json(indent=1)}\n".encode())
+    return path
+
+
+def read_record(results: Path, name: str) -> Record:
+    """Return a record; raises UnknownNameError without its file, InputError for a file that is not valid."""
+    path = path_of(results, name)
+    if not path.is_file():
+        known = sorted(file.stem for file in path.parent.glob("*.json"))
+        raise UnknownNameError("record", name, known, where=path.parent, hint=f"p2o benchmark record {name} COMMAND")
+    values = parse_json(read_text(path, "record"), "record", path)
+    if not isinstance(values, dict):
+        raise InputError("the record is not valid", where=path, expected="a JSON object")
+    return validated(Record, values, where=path)
+
+
+def with_records(text: str, where: str, results: Path) -> str:
+    """Return a page with the parts between `<!-- record: NAME -->` and `<!-- /record -->` replaced.
+
+    Raises InputError for a mark that is not closed, and as `read_record`.
+    """
+    if len(MARK.findall(text)) != len(_PART.findall(text)):
+        expected = "<!-- record: NAME --> on its own line, and <!-- /record --> after it"
+        raise InputError("a marked part is not valid", where=where, expected=expected)
+    return _PART.sub(lambda part: f"{part['head']}{read_record(results, part['name']).markdown}{part['tail']}", text)
