@@ -45,7 +45,7 @@ def main() -> None:
     parser.add_argument("--gallery", type=Path, help="draw the first of each kind into this folder")
     arguments = parser.parse_args()
     extract = METHOD.build(P2ORNetOptions(weights=arguments.weights))
-    print("| picture | edges surer than 0.5, a picture | precision | recall | best F |")
+    print("| image | edges per image with a confidence over 0.5 | precision | recall | best F |")
     print("|---|---|---|---|---|")
     for name, words in CASES.items():
         options = {"place": "street", "seed": arguments.seed, "right": False, "mask_foliage": True, **words}
