@@ -36,6 +36,8 @@ _RECENT = 5
 """Number of last checks of which one must have an estimate, or else the state is unknown."""
 _MEAN_OF = 30
 """Number of last checks whose mean is the present error of an extrinsic without alarm."""
+_LEAST_PART = 4.0
+"""Smallest decrease of chi-square by an axis that explains an error, as in a check."""
 _MIN_VEHICLES = 5
 """Minimum number of vehicles of one type for a systematic error."""
 _HISTORY = 240
@@ -347,14 +349,7 @@ def _alarm(one: _Judged, rules: FleetRules) -> Alarm:
     if began.index:
         before = mean_error(one.error[: began.index], one.covariance[: began.index])
         change, covariance = change - before.error, covariance + before.covariance
-    # Errors within half the tolerance are systematic errors of the edges: they need no explanation by an axis.
-    floor = np.diag((np.array(_sizes(rules.tolerance, "--tolerance")) / 2) ** 2)
-    rates = Rates()
-    possible = explanations(change, covariance + floor, rates.joint, rates.noticed**2)
-    sigma = np.sqrt(np.diag(covariance))
-    named = [_axis_errors(each.axes, each.sizes, sigma) for each in possible]
-    axes = next((each for each in named if any(AXES[axis][0] == part.axis for part in each)), None)
-    axes = axes or (named[0] if named else _axis_errors([axis], [change[axis]], sigma))
+    axes, *alternatives = _explained(axis, change, covariance, rules)
     assert one.pose is not None
     proposal = one.pose
     index = {name: number for number, (name, _) in enumerate(AXES)}
@@ -364,7 +359,7 @@ def _alarm(one: _Judged, rules: FleetRules) -> Alarm:
     proof = tuple(dict.fromkeys([*(one.data[began.index - 1 : began.index].tolist() if began.index else []), *last]))
     return Alarm(
         axes,
-        tuple(each for each in named if each is not axes),
+        tuple(alternatives),
         float(one.times[began.index]),
         float(one.times[began.first]),
         float(one.times[began.last]),
@@ -374,6 +369,20 @@ def _alarm(one: _Judged, rules: FleetRules) -> Alarm:
         int(one.frames[began.index :].sum()),
         proof,
     )
+
+
+def _explained(axis: int, change: Float, covariance: Float, rules: FleetRules) -> list[tuple[AxisError, ...]]:
+    """Return the explanations of a change (6,) by the fewest axes; the first one contains `axis` if any does."""
+    # Errors within a quarter of the tolerance are systematic errors of the edges: they need no explanation by an axis.
+    wide = covariance + np.diag((np.array(_sizes(rules.tolerance, "--tolerance")) / 4) ** 2)
+    weight, sigma = np.linalg.inv(wide), np.sqrt(np.diag(covariance))
+    if ((weight @ change) ** 2 / np.diag(weight) < _LEAST_PART).all():
+        return [_axis_errors([axis], [change[axis]], sigma)]
+    rates = Rates()
+    # All axes together leave no chi-square but that of rounding.
+    possible = explanations(change, wide, lambda degrees: rates.joint(degrees) + 1e-9, rates.noticed**2)
+    ordered = sorted(possible, key=lambda each: axis not in each.axes)
+    return [_axis_errors(each.axes, each.sizes, sigma) for each in ordered]
 
 
 def _axis_errors(axes: Sequence[int], sizes: Any, sigma: Float) -> tuple[AxisError, ...]:

@@ -57,9 +57,8 @@ def bets(standard: Float, tolerance: Float) -> Float:
     `standard` (T, 6) are standardised errors, `tolerance` (T, 6) the largest error that counts as none, in the same
     unit. For each true error within the tolerance, the expectation of the ratio is at most 1.
     """
-    clipped = np.clip(standard, -CLIP, CLIP)
     shifts = np.array(SHIFTS)
-    signed = np.stack([clipped - tolerance, -clipped - tolerance], axis=-1)
+    signed = np.clip(np.stack([standard - tolerance, -standard - tolerance], axis=-1), -CLIP, CLIP)
     return np.asarray(signed[..., None] * shifts - shifts**2 / 2)
 
 
@@ -139,6 +138,8 @@ def discoveries(log_e: Float, rate: float) -> Bool:
     The rate holds for any dependence between the e-values (Wang and Ramdas, J. R. Stat. Soc. B 2022).
     """
     count = len(log_e)
+    if not count:
+        return np.zeros(0, bool)
     order = np.argsort(-log_e, kind="stable")
     enough = log_e[order] >= np.log(count / rate) - np.log(np.arange(1, count + 1))
     out = np.zeros(count, bool)
@@ -167,8 +168,8 @@ def onset(values: Float, sigma: Float) -> Onset:
     total, first = np.cumsum(weight), np.cumsum(weight * clipped)
     rest, last = total[-1] - total[:-1], first[-1] - first[:-1]
     gain = np.concatenate([[first[-1] ** 2 / total[-1]], first[:-1] ** 2 / total[:-1] + last**2 / rest]) / 2
-    # A change has one more parameter; without one, the error exists since the first check.
-    gain[0] += 1.92
+    # Of T possible changes, the best one of pure noise gains about this much.
+    gain[0] += 1.92 + np.log(len(values))
     near = np.flatnonzero(gain >= gain.max() - 1.92)
     return Onset(int(gain.argmax()), int(near[0]), int(near[-1]))
 
@@ -281,8 +282,9 @@ def systematic(means: Float, sigmas: Float, tolerance: Float) -> Systematic:
     spread = _between(means, sigmas, tolerance)
     wide = np.sqrt(sigmas**2 + spread**2)
     weight = 1 / wide**2
-    error = (weight * means).sum(axis=0) / weight.sum(axis=0)
-    clipped = np.clip(means, error - CLIP * wide, error + CLIP * wide)
+    centre = np.median(means, axis=0)
+    clipped = np.clip(means, centre - CLIP * wide, centre + CLIP * wide)  # a vehicle that slipped is no evidence
+    error = (weight * clipped).sum(axis=0) / weight.sum(axis=0)
     ratios = []
     for sign in (1.0, -1.0):
         for factor in TYPE_SHIFTS:
