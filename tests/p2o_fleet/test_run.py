@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import fields
 from pathlib import Path
 
@@ -87,6 +88,14 @@ def test_the_command_checks_each_drive_once_and_goes_on_after_unreadable_ones(
     assert main(["fleet", "report", "--store", store, "--out", str(tmp_path / "report")]) == 0
     assert main(["fleet", "report", "--store", store, "--out", str(tmp_path / "report"), "--require"]) == 1
     assert "no estimate in the last 1 checks" in (tmp_path / "report" / "fleet.json").read_text()
+
+
+def test_without_arrow_the_command_names_the_extra(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    assert main(["fleet", "report"]) == 2
+    assert 'pip install "p2o-calib[fleet]"' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

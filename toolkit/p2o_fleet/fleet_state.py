@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -12,8 +13,9 @@ import numpy as np
 from p2o.arrays import Float
 from p2o.confidence.audit import AXES, Rates
 from p2o.confidence.explanation import corrected, explanations
-from p2o.errors import InputError
+from p2o.errors import InputError, P2OError
 from p2o.geometry.perturb import parse_accuracy
+from p2o_study.parallel import Workers
 
 from p2o_fleet.evidence import Verdict
 from p2o_fleet.noise import PairNoise, estimate_noise
@@ -36,6 +38,8 @@ _RECENT = 5
 """Number of last checks of which one must have an estimate, or else the state is unknown."""
 _MEAN_OF = 30
 """Number of last checks whose mean is the present error of an extrinsic without alarm."""
+_PER_JOB = 20
+"""Number of vehicles that a worker evaluates at a time."""
 _LEAST_PART = 4.0
 """Smallest decrease of chi-square by an axis that explains an error, as in a check."""
 _MIN_VEHICLES = 5
@@ -219,12 +223,14 @@ class FleetState:
         return tuple(state for state in self.extrinsics if state.current)
 
 
-def fleet_state(store: Store, rules: FleetRules | None = None) -> FleetState:
-    """Compute the state of a fleet from its stored evidence; one vehicle at a time is in memory."""
+def fleet_state(store: Store, rules: FleetRules | None = None, workers: Workers | None = None) -> FleetState:
+    """Compute the state of a fleet from its stored evidence; each worker has one vehicle at a time in memory."""
     rules = rules or FleetRules()
-    tolerance = _sizes(rules.tolerance, "--tolerance")
-    noise = estimate_noise(store, tolerance, trends=rules.trends)
-    segments = [_judged(segment, noise, tolerance) for checks in store.checks() for segment in segments_of(checks)]
+    noise = estimate_noise(store, _sizes(rules.tolerance, "--tolerance"), trends=rules.trends)
+    names = store.vehicles()
+    jobs = [_VehiclesJob(store, names[n : n + _PER_JOB], noise, rules) for n in range(0, len(names), _PER_JOB)]
+    with (workers or Workers()).start() as run, contextlib.closing(run(_segments, jobs, _lost)) as results:
+        segments = sorted((one for own in results for one in own), key=lambda one: one.state.vehicle)
     states = _with_alarms(segments, rules)
     until = max((state.last for state in states), default=0.0)
     types = _types(states, noise, rules)
@@ -244,6 +250,28 @@ class _Judged:
     frames: Any
     data: Any
     pose: Float | None
+
+
+@dataclass(frozen=True, eq=False)
+class _VehiclesJob:
+    """Vehicles whose checks a worker evaluates."""
+
+    store: Store
+    vehicles: Sequence[str]
+    noise: Mapping[Pair, PairNoise]
+    rules: FleetRules
+
+
+def _segments(job: _VehiclesJob) -> list[_Judged]:
+    """Return the segments of the vehicles with their e-processes."""
+    tolerance = _sizes(job.rules.tolerance, "--tolerance")
+    checks = job.store.checks(job.vehicles)
+    return [_judged(one, job.noise, tolerance) for own in checks for one in segments_of(own)]
+
+
+def _lost(job: _VehiclesJob, problem: P2OError) -> list[_Judged]:
+    """Raise the problem of a worker that died: a report without one vehicle would be wrong."""
+    raise problem
 
 
 def _judged(segment: Segment, noise: Mapping[Pair, PairNoise], tolerance: tuple[float, ...]) -> _Judged:

@@ -16,7 +16,7 @@ from p2o_fleet.statistics import NoiseModel, Trend, local_deviations, noise_scal
 from p2o_fleet.store import Store
 
 COVARIATES = ("degree Celsius", "sine of the time of day", "cosine of the time of day")
-_SAMPLED, _MAX_PARTS = 120, 12
+_SAMPLED, _MAX_PARTS = 120, 4
 """Number of checks of a vehicle, and of files, from which noise and trends are estimated."""
 _MIN_VEHICLES = 5
 """Minimum number of vehicles for a trend: with fewer ones, a drift of one vehicle looks like a trend."""

@@ -180,6 +180,9 @@ def checks_of(vehicle: str, table: Any) -> Checks:
 def _distinct(checks: Checks) -> Any:
     """Return the indices of distinct checks in order of time."""
     texts = checks.texts
+    logs = [log for log in texts["log"].tolist() if log]
+    if len(set(texts["key"].tolist())) == len(checks) and len(set(logs)) == len(logs):
+        return np.argsort(checks.time, kind="stable")
     unreadable = texts["verdict"] == Verdict.UNREADABLE.value
     order = np.lexsort((texts["key"].astype(str), checks.time, unreadable))
     keys, contents, kept = set[str](), set[tuple[str, ...]](), list[int]()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import sys
 import time
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from p2o.cli.plugin_options import load, plugin_options
 from p2o.cli.progress import LINE_INTERVAL_S
-from p2o.errors import printable
+from p2o.errors import MethodUnavailable, printable
 from p2o_study.cli.ablate import jobs_option
 
 if TYPE_CHECKING:
@@ -26,6 +27,9 @@ def command() -> None:
     `p2o fleet run` checks the drives of a table and stores the evidence, `p2o fleet report` applies sequential tests
     to it and writes JSON, metrics and a page. docs/how-to/fleet.md explains table, store and tests.
     """
+    if importlib.util.find_spec("pyarrow") is None:
+        hint = 'run: pip install "p2o-calib[fleet]"'
+        raise MethodUnavailable("p2o fleet needs the package pyarrow, which is not installed", hint=hint)
 
 
 _store = click.option(
@@ -148,6 +152,7 @@ class _Lines:
 @click.option(
     "--notice", default="0.5deg 5cm", show_default=True, metavar="SIZE", help="Error that has to be detectable."
 )
+@jobs_option
 @click.option("--trends/--no-trends", default=True, help="Remove trends with temperature and time of day.")
 @click.option(
     "--overlays", default=20, show_default=True, metavar="N", help="Draw frames of N alarms, where their logs are."
@@ -159,6 +164,7 @@ def report(
     store: str,
     out: str,
     overlays: int,
+    jobs: int,
     require: bool,
     as_json: bool,
     plugin: tuple[str, ...],
@@ -177,13 +183,15 @@ def report(
     Exit status 0 without alarms, 1 with an alarm of a vehicle or a type (with --require also if the state of an
     extrinsic is unknown), 2 for wrong input.
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
+    from p2o_study.parallel import Workers
+
     from p2o_fleet.fleet_state import FleetRules, FleetStatus, fleet_state
     from p2o_fleet.outputs import dumps, summary_lines, write_outputs
     from p2o_fleet.overlays import Overlays
     from p2o_fleet.page import write_page
     from p2o_fleet.store import Store
 
-    state = fleet_state(Store.existing(store), FleetRules(**rules))
+    state = fleet_state(Store.existing(store), FleetRules(**rules), Workers(jobs))
     folder = Path(out).expanduser()
     plain = write_outputs(state, folder)
     write_page(state, folder, Overlays(load(plugin, block), overlays))
