@@ -73,21 +73,22 @@ def _detected(scenario: Scenario, bank: NoiseBank) -> list[str]:
     total = np.stack([np.logaddexp.reduce(logs, axis=1) - np.log(len(AXES)) for logs in by_axis])
     rejected = np.stack([discoveries(column, RATE) for column in total.T], axis=1)
     frames = sum(int(vehicle.checks.frame_count.sum()) for vehicle in fleet)
-    delays, axes, false = [], 0, 0
+    delays, axes, false = [], 0, Counter[str]()
     for vehicle, alarms, logs in zip(fleet, rejected, by_axis, strict=True):
         began = {Fault.SLIP: vehicle.begin, Fault.DRIFT: 0}.get(vehicle.fault, scenario.checks)
-        false += bool(alarms[:began].any())
+        false[vehicle.fault.value] += bool(alarms[:began].any())
         if vehicle.fault is Fault.SLIP:
             first = np.flatnonzero(alarms[began:])
             last = began + int(first[0]) + 1 if len(first) else None
             delays.append(float(vehicle.checks.frame_count[began:last].sum()) if last else np.inf)
             axes += last is not None and int(logs[last - 1].argmax()) == vehicle.axis
+    wrong = ", ".join(f"{number} ({fault})" for fault, number in false.items() if number) or "0"
     if not delays:
-        return [f"{frames:,}", "", "", "", str(false)]
+        return [f"{frames:,}", "", "", "", wrong]
     within = sum(delay <= 200 for delay in delays)
     slowest = np.sort(delays)[int(0.95 * len(delays))]
     delay = f"{np.median(delays):.0f}, {f'{slowest:.0f}' if np.isfinite(slowest) else 'not found'}"
-    return [f"{frames:,}", f"{within} of {len(delays)}", delay, str(axes), str(false)]
+    return [f"{frames:,}", f"{within} of {len(delays)}", delay, str(axes), wrong]
 
 
 def noise_of(fleet: Sequence[SimulatedVehicle]) -> NoiseModel:
@@ -113,7 +114,7 @@ def types(fleets: int, vehicles: int) -> list[str]:
     lines = ["| rig | wrong by | fleets | found | other axes reported |", "|---|---|---|---|---|"]
     for rig in ("kitti", "sim-hdl-64e"):
         for size in (0.0, 0.1, 0.15):
-            found = other = 0
+            detected = other = 0
             for seed in range(fleets):
                 scenario = Scenario(vehicles, 12, 10.0, (rig,), wrong_cad_deg=size, seed=1000 + seed)
                 own = [vehicle.checks for vehicle in simulated_fleet(scenario, bank)]
@@ -121,9 +122,9 @@ def types(fleets: int, vehicles: int) -> list[str]:
                 means = np.stack([checks.error.mean(axis=0) for checks in own]) - _bias(bank, rig)
                 sigmas = np.stack([np.sqrt(np.einsum("tii->ti", c.covariance).mean(axis=0) / len(c)) for c in own])
                 alarms = discoveries(systematic(means, sigmas, tolerance).log_e, RATE)
-                found += bool(alarms[2]) and size > 0
+                detected += bool(alarms[2]) and size > 0
                 other += int(np.delete(alarms, 2).sum()) + (bool(alarms[2]) and size == 0)
-            lines.append(f"| `{rig}` | {size:g} deg | {fleets} | {found} | {other} |")
+            lines.append(f"| `{rig}` | {size:g} deg | {fleets} | {detected} | {other} |")
     return lines
 
 
@@ -260,6 +261,7 @@ def kills(count: int, seed: int, drives: int = 40, *, commands: bool = False) ->
                     break
             start(table, folder, jobs=1).wait(600)
             broken += _judge(folder, drives, round_number)
+            print(f"{tally.total()} kills, {len(broken)} faults", file=sys.stderr, flush=True)
     line = f"{tally.total()} kills ({', '.join(f'{n} {name}' for name, n in sorted(tally.items()))}), "
     line += f"{round_number} stores of {drives} drives: {len(broken)} faults"
     return [line, *broken], bool(broken)

@@ -48,10 +48,3 @@ class CheckEvidence:
     extrinsic_digest: str = ""
     seconds: float = 0.0
     version: str = ""
-
-    @property
-    def identity(self) -> tuple[str, ...]:
-        """Return what makes two checks the same, whatever the paths of their logs."""
-        drive = self.drive
-        content = (self.log, self.extrinsic_digest) if self.log else (self.key,)
-        return (drive.vehicle, drive.camera, drive.lidar, *content)

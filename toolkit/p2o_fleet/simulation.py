@@ -15,7 +15,6 @@ from urllib.parse import quote
 import numpy as np
 from p2o.arrays import Float, Int
 from p2o.confidence.audit import AXES
-from p2o.confidence.explanation import corrected
 from p2o.errors import InputError
 
 from p2o_fleet.drive import day_of
@@ -280,8 +279,3 @@ def _list_array(values: Float, known: Any) -> Any:
     offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32)
     flat = pa.array(values[known].ravel())
     return pa.ListArray.from_arrays(pa.array(offsets), flat, mask=pa.array(~known))
-
-
-def true_extrinsic(vehicle: SimulatedVehicle) -> Float:
-    """Return the extrinsic (4, 4) that removes the fault of a vehicle."""
-    return np.asarray(corrected(_POSE, vehicle.axis, np.array([vehicle.size]))[0])
