@@ -177,7 +177,7 @@ def _vehicle(scenario: Scenario, bank: NoiseBank, number: int) -> SimulatedVehic
     rows = bank.groups[rig][rng.integers(len(bank.groups[rig]), size=count)]
     error, covariance = bank.centred[rows].copy(), bank.covariance[rows].copy()
     error += np.clip(rng.normal(size=6), -3, 3) * np.repeat([scenario.offset_deg, scenario.offset_m], 3)
-    time = _BEGIN + np.arange(count) * _DAY_S / scenario.per_day
+    time = np.asarray(_BEGIN + np.arange(count) * _DAY_S / scenario.per_day, np.float64)
     temperature = 12 - 12 * np.cos(2 * np.pi * (time - _BEGIN) / (365 * _DAY_S)) + rng.normal(size=count) * 3
     error[:, 1] += scenario.pitch_deg_per_c * (temperature - 12)
     if number % len(scenario.rigs) == 0:
@@ -186,9 +186,8 @@ def _vehicle(scenario: Scenario, bank: NoiseBank, number: int) -> SimulatedVehic
     _inject(fault, error, covariance, verdict, axis, size, begin, rng)
     known = verdict == Verdict.HOLDS.value
     error[~known], covariance[~known] = np.nan, np.nan
-    checks = _checks(
-        f"vehicle-{number:05d}", rig, time, np.asarray(temperature), error, covariance, verdict, bank.frame_count[rows]
-    )
+    name, frames = f"vehicle-{number:05d}", bank.frame_count[rows]
+    checks = _checks(name, rig, time, np.asarray(temperature, np.float64), error, covariance, verdict, frames)
     return SimulatedVehicle(checks.vehicle, fault, axis, size, begin, checks)
 
 
