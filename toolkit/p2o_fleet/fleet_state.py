@@ -407,8 +407,7 @@ def _explained(axis: int, change: Float, covariance: Float, rules: FleetRules) -
     if ((weight @ change) ** 2 / np.diag(weight) < _LEAST_PART).all():
         return [_axis_errors([axis], [change[axis]], sigma)]
     rates = Rates()
-    # All axes together leave no chi-square but that of rounding.
-    possible = explanations(change, wide, lambda degrees: rates.joint(degrees) + 1e-9, rates.noticed**2)
+    possible = explanations(change, wide, rates.joint, rates.noticed**2)
     ordered = sorted(possible, key=lambda each: axis not in each.axes)
     return [_axis_errors(each.axes, each.sizes, sigma) for each in ordered]
 
