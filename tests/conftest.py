@@ -27,6 +27,7 @@ for _name in ("SIGINT", "SIGHUP"):
 SYSTEM = {
     "tests/baselines/test_rivals.py",
     "tests/baselines/test_table1.py",
+    "tests/benchmarks/test_fleet_kills.py",
     "tests/benchmarks/test_kills.py",
     "tests/fuzz/test_contract.py",
     "tests/fuzz/test_fuzz.py",
@@ -38,6 +39,7 @@ SYSTEM = {
     "tests/test_docs_site.py",
     "tests/test_example_plugin.py",
     "tests/test_example_workflow.py",
+    "tests/test_fleet_page.py",
     "tests/test_in_browser.py",
     "tests/test_notebook.py",
     "tests/test_pages.py",

@@ -18,6 +18,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = {
     "p2o": ROOT / "toolkit/p2o",
     "p2o_study": ROOT / "toolkit/p2o_study",
+    "p2o_fleet": ROOT / "toolkit/p2o_fleet",
     "p2o_train": ROOT / "toolkit/p2o_train",
     "p2o_testing": ROOT / "toolkit/p2o_testing",
     "p2o_pages": ROOT / "toolkit/p2o_pages",
@@ -30,7 +31,7 @@ PACKAGES = {
 }
 ORDINARY = ("p2o_plugins", "p2o_datasets", "p2o_formats", "p2o_sim", "p2o_baselines", "p2o_example")
 """Packages that use the author API of p2o only, as every installed plugin does."""
-BESIDE = {"p2o_datasets": {"p2o_formats"}, "p2o_pages": {"p2o_formats"}}
+BESIDE = {"p2o_datasets": {"p2o_formats"}, "p2o_pages": {"p2o_formats"}, "p2o_fleet": {"p2o_study"}}
 """Packages that a package may import besides itself and p2o."""
 
 FLOORS = (

@@ -56,6 +56,7 @@ ELSEWHERE = {
     "docs/tutorial/first-plugin.md": "tests/test_tutorials.py",
     "docs/tutorial/first-study.md": "tests/test_tutorials.py",
     "docs/tutorial/your-own-frames.md": "tests/test_tutorials.py",
+    "docs/how-to/fleet.md": "tests/test_fleet_page.py",
     "docs/how-to/ros-bag.md": "tests/test_ros_bag_page.py",
 }
 """Pages whose shell lines a test of their own runs, with what they print."""

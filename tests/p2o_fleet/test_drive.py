@@ -1,0 +1,76 @@
+"""Tables and folders of drives: what they mean, and which row is wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from p2o.errors import InputError
+from p2o_fleet.drive import Drive, drives_of, parse_time
+
+HEAD = "vehicle,camera,lidar,data,extrinsic,time,temperature_c,service\n"
+ROW = 'van-1,front,top,"ros:a.bag?every_m=5",calib.yaml,2026-01-01T10:00:00+01:00,-3.5,\n'
+EXPECTED = Drive("van-1", "front", "top", "ros:a.bag?every_m=5", "calib.yaml", 1767258000.0, temperature_c=-3.5)
+
+
+def test_csv_and_parquet_tables_give_the_same_drives(tmp_path: Path) -> None:
+    import pyarrow.csv
+    import pyarrow.parquet
+
+    (tmp_path / "drives.csv").write_text(HEAD + ROW)
+    pyarrow.parquet.write_table(pyarrow.csv.read_csv(tmp_path / "drives.csv"), tmp_path / "drives.parquet")
+    assert list(drives_of(str(tmp_path / "drives.csv"))) == [EXPECTED]
+    assert list(drives_of(str(tmp_path / "drives.parquet"))) == [EXPECTED]
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("vehicle,camera\na,b\n", "no column lidar"),
+        (HEAD + ROW.replace("van-1", ""), "line 2.*vehicle"),
+        (HEAD + ROW + ROW.replace("2026-01-01", "yesterday"), "line 3.*time"),
+        (HEAD + ROW.replace("-3.5", "cold"), "line 2.*temperature_c"),
+        (HEAD + 'van-1,"front\n', "cannot be read"),
+    ],
+)
+def test_an_invalid_table_names_row_and_column(tmp_path: Path, text: str, named: str) -> None:
+    (tmp_path / "drives.csv").write_text(text)
+    with pytest.raises(InputError, match=named):
+        list(drives_of(str(tmp_path / "drives.csv")))
+
+
+def test_a_folder_of_vehicles_is_a_table(tmp_path: Path) -> None:
+    for name in ("2026-01-02T03-04-05", "2026-01-01T00-00-00.bag", "notes"):
+        (tmp_path / "van-7" / name).mkdir(parents=True)
+    (tmp_path / "van-7" / "vehicle.yaml").write_text("vehicle_type: van\ncamera: front\nextrinsic: calib.json\n")
+    bag, frames = drives_of(str(tmp_path))
+    assert (bag.data, frames.data) == (
+        f"ros:{tmp_path}/van-7/2026-01-01T00-00-00.bag",
+        f"folder:{tmp_path}/van-7/2026-01-02T03-04-05",
+    )
+    assert (frames.vehicle, frames.vehicle_type, frames.camera, frames.lidar) == ("van-7", "van", "front", "lidar")
+    assert frames.extrinsic == str(tmp_path / "van-7" / "calib.json")
+    assert (bag.day, frames.day) == ("2026-01-01", "2026-01-02")
+
+
+def test_an_unknown_key_of_a_vehicle_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "van").mkdir()
+    (tmp_path / "van" / "vehicle.yaml").write_text("kamera: front\n")
+    with pytest.raises(InputError, match=r"vehicle\.yaml"):
+        list(drives_of(str(tmp_path)))
+
+
+@pytest.mark.parametrize("value", ["1767258000", 1767258000, "2026-01-01T09:00:00Z", "2026-01-01 09:00:00"])
+def test_times_are_seconds_or_iso_8601_in_utc(value: object) -> None:
+    assert parse_time(value, "row") == 1767258000.0
+
+
+def test_the_key_changes_with_the_content_of_the_extrinsic_and_with_the_settings(tmp_path: Path) -> None:
+    file = tmp_path / "calib.yaml"
+    file.write_text("first")
+    one = Drive("a", "front", "top", "folder:x", str(file), 0.0)
+    before = one.key("8")
+    assert one.key("8") == before
+    assert one.key("9") != before
+    file.write_text("second")
+    assert one.key("8") != before

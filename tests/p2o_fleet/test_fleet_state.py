@@ -1,0 +1,149 @@
+"""The state of a fleet: what is an alarm, since when, by how much, and what it proposes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from p2o import se3
+from p2o.errors import InputError
+from p2o.geometry.pose_error import pose_error
+from p2o_fleet.evidence import Verdict
+from p2o_fleet.fleet_state import ExtrinsicState, FleetRules, FleetStatus, fleet_state
+from p2o_fleet.schema import row_of
+from p2o_fleet.store import Store
+
+from tests.p2o_fleet.fleet_data import BEGIN, POSE, SIGMA, drive, evidence, filled
+
+
+def noise(seed: int, count: int) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=(count, 6)) * SIGMA
+
+
+def states(store: Store, rules: FleetRules | None = None) -> dict[str, ExtrinsicState]:
+    return {one.vehicle: one for one in fleet_state(store, rules).current}
+
+
+def test_a_slip_is_reported_with_axis_onset_size_and_proposal_and_other_vehicles_hold(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    for number in range(4):
+        error = noise(number, 40)
+        if number == 2:
+            error[25:, 2] += 0.5
+        filled(store, f"van-{number}", error)
+    found = states(store)
+    assert {name: one.status for name, one in found.items() if name != "van-2"} == {
+        f"van-{number}": FleetStatus.HOLDS for number in (0, 1, 3)
+    }
+    slipped = found["van-2"]
+    assert slipped.status is FleetStatus.SLIPPED
+    assert slipped.alarm is not None
+    [axis] = slipped.alarm.axes
+    assert axis.axis == "yaw"
+    assert axis.low < 0.5 < axis.high
+    assert slipped.alarm.since_first <= BEGIN + 8640 * 25 <= slipped.alarm.since_last
+    assert slipped.alarm.since == BEGIN + 8640 * 25
+    # The extrinsic in use minus its error is the proposal.
+    error_of_use = pose_error(POSE, slipped.alarm.proposal).per_axis
+    assert error_of_use["yaw_deg"] == pytest.approx(axis.size, abs=1e-6)
+    assert se3.distance_m(se3.inverse(slipped.alarm.proposal) @ POSE) < 1e-6 + abs(error_of_use["x_m"]) + 0.01
+    assert slipped.alarm.proof[-1] == "folder:van-2/39"
+
+
+def test_an_extrinsic_that_was_wrong_from_the_first_check_on_is_no_slip(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    filled(store, "a", noise(0, 30) + [0, 0, 0, 0.12, 0, 0])
+    alarm = states(store)["a"]
+    assert alarm.status is FleetStatus.WRONG
+    assert "wrong since the first check: x +1" in alarm.reason
+
+
+def test_an_error_within_the_tolerance_holds(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    filled(store, "a", noise(1, 60) + [0.15, 0.15, 0.15, 0.02, 0.02, 0.02])
+    assert states(store)["a"].status is FleetStatus.HOLDS
+
+
+def test_few_or_weak_checks_cannot_tell(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    store.add(row_of(evidence(drive("weak", 0), np.zeros(6), covariance=np.diag((20 * SIGMA) ** 2))) for _ in range(1))
+    lost = {"verdict": Verdict.CANNOT_TELL, "error": None, "covariance": None, "reason": "too few pairs"}
+    filled(store, "dirty", noise(0, 8))
+    store.add(row_of(evidence(drive("dirty", number), **lost)) for number in range(8, 14))
+    found = states(store)
+    assert found["weak"].status is FleetStatus.CANNOT_TELL
+    assert "may stay undetected on roll" in found["weak"].reason
+    assert found["dirty"].status is FleetStatus.CANNOT_TELL
+    assert "no estimate in the last 5 checks: too few pairs" in found["dirty"].reason
+
+
+def test_a_new_extrinsic_begins_a_new_history_and_ends_the_alarm(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    filled(store, "a", noise(0, 20) + [0, 0, 1.0, 0, 0, 0])
+    store.add(
+        row_of(evidence(drive("a", n), e, extrinsic_digest="new"))
+        for n, e in zip(range(20, 40), noise(1, 20), strict=True)
+    )
+    state = fleet_state(store)
+    assert [(one.current, one.status) for one in state.extrinsics] == [
+        (False, FleetStatus.WRONG),
+        (True, FleetStatus.HOLDS),
+    ]
+    assert not state.alarms
+
+
+def test_a_change_at_a_service_is_reported_by_axis(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    filled(store, "a", noise(0, 20), service="")
+    after = noise(1, 20) + [0.12, 0, 0, 0, 0, 0]
+    store.add(
+        row_of(evidence(drive("a", n, service="windscreen"), e)) for n, e in zip(range(20, 40), after, strict=True)
+    )
+    [change] = fleet_state(store).services
+    assert (change.vehicle, change.service, change.time) == ("a", "windscreen", BEGIN + 8640 * 20)
+    [axis] = change.axes
+    assert axis.axis == "roll"
+    assert axis.low < 0.12 < axis.high
+
+
+def test_a_wrong_nominal_extrinsic_shows_on_the_type_and_marks_the_alarms_of_its_vehicles(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    for number in range(12):
+        filled(store, f"van-{number}", noise(number, 12) + [0, 0, 0, 0.08, 0, 0])
+    filled(store, "car-0", noise(50, 12), vehicle_type="car")
+    state = fleet_state(store)
+    by_type = {one.vehicle_type: one for one in state.types}
+    assert [error.axis for error in by_type["van"].alarms] == ["x"]
+    assert by_type["van"].alarms[0].low < 0.08 < by_type["van"].alarms[0].high
+    assert not by_type["car"].alarms
+    assert len(state.alarms) == 12
+    assert [one.reason for one in state.alarms if one.alarm is not None and not one.alarm.systematic] == []
+
+
+def test_a_drift_with_temperature_is_no_slip(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    for number in range(8):
+        # The temperature rises during the second half of the checks, as in spring.
+        temperature = np.concatenate([np.zeros(30), np.full(30, 25.0)]) + number
+        rows = []
+        for at, error in enumerate(noise(number, 60)):
+            size = error + np.eye(6)[1] * 0.01 * temperature[at]
+            rows.append(row_of(evidence(drive(f"van-{number}", at, temperature_c=float(temperature[at])), size)))
+        store.add(rows)
+    assert fleet_state(store, FleetRules(trends=False)).alarms
+    state = fleet_state(store)
+    assert not state.alarms
+    [own] = state.types
+    [text] = own.trends
+    assert text.startswith("pitch ")
+    assert float(text.split()[1]) == pytest.approx(0.01, abs=0.002)
+    assert text.endswith("deg per degree Celsius")
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("rate", 0.0), ("rate", 1.5), ("tolerance", "0deg 1cm"), ("notice", "far")]
+)
+def test_rules_out_of_bounds_are_refused(name: str, value: object) -> None:
+    with pytest.raises(InputError):
+        FleetRules(**{name: value})  # type: ignore[arg-type]

@@ -1,0 +1,84 @@
+"""Files of a report: what other programs read, and what is new."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from p2o.host.calibration_file import read_extrinsic_file
+from p2o.host.registry import Registry
+from p2o_fleet.fleet_state import FleetState, fleet_state
+from p2o_fleet.outputs import prometheus_text, proposal_name, summary_lines, write_outputs
+from p2o_fleet.store import Store
+
+from tests.p2o_fleet.fleet_data import SIGMA, filled
+
+
+def noise(seed: int, count: int = 20) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=(count, 6)) * SIGMA
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    store = Store(tmp_path_factory.mktemp("fleet"))
+    slipped = noise(1)
+    slipped[10:, 2] += 0.6
+    filled(store, 'van "1"', slipped)
+    filled(store, "van-2", noise(2))
+    return store
+
+
+@pytest.fixture(scope="module")
+def state(store: Store) -> FleetState:
+    return fleet_state(store)
+
+
+def test_json_has_the_alarm_with_axis_interval_onset_and_proposal(state: FleetState, tmp_path: Path) -> None:
+    write_outputs(state, tmp_path)
+    plain = json.loads((tmp_path / "fleet.json").read_text())
+    assert plain["statuses"] == {"holds": 1, "slipped": 1, "wrong": 0, "cannot-tell": 0}
+    [alarm] = plain["alarms"]
+    assert (alarm["vehicle"], alarm["camera"], alarm["lidar"]) == ('van "1"', "front", "top")
+    [axis] = alarm["axes"]
+    assert axis["axis"] == "yaw"
+    assert axis["low"] < 0.6 < axis["high"]
+    assert alarm["since_interval"][0] <= "2026-01-02T00:00:00Z" <= alarm["since_interval"][1]
+    assert len(plain["extrinsics"]) == 2
+
+
+def test_the_proposal_is_a_file_that_extrinsic_options_read(state: FleetState, tmp_path: Path) -> None:
+    write_outputs(state, tmp_path)
+    [alarmed] = state.alarms
+    assert alarmed.alarm is not None
+    pose, _ = read_extrinsic_file(
+        str(tmp_path / "proposals" / proposal_name(alarmed)), "--extrinsic", registry=Registry.load(environ={})
+    )
+    assert pose == pytest.approx(alarmed.alarm.proposal, abs=1e-9)
+
+
+def test_the_webhook_announces_an_alarm_once(state: FleetState, tmp_path: Path) -> None:
+    for expected in (1, 0):
+        write_outputs(state, tmp_path)
+        payload = json.loads((tmp_path / "webhook.json").read_text())
+        assert len(payload["alarms"]) == expected
+        assert (payload["text"] == "") == (expected == 0)
+
+
+def test_metrics_have_the_text_format_of_prometheus(state: FleetState) -> None:
+    label = r'\w+="(?:[^"\\\n]|\\["\\n])*"'
+    line = re.compile(rf"# (HELP|TYPE) p2o_fleet_\w+ .+|p2o_fleet_\w+(\{{{label}(,{label})*\}})? -?[\d.e+-]+")
+    text = prometheus_text(state)
+    assert all(line.fullmatch(row) for row in text.splitlines())
+    assert 'p2o_fleet_extrinsics{status="slipped"} 1' in text
+    assert re.search(
+        r'p2o_fleet_error\{vehicle="van \\"1\\"",camera="front",lidar="top",axis="yaw",unit="deg"\} 0\.[56]', text
+    )
+
+
+def test_the_summary_names_vehicle_axis_and_time(state: FleetState) -> None:
+    head, alarm = summary_lines(state)
+    assert head.startswith("2 extrinsics in use, 40 checks until 2026-01-02T21:36:00Z: 1 holds, 1 slipped")
+    assert 'van "1", front and top: slipped: yaw +0.' in alarm

@@ -1,0 +1,212 @@
+"""The store of a fleet: nothing finished is lost, nothing is counted twice, whoever writes and whenever it ends."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from p2o.errors import InputError
+from p2o_fleet.evidence import Verdict
+from p2o_fleet.schema import COLUMNS, Checks
+from p2o_fleet.store import Store, read_part
+
+from tests.p2o_fleet.fleet_data import BEGIN, POSE, SIGMA, drive, evidence, filled
+
+
+def only(store: Store) -> Checks:
+    [checks] = store.checks()
+    return checks
+
+
+def test_evidence_is_read_as_it_was_stored(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    error = np.arange(6) / 7
+    covariance = np.diag(SIGMA**2) + 1e-5
+    with store.writer() as writer:
+        writer.put(evidence(drive(temperature_c=21.5), error, covariance=covariance))
+    checks = only(store)
+    assert (checks.time == [BEGIN]).all()
+    assert (checks.error == error).all()
+    assert (checks.covariance == covariance).all()
+    assert (checks.pose == POSE).all()
+    assert checks.temperature_c == [21.5]
+    assert {name: values[0] for name, values in checks.texts.items()}["verdict"] == "holds"
+
+
+def test_files_lie_by_vehicle_and_day_and_have_the_documented_columns(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    filled(store, "van/7 ü", np.zeros((12, 6)))
+    paths = store.parts("van/7 ü")
+    assert [path.parent.relative_to(tmp_path).as_posix() for path in paths] == [
+        "checks/vehicle=van%2F7%20%C3%BC/day=2026-01-01",
+        "checks/vehicle=van%2F7%20%C3%BC/day=2026-01-02",
+    ]
+    assert read_part(paths[0]).column_names == list(COLUMNS)
+    assert store.vehicles() == ["van/7 ü"]
+    assert not list(store.journals.iterdir())
+
+
+def test_pyarrow_reads_the_store_as_one_partitioned_data_set(tmp_path: Path) -> None:
+    import pyarrow.dataset
+
+    for vehicle in ("a", "b"):
+        filled(Store(tmp_path), vehicle, np.zeros((12, 6)))
+    read = pyarrow.dataset.dataset(tmp_path / "checks", format="parquet", partitioning="hive")
+    first_day = pyarrow.dataset.field("day") == "2026-01-01"
+    assert read.count_rows() == 24
+    assert read.to_table(filter=first_day & (pyarrow.dataset.field("vehicle") == "b")).num_rows == 10
+
+
+def test_the_same_check_again_changes_nothing(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    filled(store, "a", np.zeros((3, 6)))
+    before = {path: path.read_bytes() for path in store.parts("a")}
+    with store.writer() as writer:
+        assert writer.finished(drive("a", 1), drive("a", 1).key())
+        assert not writer.put(evidence(drive("a", 1)))
+    assert {path: path.read_bytes() for path in store.parts("a")} == before
+
+
+def test_a_log_under_another_path_is_counted_once(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    with store.writer() as writer:
+        writer.put(evidence(drive("a", 0)))
+        writer.put(evidence(drive("a", 0, data="folder:copy"), log="log of folder:a/0"))
+        writer.put(evidence(drive("b", 0), log="log of folder:a/0"))
+    assert [len(checks) for checks in store.checks()] == [1, 1]
+
+
+def test_a_late_log_takes_its_place_in_time(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    for numbers in ((3, 4), (0, 1, 2)):
+        with store.writer() as writer:
+            for number in numbers:
+                writer.put(evidence(drive("a", number)))
+    assert (np.diff(only(store).time) > 0).all()
+    assert len(only(store)) == 5
+
+
+def test_an_unreadable_log_is_tried_again_and_replaced_by_its_evidence(tmp_path: Path) -> None:
+    store, bad = Store(tmp_path), {"verdict": Verdict.UNREADABLE, "reason": "cut off", "log": "", "error": None}
+    with store.writer() as writer:
+        assert writer.put(evidence(drive("a"), **bad))
+        assert not writer.finished(drive("a"), drive("a").key())
+    with store.writer() as writer:
+        assert not writer.put(evidence(drive("a"), **bad)), "the same reason is one row"
+    assert only(store).texts["verdict"].tolist() == ["unreadable"]
+    with store.writer() as writer:
+        assert writer.put(evidence(drive("a")))
+        assert writer.finished(drive("a"), drive("a").key())
+    assert only(store).texts["verdict"].tolist() == ["holds"]
+
+
+def test_what_a_killed_writer_finished_is_read_at_once_and_stored_by_the_next(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    killed = store.writer()
+    for number in range(3):
+        killed.put(evidence(drive("a", number)))
+    [journal] = store.journals.iterdir()
+    assert len(only(store)) == 3
+    killed._journal.close()  # type: ignore[union-attr]  # as the end of its process does
+    with journal.open("ab") as file:
+        file.write(b'{"key": "half of a li')
+    with store.writer() as writer:
+        assert writer.finished(drive("a", 2), drive("a", 2).key())
+        assert not list(store.journals.iterdir())
+    assert len(only(store)) == 3
+
+
+def test_the_journal_of_a_writer_that_works_is_left_alone(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    with store.writer() as first, store.writer() as second:
+        first.put(evidence(drive("a", 0)))
+        assert second.finished(drive("a", 0), drive("a", 0).key()), "evidence of the other is known before it is folded"
+        second.put(evidence(drive("a", 1)))
+        with store.writer() as third:
+            third.put(evidence(drive("b", 0)))
+        assert len(list(store.journals.iterdir())) == 2
+    assert [len(checks) for checks in store.checks()] == [2, 1]
+
+
+def test_two_writers_that_finish_the_same_check_store_it_once(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    with store.writer() as first, store.writer() as second:
+        first._follow = second._follow = lambda: None  # type: ignore[method-assign]  # both began at the same moment
+        assert first.put(evidence(drive("a", 0)))
+        assert second.put(evidence(drive("a", 0), seconds=9.0))
+    assert len(only(store)) == 1
+
+
+def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = Store(tmp_path)
+    writer = store.writer()
+    writer.put(evidence(drive("a", 0)))
+
+    def full(handle: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr("p2o_fleet.store.os.fsync", full)
+        with pytest.raises(InputError, match="No space left on device"):
+            writer.put(evidence(drive("a", 1)))
+    assert len(only(store)) == 1, "no half line is left"
+    writer.put(evidence(drive("a", 1)))
+    with monkeypatch.context() as patch:
+        patch.setattr("p2o_fleet.store.write_whole", lambda path, data: full(0))
+        with pytest.raises(InputError, match="No space left on device"):
+            writer.fold()
+    assert len(only(store)) == 2, "the journal is kept until its files are written"
+    writer.fold()
+    assert len(only(store)) == 2
+    assert not list(store.journals.iterdir())
+
+
+def test_compaction_merges_months_and_keeps_every_check(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    filled(store, "a", np.random.default_rng(0).normal(size=(60, 6)))
+    before, files = only(store), len(store.parts("a"))
+    assert store.compact("2026-02") == 1
+    assert (files, len(store.parts("a"))) == (6, 1)
+    after = only(store)
+    assert (after.error == before.error).all()
+    assert (after.texts["key"] == before.texts["key"]).all()
+    assert store.compact("2026-02") == 0
+    with store.writer() as writer:
+        assert writer.finished(drive("a", 7), drive("a", 7).key()), "a merged check is finished"
+        writer.put(evidence(drive("a", 5, data="folder:late")))
+    assert store.compact("2026-02") == 1
+    assert len(only(store)) == 61
+
+
+def test_a_compaction_that_is_killed_counts_no_check_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = Store(tmp_path)
+    filled(store, "a", np.zeros((30, 6)))
+
+    def killed(path: Path, missing_ok: bool = False) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "unlink", killed)
+        with pytest.raises(KeyboardInterrupt):
+            store.compact("2026-02")
+    assert len(only(store)) == 30
+    store.compact("2026-02")
+    assert len(only(store)) == 30
+    assert len(store.parts("a")) == 1
+
+
+def test_a_damaged_file_is_named(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    filled(store, "a", np.zeros((1, 6)))
+    [path] = store.parts("a")
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(InputError, match=path.name):
+        list(store.checks())
+
+
+def test_a_folder_without_a_store_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no store"):
+        Store.existing(tmp_path / "nothing")

@@ -1,0 +1,167 @@
+"""The commands of docs/how-to/fleet.md, on a dask cluster of local processes, and the page of a fleet in a browser."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from fleet import write_drives
+from p2o.cli import main
+from p2o_fleet.fleet_state import fleet_state
+from p2o_fleet.page import write_page
+from p2o_fleet.schema import COLUMNS
+from p2o_fleet.simulation import Fault, NoiseBank, Scenario, simulated_fleet, write_fleet
+from p2o_fleet.store import Store
+
+from tests.pages import ROOT, blocks, shell_blocks
+
+PAGE = "docs/how-to/fleet.md"
+QUICK = ("--frames", "1", "--candidates", "1", "--extractor", "depth/rings", "--json")
+NEEDS_DASK = pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason='needs pip install ".[dask]"')
+
+
+def _services() -> dict[str, Any]:
+    [compose] = [block.text for block in blocks(PAGE) if block.language == "yaml"]
+    services: dict[str, Any] = yaml.safe_load(compose)["services"]
+    return services
+
+
+def test_the_lines_of_the_page_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_drives(tmp_path, 5)
+    commands = [command for block in shell_blocks(PAGE) for command in block.commands()]
+    words = [command.words for command in commands if command.text.startswith("p2o fleet")]
+    assert [each[2] for each in words] == ["run", "report", "run", "simulate", "report"]
+    assert main([*words[0][1:], *QUICK]) == 0
+    assert json.loads(capsys.readouterr().out)["checked"] == 5
+    assert main(words[1][1:]) == 0
+    assert main(words[3][1:]) == 0
+    capsys.readouterr()
+    assert main(words[4][1:]) == 1
+    assert "slipped" in capsys.readouterr().out
+    assert sorted(path.name for path in (tmp_path / "simulated-report").iterdir()) == [
+        *("data", "fleet.json", "fleet.prom", "index.html", "proposals", "webhook.json"),
+    ]
+
+
+def test_the_page_names_every_column_of_the_store() -> None:
+    text = (ROOT / PAGE).read_text(encoding="utf-8")
+    table = text.partition("\n## Store\n")[2]
+    assert {name for name in COLUMNS if f"`{name}`" not in table} == set()
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+    """Start the commands of the compose file as local processes: a scheduler and two workers."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    address, services = f"tcp://127.0.0.1:{port}", _services()
+    scheduler = [*services["scheduler"]["entrypoint"][1:], "--host", "127.0.0.1", "--no-dashboard"]
+    worker = [*services["worker"]["entrypoint"][1:], "--no-dashboard", "--local-directory", str(tmp_path / "dask")]
+    assert (scheduler[0], worker[0]) == ("scheduler", "worker")
+    commands = [[str(port) if word == "8786" else word for word in scheduler]]
+    commands += [[address if word.startswith("tcp://") else word for word in worker]] * 2
+    modules = {"scheduler": "distributed.cli.dask_scheduler", "worker": "distributed.cli.dask_worker"}
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-m", modules[command[0]], *command[1:]],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        for command in commands
+    ]
+    try:
+        yield address, processes
+    finally:
+        for process in processes:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+
+
+@NEEDS_DASK
+def test_a_dask_cluster_that_loses_a_worker_and_its_scheduler_loses_no_check(
+    tmp_path: Path, cluster: tuple[str, list[subprocess.Popen[bytes]]]
+) -> None:
+    address, (scheduler, first, _) = cluster
+    table, store = write_drives(tmp_path / "drives", 60), tmp_path / "store"
+    command = [sys.executable, "-m", "p2o", "fleet", "run", str(table), "--store", str(store), *QUICK]
+    process = subprocess.Popen([*command, "--scheduler", address], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    _until(process, store, 5)
+    os.killpg(first.pid, signal.SIGKILL)
+    _until(process, store, 15)
+    before = _keys(store)
+    os.killpg(scheduler.pid, signal.SIGKILL)
+    _, error = process.communicate(timeout=240)
+    assert process.returncode == 2, error
+    assert len(error.decode().splitlines()) == 1
+    assert b"finished rows are kept" in error
+    assert before <= _keys(store)
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    counts = json.loads(done.stdout)
+    assert counts["checked"] + counts["kept"] == 60
+    assert counts["kept"] >= 15
+    assert len(_keys(store)) == 60
+
+
+def _until(process: subprocess.Popen[bytes], store: Path, count: int) -> None:
+    until = time.monotonic() + 240
+    while process.poll() is None and time.monotonic() < until and len(_keys(store)) < count:
+        time.sleep(0.1)
+    assert process.poll() is None, process.communicate()[1]
+
+
+def _keys(store: Path) -> set[str]:
+    if not (store / "checks").exists():
+        return set()
+    return {str(key) for checks in Store(store).checks() for key in checks.texts["key"]}
+
+
+def test_the_page_of_a_thousand_vehicles_filters_searches_and_shows_histories(tmp_path: Path) -> None:
+    pytest.importorskip("selenium", reason="selenium is not installed")
+    from tests.in_browser import Page, chromium
+
+    shares = {Fault.SLIP: 0.05, Fault.SWAPPED: 0.02}
+    store = Store(tmp_path / "store")
+    write_fleet(simulated_fleet(Scenario(1000, 24, shares=shares), NoiseBank.shipped()), store, by_month=True)
+    state = fleet_state(store)
+    index = write_page(state, tmp_path / "report")
+    assert index.stat().st_size < 2_000_000
+    with chromium(tmp_path / "profile") as driver:
+        page = Page(driver, index)
+        page.until_equal(lambda: page.text("#count"), "1000 of 1000")
+        assert page.count("#rows tbody tr") == 200
+        page.click('#counts button[data-status="slipped"]')
+        slipped = sum(one.status.value == "slipped" for one in state.current)
+        assert slipped > 20
+        page.until_equal(lambda: page.text("#count"), f"{slipped} of 1000")
+        assert set(page.column("rows", "state")) == {"slipped"}
+        page.click("#reset")
+        page.write("#find", "vehicle-0042", value="vehicle-0042")
+        page.until_equal(lambda: page.text("#count"), "10 of 1000")
+        page.sort("rows", "vehicle")
+        page.click("#rows tbody tr")
+        page.until_equal(lambda: page.text("#detail-title"), "vehicle-00420: front and top")
+        page.until_equal(lambda: page.count("#charts svg"), 7)
+        assert page.count("#charts svg .dot") >= 6 * 20
+        page.click("#close")
+        page.choose("#status", "cannot tell")
+        assert page.complaints("SEVERE") == []
+        assert [url for url in page.requests() if not re.match(r"file:.*/report/data/history-\d+\.js", url)] == []

@@ -1,0 +1,264 @@
+"""`p2o fleet`: check the extrinsics of many vehicles, and report on them."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+from p2o.cli.plugin_options import load, plugin_options
+from p2o.cli.progress import LINE_INTERVAL_S
+from p2o.errors import MethodUnavailable, printable
+from p2o_study.cli.ablate import jobs_option
+
+if TYPE_CHECKING:
+    from p2o_fleet.evidence import CheckEvidence
+    from p2o_fleet.run import RunOutcome
+
+
+@click.group("fleet")
+def command() -> None:
+    """Check the extrinsics of many vehicles, find slips and systematic errors, and report on them.
+
+    `p2o fleet run` checks the drives of a table and stores the evidence, `p2o fleet report` applies sequential tests
+    to it and writes JSON, metrics and a page. docs/how-to/fleet.md explains table, store and tests.
+    """
+    if importlib.util.find_spec("pyarrow") is None:
+        hint = 'run: pip install "p2o-calib[fleet]"'
+        raise MethodUnavailable("p2o fleet needs the package pyarrow, which is not installed", hint=hint)
+
+
+_store = click.option(
+    "--store", default="p2o-out/fleet", show_default=True, metavar="DIR", help="Folder of the stored evidence."
+)
+_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else on stdout.")
+
+
+@command.command("run")
+@click.argument("drives")
+@_store
+@jobs_option
+@click.option(
+    "--backend", type=click.Choice(["loky", "dask", "ray"]), default="loky", show_default=True, help="Runs the jobs."
+)
+@click.option("--scheduler", metavar="ADDRESS", help="Existing dask scheduler (tcp://HOST:8786) or ray cluster.")
+@click.option("--frames", default=8, show_default=True, metavar="N", help="Number of frames of a check.")
+@click.option(
+    "--candidates", default=12, show_default=True, metavar="N", help="Number of frames, spread in time, to choose from."
+)
+@click.option(
+    "--extractor", default="p2ornet/rings", show_default=True, metavar="IMAGE/CLOUD", help="The two extractors."
+)
+@click.option("--set", "options", multiple=True, metavar="STAGE.FIELD=VALUE", help="An option of a method.")
+@_json
+@click.option("--quiet", is_flag=True, help="No progress.")
+@plugin_options
+def run(
+    drives: str,
+    store: str,
+    jobs: int,
+    backend: Any,
+    scheduler: str | None,
+    frames: int,
+    candidates: int,
+    extractor: str,
+    options: tuple[str, ...],
+    as_json: bool,
+    quiet: bool,
+    plugin: tuple[str, ...],
+    block: tuple[str, ...],
+) -> int:
+    """Check the drives of a table, or of a folder ROOT/VEHICLE/TIME, that are not stored yet.
+
+    DRIVES is a CSV or Parquet file with the columns vehicle, camera, lidar, data, extrinsic and time. A log that cannot
+    be read is stored with the reason, and tried again by the next run.
+
+    \b
+    p2o fleet run drives.csv --store fleet --jobs 4
+    p2o fleet run drives.parquet --store fleet --backend dask --scheduler tcp://HOST:8786
+
+    Exit status 0 if every drive is checked, 1 if logs were unreadable, 2 for wrong input, 130 if interrupted.
+    """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
+    from p2o.run.words import parse_settings
+    from p2o_study.parallel import Workers
+    from p2o_study.worker import Plugins
+
+    from p2o_fleet.drive import drives_of
+    from p2o_fleet.evidence import Verdict
+    from p2o_fleet.run import run_fleet
+    from p2o_fleet.store import Store
+    from p2o_fleet.worker import CheckSettings
+
+    settings = CheckSettings(frames, candidates, extractor, json.dumps(parse_settings(options), sort_keys=True))
+    done = run_fleet(
+        drives_of(drives),
+        Store(Path(store).expanduser()),
+        settings=settings,
+        plugins=Plugins.of(block, plugin),
+        workers=Workers(jobs, "dask" if scheduler and backend == "loky" else backend, scheduler),
+        on_check=(lambda outcome, evidence: None) if quiet or as_json else _Lines(),
+    )
+    unreadable = done.verdicts[Verdict.UNREADABLE.value]
+    if as_json:
+        counts = {verdict.value: done.verdicts[verdict.value] for verdict in Verdict}
+        click.echo(json.dumps({"checked": done.checked, "kept": done.kept, "seconds": done.seconds, **counts}))
+    else:
+        parts = ", ".join(f"{count} {verdict}" for verdict, count in sorted(done.verdicts.items()))
+        click.echo(f"{done.checked} drives checked{f' ({parts})' if parts else ''}, {done.kept} stored before; {store}")
+    if done.interrupted:
+        click.echo("p2o: interrupted: the same command continues", err=True)
+        return 130
+    return 1 if unreadable else 0
+
+
+class _Lines:
+    """Prints a line of progress every few seconds, and a line for each unreadable log."""
+
+    def __init__(self) -> None:
+        self.last = time.monotonic()
+
+    def __call__(self, outcome: RunOutcome, evidence: CheckEvidence) -> None:
+        from p2o_fleet.evidence import Verdict
+
+        if evidence.verdict is Verdict.UNREADABLE:
+            print(f"p2o: {printable(evidence.drive.data, 200)}: {printable(evidence.reason)}", file=sys.stderr)
+        if time.monotonic() - self.last > LINE_INTERVAL_S:
+            self.last = time.monotonic()
+            print(f"p2o: {outcome.checked} drives checked, {outcome.kept} stored before", file=sys.stderr)
+
+
+@command.command("report")
+@_store
+@click.option("--out", default="p2o-out/fleet-report", show_default=True, metavar="DIR", help="Folder of the report.")
+@click.option("--rate", default=0.01, show_default=True, metavar="SHARE", help="False discovery rate of the alarms.")
+@click.option(
+    "--tolerance",
+    default="0.2deg 3cm",
+    show_default=True,
+    metavar="SIZE",
+    help="Constant error that counts as correct.",
+)
+@click.option(
+    "--type-tolerance",
+    default="0.03deg 1cm",
+    show_default=True,
+    metavar="SIZE",
+    help="The same for the mean of the vehicles of a type.",
+)
+@click.option(
+    "--notice", default="0.5deg 5cm", show_default=True, metavar="SIZE", help="Error that has to be detectable."
+)
+@jobs_option
+@click.option("--trends/--no-trends", default=True, help="Remove trends with temperature and time of day.")
+@click.option(
+    "--overlays", default=20, show_default=True, metavar="N", help="Draw frames of N alarms, where their logs are."
+)
+@click.option("--require", is_flag=True, help="Exit status 1 also if the state of an extrinsic is unknown.")
+@_json
+@plugin_options
+def report(
+    store: str,
+    out: str,
+    overlays: int,
+    jobs: int,
+    require: bool,
+    as_json: bool,
+    plugin: tuple[str, ...],
+    block: tuple[str, ...],
+    **rules: Any,
+) -> int:
+    """Compute the state of every extrinsic from the stored evidence, and write the report.
+
+    Writes index.html (a page that works offline), fleet.json, fleet.prom (metrics for Prometheus), webhook.json (alarms
+    that the last report in the folder did not contain) and proposed extrinsics to DIR.
+
+    \b
+    p2o fleet report --store fleet --out report
+    p2o fleet report --store fleet --rate 0.001 --json
+
+    Exit status 0 without alarms, 1 with an alarm of a vehicle or a type (with --require also if the state of an
+    extrinsic is unknown), 2 for wrong input.
+    """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
+    from p2o_study.parallel import Workers
+
+    from p2o_fleet.fleet_state import FleetRules, FleetStatus, fleet_state
+    from p2o_fleet.outputs import dumps, summary_lines, write_outputs
+    from p2o_fleet.overlays import Overlays
+    from p2o_fleet.page import write_page
+    from p2o_fleet.store import Store
+
+    state = fleet_state(Store.existing(store), FleetRules(**rules), Workers(jobs))
+    folder = Path(out).expanduser()
+    plain = write_outputs(state, folder)
+    write_page(state, folder, Overlays(load(plugin, block), overlays))
+    if as_json:
+        click.echo(dumps(plain))
+    else:
+        click.echo("\n".join(printable(line) for line in summary_lines(state)))
+        click.echo(f"wrote {folder / 'index.html'}, fleet.json, fleet.prom, webhook.json")
+    unknown = any(one.status is FleetStatus.CANNOT_TELL for one in state.current)
+    return 1 if state.alarms or any(one.alarms for one in state.types) or (require and unknown) else 0
+
+
+@command.command("compact")
+@_store
+@click.option("--before", metavar="YYYY-MM", help="Merge months before this one (default: the current month).")
+def compact(store: str, before: str | None) -> int:
+    """Merge the files of each vehicle and month, so that queries over a year read few files.
+
+    Other processes may read and write the store at the same time.
+    """
+    import re
+    from datetime import UTC, datetime
+
+    from p2o.errors import InputError
+
+    from p2o_fleet.store import Store
+
+    if before is not None and not re.fullmatch(r"\d{4}-\d{2}", before):
+        raise InputError("this is no month", where="--before", expected="YYYY-MM, such as 2026-11", got=before)
+    merged = Store.existing(store).compact(before or datetime.now(UTC).strftime("%Y-%m"))
+    click.echo(f"{merged} months of vehicles merged")
+    return 0
+
+
+@command.command("simulate")
+@click.argument("out")
+@click.option("--vehicles", default=1000, show_default=True, metavar="N", help="Number of vehicles.")
+@click.option("--checks", default=100, show_default=True, metavar="N", help="Number of checks of each vehicle.")
+@click.option("--per-day", default=10.0, show_default=True, metavar="N", help="Number of checks per day.")
+@click.option("--faults", default=0.1, show_default=True, metavar="SHARE", help="Share of vehicles with a fault.")
+@click.option("--rigs", default="sim-hdl-64e,kitti", show_default=True, metavar="NAME,...", help="Rigs of the noise.")
+@click.option(
+    "--wrong-cad", default=0.0, show_default=True, metavar="DEG", help="Yaw error of all vehicles of one type."
+)
+@click.option("--seed", default=0, show_default=True, metavar="N", help="Seed of all random numbers.")
+def simulate(
+    out: str, vehicles: int, checks: int, per_day: float, faults: float, rigs: str, wrong_cad: float, seed: int
+) -> int:
+    """Write the store of a simulated fleet: measured evidence of real and simulated rigs, resampled, with faults.
+
+    Half of the faults are slips; the others are drifts, swapped cameras, dirty lenses, broken logs and clock errors.
+
+    \b
+    p2o fleet simulate fleet --vehicles 1000 --faults 0.1
+    p2o fleet report --store fleet --out report
+    """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
+    from p2o.errors import InputError
+
+    from p2o_fleet.simulation import Fault, NoiseBank, Scenario, simulated_fleet, write_fleet
+    from p2o_fleet.store import Store
+
+    others = (Fault.DRIFT, Fault.SWAPPED, Fault.DIRTY, Fault.BROKEN, Fault.CLOCK)
+    shares = {Fault.SLIP: faults / 2, **dict.fromkeys(others, faults / 2 / len(others))}
+    store = Store(Path(out).expanduser())
+    if store.checks_folder.exists():
+        raise InputError("the folder contains a store", where=out, expected="a new folder")
+    scenario = Scenario(vehicles, checks, per_day, tuple(rigs.split(",")), shares, wrong_cad_deg=wrong_cad, seed=seed)
+    total = write_fleet(simulated_fleet(scenario, NoiseBank.shipped()), store)
+    click.echo(f"{total} checks of {vehicles} vehicles written to {out}")
+    return 0

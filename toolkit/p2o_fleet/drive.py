@@ -1,0 +1,210 @@
+"""The drives to check: rows of a table (CSV or Parquet), or the files of a folder convention."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from p2o.errors import InputError
+from p2o.files.input_file import existing_folder, listing, read_text
+from p2o.files.parsed_text import parse_yaml
+
+REQUIRED = ("vehicle", "camera", "lidar", "data", "extrinsic", "time")
+OPTIONAL = ("vehicle_type", "service", "temperature_c", "frames")
+_MAX_TEXT = 1000
+_BAGS = (".bag", ".mcap", ".db3")
+_TIME_IN_NAME = re.compile(r"(\d{4}-\d{2}-\d{2})T(\d{2})[-:](\d{2})[-:](\d{2})")
+_DEFAULTS = {"camera": "camera", "lidar": "lidar", "extrinsic": "extrinsic.yaml"}
+"""Contents of `vehicle.yaml` that may be left out."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One log to check: a vehicle, a pair of sensors, the data with the extrinsic in use, and when it was recorded.
+
+    `data` is DATASET:PATH as in `p2o run`, or a URL of a bag or folder; `extrinsic` a calibration file, `truth` or
+    `start`. `time` is in s since 1970 (UTC). `service` names the last service of the vehicle: with a new name, its
+    history starts again. `temperature_c` may be unknown (None). `frames` selects frames as in `p2o run`.
+    """
+
+    vehicle: str
+    camera: str
+    lidar: str
+    data: str
+    extrinsic: str
+    time: float
+    vehicle_type: str = ""
+    service: str = ""
+    temperature_c: float | None = None
+    frames: str = "all"
+
+    @property
+    def day(self) -> str:
+        """Return the day (UTC) of the drive, such as 2026-11-24."""
+        return day_of(self.time)
+
+    def key(self, settings: str = "") -> str:
+        """Return the key of the check of this drive: drives with equal keys are checked once.
+
+        It contains the content of the extrinsic file where this machine can read it, and `settings` of the check.
+        """
+        identity = {
+            name: value for name, value in asdict(self).items() if name not in ("temperature_c", "vehicle_type")
+        }
+        identity["extrinsic"] = file_digest(self.extrinsic) or self.extrinsic
+        return hashlib.sha256(json.dumps([identity, settings], sort_keys=True).encode()).hexdigest()[:32]
+
+
+def day_of(time: float) -> str:
+    """Return the day (UTC) of a time in s since 1970."""
+    return datetime.fromtimestamp(time, UTC).strftime("%Y-%m-%d")
+
+
+def file_digest(path: str) -> str:
+    """Return the SHA-256 of a file, empty if it cannot be read."""
+    try:
+        return hashlib.sha256(Path(path).expanduser().read_bytes()).hexdigest()
+    except (OSError, RuntimeError, ValueError):
+        return ""
+
+
+def drives_of(source: str) -> Iterator[Drive]:
+    """Yield the drives of a table (.csv, .parquet) or of a folder, one by one.
+
+    Raises InputError for a table that is missing, lacks a column or has an invalid cell, with its row.
+    """
+    path = Path(source).expanduser()
+    if path.is_dir():
+        return _of_folder(path)
+    suffix = path.suffix.lower()
+    if suffix not in (".csv", ".parquet"):
+        expected = "a table .csv or .parquet, or a folder of vehicles"
+        raise InputError("this is no table of drives", where=source, expected=expected, got=suffix or "no suffix")
+    if not path.is_file():
+        raise InputError("the table of drives does not exist", where=source)
+    return _of_csv(path) if suffix == ".csv" else _of_parquet(path)
+
+
+def _of_csv(path: Path) -> Iterator[Drive]:
+    with path.open(encoding="utf-8-sig", newline="") as stream:
+        try:
+            rows = csv.DictReader(stream, strict=True)
+            _check_columns(rows.fieldnames or (), path)
+            for number, row in enumerate(rows, start=2):
+                yield _drive(row, f"{path}, line {number}")
+        except (csv.Error, UnicodeDecodeError) as problem:
+            raise InputError("the table cannot be read", where=path, expected="CSV in UTF-8", got=problem) from problem
+
+
+def _of_parquet(path: Path) -> Iterator[Drive]:
+    import pyarrow
+    import pyarrow.parquet
+
+    try:
+        with pyarrow.parquet.ParquetFile(path) as file:
+            _check_columns(file.schema_arrow.names, path)
+            columns = [name for name in (*REQUIRED, *OPTIONAL) if name in file.schema_arrow.names]
+            number = 0
+            for batch in file.iter_batches(batch_size=4096, columns=columns):
+                for row in batch.to_pylist():
+                    yield _drive(row, f"{path}, row {number}")
+                    number += 1
+    except (pyarrow.ArrowException, OSError) as problem:
+        raise InputError("the table cannot be read", where=path, expected="Parquet", got=problem) from problem
+
+
+def _check_columns(names: Any, path: Path) -> None:
+    missing = [name for name in REQUIRED if name not in names]
+    if missing:
+        expected = f"{', '.join(REQUIRED)}; optional: {', '.join(OPTIONAL)}"
+        got = ", ".join(map(str, names)) or "no columns"
+        raise InputError(f"the table has no column {missing[0]}", where=path, expected=expected, got=got)
+
+
+def _drive(row: Mapping[str, Any], where: str) -> Drive:
+    """Return the drive of a row; raises InputError that names row and column."""
+    texts = {name: _text(row, name, where) for name in REQUIRED if name != "time"}
+    optional = {name: str(row.get(name) or "").strip() for name in ("vehicle_type", "service")}
+    frames = str(row.get("frames") or "").strip() or "all"
+    temperature = row.get("temperature_c")
+    known = temperature is not None and str(temperature).strip() not in ("", "nan")
+    return Drive(
+        **texts,
+        **optional,
+        frames=frames,
+        time=parse_time(row.get("time"), where),
+        temperature_c=_number(temperature, "temperature_c", where) if known else None,
+    )
+
+
+def _text(row: Mapping[str, Any], name: str, where: str) -> str:
+    text = str(row.get(name) if row.get(name) is not None else "").strip()
+    if not text or len(text) > _MAX_TEXT or not text.isprintable():
+        expected = f"a text of 1 to {_MAX_TEXT} printable characters"
+        raise InputError(f"{name} is not valid", where=where, expected=expected, got=text[:80] or "nothing")
+    return text
+
+
+def _number(value: Any, name: str, where: str) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise InputError(f"{name} is not valid", where=where, expected="a number", got=value)
+    return number
+
+
+def parse_time(value: Any, where: str) -> float:
+    """Return a time in s since 1970: of a datetime, a text of ISO 8601 (UTC without a zone), or seconds.
+
+    Raises InputError for other values.
+    """
+    moment = value
+    try:
+        if isinstance(value, str):
+            moment = (
+                float(value) if re.fullmatch(r"\d+(\.\d+)?", value.strip()) else datetime.fromisoformat(value.strip())
+            )
+        if isinstance(moment, datetime):
+            moment = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+        seconds = float(moment)
+        datetime.fromtimestamp(seconds, UTC)
+    except (TypeError, ValueError, OverflowError, OSError) as problem:
+        expected = "ISO 8601, such as 2026-11-24T10:30:00Z, or seconds since 1970"
+        raise InputError("time is not valid", where=where, expected=expected, got=value) from problem
+    return seconds
+
+
+def _of_folder(root: Path) -> Iterator[Drive]:
+    """Yield the drives of ROOT/VEHICLE/TIME (folders of frames) and ROOT/VEHICLE/TIME.bag, .mcap or .db3.
+
+    TIME begins as 2026-11-24T10-30-00 (UTC). ROOT/VEHICLE/vehicle.yaml may give vehicle_type, camera, lidar, extrinsic
+    (a file beside it) and service.
+    """
+    vehicles = [folder for folder in listing(existing_folder(root, "folder of vehicles"), "folder") if folder.is_dir()]
+    if not vehicles:
+        raise InputError("the folder contains no vehicles", where=root, expected="ROOT/VEHICLE/2026-11-24T10-30-00/")
+    for folder in vehicles:
+        file = folder / "vehicle.yaml"
+        words = parse_yaml(read_text(file, "vehicle file"), "vehicle file", file) if file.exists() else {}
+        known = {*_DEFAULTS, "vehicle_type", "service"}
+        if not isinstance(words, dict) or not words.keys() <= known:
+            raise InputError("the vehicle file is not valid", where=file, expected=", ".join(sorted(known)))
+        words = {**_DEFAULTS, **words}
+        words["extrinsic"] = str(folder / str(words["extrinsic"]))
+        for path in listing(folder, "folder of a vehicle"):
+            match = _TIME_IN_NAME.match(path.name)
+            if match is None or not (path.is_dir() or path.suffix.lower() in _BAGS):
+                continue
+            time = f"{match[1]}T{match[2]}:{match[3]}:{match[4]}"
+            reader = "ros" if path.suffix.lower() in _BAGS or (path / "metadata.yaml").exists() else "folder"
+            yield _drive({**words, "vehicle": folder.name, "data": f"{reader}:{path}", "time": time}, str(path))

@@ -1,0 +1,104 @@
+"""Noise of checks by type and sensors, estimated from the fleet itself, and trends with temperature and time of day."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from p2o.arrays import Float
+from p2o.confidence.audit import AXES
+from p2o.frames.selection import spread
+
+from p2o_fleet.schema import Checks
+from p2o_fleet.segments import Pair, segments_of
+from p2o_fleet.statistics import NoiseModel, Trend, local_deviations, noise_scale, trend
+from p2o_fleet.store import Store
+
+COVARIATES = ("degree Celsius", "sine of the time of day", "cosine of the time of day")
+_SAMPLED, _MAX_PARTS = 120, 4
+"""Number of checks of a vehicle, and of files, from which noise and trends are estimated."""
+_MIN_VEHICLES = 5
+"""Minimum number of vehicles for a trend: with fewer ones, a drift of one vehicle looks like a trend."""
+_DAY_S = 86400.0
+
+
+@dataclass(frozen=True, eq=False)
+class PairNoise:
+    """Noise of a type and pair of sensors: `model`, and the `trend` about the `reference` (3,) of the covariates."""
+
+    model: NoiseModel
+    trend: Trend | None = None
+    reference: Float = field(default_factory=lambda: np.zeros(len(COVARIATES)))
+
+    def without_trend(self, checks: Checks) -> Float:
+        """Return the errors (T, 6) of checks without the significant trends; unknown covariates change nothing."""
+        if self.trend is None or not len(checks):
+            return checks.error
+        covariates = np.nan_to_num(covariates_of(checks) - self.reference)
+        return np.asarray(checks.error - covariates @ self.trend.significant.T)
+
+    def trend_texts(self) -> Iterator[str]:
+        """Yield the significant trends as texts."""
+        slopes = np.zeros((len(AXES), 0)) if self.trend is None else self.trend.significant
+        for axis, number in np.argwhere(slopes):
+            assert self.trend is not None
+            size, sigma = slopes[axis, number], self.trend.sigma[axis, number]
+            yield f"{AXES[axis][0]} {size:+.2g} +- {sigma:.2g} {AXES[axis][1]} per {COVARIATES[number]}"
+
+
+@dataclass(eq=False)
+class _Samples:
+    """Sampled checks of the vehicles of a type: one array per vehicle and extrinsic."""
+
+    deviations: list[Float] = field(default_factory=list)
+    errors: list[Float] = field(default_factory=list)
+    sigmas: list[Float] = field(default_factory=list)
+    covariates: list[Float] = field(default_factory=list)
+
+
+def estimate_noise(store: Store, tolerance: tuple[float, ...], *, trends: bool) -> dict[Pair, PairNoise]:
+    """Estimate noise and trends of each type and pair of sensors from some checks of each vehicle."""
+    samples: dict[Pair, _Samples] = {}
+    for checks in store.checks(most_parts=_MAX_PARTS):
+        for segment in segments_of(checks):
+            usable = np.flatnonzero(segment.checks.usable).tolist()
+            own = segment.checks.take(np.array(spread(usable, _SAMPLED), np.int64))
+            if len(own) > 1:
+                sample = samples.setdefault(segment.pair, _Samples())
+                sample.deviations.append(local_deviations(own.error, own.covariance))
+                sample.errors.append(own.error)
+                sample.sigmas.append(np.sqrt(np.einsum("tii->ti", own.covariance)))
+                sample.covariates.append(covariates_of(own))
+    return {pair: _pair_noise(sample, tolerance, trends=trends) for pair, sample in samples.items()}
+
+
+def covariates_of(checks: Checks) -> Float:
+    """Return temperature in degrees Celsius, sine and cosine of the time of day (UTC), as columns (T, 3)."""
+    angle = 2 * np.pi * (checks.time % _DAY_S) / _DAY_S
+    return np.column_stack([checks.temperature_c, np.sin(angle), np.cos(angle)])
+
+
+def _pair_noise(sample: _Samples, tolerance: tuple[float, ...], *, trends: bool) -> PairNoise:
+    model = NoiseModel(noise_scale(sample.deviations), tolerance)
+    every = np.concatenate(sample.covariates)
+    known = np.isfinite(every).mean(axis=0) > 0.5
+    columns = [
+        number for number in np.flatnonzero(known) if np.nanmax(every[:, number]) - np.nanmin(every[:, number]) > 0.2
+    ]
+    if not trends or not columns or len(sample.errors) < _MIN_VEHICLES:
+        return PairNoise(model)
+    parts = [
+        (error[rows], sigma[rows] * np.array(model.scale), values[rows][:, columns])
+        for error, sigma, values in zip(sample.errors, sample.sigmas, sample.covariates, strict=True)
+        if (rows := np.isfinite(values[:, columns]).all(axis=1)).sum() > 1
+    ]
+    errors, sigmas, covariates = ([part[n] for part in parts] for n in range(3))
+    slopes = trend(errors, sigmas, covariates) if len(parts) >= _MIN_VEHICLES else None
+    if slopes is None:
+        return PairNoise(model)
+    full = Trend(np.zeros((len(AXES), len(COVARIATES))), np.full((len(AXES), len(COVARIATES)), np.inf))
+    full.slope[:, columns], full.sigma[:, columns] = slopes.slope, slopes.sigma
+    reference = np.zeros(len(COVARIATES))
+    reference[columns] = np.nanmedian(every[:, columns], axis=0)
+    return PairNoise(model, full, reference)

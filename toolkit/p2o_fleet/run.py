@@ -1,0 +1,75 @@
+"""Check the drives of a fleet on workers, and store the evidence of each as soon as it is finished."""
+
+from __future__ import annotations
+
+import contextlib
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+
+from p2o_study.parallel import Workers
+from p2o_study.worker import Plugins
+
+from p2o_fleet.drive import Drive
+from p2o_fleet.evidence import CheckEvidence
+from p2o_fleet.store import Store, Writer
+from p2o_fleet.worker import CheckSettings, DriveJob, check_drive, unreadable
+
+OnCheck = Callable[["RunOutcome", CheckEvidence], None]
+
+
+@dataclass
+class RunOutcome:
+    """Counts of a run: checks by verdict, `kept` ones that were stored before, and whether it was interrupted."""
+
+    verdicts: Counter[str] = field(default_factory=Counter)
+    kept: int = 0
+    seconds: float = 0.0
+    interrupted: bool = False
+
+    @property
+    def checked(self) -> int:
+        """Return the number of checks of this run."""
+        return self.verdicts.total()
+
+
+def run_fleet(
+    drives: Iterable[Drive],
+    store: Store,
+    *,
+    settings: CheckSettings,
+    plugins: Plugins,
+    workers: Workers,
+    on_check: OnCheck = lambda outcome, evidence: None,
+) -> RunOutcome:
+    """Check all drives that are not stored yet; the same drives again change nothing.
+
+    Evidence is on the disk before the next result is taken. Drives whose worker dies become rows with the reason.
+    """
+    outcome = RunOutcome()
+    with store.writer() as writer, workers.start() as run:
+        jobs = _jobs(drives, writer, settings, plugins, outcome)
+        try:
+            with contextlib.closing(run(check_drive, jobs, unreadable)) as results:
+                for evidence in results:
+                    writer.put(evidence)
+                    outcome.verdicts[evidence.verdict.value] += 1
+                    outcome.seconds += evidence.seconds
+                    on_check(outcome, evidence)
+        except KeyboardInterrupt:
+            outcome.interrupted = True
+    return outcome
+
+
+def _jobs(
+    drives: Iterable[Drive], writer: Writer, settings: CheckSettings, plugins: Plugins, outcome: RunOutcome
+) -> Iterator[DriveJob]:
+    """Yield the jobs that are not finished; a drive that is named twice is one job."""
+    taken: set[str] = set()
+    for drive in drives:
+        key = drive.key(settings.text)
+        if key in taken or writer.finished(drive, key):
+            outcome.kept += 1
+            continue
+        taken.add(key)
+        yield DriveJob(drive, key, settings, plugins)

@@ -1,0 +1,280 @@
+"""A simulated fleet: measured evidence of real and simulated rigs, resampled, with faults of known size and time."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.resources
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import cached_property
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+from p2o.arrays import Float, Int
+from p2o.confidence.audit import AXES
+from p2o.errors import InputError
+
+from p2o_fleet.drive import day_of
+from p2o_fleet.evidence import UPPER, Verdict
+from p2o_fleet.schema import COLUMNS, ERROR_COLUMNS, TEXTS, Checks, arrow_schema
+from p2o_fleet.store import Store
+
+BANK = "noise.json"
+_DAY_S = 86400.0
+_BEGIN = 1767225600.0
+"""Time of the first check of a simulated fleet: 2026-01-01, in s since 1970."""
+_POSE = np.array([[0.0, -1, 0, 0], [0, 0, -1, -0.1], [1, 0, 0, -0.3], [0, 0, 0, 1]])
+"""True extrinsic of all simulated vehicles: a camera that looks forward."""
+
+
+class Fault(StrEnum):
+    """What is wrong with a simulated vehicle."""
+
+    NONE = "none"
+    SLIP = "slip"
+    DRIFT = "drift"
+    WRONG_CAD = "wrong-cad"
+    SWAPPED = "swapped-cameras"
+    DIRTY = "dirty-lens"
+    BROKEN = "broken-logs"
+    CLOCK = "clock-error"
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseBank:
+    """Measured evidence at correct extrinsics: rigs, errors (N, 6) in deg and m, covariances (N, 6, 6), frame counts.
+
+    The errors contain those of the published extrinsics, which differ from rig to rig.
+    """
+
+    rigs: tuple[str, ...]
+    error: Float
+    covariance: Float
+    frame_count: Int
+
+    @classmethod
+    def shipped(cls) -> NoiseBank:
+        """Return the evidence that p2o contains (docs/how-to/fleet.md states how it was measured)."""
+        text = importlib.resources.files("p2o_fleet").joinpath(BANK).read_text(encoding="utf-8")
+        return cls.of_rows(json.loads(text)["checks"])
+
+    @classmethod
+    def of_store(cls, store: Store) -> NoiseBank:
+        """Return the usable evidence of a store, by vehicle type."""
+        rows: list[dict[str, Any]] = []
+        for checks in store.checks():
+            own = checks.take(np.flatnonzero(checks.usable))
+            for at in range(len(own)):
+                upper = own.covariance[at][UPPER]
+                row = {"rig": str(own.texts["vehicle_type"][at]), "frames": int(own.frame_count[at])}
+                rows.append({**row, "error": own.error[at].tolist(), "covariance": upper.tolist()})
+        return cls.of_rows(rows)
+
+    @classmethod
+    def of_rows(cls, rows: Sequence[Mapping[str, Any]]) -> NoiseBank:
+        """Return the bank of rows with rig, frames, error (6) and the upper triangle (21) of the covariance."""
+        covariance = np.empty((len(rows), len(AXES), len(AXES)))
+        upper = np.array([row["covariance"] for row in rows])
+        covariance[:, UPPER[0], UPPER[1]] = covariance[:, UPPER[1], UPPER[0]] = upper
+        rigs = tuple(str(row["rig"]) for row in rows)
+        return cls(
+            rigs, np.array([row["error"] for row in rows]), covariance, np.array([row["frames"] for row in rows])
+        )
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return the rows of `of_rows`, rounded to six significant digits."""
+        return [
+            {
+                "rig": rig,
+                "frames": int(frames),
+                "error": [float(f"{value:.6g}") for value in error],
+                "covariance": [float(f"{value:.6g}") for value in covariance[UPPER]],
+            }
+            for rig, frames, error, covariance in zip(
+                self.rigs, self.frame_count, self.error, self.covariance, strict=True
+            )
+        ]
+
+    @cached_property
+    def groups(self) -> dict[str, Int]:
+        """Return the indices of the rows by rig."""
+        names = np.array(self.rigs)
+        return {rig: np.flatnonzero(names == rig) for rig in sorted(set(self.rigs))}
+
+    @cached_property
+    def centred(self) -> Float:
+        """Return the errors (N, 6) without the median of their rig, which is the error of its published extrinsic."""
+        out = self.error.copy()
+        for rows in self.groups.values():
+            # The mean of n values absorbs part of their variance.
+            out[rows] = (out[rows] - np.median(out[rows], axis=0)) * np.sqrt(len(rows) / max(1, len(rows) - 1))
+        return out
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A simulated fleet: `checks` per vehicle, `per_day` of them a day, and the share of vehicles with each fault.
+
+    `rigs` are rigs of the bank whose noise is used; vehicle n has the rig n mod len(rigs), which is its type. Constant
+    errors of vehicles are normal with the standard deviations `offset_deg` and `offset_m`, and at most three of them.
+    Slips and drifts are `slip_deg` or `slip_m` on one axis. `wrong_cad_deg` is the error of all vehicles of the first
+    type about yaw.
+    `pitch_deg_per_c` is a drift with temperature.
+    """
+
+    vehicles: int = 1000
+    checks: int = 100
+    per_day: float = 10.0
+    rigs: tuple[str, ...] = ("sim-hdl-64e", "kitti")
+    shares: Mapping[Fault, float] = field(default_factory=dict)
+    slip_deg: float = 0.5
+    slip_m: float = 0.05
+    offset_deg: float = 0.05
+    offset_m: float = 0.01
+    wrong_cad_deg: float = 0.0
+    pitch_deg_per_c: float = 0.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.vehicles < 1 or self.checks < 1 or sum(self.shares.values()) > 1 + 1e-9:
+            raise InputError("the fleet cannot be simulated", expected="vehicles, checks, and shares of at most 1")
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedVehicle:
+    """A vehicle with its fault: axis, size (deg or m) and the number of the first check with it; and its checks."""
+
+    name: str
+    fault: Fault
+    axis: int
+    size: float
+    begin: int
+    checks: Checks
+
+
+def simulated_fleet(scenario: Scenario, bank: NoiseBank) -> Iterator[SimulatedVehicle]:
+    """Yield the vehicles of a scenario, each the same for the same seed."""
+    missing = [rig for rig in scenario.rigs if rig not in bank.groups]
+    if missing:
+        raise InputError("the noise of a rig is not known", expected=", ".join(bank.groups), got=missing[0])
+    for number in range(scenario.vehicles):
+        yield _vehicle(scenario, bank, number)
+
+
+def _vehicle(scenario: Scenario, bank: NoiseBank, number: int) -> SimulatedVehicle:
+    rng = np.random.default_rng([scenario.seed, number])
+    count, rig = scenario.checks, scenario.rigs[number % len(scenario.rigs)]
+    faults = list(scenario.shares)
+    edges = np.cumsum([scenario.shares[fault] for fault in faults])
+    at = int(np.searchsorted(edges, rng.random(), side="right"))
+    fault = faults[at] if at < len(faults) else Fault.NONE
+    axis, sign = int(rng.integers(len(AXES))), 1 if rng.random() < 0.5 else -1
+    size = sign * (scenario.slip_deg if axis < 3 else scenario.slip_m)
+    begin = int(rng.integers(count // 5, max(count // 5 + 1, count * 3 // 5)))
+    rows = bank.groups[rig][rng.integers(len(bank.groups[rig]), size=count)]
+    error, covariance = bank.centred[rows].copy(), bank.covariance[rows].copy()
+    error += np.clip(rng.normal(size=6), -3, 3) * np.repeat([scenario.offset_deg, scenario.offset_m], 3)
+    time = np.asarray(_BEGIN + np.arange(count) * _DAY_S / scenario.per_day, np.float64)
+    temperature = 12 - 12 * np.cos(2 * np.pi * (time - _BEGIN) / (365 * _DAY_S)) + rng.normal(size=count) * 3
+    error[:, 1] += scenario.pitch_deg_per_c * (temperature - 12)
+    if number % len(scenario.rigs) == 0:
+        error[:, 2] += scenario.wrong_cad_deg
+    verdict = np.full(count, Verdict.HOLDS.value, dtype=object)
+    _inject(fault, error, covariance, verdict, axis, size, begin, rng)
+    known = verdict == Verdict.HOLDS.value
+    error[~known], covariance[~known] = np.nan, np.nan
+    name, frames = f"vehicle-{number:05d}", bank.frame_count[rows]
+    checks = _checks(name, rig, time, np.asarray(temperature, np.float64), error, covariance, verdict, frames)
+    return SimulatedVehicle(checks.vehicle, fault, axis, size, begin, checks)
+
+
+def _inject(
+    fault: Fault, error: Float, covariance: Float, verdict: Any, axis: int, size: float, begin: int, rng: Any
+) -> None:
+    """Change errors (T, 6), covariances and verdicts by a fault."""
+    count = len(error)
+    if fault is Fault.SLIP:
+        error[begin:, axis] += size
+    elif fault is Fault.DRIFT:
+        error[:, axis] += size * np.linspace(0, 1, count)
+    elif fault is Fault.SWAPPED:
+        verdict[:] = Verdict.CANNOT_TELL.value
+    elif fault is Fault.DIRTY:
+        verdict[begin:][rng.random(count - begin) < 0.7] = Verdict.CANNOT_TELL.value
+        covariance[begin:] *= 4
+        error[begin:] += rng.normal(size=(count - begin, 6)) * np.sqrt(np.einsum("tii->ti", covariance[begin:])) * 0.8
+    elif fault is Fault.BROKEN:
+        verdict[rng.random(count) < 0.3] = Verdict.UNREADABLE.value
+    elif fault is Fault.CLOCK:
+        # Image and sweep of different moments: the error follows the yaw rate and the speed of each drive.
+        error[:, 2] += rng.normal(size=count) * 0.1
+        error[:, 3] += rng.normal(size=count) * 0.01
+
+
+def _checks(
+    vehicle: str, rig: str, time: Float, temperature: Float, error: Float, covariance: Float, verdict: Any, frames: Any
+) -> Checks:
+    count = len(time)
+    reasons = {Verdict.HOLDS.value: "", Verdict.CANNOT_TELL.value: "too few pairs of edges are within reach"}
+    texts = {name: np.full(count, "", dtype=object) for name in TEXTS}
+    texts |= {"camera": np.full(count, "front", dtype=object), "lidar": np.full(count, "top", dtype=object)}
+    texts["vehicle_type"] = np.full(count, rig, dtype=object)
+    texts["verdict"] = verdict
+    texts["reason"] = np.array([reasons.get(one, "the log cannot be read") for one in verdict], dtype=object)
+    texts["key"] = np.array([f"{vehicle}-{at:06d}" for at in range(count)], dtype=object)
+    texts["log"] = np.where(verdict == Verdict.UNREADABLE.value, "", texts["key"])
+    texts["data"] = texts["key"]
+    texts["extrinsic"] = np.full(count, "extrinsic.yaml", dtype=object)
+    texts["extrinsic_digest"] = np.full(count, hashlib.sha256(vehicle.encode()).hexdigest()[:32], dtype=object)
+    pose = np.broadcast_to(_POSE, (count, 4, 4))
+    return Checks(vehicle, time, texts, temperature, error, covariance, pose, frames)
+
+
+def write_fleet(vehicles: Iterator[SimulatedVehicle], store: Store, *, by_month: bool = False) -> int:
+    """Write simulated vehicles to a store as a run, or as `compact` (`by_month`); return the number of checks."""
+    import pyarrow.parquet as pq
+
+    total = 0
+    for vehicle in vehicles:
+        table = _table(vehicle.checks)
+        days = np.array([day_of(time)[: 7 if by_month else 10] for time in vehicle.checks.time])
+        starts = np.flatnonzero(np.concatenate([[True], days[1:] != days[:-1]]))
+        for begin, end in zip(starts, [*starts[1:], len(days)], strict=True):
+            folder = store.checks_folder / f"vehicle={quote(vehicle.name, safe='')}" / f"day={days[begin]}"
+            folder.mkdir(parents=True, exist_ok=True)
+            pq.write_table(table.slice(begin, end - begin), folder / "part-simulated.parquet", compression="zstd")
+        total += len(days)
+    return total
+
+
+def _table(checks: Checks) -> Any:
+    """Return the Arrow table of checks with the columns of the store."""
+    import pyarrow as pa
+
+    count, usable = len(checks), checks.usable
+    columns: dict[str, Any] = {name: pa.array(checks.texts[name], pa.string()) for name in TEXTS}
+    columns["vehicle"] = pa.array([checks.vehicle] * count)
+    columns["time"] = pa.array((checks.time * 1e6).astype(np.int64)).cast(pa.timestamp("us", "UTC"))
+    columns |= {"temperature_c": pa.array(checks.temperature_c), "frame_count": pa.array(checks.frame_count)}
+    for number, name in enumerate(ERROR_COLUMNS):
+        columns[name] = pa.array(checks.error[:, number], mask=~usable)
+    upper = checks.covariance[:, UPPER[0], UPPER[1]]
+    columns["covariance"] = _list_array(upper, usable)
+    columns["camera_from_lidar"] = _list_array(checks.pose[:, :3].reshape(count, 12), np.ones(count, bool))
+    columns["odds_ratio"] = pa.array(np.full(count, 10.0), mask=~usable)
+    columns |= {"cells": pa.array(np.full(count, 200)), "seconds": pa.array(np.full(count, 6.0))}
+    columns |= {"frames": pa.array([[]] * count, pa.list_(pa.string())), "version": pa.array(["simulated"] * count)}
+    return pa.table({name: columns[name] for name in COLUMNS}, schema=arrow_schema())
+
+
+def _list_array(values: Float, known: Any) -> Any:
+    """Return an Arrow array of lists of rows (N, K); null where `known` (N,) is False."""
+    import pyarrow as pa
+
+    sizes = np.where(known, values.shape[1], 0)
+    offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32)
+    flat = pa.array(values[known].ravel())
+    return pa.ListArray.from_arrays(pa.array(offsets), flat, mask=pa.array(~known))
