@@ -120,14 +120,14 @@ class KeypointMatcher:
         tensor = torch.from_numpy(np.ascontiguousarray(grey)).to(self.device, torch.float32)[None, None] / 255
         with torch.inference_mode(), _one_answer():
             if self.features == "xfeat":
-                found = self.detector.detectAndCompute(tensor)[0]
-                return Keypoints(found["keypoints"].float(), found["descriptors"], size)
+                features = self.detector.detectAndCompute(tensor)[0]
+                return Keypoints(features["keypoints"].float(), features["descriptors"], size)
             rgb = tensor.repeat(1, 3, 1, 1)
             if self.features == "disk":
-                found = self.detector(rgb, self.most, pad_if_not_divisible=True)[0]
+                features = self.detector(rgb, self.most, pad_if_not_divisible=True)[0]
             else:
-                found = self.detector(rgb)[0]
-            return Keypoints(found.keypoints.float(), found.descriptors, size)
+                features = self.detector(rgb)[0]
+            return Keypoints(features.keypoints.float(), features.descriptors, size)
 
     def match(self, first: Keypoints, second: Keypoints) -> tuple[Float, Float]:
         """Return the pixels (M, 2) of matched keypoints in both images."""

@@ -17,7 +17,7 @@ _ROTATIONS, _DISTINCT = 2, np.radians(8.0)
 _WIDEST = np.radians(12.0)
 """Largest angle that an offset of the camera explains: nearer points determine no rotation."""
 _MAX_CONDITION = 1e6
-_TRIALS = 200
+_TRIALS, _STEPS = 200, 12
 MIN_POINTS = 4
 
 
@@ -50,16 +50,19 @@ def pose_of(matches: Matches, px_per_rad: float, reach_px: float, offset_m: floa
     """Return the pose on which most matches agree, None if there are too few.
 
     First the rotations on which many matches agree for a camera at most `offset_m` from the LiDAR; then for each of
-    them perspective-n-point by RANSAC and least squares on the matches that agree with it.
+    them, on the matches that agree with it, robust least squares and perspective-n-point by RANSAC.
     """
     best: MatchedPose | None = None
-    rng = np.random.default_rng(seed)
-    for turn in rotations_of(matches, reach_px / px_per_rad, offset_m, seed):
-        near = np.flatnonzero(_off_rad(matches, turn) < _reach(matches, reach_px / px_per_rad, offset_m))
-        problem = PointsOnRays(matches.xyz[near], matches.rays[near], np.full(len(near), px_per_rad))
-        if len(near) < MIN_POINTS or (found := consensus(problem, reach_px, rng, _TRIALS)) is None:
+    rng, reach_rad = np.random.default_rng(seed), reach_px / px_per_rad
+    for turn in rotations_of(matches, reach_rad, offset_m, seed):
+        near = np.flatnonzero(_off_rad(matches, turn) < _reach(matches, reach_rad, offset_m))
+        if len(near) < MIN_POINTS:
             continue
-        for pose in (found.camera_from_lidar, *(rival for rival, _ in found.rivals)):
+        problem = PointsOnRays(matches.xyz[near], matches.rays[near], np.full(len(near), px_per_rad))
+        poses = [_narrowed(problem, se3.make(turn, np.zeros(3)), reach_px, offset_m)]
+        if (candidate := consensus(problem, reach_px, rng, _TRIALS)) is not None:
+            poses += [candidate.camera_from_lidar, *(rival for rival, _ in candidate.rivals)]
+        for pose in poses:
             off_px = problem.off_px(pose)
             agree = off_px <= reach_px
             count = len(np.unique(matches.cell[near[agree]]))
@@ -70,6 +73,32 @@ def pose_of(matches: Matches, px_per_rad: float, reach_px: float, offset_m: floa
                 solution = checked_solution(inliers, start, pose, 1, SolverStatus.CONVERGED, _MAX_CONDITION)
                 best = MatchedPose(pose, count, error_px, solution.reason)
     return best
+
+
+def _narrowed(problem: PointsOnRays, start: Float, reach_px: float, offset_m: float) -> Float:
+    """Return the pose (4, 4) of robust least squares from a start (4, 4), whose reach decreases to `reach_px`.
+
+    Weights are those of Geman and McClure; while the reach decreases, a prior of half of `offset_m` keeps the camera
+    near the LiDAR. The last steps are least squares on the matches within reach.
+    """
+    widest = float(np.max(problem.px_per_rad)) * _WIDEST
+    reaches = np.geomspace(max(widest, reach_px), reach_px, _STEPS)
+    pose = start
+    for number, reach in enumerate(np.concatenate([reaches, np.full(_STEPS, reach_px)])):
+        residuals, jacobian = problem.residuals_with_jacobian(pose)
+        off = np.linalg.norm(residuals.reshape(-1, 2), axis=1)
+        weight = np.repeat(np.where(off < 2 * reach, 1 / (1 + (off / reach) ** 2) ** 2, 0.0), 2)
+        if number >= _STEPS + _STEPS // 2:
+            weight = np.repeat((off < reach).astype(np.float64), 2)
+        hessian, gradient = jacobian.T @ (jacobian * weight[:, None]), jacobian.T @ (residuals * weight)
+        if number < _STEPS:
+            # The translation is as long as the offset, and a left update adds to it.
+            prior = (reach / (0.5 * offset_m)) ** 2
+            hessian[3:, 3:] += prior * np.eye(3)
+            gradient[3:] += prior * pose[:3, 3]
+        damping = 1e-9 * float(np.trace(hessian)) + 1e-6
+        pose = se3.exp(np.linalg.solve(hessian + damping * np.eye(6), -gradient)) @ pose
+    return pose
 
 
 def rotations_of(matches: Matches, reach_rad: float, offset_m: float, seed: int) -> list[Float]:

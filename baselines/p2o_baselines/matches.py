@@ -27,6 +27,7 @@ import p2o
 from p2o import Float, Int, Result, Status, field
 from p2o.solving import has_gpu_driver
 
+from p2o_baselines import examples
 from p2o_baselines.feature_networks import FEATURES, KeypointMatcher, Keypoints, files_of, read_networks
 from p2o_baselines.histogram import by_rank
 from p2o_baselines.matched_pose import MatchedPose, Matches, pose_of, rotations_of
@@ -141,8 +142,8 @@ class MatchesCalibration:
         quarter: int,
     ) -> FrameMatches:
         """Return the matches of keypoints of an image that is turned by quarters with those of a virtual view."""
-        uv, there = self.networks.match(keypoints, others)
-        xyz = rendering.lift(there)
+        uv, view_uv = self.networks.match(keypoints, others)
+        xyz = rendering.lift(view_uv)
         known = np.isfinite(xyz).all(axis=1)
         rays = image.rays(image.turned_back(uv[known], turned))
         plane = rays[:, :2] / rays[:, 2:]
@@ -199,7 +200,7 @@ class MatchesStart(p2o.InitializerBase):
         """Return the pose of the matches of all frames. Raises InputError if too few agree."""
         result = self._method.solve([view.prepared for view in views if view.prepared is not None], camera_from_lidar)
         if not result.status.solved:
-            hint = "denser sweeps (--accumulate, or a LiDAR that stands still), --joint, or --init far"
+            hint = "denser sweeps (--accumulate, or a static LiDAR), --joint, or --init far"
             raise p2o.InputError("no start from matched features: " + result.reason, hint=hint)
         return [result.camera_from_lidar]
 
@@ -252,7 +253,13 @@ METHOD = p2o.Method(
     cite="Koide, Oishi, Yokozuka, Banno, General, Single-shot, Target-less, and Automatic LiDAR-Camera Extrinsic "
     "Calibration Toolbox, ICRA 2023",
     extra="matches",
+    example=p2o.Example(examples.DWELL, perturb="10deg 0.5m", within="1deg 0.3m"),
     data_files=lambda options: files_of(options.features),
     data_licence=lambda options: f"{FEATURES[options.features].wheel}: {FEATURES[options.features].licence}",
 )
-START = replace(METHOD, build=build_start, summary="Initialises by matched features of image and reflectances.")
+START = replace(
+    METHOD,
+    build=build_start,
+    summary="Initialises by matched features of image and reflectances.",
+    expected_failures=(("starts_without_edges_are_no_crash", "a view without matches has no pose, which is reported"),),
+)

