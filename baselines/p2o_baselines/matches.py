@@ -34,8 +34,6 @@ from p2o_baselines.matched_pose import MatchedPose, Matches, pose_of, rotations_
 from p2o_baselines.reflectance import ranked_by_ring
 from p2o_baselines.reflectance_view import FlatImage, Rendering, VirtualView, facing, flattened, rendered, views_of
 
-_COARSE = 2 / 3
-"""Focal length of the views around the sensor, in focal lengths of those that look as the camera does."""
 _SURE = 2.0
 """The upright image is enough if this many times the required places agree."""
 _CELL_PX = 4.0
@@ -51,6 +49,9 @@ class MatchesOptions(p2o.Options):
     keypoints: int = field(1024, ge=50, le=20_000, help="Largest number of keypoints in an image.")
     focal_px: float = field(
         600.0, ge=100, le=3000, help="Focal length of virtual views, to which images are resampled."
+    )
+    coarse: float = field(
+        0.67, ge=0.1, le=1, help="Focal length of the views around the LiDAR, in those of the views after them."
     )
     upright: bool = field(False, help="Match the image upright only, not also upside down and on its sides.")
     equalise: Literal["sweep", "ring"] = field(
@@ -109,7 +110,10 @@ class MatchesCalibration:
     def prepare(self, frame: p2o.Frame) -> FrameMatches:
         """Return the matches of a frame. Raises InputError for a sweep without intensities."""
         options, sweep = self.options, reflectances(frame, self.options)
-        image, coarse = flattened(frame.image, options.focal_px), flattened(frame.image, _COARSE * options.focal_px)
+        image, coarse = (
+            flattened(frame.image, options.focal_px),
+            flattened(frame.image, options.coarse * options.focal_px),
+        )
         parts: list[FrameMatches] = []
         if image is None or coarse is None or not len(sweep.xyz):
             return joined(frame.name, parts)
