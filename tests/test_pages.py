@@ -278,11 +278,9 @@ def _check_p2o(command: Command, words: list[str], monkeypatch: pytest.MonkeyPat
     def no_frames(offer: Any, options: Any) -> Any:
         if offer.kind is Kind.DATASET:
             return _NoFrames()
-        try:
-            return real_build(offer, options)
-        except p2o.MethodUnavailable as problem:
-            # Its words are valid; the package is not part of the tests.
-            raise Reached from problem
+        if offer.name == "matches":
+            raise Reached  # its words are valid, and its weights are not installed for tests
+        return real_build(offer, options)
 
     def planned(study: Any, folder: Any, *, plugins: Any, **_: Any) -> NoReturn:
         assert studies.check_study(study.study, plugins.registry())
