@@ -8,6 +8,9 @@ _MOTION = "period_s=0.2&speed_m_s=4&swing_deg=25&tilt_deg=3&sway=0"
 DRIVE = f"synthetic:?place=street&frames_per_scene=5&{_MOTION}&right=false&seed=1"
 """A drive that turns about all axes, so that motion alone determines the extrinsic."""
 
+DWELL = "synthetic:?place=hall&lidar=mid-40&sweep_s=2&speed_m_s=0&right=false&seed=43"
+"""A static LiDAR that scans a hall for two seconds: a dense reflectance image."""
+
 
 def targets(target: str, lidar: str, frames: int, within: str, settings: str = "") -> p2o.Example:
     """Return an example with targets in a yard; `settings` are further options of the data set, such as "&boards=3"."""

@@ -38,12 +38,12 @@ def p2o_matchers() -> Iterator[Method]:
 def p2o_calibrators() -> Iterator[Method]:
     """Offer the calibrators."""
     return _offered(
-        "atop csc cues geiger hand_eye koo line_time mirzaei picked zhou calibnet calibrcnn lccnet regnet rggnet gong "
-        "kuemmerle pusztai acsc domhof velas velo2cam"
+        "atop csc cues geiger hand_eye koo line_time matches mirzaei picked zhou calibnet calibrcnn lccnet regnet "
+        "rggnet gong kuemmerle pusztai acsc domhof velas velo2cam"
     )
 
 
 @hookimpl
 def p2o_initializers() -> Iterator[Method]:
     """Offer the initializers."""
-    return _offered("hand_eye:START")
+    return _offered("hand_eye:START matches:START")
