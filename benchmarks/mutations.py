@@ -232,6 +232,10 @@ MUTATIONS = (
         "require(wrong <= 0.1,", "require(wrong <= 1.0,", f"{_T}/testing/checks/matchers.py",
     ),
     Mutation(
+        "alarms-ignore-their-rank", "p2o_fleet", "wrong statistics", "toolkit/p2o_fleet/statistics.py",
+        "np.log(count / rate) - np.log(np.arange(1, count + 1))", "np.log(count / rate)",
+    ),
+    Mutation(
         "start-not-in-key", "p2o_study", "wrong key", "toolkit/p2o_study/cells.py",
         "content_hash([method.key, group.content, start])", "content_hash([method.key, group.content])",
         f"{_T}/study/cells.py",
