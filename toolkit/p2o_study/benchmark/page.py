@@ -84,7 +84,7 @@ class _Line:
 
     @property
     def label(self) -> str:
-        return self.outcomes.rows[int(self.runs["row"][0])].removesuffix(f" @ {self.dataset}")
+        return self.outcomes.rows[int(self.runs["row"][0])]
 
     @property
     def dataset(self) -> str:
@@ -200,8 +200,7 @@ def _prepare(folder: Path) -> None:
 def _compared(suite: SuiteFile, outcomes: Outcomes) -> list[list[_Line]]:
     """Return the rows of a suite, one list for all that are compared with each other."""
     clusters = clusters_of(outcomes, suite.suite.groups)
-    names = [row.label.removesuffix(f" @ {row.dataset.name}") for row in suite.rows]
-    order = {name: number for number, name in enumerate(dict.fromkeys(names))}
+    order = {row.label: number for number, row in enumerate(suite.rows)}
     latest = outcomes.runs[outcomes.latest]
     lines = [_Line(suite, outcomes, runs, clusters) for runs in split_by(latest, "row", "dataset", "protocol")]
     lines.sort(key=lambda line: (line.comparable, order.get(line.label, len(order)), line.label))
