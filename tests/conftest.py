@@ -47,6 +47,7 @@ SYSTEM = {
     "tests/test_real_accuracy.py",
     "tests/test_real_motion.py",
     "tests/test_report_page.py",
+    "tests/test_rig_solve.py",
     "tests/test_ros_bag_page.py",
     "tests/test_run_page.py",
     "tests/test_staged_families.py",

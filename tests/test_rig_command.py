@@ -71,7 +71,8 @@ def test_two_cameras_of_a_rig_are_calibrated_each_and_in_common(
     assert se3.angle_deg(off) < 0.3
     assert se3.distance_m(off) < 0.1
     assert common["verdict"]["trust"] == "trusted"
-    assert common["degrees"] == 6
+    assert common["reason"] == "one calibration of the edges of 2 cameras"
+    assert common["degrees"] == 12, "both cameras are trusted alone, and differ from the common pose in six ways"
     assert common["p_value"] > 0.01
     for camera in common["cameras"]:
         place = truth_at(SyntheticOptions(), 0, 0, camera["name"])

@@ -280,7 +280,6 @@ def _calibrated(
 
     `isolate` are plugins to leave out and files of plugins for a worker process, None for this process.
     """
-    from p2o.run.assembly import Assembly
     from p2o.run.isolated import isolated
     from p2o.run.protocol import protocol_of
     from p2o.run.run import Run, run
@@ -289,8 +288,8 @@ def _calibrated(
     problem: Exception | None = None
     names = (f"{stage} {plan.parts[stage].offer.name}" for stage in _SLOW if stage in plan.parts)
     methods = ", ".join(names)
-    by = contextlib.nullcontext(Assembly.__call__) if isolate is None else isolated(plan.recipe, *isolate)
-    with by as calibration, status_line("starting") as show, long_work(show, f" ({methods})") as work:
+    by = contextlib.nullcontext(None) if isolate is None else isolated(plan.recipe, *isolate)
+    with by as apart, status_line("starting") as show, long_work(show, f" ({methods})") as work:
 
         def on_progress(progress: Progress) -> None:
             if progress.failed is None and progress.row is None:
@@ -298,7 +297,8 @@ def _calibrated(
             output.add(progress)
 
         try:
-            common = run(plan, on_progress=on_progress, on_names=output.plan_files, calibration=calibration).rig
+            calls: dict[str, Any] = {} if apart is None else {"calibration": apart, "rig_calibration": apart.rig}
+            common = run(plan, on_progress=on_progress, on_names=output.plan_files, **calls).rig
         except KeyboardInterrupt:
             interrupted = True
             click.echo(f"p2o: interrupted; {len(output.rows)} finished calibrations are kept", err=True)

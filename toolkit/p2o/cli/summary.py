@@ -43,12 +43,14 @@ def describe_rig(rig: RigResult, errors: Mapping[str, PoseError]) -> str:
     if rig.body_from_lidar is not None:
         lines += _pose("lidar at", rig.body_from_lidar)
         lines.append(f"  {'predicted':<9} {accuracy_text(rig.accuracy)}")
-        test = f"chi-square {rig.chi_square:.1f}, {rig.degrees} degrees of freedom, p-value {rig.p_value:.2g}"
+        test = "no camera is trusted alone"
+        if rig.p_value is not None:
+            test = f"chi-square {rig.chi_square:.1f}, {rig.degrees} degrees of freedom, p-value {rig.p_value:.2g}"
         lines.append(f"  {'agreement':<9} {test}")
     for camera in rig.cameras:
         texts = [f"left out: {camera.left_out}"] if camera.left_out else []
         if camera.rotation_deg is not None:
-            texts = [f"own result {camera.rotation_deg:.2f} deg and {camera.translation_m:.3f} m from the others"]
+            texts = [f"own result {camera.rotation_deg:.2f} deg and {camera.translation_m:.3f} m from the common one"]
         if camera.name in errors:
             error = errors[camera.name]
             texts.append(f"error of the common result {error.rotation_deg:.3f} deg {error.translation_m:.3f} m")

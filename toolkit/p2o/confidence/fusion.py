@@ -22,11 +22,11 @@ from p2o.results.evidence import Accuracy
 from p2o.results.result import Result, RigCamera, RigResult
 from p2o.results.verdict import Doubt, Reason, Verdict
 
-_LEAST_P = 0.01
+LEAST_P = 0.01
 """Results contradict each other if the p-value of the chi-square test is below this value."""
 _STEPS, _SMALL = 50, 1e-12
 _LEAST_CONDITION = 1e-12
-_WIDER = 2.2
+WIDER = 2.2
 """Ratio of the 95 % error bound to the 67 % error bound, the same as for single results."""
 OWN_SHARE = 0.25
 """Share of the predicted variance of each axis that is not correlated with other axes. Wrong matches cause errors
@@ -129,7 +129,7 @@ def rig_result(results: Mapping[str, Result], camera_from_body: Mapping[str, Flo
         Verdict(tuple(reasons)),
         cameras,
         covariance=covariance,
-        accuracy=Accuracy(rotation_deg, translation_m, _WIDER * rotation_deg, _WIDER * translation_m),
+        accuracy=Accuracy(rotation_deg, translation_m, WIDER * rotation_deg, WIDER * translation_m),
         chi_square=whole.chi_square,
         degrees=degrees,
         p_value=p_value,
@@ -179,7 +179,7 @@ def _beside(name: str, opinions: Sequence[Opinion], whole: Fusion, camera_from_b
 
 def _contradiction(cameras: Sequence[RigCamera], chi_square: float, degrees: int, p_value: float) -> list[Reason]:
     """Return a reason if the cameras differ by more than their predicted errors explain."""
-    if p_value >= _LEAST_P:
+    if p_value >= LEAST_P:
         return []
     worst = max(cameras, key=lambda camera: camera.chi_square or 0.0)
     text = (

@@ -223,8 +223,9 @@ class RigCamera:
     """One camera of a rig compared with the common result.
 
     `camera_from_lidar` (4, 4) follows from the common result, if any. `rotation_deg` and `translation_m` are the
-    distance of the camera's own result from the common result of the other cameras, `chi_square` (six degrees of
-    freedom) is it relative to the covariances; None without an own pose. `left_out` is the reason for exclusion, or "".
+    distance of the camera's own result from the common result (if that is a mean: from the mean of the other cameras),
+    `chi_square` (six degrees of freedom) is it relative to the covariances; None without an own pose. `left_out` is the
+    reason for exclusion, or "".
     """
 
     name: str
@@ -242,7 +243,8 @@ class RigResult:
     `body_from_lidar` (4, 4) is None where fewer than two cameras are used; `reason` explains. `covariance` (6, 6) is
     that of a left update in the body frame (rad, m), `accuracy` the predicted error; both are inflated where cameras
     differ more than predicted. `chi_square`, with `degrees` degrees of freedom, is the disagreement of the cameras
-    relative to their predicted errors, `p_value` its p-value. `verdict` is that on the common result.
+    relative to their predicted errors (of a common calibration: of those that are trusted alone), `p_value` its
+    p-value. `verdict` is that on the common result.
     """
 
     body_from_lidar: Pose | None

@@ -8,7 +8,7 @@ import json
 import multiprocessing
 import signal
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,9 +16,10 @@ from p2o.arrays import Float
 from p2o.errors import P2OError, PluginError
 from p2o.frames.frame import Frame
 from p2o.host.registry import Registry, reported_calls
-from p2o.results.result import Result
+from p2o.results.result import Result, RigResult
 from p2o.run.assembly import Assembly
 from p2o.run.recipe import Recipe
+from p2o.run.rig_solve import RigCameraFrames, solve_rig
 
 
 @dataclass(eq=False)
@@ -35,9 +36,22 @@ class IsolatedCalibration:
     _worker: _Worker | None = None
 
     def __call__(self, assembly: Assembly, frames: Sequence[Frame], camera_from_lidar: Float) -> Result:
+        result: Result = self._done(assembly, Assembly.__call__, tuple(frames), camera_from_lidar)
+        return result
+
+    def rig(
+        self, assembly: Assembly, cameras: Sequence[RigCameraFrames], camera_from_body: Mapping[str, Float]
+    ) -> RigResult:
+        """Return the common result of the cameras of a rig, as `solve_rig`."""
+        sent = [replace(camera, frames=tuple(camera.frames)) for camera in cameras]
+        result: RigResult = self._done(assembly, solve_rig, sent, dict(camera_from_body))
+        return result
+
+    def _done(self, assembly: Assembly, work: Callable[..., Any], *given: Any) -> Any:
+        """Return the outcome of a function of the assembly and what is given, called in the worker."""
         if self._worker is None:
             self._worker = _Worker.start((json.dumps(self.words), tuple(self.block), tuple(self.files)))
-        job = tuple(frames), camera_from_lidar, assembly.options, assembly.twists
+        job = work, given, assembly.options, assembly.twists
         try:
             outcome = self._worker.answer(job)
         except PluginError:
@@ -45,8 +59,7 @@ class IsolatedCalibration:
             raise
         if isinstance(outcome, BaseException):
             raise outcome
-        result: Result = outcome
-        return result
+        return outcome
 
     def close(self) -> None:
         """Terminate the worker."""
@@ -73,7 +86,7 @@ class _Worker:
         theirs.close()
         return cls(process, ours)
 
-    def answer(self, job: Any) -> Result | BaseException:
+    def answer(self, job: Any) -> Any:
         """Return the outcome of a job; raises PluginError if the process ends."""
         call = ""
         try:
@@ -89,8 +102,7 @@ class _Worker:
             if name == "SIGKILL":
                 hint = "use fewer or smaller frames if memory was exhausted"
             raise PluginError(text, got=name, hint=hint) from problem
-        outcome: Result | BaseException = answer
-        return outcome
+        return answer
 
 
 def _serve(connection: Any, words: str, block: tuple[str, ...], files: tuple[str, ...]) -> None:
@@ -105,13 +117,13 @@ def _serve(connection: Any, words: str, block: tuple[str, ...], files: tuple[str
         reported_calls(connection.send),
     ):
         while True:
-            frames, start, options, twists = connection.recv()
-            outcome: Result | BaseException
+            work, given, options, twists = connection.recv()
+            outcome: Any
             try:
                 if assembly is None:
                     registry = Registry.load(block=block, extra_files=files)
                     assembly = Recipe.of(**json.loads(words)).resolve(registry).assembly()
-                outcome = _with(assembly, options, twists)(frames, start)
+                outcome = work(_with(assembly, options, twists), *given)
             except P2OError as problem:
                 outcome = problem
             connection.send(outcome)

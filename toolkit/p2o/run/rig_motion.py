@@ -76,17 +76,12 @@ def _solved_again(
     number: int, result: Result, motions: Mapping[str, CommonMotion], assembly: Assembly, solve: Solve
 ) -> Result:
     """Return the result of a camera whose sweeps are compensated for known motions."""
-    options, prior = assembly.options, motion_prior_of(assembly.options)
+    prior = motion_prior_of(assembly.options)
     reported = [
         motions[motion.frame].reported(motion, prior) if motion.frame in motions else motion
         for motion in result.motions
     ]
-    remaining = {
-        "speed_m_s": 0.0,
-        "speed_sigma_m_s": max(motion.speed_sigma for motion in reported),
-        "turn_sigma_deg_s": max(motion.turn_sigma for motion in reported),
-    }
-    known = PipelineOptions.model_validate(options.model_dump() | remaining)
+    known = compensated(assembly.options, reported)
     assert isinstance(assembly.calibrator, Pipeline)
     twists = {motion.frame: np.array(motion.twist) for motion in reported}
     again = replace(assembly, calibrator=replace(assembly.calibrator, options=known), options=known, twists=twists)
@@ -95,6 +90,18 @@ def _solved_again(
         return replace(solved, motions=tuple(reported))
     text = f"with the motion that all cameras have in common there is no result ({solved.reason}): its own is used"
     return replace(result, warnings=(*result.warnings, text))
+
+
+def compensated(options: PipelineOptions, motions: Sequence[SweepMotion]) -> PipelineOptions:
+    """Return the options for sweeps that are compensated for these motions: what is left has their deviations."""
+    if not motions:
+        return options
+    remaining = {
+        "speed_m_s": 0.0,
+        "speed_sigma_m_s": max(motion.speed_sigma for motion in motions),
+        "turn_sigma_deg_s": max(motion.turn_sigma for motion in motions),
+    }
+    return PipelineOptions.model_validate(options.model_dump() | remaining)
 
 
 def _contradiction(its: Sequence[tuple[int, SweepMotion]], cameras: Sequence[CameraSweeps]) -> Reason:

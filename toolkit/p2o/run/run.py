@@ -13,7 +13,6 @@ from typing import Any, TypeVar
 import numpy as np
 
 from p2o.arrays import Float
-from p2o.confidence.fusion import rig_result
 from p2o.errors import InputError, P2OError, PluginError
 from p2o.frames.direction import check_direction
 from p2o.frames.frame import Dataset, Frame
@@ -32,6 +31,7 @@ from p2o.run.protocol import Protocol, protocol_of
 from p2o.run.read_again import MAX_FRAMES_IN_MEMORY, FrameInfo, ReadAgain, frame_infos, without_truth
 from p2o.run.recipe import Plan, Recipe
 from p2o.run.rig_motion import CameraSweeps, with_common_motions
+from p2o.run.rig_solve import RigCameraFrames, solve_rig
 from p2o.run.words import parse_settings
 from p2o.runtime.native import for_each
 
@@ -171,6 +171,7 @@ class Progress:
 OnProgress = Callable[[Progress], None]
 OnNames = Callable[[Sequence[str], Sequence[str]], None]
 Calibration = Callable[[Assembly, Sequence[Frame], Float], Result]
+RigCalibration = Callable[[Assembly, Sequence[RigCameraFrames], Mapping[str, Float]], RigResult]
 
 
 def calibrate(
@@ -254,6 +255,7 @@ def run(
     on_progress: OnProgress | None = None,
     on_names: OnNames | None = None,
     calibration: Calibration = Assembly.__call__,
+    rig_calibration: RigCalibration = solve_rig,
 ) -> Run:
     """Run a resolved recipe on its own dataset, or on `frames`; frames are read one at a time unless joint.
 
@@ -262,7 +264,8 @@ def run(
     `Run.failed`; the others go on. A joint calibration and its result have the frames in the order of the dataset,
     whatever the order of `recipe.frames`. Raises InputError where no frame can be used, and for the first bad one with
     `joint`. `on_names` receives the names of all frames, and of the cameras of a rig, before any of them is calibrated.
-    `calibration` calls the built methods, by default in this process (`p2o.run.isolated`: in another one).
+    `calibration` and `rig_calibration` call the built methods, by default in this process (`p2o.run.isolated`: in
+    another one).
     """
     recipe = plan.recipe
     start, start_remarks = _initial_guess(plan, start)
@@ -318,7 +321,7 @@ def run(
         raise InputError(f"none of the {len(groups)} {sort} can be calibrated", got=first) from first
     common = None
     if plan.rig is not None and plan.rig.camera_from_body:
-        common = rig_result({row.camera: row.result for row in rows.done}, plan.rig.camera_from_body)
+        common = rig_calibration(assembly, rows.cameras(plan.rig.camera_from_body), plan.rig.camera_from_body)
     return Run(tuple(rows.done), joint=recipe.joint, failed=tuple(failed), rig=common)
 
 
@@ -443,9 +446,21 @@ class _Rows:
     calibration: Calibration
     done: list[Row] = field(default_factory=list)
     waiting: list[tuple[Progress, _Begin, Row]] = field(default_factory=list)
+    frames: dict[str, Sequence[Frame]] = field(default_factory=dict)
+
+    def cameras(self, camera_from_body: Mapping[str, Float]) -> list[RigCameraFrames]:
+        """Return the frames and results of the cameras of a rig that have a result, with their places (4, 4)."""
+        results = {row.camera: row.result for row in self.done}
+        return [
+            RigCameraFrames(name, without_truth(self.frames[name]), place, results[name])
+            for name, place in camera_from_body.items()
+            if name in results
+        ]
 
     def add(self, progress: Progress, begin: _Begin, row: Row) -> None:
         """Report a row, or let it wait."""
+        if self.rig:
+            self.frames[row.camera] = begin.frames
         if self.rig and (self.waiting or row.result.motions):
             self.waiting.append((progress, begin, row))
         else:
