@@ -10,6 +10,7 @@ import threadpoolctl
 from p2o_study import worker
 
 from tests.p2o_study.benchmark_board import Board
+from tests.p2o_study.source_edits import Edit, edited_sources
 from tests.study_bench import Bench
 
 
@@ -30,3 +31,9 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
 def board(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Board:
     monkeypatch.setenv("P2O_CACHE", str(bench.root / "cache"))
     return Board(bench.root)
+
+
+@pytest.fixture
+def edit(monkeypatch: pytest.MonkeyPatch) -> Iterator[Edit]:
+    with edited_sources(monkeypatch) as edit:
+        yield edit

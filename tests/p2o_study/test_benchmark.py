@@ -10,13 +10,13 @@ import numpy as np
 import p2o
 import pytest
 from p2o.errors import InputError
-from p2o_study import sources
 from p2o_study.benchmark.outcomes import Outcomes
 from p2o_study.benchmark.results import Results
 from p2o_study.benchmark.row import MAX_LINE_BYTES, FrameData, Row, add_records, latest, parsed_line, read_records
 from p2o_study.benchmark.suite import FOLDER, find_suite, suite_names
 
 from tests.p2o_study.benchmark_board import QUICK_ROW, STUDY, SUITE, Board
+from tests.p2o_study.source_edits import Edit
 
 ROOT = Path(__file__).parents[2]
 OWN_ROW = '[[row]]\nlabel = "a"\nextractor = "p2ornet/rings"\n'
@@ -285,28 +285,12 @@ def test_an_interrupted_run_continues(board: Board) -> None:
 
 
 def test_a_changed_constant_of_one_method_makes_exactly_its_rows_stale(
-    board: Board, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    board: Board, edit: Edit, capsys: pytest.CaptureFixture[str]
 ) -> None:
     board.measured()
-    original = sources.read_source
-    forget = (sources._code_of, sources.package_hash, sources.module_named)
-
-    def edited(path: Path) -> bytes:
-        content = original(path)
-        if path.as_posix().endswith("p2o_baselines/nearest.py"):
-            assert b"-weight, *place.T" in content
-            content = content.replace(b"-weight, *place.T", b"-2 * weight, *place.T", 1)
-        return content
-
-    with monkeypatch.context() as patch:
-        patch.setattr(sources, "read_source", edited)
-        for cached in forget:
-            cached.cache_clear()
-        assert board.outdated(capsys) == [("nearest", "method changed")] * 15
-        again = board.measured()
-    for cached in forget:
-        cached.cache_clear()
-    assert {known.row for known in again} == {"nearest"}
+    edit("p2o_baselines/nearest.py", "-weight, *place.T", "-2 * weight, *place.T")
+    assert board.outdated(capsys) == [("nearest", "method changed")] * 15
+    assert {known.row for known in board.measured()} == {"nearest"}
     assert len(board.results.rows("tiny")) == 45
 
 

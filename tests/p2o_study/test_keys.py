@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import p2o
@@ -14,6 +14,8 @@ from p2o_study.cells import CANNOT_ALTER_A_POSE, Method, calibration_code
 from p2o_study.keys import features_key, method_content
 from p2o_study.sources import code_of
 from p2o_study.study import check_study, parse_study
+
+from tests.p2o_study.source_edits import Edit
 
 STUDY = """
 name = "keys"
@@ -40,45 +42,11 @@ calibrator = "koo"
 witness = "none"
 """
 ALL = {"nearest", "kitti", "synthetic", "koo"}
-Edit = Callable[[str, str, str], None]
 
 
 @pytest.fixture(scope="module")
 def registry() -> p2o.Registry:
     return p2o.Registry.load(environ={})
-
-
-def forget() -> None:
-    for cached in (sources._code_of, sources.package_hash, sources.module_named):
-        cached.cache_clear()
-
-
-@pytest.fixture
-def edit(monkeypatch: pytest.MonkeyPatch) -> Iterator[Edit]:
-    """Replace a text in a file of a package, as hashes see it; the file itself and what was imported stay."""
-    edits: dict[str, tuple[str, str]] = {}
-    original = sources.read_source
-
-    def read(path: Path) -> bytes:
-        content = original(path)
-        for file, (old, new) in edits.items():
-            if path.as_posix().endswith(file):
-                content = content.replace(old.encode(), new.encode(), 1)
-        return content
-
-    def replace(file: str, old: str, new: str) -> None:
-        package, _, rest = file.partition("/")
-        home = sources.path_of(package)
-        assert home is not None
-        assert old in (home.parent / rest).read_text(encoding="utf-8"), f"{file} has no {old!r}"
-        edits[file] = old, new
-        forget()
-
-    monkeypatch.setattr(sources, "read_source", read)
-    monkeypatch.setattr(sources, "read_source", read)
-    forget()
-    yield replace
-    forget()
 
 
 def keys(registry: p2o.Registry) -> dict[str, str]:

@@ -20,7 +20,7 @@ from p2o.cache import FeatureCache
 from p2o.errors import InputError
 from p2o.host.registry import DISTRIBUTION
 
-from p2o_study import worker
+from p2o_study import frame_records, worker
 from p2o_study.cells import Cell, Cells, FeatureKeys, InitialGuess, OpenRow, open_rows
 from p2o_study.parallel import Run, Workers
 from p2o_study.store import Planned, Store, StoredRow, StoredStudy
@@ -208,7 +208,7 @@ def _read(work: _Work, rows: Sequence[OpenRow], *, extract: bool) -> dict[Source
         for source, wanted in sorted(extractors.items(), key=lambda item: item[0] not in firsts)
     ]
     records: dict[Source, FrameRecord] = {}
-    with contextlib.closing(work.run(worker.read, jobs, worker.read_failed)) as finished:
+    with contextlib.closing(work.run(frame_records.read, jobs, worker.read_failed)) as finished:
         for record in finished:
             for entry in firsts.get(record.source, ()):
                 if entry.first.recipe in record.missing_inputs:

@@ -32,6 +32,7 @@ from p2o.host.slots import WITNESS
 from p2o.results.figures import figure_values
 from p2o.results.result import Result, Status
 from p2o.run.assembly import INPUTS, Assembly, given
+from p2o.run.fit import FRAME_CONTENT
 from p2o.run.joined import JoinedFrames
 from p2o.run.pipeline import Pipeline
 from p2o.run.read_again import FrameInfo, ReadAgain
@@ -108,7 +109,8 @@ class ReadJob:
 class FrameRecord:
     """The data of a frame that planning needs; `inputs` are content hashes of its parts.
 
-    `digests` are hashes of image, sweep and calibration that are equal on all machines (`portable_hash`).
+    `digests` are hashes of image, sweep and calibration that are equal on all machines (`portable_hash`), `contents`
+    the words for its optional content, such as "rings".
     `missing_inputs` describes by recipe of the `checks` what the frame lacks. For a frame that cannot be read,
     `failure` is the traceback and `reason` one line. `cache_error` is the reason if features could not be cached.
     """
@@ -122,6 +124,7 @@ class FrameRecord:
     twist: Float | None = None
     warnings: tuple[str, ...] = ()
     digests: Mapping[str, str] = field(default_factory=dict)
+    contents: tuple[str, ...] = ()
     missing_inputs: Mapping[str, str] = field(default_factory=dict)
     reason: str = ""
     failure: str | None = None
@@ -174,7 +177,7 @@ def read(job: ReadJob) -> FrameRecord:
     source, cache = job.source, _BestEffortCache(job.cache)
     try:
         frame = _frame(source)
-        hashes = _inputs(frame)
+        hashes = input_hashes(frame)
         missing = {recipe: _missing_input(_plan(source.plugins, recipe), frame) for recipe in job.checks}
         missing_inputs = {recipe: misfit for recipe, misfit in missing.items() if misfit}
         for recipe, stage in () if missing_inputs else job.wanted:
@@ -193,6 +196,7 @@ def read(job: ReadJob) -> FrameRecord:
         hashes,
         **kept,
         digests=content_digests(frame),
+        contents=tuple(word for word, find in FRAME_CONTENT.items() if find(frame) is not None),
         missing_inputs=missing_inputs,
         cache_error=cache.cache_error,
     )
@@ -208,7 +212,7 @@ def _failed_record(source: Source, reason: str, failure: str) -> FrameRecord:
     return FrameRecord(source, hashes, reason=reason, failure=failure)
 
 
-def _inputs(frame: Frame) -> dict[str, str]:
+def input_hashes(frame: Frame) -> dict[str, str]:
     """Return content hashes of the inputs of stages; "frame" is the input of a calibrator without its warnings."""
     seen = replace(frame.without_truth(), start=None, warnings=())
     cloud = content_hash(frame.cloud)
