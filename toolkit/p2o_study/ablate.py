@@ -11,7 +11,7 @@ import re
 import time
 import warnings
 from array import array
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -134,6 +134,21 @@ def read_cells(
         return Cells(its, _read(work, its, extract=False))
 
 
+def calibrated(cells: Iterable[Cell], run: Run, cache: FeatureCache) -> Generator[StoredRow, None, None]:
+    """Yield the row of each calibration as it is finished; no store is read or written, features may be cached.
+
+    The frames of all cells are readable.
+    """
+    keys = FeatureKeys()
+    jobs = (_calibrate_job(cell, tuple(keys.of(cell.method, r) for r in cell.group.records), cache) for cell in cells)
+    with contextlib.closing(run(worker.calibrate, jobs, worker.calibration_failed)) as rows:
+        yield from rows
+
+
+def _calibrate_job(cell: Cell, keys: tuple[Mapping[str, str], ...], cache: FeatureCache) -> CalibrateJob:
+    return CalibrateJob(cell.stored, cell.method.recipe, cell.group.records, cache.root, keys, cell.method.damage)
+
+
 def _opened(
     study: Study, plugins: Plugins, at_most: int | None, warn_user: OnWarning
 ) -> tuple[list[StudyRow], list[OpenRow]]:
@@ -248,8 +263,7 @@ def _compute(work: _Work, store: Store, cells: Cells, pending: Sequence[int], ke
                 refused.append(replace(cell.stored, reason=failure[0], exception=failure[1], finished=worker.now()))
             # Another process may have finished this cell in the meantime.
             elif not store.finished([cell.planned.key]):
-                damage = cell.method.damage
-                yield CalibrateJob(cell.stored, cell.method.recipe, cell.group.records, work.cache.root, own, damage)
+                yield _calibrate_job(cell, own, work.cache)
 
     pace.begin(kept=kept, total=kept + len(pending))
     with contextlib.closing(work.run(worker.calibrate, jobs(), worker.calibration_failed)) as rows:

@@ -1,4 +1,4 @@
-"""Bundles: rows, frames, stated errors and environment in one zip file, and their verification."""
+"""Bundles: rows, frames, equivalences, stated errors and environment in one zip file, and their verification."""
 
 from __future__ import annotations
 
@@ -24,10 +24,11 @@ from p2o.options import validated
 from pydantic import BaseModel, ConfigDict, Field
 
 from p2o_study.ablate import OnProgress, OnWarning, ablate
+from p2o_study.benchmark.equivalences import EQUIVALENCES_FILE, Equivalence, Equivalences
 from p2o_study.benchmark.measure import source_version
 from p2o_study.benchmark.plan import State, Task
 from p2o_study.benchmark.results import FRAMES_FILE, Frames, Results
-from p2o_study.benchmark.row import Digest, FrameData, Row, latest, merged, parsed_lines
+from p2o_study.benchmark.row import Digest, FrameData, JsonLine, Row, latest, merged, parsed_lines
 from p2o_study.benchmark.suite import SuiteFile
 from p2o_study.cells import Cell
 from p2o_study.machine import machine_info
@@ -48,7 +49,7 @@ SAME_DEG, SAME_M = 0.02, 0.005
 
 
 class Manifest(BaseModel):
-    """The description of a bundle: SHA-256 of every line of rows, the sources, and the machine that packed it."""
+    """The description of a bundle: SHA-256 of every line of rows and equivalences, sources, and the packing machine."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -57,6 +58,7 @@ class Manifest(BaseModel):
     commit: Line
     environment: dict[Line, Line | int | float] = Field(max_length=100)
     rows: tuple[Digest, ...] = Field(min_length=1)
+    equivalences: tuple[Digest, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,9 @@ class Certificate:
     """The outcome of a verification; a bundle with `failures` is refused.
 
     `compared` rows had their frames and initial guesses compared with data on this machine, `rerun` were computed
-    again. `not_rerun` counts rows of the sample that were not, by reason.
+    again. `not_rerun` counts rows of the sample that were not, by reason. `samples` has one number for each compared
+    row of an earlier version of its method, which an equivalence of the bundle declares equal to the version here: how
+    many rows of the method were confirmed.
     """
 
     suite: str
@@ -73,24 +77,32 @@ class Certificate:
     compared: int = 0
     rerun: int = 0
     not_rerun: Mapping[str, int] = field(default_factory=dict)
+    samples: tuple[int, ...] = ()
 
     def __str__(self) -> str:
         """Return the certificate as lines of text."""
         head = "refused" if self.failures else "accepted"
         lines = [f"{self.suite}: {head}, {self.rows} rows; every error computed again from its pose"]
         lines.append(f"  {self.compared} rows compared with the data here, {self.rerun} computed again")
+        if self.samples:
+            claim = f"declared equal by samples of at least {min(self.samples)} rows"
+            lines.append(f"  {len(self.samples)} of an earlier version of their method, {claim}")
         lines += [f"  not computed again: {count} ({reason})" for reason, count in self.not_rerun.items()]
         return "\n".join([*lines, *(f"  FAIL  {failure}" for failure in self.failures)])
 
 
 def pack(results: Results, suite: str, path: Path) -> int:
-    """Write the last measured rows of a suite as a bundle, and return their number; InputError without rows."""
+    """Write the last measured rows of a suite as a bundle, and return their number; InputError without rows.
+
+    The bundle contains the equivalences that begin at the digests of its rows.
+    """
     rows = latest(results.rows(suite))
     if not rows:
         raise InputError("the suite has no rows", where=results.path(suite), hint=f"p2o benchmark run {suite}")
     frames = results.frames
     used = merged(frame for row in rows for frame in frames.of(row))
-    manifest = {
+    equivalences = merged(results.equivalences.reachable({row.digest for row in rows}, suite))
+    manifest: dict[str, object] = {
         "version": 1,
         "suite": suite,
         "commit": source_version(),
@@ -98,11 +110,14 @@ def pack(results: Results, suite: str, path: Path) -> int:
         "rows": [_sha256(row) for row in rows],
     }
     contents = {
-        MANIFEST: json.dumps(manifest, indent=1),
         ROWS: "".join(f"{row.line}\n" for row in rows),
         FRAMES_FILE: "".join(f"{frame.line}\n" for frame in used),
         ERRORS: errors_csv(rows, frames),
     }
+    if equivalences:
+        manifest["equivalences"] = [_sha256(equivalence) for equivalence in equivalences]
+        contents[EQUIVALENCES_FILE] = "".join(f"{equivalence.line}\n" for equivalence in equivalences)
+    contents[MANIFEST] = json.dumps(manifest, indent=1)
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, text in contents.items():
@@ -137,17 +152,19 @@ def verify(
     """Verify a bundle and return its certificate.
 
     Every error is computed again from pose and ground truth, and compared with the stated one. With `suite`, frames
-    and initial guesses are compared with the data on this machine, and a random sample of rows is computed again.
+    and initial guesses are compared with the data on this machine, and a random sample of rows is computed again. Rows
+    of earlier versions of a method belong to it if the bundle declares them equal: the sample tests this, too.
 
     Raises InputError for a file that is not a bundle or has an invalid line.
     """
-    manifest, rows, frames, stated = read_bundle(path)
-    failures = [*_changed_rows(manifest, rows), *_wrong_frames(rows, frames)]
+    bundle = read_bundle(path)
+    manifest, rows, frames, stated = bundle.manifest, bundle.rows, bundle.frames, bundle.stated
+    failures = [*_changed_lines(bundle), *_wrong_frames(rows, frames)]
     if not failures:
         failures += _wrong_errors(rows, frames, stated)
     if suite is None or failures:
         return Certificate(manifest.suite, len(rows), tuple(failures))
-    rerun = _Rerun(suite.name, rows, sample)
+    rerun = _Rerun(suite.name, bundle, sample)
     if all(table.left_out for table in suite.study.study.dataset):
         return Certificate(manifest.suite, len(rows), (), not_rerun={"no data": len(rerun.sample)})
     with tempfile.TemporaryDirectory() as folder:
@@ -162,21 +179,24 @@ def verify(
         )
         for stored in done.rows:
             rerun.compare(stored)
+    failures, samples = rerun.failures, tuple(rerun.samples)
     return Certificate(
-        manifest.suite, len(rows), tuple(rerun.failures), rerun.compared, len(done.rows), rerun.reasons()
+        manifest.suite, len(rows), tuple(failures), rerun.compared, len(done.rows), rerun.reasons(), samples
     )
 
 
 class _Rerun:
     """Compare rows with the tasks of a suite, and compute a random sample of them again."""
 
-    def __init__(self, suite: str, rows: Sequence[Row], sample: int) -> None:
-        self.suite = suite
+    def __init__(self, suite: str, bundle: Bundle, sample: int) -> None:
+        self.suite, rows = suite, bundle.rows
+        self.equivalences = Equivalences(bundle.equivalences)
         self.rows = {row.identity: row for row in rows}
         chosen = np.random.default_rng().permutation(len(rows))[:sample]
         self.sample = {rows[number].identity for number in chosen}
         self.failures: list[str] = []
         self.compared = 0
+        self.samples: list[int] = []
         self._again: dict[str, Row] = {}
         self._methods: set[tuple[str, ...]] = set()
 
@@ -189,7 +209,9 @@ class _Rerun:
         if row is None:
             return False
         self.compared += 1
-        state = task.state_of(row)
+        state = task.state_of(row, self.equivalences)
+        if sample := task.sample_of(row, self.equivalences):
+            self.samples.append(sample)
         if state in (State.DATA, State.START):
             self.failures.append(f"{_name(row)}: {_DIFFERENT[state]}")
         if row.identity not in self.sample or state is not State.FRESH:
@@ -224,8 +246,19 @@ _DIFFERENT = {
 }
 
 
-def read_bundle(path: Path) -> tuple[Manifest, list[Row], Frames, list[dict[str, str]]]:
-    """Return manifest, rows, frames and stated errors of a bundle.
+@dataclass(frozen=True, eq=False)
+class Bundle:
+    """The content of a bundle; `stated` are the lines of errors."""
+
+    manifest: Manifest
+    rows: Sequence[Row]
+    frames: Frames
+    equivalences: Sequence[Equivalence]
+    stated: Sequence[Mapping[str, str]]
+
+
+def read_bundle(path: Path) -> Bundle:
+    """Return the content of a bundle.
 
     Raises InputError for a file that is not a zip file, with other files, too large content or invalid lines.
     """
@@ -234,6 +267,8 @@ def read_bundle(path: Path) -> tuple[Manifest, list[Row], Frames, list[dict[str,
     manifest = validated(Manifest, parse_json(contents[MANIFEST], "manifest", place), where=place)
     rows = list(parsed_lines(Row, contents[ROWS].splitlines(), f"{path}:{ROWS}"))
     frames = Frames(parsed_lines(FrameData, contents[FRAMES_FILE].splitlines(), f"{path}:{FRAMES_FILE}"))
+    lines = contents.get(EQUIVALENCES_FILE, b"").splitlines()
+    equivalences = list(parsed_lines(Equivalence, lines, f"{path}:{EQUIVALENCES_FILE}"))
     for number, row in enumerate(rows, start=1):
         if row.suite != manifest.suite:
             raise InputError("a row of another suite", where=f"{path}:{ROWS}:{number}", expected=manifest.suite)
@@ -242,7 +277,7 @@ def read_bundle(path: Path) -> tuple[Manifest, list[Row], Frames, list[dict[str,
         stated = [{str(key): str(value) for key, value in line.items()} for line in reader]
     except (csv.Error, UnicodeDecodeError) as problem:
         raise InputError("the stated errors are not CSV", where=f"{path}:{ERRORS}", got=problem) from problem
-    return manifest, rows, frames, stated
+    return Bundle(manifest, rows, frames, equivalences, stated)
 
 
 def _unpacked(path: Path) -> dict[str, bytes]:
@@ -251,9 +286,11 @@ def _unpacked(path: Path) -> dict[str, bytes]:
     try:
         with zipfile.ZipFile(path) as archive:
             entries = archive.infolist()
-            if sorted(entry.filename for entry in entries) != sorted(_FILES):
-                names = ", ".join(entry.filename for entry in entries[:10])
-                raise InputError("the bundle has other files", where=path, expected=", ".join(_FILES), got=names)
+            names = sorted(entry.filename for entry in entries)
+            if names not in (sorted(_FILES), sorted((*_FILES, EQUIVALENCES_FILE))):
+                raise InputError(
+                    "the bundle has other files", where=path, expected=", ".join(_FILES), got=", ".join(names[:10])
+                )
             contents = {}
             for entry in entries:
                 if entry.file_size > MAX_BYTES:
@@ -267,12 +304,15 @@ def _unpacked(path: Path) -> dict[str, bytes]:
         raise InputError("the bundle is not a zip file, or is damaged", where=path, got=problem) from problem
 
 
-def _changed_rows(manifest: Manifest, rows: Sequence[Row]) -> Iterable[str]:
-    """Yield a failure for each row that differs from its digest in the manifest."""
-    if len(manifest.rows) != len(rows):
-        yield f"{ROWS}: {len(rows)} rows, the manifest has {len(manifest.rows)}"
+def _changed_lines(bundle: Bundle) -> Iterable[str]:
+    """Yield a failure for each row that differs from its digest in the manifest, and for other equivalences."""
+    stated, rows = bundle.manifest.rows, bundle.rows
+    if [_sha256(equivalence) for equivalence in bundle.equivalences] != list(bundle.manifest.equivalences):
+        yield f"{EQUIVALENCES_FILE}: the equivalences were changed after they were packed"
+    if len(stated) != len(rows):
+        yield f"{ROWS}: {len(rows)} rows, the manifest has {len(stated)}"
         return
-    for number, (digest, row) in enumerate(zip(manifest.rows, rows, strict=True), start=1):
+    for number, (digest, row) in enumerate(zip(stated, rows, strict=True), start=1):
         if digest != _sha256(row):
             yield f"{ROWS}:{number}: the row was changed after it was packed ({_name(row)})"
 
@@ -314,5 +354,5 @@ def _name(row: Row) -> str:
     return f"{row.row}, {row.place}, {row.protocol}, seed {row.seed}"
 
 
-def _sha256(row: Row) -> str:
-    return hashlib.sha256(row.line.encode()).hexdigest()
+def _sha256(line: JsonLine) -> str:
+    return hashlib.sha256(line.line.encode()).hexdigest()

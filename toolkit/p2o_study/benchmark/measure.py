@@ -61,7 +61,8 @@ def measure(
 ) -> Measured:
     """Compute the missing and stale rows of a suite, or of some of its `sections`, and add them to the results.
 
-    A calibration that another suite has measured is not computed again, unless the suite has `share = false`. `store`
+    A calibration that another suite has measured with this version of the method is not computed again, unless the
+    suite has `share = false`. `store`
     is the folder of the study's store, from which an interrupted measurement continues. Raises UnknownNameError for an
     unknown section, and as `ablate`.
     """
@@ -69,7 +70,7 @@ def measure(
     for section in sections:
         if section not in names:
             raise UnknownNameError("section", section, names, where=suite.source)
-    outcomes = Outcomes.read(results, suite.name)
+    outcomes, equivalences = Outcomes.read(results, suite.name), results.equivalences
     others = [Outcomes.read(results, name) for name in results.suites if suite.suite.share and name != suite.name]
     # Equal frames of two data sets have one key.
     tasks: dict[tuple[str, str], Task] = {}
@@ -84,7 +85,7 @@ def measure(
         if task is None:
             unreadable += 1
             return False
-        if state_of(task, outcomes.measured(task.identity)) is State.FRESH:
+        if state_of(task, outcomes.measured(task.identity), equivalences) is State.FRESH:
             fresh += 1
             return False
         known = measured_elsewhere(task, others)
@@ -144,7 +145,6 @@ def measured_elsewhere(task: Task, others: Sequence[Outcomes]) -> Row | None:
 
 def row_of(task: Task, stored: StoredRow, commit: str, measured_by: str) -> Row:
     """Return the row of a finished calibration."""
-    described = task.cell.method.described
     bounds: Mapping[str, object] = {name: stored.figures.get(f"predicted_{name}") for name in _BOUNDS}
     seconds = [value for value in stored.seconds.values() if value is not None]
     return Row(
@@ -157,10 +157,7 @@ def row_of(task: Task, stored: StoredRow, commit: str, measured_by: str) -> Row:
         protocol=stored.perturb or GIVEN,
         seed=stored.seed,
         start=task.start.tolist(),
-        method=Method(
-            words={word: described[word] for word in WORDS if described.get(word)},
-            options={stage: options for stage, options in described["options"].items() if stage != "data"},
-        ),
+        method=method_of(task),
         digest=task.cell.method.digest,
         commit=commit,
         estimate=stored.estimate.tolist() if stored.solved and stored.estimate is not None else None,
@@ -173,6 +170,15 @@ def row_of(task: Task, stored: StoredRow, commit: str, measured_by: str) -> Row:
         versions=dict(stored.versions),
         measured_by=measured_by,
         finished=stored.finished,
+    )
+
+
+def method_of(task: Task) -> Method:
+    """Return the words and options of the method of a task."""
+    described = task.cell.method.described
+    return Method(
+        words={word: described[word] for word in WORDS if described.get(word)},
+        options={stage: options for stage, options in described["options"].items() if stage != "data"},
     )
 
 

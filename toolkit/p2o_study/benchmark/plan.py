@@ -10,6 +10,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from p2o.arrays import Float
 
+from p2o_study.benchmark.equivalences import NONE, Equivalences
 from p2o_study.benchmark.row import FrameData, Row
 from p2o_study.cells import Cell
 from p2o_study.worker import FrameRecord
@@ -72,15 +73,25 @@ class Task:
         """Return the identity of a row with another label on the same frames from the same initial guess."""
         return (self.suite, self.cell.planned.dataset, label, self.protocol, f"{self.cell.seed:010d}", *self.names)
 
-    def state_of(self, row: Row) -> State:
-        """Return whether a row with this identity is a measurement of this task."""
+    def state_of(self, row: Row, equivalences: Equivalences = NONE) -> State:
+        """Return whether a row with this identity is a measurement of this task, or of an equivalent method."""
         if row.crashed:
             return State.CRASHED
         if [frame.digest for frame in row.frames] != [frame.digest for frame in self.frames]:
             return State.DATA
-        if not row.method.external and row.digest != self.cell.method.digest:
+        if self.sample_of(row, equivalences) is None:
             return State.METHOD
-        return State.FRESH if np.allclose(row.start, self.start, rtol=0, atol=_SAME_START) else State.START
+        return State.FRESH if self.has_start_of(row) else State.START
+
+    def sample_of(self, row: Row, equivalences: Equivalences) -> int | None:
+        """Return `Equivalences.sample` from the method of a row to that of the task; 0 for external methods."""
+        if row.method.external:
+            return 0
+        return equivalences.sample(row.digest, self.cell.method.digest, row.suite, row.dataset)
+
+    def has_start_of(self, row: Row) -> bool:
+        """Return whether the initial guess is that of a row."""
+        return np.allclose(row.start, self.start, rtol=0, atol=_SAME_START)
 
 
 @lru_cache(maxsize=20_000)
@@ -96,7 +107,7 @@ def frame_data(dataset: str, record: FrameRecord) -> FrameData:
     )
 
 
-def state_of(task: Task, rows: Sequence[Row]) -> State:
+def state_of(task: Task, rows: Sequence[Row], equivalences: Equivalences = NONE) -> State:
     """Return the state of a task from the rows of its identity: fresh if any is, otherwise that of the first."""
-    states = [task.state_of(row) for row in rows]
+    states = [task.state_of(row, equivalences) for row in rows]
     return State.MISSING if not states else State.FRESH if State.FRESH in states else states[0]

@@ -1,4 +1,7 @@
-"""A folder of results: SUITE.jsonl with the rows of each suite, frames.jsonl with digests and truth of their frames."""
+"""A folder of results: SUITE.jsonl with the rows of each suite, frames.jsonl with digests and truth of their frames.
+
+equivalences.jsonl has the versions of methods whose outcomes agree (`p2o benchmark confirm`).
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ from p2o.arrays import Float
 from p2o.errors import InputError
 from p2o.geometry.pose_error import PoseError, pose_error
 
+from p2o_study.benchmark.equivalences import EQUIVALENCES_FILE, Equivalence, Equivalences
 from p2o_study.benchmark.row import FrameData, Row, add_records, read_records
 
 FRAMES_FILE = "frames.jsonl"
@@ -57,7 +61,8 @@ class Results:
     @property
     def suites(self) -> list[str]:
         """The names of the suites with rows."""
-        return sorted(path.stem for path in self.folder.glob("*.jsonl") if path.name != FRAMES_FILE)
+        others = (FRAMES_FILE, EQUIVALENCES_FILE)
+        return sorted(path.stem for path in self.folder.glob("*.jsonl") if path.name not in others)
 
     def path(self, suite: str) -> Path:
         """Return the file of the rows of a suite."""
@@ -80,6 +85,15 @@ class Results:
     def frames(self) -> Frames:
         """The frames of all suites by digest."""
         return Frames(self.frame_data)
+
+    @property
+    def equivalences(self) -> Equivalences:
+        """The equivalences of versions of methods; raises InputError, with file and line, for an invalid one."""
+        return Equivalences(read_records(Equivalence, self.folder / EQUIVALENCES_FILE))
+
+    def add_equivalence(self, equivalence: Equivalence) -> None:
+        """Add an equivalence; existing lines are kept."""
+        add_records(self.folder / EQUIVALENCES_FILE, [equivalence], Equivalence)
 
     def add(self, suite: str, rows: Iterable[Row], frames: Iterable[FrameData]) -> int:
         """Add rows and their frames, and return the number of new rows; existing lines are kept."""

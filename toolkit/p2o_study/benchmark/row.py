@@ -35,10 +35,11 @@ _MAX_FRAMES = 10_000
 Digest = Annotated[str, StringConstraints(pattern="^[0-9a-f]{64}$")]
 Name = Annotated[str, StringConstraints(min_length=1, max_length=500)]
 Bound = Annotated[Number, Field(ge=0)]
+Timestamp = Annotated[str, StringConstraints(pattern=r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00$")]
 _Finite = Annotated[float, Field(ge=0, le=1e9)]
 
 
-class _Record(BaseModel):
+class JsonLine(BaseModel):
     """One line of a file: frozen, without unknown keys, written with sorted keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -57,10 +58,10 @@ class _Record(BaseModel):
         return (self.line,)
 
 
-_Line = TypeVar("_Line", bound=_Record)
+_Line = TypeVar("_Line", bound=JsonLine)
 
 
-class FrameData(_Record):
+class FrameData(JsonLine):
     """Content and ground truth of one frame of a dataset.
 
     `image`, `sweep` and `calibration` are the SHA-256 of the arrays as read, rounded to 6 decimals: pixels with the
@@ -131,7 +132,7 @@ class Machine(BaseModel):
     python: Line = ""
 
 
-class Row(_Record):
+class Row(JsonLine):
     """One calibration of a suite.
 
     `row` and `section` are the labels of the study, `protocol` the draw of the initial guess `start` (4, 4) with
@@ -161,7 +162,7 @@ class Row(_Record):
     machine: Machine
     versions: dict[Line, Line] = Field(default_factory=dict, max_length=200)
     measured_by: Line
-    finished: Annotated[str, StringConstraints(pattern=r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00$")]
+    finished: Timestamp
 
     @model_validator(mode="after")
     def _consistent(self) -> Row:

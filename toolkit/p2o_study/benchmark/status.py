@@ -36,7 +36,8 @@ class SuiteStatus:
 
     `unchecked` are datasets without a path: their existing rows are compared by method only, and missing ones are
     unknown. `surplus` is the number of rows that the suite no longer asks for, `unreadable` that of calibrations with a
-    frame that cannot be read.
+    frame that cannot be read. `samples` has one number for each fresh row that was measured with an equivalent version
+    of its method: how many rows of the method were confirmed (`Equivalence`).
     """
 
     suite: str
@@ -44,6 +45,7 @@ class SuiteStatus:
     unchecked: tuple[str, ...]
     surplus: int
     unreadable: int
+    samples: tuple[int, ...] = ()
 
     def count(self, state: State) -> int:
         """Return the number of calibrations in a state."""
@@ -59,6 +61,8 @@ class SuiteStatus:
         return {
             "suite": self.suite,
             "counts": {state.value: self.count(state) for state in State},
+            "confirmed_by_sample": len(self.samples),
+            "smallest_sample": min(self.samples, default=None),
             "outdated": [asdict(entry) for entry in self.outdated],
             "unchecked_datasets": list(self.unchecked),
             "surplus_rows": self.surplus,
@@ -76,9 +80,11 @@ def status_of(
     on_warning: OnWarning | None = None,
 ) -> SuiteStatus:
     """Return the status of a suite; frames of datasets with a path are read, nothing is computed."""
-    outcomes = Outcomes.read(results, suite.name)
+    outcomes, equivalences = Outcomes.read(results, suite.name), results.equivalences
     unchecked = {table.name for table in suite.study.study.dataset if table.left_out}
     entries: list[Entry] = []
+    samples: list[int] = []
+    sample: int | None
     left = outcomes.latest.copy()
     unreadable = 0
     tasks: dict[tuple[str, ...], Task] = {}
@@ -94,8 +100,14 @@ def status_of(
             known = outcomes.find(task.identity)
             left[known.start : known.stop] = False
             tasks.setdefault(task.identity_for(""), task)
-            entries.append(_entry(task, task.cell.planned.row, state_of(task, outcomes.measured(task.identity))))
-    digests = _digests(suite, plugins) if unchecked else {}
+            rows = outcomes.measured(task.identity)
+            state = state_of(task, rows, equivalences)
+            entries.append(_entry(task, task.cell.planned.row, state))
+            if state is State.FRESH:
+                fresh = [row for row in rows if task.state_of(row, equivalences) is state]
+                sample = min(task.sample_of(row, equivalences) or 0 for row in fresh)
+                samples += [sample] if sample else []
+    digests = method_digests(suite, plugins) if unchecked else {}
     places = [place_of(list(names)) for names in outcomes.places]
     surplus = 0
     for number in np.flatnonzero(left).tolist():
@@ -107,13 +119,16 @@ def status_of(
         if method.external and same is not None:
             entries.append(_entry(same, label, same.state_of(outcomes.row(number))))
         elif dataset in unchecked and (method.external or label in digests):
-            changed = not method.external and digests[label].get(seed) != digest
-            state = State.CRASHED if run["status"] == CRASHED else State.METHOD if changed else State.FRESH
+            sample = 0
+            if not method.external:
+                sample = equivalences.sample(digest, digests[label].get(seed, ""), suite.name, dataset)
+            state = State.CRASHED if run["status"] == CRASHED else State.METHOD if sample is None else State.FRESH
+            samples += [sample] if sample and state is State.FRESH else []
             place = places[run["place"]]
             entries.append(Entry(dataset, label, place, outcomes.protocols[protocol], seed, state))
         else:
             surplus += 1
-    return SuiteStatus(suite.name, tuple(entries), tuple(sorted(unchecked)), surplus, unreadable)
+    return SuiteStatus(suite.name, tuple(entries), tuple(sorted(unchecked)), surplus, unreadable, tuple(samples))
 
 
 def _entry(task: Task, label: str, state: State) -> Entry:
@@ -121,7 +136,7 @@ def _entry(task: Task, label: str, state: State) -> Entry:
     return Entry(planned.dataset, label, place_of(list(task.names)), task.protocol, task.cell.seed, state)
 
 
-def _digests(suite: SuiteFile, plugins: Plugins) -> Mapping[str, Mapping[int, str]]:
+def method_digests(suite: SuiteFile, plugins: Plugins) -> Mapping[str, Mapping[int, str]]:
     """Return the digest of the methods of each row and seed; no data are needed."""
     registry = plugins.registry()
     return {
