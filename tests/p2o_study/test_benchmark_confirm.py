@@ -176,7 +176,7 @@ def test_rows_that_are_stale_for_another_reason_are_not_confirmed(
     ("old", "new", "message"),
     [
         ('"seed":', '"sede":0,"seed":', "unknown key 'sede'"),
-        ('"confirmed":30', '"confirmed":101', "at most as many confirmed rows as there are rows"),
+        ('"confirmed":30', '"confirmed":101', "at most `of` confirmed rows"),
         (f'"{OLD}":"{NEW}"', f'"{OLD}":"{OLD}"', "two different digests"),
         (f'"{OLD}"', '"x"', "digests"),
         ('"places":[["tiny","tiny"]]', '"places":[["tiny"]]', "places"),

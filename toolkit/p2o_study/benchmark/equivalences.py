@@ -38,7 +38,7 @@ class Equivalence(JsonLine):
     @model_validator(mode="after")
     def _consistent(self) -> Equivalence:
         if self.confirmed > self.of:
-            raise ValueError("at most as many confirmed rows as there are rows")
+            raise ValueError("at most `of` confirmed rows")
         if any(old == new for old, new in self.digests.items()):
             raise ValueError("two different digests")
         return self
