@@ -10,9 +10,10 @@ import numpy as np
 
 from p2o.arrays import Float
 from p2o.calibration.interval_search import most_likely_pose
-from p2o.calibration.judge import Judge, is_sparse, judge_of
+from p2o.calibration.judge import DirectedJudge, Judge, is_sparse, judge_of
 from p2o.calibration.nuisance import Nuisance, NuisanceEstimate, estimate_nuisances, known_twists, motion_prior
 from p2o.calibration.options import PipelineOptions
+from p2o.calibration.rivals import rival_poses
 from p2o.calibration.rounds import End, Rounds
 from p2o.calibration.search_box import SearchBox
 from p2o.features.view import View
@@ -22,6 +23,7 @@ from p2o.results.result import Status
 
 EDGES = frozenset({"image-edges", "cloud-edges"})
 
+_MOST_RIVALS = 2
 _FAR_DEG, _FAR_M = 6.0, 0.5
 """A camera displaced by more than this sees other surfaces, and edges may have other directions in its image."""
 
@@ -36,7 +38,8 @@ def is_far(start: Float, pose: Float) -> bool:
 class Refined:
     """The poses that rounds of matching and solving ended at, one for each proposal, and the judge that compares them.
 
-    `views` are those that the rounds matched, `box` that of the initializer's search, None if it has none.
+    `views` are those that the rounds matched, `box` that of the initializer's search, None if it has none. `rivals` are
+    poses near the end of rounds without a search, which are no results but may fit better.
     """
 
     views: VisibleViews
@@ -44,6 +47,7 @@ class Refined:
     ends: Sequence[End]
     judge: Judge
     box: SearchBox | None = None
+    rivals: Sequence[End] = ()
 
     @property
     def solved(self) -> list[End]:
@@ -120,6 +124,7 @@ class Algorithm:
             proposals = [most_likely_pose(views.corrected, centre, proposals), *proposals]
         options, rounds = self.options, Rounds(self.matcher, self.solver, self.options)
         judge = self.judge(views.corrected, start, proposals)
+
         ends = [
             rounds(views.corrected, start, pose, judge, reach_px=options.reach_after_search_px, found_by="initialize")
             for pose in proposals
@@ -136,6 +141,19 @@ class Algorithm:
         proposals = [end.pose for end in refined.solved]
         again = self.refine(self.visible(views, refined.best.pose), refined.start, proposals)
         return replace(again, ends=again.solved or refined.solved)
+
+    def with_rivals(self, refined: Refined) -> Refined:
+        """Return the refined poses with rivals of the best one: for rounds that began from the initial guess alone.
+
+        A search compares the minima of its proposals; without one, the nearest minimum would have no rival.
+        """
+        if not isinstance(refined.judge, DirectedJudge):
+            return refined
+        rounds, start, views = Rounds(self.matcher, self.solver, self.options), refined.start, refined.views.corrected
+        reach_px, poses = self.options.min_reach_px, rival_poses(refined.judge, refined.best.pose, _MOST_RIVALS)
+        found_by = "initialize"
+        ends = [rounds(views, start, p, refined.judge, reach_px=reach_px, found_by=found_by) for p in poses]
+        return replace(refined, rivals=ends)
 
     def judge(self, views: Sequence[View], start: Float, poses: Sequence[Float]) -> Judge:
         """Return the judge of poses (4, 4) that are proposed from an initial one (4, 4)."""

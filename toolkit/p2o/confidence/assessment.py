@@ -52,7 +52,7 @@ def assess(
     not cost less than the initial extrinsic is refused.
     """
     final, start, end, judge = estimate.final, estimate.start, estimate.final.end, estimate.refined.judge
-    rival = rival_of(estimate.refined.solved, estimate.refined.best, judge)
+    rival = rival_of([*estimate.refined.solved, *estimate.refined.rivals], estimate.refined.best, judge)
     judged = judged_of(estimate, end.pose)
     if not judged.estimate < judged.start:
         return replace(refused(views, start, Status.NO_IMPROVEMENT, _no_improvement(judged), end.rounds), judged=judged)

@@ -1,0 +1,37 @@
+"""Poses near a result that cost less than it: evidence that rounds without a search ended in a local minimum."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from p2o.arrays import Float
+from p2o.calibration.judge import DirectedJudge
+from p2o.geometry import se3
+from p2o.geometry.pose_error import is_distinct
+
+_SIGMA = np.array([*np.radians([2.2, 2.2, 2.2]), 0.22, 0.22, 0.22])
+"""Standard deviations of the drawn poses about and along each axis: 2.2 deg and 22 cm."""
+_DRAWS, _KEPT, _NARROWER, _GENERATIONS = 4096, 64, 0.5, 3
+
+
+def rival_poses(judge: DirectedJudge, pose: Float, count: int, seed: int = 0) -> list[Float]:
+    """Return up to `count` poses (4, 4) of low cost that are distinct from a pose (4, 4) and from each other.
+
+    Poses of a left update are drawn from a Gaussian, then around the best of them with half the deviation, and again.
+    """
+    rng = np.random.default_rng(seed)
+    centres, sigma = np.zeros((1, 6)), _SIGMA
+    draws, costs = np.zeros((0, 6)), np.zeros(0)
+    for _ in range(_GENERATIONS):
+        drawn = centres[rng.integers(len(centres), size=_DRAWS)] + rng.normal(0.0, sigma, (_DRAWS, 6))
+        draws = np.concatenate([draws, drawn])
+        costs = np.concatenate([costs, judge.cost(se3.exp(drawn) @ pose)])
+        centres, sigma = draws[np.argsort(costs, kind="stable")[:_KEPT]], _NARROWER * sigma
+    rivals: list[Float] = []
+    for draw in draws[np.argsort(costs, kind="stable")[: 4 * _KEPT]]:
+        other = se3.exp(draw) @ pose
+        if all(is_distinct(se3.inverse(other) @ known) for known in (pose, *rivals)):
+            rivals.append(other)
+        if len(rivals) == count:
+            break
+    return rivals
