@@ -18,9 +18,11 @@ from p2o_sim.synthetic import SyntheticOptions, body_from_lidar, truth_at
 
 from tests.p2o_rig.random_rigs import random_rig
 from tests.p2o_rig.result_files import COVARIANCE, TOO_UNSURE, exact, result, write_results, write_sensors
+from tests.pages import blocks, shell_blocks
 
 pytest.importorskip("pyceres", reason='needs pip install ".[ceres]"')
 
+PAGE = "docs/how-to/several-lidars.md"
 CAMERAS = ("front", "left")
 AT = "-0.8,0.6,-0.3,10,0,60"
 
@@ -220,35 +222,41 @@ def test_lidars_alone_are_aligned_from_approximate_poses_and_drawn(
 
 
 @pytest.mark.system
-def test_a_rig_of_two_lidars_and_two_cameras_from_frames_to_extrinsics(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_the_lines_of_the_page_lead_from_frames_to_the_extrinsics_of_all_sensors(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """The lines of docs/how-to/several-lidars.md, on smaller images and with exact depth instead of the network."""
     pytest.importorskip("small_gicp", reason='needs pip install ".[gicp]"')
-    data = "synthetic:?place=street&scenes=3&right=false&speed_m_s=0&seed=7"
-    lidars = {"top": f"{data}&lidar=hdl-64e", "side": f"{data}&lidar=os1-64&lidar_at={AT}"}
-    content: dict[str, Any] = {"lidars": {}}
-    for name, words in lidars.items():
-        rig = ["--data", f"{words}&cameras=front,left&width_px=621&height_px=240", "--rig"]
-        assert main(["run", *rig, "--extractor", "depth/rings", "--json"]) == 0
-        (tmp_path / f"{name}.json").write_text(capsys.readouterr().out)
-        content["lidars"][name] = {"results": [f"{name}.json"], "sweeps": f"{words}&width_px=64&height_px=64"}
-    status, rig_json = combined(content, tmp_path, capsys)
-    assert status == 0
-    assert {edge["kind"] for edge in rig_json["edges"]} == {"result", "sweeps"}
-    options = SyntheticOptions(lidar_at=AT)
-    true = {"top": np.eye(4), "side": body_from_lidar(options)}
+    monkeypatch.chdir(tmp_path)
+    [content] = [yaml.safe_load(block.text) for block in blocks(PAGE) if block.language == "yaml"]
+    write_sensors(tmp_path / "sensors.yaml", content)
+    commands = [command for block in shell_blocks(PAGE) for command in block.commands()]
+    programs = [" ".join(command.words[:2]) for command in commands]
+    assert programs == ["p2o rig", "pip install", *["p2o simulate"] * 2, *["p2o run"] * 2, "p2o rig"]
+    for command in commands[2:6]:
+        words = command.words[1:]
+        words += ["--extractor", "depth/rings"] if words[0] == "run" else ["--set", "width_px=621"]
+        assert main(words) == 0
+        if command.target is not None:
+            Path(command.target).write_text(capsys.readouterr().out)
+    capsys.readouterr()
+    assert main([*commands[6].words[1:], "--json"]) == 0
+    rig = json.loads(capsys.readouterr().out)
+    assert {edge["kind"] for edge in rig["edges"]} == {"result", "sweeps", "known"}
+    assert all(edge["check"] is not None for edge in rig["edges"])
+    place = next(word for word in commands[3].words if word.startswith("lidar_at="))
+    true = {"top": np.eye(4), "side": body_from_lidar(SyntheticOptions(lidar_at=place.partition("=")[2]))}
     true |= {camera: se3.inverse(truth_at(SyntheticOptions(), 0, 0, camera)) for camera in CAMERAS}
-    for sensor in rig_json["sensors"]:
+    for sensor in rig["sensors"]:
         error = se3.inverse(true[sensor["name"]]) @ np.array(sensor["reference_from_sensor"])
         assert se3.angle_deg(error) < 0.2
         assert se3.distance_m(error) < 0.05
         assert sensor["verdict"]["trust"] == "trusted"
-    # A result with an error of 2 deg is found by the known transform between the cameras.
-    wrong = json.loads((tmp_path / "side.json").read_text())
+    # The known transform between the cameras and the aligned sweeps identify a result with an error of 2 deg.
+    wrong = json.loads(Path("side.json").read_text())
     pose = np.array(wrong["results"][1]["camera_from_lidar"])
     wrong["results"][1]["camera_from_lidar"] = (se3.exp(np.radians([0, 2.0, 0, 0, 0, 0])) @ pose).tolist()
-    (tmp_path / "side.json").write_text(json.dumps(wrong))
-    known = {"parent": "front", "child": "left", "pose": (se3.inverse(true["front"]) @ true["left"]).tolist()}
-    status, rig_json = combined({**content, "known": [{**known, "sigma": "0.05deg 0.005m"}]}, tmp_path, capsys)
-    assert status == 1
-    assert [one["edges"] for one in rig_json["contradictions"]] == [["left-side (result)"]]
+    Path("side.json").write_text(json.dumps(wrong))
+    assert main(["rig", "sensors.yaml", "--json"]) == 1
+    rig = json.loads(capsys.readouterr().out)
+    assert [one["edges"] for one in rig["contradictions"]] == [["left-side (result)"]]

@@ -33,7 +33,7 @@ _SHAPE_WEIGHT = 6
 _OUTLIER_QUANTILE = 0.99
 _BIAS_DEG, _BIAS_M = 0.03, 0.001
 """Systematic error per axis and per degree between the rings of the sparser sweep, which all moments share: rings of
-one sweep attract nearly parallel rings of the other. Measured with simulated sensors, see docs/how-to/lidars.md.
+one sweep attract nearly parallel rings of the other. Measured with simulated sensors (docs/how-to/several-lidars.md).
 """
 _MIN_BIAS_DEG, _MIN_BIAS_M = 0.01, 0.002
 _WITHOUT_RINGS_DEG = 1.0

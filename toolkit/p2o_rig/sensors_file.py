@@ -1,4 +1,7 @@
-"""Read the file of `p2o rig`: LiDARs with results and sweeps, cameras, and known transforms (docs/how-to/lidars.md)."""
+"""Read the file of `p2o rig`: LiDARs with results and sweeps, cameras, and known transforms.
+
+docs/how-to/several-lidars.md describes it.
+"""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ def command(sensors: str, out: str | None, as_json: bool, plugin: tuple[str, ...
 
     FILE (YAML, JSON) lists LiDARs with their results of `p2o run` and data sets of their sweeps, and known transforms.
     Sweeps of each pair of LiDARs are aligned. All relative poses are edges of one graph, whose loops show which edge is
-    wrong (docs/how-to/lidars.md).
+    wrong (docs/how-to/several-lidars.md).
 
     \b
     p2o run --data folder:top --rig --json > top.json
