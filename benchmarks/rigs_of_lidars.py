@@ -1,6 +1,7 @@
 """Errors of `p2o rig` on simulated vehicles with 2, 3 and 4 LiDARs and six cameras, and the wrong edges that it finds.
 
     python benchmarks/rigs_of_lidars.py --seeds 1,2
+    python benchmarks/rigs_of_lidars.py --seeds 1 --guesses 5    # only the alignment of sweeps, from wrong guesses
 
 Each seed is a vehicle that stands at `--scenes` places of a street. Each LiDAR is calibrated with each camera (`p2o run
 --rig`), from an initial error of 2 deg and 15 cm. Vehicles with fewer LiDARs are parts of that with four. Results are
@@ -22,12 +23,15 @@ from pathlib import Path
 import numpy as np
 from p2o.arrays import Float
 from p2o.cli import main as p2o_main
+from p2o.errors import InputError
 from p2o.files.whole_file import write_whole
 from p2o.geometry import se3
 from p2o.geometry.perturb import parse_perturbation, wrong_start
 from p2o.host.registry import Registry
+from p2o.run.recipe import open_dataset
+from p2o_rig.alignment import align_sweeps
 from p2o_rig.contradictions import consistent
-from p2o_rig.extrinsics import RigExtrinsics, estimate_extrinsics
+from p2o_rig.extrinsics import RigExtrinsics, estimate_extrinsics, simultaneous
 from p2o_rig.sensor_graph import EdgeKind
 from p2o_rig.sensors_file import read_sensors
 from p2o_sim.synthetic import SyntheticOptions, body_from_lidar, truth_at
@@ -141,6 +145,25 @@ def faults(rig: RigExtrinsics, count: int, wrong: str, seed: int) -> Iterator[st
             yield "among others" if len(groups) == 1 and name in groups[0] else "other"
 
 
+def converged(guess: str, draws: int, options: argparse.Namespace) -> Iterator[bool]:
+    """Align the first LiDAR with each other one from guesses with an error; yield whether the result is correct."""
+    size, registry, seed = parse_perturbation(guess), Registry.load(), options.seeds[0]
+    first, *others = (
+        open_dataset(data_of(lidar, seed, options.scenes) + "&width_px=64&height_px=64", registry) for lidar in LIDARS
+    )
+    for dataset, (_, place) in zip(others, list(LIDARS.values())[1:], strict=True):
+        pairs, rng = simultaneous(first, dataset, options.scenes), np.random.default_rng(seed)
+        truth = body_from_lidar(SyntheticOptions(lidar_at=place))
+        for _ in range(draws):
+            try:
+                pose = align_sweeps(pairs, wrong_start(truth, size.angle_deg, size.distance_m, rng)).first_from_second
+            except InputError:
+                yield False
+                continue
+            step = se3.inverse(truth) @ pose
+            yield se3.angle_deg(step) < 0.3 and se3.distance_m(step) < 0.05
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=lambda text: [int(word) for word in text.split(",")], default=[1, 2])
@@ -149,9 +172,15 @@ def main() -> None:
     parser.add_argument("--extractor", default="p2ornet/rings")
     parser.add_argument("--wrong", default="1deg 0.1m")
     parser.add_argument("--faults", type=int, default=6)
+    parser.add_argument("--guesses", type=int, default=0, help="draws of each error of the initial guess of sweeps")
     parser.add_argument("--work", type=Path, default=Path("build/rigs-of-lidars"))
     options = parser.parse_args()
     options.work.mkdir(parents=True, exist_ok=True)
+    for guess in ("1deg 0.2m", "3deg 0.5m", "6deg 1m") if options.guesses else ():
+        correct = list(converged(guess, options.guesses, options))
+        print(f"sweeps aligned from {guess}: {sum(correct)} of {len(correct)} within 0.3 deg and 5 cm", flush=True)
+    if options.guesses:
+        return
     for count in (2, 3, 4):
         rigs = [vehicle(count, seed, options) for seed in options.seeds]
         print(f"{count} LiDARs, {len(CAMERAS)} cameras, {len(rigs)} vehicles; errors are medians, then maxima")

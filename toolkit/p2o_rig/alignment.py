@@ -1,8 +1,8 @@
 """Align simultaneous sweeps of two LiDARs by generalised ICP (package small_gicp), over several moments.
 
 Each moment is aligned on its own. The covariance of the mean follows from the scatter over the moments: the Hessian of
-generalised ICP neglects that rings sample both sweeps in the same places, and is too small by a factor of up to 7 in
-simulated streets with 16 rings. The Hessian contributes its shape only, for directions that few moments do not sample.
+generalised ICP neglects that neighbouring points of a ring share their errors, and predicts errors of sparse sweeps
+that are several times too small. It contributes its shape only, for directions that few moments do not sample.
 """
 
 from __future__ import annotations
