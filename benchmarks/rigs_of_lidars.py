@@ -126,23 +126,24 @@ def within_bounds(rig: RigExtrinsics, truth: dict[str, Float]) -> Iterator[bool]
 
 
 def faults(rig: RigExtrinsics, count: int, wrong: str, seed: int) -> Iterator[str]:
-    """Add an error to one edge at a time; yield `named`, `among others`, `not found` or `other` for what is excluded.
+    """Add an error to one edge at a time; yield which edges are excluded, in words.
 
-    The error rotates and translates the child about random axes.
+    The error rotates and translates the child about random axes. Of two edges that explain it equally well, the one
+    that is not trusted on its own is excluded.
     """
     rng, size = np.random.default_rng(seed), parse_perturbation(wrong)
     for number in rng.permutation(len(rig.graph.used))[:count]:
         edges = list(rig.graph.used)
         pose = wrong_start(edges[number].parent_from_child, size.angle_deg, size.distance_m, rng)
         edges[number] = replace(edges[number], parent_from_child=pose)
-        groups = [[edge.name for edge in one.edges] for one in consistent(edges, rig.reference).contradictions]
-        name = edges[number].name
-        if not groups:
-            yield "not found"
-        elif groups == [[name]]:
-            yield "named"
+        excluded = [edge for one in consistent(edges, rig.reference).contradictions for edge in one.edges]
+        if edges[number] in excluded:
+            yield "excluded" if len(excluded) == 1 else f"excluded with {len(excluded) - 1} others"
+        elif excluded:
+            trusted = all(edge.trusted for edge in excluded)
+            yield "another edge excluded" if trusted else "an edge excluded that is not trusted on its own"
         else:
-            yield "among others" if len(groups) == 1 and name in groups[0] else "other"
+            yield "not found"
 
 
 def converged(guess: str, draws: int, options: argparse.Namespace) -> Iterator[bool]:

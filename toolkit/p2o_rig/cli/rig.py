@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 from p2o.cli.plugin_options import load, plugin_options
 from p2o.errors import InputError, printable
+from p2o.files.input_file import expanded
 
 
 @click.command("rig")
@@ -34,7 +35,7 @@ def command(sensors: str, out: str | None, as_json: bool, plugin: tuple[str, ...
     from p2o_rig.outputs import as_dict, as_text, write_folder
     from p2o_rig.sensors_file import read_sensors
 
-    folder = None if out is None else _made(Path(out).expanduser())
+    folder = None if out is None else _made(expanded(out))
     rig = estimate_extrinsics(read_sensors(sensors), load(plugin, block))
     click.echo(json.dumps(as_dict(rig), allow_nan=False) if as_json else as_text(rig))
     if folder is not None:
