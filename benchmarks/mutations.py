@@ -236,6 +236,10 @@ MUTATIONS = (
         "np.log(count / rate) - np.log(np.arange(1, count + 1))", "np.log(count / rate)",
     ),
     Mutation(
+        "edge-to-the-parent", "p2o_rig", "flipped sign", "toolkit/p2o_rig/sensor_graph.py",
+        "(-1.0, 1.0), strict=True", "(1.0, -1.0), strict=True",
+    ),
+    Mutation(
         "start-not-in-key", "p2o_study", "wrong key", "toolkit/p2o_study/cells.py",
         "content_hash([method.key, group.content, start])", "content_hash([method.key, group.content])",
         f"{_T}/study/cells.py",

@@ -19,6 +19,7 @@ PACKAGES = {
     "p2o": ROOT / "toolkit/p2o",
     "p2o_study": ROOT / "toolkit/p2o_study",
     "p2o_fleet": ROOT / "toolkit/p2o_fleet",
+    "p2o_rig": ROOT / "toolkit/p2o_rig",
     "p2o_train": ROOT / "toolkit/p2o_train",
     "p2o_testing": ROOT / "toolkit/p2o_testing",
     "p2o_pages": ROOT / "toolkit/p2o_pages",

@@ -22,6 +22,7 @@ PACKAGES = (
     "toolkit/p2o_train",
     "toolkit/p2o_testing",
     "toolkit/p2o_fleet",
+    "toolkit/p2o_rig",
     "toolkit/p2o_pages",
     "plugins/p2o_plugins",
     "plugins/p2o_datasets",

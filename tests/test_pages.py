@@ -58,6 +58,7 @@ ELSEWHERE = {
     "docs/tutorial/your-own-frames.md": "tests/test_tutorials.py",
     "docs/how-to/fleet.md": "tests/test_fleet_page.py",
     "docs/how-to/ros-bag.md": "tests/test_ros_bag_page.py",
+    "docs/how-to/several-lidars.md": "tests/test_rig_of_lidars_command.py",
 }
 """Pages whose shell lines a test of their own runs, with what they print."""
 

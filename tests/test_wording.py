@@ -24,6 +24,7 @@ LEFT = {
     "plugins/p2o_sim": 0,
     "toolkit/p2o": 0,
     "toolkit/p2o_fleet": 0,
+    "toolkit/p2o_rig": 0,
     "toolkit/p2o_pages": 0,
     "toolkit/p2o_study": 0,
     "toolkit/p2o_train": 0,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from p2o import Camera, Float, Frame, Image, InputError, Method, Options, Target, UInt8, field, se3
-from p2o.reading import LazyFrames, parse_perturbation, wrong_start
+from p2o.reading import LazyFrames, adjoint, parse_perturbation, rotation_of, wrong_start
 from pydantic import BeforeValidator, Field
 
 import p2o_sim as simulate
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 BASELINE_M = 0.54
 _KITTI_MOUNT = (0.27, 0.06, -0.08, 0.458, -0.63, 0.344)
+_NOMINAL = (0.0,) * 6
 _AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 # The memory of a frame, measured in scenes with many trees: a constant, a term per metre of the path (two scenes are
 # cached), and a term per million pixels of the image.
@@ -41,8 +42,10 @@ _INDOORS_M = (0.6, 1.4)
 _Shift = Annotated[float, Field(ge=-100, le=100)]
 _Side = Annotated[float, Field(gt=0, le=4)]
 _Turn = Annotated[float, Field(ge=-360, le=360)]
-_Word = Literal["front", "left", "right", "back"]
-_TO_THE_LEFT_DEG: dict[str, float] = {"": 0, "front": 0, "left": 60, "right": -60, "back": 180}
+_Word = Literal["front", "left", "right", "back", "back-left", "back-right"]
+_TO_THE_LEFT_DEG: dict[str, float] = {
+    "": 0, "front": 0, "left": 60, "right": -60, "back": 180, "back-left": 120, "back-right": -120
+}  # fmt: skip
 """Yaw of the mounting of each camera of a rig, to the left about the vertical axis of the LiDAR."""
 
 
@@ -149,9 +152,14 @@ class SyntheticOptions(Options):
     )
     cameras: Annotated[tuple[_Word, ...], BeforeValidator(_words)] = field(
         (),
-        max_length=4,
-        help="Cameras of a rig, such as front,left,right: each time gives a frame per camera, with one "
-        "sweep, and `mount` turned by 60 degrees to the left or right, or 180, about the LiDAR; none: one camera.",
+        max_length=6,
+        help="Cameras of a rig, such as front,left,right: each time gives a frame per camera, with one sweep, and "
+        "`mount` turned about the LiDAR by 60 degrees to the left or right, 120 (back-left) or 180; none: one camera.",
+    )
+    lidar_at: Annotated[tuple[_Shift, _Shift, _Shift, _Turn, _Turn, _Turn], BeforeValidator(_words)] = field(
+        _NOMINAL,
+        help="Another place of the LiDAR on the vehicle, in its nominal frame: x, y, z in metres, then roll, pitch, "
+        "yaw in degrees; scene and cameras stay as they are, so that several data sets simulate several LiDARs.",
     )
     drift: str = field("0.5deg 0.03m", help="Size of the change of the camera's mounting, as for --perturb.")
     drift_at_frame: int | None = field(
@@ -198,8 +206,18 @@ def camera_of(options: SyntheticOptions) -> Camera:
     return Camera("OPENCV_FISHEYE", width, height, (focal, focal, cx, cy, 0.02, -0.006, 0.001, -0.0002))
 
 
+def body_from_lidar(options: SyntheticOptions) -> Float:
+    """Return the pose (4, 4) of the LiDAR in its nominal frame, the body: roll, pitch, yaw about fixed axes."""
+    return se3.make(rotation_of(*np.radians(options.lidar_at[3:])), options.lidar_at[:3])
+
+
 def truth_at(options: SyntheticOptions, scene: int, number: int, camera: str = "") -> Float:
     """Return the true extrinsic (4, 4) of frame `number` of a scene, which changes at `drift_at_frame`."""
+    truth = _camera_from_body(options, scene, number, camera)
+    return truth if options.lidar_at == _NOMINAL else truth @ body_from_lidar(options)
+
+
+def _camera_from_body(options: SyntheticOptions, scene: int, number: int, camera: str) -> Float:
     options = _with_rig(options, scene)
     about_z = np.radians([0, 0, -_TO_THE_LEFT_DEG[camera], 0, 0, 0])
     truth = camera_from_lidar(options.mount) @ se3.exp(about_z)
@@ -240,8 +258,7 @@ def view(options: SyntheticOptions, scene_number: int, number: int = 0, camera: 
         speed_m_s=0.0 if still else options.speed_m_s,
         sway=0.0 if still else options.sway,
     )
-    moment = moments[number]
-    truth = truth_at(options, scene_number, number, camera)
+    moment, truth = moments[number], _camera_from_body(options, scene_number, number, camera)
     if weather.name == "night":
         # A robot in a building has no headlights.
         height_m = simulate.LIDAR_HEIGHT_M if options.lidar_height_m is None else options.lidar_height_m
@@ -250,28 +267,46 @@ def view(options: SyntheticOptions, scene_number: int, number: int = 0, camera: 
     scene, boards = _with_boards(options, scene, moment, scene_number, number)
     # In parallel with the image, because each of them has phases that use a single core.
     with ThreadPoolExecutor(1) as pool:
-        noise = _stream(options, _LIDAR, scene_number, number)
+        sensor = _moved(moment, options)
+        noise = _stream(options, _LIDAR, scene_number, number, *_place_numbers(options))
         air = weather.air if scene.lighting.inside is None else simulate.Air()
-        motion: dict[str, Any] = {"twist": moment.twist, "time_s": moment.time_s}
-        future = pool.submit(simulate.sweep, scene, _lidar(options), moment.world_from_lidar, noise, air=air, **motion)
+        motion: dict[str, Any] = {"twist": sensor.twist, "time_s": sensor.time_s}
+        future = pool.submit(simulate.sweep, scene, _lidar(options), sensor.world_from_lidar, noise, air=air, **motion)
         # Each camera of a rig has its own image noise.
         numbers = (scene_number, number, *([options.cameras.index(camera)] if camera else []))
         image, rendered = _images(options, scene, moment, truth, weather, numbers)
         cloud = future.result()
     # A random rig has another initial guess in each scene.
     start = _stream(options, _START, *(() if options.rig == "fixed" else (scene_number,)))
+    truth = truth_at(options, scene_number, number, camera)
     frame = Frame(
         _name(options, scene_number, number, camera),
         image,
-        cloud.untwisted(moment.twist) if options.deskew else cloud,
+        cloud.untwisted(sensor.twist) if options.deskew else cloud,
         camera_from_lidar=truth,
         start=_displaced(truth, options.start_error, start),
-        twist=moment.twist,
+        twist=sensor.twist,
         targets=tuple(board.target for board in boards),
         camera_name=camera,
         **_of_drive(options, moments, scene_number, number, camera),
     )
-    return View(frame, scene, moment, rendered, boards)
+    return View(frame, scene, sensor, rendered, boards)
+
+
+def _moved(moment: Moment, options: SyntheticOptions) -> Moment:
+    """Return the moment of the LiDAR at its place on the body, whose moment this is."""
+    if options.lidar_at == _NOMINAL:
+        return moment
+    place = body_from_lidar(options)
+    twist = adjoint(se3.inverse(place), moment.twist)
+    return replace(moment, world_from_lidar=moment.world_from_lidar @ place, twist=twist)
+
+
+def _place_numbers(options: SyntheticOptions) -> tuple[int, ...]:
+    """Return numbers of the place of the LiDAR, so that each LiDAR of a body has its own noise; none if nominal."""
+    if options.lidar_at == _NOMINAL:
+        return ()
+    return tuple(int(number) for number in np.array(options.lidar_at, np.float64).view(np.uint32))
 
 
 def frame(options: SyntheticOptions, scene_number: int, number: int = 0, camera: str = "") -> Frame:
@@ -292,7 +327,7 @@ def _of_drive(
     """Return the data of a frame that depend on its drive; empty for a single frame."""
     if options.frames_per_scene == 1:
         return {}
-    lidar = [moment.world_from_lidar for moment in moments]
+    lidar = [_moved(moment, options).world_from_lidar for moment in moments]
     truths = (truth_at(options, scene_number, at, camera_name) for at in range(len(moments)))
     camera = [pose @ se3.inverse(truth) for pose, truth in zip(lidar, truths, strict=True)]
     noise = {"noise_deg": options.odometry_noise_deg, "noise_m": options.odometry_noise_m}

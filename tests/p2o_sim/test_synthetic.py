@@ -570,3 +570,41 @@ def test_a_rig_of_one_camera_is_the_same_picture_under_another_name_and_a_camera
     assert (alone.camera_name, named.camera_name, named.name) == ("", "front", "scene-0000/front")
     with pytest.raises(InputError, match="named twice"):
         build(SyntheticOptions(cameras=("left", "left")))
+
+
+PLACE = (-0.8, 0.6, -0.3, 10.0, -5.0, 70.0)
+
+
+def test_another_place_of_the_lidar_changes_the_sweep_and_the_truth_only() -> None:
+    options: dict[str, Any] = {**SMALL, "place": "street", "noise_m": 0.0}
+    nominal, moved = build(SyntheticOptions(**options))[0], build(SyntheticOptions(**options, lidar_at=PLACE))[0]
+    assert nominal.image.rgb.tobytes() == moved.image.rgb.tobytes()
+    assert nominal.image.depth_m.tobytes() == moved.image.depth_m.tobytes()
+    body_from_lidar = synthetic.body_from_lidar(SyntheticOptions(lidar_at=PLACE))
+    np.testing.assert_allclose(body_from_lidar[:3, 3], PLACE[:3])
+    # Yaw, then pitch, then roll, about fixed axes in reverse order: the x axis of the LiDAR turns to the left, and up.
+    np.testing.assert_allclose(
+        body_from_lidar[:3, 0],
+        [np.cos(np.radians(5)) * np.cos(np.radians(70)), np.cos(np.radians(5)) * np.sin(np.radians(70)),
+         np.sin(np.radians(5))],
+    )  # fmt: skip
+    np.testing.assert_allclose(moved.camera_from_lidar, nominal.camera_from_lidar @ body_from_lidar, atol=1e-12)
+    # The car drives at 8 m/s: the sweep is compensated for the velocity of the LiDAR at its own place.
+    assert np.median(_depth_errors(moved, moved.camera_from_lidar, 100)) < 0.05
+    raw = build(SyntheticOptions(**options, lidar_at=PLACE, deskew=False))[0]
+    np.testing.assert_array_equal(raw.cloud.untwisted(raw.twist).xyz, moved.cloud.xyz)
+
+
+def test_the_nominal_place_is_the_default_and_texts_are_read() -> None:
+    default, stated = (build(SyntheticOptions(**SMALL, **more))[0] for more in ({}, {"lidar_at": "0,0,0,0,0,0"}))
+    assert default.cloud.xyz.tobytes() == stated.cloud.xyz.tobytes()
+    for wrong in ("1,2,3", "0,0,0,0,0,400", "a,0,0,0,0,0"):
+        with pytest.raises(ValidationError, match="lidar_at"):
+            SyntheticOptions(lidar_at=wrong)
+
+
+def test_six_cameras_look_in_six_directions() -> None:
+    names = ("front", "left", "back-left", "back", "back-right", "right")
+    yaws = [synthetic.truth_at(SyntheticOptions(), 0, 0, name)[2, :2] for name in names]
+    ahead = np.unwrap([np.arctan2(y, x) for x, y in yaws])
+    np.testing.assert_allclose(np.degrees(np.diff(ahead)), 60.0, atol=0.5)

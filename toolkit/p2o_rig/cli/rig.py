@@ -1,0 +1,53 @@
+"""`p2o rig`: consistent extrinsics of all LiDARs and cameras of a body."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+from p2o.cli.plugin_options import load, plugin_options
+from p2o.errors import InputError, printable
+from p2o.files.input_file import expanded
+
+
+@click.command("rig")
+@click.argument("sensors", metavar="FILE")
+@click.option("--out", type=click.Path(), metavar="DIR", help="Folder for rig.json, extrinsics.yaml and a figure.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else on stdout.")
+@plugin_options
+def command(sensors: str, out: str | None, as_json: bool, plugin: tuple[str, ...], block: tuple[str, ...]) -> int:
+    """Combine results, sweeps of several LiDARs and known transforms to consistent extrinsics.
+
+    FILE (YAML, JSON) lists LiDARs with their results of `p2o run` and data sets of their sweeps, and known transforms.
+    Sweeps of each pair of LiDARs are aligned. All relative poses are edges of one graph, whose loops show which edge is
+    wrong (docs/how-to/several-lidars.md).
+
+    \b
+    p2o run --data folder:top --rig --json > top.json
+    p2o run --data folder:left --rig --json > left.json
+    p2o rig sensors.yaml --out out
+
+    Exit status 0 if all sensors have a pose and the verdict is trusted, 1 if not or if an edge was excluded, 2 for
+    wrong input.
+    """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
+    from p2o_rig.extrinsics import estimate_extrinsics
+    from p2o_rig.outputs import as_dict, as_text, write_folder
+    from p2o_rig.sensors_file import read_sensors
+
+    folder = None if out is None else _made(expanded(out))
+    rig = estimate_extrinsics(read_sensors(sensors), load(plugin, block))
+    click.echo(json.dumps(as_dict(rig), allow_nan=False) if as_json else as_text(rig))
+    if folder is not None:
+        for path in write_folder(rig, folder):
+            click.echo(printable(f"wrote {path}"), err=as_json)
+    return 0 if rig.verdict.trusted and not rig.graph.contradictions else 1
+
+
+def _made(folder: Path) -> Path:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as problem:
+        got = problem.strerror or str(problem)
+        raise InputError("cannot write the results", where=folder, got=got, hint="choose another folder") from problem
+    return folder
