@@ -1,8 +1,9 @@
 """What does `p2o fleet` detect, how often is it wrong, how much does it cost, and what is lost when it is killed?
 
+    python benchmarks/fleet.py real --out DIR             # 200 drives of real and simulated rigs, some with a slip
     python benchmarks/fleet.py detect                     # resampled fleets: slips, false alarms, delays
     python benchmarks/fleet.py types                      # a wrong nominal extrinsic of 30 vehicles
-    python benchmarks/fleet.py store --vehicles 20        # a year of checks: bytes, seconds and memory per vehicle
+    python benchmarks/fleet.py store --jobs 2             # queries over 1,000 vehicles and a year: seconds and memory
     python benchmarks/fleet.py throughput --data DIR      # checks per second with 1, 2 and 4 local workers
     python benchmarks/fleet.py cluster --seconds 4        # what 100 workers would do, from measured task times
     python benchmarks/fleet.py kills --kills 100          # a run that is killed again and again
@@ -31,6 +32,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from fleet_drives import real
 from p2o.arrays import Float
 from p2o.confidence.audit import AXES
 from p2o_fleet.drive import drives_of
@@ -132,28 +134,45 @@ def _bias(bank: NoiseBank, rig: str) -> Float:
     return np.asarray(bank.centred[bank.groups[rig]].mean(axis=0))
 
 
-def store(vehicles: int, days: int, per_day: int) -> list[str]:
-    """Return size and time per vehicle of a store of a year, before and after compaction."""
-    lines = [
-        "| files | vehicles, checks | bytes per check | s per vehicle to read | s per vehicle for all states | MB |"
-    ]
-    lines.append("|---|---|---|---|---|---|")
+def store(vehicles: int, days: int, per_day: int, jobs: int) -> list[str]:
+    """Return time and memory of queries over a year of checks, in files as daily runs leave them."""
+    import pyarrow.dataset
+
+    lines = ["| query | wall, s | s of a core per vehicle | MB of a process |", "|---|---|---|---|"]
     scenario = Scenario(vehicles, days * per_day, per_day, ("kitti",), {Fault.SLIP: 0.1})
     with tempfile.TemporaryDirectory() as home:
-        for by_month in (False, True):
-            own = Store(Path(home) / str(by_month))
-            total = write_fleet(simulated_fleet(scenario, NoiseBank.shipped()), own, by_month=by_month)
-            size = sum(path.stat().st_size for path in own.checks_folder.rglob("*.parquet"))
-            began = time.process_time()
-            assert sum(len(checks) for checks in own.checks()) == total
-            read = time.process_time() - began
-            began = time.process_time()
-            fleet_state(own)
-            whole = time.process_time() - began
-            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-            row = [f"{vehicles}, {total:,}", f"{size / total:.0f}", f"{read / vehicles:.3f}", f"{whole / vehicles:.3f}"]
-            lines.append(f"| {'per month' if by_month else 'per day'} | " + " | ".join(row) + f" | {peak:.0f} |")
-    return lines
+        own = Store(Path(home))
+        total = write_fleet(simulated_fleet(scenario, NoiseBank.shipped()), own)
+        paths = list(own.checks_folder.rglob("*.parquet"))
+        size = sum(path.stat().st_size for path in paths)
+
+        def mean_by_vehicle() -> None:
+            data = pyarrow.dataset.dataset(own.checks_folder, format="parquet")
+            table = data.to_table(columns=["vehicle", "yaw_deg"]).group_by("vehicle").aggregate([("yaw_deg", "mean")])
+            assert table.num_rows == vehicles
+
+        def states() -> None:
+            assert fleet_state(own, workers=Workers(jobs)).checks == total
+
+        queries = {
+            "mean yaw of each vehicle, Arrow": mean_by_vehicle,
+            f"states of all extrinsics, {jobs} workers": states,
+        }
+        for name, query in queries.items():
+            began, cores = time.monotonic(), _core_seconds()
+            query()
+            wall, cores = time.monotonic() - began, _core_seconds() - cores
+            who = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+            peak = max(resource.getrusage(one).ru_maxrss for one in who) / 1024
+            lines.append(f"| {name} | {wall:.1f} | {cores / vehicles:.3f} | {peak:.0f} |")
+    lines += ["", "| vehicles | checks | files | bytes per check |", "|---|---|---|---|"]
+    return [*lines, f"| {vehicles:,} | {total:,} | {len(paths):,} | {size / total:.0f} |"]
+
+
+def _core_seconds() -> float:
+    """Return the processor time of this process and of its children that ended."""
+    usages = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(usage.ru_utime + usage.ru_stime for usage in usages)
 
 
 def throughput(data: Sequence[str], repeat: int, workers: Sequence[int]) -> list[str]:
@@ -352,6 +371,11 @@ def write_bank(source: Path, out: Path, rigs: Sequence[str]) -> list[str]:
 def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
+    own = commands.add_parser("real")
+    own.add_argument("--root", type=Path, default=Path("build/data"))
+    own.add_argument("--out", type=Path, required=True, help="folder of the table, the store and the report")
+    own.add_argument("--splits", type=Path, default=Path("benchmarks/splits.json"))
+    own.add_argument("--jobs", type=int, default=1)
     own = commands.add_parser("detect")
     own.add_argument("--vehicles", type=int, default=1000)
     own.add_argument("--checks", type=int, default=125)
@@ -361,9 +385,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     own.add_argument("--fleets", type=int, default=100)
     own.add_argument("--vehicles", type=int, default=30)
     own = commands.add_parser("store")
-    own.add_argument("--vehicles", type=int, default=20)
+    own.add_argument("--vehicles", type=int, default=1000)
     own.add_argument("--days", type=int, default=365)
     own.add_argument("--per-day", type=int, default=10)
+    own.add_argument("--jobs", type=int, default=2)
     own = commands.add_parser("throughput")
     own.add_argument("--data", action="append", required=True, help="DATASET:PATH of a drive, more than once")
     own.add_argument("--repeat", type=int, default=1)
@@ -393,9 +418,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     elif command == "bank":
         lines = write_bank(words["store"], words["out"], words["rigs"])
     else:
-        lines = {"detect": detect, "types": types, "store": store, "throughput": throughput, "cluster": cluster}[
-            command
-        ](**words)
+        lines = {
+            "real": real,
+            "detect": detect,
+            "types": types,
+            "store": store,
+            "throughput": throughput,
+            "cluster": cluster,
+        }[command](**words)
     print("\n".join(lines))
     return 1 if failed else 0
 

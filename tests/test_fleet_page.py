@@ -140,7 +140,7 @@ def test_the_page_of_a_thousand_vehicles_filters_searches_and_shows_histories(tm
 
     shares = {Fault.SLIP: 0.05, Fault.SWAPPED: 0.02}
     store = Store(tmp_path / "store")
-    write_fleet(simulated_fleet(Scenario(1000, 24, shares=shares), NoiseBank.shipped()), store, by_month=True)
+    write_fleet(simulated_fleet(Scenario(1000, 24, shares=shares), NoiseBank.shipped()), store)
     state = fleet_state(store)
     index = write_page(state, tmp_path / "report")
     assert index.stat().st_size < 2_000_000

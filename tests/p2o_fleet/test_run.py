@@ -105,7 +105,7 @@ def test_without_arrow_the_command_names_the_extra(
         ["run", "drives.txt"],
         ["report", "--store", "nothing"],
         ["report", "--rate", "2"],
-        ["compact", "--before", "May"],
+        ["compact", "--store", "nothing"],
         ["simulate", "out", "--rigs", "moon"],
     ],
 )
