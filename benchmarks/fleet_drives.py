@@ -2,8 +2,8 @@
 
 Drives are pieces of four to six frames: of drive 0005 and of the drives of KITTI's split `train`, once consecutive and
 once spread, of odometry 00, of the development parts of other rigs, and of simulated drives with an HDL-64E. A vehicle
-is a list of drives, one a day. Vehicles whose name begins with `slip` get the drives of another vehicle; from the
-fifth drive on, their LiDAR has moved on one axis (`slipped_drives.py`).
+is a list of drives, one a day. Vehicles whose name begins with `slip` have drives of the others; from the ninth drive
+on, their LiDAR has moved on one axis (`slipped_drives.py`).
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from p2o.geometry.pose_error import pose_error
 from p2o_fleet.fleet_state import Alarm, ExtrinsicState, FleetState, FleetStatus, amount, fleet_state
 from p2o_fleet.store import Store
 
-FRAMES, BEFORE, DRIVES = 4, 4, 10
+FRAMES, BEFORE, DRIVES = 4, 8, 22
 """Number of frames of a check, of drives of a vehicle before its slip, and of all drives of a vehicle with a slip."""
 _BEGIN, _DAY_S = 1767225600, 86400
 _SIMULATED = {"sim-a": 21, "sim-b": 22}
-_SCENES = 40
+_SCENES = 80
 _SIZES = {"deg": 0.5, "m": 0.05}
 _PLUGIN = Path(__file__).with_name("slipped_drives.py")
 COLUMNS = ("vehicle", "vehicle_type", "camera", "lidar", "data", "extrinsic", "time", "frames")
@@ -80,8 +80,8 @@ def spread_out(names: Sequence[str], size: int = FRAMES) -> list[list[str]]:
     return [list(names[first::count]) for first in range(count)]
 
 
-def _mixed(parts: list[list[str]]) -> list[list[str]]:
-    return [parts[at] for at in np.random.default_rng(0).permutation(len(parts))]
+def _mixed(parts: list[list[str]], seed: int = 0) -> list[list[str]]:
+    return [parts[at] for at in np.random.default_rng(seed).permutation(len(parts))]
 
 
 def vehicles(root: Path, splits: Mapping[str, Sequence[str]], simulated: Path) -> list[Vehicle]:
@@ -105,7 +105,8 @@ def vehicles(root: Path, splits: Mapping[str, Sequence[str]], simulated: Path) -
     fleet += [Vehicle(name, "sim-hdl-64e", drives) for name, drives in sims.items()]
     for axis, (name, unit) in enumerate(AXES):
         size = _SIZES[unit] * (1 if axis % 2 == 0 else -1)
-        fleet.append(Vehicle(f"slip-{name}", "kitti", kitti[f"kitti-{axis % 3 + 1}"][:DRIVES], slip=(axis, size)))
+        parts = _mixed(near if axis % 2 == 0 else far, seed=1 + axis)[:DRIVES]
+        fleet.append(Vehicle(f"slip-{name}", "kitti", _pieces("kitti-raw", raw, parts), slip=(axis, size)))
     fleet.append(Vehicle("slip-sim-yaw", "sim-hdl-64e", sims["sim-a"][:DRIVES], slip=(2, -_SIZES["deg"])))
     fleet.append(Vehicle("slip-sim-y", "sim-hdl-64e", sims["sim-b"][:DRIVES], slip=(4, _SIZES["m"])))
     return fleet + _other_rigs(root, splits)

@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 import yaml
-from fleet import write_drives
+from fleet_kills import write_drives
 from p2o.cli import main
 from p2o_fleet.fleet_state import fleet_state
 from p2o_fleet.page import write_page

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 import pytest
-from fleet import kills
+from fleet_kills import kills
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs processes that are forked")

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fleet import cluster, logs_of, noise_of
+from fleet import cluster
+from fleet_detection import logs_of, noise_of
 from p2o.errors import InputError
 from p2o_fleet.simulation import Fault, NoiseBank, Scenario, simulated_fleet, write_fleet
 from p2o_fleet.statistics import discoveries

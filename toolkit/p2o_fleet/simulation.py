@@ -62,10 +62,10 @@ class NoiseBank:
         return cls.of_rows(json.loads(text)["checks"])
 
     @classmethod
-    def of_store(cls, store: Store) -> NoiseBank:
-        """Return the usable evidence of a store, by vehicle type."""
+    def of_store(cls, store: Store, vehicles: Sequence[str] | None = None) -> NoiseBank:
+        """Return the usable evidence of some vehicles of a store, or of all, by vehicle type."""
         rows: list[dict[str, Any]] = []
-        for checks in store.checks():
+        for checks in store.checks(vehicles):
             own = checks.take(np.flatnonzero(checks.usable))
             for at in range(len(own)):
                 upper = own.covariance[at][UPPER]
