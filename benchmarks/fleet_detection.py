@@ -69,7 +69,7 @@ class _Judged:
     frames: Int
     axes: Int
 
-    def found(self, alarms: Bool) -> int | None:
+    def detected_after(self, alarms: Bool) -> int | None:
         """Return the check after which the fault is found, by the alarms (T,) after each check."""
         first = np.flatnonzero(alarms[self.begin :])
         return self.begin + int(first[0]) if len(first) else None
@@ -91,7 +91,7 @@ def _detected(scenario: Scenario, bank: NoiseBank) -> list[str]:
     for one, alarms in zip(fleet, rejected, strict=True):
         false[one.vehicle.fault.value] += bool(alarms[: one.begin].any())
         if one.vehicle.fault is sought:
-            last = one.found(alarms)
+            last = one.detected_after(alarms)
             delays.append(np.inf if last is None else float(one.frames[last + 1] - one.frames[one.begin]))
             if last is not None:
                 right += int(one.axes[last]) == one.vehicle.axis
