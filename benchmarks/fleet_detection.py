@@ -21,7 +21,7 @@ RATE = 0.01
 WITHIN = 200
 _SAMPLED_VEHICLES = 100
 _LONG = 8
-"""The fleets without a fault and with drifts have this many times as many checks."""
+"""The fleets without a fault and with drifts have the number of checks times this factor."""
 
 
 def detect(vehicles: int, checks: int, fleets: int, rigs: Sequence[str], seed: int) -> list[str]:
