@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import importlib.util
 import json
 import os
@@ -12,13 +13,14 @@ import socket
 import subprocess
 import sys
 import time
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
-from fleet import write_drives
+from fleet_kills import write_drives
 from p2o.cli import main
 from p2o_fleet.fleet_state import fleet_state
 from p2o_fleet.page import write_page
@@ -33,10 +35,49 @@ QUICK = ("--frames", "1", "--candidates", "1", "--extractor", "depth/rings", "--
 NEEDS_DASK = pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason='needs pip install ".[dask]"')
 
 
-def _services() -> dict[str, Any]:
+def _compose() -> str:
     [compose] = [block.text for block in blocks(PAGE) if block.language == "yaml"]
-    services: dict[str, Any] = yaml.safe_load(compose)["services"]
+    return compose
+
+
+def _services() -> dict[str, Any]:
+    services: dict[str, Any] = yaml.safe_load(_compose())["services"]
     return services
+
+
+def test_the_compose_file_builds_the_image_of_this_project_with_extras_that_exist() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    image = (ROOT / "Containerfile").read_text()
+    for service in _services().values():
+        assert (ROOT / service["build"]["context"] / service["build"]["dockerfile"]).is_file()
+        [(name, value)] = service["build"]["args"].items()
+        assert f"ARG {name}=" in image
+        assert set(value.strip("[]").split(",")) <= extras.keys()
+        assert {"fleet", "dask"} <= set(value.strip("[]").split(","))
+        assert service.keys() <= {"build", "entrypoint", "command", "ports", "volumes", "depends_on"}
+        assert all(re.fullmatch(r"/\w+:/\w+:ro", volume) for volume in service.get("volumes", ()))
+
+
+@NEEDS_DASK
+def test_the_commands_of_the_compose_file_exist_and_belong_together() -> None:
+    from p2o_fleet.cli.fleet import run
+
+    services = _services()
+    parsed = {}
+    for name, service in services.items():
+        program, command, *words = service["entrypoint"]
+        assert (program, command, service["command"]) == ("dask", name, [])
+        main = importlib.import_module(f"distributed.cli.dask_{name}").main
+        parsed[name] = main.make_context(name, words).params
+    port = int(parsed["scheduler"]["port"])
+    assert services["scheduler"]["ports"] == [f"{port}:{port}"]
+    assert parsed["worker"]["scheduler"] == f"tcp://scheduler:{port}"
+    assert services["worker"]["depends_on"] == ["scheduler"]
+    start, client = re.fullmatch(r"# (docker compose .*), then: (.*)", _compose().splitlines()[0]).groups()  # type: ignore[union-attr]
+    assert start.split()[-1].partition("=")[0] in services
+    words = ["drives.csv" if word == "..." else word for word in client.split()[3:]]
+    assert client.startswith("p2o fleet run ")
+    assert run.make_context("run", words).params["scheduler"] == f"tcp://localhost:{port}"
 
 
 def test_the_lines_of_the_page_run(
@@ -140,7 +181,7 @@ def test_the_page_of_a_thousand_vehicles_filters_searches_and_shows_histories(tm
 
     shares = {Fault.SLIP: 0.05, Fault.SWAPPED: 0.02}
     store = Store(tmp_path / "store")
-    write_fleet(simulated_fleet(Scenario(1000, 24, shares=shares), NoiseBank.shipped()), store, by_month=True)
+    write_fleet(simulated_fleet(Scenario(1000, 24, shares=shares), NoiseBank.shipped()), store)
     state = fleet_state(store)
     index = write_page(state, tmp_path / "report")
     assert index.stat().st_size < 2_000_000

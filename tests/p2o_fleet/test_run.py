@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fleet import write_drives
+from fleet_kills import write_drives
 from p2o.cli import main
 from p2o_fleet.drive import Drive, drives_of
 from p2o_fleet.evidence import CheckEvidence, Verdict
@@ -105,7 +105,7 @@ def test_without_arrow_the_command_names_the_extra(
         ["run", "drives.txt"],
         ["report", "--store", "nothing"],
         ["report", "--rate", "2"],
-        ["compact", "--before", "May"],
+        ["compact", "--store", "nothing"],
         ["simulate", "out", "--rigs", "moon"],
     ],
 )

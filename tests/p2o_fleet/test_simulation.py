@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fleet import cluster, logs_of, noise_of
+from fleet import cluster
+from fleet_detection import logs_of, noise_of
 from p2o.errors import InputError
 from p2o_fleet.simulation import Fault, NoiseBank, Scenario, simulated_fleet, write_fleet
 from p2o_fleet.statistics import discoveries
@@ -25,16 +26,16 @@ def test_the_shipped_noise_has_positive_definite_covariances_and_a_median_of_zer
 
 
 def test_a_store_of_simulated_checks_is_read_as_they_were(tmp_path: Path) -> None:
-    scenario = replace(SCENARIO, vehicles=2, checks=30, shares={Fault.BROKEN: 1.0})
+    scenario = replace(SCENARIO, vehicles=2, checks=100, per_day=2.0, shares={Fault.BROKEN: 1.0})
     fleet = list(simulated_fleet(scenario, BANK))
-    for by_month in (False, True):
-        store = Store(tmp_path / str(by_month))
-        assert write_fleet(iter(fleet), store, by_month=by_month) == 60
-        for read, written in zip(store.checks(), fleet, strict=True):
-            assert (read.usable == written.checks.usable).all()
-            assert np.nan_to_num(read.error) == pytest.approx(np.nan_to_num(written.checks.error))
-            assert np.nan_to_num(read.covariance) == pytest.approx(np.nan_to_num(written.checks.covariance))
-            assert read.texts["verdict"].tolist() == written.checks.texts["verdict"].tolist()
+    store = Store(tmp_path)
+    assert write_fleet(iter(fleet), store) == 200
+    assert {path.parent.name for path in store.parts(fleet[0].name)} > {"day=2026", "day=2026-02"}
+    for read, written in zip(store.checks(), fleet, strict=True):
+        assert (read.usable == written.checks.usable).all()
+        assert np.nan_to_num(read.error) == pytest.approx(np.nan_to_num(written.checks.error))
+        assert np.nan_to_num(read.covariance) == pytest.approx(np.nan_to_num(written.checks.covariance))
+        assert read.texts["verdict"].tolist() == written.checks.texts["verdict"].tolist()
 
 
 def test_slips_of_half_a_degree_or_5_cm_are_found_within_200_frames_and_nothing_else() -> None:

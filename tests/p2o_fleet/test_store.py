@@ -11,7 +11,7 @@ import pytest
 from p2o.errors import InputError
 from p2o_fleet.evidence import Verdict
 from p2o_fleet.schema import COLUMNS, Checks
-from p2o_fleet.store import Store, read_part
+from p2o_fleet.store import MAX_DAYS, Store, read_part
 
 from tests.p2o_fleet.fleet_data import BEGIN, POSE, SIGMA, drive, evidence, filled
 
@@ -164,24 +164,27 @@ def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path: Path, monkeypatch: 
     assert not list(store.journals.iterdir())
 
 
-def test_compaction_merges_months_and_keeps_every_check(tmp_path: Path) -> None:
+def test_files_of_many_days_are_merged_by_month_and_year_and_every_check_is_kept(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    filled(store, "a", np.random.default_rng(0).normal(size=(60, 6)))
-    before, files = only(store), len(store.parts("a"))
-    assert store.compact("2026-02") == 1
-    assert (files, len(store.parts("a"))) == (6, 1)
-    after = only(store)
-    assert (after.error == before.error).all()
-    assert (after.texts["key"] == before.texts["key"]).all()
-    assert store.compact("2026-02") == 0
+    errors = np.random.default_rng(0).normal(size=(580, 6))
+    for day in range(58):  # January and most of February, as daily runs write them
+        with store.writer() as writer:
+            for number in range(10 * day, 10 * day + 10):
+                writer.put(evidence(drive("a", number), errors[number]))
+        assert len(store.parts("a")) <= MAX_DAYS + 2
+    folders = {path.parent.name for path in store.parts("a")}
+    assert {name for name in folders if len(name) < len("day=2026-01-01")} == {"day=2026", "day=2026-02"}
+    assert (only(store).error == errors).all()
     with store.writer() as writer:
         assert writer.finished(drive("a", 7), drive("a", 7).key()), "a merged check is finished"
         writer.put(evidence(drive("a", 5, data="folder:late")))
-    assert store.compact("2026-02") == 1
-    assert len(only(store)) == 61
+    assert store.compact() == 2
+    assert sorted(path.parent.name for path in store.parts("a")) == ["day=2026", "day=2026-02"]
+    assert len(only(store)) == 581
+    assert store.compact() == 0
 
 
-def test_a_compaction_that_is_killed_counts_no_check_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_merge_that_is_killed_counts_no_check_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     store = Store(tmp_path)
     filled(store, "a", np.zeros((30, 6)))
 
@@ -191,11 +194,37 @@ def test_a_compaction_that_is_killed_counts_no_check_twice(tmp_path: Path, monke
     with monkeypatch.context() as patch:
         patch.setattr(Path, "unlink", killed)
         with pytest.raises(KeyboardInterrupt):
-            store.compact("2026-02")
+            store.compact()
     assert len(only(store)) == 30
-    store.compact("2026-02")
+    store.compact()
     assert len(only(store)) == 30
     assert len(store.parts("a")) == 1
+
+
+def test_two_merges_at_the_same_time_lose_no_check(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    filled(store, "a", np.zeros((30, 6)))
+    before = store.parts("a")
+    filled(store, "a", np.ones((40, 6)))
+    assert store._merge("a", store.parts("a"))
+    assert not store._merge("a", before), "the files that this merge listed are gone"
+    assert len(only(store)) == 40
+
+
+def test_a_reader_that_lists_folders_while_files_are_merged_reads_every_check(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = Store(tmp_path)
+    filled(store, "a", np.zeros((30, 6)))
+    real, listings = Store.parts, list[str]()
+
+    def parts(self: Store, vehicle: str, day: str | None = None) -> list[Path]:
+        listings.append(vehicle)
+        # The first listing saw the folders of days before the merge, and their content after it.
+        return [] if len(listings) == 1 else real(self, vehicle, day)
+
+    monkeypatch.setattr(Store, "parts", parts)
+    assert len(only(store)) == 30
 
 
 def test_a_damaged_file_is_named(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from itertools import pairwise
 from typing import Any
@@ -18,7 +18,7 @@ from p2o.geometry.perturb import parse_accuracy
 from p2o_study.parallel import Workers
 
 from p2o_fleet.evidence import Verdict
-from p2o_fleet.noise import PairNoise, estimate_noise
+from p2o_fleet.noise import PairNoise, Samples, estimate_noise, sampled
 from p2o_fleet.schema import Checks
 from p2o_fleet.segments import Pair, Segment, segments_of
 from p2o_fleet.statistics import (
@@ -45,7 +45,7 @@ _LEAST_PART = 4.0
 _MIN_VEHICLES = 5
 """Minimum number of vehicles of one type for a systematic error."""
 _HISTORY = 240
-"""Maximum number of points of the history of an extrinsic."""
+"""Maximum number of checks in the history of an extrinsic."""
 
 
 class FleetStatus(StrEnum):
@@ -123,15 +123,19 @@ class Alarm:
     systematic: bool = False
 
 
-@dataclass(frozen=True)
-class HistoryPoint:
-    """One check in the history: its time, verdict, errors (6) and deviations (6), and the log e-value after it."""
+@dataclass(frozen=True, eq=False)
+class History:
+    """Checks of an extrinsic in order of time, at most 240 of them (N,), evenly spaced.
 
-    time: float
-    verdict: str
-    error: tuple[float, ...] | None
-    sigma: tuple[float, ...] | None
-    log_e: float
+    `error` and `sigma` (N, 6) are errors and their deviations, NaN without an estimate; `log_e` (N,) is the log e-value
+    after each check.
+    """
+
+    time: Float
+    verdict: tuple[str, ...]
+    error: Float
+    sigma: Float
+    log_e: Float
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +161,7 @@ class ExtrinsicState:
     log_e: Float
     mean: MeanError | None
     alarm: Alarm | None
-    history: tuple[HistoryPoint, ...]
+    history: History
 
     @property
     def pair(self) -> Pair:
@@ -226,12 +230,15 @@ class FleetState:
 def fleet_state(store: Store, rules: FleetRules | None = None, workers: Workers | None = None) -> FleetState:
     """Compute the state of a fleet from its stored evidence; each worker has one vehicle at a time in memory."""
     rules = rules or FleetRules()
-    noise = estimate_noise(store, _sizes(rules.tolerance, "--tolerance"), trends=rules.trends)
     names = store.vehicles()
-    jobs = [_VehiclesJob(store, names[n : n + _PER_JOB], noise, rules) for n in range(0, len(names), _PER_JOB)]
-    with (workers or Workers()).start() as run, contextlib.closing(run(_segments, jobs, _lost)) as results:
-        segments = sorted((one for own in results for one in own), key=lambda one: one.state.vehicle)
-    states = _with_alarms(segments, rules)
+    jobs = [_VehiclesJob(store, names[n : n + _PER_JOB], rules) for n in range(0, len(names), _PER_JOB)]
+    with (workers or Workers()).start() as run:
+        with contextlib.closing(run(_sampled, jobs, _lost)) as samples:
+            noise = estimate_noise(samples, _sizes(rules.tolerance, "--tolerance"), trends=rules.trends)
+        jobs = [replace(job, noise=noise) for job in jobs]
+        with contextlib.closing(run(_evaluated, jobs, _lost)) as results:
+            states = sorted((one for own in results for one in own), key=lambda one: one.vehicle)
+    states = _with_alarms(states, rules)
     until = max((state.last for state in states), default=0.0)
     types = _types(states, noise, rules)
     states = [_attributed(state, types) for state in states]
@@ -240,53 +247,41 @@ def fleet_state(store: Store, rules: FleetRules | None = None, workers: Workers 
 
 
 @dataclass(frozen=True, eq=False)
-class _Judged:
-    """A segment with its usable checks, errors without trend, and the log e-process (T, 6)."""
-
-    state: ExtrinsicState
-    times: Float
-    error: Float
-    covariance: Float
-    frames: Any
-    data: Any
-    pose: Float | None
-
-
-@dataclass(frozen=True, eq=False)
 class _VehiclesJob:
-    """Vehicles whose checks a worker evaluates."""
+    """Vehicles whose checks a worker evaluates, with the noise of their types once it is known."""
 
     store: Store
     vehicles: Sequence[str]
-    noise: Mapping[Pair, PairNoise]
     rules: FleetRules
+    noise: Mapping[Pair, PairNoise] = field(default_factory=dict)
 
 
-def _segments(job: _VehiclesJob) -> list[_Judged]:
-    """Return the segments of the vehicles with their e-processes."""
-    tolerance = _sizes(job.rules.tolerance, "--tolerance")
+def _sampled(job: _VehiclesJob) -> dict[Pair, Samples]:
+    return sampled(job.store, job.vehicles)
+
+
+def _evaluated(job: _VehiclesJob) -> list[ExtrinsicState]:
+    """Return the states of the vehicles, each with the alarm that it has if its evidence is a discovery."""
     checks = job.store.checks(job.vehicles)
-    return [_judged(one, job.noise, tolerance) for own in checks for one in segments_of(own)]
+    return [_state(one, job.noise.get(one.pair), job.rules) for own in checks for one in segments_of(own)]
 
 
-def _lost(job: _VehiclesJob, problem: P2OError) -> list[_Judged]:
+def _lost(job: _VehiclesJob, problem: P2OError) -> Any:
     """Raise the problem of a worker that died: a report without one vehicle would be wrong."""
     raise problem
 
 
-def _judged(segment: Segment, noise: Mapping[Pair, PairNoise], tolerance: tuple[float, ...]) -> _Judged:
-    """Return a segment with its e-process, as a state without alarms."""
+def _state(segment: Segment, noise: PairNoise | None, rules: FleetRules) -> ExtrinsicState:
+    """Return the state of a segment before the false discovery rate of the fleet is known."""
     checks = segment.checks
-    rows = np.flatnonzero(checks.usable)
-    own = checks.take(rows)
-    own_noise = noise.get(segment.pair) or PairNoise(NoiseModel(tolerance=tolerance))
-    error = own_noise.without_trend(own)
-    logs = e_process(error, own.covariance, own_noise.model)
-    covariance = own.covariance * own_noise.model.inflation
-    total = np.logaddexp.reduce(logs, axis=1) - np.log(len(AXES)) if len(own) else np.zeros(0)
-    posed = np.flatnonzero(np.isfinite(checks.pose).all(axis=(1, 2)))
+    own = checks.take(np.flatnonzero(checks.usable))
+    noise = noise or PairNoise(NoiseModel(tolerance=_sizes(rules.tolerance, "--tolerance")))
+    error, covariance = noise.without_trend(own), own.covariance * noise.model.inflation
+    shown = np.unique(np.linspace(0, len(checks) - 1, min(len(checks), _HISTORY)).round().astype(int))
+    known = np.cumsum(checks.usable)[shown]
+    logs = np.zeros((len(shown), len(AXES)))
+    logs[known > 0] = e_process(error, own.covariance, noise.model, known[known > 0] - 1)
     texts = checks.texts
-    unreadable = int((texts["verdict"] == Verdict.UNREADABLE.value).sum())
     state = ExtrinsicState(
         vehicle=checks.vehicle,
         vehicle_type=segment.vehicle_type,
@@ -300,17 +295,22 @@ def _judged(segment: Segment, noise: Mapping[Pair, PairNoise], tolerance: tuple[
         last=float(checks.time[-1]),
         checks=len(checks),
         usable=len(own),
-        unreadable=unreadable,
+        unreadable=int((texts["verdict"] == Verdict.UNREADABLE.value).sum()),
         frames=int(checks.frame_count.sum()),
         status=FleetStatus.CANNOT_TELL,
         reason=_last_reason(checks),
-        log_e=logs[-1] if len(own) else np.zeros(len(AXES)),
+        log_e=logs[-1],
         mean=mean_error(error[-_MEAN_OF:], covariance[-_MEAN_OF:]) if len(own) else None,
         alarm=None,
-        history=_history(checks, rows, error, covariance, total),
+        history=_history(checks, shown, known, error, covariance, logs),
     )
-    pose = checks.pose[posed[-1]] if len(posed) else None
-    return _Judged(state, own.time, error, covariance, own.frame_count, own.texts["data"], pose)
+    posed = np.flatnonzero(np.isfinite(checks.pose).all(axis=(1, 2)))
+    # No e-value below 1 / rate is a discovery, whatever the others are.
+    if not len(posed) or state.total_log_e < -np.log(rules.rate):
+        return state
+    alarm = _alarm(state, own, error, covariance, checks.pose[posed[-1]], rules)
+    status = FleetStatus.WRONG if alarm.since <= own.time[0] else FleetStatus.SLIPPED
+    return replace(state, alarm=alarm, status=status)
 
 
 def _last_reason(checks: Checks) -> str:
@@ -318,39 +318,24 @@ def _last_reason(checks: Checks) -> str:
     return "" if recent.any() else f"no estimate in the last {len(recent)} checks: {checks.texts['reason'][-1]}"
 
 
-def _history(checks: Checks, rows: Any, error: Float, covariance: Float, total: Float) -> tuple[HistoryPoint, ...]:
-    """Return the checks, at most `_HISTORY` of them evenly spaced, as points of the history."""
-    place = np.full(len(checks), -1)
-    place[rows] = np.arange(len(rows))
-    points = []
-    level = 0.0
-    for number in np.unique(np.linspace(0, len(checks) - 1, min(len(checks), _HISTORY)).round().astype(int)):
-        at = int(place[number])
-        level = float(total[at]) if at >= 0 else level
-        size, sigma = (None, None) if at < 0 else (error[at], np.sqrt(np.diag(covariance[at])))
-        points.append(
-            HistoryPoint(
-                float(checks.time[number]),
-                str(checks.texts["verdict"][number]),
-                None if size is None else tuple(map(float, size)),
-                None if sigma is None else tuple(map(float, sigma)),
-                level,
-            )
-        )
-    return tuple(points)
+def _history(checks: Checks, shown: Any, known: Any, error: Float, covariance: Float, logs: Float) -> History:
+    """Return the history of these checks; `known` of them and of those before have an estimate."""
+    errors, sigmas = np.full((2, len(shown), len(AXES)), np.nan)
+    usable = checks.usable[shown]
+    at = known[usable] - 1
+    errors[usable], sigmas[usable] = error[at], np.sqrt(np.einsum("tii->ti", covariance[at]))
+    total = np.logaddexp.reduce(logs, axis=1) - np.log(len(AXES))
+    return History(checks.time[shown], tuple(map(str, checks.texts["verdict"][shown])), errors, sigmas, total)
 
 
-def _with_alarms(segments: Sequence[_Judged], rules: FleetRules) -> list[ExtrinsicState]:
-    """Return the states with alarms at the false discovery rate of the rules."""
-    rejected = discoveries(np.array([one.state.total_log_e for one in segments]), rules.rate)
+def _with_alarms(candidates: Sequence[ExtrinsicState], rules: FleetRules) -> list[ExtrinsicState]:
+    """Return the states with the alarms that the false discovery rate of the rules permits."""
+    rejected = discoveries(np.array([one.total_log_e for one in candidates]), rules.rate)
     notice = np.array(_sizes(rules.notice, "--notice"))
     states = []
-    for one, alarmed in zip(segments, rejected.tolist(), strict=True):
-        state = one.state
-        if alarmed and one.pose is not None:
-            alarm = _alarm(one, rules)
-            status = FleetStatus.WRONG if alarm.since <= one.times[0] else FleetStatus.SLIPPED
-            states.append(replace(state, status=status, alarm=alarm, reason=describe(alarm, status)))
+    for state, alarmed in zip(candidates, rejected.tolist(), strict=True):
+        if alarmed and state.alarm is not None:
+            states.append(replace(state, reason=describe(state.alarm, state.status)))
             continue
         status, reason = FleetStatus.HOLDS, f"no error beyond {rules.tolerance} in {state.usable} checks"
         if state.reason:
@@ -361,40 +346,41 @@ def _with_alarms(segments: Sequence[_Judged], rules: FleetRules) -> list[Extrins
                 FleetStatus.CANNOT_TELL,
                 f"an error of {rules.notice} may stay undetected on {names}",
             )
-        states.append(replace(state, status=status, reason=reason))
+        states.append(replace(state, status=status, reason=reason, alarm=None))
     return states
 
 
-def _alarm(one: _Judged, rules: FleetRules) -> Alarm:
-    """Return the alarm of a segment whose e-value is a discovery."""
-    axis = int(one.state.log_e.argmax())
-    began = onset(one.error[:, axis], np.sqrt(one.covariance[:, axis, axis]))
-    alone, alone_sigma = conditional(one.error, one.covariance)
+def _alarm(
+    state: ExtrinsicState, own: Checks, error: Float, covariance: Float, pose: Float, rules: FleetRules
+) -> Alarm:
+    """Return the alarm of a state from its usable checks, their errors without trend, and the extrinsic in use."""
+    axis = int(state.log_e.argmax())
+    began = onset(error[:, axis], np.sqrt(covariance[:, axis, axis]))
+    alone, alone_sigma = conditional(error, covariance)
     if began.index == 0:  # the change may show only if the other axes are taken as constant
         began = onset(alone[:, axis], alone_sigma[:, axis])
-    after = mean_error(one.error[began.index :], one.covariance[began.index :])
-    change, covariance = after.error, after.covariance
+    after = mean_error(error[began.index :], covariance[began.index :])
+    change, spread = after.error, after.covariance
     if began.index:
-        before = mean_error(one.error[: began.index], one.covariance[: began.index])
-        change, covariance = change - before.error, covariance + before.covariance
-    axes, *alternatives = _explained(axis, change, covariance, rules)
-    assert one.pose is not None
-    proposal = one.pose
+        before = mean_error(error[: began.index], covariance[: began.index])
+        change, spread = change - before.error, spread + before.covariance
+    axes, *alternatives = _explained(axis, change, spread, rules)
+    proposal = pose
     index = {name: number for number, (name, _) in enumerate(AXES)}
     for part in axes:
         proposal = corrected(proposal, index[part.axis], np.array([part.size]))[0]
-    last = one.data[-3:].tolist() if len(one.data) else []
-    proof = tuple(dict.fromkeys([*(one.data[began.index - 1 : began.index].tolist() if began.index else []), *last]))
+    data = own.texts["data"].tolist()
+    proof = tuple(dict.fromkeys([*data[max(0, began.index - 1) : began.index], *data[-3:]]))
     return Alarm(
         axes,
         tuple(alternatives),
-        float(one.times[began.index]),
-        float(one.times[began.first]),
-        float(one.times[began.last]),
-        one.state.total_log_e,
+        float(own.time[began.index]),
+        float(own.time[began.first]),
+        float(own.time[began.last]),
+        state.total_log_e,
         proposal,
-        len(one.times) - began.index,
-        int(one.frames[began.index :].sum()),
+        len(own) - began.index,
+        int(own.frame_count[began.index :].sum()),
         proof,
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -48,7 +48,7 @@ class PairNoise:
 
 
 @dataclass(eq=False)
-class _Samples:
+class Samples:
     """Sampled checks of the vehicles of a type: one array per vehicle and extrinsic."""
 
     deviations: list[Float] = field(default_factory=list)
@@ -56,21 +56,39 @@ class _Samples:
     sigmas: list[Float] = field(default_factory=list)
     covariates: list[Float] = field(default_factory=list)
 
+    def extend(self, other: Samples) -> None:
+        """Add the samples of other vehicles of the same type."""
+        self.deviations += other.deviations
+        self.errors += other.errors
+        self.sigmas += other.sigmas
+        self.covariates += other.covariates
 
-def estimate_noise(store: Store, tolerance: tuple[float, ...], *, trends: bool) -> dict[Pair, PairNoise]:
-    """Estimate noise and trends of each type and pair of sensors from some checks of each vehicle."""
-    samples: dict[Pair, _Samples] = {}
-    for checks in store.checks(most_parts=_MAX_PARTS):
+
+def sampled(store: Store, vehicles: Sequence[str]) -> dict[Pair, Samples]:
+    """Return some checks of each vehicle, by type and pair of sensors."""
+    samples: dict[Pair, Samples] = {}
+    for checks in store.checks(vehicles, most_parts=_MAX_PARTS):
         for segment in segments_of(checks):
             usable = np.flatnonzero(segment.checks.usable).tolist()
             own = segment.checks.take(np.array(spread(usable, _SAMPLED), np.int64))
             if len(own) > 1:
-                sample = samples.setdefault(segment.pair, _Samples())
+                sample = samples.setdefault(segment.pair, Samples())
                 sample.deviations.append(local_deviations(own.error, own.covariance))
                 sample.errors.append(own.error)
                 sample.sigmas.append(np.sqrt(np.einsum("tii->ti", own.covariance)))
                 sample.covariates.append(covariates_of(own))
-    return {pair: _pair_noise(sample, tolerance, trends=trends) for pair, sample in samples.items()}
+    return samples
+
+
+def estimate_noise(
+    samples: Iterable[Mapping[Pair, Samples]], tolerance: tuple[float, ...], *, trends: bool
+) -> dict[Pair, PairNoise]:
+    """Estimate noise and trends of each type and pair of sensors from sampled checks of all vehicles."""
+    every: dict[Pair, Samples] = {}
+    for part in samples:
+        for pair, own in part.items():
+            every.setdefault(pair, Samples()).extend(own)
+    return {pair: _pair_noise(own, tolerance, trends=trends) for pair, own in every.items()}
 
 
 def covariates_of(checks: Checks) -> Float:
@@ -79,7 +97,7 @@ def covariates_of(checks: Checks) -> Float:
     return np.column_stack([checks.temperature_c, np.sin(angle), np.cos(angle)])
 
 
-def _pair_noise(sample: _Samples, tolerance: tuple[float, ...], *, trends: bool) -> PairNoise:
+def _pair_noise(sample: Samples, tolerance: tuple[float, ...], *, trends: bool) -> PairNoise:
     model = NoiseModel(noise_scale(sample.deviations), tolerance)
     every = np.concatenate(sample.covariates)
     known = np.isfinite(every).mean(axis=0) > 0.5

@@ -1,31 +1,11 @@
-"use strict";
+// Overview, vehicles and histories of a fleet; nodes.js comes first. Histories are in files that are loaded when a vehicle is selected.
 
-// Overview, vehicles and histories of a fleet. Histories are in files that are loaded when a vehicle is selected.
-
-const at = (id) => document.getElementById(id);
 const data = JSON.parse(at("data").textContent);
 const STATUSES = ["wrong", "slipped", "cannot-tell", "holds"];
 const NAMES = { wrong: "wrong since the first check", slipped: "slipped", "cannot-tell": "cannot tell", holds: "holds" };
 const MOST = 200;
 const state = { find: "", status: "", type: "", pair: "", retired: false, key: null, down: false, most: MOST };
 const files = new Map();
-
-function make(tag, attributes = {}, ...children) {
-  const element = document.createElement(tag);
-  for (const [name, value] of Object.entries(attributes)) {
-    if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
-    else if (value !== false && value !== undefined) element.setAttribute(name, value === true ? "" : value);
-  }
-  element.append(...children.filter((child) => child !== null && child !== undefined));
-  return element;
-}
-
-function draw(tag, attributes = {}, ...children) {
-  const element = document.createElementNS("http://www.w3.org/2000/svg", tag);
-  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
-  element.append(...children);
-  return element;
-}
 
 const pairOf = (row) => `${row.camera} and ${row.lidar}`;
 const shortTime = (text) => text.replace("T", " ").replace(/:\d\dZ$/, "");
@@ -121,14 +101,7 @@ function chosen() {
 
 function sorted(rows) {
   const column = COLUMNS.find((c) => c.title === state.key);
-  if (!column) return rows;
-  const direction = state.down ? -1 : 1;
-  const empty = (value) => value === null || value === undefined;
-  return rows.map((row, i) => [column.value(row), i, row]).sort(([a, i], [b, j]) => {
-    if (empty(a) || empty(b)) return empty(a) - empty(b) || i - j;
-    const order = typeof a === "string" ? a.localeCompare(b, "en", { numeric: true }) : a - b;
-    return direction * order || i - j;
-  }).map(([, , row]) => row);
+  return column ? sortedRows(rows, column.value, state.down) : rows;
 }
 
 function show() {
@@ -208,11 +181,11 @@ function frame(history, low, high) {
   const first = times[0], last = Math.max(times[times.length - 1], first + 1);
   const x = (time) => LEFT + ((time - first) / (last - first)) * (WIDTH - LEFT - RIGHT);
   const y = (value) => TOP + (1 - (value - low) / (high - low)) * (HEIGHT - TOP - BOTTOM);
-  const svg = draw("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img" });
+  const svg = shape("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img" });
   const day = (time) => new Date(1000 * time).toISOString().slice(0, 10);
-  svg.append(draw("text", { x: LEFT, y: HEIGHT - 6 }, day(first)), draw("text", { x: WIDTH - RIGHT, y: HEIGHT - 6, "text-anchor": "end" }, day(last)));
-  if (low < 0 && high > 0) svg.append(draw("line", { class: "zero", x1: LEFT, x2: WIDTH - RIGHT, y1: y(0), y2: y(0) }));
-  if (history.since !== null) svg.append(draw("line", { class: "since", x1: x(history.since), x2: x(history.since), y1: TOP, y2: HEIGHT - BOTTOM }));
+  svg.append(shape("text", { x: LEFT, y: HEIGHT - 6 }, day(first)), shape("text", { x: WIDTH - RIGHT, y: HEIGHT - 6, "text-anchor": "end" }, day(last)));
+  if (low < 0 && high > 0) svg.append(shape("line", { class: "zero", x1: LEFT, x2: WIDTH - RIGHT, y1: y(0), y2: y(0) }));
+  if (history.since !== null) svg.append(shape("line", { class: "since", x1: x(history.since), x2: x(history.since), y1: TOP, y2: HEIGHT - BOTTOM }));
   return { svg, x, y };
 }
 
@@ -225,14 +198,14 @@ function errorChart(history, [axis, unit], i) {
   const inside = (value) => Math.max(-limit, Math.min(limit, value));
   for (const [n, point] of known.entries()) {
     if (!point) {
-      svg.append(draw("circle", { class: "missing", cx: x(history.time[n]), cy: HEIGHT - BOTTOM, r: 1.5 }));
+      svg.append(shape("circle", { class: "missing", cx: x(history.time[n]), cy: HEIGHT - BOTTOM, r: 1.5 }));
       continue;
     }
     const [time, value, sigma] = point;
-    svg.append(draw("line", { class: "bar-line", x1: x(time), x2: x(time), y1: y(inside(value - 1.96 * sigma)), y2: y(inside(value + 1.96 * sigma)) }));
-    svg.append(draw("circle", { class: "dot", cx: x(time), cy: y(value), r: 2 }));
+    svg.append(shape("line", { class: "bar-line", x1: x(time), x2: x(time), y1: y(inside(value - 1.96 * sigma)), y2: y(inside(value + 1.96 * sigma)) }));
+    svg.append(shape("circle", { class: "dot", cx: x(time), cy: y(value), r: 2 }));
   }
-  for (const value of [-limit, 0, limit]) svg.append(draw("text", { x: LEFT - 4, y: y(value) + (value ? (value > 0 ? 8 : 0) : 4), "text-anchor": "end" }, value.toFixed(unit === "deg" ? 1 : 0)));
+  for (const value of [-limit, 0, limit]) svg.append(shape("text", { x: LEFT - 4, y: y(value) + (value ? (value > 0 ? 8 : 0) : 4), "text-anchor": "end" }, value.toFixed(unit === "deg" ? 1 : 0)));
   return make("figure", {}, make("h3", {}, `${axis} (${unitName(unit)})`), svg);
 }
 
@@ -240,8 +213,8 @@ function evidenceChart(history) {
   const values = history.logE.map((value) => Math.max(-5, Math.min(60, value ?? 0)));
   const { svg, x, y } = frame(history, Math.min(-5, ...values), Math.max(15, ...values));
   const points = values.map((value, n) => `${x(history.time[n])},${y(value)}`).join(" ");
-  svg.append(draw("polyline", { class: "level", points }));
-  for (const value of [0, 15]) svg.append(draw("text", { x: LEFT - 4, y: y(value) + 4, "text-anchor": "end" }, String(value)));
+  svg.append(shape("polyline", { class: "level", points }));
+  for (const value of [0, 15]) svg.append(shape("text", { x: LEFT - 4, y: y(value) + 4, "text-anchor": "end" }, String(value)));
   return make("figure", {}, make("h3", {}, "evidence of an error (log e-value)"), svg);
 }
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
+from p2o.arrays import Float
 from p2o.confidence.audit import AXES
 from p2o.draw.one_file import part, rendered
 from p2o.files.whole_file import write_errors, write_whole
@@ -58,7 +59,7 @@ def write_page(state: FleetState, folder: Path, overlays: Overlays | None = None
     page = rendered(
         "p2o_fleet/page.html",
         style="p2o_study.report/page.css",
-        scripts=(part("p2o_fleet/page.js"),),
+        scripts=(part("p2o_study.report/nodes.js") + part("p2o_fleet/page.js"),),
         script_files=True,
         title="Fleet",
         own_style=Markup(part("p2o_fleet/page.css")),
@@ -92,20 +93,20 @@ def _row(state: ExtrinsicState) -> dict[str, Any]:
 
 def _history(state: ExtrinsicState, overlays: Overlays | None) -> dict[str, Any]:
     """Return the history of an extrinsic by column, and its overlays."""
-    points = state.history
+    past = state.history
     return {
-        "time": [round(point.time) for point in points],
-        "verdict": [point.verdict for point in points],
-        "error": [_rounded(point.error) for point in points],
-        "sigma": [_rounded(point.sigma) for point in points],
-        "logE": [round(point.log_e, 2) if math.isfinite(point.log_e) else None for point in points],
+        "time": [round(time) for time in past.time.tolist()],
+        "verdict": list(past.verdict),
+        "error": [_rounded(row) for row in past.error],
+        "sigma": [_rounded(row) for row in past.sigma],
+        "logE": [round(value, 2) if math.isfinite(value) else None for value in past.log_e.tolist()],
         "since": None if state.alarm is None else round(state.alarm.since),
         "overlays": overlays.of(state) if overlays is not None and state.status is not FleetStatus.HOLDS else [],
     }
 
 
-def _rounded(values: Sequence[float] | None) -> list[float] | None:
-    return None if values is None else [float(f"{value:.4g}") for value in np.asarray(values)]
+def _rounded(values: Float) -> list[float] | None:
+    return [float(f"{value:.4g}") for value in values] if np.isfinite(values).all() else None
 
 
 def _type(state: TypeState) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from p2o.errors import InputError
 from p2o_fleet.drive import day_of
 from p2o_fleet.evidence import UPPER, Verdict
 from p2o_fleet.schema import COLUMNS, ERROR_COLUMNS, TEXTS, Checks, arrow_schema
-from p2o_fleet.store import Store
+from p2o_fleet.store import MAX_DAYS, Store
 
 BANK = "noise.json"
 _DAY_S = 86400.0
@@ -62,10 +62,10 @@ class NoiseBank:
         return cls.of_rows(json.loads(text)["checks"])
 
     @classmethod
-    def of_store(cls, store: Store) -> NoiseBank:
-        """Return the usable evidence of a store, by vehicle type."""
+    def of_store(cls, store: Store, vehicles: Sequence[str] | None = None) -> NoiseBank:
+        """Return the usable evidence of some vehicles of a store, or of all, by vehicle type."""
         rows: list[dict[str, Any]] = []
-        for checks in store.checks():
+        for checks in store.checks(vehicles):
             own = checks.take(np.flatnonzero(checks.usable))
             for at in range(len(own)):
                 upper = own.covariance[at][UPPER]
@@ -233,14 +233,14 @@ def _checks(
     return Checks(vehicle, time, texts, temperature, error, covariance, pose, frames)
 
 
-def write_fleet(vehicles: Iterator[SimulatedVehicle], store: Store, *, by_month: bool = False) -> int:
-    """Write simulated vehicles to a store as a run, or as `compact` (`by_month`); return the number of checks."""
+def write_fleet(vehicles: Iterator[SimulatedVehicle], store: Store) -> int:
+    """Write simulated vehicles to a store, with the files that daily runs leave; return the number of checks."""
     import pyarrow.parquet as pq
 
     total = 0
     for vehicle in vehicles:
         table = _table(vehicle.checks)
-        days = np.array([day_of(time)[: 7 if by_month else 10] for time in vehicle.checks.time])
+        days = np.array(_partitions([day_of(time) for time in vehicle.checks.time]))
         starts = np.flatnonzero(np.concatenate([[True], days[1:] != days[:-1]]))
         for begin, end in zip(starts, [*starts[1:], len(days)], strict=True):
             folder = store.checks_folder / f"vehicle={quote(vehicle.name, safe='')}" / f"day={days[begin]}"
@@ -248,6 +248,12 @@ def write_fleet(vehicles: Iterator[SimulatedVehicle], store: Store, *, by_month:
             pq.write_table(table.slice(begin, end - begin), folder / "part-simulated.parquet", compression="zstd")
         total += len(days)
     return total
+
+
+def _partitions(days: Sequence[str]) -> list[str]:
+    """Return the year of days before the last month, the month of days of this month, and the last days themselves."""
+    last, recent = days[-1][:7], set(sorted(set(days))[-MAX_DAYS:])
+    return [day if day in recent else last if day[:7] == last else day[:4] for day in days]
 
 
 def _table(checks: Checks) -> Any:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from p2o.arrays import Bool, Float
+from p2o.arrays import Bool, Float, Int
 from p2o.confidence.audit import AXES
 
 CLIP = 4.0
@@ -24,6 +24,8 @@ _SINCE_FIRST = 0.25
 """Prior probability of an error that exists since the first check; the rest is for an onset at a later one."""
 _Z_95 = 1.959964
 _NEIGHBOURS = 3
+_BLOCK = 32
+"""Rows of a block of a cumulative sum: with clipped bets, its exponentials stay within the range of numbers."""
 _MIN_DEVIATIONS = 30
 
 
@@ -38,17 +40,38 @@ def onset_prior(count: int) -> Float:
     return np.concatenate([[_SINCE_FIRST], (1 - _SINCE_FIRST) * rest / 2.11])[:count]
 
 
-def mixture_over_onsets(log_ratios: Float) -> Float:
+def mixture_over_onsets(log_ratios: Float, at: Int | None = None) -> Float:
     """Return the log e-process (T, B) of bets with log likelihood ratios (T, B), mixed over the onset of the error.
 
     E_t = sum_k pi_k prod_(k <= i <= t) L_i + (1 - sum_(k <= t) pi_k): the bets begin at check k with probability pi_k.
+    With `at` (K,), only the values (K, B) after these checks are returned. The ratios are bounded as those of `bets`.
     """
+    at = np.arange(len(log_ratios)) if at is None else at
     prior = onset_prior(len(log_ratios))
     total = np.cumsum(log_ratios, axis=0)
     before = total - log_ratios
-    started = total + np.logaddexp.accumulate(np.log(prior)[:, None] - before, axis=0)
+    started = total[at] + _log_cumulative_sum(np.log(prior)[:, None] - before, at)
     waiting = np.log1p(-np.minimum(np.cumsum(prior), 1 - 1e-12))
-    return np.logaddexp(started, waiting[:, None])
+    return np.logaddexp(started, waiting[at, None])
+
+
+def _log_cumulative_sum(values: Float, at: Int) -> Float:
+    """Return the logarithm (K, B) of the sums of exp(values) (T, B) up to the rows `at` (K,).
+
+    Sums are computed in blocks of rows, whose exponentials are relative to their largest one: `logaddexp.accumulate`
+    takes ten times as long.
+    """
+    count, width = values.shape
+    blocks = -(-count // _BLOCK)
+    padded = np.full((blocks * _BLOCK, width), -np.inf)
+    padded[:count] = values
+    parts = padded.reshape(blocks, _BLOCK, width)
+    highest = parts.max(axis=1)
+    of_block = np.log(np.exp(parts - highest[:, None]).sum(axis=1)) + highest
+    earlier = np.concatenate([np.full((1, width), -np.inf), np.logaddexp.accumulate(of_block)[:-1]])
+    top = np.maximum(highest, earlier)
+    sums = np.cumsum(np.exp(parts - top[:, None]), axis=1) + np.exp(earlier - top)[:, None]
+    return np.asarray(np.log(sums.reshape(-1, width)[at]) + top[at // _BLOCK])
 
 
 def bets(standard: Float, tolerance: Float) -> Float:
@@ -101,14 +124,16 @@ class NoiseModel:
         return np.outer(self.scale, self.scale)
 
 
-def e_process(error: Float, covariance: Float, noise: NoiseModel) -> Float:
+def e_process(error: Float, covariance: Float, noise: NoiseModel, at: Int | None = None) -> Float:
     """Return the log e-process (T, 6) of each axis; the mean over the axes is one of the whole extrinsic.
 
-    Three statistics are averaged: the error itself beyond the tolerance, its change against the mean of all previous
-    checks, and the change of each axis under the assumption that the others did not change.
+    With `at` (K,), only its values (K, 6) after these checks are returned. Three statistics are averaged: the error
+    itself beyond the tolerance, its change against the mean of all previous checks, and the change of each axis under
+    the assumption that the others did not change.
     """
     if not len(error):
         return np.zeros((0, len(AXES)))
+    at = np.arange(len(error)) if at is None else at
     wide = covariance * noise.inflation
     sigma = np.sqrt(np.einsum("tii->ti", wide))
     none = np.zeros_like(error)
@@ -121,7 +146,7 @@ def e_process(error: Float, covariance: Float, noise: NoiseModel) -> Float:
     # The first check cannot show a change: without a bet, its factor is 1.
     for part in parts[1:]:
         part[0] = 0.0
-    logs = [mixture_over_onsets(part.reshape(len(error), -1)).reshape(part.shape) for part in parts]
+    logs = [mixture_over_onsets(part.reshape(len(error), -1), at).reshape(len(at), *part.shape[1:]) for part in parts]
     return log_mean(np.stack(logs), axes=(0, 3, 4))
 
 

@@ -27,6 +27,9 @@ from p2o_fleet.schema import READ, Checks, checks_of, row_of, table_of
 
 _FOLD_ROWS = 2000
 """Number of rows after which a journal becomes Parquet files: it bounds the memory of a run."""
+MAX_DAYS = 4
+"""Number of files of single days of a vehicle after which its files are merged, so that a query opens few files."""
+_READ_ATTEMPTS = 10
 _MAX_PARTITIONS = 1024
 """Number of partitions whose keys are remembered."""
 
@@ -38,8 +41,9 @@ class Store:
     """A folder with `checks/vehicle=V/day=D/part-*.parquet` and `journal/*.jsonl`.
 
     Finished checks are appended to a journal, one line each, and become Parquet files at the end of a run. `day` is the
-    day of the drive (2026-11-24), or its month (2026-11) once `compact` has merged the files. Any number of processes
-    may write; a check that two of them store is read once. Files are never changed, and replaced only by `compact`.
+    day of the drive (2026-11-24), or once files are merged its month (2026-11), or its year (2026) for months before
+    the last one of the vehicle. Any number of processes may write; a check that two of them store is read once. Files
+    are never changed; a merge writes a file before it removes those that it contains: others may work meanwhile.
     """
 
     root: Path
@@ -85,16 +89,21 @@ class Store:
                 yield checks_of(vehicle, pa.concat_tables(tables))
 
     def _tables(self, vehicle: str, most: int | None) -> list[Any]:
-        for _ in range(3):  # `compact` may replace files between listing and reading
+        paths = self.parts(vehicle)
+        for _ in range(_READ_ATTEMPTS):
+            listed, tables = paths, None
             with contextlib.suppress(FileNotFoundError):
-                paths = self.parts(vehicle)
-                return [read_part(paths[at], READ) for at in spread(range(len(paths)), most or max(1, len(paths)))]
+                tables = [read_part(paths[at], READ) for at in spread(range(len(paths)), most or max(1, len(paths)))]
+            # A merge between two listings of folders could hide both the merged file and the files that it replaced.
+            paths = self.parts(vehicle)
+            if tables is not None and paths == listed:
+                return tables
         raise P2OError("the store changes while it is read", where=self.root, hint="run the same command again")
 
     def parts(self, vehicle: str, day: str | None = None) -> list[Path]:
         """Return the Parquet files of a vehicle, with `day` those that may contain checks of this day."""
         folder = self.checks_folder / f"vehicle={quote(vehicle, safe='')}"
-        wanted = None if day is None else {f"day={day}", f"day={day[:7]}"}
+        wanted = None if day is None else {f"day={day}", f"day={day[:7]}", f"day={day[:4]}"}
         days = [entry.path for entry in _folders(folder) if wanted is None or entry.name in wanted]
         return sorted(Path(entry.path) for one in days for entry in _entries(one) if entry.name.endswith(".parquet"))
 
@@ -117,6 +126,12 @@ class Store:
             groups.setdefault((row["vehicle"], day_of(row["time"])), []).append(row)
         for (vehicle, day), group in groups.items():
             self._write(vehicle, day, table_of(group), [row["key"] + row["verdict"] for row in group])
+        for vehicle in dict.fromkeys(vehicle for vehicle, _ in groups):
+            paths = self.parts(vehicle)
+            if sum(len(_days(path)) > len("2026-11") for path in paths) > MAX_DAYS:
+                # The rows are stored: a damaged file or a full disk only prevents that they are read faster.
+                with contextlib.suppress(InputError):
+                    self._merge(vehicle, paths)
 
     def _write(self, vehicle: str, day: str, table: Any, keys: Sequence[str]) -> Path:
         import pyarrow.parquet as pq
@@ -130,34 +145,37 @@ class Store:
             write_whole(folder / f"part-{digest}.parquet", content.getvalue())
         return folder / f"part-{digest}.parquet"
 
-    def compact(self, before: str) -> int:
-        """Merge the files of each vehicle and month that ended before the month `before`; return the number of merges.
+    def compact(self) -> int:
+        """Merge the files of each vehicle; return the number of files that were written.
 
-        Readers and writers may work at the same time; a second compaction or one that was killed does no harm.
+        Writers do it for vehicles with many files. Readers and writers may work at the same time; a second compaction
+        or one that was killed does no harm.
         """
+        return sum(self._merge(vehicle, self.parts(vehicle)) for vehicle in self.vehicles())
+
+    def _merge(self, vehicle: str, paths: Sequence[Path]) -> int:
+        """Merge the last month of a vehicle, and the months before by year; return the number of files written."""
         import pyarrow as pa
 
-        merged = 0
-        for vehicle in self.vehicles():
-            months: dict[str, list[Path]] = {}
-            for path in self.parts(vehicle):
-                month = path.parent.name[4:11]
-                if month < before:
-                    months.setdefault(month, []).append(path)
-            for month, paths in months.items():
-                if len(paths) < 2:
-                    continue
-                with contextlib.suppress(FileNotFoundError):  # another compaction was faster
-                    table = _rows_once(pa.concat_tables([read_part(path) for path in paths]))
-                    columns = (table[name].to_pylist() for name in ("key", "verdict"))
-                    keys = [f"{key}{verdict}" for key, verdict in zip(*columns, strict=True)]
-                    written = self._write(vehicle, month, table, keys)
-                    for path in paths:
-                        if path != written:
-                            path.unlink(missing_ok=True)
-                            with contextlib.suppress(OSError):  # not empty: a late log was added
-                                path.parent.rmdir()
-                    merged += 1
+        last, merged = max((_days(path)[:7] for path in paths), default=""), 0
+        groups: dict[str, list[Path]] = {}
+        for path in paths:
+            days = _days(path)
+            groups.setdefault(last if days[:7] == last else days[:4], []).append(path)
+        for days, own in groups.items():
+            if len(own) < 2:
+                continue
+            with contextlib.suppress(FileNotFoundError):  # another merge was faster
+                table = _rows_once(pa.concat_tables([read_part(path) for path in own]))
+                columns = (table[name].to_pylist() for name in ("key", "verdict"))
+                keys = [f"{key}{verdict}" for key, verdict in zip(*columns, strict=True)]
+                written = self._write(vehicle, days, table, keys)
+                for path in own:
+                    if path != written:
+                        path.unlink(missing_ok=True)
+                        with contextlib.suppress(OSError):  # not empty: a late log was added
+                            path.parent.rmdir()
+                merged += 1
         return merged
 
     def _journalled(self) -> Iterator[Row]:
@@ -254,6 +272,11 @@ class Writer:
         self._pending.clear()
 
 
+def _days(path: Path) -> str:
+    """Return the day, month or year whose checks a file contains."""
+    return path.parent.name.removeprefix("day=")
+
+
 def _append(file: IO[bytes], line: bytes) -> None:
     """Write a line to the disk, whole or not at all."""
     before = file.seek(0, os.SEEK_END)
@@ -274,7 +297,7 @@ def read_part(path: Path, columns: Sequence[str] | None = None) -> Any:
 
     try:
         with pq.ParquetFile(path) as file:
-            return file.read(columns=None if columns is None else list(columns))
+            return file.read(columns=None if columns is None else list(columns), use_threads=False)
     except (pa.ArrowInvalid, pa.ArrowKeyError) as problem:
         hint = "delete the file, then run `p2o fleet run` with the drives of this vehicle and day again"
         raise InputError("the evidence cannot be read", where=path, got=problem, hint=hint) from problem

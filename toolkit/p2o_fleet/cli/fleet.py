@@ -206,22 +206,14 @@ def report(
 
 @command.command("compact")
 @_store
-@click.option("--before", metavar="YYYY-MM", help="Merge months before this one (default: the current month).")
-def compact(store: str, before: str | None) -> int:
-    """Merge the files of each vehicle and month, so that queries over a year read few files.
+def compact(store: str) -> int:
+    """Merge the files of each vehicle and month, as runs do for vehicles with files of more than eight days.
 
     Other processes may read and write the store at the same time.
     """
-    import re
-    from datetime import UTC, datetime
-
-    from p2o.errors import InputError
-
     from p2o_fleet.store import Store
 
-    if before is not None and not re.fullmatch(r"\d{4}-\d{2}", before):
-        raise InputError("this is no month", where="--before", expected="YYYY-MM, such as 2026-11", got=before)
-    merged = Store.existing(store).compact(before or datetime.now(UTC).strftime("%Y-%m"))
+    merged = Store.existing(store).compact()
     click.echo(f"{merged} months of vehicles merged")
     return 0
 

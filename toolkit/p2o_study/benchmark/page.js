@@ -114,16 +114,6 @@ const MARKS = [
 const ink = (method) => data.colours[method % data.colours.length];
 const mark = (method) => MARKS[method % MARKS.length];
 
-function svg(tag, attributes, ...children) {
-  const element = document.createElementNS("http://www.w3.org/2000/svg", tag);
-  for (const [name, value] of Object.entries(attributes)) {
-    if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
-    else element.setAttribute(name, value);
-  }
-  element.append(...children);
-  return element;
-}
-
 // A logarithmic axis from the values: position(value) from 0 to 1, and ticks at 1, 2 and 5 times powers of ten.
 function logAxis(values) {
   let low = Math.log10(Math.min(...values)), high = Math.log10(Math.max(...values));
@@ -153,32 +143,32 @@ function plot(id, points, { title, names = null, lines = [], diagonal = false })
   const px = (value) => LEFT + inner * x.at(value), py = (value) => TOP + height * (1 - y.at(value));
   const parts = [];
   for (const tick of y.ticks)
-    parts.push(svg("line", { class: "grid", x1: LEFT, x2: width - RIGHT, y1: py(tick), y2: py(tick) }),
-      svg("text", { x: LEFT - 6, y: py(tick) + 4, "text-anchor": "end" }, y.text(tick)));
+    parts.push(shape("line", { class: "grid", x1: LEFT, x2: width - RIGHT, y1: py(tick), y2: py(tick) }),
+      shape("text", { x: LEFT - 6, y: py(tick) + 4, "text-anchor": "end" }, y.text(tick)));
   const room = inner / x.ticks.length / 6.2;
   for (const tick of x.ticks) {
     const text = x.text(tick), short = names && text.length > room ? `${text.slice(0, Math.max(2, room - 1))}…` : text;
-    parts.push(svg("line", { class: "grid", x1: px(tick), x2: px(tick), y1: TOP, y2: TOP + height }),
-      svg("text", { x: px(tick), y: HEIGHT - BOTTOM + 16, "text-anchor": "middle" }, short, ...(short === text ? [] : [svg("title", {}, text)])));
+    parts.push(shape("line", { class: "grid", x1: px(tick), x2: px(tick), y1: TOP, y2: TOP + height }),
+      shape("text", { x: px(tick), y: HEIGHT - BOTTOM + 16, "text-anchor": "middle" }, short, ...(short === text ? [] : [shape("title", {}, text)])));
   }
-  parts.push(svg("text", { x: LEFT + inner / 2, y: HEIGHT - 8, "text-anchor": "middle" }, title),
-    svg("text", { x: 0, y: 0, transform: `translate(12,${TOP + height / 2}) rotate(-90)`, "text-anchor": "middle" }, axisTitle()));
+  parts.push(shape("text", { x: LEFT + inner / 2, y: HEIGHT - 8, "text-anchor": "middle" }, title),
+    shape("text", { x: 0, y: 0, transform: `translate(12,${TOP + height / 2}) rotate(-90)`, "text-anchor": "middle" }, axisTitle()));
   const inside = [];
   if (diagonal) {
     const ends = [Math.min, Math.max].map((end) => end(...visible.map((p) => p.x)));
-    inside.push(svg("line", { x1: px(ends[0]), y1: py(ends[0]), x2: px(ends[1]), y2: py(ends[1]), stroke: "var(--quiet)", "stroke-dasharray": "4 4" }));
+    inside.push(shape("line", { x1: px(ends[0]), y1: py(ends[0]), x2: px(ends[1]), y2: py(ends[1]), stroke: "var(--quiet)", "stroke-dasharray": "4 4" }));
   }
   for (const line of lines.map((some) => some.filter((p) => visible.includes(p))).filter((some) => some.length > 1))
-    inside.push(svg("polyline", { points: line.map((p) => `${px(p.x)},${py(p.y)}`).join(" "), fill: "none", stroke: ink(line[0].row.method), "stroke-width": 1.5 }));
+    inside.push(shape("polyline", { points: line.map((p) => `${px(p.x)},${py(p.y)}`).join(" "), fill: "none", stroke: ink(line[0].row.method), "stroke-width": 1.5 }));
   for (const p of visible) {
     const [left, top, colour] = [px(p.x), py(p.y), ink(p.row.method)];
-    const told = svg("title", {}, `${p.row.label}, ${p.row.dataset}: ${fixed(p.row.mean[at("norm").value][0], at("norm").value)} ${unit(at("norm").value)}`);
-    const bar = p.low > 0 ? [svg("line", { x1: left, x2: left, y1: py(p.low), y2: py(p.high), stroke: colour, "stroke-width": 1.2 })] : [];
-    inside.push(svg("g", { class: "point", onclick: () => openRow(p.row) }, told, ...bar, svg("path", { d: mark(p.row.method), transform: `translate(${left},${top})`, fill: colour })));
+    const told = shape("title", {}, `${p.row.label}, ${p.row.dataset}: ${fixed(p.row.mean[at("norm").value][0], at("norm").value)} ${unit(at("norm").value)}`);
+    const bar = p.low > 0 ? [shape("line", { x1: left, x2: left, y1: py(p.low), y2: py(p.high), stroke: colour, "stroke-width": 1.2 })] : [];
+    inside.push(shape("g", { class: "point", onclick: () => openRow(p.row) }, told, ...bar, shape("path", { d: mark(p.row.method), transform: `translate(${left},${top})`, fill: colour })));
   }
   const clip = `clip-${id}`;
-  parts.push(svg("clipPath", { id: clip }, svg("rect", { x: LEFT, y: TOP, width: inner, height })), svg("g", { "clip-path": `url(#${clip})` }, ...inside));
-  box.replaceChildren(svg("svg", { viewBox: `0 0 ${width} ${HEIGHT}`, role: "img" }, ...parts));
+  parts.push(shape("clipPath", { id: clip }, shape("rect", { x: LEFT, y: TOP, width: inner, height })), shape("g", { "clip-path": `url(#${clip})` }, ...inside));
+  box.replaceChildren(shape("svg", { viewBox: `0 0 ${width} ${HEIGHT}`, role: "img" }, ...parts));
 }
 
 const axisTitle = () => `${nameOf(at("norm").value)} error [${unit(at("norm").value)}]`;
@@ -215,7 +205,7 @@ function showLegend(methods) {
   at("legend").replaceChildren(...methods.slice(0, MOST_METHODS).map((row) => make("button", {
     type: "button", "aria-pressed": String(state.only === row.method),
     onclick: () => { state.only = state.only === row.method ? null : row.method; showPlots(); },
-  }, svg("svg", { viewBox: "-7 -7 14 14", width: 14, height: 14 }, svg("path", { d: mark(row.method), fill: ink(row.method) })), row.name)),
+  }, shape("svg", { viewBox: "-7 -7 14 14", width: 14, height: 14 }, shape("path", { d: mark(row.method), fill: ink(row.method) })), row.name)),
   ...(methods.length > MOST_METHODS ? [make("span", { class: "quiet" }, `and ${methods.length - MOST_METHODS} further methods: choose fewer by the filters`)] : []));
 }
 

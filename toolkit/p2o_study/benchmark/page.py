@@ -172,11 +172,11 @@ def write_page(
         "leftOut": left_out,
         "notes": [GROUPS_NOTE, NOTE],
     }
-    script = part("p2o_study.report/elements.js") + part("p2o_study.benchmark/page.js")
+    files = ("p2o_study.report/nodes.js", "p2o_study.report/elements.js", "p2o_study.benchmark/page.js")
     page = rendered(
         "p2o_study.benchmark/page.html",
         style="p2o_study.report/page.css",
-        scripts=(script,),
+        scripts=("".join(map(part, files)),),
         script_files=True,
         title="p2o benchmark",
         own_style=Markup(part("p2o_study.benchmark/page.css")),

@@ -1,8 +1,5 @@
-"use strict";
+// Numbers and tables of the pages of reports and of the benchmark; nodes.js comes first.
 
-// Elements and tables of the pages of reports and of the benchmark.
-
-const at = (id) => document.getElementById(id);
 const NONE = "-";
 const NAMES = { rotation_deg: "rotation", translation_m: "translation" };
 
@@ -20,16 +17,6 @@ function withRange(triple, metric, sign = false) {
   const plus = (value) => (sign && value > 0 ? "+" : "") + fixed(value, metric);
   const [value, low, high] = triple;
   return low === null ? [plus(value)] : [plus(value), make("span", { class: "range" }, `[${plus(low)}, ${plus(high)}]`)];
-}
-
-function make(tag, attributes = {}, ...children) {
-  const element = document.createElement(tag);
-  for (const [name, value] of Object.entries(attributes)) {
-    if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
-    else if (value !== false && value !== undefined) element.setAttribute(name, value === true ? "" : value);
-  }
-  element.append(...children.filter((child) => child !== null && child !== undefined));
-  return element;
 }
 
 function options(select, texts, values = texts) {
@@ -52,14 +39,7 @@ class SortedTable {
 
   sorted() {
     const column = this.columns.find((c) => c.title === this.key);
-    if (!column) return this.rows;
-    const direction = this.down ? -1 : 1;
-    const empty = (value) => value === null || value === undefined || Number.isNaN(value);
-    return this.rows.map((row, i) => [column.value(row), i, row]).sort(([a, i], [b, j]) => {
-      if (empty(a) || empty(b)) return empty(a) - empty(b) || i - j;
-      const order = typeof a === "string" ? a.localeCompare(b, "en", { numeric: true }) : a - b;
-      return direction * order || i - j;
-    }).map(([, , row]) => row);
+    return column ? sortedRows(this.rows, column.value, this.down) : this.rows;
   }
 
   sortBy(title) {

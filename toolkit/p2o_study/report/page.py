@@ -74,7 +74,7 @@ def page(summaries: Sequence[Summary], images: OverlayImages, library: str) -> s
         "rule": RULE,
         "noPlots": "" if library else f"{NO_PLOTS}. The figures beside this page, PNG and SVG, show the same.",
     }
-    scripts = (library, part("p2o_study.report/elements.js") + part("p2o_study.report/page.js"))
+    scripts = (library, "".join(part(f"p2o_study.report/{name}.js") for name in ("nodes", "elements", "page")))
     template, style = "p2o_study.report/page.html", "p2o_study.report/page.css"
     # Compressed, because the library has 5 MB; the policy contains the hash of its text.
     packed = base64.b64encode(gzip.compress(library.encode(), mtime=0)).decode() if library else ""

@@ -1,0 +1,234 @@
+"""A fleet of real and simulated drives, some with a slip from a known drive on: `python benchmarks/fleet.py real`.
+
+Drives are pieces of four to six frames: of drive 0005 and of the drives of KITTI's split `train`, once consecutive and
+once spread, of odometry 00, of the development parts of other rigs, and of simulated drives with an HDL-64E. A vehicle
+is a list of drives, one a day. Vehicles whose name begins with `slip` have drives of the others; from the ninth drive
+on, their LiDAR has moved on one axis (`slipped_drives.py`).
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from operator import attrgetter
+from pathlib import Path
+
+import numpy as np
+from p2o.arrays import Float
+from p2o.confidence.audit import AXES
+from p2o.confidence.explanation import corrected
+from p2o.errors import InputError
+from p2o.geometry.pose_error import pose_error
+from p2o_fleet.fleet_state import Alarm, ExtrinsicState, FleetState, FleetStatus, amount, fleet_state
+from p2o_fleet.store import Store
+
+FRAMES, BEFORE, DRIVES = 4, 8, 22
+"""Number of frames of a check, of drives of a vehicle before its slip, and of all drives of a vehicle with a slip."""
+_BEGIN, _DAY_S = 1767225600, 86400
+_SIMULATED = {"sim-a": 21, "sim-b": 22}
+_SCENES = 80
+_SIZES = {"deg": 0.5, "m": 0.05}
+_PLUGIN = Path(__file__).with_name("slipped_drives.py")
+COLUMNS = ("vehicle", "vehicle_type", "camera", "lidar", "data", "extrinsic", "time", "frames")
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A drive: the data set and the folder of its data, and its frames."""
+
+    dataset: str
+    path: Path
+    frames: str
+
+    def data(self, slip: tuple[int, float] | None) -> str:
+        """Return the text of the data; `slip` is the axis and the size of an error of the extrinsic."""
+        if slip is None:
+            return f"{self.dataset}:{self.path}"
+        return f"slipped:{self.path}?of={self.dataset}&axis={AXES[slip[0]][0]}&size={slip[1]:g}"
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """A vehicle with its drives; `slip` is the axis and the size of its error from drive `BEFORE` on."""
+
+    name: str
+    type: str
+    drives: tuple[Piece, ...]
+    camera: str = "front"
+    slip: tuple[int, float] | None = None
+
+    def rows(self) -> Iterator[tuple[str, ...]]:
+        """Yield the rows of the table of drives."""
+        for number, piece in enumerate(self.drives):
+            data = piece.data(self.slip if number >= BEFORE else None)
+            time = str(_BEGIN + number * _DAY_S)
+            yield self.name, self.type, self.camera, "top", data, "truth", time, piece.frames
+
+
+def consecutive(names: Sequence[str], size: int = FRAMES) -> list[list[str]]:
+    """Split frames into consecutive pieces of `size` or more."""
+    return [part.tolist() for part in np.array_split(np.array(names), max(1, len(names) // size))]
+
+
+def spread_out(names: Sequence[str], size: int = FRAMES) -> list[list[str]]:
+    """Split frames into pieces of `size` or more, whose frames are as far apart as possible."""
+    count = max(1, len(names) // size)
+    return [list(names[first::count]) for first in range(count)]
+
+
+def _mixed(parts: list[list[str]], seed: int = 0) -> list[list[str]]:
+    return [parts[at] for at in np.random.default_rng(seed).permutation(len(parts))]
+
+
+def vehicles(root: Path, splits: Mapping[str, Sequence[str]], simulated: Path) -> list[Vehicle]:
+    """Return the fleet."""
+    raw = root / "kitti_raw"
+    by_drive: dict[str, list[str]] = {}
+    for name in splits["train"]:
+        by_drive.setdefault(name.rpartition("/")[0], []).append(name)
+    later = splits["drive_0005_later"]
+    first = [name for name in splits["drive_0005_consecutive"] if name not in splits["test"]]
+    between = [name for name in splits["drive_0005_sparse"] if name not in {*first, *later}]
+    near = _mixed([piece for names in (first, later, *by_drive.values()) for piece in consecutive(names)])
+    far = _mixed([piece for names in ([*first, *between], later, splits["train"]) for piece in spread_out(names)])
+    kitti = {f"kitti-{n + 1}": _pieces("kitti-raw", raw, near[n::3]) for n in range(3)}
+    kitti |= {f"kitti-{n + 4}": _pieces("kitti-raw", raw, far[n::3]) for n in range(3)}
+    fleet = [Vehicle(name, "kitti", drives) for name, drives in kitti.items()]
+    sims = {
+        name: _pieces("folder", simulated / name, consecutive([f"scene-{n:04d}" for n in range(_SCENES)]))
+        for name in _SIMULATED
+    }
+    fleet += [Vehicle(name, "sim-hdl-64e", drives) for name, drives in sims.items()]
+    for axis, (name, unit) in enumerate(AXES):
+        size = _SIZES[unit] * (1 if axis % 2 == 0 else -1)
+        parts = _mixed(near if axis % 2 == 0 else far, seed=1 + axis)[:DRIVES]
+        fleet.append(Vehicle(f"slip-{name}", "kitti", _pieces("kitti-raw", raw, parts), slip=(axis, size)))
+    fleet.append(Vehicle("slip-sim-yaw", "sim-hdl-64e", sims["sim-a"][:DRIVES], slip=(2, -_SIZES["deg"])))
+    fleet.append(Vehicle("slip-sim-y", "sim-hdl-64e", sims["sim-b"][:DRIVES], slip=(4, _SIZES["m"])))
+    return fleet + _other_rigs(root, splits)
+
+
+def _other_rigs(root: Path, splits: Mapping[str, Sequence[str]]) -> list[Vehicle]:
+    odometry = _pieces("kitti-odometry", root / "kitti_odometry", consecutive(splits["odometry00-dev"]))
+    fleet = [Vehicle("odometry-00", "kitti-odometry", odometry)]
+    for rig in ("waymo", "hitsz", "acfr_vlp16", "boards_sim"):
+        drives = _pieces("folder", root / "rigs" / rig, consecutive(splits[f"{rig}-dev"]))
+        fleet.append(Vehicle(rig, rig, drives))
+    for number, names in enumerate((splits["pjlab-dev"][:2], splits["pjlab-dev"][2:])):  # images of two vehicles
+        fleet.append(Vehicle(f"pjlab-{number + 1}", "pjlab", _pieces("folder", root / "rigs" / "pjlab", [names])))
+    for camera in splits["nuscenes-dev"]:
+        drives = _pieces("folder", root / "rigs" / "nuscenes", [[camera]])
+        fleet.append(Vehicle("nuscenes", "nuscenes", drives, camera))
+    return fleet
+
+
+def _pieces(dataset: str, path: Path, parts: Sequence[Sequence[str]]) -> tuple[Piece, ...]:
+    return tuple(Piece(dataset, path, ",".join(names)) for names in parts)
+
+
+def real(root: Path, out: Path, splits: Path, jobs: int) -> list[str]:
+    """Run `p2o fleet run` and `p2o fleet report` on the fleet, and return what was found as tables.
+
+    Everything is written to `out`; what is stored there from an earlier call is kept.
+    """
+    for name, seed in _SIMULATED.items():
+        if not (out / "simulated" / name).exists():
+            words = ["right=false", f"scenes={_SCENES}", "lidar=hdl-64e", "width_px=800", "height_px=300"]
+            options = [text for word in words for text in ("--set", word)]
+            _p2o("simulate", str(out / "simulated" / name), "--layout", "folder", "--seed", str(seed), *options)
+    fleet = vehicles(root, json.loads(splits.read_text(encoding="utf-8")), out / "simulated")
+    table, report = out / "drives.csv", out / "report"
+    with table.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows([COLUMNS, *(row for vehicle in fleet for row in vehicle.rows())])
+    words = ["--frames", str(FRAMES), "--candidates", str(FRAMES), "--jobs", str(jobs), "--plugin", str(_PLUGIN)]
+    _p2o("fleet", "run", str(table), "--store", str(out / "store"), *words)
+    _p2o(
+        "fleet", "report", "--store", str(out / "store"), "--out", str(report), "--plugin", str(_PLUGIN), allowed=(0, 1)
+    )
+    alarms = {one["vehicle"] for one in json.loads((report / "fleet.json").read_text(encoding="utf-8"))["alarms"]}
+    state = fleet_state(Store.existing(out / "store"))
+    if alarms != {one.vehicle for one in state.alarms}:
+        raise InputError("the report is not that of the store", where=report, expected="the same alarms", got=alarms)
+    return [*_overview(fleet, state), "", *_slips(fleet, state)]
+
+
+def _p2o(*words: str, allowed: Sequence[int] = (0,)) -> None:
+    done = subprocess.run([sys.executable, "-m", "p2o", *words], stdout=subprocess.DEVNULL, check=False)
+    if done.returncode not in allowed:
+        raise InputError("the command failed", where=" ".join(words), expected="exit status 0", got=done.returncode)
+
+
+def _overview(fleet: Sequence[Vehicle], state: FleetState) -> list[str]:
+    """Return drives, frames and states of the extrinsics in use by type, with and without a slip."""
+    lines = ["| type | slip | extrinsics | drives | frames | no estimate | holds | slipped | wrong | cannot tell |"]
+    lines.append("|---" * 10 + "|")
+    for kind in dict.fromkeys(vehicle.type for vehicle in fleet):
+        for slip in ("no", "yes"):
+            own = {v.name for v in fleet if v.type == kind and (v.slip is not None) == (slip == "yes")}
+            states = [one for one in state.current if one.vehicle in own]
+            if states:
+                drives, usable, frames = (sum(map(attrgetter(n), states)) for n in ("checks", "usable", "frames"))
+                counts = [sum(one.status is status for one in states) for status in _ORDER]
+                cells = map(str, [kind, slip, len(states), drives, frames, drives - usable, *counts])
+                lines.append(f"| {' | '.join(cells)} |")
+    return lines
+
+
+_ORDER = (FleetStatus.HOLDS, FleetStatus.SLIPPED, FleetStatus.WRONG, FleetStatus.CANNOT_TELL)
+
+
+def _slips(fleet: Sequence[Vehicle], state: FleetState) -> list[str]:
+    """Return what the report states on each vehicle with a slip or an alarm."""
+    lines = ["| vehicle | slip | alarm (95 %) | since drive (95 %) | drives, frames until alarm | error of proposal |"]
+    lines.append("|---|---|---|---|---|---|")
+    for vehicle in fleet:
+        one = next(s for s in state.current if (s.vehicle, s.camera) == (vehicle.name, vehicle.camera))
+        if vehicle.slip is None and one.alarm is None:
+            continue
+        injected = "none" if vehicle.slip is None else f"{_size(*vehicle.slip)} since drive {BEFORE + 1}"
+        alarm = "none" if one.alarm is None else ", ".join(map(amount, one.alarm.axes))
+        since, delay, proposal = "", "", ""
+        if one.alarm is not None:
+            numbers = [_drive_number(time) for time in (one.alarm.since, one.alarm.since_first, one.alarm.since_last)]
+            since = "{} ({} to {})".format(*numbers)
+        if one.alarm is not None and vehicle.slip is not None:
+            delay, proposal = _delay(one, len(state.current), state.rules.rate), _proposed(one.alarm, vehicle.slip)
+        lines.append(f"| {vehicle.name} | {injected} | {alarm} | {since} | {delay} | {proposal} |")
+    return lines
+
+
+def _size(axis: int, size: float) -> str:
+    name, unit = AXES[axis]
+    return f"{name} {size:+g} deg" if unit == "deg" else f"{name} {100 * size:+g} cm"
+
+
+def _drive_number(time: float) -> int:
+    return 1 + round((time - _BEGIN) / _DAY_S)
+
+
+def _delay(one: ExtrinsicState, count: int, rate: float) -> str:
+    """Return the drives and frames after the slip until the evidence alone is a discovery among `count` extrinsics."""
+    past = one.history
+    after = [log_e for time, log_e in zip(past.time, past.log_e, strict=True) if _drive_number(time) > BEFORE]
+    enough = np.flatnonzero(np.array(after) >= np.log(count / rate))
+    return f"{enough[0] + 1}, {(enough[0] + 1) * FRAMES}" if len(enough) else "with others only"
+
+
+def _proposed(alarm: Alarm, slip: tuple[int, float]) -> str:
+    """Return the error of the proposed extrinsic; the correct one is that in use without the slip."""
+    in_use = _without(alarm)
+    error = pose_error(alarm.proposal, corrected(in_use, slip[0], np.array([slip[1]]))[0])
+    return f"{error.rotation_deg:.2f} deg, {100 * error.translation_m:.1f} cm"
+
+
+def _without(alarm: Alarm) -> Float:
+    """Return the extrinsic in use: the proposal with the errors of the alarm."""
+    index = {name: number for number, (name, _) in enumerate(AXES)}
+    pose = alarm.proposal
+    for axis in reversed(alarm.axes):
+        pose = corrected(pose, index[axis.axis], np.array([-axis.size]))[0]
+    return pose
