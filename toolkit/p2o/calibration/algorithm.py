@@ -39,7 +39,7 @@ class Refined:
     """The poses that rounds of matching and solving ended at, one for each proposal, and the judge that compares them.
 
     `views` are those that the rounds matched, `box` that of the initializer's search, None if it has none. `rivals` are
-    poses near the end of rounds without a search, which are no results but may fit better.
+    poses near the best one, which are no results but may fit better.
     """
 
     views: VisibleViews
@@ -143,9 +143,9 @@ class Algorithm:
         return replace(again, ends=again.solved or refined.solved)
 
     def with_rivals(self, refined: Refined) -> Refined:
-        """Return the refined poses with rivals of the best one: for rounds that began from the initial guess alone.
+        """Return the refined poses with rivals of the best one.
 
-        A search compares the minima of its proposals; without one, the nearest minimum would have no rival.
+        Without a search, or from an initial guess outside its range, the best pose may be a local minimum.
         """
         if not isinstance(refined.judge, DirectedJudge):
             return refined

@@ -1,4 +1,4 @@
-"""Poses near a result that cost less than it: evidence that rounds without a search ended in a local minimum."""
+"""Poses near a result that cost less than it: evidence that the rounds ended in a local minimum."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from p2o.geometry.pose_error import is_distinct
 
 _SIGMA = np.array([*np.radians([2.2, 2.2, 2.2]), 0.22, 0.22, 0.22])
 """Standard deviations of the drawn poses about and along each axis: 2.2 deg and 22 cm."""
-_DRAWS, _KEPT, _NARROWER, _GENERATIONS = 4096, 64, 0.5, 3
+_DRAWS, _KEPT, _NARROWER, _GENERATIONS = 1536, 64, 0.5, 3
+_LEAST_DRAWS, _MOST_POINTS = 256, 10_000
+"""Joint calibrations with more points have fewer draws: their minima are fewer and wider."""
 
 
 def rival_poses(judge: DirectedJudge, pose: Float, count: int, seed: int = 0) -> list[Float]:
@@ -20,10 +22,11 @@ def rival_poses(judge: DirectedJudge, pose: Float, count: int, seed: int = 0) ->
     Poses of a left update are drawn from a Gaussian, then around the best of them with half the deviation, and again.
     """
     rng = np.random.default_rng(seed)
+    size = max(_LEAST_DRAWS, min(_DRAWS, _DRAWS * _MOST_POINTS // max(judge.cost.points, 1)))
     centres, sigma = np.zeros((1, 6)), _SIGMA
     draws, costs = np.zeros((0, 6)), np.zeros(0)
     for _ in range(_GENERATIONS):
-        drawn = centres[rng.integers(len(centres), size=_DRAWS)] + rng.normal(0.0, sigma, (_DRAWS, 6))
+        drawn = centres[rng.integers(len(centres), size=size)] + rng.normal(0.0, sigma, (size, 6))
         draws = np.concatenate([draws, drawn])
         costs = np.concatenate([costs, judge.cost(se3.exp(drawn) @ pose)])
         centres, sigma = draws[np.argsort(costs, kind="stable")[:_KEPT]], _NARROWER * sigma

@@ -8,8 +8,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
-
 from p2o.arrays import Float
 from p2o.calibration.algorithm import Algorithm, missing_features
 from p2o.confidence.assessment import assess, refused
@@ -57,7 +55,7 @@ class Pipeline(Algorithm):
             refined = self.refine(visible, start, proposals)
             if refined.solved and refined.far:
                 refined = self.refine_again(views, refined)
-            if refined.solved and len(proposals) == 1 and np.allclose(proposals[0], start, atol=1e-12):
+            if refined.solved:
                 refined = self.with_rivals(refined)
         if refined.solved:
             with clock.of("adjust"):
