@@ -7,7 +7,7 @@ SEED ?= 0
 BENCH ?= $(if $(wildcard build/bench/reference.json),--against build/bench/reference.json)
 SOURCES := $(shell find toolkit plugins baselines -name '*.py' -o -name '*.pyi' -o -name '*.toml' -o -name '*.html' -o -name '*.css' -o -name '*.js') pyproject.toml README.md
 
-.PHONY: run test test-system fuzz bench dev lint docs sbom clean
+.PHONY: run test test-system fuzz bench dev lint docs clean
 
 # PyTorch of the default index brings CUDA on Linux; where disk is short: make PIP_ARGS="--extra-index-url CPU_INDEX"
 $(VENV)/.locked: requirements.lock
@@ -49,12 +49,6 @@ lint: $(VENV)/.locked
 # The site of docs/, with strict links, in build/site.
 docs: $(VENV)/.installed
 	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build --strict -q
-
-# Packages of the environment with versions, hashes and licences (CycloneDX), in build/sbom.json.
-sbom: $(VENV)/.installed
-	$(PYTHON) -m venv build/sbom
-	build/sbom/bin/python -m pip install -q --disable-pip-version-check cyclonedx-bom==7.2.2
-	build/sbom/bin/cyclonedx-py environment --output-reproducible --pyproject pyproject.toml -o build/sbom.json $(VENV)/bin/python
 
 dev: $(VENV)/.locked
 	$(VENV)/bin/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .
