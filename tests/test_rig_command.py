@@ -13,8 +13,10 @@ import pytest
 import yaml
 from p2o import InputError, se3
 from p2o.cli import main
+from p2o.errors import PluginError
+from p2o.results.result import RigResult
 from p2o.results.result_json import result_from_dict
-from p2o.run.run import Run
+from p2o.run.run import Run, run
 from p2o_sim.synthetic import SyntheticOptions, truth_at
 from p2o_testing import stage
 
@@ -84,6 +86,29 @@ def test_two_cameras_of_a_rig_are_calibrated_each_and_in_common(
     same = p2o.calibrate(STREET, extractor="depth/rings", rig=rig_file)
     assert same.rig is not None
     np.testing.assert_allclose(same.rig.body_from_lidar, off, atol=1e-9)
+
+
+def test_a_plugin_that_fails_in_the_common_calibration_leaves_the_mean_and_the_reason(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    places = {
+        name: {"camera_from_body": truth_at(SyntheticOptions(), 0, 0, name).tolist()} for name in ("front", "left")
+    }
+    plan = p2o.Recipe.of(data=STREET, extractor="depth/rings", rig={"cameras": places}).resolve(p2o.Registry.load())
+
+    def failing(*given: object) -> RigResult:
+        raise PluginError("matcher ogm raised", got="ValueError")
+
+    monkeypatch.setenv("P2O_STRICT", "0")
+    monkeypatch.setenv("P2O_DEBUG", "0")
+    common = run(plan, rig_calibration=failing).rig
+    assert common is not None
+    assert common.body_from_lidar is not None
+    assert common.reason.startswith("the mean of 2 cameras")
+    assert "the calibration of all edges failed: matcher ogm raised" in common.reason
+    monkeypatch.setenv("P2O_STRICT", "1")
+    with pytest.raises(PluginError):
+        run(plan, rig_calibration=failing)
 
 
 def test_without_a_file_frames_are_grouped_by_the_camera_that_they_name(capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from p2o import InputError, se3
 from p2o.errors import MethodUnavailable
-from p2o_rig.sensor_graph import Edge, EdgeKind, adjoint_matrix, reachable, solve
+from p2o.geometry.motion import adjoint_matrix
+from p2o_rig.sensor_graph import Edge, EdgeKind, reachable, solve
 
 from tests.p2o_rig.random_rigs import measured, random_covariance, random_rig
 

@@ -15,8 +15,7 @@ from p2o.arrays import Float
 from p2o.errors import InputError, MethodUnavailable
 from p2o.frames.cloud import Cloud
 from p2o.geometry import se3
-
-from p2o_rig.sensor_graph import adjoint_matrix
+from p2o.geometry.motion import adjoint_matrix
 
 MIN_MOMENTS = 3
 """Minimum number of moments for a scatter."""

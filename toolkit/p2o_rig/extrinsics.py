@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 from p2o.arrays import Float
+from p2o.confidence.fusion import WIDER
 from p2o.errors import InputError
 from p2o.frames.cloud import Cloud
 from p2o.frames.frame import Dataset, Frame
@@ -23,9 +24,6 @@ from p2o_rig.alignment import align_sweeps
 from p2o_rig.contradictions import ConsistentGraph, consistent
 from p2o_rig.sensor_graph import Edge, EdgeKind, LeftOut, reachable
 from p2o_rig.sensors_file import Sensors
-
-_WIDER = 2.2
-"""Ratio of the 95 % error bound to the 67 % error bound, the same as for results of cameras."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +153,7 @@ def _assessed(sensors: Sensors, graph: ConsistentGraph, left_out: Sequence[LeftO
             reasons.append(Reason(Doubt.NOT_CHECKED, text))
         pose, covariance = solution.poses[name], inflation * solution.covariance_of(name)
         turn_deg, shift_m = deviations(covariance, pose)
-        accuracy = Accuracy(turn_deg, shift_m, _WIDER * turn_deg, _WIDER * shift_m)
+        accuracy = Accuracy(turn_deg, shift_m, WIDER * turn_deg, WIDER * shift_m)
         out.append(SensorPose(name, kind, Verdict(tuple(reasons)), pose, covariance, accuracy))
     return tuple(out)
 

@@ -11,6 +11,7 @@ import numpy as np
 from p2o.arrays import Float, checked
 from p2o.errors import InputError, MethodUnavailable
 from p2o.geometry import se3
+from p2o.geometry.motion import adjoint_matrix
 from p2o.runtime.native import import_keeping_signals
 
 _MIN_CONDITION = 1e-14
@@ -126,12 +127,6 @@ class GraphSolution:
             return np.zeros((6, 6))
         row, column = 6 * self.sensors.index(first), 6 * self.sensors.index(second)
         return self.covariance[row : row + 6, column : column + 6]
-
-
-def adjoint_matrix(transform: Float) -> Float:
-    """Return the adjoint (6, 6) of b_from_a: it maps left updates of poses in frame a to those in frame b."""
-    rotation = transform[:3, :3]
-    return np.block([[rotation, np.zeros((3, 3))], [se3.skew(transform[:3, 3]) @ rotation, rotation]])
 
 
 def reachable(edges: Sequence[Edge], reference: str) -> dict[str, Float]:

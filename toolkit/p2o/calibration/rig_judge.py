@@ -11,8 +11,8 @@ from p2o.arrays import Float
 from p2o.calibration.judge import DirectedJudge, IntervalJudge
 from p2o.features.view import View
 from p2o.geometry import se3
+from p2o.geometry.motion import adjoint_matrix
 from p2o.problems.interval_likelihood import IntervalLikelihood
-from p2o.problems.rig_residuals import by_body
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ def most_likely_near(parts: Sequence[tuple[Float, IntervalLikelihood]], body_fro
         pose, total, gradient = se3.exp(x * _STEPS) @ body_from_lidar, 0.0, np.zeros(6)
         for place, likelihood in parts:
             value, by_camera = likelihood.with_gradient(place @ pose)
-            total, gradient = total - value, gradient - by_camera @ by_body(place)
+            total, gradient = total - value, gradient - by_camera @ adjoint_matrix(place)
         return total, gradient * _STEPS
 
     best = minimize(cost_and_gradient, np.zeros(6), jac=True, method="BFGS", options={"maxiter": 30, "gtol": 0.2})

@@ -16,13 +16,13 @@ import numpy as np
 from p2o.arrays import Float
 from p2o.errors import InputError
 from p2o.geometry import se3
-from p2o.geometry.motion import adjoint
+from p2o.geometry.motion import adjoint_matrix
 from p2o.geometry.pose_error import deviations, place_by_update
 from p2o.results.evidence import Accuracy
 from p2o.results.result import Result, RigCamera, RigResult
 from p2o.results.verdict import Doubt, Reason, Verdict
 
-LEAST_P = 0.01
+_LEAST_P = 0.01
 """Results contradict each other if the p-value of the chi-square test is below this value."""
 _STEPS, _SMALL = 50, 1e-12
 _LEAST_CONDITION = 1e-12
@@ -57,7 +57,7 @@ class Opinion:
         alone = result if result.start_weight is None else result.start_weight
         covariance = _as_likely(result.covariance, alone.camera_from_lidar, alone.accuracy)
         body_from_camera = se3.inverse(camera_from_body)
-        by_update = np.stack([adjoint(body_from_camera, axis) for axis in np.eye(6)], axis=1)
+        by_update = adjoint_matrix(body_from_camera)
         covariance = by_update @ covariance @ by_update.T
         covariance = (covariance + covariance.T) / 2
         values = np.linalg.eigvalsh(covariance) if np.isfinite(covariance).all() else np.zeros(1)
@@ -118,7 +118,8 @@ def rig_result(results: Mapping[str, Result], camera_from_body: Mapping[str, Flo
     # If the results scatter more than their covariances predict, inflate the covariance (Birge ratio).
     covariance = whole.covariance * max(1.0, whole.chi_square / degrees)
     rotation_deg, translation_m = deviations(covariance, whole.body_from_lidar)
-    reasons = _contradiction(cameras, whole.chi_square, degrees, p_value)
+    whose, other = "the results of the cameras", "the others"
+    reasons = contradictions(cameras, whole.chi_square, degrees, p_value, whose=whose, other=other)
     trusted = sum(results[opinion.name].verdict.trusted for opinion in opinions)
     if trusted < 2:
         text = f"{trusted} of {len(opinions)} cameras are trusted on their own, and it takes two"
@@ -170,21 +171,32 @@ def _beside(name: str, opinions: Sequence[Opinion], whole: Fusion, camera_from_b
     if own is None:
         return RigCamera(name, common, left_out=left_out)
     others = Fusion.of([opinion for opinion in opinions if opinion.name != name])
-    step = own.body_from_lidar @ se3.inverse(others.body_from_lidar)
-    tangent = se3.log(step)
-    chi_square = float(tangent @ np.linalg.solve(own.covariance + others.covariance, tangent))
-    moved = se3.inverse(others.body_from_lidar) @ own.body_from_lidar
-    return RigCamera(name, common, se3.angle_deg(moved), se3.distance_m(moved), chi_square)
+    return compared(own, others.body_from_lidar, others.covariance, common)
 
 
-def _contradiction(cameras: Sequence[RigCamera], chi_square: float, degrees: int, p_value: float) -> list[Reason]:
-    """Return a reason if the cameras differ by more than their predicted errors explain."""
-    if p_value >= LEAST_P:
+def compared(own: Opinion, body_from_lidar: Float, covariance: Float, camera_from_lidar: Float) -> RigCamera:
+    """Compare the own result of a camera with a pose (4, 4) on the body that has a covariance (6, 6).
+
+    `camera_from_lidar` (4, 4) is the one that follows from the common result.
+    """
+    tangent = se3.log(own.body_from_lidar @ se3.inverse(body_from_lidar))
+    chi_square = float(tangent @ np.linalg.solve(own.covariance + covariance, tangent))
+    moved = se3.inverse(body_from_lidar) @ own.body_from_lidar
+    return RigCamera(own.name, camera_from_lidar, se3.angle_deg(moved), se3.distance_m(moved), chi_square)
+
+
+def contradictions(
+    cameras: Sequence[RigCamera], chi_square: float, degrees: int, p_value: float, *, whose: str, other: str
+) -> list[Reason]:
+    """Return a reason if the results of cameras differ from the `other` pose by more than their predicted errors.
+
+    `whose` are the results in words.
+    """
+    if p_value >= _LEAST_P:
         return []
     worst = max(cameras, key=lambda camera: camera.chi_square or 0.0)
     text = (
-        "the results of the cameras contradict the fixed transforms between them (chi-square "
-        f"{chi_square:.0f} for {degrees}), most of all {worst.name}, {worst.rotation_deg:.2f} deg and "
-        f"{worst.translation_m:.2f} m from the others"
+        f"{whose} contradict the fixed transforms between the cameras (chi-square {chi_square:.0f} for {degrees}), "
+        f"most of all {worst.name}, {worst.rotation_deg:.2f} deg and {worst.translation_m:.2f} m from {other}"
     )
     return [Reason(Doubt.CONTRADICTION, text)]

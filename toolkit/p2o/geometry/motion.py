@@ -44,6 +44,14 @@ def adjoint(transform: Float, twist: Float) -> Float:
     return np.concatenate([omega, rotation @ twist[3:] + np.cross(translation, omega)])
 
 
+def adjoint_matrix(transform: Float) -> Float:
+    """Return the adjoint (6, 6) of b_from_a (4, 4): it maps velocities and left updates in frame a to those in frame b.
+
+    exp(Ad d) @ b_from_a = b_from_a @ exp(d) (Barfoot, State Estimation for Robotics, 2017, section 7.1).
+    """
+    return np.stack([adjoint(transform, axis) for axis in np.eye(6)], axis=1)
+
+
 @dataclass(frozen=True)
 class EgoMotion:
     """Motion of the LiDAR during one sweep: `speed_m_s` along `forward`, and `turn_rad_s` about its own z axis.

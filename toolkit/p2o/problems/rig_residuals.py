@@ -12,13 +12,8 @@ from functools import cached_property
 import numpy as np
 
 from p2o.arrays import Float
-from p2o.geometry.motion import adjoint
+from p2o.geometry.motion import adjoint_matrix
 from p2o.problems.problem import LeastSquares
-
-
-def by_body(camera_from_body: Float) -> Float:
-    """Return the matrix (6, 6) that maps left updates in the body frame to those of poses in the camera frame."""
-    return np.stack([adjoint(camera_from_body, axis) for axis in np.eye(6)], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +56,7 @@ class RigResiduals(LeastSquares):
         for place, problem in self.parts:
             its, by_camera = problem.residuals_with_jacobian(place @ body_from_lidar)
             residuals.append(its)
-            rows.append(by_camera @ by_body(place))
+            rows.append(by_camera @ adjoint_matrix(place))
         return np.concatenate(residuals), np.concatenate(rows)
 
     def depth_m(self, body_from_lidar: Float) -> float:

@@ -21,7 +21,7 @@ from p2o.calibration.options import PipelineOptions
 from p2o.calibration.rig_judge import RigJudge, most_likely_near
 from p2o.calibration.rounds import End, Rounds
 from p2o.confidence.assessment import assess
-from p2o.confidence.fusion import LEAST_P, WIDER, Fusion, Opinion, rig_result
+from p2o.confidence.fusion import WIDER, Fusion, Opinion, compared, contradictions, rig_result
 from p2o.confidence.verdict import rival_of, verdict_of
 from p2o.errors import InputError
 from p2o.features.side import Side
@@ -222,9 +222,9 @@ class _Solved:
             return None
         costs = judge.costs([end.pose for end in ends])
         best = ends[int(np.argmin(costs))]
-        return (
-            cls(cameras, pipeline.options, start, judge, best, ends) if min(costs) < judge.costs([start])[0] else None
-        )
+        if not min(costs) < judge.costs([start])[0]:
+            return None
+        return cls(cameras, pipeline.options, start, judge, best, ends)
 
     def result(self, mean: RigResult, places: Mapping[str, Float]) -> RigResult:
         """Return the result at the best pose, with the comparison of the cameras' own results of `mean`."""
@@ -243,30 +243,25 @@ class _Solved:
         if not opinions:
             return mean
         covariance = Fusion.of(opinions).covariance
-        beside = [self._beside(camera, covariance) for camera in self.cameras]
-        chi_squares = [
-            one.chi_square
-            for camera, one in zip(self.cameras, beside, strict=True)
-            if camera.own.verdict.trusted and one.chi_square is not None
-        ]
+        beside = {camera.name: self._beside(camera, covariance) for camera in self.cameras}
+        alone = [beside[camera.name] for camera in self.cameras if camera.own.verdict.trusted]
+        chi_squares = [one.chi_square for one in alone if one.chi_square is not None]
         chi_square, degrees = float(sum(chi_squares)), 6 * len(chi_squares)
         p_value = float(chi2.sf(chi_square, degrees)) if degrees else None
+        if p_value is not None:
+            words = {"whose": "trusted results of single cameras", "other": "the common result"}
+            reasons += contradictions(alone, chi_square, degrees, p_value, **words)
         covariance = covariance * max(1.0, chi_square / max(degrees, 1))
         rotation_deg, translation_m = deviations(covariance, pose)
         accuracy = Accuracy(rotation_deg, translation_m, WIDER * rotation_deg, WIDER * translation_m)
-        verdict = verdict_of(
-            _together(agreements), rival_of(self.ends, self.best, self.judge), (), self.options, accuracy
-        )
-        known = {one.name: one for one in beside}
+        rival = rival_of(self.ends, self.best, self.judge)
+        verdict = verdict_of(_together(agreements), rival, (), self.options, accuracy)
         left_out = {one.name: one.left_out or "it has no edges of both sensors" for one in mean.cameras}
         return RigResult(
             pose,
             f"one calibration of the edges of {len(self.cameras)} cameras",
-            Verdict((*verdict.reasons, *_contradictions(beside, chi_square, degrees, p_value), *reasons)),
-            tuple(
-                known[name] if name in known else RigCamera(name, place @ pose, left_out=left_out[name])
-                for name, place in places.items()
-            ),
+            Verdict((*verdict.reasons, *reasons)),
+            tuple(beside.get(n, RigCamera(n, place @ pose, left_out=left_out[n])) for n, place in places.items()),
             covariance=covariance,
             accuracy=accuracy,
             chi_square=chi_square,
@@ -281,26 +276,7 @@ class _Solved:
             own = Opinion.of(camera.name, camera.own, camera.place)
         except InputError:
             return RigCamera(camera.name, common)
-        step = own.body_from_lidar @ se3.inverse(self.best.pose)
-        tangent = se3.log(step)
-        chi_square = float(tangent @ np.linalg.solve(own.covariance + covariance, tangent))
-        moved = se3.inverse(self.best.pose) @ own.body_from_lidar
-        return RigCamera(camera.name, common, se3.angle_deg(moved), se3.distance_m(moved), chi_square)
-
-
-def _contradictions(
-    cameras: Sequence[RigCamera], chi_square: float, degrees: int, p_value: float | None
-) -> list[Reason]:
-    """Return a reason if trusted results of cameras differ from the common pose by more than predicted."""
-    if p_value is None or p_value >= LEAST_P:
-        return []
-    worst = max(cameras, key=lambda camera: camera.chi_square or 0.0)
-    text = (
-        "trusted results of single cameras contradict the fixed transforms between the cameras (chi-square "
-        f"{chi_square:.0f} for {degrees}), most of all {worst.name}, {worst.rotation_deg:.2f} deg and "
-        f"{worst.translation_m:.2f} m from the common result"
-    )
-    return [Reason(Doubt.CONTRADICTION, text)]
+        return compared(own, self.best.pose, covariance, common)
 
 
 def _most_likely(cameras: Sequence[_Camera], proposals: Sequence[Float]) -> Float:

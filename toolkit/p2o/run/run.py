@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from p2o.arrays import Float
+from p2o.confidence.fusion import rig_result
 from p2o.errors import InputError, P2OError, PluginError
 from p2o.frames.direction import check_direction
 from p2o.frames.frame import Dataset, Frame
@@ -319,10 +320,22 @@ def run(
     if first is not None and not rows.done:
         sort = "frames" if plan.rig is None else "cameras"
         raise InputError(f"none of the {len(groups)} {sort} can be calibrated", got=first) from first
-    common = None
-    if plan.rig is not None and plan.rig.camera_from_body:
-        common = rig_calibration(assembly, rows.cameras(plan.rig.camera_from_body), plan.rig.camera_from_body)
+    places = {} if plan.rig is None else plan.rig.camera_from_body
+    common = _common_result(rig_calibration, assembly, rows, places) if places else None
     return Run(tuple(rows.done), joint=recipe.joint, failed=tuple(failed), rig=common)
+
+
+def _common_result(
+    rig_calibration: RigCalibration, assembly: Assembly, rows: _Rows, places: Mapping[str, Float]
+) -> RigResult:
+    """Return the common result of cameras with places (4, 4); the mean of their results if a plugin fails."""
+    try:
+        return rig_calibration(assembly, rows.cameras(places), places)
+    except PluginError as problem:
+        if _strict():
+            raise
+        mean = rig_result({row.camera: row.result for row in rows.done}, places)
+        return replace(mean, reason=f"{mean.reason}; the calibration of all edges failed: {problem}")
 
 
 def _initial_guess(plan: Plan, start: Float | None) -> tuple[Float | None, tuple[str, ...]]:
