@@ -43,7 +43,7 @@ def _drive(name: str, words: str, **rest: object) -> Source:
     return Source(f"sim-{name}", data, after=True, **rest)  # type: ignore[arg-type]
 
 
-def _hard(name: str, kind: str, words: str, most: int = 40) -> Source:
+def _hard(name: str, kind: str, words: str, most: int = 24) -> Source:
     seed = sum(map(ord, name))
     return Source(f"sim-{name}", f"synthetic:?right=false&scenes={most}&seed={seed}&{words}", kind=kind, most=most)
 
@@ -54,9 +54,9 @@ def _rig(name: str, frames: str, **rest: object) -> Source:
 
 RAW = "kitti-raw:build/data/kitti_raw"
 SOURCES: Sequence[Source] = (
-    Source("kitti-raw", RAW, "@{splits}#train", most=12),
-    Source("drive-0005", RAW, "@{splits}#drive_0005_later", most=10, after=True),
-    Source("odometry-00", "kitti-odometry:build/data/kitti_odometry", "@{splits}#odometry00-dev", most=12),
+    Source("kitti-raw", RAW, "@{splits}#train", most=8),
+    Source("drive-0005", RAW, "@{splits}#drive_0005_later", most=8, after=True),
+    Source("odometry-00", "kitti-odometry:build/data/kitti_odometry", "@{splits}#odometry00-dev", most=8),
     _rig("waymo", "@{splits}#waymo-dev"),
     _rig("nuscenes", "@{splits}#nuscenes-dev", moves=False, together=False),
     _rig("pjlab", "@{splits}#pjlab-dev", together=False),
@@ -69,11 +69,11 @@ SOURCES: Sequence[Source] = (
     _hard("repeated-hdl64", "repeated structures", "place=repeated&lidar=hdl-64e"),
     _hard("repeated-os1", "repeated structures", "place=repeated&lidar=os1-64&width_px=1000&height_px=560"),
     _hard("empty", "empty road", "place=empty&lidar=hdl-64e"),
-    _hard("empty-os1", "empty road", "place=empty&lidar=os1-64&width_px=1000&height_px=560", most=20),
+    _hard("empty-os1", "empty road", "place=empty&lidar=os1-64&width_px=1000&height_px=560"),
     _hard("traffic", "moving objects alone", "place=traffic&lidar=hdl-64e"),
     _hard("fog", "fog", "place=street&weather=fog&lidar=hdl-64e"),
-    _hard("rain", "rain", "place=street&weather=rain&lidar=os1-64&width_px=1000&height_px=560", most=20),
-    _hard("night", "night", "place=street&weather=night&lidar=hdl-64e", most=20),
+    _hard("rain", "rain", "place=street&weather=rain&lidar=os1-64&width_px=1000&height_px=560"),
+    _hard("night", "night", "place=street&weather=night&lidar=hdl-64e"),
 )
 
 Change = Callable[[Sequence[Frame], int], Frame]
