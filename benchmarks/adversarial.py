@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from adversarial_cases import NO_POSE, SOURCES, Change, Source, changes_of
+from adversarial_cases import KINDS, NO_POSE, SOURCES, Change, Source, changes_of
 from p2o import Frame, InputError, Registry
 from p2o.cache import FeatureCache, content_hash
 from p2o.draw.overlay import draw, write_png
@@ -130,12 +130,12 @@ class Bench:
         if self.cache is None:
             return made()
         key = content_hash(parts)
-        found = self.cache.get(key)
-        if found is None:
+        entry = self.cache.get(key)
+        if entry is None:
             self.cache.put(key, made(), 0.0)
-            found = self.cache.get(key)
-        assert found is not None
-        return found.features
+            entry = self.cache.get(key)
+        assert entry is not None
+        return entry.features
 
     def groups(self) -> list[list[int]]:
         """Return the numbers of frames that are calibrated together: each alone, and four from all over."""
@@ -158,7 +158,7 @@ class Bench:
 
     def changes(self) -> Mapping[str, Mapping[str, Change]]:
         """Return the changes for the source, by kind and variant."""
-        changes = changes_of(self.source, self.following)
+        changes: dict[str, dict[str, Change]] = changes_of(self.source, self.following)
         if self.source.kind == "unchanged":
             changes["duplicated frames"] = {"": lambda frames, n: frames[n]}
         return changes
@@ -260,8 +260,8 @@ def draw_worst(rows: Sequence[Row], out: Path, kept: Path | None, count: int = 1
         view = bench.view(frame)
         path = out / f"{number}-{row.source}-{row.kind.replace(' ', '-')}.png"
         camera = view.camera
-        picture = image_at_scale(frame.image).rgb
-        write_png(path, draw(picture, view.image_edges, view.cloud_edges, camera, np.array(row.pose)))
+        rgb = image_at_scale(frame.image).rgb
+        write_png(path, draw(rgb, view.image_edges, view.cloud_edges, camera, np.array(row.pose)))
         print(
             f"{path.name}: {row.kind} {row.variant}, {len(row.frames)} frames, "
             f"{row.rotation_deg:.2f} deg, {100 * row.translation_m:.0f} cm"
@@ -275,7 +275,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     running = commands.add_parser("run", help="calibrate what has no row yet")
     running.add_argument("--out", type=Path, required=True, help="file of rows, JSON lines")
     running.add_argument("--sources", nargs="+", choices=[source.name for source in SOURCES], metavar="NAME")
-    running.add_argument("--kinds", nargs="+", metavar="KIND")
+    running.add_argument("--kinds", nargs="+", choices=KINDS, metavar="KIND")
     running.add_argument("--features", type=Path, help="folder in which features are kept (deleting it is safe)")
     tabling = commands.add_parser("table", help="print the tables")
     tabling.add_argument("rows", type=Path)

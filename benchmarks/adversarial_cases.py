@@ -86,7 +86,7 @@ def with_camera(frame: Frame, camera: Camera) -> Frame:
 
 
 def with_rgb(frame: Frame, rgb: UInt8) -> Frame:
-    """Return the frame with another picture of the same size, and nothing else of the old one."""
+    """Return the frame with another image of the same size, without right image, depth and mask."""
     return replace(frame, image=Image(np.ascontiguousarray(rgb), frame.image.camera))
 
 
@@ -172,6 +172,15 @@ CHANGES: Mapping[str, Mapping[str, Change]] = {
     "rolling shutter": {"0.5 deg": _shutter(np.radians(0.5)), "2 deg": _shutter(np.radians(2.0))},
 }  # fmt: skip
 """Changes by kind and variant that every source allows; `changes_of` gives all of a source."""
+
+
+KINDS = tuple(
+    dict.fromkeys(
+        [source.kind for source in SOURCES]
+        + [*CHANGES, "other moment", "other camera", "unsynchronised", "duplicated frames"]
+    )
+)
+"""All kinds of inputs."""
 
 
 def changes_of(source: Source, following: Mapping[str, Frame]) -> dict[str, dict[str, Change]]:
