@@ -12,7 +12,7 @@ from p2o.arrays import Float, UInt8
 from p2o.frames.image import Image
 from p2o.geometry.radial_error import RadialError
 
-NO_POSE = frozenset({"other moment", "mirrored image", "other camera", "axes swapped", "units"})
+NO_POSE = frozenset({"other moment", "mirrored image", "other camera", "axes swapped", "units", "units, feet"})
 """Kinds without a right pose: every trusted result is a false accept. For the others it is one that is wrong."""
 
 
@@ -159,7 +159,8 @@ CHANGES: Mapping[str, Mapping[str, Change]] = {
         "z down": _axes([[1, 0, 0], [0, 1, 0], [0, 0, -1]]),
         "turned by 90 deg": _axes([[0, -1, 0], [1, 0, 0], [0, 0, 1]]),
     },
-    "units": {"millimetres": _scaled(1000.0), "kilometres": _scaled(0.001), "feet": _scaled(0.3048)},
+    "units": {"millimetres": _scaled(1000.0), "centimetres": _scaled(100.0), "kilometres": _scaled(0.001)},
+    "units, feet": {"": _scaled(0.3048)},
     "scaled cloud": {"+10 %": _scaled(1.1), "-10 %": _scaled(0.9)},
     "focal length 3 %": {"+": _intrinsics(focal=0.03), "-": _intrinsics(focal=-0.03)},
     "focal length 5 %": {"+": _intrinsics(focal=0.05), "-": _intrinsics(focal=-0.05)},
