@@ -25,6 +25,11 @@ except KeyboardInterrupt:
 """
 WORK = {
     "a camera with distortion": "import p2o; p2o.Camera('OPENCV', 64, 48, (50, 50, 32, 24, 0.1, 0, 0, 0))",
+    "a camera with distortion in a thread": """
+import threading, p2o
+thread = threading.Thread(target=p2o.Camera, args=('OPENCV', 64, 48, (50, 50, 32, 24, 0.1, 0, 0, 0)))
+thread.start()
+thread.join()""",
     "the solver ceres": "from p2o_plugins.solve.ceres import METHOD; METHOD.build(METHOD.options())",
     "the network": "import onnxruntime, onnx, cv2",
     "a training": "import torch, kornia, cv2",

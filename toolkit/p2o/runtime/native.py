@@ -96,13 +96,15 @@ def import_keeping_signals(name: str) -> Any:
     pycolmap and pyceres load glog, which treats SIGTERM as a crash: it prints a stack trace and ends the process
     without running Python's handler. Raises ImportError as the import does.
     """
-    known = name in sys.modules
-    module = importlib.import_module(name)
-    if not known:
-        handler = signal.getsignal(signal.SIGTERM)
-        if handler is not None:  # None: not set by Python, which then cannot set it again
-            with contextlib.suppress(ValueError):  # outside the main thread there are no handlers
-                signal.signal(signal.SIGTERM, handler)
+    # The C functions work in every thread; signal.signal works in the main thread only.
+    get_handler, set_handler = ctypes.pythonapi.PyOS_getsig, ctypes.pythonapi.PyOS_setsig
+    get_handler.argtypes, get_handler.restype = (ctypes.c_int,), ctypes.c_void_p
+    set_handler.argtypes, set_handler.restype = (ctypes.c_int, ctypes.c_void_p), ctypes.c_void_p
+    handler = get_handler(signal.SIGTERM)
+    try:
+        module = importlib.import_module(name)
+    finally:
+        set_handler(signal.SIGTERM, handler)
     return module
 
 
