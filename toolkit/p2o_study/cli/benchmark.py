@@ -371,7 +371,8 @@ def _starts(file: SuiteFile, plugins: Plugins, quiet: bool) -> Any:
 
     with progress_shown(quiet) as (say, warn):
         cells = read_cells(file.study, plugins=plugins, on_progress=say, on_warning=warn)
-        tasks = (Task.of(file.name, cell) for cell in cells)
+        # Poses of a rig need the transforms between its cameras.
+        tasks = (Task.of(file.name, cell) for cell in cells if not cell.group.rig)
         return starts_of(task for task in tasks if task is not None)
 
 
