@@ -38,6 +38,12 @@ class TinyOptions(p2o.Options):
     seed: int = p2o.field(0, ge=0, help="Seed of the scenes.")
     with_right: int = p2o.field(0, ge=0, help="So many frames, from the first on, have a right picture.")
     salt: int = p2o.field(0, ge=0, le=255, help="Changes a pixel of every image, and nothing else.")
+    cameras: int = p2o.field(1, ge=1, help="How many cameras take turns.")
+
+
+def truth_of(camera: int) -> Any:
+    """Return camera_from_lidar (4, 4) of a camera by its number."""
+    return se3.exp(np.array([0.0, 0.3, 0.1, 0.2, 0.0, 0.0]) * camera) @ TRUTH
 
 
 class Frames(Sequence[p2o.Frame]):
@@ -59,10 +65,11 @@ class Frames(Sequence[p2o.Frame]):
         rgb = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
         scene = self.options.seed * 100 + index
         rgb[0, 0] = divmod(scene, 256)[0], divmod(scene, 256)[1], self.options.salt
-        xyz = np.array([[1.0, 0, 0], [scene, 1, 1]])
+        number = index % self.options.cameras
+        xyz = np.array([[1.0, 0, 0], [scene, 1 + number, 1]])
         has_right = index < self.options.with_right
         image = p2o.Image(rgb, CAMERA, right=rgb if has_right else None, baseline_m=0.5 if has_right else None)
-        return p2o.Frame(self.names[index], image, p2o.Cloud(xyz), camera_from_lidar=TRUTH)
+        return p2o.Frame(self.names[index], image, p2o.Cloud(xyz), camera_from_lidar=truth_of(number))
 
 
 def boxes(scene: int) -> tuple[np.ndarray, np.ndarray]:
@@ -111,7 +118,8 @@ def build_cloud(options: CloudOptions) -> p2o.CloudExtractor:
         scene = int(cloud.xyz[1, 0])
         note("cloud", scene)
         points, sides = outline(scene, options.step)
-        return p2o.CloudFeatures(p2o.CloudEdges(se3.apply(se3.inverse(TRUTH), points), sides))
+        truth = truth_of(int(cloud.xyz[1, 1]) - 1)
+        return p2o.CloudFeatures(p2o.CloudEdges(se3.apply(se3.inverse(truth), points), sides))
 
     return extract
 

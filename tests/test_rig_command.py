@@ -82,6 +82,11 @@ def test_two_cameras_of_a_rig_are_calibrated_each_and_in_common(
         assert camera["error"]["rotation_deg"] == pytest.approx(se3.angle_deg(off), abs=1e-6)
     assert common["error"]["count"] == 2
     assert json.loads((out / "run.json").read_text()) == run
+    drawn = [sorted(path.name for path in folder.glob("*.png")) for folder in out.glob("scene*")]
+    poses = [{name.split(".")[0].split("-")[-1] for name in names} for names in drawn]
+    assert poses == [{"before", "after", "common"}] * 2, "each overlay is there for all three poses"
+    assert len(drawn[0]) == 9
+    assert (out / "result.html").read_text().count('aria-label="own result to common result"') == 2
     # Python goes the same way.
     same = p2o.calibrate(STREET, extractor="depth/rings", rig=rig_file)
     assert same.rig is not None

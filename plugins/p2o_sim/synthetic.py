@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from p2o_sim import Board, Moment, RenderedImage, Scene, Weather
 
 BASELINE_M = 0.54
+_MEGAPIXELS = 2.0
+"""Largest images of random rigs, unless the options set another limit."""
 _KITTI_MOUNT = (0.27, 0.06, -0.08, 0.458, -0.63, 0.344)
 _NOMINAL = (0.0,) * 6
 _AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
@@ -112,11 +114,11 @@ class SyntheticOptions(Options):
         help="random draws camera, width_px, height_px, focal_px, mount, lidar and initial guess for each scene; "
         "random-rings only LiDARs with rings; fixed uses the other options.",
     )
-    megapixels: float = field(
-        2.0,
+    megapixels: float | None = field(
+        None,
         ge=0.01,
         le=6,
-        help="Random rigs: larger images, and their focal lengths, are reduced to it.",
+        help="Larger images, and their focal lengths, are reduced to it; null: 2 for random rigs, else no limit.",
     )
     camera: Literal["pinhole", "opencv-distorted", "fisheye"] = field(
         "pinhole", help="Camera model: KITTI-like pinhole with a right image, distorted OPENCV, or OPENCV_FISHEYE."
@@ -231,12 +233,24 @@ def _camera_from_body(options: SyntheticOptions, scene: int, number: int, camera
 
 
 def _with_rig(options: SyntheticOptions, scene_number: int) -> SyntheticOptions:
-    """Return the options with the rig of a scene: unchanged, or drawn for the scene."""
+    """Return the options with the rig of a scene: with images of at most `megapixels`, or drawn for the scene."""
     if options.rig == "fixed":
-        return options
+        return _reduced(options)
     rng = _stream(options, _RIG, scene_number)
-    drawn = simulate.random_rig(rng, megapixels=options.megapixels, rings=options.rig == "random-rings")
+    limit = _MEGAPIXELS if options.megapixels is None else options.megapixels
+    drawn = simulate.random_rig(rng, megapixels=limit, rings=options.rig == "random-rings")
     return options.model_copy(update=vars(drawn))
+
+
+def _reduced(options: SyntheticOptions) -> SyntheticOptions:
+    """Return the options of a fixed rig with the image size, and the focal length if given, reduced to `megapixels`."""
+    most, width, height = options.megapixels, options.width_px, options.height_px
+    if most is None or width * height <= most * 1e6:
+        return options
+    scale = np.sqrt(most * 1e6 / (width * height))
+    update = {"width_px": max(64, round(width * scale)), "height_px": max(64, round(height * scale))}
+    focal_px = None if options.focal_px is None else options.focal_px * update["width_px"] / width
+    return options.model_copy(update={**update, "focal_px": focal_px, "megapixels": None})
 
 
 def _displaced(truth: Float, size: str, rng: np.random.Generator) -> Float:
@@ -528,7 +542,8 @@ def _require_bounded(options: SyntheticOptions) -> None:
         raise InputError("too many frames", where="scenes, frames_per_scene", expected=limit, got=frames)
     speed_m_s = _most_speed_m_s(options)
     travel_m = _travel_m(speed_m_s, options.period_s, options.frames_per_scene, options.sweep_s)
-    megapixels = options.width_px * options.height_px / 1e6 if options.rig == "fixed" else options.megapixels
+    most, drawn = options.megapixels or np.inf, options.megapixels or _MEGAPIXELS
+    megapixels = min(options.width_px * options.height_px / 1e6, most) if options.rig == "fixed" else drawn
     needed = _ALWAYS_MB + _PER_METRE_MB * travel_m * min(options.scenes, 2) + _PER_MEGAPIXEL_MB * megapixels
     if needed > _MAX_MB:
         raise InputError(

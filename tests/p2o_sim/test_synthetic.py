@@ -15,7 +15,7 @@ import pytest
 from p2o import Dataset, Frame, InputError, se3
 from p2o.geometry.perturb import parse_perturbation
 from p2o_sim import LIDARS, Class, synthetic
-from p2o_sim.synthetic import BASELINE_M, METHOD, SyntheticOptions, View, build, camera_from_lidar, view
+from p2o_sim.synthetic import BASELINE_M, METHOD, SyntheticOptions, View, build, camera_from_lidar, camera_of, view
 from pydantic import ValidationError
 from scipy import ndimage
 
@@ -441,6 +441,29 @@ def test_a_random_rig_sees_in_its_sweep_what_its_depth_map_says() -> None:
     for number in range(3):
         frame = view(options, number).frame
         assert np.median(_depth_errors(frame, frame.camera_from_lidar, 100)) < 2e-3
+
+
+@pytest.mark.parametrize(
+    "camera", [{}, {"focal_px": 400.0}, {"camera": "opencv-distorted"}, {"camera": "fisheye", "focal_px": 200.0}]
+)
+def test_megapixels_reduce_image_and_focal_length_of_all_cameras_of_a_fixed_rig(camera: dict[str, Any]) -> None:
+    full = SyntheticOptions(**(STILL | {"width_px": 640, "height_px": 160, "place": "room", "speed_m_s": 0.0} | camera))
+    small = full.model_copy(update={"megapixels": 0.0256, "cameras": ("front", "left"), "right": False})
+    points = np.random.default_rng(0).uniform([-2, -0.5, 5], [2, 0.5, 9], (20, 3))
+    expected = (camera_of(full).project(points) + 0.5) / 2 - 0.5
+    for frame in build(small):
+        assert frame.image.rgb.shape == (80, 320, 3)
+        np.testing.assert_allclose(frame.camera.project(points), expected, atol=1e-6)
+        assert np.median(_depth_errors(frame, frame.camera_from_lidar, 100)) < 2e-3
+
+
+def test_megapixels_enlarge_no_image_and_bound_the_memory_of_a_fixed_rig() -> None:
+    options = SyntheticOptions(**SMALL, megapixels=1)
+    assert view(options, 0).frame.camera == camera_of(options)
+    large = {"width_px": 8192, "height_px": 8192}
+    assert len(build(SyntheticOptions(**large, megapixels=1))) == 1
+    with pytest.raises(InputError, match="too much memory"):
+        build(SyntheticOptions(**large))
 
 
 def test_frames_of_a_drive_share_the_random_rig_of_their_scene() -> None:

@@ -126,7 +126,7 @@ def test_frames_are_chosen_for_all_datasets_or_for_one(tmp_path: Path) -> None:
     [
         ('colour = "red"\n' + HEAD + ROW, r"unknown key 'colour'.*expected one of: dataset, defaults"),
         (HEAD + ROW + 'macher = "ogm"\n', r"\[\[row\]\] 1 'a': unknown key 'macher'.*did you mean matcher"),
-        (HEAD + ROW + 'joint = "rig"\n', r"\[\[row\]\] 1 'a': joint is not valid"),
+        (HEAD + ROW + 'joint = "rigs"\n', r"\[\[row\]\] 1 'a': joint is not valid"),
         (HEAD + ROW + "joint = 1\n", r"\[\[row\]\] 1 'a': joint is not valid"),
         (HEAD + ROW + 'seeds = "many"\n', "seeds is not valid"),
         (HEAD + "[[row]]\n" + 'matcher = "ogm"\n', r"\[\[row\]\] 1: label is missing"),

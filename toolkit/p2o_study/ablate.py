@@ -24,7 +24,7 @@ from p2o_study import frame_records, worker
 from p2o_study.cells import Cell, Cells, FeatureKeys, InitialGuess, OpenRow, open_rows
 from p2o_study.parallel import Run, Workers
 from p2o_study.store import Planned, Store, StoredRow, StoredStudy
-from p2o_study.study import LARGEST_SEED, MAX_ROWS, MAX_SEEDS, Study, StudyFile, StudyRow, check_study
+from p2o_study.study import BY_RIG, LARGEST_SEED, MAX_ROWS, MAX_SEEDS, Study, StudyFile, StudyRow, check_study
 from p2o_study.worker import CalibrateJob, ExtractJob, FrameRecord, Plugins, ReadJob, Source
 
 Phase = Literal["read", "extract", "calibrate"]
@@ -140,13 +140,19 @@ def calibrated(cells: Iterable[Cell], run: Run, cache: FeatureCache) -> Generato
     The frames of all cells are readable.
     """
     keys = FeatureKeys()
-    jobs = (_calibrate_job(cell, tuple(keys.of(cell.method, r) for r in cell.group.records), cache) for cell in cells)
-    with contextlib.closing(run(worker.calibrate, jobs, worker.calibration_failed)) as rows:
+    jobs = (_calibrate_job(cell, _keys_of(cell, keys), cache) for cell in cells)
+    with contextlib.closing(run(worker.compute, jobs, worker.calibration_failed)) as rows:
         yield from rows
 
 
 def _calibrate_job(cell: Cell, keys: tuple[Mapping[str, str], ...], cache: FeatureCache) -> CalibrateJob:
-    return CalibrateJob(cell.stored, cell.method.recipe, cell.group.records, cache.root, keys, cell.method.damage)
+    job = CalibrateJob(cell.stored, cell.method.recipe, cell.group.records, cache.root, keys, cell.method.damage)
+    return worker.RigJob(**vars(job), cameras=cell.group.cameras) if cell.group.rig else job
+
+
+def _keys_of(cell: Cell, keys: FeatureKeys) -> tuple[Mapping[str, str], ...]:
+    """Return the cache keys of the features of each frame by stage; none of a rig, which extracts its own."""
+    return () if cell.group.rig else tuple(keys.of(cell.method, record) for record in cell.group.records)
 
 
 def _opened(
@@ -212,7 +218,7 @@ def _read(work: _Work, rows: Sequence[OpenRow], *, extract: bool) -> dict[Source
     for entry in rows:
         firsts.setdefault(entry.sources[0], []).append(entry)
         own: dict[str, tuple[str, str]] = {}
-        for seed in entry.row.seeds if extract else ():
+        for seed in entry.row.seeds if extract and entry.row.joint != BY_RIG else ():
             own.update(entry.method(seed).extractors)
         for source in entry.sources:
             checks.setdefault(source, set()).add(entry.first.recipe)
@@ -257,7 +263,7 @@ def _compute(work: _Work, store: Store, cells: Cells, pending: Sequence[int], ke
             failure = cell.group.failure
             own: tuple[Mapping[str, str], ...] = ()
             if failure is None:
-                own = tuple(keys.of(cell.method, record) for record in cell.group.records)
+                own = _keys_of(cell, keys)
                 failure = next((failures[key] for stages in own for key in stages.values() if key in failures), None)
             if failure is not None:
                 refused.append(replace(cell.stored, reason=failure[0], exception=failure[1], finished=worker.now()))
@@ -266,7 +272,7 @@ def _compute(work: _Work, store: Store, cells: Cells, pending: Sequence[int], ke
                 yield _calibrate_job(cell, own, work.cache)
 
     pace.begin(kept=kept, total=kept + len(pending))
-    with contextlib.closing(work.run(worker.calibrate, jobs(), worker.calibration_failed)) as rows:
+    with contextlib.closing(work.run(worker.compute, jobs(), worker.calibration_failed)) as rows:
         for row in _with_refused(rows, refused):
             store.put(row)
             pace.one(row)
@@ -287,7 +293,7 @@ def _extracted(work: _Work, cells: Cells, pending: Sequence[int], keys: FeatureK
     wanted: dict[Source, dict[str, tuple[str, str, str]]] = {}
     looked: set[str] = set()
     for entry, group, seed in map(cells.place, pending):
-        if group.failure is not None:
+        if group.failure is not None or group.rig:
             continue
         method = entry.method(seed)
         for record in group.records:

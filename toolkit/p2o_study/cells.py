@@ -31,7 +31,7 @@ from p2o_study.damage import Damage
 from p2o_study.keys import features_key, method_content
 from p2o_study.sources import Code, code_of
 from p2o_study.store import Planned, StoredRow
-from p2o_study.study import ALL_JOINT, BY_CAMERA, MAX_SEEDS, StudyRow, with_place
+from p2o_study.study import ALL_JOINT, BY_CAMERA, BY_RIG, MAX_SEEDS, StudyRow, with_place
 from p2o_study.worker import FrameRecord, Plugins, Source
 
 _INPUT_STAGES = ("data", "accumulate")
@@ -102,7 +102,7 @@ class Method:
             },
             "pipeline": described["options"].get("pipeline"),
             "damage": damage_content(damage) if damage.missing_edges else None,
-            "code": calibration_code().hash,
+            "code": (rig_code() if row.joint == BY_RIG else calibration_code()).hash,
         }
         acting = {**content, "seed": seed, "perturb": recipe.perturb, "versions": versions}
         words = recipe.model_dump(mode="json", exclude_unset=True)
@@ -131,6 +131,11 @@ def calibration_code() -> Code:
     """Return the definitions that every row depends on, in addition to those of its methods."""
     # Results depend on parts and frames, although recipe and registry, which create them, are left out.
     return code_of(worker.calibrate, Part, guard.build, Frame, leave_out=CANNOT_ALTER_A_POSE)
+
+
+def rig_code() -> Code:
+    """Return the definitions that every row of a rig depends on, in addition to those of its methods."""
+    return code_of(worker.calibrate_rig, Part, guard.build, Frame, leave_out=CANNOT_ALTER_A_POSE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +226,7 @@ def _data_options(row: StudyRow, registry: Registry) -> str:
 
 def group_size(joint: int, frames: int) -> int:
     """Return the number of frames per group out of `frames`; 1 where groups depend on the cameras."""
-    return {0: 1, ALL_JOINT: frames, BY_CAMERA: 1}.get(joint, joint)
+    return {0: 1, ALL_JOINT: frames, BY_CAMERA: 1, BY_RIG: frames}.get(joint, joint)
 
 
 def groups_of(joint: int, records: Sequence[FrameRecord]) -> list[tuple[FrameRecord, ...]]:
@@ -267,12 +272,14 @@ def _of_one_camera(first: FrameRecord, other: FrameRecord) -> bool:
 class Group:
     """Frames of one calibration of a row; `joint` is their number, 0 for a single frame.
 
-    `check` is the recipe (JSON) whose required inputs are checked.
+    `check` is the recipe (JSON) whose required inputs are checked. The frames of a `rig` are those of all its cameras;
+    its poses are camera_from_lidar of the camera of the first frame.
     """
 
     records: tuple[FrameRecord, ...]
     joint: int
     check: str
+    rig: bool = False
 
     @cached_property
     def truth(self) -> Float | None:
@@ -281,8 +288,26 @@ class Group:
 
     @property
     def poses(self) -> Any:
-        """The records as frames: they have the poses of a frame under the same names."""
-        return self.records
+        """The records as frames, of one camera: they have the poses of a frame under the same names."""
+        return next(iter(self.cameras.values())) if self.rig else self.records
+
+    @cached_property
+    def cameras(self) -> dict[str, tuple[FrameRecord, ...]]:
+        """The frames of a rig by camera; raises InputError for one camera and for a frame without ground truth."""
+        where = self.records[0].name
+        for record in self.records:
+            if record.camera_from_lidar is None:
+                text = "the transforms between the cameras of the rig are unknown"
+                raise InputError(
+                    text, where=record.name, expected="frames with ground truth", hint='joint = "camera" needs none'
+                )
+        cameras: dict[str, tuple[FrameRecord, ...]] = {}
+        for frames in _by_camera(self.records):
+            name = frames[0].camera_name or frames[0].name
+            cameras[frames[0].name if name in cameras else name] = frames
+        if len(cameras) < 2:
+            raise InputError("frames of one camera are no rig", where=where, expected='joint = "camera", or true')
+        return cameras
 
     @property
     def readable(self) -> bool:
@@ -293,7 +318,8 @@ class Group:
     def content(self) -> str:
         """The hash of everything of the frames that a result depends on."""
         frames = [{"name": record.name, **record.inputs} for record in self.records]
-        return content_hash({"joint": bool(self.joint), "frames": frames, "truth": self.truth})
+        cameras = {"cameras": [r.camera_from_lidar for r in self.records]} if self.rig else {}
+        return content_hash({"joint": bool(self.joint), "frames": frames, "truth": self.truth, **cameras})
 
     @property
     def failure(self) -> tuple[str, str] | None:
@@ -337,7 +363,11 @@ class Cell:
             perturb=self.method.described["perturb"],
             start=self.start,
             truth=truth,
-            recipe={**self.method.described, "frames": ",".join(names), "joint": bool(self.group.joint)},
+            recipe={
+                **self.method.described,
+                "frames": ",".join(names),
+                "joint": bool(self.group.joint) and not self.group.rig,
+            },
             versions=self.method.versions,
             inputs={record.name: dict(record.inputs) for record in records},
             **before,
@@ -402,7 +432,8 @@ class Cells(Sequence[Cell]):
         last = self._last
         if last is None or last[:2] != (at, number):
             records = self._groups[at][number]
-            group = Group(records, len(records) if entry.row.joint else 0, entry.first.recipe)
+            joint, rig = len(records) if entry.row.joint else 0, entry.row.joint == BY_RIG
+            group = Group(records, joint, entry.first.recipe, rig)
             # Successive cells are the seeds of a row on the same frames.
             self._last = last = at, number, group
         return entry, last[2], entry.row.seeds[seed]

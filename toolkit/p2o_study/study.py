@@ -42,6 +42,8 @@ ALL_JOINT = -1
 """Number of frames per joint calibration: all."""
 BY_CAMERA = -2
 """Number of frames per joint calibration: all frames of one camera and rig."""
+BY_RIG = -3
+"""Number of frames per joint calibration: all frames of all cameras of a rig, whose transforms are known."""
 
 MAX_SEEDS = 10_000
 """Maximum number of initial guesses per row; more do not improve the statistics."""
@@ -66,7 +68,7 @@ Seed = Annotated[int, Field(strict=True, ge=0, le=LARGEST_SEED)]
 Seeds = (
     Annotated[int, Field(strict=True, ge=1, le=MAX_SEEDS)] | Annotated[tuple[Seed, ...], Field(max_length=MAX_SEEDS)]
 )
-Joint = StrictBool | Annotated[int, Field(strict=True, ge=2)] | Literal["camera"]
+Joint = StrictBool | Annotated[int, Field(strict=True, ge=2)] | Literal["camera", "rig"]
 
 
 Metric = Literal["rotation_deg", "translation_m", "roll_deg", "pitch_deg", "yaw_deg", "x_m", "y_m", "z_m"]
@@ -200,7 +202,8 @@ class Study(_Table):
     `defaults` are the words of rows that do not set them; `perturb`, `joint` and `seeds` are defaults, too. `perturb`
     is a perturbation as in `p2o run`; instead, a `protocol` draws the initial guesses, and its figures are printed
     below the table. `joint` is False (each frame alone), True (joint calibration of all frames), "camera" (joint
-    calibration of all frames of one camera) or a number N (groups of N successive frames; the last may be smaller).
+    calibration of all frames of one camera), "rig" (one calibration of the edges of all cameras, with the transforms
+    between them from the ground truth) or a number N (groups of N successive frames; the last may be smaller).
     `seeds` is a number N of seeds, 0 to N - 1, or a list. `metrics` are the columns of the tables. With `within`, a
     size such as "0.5deg 0.15m", tables count calibrations within these errors, and those with a larger error than the
     initial guess.
@@ -275,7 +278,7 @@ class StudyRow:
 
     `method_words` holds the words of the file (with names of variants), `words` those of the recipe without data,
     frames, seed and joint. `joint` is the number of frames per joint calibration: 0 each alone, ALL_JOINT all,
-    BY_CAMERA all of one camera.
+    BY_CAMERA all of one camera, BY_RIG all of all cameras of a rig.
     """
 
     label: str
@@ -294,7 +297,8 @@ class StudyRow:
         if data:
             options["data"] = data
         words = {**self.words, "options": options, "data": self.dataset.data, "frames": self.dataset.frames}
-        return Recipe.of(**words, seed=seed, joint=self.joint == ALL_JOINT)
+        rig = {"rig": True} if self.joint == BY_RIG else {}
+        return Recipe.of(**words, **rig, seed=seed, joint=self.joint == ALL_JOINT)
 
     def damage(self, seed: int) -> Damage:
         """Return the damage to the features of frames for one seed."""
@@ -424,7 +428,7 @@ class _Expansion:
         if len(set(seeds)) < len(seeds) or not seeds:
             self._fail(f"row '{label}' has seeds {list(seeds)}", "different seeds, at least one")
         joint = self.study.joint if scope.joint is None else scope.joint
-        frames = {False: 0, True: ALL_JOINT, "camera": BY_CAMERA}.get(joint, joint)
+        frames = {False: 0, True: ALL_JOINT, "camera": BY_CAMERA, "rig": BY_RIG}.get(joint, joint)
         for word in ("calibrator",) if "calibrator" in merged else STAGED_WORDS:
             method_words.setdefault(word, merged.get(word, Recipe.model_fields[word].default))
         return [
@@ -531,6 +535,9 @@ def check_study(study: Study, registry: Registry, at_most: int = MAX_ROWS) -> li
     rows = study.rows(at_most)
     for row in rows:
         row.resolve(registry, row.seeds[0])
+        if row.joint == BY_RIG and row.damage(row.seeds[0]).missing_edges:
+            where = f"{row.where}, row '{row.label}'"
+            raise InputError("damage of the features of a rig", where=where, expected='no joint = "rig" beside it')
     return rows
 
 

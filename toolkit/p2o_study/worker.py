@@ -24,6 +24,7 @@ from p2o.arrays import Float, leaves
 from p2o.cache import FeatureCache, content_hash
 from p2o.errors import InputError, P2OError
 from p2o.frames.frame import Frame
+from p2o.geometry import se3
 from p2o.geometry.camera import Camera
 from p2o.geometry.pose_error import AXES, pose_error
 from p2o.host.method import Kind
@@ -37,6 +38,8 @@ from p2o.run.joined import JoinedFrames
 from p2o.run.pipeline import Pipeline
 from p2o.run.read_again import FrameInfo, ReadAgain
 from p2o.run.recipe import Part, Plan, Recipe, open_dataset
+from p2o.run.rig_motion import CameraSweeps, with_common_motions
+from p2o.run.rig_solve import RigCameraFrames, solve_rig
 
 from p2o_study.damage import Damage
 from p2o_study.keys import features_key
@@ -169,6 +172,17 @@ class CalibrateJob:
     damage: Damage = field(default_factory=Damage)
 
 
+@dataclass(frozen=True, eq=False)
+class RigJob(CalibrateJob):
+    """A job to compute one row of a rig: `cameras` are the records by camera, that of the first frame first.
+
+    The fixed transforms between the cameras are those of the ground truth of their frames. Features are extracted by
+    the job: no record has `keys`.
+    """
+
+    cameras: Mapping[str, tuple[FrameRecord, ...]] = field(default_factory=dict)
+
+
 _OF_FRAME = ("camera", "camera_from_lidar", "start", "camera_name", "twist", "warnings")
 
 
@@ -285,6 +299,22 @@ def calibrate(job: CalibrateJob) -> StoredRow:
     return replace(row, machine=machine_info(), finished=now())
 
 
+def calibrate_rig(job: RigJob) -> StoredRow:
+    """Calibrate all cameras of a rig in one problem and return the complete row, as `calibrate`."""
+    try:
+        row = _filled(job.row, _rig_result(job))
+    except KeyboardInterrupt:
+        raise
+    except BaseException as problem:
+        row = replace(job.row, reason=_one_line(problem), exception=traceback.format_exc())
+    return replace(row, machine=machine_info(), finished=now())
+
+
+def compute(job: CalibrateJob) -> StoredRow:
+    """Return the complete row of frames of one camera, or of a rig."""
+    return calibrate_rig(job) if isinstance(job, RigJob) else calibrate(job)
+
+
 def calibration_failed(job: CalibrateJob, problem: P2OError) -> StoredRow:
     """Return the row of a calibration that terminated every worker."""
     return replace(job.row, reason=str(problem), exception=str(problem), finished=now())
@@ -358,6 +388,55 @@ def _result(job: CalibrateJob) -> Result:
     result = assembly.checked(result, infos, lambda number: pieces(*each[number], WITNESS))
     warnings = [f"{records.name}: {text}" for records in job.records for text in records.warnings]
     return replace(result, seconds=seconds, warnings=(*warnings, *result.warnings))
+
+
+def _rig_result(job: RigJob) -> Result:
+    """Return the common result of a rig as that of its first camera, which is the body: the other ones follow from it.
+
+    As in `p2o run --rig`, each camera is calibrated alone, then all of them together.
+    """
+    start, plan = job.row.start, _plan(job.records[0].source.plugins, job.recipe)
+    assert start is not None
+    assembly = Assembly.of(plan.parts, plan.pipeline, built)
+    places, frames = {}, {}
+    for name, records in job.cameras.items():
+        pose, body = records[0].camera_from_lidar, job.records[0].camera_from_lidar
+        assert pose is not None
+        assert body is not None
+        places[name] = pose @ se3.inverse(body)
+        frames[name] = _frames_of(records)
+    limit_threads()
+    began = time.perf_counter()
+
+    def solve(number: int, methods: Assembly) -> Result:
+        name = names[number]
+        return methods(frames[name], places[name] @ start)
+
+    names = list(job.cameras)
+    own = [solve(number, assembly) for number in range(len(names))]
+    sweeps = [CameraSweeps.of(name, frames[name], result) for name, result in zip(names, own, strict=True)]
+    own = with_common_motions(sweeps, assembly, solve)
+    cameras = [RigCameraFrames(n, frames[n], places[n], result) for n, result in zip(names, own, strict=True)]
+    common = solve_rig(assembly, cameras, places)
+    unsolved = next((result.status for result in own if not result.status.solved), Status.NOT_OBSERVABLE)
+    return Result(
+        job.row.frames,
+        start,
+        start if common.body_from_lidar is None else common.body_from_lidar,
+        unsolved if common.body_from_lidar is None else Status.CONVERGED,
+        common.reason,
+        covariance=common.covariance,
+        accuracy=common.accuracy,
+        verdict=common.verdict,
+        seconds={"rig": time.perf_counter() - began},
+    )
+
+
+def _frames_of(records: Sequence[FrameRecord]) -> Sequence[Frame]:
+    """Return frames without ground truth; those that memory cannot hold are read again at each access."""
+    for record in records:
+        _frame(record.source)
+    return ReadAgain(lambda number: _frame(records[number].source), range(len(records)), truth=False)
 
 
 def with_cost_of_truth(

@@ -8,6 +8,7 @@ import numpy as np
 from p2o import Cloud, CloudExtractor, CloudFeatures, CloudRemarks, Float, Int, Method, Side, field
 from p2o.reading import RingsUnknownError
 
+from p2o_plugins.cloud.firing_order import rings_in_firing_order
 from p2o_plugins.cloud.ground_plane import ground_plane
 from p2o_plugins.cloud.jumps import JumpOptions, edges_of, reliable_jumps, towards_background
 from p2o_plugins.cloud.open_sky import FAR_M, opened
@@ -184,6 +185,12 @@ def outline(
     return xyz, np.abs(lift) * flat / sweep.range_m[rows] / np.sqrt(12)
 
 
+def recovered_rings(cloud: Cloud) -> tuple[Int, str] | None:
+    """Return the ring (N,) of each point of a cloud in firing order, and the source as text; None for other clouds."""
+    ring = rings_in_firing_order(cloud)
+    return None if ring is None else (ring, "the firing order of the points")
+
+
 METHOD = Method(
     name="rings",
     build=build,
@@ -191,5 +198,6 @@ METHOD = Method(
     summary="Occlusion edges with direction from range jumps along rings and columns of a spinning LiDAR.",
     gives=frozenset({"cloud-edges", "side", "cloud-points"}),
     parallel=True,
+    rings=recovered_rings,
     cite="Wang et al., P2O-Calib, 2023, Sec. III-C",
 )

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from p2o import Cloud, Dataset, Registry
+from p2o.cli.data import ring_count
+from p2o.host.method import Kind
 from p2o.reading import RingsUnknownError
 from p2o.run.recipe import open_dataset as opened
 from p2o_plugins.cloud.firing_order import rings_in_firing_order
@@ -62,6 +64,15 @@ def test_a_compensated_sweep_is_resolved_if_its_velocity_is_known_and_else_refus
     cloud = fired(hall).untwisted(np.array([0.0, 0.0, 0.1, 10.0, 0.0, 0.0]))
     np.testing.assert_array_equal(rings_in_firing_order(without_rings(cloud)), cloud.ring)
     assert rings_in_firing_order(replace(without_rings(cloud), twist=None)) is None
+
+
+def test_a_check_says_what_is_recovered_and_by_which_extractor(hall: Cloud) -> None:
+    extractors = Registry.load(environ={}).of_kind(Kind.CLOUD_EXTRACTOR)
+    cloud = without_rings(fired(hall, seed=1))
+    assert ring_count(cloud, extractors) == "64 rings recovered by `rings` from the firing order of the points"
+    assert ring_count(cloud) == "no rings", "without the extractor nothing recovers them"
+    shuffled = cloud.select(np.random.default_rng(0).permutation(len(cloud)))
+    assert ring_count(shuffled, extractors) == "no rings"
 
 
 def test_shuffled_points_have_no_rings(hall: Cloud) -> None:

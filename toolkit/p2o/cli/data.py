@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -12,9 +13,11 @@ from p2o.cli.plugin_options import data_argument, load, plugin_options
 from p2o.errors import P2OError, printable
 
 if TYPE_CHECKING:
+    from p2o.arrays import Int
     from p2o.frames.cloud import Cloud
     from p2o.frames.frame import Frame
     from p2o.host.guard import GuardedDataset
+    from p2o.host.registry import Offer
 
 
 def _dataset_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -49,11 +52,14 @@ def check_frames(data: str, frames: str | None, **words: Any) -> int:
 
     Frames that the dataset leaves out are listed with the reason; they are not bad.
     """
+    from p2o.host.method import Kind
+
     dataset, indices = _opened(data, frames, **words)
+    extractors = load(words["plugin"], words["block"]).of_kind(Kind.CLOUD_EXTRACTOR)
     bad = 0
     for index in indices:
         try:
-            click.echo(described(dataset[index]))
+            click.echo(described(dataset[index], extractors))
         except P2OError as problem:
             bad += 1
             click.echo(f"{printable(dataset.names[index])}: BAD: {problem}")
@@ -63,14 +69,17 @@ def check_frames(data: str, frames: str | None, **words: Any) -> int:
     return P2OError.exit_code if bad else 0
 
 
-def described(frame: Frame) -> str:
-    """Return the content of a frame in one line, and its warnings in further lines."""
+def described(frame: Frame, extractors: Sequence[Offer]) -> str:
+    """Return the content of a frame in one line, and its warnings in further lines; `extractors` are those of clouds.
+
+    Raises PluginError if one of them fails to recover rings.
+    """
     image, cloud = frame.image, frame.cloud
     parts = [
         *([frame.camera_name] if frame.camera_name else []),
         f"{frame.camera.width}x{frame.camera.height} px {frame.camera.model}",
         f"{len(cloud)} points",
-        ring_count(cloud),
+        ring_count(cloud, extractors),
         *(name for name in ("column", "intensity", "time_s") if getattr(cloud, name) is not None),
         *(name for name in ("right", "depth_m", "masked") if getattr(image, name) is not None),
         "truth" if frame.camera_from_lidar is not None else "no truth",
@@ -81,15 +90,33 @@ def described(frame: Frame) -> str:
     return "\n".join(map(printable, lines))
 
 
-def ring_count(cloud: Cloud) -> str:
-    """Return the number of rings of a sweep as text, with the source if they are estimated."""
+def ring_count(cloud: Cloud, extractors: Sequence[Offer] = ()) -> str:
+    """Return the number of rings of a sweep as text, with the source if they are estimated, or recovered and by whom.
+
+    `extractors` are asked for rings that neither the order nor the elevations of the points show.
+    """
     from p2o.frames.rings import RingsUnknownError, rings_of
 
     try:
         label, by = rings_of(cloud)
     except RingsUnknownError:
-        return "no rings"
-    return f"{len(set(label.tolist()))} rings" + (f" from {by}" if by else "")
+        return next((text for text in map(partial(_recovered, cloud), extractors) if text), "no rings")
+    return _count(label) + (f" from {by}" if by else "")
+
+
+def _recovered(cloud: Cloud, extractor: Offer) -> str:
+    """Return the number of rings that an extractor recovers, and from what; empty if it recovers none."""
+    from p2o.host.registry import watch
+
+    if extractor.method.rings is None:
+        return ""
+    with watch(extractor, "recovering rings"):
+        rings = extractor.method.rings(cloud)
+        return "" if rings is None else f"{_count(rings[0])} recovered by `{extractor.name}` from {rings[1]}"
+
+
+def _count(label: Int) -> str:
+    return f"{len(set(label.tolist()))} rings"
 
 
 def _opened(

@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from p2o.arrays import Float, UInt8
     from p2o.frames.frame import Frame
     from p2o.geometry.camera import Camera
-    from p2o.results.result import Result
+    from p2o.results.result import Result, RigResult
     from p2o.run.run import Progress, Run
 
 
-_TIMES = ("before", "after")
-_SWEEPS = tuple(f"sweep-{by}-{name}.png" for by in ("range", "reflectance") for name in _TIMES)
+_POSES = ("before", "after", "common")
+_SWEEPS = tuple(f"sweep-{by}-{name}.png" for by in ("range", "reflectance") for name in _POSES)
 _CLOUD = "cloud.ply"
 
 
@@ -34,7 +34,8 @@ class OutDir:
 
     A folder of a frame contains result.json, convergence.png, overlays (before.png, after.png), the sweep on the image
     (sweep-range-*.png and, with intensity, sweep-reflectance-*.png) and cloud.ply, the coloured sweep. The result.json
-    and convergence.png of a joint result are in DIR, those of a camera of a rig in DIR/CAMERA. `folders` are by name.
+    and convergence.png of a joint result are in DIR, those of a camera of a rig in DIR/CAMERA. Frames of a rig
+    also have the overlays of the common result (common.png, sweep-range-common.png, ...). `folders` are by name.
     """
 
     root: Path
@@ -60,7 +61,7 @@ class OutDir:
     @property
     def files(self) -> list[Path]:
         """The files to be written."""
-        ours = (RESULT, ROUNDS, *(f"{name}.png" for name in _TIMES), *_SWEEPS, _CLOUD)
+        ours = (RESULT, ROUNDS, *(f"{name}.png" for name in _POSES), *_SWEEPS, _CLOUD)
         own = [self.root / folder / name for folder in self.folders.values() for name in ours]
         return [*(self.root / name for name in IN_ROOT), *own]
 
@@ -73,6 +74,18 @@ class OutDir:
         with _write_errors(home):
             write_json(home / RESULT, progress.row.as_dict())
             self._draw(home, progress, progress.row.result)
+
+    def write_common(self, calibrated: Sequence[Progress], rig: RigResult) -> None:
+        """Write the overlays of the common result of a rig for the frames of its cameras, if it has a pose."""
+        poses = {camera.name: camera.camera_from_lidar for camera in rig.cameras}
+        for progress in calibrated:
+            pose = poses.get(progress.camera)
+            if progress.row is None or pose is None:
+                continue
+            for frame in progress.frames:
+                folder = self.root / self.folders[frame.name]
+                with _write_errors(folder):
+                    _Drawn.of(frame, progress.row.result, pose).write(folder, "common", progress)
 
     def finish(self, run: Run) -> Path | None:
         """Write run.json and the page, and return the page; None without finished results."""
@@ -90,47 +103,72 @@ class OutDir:
 
     def _draw(self, home: Path, progress: Progress, result: Result) -> None:
         """Write the convergence plot, and the overlays and the coloured cloud of every frame."""
-        from p2o.draw import overlay, plots
+        from p2o.draw import plots
 
         plots.convergence(result, home / ROUNDS)
         for frame in progress.frames:
             folder = self.root / self.folders[frame.name]
             folder.mkdir(parents=True, exist_ok=True)
-            twist = result.twist_of(frame.name)
-            corrected = frame if twist is None else replace(frame, cloud=frame.cloud.untwisted(twist))
-            if result.later_s and frame.twist is not None:
-                corrected = replace(corrected, cloud=corrected.cloud.later(result.later_s, frame.twist))
-            before = result.start, frame.camera, frame
-            after = result.camera_from_lidar, result.camera_of(frame.camera), corrected
-            _draw_sweeps(folder, frame.image.rgb, before, after)
-            for name, (pose, camera, seen) in zip(_TIMES, (before, after), strict=True):
-                view = None if result.status is Status.STAGE_FAILED else progress.assembly.view(seen)
-                if view is not None and (len(view.image_edges) or len(view.cloud_edges)):
-                    view = view.as_seen_from(pose)
-                    small, camera = image_at_scale(frame.image).rgb, camera_at_scale(camera)
-                    if small.shape[1::-1] != (camera.width, camera.height):
-                        # A corrected focal length may cross the limit of downsampling.
-                        camera = camera.resized(*small.shape[1::-1])
-                    image = overlay.draw(small, view.image_edges, view.cloud_edges, camera, pose)
-                else:
-                    image = overlay.draw_cloud(frame.image.rgb, seen.cloud, camera, pose)
-                overlay.write_png(folder / f"{name}.png", image)
+            after = _Drawn.of(frame, result, result.camera_from_lidar)
+            _Drawn(frame, result.start, frame.camera, frame).write(folder, "before", progress)
+            after.write(folder, "after", progress)
+            after.write_cloud(folder)
 
 
-def _draw_sweeps(
-    folder: Path, rgb: UInt8, before: tuple[Float, Camera, Frame], after: tuple[Float, Camera, Frame]
-) -> None:
-    """Write the sweep on the image before and after, by range and by reflectance, and the coloured cloud."""
-    from p2o.draw import coloured_cloud, overlay, sweep_image
+@dataclass(frozen=True, eq=False)
+class _Drawn:
+    """What is drawn of a frame: at a pose camera_from_lidar (4, 4), with the camera and the sweep of that pose.
 
-    colourings: tuple[sweep_image.By, ...] = ("range", "reflectance")
-    for by in colourings:
-        for name, (pose, camera, frame) in zip(_TIMES, (before, after), strict=True):
-            if by == "range" or frame.cloud.intensity is not None:
-                image = sweep_image.draw_sweep(rgb, frame.cloud, camera, pose, by)
+    `seen` is the frame with the sweep compensated for the motions that the result reports.
+    """
+
+    frame: Frame
+    pose: Float
+    camera: Camera
+    seen: Frame
+
+    @classmethod
+    def of(cls, frame: Frame, result: Result, pose: Float) -> _Drawn:
+        """Return a frame at a pose (4, 4), with the corrections of camera and sweep that its result reports."""
+        twist = result.twist_of(frame.name)
+        corrected = frame if twist is None else replace(frame, cloud=frame.cloud.untwisted(twist))
+        if result.later_s and frame.twist is not None:
+            corrected = replace(corrected, cloud=corrected.cloud.later(result.later_s, frame.twist))
+        return cls(frame, pose, result.camera_of(frame.camera), corrected)
+
+    def write(self, folder: Path, name: str, progress: Progress) -> None:
+        """Write NAME.png, edges of both sensors, and sweep-*-NAME.png, the sweep by range and by reflectance."""
+        from p2o.draw import overlay, sweep_image
+
+        colourings: tuple[sweep_image.By, ...] = ("range", "reflectance")
+        for by in colourings:
+            if by == "range" or self.seen.cloud.intensity is not None:
+                image = sweep_image.draw_sweep(self.frame.image.rgb, self.seen.cloud, self.camera, self.pose, by)
                 overlay.write_png(folder / f"sweep-{by}-{name}.png", image)
-    pose, camera, frame = after
-    coloured_cloud.write_coloured_cloud(folder / _CLOUD, rgb, frame.cloud, camera, pose)
+        overlay.write_png(folder / f"{name}.png", self._edges(progress))
+
+    def write_cloud(self, folder: Path) -> None:
+        """Write the coloured cloud."""
+        from p2o.draw import coloured_cloud
+
+        rgb, cloud = self.frame.image.rgb, self.seen.cloud
+        coloured_cloud.write_coloured_cloud(folder / _CLOUD, rgb, cloud, self.camera, self.pose)
+
+    def _edges(self, progress: Progress) -> UInt8:
+        """Return the overlay (H, W, 3) of the edges of both sensors, or of the sweep if there are none."""
+        from p2o.draw import overlay
+
+        assert progress.row is not None
+        failed = progress.row.result.status is Status.STAGE_FAILED
+        view = None if failed else progress.assembly.view(self.seen)
+        if view is None or not (len(view.image_edges) or len(view.cloud_edges)):
+            return overlay.draw_cloud(self.frame.image.rgb, self.seen.cloud, self.camera, self.pose)
+        view = view.as_seen_from(self.pose)
+        small, camera = image_at_scale(self.frame.image).rgb, camera_at_scale(self.camera)
+        if small.shape[1::-1] != (camera.width, camera.height):
+            # A corrected focal length may cross the limit of downsampling.
+            camera = camera.resized(*small.shape[1::-1])
+        return overlay.draw(small, view.image_edges, view.cloud_edges, camera, self.pose)
 
 
 def _write_errors(folder: Path) -> AbstractContextManager[None]:

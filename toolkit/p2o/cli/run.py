@@ -146,6 +146,8 @@ def command(
         page: Path | None = None
         if output.folder is not None:
             try:
+                if done.rig is not None:
+                    output.folder.write_common(output.cameras, done.rig)
                 page = output.folder.finish(done)
             except P2OError as error:
                 problem = problem or error
@@ -193,7 +195,10 @@ def _plan(words: Mapping[str, Any], settings: Sequence[str], registry: Registry)
 
 @dataclass
 class _Output:
-    """Prints, draws and exports results as they finish; `write` prints text, `exported` lists the exports."""
+    """Prints, draws and exports results as they finish; `write` prints text, `exported` lists the exports.
+
+    `cameras` are the calibrations of the cameras of a rig, whose frames are drawn again at the common result.
+    """
 
     write: Callable[[str], object]
     joint: bool
@@ -203,6 +208,7 @@ class _Output:
     anyway: bool
     exported: list[dict[str, Any]] = field(default_factory=list)
     rows: list[Row] = field(default_factory=list)
+    cameras: list[Progress] = field(default_factory=list)
     failed: list[FailedFrame] = field(default_factory=list)
 
     def plan_files(self, names: Sequence[str], cameras: Sequence[str]) -> None:
@@ -231,6 +237,7 @@ class _Output:
             self.write(describe(progress.row) + "\n")
             if self.folder is not None:
                 self.folder.write(progress)
+                self.cameras += [progress] if progress.camera else []
             for export in self.exports:
                 self._export(export, progress.row.result, progress.camera or progress.frames[0].name)
 

@@ -40,6 +40,8 @@ OVERLAYS = (
     ("sweep-reflectance-{}.png", "the sweep, by reflectance"),
 )
 """Files of a frame's folder, with "before" or "after" in the name, and what they show."""
+COMMON = "common.png"
+"""The file with the edges of both sensors at the common result of a rig."""
 _MOST_FRAMES, _MOST_CHARS = 8, 24_000_000
 """At most this number of frames is shown, and none once the overlays exceed this number of characters."""
 _MOST_PIXELS = 100_000_000
@@ -49,13 +51,23 @@ _ROS_KEYS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 @dataclass(frozen=True)
+class Pair:
+    """Two overlays `left` and `right` as data URIs, what they show, and of which poses (`ends`)."""
+
+    what: str
+    left: str
+    right: str
+    ends: tuple[str, str] = ("before", "after")
+
+
+@dataclass(frozen=True)
 class FrameOverlays:
-    """The overlays of one frame, `pairs` of a label and two data URIs, before and after, and their size in px."""
+    """The overlays of one frame and their size in px; `pairs` are superimposed."""
 
     name: str
     width: int
     height: int
-    pairs: Sequence[tuple[str, str, str]]
+    pairs: Sequence[Pair]
 
 
 @dataclass(frozen=True)
@@ -147,7 +159,8 @@ def run_page(root: Path, run: Mapping[str, Any], folders: Mapping[str, str] | No
         frames = [frame for one in shown for frame in one.result.frames]
         names = list(dict.fromkeys([*cameras, *frames, *(frame for frame, _ in failed)]))
         folders = distinct_names(names, taken=IN_ROOT)
-    _add_overlays(root, shown, folders)
+    rig = _rig(run["rig"]) if "rig" in run else None
+    _add_overlays(root, shown, folders, common=rig is not None and rig["body_from_lidar"] is not None)
     title = shown[0].name if len(shown) == 1 else f"{len(shown)} calibrations"
     return rendered(
         "p2o.draw/run_page.html",
@@ -157,7 +170,7 @@ def run_page(root: Path, run: Mapping[str, Any], folders: Mapping[str, str] | No
         results=shown,
         failed=failed,
         folders=folders,
-        rig=_rig(run["rig"]) if "rig" in run else None,
+        rig=rig,
         trusts=list(Trust),
         next_steps=next_steps,
         result_lines=result_lines,
@@ -212,8 +225,11 @@ def _error(value: Any) -> Mapping[str, Any] | None:
     return {**value, **(by_axis if isinstance(by_axis, Mapping) else {})}
 
 
-def _add_overlays(root: Path, shown: Sequence[Shown], folders: Mapping[str, str]) -> None:
-    """Add the overlays of results: one frame of each result in turn, the least trusted result first."""
+def _add_overlays(root: Path, shown: Sequence[Shown], folders: Mapping[str, str], *, common: bool) -> None:
+    """Add the overlays of results: one frame of each result in turn, the least trusted result first.
+
+    With `common`, frames also have the overlay of the common result of the rig.
+    """
     order = sorted(shown, key=lambda one: -list(Trust).index(one.result.verdict.trust))
     depth = max((len(one.result.frames) for one in shown), default=0)
     turns = [(one, turn) for turn in range(depth) for one in order if turn < len(one.result.frames)]
@@ -222,22 +238,26 @@ def _add_overlays(root: Path, shown: Sequence[Shown], folders: Mapping[str, str]
         if drawn == _MOST_FRAMES or size > _MOST_CHARS:
             break
         frame = one.result.frames[turn]
-        for overlays in _overlays(root / folders[frame], frame) if frame in folders else ():
+        for overlays in _overlays(root / folders[frame], frame, common=common) if frame in folders else ():
             one.overlays.append(overlays)
-            drawn, size = drawn + 1, size + sum(len(before) + len(after) for _, before, after in overlays.pairs)
+            drawn, size = drawn + 1, size + sum(len(pair.left) + len(pair.right) for pair in overlays.pairs)
 
 
-def _overlays(folder: Path, frame: str) -> Iterator[FrameOverlays]:
+def _overlays(folder: Path, frame: str, *, common: bool) -> Iterator[FrameOverlays]:
     """Yield the overlays in the folder of a frame, if there are any before and after."""
-    pairs = []
-    for name, what in OVERLAYS:
-        paths = [folder / name.format(time) for time in ("before", "after")]
-        images = [_image(path) for path in paths if path.is_file()]
+    asked = [
+        (what, [name.format(time) for time in ("before", "after")], ("before", "after")) for name, what in OVERLAYS
+    ]
+    asked[1:1] = [(OVERLAYS[0][1], ["after.png", COMMON], ("own result", "common result"))] if common else []
+    pairs, shapes = [], []
+    for what, names, ends in asked:
+        images = [_image(folder / name) for name in names if (folder / name).is_file()]
         if len(images) == 2 and images[0].shape == images[1].shape:
-            pairs.append((what, images))
+            pairs.append(Pair(what, jpeg_uri(images[0]), jpeg_uri(images[1]), ends))
+            shapes.append(images[0].shape)
     if pairs:
-        height, width = pairs[0][1][0].shape[:2]
-        yield FrameOverlays(frame, width, height, [(what, jpeg_uri(a), jpeg_uri(b)) for what, (a, b) in pairs])
+        height, width = shapes[0][:2]
+        yield FrameOverlays(frame, width, height, pairs)
 
 
 def _image(path: Path) -> UInt8:

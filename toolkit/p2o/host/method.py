@@ -13,7 +13,8 @@ from p2o.host.slots import Kind as Kind
 from p2o.options import Options
 
 if TYPE_CHECKING:
-    from p2o.arrays import UInt8
+    from p2o.arrays import Int, UInt8
+    from p2o.frames.cloud import Cloud
     from p2o.frames.frame import Frame
 
 
@@ -113,7 +114,9 @@ class Method:
     use all cores. `data_files(options)` returns the files of the package (weights, tables) that `build(options)` reads:
     stored results are computed again when one of them changes. Without it, all data files of the package count if the
     method locates its package. Files that options name by their path need not be declared. `data_licence(options)`
-    returns the licence of these files in one line, which results state, or an empty text.
+    returns the licence of these files in one line, which results state, or an empty text. `rings(cloud)` of a cloud
+    extractor returns the rings (N,) that it recovers of a cloud whose order and elevations do not show them, and from
+    what, or None: `p2o data check` reports them.
     """
 
     name: str
@@ -130,6 +133,7 @@ class Method:
     parallel: bool = False
     data_files: Callable[[Any], Iterable[Path]] | None = None
     data_licence: Callable[[Any], str] | None = None
+    rings: Callable[[Cloud], tuple[Int, str] | None] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "needs", frozenset(self.needs))

@@ -135,7 +135,7 @@ def measured_elsewhere(task: Task, others: Sequence[Outcomes]) -> Row | None:
         runs = outcomes.runs
         for place in np.flatnonzero(same[number] & named[runs["place"]] & (runs["seed"] == task.cell.seed)):
             row = outcomes.row(int(place))
-            same_draw = row.protocol == task.protocol and row.joint == (len(task.names) > 1)
+            same_draw = row.protocol == task.protocol and row.joint == task.joint
             if same_draw and task.state_of(row) is State.FRESH:
                 own = task.cell.planned
                 names = {"suite": task.suite, "row": own.row, "section": own.section, "dataset": own.dataset}
@@ -153,7 +153,7 @@ def row_of(task: Task, stored: StoredRow, commit: str, measured_by: str) -> Row:
         section=stored.section,
         dataset=stored.dataset,
         frames=tuple(FrameOfRow(name=frame.name, digest=frame.digest) for frame in task.frames),
-        joint=bool(stored.joint),
+        joint="rig" if task.cell.group.rig else bool(stored.joint),
         protocol=stored.perturb or GIVEN,
         seed=stored.seed,
         start=task.start.tolist(),

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property, lru_cache
+from typing import Literal
 
 import numpy as np
 from p2o.arrays import Float
@@ -52,6 +53,11 @@ class Task:
     def names(self) -> tuple[str, ...]:
         """The names of the frames."""
         return tuple(frame.name for frame in self.frames)
+
+    @property
+    def joint(self) -> bool | Literal["rig"]:
+        """Whether several frames are calibrated jointly, and whether they are those of a rig."""
+        return "rig" if self.cell.group.rig else len(self.names) > 1
 
     @property
     def protocol(self) -> str:

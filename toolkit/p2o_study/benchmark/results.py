@@ -11,6 +11,7 @@ from pathlib import Path
 
 from p2o.arrays import Float
 from p2o.errors import InputError
+from p2o.files.whole_file import write_whole
 from p2o.geometry.pose_error import PoseError, pose_error
 
 from p2o_study.benchmark.equivalences import EQUIVALENCES_FILE, Equivalence, Equivalences
@@ -99,3 +100,9 @@ class Results:
         """Add rows and their frames, and return the number of new rows; existing lines are kept."""
         add_records(self.folder / FRAMES_FILE, frames, FrameData)
         return add_records(self.path(suite), rows, Row)
+
+    def remove(self, suite: str, rows: Iterable[Row]) -> None:
+        """Remove rows from the file of a suite; frames and all other rows are kept."""
+        lines = {row.line for row in rows}
+        kept = [row for row in self.rows(suite) if row.line not in lines]
+        write_whole(self.path(suite), "".join(f"{row.line}\n" for row in kept).encode())

@@ -135,8 +135,10 @@ class Machine(BaseModel):
 class Row(JsonLine):
     """One calibration of a suite.
 
-    `row` and `section` are the labels of the study, `protocol` the draw of the initial guess `start` (4, 4) with
-    `seed`. `digest` is the hash of code, weights and options, for an external method that of its file of poses.
+    `row` and `section` are the labels of the study. `joint` is True for several frames of one camera, "rig" for one
+    calibration of all cameras, whose poses are those of the camera of the first frame. `protocol` is the draw of the
+    initial guess `start` (4, 4) with `seed`. `digest` is the hash of code, weights and options, for an external method
+    that of its file of poses.
     `estimate` is camera_from_lidar (4, 4), None if the calibration was refused. `seconds` is the time of computation,
     `commit` the version of the sources, `versions` that of packages, `measured_by` who computed the row.
     """
@@ -146,7 +148,7 @@ class Row(JsonLine):
     section: Line = ""
     dataset: Slug
     frames: tuple[FrameOfRow, ...] = Field(min_length=1, max_length=_MAX_FRAMES)
-    joint: StrictBool
+    joint: StrictBool | Literal["rig"]
     protocol: Line
     seed: Seed
     start: Pose

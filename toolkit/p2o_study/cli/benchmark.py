@@ -234,6 +234,59 @@ def _status_text(status: SuiteStatus) -> str:
     return "\n".join(map(printable, lines))
 
 
+@command.command("prune")
+@click.argument("suite")
+@click.option("--dry-run", is_flag=True, help="List the rows and remove none.")
+@_data_options
+@_workers
+@_results
+@_suites
+@_json
+@_quiet
+@plugin_options
+def prune(
+    suite: str,
+    dry_run: bool,
+    data: tuple[str, ...],
+    root: str | None,
+    workers: int,
+    results: str,
+    suites: str,
+    as_json: bool,
+    quiet: bool,
+    plugin: tuple[str, ...],
+    block: tuple[str, ...],
+) -> int:
+    """Remove the rows that a suite no longer asks for, and stale ones that were measured again.
+
+    Nothing is computed, and fresh rows are never removed. A stale or crashed row is removed only if a later row of the
+    same calibration did not crash. Without their data, rows are compared by label, initial error, seed and method:
+    whether the suite has their frames is unknown.
+
+    \b
+    p2o benchmark prune rigs --root DIR --dry-run
+    """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
+    from p2o_study.benchmark.prune import prunable
+    from p2o_study.benchmark.results import Results
+    from p2o_study.parallel import Workers
+
+    file, plugins = _opened(suite, suites, data, root, plugin, block)
+    known = Results(Path(results))
+    with progress_shown(quiet or as_json) as (say, warn):
+        rows = prunable(file, known, plugins=plugins, workers=Workers(workers), on_progress=say, on_warning=warn)
+    if rows and not dry_run:
+        known.remove(file.name, (one.row for one in rows))
+    if as_json:
+        content = {"suite": file.name, "dry_run": dry_run, "rows": [one.as_dict() for one in rows]}
+        click.echo(json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False))
+        return 0
+    lines = [f"  {f.why.value}: {f.row.row}, {f.row.place}, {f.row.protocol}, seed {f.row.seed}" for f in rows[:_SHOWN]]
+    lines += [f"  and {len(rows) - _SHOWN} more (--json lists all)"] if len(rows) > _SHOWN else []
+    done = "would be removed" if dry_run else "removed"
+    click.echo("\n".join(map(printable, [*lines, f"{file.name}: {len(rows)} rows {done}; {known.path(file.name)}"])))
+    return 0
+
+
 @command.command("confirm")
 @click.argument("suite", required=False)
 @click.option(
@@ -318,7 +371,8 @@ def _starts(file: SuiteFile, plugins: Plugins, quiet: bool) -> Any:
 
     with progress_shown(quiet) as (say, warn):
         cells = read_cells(file.study, plugins=plugins, on_progress=say, on_warning=warn)
-        tasks = (Task.of(file.name, cell) for cell in cells)
+        # Poses of a rig need the transforms between its cameras.
+        tasks = (Task.of(file.name, cell) for cell in cells if not cell.group.rig)
         return starts_of(task for task in tasks if task is not None)
 
 

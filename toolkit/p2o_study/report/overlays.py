@@ -74,8 +74,10 @@ def chosen(summary: Summary, most: int) -> list[Wanted]:
                     break
                 if not worst.keys() >= set(run.frames):
                     [complete] = summary.completed([run])
-                    for frame in run.frames if complete.estimate is not None else ():
-                        worst.setdefault(frame, complete)
+                    # The estimate of a rig is the pose of the camera of the first frame.
+                shown = run.frames[:1] if complete.recipe.get("rig") else run.frames
+                for frame in shown if complete.estimate is not None else ():
+                    worst.setdefault(frame, complete)
             requests += [Wanted(run, frame) for frame, run in list(worst.items())[:most]]
     return requests
 
