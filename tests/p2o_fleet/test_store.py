@@ -155,13 +155,92 @@ def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path: Path, monkeypatch: 
     assert len(only(store)) == 1, "no half line is left"
     writer.put(evidence(drive("a", 1)))
     with monkeypatch.context() as patch:
-        patch.setattr("p2o_fleet.store.write_whole", lambda path, data: full(0))
+        patch.setattr("p2o_fleet.store.write_durable", lambda path, data, root: full(0))
         with pytest.raises(InputError, match="No space left on device"):
             writer.fold()
     assert len(only(store)) == 2, "the journal is kept until its files are written"
     writer.fold()
     assert len(only(store)) == 2
     assert not list(store.journals.iterdir())
+
+
+@pytest.fixture
+def operations(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
+    """Return the operations on files from now on, in their order: the kind, and the inode of the file or folder."""
+    done: list[tuple[str, int]] = []
+    fsync, replace, unlink = os.fsync, Path.replace, Path.unlink
+
+    def synced(handle: int) -> None:
+        fsync(handle)
+        done.append(("fsync", os.fstat(handle).st_ino))
+
+    def replaced(self: Path, target: Path) -> Path:
+        done.append(("name", self.stat().st_ino))
+        return replace(self, target)
+
+    def removed(self: Path, missing_ok: bool = False) -> None:
+        if self.exists():
+            done.append(("remove", self.stat().st_ino))
+        unlink(self, missing_ok)
+
+    monkeypatch.setattr(os, "fsync", synced)
+    monkeypatch.setattr(Path, "replace", replaced)
+    monkeypatch.setattr(Path, "unlink", removed)
+    return done
+
+
+def assert_on_disk_before(operations: list[tuple[str, int]], path: Path, store: Store, removed: int) -> None:
+    """Assert that content and name of a file were on the disk before another file (inode) was removed."""
+    inode, removal = path.stat().st_ino, operations.index(("remove", removed))
+    content, name = operations.index(("fsync", inode)), operations.index(("name", inode))
+    assert content < name < removal
+    for folder in (path.parent, path.parent.parent, store.checks_folder):
+        assert ("fsync", folder.stat().st_ino) in operations[name:removal], folder.name
+
+
+def test_files_and_their_folders_are_on_the_disk_before_the_journal_is_removed(
+    tmp_path: Path, operations: list[tuple[str, int]]
+) -> None:
+    store = Store(tmp_path)
+    with store.writer() as writer:
+        writer.put(evidence(drive("a", 0)))
+        [journal] = store.journals.iterdir()
+        inode = journal.stat().st_ino
+        assert {("fsync", inode), ("fsync", store.journals.stat().st_ino)} <= set(operations)
+        writer.put(evidence(drive("b", 20)))
+    for vehicle in ("a", "b"):
+        [path] = store.parts(vehicle)
+        assert_on_disk_before(operations, path, store, inode)
+
+
+def test_a_merged_file_is_on_the_disk_before_those_that_it_contains_are_removed(
+    tmp_path: Path, operations: list[tuple[str, int]]
+) -> None:
+    store = Store(tmp_path)
+    filled(store, "a", np.zeros((30, 6)))
+    inodes = [path.stat().st_ino for path in store.parts("a")]
+    assert len(inodes) == 3
+    store.compact()
+    [path] = store.parts("a")
+    for inode in inodes:
+        assert_on_disk_before(operations, path, store, inode)
+
+
+def test_a_folder_that_a_merge_of_another_process_removes_is_created_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, mkdir, removed = Store(tmp_path), Path.mkdir, list[Path]()
+
+    def created(self: Path, mode: int = 0o777, parents: bool = False, exist_ok: bool = False) -> None:
+        mkdir(self, mode, parents, exist_ok)
+        if self.name.startswith("day=") and not removed:
+            self.rmdir()
+            removed.append(self)
+
+    monkeypatch.setattr(Path, "mkdir", created)
+    filled(store, "a", np.zeros((1, 6)))
+    assert removed
+    assert len(only(store)) == 1
 
 
 def test_files_of_many_days_are_merged_by_month_and_year_and_every_check_is_kept(tmp_path: Path) -> None:

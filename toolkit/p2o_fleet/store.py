@@ -18,10 +18,11 @@ from typing import IO, Any
 from urllib.parse import quote, unquote
 
 from p2o.errors import InputError, P2OError
-from p2o.files.whole_file import write_errors, write_whole
+from p2o.files.whole_file import write_errors
 from p2o.frames.selection import spread
 
 from p2o_fleet.drive import Drive, day_of
+from p2o_fleet.durable_file import sync_folder, write_durable
 from p2o_fleet.evidence import CheckEvidence, Verdict
 from p2o_fleet.schema import READ, Checks, checks_of, row_of, table_of
 
@@ -43,7 +44,8 @@ class Store:
     Finished checks are appended to a journal, one line each, and become Parquet files at the end of a run. `day` is the
     day of the drive (2026-11-24), or once files are merged its month (2026-11), or its year (2026) for months before
     the last one of the vehicle. Any number of processes may write; a check that two of them store is read once. Files
-    are never changed; a merge writes a file before it removes those that it contains: others may work meanwhile.
+    are never changed; a merge writes a file before it removes those that it contains: others may work meanwhile. A file
+    is on the disk, not only in its cache, before the journal or the files that it replaces are removed.
     """
 
     root: Path
@@ -112,6 +114,7 @@ class Store:
         with write_errors("the store of the fleet", self.root):
             self.checks_folder.mkdir(parents=True, exist_ok=True)
             self.journals.mkdir(exist_ok=True)
+            sync_folder(self.root)
         for path in self.journals.glob("*.jsonl"):
             with contextlib.suppress(FileNotFoundError), path.open("rb") as journal:
                 if _lock(journal):  # its writer has ended
@@ -141,8 +144,7 @@ class Store:
         content = BytesIO()
         pq.write_table(table, content, compression="zstd", use_dictionary=True)
         with write_errors("evidence", folder):
-            folder.mkdir(parents=True, exist_ok=True)
-            write_whole(folder / f"part-{digest}.parquet", content.getvalue())
+            write_durable(folder / f"part-{digest}.parquet", content.getvalue(), self.checks_folder)
         return folder / f"part-{digest}.parquet"
 
     def compact(self) -> int:
@@ -259,6 +261,7 @@ class Writer:
             self._journal = name.open("xb", buffering=0)
             _lock(self._journal)
             self._path = name.rename(name.with_suffix(".jsonl"))
+            sync_folder(self.store.journals)
         return self._journal
 
     def fold(self) -> None:
