@@ -420,6 +420,12 @@ def test_ray_gives_the_same_bits_and_tells_a_job_that_kills_its_worker(bench: Be
     assert bits([row for row in found if row.row != "quick"]) == bits(alone)
 
 
+@pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason='needs pip install ".[ray]"')
+def test_a_ray_cluster_that_does_not_exist_is_named_at_once() -> None:
+    with pytest.raises(InputError, match="ray cluster does not respond"), Workers(1, "ray", "127.0.0.1:9").start():
+        pass
+
+
 @pytest.mark.parametrize(("backend", "packages"), [("dask", "dask distributed"), ("ray", "ray")])
 def test_a_backend_that_is_not_installed_tells_its_packages(
     backend: str, packages: str, monkeypatch: pytest.MonkeyPatch

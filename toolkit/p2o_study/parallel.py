@@ -17,6 +17,7 @@ import os
 import queue
 import re
 import signal
+import socket
 import sys
 import threading
 import time
@@ -37,6 +38,7 @@ _TRIES_ALONE = 2
 """Number of retries of a job whose worker died, without other jobs in parallel."""
 _DASK_LOGGERS = ("distributed", "tornado", "asyncio")
 _POLL_INTERVAL_S = 0.5
+_CONNECT_S = 20.0
 _ABSENT_S = 60.0
 """Duration for which a dask scheduler may have no workers or give no answer: those of a cluster may be restarted."""
 _TRANSFER_S = 10.0
@@ -154,8 +156,8 @@ class Workers:
         batches = _Batches(jobs)
         # Only the workers of loky are children of this process.
         watch = {"initializer": _watch, "initargs": (os.getpid(),)} if self.backend == "loky" else {}
-        if self.backend == "dask":
-            yield from _dask_results(work, batches)
+        if self.backend in _PACKAGES:
+            yield from {"dask": _dask_results, "ray": _ray_results}[self.backend](work, batches)
             return
         if (submit := self._single_worker(watch)) is not None:
             for batch in batches:
@@ -164,12 +166,6 @@ class Workers:
         try:
             with joblib.parallel_config(backend=self.backend, **watch):
                 tasks = (joblib.delayed(_numbered)(work, batch) for batch in batches)
-                if self.backend == "ray":
-                    # The joblib backend of ray returns results only when all tasks are complete.
-                    while some := list(itertools.islice(tasks, 4 * self.jobs)):
-                        for took_s, results in joblib.Parallel(n_jobs=self.jobs, batch_size=1)(some):
-                            yield from batches.results_of(took_s, results)
-                    return
                 done = joblib.Parallel(n_jobs=self.jobs, batch_size=1, return_as="generator_unordered")(tasks)
                 for took_s, results in done:
                     yield from batches.results_of(took_s, results)
@@ -200,7 +196,7 @@ class Workers:
             once = importlib.import_module("dask").config.set({"distributed.scheduler.allowed-failures": 0})
             with _silent_dask(), once:
                 try:
-                    client = connect(**here) if self.address is None else connect(self.address, timeout=20)
+                    client = connect(**here) if self.address is None else connect(self.address, timeout=_CONNECT_S)
                 except (OSError, ValueError, TimeoutError) as problem:
                     text, expected = "the dask scheduler does not respond", "an address such as tcp://HOST:8786"
                     raise InputError(text, where=self.address or "dask", expected=expected, got=problem) from problem
@@ -211,10 +207,18 @@ class Workers:
                         client.close(timeout=_ABSENT_S)
         elif self.backend == "ray":
             ray = importlib.import_module("ray")
-            importlib.import_module("ray.util.joblib").register_ray()
-            if not ray.is_initialized():
-                ray.init(address=self.address, num_cpus=None if self.address else self.jobs, log_to_driver=False)
-            yield
+            level = logging.INFO if _debugging() else logging.ERROR
+            cpus = None if self.address else self.jobs
+            try:
+                _require_listener(self.address)  # ray itself would try for minutes
+                ray.init(address=self.address, num_cpus=cpus, log_to_driver=False, logging_level=level)
+            except (OSError, ValueError, RuntimeError) as problem:
+                text, expected = "the ray cluster does not respond", "auto, or an address such as HOST:6379"
+                raise InputError(text, where=self.address or "ray", expected=expected, got=problem) from problem
+            try:
+                yield
+            finally:
+                ray.shutdown()
         else:
             ended = False
             try:
@@ -251,6 +255,45 @@ def _dask_results(work: Work, batches: _Batches) -> Generator[tuple[int, Any], N
     finally:
         with contextlib.suppress(Exception):
             client.cancel(list(running))
+
+
+def _ray_results(work: Work, batches: _Batches) -> Generator[tuple[int, Any], None, None]:
+    """Yield number and result of each job until a worker dies, then cancel the others.
+
+    The backend of joblib returns results only when all tasks of a call are complete, and starts new workers for each
+    call. Raises TimeoutError if the cluster is without processors for `_ABSENT_S`.
+    """
+    ray = importlib.import_module("ray")
+    task = ray.remote(max_retries=0)(_numbered)  # jobs of workers that died are repeated by `_alone`
+    running, waiting = list[Any](), iter(batches)
+    try:
+        while True:
+            while len(running) < 2 * max(1, _ray_processors(ray)):
+                if (batch := next(waiting, None)) is None:
+                    break
+                running.append(task.remote(work, batch))
+            if not running:
+                return
+            complete, running = ray.wait(running, timeout=_ABSENT_S)
+            if not complete and not _ray_processors(ray):
+                raise TimeoutError("the cluster has no workers")
+            for timed_results in complete:
+                yield from batches.results_of(*ray.get(timed_results))
+    finally:
+        for each in running:
+            with contextlib.suppress(Exception):
+                ray.cancel(each, force=True)
+
+
+def _require_listener(address: str | None) -> None:
+    """Raise OSError or ValueError if nothing listens at HOST:PORT; `auto` and no address are left to ray."""
+    host, colon, port = (address or "").removeprefix("ray://").rpartition(":")
+    if colon:
+        socket.create_connection((host, int(port)), _CONNECT_S).close()
+
+
+def _ray_processors(ray: Any) -> int:
+    return int(ray.cluster_resources().get("CPU", 0))
 
 
 def _next_complete(client: Any, complete: queue.SimpleQueue[Any]) -> tuple[Any, Any]:
@@ -368,7 +411,8 @@ def _deaths(backend: Backend) -> tuple[type[BaseException], ...]:
     if backend == "dask":
         return (importlib.import_module("distributed").KilledWorker,)
     if backend == "ray":
-        return (importlib.import_module("ray").exceptions.RayActorError,)
+        problems = importlib.import_module("ray").exceptions
+        return problems.WorkerCrashedError, problems.OutOfMemoryError, problems.NodeDiedError, problems.ObjectLostError
     return (concurrent.futures.BrokenExecutor,)
 
 
