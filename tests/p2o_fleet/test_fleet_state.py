@@ -49,6 +49,8 @@ def test_a_slip_is_reported_with_axis_onset_size_and_proposal_and_other_vehicles
     assert error_of_use["yaw_deg"] == pytest.approx(axis.size, abs=1e-6)
     assert se3.distance_m(se3.inverse(slipped.alarm.proposal) @ POSE) < 1e-6 + abs(error_of_use["x_m"]) + 0.01
     assert slipped.alarm.proof[-1] == "folder:van-2/39"
+    assert slipped.mean is not None
+    assert slipped.mean.error[2] == pytest.approx(0.5, abs=0.06), "the present error is that after the slip"
 
 
 def test_an_extrinsic_that_was_wrong_from_the_first_check_on_is_no_slip(tmp_path: Path) -> None:

@@ -106,7 +106,8 @@ class Alarm:
 
     `axes` are the fewest axes that explain the evidence; `alternatives` are other explanations that these checks cannot
     distinguish. The error began between `since_first` and `since_last` (95 %), most likely at `since` (s since 1970),
-    and is the change since then if it began after the first check. `proposal` (4, 4) is the extrinsic without it.
+    and is the change since then if it began after the first check. `proposal` (4, 4) is the extrinsic without it,
+    `present` the mean of all errors since then.
     `systematic` states that the vehicles of this type have the same error. `proof` are logs that show it.
     """
 
@@ -120,6 +121,7 @@ class Alarm:
     checks: int
     frames: int
     proof: tuple[str, ...]
+    present: MeanError
     systematic: bool = False
 
 
@@ -335,7 +337,7 @@ def _with_alarms(candidates: Sequence[ExtrinsicState], rules: FleetRules) -> lis
     states = []
     for state, alarmed in zip(candidates, rejected.tolist(), strict=True):
         if alarmed and state.alarm is not None:
-            states.append(replace(state, reason=describe(state.alarm, state.status)))
+            states.append(replace(state, reason=describe(state.alarm, state.status), mean=state.alarm.present))
             continue
         status, reason = FleetStatus.HOLDS, f"no error beyond {rules.tolerance} in {state.usable} checks"
         if state.reason:
@@ -382,6 +384,7 @@ def _alarm(
         len(own) - began.index,
         int(own.frame_count[began.index :].sum()),
         proof,
+        after,
     )
 
 

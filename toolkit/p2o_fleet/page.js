@@ -47,7 +47,7 @@ function choose(status) {
 
 function showTypes() {
   const heads = ["type", "sensors", "vehicles", ...data.axes.map(([axis, unit]) => `${axis} (${unitName(unit)})`), "noise", "trends"];
-  at("types").tHead.replaceChildren(make("tr", {}, ...heads.map((title, i) => make("th", { class: i < 2 ? "text" : "" }, make("button", { type: "button", tabindex: -1 }, title)))));
+  at("types").tHead.replaceChildren(make("tr", {}, ...heads.map((title, i) => make("th", { class: i < 2 || title === "trends" ? "text" : "" }, make("button", { type: "button", tabindex: -1 }, title)))));
   at("types").tBodies[0].replaceChildren(
     ...data.types.map((type) => {
       const cells = data.axes.map(([axis, unit], i) => {
@@ -69,7 +69,7 @@ const COLUMNS = [
   { title: "vehicle", value: (row) => row.vehicle, text: true },
   { title: "type", value: (row) => row.vehicle_type || "-", text: true },
   { title: "sensors", value: pairOf, text: true },
-  { title: "state", value: (row) => STATUSES.indexOf(row.status), cell: (row) => make("span", { class: `mark mark-${row.status}` }, NAMES[row.status]), text: true },
+  { title: "state", value: (row) => STATUSES.indexOf(row.status), cell: (row) => make("span", { class: `mark mark-${row.status}` }, row.status === "wrong" ? "wrong" : NAMES[row.status]), text: true },
   { title: "reason", value: (row) => row.reason, cell: (row) => row.reason + (row.systematic ? " (as all vehicles of its type)" : ""), name: "reason" },
   { title: "since", value: (row) => row.since || null, cell: (row) => (row.since ? shortTime(row.since) : "-") },
   { title: "largest error", value: worst, cell: largest },
@@ -174,6 +174,7 @@ function showHistory(history) {
   ]));
 }
 
+const MOST_EVIDENCE = 60;
 const WIDTH = 420, HEIGHT = 150, LEFT = 44, RIGHT = 10, TOP = 10, BOTTOM = 22;
 
 function frame(history, low, high) {
@@ -193,7 +194,9 @@ function errorChart(history, [axis, unit], i) {
   const factor = scale(unit);
   const known = history.error.map((error, n) => (error ? [history.time[n], factor * error[i], factor * history.sigma[n][i]] : null));
   const sizes = known.filter(Boolean).map(([, value]) => Math.abs(value));
-  const limit = Math.max(...sizes, unit === "deg" ? 0.3 : 3) * 1.15;
+  const reaches = known.filter(Boolean).map(([, value, sigma]) => Math.abs(value) + 1.96 * sigma).sort((a, b) => a - b);
+  // All points and nine of ten intervals are inside: a single weak check has a long one.
+  const limit = Math.max(...sizes, reaches[Math.floor(0.9 * (reaches.length - 1))] || 0, unit === "deg" ? 0.3 : 3) * 1.05;
   const { svg, x, y } = frame(history, -limit, limit);
   const inside = (value) => Math.max(-limit, Math.min(limit, value));
   for (const [n, point] of known.entries()) {
@@ -210,11 +213,13 @@ function errorChart(history, [axis, unit], i) {
 }
 
 function evidenceChart(history) {
-  const values = history.logE.map((value) => Math.max(-5, Math.min(60, value ?? 0)));
-  const { svg, x, y } = frame(history, Math.min(-5, ...values), Math.max(15, ...values));
+  const values = history.logE.map((value) => Math.max(-5, Math.min(MOST_EVIDENCE, value ?? 0)));
+  const top = Math.max(15, ...values);
+  const { svg, x, y } = frame(history, Math.min(-5, ...values), top);
   const points = values.map((value, n) => `${x(history.time[n])},${y(value)}`).join(" ");
   svg.append(shape("polyline", { class: "level", points }));
-  for (const value of [0, 15]) svg.append(shape("text", { x: LEFT - 4, y: y(value) + 4, "text-anchor": "end" }, String(value)));
+  const ticks = [[0, "0"], [15, "15"], [top, top < MOST_EVIDENCE ? top.toFixed(0) : `≥ ${MOST_EVIDENCE}`]];
+  for (const [value, text] of top > 25 ? ticks : ticks.slice(0, 2)) svg.append(shape("text", { x: LEFT - 4, y: y(value) + (value === top ? 8 : 4), "text-anchor": "end" }, text));
   return make("figure", {}, make("h3", {}, "evidence of an error (log e-value)"), svg);
 }
 
