@@ -175,6 +175,82 @@ def _keys(store: Path) -> set[str]:
     return {str(key) for checks in Store(store).checks() for key in checks.texts["key"]}
 
 
+@pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason='needs pip install ".[ray]"')
+def test_ray_checks_every_drive_once(tmp_path: Path) -> None:
+    table, store = write_drives(tmp_path / "drives", 10), tmp_path / "store"
+    command = [sys.executable, "-m", "p2o", "fleet", "run", str(table), "--store", str(store), *QUICK]
+    done = subprocess.run([*command, "--backend", "ray", "--jobs", "2"], capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout)["checked"] == len(_keys(store)) == 10
+
+
+def test_two_runs_at_the_same_time_store_every_drive_once(tmp_path: Path) -> None:
+    table, store = write_drives(tmp_path / "drives", 20), tmp_path / "store"
+    command = [sys.executable, "-m", "p2o", "fleet", "run", str(table), "--store", str(store), *QUICK]
+    runs = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    counts = [json.loads(run.communicate(timeout=240)[0]) for run in runs]
+    assert [run.returncode for run in runs] == [0, 0]
+    assert all(count["checked"] + count["kept"] == 20 for count in counts)
+    assert {checks.vehicle: len(checks) for checks in Store(store).checks()} == {f"van-{n}": 4 for n in range(5)}
+    assert not list((store / "journal").iterdir())
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the size of files cannot be limited")
+def test_a_run_that_cannot_write_ends_with_one_line_and_the_next_one_continues(tmp_path: Path) -> None:
+    import resource
+
+    table, store = write_drives(tmp_path / "drives", 12), tmp_path / "store"
+    command = [sys.executable, "-m", "p2o", "fleet", "run", str(table), "--store", str(store), *QUICK]
+    done = subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096)),
+    )
+    assert done.returncode == 2, done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert "evidence" in done.stderr
+    before = _keys(store)
+    assert 0 < len(before) < 12, "checks that fit are stored, the next one is not"
+    counts = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+    assert counts["kept"] == len(before)
+    assert before < _keys(store)
+    assert sum(len(checks) for checks in Store(store).checks()) == 12
+
+
+_DIES = """
+import os, signal
+import p2o
+
+class Options(p2o.Options):
+    root: str = p2o.field("", help="Nothing.")
+
+def build(options: Options) -> p2o.Dataset:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+@p2o.hookimpl
+def p2o_datasets():
+    yield p2o.Method(name="dies", build=build, options=Options, summary="Kills its process.")
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs signals")
+def test_a_drive_that_kills_its_worker_is_a_row_with_the_reason_and_the_others_are_checked(tmp_path: Path) -> None:
+    table, store, plugin = write_drives(tmp_path / "drives", 6), tmp_path / "store", tmp_path / "dies.py"
+    plugin.write_text(_DIES)
+    with table.open("a") as file:
+        file.write("van-9,front,top,dies:nothing,truth,1767225600\n")
+    command = [sys.executable, "-m", "p2o", "fleet", "run", str(table), "--store", str(store), *QUICK]
+    done = subprocess.run(
+        [*command, "--jobs", "2", "--plugin", str(plugin)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1, done.stderr
+    counts = json.loads(done.stdout)
+    assert (counts["checked"], counts["unreadable"]) == (7, 1)
+    [lost] = Store(store).checks(["van-9"])
+    assert "the worker process died" in lost.texts["reason"][0]
+
+
 def test_the_page_of_a_thousand_vehicles_filters_searches_and_shows_histories(tmp_path: Path) -> None:
     pytest.importorskip("selenium", reason="selenium is not installed")
     from tests.in_browser import Page, chromium
