@@ -1,9 +1,9 @@
 """A fleet of real and simulated drives, some with a slip from a known drive on: `python benchmarks/fleet.py real`.
 
-Drives are pieces of four to six frames: of drive 0005 and of the drives of KITTI's split `train`, once consecutive and
-once spread, of odometry 00, of the development parts of other rigs, and of simulated drives with an HDL-64E. A vehicle
-is a list of drives, one a day. Vehicles whose name begins with `slip` have drives of the others; from the ninth drive
-on, their LiDAR has moved on one axis (`slipped_drives.py`).
+Drives are pieces of eight frames or more, fewer where a drive is shorter: of drive 0005 and of the drives of KITTI's
+split `train`, once consecutive and once spread, of odometry 00, of the development parts of other rigs, and of
+simulated drives with an HDL-64E. A vehicle is a list of drives, one a day. Vehicles whose name begins with `slip` have
+spread pieces of the others; from the ninth drive on, a sensor has moved on one axis (`slipped_drives.py`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from p2o.geometry.pose_error import pose_error
 from p2o_fleet.fleet_state import Alarm, ExtrinsicState, FleetState, FleetStatus, amount, fleet_state
 from p2o_fleet.store import Store
 
-FRAMES, BEFORE, DRIVES = 4, 8, 22
+FRAMES, BEFORE, DRIVES = 8, 8, 16
 """Number of frames of a check, of drives of a vehicle before its slip, and of all drives of a vehicle with a slip."""
 _BEGIN, _DAY_S = 1767225600, 86400
 _SIMULATED = {"sim-a": 21, "sim-b": 22}
@@ -98,17 +98,18 @@ def vehicles(root: Path, splits: Mapping[str, Sequence[str]], simulated: Path) -
     kitti = {f"kitti-{n + 1}": _pieces("kitti-raw", raw, near[n::3]) for n in range(3)}
     kitti |= {f"kitti-{n + 4}": _pieces("kitti-raw", raw, far[n::3]) for n in range(3)}
     fleet = [Vehicle(name, "kitti", drives) for name, drives in kitti.items()]
+    scenes = [f"scene-{number:04d}" for number in range(_SCENES)]
+    parts = [*consecutive(scenes), *spread_out(scenes)]
     sims = {
-        name: _pieces("folder", simulated / name, consecutive([f"scene-{n:04d}" for n in range(_SCENES)]))
-        for name in _SIMULATED
+        name: _pieces("folder", simulated / name, _mixed(parts, seed)[:DRIVES]) for name, seed in _SIMULATED.items()
     }
     fleet += [Vehicle(name, "sim-hdl-64e", drives) for name, drives in sims.items()]
     for axis, (name, unit) in enumerate(AXES):
-        size = _SIZES[unit] * (1 if axis % 2 == 0 else -1)
-        parts = _mixed(near if axis % 2 == 0 else far, seed=1 + axis)[:DRIVES]
-        fleet.append(Vehicle(f"slip-{name}", "kitti", _pieces("kitti-raw", raw, parts), slip=(axis, size)))
-    fleet.append(Vehicle("slip-sim-yaw", "sim-hdl-64e", sims["sim-a"][:DRIVES], slip=(2, -_SIZES["deg"])))
-    fleet.append(Vehicle("slip-sim-y", "sim-hdl-64e", sims["sim-b"][:DRIVES], slip=(4, _SIZES["m"])))
+        slip = axis, _SIZES[unit] * (1 if axis % 2 == 0 else -1)
+        parts = _mixed(far, seed=1 + axis)[:DRIVES]
+        fleet.append(Vehicle(f"slip-{name}", "kitti", _pieces("kitti-raw", raw, parts), slip=slip))
+    fleet.append(Vehicle("slip-sim-yaw", "sim-hdl-64e", sims["sim-a"][::-1], slip=(2, -_SIZES["deg"])))
+    fleet.append(Vehicle("slip-sim-y", "sim-hdl-64e", sims["sim-b"][::-1], slip=(4, _SIZES["m"])))
     return fleet + _other_rigs(root, splits)
 
 
@@ -153,7 +154,7 @@ def real(root: Path, out: Path, splits: Path, jobs: int) -> list[str]:
     state = fleet_state(Store.existing(out / "store"))
     if alarms != {one.vehicle for one in state.alarms}:
         raise InputError("the report is not that of the store", where=report, expected="the same alarms", got=alarms)
-    return [*_overview(fleet, state), "", *_slips(fleet, state)]
+    return [*_overview(fleet, state), "", *_slips(fleet, state), "", *_types(state), "", *_cost(Store(out / "store"))]
 
 
 def _p2o(*words: str, allowed: Sequence[int] = (0,)) -> None:
@@ -176,6 +177,31 @@ def _overview(fleet: Sequence[Vehicle], state: FleetState) -> list[str]:
                 cells = map(str, [kind, slip, len(states), drives, frames, drives - usable, *counts])
                 lines.append(f"| {' | '.join(cells)} |")
     return lines
+
+
+def _types(state: FleetState) -> list[str]:
+    """Return the mean errors of the types of five vehicles or more, with 95 % intervals."""
+    lines = [f"| mean error of | vehicles | {' | '.join(name for name, _ in AXES)} |", "|---" * 8 + "|"]
+    for one in state.types:
+        if one.errors:
+            cells = [amount(error).partition(" ")[2] for error in one.errors]
+            lines.append(f"| {one.vehicle_type} | {one.vehicles} | {' | '.join(cells)} |")
+    return lines
+
+
+def _cost(store: Store) -> list[str]:
+    values = seconds_of_checks(store)
+    lines = ["| checks | s, together | median | 95 % | longest |", "|---|---|---|---|---|"]
+    figures = [values.sum(), *np.quantile(values, [0.5, 0.95, 1.0])]
+    return [*lines, f"| {len(values)} | {' | '.join(f'{value:.0f}' for value in figures)} |"]
+
+
+def seconds_of_checks(store: Store) -> Float:
+    """Return the durations (N,) of the checks of all runs on a store."""
+    import pyarrow.dataset
+
+    data = pyarrow.dataset.dataset(store.checks_folder, format="parquet")
+    return np.array(data.to_table(columns=["seconds"])["seconds"].to_pylist())
 
 
 _ORDER = (FleetStatus.HOLDS, FleetStatus.SLIPPED, FleetStatus.WRONG, FleetStatus.CANNOT_TELL)

@@ -1,10 +1,14 @@
-"""A data set of p2o that moves the LiDAR of another one: the frames of a drive after a mounting has slipped.
+"""A data set of p2o that moves the camera of another one: the frames of a drive after a mounting has slipped.
 
     p2o fleet run drives.csv --plugin benchmarks/slipped_drives.py
 
-`slipped:PATH?of=kitti-raw&axis=yaw&size=0.5` reads the frames of `kitti-raw:PATH` with points as a LiDAR measures them
-that has turned by 0.5 deg. Images, names and the extrinsic of the data stay as they are, so that this extrinsic has an
-error of exactly `size` on `axis`, as `p2o.pose_error` defines it. Occlusions and rings are those of the first place.
+`slipped:PATH?of=kitti-raw&axis=yaw&size=0.5` reads the frames of `kitti-raw:PATH` with images as a camera takes them
+that has turned by 0.5 deg, or with points as a LiDAR measures them that has moved. Names and the extrinsic of the data
+stay as they are, so that this extrinsic has an error of exactly `size` on `axis`, as `p2o.pose_error` defines it.
+Occlusions are those of the first place.
+
+The camera turns and not the LiDAR: points that are turned about the horizontal axes no longer lie on the rings of a
+sensor, and their edges move with the rings.
 """
 
 from __future__ import annotations
@@ -13,11 +17,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
+import cv2
 import numpy as np
 import p2o
 from p2o.arrays import Float
 from p2o.confidence.audit import AXES
 from p2o.confidence.explanation import corrected
+from p2o.frames.image import Image
 from p2o.geometry import se3
 from p2o.geometry.motion import adjoint
 from p2o.host.registry import Registry
@@ -26,7 +32,7 @@ from p2o.run.recipe import open_dataset
 
 
 class SlippedOptions(p2o.Options):
-    """Which frames, and how their LiDAR has moved."""
+    """Which frames, and how their sensors have moved."""
 
     root: Path = p2o.field(Path("."), help="Folder of the data set `of`.")
     of: str = p2o.field("folder", help="Data set that reads the frames.")
@@ -46,22 +52,42 @@ def build(options: SlippedOptions) -> p2o.Dataset:
 
 
 def slipped(frame: p2o.Frame, axis: int, size: float) -> p2o.Frame:
-    """Return a frame with the points of a LiDAR that has moved, so that its extrinsic has an error `size` on `axis`."""
+    """Return a frame of sensors that have moved, so that its extrinsic has an error `size` on `axis`.
+
+    Raises InputError for a frame without extrinsic, and for rotations of a camera with distortion.
+    """
     if frame.camera_from_lidar is None:
         raise p2o.InputError("a slip needs the extrinsic of the data", where=frame.name)
     after = corrected(frame.camera_from_lidar, axis, np.array([size]))[0]
-    new_from_old = se3.inverse(after) @ frame.camera_from_lidar
+    turn = np.eye(4)
+    turn[:3, :3] = after[:3, :3] @ frame.camera_from_lidar[:3, :3].T
+    # About the camera, the LiDAR turns by some millimetres, which `pose_error` assigns to other axes: a translation.
+    new_from_old = se3.inverse(after) @ turn @ frame.camera_from_lidar
     cloud = replace(
         frame.cloud, xyz=se3.apply(new_from_old, frame.cloud.xyz), twist=_turned(new_from_old, frame.cloud.twist)
     )
-    world = frame.lidar_world_from_lidar
+    world, camera_world = frame.lidar_world_from_lidar, frame.camera_world_from_camera
     return replace(
         frame,
         cloud=cloud,
+        image=frame.image if axis > 2 else _seen_after(turn[:3, :3], frame.image),
         sweep=None,
         twist=_turned(new_from_old, frame.twist),
         lidar_world_from_lidar=None if world is None else world @ se3.inverse(new_from_old),
+        camera_world_from_camera=None if camera_world is None else camera_world @ se3.inverse(turn),
     )
+
+
+def _seen_after(turn: Float, image: Image) -> Image:
+    """Return the image of a camera that has turned (3, 3) about its centre; the border is repeated."""
+    camera = image.camera
+    if not camera.is_pinhole:
+        expected = "images without distortion"
+        raise p2o.InputError("the camera cannot be turned", expected=expected, got=camera.model)
+    rays = camera.rays(np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1).reshape(-1, 2))
+    uv = np.asarray(camera.project(rays @ turn), np.float32).reshape(camera.height, camera.width, 2)
+    rgb = cv2.remap(image.rgb, uv[..., 0], uv[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    return Image(np.asarray(rgb, np.uint8), camera)
 
 
 def _turned(new_from_old: Float, twist: Float | None) -> Float | None:
@@ -75,7 +101,7 @@ def p2o_datasets():
         name="slipped",
         build=build,
         options=SlippedOptions,
-        summary="Frames of another data set whose LiDAR has moved.",
+        summary="Frames of another data set whose sensors have moved.",
         gives=frozenset({"rings", "intensity", "time"}),
         parallel=True,
     )
