@@ -3,8 +3,7 @@
     python benchmarks/fleet.py real --out DIR             # 200 drives of real and simulated rigs, some with a slip
     python benchmarks/fleet.py detect                     # resampled fleets: slips, drifts, wrong types, false alarms
     python benchmarks/fleet.py store --jobs 2             # queries over 1,000 vehicles and a year: seconds and memory
-    python benchmarks/fleet.py throughput                 # checks per second with 1, 2 and 4 local workers
-    python benchmarks/fleet.py cluster --seconds 4        # what 100 workers would do, from measured task times
+    python benchmarks/fleet.py capacity                   # checks per minute of 1, 2, 4 workers, and what 100 would do
     python benchmarks/fleet.py kills --kills 100          # runs that are killed again and again
     python benchmarks/fleet.py kills --cluster            # the same for scheduler and workers of a dask cluster
     python benchmarks/fleet.py bank --store DIR --out FILE # evidence of `real` as noise of a simulation
@@ -18,6 +17,7 @@ from __future__ import annotations
 import argparse
 import csv
 import heapq
+import itertools
 import json
 import resource
 import subprocess
@@ -29,8 +29,9 @@ from pathlib import Path
 
 import numpy as np
 from fleet_detection import detect
-from fleet_drives import consecutive, real
+from fleet_drives import consecutive, real, seconds_of_checks
 from fleet_kills import kills, kills_of_cluster
+from p2o.arrays import Float
 from p2o_fleet.fleet_state import fleet_state
 from p2o_fleet.simulation import Fault, NoiseBank, Scenario, simulated_fleet, write_fleet
 from p2o_fleet.store import Store
@@ -78,14 +79,16 @@ def _core_seconds() -> float:
     return sum(usage.ru_utime + usage.ru_stime for usage in usages)
 
 
-def throughput(root: Path, splits: Path, checks: int, workers: Sequence[int]) -> list[str]:
-    """Return the throughput of `p2o fleet run` with several numbers of local workers, on pieces of drive 0005.
+def capacity(root: Path, splits: Path, checks: int, workers: Sequence[int], link_gbit: float) -> list[str]:
+    """Return the throughput of `p2o fleet run` with several numbers of local workers, and what many workers would do.
 
-    A check reads 12 frames of KITTI and uses eight. The wall time contains the start of the command and its workers.
+    A check reads 12 frames of KITTI, pieces of drive 0005, and uses eight. The wall time contains the start of the
+    command and its workers.
     """
     names = json.loads(splits.read_text(encoding="utf-8"))["drive_0005_later"]
-    parts = consecutive(names, 12)
+    parts = [part[:12] for part in consecutive(names, 12)]
     lines = ["| workers | checks | wall, s | checks per minute | per worker | s of work per check |", "|---" * 6 + "|"]
+    durations = np.zeros(0)
     with tempfile.TemporaryDirectory() as home:
         table = Path(home) / "drives.csv"
         with table.open("w", encoding="utf-8", newline="") as file:
@@ -99,38 +102,56 @@ def throughput(root: Path, splits: Path, checks: int, workers: Sequence[int]) ->
             began = time.monotonic()
             done = subprocess.run([*command, "--jobs", str(count)], capture_output=True, text=True, check=True)
             wall, counts = time.monotonic() - began, json.loads(done.stdout)
-            rate = 60 * counts["checked"] / wall
-            cells = [
-                f"{wall:.0f}",
-                f"{rate:.1f}",
-                f"{rate / count:.1f}",
-                f"{counts['seconds'] / counts['checked']:.2f}",
-            ]
-            lines.append(f"| {count} | {counts['checked']} | " + " | ".join(cells) + " |")
-    return lines
+            if not len(durations):
+                durations = seconds_of_checks(Store(Path(f"{home}/{count}")))
+            rate, work = 60 * counts["checked"] / wall, counts["seconds"] / counts["checked"]
+            cells = [f"{wall:.0f}", f"{rate:.1f}", f"{rate / count:.1f}", f"{work:.2f}"]
+            lines.append(f"| {count} | {counts['checked']} | {' | '.join(cells)} |")
+    megabytes = float(np.mean([_megabytes(root / "kitti_raw", part) for part in parts]))
+    lines += [
+        "",
+        "| s of a check: median | 95 % | longest | MB read | core hours for 1,000 vehicles, ten checks each |",
+    ]
+    median, most, longest = np.quantile(durations, [0.5, 0.95, 1.0])
+    hours = 10_000 * durations.mean() / 3600
+    lines += ["|---" * 5 + "|", f"| {median:.1f} | {most:.1f} | {longest:.1f} | {megabytes:.0f} | {hours:.1f} |"]
+    return [*lines, "", *_clusters(durations, (megabytes, _WHOLE_BAG_MB), link_gbit)]
 
 
-def cluster(seconds: float, megabytes: float, workers: Sequence[int], checks: int, link_gbit: float) -> list[str]:
-    """Return what a scheduler with many workers would do: durations vary as measured ones, logs share one link.
+def _megabytes(root: Path, names: Sequence[str]) -> float:
+    """Return the size of images and sweeps of frames DATE/DRIVE/NUMBER of KITTI."""
+    total = 0
+    for name in names:
+        date, drive, number = name.split("/")
+        for sensor in ("image_02", "velodyne_points"):
+            total += sum(path.stat().st_size for path in root.glob(f"{date}/*_{drive}_sync/{sensor}/data/{number}.*"))
+    return total / 1e6
 
-    Each worker fetches a log of `megabytes` over a link that all share, then computes; the scheduler needs 1 ms a task.
+
+_WHOLE_BAG_MB, _SCHEDULED_S = 200.0, 1e-3
+"""Size of a log that is copied as a whole, and time of the scheduler for a task: both are assumed."""
+
+
+def _clusters(seconds: Float, megabytes: Sequence[float], link_gbit: float, checks: int = 10_000) -> list[str]:
+    """Return what a scheduler with many workers would do with checks of these durations (N,), by size of the logs.
+
+    Each worker fetches a log over a link that all share, then computes.
     """
     rng = np.random.default_rng(0)
-    lines = ["| workers | hours for the checks | checks per hour | busy with work | limit |", "|---|---|---|---|---|"]
-    durations = seconds * rng.lognormal(-0.02, 0.2, checks)
-    fetch_s, schedule_s = 8e-3 * megabytes / link_gbit, 1e-3
-    for count in workers:
-        free, link, scheduler, end = [0.0] * count, 0.0, 0.0, 0.0
-        for duration in durations:
+    lines = ["| workers | MB of a log | checks per hour | busy with work | limit |", "|---|---|---|---|---|"]
+    durations = rng.choice(seconds, checks)
+    for size, count in itertools.product(megabytes, (1, 10, 100, 1000)):
+        free, link, scheduler = [0.0] * count, 0.0, 0.0
+        fetch_s = 8e-3 * size / link_gbit
+        for duration in durations.tolist():
             ready = heapq.heappop(free)
-            scheduler = max(scheduler, ready) + schedule_s
+            scheduler = max(scheduler, ready) + _SCHEDULED_S
             link = max(link, scheduler) + fetch_s
-            end = link + float(duration)
-            heapq.heappush(free, end)
+            heapq.heappush(free, link + duration)
         last = max(free)
-        busy = durations.sum() / (last * count)
-        limit = "link" if fetch_s * count > seconds else "workers"
-        lines.append(f"| {count} | {last / 3600:.2f} | {3600 * checks / last:,.0f} | {100 * busy:.0f} % | {limit} |")
+        busy = 100 * durations.sum() / (last * count)
+        limit = "link" if fetch_s * count > durations.mean() else "workers"
+        lines.append(f"| {count} | {size:.0f} | {3600 * checks / last:,.0f} | {busy:.0f} % | {limit} |")
     return lines
 
 
@@ -164,16 +185,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     own.add_argument("--days", type=int, default=365)
     own.add_argument("--per-day", type=int, default=10)
     own.add_argument("--jobs", type=int, default=2)
-    own = commands.add_parser("throughput")
+    own = commands.add_parser("capacity")
     own.add_argument("--root", type=Path, default=Path("build/data"))
     own.add_argument("--splits", type=Path, default=Path("benchmarks/splits.json"))
-    own.add_argument("--checks", type=int, default=60)
+    own.add_argument("--checks", type=int, default=40)
     own.add_argument("--workers", default="1,2,4")
-    own = commands.add_parser("cluster")
-    own.add_argument("--seconds", type=float, required=True, help="measured seconds of work per check")
-    own.add_argument("--megabytes", type=float, default=200.0, help="data that a check reads")
-    own.add_argument("--workers", default="1,10,100,1000")
-    own.add_argument("--checks", type=int, default=10000)
     own.add_argument("--link-gbit", type=float, default=10.0)
     own = commands.add_parser("kills")
     own.add_argument("--kills", type=int, default=100)
@@ -198,7 +214,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     elif command == "bank":
         lines = write_bank(words["store"], words["out"], words["rigs"])
     else:
-        functions = (real, detect, store, throughput, cluster)
+        functions = (real, detect, store, capacity)
         lines = {function.__name__: function for function in functions}[command](**words)
     print("\n".join(lines))
     return 1 if failed else 0
