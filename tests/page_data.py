@@ -13,7 +13,7 @@ from p2o.cli import main
 from p2o.run.recipe import open_dataset
 
 from tests.bag_files import messages_of, odometry, write_bag
-from tests.pages import ROOT
+from tests.pages import ROOT, blocks
 
 SMALL = "width_px=320&height_px=120&right=false"
 KITTI = "PATH"
@@ -76,6 +76,10 @@ def _write_rigs(root: Path) -> None:
         (folder / "rig.json").write_text(json.dumps(poses))
     shutil.copy(root / "rig.yaml", root / "rig.json")
     (root / "rig.json").write_text(json.dumps({"cameras": poses}))
+    [around] = [
+        block.text for block in blocks("docs/how-to/rig.md") if block.language == "yaml" and "back:" in block.text
+    ]
+    (root / "around.yaml").write_text(around)
 
 
 def _write_bag(root: Path) -> None:

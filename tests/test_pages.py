@@ -77,6 +77,7 @@ ONLY_CHECKED = (
     (r"^p2o benchmark ", "tests/p2o_study/test_benchmark*.py; it would write to the rows of the repository"),
     (r"^p2o report (out|p2o-out)", "it needs what such a study has left; the tutorial's is reported"),
     (r"^p2o (train|labels) p2ornet", "an hour"),
+    (r"--rig around\.yaml", "tests/test_rig_solve.py, on the same rig"),
     (r"^p2o pick ", "somebody clicks"),
     (r"^p2o view ", "somebody looks; tests/test_view_page.py"),
     (r"--data DATA | COMMAND$| \.\.\.$", "it leaves words to the reader"),
