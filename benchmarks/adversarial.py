@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from adversarial_cases import KINDS, NO_POSE, SOURCES, Change, Source, changes_of
+from adversarial_cases import KINDS, NO_POSE, NOT_OBSERVABLE, SOURCES, Change, Source, changes_of
 from p2o import Frame, InputError, Registry
 from p2o.cache import FeatureCache, content_hash
 from p2o.draw.overlay import draw, write_png
@@ -212,6 +212,7 @@ def table(rows: Sequence[Row]) -> str:
     changed = [row for row in rows if row.kind != "unchanged"]
     lines += [_line(kind, its) for kind, its in by_kind.items()]
     lines.append(_line("all but unchanged", changed))
+    lines.append(_line("of these observable", [row for row in changed if row.kind not in NOT_OBSERVABLE]))
     by_source: dict[str, list[Row]] = defaultdict(list)
     for row in changed:
         by_source[row.source].append(row)

@@ -15,6 +15,9 @@ from p2o.geometry.radial_error import RadialError
 NO_POSE = frozenset({"other moment", "mirrored image", "other camera", "axes swapped", "units", "units, feet"})
 """Kinds without a right pose: every trusted result is a false accept. For the others it is one that is wrong."""
 
+NOT_OBSERVABLE = frozenset({"units, feet", "principal point 20 px"})
+"""Kinds that leave the projection of the sweep as it is, or nearly so, at a wrong pose."""
+
 
 @dataclass(frozen=True)
 class Source:
