@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fleet import cluster
 from fleet_detection import logs_of, noise_of
 from p2o.errors import InputError
 from p2o_fleet.simulation import Fault, NoiseBank, Scenario, simulated_fleet, write_fleet
@@ -63,14 +62,3 @@ def test_an_unknown_rig_and_impossible_shares_are_refused() -> None:
         next(simulated_fleet(replace(SCENARIO, rigs=("moon",)), BANK))
     with pytest.raises(InputError):
         replace(SCENARIO, shares={Fault.SLIP: 0.7, Fault.DRIFT: 0.7})
-
-
-def test_a_cluster_is_as_fast_as_its_workers_until_the_link_is_the_limit() -> None:
-    def per_hour(workers: int, megabytes: float) -> float:
-        [*_, row] = cluster(4.0, megabytes, [workers], 5000, 10.0)
-        return float(row.split("|")[3].replace(",", ""))
-
-    # 3600 / 4 checks per hour and worker, but no more than the link carries: 10 Gbit/s are 1.25 GB/s.
-    assert per_hour(1, 0.001) == pytest.approx(900, rel=0.05)
-    assert per_hour(100, 0.001) == pytest.approx(90000, rel=0.05)
-    assert per_hour(1000, 1250.0) == pytest.approx(3600, rel=0.05)
