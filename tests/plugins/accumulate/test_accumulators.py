@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import p2o
 import pytest
 from p2o import Camera, Cloud, Frame, Image, InputError, Kind, se3
+from p2o.run.recipe import open_dataset
 
 IMAGE = Image(np.zeros((5, 7, 3), np.uint8), Camera.pinhole(5, 5, 3, 2, 7, 5))
 TWIST = np.array([0.0, 0.0, 0.17, 5.0, 0.0, 0.0])
@@ -84,3 +86,14 @@ def test_frames_without_poses_are_refused_with_a_way_out() -> None:
     frames: Sequence[Frame] = [replace(frame, lidar_world_from_lidar=None) for frame in drive()]
     with pytest.raises(InputError, match=r"no LiDAR pose.*--accumulate gicp"):
         p2o.calibrate(frames, accumulate="poses", start=np.eye(4))
+
+
+@pytest.mark.real
+def test_sweeps_with_sixteen_rings_whose_alignment_does_not_converge_are_joined(real_data: Path) -> None:
+    """Of frames 111 and 112, 98 % of the points are paired at the minimum, but small_gicp does not converge."""
+    options = {"right": False, "depth": False, "keep_rings": 4}
+    dataset = open_dataset(f"kitti-raw:{real_data / 'kitti_raw'}", p2o.Registry.load(environ={}), options)
+    frames = [dataset[dataset.names.index(f"2011_09_26/0005/{number:010d}")] for number in range(107, 114)]
+    given, found = (built(name, past=3, future=3)(frames, 3).xyz for name in ("poses", "gicp"))
+    assert len(given) == sum(len(frame.cloud) for frame in frames)
+    assert np.median(np.linalg.norm(given - found, axis=1)) < 0.15
