@@ -1,5 +1,6 @@
 """Simulator of cameras and LiDARs: all sensors observe the same scene, with exact ground truth."""
 
+from .places.catalog import DIFFICULT as DIFFICULT
 from .places.catalog import INDOORS as INDOORS
 from .places.catalog import PLACES as PLACES
 from .places.catalog import place_of as place_of

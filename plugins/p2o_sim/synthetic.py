@@ -60,11 +60,15 @@ class SyntheticOptions(Options):
     frames_per_scene: int = field(1, ge=1, le=1000, help="Number of frames of the drive through each scene.")
     period_s: float = field(0.1, gt=0, le=60, help="Time between successive frames of a drive in seconds.")
     seed: int = field(0, ge=0, lt=2**63, help="Seed of the scenes, of all noise and of the initial guess.")
-    place: Literal["mixed", "anywhere", "street", "suburb", "highway", "trees", "yard", "hall", "room"] = field(
+    place: Literal[
+        "mixed", "anywhere", "street", "suburb", "highway", "trees", "yard", "hall", "room",
+        "repeated", "empty", "traffic",
+    ] = field(
         "mixed",
         help="Kind of scene; mixed draws a road for each scene, a third of them with trees and banks; anywhere draws "
-        "from all kinds: roads, a yard (an open floor between halls, for boards), and inside a hall or a room.",
-    )
+        "from roads, a yard (an open floor between halls, for boards), and inside a hall or a room. Difficult: equal "
+        "houses, fences or parked cars in rows (repeated), an empty road, and one with traffic alone.",
+    )  # fmt: skip
     weather: Literal["clear", "overcast", "rain", "fog", "night", "any"] = field(
         "clear", help="Weather of image and sweep, through windows in halls and rooms; any draws one for each scene."
     )

@@ -7,8 +7,9 @@ from functools import cache
 import numpy as np
 import pytest
 from p2o import SIDES, Camera, UnknownNameError, occlusion, se3
-from p2o_sim import INDOORS, PLACES, Class, RenderedImage, labels, place_of, render, scene_of
+from p2o_sim import DIFFICULT, INDOORS, PLACES, Class, RenderedImage, labels, place_of, render, scene_of
 
+USUAL = [place for place in PLACES if place not in DIFFICULT]
 CAMERA = Camera.pinhole(360.0, 360.0, 310.0, 93.0, 621, 188)
 WORLD_FROM_CAMERA = se3.make([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]], (0.0, 0.0, 1.65))
 
@@ -20,7 +21,7 @@ def rendered(place: str, seed: int) -> RenderedImage:
 
 
 @pytest.mark.parametrize("seed", [*range(4), *(pytest.param(n, marks=pytest.mark.system) for n in range(4, 10))])
-@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("place", USUAL)
 def test_every_frame_has_tens_of_hard_edges_in_all_four_directions(place: str, seed: int) -> None:
     _, side = occlusion.edges_from_orders(labels(rendered(place, seed), CAMERA, mask_foliage=True))
     for direction in SIDES:
@@ -137,8 +138,29 @@ def test_for_cameras_that_look_around_land_goes_on_behind(place: str) -> None:
 
 def test_anywhere_draws_every_kind_of_place_and_mixed_roads_only() -> None:
     rng = np.random.default_rng(0)
-    assert {place_of("anywhere", rng) for _ in range(200)} == set(PLACES)
+    assert {place_of("anywhere", rng) for _ in range(200)} == set(USUAL)
     assert {place_of("mixed", rng) for _ in range(200)} == {"street", "suburb", "highway", "trees"}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_repeated_place_has_the_same_profile_one_period_further_on(seed: int) -> None:
+    scene, _ = scene_of("repeated", np.random.default_rng(seed))
+    x = np.arange(0.0, 40.0, 0.05)
+    profile = scene.cast(np.column_stack([x, 0 * x, 0 * x + 0.9]), np.tile([0.0, 1.0, 0.0], (len(x), 1))).distance_m
+    lags = range(40, 200)
+    differences = [float(np.mean(np.abs(profile[lag:] - profile[:-lag]) > 0.1)) for lag in lags]
+    assert min(differences) < 0.1
+    assert max(differences) > 2 * min(differences)
+
+
+def test_nothing_of_an_empty_road_rises_above_the_ground_within_60_m_and_traffic_moves() -> None:
+    turn = np.linspace(0, 2 * np.pi, 720, endpoint=False)
+    around = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(720)])
+    bare, _ = scene_of("empty", np.random.default_rng(1), speed_m_s=8.0)
+    assert bare.cast(np.array([0.0, 0.0, 1.0]), around).distance_m.min() > 39.0
+    assert not bare.movers
+    busy, _ = scene_of("traffic", np.random.default_rng(1), speed_m_s=8.0)
+    assert len(busy.movers) == 2
 
 
 def test_an_unknown_place_is_refused_with_the_known_ones() -> None:

@@ -8,7 +8,7 @@ import pytest
 from p2o import se3
 from p2o.calibration.judge import DirectedJudge
 from p2o.calibration.rivals import rival_poses
-from p2o.geometry.pose_error import is_distinct
+from p2o.geometry.pose_error import is_distinct, pose_error
 from p2o.run.pipeline import Pipeline
 from p2o.run.recipe import Recipe
 from p2o.run.run import Run
@@ -52,3 +52,22 @@ def test_rivals_of_a_displaced_pose_are_near_the_minimum_and_distinct() -> None:
     assert se3.angle_deg(first @ se3.inverse(truth)) < se3.angle_deg(off @ se3.inverse(truth)) / 2
     assert is_distinct(se3.inverse(second) @ first)
     assert is_distinct(se3.inverse(first) @ off)
+
+
+def test_after_a_far_search_a_better_pose_near_a_local_minimum_is_the_result(run: Run) -> None:
+    plan = Recipe.of(data=STREET, extractor="depth/rings", init="far").resolve(p2o.Registry.load())
+    dataset, pipeline = plan.dataset(), plan.assembly().calibrator
+    assert isinstance(pipeline, Pipeline)
+    minima = 0
+    for row in run.rows:
+        frame = dataset[list(dataset.names).index(row.result.frames[0])]
+        views, start = (
+            [pipeline.prepare(frame)],
+            se3.exp(np.array([0.12, 0, 0, 0, 0, 0])) @ row.result.camera_from_lidar,
+        )
+        refined = pipeline.refine(pipeline.visible(views, row.result.start), start, [row.result.camera_from_lidar])
+        if pose_error(refined.best.pose, frame.camera_from_lidar).rotation_deg > 0.5:
+            minima += 1
+            after = pose_error(pipeline.refine_again(views, refined).best.pose, frame.camera_from_lidar)
+            assert after.rotation_deg < 0.2
+    assert minima

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from p2o import CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, View, se3
+from p2o import CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, Side, View, se3
 from p2o.confidence.agreement import agreement, interval_agreement
 from p2o.results.evidence import Agreement
 
@@ -39,6 +39,27 @@ def test_the_odds_fall_with_the_error_of_the_pose() -> None:
     turned = [se3.exp(np.array([a, a, 0.0, 0, 0, 0])) @ TRUTH for a in (0.0, 0.005, 0.01)]
     odds = [agreement([view], pose).odds_ratio for pose in turned]
     assert odds[0] > odds[1] > odds[2]
+
+
+def test_the_direction_whose_edges_do_not_correspond_is_named() -> None:
+    view = edge_scene.view()
+    edges = view.image_edges
+    upper = edges.side == Side.UPPER
+    uv = np.where(upper[:, None], edges.uv[::-1] * [1.0, 0.5] + [0.0, 150.0], edges.uv)
+    other = replace(view, image=ImageFeatures(ImageEdges(uv, edges.side, edges.weight)))
+    right, wrong = agreement([view], TRUTH), agreement([other], TRUTH)
+    assert right.least_odds is not None
+    assert wrong.least_odds is not None
+    assert right.least_odds > 20
+    assert wrong.least_odds < 2
+    assert wrong.least_side == "U"
+    assert wrong.odds_ratio > 5
+
+
+def test_a_direction_with_few_edges_is_not_judged_alone() -> None:
+    view = edge_scene.view()
+    few = view.cloud_edges.select(np.flatnonzero(view.cloud_edges.side == Side.UPPER)[:40])
+    assert agreement([replace(view, cloud=CloudFeatures(few))], TRUTH).least_odds is None
 
 
 def test_the_edges_of_another_place_meet_by_chance_only() -> None:

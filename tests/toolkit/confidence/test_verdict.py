@@ -57,6 +57,13 @@ def test_the_same_odds_are_worth_less_in_few_places() -> None:
     assert np.isnan(Agreement(0.0, 0.0, 0).strength)
 
 
+def test_one_direction_that_does_not_agree_makes_a_result_doubtful_and_is_named() -> None:
+    verdict = verdict_of(replace(GOOD, least_odds=1.4, least_side="U"), None, (), OPTIONS)
+    assert (verdict.trust, verdict.reasons[0].doubt) == (Trust.DOUBTFUL, Doubt.LITTLE_AGREEMENT)
+    assert "background above" in verdict.why
+    assert verdict_of(replace(GOOD, least_odds=2.4, least_side="U"), None, (), OPTIONS).trusted
+
+
 def test_what_may_be_far_off_by_its_own_word_is_doubtful() -> None:
     fine = Accuracy(0.2, 0.05, 0.9, 0.25)
     assert verdict_of(GOOD, None, (), OPTIONS, fine).trusted

@@ -455,6 +455,15 @@ def test_a_missing_package_is_told_with_the_pip_command() -> None:
         build(Offer(Kind.SOLVER, method, "acme-p2o", "1.0", "hooks"), p2o.Options())
 
 
+def test_a_missing_package_of_another_extra_is_told_by_its_own_name() -> None:
+    def build_odometry(options: object) -> None:
+        raise ModuleNotFoundError("No module named 'kiss_icp'", name="kiss_icp")
+
+    method = Method(name="fake", build=build_odometry, summary="A test.", extra="gicp")
+    with pytest.raises(MethodUnavailable, match='pip install "kiss-icp>='):
+        build(Offer(Kind.CALIBRATOR, method, "p2o-calib", "1.0", "hooks"), p2o.Options())
+
+
 def test_an_extra_of_the_distribution_is_told_as_the_packages_it_is_made_of() -> None:
     """The distribution is on no index: pip could not install its extra."""
     ceres = Registry.load(environ={}).find(Kind.SOLVER, "ceres")

@@ -23,7 +23,8 @@ from p2o.results.result import Status
 
 EDGES = frozenset({"image-edges", "cloud-edges"})
 
-_MOST_RIVALS = 2
+_MOST_RIVALS, _NEAR_FAR = 2, 4
+"""Poses near the best one that are refined: as rivals of a result, and as results themselves after a far search."""
 _FAR_DEG, _FAR_M = 6.0, 0.5
 """A camera displaced by more than this sees other surfaces, and edges may have other directions in its image."""
 
@@ -136,24 +137,28 @@ class Algorithm:
     def refine_again(self, views: Sequence[View], refined: Refined) -> Refined:
         """Repeat the rounds from all solved poses, with what is visible from the best of them.
 
-        If no pose is solved again, the previous ones are kept and evaluated again.
+        If no pose is solved again, the previous ones are kept and evaluated again. The best pose of a searched box may
+        be a local minimum: the rounds start from poses near it, too.
         """
         proposals = [end.pose for end in refined.solved]
         again = self.refine(self.visible(views, refined.best.pose), refined.start, proposals)
-        return replace(again, ends=again.solved or refined.solved)
+        again = replace(again, ends=again.solved or refined.solved)
+        return again if again.box is None else replace(again, ends=[*again.ends, *self._near_ends(again, _NEAR_FAR)])
 
     def with_rivals(self, refined: Refined) -> Refined:
         """Return the refined poses with rivals of the best one.
 
         Without a search, or from an initial guess outside its range, the best pose may be a local minimum.
         """
+        return replace(refined, rivals=self._near_ends(refined, _MOST_RIVALS))
+
+    def _near_ends(self, refined: Refined, count: int) -> list[End]:
+        """Return the ends of rounds from up to `count` poses of low cost near the best one."""
         if not isinstance(refined.judge, DirectedJudge):
-            return refined
+            return []
         rounds, start, views = Rounds(self.matcher, self.solver, self.options), refined.start, refined.views.corrected
-        reach_px, poses = self.options.min_reach_px, rival_poses(refined.judge, refined.best.pose, _MOST_RIVALS)
-        found_by = "initialize"
-        ends = [rounds(views, start, p, refined.judge, reach_px=reach_px, found_by=found_by) for p in poses]
-        return replace(refined, rivals=ends)
+        reach_px, poses = self.options.min_reach_px, rival_poses(refined.judge, refined.best.pose, count)
+        return [rounds(views, start, p, refined.judge, reach_px=reach_px, found_by="initialize") for p in poses]
 
     def judge(self, views: Sequence[View], start: Float, poses: Sequence[Float]) -> Judge:
         """Return the judge of poses (4, 4) that are proposed from an initial one (4, 4)."""

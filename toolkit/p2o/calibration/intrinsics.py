@@ -27,7 +27,7 @@ _MAX_VIEWS = 32
 _MARGIN_PX = 30.0
 _FINE, _COARSE = (5.0, 1), (15.0, 2)
 """Truncation in px and scale of the maps of the final fit, and of the search for it, where farther edges attract."""
-_COARSE_STARTS = np.array([[0.03, 0, 0, 0], [-0.03, 0, 0, 0], [0, 0.1, 0, 0], [0, -0.1, 0, 0]])
+_COARSE_STARTS = np.array([[f, 0, 0, 0] for f in (0.03, -0.03, 0.12, -0.12)] + [[0, 0.1, 0, 0], [0, -0.1, 0, 0]])
 """Errors of focal length and radial distortion from which the fit on coarse maps starts, too."""
 _MIN_DISTANCE_PX = 0.5
 """Smaller distances count as this in the weights of the iterations (least absolute distances)."""

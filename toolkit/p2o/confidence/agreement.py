@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.problems.directed_cost import distance_maps
 from p2o.problems.point_to_line import OUTLINE_CELL_PX
-from p2o.results.evidence import Agreement
+from p2o.results.evidence import Agreement, odds_ratio
 
 NEAR_PX = 3.0
 SURE = 0.5
@@ -29,6 +29,7 @@ def agreement(views: Sequence[View], camera_from_lidar: Float) -> Agreement:
     several views of a static rig contain count once.
     """
     near, chance, points, places = 0.0, 0.0, 0, 0
+    by_side = {side: np.zeros(3) for side in SIDES}
     met_at: list[tuple[Float, Int8, Int]] = []
     for number_of_view, view in enumerate(map(_surest, views)):
         uv = view.camera.project(se3.apply(camera_from_lidar, view.cloud_edges.xyz))
@@ -39,9 +40,10 @@ def agreement(views: Sequence[View], camera_from_lidar: Float) -> Agreement:
         for number, meets in zip(sides, distance_maps(view, sides, NEAR_PX + 1, 1) <= NEAR_PX, strict=True):
             u, v = pixel[side == number].T
             low, high = np.percentile(v, [2, 98]).astype(np.int64)
-            near += float(meets[v, u].sum())
-            chance += float(meets[low : high + 1].mean()) * len(v)
-            points += len(v)
+            counts = np.array([meets[v, u].sum(), meets[low : high + 1].mean() * len(v), len(v)])
+            near, chance, points = near + float(counts[0]), chance + float(counts[1]), points + len(v)
+            if number in by_side:
+                by_side[number] += counts
             its = np.flatnonzero(side == number)[meets[v, u]]
             places += len(np.unique(np.floor(uv[its] / OUTLINE_CELL_PX), axis=0))
             met_at.append((xyz[its], side[its], np.full(len(its), number_of_view)))
@@ -50,7 +52,27 @@ def agreement(views: Sequence[View], camera_from_lidar: Float) -> Agreement:
     # A static rig matches the same edges again: only the share of distinct views counts.
     xyz, side, frame = map(np.concatenate, zip(*met_at, strict=True))
     distinct = view_count(xyz, side, frame) / max(1, len(np.unique(frame)))
-    return Agreement(near / points, chance / points, points, round(places * distinct))
+    return Agreement(near / points, chance / points, points, round(places * distinct), *_least(by_side))
+
+
+_LEAST_EDGES, _LEAST_CHANCE = 50, 5.0
+"""Smallest number of LiDAR edges of a direction, and of those that agree under random alignment, to judge it alone."""
+
+
+def _least(by_side: Mapping[Side, Float]) -> tuple[float | None, str]:
+    """Return the smallest odds ratio of a direction and its letter; None where no direction has enough edges.
+
+    `by_side` are, for each direction, the LiDAR edges that agree, those that agree under random alignment, and all.
+    """
+    judged = {
+        side: odds_ratio(near / points, chance / points)
+        for side, (near, chance, points) in by_side.items()
+        if points >= _LEAST_EDGES and chance >= _LEAST_CHANCE
+    }
+    if not judged:
+        return None, ""
+    side = min(judged, key=lambda its: judged[its])
+    return judged[side], side.letter
 
 
 _DRAWS = 16

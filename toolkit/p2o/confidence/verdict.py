@@ -90,7 +90,7 @@ def agreement_doubts(agreed: Agreement | None, options: PipelineOptions) -> list
         text = "nothing could check that image and sweep meet at this pose: there are no edges of both sensors"
         return [Reason(Doubt.NOT_CHECKED, text)]
     if agreed.odds_ratio >= options.min_odds_ratio and agreed.strength >= options.min_strength:
-        return []
+        return _direction_doubts(agreed, options)
     text = (
         f"image and LiDAR edges meet little more often than under random alignment, or in too few places (odds ratio "
         f"{agreed.odds_ratio:.1f} in {agreed.places} places, strength {agreed.strength:.1f}; "
@@ -109,6 +109,22 @@ def accuracy_doubts(accuracy: Accuracy | None, options: PipelineOptions) -> list
     may = f"{accuracy.rotation_deg_95:.2f} deg or {accuracy.translation_m_95:.2f} m"
     text = f"one of twenty such results is {may} off, or more; take more frames jointly"
     return [Reason(Doubt.TOO_UNSURE, text)]
+
+
+_SIDE_WORDS = {"L": "left", "R": "right", "U": "above", "B": "below"}
+
+
+def _direction_doubts(agreed: Agreement, options: PipelineOptions) -> list[Reason]:
+    """Return a reason for doubt where the edges of one direction agree little more than under random alignment."""
+    if agreed.least_odds is None or agreed.least_odds >= options.min_side_odds:
+        return []
+    side = _SIDE_WORDS[agreed.least_side]
+    text = (
+        f"LiDAR edges with the background {side} meet image edges little more often than under random alignment (odds "
+        f"ratio {agreed.least_odds:.1f}; {options.min_side_odds:g} or more is usual), those of other directions do; "
+        "check the axes of the sweep and the intrinsics, and look at the overlay"
+    )
+    return [Reason(Doubt.LITTLE_AGREEMENT, text)]
 
 
 _PARAMETERS = ("focal length", "radial distortion", "principal point x", "principal point y")

@@ -498,4 +498,16 @@ def _unavailable(offer: Offer, problem: ModuleNotFoundError) -> P2OError:
     if missing == getattr(offer.method.build, "__module__", "").partition(".")[0]:
         return _raised(offer, "importing its own code", problem)
     text = f"{offer.kind} '{offer.name}' needs the package {missing}, which is not installed"
-    return MethodUnavailable(text, hint=f"run: pip install {requirement(offer) or missing}")
+    return MethodUnavailable(
+        text, hint=f"run: pip install {_named_as(missing, offer.dist) or requirement(offer) or missing}"
+    )
+
+
+def _named_as(module: str, dist: str) -> str:
+    """Return the requirement of a distribution, or of any of its extras, that has the name of a module, in quotes."""
+    try:
+        texts = [text.partition(";")[0].strip() for text in requires(dist) or []]
+    except PackageNotFoundError:
+        return ""
+    same = re.compile(re.escape(module).replace("_", "[_-]") + r"(?![\w.-])", re.IGNORECASE)
+    return next((f'"{text}"' for text in texts if same.match(text)), "")

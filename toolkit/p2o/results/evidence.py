@@ -42,13 +42,16 @@ class Agreement:
 
     `near` is the share of LiDAR edges in the image with a reliable image edge of their direction near by, `chance` the
     share expected under random alignment within the same image rows, `points` the number of LiDAR edges. `places` is
-    the number of independent cells (64 px, by direction) in which edges agree.
+    the number of independent cells (64 px, by direction) in which edges agree. `least_odds` is the smallest odds ratio
+    of one direction, and `least_side` its letter (L, R, U, B); None and "" where no direction has enough edges.
     """
 
     near: Number
     chance: Number
     points: Count
     places: Count = 0
+    least_odds: Number | None = None
+    least_side: str = ""
 
     @property
     def strength(self) -> float:
@@ -62,8 +65,13 @@ class Agreement:
     @property
     def odds_ratio(self) -> float:
         """Odds of agreement over the odds under random alignment: 1 for random alignment, NaN without points."""
-        near, chance = (np.clip(p, 1e-6, 1 - 1e-6) for p in (self.near, self.chance))
-        return float(near / (1 - near) / (chance / (1 - chance))) if self.points else float("nan")
+        return odds_ratio(self.near, self.chance) if self.points else float("nan")
+
+
+def odds_ratio(near: float, chance: float) -> float:
+    """Return the odds of a share `near` over those of a share `chance`; both are clipped to within 1e-6 of 0 and 1."""
+    near, chance = np.clip([near, chance], 1e-6, 1 - 1e-6).tolist()
+    return near / (1 - near) / (chance / (1 - chance))
 
 
 @dataclass(frozen=True)

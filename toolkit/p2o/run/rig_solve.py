@@ -313,4 +313,7 @@ def _together(agreements: Sequence[Agreement]) -> Agreement | None:
     if not points:
         return None
     near, chance = (sum(getattr(one, name) * one.points for one in agreements) / points for name in ("near", "chance"))
-    return Agreement(near, chance, points, sum(one.places for one in agreements))
+    odds, side = min(
+        ((one.least_odds, one.least_side) for one in agreements if one.least_odds is not None), default=(None, "")
+    )
+    return Agreement(near, chance, points, sum(one.places for one in agreements), odds, side)
