@@ -32,7 +32,7 @@ class PipelineOptions(Options):
         2.0, ge=0, help="Mark a result as doubtful if the odds ratio of the edge agreement is below this value."
     )
     min_side_odds: float = option(
-        2.0, ge=0, help="Mark a result as doubtful if the odds ratio of the edges of one direction is below this value."
+        1.8, ge=0, help="Mark a result as doubtful if the odds ratio of the edges of one direction is below this value."
     )
     min_strength: float = option(
         11.0,
