@@ -290,19 +290,18 @@ def extraction_failed(job: ExtractJob, problem: P2OError) -> Extracted:
 
 def calibrate(job: CalibrateJob) -> StoredRow:
     """Calibrate and return the complete row; an exception of a method is part of the row."""
-    try:
-        row = _filled(job.row, _result(job))
-    except KeyboardInterrupt:
-        raise
-    except BaseException as problem:
-        row = replace(job.row, reason=_one_line(problem), exception=traceback.format_exc())
-    return replace(row, machine=machine_info(), finished=now())
+    return _complete(job, lambda: _result(job))
 
 
 def calibrate_rig(job: RigJob) -> StoredRow:
     """Calibrate all cameras of a rig in one problem and return the complete row, as `calibrate`."""
+    return _complete(job, lambda: _rig_result(job))
+
+
+def _complete(job: CalibrateJob, calibrated: Callable[[], Result]) -> StoredRow:
+    """Return the row of a job with its result, or with the exception of the method."""
     try:
-        row = _filled(job.row, _rig_result(job))
+        row = _filled(job.row, calibrated())
     except KeyboardInterrupt:
         raise
     except BaseException as problem:
