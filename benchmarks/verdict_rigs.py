@@ -74,10 +74,22 @@ def _folder(name: str, **rest: object) -> Rig:
     return Rig(name, f"folder:build/data/rigs/{name}", **rest)  # type: ignore[arg-type]
 
 
+def _drive(name: str, words: str) -> Rig:
+    data = f"kitti-raw:build/data/kitti_raw?{words}".rstrip("?")
+    return Rig(f"drive-{name}", data, "@{splits}#drive_0005_later", truth_deg=0.1, truth_m=0.01)
+
+
+def _random(name: str, weights: str) -> Rig:
+    words = "rig=random-rings&place=anywhere&weather=any&megapixels=1"
+    data = f"synthetic:?right=false&scenes=12&{words}&seed={500 + ord(name)}"
+    return Rig(f"sim-random-{name}", data, weights=weights, apart=True)
+
+
 LIDARS = {
     "vlp16": ("acfr_vlp16", "hitsz", "hitsz_sim", "boards_sim", "sim-vlp16"),
     "hdl32": ("nuscenes", "sim-hdl32"),
-    "hdl64": ("kitti", "sim-hdl64"),
+    "hdl64": ("kitti", "drive-hdl64", "drive-no-rings", "sim-hdl64"),
+    "hdl64-decimated": ("drive-32", "drive-16"),
     "os1": ("sim-os1",),
     "pandar64": ("pjlab", "sim-pandar64"),
 }
@@ -116,6 +128,10 @@ RIGS: Sequence[Rig] = (
         truth_deg=0.1,
         truth_m=0.01,
     ),
+    _drive("hdl64", ""),
+    _drive("32-rings", "keep_rings=2"),
+    _drive("16-rings", "keep_rings=4"),
+    _drive("no-rings", "forget_rings=true"),
     _synthetic("hdl64-f465", "lidar=hdl-64e&width_px=800&height_px=300", weights="synthetic"),
     _synthetic("hdl64-left", "lidar=hdl-64e&width_px=800&height_px=500&mount=[0.3,0.4,-0.3,3,-50,4]"),
     _synthetic("hdl64-raw", "lidar=hdl-64e&width_px=1242&height_px=375&deskew=false"),
@@ -124,12 +140,16 @@ RIGS: Sequence[Rig] = (
     _synthetic("vlp16-f465", "lidar=vlp-16&width_px=800&height_px=500"),
     _synthetic("vlp16-f900", "lidar=vlp-16&width_px=1550&height_px=850&place=suburb", crop=(1000, 640)),
     _synthetic("vlp16-yard", "lidar=vlp-16&width_px=1242&height_px=700&place=yard&targets=checkerboard&boards=2"),
+    _synthetic("vlp16-hall", "lidar=vlp-16&width_px=1000&height_px=560&place=hall", weights="synthetic"),
+    _synthetic("hdl32-suburb", "lidar=hdl-32e&width_px=1000&height_px=560&place=suburb"),
     _synthetic("pandar64-f1100", "lidar=pandar64&width_px=1900&height_px=900", crop=(1000, 640)),
     _synthetic("pandar64-fisheye", "lidar=pandar64&width_px=1000&height_px=600&camera=fisheye", weights="synthetic"),
     _synthetic("os1-64-f400", "lidar=os1-64&width_px=690&height_px=480&camera=opencv-distorted", weights="synthetic"),
     _synthetic("os1-64-f1450", "lidar=os1-64&width_px=2500&height_px=900&place=street", crop=(1100, 650)),
     _synthetic("os1-128-f580", "lidar=os1-128&width_px=1000&height_px=560"),
-    _synthetic("os1-128-f1800", "lidar=os1-128&width_px=3100&height_px=900", crop=(1200, 650)),
+    _synthetic("os1-128-f1500", "lidar=os1-128&width_px=2600&height_px=800", crop=(1100, 650)),
+    _random("a", "kitti"),
+    _random("b", "synthetic"),
     _synthetic("mid40-f700", "lidar=mid-40&width_px=1200&height_px=600"),
 )
 

@@ -6,7 +6,7 @@ import numpy as np
 import p2o
 import pytest
 from p2o import se3
-from p2o.confidence.accuracy import with_start
+from p2o.confidence.accuracy import DEFAULT_ERROR_MODEL, with_start
 from p2o.geometry.pose_error import place_by_update
 
 from tests import edge_scene
@@ -28,7 +28,7 @@ def spread(turn_deg: float, shift_m: float) -> np.ndarray:
 
 
 def test_what_the_edges_tell_surely_stays() -> None:
-    found = with_start(POSE, spread(1e-4, 1e-6), away((1, -1, 1), (0.05, 0.05, -0.05)), SIGMA)
+    found = with_start(POSE, spread(1e-4, 1e-6), away((1, -1, 1), (0.05, 0.05, -0.05)), SIGMA, DEFAULT_ERROR_MODEL)
     assert found is not None
     np.testing.assert_allclose(found[0], POSE, atol=1e-6)
 
@@ -36,7 +36,7 @@ def test_what_the_edges_tell_surely_stays() -> None:
 def test_a_direction_that_the_edges_leave_open_follows_the_start_and_no_other() -> None:
     likely = spread(0.01, 0.001)
     likely[4, 4] = 100.0
-    found = with_start(POSE, likely, away((0, 0, 0), (0.08, 0.08, 0.08)), SIGMA)
+    found = with_start(POSE, likely, away((0, 0, 0), (0.08, 0.08, 0.08)), SIGMA, DEFAULT_ERROR_MODEL)
     assert found is not None
     np.testing.assert_allclose((found[0] - POSE)[:3, 3], (0, 0.08, 0), atol=2e-3)
     assert se3.angle_deg(found[0] @ se3.inverse(POSE)) < 0.02
@@ -45,7 +45,7 @@ def test_a_direction_that_the_edges_leave_open_follows_the_start_and_no_other() 
 def test_what_both_say_is_surer_about_every_axis() -> None:
     likely = spread(0.5, 0.05)
     likely[0, 4] = likely[4, 0] = 0.8 * np.sqrt(likely[0, 0] * likely[4, 4])
-    found = with_start(POSE, likely, away((0.2, 0, 0), (0, 0.05, 0)), SIGMA)
+    found = with_start(POSE, likely, away((0.2, 0, 0), (0, 0.05, 0)), SIGMA, DEFAULT_ERROR_MODEL)
     assert found is not None
     assert (np.diag(found[1]) < np.diag(likely)).all()
 
@@ -58,7 +58,7 @@ def test_errors_become_smaller_where_both_are_as_good_as_they_say() -> None:
         turn, shift = rng.normal(0, 0.4, 3), rng.normal(0, 0.1, 3)
         pose = away(tuple(turn), tuple(shift))
         start = away(tuple(rng.normal(0, SIGMA[0], 3)), tuple(rng.normal(0, SIGMA[1], 3)))
-        found = with_start(pose, spread(0.4 / 1.35, 0.1 / 1.35), start, SIGMA)
+        found = with_start(pose, spread(0.4 / 1.35, 0.1 / 1.35), start, SIGMA, DEFAULT_ERROR_MODEL)
         if found is not None:
             alone.append(np.linalg.norm(shift))
             mean.append(p2o.pose_error(found[0], POSE).translation_m)
@@ -77,7 +77,7 @@ def test_errors_become_smaller_where_both_are_as_good_as_they_say() -> None:
 def test_a_start_that_contradicts_the_edges_and_covariances_that_say_nothing_change_nothing(
     likely: np.ndarray, start: np.ndarray
 ) -> None:
-    assert with_start(POSE, likely, start, SIGMA) is None
+    assert with_start(POSE, likely, start, SIGMA, DEFAULT_ERROR_MODEL) is None
 
 
 def test_turn_and_place_are_those_that_errors_are_told_in() -> None:

@@ -126,12 +126,11 @@ def test_the_maximum_over_several_views_is_the_truth_although_rings_are_far_apar
     error = pose_error(pose, TRUTH)
     assert error.rotation_deg < 0.1
     assert error.translation_m < 0.03
-    covariance, outlines = likelihood.covariance(pose)
+    covariance = likelihood.covariance(pose)
     step = se3.log(TRUTH @ se3.inverse(pose))
     # The scatter of outlines underestimates errors: twice as much holds 99.9 % of six Gaussian errors.
     assert step @ np.linalg.solve(4 * covariance, step) < 22
     assert np.sqrt(np.diag(covariance)[:3]).max() < np.radians(0.15)
-    assert outlines > 200
 
 
 def test_shares_fall_with_the_part_of_edges_that_have_a_counterpart() -> None:

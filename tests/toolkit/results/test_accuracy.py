@@ -94,13 +94,23 @@ def test_nineteen_of_twenty_lie_within_more_than_two_of_three() -> None:
 
 
 def test_no_number_of_frames_promises_what_the_sensors_calibrations_do_not_give() -> None:
-    found = likely_accuracy(spread(covariance(1e-12)), TRUTH, met(0.5))
-    assert found.rotation_deg == pytest.approx(
-        np.sqrt(3) * DEFAULT_ERROR_MODEL.floor_deg * DEFAULT_ERROR_MODEL.rotation[0], rel=1e-3
-    )
-    assert found.translation_m == pytest.approx(
-        np.sqrt(3) * DEFAULT_ERROR_MODEL.floor_m * DEFAULT_ERROR_MODEL.translation[0], rel=1e-3
-    )
+    model = DEFAULT_ERROR_MODEL
+    for views in (1.0, 4.0, 1e9):
+        found = likely_accuracy(replace(spread(covariance(1e-12)), views=views), TRUTH, met(0.5))
+        turn, shift = np.hypot(
+            [model.floor_deg, model.floor_m], np.array([model.view_deg, model.view_m]) / np.sqrt(views)
+        )
+        assert found.rotation_deg == pytest.approx(np.sqrt(3) * turn * model.rotation[0], rel=1e-3)
+        assert found.translation_m == pytest.approx(np.sqrt(3) * shift * model.translation[0], rel=1e-3)
+
+
+def test_the_error_of_intervals_does_not_depend_on_their_odds_and_falls_with_the_number_of_views() -> None:
+    budget = ErrorBudget.of_intervals(covariance(), 1.0)
+    weak, strong = (likely_accuracy(budget, TRUTH, met(near, 400)) for near in (0.1, 0.5))
+    assert weak == strong
+    more = likely_accuracy(ErrorBudget.of_intervals(covariance() / 4, 4.0), TRUTH, met(0.1, 400))
+    assert 0.45 < more.rotation_deg / weak.rotation_deg < 0.65
+    assert 0.45 < more.translation_m / weak.translation_m < 0.65
 
 
 def test_an_odds_ratio_that_is_none_counts_as_the_worst() -> None:

@@ -22,15 +22,16 @@ _MIN_DEPTH_M = 0.1
 class ErrorBudget:
     """Components of the error of a pose: `pairs` (6, 6), the covariance of a left update in rad and m from the scatter
     of pairs (`p2o.calibration.adjustment`), `beams` (6, 6) as of `beam_covariance`, and `rings` (6,) as of `ring_gaps`.
-    `cameras` (6, 6) is the covariance by unnoticed errors of the intrinsics (`p2o.calibration.intrinsics`).
-    With `by_odds` the error by pairs falls with the odds ratio of the agreement.
+    `cameras` (6, 6) is the covariance by unnoticed errors of the intrinsics (`p2o.calibration.intrinsics`), `views` the
+    number of different views. `intervals` states that the pose is that of the interval likelihood: another error model.
     """
 
     pairs: Float
     beams: Float
     rings: Float
     cameras: Float = field(default_factory=lambda: np.zeros((6, 6)))
-    by_odds: bool = True
+    views: float = 1.0
+    intervals: bool = False
 
     @classmethod
     def of(cls, pairs: Float, problem: PointToLine, camera_from_lidar: Float, views: float) -> ErrorBudget:
@@ -39,21 +40,22 @@ class ErrorBudget:
         Outlines of other scenes lie elsewhere between the rings: the error by rings falls with the root of `views`
         (`p2o.confidence.agreement`).
         """
-        rings = ring_gaps(problem, camera_from_lidar) / np.sqrt(max(views, 1.0))
-        return cls(pairs, beam_covariance(problem, camera_from_lidar), rings)
+        views = max(views, 1.0)
+        rings = ring_gaps(problem, camera_from_lidar) / np.sqrt(views)
+        return cls(pairs, beam_covariance(problem, camera_from_lidar), rings, views=views)
 
     @classmethod
-    def of_intervals(cls, covariance: Float) -> ErrorBudget:
+    def of_intervals(cls, covariance: Float, views: float) -> ErrorBudget:
         """Return the budget of a pose by its interval likelihood, from the scatter of outlines (6, 6).
 
-        It contains the error by the position of outlines between beams, and does not depend on the odds ratio, which is
-        small for long intervals.
+        It contains the error by the position of outlines between beams.
         """
-        return cls(_INTERVAL_INFLATION**2 * covariance, np.zeros((6, 6)), np.zeros(6), by_odds=False)
+        return cls(covariance, np.zeros((6, 6)), np.zeros(6), views=max(views, 1.0), intervals=True)
 
-
-_INTERVAL_INFLATION = 1.2
-"""Errors by intervals exceed the scatter of outlines: groups of ten frames of a KITTI drive with 16 rings need this."""
+    @property
+    def model(self) -> ErrorModel:
+        """The error model that was fitted to results of this kind."""
+        return INTERVAL_ERROR_MODEL if self.intervals else DEFAULT_ERROR_MODEL
 
 
 def ring_gaps(problem: PointToLine, camera_from_lidar: Float) -> Float:
@@ -106,48 +108,79 @@ class ErrorModel(NamedTuple):
 
     `pairs` scales the standard deviation from the scatter of pairs, at an odds ratio of 10, and falls with the power
     `by_odds` of it. `beams` scales the deviation by a common shift of all edges, `rings` the error of half a gap
-    between beams (`ring_gaps`); `floor_deg` and `floor_m` are added. `rotation` and `translation` are the factors of
-    the 67 % and 95 % bounds, `axis` that of the 67 % bound of each axis. Where edges agree in few independent cells,
-    the 95 % bounds are widened by `outlier_inflation`.
+    between beams (`ring_gaps`). `view_deg` and `view_m` are the error of one view that pairs do not show (mismatches
+    of a scene), which falls with the root of the number of views; `floor_deg` and `floor_m` that of any number.
+    `rotation` and `translation` are the factors of the 67 % and 95 % bounds, `axis` that of the 67 % bound of each
+    axis. Where the strength of the agreement is below `strong`, the 95 % bounds are wider (`outlier_inflation`).
     """
 
     pairs: float
     by_odds: float
     beams: float
     rings: float
+    view_deg: float
+    view_m: float
     floor_deg: float
     floor_m: float
     rotation: tuple[float, float]
     translation: tuple[float, float]
     axis: float
+    strong: float
 
 
-DEFAULT_ERROR_MODEL = ErrorModel(1.1, 0.5, 1.1, 0.74, 0.013, 0.0042, (1.58, 3.69), (1.55, 3.04), 1.31)
-"""Fitted by `python benchmarks/verdicts.py fit` to 332 results on 22 rigs, 12 of them simulated, with the extractors of
-that version: docs/benchmarks.md, A verdict that transfers. The factors of translation were widened afterwards, by 1.20
-and 1.23, on random simulated rigs (same section), with the current extractors.
+DEFAULT_ERROR_MODEL = ErrorModel(
+    pairs=1.3,
+    by_odds=0.25,
+    beams=0.51,
+    rings=0.36,
+    view_deg=0.019,
+    view_m=0.005,
+    floor_deg=0.011,
+    floor_m=0.0036,
+    rotation=(1.58, 3.48),
+    translation=(1.04, 2.05),
+    axis=1.28,
+    strong=12.0,
+)
+INTERVAL_ERROR_MODEL = ErrorModel(
+    pairs=0.81,
+    by_odds=0.0,
+    beams=0.0,
+    rings=0.0,
+    view_deg=0.048,
+    view_m=0.0074,
+    floor_deg=0.018,
+    floor_m=0.0075,
+    rotation=(1.32, 3.0),
+    translation=(1.25, 2.9),
+    axis=1.17,
+    strong=12.0,
+)
+"""Fitted by `python benchmarks/verdicts.py fit`: docs/benchmarks-findings.md, The error model. The likelihood of
+intervals contains the error by the position of outlines between beams; odds ratios of long intervals are small.
 """
 _MIN_ODDS, _MAX_ODDS = 1.5, 40.0
 """The range of odds ratios in the fit; beyond it the model is constant."""
-_STRONG, _MIN_STRENGTH = 12.0, 3.0
+_MIN_STRENGTH = 3.0
 
 
 def likely_accuracy(
-    budget: ErrorBudget, camera_from_lidar: Float, agreement: Agreement, model: ErrorModel = DEFAULT_ERROR_MODEL
+    budget: ErrorBudget, camera_from_lidar: Float, agreement: Agreement, model: ErrorModel | None = None
 ) -> Accuracy:
     """Return the predicted error of a pose (4, 4) from its error budget and the agreement of edges at it.
 
     The scatter of pairs shows their noise but not systematic mismatches: the error is a multiple of it that falls with
     the odds ratio of the agreement.
     """
+    model = budget.model if model is None else model
     return accuracy_of(likely_covariance(budget, camera_from_lidar, agreement.odds_ratio, model), agreement, model)
 
 
-def accuracy_of(covariance: Float, agreement: Agreement, model: ErrorModel = DEFAULT_ERROR_MODEL) -> Accuracy:
+def accuracy_of(covariance: Float, agreement: Agreement, model: ErrorModel) -> Accuracy:
     """Return the predicted error of a pose from the covariance (6, 6) of its errors (`likely_covariance`)."""
     axes = np.sqrt(np.diag(covariance))
     rotation_deg, translation_m = float(np.degrees(np.linalg.norm(axes[:3]))), float(np.linalg.norm(axes[3:]))
-    inflations = (1.0, outlier_inflation(agreement))
+    inflations = (1.0, outlier_inflation(agreement, model))
     bounds = [
         (more * factor * rotation_deg, more * other * translation_m)
         for more, factor, other in zip(inflations, model.rotation, model.translation, strict=True)
@@ -158,15 +191,18 @@ def accuracy_of(covariance: Float, agreement: Agreement, model: ErrorModel = DEF
 
 
 def likely_covariance(
-    budget: ErrorBudget, camera_from_lidar: Float, odds_ratio: float, model: ErrorModel = DEFAULT_ERROR_MODEL
+    budget: ErrorBudget, camera_from_lidar: Float, odds_ratio: float, model: ErrorModel | None = None
 ) -> Float:
     """Return the predicted covariance (6, 6): rotations about the camera axes in rad, positions of the LiDAR in m.
 
     It is a sum of covariances: a direction that one component does not constrain is widened, and no other.
     """
+    model = budget.model if model is None else model
     odds = float(np.clip(np.nan_to_num(odds_ratio, nan=0.0), _MIN_ODDS, _MAX_ODDS))
-    own = np.repeat([np.radians(model.floor_deg), model.floor_m], 3) ** 2 + (model.rings * budget.rings) ** 2
-    scale = model.pairs * ((odds / 10.0) ** -model.by_odds if budget.by_odds else 1.0)
+    floor = np.square([np.radians(model.floor_deg), model.floor_m])
+    view = np.square([np.radians(model.view_deg), model.view_m]) / budget.views
+    own = np.repeat(floor + view, 3) + (model.rings * budget.rings) ** 2
+    scale = model.pairs * (odds / 10.0) ** -model.by_odds
     scatter = scale**2 * budget.pairs + model.beams**2 * budget.beams
     scatter = scatter + budget.cameras
     by_update = place_by_update(camera_from_lidar)
@@ -197,27 +233,29 @@ def or_other_cameras(accuracy: Accuracy, camera_from_lidar: Float, intrinsics: I
     )
 
 
-def outlier_inflation(agreement: Agreement) -> float:
+def outlier_inflation(agreement: Agreement, model: ErrorModel) -> float:
     """Return the factor of the 95 % bounds for weak agreement in few independent cells; 1 where it is strong."""
     strength = float(np.nan_to_num(agreement.strength, nan=0.0))
-    return max(1.0, _STRONG / max(strength, _MIN_STRENGTH))
+    return max(1.0, model.strong / max(strength, _MIN_STRENGTH))
 
 
 _MOST_CHI_SQUARE = 16.81
 """Bound of the chi-square (six degrees of freedom, 1 %) above which edges contradict the initial guess."""
 
 
-def with_start(pose: Float, likely: Float, start: Float, sigma: tuple[float, float]) -> tuple[Float, Float] | None:
+def with_start(
+    pose: Float, likely: Float, start: Float, sigma: tuple[float, float], model: ErrorModel
+) -> tuple[Float, Float] | None:
     """Return the information-weighted mean of the pose (4, 4) of the edges and the initial guess (4, 4).
 
-    `likely` (6, 6) is the covariance of the errors of the pose (`likely_covariance`), returned also for the mean;
-    `sigma` the standard deviation of the initial guess about (deg) and along (m) each axis. None if a covariance is
-    singular or if edges and prior contradict each other, because the stated prior is then too narrow.
+    `likely` (6, 6) is the covariance of the errors of the pose by `model` (`likely_covariance`), returned also for the
+    mean; `sigma` the standard deviation of the initial guess about (deg) and along (m) each axis. None if a covariance
+    is singular or if edges and prior contradict each other, because the stated prior is then too narrow.
     """
     if not np.isfinite(likely).all():
         return None
     # A share of the variance is uncorrelated between axes (p2o.confidence.fusion).
-    real = (DEFAULT_ERROR_MODEL.axis / Z_67) ** 2
+    real = (model.axis / Z_67) ** 2
     edges = real * ((1 - OWN_SHARE) * likely + OWN_SHARE * np.diag(np.diag(likely)))
     prior = np.diag(np.repeat([np.radians(sigma[0]), sigma[1]], 3) ** 2)
     try:

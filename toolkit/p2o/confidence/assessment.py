@@ -22,6 +22,8 @@ from p2o.confidence.accuracy import (
 from p2o.confidence.agreement import standing_still, view_count
 from p2o.confidence.audit import Evidence, Rates, audit
 from p2o.confidence.verdict import (
+    MIN_INTERVAL_PLACES,
+    MIN_PLACES,
     accuracy_doubts,
     agreement_doubts,
     agreement_of,
@@ -57,15 +59,16 @@ def assess(
     if not judged.estimate < judged.start:
         return replace(refused(views, start, Status.NO_IMPROVEMENT, _no_improvement(judged), end.rounds), judged=judged)
     agreement = agreement_of(estimate.views, end.pose, intervals=isinstance(judge, IntervalJudge))
-    places = None if judge.name not in (DIRECTED, INTERVALS) else final.places
+    places, min_places = None if judge.name not in (DIRECTED, INTERVALS) else final.places, MIN_PLACES
     pose, accuracy, weight, warnings = end.pose, None, None, remarks_of(views)
     if final.covariance is not None and agreement is not None and end.problem is not None:
         different = view_count(end.problem.xyz, end.problem.side, end.problem.frame)
         warnings = (*warnings, *standing_still(different, len(views)))
         budget = ErrorBudget.of(final.covariance, end.problem, end.pose, different)
         if isinstance(final.judge, IntervalJudge):
-            by_intervals, places = final.judge.likelihood.covariance(end.pose)
-            budget = ErrorBudget.of_intervals(by_intervals * len(views) / max(different, 1.0))
+            places, min_places = agreement.places, MIN_INTERVAL_PLACES
+            by_intervals = final.judge.likelihood.covariance(end.pose)
+            budget = ErrorBudget.of_intervals(by_intervals * len(views) / max(different, 1.0), different)
         if final.intrinsics is not None:
             budget = replace(budget, cameras=final.intrinsics.covariance)
         accuracy = likely_accuracy(budget, end.pose, agreement)
@@ -93,7 +96,9 @@ def assess(
         judged=judged,
         agreement=agreement,
         rival=rival,
-        verdict=verdict_of(agreement, rival, cameras, options, accuracy, places=places, box=left_box),
+        verdict=verdict_of(
+            agreement, rival, cameras, options, accuracy, places=places, min_places=min_places, box=left_box
+        ),
         cameras=at_full_size(cameras, views),
         motions=final.nuisance.sweep_motions(views),
         time=final.time,
@@ -127,7 +132,8 @@ def _with_prior(
     if start_sigma is None:
         return None
     pose = estimate.final.end.pose
-    mean = with_start(pose, likely_covariance(budget, pose, agreement.odds_ratio), estimate.start, start_sigma)
+    likely = likely_covariance(budget, pose, agreement.odds_ratio)
+    mean = with_start(pose, likely, estimate.start, start_sigma, budget.model)
     if mean is None:
         return None
     judged = judged_of(estimate, mean[0])
@@ -135,7 +141,7 @@ def _with_prior(
         return None
     step = se3.inverse(pose) @ mean[0]
     weight = StartWeight(*start_sigma, pose, accuracy, se3.angle_deg(step), se3.distance_m(step))
-    return mean[0], accuracy_of(mean[1], agreement), judged, weight
+    return mean[0], accuracy_of(mean[1], agreement, budget.model), judged, weight
 
 
 def _no_improvement(judged: Judged) -> str:

@@ -102,7 +102,7 @@ def edge_step(
     if not np.isfinite(covariance).all():
         return "a direction is unobservable"
     error = np.array(list(pose_error(camera_from_lidar, pose).per_axis.values()))
-    return EdgeStep(pose, error, outlier_inflation(agreed) ** 2 * covariance, agreed, last.places)
+    return EdgeStep(pose, error, outlier_inflation(agreed, DEFAULT_ERROR_MODEL) ** 2 * covariance, agreed, last.places)
 
 
 def _enough(problem: Problem, options: PipelineOptions) -> TypeGuard[PointToLine]:

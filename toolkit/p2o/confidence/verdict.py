@@ -24,9 +24,9 @@ from p2o.results.evidence import Accuracy, Agreement, Rival
 from p2o.results.result import CameraCheck
 from p2o.results.verdict import Doubt, Reason, Verdict
 
-_MIN_PLACES = 12
-"""Twice the number of unknowns: with fewer independent cells, errors of several degrees occurred at odds ratios above
-20, and the scatter of pairs did not reveal them.
+MIN_PLACES, MIN_INTERVAL_PLACES = 12, 36
+"""Fewest independent cells of pairs (twice the number of unknowns), and of edges that agree as intervals. With fewer,
+errors of several degrees occurred at odds ratios above 20, and the scatter of pairs did not reveal them.
 """
 
 
@@ -57,16 +57,18 @@ def verdict_of(
     accuracy: Accuracy | None = None,
     *,
     places: int | None = None,
+    min_places: int = MIN_PLACES,
     box: SearchBox | None = None,
 ) -> Verdict:
     """Return the verdict on a pose: doubtful where edges agree little more than under random alignment.
 
-    It is also doubtful where its predicted error (`accuracy`) is large. `places` is the number of independent image
-    cells that the pairs come from, None where unknown. `box` is that of the search if the pose is outside it.
+    It is also doubtful where its predicted error (`accuracy`) is large, or where pairs come from fewer than
+    `min_places` independent image cells (`places`, None where unknown). `box` is that of the search if the pose is
+    outside it.
     """
     reasons = [*_rival_doubts(rival, options.min_lead_edges), *agreement_doubts(agreed, options)]
     reasons += accuracy_doubts(accuracy, options)
-    if places is not None and places < _MIN_PLACES:
+    if places is not None and places < min_places:
         text = f"pairs come from only {places} places of the image, too few to predict the error; take more frames"
         reasons.append(Reason(Doubt.TOO_FEW_PLACES, f"{text} jointly"))
     if box is not None:

@@ -261,8 +261,8 @@ class IntervalLikelihood:
         best = minimize(cost_and_gradient, np.zeros(6), jac=True, method="BFGS", options={"maxiter": 20, "gtol": 0.2})
         return np.asarray(se3.exp(best.x * _STEPS) @ pose)
 
-    def covariance(self, pose: Float) -> tuple[Float, int]:
-        """Return the covariance (6, 6) of a left update in rad and m at the maximum, and the number of outlines.
+    def covariance(self, pose: Float) -> Float:
+        """Return the covariance (6, 6) of a left update in rad and m at the maximum.
 
         It is cluster robust: the scatter of the gradient over outlines (edges of one side in a cell of 64 px), between
         two inverses of the curvature.
@@ -280,7 +280,7 @@ class IntervalLikelihood:
         by_outline = np.array([np.bincount(cells, row) for row in gradient])
         score = by_outline @ by_outline.T
         scale = np.diag(_STEPS)
-        return scale @ inverse @ score @ inverse @ scale, int(cells.max(initial=-1)) + 1
+        return np.asarray(scale @ inverse @ score @ inverse @ scale)
 
     def _outlines(self, pose: Float) -> Int:
         """Return the number (K,) of the outline of each edge: its view, side and cell of 64 px."""
