@@ -56,8 +56,12 @@ class DirectedJudge:
 SIGMA_PX = 2.0
 """Standard deviation in pixels of an image edge from the outline that it belongs to."""
 _MAX_INTERVALS = 6000
-_NATS_PER_EDGE = 2.5
-"""About what an edge adds to the log-likelihood ratio if its interval contains the only image edge around."""
+_NATS_PER_EDGE = 6.5
+"""The decrease of the log-likelihood ratio that counts as one edge.
+
+An edge whose interval contains the only image edge around adds 2.5, but edges of one outline are correlated: poses
+that were up to 10 nats worse than a wrong one were right (single frames of a KITTI drive with 16 and 32 rings).
+"""
 
 
 @dataclass(frozen=True, eq=False)
