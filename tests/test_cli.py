@@ -27,6 +27,8 @@ PLUGIN = Path(__file__).with_name("stage_plugin.py")
 STAGE = ["--plugin", str(PLUGIN), "--data", "fake:?frames=1"]
 # Quick and sure: the oracle of the image side on the stage of the conformance checks.
 QUICK = [*STAGE, "--extractor", "depth/rings", "--init", "given"]
+TOLERANT = [*QUICK, "--set", "pipeline.most_deg=2"]
+"""The small image of one frame determines rotations to about 1 deg (95 %)."""
 
 
 @pytest.fixture
@@ -245,7 +247,7 @@ def test_python_and_the_command_line_give_the_same_bytes(capsys: pytest.CaptureF
 
 
 def test_the_likely_accuracy_is_said_and_may_be_required(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["run", *QUICK, "--perturb", "0.5deg 0.02m"]
+    words = ["run", *TOLERANT, "--perturb", "0.5deg 0.02m"]
     assert main([*words, "--json", "--require", "2deg 50cm"]) == 0
     captured = capsys.readouterr()
     [row] = json.loads(captured.out)["results"]
@@ -315,7 +317,7 @@ def test_what_is_required_is_trust_and_a_size(text: str, doubts: tuple[Doubt, ..
 
 
 def test_trust_alone_may_be_required(fake: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["run", *QUICK, "--perturb", "0.5deg 0.02m", "--require", "trusted"]) == 0
+    assert main(["run", *TOLERANT, "--perturb", "0.5deg 0.02m", "--require", "trusted"]) == 0
     capsys.readouterr()
     assert main([*fake, "--require", "trusted", "--set", "calibrator.status=too-few-matches"]) == 1
     captured = capsys.readouterr()
