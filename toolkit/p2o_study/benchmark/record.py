@@ -69,7 +69,7 @@ def recorded(name: str, command: Sequence[str], measured_by: str) -> Record:
 
     Raises InputError if it cannot be started, fails, or prints nothing or too much.
     """
-    began = time.monotonic()
+    began, commit = time.monotonic(), source_version()  # of the code that runs, not of later commits
     try:
         done = subprocess.run(command, stdout=subprocess.PIPE, text=True, encoding="utf-8", check=False)
     except (OSError, UnicodeDecodeError) as problem:
@@ -85,7 +85,7 @@ def recorded(name: str, command: Sequence[str], measured_by: str) -> Record:
         "command": where,
         "output": done.stdout,
         "seconds": round(time.monotonic() - began, 1),
-        "commit": source_version(),
+        "commit": commit,
         "machine": machine_info(),
         "measured_by": measured_by,
         "finished": datetime.now(UTC).isoformat(timespec="seconds"),
