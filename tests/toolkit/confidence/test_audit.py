@@ -13,7 +13,7 @@ import pytest
 from p2o import se3
 from p2o.calibration.options import PipelineOptions
 from p2o.confidence import audit as audits
-from p2o.confidence.audit import AXES, EdgeStep, Evidence, Rates, audit
+from p2o.confidence.audit import AXES, EdgeStep, Evidence, Rates, audit, edge_step
 from p2o.confidence.explanation import explanations
 from p2o.results.check import Check, CheckStatus
 from p2o.results.evidence import Agreement
@@ -22,6 +22,7 @@ from p2o.run.recipe import Recipe
 from p2o.solving import Pipeline
 
 from tests import edge_scene
+from tests.sparse_scene import sparse_view
 
 NAMES = [axis for axis, _ in AXES]
 
@@ -78,6 +79,34 @@ def test_an_error_above_the_limit_is_called_off_on_its_axis_by_its_size(
     its = found.axes[NAMES.index(axis)]
     assert its.off == pytest.approx(size, rel=0.15)
     assert axis in found.reason
+
+
+@pytest.fixture(scope="module")
+def sparse_views() -> list[p2o.View]:
+    return [replace(sparse_view(seed), name=f"{seed}") for seed in range(5)]
+
+
+@pytest.mark.parametrize(("size", "word"), [(0.0, CheckStatus.HOLDS), (0.8, CheckStatus.OFF)])
+def test_rings_far_apart_show_a_pitch_error_smaller_than_their_distance(
+    size: float, word: CheckStatus, sparse_views: list[p2o.View], pipeline: Pipeline
+) -> None:
+    step = edge_step(sparse_views, off("pitch", size), pipeline.matcher, pipeline.options)
+    assert isinstance(step, EdgeStep)
+    found = audit(Evidence(("sparse",), off("pitch", size), step), pipeline.options, Rates())
+    assert found.holding is word
+    assert step.error[1] == pytest.approx(size, abs=0.2)
+
+
+def test_outlines_that_a_static_rig_repeats_are_not_evaluated_as_intervals(
+    sparse_views: list[p2o.View], pipeline: Pipeline
+) -> None:
+    static = [replace(sparse_views[0], name=f"{at}") for at in range(5)]
+    by_middle = pipeline.options.model_copy(update={"interval_deg": 90.0})
+    each = (pipeline.options, by_middle)
+    steps = [edge_step(static, off("pitch", 0.5), pipeline.matcher, options) for options in each]
+    assert isinstance(steps[0], EdgeStep)
+    assert isinstance(steps[1], EdgeStep)
+    assert steps[0].error.tolist() == steps[1].error.tolist()
 
 
 def test_a_slip_of_several_degrees_is_found_by_a_search(views: list[p2o.View], pipeline: Pipeline) -> None:

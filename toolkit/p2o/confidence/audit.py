@@ -10,9 +10,11 @@ import numpy as np
 
 from p2o.arrays import Bool, Float
 from p2o.calibration.algorithm import Algorithm, missing_features
+from p2o.calibration.interval_search import most_likely_pose
+from p2o.calibration.judge import IntervalJudge, is_sparse
 from p2o.calibration.nuisance import Nuisance, enough_pairs, motion_prior
 from p2o.calibration.options import PipelineOptions
-from p2o.confidence.accuracy import DEFAULT_ERROR_MODEL, Z_67, ErrorBudget, likely_covariance, outlier_inflation
+from p2o.confidence.accuracy import Z_67, ErrorBudget, likely_covariance, outlier_inflation
 from p2o.confidence.agreement import view_count
 from p2o.confidence.explanation import Explanation, explanations, single_axis_pose
 from p2o.confidence.fusion import OWN_SHARE
@@ -31,6 +33,12 @@ REACH_PX = 15.0
 _ROUNDS = 14
 _STILL_PX = 0.05
 _FARTHEST_DEG, _FARTHEST_M = 5.0, 1.0
+_LEAST_VIEWS, _LEAST_DIFFERENT = 4.0, 0.75
+"""Smallest number of different views, and their share of the frames, for edges as intervals: if a static rig observes
+the same few outlines, their position between two beams is a systematic error, which the scatter does not contain.
+"""
+_TOO_FEW, _TOO_FAR = "too few pairs of edges are within reach", "edges converge far from the pose"
+_NO_COVARIANCE = "edges meet in too few places to predict the error"
 _AXES = np.array([2, 0, 1, 3, 4, 5])
 """Indices of roll, pitch, yaw, x, y, z in a vector of rotations about x, y, z and translations."""
 
@@ -67,42 +75,85 @@ def edge_step(
     """Estimate the pose from edges, starting at a given pose (4, 4); return the reason as a string if this fails.
 
     Matching within a decreasing distance and solving alternate until the pose converges; the motion during raw sweeps
-    is estimated with the pose. The given pose is the initial guess and no prior; `around` (4, 4) replaces it.
+    is estimated with the pose. The given pose is the initial guess and no prior; `around` (4, 4) replaces it. Edges of
+    sweeps whose rings are far apart are evaluated as intervals between beams if there are several different views.
     """
     pose = begin = camera_from_lidar if around is None else around
     raw = [view.as_seen_from(begin).without_hidden(begin) for view in views]
     cameras = tuple(view.camera for view in raw)
     nuisance = Nuisance.expected(raw, motion_prior(raw, options))
+    if is_sparse(raw, options.interval_deg) and _are_different(matcher(nuisance.views(raw), begin, reach_px), len(raw)):
+        return _interval_step(raw, nuisance, camera_from_lidar, begin, matcher, options)
     reach = reach_px
     for _ in range(_ROUNDS):
         problem = matcher(nuisance.views(raw), pose, reach)
         if not _enough(problem, options):
-            return "too few pairs of edges are within reach"
+            return _TOO_FEW
         fit = nuisance.fit(problem, cameras, pose, fits_cameras=False)
         pose, nuisance = fit.camera_from_lidar, nuisance.after(fit)
-        step = se3.inverse(begin) @ pose
-        if se3.angle_deg(step) > _FARTHEST_DEG or se3.distance_m(step) > _FARTHEST_M:
-            return "edges converge far from the pose"
+        if _is_far(begin, pose):
+            return _TOO_FAR
         if fit.step_px < _STILL_PX and reach <= options.min_reach_px:
             break
         reach = max(options.min_reach_px, reach * options.shrink)
     seen = nuisance.views(raw)
     problem = matcher(seen, pose, options.min_reach_px)
     if not _enough(problem, options):
-        return "too few pairs of edges are within reach"
+        return _TOO_FEW
     last = nuisance.fit(problem, cameras, pose, fits_cameras=options.camera != "trust")
     agreed = agreement_of(seen, pose)
     if last.covariance is None or agreed is None:
-        return "edges meet in too few places to predict the error"
+        return _NO_COVARIANCE
     different = view_count(problem.xyz, problem.side, problem.frame)
     budget = ErrorBudget.of(last.covariance, problem, pose, different)
-    likely = (DEFAULT_ERROR_MODEL.axis / Z_67) ** 2 * likely_covariance(budget, pose, agreed.odds_ratio)
+    return _step(camera_from_lidar, pose, budget, agreed, last.places)
+
+
+def _are_different(problem: Problem, frames: int) -> bool:
+    """Return whether the pairs of frames are of enough different views for an evaluation as intervals."""
+    if not isinstance(problem, PointToLine):
+        return False
+    return view_count(problem.xyz, problem.side, problem.frame) >= max(_LEAST_VIEWS, _LEAST_DIFFERENT * frames)
+
+
+def _interval_step(
+    raw: Sequence[View], nuisance: Nuisance, given: Float, begin: Float, matcher: Matcher, options: PipelineOptions
+) -> EdgeStep | str:
+    """Estimate the pose of the highest interval likelihood, by a search around `begin` (4, 4)."""
+    seen = nuisance.views(raw)
+    pose = most_likely_pose(seen, begin, [begin])
+    problem = matcher(seen, pose, options.min_reach_px)
+    if not _enough(problem, options):
+        return _TOO_FEW
+    if nuisance.prior is not None:
+        fit = nuisance.fit(problem, tuple(view.camera for view in raw), pose, fits_cameras=False)
+        seen = nuisance.after(fit).views(raw)
+    likelihood = IntervalJudge.of(seen, begin, [begin, pose]).likelihood
+    pose = likelihood.maximised(pose)
+    if _is_far(begin, pose):
+        return _TOO_FAR
+    agreed = agreement_of(seen, pose, intervals=True)
+    if not likelihood.points or agreed is None:
+        return _NO_COVARIANCE
+    different = view_count(problem.xyz, problem.side, problem.frame)
+    budget = ErrorBudget.of_intervals(likelihood.covariance(pose) * len(raw) / max(different, 1.0), different)
+    return _step(given, pose, budget, agreed, agreed.places)
+
+
+def _step(given: Float, pose: Float, budget: ErrorBudget, agreed: Agreement, places: int) -> EdgeStep | str:
+    """Return the step from the estimate `pose` (4, 4) to the given pose (4, 4) with its predicted error."""
+    likely = (budget.model.axis / Z_67) ** 2 * likely_covariance(budget, pose, agreed.odds_ratio)
     units = np.repeat([np.degrees(1.0), 1.0], 3)
     covariance = (units[:, None] * likely * units)[np.ix_(_AXES, _AXES)]
     if not np.isfinite(covariance).all():
         return "a direction is unobservable"
-    error = np.array(list(pose_error(camera_from_lidar, pose).per_axis.values()))
-    return EdgeStep(pose, error, outlier_inflation(agreed, DEFAULT_ERROR_MODEL) ** 2 * covariance, agreed, last.places)
+    error = np.array(list(pose_error(given, pose).per_axis.values()))
+    return EdgeStep(pose, error, outlier_inflation(agreed, budget.model) ** 2 * covariance, agreed, places)
+
+
+def _is_far(begin: Float, pose: Float) -> bool:
+    step = se3.inverse(begin) @ pose
+    return se3.angle_deg(step) > _FARTHEST_DEG or se3.distance_m(step) > _FARTHEST_M
 
 
 def _enough(problem: Problem, options: PipelineOptions) -> TypeGuard[PointToLine]:
