@@ -25,8 +25,9 @@ def test_a_picture_is_small_and_some_page_shows_it(picture: Path) -> None:
 
 def test_a_picture_of_real_sensors_has_its_notice() -> None:
     real = [path.name for path in PICTURES if path.suffix == ".webp" and not path.name.startswith("record-")]
-    assert real == ["crossing.webp"]
+    assert real == ["crossing.webp", "published-acfr.webp", "published-pjlab-1.webp", "published-pjlab-2.webp"]
     notice = (GALLERY / "NOTICE").read_text(encoding="utf-8")
+    assert all(name in notice for name in real)
     assert notice.startswith("crossing.webp")
     assert "Apache License, Version 2.0" in notice
     assert "Apache License" in (ROOT / "LICENSE").read_text(encoding="utf-8")

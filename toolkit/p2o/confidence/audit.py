@@ -33,8 +33,8 @@ REACH_PX = 15.0
 _ROUNDS = 14
 _STILL_PX = 0.05
 _FARTHEST_DEG, _FARTHEST_M = 5.0, 1.0
-_LEAST_VIEWS, _LEAST_DIFFERENT = 4.0, 0.75
-"""Smallest number of different views, and their share of the frames, for edges as intervals: if a static rig observes
+_LEAST_VIEWS, _LEAST_DIFFERENT, _MANY_VIEWS = 4.0, 0.75, 12.0
+"""Edges are intervals if there are 12 different views, or 4 and as many as 75 % of the frames: if a static rig observes
 the same few outlines, their position between two beams is a systematic error, which the scatter does not contain.
 """
 _TOO_FEW, _TOO_FAR = "too few pairs of edges are within reach", "edges converge far from the pose"
@@ -113,7 +113,8 @@ def _are_different(problem: Problem, frames: int) -> bool:
     """Return whether the pairs of frames are of enough different views for an evaluation as intervals."""
     if not isinstance(problem, PointToLine):
         return False
-    return view_count(problem.xyz, problem.side, problem.frame) >= max(_LEAST_VIEWS, _LEAST_DIFFERENT * frames)
+    least = min(max(_LEAST_VIEWS, _LEAST_DIFFERENT * frames), _MANY_VIEWS)
+    return view_count(problem.xyz, problem.side, problem.frame) >= least
 
 
 def _interval_step(
