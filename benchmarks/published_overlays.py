@@ -32,12 +32,12 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     arguments = parser.parse_args()
     published, estimate, name = poses(arguments.data, arguments.frames, arguments.estimate)
-    pictures = overlays(arguments.data, name, (published, estimate), arguments.crop)
+    images = overlays(arguments.data, name, (published, estimate), arguments.crop)
     titles = ("published extrinsic", "extrinsic estimated from the edges")
     from PIL import Image
 
     file = io.BytesIO()
-    Image.fromarray(before_after(*pictures, titles=titles)).save(file, "webp", quality=70, method=6)
+    Image.fromarray(before_after(*images, titles=titles)).save(file, "webp", quality=70, method=6)
     write_whole(arguments.out, file.getvalue())
 
 
@@ -66,9 +66,9 @@ def overlays(data: str, name: str, each: tuple[Float, Float], crop: list[int] | 
     drawn = []
     for pose in each:
         seen = view.as_seen_from(pose).without_hidden(pose)
-        picture = draw(image.rgb, seen.image_edges, seen.cloud_edges, view.camera, pose, legend=False)
-        left, top, width, height = crop or (0, 0, picture.shape[1], picture.shape[0])
-        drawn.append(np.ascontiguousarray(picture[top : top + height, left : left + width]))
+        canvas = draw(image.rgb, seen.image_edges, seen.cloud_edges, view.camera, pose, legend=False)
+        left, top, width, height = crop or (0, 0, canvas.shape[1], canvas.shape[0])
+        drawn.append(np.ascontiguousarray(canvas[top : top + height, left : left + width]))
     return drawn[0], drawn[1]
 
 
