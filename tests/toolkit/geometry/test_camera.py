@@ -341,3 +341,16 @@ def test_a_principal_point_outside_the_image_is_named_without_a_factor_if_the_ax
     (text,) = centre_remark(Camera.pinhole(700, 700, 700, 190, 640, 375))
     assert text.startswith("the principal point (700, 190) is outside the image of 640x375 px")
     assert text.endswith("scale fx, fy, cx, cy with the image")
+
+
+def test_a_pickled_camera_does_not_import_pycolmap() -> None:
+    """Its import in the thread that receives results of workers would replace the handler of SIGTERM."""
+    camera = Camera("FULL_OPENCV", 1200, 400, (700, 705, 620, 187, -0.3, 0.1, 0.001, -0.002, 0.01, 0.02, 0.01, 0.001))
+    points = np.array([[0.3, -0.2, 2.0]])
+    rays = camera.rays(camera.project(points))
+    assert camera._colmap.width == 1200
+    data = pickle.dumps(camera)
+    assert b"pycolmap" not in data
+    loaded = pickle.loads(data)  # noqa: S301
+    assert loaded == camera
+    np.testing.assert_allclose(loaded.rays(loaded.project(points)), rays)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -89,6 +89,10 @@ class Camera:
             raise InputError("the focal length is not positive", expected="> 0 px", got=focal)
         if any(f < _MIN_FOCAL_PX for f in focal):
             raise InputError("the focal length is too short", expected=f">= {_MIN_FOCAL_PX:g} px", got=focal)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the state without the camera of pycolmap: loading it would import that library (`native`)."""
+        return {name: value for name, value in self.__dict__.items() if name != "_colmap"}
 
     @classmethod
     def pinhole(cls, fx: float, fy: float, cx: float, cy: float, width: int, height: int) -> Camera:

@@ -90,6 +90,10 @@ def has_gpu_driver() -> bool:
     return True
 
 
+_IMPORTING = threading.RLock()
+"""Otherwise a thread that begins while another one imports takes the handler of glog for Python's."""
+
+
 def import_keeping_signals(name: str) -> Any:
     """Import a module and restore Python's handler of SIGTERM.
 
@@ -100,11 +104,12 @@ def import_keeping_signals(name: str) -> Any:
     get_handler, set_handler = ctypes.pythonapi.PyOS_getsig, ctypes.pythonapi.PyOS_setsig
     get_handler.argtypes, get_handler.restype = (ctypes.c_int,), ctypes.c_void_p
     set_handler.argtypes, set_handler.restype = (ctypes.c_int, ctypes.c_void_p), ctypes.c_void_p
-    handler = get_handler(signal.SIGTERM)
-    try:
-        module = importlib.import_module(name)
-    finally:
-        set_handler(signal.SIGTERM, handler)
+    with _IMPORTING:
+        handler = get_handler(signal.SIGTERM)
+        try:
+            module = importlib.import_module(name)
+        finally:
+            set_handler(signal.SIGTERM, handler)
     return module
 
 
