@@ -12,7 +12,7 @@ import time
 import warnings
 from array import array
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -50,6 +50,27 @@ class Progress:
 
 OnProgress = Callable[[Progress], None]
 OnWarning = Callable[[str], None]
+
+
+def _silent(progress: Progress) -> None:
+    """Show no progress."""
+
+
+def _warn(text: str) -> None:
+    warnings.warn(text, stacklevel=2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadOptions:
+    """How `read_cells` reads the frames of a study: with which plugins and workers, and who receives its messages.
+
+    The defaults are those of `ablate`.
+    """
+
+    plugins: Plugins = field(default_factory=Plugins.of)
+    workers: Workers = field(default_factory=Workers)
+    on_progress: OnProgress = _silent
+    on_warning: OnWarning = _warn
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +121,7 @@ def ablate(
     workers = _isolated(Workers() if workers is None else workers, its)
     name = study.study.name
     with Store.open(folder) as store, _first_process_lock(store.path.parent) as forward, workers.start() as run:
-        work = _Work(run, cache, on_progress or (lambda progress: None), _Once(warn_user))
+        work = _Work(run, cache, on_progress or _silent, _Once(warn_user))
         pace, interrupted = _RunProgress(work.say), False
         try:
             # If rows exist already, the missing ones may need no features: extract only on demand.
@@ -118,19 +139,11 @@ def ablate(
         return Ablation(study, finished, missing, pace.computed, interrupted)
 
 
-def read_cells(
-    study: StudyFile,
-    *,
-    plugins: Plugins | None = None,
-    workers: Workers | None = None,
-    on_progress: OnProgress | None = None,
-    on_warning: OnWarning | None = None,
-) -> Cells:
-    """Read the frames of a study and return its calibrations, of which none is computed; parameters as of `ablate`."""
-    warn_user = on_warning or _warn
-    _, its = _opened(study.study, Plugins.of() if plugins is None else plugins, None, warn_user)
-    with _isolated(Workers() if workers is None else workers, its).start() as run:
-        work = _Work(run, FeatureCache.of_user(), on_progress or (lambda progress: None), _Once(warn_user))
+def read_cells(study: StudyFile, options: ReadOptions) -> Cells:
+    """Read the frames of a study and return its calibrations, of which none is computed."""
+    _, its = _opened(study.study, options.plugins, None, options.on_warning)
+    with _isolated(options.workers, its).start() as run:
+        work = _Work(run, FeatureCache.of_user(), options.on_progress, _Once(options.on_warning))
         return Cells(its, _read(work, its, extract=False))
 
 
@@ -193,10 +206,6 @@ class _Work:
     cache: FeatureCache
     say: OnProgress
     warn: _Once
-
-
-def _warn(text: str) -> None:
-    warnings.warn(text, stacklevel=2)
 
 
 def _stored_study(study: StudyFile, rows: Sequence[StudyRow], overrides: Mapping[str, Any] | None) -> StoredStudy:

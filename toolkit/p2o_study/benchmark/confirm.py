@@ -12,7 +12,7 @@ import numpy as np
 from p2o.cache import FeatureCache, content_hash
 from p2o.geometry.pose_error import pose_error
 
-from p2o_study.ablate import OnProgress, OnWarning, Progress, calibrated, read_cells
+from p2o_study.ablate import OnProgress, Progress, ReadOptions, calibrated, read_cells
 from p2o_study.benchmark.equivalences import Equivalence, Equivalences
 from p2o_study.benchmark.measure import method_of, row_of, source_version
 from p2o_study.benchmark.outcomes import Outcomes
@@ -22,7 +22,7 @@ from p2o_study.benchmark.row import Machine, Method, Row
 from p2o_study.benchmark.status import method_digests
 from p2o_study.benchmark.suite import SuiteFile
 from p2o_study.machine import machine_info
-from p2o_study.parallel import Run, Workers
+from p2o_study.parallel import Run
 from p2o_study.worker import Plugins, now
 
 SAMPLE = 30
@@ -76,35 +76,31 @@ def upper_bound(computed: int) -> float:
 def confirmations(
     suites: Sequence[SuiteFile],
     results: Results,
+    options: ReadOptions,
     *,
     sample: int = SAMPLE,
     seed: int,
     measured_by: str,
-    plugins: Plugins,
-    workers: Workers | None = None,
-    on_progress: OnProgress | None = None,
-    on_warning: OnWarning | None = None,
 ) -> Iterator[Confirmation]:
     """Compute a random sample of the rows again whose method changed, and yield the outcome for each method.
 
     If all rows of a sample have the outcome that they had, the equivalence is added to the results before the outcome
     is yielded; a sample ends at the first row that differs. No outcome is taken from a store.
     """
-    say, equivalences = on_progress or (lambda progress: None), results.equivalences
+    equivalences = results.equivalences
     stale: list[_Stale] = []
     for suite in suites:
         outcomes = Outcomes.read(results, suite.name)
-        if _has_changed_methods(suite, outcomes, equivalences, plugins):
-            cells = read_cells(suite.study, plugins=plugins, workers=workers, on_progress=say, on_warning=on_warning)
-            tasks = (Task.of(suite.name, cell) for cell in cells)
+        if _has_changed_methods(suite, outcomes, equivalences, options.plugins):
+            tasks = (Task.of(suite.name, cell) for cell in read_cells(suite.study, options))
             known = (_stale(task, outcomes, equivalences) for task in tasks if task is not None)
             stale += [row for row in known if row is not None]
-    with (Workers() if workers is None else workers).start() as run:
+    with options.workers.start() as run:
         for rows in by_version(stale):
             # The sample of a method does not depend on the other methods.
             digest = min(row.row.digest for row in rows)
             chosen = drawn(rows, sample, np.random.default_rng([seed, int(digest[:8], 16)]))
-            confirmation = _compared(chosen, rows, run, seed, measured_by, say)
+            confirmation = _compared(chosen, rows, run, seed, measured_by, options.on_progress)
             if not confirmation.difference:
                 results.add_equivalence(_equivalence(confirmation, rows, measured_by))
             yield confirmation

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from itertools import groupby
 
-from p2o_study.ablate import OnProgress, OnWarning, read_cells
+from p2o_study.ablate import ReadOptions, read_cells
 from p2o_study.benchmark.equivalences import Equivalences
 from p2o_study.benchmark.outcomes import Outcomes
 from p2o_study.benchmark.plan import GIVEN, State, Task
@@ -15,7 +15,6 @@ from p2o_study.benchmark.results import Results
 from p2o_study.benchmark.row import Row
 from p2o_study.benchmark.status import method_digests
 from p2o_study.benchmark.suite import SuiteFile
-from p2o_study.parallel import Workers
 from p2o_study.worker import Plugins
 
 Digests = dict[tuple[str, str, str, int], str]
@@ -42,15 +41,7 @@ class Prunable:
         return {**{name: getattr(self.row, name) for name in names}, "why": self.why.value}
 
 
-def prunable(
-    suite: SuiteFile,
-    results: Results,
-    *,
-    plugins: Plugins,
-    workers: Workers | None = None,
-    on_progress: OnProgress | None = None,
-    on_warning: OnWarning | None = None,
-) -> list[Prunable]:
+def prunable(suite: SuiteFile, results: Results, options: ReadOptions) -> list[Prunable]:
     """Return the rows of a suite that can be removed, in the order of the file; nothing is computed.
 
     A row can be removed if the suite has no calibration of its label, protocol, seed and frames, or if it is stale or
@@ -64,9 +55,7 @@ def prunable(
     incomplete = {table.name for table in suite.study.study.dataset if table.left_out}
     tasks: dict[tuple[str, ...], Task] = {}
     if len(incomplete) < len(suite.study.study.dataset):
-        for cell in read_cells(
-            suite.study, plugins=plugins, workers=workers, on_progress=on_progress, on_warning=on_warning
-        ):
+        for cell in read_cells(suite.study, options):
             task = Task.of(suite.name, cell)
             if task is None:
                 incomplete.add(cell.planned.dataset)
@@ -74,7 +63,7 @@ def prunable(
             tasks[task.identity] = task
             # External methods have labels of their own.
             tasks.setdefault(task.identity_for(""), task)
-    digests = _digests(suite, plugins)
+    digests = _digests(suite, options.plugins)
     removable: list[Prunable] = []
     rows = (outcomes.row(number) for number in range(len(outcomes.runs)))
     for _, of_one in groupby(rows, lambda row: row.identity):

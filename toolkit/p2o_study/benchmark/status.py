@@ -7,14 +7,13 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from p2o_study.ablate import OnProgress, OnWarning, read_cells
+from p2o_study.ablate import ReadOptions, read_cells
 from p2o_study.benchmark.outcomes import CRASHED, Outcomes
 from p2o_study.benchmark.plan import State, Task, state_of
 from p2o_study.benchmark.results import Results
 from p2o_study.benchmark.row import place_of
 from p2o_study.benchmark.suite import SuiteFile
 from p2o_study.cells import Method
-from p2o_study.parallel import Workers
 from p2o_study.worker import Plugins
 
 
@@ -70,15 +69,7 @@ class SuiteStatus:
         }
 
 
-def status_of(
-    suite: SuiteFile,
-    results: Results,
-    *,
-    plugins: Plugins,
-    workers: Workers | None = None,
-    on_progress: OnProgress | None = None,
-    on_warning: OnWarning | None = None,
-) -> SuiteStatus:
+def status_of(suite: SuiteFile, results: Results, options: ReadOptions) -> SuiteStatus:
     """Return the status of a suite; frames of datasets with a path are read, nothing is computed."""
     outcomes, equivalences = Outcomes.read(results, suite.name), results.equivalences
     unchecked = {table.name for table in suite.study.study.dataset if table.left_out}
@@ -89,10 +80,7 @@ def status_of(
     unreadable = 0
     tasks: dict[tuple[str, ...], Task] = {}
     if len(unchecked) < len(suite.study.study.dataset):
-        cells = read_cells(
-            suite.study, plugins=plugins, workers=workers, on_progress=on_progress, on_warning=on_warning
-        )
-        for cell in cells:
+        for cell in read_cells(suite.study, options):
             task = Task.of(suite.name, cell)
             if task is None:
                 unreadable += 1
@@ -107,7 +95,7 @@ def status_of(
                 fresh = [row for row in rows if task.state_of(row, equivalences) is state]
                 sample = min(task.sample_of(row, equivalences) or 0 for row in fresh)
                 samples += [sample] if sample else []
-    digests = method_digests(suite, plugins) if unchecked else {}
+    digests = method_digests(suite, options.plugins) if unchecked else {}
     places = [place_of(list(names)) for names in outcomes.places]
     surplus = 0
     for number in np.flatnonzero(left).tolist():

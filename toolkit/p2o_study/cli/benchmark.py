@@ -188,6 +188,7 @@ def status(
 
     Exit status 1 if a row is missing or stale.
     """
+    from p2o_study.ablate import ReadOptions
     from p2o_study.benchmark.results import Results
     from p2o_study.benchmark.status import status_of
     from p2o_study.parallel import Workers
@@ -197,16 +198,10 @@ def status(
         for name in _names(suite, suites, data):
             file, plugins = _opened(name, suites, data, root, plugin, block)
             known = Results(Path(results))
-            states.append(
-                status_of(
-                    file,
-                    known,
-                    plugins=plugins,
-                    workers=Workers(workers),
-                    on_progress=say,
-                    on_warning=lambda text: None,
-                )
+            options = ReadOptions(
+                plugins=plugins, workers=Workers(workers), on_progress=say, on_warning=lambda text: None
             )
+            states.append(status_of(file, known, options))
     if as_json:
         click.echo(json.dumps([state.as_dict() for state in states], indent=1, ensure_ascii=False, allow_nan=False))
     else:
@@ -266,6 +261,7 @@ def prune(
     \b
     p2o benchmark prune rigs --root DIR --dry-run
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
+    from p2o_study.ablate import ReadOptions
     from p2o_study.benchmark.prune import prunable
     from p2o_study.benchmark.results import Results
     from p2o_study.parallel import Workers
@@ -273,7 +269,8 @@ def prune(
     file, plugins = _opened(suite, suites, data, root, plugin, block)
     known = Results(Path(results))
     with progress_shown(quiet or as_json) as (say, warn):
-        rows = prunable(file, known, plugins=plugins, workers=Workers(workers), on_progress=say, on_warning=warn)
+        options = ReadOptions(plugins=plugins, workers=Workers(workers), on_progress=say, on_warning=warn)
+        rows = prunable(file, known, options)
     if rows and not dry_run:
         known.remove(file.name, (one.row for one in rows))
     if as_json:
@@ -332,6 +329,7 @@ def confirm(
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     import secrets
 
+    from p2o_study.ablate import ReadOptions
     from p2o_study.benchmark.confirm import confirmations
     from p2o_study.benchmark.results import Results
     from p2o_study.parallel import Workers
@@ -341,17 +339,12 @@ def confirm(
     confirmed = different = rows = 0
     try:
         with progress_shown(quiet) as (say, warn):
-            for outcome in confirmations(
-                files,
-                Results(Path(results)),
-                sample=sample,
-                seed=secrets.randbelow(_MAX_SEED) if seed is None else seed,
-                measured_by=by,
-                plugins=Plugins.of(block, plugin),
-                workers=Workers(workers),
-                on_progress=say,
-                on_warning=warn,
-            ):
+            options = ReadOptions(
+                plugins=Plugins.of(block, plugin), workers=Workers(workers), on_progress=say, on_warning=warn
+            )
+            drawn = secrets.randbelow(_MAX_SEED) if seed is None else seed
+            known = Results(Path(results))
+            for outcome in confirmations(files, known, options, sample=sample, seed=drawn, measured_by=by):
                 click.echo("\n".join(map(printable, str(outcome).splitlines())))
                 different += bool(outcome.difference)
                 confirmed += not outcome.difference
@@ -365,12 +358,12 @@ def confirm(
 
 def _starts(file: SuiteFile, plugins: Plugins, quiet: bool) -> Any:
     """Return the initial guesses of a suite by group, protocol and seed; frames are read."""
-    from p2o_study.ablate import read_cells
+    from p2o_study.ablate import ReadOptions, read_cells
     from p2o_study.benchmark.entry import starts_of
     from p2o_study.benchmark.plan import Task
 
     with progress_shown(quiet) as (say, warn):
-        cells = read_cells(file.study, plugins=plugins, on_progress=say, on_warning=warn)
+        cells = read_cells(file.study, ReadOptions(plugins=plugins, on_progress=say, on_warning=warn))
         # Poses of a rig need the transforms between its cameras.
         tasks = (Task.of(file.name, cell) for cell in cells if not cell.group.rig)
         return starts_of(task for task in tasks if task is not None)
