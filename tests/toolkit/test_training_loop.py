@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
@@ -41,6 +42,16 @@ def events(monkeypatch: pytest.MonkeyPatch) -> type[Events]:
     return Events
 
 
+def sum_batch(step: int) -> torch.Tensor:
+    return torch.rand(8, 2, generator=torch.Generator().manual_seed(step))
+
+
+def failing_batch(step: int) -> torch.Tensor:
+    if step == 3:
+        raise InputError("a label file cannot be read", where="3.npz")
+    return sum_batch(step)
+
+
 def state_in(folder: Path, identity: str = "line", decay: float = 0.0) -> TrainingState:
     torch.manual_seed(3)
     network = torch.nn.Linear(2, 1)
@@ -49,12 +60,15 @@ def state_in(folder: Path, identity: str = "line", decay: float = 0.0) -> Traini
     )
 
 
-def run(state: TrainingState, iterations: int, stop_at: int = 0) -> list[TrainingProgress]:
+def run(
+    state: TrainingState,
+    iterations: int,
+    stop_at: int = 0,
+    workers: int = 0,
+    batch: Callable[[int], torch.Tensor] = sum_batch,
+) -> list[TrainingProgress]:
     """Fit the sum of two numbers; raises KeyboardInterrupt in the report of step `stop_at`."""
     reports: list[TrainingProgress] = []
-
-    def batch(step: int) -> torch.Tensor:
-        return torch.rand(8, 2, generator=torch.Generator().manual_seed(step))
 
     def loss(xy: torch.Tensor) -> torch.Tensor:
         return torch.as_tensor((state.network(xy)[:, 0] - xy.sum(dim=1)).square().mean())
@@ -74,6 +88,7 @@ def run(state: TrainingState, iterations: int, stop_at: int = 0) -> list[Trainin
         validate_every=2,
         validate=lambda step: None,
         report=report,
+        workers=workers,
     )
     return reports
 
@@ -104,6 +119,23 @@ def test_an_interrupted_training_resumes_with_the_same_bits(tmp_path: Path, deca
     run(resumed, 10)
     for name, value in whole.weights.items():
         assert torch.equal(value, resumed.weights[name])
+
+
+def test_batches_of_two_processes_give_the_same_bits_as_those_of_one_thread(tmp_path: Path) -> None:
+    threaded, fed = state_in(tmp_path / "threaded"), state_in(tmp_path / "fed")
+    run(threaded, 7)
+    with pytest.raises(KeyboardInterrupt):
+        run(fed, 7, stop_at=4, workers=2)
+    fed = state_in(tmp_path / "fed")
+    run(fed, 7, workers=2)
+    for name, value in threaded.weights.items():
+        assert torch.equal(value, fed.weights[name])
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_an_error_of_a_batch_ends_the_training_with_that_error(tmp_path: Path, workers: int) -> None:
+    with pytest.raises(InputError, match="a label file cannot be read"):
+        run(state_in(tmp_path), 7, workers=workers, batch=failing_batch)
 
 
 def test_the_average_of_constant_weights_is_those_weights_and_lags_behind_moving_ones(tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from p2o.host.method import Trainer as Trainer, TrainingGroup as TrainingGroup
     from p2o.host.method import TrainingProgress as TrainingProgress
     from p2o.training_loop import TrainingState as TrainingState, cosine_rate as cosine_rate
-    from p2o.training_loop import run_steps as run_steps
+    from p2o.training_loop import StepOptions as StepOptions, run_steps as run_steps
     from p2o.options import Options as Options, field as field
     from p2o.results.result import Result as Result, Solution as Solution, SolverStatus as SolverStatus
     from p2o.results.result import Status as Status

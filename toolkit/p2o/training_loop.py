@@ -5,11 +5,11 @@ from __future__ import annotations
 import csv
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ from p2o.files.input_file import read_bytes
 from p2o.files.parsed_text import parse_json
 from p2o.files.whole_file import write_whole
 from p2o.host.method import TrainingProgress
+from p2o.options import Options
+from p2o.options import field as option
 
 if TYPE_CHECKING:
     import torch
@@ -28,6 +30,17 @@ CHECKPOINT_S = 120.0
 """A checkpoint is written at least this often, so that a kill loses minutes and not hours."""
 _GRADIENT_NORM = 5.0
 _Batch = TypeVar("_Batch")
+
+
+class StepOptions(Options):
+    """Options of `run_steps`, which the options of a training inherit."""
+
+    workers: int = option(
+        0,
+        ge=0,
+        le=256,
+        help="Processes that draw the batches; 0: one thread of the training process. The weights are the same.",
+    )
 
 
 def cosine_rate(highest: float, step: int, iterations: int) -> float:
@@ -187,20 +200,18 @@ def run_steps(
     validate_every: int,
     validate: Callable[[int], float | None],
     report: Callable[[TrainingProgress], None],
+    workers: int = 0,
 ) -> None:
     """Train from step `start` to `iterations`, with a log and checkpoints in the folder of the checkpoint.
 
-    `batch(step)` is drawn in a second thread while the step before is computed. `validate(step)` publishes the weights
-    and returns their loss on held-out data. An exception of `report` ends the training without losing a step.
+    `batch(step)` is drawn while earlier steps are computed: in a second thread, or in `workers` processes, to which it
+    must be picklable. `validate(step)` publishes the weights and returns their loss on held-out data. An exception of
+    `report` ends the training without losing a step.
     """
     losses: list[float] = []
     began = saved = time.monotonic()
-    with TrainingLog(state.path.parent, start) as log, ThreadPoolExecutor(1) as drawing:
-        following = drawing.submit(batch, start)
-        for step in range(start, iterations):
-            current = following.result()
-            if step + 1 < iterations:
-                following = drawing.submit(batch, step + 1)
+    with TrainingLog(state.path.parent, start) as log:
+        for step, current in enumerate(_batches(batch, range(start, iterations), workers), start):
             state.set_rate(rate(step))
             losses.append(state.descend(loss(current)))
             state.update_average(step)
@@ -217,6 +228,48 @@ def run_steps(
                 saved = time.monotonic()
             if due:
                 report(progress)
+
+
+@dataclass(frozen=True)
+class _StepsAsData(Generic[_Batch]):
+    """The batches of steps, in the form of a data set of PyTorch."""
+
+    batch: Callable[[int], _Batch]
+    steps: range
+
+    def __len__(self) -> int:
+        return len(self.steps)
+
+    def __getitem__(self, number: int) -> _Batch:
+        return self.batch(self.steps[number])
+
+
+def _unchanged(batch: _Batch) -> _Batch:
+    return batch
+
+
+def _batches(batch: Callable[[int], _Batch], steps: range, workers: int) -> Iterator[_Batch]:
+    """Yield the batches of steps in order, drawn ahead in one thread or in `workers` processes."""
+    if workers:
+        from torch.utils.data import DataLoader
+
+        # Spawned, because this process has threads and possibly a GPU, which a fork does not carry over.
+        yield from DataLoader(
+            _StepsAsData(batch, steps),  # type: ignore[arg-type]
+            batch_size=None,
+            collate_fn=_unchanged,
+            num_workers=workers,
+            multiprocessing_context="spawn",
+        )
+        return
+    with ThreadPoolExecutor(1) as drawing:
+        following = drawing.submit(batch, steps[0]) if steps else None
+        for step in steps:
+            assert following is not None
+            current = following.result()
+            if step + 1 in steps:
+                following = drawing.submit(batch, step + 1)
+            yield current
 
 
 _MAX_BYTES = 2 << 30

@@ -23,7 +23,7 @@ class Augmentation(p2o.Options):
     reexpress: bool = field(False, help="Express sweeps in a random LiDAR frame (not in the papers).")
 
 
-class TrainingOptions(p2o.Options):
+class TrainingOptions(p2o.StepOptions):
     """How a network is trained; the defaults are for a laptop without a GPU."""
 
     size: Literal["small", "paper"] = field("small", help="Network size: for training on a CPU, or that of the paper.")

@@ -128,6 +128,7 @@ def train(
         validate_every=options.validate_every,
         validate=publish,
         report=report,
+        workers=options.workers,
     )
     return weights
 

@@ -6,7 +6,7 @@ import importlib.util
 from pathlib import Path
 from typing import Any, Literal
 
-from p2o import Options, field
+from p2o import Options, StepOptions, field
 from p2o.reading import expanded
 from pydantic import field_validator
 
@@ -24,7 +24,7 @@ class Augmentation(Options):
     noise: float = field(6.0, ge=0, le=64, help="Largest deviation of noise in grey levels of 255.")
 
 
-class TrainingOptions(Options):
+class TrainingOptions(StepOptions):
     """How a P2ORNet is trained; the defaults are the two-hour preset for a laptop without a GPU."""
 
     encoder: Literal["efficientnet-lite0", "resnet50"] = field(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -83,12 +84,13 @@ def train(
             state,
             start,
             options.iterations,
-            batch=lambda step: _batch(bank, share, options, step),
+            batch=partial(_batch, bank, share, options),
             loss=lambda crops: _loss(network, crops, options, device),
             rate=lambda step: rate(options, step),
             validate_every=options.validate_every,
             validate=publish,
             report=report,
+            workers=options.workers,
         )
     final = published()
     if options.settle:
