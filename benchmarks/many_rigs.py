@@ -94,8 +94,8 @@ def usable_rigs(out: Path, stream: int, count: int) -> list[int]:
     """Return the numbers of the first rigs of a stream whose cameras see enough points of a street; kept in a file."""
     path = out / f"rigs-{stream}.json"
     numbers: list[int] = json.loads(path.read_text()) if path.exists() else []
-    if len(numbers) == count:
-        return numbers
+    if len(numbers) >= count:
+        return numbers[:count]
     numbers = []
     number = 0
     while len(numbers) < count:
@@ -344,6 +344,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         command = commands.add_parser(name, help=str(run.__doc__).strip().split("\n")[0])
         command.add_argument("--out", type=Path, default=Path("build/many-rigs"))
         command.add_argument("--repeats", type=int, default=Sizes.repeats, help="trainings with other rigs and seeds")
+        numbers = ",".join(map(str, Sizes.rigs))
+        command.add_argument("--rigs", default=numbers, help="numbers of rigs, separated by commas")
         command.add_argument("--steps", type=int, default=Sizes.steps, help="steps of each training")
         command.add_argument("--workers", type=int, default=Sizes.workers, help="processes that draw training samples")
         command.set_defaults(run=run)
@@ -353,7 +355,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if asked.command == "table":
         print(table(read(asked.out / "results.jsonl")))
     else:
-        asked.run(asked.out, Sizes(repeats=asked.repeats, steps=asked.steps, workers=asked.workers))
+        rigs = tuple(int(number) for number in asked.rigs.split(","))
+        sizes = Sizes(rigs, repeats=asked.repeats, steps=asked.steps, workers=asked.workers)
+        asked.run(asked.out, sizes)
 
 
 if __name__ == "__main__":
