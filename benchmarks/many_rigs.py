@@ -99,6 +99,7 @@ def usable_rigs(out: Path, stream: int, count: int) -> list[int]:
     number = 0
     while len(numbers) < count:
         seen = frame(options_of(stream, number, _RIG_SCENES, 0.05, divergence_mrad=0), 0)
+        assert seen.camera_from_lidar is not None
         pixels = seen.camera.project(p2o.se3.apply(seen.camera_from_lidar, seen.cloud.xyz))
         if seen.camera.in_image(pixels).sum() >= _LEAST_POINTS:
             numbers.append(number)
