@@ -203,7 +203,8 @@ class Workers:
                 try:
                     yield
                 finally:
-                    with contextlib.suppress(TimeoutError):
+                    # Of a cluster that is lost, also RuntimeError by asyncio: a timeout that ends while it is changed.
+                    with contextlib.suppress(TimeoutError, OSError, RuntimeError):
                         client.close(timeout=_ABSENT_S)
         elif self.backend == "ray":
             ray = importlib.import_module("ray")
@@ -239,7 +240,7 @@ def _dask_results(work: Work, batches: _Batches) -> Generator[tuple[int, Any], N
     running, complete, waiting = set[Any](), queue.SimpleQueue[Any](), iter(batches)
     try:
         while True:
-            while len(running) < 2 * max(1, sum(client.ncores().values())):
+            while len(running) < 2 * max(1, _dask_processors(client)):
                 if (batch := next(waiting, None)) is None:
                     break
                 running.add(future := client.submit(_numbered, work, batch, pure=False))
@@ -290,6 +291,14 @@ def _require_listener(address: str | None) -> None:
     host, colon, port = (address or "").removeprefix("ray://").rpartition(":")
     if colon:
         socket.create_connection((host, int(port)), _CONNECT_S).close()
+
+
+def _dask_processors(client: Any) -> int:
+    """Return the number of processors of the workers. Raises TimeoutError if the cluster is lost."""
+    try:
+        return int(sum(client.ncores().values()))
+    except (OSError, RuntimeError) as problem:
+        raise TimeoutError("the scheduler does not respond") from problem
 
 
 def _ray_processors(ray: Any) -> int:
