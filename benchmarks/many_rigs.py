@@ -22,11 +22,13 @@ import argparse
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import p2o
+from joblib import Parallel, delayed
 from p2o import Registry, TrainingGroup
 from p2o.arrays import Float
 from p2o.files.whole_file import write_whole
@@ -66,14 +68,14 @@ class Sizes:
     """How much is simulated, trained and tested."""
 
     rigs: tuple[int, ...] = (1, 10, 100)
-    scenes: int = 20
+    scenes: int = 150
     frames: int = 5
-    test_rigs: int = 12
+    test_rigs: int = 24
     test_scenes: int = 1
-    own_scenes: int = 6
+    own_scenes: int = 12
     repeats: int = 1
-    steps: int = 400
-    batch: int = 8
+    steps: int = 2600
+    batch: int = 64
     seeds: int = 2
     workers: int = 2
     train_megapixels: float = 0.05
@@ -122,14 +124,12 @@ def simulate(out: Path, sizes: Sizes) -> None:
     for repeat in range(sizes.repeats):
         numbers = usable_rigs(out, repeat, max(sizes.rigs))
         wanted = {path: at for rigs in sizes.rigs for path, at in label_files(out, rigs, repeat, sizes).items()}
-        # Scene by scene, so that a street is generated once for all rigs.
-        for path, (scene, number, rig) in sorted(wanted.items(), key=lambda entry: entry[1]):
-            if not path.exists():
-                rest = {"divergence_mrad": 0, "frames_per_scene": sizes.frames}
-                options = options_of(repeat, numbers[rig], _TRAIN_SCENES, sizes.train_megapixels, **rest)
-                path.parent.mkdir(parents=True, exist_ok=True)
-                write_whole(path, small(sample_of(frame(options, scene, number))).packed())
-                print(path, flush=True)
+        missing = sorted((at, path) for path, at in wanted.items() if not path.exists())
+        # One job per scene, so that a street is generated once for all rigs.
+        scenes = [list(group) for _, group in groupby(missing, key=lambda entry: entry[0][0])]
+        jobs = (delayed(simulate_scene)(entries, repeat, numbers, sizes) for entries in scenes)
+        for done, scene in enumerate(Parallel(n_jobs=sizes.workers, return_as="generator")(jobs), 1):
+            print(f"repeat {repeat}: scene {scene}, {done} of {len(scenes)}", flush=True)
     unseen = usable_rigs(out, _TEST_RIGS, sizes.test_rigs)
     for test, repeat, rig, scene in tested(sizes):
         folder = test_folder(out, test, repeat, rig) / f"scene-{scene:04d}"
@@ -140,6 +140,18 @@ def simulate(out: Path, sizes: Sizes) -> None:
             options = options_of(stream, number, _TEST_SCENES, sizes.test_megapixels)
             list(write([frame(options, scene)], folder.parent))
             print(folder, flush=True)
+
+
+def simulate_scene(
+    entries: Sequence[tuple[tuple[int, int, int], Path]], repeat: int, numbers: Sequence[int], sizes: Sizes
+) -> int:
+    """Write the label files of a scene, given scene, number and rig of each, and return the scene."""
+    for (scene, number, rig), path in entries:
+        rest = {"divergence_mrad": 0, "frames_per_scene": sizes.frames}
+        options = options_of(repeat, numbers[rig], _TRAIN_SCENES, sizes.train_megapixels, **rest)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(path, small(sample_of(frame(options, scene, number))).packed())
+    return entries[0][0][0]
 
 
 def small(sample: Sample) -> Sample:
@@ -182,8 +194,7 @@ def train(out: Path, sizes: Sizes) -> None:
                 stages=STAGES,
                 iterations=sizes.steps,
                 batch=sizes.batch,
-                learning_rate=1e-3,
-                average=0.99,
+                validate_every=1000,
                 match=0.5,
                 from_weights=str(FOLDER / "lccnet-small.safetensors"),
                 seed=repeat,
@@ -349,7 +360,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         numbers = ",".join(map(str, Sizes.rigs))
         command.add_argument("--rigs", default=numbers, help="numbers of rigs, separated by commas")
         command.add_argument("--steps", type=int, default=Sizes.steps, help="steps of each training")
-        command.add_argument("--workers", type=int, default=Sizes.workers, help="processes that draw training samples")
+        command.add_argument(
+            "--scenes", type=int, default=Sizes.scenes, help="streets of the trainings, five frames each"
+        )
+        command.add_argument(
+            "--workers", type=int, default=Sizes.workers, help="processes that simulate or draw samples"
+        )
         command.set_defaults(run=run)
     tabling = commands.add_parser("table", help="print the tables")
     tabling.add_argument("out", type=Path)
@@ -358,7 +374,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(table(read(asked.out / "results.jsonl")))
     else:
         rigs = tuple(int(number) for number in asked.rigs.split(","))
-        sizes = Sizes(rigs, repeats=asked.repeats, steps=asked.steps, workers=asked.workers)
+        sizes = Sizes(rigs, asked.scenes, repeats=asked.repeats, steps=asked.steps, workers=asked.workers)
         asked.run(asked.out, sizes)
 
 
