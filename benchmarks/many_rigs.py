@@ -22,7 +22,7 @@ import argparse
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import groupby
+from itertools import combinations, groupby
 from pathlib import Path
 from typing import Any
 
@@ -321,7 +321,29 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
             of = [row for row in these if (row["method"], row["steps"]) == (method, steps)]
             if of:
                 lines.append(f"| {label(method, steps)} | {line(of, cluster, initial=False)} |")
-    return "\n".join(lines).strip("\n")
+    return "\n".join([*lines, "", *differences(rows)]).strip("\n")
+
+
+def differences(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return a table of paired differences of the rotation error between trainings of equal length, with intervals."""
+    lines = [
+        "| mean difference of rotation errors [deg] | test | of the same frames and initial guesses |",
+        "|---|---|---|",
+    ]
+    for test, guess in CASES:
+        errors: dict[int, dict[tuple[Any, ...], float]] = {}
+        for row in rows:
+            if row["test"] == test and row["guess"] == guess and row["steps"]:
+                key = (row["rig"], row["scene"], row["seed"], row["trained"], row["steps"])
+                errors.setdefault(int(row["method"]), {})[key] = row["rotation_deg"]
+        for few, many in combinations(sorted(errors), 2):
+            keys = sorted(errors[few].keys() & errors[many].keys())
+            clusters = [str(key[TESTS[test][0] == "scene"]) for key in keys]
+            estimate = interval([errors[many][key] - errors[few][key] for key in keys], clusters, "mean")
+            if estimate is not None and estimate.low is not None:
+                value = f"{estimate.value:+.2f} [{estimate.low:+.2f}, {estimate.high:+.2f}]"
+                lines.append(f"| {many} rigs minus {few} | {test}, {guess} | {value} |")
+    return lines if len(lines) > 2 else []
 
 
 def label(method: str, steps: int) -> str:
