@@ -12,10 +12,14 @@ from many_rigs import Sizes, label_files, line, table
 
 @pytest.mark.parametrize("rigs", [1, 10, 100])
 def test_trainings_differ_in_the_number_of_rigs_and_in_nothing_else(rigs: int) -> None:
-    entries = list(label_files(Path("out"), rigs, 0, Sizes()).values())
-    assert {(scene, number) for scene, number, _ in entries} == {(s, n) for s in range(20) for n in range(5)}
-    assert len(entries) == 100
-    assert set(Counter(rig for *_, rig in entries).values()) == {100 // rigs}
+    sizes = Sizes()
+    entries = list(label_files(Path("out"), rigs, 0, sizes).values())
+    frames = {(scene, number) for scene in range(sizes.scenes) for number in range(sizes.frames)}
+    assert {(scene, number) for scene, number, _ in entries} == frames
+    assert len(entries) == len(frames)
+    of_each = Counter(rig for *_, rig in entries)
+    assert len(of_each) == rigs
+    assert max(of_each.values()) - min(of_each.values()) <= 1
 
 
 def test_rigs_of_tests_are_in_no_training() -> None:
@@ -24,7 +28,7 @@ def test_rigs_of_tests_are_in_no_training() -> None:
 
 
 ROW = {"test": "unseen rigs", "guess": "2deg 0.15m", "status": "converged", "trusted": True, "start_deg": 2.0}
-ROW |= {"start_m": 0.15, "steps": 400}
+ROW |= {"start_m": 0.15, "steps": 400, "seed": 0, "trained": 0}
 
 
 def test_the_table_counts_failures_with_their_initial_error_and_resamples_rigs() -> None:
@@ -39,6 +43,19 @@ def test_the_table_counts_failures_with_their_initial_error_and_resamples_rigs()
     assert cells[4].startswith("2.00 [")
     assert cells[5].startswith("2.00 [")
     assert "| network, 10 rigs, 400 steps |" in table(rows)
+
+
+def test_differences_between_trainings_are_paired_by_frame_and_initial_guess() -> None:
+    errors = {"1": (1.0, 2.0, 3.0, 4.0, 5.0), "10": (0.5, 1.5, 2.5, 3.5, 4.5, 99.0)}
+    rows = [
+        {**ROW, "method": method, "rig": f"0/{rig}", "scene": rig, "rotation_deg": error}
+        for method, of in errors.items()
+        for rig, error in enumerate(of)
+    ]
+    assert many_rigs.differences(rows)[2:] == [
+        "| 10 rigs minus 1 | unseen rigs, 2deg 0.15m | -0.50 [-0.50, -0.50] |",
+    ]
+    assert many_rigs.differences(rows[:5]) == []
 
 
 @pytest.mark.system
