@@ -45,6 +45,13 @@ def test_every_page_of_docs_is_on_the_site_and_in_its_navigation(site: Path) -> 
         assert f": {name.as_posix()}\n" in listed, f"{name} is not in the navigation of mkdocs.yml"
 
 
+def test_figures_from_rows_do_not_end_paragraphs_and_lists() -> None:
+    # A line that begins with a comment is a block of HTML, also within a paragraph.
+    for page in [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]:
+        broken = re.findall(r"^[ \t]*<!-- value.*", page.read_text(encoding="utf-8"), re.MULTILINE)
+        assert not broken, f"{page.relative_to(ROOT)}: move a word to the front of these lines: {broken}"
+
+
 def test_the_notebook_is_a_page_that_links_the_file(site: Path) -> None:
     page = (site / "tutorial/notebook/index.html").read_text(encoding="utf-8")
     assert 'href="../../notebooks/first-calibration.ipynb"' in page
