@@ -113,7 +113,9 @@ def test_the_source_archive_holds_the_folders_that_docs_and_tests_need(archive: 
 
 
 def test_the_source_archive_can_be_tested_and_documented(archive: Path) -> None:
-    for name in ("pyproject.toml", "Makefile", "requirements.lock", "mkdocs.yml", "CHANGELOG.md", "CONTRIBUTING.md"):
+    tools = ("pyproject.toml", "Makefile", "requirements.lock", "mkdocs.yml", "Containerfile")
+    pages = ("README.md", "CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "THIRD_PARTY.md")
+    for name in (*tools, *pages):
         assert (archive / name).read_bytes() == (ROOT / name).read_bytes()
     assert not (archive / "build").exists()
 
