@@ -3,7 +3,7 @@
     python benchmarks/benchmark_rows.py [--rows 500000] [--keep FOLDER]
 
 A suite with 20 rows on two datasets, five seeds and one frame per 100 rows of results is written to a temporary
-folder (`--keep`: to this one, where existing rows are used again): 500,000 rows have 5,000 frames and 1.4 GB.
+folder (`--keep`: to this one, where existing rows are used again): 500,000 rows have 5,000 frames and 0.75 GB.
 Poses are random, words, options and digests are those of real methods, so `status` finds every row fresh. Each command
 runs in a process of its own on one core. Seconds are of one run, and of this machine.
 """
@@ -25,7 +25,7 @@ from memory import measured
 from p2o.arrays import Float
 from p2o.geometry import se3
 from p2o_study.benchmark.measure import WORDS
-from p2o_study.benchmark.row import FrameData
+from p2o_study.benchmark.row import METHODS_FILE, FrameData, MethodData
 from p2o_study.benchmark.suite import SuiteFile, find_suite
 from p2o_study.cells import Method
 from p2o_study.worker import Plugins
@@ -70,10 +70,11 @@ def write(folder: Path, count: int) -> None:
     (folder / "results/frames.jsonl").write_text("".join(f"{line}\n" for *_, line in lines))
     plugins = Plugins.of()
     suite = find_suite("many", plugins.registry(), folder / "suites")
+    methods: dict[str, MethodData] = {}
     with (folder / "results/many.jsonl").open("w") as file:
-        file.writelines(
-            f"{json.dumps(row, sort_keys=True, separators=(',', ':'))}\n" for row in rows(suite, plugins, known, count)
-        )
+        for row in rows(suite, plugins, known, count, methods):
+            file.write(f"{json.dumps(row, sort_keys=True, separators=(',', ':'))}\n")
+    (folder / "results" / METHODS_FILE).write_text("".join(f"{data.line}\n" for data in methods.values()))
 
 
 def frame(dataset: str, number: int, truth: Float) -> FrameData:
@@ -83,14 +84,22 @@ def frame(dataset: str, number: int, truth: Float) -> FrameData:
     return FrameData(dataset=dataset, name=name, image=digest, sweep=digest, calibration=digest, truth=truth.tolist())
 
 
-def rows(suite: SuiteFile, plugins: Plugins, known: dict[str, list[FrameData]], count: int) -> Iterator[dict[str, Any]]:
-    """Yield the rows as JSON values, with errors that differ between methods."""
+def rows(
+    suite: SuiteFile,
+    plugins: Plugins,
+    known: dict[str, list[FrameData]],
+    count: int,
+    listed: dict[str, MethodData],
+) -> Iterator[dict[str, Any]]:
+    """Yield the rows as JSON values, with errors that differ between methods; methods are added to `listed`."""
     registry, random, written = plugins.registry(), np.random.default_rng(1), 0
     for number, line in enumerate(suite.rows):
         methods = {seed: Method.of(line, seed, "{}", {}, registry) for seed in line.seeds}
         described = methods[0].described
         words = {word: described[word] for word in WORDS if described.get(word)}
         options = {stage: values for stage, values in described["options"].items() if stage != "data"}
+        method = MethodData.model_validate({"method": {"words": words, "options": options}})
+        listed[method.method.digest] = method
         protocol = described["perturb"]
         for data in known[line.dataset.name]:
             truth = np.asarray(data.truth)
@@ -112,7 +121,7 @@ def rows(suite: SuiteFile, plugins: Plugins, known: dict[str, list[FrameData]], 
                     "protocol": protocol,
                     "seed": seed,
                     "start": (truth @ se3.exp(0.02 * random.normal(size=6))).tolist(),
-                    "method": {"external": False, "source": "", "words": words, "options": options},
+                    "method": method.method.digest,
                     "digest": methods[seed].digest,
                     "commit": "0" * 40,
                     "estimate": (truth @ se3.exp(size)).tolist() if solved else None,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import pytest
 from p2o.errors import InputError
 from p2o_study.benchmark.outcomes import Outcomes
 from p2o_study.benchmark.results import Results
-from p2o_study.benchmark.row import MAX_LINE_BYTES, FrameData, Row, add_records, latest, parsed_line, read_records
+from p2o_study.benchmark.row import MAX_LINE_BYTES, METHODS_FILE, FrameData, Row, latest, parsed_line, read_records
 from p2o_study.benchmark.suite import FOLDER, find_suite, suite_names
 
 from tests.p2o_study.benchmark_board import QUICK_ROW, STUDY, SUITE, Board
@@ -97,7 +98,7 @@ def test_arrays_hold_the_rows_in_the_order_of_the_file_whatever_the_order_of_the
     path = its.path
     path.write_text("".join(path.read_text().splitlines(keepends=True)[::-1] * 2))
     its = Outcomes.read(Results(tmp_path), "tiny", Results(tmp_path).frames)
-    last = latest(read_records(Row, path))
+    last = latest(Results(tmp_path).rows("tiny"))
     runs = its.runs[its.latest]
     errors = [Results(tmp_path).frames.error_of(known) for known in last]
     assert runs["rotation_deg"] == pytest.approx([error.rotation_deg for error in errors if error is not None])
@@ -140,14 +141,92 @@ def test_an_invalid_line_is_refused_in_one_line_with_its_place(
 
 
 def test_files_merge_to_the_same_bytes_in_any_order(tmp_path: Path) -> None:
-    parts = [[row(seed=2), row(seed=0)], [row(seed=1), row(seed=0)], [row(seed=0, row="another")]]
+    another = row(seed=0, row="another", method={"external": True})
+    parts = [[row(seed=2), row(seed=0)], [row(seed=1), row(seed=0)], [another]]
     contents = set()
     for number, order in enumerate(itertools.permutations(parts)):
-        file = tmp_path / str(number)
-        added = sum(add_records(file, part, Row) for part in order)
+        results = Results(tmp_path / str(number))
+        added = sum(results.add("tiny", part, []) for part in order)
         assert added == 4
-        contents.add(file.read_bytes())
+        contents.add((results.path("tiny").read_bytes(), (results.folder / METHODS_FILE).read_bytes()))
     assert len(contents) == 1
+
+
+# ---- methods
+
+
+OTHER = {"external": True, "source": "a paper"}
+"""The method of some rows."""
+
+
+def test_a_file_of_rows_names_methods_by_their_digest_and_each_is_stored_once(tmp_path: Path) -> None:
+    results = Results(tmp_path)
+    rows = [row(seed=seed, row=label, **its) for seed in (0, 1) for label, its in (("a", {}), ("b", {"method": OTHER}))]
+    results.add("tiny", rows, [])
+    results.add("other", [row(suite="other")], [])
+    assert results.suites == ["other", "tiny"]
+    listed = [json.loads(line)["method"] for line in (tmp_path / METHODS_FILE).read_text().splitlines()]
+    assert sorted(listed, key=str) == sorted((rows[n].method.model_dump() for n in (0, 1)), key=str)
+    for known, text in zip(results.rows("tiny"), results.path("tiny").read_text().splitlines(), strict=True):
+        plain = json.loads(known.line)
+        assert json.loads(text) == plain | {"method": known.method.digest}
+        assert plain["method"] in listed
+    after = results.rows("tiny")
+    assert {known.line for known in after} == {known.line for known in rows}
+    assert len({id(known.method) for known in after}) == 2
+
+
+def test_a_row_that_contains_its_method_equals_one_that_names_it(tmp_path: Path) -> None:
+    results, named, old = Results(tmp_path), row(), row(seed=1, method=OTHER)
+    results.add("tiny", [named], [])
+    path = results.path("tiny")
+    path.write_text(f"{old.line}\n{path.read_text()}{named.line}\n")
+    assert [known.line for known in results.rows("tiny")] == [named.line, old.line]
+    its = Outcomes.read(results, "tiny")
+    assert [its.row(number).line for number in np.flatnonzero(its.latest)] == [named.line, old.line]
+    assert results.add("tiny", [old, named], []) == 0
+    assert results.add("tiny", [row(seed=2)], []) == 1
+    assert old.line not in path.read_text()
+    assert [known.line for known in results.rows("tiny")] == [named.line, old.line, row(seed=2).line]
+
+
+def test_joined_files_of_two_machines_contain_the_rows_of_both(tmp_path: Path) -> None:
+    here, there, both = (Results(tmp_path / name) for name in ("here", "there", "both"))
+    here.add("tiny", [row(), row(seed=1)], [])
+    there.add("tiny", [row(), row(seed=1, method=OTHER)], [])
+    both.folder.mkdir()
+    for name in ("tiny.jsonl", METHODS_FILE):
+        (both.folder / name).write_text("".join((part.folder / name).read_text() for part in (there, here)))
+    expected = {known.line for part in (here, there) for known in part.rows("tiny")}
+    assert len(both.rows("tiny")) == len(expected) == 3
+    assert {known.line for known in both.rows("tiny")} == expected
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "message"),
+    [
+        ("methods.jsonl", '"quick"', '"slow"', "tiny.jsonl:1: the row names a method that is not listed; expected a "),
+        ("tiny.jsonl", '"method":"', '"method":"0', "a line of methods.jsonl with this digest; got 0"),
+        ("tiny.jsonl", '"method":"', '"method":7,"x":"', "tiny.jsonl:1: method is not valid; expected a valid dict"),
+        ("methods.jsonl", '"quick"', "7", "methods.jsonl:1: method.words.calibrator is not valid; expected a valid st"),
+        ("methods.jsonl", '"external"', '"outside"', "methods.jsonl:1: unknown key 'outside'"),
+        ("methods.jsonl", "{", "[", "methods.jsonl:1: the line is not JSON"),
+        ("methods.jsonl", '"options":{}', '"options":{"a":' + "[" * 80 + "]" * 80 + "}", "is nested too deeply"),
+    ],
+)
+def test_a_method_that_is_not_listed_or_not_valid_is_refused_in_one_line_with_its_place(
+    tmp_path: Path, file: str, old: str, new: str, message: str
+) -> None:
+    results = Results(tmp_path)
+    results.add("tiny", [row()], [])
+    text = (tmp_path / file).read_text()
+    assert old in text
+    (tmp_path / file).write_text(text.replace(old, new, 1))
+    for read in (results.rows, lambda suite: Outcomes.read(results, suite)):
+        with pytest.raises(InputError) as problem:
+            read("tiny")
+        assert message in str(problem.value)
+        assert "\n" not in str(problem.value)
 
 
 def test_the_last_measured_row_of_a_calibration_counts() -> None:

@@ -70,6 +70,14 @@ def other_start(contents: Contents) -> None:
     contents["rows.jsonl"] = "\n".join([*others, json.dumps(row, sort_keys=True, separators=(",", ":"))]) + "\n"
 
 
+def method_by_digest(contents: Contents) -> None:
+    """Replace the method of the first row by its digest, as in files of results."""
+    from p2o_study.benchmark.row import Row
+
+    first, *others = contents["rows.jsonl"].splitlines()
+    contents["rows.jsonl"] = "\n".join([Row.model_validate_json(first).stored, *others]) + "\n"
+
+
 def other_image(contents: Contents) -> None:
     """Replace the digest of an image everywhere, with all that follows from it."""
     from p2o_study.benchmark.row import FrameData
@@ -114,6 +122,7 @@ def test_equal_rows_give_equal_bundles(board: Board, bundle: Path) -> None:
         (lambda c: c.update({"frames.jsonl": re.sub("[0-9a-f]{64}", "0" * 64, c["frames.jsonl"])}), 1,
          "a row names a frame that is not listed with this digest"),
         (better_errors, 1, "errors.csv:31: the stated rotation_deg is 0.010000, that of the pose 0.5"),
+        (method_by_digest, 2, "rows.jsonl:1: method is not valid; expected a valid dictionary"),
         (error_in_row, 2, "rows.jsonl:1: the line states an error: rotation_deg"),
         (lambda c: c.update({"../evil": "x"}), 2, "the bundle has other files"),
         (lambda c: c.update({"manifest.json": "{}"}), 2, "manifest.json: version is missing"),

@@ -108,6 +108,25 @@ def test_rows_of_external_methods_are_kept_as_long_as_their_frames_are_in_the_su
     assert pruned(board, capsys).count(("mine", "not in the suite")) == 5
 
 
+def test_methods_that_no_row_of_any_suite_names_are_removed(board: Board, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = {row.row: row for row in measured(board)}
+    board.results.add("other", [changed(rows["nearest"], suite="other")], [])
+    board.write(study=STUDY.replace('"nearest"\nmatcher', '"other"\nmatcher').replace(*RENAMED))
+    quick = rows["quick"].method.digest
+    for words, left in ((["--dry-run"], 2), ([], 1)):
+        capsys.readouterr()
+        assert board.command("prune", "--json", *words) == 0
+        assert json.loads(capsys.readouterr().out)["methods"] == [quick]
+        assert len(board.results.methods) == left
+    assert board.results.methods == {rows["nearest"].method.digest: rows["nearest"].method}
+    assert [row.line for row in board.results.rows("other")] == [changed(rows["nearest"], suite="other").line]
+    assert board.results.rows("tiny") == []
+    board.results.path("other").unlink()
+    assert board.command("prune") == 0
+    assert "tiny: 0 rows and 1 unused methods removed" in capsys.readouterr().out
+    assert board.results.methods == {}
+
+
 def test_the_command_names_what_it_removes_and_refuses_an_unknown_suite(
     board: Board, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -17,10 +17,10 @@ from p2o.files.parsed_text import DEEPEST
 from p2o.geometry.pose_error import pose_errors
 from p2o.results.result import Status
 from p2o.results.verdict import Trust
-from pydantic import Strict, ValidationError
+from pydantic import BeforeValidator, Strict, ValidationError, ValidationInfo
 
 from p2o_study.benchmark.results import Frames, Results
-from p2o_study.benchmark.row import MAX_LINE_BYTES, Method, Row, checked_lines, lines_of, parsed_line
+from p2o_study.benchmark.row import MAX_LINE_BYTES, Method, Methods, Row, checked_lines, lines_of, parsed_line
 
 STATUSES, TRUSTS = tuple(Status), tuple(Trust)
 SOLVED = [number for number, status in enumerate(STATUSES) if status.solved]
@@ -60,9 +60,16 @@ _Matrix = tuple[_Four, _Four, _Four, _Four]
 _T = TypeVar("_T", bound=Hashable)
 
 
+def _listed_method(value: Any, info: ValidationInfo) -> Any:
+    """Return the method that a row names by its digest; the context of the validation are the methods by digest."""
+    methods: Methods = info.context or {}
+    return methods.get(value, value) if isinstance(value, str) else value
+
+
 class _QuickRow(Row):
     """A row whose poses are plain numbers: whether they are rigid is checked for many rows at once."""
 
+    method: Annotated[Method, BeforeValidator(_listed_method)]
     start: _Matrix  # type: ignore[assignment]
     estimate: _Matrix | None  # type: ignore[assignment]
 
@@ -72,11 +79,12 @@ class Outcomes:
     """The rows of a suite in the order of `Row.order`: `runs` (N,) and the texts that they name.
 
     `latest` (N,) marks the last measured row of each calibration. `places` are the names of the frames of a
-    calibration, `methods` pairs of method and digest.
+    calibration, `methods` pairs of method and digest of the row. `listed` are the methods that rows of the file name.
     """
 
     path: Path
     suite: str
+    listed: Methods
     runs: Runs
     latest: Bool
     datasets: tuple[str, ...]
@@ -91,10 +99,10 @@ class Outcomes:
         """Return the rows of a suite, with errors against the ground truth of `frames` (default: all errors are NaN).
 
         Raises InputError, with file and line, for a line that is not a valid row of the suite, and for a row whose
-        frame is not listed in `frames`.
+        frame is not listed in `frames`, or whose method is not listed in the results.
         """
         path = results.path(suite)
-        reader = _Reader(path, suite, frames)
+        reader = _Reader(path, suite, results.methods, frames)
         if path.exists():
             read_start(path, "file of rows", 1)
             with path.open("rb") as file:
@@ -103,7 +111,7 @@ class Outcomes:
 
     def row(self, number: int) -> Row:
         """Return a row of `runs`, read from the file again."""
-        return parsed_line(Row, _line_at(self.path, self.runs["offset"][number]), str(self.path))
+        return parsed_line(Row, _line_at(self.path, self.runs["offset"][number]), str(self.path), self.listed)
 
     def measured(self, identity: Sequence[str]) -> list[Row]:
         """Return the rows with a `Row.identity`, the last measured one first."""
@@ -172,8 +180,8 @@ class _Numbered(Generic[_T]):
 class _Reader:
     """Reads rows line by line into arrays."""
 
-    def __init__(self, path: Path, suite: str, frames: Frames | None) -> None:
-        self.path, self.suite, self.frames = path, suite, frames
+    def __init__(self, path: Path, suite: str, listed: Methods, frames: Frames | None) -> None:
+        self.path, self.suite, self.listed, self.frames = path, suite, listed, frames
         self.texts: dict[str, _Numbered[Any]] = {name: _Numbered() for name in ("dataset", "row", "protocol", "place")}
         self.sections, self.methods = _Numbered[str](), _Numbered[tuple[str, bool, str]]()
         self.described: list[tuple[Method, str]] = []
@@ -188,7 +196,7 @@ class _Reader:
     def read(self, lines: Iterable[tuple[str, bytes]], position: Callable[[], int]) -> None:
         """Read lines with their places; `position` is the end of the last one in the file."""
         for where, text in lines:
-            row = _parsed(text, where)
+            row = _parsed(text, where, self.listed)
             if row.suite != self.suite:
                 raise InputError("a row of another suite", where=where, expected=self.suite, got=row.suite)
             self.runs.append(self._run(row, position() - len(text), hash(text.rstrip())))
@@ -238,7 +246,7 @@ class _Reader:
         starts, ends = np.array(self.starts, np.float64), np.array(self.ends, np.float64)
         for number in np.flatnonzero(~(_surely_rigid(starts) & _surely_rigid(ends))):
             # Raises unless the complete check accepts the poses.
-            parsed_line(Row, _line_at(self.path, runs["offset"][number]), self.lines[number])
+            parsed_line(Row, _line_at(self.path, runs["offset"][number]), self.lines[number], self.listed)
         truths = np.array(self.truths)[runs["content"]]
         runs["rotation_deg"], runs["translation_m"] = pose_errors(ends, truths)
         runs["start_rotation_deg"], runs["start_translation_m"] = pose_errors(starts, truths)
@@ -262,6 +270,7 @@ class _Reader:
         return Outcomes(
             self.path,
             self.suite,
+            self.listed,
             runs,
             latest,
             texts["dataset"],
@@ -282,7 +291,8 @@ class _Reader:
             tied = slice(first, number + 2)
             if len(np.unique(runs["hash"][tied])) == 1:
                 continue
-            lines = [parsed_line(Row, _line_at(self.path, at), str(self.path)).line for at in runs["offset"][tied]]
+            texts = [_line_at(self.path, at) for at in runs["offset"][tied]]
+            lines = [parsed_line(Row, text, str(self.path), self.listed).stored for text in texts]
             runs[tied] = runs[tied][sorted(range(len(lines)), key=lines.__getitem__)]
 
 
@@ -298,13 +308,13 @@ def _surely_rigid(poses: Float) -> Bool:
 _NO_BOUNDS = (np.nan, np.nan)
 
 
-def _parsed(text: bytes, where: str) -> Row:
+def _parsed(text: bytes, where: str, methods: Methods) -> Row:
     """Return the row of a line, without a check whether its poses are rigid; raises as `parsed_line`."""
     try:
-        row = _QuickRow.model_validate_json(text)
+        row = _QuickRow.model_validate_json(text, context=methods)
     except ValidationError:
-        return parsed_line(Row, text, where)
+        return parsed_line(Row, text, where, methods)
     # The number of brackets bounds the nesting, whose levels the complete check counts.
     if text.count(b"[") + text.count(b"{") - len(row.frames) > DEEPEST:
-        return parsed_line(Row, text, where)
+        return parsed_line(Row, text, where, methods)
     return row

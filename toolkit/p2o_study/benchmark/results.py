@@ -1,21 +1,36 @@
 """A folder of results: SUITE.jsonl with the rows of each suite, frames.jsonl with digests and truth of their frames.
 
-equivalences.jsonl has the versions of methods whose outcomes agree (`p2o benchmark confirm`).
+methods.jsonl has the methods of the rows, each once; rows in a file name them by digest. equivalences.jsonl has the
+versions of methods whose outcomes agree (`p2o benchmark confirm`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import io
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 from p2o.arrays import Float
 from p2o.errors import InputError
+from p2o.files.input_file import read_bytes
 from p2o.files.whole_file import write_whole
 from p2o.geometry.pose_error import PoseError, pose_error
 
 from p2o_study.benchmark.equivalences import EQUIVALENCES_FILE, Equivalence, Equivalences
-from p2o_study.benchmark.row import FrameData, Row, add_records, read_records
+from p2o_study.benchmark.row import (
+    METHODS_FILE,
+    FrameData,
+    MethodData,
+    Methods,
+    Row,
+    add_records,
+    lines_of,
+    merged,
+    parsed_lines,
+    read_records,
+)
 
 FRAMES_FILE = "frames.jsonl"
 
@@ -62,7 +77,7 @@ class Results:
     @property
     def suites(self) -> list[str]:
         """The names of the suites with rows."""
-        others = (FRAMES_FILE, EQUIVALENCES_FILE)
+        others = (FRAMES_FILE, METHODS_FILE, EQUIVALENCES_FILE)
         return sorted(path.stem for path in self.folder.glob("*.jsonl") if path.name not in others)
 
     def path(self, suite: str) -> Path:
@@ -71,7 +86,7 @@ class Results:
 
     def rows(self, suite: str) -> list[Row]:
         """Return the rows of a suite, sorted; none without a file. Raises InputError for a row of another suite."""
-        rows = read_records(Row, self.path(suite))
+        rows = read_records(Row, self.path(suite), self.methods)
         for row in rows:
             if row.suite != suite:
                 raise InputError("a row of another suite", where=self.path(suite), expected=suite, got=row.suite)
@@ -88,6 +103,12 @@ class Results:
         return Frames(self.frame_data)
 
     @property
+    def methods(self) -> Methods:
+        """The methods of methods.jsonl by digest; raises InputError, with file and line, for an invalid one."""
+        path = self.folder / METHODS_FILE
+        return _methods(path, read_bytes(path, "file of methods")) if path.exists() else {}
+
+    @property
     def equivalences(self) -> Equivalences:
         """The equivalences of versions of methods; raises InputError, with file and line, for an invalid one."""
         return Equivalences(read_records(Equivalence, self.folder / EQUIVALENCES_FILE))
@@ -97,12 +118,47 @@ class Results:
         add_records(self.folder / EQUIVALENCES_FILE, [equivalence], Equivalence)
 
     def add(self, suite: str, rows: Iterable[Row], frames: Iterable[FrameData]) -> int:
-        """Add rows and their frames, and return the number of new rows; existing lines are kept."""
+        """Add rows, their frames and their methods, and return the number of new rows; existing rows are kept."""
         add_records(self.folder / FRAMES_FILE, frames, FrameData)
-        return add_records(self.path(suite), rows, Row)
+        before = self.rows(suite)
+        after = merged(before, rows)
+        if len(after) > len(before):
+            self._write(suite, after)
+        return len(after) - len(before)
 
     def remove(self, suite: str, rows: Iterable[Row]) -> None:
-        """Remove rows from the file of a suite; frames and all other rows are kept."""
-        lines = {row.line for row in rows}
-        kept = [row for row in self.rows(suite) if row.line not in lines]
-        write_whole(self.path(suite), "".join(f"{row.line}\n" for row in kept).encode())
+        """Remove rows from the file of a suite; frames, methods and all other rows are kept."""
+        removed = {row.stored for row in rows}
+        self._write(suite, [row for row in self.rows(suite) if row.stored not in removed])
+
+    def _write(self, suite: str, rows: Collection[Row]) -> None:
+        """Write all rows of a suite, their methods first: an interruption leaves no row whose method is not listed."""
+        methods = {row.method.digest: MethodData(method=row.method) for row in rows}
+        add_records(self.folder / METHODS_FILE, methods.values(), MethodData)
+        _write_lines(self.path(suite), [row.stored for row in rows])
+
+    def unused_methods(self, removed: Iterable[Row]) -> set[str]:
+        """Return the digests in methods.jsonl that no row of any suite names, except rows of `removed`."""
+        lines = {row.stored for row in removed}
+        rows = (row for suite in self.suites for row in self.rows(suite))
+        return set(self.methods) - {row.method.digest for row in rows if row.stored not in lines}
+
+    def remove_methods(self, digests: Collection[str]) -> None:
+        """Remove the methods with these digests from methods.jsonl."""
+        path = self.folder / METHODS_FILE
+        kept = [data.line for data in read_records(MethodData, path) if data.method.digest not in digests]
+        _write_lines(path, kept)
+
+
+@lru_cache(maxsize=1)
+def _methods(path: Path, content: bytes) -> Methods:
+    """Return the methods of a file by digest; the last content is kept, since each suite needs the same methods."""
+    return {data.method.digest: data.method for data in parsed_lines(MethodData, lines_of(io.BytesIO(content)), path)}
+
+
+def _write_lines(path: Path, lines: Sequence[str]) -> None:
+    """Write the lines of a file; without lines the file is removed, since readers refuse an empty one."""
+    if lines:
+        write_whole(path, "".join(f"{line}\n" for line in lines).encode())
+    else:
+        path.unlink(missing_ok=True)

@@ -1,14 +1,15 @@
 """Rows of the benchmark: one calibration per JSON line, without errors, which are computed from poses on reading.
 
-A results folder holds SUITE.jsonl, one file of rows per suite, and frames.jsonl, the digests and the ground truth of
-every frame that a row names. Lines are sorted and unique, so that merging files is a set union in any order.
+A results folder holds SUITE.jsonl, one file of rows per suite, frames.jsonl, the digests and the ground truth of every
+frame that a row names, and methods.jsonl, the methods that rows name by their digest. Lines are sorted and unique, so
+that merging files is a set union in any order.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, BinaryIO, Literal, TypeVar
@@ -30,6 +31,7 @@ from p2o_study.study import Label, Line, Seed, Slug
 MAX_LINE_BYTES = 1 << 20
 """Maximum length of a line: a joint calibration of 4,541 frames needs 600 kB."""
 MAX_LINES = 2_000_000
+METHODS_FILE = "methods.jsonl"
 _MAX_FRAMES = 10_000
 
 Digest = Annotated[str, StringConstraints(pattern="^[0-9a-f]{64}$")]
@@ -49,8 +51,7 @@ class JsonLine(BaseModel):
     @cached_property
     def line(self) -> str:
         """The record as one line of JSON; equal records have equal lines."""
-        plain = self.model_dump(mode="json")
-        return json.dumps(plain, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
+        return _canonical(self.model_dump(mode="json"))
 
     @property
     def order(self) -> tuple[Any, ...]:
@@ -59,6 +60,11 @@ class JsonLine(BaseModel):
 
 
 _Line = TypeVar("_Line", bound=JsonLine)
+
+
+def _canonical(plain: object) -> str:
+    """Return JSON with sorted keys and without white space, one text for equal values."""
+    return json.dumps(plain, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
 
 
 class FrameData(JsonLine):
@@ -108,6 +114,21 @@ class Method(BaseModel):
     words: dict[Slug, Line] = Field(default_factory=dict, max_length=50)
     options: dict[str, Any] = Field(default_factory=dict, max_length=100)
 
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the JSON of the method, by which rows in a file name it."""
+        return hashlib.sha256(_canonical(self.model_dump(mode="json")).encode()).hexdigest()
+
+
+Methods = Mapping[str, Method]
+"""Methods by digest."""
+
+
+class MethodData(JsonLine):
+    """A line of methods.jsonl; the digest is computed, not stored."""
+
+    method: Method
+
 
 class Predicted(BaseModel):
     """Predicted errors (67 % and 95 %) in degrees and metres; "inf" where a direction is unobservable."""
@@ -133,7 +154,7 @@ class Machine(BaseModel):
 
 
 class Row(JsonLine):
-    """One calibration of a suite.
+    """One calibration of a suite; `line` contains its method, `stored` the digest of the method.
 
     `row` and `section` are the labels of the study. `joint` is True for several frames of one camera, "rig" for one
     calibration of all cameras, whose poses are those of the camera of the first frame. `protocol` is the draw of the
@@ -182,7 +203,12 @@ class Row(JsonLine):
     @property
     def order(self) -> tuple[Any, ...]:
         """Sort by identity, then by time."""
-        return (self.identity, self.finished, self.line)
+        return (self.identity, self.finished, self.stored)
+
+    @cached_property
+    def stored(self) -> str:
+        """The row as a line of SUITE.jsonl: as `line`, with the digest of the method instead of the method."""
+        return _canonical(self.model_dump(mode="json", exclude={"method"}) | {"method": self.method.digest})
 
     @property
     def crashed(self) -> bool:
@@ -200,8 +226,11 @@ def place_of(names: list[str]) -> str:
     return names[0] + (f" +{len(names) - 1}" if len(names) > 1 else "")
 
 
-def parsed_line(model: type[_Line], text: bytes, where: str) -> _Line:
-    """Return the record of one line; raises InputError with the place for anything else, and for stated errors."""
+def parsed_line(model: type[_Line], text: bytes, where: str, methods: Methods | None = None) -> _Line:
+    """Return the record of one line, which may name one of `methods` by its digest.
+
+    Raises InputError with the place for anything else, and for stated errors.
+    """
     value = parse_json(text, "line", where)
     if not isinstance(value, dict):
         raise InputError("the line is no row", where=where, expected="a JSON object", got=type(value).__name__)
@@ -209,13 +238,22 @@ def parsed_line(model: type[_Line], text: bytes, where: str) -> _Line:
     if stated is not None:
         message, hint = f"the line states an error: {stated}", "remove it; errors are computed from the poses"
         raise InputError(message, where=where, expected="poses only", hint=hint)
+    name = value.get("method")
+    if methods is not None and isinstance(name, str):
+        if name not in methods:
+            message, hint = "the row names a method that is not listed", f"join {METHODS_FILE} of all merged results"
+            expected = f"a line of {METHODS_FILE} with this digest"
+            raise InputError(message, where=where, expected=expected, got=name, hint=hint)
+        value["method"] = methods[name]
     return validated(model, value, where=where)
 
 
-def parsed_lines(model: type[_Line], lines: Iterable[bytes], where: object) -> Iterator[_Line]:
+def parsed_lines(
+    model: type[_Line], lines: Iterable[bytes], where: object, methods: Methods | None = None
+) -> Iterator[_Line]:
     """Yield the records of lines; raises InputError with `where` and the number of the line."""
     for place, text in checked_lines(lines, where):
-        yield parsed_line(model, text, place)
+        yield parsed_line(model, text, place, methods)
 
 
 def checked_lines(lines: Iterable[bytes], where: object) -> Iterator[tuple[str, bytes]]:
@@ -235,19 +273,19 @@ def lines_of(file: BinaryIO) -> Iterator[bytes]:
     return iter(lambda: file.readline(MAX_LINE_BYTES + 1), b"")
 
 
-def read_records(model: type[_Line], path: Path) -> list[_Line]:
+def read_records(model: type[_Line], path: Path, methods: Methods | None = None) -> list[_Line]:
     """Return the records of a file, sorted and without repetitions; none if the file is missing."""
     if not path.exists():
         return []
     read_start(path, "file of rows", 1)
     with path.open("rb") as file:
-        return merged(parsed_lines(model, lines_of(file), path))
+        return merged(parsed_lines(model, lines_of(file), path, methods))
 
 
 def merged(*parts: Iterable[_Line]) -> list[_Line]:
     """Return the records of all parts, sorted and without repetitions: the order of the parts has no effect."""
-    unique = {record.line: record for part in parts for record in part}
-    return sorted(unique.values(), key=lambda record: record.order)
+    unique = {record.order: record for part in parts for record in part}
+    return [unique[order] for order in sorted(unique)]
 
 
 def add_records(path: Path, records: Iterable[_Line], model: type[_Line]) -> int:

@@ -252,11 +252,12 @@ def prune(
     plugin: tuple[str, ...],
     block: tuple[str, ...],
 ) -> int:
-    """Remove the rows that a suite no longer asks for, and stale ones that were measured again.
+    """Remove the rows that a suite no longer asks for, stale ones that were measured again, and unused methods.
 
     Nothing is computed, and fresh rows are never removed. A stale or crashed row is removed only if a later row of the
     same calibration did not crash. Without their data, rows are compared by label, initial error, seed and method:
-    whether the suite has their frames is unknown.
+    whether the suite has their frames is unknown. Methods that no row of any suite names are removed from
+    methods.jsonl.
 
     \b
     p2o benchmark prune rigs --root DIR --dry-run
@@ -271,16 +272,21 @@ def prune(
     with progress_shown(quiet or as_json) as (say, warn):
         options = ReadOptions(plugins=plugins, workers=Workers(workers), on_progress=say, on_warning=warn)
         rows = prunable(file, known, options)
+    unused = known.unused_methods(one.row for one in rows)
     if rows and not dry_run:
         known.remove(file.name, (one.row for one in rows))
+    if unused and not dry_run:
+        known.remove_methods(unused)
     if as_json:
-        content = {"suite": file.name, "dry_run": dry_run, "rows": [one.as_dict() for one in rows]}
+        removable = {"rows": [one.as_dict() for one in rows], "methods": sorted(unused)}
+        content = {"suite": file.name, "dry_run": dry_run, **removable}
         click.echo(json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False))
         return 0
     lines = [f"  {f.why.value}: {f.row.row}, {f.row.place}, {f.row.protocol}, seed {f.row.seed}" for f in rows[:_SHOWN]]
     lines += [f"  and {len(rows) - _SHOWN} more (--json lists all)"] if len(rows) > _SHOWN else []
+    counts = f"{len(rows)} rows" + (f" and {len(unused)} unused methods" if unused else "")
     done = "would be removed" if dry_run else "removed"
-    click.echo("\n".join(map(printable, [*lines, f"{file.name}: {len(rows)} rows {done}; {known.path(file.name)}"])))
+    click.echo("\n".join(map(printable, [*lines, f"{file.name}: {counts} {done}; {known.path(file.name)}"])))
     return 0
 
 
