@@ -169,6 +169,19 @@ def test_a_file_that_is_no_bundle_or_unpacks_to_too_much_is_refused(
     assert "the bundle is not a zip file, or is damaged" in capsys.readouterr().err
 
 
+def test_a_bundle_with_damaged_compressed_data_is_refused(
+    board: Board, bundle: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = bytearray(bundle.read_bytes())
+    with zipfile.ZipFile(bundle) as archive:
+        largest = max(archive.infolist(), key=lambda entry: entry.compress_size)
+    begin = largest.header_offset + 100
+    data[begin : begin + 60] = b"\xff" * 60
+    bundle.write_bytes(data)
+    assert board.command("verify", str(bundle)) == 2
+    assert "the bundle is not a zip file, or is damaged" in capsys.readouterr().err
+
+
 def test_a_foreign_method_is_bundled_and_verified_without_being_computed(
     board: Board, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -300,7 +300,9 @@ def _unpacked(path: Path) -> dict[str, bytes]:
                     # Reading stops at the size of the header, even if the data unpack to more.
                     contents[entry.filename] = file.read(entry.file_size)
             return contents
-    except (zipfile.BadZipFile, RuntimeError, NotImplementedError, OSError, EOFError) as problem:
+    except InputError:
+        raise
+    except Exception as problem:  # zipfile raises many types for damaged archives
         raise InputError("the bundle is not a zip file, or is damaged", where=path, got=problem) from problem
 
 
