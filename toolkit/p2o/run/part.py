@@ -28,7 +28,9 @@ def part_of(offer: Offer, stage: str, values: dict[str, Any], seed: int) -> Part
     """Return the method with its options validated; a field called `seed` follows the recipe's unless it is set."""
     fields = offer.method.options.model_fields
     if stage == "data" and "root" in values and "root" not in fields:
-        raise InputError(f"dataset {offer.name} takes no path", expected=f"{offer.name}:", got=values["root"])
+        root = values["root"]
+        hint = f"options follow a question mark: {offer.name}:?{root}" if "=" in str(root) else None
+        raise InputError(f"dataset {offer.name} takes no path", expected=f"{offer.name}:", got=root, hint=hint)
     if stage == "data" and "root" in fields and fields["root"].is_required() and "root" not in values:
         raise InputError(f"dataset {offer.name} needs a path", expected=f"{offer.name}:PATH")
     if "seed" in fields:
