@@ -208,7 +208,7 @@ MUTATIONS = (
     ),
     Mutation(
         "array-shape", "cache", "wrong key", f"{_T}/cache.py",
-        "{value.dtype.str} {value.shape};", "{value.dtype.str};", "/".join((_T, "work", "cache.py")),
+        "{value.dtype.str} {value.shape};", "{value.dtype.str};", f"{_T}/work/cache.py",
     ),
     Mutation(
         "held-out-frames", "p2o_train", "leaked truth", "toolkit/p2o_train/train.py",
