@@ -1,6 +1,6 @@
 """How often `matches` finds the pose without an initial guess, alone and refined by the default method.
 
-    python benchmarks/matches.py --root build/data --set upright=true --out build/matches.jsonl
+    python benchmarks/matches.py --root build/data --set calibrator.upright=true --out build/matches.jsonl
     python benchmarks/matches.py --table build/matches.jsonl
 
 Each frame is calibrated alone. The initial guess given to `matches` is the identity, which it does not use; its result
@@ -97,7 +97,9 @@ def main() -> None:
     parser.add_argument("--root", default="build/data", help="folder of kitti_raw, kitti_odometry and rigs")
     parser.add_argument("--only", action="append", metavar="TEXT", help="rows whose name contains TEXT")
     parser.add_argument("--most", type=int, help="frames per row, the first ones")
-    parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE", help="an option of `matches`")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="STAGE.FIELD=VALUE", help="an option of the method"
+    )
     parser.add_argument("--out", type=Path, help="file of finished frames, one JSON object per line")
     parser.add_argument("--table", type=Path, help="file of finished frames: print their table only")
     arguments = parser.parse_args()
@@ -116,7 +118,7 @@ def main() -> None:
     names = [name for name in _SETS if not arguments.only or any(text in name for text in arguments.only)]
     for name in names:
         options = [f"calibrator.offset_m={_SENSOR_OFFSET_M.get(name, 1.0)}"]
-        options += [f"calibrator.{text}" for text in arguments.set]
+        options += arguments.set
         rows = []
         for frame in islice(frames_of(name, arguments.root, registry), arguments.most):
             row = known.get((name, frame.name)) or {"set": name, **measured(frame, options)}

@@ -532,7 +532,7 @@ DIGITS = 5000 * "9"
         (["run", "--recipe", "papr"], "unknown method 'papr'"),
         (
             ["run", "--matcher", "mi"],
-            "--method mi, which stands for --extractor grey/ranked-reflectance --matcher mi --solver",
+            "--method mi, which stands for --extractor grey/reflectance --matcher mi --solver",
         ),
         (["run", "--seed", "-1"], "Invalid value for '--seed'"),
         (["run", "--block", "p2o-calibb"], "unknown plugin to block 'p2o-calibb'"),

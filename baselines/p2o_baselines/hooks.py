@@ -24,8 +24,7 @@ def p2o_image_extractors() -> Iterator[Method]:
 def p2o_cloud_extractors() -> Iterator[Method]:
     """Offer the LiDAR sides."""
     return _offered(
-        "attributes lane_pole_cloud line_points plane_lines ranked_reflectance reflectance returns ring_discontinuity "
-        "voxel_planes"
+        "attributes lane_pole_cloud line_points plane_lines reflectance returns ring_discontinuity voxel_planes"
     )
 
 

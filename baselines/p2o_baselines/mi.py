@@ -8,7 +8,7 @@ shrunk towards equal probabilities (`estimator=james-stein`). Intended for the p
 `per_frame` counts each frame in a histogram of its own and averages their information, which is not in the paper: grey
 values of images with different exposures and scenes do not mix. A frame has fewer points and needs fewer levels:
 `bins=32` and `estimator=counts`. On KITTI's `train` frames it is more accurate than the joint histogram, and therefore
-`--method mi` has it, with two other departures from the paper: reflectances ranked in each ring (`ranked-reflectance`)
+`--method mi` has it, with two other departures from the paper: reflectances ranked in each ring (`cloud.equalise=auto`)
 and a search by `cma-es`, because the descent ends at local minima.
 
 Departures: a grey value between two levels is divided between both, so that the cost has an analytic gradient

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 import p2o
 from p2o import Float, Int, field
-from p2o.reading import told_rings
+from p2o.reading import RingsUnknownError, told_rings
 from scipy.spatial import cKDTree
 
 from p2o_baselines.histogram import by_rank
@@ -20,10 +20,10 @@ class ReflectanceOptions(p2o.Options):
     min_range_m: float = field(1.5, ge=0, le=1000, help="Drop points nearer than this, on the car itself.")
     max_range_m: float = field(80.0, gt=1, le=1000, help="Drop points farther than this.")
     points: int = field(400_000, ge=100, le=10_000_000, help="Largest number of points, evenly sampled.")
-    equalise: Literal["none", "sweep", "ring"] = field(
+    equalise: Literal["none", "sweep", "ring", "auto"] = field(
         "none",
         help="Replace intensities by ranks in the sweep, which matchers that need that do themselves; or in each ring, "
-        "for lasers that are not calibrated to each other.",
+        "for lasers that are not calibrated to each other; `auto`: ring, or sweep where rings are not observable.",
     )
     normal_neighbours: int = field(0, ge=0, le=200, help="Neighbours for surface normals (3 or more); 0: none.")
 
@@ -36,10 +36,9 @@ def extract(cloud: p2o.Cloud, options: ReflectanceOptions) -> p2o.CloudFeatures:
     if options.normal_neighbours and len(near) >= max(options.normal_neighbours, 3):
         normal = normals(xyz, max(options.normal_neighbours, 3))
     intensity = None if cloud.intensity is None else cloud.intensity[near]
-    if intensity is not None and options.equalise == "sweep":
-        intensity = by_rank(intensity)
-    elif intensity is not None and options.equalise == "ring":
-        intensity = ranked_by_ring(intensity, rings(cloud)[near])
+    if intensity is not None and options.equalise != "none":
+        ring = None if options.equalise == "sweep" else _known_rings(cloud, required=options.equalise == "ring")
+        intensity = by_rank(intensity) if ring is None else ranked_by_ring(intensity, ring[near])
     points = p2o.CloudPoints(xyz, intensity, normal, raw_times(cloud, near))
     return p2o.CloudFeatures(points=points.thinned(options.points))
 
@@ -51,6 +50,16 @@ def rings(cloud: p2o.Cloud) -> Int:
     x, y, z = cloud.xyz.T.astype(np.float32)
     azimuth = np.mod(np.arctan2(y, x), np.float32(2 * np.pi))
     return told_rings(azimuth, z / np.maximum(np.hypot(x, y), np.float32(1e-6)))[0]
+
+
+def _known_rings(cloud: p2o.Cloud, required: bool) -> Int | None:
+    """Return the rings of a cloud; None if they are unknown and not required."""
+    try:
+        return rings(cloud)
+    except RingsUnknownError:
+        if required:
+            raise
+        return None
 
 
 def ranked_by_ring(values: Float, ring: Int) -> Float:

@@ -12,7 +12,7 @@ import pytest
 from p2o import se3
 from p2o.reading import RingsUnknownError
 from p2o.solving import Objective
-from p2o_baselines import gom, grey, mi, nid, nmi, ranked_reflectance, reflectance
+from p2o_baselines import gom, grey, mi, nid, nmi, reflectance
 from p2o_baselines.gom import gradients
 from p2o_baselines.histogram import Linear, presence
 from p2o_baselines.information import SeenPoints, Sighting, Span, sightings
@@ -282,11 +282,11 @@ def cloud_with_lasers(ring: np.ndarray, intensity: np.ndarray) -> p2o.Cloud:
     return p2o.Cloud(xyz, ring=ring, intensity=intensity)
 
 
-def test_ranked_reflectance_does_not_depend_on_the_response_of_a_laser() -> None:
+def test_reflectance_ranked_in_each_ring_does_not_depend_on_the_response_of_a_laser() -> None:
     surface = np.random.default_rng(0).permutation(400) / 400
     ring = np.arange(400) % 4
     gain, offset = np.array([1.0, 0.2, 0.5, 0.9])[ring], np.array([0.0, 0.7, 0.3, 0.1])[ring]
-    find = ranked_reflectance.METHOD.build(ranked_reflectance.METHOD.options())
+    find = reflectance.METHOD.build(reflectance.ReflectanceOptions(equalise="auto"))
     even, uneven = (
         find(cloud_with_lasers(ring, each)).get("cloud-points") for each in (surface, np.sqrt(surface) * gain + offset)
     )
@@ -295,7 +295,7 @@ def test_ranked_reflectance_does_not_depend_on_the_response_of_a_laser() -> None
         assert sorted(even.intensity[ring == number]) == pytest.approx((np.arange(100) + 0.5) / 100)
 
 
-def test_ranked_reflectance_of_a_sweep_without_rings_has_the_ranks_of_the_sweep() -> None:
+def test_without_observable_rings_reflectance_is_ranked_in_the_sweep() -> None:
     random = np.random.default_rng(1)
     surface = random.permutation(5000) / 5000
     xyz = random.normal(size=(5000, 3)) * [10, 10, 3]
@@ -303,7 +303,7 @@ def test_ranked_reflectance_of_a_sweep_without_rings_has_the_ranks_of_the_sweep(
     cloud = p2o.Cloud(xyz, intensity=surface[: len(xyz)])
     with pytest.raises(RingsUnknownError):
         reflectance.rings(cloud)
-    points = ranked_reflectance.METHOD.build(ranked_reflectance.METHOD.options())(cloud).get("cloud-points")
+    points = reflectance.METHOD.build(reflectance.ReflectanceOptions(equalise="auto"))(cloud).get("cloud-points")
     found, given = points.intensity[np.lexsort(points.xyz.T)], cloud.intensity[np.lexsort(cloud.xyz.T)]
     assert np.argsort(found).tolist() == np.argsort(given).tolist()
     assert sorted(points.intensity) == pytest.approx((np.arange(len(xyz)) + 0.5) / len(xyz))
@@ -316,8 +316,9 @@ def test_ranks_in_each_ring_make_the_truth_more_informative_for_lasers_that_are_
     cloud = replace(frame.cloud, ring=ring, intensity=gain * frame.cloud.intensity)
     image = grey.METHOD.build(grey.GreyOptions())(frame.image)
     excess = []
-    for method in (reflectance, ranked_reflectance):
-        view = p2o.View("stage", stage.camera(), image, method.METHOD.build(method.METHOD.options())(cloud))
+    for equalise in ("none", "auto"):
+        options = reflectance.ReflectanceOptions(equalise=equalise)
+        view = p2o.View("stage", stage.camera(), image, reflectance.METHOD.build(options)(cloud))
         at_truth, away = problem(mi, [view], TRUTH, bins=32, estimator="counts").cost(np.stack([TRUTH, OFF]))
         excess.append(away - at_truth)
     assert excess[1] > 1.2 * excess[0] > 0
