@@ -2,14 +2,13 @@
 
     python benchmarks/bench.py --keep build/bench/reference.json     # measure, and keep what was measured
     python benchmarks/bench.py --against build/bench/reference.json  # measure, with ratios to what was kept
-    python benchmarks/bench.py --against-commit 1bf09bd              # both commits in turns, ratios within one run
-    python benchmarks/bench.py --against-commit 1bf09bd --poses folder:build/data/rigs/waymo --poses ...
+    python benchmarks/bench.py --against-commit 5993b9f              # both commits in turns, ratios within one run
+    python benchmarks/bench.py --against-commit 5993b9f --poses folder:build/data/rigs/waymo --poses ...
 
-Steps of a frame are measured in one process with one thread (but the simulator's), the first frame of a process
-separately and the others as the minimum over several frames;
-commands in a process of their own, as a user calls them. Of
-several repeats the least counts: other work on the machine only adds. Processor seconds are user and system time of a
-process and its children, peaks are of its memory, of the largest child where it has children.
+Steps of a frame are measured in one process with one thread (except the simulator's), the first frame of a process
+separately; commands in a process of their own, as a user calls them. Figures are medians over frames and repeats.
+Processor seconds are user and system time of a process and its children, peaks are of its memory, of the largest child
+where it has children.
 
 With `--poses` nothing is timed: the same frames are calibrated by both commits, and the largest differences of their
 poses are reported.
@@ -31,6 +30,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -50,10 +50,10 @@ class Cost:
     peak_mib: float = 0.0
 
 
-def least(costs: Sequence[Cost]) -> Cost:
-    """Return the least of each: what is over it was something else on the machine."""
+def middle(costs: Sequence[Cost]) -> Cost:
+    """Return the median of each column."""
     columns = zip(*((cost.cpu_s, cost.wall_s, cost.peak_mib) for cost in costs), strict=True)
-    return Cost(*(min(column) for column in columns))
+    return Cost(*(median(column) for column in columns))
 
 
 def table(costs: Mapping[str, Cost], reference: Mapping[str, Cost], beside: str = "") -> str:
@@ -124,8 +124,8 @@ class Clock:
             self.costs.setdefault(row, []).append(cost)
 
     def rows(self) -> dict[str, Cost]:
-        """Return the least cost of each row."""
-        return {row: least(costs) for row, costs in self.costs.items()}
+        """Return the median cost of each row."""
+        return {row: middle(costs) for row, costs in self.costs.items()}
 
 
 def peak_mib() -> float:
@@ -193,7 +193,10 @@ _STAGES = {"initialize": "search", "refine": "rounds", "adjust": "adjustment", "
 
 def solve(pipeline: Any, views: Sequence[tuple[tuple[Any, ...], Any]], clock: Clock) -> None:
     """Measure the way from features to a pose of each frame, whole and stage by stage."""
-    from p2o.run import pipeline as module
+    try:
+        from p2o.run import pipeline as module
+    except ImportError:  # where it was until 0.1.0
+        from p2o.calibration import pipeline as module
 
     class Stages(module.Clock):  # type: ignore[misc,name-defined]
         """The clock of a calibration, which counts processor time for us as well."""
@@ -327,7 +330,7 @@ def measured(trees: Sequence[Path], names: Sequence[str], data: str, count: int,
                     rows.setdefault(row, []).append(cost)
                 print(".", end="", flush=True, file=sys.stderr)
     print(file=sys.stderr)
-    return [{row: least(costs) for row, costs in rows.items()} for rows in found]
+    return [{row: middle(costs) for row, costs in rows.items()} for rows in found]
 
 
 def differences(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> str:
@@ -353,7 +356,7 @@ def parser() -> argparse.ArgumentParser:
     asked = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     asked.add_argument("--rows", default=",".join((*STEPS, *COMMANDS)), help="what is measured, of: %(default)s")
     asked.add_argument("--count", type=int, default=24, help="frames of the joint calibration (default: 24)")
-    asked.add_argument("--repeats", type=int, default=3, help="of which the least counts (default: 3)")
+    asked.add_argument("--repeats", type=int, default=3, help="the median counts (default: 3)")
     asked.add_argument("--keep", type=Path, metavar="FILE", help="write what was measured here")
     asked.add_argument("--against", type=Path, metavar="FILE", help="show ratios to what was kept here")
     asked.add_argument("--against-commit", metavar="REV", help="measure this commit too, in turns")

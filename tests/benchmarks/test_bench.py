@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from bench import Cost, differences, kept, least, machine, table, to_keep
+from bench import Cost, differences, kept, machine, middle, table, to_keep
 
 
-def test_of_several_repeats_the_least_of_each_number_counts() -> None:
-    assert least([Cost(2.0, 5.0, 300.0), Cost(3.0, 4.0, 200.0)]) == Cost(2.0, 4.0, 200.0)
+def test_of_several_repeats_the_median_of_each_number_counts() -> None:
+    costs = [Cost(2.0, 5.0, 300.0), Cost(3.0, 4.0, 200.0), Cost(9.0, 4.5, 900.0)]
+    assert middle(costs) == Cost(3.0, 4.5, 300.0)
 
 
 def test_rows_stand_beside_their_reference_with_ratios() -> None:
