@@ -248,7 +248,8 @@ def step_poses(data: str, frames: str, joint: bool) -> dict[str, Any]:
 
 def surroundings(tree: Path, **more: str) -> dict[str, str]:
     """Return the environment in which the packages of a tree are the ones that are imported."""
-    path = os.pathsep.join(str(tree / room) for room in ("toolkit", "plugins", "baselines"))
+    rooms = [tree / room for room in ("toolkit", "plugins", "baselines") if (tree / room).is_dir()] or [tree]
+    path = os.pathsep.join(map(str, rooms))
     # Installed packages are compiled once: so are these, wherever their sources are.
     compiled = {"PYTHONDONTWRITEBYTECODE": "", "PYTHONPYCACHEPREFIX": str(HOME / "compiled")}
     return {**os.environ, "PYTHONPATH": path, **compiled, **more}
@@ -298,14 +299,15 @@ def of_command(tree: Path, name: str, data: str, count: int) -> dict[str, Cost]:
 
 @contextlib.contextmanager
 def tree_of(commit: str) -> Iterator[Path]:
-    """Yield a tree of another commit."""
+    """Yield the installed packages of another commit, with the list of their own plugins."""
     with tempfile.TemporaryDirectory() as folder:
-        tree = Path(folder) / "tree"
-        subprocess.run(["git", "worktree", "add", "-q", "--detach", str(tree), commit], cwd=ROOT, check=True)
-        try:
-            yield tree
-        finally:
-            subprocess.run(["git", "worktree", "remove", "--force", str(tree)], cwd=ROOT, check=True)
+        sources, packages = Path(folder) / "sources", Path(folder) / "packages"
+        sources.mkdir()
+        archive = subprocess.run(["git", "archive", commit], cwd=ROOT, stdout=subprocess.PIPE, check=True)
+        subprocess.run(["tar", "-x", "-C", sources], input=archive.stdout, check=True)
+        install = [sys.executable, "-m", "pip", "install", "-q", "--disable-pip-version-check", "--no-build-isolation"]
+        subprocess.run([*install, "--no-deps", "--target", packages, sources], check=True)
+        yield packages
 
 
 def frames_on_disk(count: int) -> str:
