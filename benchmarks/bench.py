@@ -36,7 +36,19 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 HOME = ROOT / "build" / "bench"
 STEPS = ("frame", "grid")
-COMMANDS = ("help", "run", "out", "folder", "joint")
+COMMANDS = ("help", "run", "out", "folder", "joint", "study-1", "study-2", "study-4")
+LONG = ("many",)
+MANY, STUDY_FRAMES, STUDY_SEEDS = 500, 4, 20
+STUDY = """name = "rows"
+title = "Rows"
+perturb = "1deg 0.05m"
+seeds = {seeds}
+[[dataset]]
+name = "streets"
+data = "{data}"
+[[row]]
+label = "ours"
+"""
 START = "2deg 0.15m"
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENCV_FOR_THREADS_NUM": "1"}
 
@@ -271,12 +283,19 @@ def of_command(tree: Path, name: str, data: str, count: int) -> dict[str, Cost]:
     """Return the row of a command as a user calls it."""
     with tempfile.TemporaryDirectory() as out:
         jointly = ["run", "--data", data, "--frames", f"0-{count - 1}", "--joint", "--perturb", START]
+        study = Path(out) / "rows.toml"
+        study.write_text(STUDY.format(data=frames_on_disk(STUDY_FRAMES), seeds=STUDY_SEEDS))
+        ablate = ["ablate", str(study), "--out", out, "--quiet", "--jobs"]
         words = {
             "help": ["--help"],
             "run": ["run"],
             "out": ["run", "--out", out],
             "folder": ["run", "--data", data, "--frames", "0", "--perturb", START],
             "joint": jointly,
+            "many": ["run", "--data", _many() if name == "many" else "", "--joint", "--perturb", START],
+            "study-1": [*ablate, "1"],
+            "study-2": [*ablate, "2"],
+            "study-4": [*ablate, "4"],
         }[name]
         row = {
             "help": "`p2o --help`",
@@ -284,6 +303,8 @@ def of_command(tree: Path, name: str, data: str, count: int) -> dict[str, Cost]:
             "out": "`p2o run --out DIR`",
             "folder": "`p2o run`, a folder frame",
             "joint": f"`p2o run --joint`, {count} frames",
+            "many": f"`p2o run --joint`, {MANY} frames",
+            **{f"study-{n}": f"`p2o ablate`, {STUDY_FRAMES * STUDY_SEEDS} rows, {n} workers" for n in (1, 2, 4)},
         }[name]
         began, own = time.perf_counter(), subprocess.Popen(
             [sys.executable, "-m", "p2o", *words], env=surroundings(tree), stdout=subprocess.DEVNULL
@@ -295,6 +316,12 @@ def of_command(tree: Path, name: str, data: str, count: int) -> dict[str, Cost]:
             raise SystemExit(f"p2o {' '.join(words)} ended with status {own.returncode}")
         scale = 1024 if sys.platform != "darwin" else 1 << 20
         return {row: Cost(used.ru_utime + used.ru_stime, wall, used.ru_maxrss / scale)}
+
+
+def _many() -> str:
+    from memory import many
+
+    return many(MANY, 25)
 
 
 @contextlib.contextmanager
@@ -356,7 +383,7 @@ def differences(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> str:
 
 def parser() -> argparse.ArgumentParser:
     asked = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    asked.add_argument("--rows", default=",".join((*STEPS, *COMMANDS)), help="what is measured, of: %(default)s")
+    asked.add_argument("--rows", default=",".join((*STEPS, *COMMANDS)), help="what is measured, of: %(default)s,many")
     asked.add_argument("--count", type=int, default=24, help="frames of the joint calibration (default: 24)")
     asked.add_argument("--repeats", type=int, default=3, help="the median counts (default: 3)")
     asked.add_argument("--keep", type=Path, metavar="FILE", help="write what was measured here")
@@ -391,7 +418,7 @@ def main() -> None:
                 compare(trees[0], trees[1], text)
             return
         names = [name for name in words.rows.split(",") if name]
-        if unknown := sorted(set(names) - {*STEPS, *COMMANDS}):
+        if unknown := sorted(set(names) - {*STEPS, *COMMANDS, *LONG}):
             raise SystemExit(f"unknown rows: {', '.join(unknown)}")
         data = frames_on_disk(words.count)
         found = measured(trees, names, data, words.count, words.repeats)

@@ -176,7 +176,7 @@ def print_batched() -> None:
         apart = max(max(se3.angle_deg(step), se3.distance_m(step)) for step in steps)
         each_ms = 1e3 * (between - began) / SINGLE
     print(
-        f"{SINGLE} single frames: lm {each_ms:.2f} ms each; batched x {median(ratios[1:]):.1f}, "
+        f"\n{SINGLE} single frames: lm {each_ms:.2f} ms each; batched x {median(ratios[1:]):.1f}, "
         f"apart {apart:.1e} deg or m"
     )
 
@@ -194,17 +194,18 @@ def main() -> None:
         solvers |= {"gtsam, one factor": by_custom_factor, "gtsam, compiled factors": by_projection_factors}
     turns = [{name: timed(solve, problem) for name, solve in solvers.items()} for _ in range(TURNS + 1)][1:]
     reference = turns[0]["lm"][1].camera_from_lidar
-    print(f"{FRAMES} frames x {PAIRS} pairs, median of {TURNS} turns")
-    print(f"{'solver':24}{'ms':>8}{'x lm':>8}{'steps':>7}{'from lm, deg':>14}{'m':>10}{'cost - lm':>12}")
+    print(f"{FRAMES} frames x {PAIRS} pairs, median of {TURNS} turns\n")
+    print("| solver | ms | times lm | steps | deg from lm | m from lm | cost - that of lm |")
+    print("|---|---|---|---|---|---|---|")
     for name in solvers:
         seconds = [turn[name][0] for turn in turns]
         ratio = median(turn[name][0] / turn["lm"][0] for turn in turns)
         solution = turns[0][name][1]
         difference = se3.inverse(reference) @ solution.camera_from_lidar
         print(
-            f"{name:24}{1e3 * median(seconds):8.1f}{ratio:8.1f}{solution.iterations:7d}"
-            f"{se3.angle_deg(difference):14.1e}{se3.distance_m(difference):10.1e}"
-            f"{solution.cost - turns[0]['lm'][1].cost:12.1e}"
+            f"| {name} | {1e3 * median(seconds):.1f} | {ratio:.1f} | {solution.iterations} "
+            f"| {se3.angle_deg(difference):.1e} | {se3.distance_m(difference):.1e} "
+            f"| {solution.cost - turns[0]['lm'][1].cost:.1e} |"
         )
     print_batched()
 
