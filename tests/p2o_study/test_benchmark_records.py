@@ -40,6 +40,13 @@ def test_a_printed_table_is_a_table_of_the_page(tmp_path: Path) -> None:
     assert "\n\n| a | b |\n|--|--|\n| 1 | 2 |\n\n" in read_record(tmp_path, "rates").markdown
 
 
+def test_a_line_of_text_may_precede_a_printed_table(tmp_path: Path) -> None:
+    assert record(tmp_path, "rates", "print('one core\\n\\n| a | b |\\n|--|--|\\n| 1 | 2 |')") == 0
+    assert "\n\none core\n\n| a | b |\n|--|--|\n| 1 | 2 |\n\n" in read_record(tmp_path, "rates").markdown
+    assert record(tmp_path, "rates", "print('one core\\n| a | b |\\n|--|--|\\n| 1 | 2 |')") == 0
+    assert "```text\none core\n" in read_record(tmp_path, "rates").markdown
+
+
 @pytest.mark.parametrize(
     ("code", "message"),
     [

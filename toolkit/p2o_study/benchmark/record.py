@@ -12,6 +12,7 @@ import subprocess
 import time
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from itertools import groupby
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -53,10 +54,12 @@ class Record(BaseModel):
 
     @property
     def markdown(self) -> str:
-        """Command, output and origin; an output of Markdown tables is not quoted."""
+        """Command, output and origin; an output of Markdown tables, with single lines of text around, is not quoted."""
         lines = [line.rstrip() for line in self.output.strip("\n").splitlines()]
-        tables = all(not line or line.startswith("|") for line in lines)
-        shown = lines if tables else ["```text", *lines, "```"]
+        blocks = [list(block) for filled, block in groupby(lines, key=bool) if filled]
+        tables = [all(line.startswith("|") for line in block) for block in blocks]
+        is_markdown = any(tables) and all(table or len(block) == 1 for table, block in zip(tables, blocks, strict=True))
+        shown = lines if is_markdown else ["```text", *lines, "```"]
         machine = f"{self.machine.processor}, {self.machine.cores} cores"
         commit, changed, _ = self.commit.partition("+changes")
         version = commit if commit.startswith("version") else f"commit {commit[:10]}{changed}"
