@@ -67,7 +67,7 @@ def test_intervals_are_over_groups_not_over_calibrations(board: Board, capsys: p
 
 
 def test_rows_that_are_not_measured_are_counted(board: Board, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "2 rows are not measured." in table(board, capsys)
+    assert "Rows not measured: 2." in table(board, capsys)
 
 
 def test_a_foreign_method_is_in_the_table(board: Board, capsys: pytest.CaptureFixture[str]) -> None:

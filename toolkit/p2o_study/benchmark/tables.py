@@ -158,7 +158,7 @@ class SuiteTables:
                 text.append(_line([*map(md_text, cells), *form.cells(row)]))
         missing = sum(key in wanted and key not in lines for key in self.asked)
         if missing:
-            text += [*([""] if lines else []), f"{missing} rows are not measured."]
+            text += [*([""] if lines else []), f"Rows not measured: {missing}."]
         return "\n".join([*text, ""])
 
     def value(self, section: str, label: str, dataset: str, name: str) -> str:
