@@ -158,6 +158,7 @@ def test_a_lost_cluster_is_one_line_that_states_the_next_step(bench: Bench, clus
             worker.kill()
     out, error = process.communicate(timeout=200)
     assert process.returncode == 2, error
+    assert error.count("\n") == 2, error
     kept, line = error.splitlines()
     assert kept.startswith(f"p2o: {_rows(bench)} rows are kept in ")
     assert _rows(bench) >= before

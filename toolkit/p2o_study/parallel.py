@@ -328,17 +328,19 @@ def _next_complete(client: Any, complete: queue.SimpleQueue[Any]) -> tuple[Any, 
 
 @contextlib.contextmanager
 def _silent_dask() -> Iterator[None]:
-    """Suppress the log of dask in this process: what it reports with tracebacks is a row or one line of an error."""
+    """Suppress the log of dask in this process: what it reports with tracebacks is a row or one line of an error.
+
+    After an exception it remains suppressed: tasks of a lost cluster are reported when they are collected, at the
+    latest at the end of the process.
+    """
     names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in _DASK_LOGGERS]
     loggers = [logging.getLogger(name) for name in names]
     before = [logger.disabled for logger in loggers]
-    try:
-        for logger in loggers:
-            logger.disabled = logger.disabled or not _debugging()
-        yield
-    finally:
-        for logger, disabled in zip(loggers, before, strict=True):
-            logger.disabled = disabled
+    for logger in loggers:
+        logger.disabled = logger.disabled or not _debugging()
+    yield
+    for logger, disabled in zip(loggers, before, strict=True):
+        logger.disabled = disabled
 
 
 def _cannot_start() -> str:
