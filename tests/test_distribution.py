@@ -51,7 +51,8 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The source archive, unpacked."""
     folder = tmp_path_factory.mktemp("sdist")
     with tarfile.open(built(ROOT, "sdist", folder)) as held:
-        held.extractall(folder, filter="data")
+        held.extraction_filter = getattr(tarfile, "data_filter", None)  # Python 3.11.2 has no filters
+        held.extractall(folder)
     [unpacked] = [path for path in folder.iterdir() if path.is_dir()]
     return unpacked
 
