@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +65,22 @@ def test_an_extrinsic_in_a_file_that_slipped_is_off(
         said = capsys.readouterr().out
         assert "yaw        off" in said
         assert "yaw +1.5" in said or "yaw +1.4" in said
+
+
+def test_the_page_shows_the_lines_and_columns_of_the_output(
+    truth: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = (Path(__file__).parents[1] / "docs/how-to/check-an-extrinsic.md").read_text(encoding="utf-8")
+    sample = page.partition("```text\n")[2].partition("```")[0]
+    wrong = se3.exp(np.array([0.0, np.radians(1.0), 0.0, 0.0, 0.0, 0.0])) @ truth
+    main(["check", DATA, "--extrinsic", written(tmp_path, wrong.tolist())])
+
+    def labels(text: str) -> list[list[str]]:
+        """Return the words of each line, without numbers and without which axes are off."""
+        lines = (re.sub(r"[-+]?\d\S*|%| (holds|off|cannot tell)\b.*", "", line) for line in text.splitlines())
+        return [line.split() for line in lines if not line.startswith("  warning")]
+
+    assert labels(sample) == labels(capsys.readouterr().out)
 
 
 def test_check_and_watch_take_the_same_words_name_each_frame_and_refuse_unknown_ones(
