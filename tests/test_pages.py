@@ -448,13 +448,13 @@ def _check_options(said: Command) -> None:
     words = said.text.split()[1:]
     command: click.Command = group
     context = click.Context(group, info_name="p2o")
-    while isinstance(command, click.Group) and words and re.fullmatch(r"[a-z-]+(\|[a-z-]+)*", words[0]):
+    while isinstance(command, click.Group) and words and re.fullmatch(r"[a-z][a-z-]*(\|[a-z][a-z-]*)*", words[0]):
         names = words.pop(0).split("|")
         for name in names:
             inner = command.get_command(context, name)
             assert inner is not None, f"{said}: no command {name}"
         command = inner
-    known = {option for parameter in command.params for option in parameter.opts}
+    known = {option for parameter in command.get_params(context) for option in parameter.opts}
     for option in re.findall(r"(?<!\S)(--[a-z-]+)", " ".join(words)):
         assert option in known, f"{said}: no option {option}"
 
