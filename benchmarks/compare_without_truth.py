@@ -10,6 +10,7 @@ and whether the method with the smallest true error is in the top group.
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from p2o_study.parallel import Workers
 from p2o_study.worker import Plugins
 from scipy.stats import spearmanr
 
+COLUMNS = ("score", "repeatability", "to other families", "held-out edges", "held-out nid")
 DRIVES = ("place=street", "place=suburb&lidar=os1-64", "place=yard&lidar=os1-64")
 
 
@@ -37,7 +39,7 @@ def main() -> None:
     plugins = Plugins.of()
     contenders = contenders_of(arguments.methods.split(","), plugins.registry())
     names = ("score", "repeatability", "consensus", "edges", "nid")
-    print(f"| drive | {' | '.join(names)} | best by truth | top group |\n|---|{'---|' * (len(names) + 2)}")
+    print(f"| drive | {' | '.join(COLUMNS)} | smallest true error | group 1 |\n|---|{'---|' * (len(names) + 2)}")
     for number, drive in enumerate(arguments.drives):
         done, comparison = compare(
             contenders,
@@ -63,7 +65,8 @@ def main() -> None:
         top = ", ".join(s.name for s in ranking if s.tier == 1)
         print(f"| {drive} | {' | '.join(columns)} | {best} | {top} |", flush=True)
         for s in ranking:
-            print(f"<!-- {s.name}: {100 * true[s.name]:.1f} cm, score {s.score:.2f}, group {s.tier} -->", flush=True)
+            said = f"{s.name}: {100 * true[s.name]:.1f} cm, score {s.score:.2f}, group {s.tier}"
+            print(f"{drive}: {said}", file=sys.stderr, flush=True)
 
 
 def _value(standing: object, name: str) -> float:

@@ -58,7 +58,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=1, help="starts of each frame")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     arguments = parser.parse_args()
-    made_up = arguments.made_up
+    made_up = arguments.synthetic
     if made_up.startswith("synthetic:"):
         made_up += f"{'&' if '?' in made_up else '?'}scenes={arguments.scenes}"
     sources = {
@@ -130,7 +130,7 @@ def figures(frames: Sequence[Measured]) -> dict[str, str]:
     out["LiDAR edges a frame: median (quartiles)"] = spread([frame.meeting.points for frame in frames])
     # All edges have the same weight, independent of their frame.
     points = np.array([frame.meeting.points for frame in frames], dtype=float)
-    for name, word in (("with an image edge", "near"), ("by chance", "chance")):
+    for name, word in (("with an image edge", "near"), ("expected under random alignment", "chance")):
         shares = np.array([getattr(frame.meeting, word) for frame in frames])
         pooled = f"{shares @ points / points.sum():.3f}" if points.any() else "-"
         title = f"share of LiDAR edges {name} within {NEAR_PX:g} px, all (median frame)"

@@ -25,7 +25,7 @@ def main() -> None:
     said = parser.parse_args()
     wrong, rng = parse_perturbation(said.wrong), np.random.default_rng(0)
     image, cloud = (
-        idt.IMAGE.build(idt.ImageOptions()),
+        idt.IMAGE.build(idt.IMAGE.options()),
         ring_discontinuity.METHOD.build(ring_discontinuity.METHOD.options()),
     )
     match, shares = idt.build(idt.IdtOptions()), []

@@ -68,7 +68,7 @@ class Tally:
         how = ", ".join(f"{count} by {name}" for name, count in sorted(self.kills.items()))
         head = (
             f"{self.kills.total()} kills ({how}), {self.among_rows} of them among the rows; {self.studies} studies "
-            f"of {self.rows} rows came to their end; {len(self.broken)} promises broken"
+            f"of {self.rows} rows came to their end; {len(self.broken)} conditions violated"
         )
         return "\n".join([head, *(f"  {line}" for line in self.broken)])
 
@@ -94,7 +94,7 @@ def campaign(kills: int, seed: int, home: Path, *, scenes: int = 3, seeds: int =
         folder = home / f"study-{tally.studies}"
         while _disturbed(file, folder, jobs, rng, pace, tally, expected, kills):
             if report:
-                now = f"{len(_rows(folder))} of {tally.rows} rows, {len(tally.broken)} promises broken"
+                now = f"{len(_rows(folder))} of {tally.rows} rows, {len(tally.broken)} conditions violated"
                 lines = [f"{tally.kills.total()} kills, {now}", *tally.broken[-1:]]
                 print("\n  ".join(lines), file=sys.stderr, flush=True)
         found = _rows(folder)

@@ -1,7 +1,8 @@
-"""Calibrate good and bad simulated scenes for docs/how-to/record-good-data.md, print its tables and draw its figures.
+"""Calibrate good and bad simulated scenes for docs/how-to/record-good-data.md, print its tables, draw its figures.
 
-    python benchmarks/recording.py                          # the tables
+    python benchmarks/recording.py                          # the table of scenes, single frames
     python benchmarks/recording.py --gallery docs/gallery   # and the figures
+    python benchmarks/recording.py --groups                 # the table of groups of frames, jointly
 
 Each figure shows an image, and below it the overlay `after.png` of `p2o run --out`: edges of the image as lines, edges
 of the sweep at the result as rings. The initial guesses have an error of 2 deg and 15 cm.
@@ -100,11 +101,16 @@ def save(path: Path, rgb: UInt8) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--gallery", type=Path, help="also write the figures to this folder")
-    parser.add_argument("--groups", action="store_true", help="also calibrate groups of frames jointly")
+    parser.add_argument("--groups", action="store_true", help="calibrate groups of frames jointly instead")
     arguments = parser.parse_args()
-    print("| scene | verdict | predicted error (67 %) | error |\n|---|---|---|---|")
     with tempfile.TemporaryDirectory() as name:
         home = Path(name)
+        if arguments.groups:
+            print("| frames | verdict | predicted error (67 %) | error |\n|---|---|---|---|")
+            for group, options in GROUPS.items():
+                print(row(group, calibrated(synthetic(options), home / group, "--joint")), flush=True)
+            return
+        print("| scene | verdict | predicted error (67 %) | error |\n|---|---|---|---|")
         data = {scene: synthetic(options) for scene, options in SCENES.items()}
         data["late-image"] = late_image(home / "late")
         for scene, source in data.items():
@@ -114,8 +120,6 @@ def main() -> None:
                 *_, frame = open_dataset(source, p2o.Registry.load())
                 [overlay] = (home / scene).glob("*/after.png")
                 save(arguments.gallery / f"record-{scene}.webp", figure(frame.image.rgb, overlay))
-        for group, options in GROUPS.items() if arguments.groups else ():
-            print(row(group, calibrated(synthetic(options), home / group, "--joint")), flush=True)
 
 
 if __name__ == "__main__":
