@@ -65,8 +65,8 @@ def main() -> None:
         top = ", ".join(s.name for s in ranking if s.tier == 1)
         print(f"| {drive} | {' | '.join(columns)} | {best} | {top} |", flush=True)
         for s in ranking:
-            said = f"{s.name}: {100 * true[s.name]:.1f} cm, score {s.score:.2f}, group {s.tier}"
-            print(f"{drive}: {said}", file=sys.stderr, flush=True)
+            line = f"{s.name}: {100 * true[s.name]:.1f} cm, score {s.score:.2f}, group {s.tier}"
+            print(f"{drive}: {line}", file=sys.stderr, flush=True)
 
 
 def _value(standing: object, name: str) -> float:

@@ -58,11 +58,11 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=1, help="starts of each frame")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     arguments = parser.parse_args()
-    made_up = arguments.synthetic
-    if made_up.startswith("synthetic:"):
-        made_up += f"{'&' if '?' in made_up else '?'}scenes={arguments.scenes}"
+    synthetic = arguments.synthetic
+    if synthetic.startswith("synthetic:"):
+        synthetic += f"{'&' if '?' in synthetic else '?'}scenes={arguments.scenes}"
     sources = {
-        "synthetic": (made_up, "all", arguments.scenes),
+        "synthetic": (synthetic, "all", arguments.scenes),
         "real": (arguments.data, arguments.frames, arguments.most),
     }
     images = arguments.extractors.split(",")
