@@ -18,12 +18,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from joblib import Parallel, delayed
-from p2o.confidence.agreement import NEAR_PX, agreement
 from p2o.features.side import SIDES
 from p2o.frames.selection import select
 from p2o.geometry.perturb import parse_perturbation
 from p2o.geometry.pose_error import PoseError, pose_error, summarise
 from p2o.host.registry import Registry
+from p2o.problems.agreement import NEAR_PX, agreement
 from p2o.results.evidence import Agreement
 from p2o.results.verdict import Trust
 from p2o.run.recipe import Recipe, open_dataset

@@ -37,10 +37,10 @@ from edge_scores import (
 )
 from p2o import SIDES, CloudExtractor, Frame, ImageEdges, ImageExtractor, InputError, P2OError, Side, View
 from p2o.arrays import Bool, Float
-from p2o.confidence.agreement import agreement
 from p2o.frames.selection import select
 from p2o.host.method import Kind
 from p2o.host.registry import Registry
+from p2o.problems.agreement import agreement
 from p2o.run.recipe import Part, open_dataset, parse_settings, split_data, validated
 from p2o_sim import synthetic
 from reliability import Reliability, draw_reliability, reliability

@@ -102,7 +102,7 @@ class Mixture:
 
 
 @dataclass(frozen=True, eq=False)
-class GmmJudge:
+class GmmJudge(p2o.JudgeBase):
     """Judges by the mixture of the smallest width, all poses on the points that are near the image at `around`."""
 
     views: tuple[p2o.View, ...]
@@ -119,10 +119,6 @@ class GmmJudge:
         """Return the cost of each pose (4, 4)."""
         costs: list[float] = self._mixture.cost(np.stack(poses)).tolist()
         return costs
-
-    def lead(self, best: float, other: float) -> tuple[float, str]:
-        """Return the difference of the costs."""
-        return other - best, self.unit
 
     def on(self, views: Sequence[p2o.View]) -> GmmJudge:
         """Return the judge for other views."""

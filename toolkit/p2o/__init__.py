@@ -40,7 +40,8 @@ if TYPE_CHECKING:
     from p2o.host.registry import Registry as Registry
     from p2o.host.stages import Accumulator as Accumulator, Calibrator as Calibrator, CloudExtractor as CloudExtractor
     from p2o.host.stages import Exporter as Exporter, ImageExtractor as ImageExtractor, Initializer as Initializer
-    from p2o.host.stages import InitializerBase as InitializerBase, Judge as Judge, Matcher as Matcher
+    from p2o.host.stages import InitializerBase as InitializerBase, Judge as Judge, JudgeBase as JudgeBase
+    from p2o.host.stages import Matcher as Matcher
     from p2o.host.stages import MatcherBase as MatcherBase, Solver as Solver
     from p2o.host.method import Trainer as Trainer, TrainingGroup as TrainingGroup
     from p2o.host.method import TrainingProgress as TrainingProgress

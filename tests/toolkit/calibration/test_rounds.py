@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from p2o import Solution, Status, se3
+from p2o import JudgeBase, Solution, Status, se3
 from p2o.calibration.options import PipelineOptions
 from p2o.calibration.rounds import End, Rounds
 from p2o.solving import Objective
@@ -17,16 +17,13 @@ def at(x_m: float) -> np.ndarray:
     return se3.make(translation=[x_m, 0, 0])
 
 
-class FromOrigin:
+class FromOrigin(JudgeBase):
     """A judge whose cost is the distance of a pose from the origin."""
 
     name, unit = "distance", "m"
 
     def costs(self, poses: Sequence[np.ndarray]) -> list[float]:
         return [float(np.linalg.norm(pose[:3, 3])) for pose in poses]
-
-    def lead(self, best: float, other: float) -> tuple[float, str]:
-        return other - best, self.unit
 
     def on(self, views: Any) -> FromOrigin:
         return self

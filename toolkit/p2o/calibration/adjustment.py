@@ -76,6 +76,8 @@ def fit_with_nuisances(
     motions: Sequence[EgoMotion] = (),
     twists: Float | None = None,
     time: TimeFit | None = None,
+    weights: Float | None = None,
+    scenes: Int | None = None,
 ) -> Adjustment:
     """Fit pose, radial errors of cameras, motions of sweeps and a time offset to pairs by least squares.
 
@@ -84,9 +86,11 @@ def fit_with_nuisances(
     offset is fitted from the initial value `time`; `twists` (F, 6) are the known velocities of the LiDAR, zero where
     unknown. The robust sum is that of the problem (Huber; Eq. 1 of the paper). With cameras, the widths of outlines are
     fitted, too: systematic edge bias must not be absorbed by the focal length. Gaussian priors: errors of cameras 1 %
-    and 0.02, the time offset 50 ms, motions as `prior`. Covariances are cluster robust: pairs of one direction within
-    64 px are one measurement (Liang and Zeger, 1986). Cameras without a radial coefficient are not fitted. Raises
-    InputError for a problem without pairs, and where motions or twists are not one a frame.
+    and 0.02, the time offset 50 ms, motions as `prior`. The prior of a motion counts with the weight of its frame, as
+    its pairs do (`weights` (F,), with a mean of 1). Covariances are cluster robust: pairs of one direction within 64 px
+    are one measurement (Liang and Zeger, 1986), in all frames of one of the `scenes` (F,). Cameras without a radial
+    coefficient are not fitted. Raises InputError for a problem without pairs, and where motions or twists are not one
+    a frame.
     """
     if not len(problem):
         raise InputError("there are no pairs to fit", expected="at least one pair", got="none")
@@ -95,7 +99,7 @@ def fit_with_nuisances(
     if time is not None and (twists is None or len(twists) != len(problem.cameras)):
         got = "none" if twists is None else len(twists)
         raise InputError("the velocities are not one a frame", expected=len(problem.cameras), got=got)
-    model = _Model.of(problem, camera_from_lidar, fits_cameras, known or {}, prior, motions, twists, time)
+    model = _Model.of(problem, camera_from_lidar, fits_cameras, known or {}, prior, motions, twists, time, weights)
     pose, state = np.asarray(camera_from_lidar, np.float64), model.start
     rows, own, residuals = model.linearised(pose, state)
     began = residuals
@@ -112,7 +116,7 @@ def fit_with_nuisances(
         if np.abs(step).max() < _CONVERGED:
             break
     inverse = np.asarray(np.linalg.pinv(hessian))
-    clustered, places = _clustered(problem, rows, own, residuals)
+    clustered, places = _clustered(problem, rows, own, residuals, scenes)
     covariance = inverse @ clustered @ inverse
     expected = np.diag(model.prior_score(precision))
     surely = inverse @ (_SIGMA_INFLATION**2 * clustered + expected) @ inverse
@@ -144,6 +148,7 @@ class _Model:
     The state (N,) is focal and radial of every camera in `asked`, the widths of outlines, the time offset if there is
     a `time`, then speed and turn of every frame. `by_shared` are derivatives by the first two, computed once. `motions`
     (F, 2) are those that the points are corrected for, none without a `prior`; `by_time` (K, 3) is their velocity.
+    `weights` (F,) are those of the frames.
     """
 
     problem: PointToLine
@@ -154,6 +159,7 @@ class _Model:
     motions: Float
     time: TimeFit | None
     by_time: Float
+    weights: Float
 
     @classmethod
     def of(
@@ -166,6 +172,7 @@ class _Model:
         motions: Sequence[EgoMotion],
         twists: Float | None,
         time: TimeFit | None,
+        weights: Float | None,
     ) -> _Model:
         correctable = [camera for camera in dict.fromkeys(problem.cameras) if is_correctable(camera)]
         errors = {camera: known.get(camera, RadialError()) for camera in correctable}
@@ -180,7 +187,8 @@ class _Model:
             its = np.asarray(twists, np.float64)[problem.frame]
             by_time = -(np.cross(its[:, :3], problem.xyz) + its[:, 3:])
         asked = tuple(correctable) if fits_cameras else ()
-        return cls(problem, errors, asked, by_shared, prior, np.reshape(numbers, (-1, 2)), time, by_time)
+        weights = np.ones(len(problem.cameras)) if weights is None else weights
+        return cls(problem, errors, asked, by_shared, prior, np.reshape(numbers, (-1, 2)), time, by_time, weights)
 
     @property
     def shared(self) -> int:
@@ -264,7 +272,7 @@ class _Model:
             out[5 + self.shared] = outline_variance / TIME_SIGMA_S**2
         if self.prior is not None:
             sigma = np.array([self.prior.speed_sigma, self.prior.turn_sigma])
-            out[6 + self.shared :] = np.tile(outline_variance / sigma**2, len(self.motions))
+            out[6 + self.shared :] = np.outer(self.weights, outline_variance / sigma**2).ravel()
         return out
 
     def prior_score(self, precision: Float) -> Float:
@@ -349,10 +357,11 @@ def _outward(problem: PointToLine) -> Float:
     return np.column_stack([out * upright, out * ~upright])
 
 
-def _clustered(problem: PointToLine, rows: Float, own: Any, residuals: Float) -> tuple[Float, int]:
-    """Return the covariance (N, N) of the gradient, with pairs of one view, side and cell as one, and their count."""
+def _clustered(problem: PointToLine, rows: Float, own: Any, residuals: Float, scenes: Int | None) -> tuple[Float, int]:
+    """Return the covariance (N, N) of the gradient, with pairs of one scene, side and cell as one, and their count."""
     cell = np.floor(problem.centre / OUTLINE_CELL_PX).astype(np.int64)
-    _, place = np.unique(np.column_stack([problem.frame, problem.side, cell]), axis=0, return_inverse=True)
+    scene = problem.frame if scenes is None else scenes[problem.frame]
+    _, place = np.unique(np.column_stack([scene, problem.side, cell]), axis=0, return_inverse=True)
     score = _summed(problem, rows, own, residuals, place.reshape(-1))
     return np.asarray(score.T @ score), len(score)
 

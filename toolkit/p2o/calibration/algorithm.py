@@ -10,15 +10,15 @@ import numpy as np
 
 from p2o.arrays import Float
 from p2o.calibration.interval_search import most_likely_pose
-from p2o.calibration.judge import DirectedJudge, Judge, is_sparse, judge_of
+from p2o.calibration.judge import is_sparse, judge_of
 from p2o.calibration.nuisance import Nuisance, NuisanceEstimate, estimate_nuisances, known_twists, motion_prior
 from p2o.calibration.options import PipelineOptions
-from p2o.calibration.rivals import rival_poses
 from p2o.calibration.rounds import End, Rounds
 from p2o.calibration.search_box import SearchBox
 from p2o.features.view import View
 from p2o.geometry import se3
-from p2o.host.stages import Initializer, InitializerBase, Matcher, Solver
+from p2o.host.stages import Initializer, InitializerBase, JudgeBase, Matcher, Solver
+from p2o.problems.distinct_views import weighted
 from p2o.results.result import Status
 
 EDGES = frozenset({"image-edges", "cloud-edges"})
@@ -46,7 +46,7 @@ class Refined:
     views: VisibleViews
     start: Float
     ends: Sequence[End]
-    judge: Judge
+    judge: JudgeBase
     box: SearchBox | None = None
     rivals: Sequence[End] = ()
 
@@ -154,13 +154,11 @@ class Algorithm:
 
     def _near_ends(self, refined: Refined, count: int) -> list[End]:
         """Return the ends of rounds from up to `count` poses of low cost near the best one."""
-        if not isinstance(refined.judge, DirectedJudge):
-            return []
         rounds, start, views = Rounds(self.matcher, self.solver, self.options), refined.start, refined.views.corrected
-        reach_px, poses = self.options.min_reach_px, rival_poses(refined.judge, refined.best.pose, count)
+        reach_px, poses = self.options.min_reach_px, refined.judge.rivals(refined.best.pose, count)
         return [rounds(views, start, p, refined.judge, reach_px=reach_px, found_by="initialize") for p in poses]
 
-    def judge(self, views: Sequence[View], start: Float, poses: Sequence[Float]) -> Judge:
+    def judge(self, views: Sequence[View], start: Float, poses: Sequence[Float]) -> JudgeBase:
         """Return the judge of poses (4, 4) that are proposed from an initial one (4, 4)."""
         reach = {"truncate_px": self.options.judge_px, "reach_px": self.options.min_reach_px}
         reach["interval_deg"] = self.options.interval_deg
@@ -185,9 +183,13 @@ class VisibleViews:
 
     @classmethod
     def of(cls, views: Sequence[View], camera_from_lidar: Float, nuisance: Nuisance, *, directed: bool) -> VisibleViews:
-        """Return the views as visible at a pose (4, 4); with `directed`, edge directions are in its image axes."""
+        """Return the views as visible at a pose (4, 4), weighted by what each of them alone shows.
+
+        With `directed`, edge directions are in the image axes of the pose.
+        """
         turned = [view.as_seen_from(camera_from_lidar) for view in views] if directed else views
-        return cls([view.without_hidden(camera_from_lidar) for view in turned], nuisance)
+        visible = weighted([view.without_hidden(camera_from_lidar) for view in turned], camera_from_lidar)
+        return cls(visible, nuisance.of_views(visible))
 
     @cached_property
     def corrected(self) -> list[View]:

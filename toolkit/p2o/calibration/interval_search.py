@@ -31,12 +31,17 @@ def most_likely_pose(views: Sequence[View], start: Float, proposals: Sequence[Fl
     Poses of a left update are drawn from a Gaussian that follows the best tenth of each generation (Rubinstein, 1999).
     """
     rng = np.random.default_rng(seed)
-    some = views[:: -(-len(views) // _MAX_VIEWS)]
     mean, spread, shares = np.zeros(6), np.diag(_SPREAD**2), None
     first = np.array([se3.log(pose @ se3.inverse(start)) / _UNIT for pose in proposals]).reshape(-1, 6)
     for sigma_px, population, generations in _LEVELS:
         likelihood = IntervalLikelihood.of(
-            some, start, sigma_px, margin_px=_MARGIN_PX, max_points=_MAX_POINTS, shares=shares
+            views,
+            start,
+            sigma_px,
+            margin_px=_MARGIN_PX,
+            max_points=_MAX_POINTS,
+            max_views=_MAX_VIEWS,
+            shares=shares,
         )
         if not likelihood.points:
             return start

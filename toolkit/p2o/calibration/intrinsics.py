@@ -271,12 +271,13 @@ class _Field:
         return _State(pose, errors, distances, cost)
 
     def cells(self, pose: Float) -> Int:
-        """Return the number (K,) of the view, direction and cell of the image that each point belongs to."""
+        """Return the number (K,) of the scene, direction and cell of the image that each point belongs to."""
         keys = []
         for part in self.cost.parts:
             uv = np.nan_to_num(part.camera.project(se3.apply(pose @ self.cost.lidar_from_around, part.xyz)), nan=-1.0)
             cell = np.floor(uv / OUTLINE_CELL_PX).astype(np.int64)
-            keys.append(np.column_stack([np.full(len(cell), part.view), part.side_index, cell]))
+            scene = np.full(len(cell), self.cost.scenes[part.view])
+            keys.append(np.column_stack([scene, part.side_index, cell]))
         return np.asarray(np.unique(np.concatenate(keys), axis=0, return_inverse=True)[1].reshape(-1))
 
     def evidence(self, before: _State, after: _State, cells: Int) -> float:

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
 
 import numpy as np
 
 from p2o.arrays import Float
 from p2o.features.view import View
 from p2o.geometry import se3
-from p2o.host.stages import Judge as Judge
-from p2o.host.stages import Matcher, MatcherBase
+from p2o.host.stages import JudgeBase, LogLikelihood, Matcher, MatcherBase
+from p2o.problems.agreement import agreement_of
 from p2o.problems.directed_cost import DirectedCost
 from p2o.problems.interval_likelihood import IntervalLikelihood, ring_step_deg
 from p2o.problems.problem import LeastSquares, Problem
+from p2o.problems.rivals import rival_poses
+from p2o.results.evidence import Agreement
 from p2o.results.result import DIRECTED, INTERVALS
 
 _MOST_VIEWS = 128
@@ -23,12 +24,13 @@ _MOST_VIEWS = 128
 
 
 @dataclass(frozen=True, eq=False)
-class DirectedJudge:
+class DirectedJudge(JudgeBase):
     """Judges by the directed distance: the points are those that the start or a proposed pose brings into the image."""
 
     cost: DirectedCost
-    name: ClassVar[str] = DIRECTED
-    unit: ClassVar[str] = "px"
+    name: str = DIRECTED
+    unit: str = "px"
+    camera_errors: tuple[bool, bool, bool, bool] = (True, True, True, True)
     _known: dict[bytes, float] = field(default_factory=dict)
 
     @classmethod
@@ -52,6 +54,10 @@ class DirectedJudge:
         """Return the judge of the same points and weights where `views` put them."""
         return replace(self, cost=self.cost.on(views), _known={})
 
+    def rivals(self, pose: Float, count: int) -> list[Float]:
+        """Return up to `count` poses (4, 4) of low cost near a pose."""
+        return rival_poses(self.cost, pose, count)
+
 
 SIGMA_PX = 2.0
 """Standard deviation in pixels of an image edge from the outline that it belongs to."""
@@ -65,19 +71,22 @@ that were up to 10 nats worse than a wrong one were right (single frames of a KI
 
 
 @dataclass(frozen=True, eq=False)
-class IntervalJudge:
+class IntervalJudge(JudgeBase):
     """Judges by the likelihood of the intervals between beams, for sweeps whose rings are far apart."""
 
     likelihood: IntervalLikelihood
-    name: ClassVar[str] = INTERVALS
-    unit: ClassVar[str] = "nats"
+    name: str = INTERVALS
+    unit: str = "nats"
+    # Edges between rings that are far apart do not reveal the vertical principal point.
+    camera_errors: tuple[bool, bool, bool, bool] = (True, True, True, False)
 
     @classmethod
     def of(cls, views: Sequence[View], start: Float, poses: Sequence[Float]) -> IntervalJudge:
         """Return the judge of poses near the start; shares of edges with a counterpart are those of the best pose."""
         margin_px = _margin_px(views, start, poses)
-        some = views[:: -(-len(views) // _MOST_VIEWS)]
-        likelihood = IntervalLikelihood.of(some, start, SIGMA_PX, margin_px=margin_px, max_points=_MAX_INTERVALS)
+        likelihood = IntervalLikelihood.of(
+            views, start, SIGMA_PX, margin_px=margin_px, max_points=_MAX_INTERVALS, max_views=_MOST_VIEWS
+        )
         for _ in range(2):
             likelihood = likelihood.fitted(poses[int(np.argmax(likelihood(np.stack(poses))))])
         return cls(likelihood)
@@ -95,7 +104,24 @@ class IntervalJudge:
 
     def on(self, views: Sequence[View]) -> IntervalJudge:
         """Return the judge of the same edges and weights where `views` put them."""
-        return IntervalJudge(self.likelihood.on(views[:: -(-len(views) // _MOST_VIEWS)]))
+        return IntervalJudge(self.likelihood.on(views))
+
+    def agreement(self, views: Sequence[View], pose: Float) -> Agreement | None:
+        """Return how many intervals of views contain an image edge at a pose (4, 4)."""
+        return agreement_of(views, pose, intervals=True)
+
+    def covariance(self, pose: Float) -> Float:
+        """Return the covariance (6, 6) of the maximum, with the error by the position of outlines between beams."""
+        return self.likelihood.covariance(pose)
+
+    def maximised(self, pose: Float) -> Float:
+        """Return the pose (4, 4) of the local maximum of the likelihood near a pose."""
+        return self.likelihood.maximised(pose)
+
+    @property
+    def log_likelihood(self) -> LogLikelihood:
+        """The log likelihood ratio of a pose."""
+        return self.likelihood.with_gradient
 
 
 def is_sparse(views: Sequence[View], interval_deg: float) -> bool:
@@ -110,7 +136,7 @@ def _margin_px(views: Sequence[View], start: Float, poses: Sequence[Float]) -> f
 
 
 @dataclass(frozen=True, eq=False)
-class ProblemJudge:
+class ProblemJudge(JudgeBase):
     """Judges by the method's own cost, for methods without directed edges.
 
     What a matcher pairs depends on the pose it is asked at. So it is asked at every pose that takes part, and each pose
@@ -120,8 +146,8 @@ class ProblemJudge:
     matcher: Matcher
     views: tuple[View, ...]
     reach_px: float
-    name: ClassVar[str] = "own-cost"
-    unit: ClassVar[str] = "cost"
+    name: str = "own-cost"
+    unit: str = "cost"
     _known: dict[bytes, Problem] = field(default_factory=dict)
 
     def costs(self, poses: Sequence[Float]) -> list[float]:
@@ -144,10 +170,6 @@ class ProblemJudge:
             return costs / total if total > 0 else np.full(len(stack), np.inf)
         return costs
 
-    def lead(self, best: float, other: float) -> tuple[float, str]:
-        """Return the difference of the costs."""
-        return other - best, self.unit
-
     def on(self, views: Sequence[View]) -> ProblemJudge:
         """Return the judge of other views."""
         return replace(self, views=tuple(views), _known={})
@@ -163,7 +185,7 @@ def judge_of(
     truncate_px: float,
     reach_px: float,
     interval_deg: float = 90.0,
-) -> Judge:
+) -> JudgeBase:
     """Return the judge of a method: the matcher's own, else by directed edges where it needs edges, else by its cost.
 
     Directed edges of sweeps whose rings are at least `interval_deg` apart are judged as intervals.
@@ -172,6 +194,7 @@ def judge_of(
     """
     own = matcher.judge(views, start, poses) if isinstance(matcher, MatcherBase) else None
     if own is not None:
+        assert isinstance(own, JudgeBase)  # the guard has seen to it
         return own
     if {"image-edges", "cloud-edges"} <= needs:
         if is_sparse(views, interval_deg):

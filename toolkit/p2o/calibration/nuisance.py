@@ -8,22 +8,21 @@ from typing import TypeGuard
 
 import numpy as np
 
-from p2o.arrays import Float
+from p2o.arrays import Float, Int
 from p2o.calibration.adjustment import Adjustment, MotionFit, TimeFit, fit_with_nuisances
 from p2o.calibration.intrinsics import IntrinsicsEstimate, estimate_intrinsics
-from p2o.calibration.judge import DirectedJudge, IntervalJudge, Judge
 from p2o.calibration.options import PipelineOptions
 from p2o.calibration.rounds import End, Rounds
 from p2o.features.view import View
 from p2o.geometry.camera import Camera
 from p2o.geometry.motion import EgoMotion, MotionPrior, pose_at
 from p2o.geometry.radial_error import RadialError, RadialFit
+from p2o.host.stages import JudgeBase
+from p2o.problems.distinct_views import scenes_of, view_weights
 from p2o.problems.point_to_line import PointToLine
 from p2o.problems.problem import Problem
 from p2o.results.result import SweepMotion, TimeOffset
 
-EdgeJudge = DirectedJudge | IntervalJudge
-"""Judges of directed edges, from which nuisance parameters are observable."""
 _MAX_ROUNDS = 12
 _REACH_FACTOR, _SHRINK = 1.6, 0.85
 _STILL_PX = 0.05
@@ -65,7 +64,8 @@ def known_twists(views: Sequence[View], options: PipelineOptions) -> Float | Non
 class Nuisance:
     """Values of the nuisance parameters: errors of cameras, motions (one a view, or none) and an offset in time.
 
-    `twists` (F, 6) are the velocities that make the offset observable, None where it is not.
+    `twists` (F, 6) are the velocities that make the offset observable, None where it is not. `weights` (F,) and
+    `scenes` (F,) are those of the views (`p2o.problems.distinct_views`), None where every view counts once.
     """
 
     prior: MotionPrior | None = None
@@ -73,6 +73,8 @@ class Nuisance:
     motions: tuple[MotionFit, ...] = ()
     twists: Float | None = None
     time: TimeFit | None = None
+    weights: Float | None = None
+    scenes: Int | None = None
 
     @classmethod
     def expected(cls, views: Sequence[View], prior: MotionPrior | None, twists: Float | None = None) -> Nuisance:
@@ -81,6 +83,10 @@ class Nuisance:
             return cls(twists=twists)
         motions = (MotionFit(prior.expected, prior.covariance),) * len(views)
         return cls(prior, motions=motions, twists=twists)
+
+    def of_views(self, views: Sequence[View]) -> Nuisance:
+        """Return the same values with the weights and scenes of views."""
+        return replace(self, weights=view_weights(views), scenes=scenes_of(views))
 
     def timed(self) -> Nuisance:
         """Return the same values with an offset in time to be estimated."""
@@ -98,6 +104,8 @@ class Nuisance:
             motions=motions,
             twists=self.twists,
             time=self.time,
+            weights=self.weights,
+            scenes=self.scenes,
         )
 
     def after(self, fit: Adjustment) -> Nuisance:
@@ -139,7 +147,7 @@ class NuisanceEstimate:
     """
 
     end: End
-    judge: Judge
+    judge: JudgeBase
     nuisance: Nuisance
     cameras: tuple[RadialFit, ...] = ()
     cameras_corrected: bool = False
@@ -150,7 +158,7 @@ class NuisanceEstimate:
 
 
 def estimate_nuisances(
-    raw: Sequence[View], start: Float, best: End, judge: Judge, nuisance: Nuisance, rounds: Rounds
+    raw: Sequence[View], start: Float, best: End, judge: JudgeBase, nuisance: Nuisance, rounds: Rounds
 ) -> NuisanceEstimate:
     """Estimate the nuisance parameters along with the best pose.
 
@@ -161,25 +169,25 @@ def estimate_nuisances(
     """
     options, cameras = rounds.options, tuple(view.camera for view in raw)
     fits_cameras, refines = options.camera != "trust", options.camera == "refine"
-    if not enough_pairs(best.problem):
-        if best.problem is None:
-            return NuisanceEstimate(best, judge, nuisance)
-        fit = nuisance.fit(best.problem, cameras, best.pose, fits_cameras=fits_cameras)
+    if best.pairs is None:
+        return NuisanceEstimate(best, judge, nuisance)
+    if not enough_pairs(best.pairs):
+        fit = nuisance.fit(best.pairs, cameras, best.pose, fits_cameras=fits_cameras)
         return NuisanceEstimate(best, judge, nuisance, covariance=fit.covariance, places=fit.places)
     refined: Adjustment | None = None
     offset: TimeFit | None = None
-    if refines and isinstance(judge, EdgeJudge):
+    if refines and any(judge.camera_errors):
         corrected_cameras = _cameras_corrected(raw, start, best, judge, nuisance, rounds)
         if corrected_cameras is not None:
             best, judge, nuisance = corrected_cameras
-    if (refines or nuisance.prior is not None) and isinstance(judge, EdgeJudge):
+    if (refines or nuisance.prior is not None) and any(judge.camera_errors):
         better = _refined_jointly(raw, start, best, judge, nuisance, rounds)
         if better is not None:
             best, judge, refined = better
             nuisance = nuisance.after(refined)
-    if nuisance.twists is not None and isinstance(judge, EdgeJudge):
-        assert best.problem is not None
-        offset = nuisance.timed().fit(best.problem, cameras, best.pose, fits_cameras=refines).time
+    if nuisance.twists is not None and any(judge.camera_errors):
+        assert best.pairs is not None
+        offset = nuisance.timed().fit(best.pairs, cameras, best.pose, fits_cameras=refines).time
         better = _refined_jointly(raw, start, best, judge, nuisance.timed(), rounds)
         time_fit = None if better is None else better[2].time
         if better is not None and time_fit is not None and abs(time_fit.offset_s) > _SIGNIFICANT * time_fit.sigma_s:
@@ -190,12 +198,11 @@ def estimate_nuisances(
     if refines and refined is not None:
         fit = refined
     else:
-        assert best.problem is not None
-        fit = nuisance.fit(best.problem, cameras, best.pose, fits_cameras=fits_cameras)
+        assert best.pairs is not None
+        fit = nuisance.fit(best.pairs, cameras, best.pose, fits_cameras=fits_cameras)
     checked = None
-    if fits_cameras and not corrected and isinstance(judge, EdgeJudge):
-        # Edges between rings that are far apart do not reveal the vertical principal point.
-        checked = estimate_intrinsics(nuisance.views(raw), best.pose, (True,) * 3 + (isinstance(judge, DirectedJudge),))
+    if fits_cameras and not corrected and any(judge.camera_errors):
+        checked = estimate_intrinsics(nuisance.views(raw), best.pose, judge.camera_errors)
     return NuisanceEstimate(best, judge, nuisance, fit.cameras, corrected, fit.covariance, fit.places, time, checked)
 
 
@@ -205,11 +212,11 @@ def enough_pairs(problem: Problem | None) -> TypeGuard[PointToLine]:
 
 
 def _cameras_corrected(
-    raw: Sequence[View], start: Float, best: End, judge: EdgeJudge, nuisance: Nuisance, rounds: Rounds
-) -> tuple[End, EdgeJudge, Nuisance] | None:
+    raw: Sequence[View], start: Float, best: End, judge: JudgeBase, nuisance: Nuisance, rounds: Rounds
+) -> tuple[End, JudgeBase, Nuisance] | None:
     """Return the end with significant errors of the cameras corrected, its judge and nuisances; None without any."""
     views = nuisance.views(raw)
-    estimate = estimate_intrinsics(views, best.pose, (True,) * 3 + (isinstance(judge, DirectedJudge),))
+    estimate = estimate_intrinsics(views, best.pose, judge.camera_errors)
     wrong = (
         np.any([fit.significant for fit in estimate.fits], axis=0) if estimate is not None else np.zeros(4, np.bool_)
     )
@@ -228,8 +235,8 @@ def _cameras_corrected(
 
 
 def _refined_jointly(
-    raw: Sequence[View], start: Float, best: End, judge: EdgeJudge, nuisance: Nuisance, rounds: Rounds
-) -> tuple[End, EdgeJudge, Adjustment] | None:
+    raw: Sequence[View], start: Float, best: End, judge: JudgeBase, nuisance: Nuisance, rounds: Rounds
+) -> tuple[End, JudgeBase, Adjustment] | None:
     """Return the end, its judge and the fit of a joint estimation of pose and nuisances; None where it costs more."""
     options, cameras = rounds.options, tuple(view.camera for view in raw)
     refines = options.camera == "refine"

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from p2o.arrays import Float
-from p2o.calibration.judge import IntervalJudge, Judge
 from p2o.calibration.options import PipelineOptions
 from p2o.features.side import Side
 from p2o.features.view import View
 from p2o.geometry import se3
-from p2o.host.stages import Matcher, Solver
+from p2o.host.stages import JudgeBase, Matcher, Solver
 from p2o.problems.normal_equations import MIN_PAIRS
 from p2o.problems.point_to_line import PointToLine
 from p2o.problems.problem import LeastSquares, Objective, Problem
@@ -22,14 +21,19 @@ from p2o.results.result import Round, Solution, SolverStatus, Status
 
 @dataclass(frozen=True, eq=False)
 class End:
-    """Where the rounds from one pose ended; `problem` holds the pairs at the pose, `solution` is the last one."""
+    """Where the rounds from one pose ended; `problem` is the one at the pose, `solution` is the last one."""
 
     pose: Float
     status: Status
     reason: str
     rounds: tuple[Round, ...]
-    problem: PointToLine | None = None
+    problem: Problem | None = None
     solution: Solution | None = None
+
+    @property
+    def pairs(self) -> PointToLine | None:
+        """The pairs at the pose, of a matcher that gives pairs."""
+        return self.problem if isinstance(self.problem, PointToLine) and len(self.problem) else None
 
     @property
     def solved(self) -> bool:
@@ -46,7 +50,7 @@ class Rounds:
     options: PipelineOptions
 
     def __call__(
-        self, views: Sequence[View], start: Float, pose: Float, judge: Judge, *, reach_px: float, found_by: str = ""
+        self, views: Sequence[View], start: Float, pose: Float, judge: JudgeBase, *, reach_px: float, found_by: str = ""
     ) -> End:
         """Run the rounds of Algorithm 1 from `pose` (4, 4): at most `options.rounds` (n_opt of the paper).
 
@@ -85,10 +89,12 @@ class Rounds:
             step = f"{record.step_deg:.2g} deg and {record.step_m:.2g} m"
             reason = f"the last of {options.rounds} rounds moved the pose by {step}"
             reach = max(options.min_reach_px, reach * options.shrink)
-        if isinstance(judge, IntervalJudge):
-            best, record = _maximised(judge, best)
-            rounds.append(record)
-            improved = improved or record.accepted
+        likeliest = judge.maximised(best)
+        if likeliest is not best:
+            cost_of_best, cost = judge.costs([best, likeliest])
+            better = cost < cost_of_best
+            rounds.append(_round_record("likelihood", 0.0, None, best, likeliest, cost, accepted=better))
+            best, improved = likeliest if better else best, improved or better
         if stopped is not None and not improved:
             return End(start, stopped, reason, tuple(rounds))
         if found_by and not improved:
@@ -101,8 +107,7 @@ class Rounds:
             if refusal is not None:
                 return End(start, *refusal, tuple(rounds))
             reason = f"the rounds ended early: {reason}"
-        pairs = last if isinstance(last, PointToLine) and len(last) else None
-        return End(best, status, reason, tuple(rounds), pairs, solution)
+        return End(best, status, reason, tuple(rounds), last, solution)
 
     def _undetermined(self, problem: Problem, pose: Float) -> tuple[Status, str] | None:
         """Return why the problem at a pose (4, 4) does not determine it, or None."""
@@ -120,15 +125,6 @@ class Rounds:
         least, what = (self.options.min_matches, "pairs") if pairs else (MIN_PAIRS, "residuals")
         few = f"{len(problem)} {what} within {reach_px:.0f} px, at least {least} are needed"
         return few if len(problem) < least else ""
-
-
-def _maximised(judge: IntervalJudge, pose: Float) -> tuple[Float, Round]:
-    """Return the local maximum of the likelihood near a pose (4, 4) if it is higher, else the pose, and the record."""
-    after = judge.likelihood.maximised(pose)
-    before_cost, cost = judge.costs([pose, after])
-    better = cost < before_cost
-    record = _round_record("intervals", 0.0, None, pose, after, cost, accepted=better)
-    return (after if better else pose), record
 
 
 def _round_record(

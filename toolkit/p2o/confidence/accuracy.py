@@ -38,7 +38,7 @@ class ErrorBudget:
         """Return the budget of a pose (4, 4) with the pairs of `problem`, which come from `views` different views.
 
         Outlines of other scenes lie elsewhere between the rings: the error by rings falls with the root of `views`
-        (`p2o.confidence.agreement`).
+        (`p2o.problems.distinct_views`).
         """
         views = max(views, 1.0)
         rings = ring_gaps(problem, camera_from_lidar) / np.sqrt(views)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from p2o.arrays import Float
 from p2o.calibration.algorithm import Algorithm, Estimate
-from p2o.calibration.judge import IntervalJudge
 from p2o.calibration.options import PipelineOptions
 from p2o.calibration.rounds import counts, mean_residuals_px
 from p2o.confidence.accuracy import (
@@ -19,14 +20,11 @@ from p2o.confidence.accuracy import (
     or_rival,
     with_start,
 )
-from p2o.confidence.agreement import standing_still, view_count
 from p2o.confidence.audit import Evidence, Rates, audit
 from p2o.confidence.verdict import (
-    MIN_INTERVAL_PLACES,
     MIN_PLACES,
     accuracy_doubts,
     agreement_doubts,
-    agreement_of,
     at_full_size,
     checks_of,
     rival_of,
@@ -36,9 +34,13 @@ from p2o.features.sets import CloudRemarks
 from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.geometry.pose_error import pose_error
+from p2o.problems.agreement import agreement_of
+from p2o.problems.distinct_views import scenes_of, view_count
+from p2o.problems.normal_equations import own_covariance
+from p2o.problems.pairing import edge_pairs
 from p2o.results.check import CheckStatus
 from p2o.results.evidence import Accuracy, Agreement, Judged, StartWeight
-from p2o.results.result import DIRECTED, INTERVALS, Result, Round, Status
+from p2o.results.result import Result, Round, Status
 from p2o.results.verdict import Doubt, Reason, Verdict
 
 StartSigma = tuple[float, float]
@@ -58,21 +60,13 @@ def assess(
     judged = judged_of(estimate, end.pose)
     if not judged.estimate < judged.start:
         return replace(refused(views, start, Status.NO_IMPROVEMENT, _no_improvement(judged), end.rounds), judged=judged)
-    agreement = agreement_of(estimate.views, end.pose, intervals=isinstance(judge, IntervalJudge))
-    places, min_places = None if judge.name not in (DIRECTED, INTERVALS) else final.places, MIN_PLACES
+    agreement = judge.agreement(estimate.views, end.pose)
+    scatter = None if agreement is None else _Scatter.of(estimate, agreement, options)
     pose, accuracy, weight, warnings = end.pose, None, None, remarks_of(views)
-    if final.covariance is not None and agreement is not None and end.problem is not None:
-        different = view_count(end.problem.xyz, end.problem.side, end.problem.frame)
-        warnings = (*warnings, *standing_still(different, len(views)))
-        budget = ErrorBudget.of(final.covariance, end.problem, end.pose, different)
-        if isinstance(final.judge, IntervalJudge):
-            places, min_places = agreement.places, MIN_INTERVAL_PLACES
-            by_intervals = final.judge.likelihood.covariance(end.pose)
-            budget = ErrorBudget.of_intervals(by_intervals * len(views) / max(different, 1.0), different)
-        if final.intrinsics is not None:
-            budget = replace(budget, cameras=final.intrinsics.covariance)
-        accuracy = likely_accuracy(budget, end.pose, agreement)
-        weighted = _with_prior(estimate, budget, agreement, accuracy, start_sigma)
+    if agreement is not None and scatter is not None and scatter.budget is not None:
+        warnings = (*warnings, *standing_still(scatter.budget.views, len(views)))
+        accuracy = likely_accuracy(scatter.budget, end.pose, agreement)
+        weighted = _with_prior(estimate, scatter.budget, agreement, accuracy, start_sigma)
         if weighted is not None:
             pose, accuracy, judged, weight = weighted
     covariance = final.covariance
@@ -82,6 +76,7 @@ def assess(
     left_box = None if estimate.refined.within(pose) else estimate.refined.box
     if accuracy is not None:
         accuracy = or_other_cameras(accuracy, pose, final.intrinsics)
+    places = {} if scatter is None else {"places": scatter.cells, "min_places": scatter.min_cells}
     return Result(
         frames=tuple(view.name for view in views),
         start=start,
@@ -91,20 +86,69 @@ def assess(
         rounds=end.rounds,
         covariance=covariance,
         accuracy=None if accuracy is None else or_rival(accuracy, rival, options.min_lead_edges),
-        matches={} if end.problem is None else counts(end.problem),
-        residual_px={} if end.problem is None else mean_residuals_px(end.problem, pose),
+        matches={} if end.pairs is None else counts(end.pairs),
+        residual_px={} if end.pairs is None else mean_residuals_px(end.pairs, pose),
         judged=judged,
         agreement=agreement,
         rival=rival,
-        verdict=verdict_of(
-            agreement, rival, cameras, options, accuracy, places=places, min_places=min_places, box=left_box
-        ),
+        verdict=verdict_of(agreement, rival, cameras, options, accuracy, box=left_box, **places),
         cameras=at_full_size(cameras, views),
         motions=final.nuisance.sweep_motions(views),
         time=final.time,
         start_weight=weight,
         warnings=warnings,
     )
+
+
+@dataclass(frozen=True)
+class _Scatter:
+    """The error budget of an estimate, None without a scatter, and the number of image cells that it uses."""
+
+    budget: ErrorBudget | None
+    cells: int
+    min_cells: int
+
+    @classmethod
+    def of(cls, estimate: Estimate, agreement: Agreement, options: PipelineOptions) -> _Scatter | None:
+        """Return the scatter by the judge, else by the pairs, else by the residuals or the cost of the matcher.
+
+        None where none of them has one. Systematic errors by the beam spacing are those of the edges that pair at the
+        pose.
+        """
+        final, end, judge = estimate.final, estimate.final.end, estimate.final.judge
+        pairs = edge_pairs(estimate.views, end.pose, options.min_reach_px) if end.pairs is None else end.pairs
+        different = view_count(pairs.xyz, pairs.side, pairs.frame) if len(pairs) else 1.0
+        by_judge = judge.covariance(end.pose)
+        if by_judge is not None:
+            scenes = len(np.unique(scenes_of(estimate.views)))
+            budget = ErrorBudget.of_intervals(by_judge * max(1.0, scenes / max(different, 1.0)), different)
+            cells, min_cells = agreement.places, judge.min_cells
+        elif end.pairs is not None:
+            if final.covariance is None:
+                return cls(None, final.places, MIN_PLACES)
+            budget = ErrorBudget.of(final.covariance, pairs, end.pose, different)
+            cells, min_cells = final.places, MIN_PLACES
+        else:
+            own = None if end.problem is None else own_covariance(end.problem, end.pose, agreement.places)
+            if own is None:
+                return None
+            budget = ErrorBudget.of(own, pairs, end.pose, different)
+            cells, min_cells = agreement.places, judge.min_cells
+        if final.intrinsics is not None:
+            budget = replace(budget, cameras=final.intrinsics.covariance)
+        return cls(budget, cells, min_cells)
+
+
+_FEW = 0.5
+"""Share of distinct views among the frames below which the user is warned."""
+
+
+def standing_still(views: float, frames: int) -> tuple[str, ...]:
+    """Return a warning if `frames` frames contain few distinct views, else an empty tuple."""
+    if frames < 2 or views >= _FEW * frames:
+        return ()
+    text = f"{frames} frames show about {views:.1f} different views, and count as that number: the rig was static"
+    return (f"{text}; frames of other places make the result surer, more of these do not",)
 
 
 def refused(views: Sequence[View], start: Float, status: Status, reason: str, rounds: tuple[Round, ...] = ()) -> Result:

@@ -22,14 +22,14 @@ from p2o.confidence.accuracy import (
     likely_covariance,
     outlier_inflation,
 )
-from p2o.confidence.agreement import view_count
 from p2o.confidence.explanation import Explanation, explanations, single_axis_pose
 from p2o.confidence.fusion import OWN_SHARE
-from p2o.confidence.verdict import agreement_of
 from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.geometry.pose_error import is_distinct, pose_error
 from p2o.host.stages import Matcher
+from p2o.problems.agreement import agreement_of
+from p2o.problems.distinct_views import scenes_of, view_count, weighted
 from p2o.problems.point_to_line import PointToLine
 from p2o.problems.problem import Problem
 from p2o.results.check import AxisCheck, Check, CheckStatus
@@ -92,9 +92,9 @@ def edge_step(
     sweeps whose rings are far apart are evaluated as intervals between beams if there are several different views.
     """
     pose = begin = camera_from_lidar if around is None else around
-    raw = [view.as_seen_from(begin).without_hidden(begin) for view in views]
+    raw = weighted([view.as_seen_from(begin).without_hidden(begin) for view in views], begin)
     cameras = tuple(view.camera for view in raw)
-    nuisance = Nuisance.expected(raw, motion_prior(raw, options))
+    nuisance = Nuisance.expected(raw, motion_prior(raw, options)).of_views(raw)
     sparse = is_sparse(raw, options.interval_deg)
     if sparse and _are_different(matcher(nuisance.views(raw), begin, reach_px), len(raw)):
         return _interval_step(raw, nuisance, camera_from_lidar, begin, matcher, options)
@@ -144,15 +144,16 @@ def _interval_step(
     if nuisance.prior is not None:
         fit = nuisance.fit(problem, tuple(view.camera for view in raw), pose, fits_cameras=False)
         seen = nuisance.after(fit).views(raw)
-    likelihood = IntervalJudge.of(seen, begin, [begin, pose]).likelihood
-    pose = likelihood.maximised(pose)
+    judge = IntervalJudge.of(seen, begin, [begin, pose])
+    pose = judge.maximised(pose)
     if _is_far(begin, pose):
         return _TOO_FAR
-    agreed = agreement_of(seen, pose, intervals=True)
-    if not likelihood.points or agreed is None:
+    agreed = judge.agreement(seen, pose)
+    if not judge.likelihood.points or agreed is None:
         return _NO_COVARIANCE
     different = view_count(problem.xyz, problem.side, problem.frame)
-    budget = ErrorBudget.of_intervals(likelihood.covariance(pose) * len(raw) / max(different, 1.0), different)
+    scenes = len(np.unique(scenes_of(raw)))
+    budget = ErrorBudget.of_intervals(judge.covariance(pose) * max(1.0, scenes / max(different, 1.0)), different)
     return _step(given, pose, budget, budget.model, agreed, agreed.places)
 
 

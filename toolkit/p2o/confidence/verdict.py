@@ -7,30 +7,28 @@ from dataclasses import replace
 
 import numpy as np
 
-from p2o.arrays import Float
 from p2o.calibration.intrinsics import IntrinsicFit
-from p2o.calibration.judge import Judge
 from p2o.calibration.nuisance import NuisanceEstimate
 from p2o.calibration.options import PipelineOptions
 from p2o.calibration.rounds import End
 from p2o.calibration.search_box import SearchBox
-from p2o.confidence.agreement import agreement, interval_agreement
 from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
 from p2o.geometry.pose_error import is_distinct
 from p2o.geometry.radial_error import RadialError, RadialFit
+from p2o.host.stages import JudgeBase
 from p2o.results.evidence import Accuracy, Agreement, Rival
 from p2o.results.result import CameraCheck
 from p2o.results.verdict import Doubt, Reason, Verdict
 
-MIN_PLACES, MIN_INTERVAL_PLACES = 12, 36
-"""Fewest independent cells of pairs (twice the number of unknowns), and of edges that agree as intervals. With fewer,
-errors of several degrees occurred at odds ratios above 20, and the scatter of pairs did not reveal them.
+MIN_PLACES = 12
+"""Fewest independent cells of pairs, twice the number of unknowns. With fewer, errors of several degrees occurred at
+odds ratios above 20, and the scatter of pairs did not reveal them.
 """
 
 
-def rival_of(ends: Sequence[End], best: End, judge: Judge) -> Rival | None:
+def rival_of(ends: Sequence[End], best: End, judge: JudgeBase) -> Rival | None:
     """Return the best end away from the best pose: its additional cost and its distance; None without one."""
     steps = {id(end): se3.inverse(end.pose) @ best.pose for end in ends if end.solved}
     others = [end for end in ends if end.solved and is_distinct(steps[id(end)])]
@@ -40,13 +38,6 @@ def rival_of(ends: Sequence[End], best: End, judge: Judge) -> Rival | None:
     cost, number = min((cost, i) for i, cost in enumerate(costs))
     step = steps[id(others[number])]
     return Rival(*judge.lead(cost_of_best, cost), se3.angle_deg(step), se3.distance_m(step))
-
-
-def agreement_of(views: Sequence[View], camera_from_lidar: Float, *, intervals: bool = False) -> Agreement | None:
-    """Return the agreement of both sensors' edges at a pose (4, 4), on demand as intervals; None without edges."""
-    if not any(view.count("image-edges") and view.count("cloud-edges") for view in views):
-        return None
-    return interval_agreement(views, camera_from_lidar) if intervals else agreement(views, camera_from_lidar)
 
 
 def verdict_of(

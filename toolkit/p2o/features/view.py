@@ -22,7 +22,8 @@ class View:
 
     `twist` (6,) is the velocity of the LiDAR in its own frame (rad/s, m/s), if known. `full_size` is the camera of the
     original image if it was downsampled (`p2o.frames.scale`), else None. `prepared` is the output of `prepare` of the
-    initializer, if it has one.
+    initializer, if it has one. `weight` is the share of the frame that other frames of the calibration do not show, and
+    `scene` the number of the frames that show the same place (`p2o.problems.distinct_views`); 1 and None where unknown.
     """
 
     name: str
@@ -32,6 +33,8 @@ class View:
     twist: Float | None = None
     full_size: Camera | None = None
     prepared: Any = None
+    weight: float = 1.0
+    scene: int | None = None
 
     @property
     def image_edges(self) -> ImageEdges:

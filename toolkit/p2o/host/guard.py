@@ -24,11 +24,13 @@ from p2o.geometry import se3
 from p2o.geometry.camera import Camera, centre_remark
 from p2o.host.method import Kind
 from p2o.host.registry import Offer, fault, watch
-from p2o.host.stages import Accumulator, Calibrator, InitializerBase, Judge, MatcherBase
+from p2o.host.stages import Accumulator, Calibrator, InitializerBase, Judge, JudgeBase, MatcherBase
 from p2o.options import Options
+from p2o.problems.distinct_views import one_per_scene, view_weights
 from p2o.problems.point_to_line import PointToLine
 from p2o.problems.points_on_rays import PointsOnRays
 from p2o.problems.problem import LeastSquares, Objective, Problem
+from p2o.results.evidence import Agreement
 from p2o.results.result import Result, Solution
 
 _CHECKED_ON_CONSTRUCTION = (PointToLine, PointsOnRays)
@@ -149,21 +151,31 @@ def _guarded_class(offer: Offer, cls: Any) -> type[LeastSquares]:
 
 
 @dataclass(frozen=True, eq=False)
-class GuardedJudge:
-    """A matcher's own judge whose costs are checked."""
+class GuardedJudge(JudgeBase):
+    """A matcher's own judge whose costs, poses and covariances are checked."""
 
     offer: Offer
     judge: Judge
     name: str
     unit: str
+    camera_errors: tuple[bool, bool, bool, bool]
+    min_cells: int
+    weights_views: bool = True
 
     @classmethod
-    def of(cls, offer: Offer, judge: Any) -> GuardedJudge:
+    def of(cls, offer: Offer, judge: Any, *, weights_views: bool = True) -> GuardedJudge:
         """Return the judge with every later call checked; raises PluginError where it is no p2o.Judge."""
         if not isinstance(judge, Judge):
             raise fault(offer, f"judge returned {type(judge).__name__}", "p2o.Judge: name, unit, costs, lead and on")
         with watch(offer, "naming its judge"):
-            return cls(offer, judge, str(judge.name), str(judge.unit))
+            capable = judge if isinstance(judge, JudgeBase) else JudgeBase
+            name, unit = str(judge.name), str(judge.unit)
+        return cls(offer, judge, name, unit, capable.camera_errors, capable.min_cells, weights_views)
+
+    @property
+    def _capable(self) -> JudgeBase | None:
+        """The judge if it has optional capabilities."""
+        return self.judge if isinstance(self.judge, JudgeBase) else None
 
     def costs(self, poses: Sequence[Float], /) -> list[float]:
         """Return the cost of each pose (4, 4), lower is better; infinite costs are allowed, NaN is not."""
@@ -182,8 +194,46 @@ class GuardedJudge:
     def on(self, views: Sequence[View], /) -> GuardedJudge:
         """Return the judge of the same points in moved views."""
         with watch(self.offer, "moving its judge to other views"):
-            moved = self.judge.on(views)
-        return GuardedJudge.of(self.offer, moved)
+            moved = self.judge.on(views if self.weights_views else one_per_scene(views))
+        return GuardedJudge.of(self.offer, moved, weights_views=self.weights_views)
+
+    def agreement(self, views: Sequence[View], pose: Float, /) -> Agreement | None:
+        """Return the agreement of views at a pose (4, 4)."""
+        if self._capable is None:
+            return super().agreement(views, pose)
+        with watch(self.offer, "computing the agreement"):
+            agreement = self._capable.agreement(views, pose)
+        if agreement is not None:
+            _typed(self.offer, agreement, Agreement)
+        return agreement
+
+    def covariance(self, pose: Float, /) -> Float | None:
+        """Return the covariance (6, 6) of a pose (4, 4), None if the judge has none."""
+        if self._capable is None:
+            return None
+        with watch(self.offer, "estimating the covariance"):
+            covariance = self._capable.covariance(pose)
+        if covariance is None:
+            return None
+        _require_shape(self.offer, "covariance of the judge", np.asarray(covariance), (6, 6))
+        _require_numbers(self.offer, "covariance of the judge", np.asarray(covariance))
+        return np.asarray(covariance, np.float64)
+
+    def maximised(self, pose: Float, /) -> Float:
+        """Return the pose (4, 4) of the lowest cost near a pose."""
+        if self._capable is None:
+            return pose
+        with watch(self.offer, "refining a pose"):
+            best = self._capable.maximised(pose)
+        return _pose(self.offer, best)
+
+    def rivals(self, pose: Float, count: int, /) -> list[Float]:
+        """Return poses (4, 4) of low cost near a pose."""
+        if self._capable is None:
+            return []
+        with watch(self.offer, "proposing rivals"):
+            rivals = self._capable.rivals(pose, count)
+        return [_pose(self.offer, rival) for rival in rivals]
 
 
 def _floats(values: Any) -> Float:
@@ -309,21 +359,30 @@ class _Guarded:
 
 
 class GuardedMatcher(_Guarded, MatcherBase):
-    """A plugin's matcher whose problems and judge are checked."""
+    """A plugin's matcher whose problems and judge are checked.
+
+    Residuals count with the weights of their views. A cost that sums over views is made of one view per scene.
+    """
+
+    @property
+    def _weights_views(self) -> bool:
+        """Whether its problems have residuals, which can be weighted by view."""
+        return "objective" not in self._offer.method.gives
 
     def __call__(self, views: Sequence[View], camera_from_lidar: Float, reach_px: float, /) -> Problem:
         """Return the guarded problem of all views."""
         with watch(self._offer, "matching"):
-            problem = self._stage(views, camera_from_lidar, reach_px)
-        return guarded_problem(self._offer, problem)
+            problem = self._stage(views if self._weights_views else one_per_scene(views), camera_from_lidar, reach_px)
+        problem = guarded_problem(self._offer, problem)
+        return problem.weighted(view_weights(views)) if isinstance(problem, LeastSquares) else problem
 
-    def judge(self, views: Sequence[View], start: Float, poses: Sequence[Float], /) -> Judge | None:
+    def judge(self, views: Sequence[View], start: Float, poses: Sequence[Float], /) -> JudgeBase | None:
         """Return the matcher's own judge, guarded, or None."""
         if not isinstance(self._stage, MatcherBase):
             return None
         with watch(self._offer, "making its judge"):
-            judge = self._stage.judge(views, start, poses)
-        return None if judge is None else GuardedJudge.of(self._offer, judge)
+            judge = self._stage.judge(views if self._weights_views else one_per_scene(views), start, poses)
+        return None if judge is None else GuardedJudge.of(self._offer, judge, weights_views=self._weights_views)
 
 
 def _solver(offer: Offer, stage: Callable[..., Any]) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -13,7 +13,9 @@ from p2o.features.view import View
 from p2o.frames.cloud import Cloud
 from p2o.frames.frame import Frame
 from p2o.frames.image import Image
+from p2o.problems.agreement import agreement_of
 from p2o.problems.problem import Problem
+from p2o.results.evidence import Agreement
 from p2o.results.result import Result, Solution
 
 
@@ -42,6 +44,8 @@ class Matcher(Protocol):
 class Judge(Protocol):
     """Compare poses by a cost. Costs of one call are comparable; costs of different calls need not be.
 
+    Derive from `JudgeBase` for optional capabilities: agreement, covariance, local maximum, rivals.
+
     `name` identifies the measure in results, `unit` is the unit of its costs.
     """
 
@@ -61,6 +65,58 @@ class Judge(Protocol):
     def on(self, views: Sequence[View], /) -> Judge:
         """Return the judge of the same points in `views`: the same views, moved or with other cameras."""
         ...
+
+
+LogLikelihood = Callable[[Float], tuple[float, Float]]
+"""The log likelihood of a pose (4, 4), and its derivatives (6,) by a left update."""
+
+
+class JudgeBase(ABC):
+    """Base class of judges with optional capabilities; all but `costs` and `on` have defaults."""
+
+    name: str
+    unit: str
+    camera_errors: tuple[bool, bool, bool, bool] = (False, False, False, False)
+    """Whether the costs reveal errors of focal length, radial distortion, and principal point x and y, and motions."""
+    min_cells: int = 36
+    """Fewest independent cells of the image in which edges must agree for a predicted error."""
+
+    @abstractmethod
+    def costs(self, poses: Sequence[Float], /) -> list[float]:
+        """Return the cost of each pose (4, 4), lower is better."""
+
+    @abstractmethod
+    def on(self, views: Sequence[View], /) -> JudgeBase:
+        """Return the judge of the same points in `views`: the same views, moved or with other cameras."""
+
+    def lead(self, best: float, other: float, /) -> tuple[float, str]:
+        """Return the difference of two costs in a unit that a user understands, and that unit."""
+        return other - best, self.unit
+
+    def agreement(self, views: Sequence[View], pose: Float, /) -> Agreement | None:
+        """Return how well the directed edges of views agree at a pose (4, 4); None without edges of both sensors."""
+        return agreement_of(views, pose)
+
+    def covariance(self, pose: Float, /) -> Float | None:
+        """Return the covariance (6, 6) of a left update in rad and m at a pose (4, 4) that minimises the cost.
+
+        It contains the systematic error of edges by the beam spacing. None: it is estimated from the pairs or residuals
+        of the matcher.
+        """
+        return None
+
+    def maximised(self, pose: Float, /) -> Float:
+        """Return the pose (4, 4) of the lowest cost near a pose, for judges that can find it; by default the pose."""
+        return pose
+
+    @property
+    def log_likelihood(self) -> LogLikelihood | None:
+        """The log likelihood of a pose, for judges that have one."""
+        return None
+
+    def rivals(self, pose: Float, count: int, /) -> list[Float]:
+        """Return up to `count` poses (4, 4) of low cost near a pose and distinct from it; by default none."""
+        return []
 
 
 class MatcherBase(ABC):

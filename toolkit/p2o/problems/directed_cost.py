@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,6 +13,7 @@ from p2o.features.side import Side
 from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
+from p2o.problems.distinct_views import evenly_chosen, scenes_of
 from p2o.runtime.native import for_each, ipp_disabled
 
 Float32 = np.ndarray
@@ -166,8 +167,9 @@ class DirectedCost:
     Made by `DirectedCost.of`; calling it with camera_from_lidar (B, 4, 4) gives (B,). The set of points is fixed (those
     that the pose `around` brings into the image or near it), so costs of different poses compare. A point that leaves
     the image costs what a point at a random place would cost: leaving neither adds nor removes cost.
-    Points count with their weight over one plus their variance in px^2. `smooth` interpolates between the cells of the
-    maps; without it the nearest cell counts, which is quicker.
+    Points count with their weight over one plus their variance in px^2, times the weight of their view. `smooth`
+    interpolates between the cells of the maps; without it the nearest cell counts, which is quicker. `scenes` (F,) are
+    those of the views.
     """
 
     parts: tuple[_Part, ...]
@@ -175,6 +177,7 @@ class DirectedCost:
     scale: int
     lidar_from_around: Float
     smooth: bool = True
+    scenes: Int = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @classmethod
     def of(
@@ -192,15 +195,17 @@ class DirectedCost:
     ) -> DirectedCost:
         """Return the cost of these views; `max_points` keeps an even subset over all views together.
 
-        `max_views` keeps an even subset of the views that have points, each of which takes 16 bytes a pixel. Maps that
-        are in `known` are not made again, and new ones are put there: for costs of the same views from several poses.
+        `max_views` keeps a subset of the views that have points, even over their weights; each takes 16 bytes a pixel.
+        Maps that are in `known` are not made again, and new ones are put there: for costs of the same views from
+        several poses.
         """
         points = [se3.apply(around, view.cloud_edges.xyz) for view in views]
         pixels = [v.camera.project(xyz) if len(xyz) else np.zeros((0, 2)) for v, xyz in zip(views, points, strict=True)]
         masks = [view.camera.in_image(uv, margin_px) for view, uv in zip(views, pixels, strict=True)]
         seeing = [number for number, mask in enumerate(masks) if mask.any()]
         if max_views is not None and len(seeing) > max_views:
-            kept = {seeing[number * len(seeing) // max_views] for number in range(max_views)}
+            chosen = evenly_chosen(np.array([views[number].weight for number in seeing]), max_views)
+            kept = {seeing[at] for at in chosen}
             masks = [mask & (number in kept) for number, mask in enumerate(masks)]
         total = int(sum(m.sum() for m in masks))
         step = 1 if max_points is None else max(1, -(-total // max_points))
@@ -225,12 +230,12 @@ class DirectedCost:
             # An edge between far apart beams may lie pixels off: it counts by the inverse of its variance in pixels.
             seen_from = se3.apply(around, edges.xyz)
             distance = np.linalg.norm(seen_from, axis=1)
-            weight = edges.weight / (1.0 + (view.camera.focal_px * edges.sigma_m / distance) ** 2)
+            weight = view.weight * edges.weight / (1.0 + (view.camera.focal_px * edges.sigma_m / distance) ** 2)
             return _Part(number_of_view, keep, view.camera, seen_from, weight, number[edges.side], maps, neutral)
 
         having = [number for number, mask in enumerate(masks) if mask.any()]
         parts = for_each(part_of, having, parallel=True)
-        return cls(tuple(parts), truncate_px, scale, se3.inverse(around), smooth)
+        return cls(tuple(parts), truncate_px, scale, se3.inverse(around), smooth, scenes_of(views))
 
     def truncated(self, truncate_px: float) -> DirectedCost:
         """Return the same cost with distances cut off earlier, at `truncate_px`; the maps are shared."""

@@ -19,6 +19,7 @@ from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
 from p2o.problems.directed_cost import interpolated
+from p2o.problems.distinct_views import evenly_chosen, scenes_of
 from p2o.problems.point_to_line import OUTLINE_CELL_PX
 from p2o.runtime.native import for_each
 
@@ -109,6 +110,7 @@ class IntervalLikelihood:
 
     parts: tuple[_Part, ...]
     lidar_from_around: Float
+    scenes: Int
     shares: Mapping[Side, float] = field(default_factory=lambda: dict.fromkeys(SIDES, _SHARE))
 
     @classmethod
@@ -120,19 +122,25 @@ class IntervalLikelihood:
         *,
         margin_px: float = 0.0,
         max_points: int | None = None,
+        max_views: int | None = None,
         shares: Mapping[Side, float] | None = None,
     ) -> IntervalLikelihood:
         """Return the likelihood of the edges that `around` (4, 4) projects into the images or near them.
 
-        `max_points` keeps an even subset over all views. Edges of one side within a cell of 64 px are of one outline:
-        their weights are divided by the root of their number. Sides that an image has no edges of are left out.
+        `max_points` and `max_views` keep even subsets of edges and views. Edges of one side within a cell of 64 px are
+        of one outline: their weights are divided by the root of their number, and multiplied by that of their view.
+        Sides that an image has no edges of are left out.
         """
         pixels = [view.camera.project(se3.apply(around, view.cloud_edges.xyz)) for view in views]
         masks = [
             view.camera.in_image(uv, margin_px) & np.isin(view.cloud_edges.side, view.image_edges.sides)
             for view, uv in zip(views, pixels, strict=True)
         ]
-        step = 1 if max_points is None else max(1, -(-int(sum(mask.sum() for mask in masks)) // max_points))
+        numbers = np.arange(len(views))
+        if max_views is not None:
+            numbers = evenly_chosen(np.array([view.weight for view in views]), max_views)
+        points = int(sum(masks[number].sum() for number in numbers))
+        step = 1 if max_points is None else max(1, -(-points // max_points))
 
         def parts_of(number: int) -> list[_Part]:
             view, kept = views[number], np.flatnonzero(masks[number])[::step]
@@ -142,14 +150,14 @@ class IntervalLikelihood:
                 if len(rows):
                     cell = np.floor(pixels[number][rows] / OUTLINE_CELL_PX)
                     _, its, count = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
-                    weight = view.cloud_edges.weight[rows] / np.sqrt(count[its.reshape(-1)])
+                    weight = view.weight * view.cloud_edges.weight[rows] / np.sqrt(count[its.reshape(-1)])
                     ends = _ends(view, rows, around)
                     integral = integral_of_edges(view, side, sigma_px)
                     parts.append(_Part(number, side, rows, view.camera, ends, weight, integral))
             return parts
 
-        parts = [part for its in for_each(parts_of, range(len(views)), parallel=True) for part in its]
-        likelihood = cls(tuple(parts), se3.inverse(around))
+        parts = [part for its in for_each(parts_of, numbers.tolist(), parallel=True) for part in its]
+        likelihood = cls(tuple(parts), se3.inverse(around), scenes_of(views))
         return likelihood if shares is None else replace(likelihood, shares=shares)
 
     def on(self, views: Sequence[View]) -> IntervalLikelihood:
@@ -264,8 +272,8 @@ class IntervalLikelihood:
     def covariance(self, pose: Float) -> Float:
         """Return the covariance (6, 6) of a left update in rad and m at the maximum.
 
-        It is cluster robust: the scatter of the gradient over outlines (edges of one side in a cell of 64 px), between
-        two inverses of the curvature.
+        It is cluster robust: the scatter of the gradient over outlines (edges of one side in a cell of 64 px, in
+        all views of one scene), between two inverses of the curvature.
         """
         shifts = _DIFFERENCE * np.eye(6)
         steps = np.concatenate([(a + b)[None] for a in (*shifts, *-shifts) for b in (*shifts, *-shifts)])
@@ -283,12 +291,12 @@ class IntervalLikelihood:
         return np.asarray(scale @ inverse @ score @ inverse @ scale)
 
     def _outlines(self, pose: Float) -> Int:
-        """Return the number (K,) of the outline of each edge: its view, side and cell of 64 px."""
+        """Return the number (K,) of the outline of each edge: its scene, side and cell of 64 px."""
         keys = []
         for part in self.parts:
             middle = se3.apply(pose @ self.lidar_from_around, 0.5 * (part.ends[0] + part.ends[1]))
             cell = np.floor(np.nan_to_num(part.camera.project(middle), nan=-1.0) / OUTLINE_CELL_PX)
-            keys.append(np.column_stack([np.full((len(cell), 2), (part.view, int(part.side))), cell]))
+            keys.append(np.column_stack([np.full((len(cell), 2), (self.scenes[part.view], int(part.side))), cell]))
         numbers = np.unique(np.concatenate([np.zeros((0, 4)), *keys]), axis=0, return_inverse=True)[1]
         return np.asarray(numbers.reshape(-1), np.int64)
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from p2o.arrays import Float
 from p2o.errors import InputError
-from p2o.problems.problem import LeastSquares, Problem
+from p2o.problems.problem import LeastSquares, Objective, Problem
 from p2o.results.result import Solution, SolverStatus
 
 MIN_PAIRS = 6
@@ -112,6 +112,19 @@ def covariance(problem: LeastSquares, residuals: Float, jacobian: Float) -> Floa
     except np.linalg.LinAlgError:
         return None
     return np.asarray(0.5 * scale * (inverse + inverse.T))
+
+
+def own_covariance(problem: Problem, camera_from_lidar: Float, cells: int) -> Float | None:
+    """Return the covariance (6, 6) of a left update by the problem itself at its optimum (4, 4); None if it has none.
+
+    Residuals of one of the `cells` independent cells of the image count as one: their errors are correlated.
+    """
+    if isinstance(problem, Objective):
+        return None if problem.covariance is None else problem.covariance(camera_from_lidar)
+    if not isinstance(problem, LeastSquares) or not len(problem) or not cells:
+        return None
+    scatter = covariance(problem, *linearise(problem, camera_from_lidar))
+    return None if scatter is None else scatter * max(1.0, len(problem) / cells)
 
 
 def checked_solution(

@@ -133,6 +133,13 @@ def assemble(views: Sequence[View], pairs: Sequence[Pairs], huber_px: float, bal
     return PointToLine(**columns, weight=weight, side=side, frame=frame, cameras=cameras, huber_px=huber_px)
 
 
+def edge_pairs(views: Sequence[View], camera_from_lidar: Float, reach_px: float) -> PointToLine:
+    """Return the pairs of the edges of views at a pose (4, 4), each direction with its own, with default options."""
+    options, sides = PairingOptions(), [Side(side) for side in Side]
+    pairs = [pair(v.camera, v.image_edges, v.cloud_edges, sides, camera_from_lidar, reach_px, options) for v in views]
+    return assemble(views, pairs, options.huber_px, False)
+
+
 @dataclass(frozen=True, eq=False)
 class Lines:
     """Lines of K candidate edges: `centre` (K, 2) px, unit `normal` (K, 2), variances in px^2 along and across."""

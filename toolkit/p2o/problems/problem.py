@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import ClassVar, Protocol, Self, runtime_checkable
 
 import numpy as np
 
@@ -83,6 +84,16 @@ class LeastSquares:
     def depth_m(self, camera_from_lidar: Float) -> float:
         """Return the mean distance of what is measured from the camera, which scales turns against shifts."""
         return 30.0
+
+    def weighted(self, weights: Float) -> Self:
+        """Return the problem with the residuals of each view weighted by `weights` (F,); the sum stays as it is."""
+        if not len(self) or len(set(weights.tolist())) < 2:
+            return self
+        weight = self.weight * weights[self.frame]
+        total = float(weight.sum())
+        out = copy.copy(self)
+        object.__setattr__(out, "weight", weight * (float(self.weight.sum()) / total) if total > 0 else weight)
+        return out
 
     def robust_weight(self, residuals: Float) -> Float:
         """Return the factors (K,) of a reweighted sum: `weight`, less where a residual exceeds the kernel."""

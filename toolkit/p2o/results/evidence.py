@@ -38,7 +38,7 @@ class Accuracy:
 
 @dataclass(frozen=True)
 class Agreement:
-    """Agreement of LiDAR edges with image edges of the same direction at a pose (`p2o.confidence.agreement`).
+    """Agreement of LiDAR edges with image edges of the same direction at a pose (`p2o.problems.agreement`).
 
     `near` is the share of LiDAR edges in the image with a reliable image edge of their direction near by, `chance` the
     share expected under random alignment within the same image rows, `points` the number of LiDAR edges. `places` is

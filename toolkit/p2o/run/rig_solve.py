@@ -15,7 +15,7 @@ import numpy as np
 from p2o.arrays import Float
 from p2o.calibration.algorithm import EDGES, Estimate, Refined, VisibleViews
 from p2o.calibration.intrinsics import estimate_intrinsics
-from p2o.calibration.judge import SIGMA_PX, DirectedJudge, IntervalJudge, is_sparse, judge_of
+from p2o.calibration.judge import SIGMA_PX, is_sparse, judge_of
 from p2o.calibration.nuisance import NuisanceEstimate, enough_pairs
 from p2o.calibration.options import PipelineOptions
 from p2o.calibration.rig_judge import RigJudge, most_likely_near
@@ -30,6 +30,7 @@ from p2o.frames.frame import Frame
 from p2o.frames.scale import camera_at_scale
 from p2o.geometry import se3
 from p2o.geometry.pose_error import deviations
+from p2o.host.stages import JudgeBase
 from p2o.problems.interval_likelihood import IntervalLikelihood
 from p2o.problems.problem import LeastSquares, Problem
 from p2o.problems.rig_residuals import RigResiduals
@@ -91,10 +92,10 @@ class _Camera:
         """The visible views, corrected for the motions that are expected."""
         return self.visible.corrected
 
-    def judge(self, poses: Sequence[Float], *, sparse: bool) -> DirectedJudge | IntervalJudge:
+    def judge(self, poses: Sequence[Float], *, sparse: bool) -> JudgeBase:
         """Return the judge of poses body_from_lidar (4, 4) by the edges of this camera."""
         options = self.pipeline.options
-        judge = judge_of(
+        return judge_of(
             self.pipeline.matcher,
             EDGES,
             self.corrected,
@@ -104,27 +105,24 @@ class _Camera:
             reach_px=options.min_reach_px,
             interval_deg=0.0 if sparse else 90.0,
         )
-        assert isinstance(judge, DirectedJudge | IntervalJudge)
-        return judge
 
     def match(self, body_from_lidar: Float, reach_px: float) -> Problem:
         """Return the pairs of this camera at a pose."""
         return self.pipeline.matcher(self.corrected, self.place @ body_from_lidar, reach_px)
 
-    def assessed(self, body_from_lidar: Float, judge: DirectedJudge | IntervalJudge) -> Result:
+    def assessed(self, body_from_lidar: Float, judge: JudgeBase) -> Result:
         """Return the assessment of the common pose by the edges of this camera alone."""
         options, pose = self.pipeline.options, self.place @ body_from_lidar
         nuisance, raw = self.visible.nuisance, self.visible.raw
         problem = self.match(body_from_lidar, options.min_reach_px)
         end = End(pose, Status.CONVERGED, "", (), problem if enough_pairs(problem) else None)
         final = NuisanceEstimate(end, judge, nuisance)
-        if end.problem is not None:
+        if end.pairs is not None:
             cameras = tuple(view.camera for view in raw)
-            fit = nuisance.fit(end.problem, cameras, pose, fits_cameras=options.camera != "trust")
+            fit = nuisance.fit(end.pairs, cameras, pose, fits_cameras=options.camera != "trust")
             final = replace(final, covariance=fit.covariance, places=fit.places)
             if options.camera == "check":
-                asked = (True,) * 3 + (isinstance(judge, DirectedJudge),)
-                final = replace(final, intrinsics=estimate_intrinsics(self.corrected, pose, asked))
+                final = replace(final, intrinsics=estimate_intrinsics(self.corrected, pose, judge.camera_errors))
         refined = Refined(self.visible, self.start, [end], judge)
         return assess(Estimate(refined, final), self.views, options, None)
 
@@ -197,11 +195,6 @@ class _Solved:
         judge = RigJudge(
             tuple(camera.place for camera in cameras), judges, tuple(len(camera.views) for camera in cameras)
         )
-        likelihoods = [
-            (camera.place, its.likelihood)
-            for camera, its in zip(cameras, judges, strict=True)
-            if isinstance(its, IntervalJudge)
-        ]
 
         def match(views: Sequence[View], pose: Float, reach_px: float) -> Problem:
             problems = [(camera.place, camera.match(pose, reach_px)) for camera in cameras]
@@ -212,10 +205,6 @@ class _Solved:
         ends = []
         for pose in poses:
             end = rounds((), start, pose, judge, reach_px=reach_px, found_by="initialize")
-            if end.solved and sparse:
-                likeliest = most_likely_near(likelihoods, end.pose)
-                before, after = judge.costs([end.pose, likeliest])
-                end = replace(end, pose=likeliest) if after < before else end
             if end.solved:
                 ends.append(end)
         if not ends:
@@ -302,7 +291,7 @@ def _most_likely(cameras: Sequence[_Camera], proposals: Sequence[Float]) -> Floa
         if level == 0:
             values = [sum(float(its((place @ one)[None])[0]) for place, its in parts) for one in proposals]
             pose = proposals[int(np.argmax(values))]
-        pose = most_likely_near(parts, pose)
+        pose = most_likely_near([(place, its.with_gradient) for place, its in parts], pose)
         shares = [its.fitted(place @ pose).shares for place, its in parts]
     return pose
 

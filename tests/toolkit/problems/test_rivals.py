@@ -7,8 +7,8 @@ import p2o
 import pytest
 from p2o import se3
 from p2o.calibration.judge import DirectedJudge
-from p2o.calibration.rivals import rival_poses
 from p2o.geometry.pose_error import is_distinct, pose_error
+from p2o.problems.rivals import rival_poses
 from p2o.run.pipeline import Pipeline
 from p2o.run.recipe import Recipe
 from p2o.run.run import Run
@@ -47,7 +47,7 @@ def test_rivals_of_a_displaced_pose_are_near_the_minimum_and_distinct() -> None:
     views = pipeline.visible([pipeline.prepare(frame)], truth).corrected
     off = se3.exp(np.array([0.02, -0.02, 0.01, 0.1, 0.1, -0.1])) @ truth
     judge = DirectedJudge.of(views, truth, [off], 5.0)
-    first, second = rival_poses(judge, off, 2)
+    first, second = rival_poses(judge.cost, off, 2)
     assert judge.cost.at(first) < judge.cost.at(off)
     assert se3.angle_deg(first @ se3.inverse(truth)) < se3.angle_deg(off @ se3.inverse(truth)) / 2
     assert is_distinct(se3.inverse(second) @ first)

@@ -6,13 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from p2o.arrays import Bool, Float, Int, Int8
 from p2o.features.side import SIDES, Side
 from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.problems.directed_cost import distance_maps
+from p2o.problems.distinct_views import view_count
 from p2o.problems.point_to_line import OUTLINE_CELL_PX
 from p2o.results.evidence import Agreement, odds_ratio
 
@@ -21,14 +21,21 @@ SURE = 0.5
 """Minimum confidence of image edges; weak ones are so dense that they match any edge under random alignment."""
 
 
+def agreement_of(views: Sequence[View], camera_from_lidar: Float, *, intervals: bool = False) -> Agreement | None:
+    """Return the agreement of both sensors' edges at a pose (4, 4), on demand as intervals; None without edges."""
+    if not any(view.count("image-edges") and view.count("cloud-edges") for view in views):
+        return None
+    return interval_agreement(views, camera_from_lidar) if intervals else agreement(views, camera_from_lidar)
+
+
 def agreement(views: Sequence[View], camera_from_lidar: Float) -> Agreement:
     """Compute the agreement of all views at a pose (4, 4).
 
     A wrong pair of image and sweep can be fitted to an odds ratio of 1 to 5; correct pairs at a correct pose have more
-    (docs/benchmarks.md). The agreement tests whether the edges correspond, not how accurate the pose is. Places that
-    several views of a static rig contain count once.
+    (docs/benchmarks.md). The agreement tests whether the edges correspond, not how accurate the pose is. Views count
+    with their weights, and places that several views of a static rig contain count once.
     """
-    near, chance, points, places = 0.0, 0.0, 0, 0
+    near, chance, total, points, places = 0.0, 0.0, 0.0, 0, 0
     by_side = {side: np.zeros(3) for side in SIDES}
     met_at: list[tuple[Float, Int8, Int]] = []
     for number_of_view, view in enumerate(map(_surest, views)):
@@ -40,8 +47,9 @@ def agreement(views: Sequence[View], camera_from_lidar: Float) -> Agreement:
         for number, meets in zip(sides, distance_maps(view, sides, NEAR_PX + 1, 1) <= NEAR_PX, strict=True):
             u, v = pixel[side == number].T
             low, high = np.percentile(v, [2, 98]).astype(np.int64)
-            counts = np.array([meets[v, u].sum(), meets[low : high + 1].mean() * len(v), len(v)])
-            near, chance, points = near + float(counts[0]), chance + float(counts[1]), points + len(v)
+            counts = view.weight * np.array([meets[v, u].sum(), meets[low : high + 1].mean() * len(v), len(v)])
+            near, chance, total = np.array([near, chance, total]) + counts
+            points += len(v)
             if number in by_side:
                 by_side[number] += counts
             its = np.flatnonzero(side == number)[meets[v, u]]
@@ -52,7 +60,7 @@ def agreement(views: Sequence[View], camera_from_lidar: Float) -> Agreement:
     # A static rig matches the same edges again: only the share of distinct views counts.
     xyz, side, frame = map(np.concatenate, zip(*met_at, strict=True))
     distinct = view_count(xyz, side, frame) / max(1, len(np.unique(frame)))
-    return Agreement(near / points, chance / points, points, round(places * distinct), *_least(by_side))
+    return Agreement(float(near / total), float(chance / total), points, round(places * distinct), *_least(by_side))
 
 
 _LEAST_EDGES, _LEAST_CHANCE = 50, 5.0
@@ -85,7 +93,7 @@ def interval_agreement(views: Sequence[View], camera_from_lidar: Float) -> Agree
     Intervals are wider by `NEAR_PX` on both sides. Under random alignment they are elsewhere in the rows of the image
     that have LiDAR edges of their side. Everything else is as in `agreement`.
     """
-    rng, points, near, chance, places = np.random.default_rng(0), 0, 0.0, 0.0, 0
+    rng, near, chance, total, points, places = np.random.default_rng(0), 0.0, 0.0, 0.0, 0, 0
     met_at: list[tuple[Float, Int8, Int]] = []
     for number, view in enumerate(map(_surest, views)):
         edges, size = view.cloud_edges, np.array([view.camera.width, view.camera.height])
@@ -100,15 +108,16 @@ def interval_agreement(views: Sequence[View], camera_from_lidar: Float) -> Agree
             meets = _meets(count, middle, half, along)
             low, high = np.percentile(middle[:, 1], [2, 98])
             drawn = rng.uniform((0.0, low), (size[0] - 1.0, high), (_DRAWS, len(rows), 2))
-            chance += float(np.mean([_meets(count, uv, half, along) for uv in drawn])) * len(rows)
-            near, points = near + float(meets.sum()), points + len(rows)
+            by_chance = float(np.mean([_meets(count, uv, half, along) for uv in drawn])) * len(rows)
+            near, chance = near + view.weight * float(meets.sum()), chance + view.weight * by_chance
+            total, points = total + view.weight * len(rows), points + len(rows)
             places += len(np.unique(np.floor(middle[meets] / OUTLINE_CELL_PX), axis=0))
             met_at.append((edges.xyz[rows[meets]], edges.side[rows[meets]], np.full(int(meets.sum()), number)))
     if not points:
         return Agreement(0.0, 0.0, 0)
     xyz, side_of, frame = map(np.concatenate, zip(*met_at, strict=True))
     distinct = view_count(xyz, side_of, frame) / max(1, len(np.unique(frame)))
-    return Agreement(near / points, chance / points, points, round(places * distinct))
+    return Agreement(near / total, chance / total, points, round(places * distinct))
 
 
 def _counts(view: View, side: Side, along: int) -> Int:
@@ -136,45 +145,3 @@ def _surest(view: View) -> View:
     if sure.all() or not sure.any():
         return view
     return replace(view, image=view.image.having(edges.select(sure)))
-
-
-_SAME_BEARING, _SAME_RANGE = 0.02, 0.04
-"""Differences in bearing (about 1 deg) and range (4 %) up to which edges of one direction are of one outline."""
-_LEAST_M = 0.1
-_FEW = 0.5
-"""Share of distinct views among the frames below which the user is warned."""
-_MOST_LOOKED_UP = 2_000_000
-"""Maximum number of nearest-neighbour queries; if there are more edges, a random subset is evaluated."""
-
-
-def view_count(xyz: Float, side: Int8, frame: Int) -> float:
-    """Count the distinct views of the frames of edges: all frames, or down to 1 for a static rig.
-
-    `xyz` (K, 3) are edges in m in the LiDAR frame, `side` (K,) their directions, `frame` (K,) their frames. The count
-    is the number of frames times the mean over edges of 1 / (number of frames that contain it), on a subset for large
-    K.
-    """
-    frames = np.unique(frame)
-    if len(frames) < 2:
-        return float(len(frames))
-    range_m = np.maximum(np.linalg.norm(xyz, axis=1), _LEAST_M)
-    bearing = xyz / range_m[:, None] / _SAME_BEARING
-    # The distance between sides exceeds the search radius of 1.
-    place = np.column_stack([bearing, np.log(range_m) / _SAME_RANGE, 10.0 * side])
-    most = max(1, _MOST_LOOKED_UP // len(frames))
-    some = slice(None) if len(place) <= most else np.random.default_rng(0).permutation(len(place))[:most]
-    asked, own = place[some], frame[some]
-    seen_in = np.ones(len(asked))
-    for number in frames:
-        others = own != number
-        tree = KDTree(place[frame == number])
-        seen_in[others] += np.isfinite(tree.query(asked[others], distance_upper_bound=1.0)[0])
-    return float(len(frames) * np.mean(1.0 / seen_in))
-
-
-def standing_still(views: float, frames: int) -> tuple[str, ...]:
-    """Return a warning if `frames` frames contain few distinct views, else an empty tuple."""
-    if frames < 2 or views >= _FEW * frames:
-        return ()
-    text = f"{frames} frames show about {views:.1f} different views, and count as that number: the rig was static"
-    return (f"{text}; frames of other places make the result surer, more of these do not",)

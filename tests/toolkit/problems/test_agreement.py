@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, Side, View, se3
-from p2o.confidence.agreement import agreement, interval_agreement
+from p2o.problems.agreement import agreement, interval_agreement
 from p2o.results.evidence import Agreement
 
 from tests import edge_scene

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from p2o.confidence import agreement
-from p2o.confidence.agreement import standing_still, view_count
+from p2o.confidence.assessment import standing_still
+from p2o.problems import distinct_views
+from p2o.problems.distinct_views import view_count
 
 
 def edges(frames: int, *, still: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -43,7 +44,7 @@ def test_an_edge_of_another_direction_is_another_edge() -> None:
 @pytest.mark.parametrize("still", [0.0, 0.5, 1.0])
 def test_some_of_very_many_edges_tell_the_same(monkeypatch: pytest.MonkeyPatch, still: float) -> None:
     of_all = view_count(*edges(20, still=still))
-    monkeypatch.setattr(agreement, "_MOST_LOOKED_UP", 20_000)
+    monkeypatch.setattr(distinct_views, "_MOST_LOOKED_UP", 20_000)
     assert view_count(*edges(20, still=still)) == pytest.approx(of_all, rel=0.05)
 
 
