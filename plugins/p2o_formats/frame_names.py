@@ -27,6 +27,7 @@ _NEITHER = re.compile(
     r"(?<![a-z])(imu|odom|odometry|map|world|init|pose)(?![a-z])|gyro|accel|gps|gnss|radar|sonar|screw|mount(?!ed)|\$"
 )
 _LINK = re.compile(r"(^|_)link$")
+_SIDE = re.compile(r"left|right|front|rear|back|top|bottom|upper|lower|(?<!\d)\d(?!\d)")
 _BODY = re.compile(r"(^|[_/])(base|body|link|housing)$")
 
 OPTICAL_FROM_LINK = se3.make([[0, -1, 0], [0, 0, -1], [1, 0, 0]])
@@ -69,6 +70,11 @@ def is_optical(name: str) -> bool:
 def is_body(name: str) -> bool:
     """Return whether a frame name denotes the body or the base of a sensor."""
     return bool(_BODY.search(name.lower()))
+
+
+def may_be_body_of(name: str, other: str) -> bool:
+    """Return whether two names can be of one sensor: `other` has the sides and numbers of the body `name`."""
+    return set(_SIDE.findall(name.lower())) <= set(_SIDE.findall(other.lower()))
 
 
 def is_camera(name: str) -> bool:

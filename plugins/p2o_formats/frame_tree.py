@@ -13,7 +13,16 @@ import numpy as np
 from p2o import Float, InputError, UnknownNameError, se3
 from p2o.reading import Calibration, Reading
 
-from p2o_formats.frame_names import axes_remark, check_same, is_body, is_camera, is_lidar, is_optical, optical_from
+from p2o_formats.frame_names import (
+    axes_remark,
+    check_same,
+    is_body,
+    is_camera,
+    is_lidar,
+    is_optical,
+    may_be_body_of,
+    optical_from,
+)
 
 Posed = tuple[Float, tuple[str, ...]]
 """A transform (4, 4) and remarks on it."""
@@ -228,7 +237,9 @@ def bare(frame_id: str) -> str:
 
 def _distinct(tree: FrameTree, names: Collection[str], is_body_of: Callable[[FrameTree, str, str], bool]) -> list[str]:
     """Return the frames of different sensors: without frames that are the body of another frame."""
-    kept = [name for name in names if not any(name != other and is_body_of(tree, name, other) for other in names)]
+    pairs = [(name, other) for name in names for other in names if name != other and may_be_body_of(name, other)]
+    bodies = {name for name, other in pairs if is_body_of(tree, name, other)}
+    kept = [name for name in names if name not in bodies]
     return kept or list(names)
 
 

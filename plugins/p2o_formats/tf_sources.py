@@ -114,7 +114,7 @@ def _of_python(text: str, path: Path) -> list[Edge]:
 
 def _of_yaml(source: Source) -> list[Edge]:
     """Return the transforms of a YAML launch file of ROS 2."""
-    level, transforms = [source.value], []
+    level, arguments = [source.value], []
     values: dict[str, str] = {}
     while level:
         for entry in (entry for entry in level if isinstance(entry, dict)):
@@ -123,9 +123,9 @@ def _of_yaml(source: Source) -> list[Edge]:
         nodes = [
             entry for entry in level if isinstance(entry, dict) and PUBLISHER in (entry.get("exec"), entry.get("type"))
         ]
-        transforms += [str(node.get("args", "")) for node in nodes]
+        arguments += [str(node.get("args", "")) for node in nodes]
         level = [i for v in level if isinstance(v, dict | list) for i in (v.values() if isinstance(v, dict) else v)]
-    return [edge for text in transforms for edge in _publisher(_words(substituted(text, values)), source.path)]
+    return [edge for text in arguments for edge in _publisher(_words(substituted(text, values)), source.path)]
 
 
 def _words(line: str) -> list[str]:

@@ -246,6 +246,14 @@ OUSTER = (
         (TWO_LIDARS, r"2 frame names denote the LiDAR; expected one of rear_livox_frame, velodyne.*lidar_frame=NAME"),
         (TWO_CAMERAS, r"2 frame names denote the camera; expected one of camera_optical_frame, rear_camera_link"),
         (REALSENSE, r"2 frame names denote the camera.*camera_color_optical_frame, camera_depth_optical_frame"),
+        (
+            (("left_lidar_link", "right_lidar_link", "0 1 0", "0 0 0"), ("left_lidar_link", "cam0", "0 0 0", "0 0 0")),
+            "2 frame names denote the LiDAR; expected one of left_lidar_link, right_lidar_link",
+        ),
+        (
+            (("velodyne", "left_cam_link", "0 1 0", "0 0 0"), ("left_cam_link", "right_optical", "0 1 0", "0 0 0")),
+            "2 frame names denote the camera; expected one of left_cam_link, right_optical",
+        ),
         (OUSTER, r"2 frame names denote the LiDAR; expected one of os_lidar, os_sensor"),
         (
             (ROVER[0], ("velodyne", "cam0", "1 0 0", "0 0 0"), ("cam0", "cam1", "0.1 0 0", "0 0 0")),
