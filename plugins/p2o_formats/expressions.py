@@ -51,6 +51,9 @@ class PythonFile:
         assigned = [
             (target, node.value) for node in ast.walk(tree) if isinstance(node, ast.Assign) for target in node.targets
         ]
+        for target, value in assigned:
+            if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple) and len(target.elts) == len(value.elts):
+                assigned += zip(target.elts, value.elts, strict=True)
         targets = [(target.id, value) for target, value in assigned if isinstance(target, ast.Name)]
         names = [name for name, _ in targets]
         self._names = {name: value for name, value in targets if names.count(name) == 1}
@@ -98,10 +101,16 @@ class PythonFile:
             return self.text(node.value, level + 1)
         if isinstance(node, ast.List) and len(node.elts) == 1:
             return self.text(node.elts[0], level + 1)
-        if isinstance(node, ast.Call) and node.args and _called(node) in ("str", "TextSubstitution"):
-            return self.text(node.args[0], level + 1)
+        keywords = {word.arg: word.value for word in node.keywords} if isinstance(node, ast.Call) else {}
+        if (
+            isinstance(node, ast.Call)
+            and _called(node) in ("str", "TextSubstitution")
+            and (node.args or "text" in keywords)
+        ):
+            return self.text(node.args[0] if node.args else keywords["text"], level + 1)
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "perform":
+            return self.text(node.func.value, level + 1)
         if isinstance(node, ast.Call) and _called(node) == "LaunchConfiguration":
-            keywords = {word.arg: word.value for word in node.keywords}
             name = self.text(node.args[0] if node.args else keywords.get("variable_name"), level + 1)
             return self.text(self._arguments.get(name, keywords.get("default")), level + 1).replace("?", name)
         try:

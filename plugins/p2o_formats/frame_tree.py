@@ -135,7 +135,19 @@ class FrameTree:
 
     def connected(self, frame: str, other: str) -> bool:
         """Return whether static transforms connect two frames."""
-        return self._path(frame, other) is not None
+        return frame == other or self._component.get(frame, frame) == self._component.get(other, other)
+
+    @cached_property
+    def _component(self) -> dict[str, str]:
+        """One frame of the connected frames of each frame."""
+        component: dict[str, str] = {}
+        for name in self.names:
+            queue = deque([] if name in component else [name])
+            while queue:
+                here = queue.popleft()
+                component[here] = name
+                queue += [other for other in self._neighbours[here] if other not in component]
+        return component
 
     def _path(self, target: str, source: str) -> list[str] | None:
         """Return the frames of the shortest path from `source` to `target`, or None."""
@@ -184,7 +196,7 @@ def calibration_of(transforms: Sequence[Edge], reading: Reading, where: Path) ->
     Raises InputError as `sensor_frames` and `FrameTree.transform`, and if no transforms connect the two frames.
     """
     tree = FrameTree(transforms)
-    lidar, camera = sensor_frames(tree, reading.lidar_frame, reading.camera_frame)
+    lidar, camera = sensor_frames(tree, reading.lidar_frame, reading.camera_frame, where)
     posed = tree.transform(camera, lidar)
     if posed is None:
         got = f"frames {', '.join(tree.names[:_MAX_NAMED])}"
@@ -196,7 +208,7 @@ def calibration_of(transforms: Sequence[Edge], reading: Reading, where: Path) ->
     return Calibration(None, optical_from_camera @ pose, lidar, camera, remarks)
 
 
-def sensor_frames(tree: FrameTree, lidar: str | None, camera: str | None) -> tuple[str, str]:
+def sensor_frames(tree: FrameTree, lidar: str | None, camera: str | None, where: object = None) -> tuple[str, str]:
     """Return the frames of LiDAR and camera: `lidar` and `camera` if given, else the only ones with such names.
 
     Frames in a chain of one sensor (mount, body, optical frame) count as one, of which the last one is returned, for
@@ -206,7 +218,7 @@ def sensor_frames(tree: FrameTree, lidar: str | None, camera: str | None) -> tup
     """
     for option, name in (("lidar_frame", lidar), ("camera_frame", camera)):
         if name is not None:
-            tree.known(name, option)
+            tree.known(name, option if where is None else f"{where}: {option}")
     if lidar is not None and camera is not None:
         if bare(lidar) == bare(camera):
             raise InputError("one frame cannot be both LiDAR and camera", got=lidar)
@@ -214,9 +226,11 @@ def sensor_frames(tree: FrameTree, lidar: str | None, camera: str | None) -> tup
     lidars = [bare(lidar)] if lidar else [name for name in tree.names if is_lidar(name) and name != camera]
     cameras = [bare(camera)] if camera else [name for name in tree.names if is_camera(name) and name != lidar]
     tree.check_acyclic((*lidars, *cameras))
-    joined = [(a, b) for a in lidars[:_MAX_CANDIDATES] for b in cameras[:_MAX_CANDIDATES] if tree.connected(a, b)]
-    if joined:
-        lidars, cameras = (list(dict.fromkeys(names)) for names in zip(*joined, strict=True))
+    joined = [
+        [a for a in these if any(tree.connected(a, b) for b in those[:_MAX_CANDIDATES])]
+        for these, those in ((lidars, cameras), (cameras, lidars))
+    ]
+    lidars, cameras = (some or own for some, own in zip(joined, (lidars, cameras), strict=True))
     if camera is None:
         cameras = _distinct(tree, cameras, _is_camera_body)
     if lidar is None:
@@ -237,6 +251,8 @@ def bare(frame_id: str) -> str:
 
 def _distinct(tree: FrameTree, names: Collection[str], is_body_of: Callable[[FrameTree, str, str], bool]) -> list[str]:
     """Return the frames of different sensors: without frames that are the body of another frame."""
+    if len(names) > _MAX_CANDIDATES:
+        return list(names)
     pairs = [(name, other) for name in names for other in names if name != other and may_be_body_of(name, other)]
     bodies = {name for name, other in pairs if is_body_of(tree, name, other)}
     kept = [name for name in names if name not in bodies]

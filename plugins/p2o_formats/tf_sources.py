@@ -28,14 +28,16 @@ POSITION, QUATERNION, ANGLES = ("x", "y", "z"), ("qx", "qy", "qz", "qw"), ("roll
 FRAMES = ("frame-id", "child-frame-id")
 """Names of the arguments of tf2_ros's publisher."""
 _KEYS = (*POSITION, *QUATERNION, *ANGLES, *FRAMES)
+_OPTIONS = frozenset(f"--{key}" for key in _KEYS)
 _POSITIONAL = "x y z yaw pitch roll PARENT CHILD, or x y z qx qy qz qw PARENT CHILD"
 _ENDS = ("&", "&&", "|", "||", ";", ">", ">>", "2>&1", "--ros-args")
 _MAX_EDGES = 10_000
 _LIST = r"\[([^\]\n]{1,200})\]"
+_LINE = r"[ \t]{0,20}\n[ \t]{0,40}"
 _ECHO = re.compile(
-    rf"^- Translation: {_LIST}\s*\n\s*- Rotation: in Quaternion(?: \(xyzw\))? {_LIST}"
-    rf"(?:\s*\n[- ]*(?:Rotation: )?in RPY(?: \(radian\))? {_LIST}"
-    rf"(?:\s*\n[- ]*(?:Rotation: )?in RPY \(degree\) {_LIST})?)?",
+    rf"^[ \t]{{0,20}}- Translation: {_LIST}{_LINE}- Rotation: in Quaternion(?: \(xyzw\))? {_LIST}"
+    rf"(?:{_LINE}(?:- Rotation: )?in RPY(?: \(radian\))? {_LIST}"
+    rf"(?:{_LINE}(?:- Rotation: )?in RPY \(degree\) {_LIST})?)?",
     re.MULTILINE,
 )
 _ECHO_FRAMES = re.compile(
@@ -46,6 +48,7 @@ _ROUNDED_DEG = 0.3
 _UNKNOWN = re.compile(r"\$\([^()]{1,100}\)")
 _ASSIGNED = re.compile(r"\s*(?:export |readonly )?(\w{1,100})=('[^']{0,200}'|\"[^\"]{0,200}\"|[^\s;]{0,200})")
 _DOCUMENTS = re.compile(r"^---[ \t]*$", re.MULTILINE)
+_MESSAGE = re.compile(r"^(?:transforms:|header:|- |\{|\[)", re.MULTILINE)
 
 
 def has_transforms(source: Source) -> bool:
@@ -88,12 +91,13 @@ def _of_shell(source: Source) -> list[Edge]:
         if PUBLISHER in line:
             words = _words(substituted(line, values))
             starts = [at for at, word in enumerate(words) if word.rpartition("/")[2].strip("`") == PUBLISHER]
-            for start, stop in zip(starts, [*starts[1:], len(words)], strict=True):
+            for start, stop in zip(starts, [*starts[1:], len(words)], strict=False):
                 transforms += _publisher(words[start + 1 : stop], source.path)
     if not transforms:
-        # A list of arguments that was copied without the call around it.
-        words = [word for word in re.split(r"[\s,()\[\]'\"]+", text) if word not in ("", PUBLISHER)]
-        transforms += _publisher(words, source.path)
+        # Named arguments that were copied without the whole call around them.
+        words = re.split(r"[\s,()\[\]'\"]+", text)
+        start = next((at for at, word in enumerate(words) if word.partition("=")[0] in _OPTIONS), len(words))
+        transforms += _publisher(words[start:], source.path)
     return transforms
 
 
@@ -286,7 +290,9 @@ def _has_messages(text: str) -> bool:
 def _of_messages(text: str, path: Path) -> Iterator[Edge]:
     """Yield the transforms of messages of `ros2 topic echo` or `rostopic echo`, separated by ---."""
     for document in _DOCUMENTS.split(text):
-        value = parse_yaml(document, "message of TF", path) if _has_messages(document) else None
+        # Lines before the message are those of the shell, or warnings.
+        start = _MESSAGE.search(document) if _has_messages(document) else None
+        value = None if start is None else parse_yaml(document[start.start() :], "message of TF", path)
         for message in value if isinstance(value, list) else [value]:
             if isinstance(message, dict):
                 transforms = message.get("transforms", [message])

@@ -4,8 +4,8 @@ import pytest
 from p2o_formats.frame_names import has_body_axes, is_camera, is_lidar, is_optical
 
 LIDARS = (
-    "velodyne velo_link os_sensor os1_sensor front/os_lidar livox_frame hesai_lidar PandarXT-32 rslidar vlp16 laser_link "
-    "LIDAR_TOP ouster mid360 rs_16 velodyne_top_base_link sick_scan avia lslidar points_frame"
+    "velodyne velo_link os_sensor os1_sensor front/os_lidar livox_frame hesai_lidar PandarXT-32 rslidar vlp16 "
+    "laser_link LIDAR_TOP ouster mid360 rs_16 velodyne_top_base_link sick_scan avia lslidar points_frame"
 )
 CAMERAS = (
     "camera cam0 CAM_FRONT camera_link camera_color_optical_frame left_camera_optical usb_cam zed2_left_camera_frame "
@@ -13,8 +13,9 @@ CAMERAS = (
 )
 NEITHER = (
     "base_link base_footprint map odom world imu_link os_imu camera_imu_optical_frame camera_gyro_frame camera_init "
-    "body chassis gps_link radar_front wheel_left velocity_frame pos_link base_stabilized camera_mount lidar_mount_link "
-    "camera_odom_frame velodyne_imu ${prefix}camera_link sensor_kit_base_link tool0 rear_axle at_home sonar_link"
+    "body chassis gps_link radar_front wheel_left velocity_frame pos_link base_stabilized camera_mount "
+    "lidar_mount_link camera_odom_frame velodyne_imu ${prefix}camera_link sensor_kit_base_link "
+    "tool0 rear_axle at_home sonar_link"
 )
 
 

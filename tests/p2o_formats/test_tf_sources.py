@@ -164,6 +164,26 @@ def test_the_chain_of_a_robot_is_composed(text: str, frames: tuple[str, str]) ->
     assert any("axes of frame" in remark for remark in found.remarks) == ("optical" not in frames[1])
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "$ ros2 topic echo /tf_static\nWARNING: a: b\n" + ECHO_STATIC,
+        LAUNCH_PY.replace("HEIGHT = 1.8", "NAME, HEIGHT = 'x', 9 / 5"),
+        LAUNCH_PY.replace(
+            "LaunchConfiguration('camera')", "LaunchConfiguration('cam', default='cam_optical').perform(c)"
+        ),
+        'Node(executable="static_transform_publisher", arguments=["--x", "0.27", "--y=0.06", "--z", "-0.08", '
+        '"--frame-id=rslidar", "--child-frame-id", "camera_link"],  # not closed',
+        '<node pkg="tf" type="static_transform_publisher" args="0.27 0.06 -0.08 0 0 0 velodyne camera_link 9"/>',
+        '<launch><executable cmd="ros2 run tf2_ros static_transform_publisher --x 0.27 --y 0.06 --z -0.08 '
+        '--frame-id velodyne --child-frame-id camera_link"/></launch>',
+        message("os_sensor", "cam0", "0.27 0.06 -0.08", Q)[2:].replace("\n  ", "\n"),
+    ],
+)
+def test_parts_of_files_and_of_shells_are_read(text: str) -> None:
+    np.testing.assert_allclose(read_text(text).extrinsic(), AHEAD, atol=1e-6)
+
+
 def test_the_angles_of_ros_1_are_yaw_pitch_roll() -> None:
     text = (
         "rosrun tf static_transform_publisher 0 0 0 -1.570796327 0 -1.570796327 rotated_stereo_camera stereo_camera 9\n"
