@@ -9,7 +9,9 @@ import ast
 import math
 import operator
 import re
+import warnings
 from collections.abc import Callable, Mapping
+from typing import Any
 
 _REFERENCE = re.compile(r"\$\((?:arg|var) ([\w.-]{1,100})\)|\$\{([^{}]{1,200})\}|\$(\w{1,100})")
 _OPERATORS: Mapping[type, Callable[[float, float], float]] = {
@@ -37,7 +39,7 @@ def substituted(text: str, values: Mapping[str, str]) -> str:
 def arithmetic(text: str, values: Mapping[str, str]) -> str | None:
     """Return the number of an expression of numbers, names and pi as text, or None."""
     try:
-        node = ast.parse(text.strip(), mode="eval").body
+        node = _parsed(text.strip(), "eval").body
         return repr(_number(node, {name: ast.Constant(value) for name, value in values.items()}))
     except (ValueError, TypeError, SyntaxError, ArithmeticError, RecursionError, MemoryError):
         return None
@@ -69,7 +71,7 @@ class PythonFile:
     def of(cls, text: str) -> PythonFile:
         """Return the parsed file; one without calls for a text that is not Python or longer than 1 MiB."""
         try:
-            return cls(ast.parse(text if len(text) <= _MAX_PYTHON else ""))
+            return cls(_parsed(text if len(text) <= _MAX_PYTHON else ""))
         except (ValueError, SyntaxError, RecursionError, MemoryError):
             return cls(ast.Module([], []))
 
@@ -139,6 +141,13 @@ def _number(node: ast.expr, names: Mapping[str, ast.expr], level: int = 0) -> fl
     if isinstance(node, ast.Call) and len(node.args) == 1 and _called(node) in _FUNCTIONS:
         return _FUNCTIONS[_called(node)](_number(node.args[0], names, level + 1))
     raise ValueError("not arithmetic")
+
+
+def _parsed(text: str, mode: str = "exec") -> Any:
+    """Return the syntax tree of a text without the warnings of Python's parser about it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return ast.parse(text, mode=mode)
 
 
 def _called(call: ast.Call) -> str:

@@ -17,6 +17,7 @@ from p2o.cli import main
 from p2o.frames.frame import LazyFrames
 from p2o.run.recipe import open_dataset
 from p2o_datasets.bags.bag import Bag
+from p2o_datasets.bags.overview import overview
 from p2o_datasets.ros import RosOptions, build
 
 from tests.bag_files import (
@@ -462,7 +463,10 @@ def test_images_of_foxglove_are_those_of_ros(tmp_path: Path, form: str, kind: st
     one = image("/image_raw", START_NS, pixels(0), frame="camera")
     one = one if kind == "RawImage" else compressed("/image_raw", START_NS, buffer.getvalue(), frame="camera")
     said = [m for m in drive(1) if m.topic != "/image_raw"]
-    frame = dataset(write_bag(tmp_path, [*said, foxglove(one)], form))[0]
+    path = write_bag(tmp_path, [*said, foxglove(one)], form)
+    details = {topic.name: (topic.frame_id, topic.details) for topic in overview(Bag(path))}
+    assert details["/image_raw"] == ("camera", "16x12 px rgb8" if kind == "RawImage" else "png")
+    frame = dataset(path)[0]
     assert frame.name.endswith("/1700000000.000000000")
     assert np.array_equal(frame.image.rgb, pixels(0))
     assert np.allclose(frame.start, TRUTH)

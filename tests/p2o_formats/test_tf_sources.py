@@ -168,12 +168,14 @@ def test_the_chain_of_a_robot_is_composed(text: str, frames: tuple[str, str]) ->
     "text",
     [
         "$ ros2 topic echo /tf_static\nWARNING: a: b\n" + ECHO_STATIC,
-        LAUNCH_PY.replace("HEIGHT = 1.8", "NAME, HEIGHT = 'x', 9 / 5"),
+        LAUNCH_PY.replace("HEIGHT = 1.8", r"NAME, HEIGHT = '\d', 9 / 5"),
         LAUNCH_PY.replace(
             "LaunchConfiguration('camera')", "LaunchConfiguration('cam', default='cam_optical').perform(c)"
         ),
         'Node(executable="static_transform_publisher", arguments=["--x", "0.27", "--y=0.06", "--z", "-0.08", '
         '"--frame-id=rslidar", "--child-frame-id", "camera_link"],  # not closed',
+        '<launch>\n<node pkg="tf2_ros" type="static_transform_publisher" name="link1" '
+        f'args="0.27 0.06 -0.08 {Q} velodyne camera_optical_frame" />\n</launch>',
         '<node pkg="tf" type="static_transform_publisher" args="0.27 0.06 -0.08 0 0 0 velodyne camera_link 9"/>',
         '<launch><executable cmd="ros2 run tf2_ros static_transform_publisher --x 0.27 --y 0.06 --z -0.08 '
         '--frame-id velodyne --child-frame-id camera_link"/></launch>',
