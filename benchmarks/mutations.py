@@ -297,9 +297,10 @@ MUTATIONS = (
         "-azimuth / (2 * np.pi) * sweep_s", "azimuth / (2 * np.pi) * sweep_s", f"{_P}/data/velodyne_file.py",
     ),
     Mutation(
-        "tree-downwards", "p2o_datasets", "inverted transform", "plugins/p2o_datasets/bags/frame_tree.py",
-        "yield child, se3.inverse(matrix(transform))", "yield child, matrix(transform)",
+        "tree-downwards", "p2o_formats", "inverted transform", "plugins/p2o_formats/frame_tree.py",
+        "(step if upwards else se3.inverse(step))", "step",
         f"{_T}/bags/frame_tree.py",
+        old_find="yield child, se3.inverse(matrix(transform))", old_replace="yield child, matrix(transform)",
     ),
     Mutation(
         "big-endian", "p2o_datasets", "inverted condition", "plugins/p2o_datasets/bags/point_columns.py",

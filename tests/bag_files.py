@@ -34,6 +34,11 @@ uint8 reflectivity
 uint8 tag
 uint8 line
 """
+_FOXGLOVE_TEXTS = {
+    "CompressedImage": "uint8[] data\nstring format\n",
+    "CompressedVideo": "uint8[] data\nstring format\n",
+    "RawImage": "uint32 width\nuint32 height\nstring encoding\nuint32 step\nuint8[] data\n",
+}
 _DATATYPES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 
 
@@ -51,6 +56,9 @@ def store_of(form: str) -> Any:
     """Return the types of ROS 1 or 2, with those of Livox."""
     store = get_typestore(Stores.ROS1_NOETIC if form == "ros1" else Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg(_LIVOX_TEXT, LIVOX))
+    time = "time" if form == "ros1" else "builtin_interfaces/Time"
+    for kind, text in _FOXGLOVE_TEXTS.items():
+        store.register(get_types_from_msg(f"{time} timestamp\nstring frame_id\n{text}", f"foxglove_msgs/msg/{kind}"))
     if form == "ros1":
         text = "geometry_msgs/TransformStamped[] transforms\n"
         store.register(get_types_from_msg(text, "tf2_msgs/msg/TFMessage"))
@@ -141,6 +149,16 @@ def compressed(topic: str, stamp_ns: int, data: bytes, form: str = "png", frame:
     """Return a CompressedImage of the bytes of a file."""
     fields = {"header": header(stamp_ns, frame), "format": form, "data": np.frombuffer(data, np.uint8)}
     return Said(topic, "sensor_msgs/msg/CompressedImage", stamp_ns, fields)
+
+
+def foxglove(image: Said, kind: str | None = None) -> Said:
+    """Return an Image or CompressedImage as the message of Foxglove with the same content, or of another `kind`."""
+    fields = {key: value for key, value in image.fields.items() if key != "header"}
+    stamp, frame_id = (image.fields["header"][key] for key in ("stamp", "frame_id"))
+    kind = kind or ("RawImage" if "encoding" in fields else "CompressedImage")
+    return Said(
+        image.topic, f"foxglove_msgs/msg/{kind}", image.time_ns, {"timestamp": stamp, "frame_id": frame_id} | fields
+    )
 
 
 def camera_info(topic: str, stamp_ns: int, camera: Camera, **more: Any) -> Said:

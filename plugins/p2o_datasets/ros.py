@@ -10,16 +10,18 @@ from typing import Any, Literal
 import numpy as np
 from p2o import Cloud, Dataset, Float, Frame, Image, InputError, Int, Method, Options, field, se3
 from p2o.reading import LazyFrames, check_direction, naming
+from p2o_formats.frame_names import axes_remark, has_body_axes, optical_from
+from p2o_formats.frame_tree import FrameTree, bare, optical_below
 
 from p2o_datasets.bags.bag import Bag
 from p2o_datasets.bags.choice import Chosen, base, choose, choose_path, tf_topics
-from p2o_datasets.bags.frame_tree import FrameTree, bare, read_frame_tree, read_transforms
 from p2o_datasets.bags.messages import CAMERA_INFO, LIVOX, read_header, read_message
 from p2o_datasets.bags.point_columns import Unit, columns_of, named_columns, seconds_after, usable_points
+from p2o_datasets.bags.tf import read_frame_tree, read_transforms
 from p2o_datasets.cloud_file import cloud_from_fields
 from p2o_datasets.ego_path import nearest
 from p2o_datasets.lazy_dataset import Words, in_drive
-from p2o_datasets.ros_camera import RosCamera, camera_of_file, camera_of_info
+from p2o_datasets.ros_camera import RosCamera, camera_by_name, camera_of_file, camera_of_info
 from p2o_datasets.ros_image import rgb_of
 
 _SECOND = 1_000_000_000
@@ -40,7 +42,10 @@ class RosOptions(Options):
     tf: Literal["start", "truth", "ignore"] = field(
         "start", help="Use of the static transforms in TF: as initial guess (start), as ground truth, or not at all."
     )
-    image_frame: str | None = field(None, help="Optical frame of the camera in TF (z forward); null: as in the images.")
+    image_frame: str | None = field(None, help="Frame of the camera in TF; null: as in the images.")
+    camera_axes: Literal["optical", "body"] | None = field(
+        None, help="Axes of the camera's frame in TF: z forward (optical) or x forward (body); null: by its name."
+    )
     cloud_frame: str | None = field(None, help="Frame of the sweeps in TF; null: as in the cloud messages.")
     stamps: Literal["header", "bag"] = field(
         "header", help="Time of a measurement: the stamp of the header, or the time of recording in the bag."
@@ -152,8 +157,9 @@ def _camera(bag: Bag, options: RosOptions, chosen: Chosen) -> RosCamera:
     message = bag.first(topic.name)
     where = Path(f"{bag.path}: {topic.name}")
     content = read_message(CAMERA_INFO, message.data, ros1=message.ros1, where=where)
-    inferred = "rect" in base(chosen.image.name).rpartition("/")[2]
-    return camera_of_info(content, where, rectified=inferred if options.rectified is None else options.rectified)
+    if options.rectified is not None:
+        return camera_of_info(content, where, rectified=options.rectified)
+    return camera_by_name(content, where, rectified="rect" in base(chosen.image.name).rpartition("/")[2])
 
 
 def _index(
@@ -170,7 +176,7 @@ def _index(
         number = number + 1 if time_ns == message.time_ns else 0
         before[topic] = (message.time_ns, number)
         try:
-            header = read_header(message.data, ros1=message.ros1, where=f"{bag.path}: {topic}")
+            header = read_header(message.topic.kind, message.data, ros1=message.ros1, where=f"{bag.path}: {topic}")
         except InputError as problem:
             skipped[f"{bag.name}{topic}/{_seconds(message.time_ns)}"] = str(problem)
             continue
@@ -216,7 +222,7 @@ def _pairs(
 def _tree(bag: Bag, options: RosOptions, image_frame: str, cloud_frame: str) -> FrameTree:
     """Return the frame tree of the bag; the long topic /tf is read only if /tf_static is not sufficient."""
     if options.tf == "ignore" and options.every_m is None:
-        return FrameTree({})
+        return FrameTree()
     tree = read_frame_tree(bag)
     with naming(bag.path):
         joined = tree.pose(options.image_frame or image_frame, options.cloud_frame or cloud_frame) is not None
@@ -226,16 +232,24 @@ def _tree(bag: Bag, options: RosOptions, image_frame: str, cloud_frame: str) -> 
 def _extrinsic(
     tree: FrameTree, options: RosOptions, image_frame: str, cloud_frame: str, bag: Bag
 ) -> tuple[Float | None, tuple[str, ...]]:
-    """Return camera_from_lidar (4, 4) of the optical frame in TF if it is known, and warnings."""
+    """Return camera_from_lidar (4, 4) of the optical frame in TF if it is known, and warnings.
+
+    Below a frame of the images that is a body frame by its name, the only optical frame is used.
+    """
     if options.tf == "ignore":
         return None, ()
     named = ((options.image_frame, image_frame, "image_frame"), (options.cloud_frame, cloud_frame, "cloud_frame"))
     camera, lidar = (bare(own) if name is None else tree.known(name, f"data.{key}") for name, own, key in named)
     if not tree.names and options.image_frame is None and options.cloud_frame is None:
         return None, ()
+    remarks: tuple[str, ...] = ()
+    own_axes = options.image_frame is not None or options.camera_axes is not None or not has_body_axes(camera)
+    if not own_axes and (optical := optical_below(tree, camera)) is not None:
+        remarks = (f"{bag.name}: the images are in frame {camera}: its optical frame {optical} of TF is used",)
+        camera = optical
     with naming(bag.path):
-        pose = tree.pose(camera, lidar)
-    if pose is None:
+        posed = tree.transform(camera, lidar)
+    if posed is None:
         if options.tf == "truth" or options.image_frame is not None or options.cloud_frame is not None:
             fault = f"no static transforms of TF connect {lidar} and {camera}"
             got = f"frames {', '.join(tree.names) or '(none)'}"
@@ -246,7 +260,11 @@ def _extrinsic(
             f"{', '.join(tree.names)}: choose with data.cloud_frame or data.image_frame, or give --start"
         )
         return None, (warning,)
-    return pose, ()
+    pose, more = posed
+    axes = options.camera_axes
+    if has_body_axes(camera):
+        more = (*more, *axes_remark(camera, axes, "--set data.camera_axes", bag.name))
+    return optical_from(camera, axes)[0] @ pose, (*remarks, *more)
 
 
 def _position_at(bag: Bag, options: RosOptions, tree: FrameTree, cloud_frame: str) -> Callable[[Int], Float] | None:
@@ -322,7 +340,7 @@ def _read(entry: tuple[_Source, _MessageRef, _MessageRef]) -> Frame:
         warnings += check_direction(cloud, camera, pose, name=f"TF ({options.tf})", where=bag.path)
     extrinsic: dict[str, Any] = {"camera_from_lidar" if options.tf == "truth" else "start": pose}
     drive = in_drive(bag.name, source.camera_name, (image_ref.stamp_ns - source.first_ns) / _SECOND, None)
-    return Frame(name, image, cloud, warnings=warnings, **extrinsic, **drive)
+    return Frame(name, image, cloud, warnings=warnings, advice=source.camera.advice, **extrinsic, **drive)
 
 
 def _cloud(source: _Source, image_ref: _MessageRef, cloud_ref: _MessageRef) -> tuple[Cloud, tuple[str, ...]]:

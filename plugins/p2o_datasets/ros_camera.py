@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,15 +15,20 @@ from p2o_datasets.bags.messages import CameraInfoMessage
 # Names that other drivers use for the models of ROS.
 _MODELS = {"fisheye": "equidistant", "kannala_brandt": "equidistant", "rational": "rational_polynomial"}
 _UNDISTORTED = ("", "none")
+_SAME_PX = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class RosCamera:
-    """Camera of an image topic; `rotation` (3, 3) maps the camera's optical frame to that of the images."""
+    """Camera of an image topic; `rotation` (3, 3) maps the camera's optical frame to that of the images.
+
+    `advice` are remarks as those of `Frame.advice`.
+    """
 
     camera: Camera
     rotation: Float
     warnings: tuple[str, ...] = ()
+    advice: tuple[str, ...] = ()
 
 
 def camera_of_info(message: CameraInfoMessage, where: Path, *, rectified: bool) -> RosCamera:
@@ -53,6 +58,25 @@ def camera_of_info(message: CameraInfoMessage, where: Path, *, rectified: bool) 
     if message.P[:, 3].any():
         warnings = (f"{where}: P is the second camera of a stereo pair; its frame is assumed to be its own",)
     return RosCamera(camera, _rotation(message.R, where), warnings)
+
+
+def camera_by_name(message: CameraInfoMessage, where: Path, *, rectified: bool) -> RosCamera:
+    """Return the camera as `camera_of_info`, where only the name of the topic states whether images are `rectified`.
+
+    If the cameras of raw and rectified images differ, the advice states both and how to choose the other one.
+    """
+    camera = camera_of_info(message, where, rectified=rectified)
+    matrices = {False: message.K, True: message.P[:, :3]}
+    differ = np.abs(matrices[True] - matrices[False]).max() > _SAME_PX or bool(message.D.any())
+    if not (differ and matrices[not rectified].any()):
+        return camera
+    centres = {key: f"({m[0, 2]:.0f}, {m[1, 2]:.0f}) px, focal length {m[0, 0]:.0f} px" for key, m in matrices.items()}
+    used = "P, for rectified images," if rectified else "K and D, for raw images,"
+    text = (
+        f"{where}: {used} are used because of the topic's name. K has the centre {centres[False]}, P {centres[True]}. "
+        f"If the images are {'raw' if rectified else 'rectified'}: --set data.rectified={str(not rectified).lower()}"
+    )
+    return replace(camera, advice=(text,))
 
 
 def camera_of_file(path: Path) -> RosCamera:

@@ -8,6 +8,7 @@ import numpy as np
 from p2o import InputError, UInt8
 from p2o.reading import MAX_PIXELS, decode_rgb
 
+from p2o_datasets.bags.choice import DECODE
 from p2o_datasets.bags.messages import CompressedImageMessage, ImageMessage
 
 # Number of channels, and indices of red, green and blue. ROS does not define those of 8UC3; drivers use OpenCV's order.
@@ -39,7 +40,7 @@ def rgb_of(
         data = bytes(message.data)
         if not data.startswith(_FILES):
             fault = "the format of the compressed image is not supported"
-            raise InputError(fault, where=where, expected="jpeg or png", got=message.format or "nothing")
+            raise InputError(fault, where=where, expected="jpeg or png", got=message.format or "nothing", hint=DECODE)
         return decode_rgb(data, where, name, size)
     if (message.width, message.height) != size:
         expected = f"{size[0]}x{size[1]} px"

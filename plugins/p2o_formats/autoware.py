@@ -8,14 +8,15 @@ child frame with base_from_child, R = Rz(yaw) Ry(pitch) Rx(roll). Cameras are gi
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
-import numpy as np
-from p2o import Float, InputError, Options, field, se3
+from p2o import Options, field, se3
 from p2o.reading import Calibration, FrameName, Reading, Source, digits, plain, read_pose, rotation_of, rpy_of
 
 from p2o_formats.format import ONLY_EXTRINSIC, Format, comment_lines
-from p2o_formats.frame_names import chosen, is_camera, is_lidar, optical_from
+from p2o_formats.frame_names import optical_from
+from p2o_formats.frame_tree import Edge, Posed, calibration_of
 
 _KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
 
@@ -63,24 +64,16 @@ def recognises(source: Source) -> bool:
 def read(source: Source, reading: Reading) -> Calibration:
     """Return camera_from_lidar of the camera and the LiDAR that the reading or the frame names select.
 
-    Raises InputError if no base frame has both sensors, or if their poses are not rigid transforms.
+    Raises InputError if no base frame connects the sensors, or if their poses are not rigid transforms.
     """
-    where = source.path
-    camera = reading.camera_frame or reading.name or None
-    bases = {base: _children(value) for base, value in source.tree.items()}
-    fitting = [children for children in bases.values() if _sensors(children) == {True, False}]
-    children = fitting[0] if len(fitting) == 1 else {name: value for c in bases.values() for name, value in c.items()}
-    camera_name = chosen(children, camera, "camera", where)
-    lidar_name = chosen([name for name in children if name != camera_name], reading.lidar_frame, "LiDAR", where)
-    pair = [group for group in bases.values() if camera_name in group and lidar_name in group]
-    if len(pair) != 1:
-        fault = f"{camera_name} and {lidar_name} do not have the same base frame"
-        raise InputError(fault, where=where, expected="both below one base frame")
-    base_from_camera, remarks = _place(camera_name, pair[0][camera_name], source)
-    base_from_lidar, more = _place(lidar_name, pair[0][lidar_name], source)
-    optical_from_camera, _ = optical_from(camera_name)
-    pose = optical_from_camera @ se3.inverse(base_from_camera) @ base_from_lidar
-    return Calibration(None, pose, lidar_name, camera_name, remarks + more)
+    if reading.camera_frame is None and reading.name:
+        reading = reading.model_copy(update={"camera_frame": reading.name})
+    transforms = [
+        Edge(str(base), name, partial(_place, name, child, source))
+        for base, value in source.tree.items()
+        for name, child in _children(value).items()
+    ]
+    return calibration_of(transforms, reading, source.path)
 
 
 def _children(value: Any) -> dict[str, Mapping[str, Any]]:
@@ -88,15 +81,9 @@ def _children(value: Any) -> dict[str, Mapping[str, Any]]:
     return {str(name): child for name, child in items if isinstance(child, Mapping) and set(_KEYS) <= child.keys()}
 
 
-def _sensors(children: Mapping[str, Any]) -> set[bool]:
-    """Return whether cameras (True) and LiDARs (False) are among the frame names."""
-    return {is_camera(name) for name in children if is_camera(name) or is_lidar(name)}
-
-
-def _place(name: str, child: Mapping[str, Any], source: Source) -> tuple[Float, tuple[str, ...]]:
+def _place(name: str, child: Mapping[str, Any], source: Source) -> Posed:
     values = [child[key] for key in _KEYS]
-    pose, remarks = read_pose(name, {"translation_m": values[:3], "rpy_rad": values[3:]}, source.path)
-    return np.asarray(pose), remarks
+    return read_pose(name, {"translation_m": values[:3], "rpy_rad": values[3:]}, source.path)
 
 
 FORMAT = Format(

@@ -7,7 +7,7 @@ ends in `_optical` or `_optical_frame`, has x right, y down, z forward, like cam
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,58 +15,80 @@ import numpy as np
 from p2o import Float, InputError, se3
 from p2o.reading import read_pose
 
-_CAMERA = re.compile(r"cam|optical|rgb|image|fisheye")
-_LIDAR = re.compile(r"lidar|laser|velo|livox|ouster|hesai|pandar|rslidar|robosense|^os[0-9_]|vlp|hdl|points|scan")
+_CAMERA = re.compile(
+    r"cam|optical|rgb|image|fisheye|realsense|kinect|flir|basler|stereo|thermal|(?<![a-z])(zed|oak|ptz|d4\d\d)(?![a-z])"
+)
+_LIDAR = re.compile(
+    r"lidar|laser|velo(?!c)|livox|ouster|hesai|pandar|robosense|innoviz|innovusion|seyond|luminar|aeva|cepton|ibeo"
+    r"|helios|bpearl|vlp|hdl|vls|points|scan|(?<![a-z])(os[0-9_]|avia(?![a-z])|(mid|xt|qt|at|rs)[-_]?[0-9])"
+)
+# Other sensors and frames of the world, such as camera_imu_frame, and camera_init of LOAM.
+_NEITHER = re.compile(
+    r"(?<![a-z])(imu|odom|odometry|map|world|init|pose)(?![a-z])|gyro|accel|gps|gnss|radar|sonar|screw|mount(?!ed)|\$"
+)
 _LINK = re.compile(r"(^|_)link$")
+_SIDE = re.compile(r"left|right|front|rear|back|top|bottom|upper|lower|(?<!\d)\d(?!\d)")
+_BODY = re.compile(r"(^|[_/])(base|body|link|housing)$")
 
 OPTICAL_FROM_LINK = se3.make([[0, -1, 0], [0, 0, -1], [1, 0, 0]])
 """Transform (4, 4) from a camera's body frame (x forward, y left, z up) to its optical frame."""
 OPTICAL_FROM_LINK.flags.writeable = False
 
 
-def optical_from(camera_frame: str) -> tuple[Float, str]:
-    """Return optical_from_camera (4, 4) of a camera frame with this name, and a description of its axes.
+def optical_from(camera_frame: str, axes: str | None = None) -> tuple[Float, str]:
+    """Return optical_from_camera (4, 4) of a camera frame, and a description of its axes.
 
-    `camera_link`, or a camera name that ends in `_link` without `optical`, is a body frame; all others are optical.
+    `axes` is "optical", "body", or None: then the name decides (`has_body_axes`).
     """
-    last = camera_frame.rpartition("/")[2].lower()
-    if "optical" not in last and _LINK.search(last):
+    if axes == "body" or (axes is None and has_body_axes(camera_frame)):
         return OPTICAL_FROM_LINK, "x forward, y left, z up (body frame of the camera)"
     return np.eye(4), "x right, y down, z forward (optical frame)"
 
 
+def has_body_axes(camera_frame: str) -> bool:
+    """Return whether a camera frame is a body frame by its name: it ends in `_link`, without `optical`."""
+    return bool(_LINK.search(_last(camera_frame))) and not is_optical(camera_frame)
+
+
+def axes_remark(camera_frame: str, axes: str | None, option: str, where: object) -> tuple[str, ...]:
+    """Return a remark on the axes of a frame without `optical` in its name if no option states them, else nothing.
+
+    `option` is how the user states them, without the value; `where` names the source.
+    """
+    if axes is not None or is_optical(camera_frame):
+        return ()
+    other = "optical" if has_body_axes(camera_frame) else "body"
+    assumed = optical_from(camera_frame)[1]
+    return (f"{where}: the axes of frame {camera_frame} are assumed to be {assumed}; if not: {option}={other}",)
+
+
+def is_optical(name: str) -> bool:
+    """Return whether a frame name denotes the optical frame of a camera."""
+    return "optical" in _last(name)
+
+
+def is_body(name: str) -> bool:
+    """Return whether a frame name denotes the body or the base of a sensor."""
+    return bool(_BODY.search(name.lower()))
+
+
+def may_be_body_of(name: str, other: str) -> bool:
+    """Return whether two names can be of one sensor: `other` has the sides and numbers of the body `name`."""
+    return set(_SIDE.findall(name.lower())) <= set(_SIDE.findall(other.lower()))
+
+
 def is_camera(name: str) -> bool:
     """Return whether a frame name denotes a camera."""
-    return bool(_CAMERA.search(name.lower()))
+    return bool(_CAMERA.search(name.lower())) and not _NEITHER.search(name.lower())
 
 
 def is_lidar(name: str) -> bool:
     """Return whether a frame name denotes a LiDAR."""
-    return bool(_LIDAR.search(name.lower())) and not is_camera(name)
+    return bool(_LIDAR.search(name.lower())) and not _CAMERA.search(name.lower()) and not _NEITHER.search(name.lower())
 
 
-def chosen(names: Iterable[str], wanted: str | None, sensor: str, where: object) -> str:
-    """Return the frame of the `sensor` ("camera" or "LiDAR") among the frame names of a file: `wanted`, if given.
-
-    Raises InputError if `wanted` is missing, or if not exactly one name denotes the sensor.
-    """
-    known = list(dict.fromkeys(names))
-    option = f"{sensor.lower()}_frame"
-    if wanted:
-        if wanted not in known:
-            fault = f"the file has no frame {wanted!r}"
-            raise InputError(fault, where=where, expected=f"{option}: one of {_listed(known)}", got=wanted)
-        return wanted
-    matching = [name for name in known if (is_camera if sensor == "camera" else is_lidar)(name)]
-    if len(matching) != 1:
-        fault = f"{len(matching) or 'no'} frame names denote the {sensor}"
-        hint = f"name it: FILE?{option}=NAME"
-        raise InputError(fault, where=where, expected=f"one of {_listed(matching or known)}", hint=hint)
-    return matching[0]
-
-
-def _listed(names: list[str]) -> str:
-    return ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
+def _last(name: str) -> str:
+    return name.rpartition("/")[2].lower()
 
 
 def roles(parent: str, child: str, lidar: str | None, camera: str | None, where: object) -> bool:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import io
 import pickle
 import sqlite3
 from collections.abc import Sequence
@@ -9,12 +10,14 @@ from typing import Any
 
 import numpy as np
 import p2o
+import PIL.Image
 import pytest
 from p2o import Camera, Cloud, Dataset, Frame, InputError, Registry, UnknownNameError, se3
 from p2o.cli import main
 from p2o.frames.frame import LazyFrames
 from p2o.run.recipe import open_dataset
 from p2o_datasets.bags.bag import Bag
+from p2o_datasets.bags.overview import overview
 from p2o_datasets.ros import RosOptions, build
 
 from tests.bag_files import (
@@ -23,7 +26,9 @@ from tests.bag_files import (
     Said,
     camera_info,
     cloud,
+    compressed,
     file_of,
+    foxglove,
     header,
     image,
     messages_of,
@@ -405,6 +410,96 @@ def test_a_pose_that_looks_the_wrong_way_round_is_told(tmp_path: Path) -> None:
     frame = dataset(write_bag(tmp_path, [*front, cloud("/points", START_NS, columns)]))
     with pytest.raises(InputError, match=r"TF \(start\) looks like lidar_from_camera"):
         frame[0]
+
+
+LIDAR_FROM_LINK = se3.inverse(TRUTH) @ se3.make(AXES)
+
+
+def of_frame(name: str, *transforms: dict[str, Any]) -> list[Said]:
+    """Return a recording whose images are in a frame of this name, with the transforms of TF."""
+    said = [m for m in drive() if m.topic != "/tf_static"]
+    for message in said:
+        if message.topic == "/image_raw":
+            message.fields["header"]["frame_id"] = name
+    return [tf(list(transforms), START_NS), *said]
+
+
+def test_a_link_without_an_optical_frame_has_body_axes(tmp_path: Path) -> None:
+    path = write_bag(tmp_path, of_frame("camera_link", transform("lidar", "camera_link", LIDAR_FROM_LINK)))
+    frame = dataset(path)[0]
+    assert frame.start is not None
+    assert np.allclose(frame.start, TRUTH)
+    assert "camera_link are assumed to be x forward" in frame.warnings[0]
+    assert "--set data.camera_axes=optical" in frame.warnings[0]
+    assert dataset(path, camera_axes="body")[0].warnings == ()
+    as_optical = dataset(path, camera_axes="optical", tf="truth")[0].camera_from_lidar
+    assert np.allclose(as_optical, se3.inverse(LIDAR_FROM_LINK))
+
+
+def test_the_optical_frame_below_the_link_of_the_images_is_used(tmp_path: Path) -> None:
+    link = transform("lidar", "camera_link", LIDAR_FROM_LINK @ se3.make(translation=[0.1, 0, 0]))
+    optical = transform("camera_link", "camera_optical_frame", se3.make(np.transpose(AXES), [-0.1, 0, 0]))
+    path = write_bag(tmp_path, of_frame("camera_link", link, optical))
+    frame = dataset(path)[0]
+    assert np.allclose(frame.start, TRUTH)
+    assert "its optical frame camera_optical_frame of TF is used" in frame.warnings[0]
+    frame = dataset(path, image_frame="camera_link")[0]
+    assert np.allclose(frame.start, se3.make(translation=[0, 0, -0.1]) @ TRUTH)
+
+
+def test_a_frame_of_tf_with_two_parents_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    both = [transform(parent, "camera", se3.inverse(TRUTH)) for parent in ("lidar", "base")]
+    path = write_bag(tmp_path, of_frame("camera", *both))
+    assert main(["data", "check", f"ros:{path}"]) == 2
+    assert "frame camera has several parents; expected one parent; got base, lidar" in capsys.readouterr().err
+    assert dataset(path, tf="ignore")[0].start is None
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("kind", ["RawImage", "CompressedImage"])
+def test_images_of_foxglove_are_those_of_ros(tmp_path: Path, form: str, kind: str) -> None:
+    buffer = io.BytesIO()
+    PIL.Image.fromarray(pixels(0)).save(buffer, "PNG")
+    one = image("/image_raw", START_NS, pixels(0), frame="camera")
+    one = one if kind == "RawImage" else compressed("/image_raw", START_NS, buffer.getvalue(), frame="camera")
+    said = [m for m in drive(1) if m.topic != "/image_raw"]
+    path = write_bag(tmp_path, [*said, foxglove(one)], form)
+    details = {topic.name: (topic.frame_id, topic.details) for topic in overview(Bag(path))}
+    assert details["/image_raw"] == ("camera", "16x12 px rgb8" if kind == "RawImage" else "png")
+    frame = dataset(path)[0]
+    assert frame.name.endswith("/1700000000.000000000")
+    assert np.array_equal(frame.image.rgb, pixels(0))
+    assert np.allclose(frame.start, TRUTH)
+
+
+@pytest.mark.parametrize("options", [[], ["--set", "data.image_topic=/image_raw"]])
+def test_video_is_refused_with_the_way_to_convert_it(
+    tmp_path: Path, options: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = [m for m in drive(1) if m.topic != "/image_raw"]
+    video = foxglove(compressed("/image_raw", START_NS, b"\0\0\0\1", "h264"), "CompressedVideo")
+    path = write_bag(tmp_path, [*said, video])
+    assert main(["data", "check", f"ros:{path}", *options]) == 2
+    message = capsys.readouterr().err
+    assert "foxglove_msgs/CompressedVideo" in message
+    assert "decode it to sensor_msgs/CompressedImage (ros2 run image_transport republish)" in message
+
+
+def test_a_camera_that_differs_for_rectified_images_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rectified = np.array([18.0, 0, 6, 0, 0, 18, 4, 0, 0, 0, 1, 0])
+    said = [m for m in drive(1) if m.topic != "/camera_info"]
+    path = write_bag(tmp_path, [*said, camera_info("/camera_info", START_NS, CAMERA, p=rectified)])
+    assert main(["data", "check", f"ros:{path}"]) == 0
+    text = capsys.readouterr().out
+    assert "K and D, for raw images, are used" in text
+    assert "K has the centre (7, 5) px, focal length 20 px, P (6, 4) px, focal length 18 px" in text
+    assert "--set data.rectified=true" in text
+    for stated in (False, True):
+        assert dataset(path, rectified=stated)[0].advice == ()
+    assert dataset(path)[0].advice
+    assert dataset(path)[0].warnings == ()
 
 
 def in_view() -> Any:

@@ -188,12 +188,14 @@ def test_static_transforms_as_people_write_them(text: str, pose: np.ndarray) -> 
 
 def test_names_that_say_nothing_are_asked_for() -> None:
     text = "static_transform_publisher --x 0.3 --frame-id sensor_a --child-frame-id sensor_b"
-    with pytest.raises(InputError, match=r"which one is the camera.*sensor_a, sensor_b.*camera_frame=sensor_b"):
-        read_text(text)
-    found = read_text(text, camera_frame="sensor_b")
+    for named in ({}, {"camera_frame": "sensor_b"}, {"lidar_frame": "sensor_b"}):
+        with pytest.raises(InputError, match=r"no frame names denote the.*sensor_a, sensor_b.*FILE\?lidar_frame=NAME"):
+            read_text(text, **named)
+    found = read_text(text, lidar_frame="sensor_a", camera_frame="sensor_b")
     np.testing.assert_allclose(found.extrinsic(), se3.make(translation=[-0.3, 0, 0]))
     assert "assumed to be x right, y down" in found.remarks[0]
-    np.testing.assert_allclose(read_text(text, lidar_frame="sensor_b").extrinsic(), se3.make(translation=[0.3, 0, 0]))
+    found = read_text(text, lidar_frame="sensor_b", camera_frame="sensor_a")
+    np.testing.assert_allclose(found.extrinsic(), se3.make(translation=[0.3, 0, 0]))
 
 
 def test_files_of_kitti_multiply_all_in() -> None:

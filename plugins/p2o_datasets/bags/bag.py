@@ -293,6 +293,8 @@ def _reading(path: Path) -> Iterator[None]:
         hint = "is it truncated? download it again, or try rosbag reindex, ros2 bag reindex, or mcap recover"
         if "not ros2" in message:
             hint = "only MCAP of ROS 2 is supported: convert others with their own tools"
+        elif "protobuf" in message or "json" in message:
+            hint = "only messages in the serialisation of ROS are supported: convert the recording to a ROS 2 bag"
         elif "reindex" in message:
             hint = "the recording was not closed: rosbag reindex FILE"
         raise InputError("the bag cannot be read", where=path, got=message[:200], hint=hint) from problem

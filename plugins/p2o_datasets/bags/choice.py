@@ -11,6 +11,15 @@ from p2o_datasets.bags.bag import Bag, Topic
 from p2o_datasets.bags.messages import CAMERA_INFO, CLOUDS, IMAGES, PATHS, TF, shown
 
 _TRANSPORTS = ("/compressed", "/raw")
+_VIDEOS = (
+    "foxglove_msgs/msg/CompressedVideo", "foxglove.", "ffmpeg_image_transport_msgs/", "theora_image_transport/",
+)  # fmt: skip
+"""Types of images that are not decoded: video, and Foxglove's types that are not in the serialisation of ROS."""
+DECODE = (
+    "decode it to sensor_msgs/CompressedImage (ros2 run image_transport republish), or extract images with ffmpeg for "
+    "the data set `folder`"
+)
+"""Advice for images that p2o does not decode, such as video."""
 
 
 @dataclass(frozen=True)
@@ -82,12 +91,13 @@ def _one(bag: Bag, what: str, name: str | None, kinds: Sequence[str], candidates
         topic = bag.topics[name]
         if topic.kind not in kinds or not topic.count:
             got = shown(topic.kind) if topic.kind not in kinds else "no messages"
-            raise InputError(f"topic {name} is not a topic of type {what}", where=bag.path, expected=wanted, got=got)
+            fault, hint = f"topic {name} is not a topic of type {what}", DECODE if _is_video(topic) else None
+            raise InputError(fault, where=bag.path, expected=wanted, got=got, hint=hint)
         return topic
     if not candidates:
         available = ", ".join(f"{topic.name} ({shown(topic.kind)})" for topic in bag.topics.values())
         fault = f"the bag has no topic of a{'n' if what == 'image' else ''} {what}"
-        hint = _of_packets(bag) if what == "cloud" else None
+        hint = _of_packets(bag) if what == "cloud" else _of_video(bag) if what == "image" else None
         raise InputError(fault, where=bag.path, expected=wanted, got=available or "an empty bag", hint=hint)
     if len(candidates) > 1:
         fault, got = f"the bag has several topics of type {what}", ", ".join(topic.name for topic in candidates)
@@ -103,3 +113,13 @@ def _of_packets(bag: Bag) -> str | None:
     packets = next((t for t in topics if "packet" in t.kind.lower() or t.kind.endswith("VelodyneScan")), None)
     driver = "play the bag through the driver of the LiDAR (velodyne_pointcloud and similar) and record PointCloud2"
     return None if packets is None else f"{packets.name} contains raw packets: {driver}"
+
+
+def _is_video(topic: Topic) -> bool:
+    return topic.kind.startswith(_VIDEOS)
+
+
+def _of_video(bag: Bag) -> str | None:
+    """Return a hint for bags with images in a form that p2o does not decode, or None for other bags."""
+    video = next((topic for topic in bag.topics.values() if _is_video(topic)), None)
+    return None if video is None else f"{video.name} contains {shown(video.kind)}: {DECODE}"

@@ -23,11 +23,20 @@ TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 ODOMETRY = "nav_msgs/msg/Odometry"
 POSE = "geometry_msgs/msg/PoseStamped"
 
-IMAGES = (IMAGE, COMPRESSED_IMAGE)
+FOXGLOVE = {"foxglove_msgs/msg/RawImage": IMAGE, "foxglove_msgs/msg/CompressedImage": COMPRESSED_IMAGE}
+"""Messages of Foxglove with the content of a message of ROS, but with another order of fields."""
+
+IMAGES = (IMAGE, COMPRESSED_IMAGE, *FOXGLOVE)
 CLOUDS = (POINT_CLOUD, *LIVOX)
 PATHS = (ODOMETRY, POSE)
 """Types of messages with an image, a sweep, and a position of the vehicle."""
-_HEADER = "std_msgs/msg/Header"
+_HEADER, _FOXGLOVE_HEADER = "std_msgs/msg/Header", "foxglove_msgs/msg/Header"
+_FOXGLOVE_FIELDS = {
+    _FOXGLOVE_HEADER: "",
+    "foxglove_msgs/msg/CompressedImage": "uint8[] data\nstring format\n",
+    "foxglove_msgs/msg/RawImage": "uint32 width\nuint32 height\nstring encoding\nuint32 step\nuint8[] data\n",
+}
+"""Fields after timestamp and frame_id; the name of the first type is p2o's own."""
 
 # Fields of the message before its points; rosbags would create one object per point.
 _LIVOX_START = """std_msgs/Header header
@@ -134,9 +143,9 @@ class Transform:
     translation_m: tuple[float, float, float]
 
 
-def read_header(data: bytes | memoryview, *, ros1: bool, where: object = None) -> Header:
-    """Decode the header at the start of a message; raises InputError if there is none."""
-    return _header(_decoded(_HEADER, data, ros1, where)[0])
+def read_header(kind: str, data: bytes | memoryview, *, ros1: bool, where: object = None) -> Header:
+    """Decode the header at the start of a message of a type; raises InputError if there is none."""
+    return _header(_decoded(_FOXGLOVE_HEADER if kind in FOXGLOVE else _HEADER, data, ros1, where)[0])
 
 
 def read_message(kind: str, data: bytes | memoryview, *, ros1: bool, where: object = None) -> Any:
@@ -166,7 +175,7 @@ def shown(kind: str) -> str:
 
 @cache
 def _typestore(ros1: bool) -> Any:
-    """Return the types of ROS 1 or 2 with those of TF and Livox."""
+    """Return the types of ROS 1 or 2 with those of TF, Livox and Foxglove."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
@@ -174,6 +183,9 @@ def _typestore(ros1: bool) -> Any:
         store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms\n", kind))
     for kind in LIVOX:
         store.register(get_types_from_msg(_LIVOX_START, kind))
+    time = "time" if ros1 else "builtin_interfaces/Time"
+    for kind, fields_after in _FOXGLOVE_FIELDS.items():
+        store.register(get_types_from_msg(f"{time} timestamp\nstring frame_id\n{fields_after}", kind))
     return store
 
 
@@ -197,13 +209,18 @@ def _decoded(kind: str, data: bytes | memoryview, ros1: bool, where: object) -> 
 
 
 def _header(message: Any) -> Header:
-    return Header(message.stamp.sec * 1_000_000_000 + message.stamp.nanosec, message.frame_id)
+    """Return the header of a decoded header of ROS or start of a message of Foxglove."""
+    stamp = getattr(message, "stamp", None) or message.timestamp
+    return Header(stamp.sec * 1_000_000_000 + stamp.nanosec, message.frame_id)
 
 
 def _copied(kind: type[Any], message: Any) -> Any:
-    """Return a message of a dataclass whose fields, apart from the header, are those of the decoded message."""
-    values = {field.name: getattr(message, field.name) for field in fields(kind)}
-    return kind(**values | {"header": _header(message.header)})
+    """Return a message of a dataclass whose fields are those of the decoded message.
+
+    Messages of Foxglove have no header and are little-endian.
+    """
+    values = {field.name: getattr(message, field.name, False) for field in fields(kind)}
+    return kind(**values | {"header": _header(getattr(message, "header", message))})
 
 
 def _camera_info(message: Any) -> CameraInfoMessage:
@@ -233,9 +250,13 @@ def _path_pose(message: Any) -> Transform:
     return _transform(message.header, getattr(message, "child_frame_id", ""), pose.orientation, pose.position)
 
 
-_READERS: Mapping[str, Callable[[Any], Any]] = {
+_IMAGE_READERS = {
     IMAGE: partial(_copied, ImageMessage),
     COMPRESSED_IMAGE: partial(_copied, CompressedImageMessage),
+}
+_READERS: Mapping[str, Callable[[Any], Any]] = {
+    **_IMAGE_READERS,
+    **{kind: _IMAGE_READERS[same] for kind, same in FOXGLOVE.items()},
     CAMERA_INFO: _camera_info,
     POINT_CLOUD: partial(_copied, PointCloudMessage),
     **dict.fromkeys(TF, _transforms),

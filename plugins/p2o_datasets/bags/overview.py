@@ -7,14 +7,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from p2o import InputError
+from p2o_formats.frame_tree import bare
 
 from p2o_datasets.bags.bag import Bag, Message, Topic
 from p2o_datasets.bags.choice import Chosen, choose
-from p2o_datasets.bags.frame_tree import bare, read_frame_tree
 from p2o_datasets.bags.messages import (
     CAMERA_INFO,
     CLOUDS,
     COMPRESSED_IMAGE,
+    FOXGLOVE,
     IMAGE,
     IMAGES,
     LIVOX,
@@ -25,6 +26,7 @@ from p2o_datasets.bags.messages import (
     read_message,
     shown,
 )
+from p2o_datasets.bags.tf import read_frame_tree
 
 _READ = (*IMAGES, CAMERA_INFO, *CLOUDS, *TF, *PATHS)
 _WINDOWS_S = (1, 10, 100)
@@ -74,7 +76,7 @@ def _start_words(bag: Bag, chosen: Chosen) -> str:
     frames = []
     for topic in (chosen.image.name, chosen.cloud.name):
         message = bag.first(topic)
-        header = read_header(message.data, ros1=message.ros1, where=f"{bag.path}: {topic}")
+        header = read_header(message.topic.kind, message.data, ros1=message.ros1, where=f"{bag.path}: {topic}")
         frames.append(bare(header.frame_id))
     camera, lidar = frames
     tree = read_frame_tree(bag)
@@ -124,7 +126,7 @@ def _read(message: Message) -> Any:
 
 
 def _details(message: Message) -> tuple[str | None, str]:
-    content, kind = _read(message), message.topic.kind
+    content, kind = _read(message), FOXGLOVE.get(message.topic.kind, message.topic.kind)
     if content is None:
         return None, ""
     if kind in TF:

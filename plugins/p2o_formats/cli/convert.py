@@ -93,6 +93,8 @@ def _described(calibration: Calibration, chosen: Format, options: Options, sourc
         lines.append(f"  camera position in the LiDAR's frame: {_spaced(-pose[:3, :3].T @ pose[:3, 3], 4)} m")
         lines.append(f"  camera axes in the LiDAR's frame: optical axis {forward}, up {up}")
         lines.append(f"  stored transform: {_direction(chosen, options)}")
+        if calibration.lidar_frame and calibration.camera_frame:
+            lines.append(f"  frames of {source}: lidar {calibration.lidar_frame}, camera {calibration.camera_frame}")
     if CAMERA in stored and calibration.camera is not None:
         camera = calibration.camera
         lines.append(f"  camera: {camera.width}x{camera.height} px {camera.model}")

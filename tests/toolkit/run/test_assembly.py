@@ -59,6 +59,15 @@ def test_what_a_whole_method_claims_is_held_against_edges(pose: np.ndarray) -> N
     assert "witness" in result.seconds
 
 
+@pytest.mark.parametrize("pose", [TRUTH, TRUTH @ p2o.se3.exp(np.array([0, 0.05, 0.05, 0, 0, 0]))])
+def test_the_advice_of_a_frame_is_repeated_by_results_that_are_not_trusted(pose: np.ndarray) -> None:
+    plan = Recipe.of(data=None, calibrator="claims", witness="depth/rings").resolve(registry(Claims(pose)))
+    frame = replace(stage.frame(), warnings=("grey image",), advice=("try rectified=true",))
+    result = plan.assembly()([frame], START)
+    assert f"{frame.name}: grey image" in result.warnings
+    assert (f"{frame.name}: try rectified=true" in result.warnings) == (not result.verdict.trusted)
+
+
 def test_without_a_witness_nothing_is_checked_and_that_is_said() -> None:
     result = result_of(Claims(TRUTH), witness="none")
     assert [reason.doubt for reason in result.verdict.reasons] == [Doubt.NOT_CHECKED]

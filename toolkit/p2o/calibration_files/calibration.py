@@ -161,6 +161,9 @@ class Reading(Options):
     )
     width: int | None = field(None, gt=0, le=30_000, help="Image width in pixels, if the file does not state it.")
     height: int | None = field(None, gt=0, le=30_000, help="Image height in pixels, if the file does not state it.")
+    camera_axes: Literal["optical", "body"] | None = field(
+        None, help="Axes of the camera frame: z forward (optical) or x forward (body); default: by its name."
+    )
 
 
 class CalibrationReader(ABC):

@@ -70,7 +70,7 @@ def check_frames(data: str, frames: str | None, **words: Any) -> int:
 
 
 def described(frame: Frame, extractors: Sequence[Offer]) -> str:
-    """Return the content of a frame in one line, and its warnings in further lines; `extractors` are those of clouds.
+    """Return the content of a frame in one line, its warnings and advice in further ones; `extractors` are of clouds.
 
     Raises PluginError if one of them fails to recover rings.
     """
@@ -86,7 +86,8 @@ def described(frame: Frame, extractors: Sequence[Offer]) -> str:
         *(name for name in ("start", "twist") if getattr(frame, name) is not None),
         *(["no start"] if frame.start is None and frame.camera_from_lidar is None else []),
     ]
-    lines = [f"{frame.name}: {', '.join(parts)}", *(f"  warning: {text}" for text in frame.warnings)]
+    remarks = [*(f"  warning: {text}" for text in frame.warnings), *(f"  advice: {text}" for text in frame.advice)]
+    lines = [f"{frame.name}: {', '.join(parts)}", *remarks]
     return "\n".join(map(printable, lines))
 
 

@@ -155,7 +155,8 @@ class Frame:
 
     `camera_from_lidar` (4, 4) is the ground truth of the extrinsic, `start` (4, 4) an initial guess of the dataset
     (such as a mechanical drawing). `twist` (6,) is the velocity of the LiDAR in its own frame (rad/s, then m/s). All
-    three are None if unknown. `warnings` are remarks of the reader, which become part of the result. `sequence` is the
+    three are None if unknown. `warnings` are remarks of the reader, which become part of the result; `advice` are
+    remarks that become part of a result only if it is not trusted: what else the data could mean. `sequence` is the
     name of the drive, empty for a single frame; `time_s` is the time of the image on a clock of the sequence.
     `lidar_world_from_lidar` and `camera_world_from_camera` (4, 4) are the poses of the sensors at that time, if known,
     in two world frames whose relation is unknown: the extrinsic is observable from their motions (hand-eye), not from a
@@ -179,6 +180,7 @@ class Frame:
     targets: tuple[Target, ...] = ()
     sweep: Cloud | None = None
     camera_name: str = ""
+    advice: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("camera_from_lidar", "start", "lidar_world_from_lidar", "camera_world_from_camera"):

@@ -23,7 +23,7 @@ from p2o.host.slots import WIDE, WITNESS, WITNESS_STAGES
 from p2o.host.stages import Initializer, InitializerBase
 from p2o.options import Options
 from p2o.results.result import Result
-from p2o.run.pipeline import Clock, Pipeline
+from p2o.run.pipeline import Clock, Pipeline, Remarks, with_remarks
 from p2o.run.read_again import FrameInfo, cache_key, without_truth
 from p2o.run.wide import solve_widely
 from p2o.runtime.native import for_each
@@ -113,18 +113,17 @@ class Assembly:
         with clock.of("extract"):
             # One access a frame: large sets of frames are read again at each.
             prepared = for_each(self._prepare, frames, parallel=self.parallel)
-        infos = [info for info, _, _ in prepared]
-        pieces = without_truth(frames) if self.reads_frames else [pieces for _, pieces, _ in prepared]
+        infos, own_pieces, remarks = zip(*prepared, strict=True)
+        pieces = without_truth(frames) if self.reads_frames else own_pieces
         result = self.calibrated(infos, pieces, camera_from_lidar)
         result = self.checked(result, infos, lambda number: self._pieces(frames[number], WITNESS))
-        warnings = tuple(text for _, _, texts in prepared for text in texts)
-        return replace(result, seconds={**clock.seconds, **result.seconds}, warnings=(*warnings, *result.warnings))
+        return with_remarks(replace(result, seconds={**clock.seconds, **result.seconds}), remarks)
 
-    def _prepare(self, frame: Frame) -> tuple[FrameInfo, dict[str, Any], tuple[str, ...]]:
-        """Return the info of a frame, the outputs of all stages except the independent check, and its warnings."""
+    def _prepare(self, frame: Frame) -> tuple[FrameInfo, dict[str, Any], Remarks]:
+        """Return the info of a frame, the outputs of all stages except the independent check, and its remarks."""
         info = FrameInfo(frame.name, frame.camera, twist=frame.twist)
         own = [stage for stage in self.stages if stage not in WITNESS]
-        return info, self._pieces(frame, own), tuple(f"{frame.name}: {text}" for text in frame.warnings)
+        return info, self._pieces(frame, own), Remarks.of(frame)
 
     def _pieces(self, frame: Frame, stages: Iterable[str]) -> dict[str, Any]:
         """Return what stages prepare of a frame."""

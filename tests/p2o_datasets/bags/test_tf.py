@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from p2o import InputError, UnknownNameError, se3
-from p2o_datasets.bags.frame_tree import FrameTree, frame_tree
 from p2o_datasets.bags.messages import Header, Transform
+from p2o_datasets.bags.tf import frame_tree
+from p2o_formats.frame_tree import FrameTree
 from scipy.spatial.transform import Rotation
 
 
@@ -40,7 +41,7 @@ def test_what_is_not_joined_has_no_pose_and_rings_end() -> None:
     tree = frame_tree(entries)
     assert tree.pose("a", "c") is None
     assert tree.moving_above("a") is None
-    assert FrameTree({}).pose("a", "b") is None
+    assert FrameTree().pose("a", "b") is None
 
 
 def test_what_never_changes_in_tf_is_fixed_and_what_changes_is_not() -> None:
