@@ -14,8 +14,10 @@ from p2o.geometry import se3
 from p2o.geometry.perturb import parse_perturbation
 from p2o.geometry.pose_error import pose_error
 from p2o.host.method import Kind
+from p2o.host.stages import JudgeBase
 from p2o.problems.point_to_line import PointToLine
 from p2o.problems.problem import LeastSquares, Objective
+from p2o.results.verdict import Doubt
 from p2o.run.run import common_pose
 
 from p2o_testing import stage
@@ -213,7 +215,11 @@ def costs_are_those_of_the_residuals(subject: Subject) -> None:
 
 @CHECKS.of(lambda method: method.example is not None)
 def the_example_is_solved(subject: Subject) -> None:
-    """A calibration of the frames of the example, with the methods it names, comes as near as it promises."""
+    """A calibration of the frames of the example, with the methods it names, comes as near as it promises.
+
+    Trust is not refused for the kind of its problem: where its edges agree in enough cells of the image, it is no reason
+    for doubt that the problem has no pairs.
+    """
     from p2o.run.run import calibrate
     from p2o.run.words import parse_settings
 
@@ -242,6 +248,9 @@ def the_example_is_solved(subject: Subject) -> None:
         near = error.rotation_deg <= within.angle_deg and error.translation_m <= within.distance_m
         size = f"{error.rotation_deg:.3f} deg and {error.translation_m:.3f} m"
         require(near, f"{name}: {size} from the truth, within {example.within} is promised")
+        doubts = {reason.doubt for reason in result.verdict.reasons}
+        many = result.agreement is not None and result.agreement.places >= JudgeBase.min_cells
+        require(not (many and Doubt.TOO_FEW_PLACES in doubts), f"{name}: edges agree in many places, and trust is refused")
 
 
 INITIALIZERS = Checks(Kind.INITIALIZER)
