@@ -711,7 +711,8 @@ def test_data_list_and_check_name_every_frame(fake: list[str], capsys: pytest.Ca
     assert main(["data", "check", "fake:", *plugin, "--set", "data.frames=1"]) == 0
     out = capsys.readouterr().out
     assert out.startswith(
-        "drive/0000: 480x240 px PINHOLE, 96000 points, 64 rings, column, intensity, time_s, right, depth"
+        "drive/0000: 480x240 px PINHOLE, 96000 points, 64 rings, 100 % of returns with a neighbour within 0.6 deg, "
+        "column, intensity, time_s, right, depth"
     )
     assert out.endswith("1 of 1 frames are good\n")
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from p2o import Cloud
 from p2o.cli.data import ring_count
-from p2o.frames.rings import RingsUnknownError, rings_of, told_rings
+from p2o.frames.rings import RingsUnknownError, azimuth_gaps, neighbour_gap, rings_of, told_rings
 
 
 def sweep(rings=16, columns=360, lift_m=0.0):
@@ -109,3 +109,22 @@ def test_rings_of_a_sector_are_counted_where_they_start_ahead_or_at_its_side():
     side = np.lexsort((np.arctan2(cut.xyz[:, 1], cut.xyz[:, 0]), cut.ring))
     label, _ = rings_of(Cloud(cut.xyz[side]))
     np.testing.assert_array_equal(label, cut.ring[side])
+
+
+@pytest.mark.parametrize(
+    ("step_deg", "expected_deg"), [(0.1, 0.6), (0.18, 0.6), (0.42, 0.6), (0.703125, 0.984375), (3.0, 4.2)]
+)
+@pytest.mark.parametrize("damage", ["none", "dropouts", "sector", "two-firings"])
+def test_neighbours_are_up_to_1_4_steps_apart_and_at_least_0_6_deg(step_deg, expected_deg, damage):
+    azimuth = np.radians(np.tile(np.arange(0, 360 - 1e-9, step_deg), 8))
+    ring = np.repeat(np.arange(8), len(azimuth) // 8)
+    if damage == "two-firings":
+        azimuth, ring = np.concatenate([azimuth, azimuth + np.radians(0.1 * step_deg)]), np.tile(ring, 2)
+        expected_deg = max(0.6, 0.9 * expected_deg)
+    kept = np.ones(len(azimuth), bool)
+    if damage == "dropouts":
+        kept = np.random.default_rng(0).random(len(azimuth)) < 0.7
+    elif damage == "sector":
+        kept = (azimuth < 1.0) | (ring > 3)
+    widest = neighbour_gap(azimuth_gaps(azimuth[kept], ring[kept]))
+    assert np.degrees(widest) == pytest.approx(expected_deg, rel=0.01)

@@ -13,6 +13,8 @@ from p2o.frames.cloud import Cloud
 
 Single = NDArray[np.float32]
 
+NEIGHBOUR_GAP = np.radians(0.6)
+"""Azimuth in rad up to which returns of one ring are neighbours, whatever the step of the sweep."""
 _TURN = 2 * np.pi
 _MOST_SCATTER = 0.25
 """Maximum variance of the elevation within rings, relative to the variance of all returns."""
@@ -41,6 +43,30 @@ def rings_of(cloud: Cloud) -> tuple[Int, str]:
         return np.unique(cloud.ring, return_inverse=True)[1], ""
     x, y, z = cloud.as_measured().T.astype(np.float32)
     return told_rings(np.mod(np.arctan2(y, x), np.float32(_TURN)), z / np.maximum(np.hypot(x, y), np.float32(1e-6)))
+
+
+def neighbour_gap(gap: Float, least: float = NEIGHBOUR_GAP) -> float:
+    """Return the widest azimuth in rad between neighbours on a ring, from the gaps (N,) rad of all returns.
+
+    It is 1.4 steps from column to column, and at least `least`. The step is the median gap; single missing returns,
+    sectors without returns, and pulses that follow each other in less than half a step do not change it.
+    """
+    gap = gap[gap > 0]
+    if not len(gap):
+        return least
+    # Means are of the gaps that are no sector without returns.
+    usual = gap[gap <= 20 * np.median(gap)]
+    return max(least, 1.4 * float(np.median(usual[usual >= 0.5 * usual.mean()])))
+
+
+def azimuth_gaps(azimuth: Float, ring: Int) -> Float:
+    """Return the angle (N,) rad from each return to the next one on its ring, from azimuths (N,) rad and rings (N,)."""
+    turn = np.mod(azimuth, _TURN)
+    order = np.lexsort((turn, ring))
+    first = np.flatnonzero(np.diff(ring[order], prepend=-1))
+    after = np.arange(1, len(order) + 1)
+    after[np.append(first[1:], len(order)) - 1] = first
+    return np.mod(turn[order[after]] - turn[order], _TURN)
 
 
 def told_rings(azimuth: Single, rise: Single) -> tuple[Int, str]:
