@@ -104,9 +104,9 @@ def test_sweeps_of_few_columns_show_left_and_right_edges(step_deg, damage):
 def test_rings_without_neighbours_are_named():
     cloud = Lidar(HDL32, 0.36).scan(WALL, Box((-20, 0, 0), (0.2, 60, 60)), GROUND)
     assert METHOD.build(RingsOptions())(cloud).get(CloudRemarks.word) is None
-    mixed = Cloud(cloud.xyz, ring=np.arange(len(cloud)) // 3)
+    mixed = Cloud(cloud.xyz, ring=np.random.default_rng(0).permutation(len(cloud)) // 3)
     [text] = METHOD.build(RingsOptions(find_sensor=False))(mixed).get(CloudRemarks.word).texts
-    assert "0 % of the returns have a neighbour on their ring (cloud.max_gap_deg)" in text
+    assert "% of the returns have a neighbour on their ring (cloud.max_gap_deg)" in text
 
 
 def test_the_outline_of_a_pole_is_met_within_half_a_beam_and_without_bias():
@@ -355,10 +355,11 @@ def test_every_option_changes_the_outcome():
     rng = np.random.default_rng(7)
     cloud = Lidar(step_deg=0.36).scan(*random_scene(7))
     rough = Cloud(cloud.xyz * (1 + 0.01 * rng.standard_normal((len(cloud), 1))), cloud.ring)
+    rough = rough.select(rng.random(len(rough)) < 0.9)
     changes = {
         "min_jump_m": 2.0,
         "min_jump_share": 0.2,
-        "max_gap_deg": 0.3,
+        "max_gap_deg": 1.5,
         "max_step_deg": 0.4,
         "slant_ratio": 0.0,
         "grazing_share": 0.01,

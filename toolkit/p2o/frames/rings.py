@@ -13,8 +13,9 @@ from p2o.frames.cloud import Cloud
 
 Single = NDArray[np.float32]
 
-NEIGHBOUR_GAP = np.radians(0.6)
+NEIGHBOUR_GAP = float(np.radians(0.6))
 """Azimuth in rad up to which returns of one ring are neighbours, whatever the step of the sweep."""
+_WIDEST_GAP = float(np.radians(5.0))
 _TURN = 2 * np.pi
 _MOST_SCATTER = 0.25
 """Maximum variance of the elevation within rings, relative to the variance of all returns."""
@@ -45,10 +46,10 @@ def rings_of(cloud: Cloud) -> tuple[Int, str]:
     return told_rings(np.mod(np.arctan2(y, x), np.float32(_TURN)), z / np.maximum(np.hypot(x, y), np.float32(1e-6)))
 
 
-def neighbour_gap(gap: Float, least: float = NEIGHBOUR_GAP) -> float:
+def neighbour_gap(gap: Float | Single, least: float = NEIGHBOUR_GAP) -> float:
     """Return the widest azimuth in rad between neighbours on a ring, from the gaps (N,) rad of all returns.
 
-    It is 1.4 steps from column to column, and at least `least`. The step is the median gap; single missing returns,
+    It is 1.4 steps from column to column, at most 5 degrees, and at least `least`. The step is the median gap; single missing returns,
     sectors without returns, and pulses that follow each other in less than half a step do not change it.
     """
     gap = gap[gap > 0]
@@ -56,7 +57,8 @@ def neighbour_gap(gap: Float, least: float = NEIGHBOUR_GAP) -> float:
         return least
     # Means are of the gaps that are no sector without returns.
     usual = gap[gap <= 20 * np.median(gap)]
-    return max(least, 1.4 * float(np.median(usual[usual >= 0.5 * usual.mean()])))
+    step = float(np.median(usual[usual >= 0.5 * usual.mean()]))
+    return max(least, min(1.4 * step, _WIDEST_GAP))
 
 
 def azimuth_gaps(azimuth: Float, ring: Int) -> Float:
@@ -66,7 +68,8 @@ def azimuth_gaps(azimuth: Float, ring: Int) -> Float:
     first = np.flatnonzero(np.diff(ring[order], prepend=-1))
     after = np.arange(1, len(order) + 1)
     after[np.append(first[1:], len(order)) - 1] = first
-    return np.mod(turn[order[after]] - turn[order], _TURN)
+    gap: Float = np.mod(turn[order[after]] - turn[order], _TURN)
+    return gap
 
 
 def told_rings(azimuth: Single, rise: Single) -> tuple[Int, str]:
@@ -207,7 +210,8 @@ def _ring_starts(seen: Single, rise: Single) -> Int:
     few = 0.05 * float(np.median(count))
     stray = near & ((change < 0.5 * typical) if clear else (np.minimum(count[:-1], count[1:]) < few))
     last, head = end[-1] == len(seen) and stray[-1], first[0] == 0 and stray[0]
-    return begin[int(head) : turns - int(last)]
+    starts: Int = begin[int(head) : turns - int(last)]
+    return starts
 
 
 def _two_levels(height: Float, here: int) -> tuple[float, float, float, float]:
