@@ -87,7 +87,8 @@ def described(frame: Frame, extractors: Sequence[Offer]) -> str:
         *(name for name in ("start", "twist") if getattr(frame, name) is not None),
         *(["no start"] if frame.start is None and frame.camera_from_lidar is None else []),
     ]
-    lines = [f"{frame.name}: {', '.join(parts)}", *(f"  warning: {text}" for text in frame.warnings)]
+    unused = [f"  fields of the points not used: {', '.join(frame.unused_fields)}"] if frame.unused_fields else []
+    lines = [f"{frame.name}: {', '.join(parts)}", *unused, *(f"  warning: {text}" for text in frame.warnings)]
     return "\n".join(map(printable, lines))
 
 

@@ -49,8 +49,8 @@ def rings_of(cloud: Cloud) -> tuple[Int, str]:
 def neighbour_gap(gap: Float | Single, least: float = NEIGHBOUR_GAP) -> float:
     """Return the widest azimuth in rad between neighbours on a ring, from the gaps (N,) rad of all returns.
 
-    It is 1.4 steps from column to column, at most 5 degrees, and at least `least`. The step is the median gap; single missing returns,
-    sectors without returns, and pulses that follow each other in less than half a step do not change it.
+    It is 1.4 steps from column to column, at most 5 degrees, and at least `least`. The step is the median gap; single
+    missing returns, sectors without returns, and pulses within less than half a step do not change it.
     """
     gap = gap[gap > 0]
     if not len(gap):
