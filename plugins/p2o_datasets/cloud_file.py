@@ -30,9 +30,7 @@ from p2o_datasets.point_fields import (
 )
 
 _MAX_BYTES = 256 << 20
-SCALE_HINT = (
-    "for millimetres, set cloud_scale: 0.001 in frame.yaml, for centimetres 0.01; or scale the points to metres"
-)
+_SCALE_HINT = "scale the points to metres (cloud_scale in frame.yaml: 0.001 for millimetres, 0.01 for centimetres)"
 
 
 def read_cloud(
@@ -125,14 +123,14 @@ def read_points(fields: Mapping[str, Any], path: Path, clock: PointClock, scale:
     if far > 0.01 * count:
         fault = "this is not a point cloud in metres"
         expected, got = f"coordinates below {FAR_M:g} m", f"{far} of {count} points farther away"
-        raise InputError(fault, where=path, expected=expected, got=got, hint=SCALE_HINT)
+        raise InputError(fault, where=path, expected=expected, got=got, hint=_SCALE_HINT)
     usable = usable_points(columns)
     warnings: list[str] = []
     per_point: dict[str, Any] = {}
     used: list[str] = []
     for target, names in candidates(list(columns)).items():
         for name in names:
-            value = columns[name]
+            value: Any = columns[name]
             if value.shape != (count,):
                 fault = f"field {name} has another length than the points"
                 raise InputError(fault, where=path, expected=f"({count},)", got=value.shape)

@@ -129,8 +129,8 @@ class PointClock:
     @classmethod
     def of_image(cls, image_time_s: float | None, unit: Unit = "auto") -> PointClock:
         """Return the clock of points that share their clock with an image."""
-        known = image_time_s is not None
-        return cls(unit, round(image_time_s * 1e9) if known else None, required=known)
+        image_ns = None if image_time_s is None else round(image_time_s * 1e9)
+        return cls(unit, image_ns, required=image_ns is not None)
 
     def after_image(self, times: Any, usable: Bool, unit: Unit = "auto") -> tuple[Float | None, str | None]:
         """Return times (N,) in seconds after the image with an optional remark, or None with the reason.
