@@ -67,7 +67,7 @@ def candidates(names: Sequence[str]) -> dict[str, list[str]]:
 
 
 def unused_fields(fields: Mapping[str, Any], used: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of fields besides x, y, z and those `used`."""
+    """Return the names of fields except x, y, z and those `used`."""
     return tuple(name for name in fields if name not in "xyz" and name not in used and name != "xyz")
 
 

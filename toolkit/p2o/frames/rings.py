@@ -20,8 +20,8 @@ _TURN = 2 * np.pi
 _MOST_SCATTER = 0.25
 """Maximum variance of the elevation within rings, relative to the variance of all returns."""
 _SAME_START, _SAME_VARIANCE = 0.02, 0.5
-"""Starts of the rings are equivalent up to these shares of the squared step between rings, and of the variance, where
-the elevation steps down at both."""
+"""Starts of the rings have equal variances up to this share of the squared step between rings, and similar ones up to
+this share of the variance."""
 _SEAM = np.radians(30.0)
 """Rings start within this azimuth of each other: an OS0's beams are 22 degrees apart, and returns may be missing."""
 # Candidate steps in elevation between rings, as tangents (the smallest that fits is used); minimum number of returns
@@ -117,12 +117,14 @@ def _by_order(azimuth: Single, rise: Single) -> Int | str:
             candidates.append(_Candidate.of(begin, rise))
     if not candidates:
         return "the azimuth does not run round ring by ring"
-    candidates = [entry for entry in candidates if entry.at_step] or candidates
     best = min(candidates, key=lambda entry: entry.variance)
     # A share f of each ring in the wrong label adds f (1 - f) of the squared step between rings to the variance.
-    same = best.variance * _SAME_VARIANCE if best.at_step else 0.0
-    enough = best.variance + same + _SAME_START * best.step**2
-    chosen = next(entry for entry in candidates if entry.variance <= enough)
+    enough = best.variance + _SAME_START * best.step**2
+    equal = [entry for entry in candidates if entry.variance <= enough]
+    similar = [entry for entry in candidates if entry.variance <= enough + _SAME_VARIANCE * best.variance]
+    # At the start of a ring the elevation changes by the step between rings, or less where rings are unevenly spaced.
+    at_step = (entry for low in (0.7, 0.35) for entry in similar if low < entry.step_at_start / entry.step < 1.4)
+    chosen = next(at_step, equal[0])
     if chosen.variance <= _MOST_SCATTER * max(float(np.var(rise)), 1e-12):
         return chosen.label
     return f"{chosen.label[-1] + 1} rings read from the azimuth hold returns of very different elevation"
@@ -145,12 +147,9 @@ class _Candidate:
         np.cumsum(label, out=label)
         mean = np.bincount(label, rise) / np.bincount(label)
         variance, step = np.mean((rise - mean[label]) ** 2), np.median(np.abs(np.diff(mean)))
-        return cls(label, float(variance), float(step), float(np.median(np.abs(rise[begin] - rise[begin - 1]))))
-
-    @property
-    def at_step(self) -> bool:
-        """Whether the elevation changes at the starts by the step between rings, as it does not elsewhere."""
-        return 0.7 * self.step < self.step_at_start < 1.4 * self.step
+        return cls(
+            label, float(variance), max(float(step), 1e-12), float(np.median(np.abs(rise[begin] - rise[begin - 1])))
+        )
 
 
 def _steepest(azimuth: Single, rise: Single) -> list[float]:
