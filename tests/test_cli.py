@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import p2o
 import pytest
+import yaml
 from p2o import Result, Status
 from p2o.cli import _COMMANDS, main
 from p2o.cli.run import Required
@@ -22,6 +23,8 @@ from p2o.results.result_json import result_from_json
 from p2o.results.verdict import Doubt, Reason, Verdict
 from p2o.run.run import Row, Run
 from p2o.solving import Accuracy
+
+from tests.p2o_datasets.kitti_files import HEIGHT, WIDTH, write_image
 
 PLUGIN = Path(__file__).with_name("stage_plugin.py")
 STAGE = ["--plugin", str(PLUGIN), "--data", "fake:?frames=1"]
@@ -711,9 +714,28 @@ def test_data_list_and_check_name_every_frame(fake: list[str], capsys: pytest.Ca
     assert main(["data", "check", "fake:", *plugin, "--set", "data.frames=1"]) == 0
     out = capsys.readouterr().out
     assert out.startswith(
-        "drive/0000: 480x240 px PINHOLE, 96000 points, 64 rings, column, intensity, time_s, right, depth"
+        "drive/0000: 480x240 px PINHOLE, 96000 points, 64 rings, 100 % of returns with a neighbour within 0.6 deg, "
+        "column, intensity, time_s, right, depth"
     )
     assert out.endswith("1 of 1 frames are good\n")
+
+
+def test_data_check_names_fields_that_are_not_used_and_the_unit_of_points(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_image(tmp_path / "image.png")
+    camera = {"model": "PINHOLE", "width": WIDTH, "height": HEIGHT, "params": [50.0, 50.0, 31.0, 15.5]}
+    (tmp_path / "frame.yaml").write_text(yaml.safe_dump({"camera": camera, "cloud_scale": 1.0}))
+    xyz = np.random.default_rng(0).uniform(-3000, 3000, (900, 3))
+    np.savez(tmp_path / "cloud.npz", xyz=xyz, laser_id=np.arange(900) % 16, line=np.arange(900), rgb=np.zeros(900))
+    assert main(["data", "check", f"folder:{tmp_path}"]) == 0
+    first, unused, warning, _ = capsys.readouterr().out.splitlines()
+    assert "900 points, 16 rings, " in first
+    assert unused == "  fields of the points not used: line, rgb"
+    assert "which no scene has: they are probably in millimetres" in warning
+    (tmp_path / "frame.yaml").write_text(yaml.safe_dump({"camera": camera, "cloud_scale": 0.001}))
+    assert main(["data", "check", f"folder:{tmp_path}"]) == 0
+    assert "which no scene has" not in capsys.readouterr().out
 
 
 def test_data_check_goes_on_after_a_bad_frame(capsys: pytest.CaptureFixture[str]) -> None:

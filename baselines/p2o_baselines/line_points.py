@@ -31,7 +31,7 @@ class LinePointsOptions(p2o.Options):
 
     min_jump_m: float = field(0.5, ge=0, help="Smallest range jump, in metres.")
     min_jump_share: float = field(0.03, ge=0, help="Added to the smallest jump, as a share of the range.")
-    max_gap_deg: float = field(0.6, gt=0, lt=90, help="Largest azimuth between neighbours on a ring.")
+    max_gap_deg: float = field(0.6, gt=0, lt=90, help="Least angle that parts neighbours on a ring.")
     cell_deg: float = field(0.2, gt=0, le=5, help="Width of a cell of the range image of a cloud without rings.")
     max_range_m: float = field(60.0, gt=1, help="Drop points farther than this.")
     radius_m: float = field(0.3, gt=0, help="Radius of the neighbourhood of a point, in metres.")

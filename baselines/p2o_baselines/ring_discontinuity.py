@@ -4,15 +4,15 @@ Levinson and Thrun, Automatic Online Calibration of Cameras and Lasers, RSS 2013
 = max(d_(i-1) - d_i, d_(i+1) - d_i, 0)^0.5, d the range and i - 1, i + 1 its neighbours on the ring, so that only the
 nearer side of a jump counts; points with a jump of at most 0.3 m are dropped (their figure, as far as we know).
 
-Departures: points further apart than `max_gap_deg` are not neighbours (a pulse without a return is no jump); of points
-of one ring with the same azimuth the nearest is used.
+Departures: points further apart than `max_gap_deg` and 1.4 azimuth steps are not neighbours (a pulse without a return
+is no jump); of points of one ring with the same azimuth the nearest is used.
 """
 
 from __future__ import annotations
 
 import numpy as np
 import p2o
-from p2o import Float, Int, field
+from p2o import Float, Int, field, reading
 
 from p2o_baselines.point_feature import raw_times
 
@@ -22,7 +22,7 @@ class RingDiscontinuityOptions(p2o.Options):
 
     min_jump_m: float = field(0.3, ge=0, help="Smallest range jump to a neighbour on the ring, in metres.")
     power: float = field(0.5, gt=0, le=2, help="Exponent of the jump in the weight of a point.")
-    max_gap_deg: float = field(0.6, gt=0, lt=90, help="Largest azimuth between neighbours on a ring.")
+    max_gap_deg: float = field(0.6, gt=0, lt=90, help="Least angle that parts neighbours on a ring.")
     max_range_m: float = field(100.0, gt=1, help="Drop points farther than this.")
 
 
@@ -43,7 +43,7 @@ def ring_jumps(cloud: p2o.Cloud, min_jump_m: float, max_gap_deg: float) -> tuple
     after[last] = first
     step = np.mod(azimuth[order[after]] - azimuth[order], 2 * np.pi)
     back = range_m[order[after]] - range_m[order]  # positive where the next point is farther away
-    back[(step > np.radians(max_gap_deg)) | (after == np.arange(len(order)))] = 0.0
+    back[(step > reading.neighbour_gap(step, np.radians(max_gap_deg))) | (after == np.arange(len(order)))] = 0.0
     jump = np.maximum(back, 0.0)
     np.maximum.at(jump, after, -back)
     keep = jump > min_jump_m

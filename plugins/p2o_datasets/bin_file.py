@@ -55,9 +55,12 @@ def read_txt(data: bytes, path: Path, columns: Sequence[str] | None = None) -> M
 def read_rows(data: bytes, path: Path, columns: Sequence[str] | None = None) -> Mapping[str, Any]:
     """Return the columns, each (N,), of an .npy array (N, 3) to (N, 6), or of the width of `columns`.
 
-    Without `columns`, their number determines them, see `KNOWN`. Raises InputError for any other array.
+    Without `columns`, their number determines them, see `KNOWN`; a structured array (N,) names them itself. Raises
+    InputError for any other array.
     """
     table = read_npy(data, path)
+    if table.dtype.names and columns is None:
+        return {name: table[name].reshape(-1) for name in table.dtype.names if table.dtype[name].shape == ()}
     known = {3: KITTI_COLUMNS[:3], **KNOWN}
     width = table.shape[1] if table.ndim == 2 else 0
     names = columns or known.get(width, ())
@@ -94,7 +97,7 @@ def check_columns(columns: Sequence[str], known: Sequence[str], path: Path) -> N
     """Raise InputError unless the columns contain x y z, otherwise `known` names or _, and no name twice."""
     wanted = [name for name in columns if name != "_"]
     if not set("xyz") <= set(wanted) <= {*"xyz", *known} or len(set(wanted)) != len(wanted) or len(columns) > 64:
-        expected = f"x y z once each, and any of {' '.join(known)}, or _ for others"
+        expected = "x y z once each, and any of intensity, ring, time and their other names, or _ for others"
         raise InputError(f"wrong {OPTION}", where=path, expected=expected, got=" ".join(columns[:64]))
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from p2o import Bool, Cloud, InputError
+from p2o import Cloud, InputError
 from p2o.reading import naming, read_bytes
 from p2o.reading import read_npz as read_archive
 
@@ -16,26 +16,36 @@ from p2o_datasets.las_file import read_las
 from p2o_datasets.number_text import MAX_POINTS
 from p2o_datasets.pcd_file import read_pcd
 from p2o_datasets.ply_file import read_ply
+from p2o_datasets.point_fields import (
+    KNOWN_NAMES,
+    PointClock,
+    candidates,
+    no_rings,
+    not_finite,
+    only_rings,
+    plain_names,
+    time_unit,
+    unused_fields,
+    usable_points,
+)
 
-INTENSITY = ("intensity", "i", "reflectance", "reflectivity")
-RING = ("ring", "channel")
-TIME = ("time_s", "time", "t", "timestamp")
 _MAX_BYTES = 256 << 20
-# Larger than the number of rings of any automotive LiDAR: larger numbers are not rings.
-_MAX_RING = 1023
+_SCALE_HINT = "scale the points to metres (cloud_scale in frame.yaml: 0.001 for millimetres, 0.01 for centimetres)"
 
 
 def read_cloud(
     path: Path, image_time_s: float | None = None, columns: Sequence[str] | None = None
 ) -> tuple[Cloud, tuple[str, ...]]:
-    """Return the sweep of a file, and warnings about dropped data.
+    """Return the sweep of a file, and warnings about dropped data; raises as `read_fields` and `read_points`."""
+    return cloud_from_fields(read_fields(path, columns), path, image_time_s)
 
-    `image_time_s` is subtracted from the times of the points, which are seconds if stored as floating point numbers and
-    nanoseconds if stored as integers; times more than 1000 s from the image are dropped with a warning. `columns` name
-    the columns of files without names (.bin, .npy, .txt), _ those to ignore.
 
-    Raises InputError if the file is missing, a folder, empty, unreadable, truncated, too large or of another format,
-    or has no finite points.
+def read_fields(path: Path, columns: Sequence[str] | None = None) -> Mapping[str, Any]:
+    """Return the fields of the points of a file by name, each (N,).
+
+    `columns` name the columns of files without names (.bin, .npy, .txt), _ those to ignore.
+
+    Raises InputError if the file is missing, a folder, empty, unreadable, truncated, too large or of another format.
     """
     suffix = path.suffix.lower()
     if suffix not in (*_ROWS, *_READERS):
@@ -44,18 +54,21 @@ def read_cloud(
     data = read_bytes(path, "point cloud", _MAX_BYTES)
     if suffix in _ROWS:
         if columns is not None:
-            check_columns(columns, (*INTENSITY, *RING, *TIME), path)
-        fields = _ROWS[suffix](data, path, columns)
-    elif columns is not None:
+            check_columns(columns, KNOWN_NAMES, path)
+        return _ROWS[suffix](data, path, columns)
+    if columns is not None:
         raise InputError(f"{OPTION} given for a file with named columns", where=path, expected=" or ".join(_ROWS))
-    else:
-        fields = _READERS[suffix](data, path)
-    return cloud_from_fields(fields, path, image_time_s)
+    return _READERS[suffix](data, path)
 
 
 def read_npz(data: bytes, path: Path) -> Mapping[str, Any]:
-    """Return the fields of an .npz archive with `xyz` (N, 3) and optional (N,) fields; pickled objects are refused."""
+    """Return the fields of an .npz archive with `xyz` (N, 3), or x, y, z, and optional (N,) fields.
+
+    Raises InputError without coordinates, and for pickled objects.
+    """
     arrays = read_archive(data, path)
+    if "xyz" not in arrays and {"x", "y", "z"} <= {name.lower() for name in arrays}:
+        return arrays
     xyz = arrays.pop("xyz", None)
     if xyz is None or xyz.ndim != 2 or xyz.shape[1] != 3:
         got = "no xyz" if xyz is None else xyz.shape
@@ -71,14 +84,33 @@ NAMED_SUFFIXES = (*SUFFIXES, ".npy")
 """Suffixes of sweeps called `cloud`."""
 
 
+class ReadPoints(NamedTuple):
+    """A sweep, warnings about its fields, and the names of the fields that are not used."""
+
+    cloud: Cloud
+    warnings: tuple[str, ...]
+    unused: tuple[str, ...]
+
+
 def cloud_from_fields(
     fields: Mapping[str, Any], path: Path, image_time_s: float | None = None
 ) -> tuple[Cloud, tuple[str, ...]]:
-    """Return the sweep of named columns (N,), and warnings; see `read_cloud` for times and errors."""
-    missing = [axis for axis in "xyz" if axis not in fields]
+    """Return the sweep of named columns (N,), and warnings, as `read_points`; times share the clock of the image."""
+    return read_points(fields, path, PointClock.of_image(image_time_s))[:2]
+
+
+def read_points(fields: Mapping[str, Any], path: Path, clock: PointClock, scale: float = 1.0) -> ReadPoints:
+    """Return the sweep of named columns (N,), with intensity, ring and time by the names of `point_fields`.
+
+    `clock` converts times to seconds after the image, and `scale` coordinates to metres. Fields that hold no rings or
+    times are ignored: those of the usual names with a warning.
+
+    Raises InputError for missing, wrong or too many points, and as `PointClock.after_image`.
+    """
+    columns = {name: np.asarray(value) for name, value in plain_names(fields).items()}
+    missing = [axis for axis in "xyz" if axis not in columns]
     if missing:
         raise InputError("the points have no coordinates", where=path, expected="fields x y z", got=" ".join(fields))
-    columns = {name: np.asarray(value) for name, value in fields.items()}
     count = columns["x"].size
     if any(columns[axis].dtype.kind not in "iuf" or columns[axis].shape != (count,) for axis in "xyz"):
         raise InputError("the points are not numbers", where=path, expected="numeric x y z, one per point")
@@ -86,58 +118,40 @@ def cloud_from_fields(
         raise InputError("the point cloud has too many points", where=path, expected=f"at most {MAX_POINTS}", got=count)
     # Signalling NaN and numbers beyond double precision would emit warnings; both are dropped below.
     with np.errstate(invalid="ignore", over="ignore"):
-        xyz = np.stack([columns[axis] for axis in "xyz"], axis=1, dtype=np.float64, casting="unsafe")
-        usable: Bool = np.asarray(np.isfinite(xyz).all(axis=1))
-        far = int(np.count_nonzero((np.abs(xyz) > FAR_M).any(axis=1) & usable))
+        xyz = np.stack([columns[axis] for axis in "xyz"], axis=1, dtype=np.float64, casting="unsafe") * scale
+        far = int(np.count_nonzero((np.abs(xyz) > FAR_M).any(axis=1) & np.isfinite(xyz).all(axis=1)))
     if far > 0.01 * count:
         fault = "this is not a point cloud in metres"
-        expected = f"coordinates below {FAR_M:g} m"
-        raise InputError(fault, where=path, expected=expected, got=f"{far} of {count} points farther away")
+        expected, got = f"coordinates below {FAR_M:g} m", f"{far} of {count} points farther away"
+        raise InputError(fault, where=path, expected=expected, got=got, hint=_SCALE_HINT)
+    usable = usable_points(columns)
     warnings: list[str] = []
     per_point: dict[str, Any] = {}
-    for target, aliases in (("intensity", INTENSITY), ("ring", RING), ("time_s", TIME)):
-        name = next((n for n in aliases if n in columns), None)
-        if name is None:
-            continue
-        value = columns[name]
-        if value.shape != (count,):
-            fault = f"field {name} has another length than the points"
-            raise InputError(fault, where=path, expected=f"({count},)", got=value.shape)
-        wrong = None if _is_finite(value, usable) else "not finite numbers"
-        if wrong is None and target == "ring":
-            wrong = _no_rings(value[usable])
-        elif wrong is None and target == "time_s":
-            with np.errstate(invalid="ignore", over="ignore"):
-                value = value * 1e-9 if value.dtype.kind in "iu" else value.astype(np.float64)
-                value = value - (image_time_s or 0.0)
-            if np.abs(value[usable]).max(initial=0) > 1000:
-                wrong = "not relative to the image; give image_time_s"
-        if wrong is None:
-            per_point[target] = value
-        else:
-            warnings.append(f"{path.name}: field {name} ignored: {wrong}")
+    used: list[str] = []
+    for target, names in candidates(list(columns)).items():
+        for name in names:
+            value: Any = columns[name]
+            if value.shape != (count,):
+                fault = f"field {name} has another length than the points"
+                raise InputError(fault, where=path, expected=f"({count},)", got=value.shape)
+            wrong = not_finite(value[usable])
+            if target == "time" and wrong is None:
+                with naming(path):
+                    value, wrong = clock.after_image(value, usable, time_unit(name) or "auto")
+                if value is not None and wrong is not None:
+                    warnings.append(f"{path.name}: {wrong}")
+                    wrong = None
+            elif target == "ring" and wrong is None:
+                wrong = no_rings(name, value[usable])
+            if wrong is None:
+                used.append(name)
+                if value is not None:
+                    per_point["time_s" if target == "time" else target] = value
+                break
+            if target != "ring" or only_rings(name):
+                used.append(name)
+                warnings.append(f"{path.name}: field {name} ignored: {wrong}")
     with naming(path):
         cloud, dropped = Cloud.from_raw(xyz, **per_point)
-    return cloud, (*warnings, *(f"{path.name}: {remark}" for remark in dropped))
-
-
-def _is_finite(value: Any, usable: Bool) -> bool:
-    """Return whether a field is a finite number at the usable points."""
-    if value.dtype.kind != "f":
-        return value.dtype.kind in "iu"
-    with np.errstate(invalid="ignore", over="ignore"):
-        return bool(np.isfinite(value[usable].astype(np.float64)).all())
-
-
-def _no_rings(ring: Any) -> str | None:
-    """Return why numbers cannot be ring numbers, or None."""
-    if not ring.size:
-        return None
-    least, most = ring.min(), ring.max()
-    if least < 0 or most > _MAX_RING:
-        return f"numbers from {least:.6g} to {most:.6g} are not rings"
-    if ring.dtype.kind == "f" and (ring != np.floor(ring)).any():
-        return "rings are not integers"
-    if ring.size > 1 and least == most:
-        return f"all {ring.size} points have ring {most:.6g}"
-    return None
+    unused = unused_fields(columns, used)
+    return ReadPoints(cloud, (*warnings, *(f"{path.name}: {remark}" for remark in dropped)), unused)

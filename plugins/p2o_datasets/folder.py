@@ -29,7 +29,8 @@ from p2o.reading import LazyFrames, listing, naming, parse_yaml, read_extrinsic,
 from p2o_formats.camera_entry import read_camera
 from pydantic import Field
 
-from p2o_datasets.cloud_file import NAMED_SUFFIXES, read_cloud
+from p2o_datasets.cloud_file import NAMED_SUFFIXES, read_fields, read_points
+from p2o_datasets.point_fields import PointClock, Unit
 
 FRAME_FILE = "frame.yaml"
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
@@ -117,6 +118,10 @@ class FrameEntry(Options):
     cloud: str | None = field(None, help="File of the sweep; default: cloud.*, or the only point cloud of the folder.")
     cloud_columns: tuple[str, ...] | None = field(
         None, help="Columns of a .bin, .npy or .txt sweep: x y z intensity ring time, _ for others; default: inferred."
+    )
+    cloud_scale: float = field(1.0, gt=0, le=1e6, help="Metres per unit of the points; 0.001 for millimetres.")
+    point_times: Unit = field(
+        "auto", help="Unit of the points' times; auto: the unit in which a sweep takes 4 to 400 ms; none: ignore them."
     )
     start: Any = field(None, help="Initial camera_from_lidar: rows, rotation and translation, words, or a file.")
     truth: Any = field(None, help="Ground truth of camera_from_lidar, if known, in the forms of start, or a file.")
@@ -223,7 +228,12 @@ def _read(root: Path, faults: Mapping[Path, InputError], folder: Path) -> Frame:
     image, warnings = _image(root, folder, entry, camera)
     warnings += tuple(warning for _, remarks in read.values() for warning in remarks)
     cloud_path = _file(root, folder, entry.cloud, "cloud", NAMED_SUFFIXES)
-    cloud, cloud_warnings = read_cloud(cloud_path, entry.image_time_s, entry.cloud_columns)
+    clock = PointClock.of_image(entry.image_time_s, entry.point_times)
+    clock = replace(
+        clock, required=clock.required or entry.twist is not None, setting=f"in {FRAME_FILE}, point_times: "
+    )
+    fields = read_fields(cloud_path, entry.cloud_columns)
+    cloud, cloud_warnings, unused = read_points(fields, cloud_path, clock, entry.cloud_scale)
     warnings += cloud_warnings
     if entry.image_time_s is not None and cloud.time_s is not None and np.abs(cloud.time_s).min() > _SAME_MOMENT_S:
         expected = f"image_time_s within {_SAME_MOMENT_S:g} s of a time of {cloud_path.name}, on the same clock"
@@ -243,6 +253,7 @@ def _read(root: Path, faults: Mapping[Path, InputError], folder: Path) -> Frame:
     for name in (name for name in _EXTRINSICS if name in poses):
         warnings += reading.check_direction(cloud, camera, poses[name], name=name, where=path)
     given: dict[str, Any] = {"camera_from_lidar": poses.pop("truth", None), **poses, "twist": twist, "targets": targets}
+    given["unused_fields"] = unused
     given |= entry.model_dump(include={"sequence", "time_s", "camera_name"})
     return Frame(folder.name, image, cloud, warnings=warnings, **given)
 

@@ -27,8 +27,8 @@ _TIME = "gps_time"
 def read_las(data: bytes, path: Path) -> Mapping[str, Any]:
     """Return the fields of a .las or .laz file by name, each (N,): x, y, z in metres, intensity, time, extra bytes.
 
-    `gps_time` is the time in seconds; a file whose times are all zero has none. Rings are read from extra bytes of that
-    name, because LAS has no field for them.
+    `gps_time` is the time in seconds, `gps_time_s` here; times and intensities that are all zero are none. Rings are in
+    extra bytes, because LAS has no field for them.
 
     Raises InputError without laspy, for headers that contradict the file size, and for damaged files.
     """
@@ -42,9 +42,11 @@ def read_las(data: bytes, path: Path) -> Mapping[str, Any]:
     try:
         las = laspy.read(io.BytesIO(plain))
         fields = {axis: np.asarray(getattr(las, axis), dtype=np.float64) for axis in "xyz"}
-        fields |= {name: np.asarray(las[name]) for name in ("intensity", *las.point_format.extra_dimension_names)}
+        fields |= {name: np.asarray(las[name]) for name in las.point_format.extra_dimension_names}
+        if np.any(las["intensity"]):
+            fields["intensity"] = np.asarray(las["intensity"])
         if _TIME in las.point_format.dimension_names and np.any(las[_TIME]):
-            fields.setdefault("time", np.asarray(las[_TIME], dtype=np.float64))
+            fields["gps_time_s"] = np.asarray(las[_TIME], dtype=np.float64)
     except Exception as problem:  # laspy raises many types for damaged files
         raise _damaged(path, str(problem) or type(problem).__name__) from problem
     return {name: value for name, value in fields.items() if value.ndim == 1}

@@ -37,7 +37,7 @@ def read_table(text: bytes, columns: int, path: Path, most: int = MAX_POINTS + 1
 
 
 def as_stored(column: Float, kind: str) -> Any:
-    """Return a column of type `kind` as integers if it is an integer type, which marks times in nanoseconds."""
+    """Return a column of type `kind` as integers if it is an integer type, which keeps the digits of large times."""
     # Only doubles below 2^63 can be converted; a column with NaN or larger values stays as it is.
     if kind in "iu" and bool((np.abs(column) < 2.0**63).all()):
         return column.astype(np.int64)

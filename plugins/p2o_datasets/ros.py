@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from p2o import Cloud, Dataset, Float, Frame, Image, InputError, Int, Method, Options, field, se3
+from p2o import Dataset, Float, Frame, Image, InputError, Int, Method, Options, field, se3
 from p2o.reading import LazyFrames, check_direction, naming
 from p2o_formats.frame_names import axes_remark, has_body_axes, optical_from
 from p2o_formats.frame_tree import FrameTree, bare, optical_below
@@ -16,11 +16,12 @@ from p2o_formats.frame_tree import FrameTree, bare, optical_below
 from p2o_datasets.bags.bag import Bag
 from p2o_datasets.bags.choice import Chosen, base, choose, choose_path, tf_topics
 from p2o_datasets.bags.messages import CAMERA_INFO, LIVOX, read_header, read_message
-from p2o_datasets.bags.point_columns import Unit, columns_of, named_columns, seconds_after, usable_points
+from p2o_datasets.bags.point_columns import columns_of
 from p2o_datasets.bags.tf import read_frame_tree, read_transforms
-from p2o_datasets.cloud_file import cloud_from_fields
+from p2o_datasets.cloud_file import ReadPoints, read_points
 from p2o_datasets.ego_path import nearest
 from p2o_datasets.lazy_dataset import Words, in_drive
+from p2o_datasets.point_fields import PointClock, Unit
 from p2o_datasets.ros_camera import RosCamera, camera_by_name, camera_of_file, camera_of_info
 from p2o_datasets.ros_image import rgb_of
 
@@ -332,7 +333,7 @@ def _read(entry: tuple[_Source, _MessageRef, _MessageRef]) -> Frame:
     content = read_message(message.topic.kind, message.data, ros1=message.ros1, where=where)
     rgb, warnings = rgb_of(content, where, image_name, (camera.width, camera.height))
     image = Image(rgb, camera)
-    cloud, cloud_warnings = _cloud(source, image_ref, cloud_ref)
+    cloud, cloud_warnings, unused = _cloud(source, image_ref, cloud_ref)
     pose, pose_warnings = source.extrinsic
     warnings += (*cloud_warnings, *source.camera.warnings, *pose_warnings)
     if pose is not None:
@@ -340,27 +341,21 @@ def _read(entry: tuple[_Source, _MessageRef, _MessageRef]) -> Frame:
         warnings += check_direction(cloud, camera, pose, name=f"TF ({options.tf})", where=bag.path)
     extrinsic: dict[str, Any] = {"camera_from_lidar" if options.tf == "truth" else "start": pose}
     drive = in_drive(bag.name, source.camera_name, (image_ref.stamp_ns - source.first_ns) / _SECOND, None)
-    return Frame(name, image, cloud, warnings=warnings, advice=source.camera.advice, **extrinsic, **drive)
+    notes = {"warnings": warnings, "advice": source.camera.advice, "unused_fields": unused}
+    return Frame(name, image, cloud, **notes, **extrinsic, **drive)
 
 
-def _cloud(source: _Source, image_ref: _MessageRef, cloud_ref: _MessageRef) -> tuple[Cloud, tuple[str, ...]]:
+def _cloud(source: _Source, image_ref: _MessageRef, cloud_ref: _MessageRef) -> ReadPoints:
     bag, topic = source.bag, source.chosen.cloud
     where = Path(f"{bag.path}: {topic.name}")
     message = bag.message(topic.name, cloud_ref.time_ns, cloud_ref.number)
     unit = source.options.point_times
+    # The unit of Livox is known, also for clouds of too few points to infer it.
+    known: Unit = "ns" if topic.kind in LIVOX and unit == "auto" else unit
+    clock = PointClock(known, image_ref.taken_ns, cloud_ref.taken_ns, setting="--set data.point_times=")
     with naming(where):
-        content = read_message(topic.kind, message.data, ros1=message.ros1)
-        columns = named_columns(columns_of(content))
-        times = columns.pop("time", None)
-        remark = None
-        if times is not None and set("xyz") <= set(columns):
-            # The unit of Livox is known, also for clouds of too few points to infer it.
-            known: Unit = "ns" if topic.kind in LIVOX and unit == "auto" else unit
-            moments = (cloud_ref.taken_ns, image_ref.taken_ns)
-            time_s, remark = seconds_after(times, usable_points(columns), *moments, known)
-            columns |= {} if time_s is None else {"time_s": time_s}
-    cloud, warnings = cloud_from_fields(columns, where)
-    return cloud, (*warnings, *((f"{where.name}: {remark}",) if remark else ()))
+        columns = columns_of(read_message(topic.kind, message.data, ros1=message.ros1))
+    return read_points(columns, where, clock)
 
 
 def _name(source: _Source, image: _MessageRef) -> str:

@@ -143,7 +143,7 @@ def test_intensity_has_several_names(alias: str) -> None:
     assert np.array_equal(cloud.intensity, np.arange(50.0))
 
 
-def test_whole_numbers_are_nanoseconds_and_others_seconds() -> None:
+def test_the_unit_of_times_is_that_in_which_the_sweep_has_a_plausible_duration() -> None:
     axes = dict(zip("xyz", points()[:, :3].T, strict=True))
     nanoseconds, _ = cloud_from_fields({**axes, "t": np.arange(50) * 2_000_000}, Path("a"), image_time_s=0.05)
     seconds, _ = cloud_from_fields({**axes, "time": np.arange(50) * 0.002}, Path("a"), image_time_s=0.05)

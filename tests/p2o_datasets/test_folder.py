@@ -307,6 +307,19 @@ def test_times_on_no_known_clock_are_left_out(tmp_path: Path) -> None:
     assert np.array_equal(dataset(tmp_path)[0].cloud.time_s, [0.0, 0.05, 0.1])
 
 
+def test_the_unit_of_points_and_of_their_times_is_stated_in_the_frame_file(tmp_path: Path) -> None:
+    xyz, times = np.full((5, 3), 1500.0), np.linspace(0, 2e6, 5)
+    np.savez(tmp_path / "scan.npz", xyz=xyz, time=times, colour=times)
+    write_frame(tmp_path, cloud="scan.npz", image_time_s=1.0)
+    with pytest.raises(InputError, match=r"scan\.npz: the unit .* is ambiguous; .*in frame\.yaml, point_times: ns"):
+        dataset(tmp_path)[0]
+    write_frame(tmp_path, cloud="scan.npz", image_time_s=1.0, point_times="us", cloud_scale=0.001)
+    frame = dataset(tmp_path)[0]
+    np.testing.assert_allclose(frame.cloud.xyz, 1.5)
+    np.testing.assert_allclose(frame.cloud.time_s, np.linspace(-1, 1, 5), atol=1e-9)
+    assert (frame.warnings, frame.unused_fields) == ((), ("colour",))
+
+
 def test_a_sweep_is_corrected_by_the_velocity_that_is_given(tmp_path: Path) -> None:
     """At 10 m/s, what was seen half a second before and after at 10 m ahead is 5 m nearer and farther by now."""
     write_frame(tmp_path, cloud="scan.npz", twist=[0, 0, 0, 10, 0, 0])

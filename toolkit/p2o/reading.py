@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from p2o.frames.image_file import MAX_PIXELS as MAX_PIXELS, decode_rgb as decode_rgb, read_rgb as read_rgb
     from p2o.frames.image_file import read_uint16 as read_uint16
     from p2o.frames.frame import LazyFrames as LazyFrames
-    from p2o.frames.rings import RingsUnknownError as RingsUnknownError, told_rings as told_rings
+    from p2o.frames.rings import RingsUnknownError as RingsUnknownError, neighbour_gap as neighbour_gap
+    from p2o.frames.rings import told_rings as told_rings
     from p2o.geometry.motion import adjoint as adjoint, moved as moved, pose_at as pose_at
     from p2o.geometry.perturb import parse_perturbation as parse_perturbation, wrong_start as wrong_start
     from p2o.geometry.pose_text import numbers as numbers, read_extrinsic as read_extrinsic, read_pose as read_pose

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 from p2o import Cloud, CloudExtractor, CloudFeatures, CloudRemarks, Float, Int, Method, Side, field
-from p2o.reading import RingsUnknownError
+from p2o.reading import RingsUnknownError, neighbour_gap
 
 from p2o_plugins.cloud.firing_order import rings_in_firing_order
 from p2o_plugins.cloud.ground_plane import ground_plane
@@ -20,7 +20,13 @@ from p2o_plugins.cloud.sweep import Neighbours, Sweep, across_rings, along_ring,
 class RingsOptions(JumpOptions):
     """Criteria for an occlusion edge of a sweep with known rings."""
 
-    max_gap_deg: float = field(0.6, gt=0, lt=90, help="Widest azimuth gap on a ring that is not a missing return.")
+    max_gap_deg: float = field(
+        0.6,
+        gt=0,
+        lt=90,
+        help="Widest azimuth gap on a ring that is not a missing return; 1.4 azimuth steps of the sweep if these are "
+        "wider.",
+    )
     max_step_deg: float = field(3.0, gt=0, lt=90, help="Widest elevation gap between rings that are neighbours.")
     open_weight: float = field(
         1.0, ge=0, le=1, help="Weight of edges against the open sky, of others' weights; 0: none of them."
@@ -82,6 +88,7 @@ def ring_edges(cloud: Cloud, options: RingsOptions) -> CloudFeatures:
         at_origin = options.model_copy(update={"find_sensor": False})
         return _moved(ring_edges(in_sensor_frame(cloud, place), at_origin), place)
     neighbours = neighbours_of(sweep, options)
+    paired = float(np.mean(neighbours[Side.LEFT].known)) if len(sweep) else 1.0
     plane = ground_plane(sweep, options.seed) if options.ground_height_m > 0 else None
     beam, step = neighbours[Side.LEFT].median_gap, neighbours[Side.BOTTOM].median_gap
     every = slice(None, None, -(-len(sweep) // max(options.max_points, 1)))
@@ -101,13 +108,24 @@ def ring_edges(cloud: Cloud, options: RingsOptions) -> CloudFeatures:
         weight = support if options.weigh else np.ones(len(rows))
         weight = np.where(into_open, options.open_weight, 1.0) * weight
         parts.append((rows, side, xyz, weight, sigma, towards_background(xyz, side)))
-    return CloudFeatures(edges_of(sweep, parts), surface)
+    features = CloudFeatures(edges_of(sweep, parts), surface)
+    return features if paired >= _FEWEST_PAIRED else features.having(CloudRemarks((_unpaired(paired),)))
+
+
+_FEWEST_PAIRED = 0.1
+
+
+def _unpaired(share: float) -> str:
+    """Return a warning about rings of which only this share of the returns have a neighbour."""
+    text = f"only {100 * share:.0f} % of the returns have a neighbour on their ring (cloud.max_gap_deg)"
+    return f"{text}, so that there are hardly any left and right edges: check that `ring` is the beam of each point"
 
 
 def neighbours_of(sweep: Sweep, options: RingsOptions) -> dict[Side, Neighbours]:
     """Return the neighbours of each return on all four sides."""
-    left, right = along_ring(sweep, options.max_gap_deg)
-    upper, lower = (across_rings(sweep, s, 0.5 * options.max_gap_deg, options.max_step_deg) for s in (-1, 1))
+    max_gap_deg = float(np.degrees(neighbour_gap(sweep.gaps(), np.radians(options.max_gap_deg))))
+    left, right = along_ring(sweep, max_gap_deg)
+    upper, lower = (across_rings(sweep, s, 0.5 * max_gap_deg, options.max_step_deg) for s in (-1, 1))
     return {Side.LEFT: left, Side.RIGHT: right, Side.UPPER: upper, Side.BOTTOM: lower}
 
 
@@ -118,6 +136,8 @@ def _moved(features: CloudFeatures, cloud_from_sensor: Float) -> CloudFeatures:
     text = f"the rings say that their sensor is at ({x:.2f}, {y:.2f}, {z:.2f}) m in the frame of the cloud"
     text += f", tilted by {tilt:.0f} deg" if tilt >= 1 else ""
     remark = CloudRemarks((f"{text}, and not at its origin: edges are those that are seen from there",))
+    others = features.get(CloudRemarks.word)
+    remark = remark if others is None else CloudRemarks((*remark.texts, *others.texts))
     return features.moved(cloud_from_sensor).having(remark)
 
 

@@ -58,6 +58,15 @@ class Sweep(Returns):
     slope: Float
     offset: Float
 
+    def gaps(self) -> Single:
+        """Return the angle (N,) rad from each return to the next one on its ring, which is closed."""
+        first, end = self.start[:-1], self.start[1:]
+        first, last = first[end > first], end[end > first] - 1
+        gap = np.empty_like(self.azimuth)
+        gap[:-1] = np.diff(self.azimuth)
+        gap[last] = self.azimuth[first] - self.azimuth[last] + np.float32(TURN)
+        return gap
+
 
 @dataclass(frozen=True, eq=False)
 class Neighbours:
@@ -196,9 +205,7 @@ def along_ring(sweep: Sweep, max_gap_deg: float) -> tuple[Neighbours, Neighbours
     first, end = sweep.start[:-1], sweep.start[1:]
     first, last = first[end > first], end[end > first] - 1
     left[last], right[first] = first, last
-    gap = np.empty_like(sweep.azimuth)
-    gap[:-1] = np.diff(sweep.azimuth)
-    gap[last] = sweep.azimuth[first] - sweep.azimuth[last] + np.float32(TURN)
+    gap = sweep.gaps()
     known = gap <= np.radians(max_gap_deg)
     return Neighbours(left, known, gap), Neighbours(right, known[right], gap[right])
 

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from p2o import InputError
 from p2o_datasets.bags.messages import POINT_CLOUD, LivoxMessage, PointCloudMessage, PointField, read_message
-from p2o_datasets.bags.point_columns import columns_of, named_columns, seconds_after, usable_points
+from p2o_datasets.bags.point_columns import columns_of
+from p2o_datasets.point_fields import candidates
 
 from tests.bag_files import FORMS, LIVOX, Said, cloud, header, made, serialized, store_of
 
@@ -65,108 +66,12 @@ def test_points_of_livox_come_back_with_the_padding_of_ros_2(form: str) -> None:
     message = message_of(said, form)
     assert isinstance(message, LivoxMessage)
     assert message.header.stamp_ns == STAMP_NS
-    found = named_columns(columns_of(message))
+    found = columns_of(message)
     assert found["x"].tolist() == [1, 2, 3, 4, 5]
-    assert found["intensity"].tolist() == [0, 1, 2, 3, 4]
-    assert found["time"].tolist() == [0, 1000, 2000, 3000, 4000]
-    assert "ring" not in found  # lines of a rosette are none of a sensor that spins
-
-
-@pytest.mark.parametrize(
-    ("column", "target"),
-    [
-        *(("reflectivity", "intensity"), ("Intensity", "intensity"), ("i", "intensity"), ("channel", "ring")),
-        *(("line", "ring"), ("row", "ring"), ("laser_id", "ring"), ("t", "time"), ("timestamp", "time")),
-        *(("offset_time", "time"), ("time_stamp", "time")),
-    ],
-)
-def test_columns_are_found_by_the_names_of_all_drivers(column: str, target: str) -> None:
-    values = np.arange(3)
-    assert named_columns({"x": values, column: values + 1})[target].tolist() == [1, 2, 3]
-
-
-def test_an_intensity_wins_over_a_reflectivity() -> None:
-    assert named_columns({"reflectivity": np.zeros(1), "intensity": np.ones(1)})["intensity"] == [1]
-
-
-TURN_S = np.linspace(0, 0.0998, 500)
-
-
-@pytest.mark.parametrize(
-    ("times", "accuracy_s"),
-    [
-        (TURN_S.astype(np.float32), 1e-7),
-        (TURN_S, 1e-9),
-        ((TURN_S * 1e3).astype(np.float32), 1e-7),
-        ((TURN_S * 1e6).astype(np.float32), 1e-7),
-        ((TURN_S * 1e6).round().astype(np.uint32), 1e-6),
-        ((TURN_S * 1e9).round().astype(np.uint32), 1e-8),
-        (STAMP_NS * 1e-9 + TURN_S, 5e-7),
-        ((STAMP_NS + TURN_S * 1e9).astype(np.float64), 5e-7),
-        (STAMP_NS + (TURN_S * 1e9).round().astype(np.uint64), 1e-8),
-        ((STAMP_NS // 1000 + (TURN_S * 1e6).round().astype(np.int64)), 3e-6),
-    ],
-    ids=["s-f4", "s", "ms", "us-f4", "us", "ns", "since-1970", "ns-f8", "ns-u8", "us-i8"],
-)
-def test_the_unit_of_times_is_told_by_how_long_a_sweep_takes(times: Any, accuracy_s: float) -> None:
-    image_ns = STAMP_NS + 40_000_000
-    found, remark = seconds_after(times, np.ones(500, bool), STAMP_NS, image_ns)
-    assert remark is None
-    assert found is not None
-    assert np.abs(found - (TURN_S - 0.04)).max() < accuracy_s
-
-
-def test_times_before_the_stamp_stay_before_it() -> None:
-    found, _ = seconds_after(TURN_S - 0.0998, np.ones(500, bool), STAMP_NS, STAMP_NS)
-    assert found is not None
-    assert np.allclose(found, TURN_S - 0.0998, atol=1e-9)
-
-
-@pytest.mark.parametrize("times", [TURN_S * 20, TURN_S * 1e-4, TURN_S * 1e12])
-def test_a_unit_that_cannot_be_told_is_asked_for(times: Any) -> None:
-    with pytest.raises(InputError, match=r"unit of the points' times is ambiguous.*--set data.point_times=ns"):
-        seconds_after(times, np.ones(500, bool), STAMP_NS, STAMP_NS)
-
-
-def test_a_unit_that_is_given_is_taken_and_none_leaves_times_out() -> None:
-    found, _ = seconds_after(TURN_S * 20, np.ones(500, bool), STAMP_NS, STAMP_NS, "s")
-    assert found is not None
-    assert found.max() == pytest.approx(20 * 0.0998)
-    assert seconds_after(TURN_S * 20, np.ones(500, bool), STAMP_NS, STAMP_NS, "none") == (None, None)
-
-
-@pytest.mark.parametrize("start_s", [5.0, 1e9, -7.0])
-def test_times_on_another_clock_are_refused(start_s: float) -> None:
-    with pytest.raises(InputError, match=r"on different clocks.*data.point_times=none"):
-        seconds_after(start_s + TURN_S, np.ones(500, bool), STAMP_NS, STAMP_NS)
-
-
-def test_times_beyond_all_clocks_are_refused() -> None:
-    times = np.array([1e300, np.nextafter(1e300, 2e300)])
-    with pytest.raises(InputError, match="on different clocks"):
-        seconds_after(times, np.ones(2, bool), STAMP_NS, STAMP_NS, "s")
-
-
-def test_times_that_say_nothing_are_left_out_with_a_remark() -> None:
-    found, remark = seconds_after(np.zeros(9), np.ones(9, bool), STAMP_NS, STAMP_NS)
-    assert found is None
-    assert remark is not None
-    assert "all are the same" in remark
-    found, remark = seconds_after(np.full(9, np.nan), np.ones(9, bool), STAMP_NS, STAMP_NS)
-    assert found is None
-    assert remark is not None
-    assert "not finite" in remark
-
-
-def test_times_of_missing_returns_do_not_count() -> None:
-    times = (TURN_S * 1e9).round().astype(np.uint32) + 5_000_000
-    times[::7] = 0
-    columns = {axis: np.where(times == 0, np.nan, 1.0) for axis in "xyz"}
-    usable = usable_points(columns)
-    assert usable.sum() == np.count_nonzero(times)
-    found, _ = seconds_after(times, usable, STAMP_NS, STAMP_NS)
-    assert found is not None
-    assert np.allclose(found[usable], TURN_S[usable] + 0.005, atol=1e-8)
+    assert found["reflectivity"].tolist() == [0, 1, 2, 3, 4]
+    assert found["offset_time"].tolist() == [0, 1000, 2000, 3000, 4000]
+    # Lines of a rosette are not the rings of a rotating sensor.
+    assert candidates(list(found)) == {"intensity": ["reflectivity"], "ring": [], "time": ["offset_time"]}
 
 
 def good() -> PointCloudMessage:

@@ -5,10 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import p2o
 import pytest
-from p2o import Cloud, InputError, Side
+from p2o import Cloud, CloudRemarks, InputError, Side
+from p2o.geometry.pose_error import pose_error
 from p2o_plugins.cloud.rings import METHOD, RingsOptions
 from p2o_plugins.cloud.sweep import order_sweep
+from p2o_sim import synthetic
+from p2o_sim.synthetic import SyntheticOptions
 
 from tests.plugins.cloud.casting import GROUND, HDL32, HDL64, OS128, VLP16, Box, Lidar, Plane, Pole
 
@@ -81,6 +85,42 @@ def test_sensors_of_16_to_128_rings_see_all_four_sides(elevations):
     tall = Box((8, 0.4, 0), (0.2, 2.0, 2.0))
     edges = edges_of(Lidar(elevations, step_deg=0.2).scan(tall, WALL))
     assert np.unique(edges.side).tolist() == ([0, 1, 3] if elevations is HDL64 else [0, 1, 2, 3])
+
+
+@pytest.mark.parametrize("damage", ["none", "dropouts", "two-firings"])
+@pytest.mark.parametrize("step_deg", [0.5, 360 / 512, 1.2, 2.0])
+def test_sweeps_of_few_columns_show_left_and_right_edges(step_deg, damage):
+    """A truck 8 m ahead, whatever the step in azimuth: its sides are met within a step."""
+    rng = np.random.default_rng(0)
+    scene = [Box((8, 0.4, -1.0), (2.0, 5.0, 2.4)), WALL, GROUND]
+    cloud = Lidar(HDL64, step_deg).scan(*scene)
+    if damage == "dropouts":
+        cloud = cloud.select(rng.random(len(cloud)) < 0.75)
+    elif damage == "two-firings":
+        second = Lidar(HDL64, step_deg, phase=0.1).scan(*scene)
+        cloud = Cloud(np.concatenate([cloud.xyz, second.xyz]), ring=np.concatenate([cloud.ring, second.ring]))
+    edges = edges_of(cloud)
+    for side, y in ((Side.LEFT, 2.9), (Side.RIGHT, -2.1)):
+        off = azimuth_deg(edges, side) - np.degrees(np.arctan2(y, 7.0))
+        assert np.sum(np.abs(off) < step_deg) >= 5
+
+
+def test_a_sweep_of_512_columns_is_calibrated_without_options():
+    """An Ouster OS1-64 with every second of its 1024 columns: 0.703 deg from return to return."""
+    [frame] = synthetic.build(SyntheticOptions(lidar="os1-64", place="street", right=False, seed=5))
+    cloud = replace(frame.cloud.select(frame.cloud.column % 2 == 0), column=None)
+    result = p2o.calibrate(replace(frame, cloud=cloud), perturb="2deg 0.15m", seed=0).result
+    error = pose_error(result.camera_from_lidar, frame.camera_from_lidar)
+    assert error.rotation_deg < 0.5
+    assert error.translation_m < 0.15
+
+
+def test_rings_without_neighbours_are_named():
+    cloud = Lidar(HDL32, 0.36).scan(WALL, Box((-20, 0, 0), (0.2, 60, 60)), GROUND)
+    assert METHOD.build(RingsOptions())(cloud).get(CloudRemarks.word) is None
+    mixed = Cloud(cloud.xyz, ring=np.random.default_rng(0).permutation(len(cloud)) // 3)
+    [text] = METHOD.build(RingsOptions(find_sensor=False))(mixed).get(CloudRemarks.word).texts
+    assert "% of the returns have a neighbour on their ring (cloud.max_gap_deg)" in text
 
 
 def test_the_outline_of_a_pole_is_met_within_half_a_beam_and_without_bias():
@@ -329,10 +369,11 @@ def test_every_option_changes_the_outcome():
     rng = np.random.default_rng(7)
     cloud = Lidar(step_deg=0.36).scan(*random_scene(7))
     rough = Cloud(cloud.xyz * (1 + 0.01 * rng.standard_normal((len(cloud), 1))), cloud.ring)
+    rough = rough.select(rng.random(len(rough)) < 0.9)
     changes = {
         "min_jump_m": 2.0,
         "min_jump_share": 0.2,
-        "max_gap_deg": 0.3,
+        "max_gap_deg": 1.5,
         "max_step_deg": 0.4,
         "slant_ratio": 0.0,
         "grazing_share": 0.01,

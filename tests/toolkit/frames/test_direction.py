@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from p2o import Camera, Cloud, InputError, se3
-from p2o.frames.direction import Direction, check_direction, pose_direction, vertical
+from p2o.frames.direction import Direction, check_direction, pose_direction, range_remark, vertical
 
 from tests.p2o_datasets.kitti_files import VELO_TO_CAM
 
@@ -137,3 +137,26 @@ def test_a_translation_in_millimetres_is_named() -> None:
     wrong[:3, 3] = (-4.0, -76.0, -270.0)
     texts = check_direction(street(), CAMERA, wrong, name="truth", where="frame.yaml")
     assert "frame.yaml: the translation of truth is 280.5 m long: if it is in millimetres, divide it by 1000" in texts
+
+
+@pytest.mark.parametrize(
+    ("range_m", "texts"),
+    [
+        (2200.0, ["millimetres (then 2.2 m: cloud_scale: 0.001", "centimetres (then 22 m: cloud_scale: 0.01"]),
+        (1200.0, ["millimetres (then 1.2 m", "centimetres (then 12 m"]),
+        (250.0, ["probably in centimetres (then 2.5 m"]),
+        (0.02, ["kilometres (then 20 m"]),
+        (1e-8, ["scale the points to metres"]),
+    ],
+)
+def test_points_in_another_unit_than_metres_are_named(range_m: float, texts: list[str]) -> None:
+    rays = np.random.default_rng(0).normal(size=(500, 3))
+    cloud = Cloud(range_m * rays / np.linalg.norm(rays, axis=1)[:, None])
+    [remark] = range_remark(cloud)
+    assert "which no scene has" in remark
+    assert all(text in remark for text in texts)
+
+
+@pytest.mark.parametrize("range_m", [0.3, 2.0, 8.0, 60.0, 140.0])
+def test_ranges_of_scenes_give_no_remark(range_m: float) -> None:
+    assert range_remark(Cloud([[range_m, 0, 0], [0, range_m, 0]])) == ()

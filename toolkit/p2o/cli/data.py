@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -75,19 +74,22 @@ def described(frame: Frame, extractors: Sequence[Offer]) -> str:
     Raises PluginError if one of them fails to recover rings.
     """
     image, cloud = frame.image, frame.cloud
+    label, source = _rings(cloud, extractors)
     parts = [
         *([frame.camera_name] if frame.camera_name else []),
         f"{frame.camera.width}x{frame.camera.height} px {frame.camera.model}",
         f"{len(cloud)} points",
-        ring_count(cloud, extractors),
+        _counted(label, source),
+        *_neighbours(cloud, label),
         *(name for name in ("column", "intensity", "time_s") if getattr(cloud, name) is not None),
         *(name for name in ("right", "depth_m", "masked") if getattr(image, name) is not None),
         "truth" if frame.camera_from_lidar is not None else "no truth",
         *(name for name in ("start", "twist") if getattr(frame, name) is not None),
         *(["no start"] if frame.start is None and frame.camera_from_lidar is None else []),
     ]
+    unused = [f"  fields of the points not used: {', '.join(frame.unused_fields)}"] if frame.unused_fields else []
     remarks = [*(f"  warning: {text}" for text in frame.warnings), *(f"  advice: {text}" for text in frame.advice)]
-    lines = [f"{frame.name}: {', '.join(parts)}", *remarks]
+    lines = [f"{frame.name}: {', '.join(parts)}", *unused, *remarks]
     return "\n".join(map(printable, lines))
 
 
@@ -96,28 +98,43 @@ def ring_count(cloud: Cloud, extractors: Sequence[Offer] = ()) -> str:
 
     `extractors` are asked for rings that neither the order nor the elevations of the points show.
     """
+    return _counted(*_rings(cloud, extractors))
+
+
+def _counted(label: Int | None, source: str) -> str:
+    return "no rings" if label is None else f"{len(set(label.tolist()))} rings{source}"
+
+
+def _rings(cloud: Cloud, extractors: Sequence[Offer]) -> tuple[Int | None, str]:
+    """Return the ring (N,) of each point, None if unknown, and the source as text."""
     from p2o.frames.rings import RingsUnknownError, rings_of
+    from p2o.host.registry import watch
 
     try:
         label, by = rings_of(cloud)
     except RingsUnknownError:
-        return next((text for text in map(partial(_recovered, cloud), extractors) if text), "no rings")
-    return _count(label) + (f" from {by}" if by else "")
+        for extractor in extractors:
+            if extractor.method.rings is not None:
+                with watch(extractor, "recovering rings"):
+                    rings = extractor.method.rings(cloud)
+                if rings is not None:
+                    return rings[0], f" recovered by `{extractor.name}` from {rings[1]}"
+        return None, ""
+    return label, f" from {by}" if by else ""
 
 
-def _recovered(cloud: Cloud, extractor: Offer) -> str:
-    """Return the number of rings that an extractor recovers, and from what; empty if it recovers none."""
-    from p2o.host.registry import watch
+def _neighbours(cloud: Cloud, label: Int | None) -> list[str]:
+    """Return the share of the returns that have a neighbour on their ring (N,) as text, if rings are known."""
+    import numpy as np
 
-    if extractor.method.rings is None:
-        return ""
-    with watch(extractor, "recovering rings"):
-        rings = extractor.method.rings(cloud)
-        return "" if rings is None else f"{_count(rings[0])} recovered by `{extractor.name}` from {rings[1]}"
+    from p2o.frames.rings import azimuth_gaps, neighbour_gap
 
-
-def _count(label: Int) -> str:
-    return f"{len(set(label.tolist()))} rings"
+    if label is None:
+        return []
+    x, y, _ = cloud.as_measured().T
+    gap = azimuth_gaps(np.arctan2(y, x), label)
+    widest = neighbour_gap(gap)
+    return [f"{100 * np.mean(gap <= widest):.0f} % of returns with a neighbour within {np.degrees(widest):.2g} deg"]
 
 
 def _opened(

@@ -35,6 +35,7 @@ _REORDERED_UPRIGHT_DEG = 25.0
 # Shares of the points that have to be in the image, and their minimum number, to say what is wrong with a pose.
 _SEEN_SHARE, _SEEN = 0.01, 20
 _LONG_M = 30.0
+_NEAREST_MEDIAN_M, _FARTHEST_MEDIAN_M = 0.15, 150.0
 """Length of a translation from which it is probably in millimetres: rigs are smaller."""
 
 
@@ -81,6 +82,24 @@ def unit_remark(camera_from_lidar: Float, name: str, where: object = None) -> tu
         return ()
     prefix = "" if where is None else f"{where}: "
     return (f"{prefix}the translation of {name} is {length_m:.4g} m long: {_MILLIMETRES}",)
+
+
+def range_remark(cloud: Cloud) -> tuple[str, ...]:
+    """Return a warning about a median range that no scene has in metres, with the units in which it is plausible."""
+    length = np.abs(cloud.xyz).max(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        range_m = length * np.linalg.norm(cloud.xyz / length[:, None], axis=1)
+    low, median, high = np.nanpercentile(range_m, [1, 50, 99]) if length.any() else (0.0, 1.0, 0.0)
+    if _NEAREST_MEDIAN_M <= median <= _FARTHEST_MEDIAN_M:
+        return ()
+    units = [
+        f"{unit} (then {median * scale:.2g} m: cloud_scale: {scale:g} in frame.yaml)"
+        for unit, scale in (("millimetres", 1e-3), ("centimetres", 1e-2), ("kilometres", 1e3))
+        if 0.3 <= median * scale <= 100
+    ]
+    advice = f"they are probably in {' or '.join(units)}" if units else "scale the points to metres"
+    extent = f"{low:.4g} to {high:.4g} m, median {median:.4g} m"
+    return (f"the ranges of the points are {extent}, which no scene has: {advice}",)
 
 
 def pose_direction(

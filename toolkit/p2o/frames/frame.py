@@ -162,8 +162,9 @@ class Frame:
     in two world frames whose relation is unknown: the extrinsic is observable from their motions (hand-eye), not from a
     single pair of poses. `targets` are the types of the calibration targets in view, without their poses. `sweep` is
     the frame's own sweep if `cloud` is accumulated. `camera_name` is the name of the camera on its rig ("CAM_FRONT"),
-    empty for a single camera. Raises InputError for poses that are not rigid, a twist or time that is not finite, other
-    types of targets, and an invalid `camera_name`.
+    empty for a single camera. `unused_fields` names the fields of the points that the reader did not use. Raises
+    InputError for poses that are not rigid, a twist or time that is not finite, other types of targets, and an invalid
+    `camera_name`.
     """
 
     name: str
@@ -181,6 +182,7 @@ class Frame:
     sweep: Cloud | None = None
     camera_name: str = ""
     advice: tuple[str, ...] = ()
+    unused_fields: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("camera_from_lidar", "start", "lidar_world_from_lidar", "camera_world_from_camera"):

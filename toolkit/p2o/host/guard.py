@@ -18,6 +18,7 @@ from p2o.errors import InputError, PluginError
 from p2o.features.sets import CloudFeatures, ImageFeatures
 from p2o.features.view import View
 from p2o.frames.cloud import Cloud
+from p2o.frames.direction import range_remark
 from p2o.frames.frame import Dataset, Frame, LazyFrames
 from p2o.frames.sparse import SparseOptions, sparse
 from p2o.geometry import se3
@@ -307,7 +308,7 @@ class GuardedDataset(Sequence[Frame]):
         if frame.name != self.names[index]:
             raise fault(self._offer, f"frame {index} is called {frame.name!r}", repr(self.names[index]))
         frame = sparse(frame, self._sparse)
-        remark = centre_remark(frame.camera)
+        remark = (*centre_remark(frame.camera), *range_remark(frame.cloud))
         return replace(frame, warnings=(*frame.warnings, *remark)) if remark else frame
 
 
