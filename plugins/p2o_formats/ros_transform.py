@@ -137,7 +137,7 @@ def read(source: Source, reading: Reading) -> Calibration:
     if "optical" not in camera.lower():
         remarks = (*remarks, f"{source.path}: the axes of frame {camera} are assumed to be {axes}")
     camera_from_lidar = optical_from_camera @ (se3.inverse(pose) if by_lidar else pose)
-    return Calibration(None, camera_from_lidar, lidar, camera, remarks)
+    return Calibration(None, camera_from_lidar, lidar, camera, remarks, quaternion=not _is_urdf(source))
 
 
 def _between(edges: list[_Edge], reading: Reading, source: Source) -> _Edge:

@@ -339,7 +339,7 @@ def test_what_is_no_rigid_transform_is_refused(name: str, fault: str) -> None:
         ("<robot><joint>", "not XML"),
         (CAMERA_INFO.replace("700.,", ".nan,"), "not an intrinsic matrix"),
         (CAMERA_INFO.replace("-0.28, 0.08, ", ""), "does not fit plumb_bob"),
-        (CAMERA_INFO.replace("data: [700., 0.", "data: [700., 3."), "not an intrinsic matrix"),
+        (CAMERA_INFO.replace("data: [700., 0.", "data: [700., 3."), "K has a skew of 3, which shifts pixels by up to 1.5 px"),
         (CAMERA_INFO.replace("image_width: 1280", "image_width: 1e9"), "image size|too many pixels"),
         (CAMERA_INFO.replace("plumb_bob", "thin_plate"), "distortion 'thin_plate' is unknown"),
         (KIT.replace("yaw: 1.575", "yaw: .inf").replace("camera1/camera_link", "radar_link"), "rpy_rad"),
