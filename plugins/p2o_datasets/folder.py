@@ -249,7 +249,7 @@ def _read(root: Path, faults: Mapping[Path, InputError], folder: Path) -> Frame:
         # Times without a relation to the image's clock carry no information; compensated sweeps may keep theirs.
         cloud = replace(cloud, time_s=None)
     for name in (name for name in _EXTRINSICS if name in poses):
-        given = {"name": name, "where": path, "quaternion": read[name][2]}
+        given: dict[str, Any] = {"name": name, "where": path, "quaternion": read[name][2]}
         warnings += reading.check_direction(cloud, camera, poses[name], **given)
     parts: dict[str, Any] = {"camera_from_lidar": poses.pop("truth", None), **poses, "twist": twist, "targets": targets}
     parts |= entry.model_dump(include={"sequence", "time_s", "camera_name"})

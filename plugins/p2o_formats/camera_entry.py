@@ -17,7 +17,9 @@ import numpy as np
 from p2o import Camera, Float, InputError, Options, UnknownNameError, field
 from p2o.reading import naming, numbers, validated
 
-CAMERA_FORMS = "model, width, height and params; or width, height, K and, with distortion, distortion_model and D; or FILE"
+CAMERA_FORMS = (
+    "model, width, height and params; or width, height, K and, with distortion, distortion_model and D; or FILE"
+)
 
 
 class ModelEntry(Options):
@@ -85,7 +87,9 @@ def read_matrix(name: str, value: Any, height: int, where: object) -> tuple[Pinh
     if matrix is None or not is_intrinsic(matrix):
         hint = None
         if matrix is not None and is_intrinsic(matrix.T):
-            hint = "transpose it, as MATLAB's matrices, whose principal point is also 1 px larger: subtract 1 from cx, cy"
+            hint = (
+                "transpose it, as MATLAB's matrices, whose principal point is also 1 px larger: subtract 1 from cx, cy"
+            )
         expected = "fx 0 cx, 0 fy cy, 0 0 1"
         raise InputError(
             f"{name} is not an intrinsic matrix", where=where, expected=expected, got=str(value)[:80], hint=hint
@@ -116,7 +120,9 @@ def skew_remarks(name: str, matrix: Float, height: int, where: object) -> tuple[
         raise InputError(fault, where=where, expected=f"at most {_MOST_SKEW_PX:g} px", hint=hint)
     if abs(skew) <= 1e-9:
         return ()
-    return (f"{where}: the skew {skew:g} of {name} is neglected; its largest effect in the image is {effect_px:.2g} px",)
+    return (
+        f"{where}: the skew {skew:g} of {name} is neglected; its largest effect in the image is {effect_px:.2g} px",
+    )
 
 
 COUNTS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (0, 4, 5, 8, 12, 14), "equidistant": (4,)}
@@ -128,7 +134,7 @@ _COEFFICIENTS = {
 _NAMES = {
     "plumb_bob": "plumbbob radtan radtan4 radtan5 radialtangential brown brownconrady modifiedbrownconrady opencv",
     "rational_polynomial": "rationalpolynomial rational radtan8 radialtangential8 fullopencv",
-    "equidistant": "equidistant equi equid fisheye opencvfisheye kannalabrandt kannalabrandt4 kannalabrandt8 kb kb4 kb8",
+    "equidistant": "equidistant equi fisheye opencvfisheye kannalabrandt kannalabrandt4 kannalabrandt8 kb kb4 kb8",
     "": "none nodistortion undistorted rectified",
 }  # fmt: skip
 """Names of the distortion models in other tools, in lower case and without separators."""

@@ -32,13 +32,17 @@ class FastLivoOptions(Options):
     """Layout of the file."""
 
     layout: Literal["result", "config"] = field(
-        "result", help="result: keys as FAST-Calib writes them; config: Rcl and Pcl below extrin_calib, as in FAST-LIVO2."
+        "result",
+        help="result: keys as FAST-Calib writes them; config: Rcl and Pcl below extrin_calib, as in FAST-LIVO2.",
     )
 
 
 def write(calibration: Calibration, options: FastLivoOptions) -> bytes:
     """Return the text; raises InputError for camera models that vikit does not have."""
-    lines = ["# FAST-LIVO2: p_camera = Rcl p_lidar + Pcl (camera_from_lidar), in metres.", *comment_lines(calibration)]
+    direction = (
+        "# Maps points of the LiDAR to the camera: p_camera = Rcl p_lidar + Pcl, in metres. Camera x right, y down."
+    )
+    lines = [direction, *comment_lines(calibration)]
     if calibration.camera is not None:
         lines += _camera_lines(calibration.camera)
     if calibration.camera_from_lidar is not None:

@@ -108,12 +108,12 @@ def _camera(entry: Mapping[str, Any], name: str, reading: Reading, source: Sourc
     resolution = numbers(entry.get("resolution"), (2,))
     width, height = (None, None) if resolution is None else resolution.tolist()
     size = size_of(width, height, reading, where)
-    values = tuple(float(value) for value in intrinsics)
+    *projection, fx, fy, cx, cy = (float(value) for value in intrinsics)
     if model == "eucm":
-        return Camera("EUCM", *size, (*values[2:], *values[:2]))
+        return Camera("EUCM", *size, (fx, fy, cx, cy, *projection))
     if distortion == "fov":
-        return Camera("FOV", *size, (*values, float(coefficients[0])))
-    model, params = colmap_model(distortion, tuple(float(value) for value in coefficients), values[:4])
+        return Camera("FOV", *size, (fx, fy, cx, cy, float(sum(coefficients))))
+    model, params = colmap_model(distortion, tuple(float(value) for value in coefficients), (fx, fy, cx, cy))
     return Camera(model, *size, params)
 
 

@@ -25,7 +25,7 @@ _LINE = re.compile(r"\s*(?:([^:]*?)\s*:|([A-Za-z]\w*)\s(?=[\s\d.eE+-]+$))(.*)")
 
 @dataclass(frozen=True)
 class KittiCalibration:
-    """Lines "key: numbers" (or "key numbers") of one calibration file; the methods check the numbers of the requested keys."""
+    """Lines "key: numbers" or "key numbers" of a calibration file; the methods check the numbers of requested keys."""
 
     path: Path
     lines: Mapping[str, str]
@@ -85,11 +85,7 @@ class KittiCalibration:
         Raises InputError unless its left part is an intrinsic matrix with focal lengths of at least one pixel.
         """
         matrix = self.numbers(key, (3, 4))
-        if (
-            min(matrix[0, 0], matrix[1, 1]) < 1
-            or np.abs(matrix).max() > _MAX_VALUE
-            or not is_intrinsic(matrix[:, :3])
-        ):
+        if min(matrix[0, 0], matrix[1, 1]) < 1 or np.abs(matrix).max() > _MAX_VALUE or not is_intrinsic(matrix[:, :3]):
             fault = f"{key} is not the projection of a rectified camera"
             got = self.lines[key].strip()[:120]
             raise InputError(fault, where=self.path, expected="fx 0 cx ., 0 fy cy ., 0 0 1 .", got=got)

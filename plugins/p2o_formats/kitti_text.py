@@ -3,7 +3,7 @@
 Source: Geiger et al., IJRR 2013, and the readmes of KITTI's development kits. All transforms map LiDAR coordinates to
 camera coordinates. p2o writes camera_from_lidar of the camera itself, in metres, row by row, with 17 digits. KITTI's
 own files contain the transform to camera 0 and projections P0 to P3, from which p2o composes camera_from_lidar =
-[I | K^-1 p4] R0_rect Tr_velo_to_cam. Files of the tracking benchmark have the keys R_rect and Tr_velo_cam, without colon.
+[I | K^-1 p4] R0_rect Tr_velo_to_cam. Files of the tracking benchmark have R_rect and Tr_velo_cam, without colon.
 """
 
 from __future__ import annotations

@@ -85,7 +85,7 @@ def read(source: Source, reading: Reading) -> Calibration:
 
 
 def states_quaternion(value: Any) -> bool:
-    """Return whether a pose of YAML, also below the key of a direction, has a quaternion, but no matrix besides it."""
+    """Return whether a pose of YAML, also below the key of a direction, has a quaternion, but no matrix."""
     if not isinstance(value, Mapping):
         return False
     return ("rotation_xyzw" in value and "matrix" not in value) or any(map(states_quaternion, value.values()))

@@ -96,7 +96,9 @@ def test_the_names_of_other_tools_are_those_of_ros(model: str, names: str) -> No
     assert {distortion_model(name) for name in names.split()} == {model}
 
 
-@pytest.mark.parametrize("name", ["pinhole", "omni", "double_sphere", "ftheta", "fov", "kannala", "brown conrady 9", "?"])
+@pytest.mark.parametrize(
+    "name", ["pinhole", "omni", "double_sphere", "ftheta", "fov", "kannala", "brown conrady 9", "?"]
+)
 def test_other_distortion_models_are_refused(name: str) -> None:
     with pytest.raises(InputError, match=f"expected {' or '.join(COUNTS)}; .*such as radtan"):
         distortion_model(name)

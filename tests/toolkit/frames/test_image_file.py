@@ -131,7 +131,7 @@ def test_the_size_of_the_camera_decides_about_a_rotation_tag(tmp_path: Path, tag
     read, (remark,) = read_rgb(tmp_path / "a.img", (32, 48))
     assert np.array_equal(read, PIL.Image.fromarray(stored).transpose(getattr(PIL.Image.Transpose, TURNED[tag])))
     assert remark == "a.img: rotated by its EXIF tag to 32x48 px"
-    with pytest.raises(InputError, match="does not fit the camera; expected 40x40 px; got|has a rotation tag"):
+    with pytest.raises(InputError, match="has a rotation tag"):
         read_rgb(tmp_path / "a.img", (40, 40))
     with pytest.raises(InputError, match="does not fit the camera; expected 40x41 px; got 48x32 px"):
         read_rgb(tmp_path / "a.img", (40, 41))

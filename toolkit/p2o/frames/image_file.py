@@ -210,7 +210,7 @@ def _decode_wide(data: bytes) -> Any:
     """Decode 16 bit colours, (H, W, 3) uint16, and grey values with transparency, of which Pillow keeps 8 bit."""
     import cv2
 
-    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    pixels: Any = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     return pixels if pixels.ndim == 2 else np.ascontiguousarray(pixels[:, :, 2::-1])
 
 

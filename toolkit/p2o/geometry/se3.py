@@ -16,7 +16,9 @@ from p2o.errors import InputError
 
 _FARTHEST_M = 1e9
 """Maximum coordinate in m: above geocentric coordinates, and products are finite."""
-_TRANSPOSED = "its last column is 0 0 0 1: transpose the matrix (row vectors, as T of MATLAB's rigid3d, or column order)"
+_TRANSPOSED = (
+    "its last column is 0 0 0 1: transpose the matrix (row vectors, as T of MATLAB's rigid3d, or column order)"
+)
 
 
 def skew(vectors: Float) -> Float:

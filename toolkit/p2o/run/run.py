@@ -531,7 +531,7 @@ def start_of(
         # Files of other tools often contain the inverse transform.
         frame = frames[0]
         assert frame.cloud is not None  # that of the first frame is kept
-        given = {"where": recipe.start, "quaternion": states_quaternion(recipe.start)}
+        given: dict[str, Any] = {"where": recipe.start, "quaternion": states_quaternion(recipe.start)}
         return start, check_direction(frame.cloud, frame.camera, start, name="the start", **given)
     if recipe.perturb is not None:
         if truth is None:
