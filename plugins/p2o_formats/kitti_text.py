@@ -65,8 +65,8 @@ def read(source: Source, reading: Reading) -> Calibration:
     if f"P_rect_0{number}" in lines.lines or f"K_0{number}" in lines.lines:
         camera, remarks = _raw_camera(lines, number, raw, reading, source)
     elif projection is not None and reading.width is not None and reading.height is not None:
-        camera = rectified_camera(projection, reading.width, reading.height)
         remarks = skew_remarks(f"P{number}", projection[:, :3], reading.height, source.path)
+        camera = rectified_camera(projection, reading.width, reading.height)
     elif projection is not None:
         lacks_size = True
     elif reading.name:

@@ -104,13 +104,16 @@ def test_sixteen_bits_are_scaled_to_eight_with_a_remark(tmp_path: Path, suffix: 
     assert len(warnings) == (2 if channels == 1 else 1)
 
 
-def test_a_truncated_image_of_16_bit_colours_is_refused(tmp_path: Path) -> None:
+def test_a_truncated_image_of_16_bit_colours_is_refused_and_prints_nothing(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     pixels = np.random.default_rng(0).integers(0, 4096, (40, 60, 3)).astype(np.uint16)
     for name in ("a.png", "a.tif"):
         data = cv2.imencode(Path(name).suffix, pixels)[1].tobytes()
         (tmp_path / name).write_bytes(data[: len(data) // 2])
         with pytest.raises(InputError, match=r"the image is (truncated|damaged)"):
             read_rgb(tmp_path / name)
+    assert capfd.readouterr() == ("", "")
 
 
 TURNED = {5: "TRANSPOSE", 6: "ROTATE_270", 7: "TRANSVERSE", 8: "ROTATE_90"}

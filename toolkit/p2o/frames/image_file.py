@@ -184,8 +184,9 @@ def _decode_other(data: bytes, path: object, what: str, size: tuple[int, int] | 
                 text, expected = f"the {what} is a TIFF with an unsupported compression", " ".join(_TIFF_PACKINGS)
                 raise InputError(text, where=path, expected=expected, got=packing, hint="store it as .png")
             if wide and mode in (*_GREY, *_COLOUR):
-                image.load()
-                return _decode_wide(data)
+                with _stderr_silenced():
+                    image.load()
+                    return _decode_wide(data)
             if not wide and mode in (*_GREY, *_COLOUR, *_WORDS):
                 kept = mode if mode in _WORDS else "L" if mode in _GREY else "RGB"
                 with _stderr_silenced() if image.format == "TIFF" else nullcontext():
