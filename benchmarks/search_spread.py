@@ -54,7 +54,9 @@ def main() -> None:
             )
             if options.frames:
                 deg, m, error_deg, error_m = rows[-1]
-                print(f"  {frame.view.name:40} {deg:.3f} deg {100 * m:.1f} cm, error {error_deg:.2f} {100 * error_m:.1f}")
+                print(
+                    f"  {frame.view.name:40} {deg:.3f} deg {100 * m:.1f} cm, error {error_deg:.2f} {100 * error_m:.1f}"
+                )
         table = np.array(rows)
         within = np.mean((table[:, 0] < LIMIT_DEG) & (table[:, 1] < LIMIT_M))
         quantiles = np.quantile(table[:, :2], [0.5, 0.95], axis=0) * [1, 100]

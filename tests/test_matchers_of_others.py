@@ -2,31 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
-import numpy as np
 import p2o
 import pytest
-from p2o import Float, se3
-from p2o.geometry.pose_error import pose_error
 from p2o.host.method import Kind
-from p2o.run.run import Row, Run
-from p2o.solving import Doubt, LeastSquares
+from p2o.run.run import Run
 from p2o_testing.new_plugin import NewPlugin
 
 from tests.pages import python_blocks
 
 STREETS = "synthetic:?scenes=4&seed=9&place=street&right=false&width_px=621&height_px=188"
-HOOK = '''
+HOOK = """
 
 @p2o.hookimpl
 def p2o_matchers():
     yield p2o.Method(
         name="tried", build=build, options=Options, summary="Tried here.", needs=NEEDS, gives={GIVES},
     )
-'''
+"""
 SOFT = '''
 """Soft assignment: each LiDAR edge to the mean of the image edges of its side, weighted by their distance."""
 
@@ -94,7 +89,9 @@ def _run(source: str, folder: Path) -> Run:
     file = folder / "tried_plugin.py"
     file.write_text(source, encoding="utf-8")
     registry = p2o.Registry.load(extra_files=[file])
-    [offer] = [offer for offer in registry.of_kind(Kind.MATCHER) if offer.dist == "tried_plugin" or "tried" in offer.name]
+    [offer] = [
+        offer for offer in registry.of_kind(Kind.MATCHER) if offer.dist == "tried_plugin" or "tried" in offer.name
+    ]
     solver = "lm" if "objective" not in offer.method.gives else "nelder-mead"
     return p2o.calibrate(
         STREETS,

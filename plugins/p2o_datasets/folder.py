@@ -26,7 +26,8 @@ from p2o import (
     reading,
 )
 from p2o.reading import LazyFrames, listing, naming, parse_yaml, read_extrinsic, read_rgb, read_text, validated
-from p2o_formats.camera_entry import read_camera
+from p2o_formats.camera_entry import CAMERA_FORMS, read_camera_entry
+from p2o_formats.plain_text import states_quaternion
 from pydantic import Field
 
 from p2o_datasets.cloud_file import NAMED_SUFFIXES, read_fields, read_points
@@ -43,6 +44,10 @@ class FolderOptions(Options):
 
 
 _EXTRINSICS = ("start", "truth")
+_NO_CALIBRATION = (
+    "without a calibration, use model PINHOLE with params [f, f, width / 2, height / 2], f = width / 2 / "
+    "tan(horizontal field of view / 2), and calibrate several frames jointly with --set pipeline.camera=refine"
+)
 _WORLDS = ("lidar_world_from_lidar", "camera_world_from_camera")
 _SAME_MOMENT_S = 1.0
 """Largest plausible time between image and sweep; a larger one indicates another scene or another clock."""
@@ -177,6 +182,8 @@ def read_frame_file(path: Path) -> FrameEntry:
     content = parse_yaml(read_text(path, "frame file"), "frame file", path)
     if not isinstance(content, dict):
         raise InputError("the frame file has no keys", where=path, expected="camera: ...", got=type(content).__name__)
+    if content.get("camera") is None:
+        raise InputError("the camera is missing", where=path, expected=f"camera: {CAMERA_FORMS}", hint=_NO_CALIBRATION)
     return validated(FrameEntry, content, where=path)
 
 
@@ -211,22 +218,23 @@ def _read(root: Path, faults: Mapping[Path, InputError], folder: Path) -> Frame:
         raise faults[folder]
     entry = read_frame_file(path)
     resolve = partial(_inside, root, folder)
-    camera = reading.read_camera_file(entry.camera, path, resolve) if isinstance(entry.camera, str) else None
-    camera = camera or read_camera(entry.camera, path)
+    camera, camera_remarks = _camera(entry.camera, path, resolve)
     if (entry.right is None) != (entry.baseline_m is None):
         fault = "a rectified pair needs its right image and its baseline"
         raise InputError(fault, where=path, expected="right, baseline_m")
     values = {name: getattr(entry, name) for name in (*_EXTRINSICS, *_WORLDS)}
     read = {
-        name: reading.read_pose(name, value, path) if name in _WORLDS else _extrinsic(name, value, path, resolve)
+        name: (*reading.read_pose(name, value, path), False)
+        if name in _WORLDS
+        else _extrinsic(name, value, path, resolve)
         for name, value in values.items()
         if value is not None
     }
-    poses = {name: pose for name, (pose, _) in read.items()}
+    poses = {name: pose for name, (pose, *_) in read.items()}
     with naming(path):
         targets = tuple(_target(f"targets.{number}", values, path) for number, values in enumerate(entry.targets))
     image, warnings = _image(root, folder, entry, camera)
-    warnings += tuple(warning for _, remarks in read.values() for warning in remarks)
+    warnings += camera_remarks + tuple(warning for _, remarks, _ in read.values() for warning in remarks)
     cloud_path = _file(root, folder, entry.cloud, "cloud", NAMED_SUFFIXES)
     clock = PointClock.of_image(entry.image_time_s, entry.point_times)
     clock = replace(
@@ -251,20 +259,35 @@ def _read(root: Path, faults: Mapping[Path, InputError], folder: Path) -> Frame:
         # Times without a relation to the image's clock carry no information; compensated sweeps may keep theirs.
         cloud = replace(cloud, time_s=None)
     for name in (name for name in _EXTRINSICS if name in poses):
-        warnings += reading.check_direction(cloud, camera, poses[name], name=name, where=path)
-    given: dict[str, Any] = {"camera_from_lidar": poses.pop("truth", None), **poses, "twist": twist, "targets": targets}
-    given["unused_fields"] = unused
-    given |= entry.model_dump(include={"sequence", "time_s", "camera_name"})
-    return Frame(folder.name, image, cloud, warnings=warnings, **given)
+        given: dict[str, Any] = {"name": name, "where": path, "quaternion": read[name][2]}
+        warnings += reading.check_direction(cloud, camera, poses[name], **given)
+    parts: dict[str, Any] = {"camera_from_lidar": poses.pop("truth", None), **poses, "twist": twist, "targets": targets}
+    parts["unused_fields"] = unused
+    parts |= entry.model_dump(include={"sequence", "time_s", "camera_name"})
+    return Frame(folder.name, image, cloud, warnings=warnings, **parts)
 
 
-def _extrinsic(name: str, value: Any, path: Path, resolve: Callable[[str], Path]) -> tuple[Float, tuple[str, ...]]:
-    """Return camera_from_lidar (4, 4) of a value of frame.yaml, and remarks; a text is words or a calibration file."""
-    if isinstance(value, str) and name == "start":
-        return reading.read_initial_guess(value, path, resolve)
+def _camera(value: Any, path: Path, resolve: Callable[[str], Path]) -> tuple[p2o.Camera, tuple[str, ...]]:
+    """Return the camera of a value of frame.yaml, which may name a calibration file, and remarks on it."""
+    if isinstance(value, str):
+        calibration = reading.read_calibration(value, path, resolve)
+        return calibration.intrinsics(value), calibration.remarks
+    return read_camera_entry(value, path)
+
+
+def _extrinsic(
+    name: str, value: Any, path: Path, resolve: Callable[[str], Path]
+) -> tuple[Float, tuple[str, ...], bool]:
+    """Return camera_from_lidar (4, 4) of a value of frame.yaml, remarks, and whether it is given as a quaternion.
+
+    A text is words or a calibration file.
+    """
     if isinstance(value, str) and reading.names_file(value):
-        return reading.read_extrinsic_file(value, path, resolve)
-    return read_extrinsic(name, value, path)
+        calibration = reading.read_calibration(value, path, resolve)
+        return calibration.extrinsic(value), calibration.remarks, calibration.quaternion
+    if isinstance(value, str) and name == "start":
+        return (*reading.read_initial_guess(value, path, resolve), False)
+    return (*read_extrinsic(name, value, path), states_quaternion(value))
 
 
 def _target(name: str, values: Mapping[str, Any], path: Path) -> Target:

@@ -8,13 +8,10 @@ from pathlib import Path
 import numpy as np
 from p2o import Camera, Float, InputError, se3
 from p2o.reading import read_camera_file
-from p2o_formats.camera_entry import read_camera
+from p2o_formats.camera_entry import read_camera_entry
 
 from p2o_datasets.bags.messages import CameraInfoMessage
 
-# Names that other drivers use for the models of ROS.
-_MODELS = {"fisheye": "equidistant", "kannala_brandt": "equidistant", "rational": "rational_polynomial"}
-_UNDISTORTED = ("", "none")
 _SAME_PX = 0.5
 
 
@@ -46,17 +43,14 @@ def camera_of_info(message: CameraInfoMessage, where: Path, *, rectified: bool) 
         raise InputError(fault, where=where, expected="a CameraInfo of a calibrated camera", hint=hint)
     width, height, matrix = _cut(message, np.array(matrix), where)
     value = {"width": width, "height": height, "K": matrix.tolist()}
-    model = _MODELS.get(message.distortion_model, message.distortion_model)
-    if not rectified and (model not in _UNDISTORTED or message.D.any()):
-        # Missing coefficients are zero.
-        d = message.D.tolist() if len(message.D) or model != "equidistant" else [0.0] * 4
-        value |= {"distortion_model": model, "D": d}
-    camera = read_camera(value, where)
     if not rectified:
-        return RosCamera(camera, np.eye(3))
-    warnings: tuple[str, ...] = ()
+        # Missing coefficients are zero.
+        value |= {"distortion_model": message.distortion_model, "D": message.D.tolist() or [0.0] * 4}
+    camera, warnings = read_camera_entry(value, where)
+    if not rectified:
+        return RosCamera(camera, np.eye(3), warnings)
     if message.P[:, 3].any():
-        warnings = (f"{where}: P is the second camera of a stereo pair; its frame is assumed to be its own",)
+        warnings += (f"{where}: P is the second camera of a stereo pair; its frame is assumed to be its own",)
     return RosCamera(camera, _rotation(message.R, where), warnings)
 
 

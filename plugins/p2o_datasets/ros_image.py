@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from p2o import InputError, UInt8
-from p2o.reading import MAX_PIXELS, decode_rgb
+from p2o.reading import MAX_PIXELS, decode_rgb, eight_bit
 
 from p2o_datasets.bags.choice import DECODE
 from p2o_datasets.bags.messages import CompressedImageMessage, ImageMessage
@@ -62,9 +62,9 @@ def _decoded(message: ImageMessage, where: object, name: str) -> tuple[UInt8, tu
     if encoding in _GREY_16:
         kind = ">u2" if message.is_bigendian else "<u2"
         words = np.ascontiguousarray(_rows(message, 2, where)).view(kind)[:, :, 0]
-        shift = max(int(words.max(initial=0)).bit_length() - 8, 0)
-        rgb, remarks = _repeated((words >> shift).astype(np.uint8), name)
-        return rgb, (*remarks, f"{name}: 16 bit image, divided by {1 << shift}")
+        grey, divisor = eight_bit(words)
+        rgb, remarks = _repeated(grey, name)
+        return rgb, (*remarks, f"{name}: 16 bit image, divided by {divisor}")
     if encoding in _BAYER:
         return _converted(_rows(message, 1, where)[:, :, 0], f"COLOR_Bayer{_BAYER[encoding]}2RGB"), ()
     if encoding in _YUV:

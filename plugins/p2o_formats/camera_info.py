@@ -13,7 +13,7 @@ from typing import Any
 from p2o import InputError, Options, field
 from p2o.reading import Calibration, FrameName, Reading, Source, listed, numbers
 
-from p2o_formats.camera_entry import Lens, lens_of, without_skew
+from p2o_formats.camera_entry import Lens, lens_of, read_matrix
 from p2o_formats.format import ONLY_CAMERA, Format, comment_lines, size_of
 
 
@@ -73,7 +73,7 @@ def read(source: Source, reading: Reading) -> Calibration:
     header = tree.get("header")
     name = header.get("frame_id", "") if isinstance(header, Mapping) else tree.get("camera_name", "")
     lens = lens_from_matrix("K", matrix, "D", d, tree.get("distortion_model"), size, source)
-    return Calibration(lens.camera(), camera_frame=name if isinstance(name, str) else "")
+    return Calibration(lens.camera(), camera_frame=name if isinstance(name, str) else "", remarks=lens.remarks)
 
 
 def _check_whole(tree: Mapping[str, Any], source: Source) -> None:
@@ -94,11 +94,7 @@ def lens_from_matrix(
     Without a name, up to 5 coefficients are plumb_bob and more are rational_polynomial, as in OpenCV. Raises
     InputError that names the keys of the file.
     """
-    k = numbers(matrix, (3, 3))
-    if k is None or not without_skew(k):
-        fault = f"{matrix_key} is not an intrinsic matrix"
-        got = str(matrix)[:80]
-        raise InputError(fault, where=source.path, expected="fx 0 cx, 0 fy cy, 0 0 1, without skew", got=got)
+    pinhole, remarks = read_matrix(matrix_key, matrix, size[1], source.path)
     rows = [] if d is None else d if isinstance(d, list) else None
     flat = rows and [value for row in rows for value in (row if isinstance(row, list) else [row])]
     coefficients = numbers(flat, (len(flat),)) if flat else flat
@@ -107,13 +103,10 @@ def lens_from_matrix(
         raise InputError(fault, where=source.path, expected="finite numbers", got=got)
     if model in (None, ""):
         model = "plumb_bob" if len(coefficients) <= 5 else "rational_polynomial"
-    if model == "fisheye":
-        model = "equidistant"
     if not isinstance(model, str):
         fault, got = "the distortion model is not a name", repr(model)[:60]
         raise InputError(fault, where=source.path, expected="plumb_bob", got=got)
-    fx, fy, cx, cy = (float(k[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    return Lens(*size, fx, fy, cx, cy, model, tuple(float(value) for value in coefficients))
+    return Lens(*size, *pinhole, model, tuple(float(value) for value in coefficients), remarks)
 
 
 FORMAT = Format(

@@ -132,7 +132,7 @@ def read_rig(source: Source, reading: Reading) -> Calibration:
         else:
             lacks_size = True
     pose = camera_from_rig @ se3.inverse(lidar_from_rig)
-    return Calibration(camera, pose, lidar[0], wanted, remarks + more, lacks_size)
+    return Calibration(camera, pose, lidar[0], wanted, remarks + more, lacks_size, quaternion=True)
 
 
 def _lidar(name: str, reading: Reading) -> bool:

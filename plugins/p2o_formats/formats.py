@@ -8,8 +8,10 @@ from p2o import UnknownNameError
 
 from p2o_formats import (
     autoware,
+    calib_anything,
     camera_info,
     colmap,
+    fast_livo,
     kalibr,
     kitti_text,
     koide,
@@ -24,8 +26,9 @@ from p2o_formats.format import Format
 
 _FORMATS = (
     matrix_file.NPY_FORMAT, ros_transform.FORMAT, opencv_yaml.FORMAT, result_file.FORMAT, koide.FORMAT,
-    opencalib.FORMAT, opencalib.CAMERA_FORMAT, colmap.FORMAT, colmap.CAMERAS_FORMAT, camera_info.FORMAT, kalibr.FORMAT,
-    autoware.FORMAT, kitti_text.FORMAT, plain_text.FORMAT, matrix_file.TEXT_FORMAT,
+    opencalib.FORMAT, opencalib.CAMERA_FORMAT, fast_livo.FORMAT, calib_anything.FORMAT, colmap.FORMAT,
+    colmap.CAMERAS_FORMAT, camera_info.FORMAT, kalibr.FORMAT, autoware.FORMAT, kitti_text.FORMAT, plain_text.FORMAT,
+    matrix_file.TEXT_FORMAT,
 )  # fmt: skip
 FORMATS: Mapping[str, Format] = {form.name: form for form in _FORMATS}
 """All formats by name."""

@@ -37,12 +37,13 @@ class Edge:
     """The transform between two frames of a source.
 
     `pose` returns parent_from_child (4, 4) and remarks, or raises InputError. It is called only for transforms between
-    LiDAR and camera: the others may be expressions or joints that move.
+    LiDAR and camera: the others may be expressions or joints that move. `quaternion`: a person wrote its rotation as one.
     """
 
     parent: str
     child: str
     pose: Callable[[], Posed]
+    quaternion: bool = False
 
     def __post_init__(self) -> None:
         for name in ("parent", "child"):
@@ -205,7 +206,8 @@ def calibration_of(transforms: Sequence[Edge], reading: Reading, where: Path) ->
     pose, remarks = posed
     optical_from_camera, _ = optical_from(camera, reading.camera_axes)
     remarks = (*remarks, *axes_remark(camera, reading.camera_axes, "FILE?camera_axes", where))
-    return Calibration(None, optical_from_camera @ pose, lidar, camera, remarks)
+    quaternion = any(edge.quaternion for edge in transforms)
+    return Calibration(None, optical_from_camera @ pose, lidar, camera, remarks, quaternion=quaternion)
 
 
 def sensor_frames(tree: FrameTree, lidar: str | None, camera: str | None, where: object = None) -> tuple[str, str]:

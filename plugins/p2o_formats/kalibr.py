@@ -14,7 +14,7 @@ from typing import Any
 from p2o import Camera, InputError, Options, field
 from p2o.reading import Calibration, FrameName, Reading, Source, listed, numbers
 
-from p2o_formats.camera_entry import lens_of, unsupported_model
+from p2o_formats.camera_entry import colmap_model, lens_of, unsupported_model
 from p2o_formats.format import ONLY_CAMERA, Format, comment_lines, select_camera, size_of
 from p2o_formats.frame_names import named_transform
 
@@ -95,28 +95,26 @@ def _camera(entry: Mapping[str, Any], name: str, reading: Reading, source: Sourc
     where = source.path
     model, distortion = (str(entry.get(key, "none")) for key in ("camera_model", "distortion_model"))
     d = entry.get("distortion_coeffs") or []
-    counts = {("pinhole", name): n for name, n in (("radtan", 4), ("equidistant", 4), ("fov", 1), ("none", 0))}
-    counts["eucm", "none"] = 0
-    if (model, distortion) not in counts:
+    if model not in ("pinhole", "eucm") or (model == "eucm" and distortion != "none"):
         got = f"{model}, {distortion}"
         raise InputError(f"{name}: {model} with {distortion} is not supported", where=where, expected=_KNOWN, got=got)
-    count = counts[model, distortion]
-    intrinsics = numbers(entry["intrinsics"], (6 if model == "eucm" else 4,))
-    coefficients = numbers(d, (count,)) if count else () if isinstance(d, list) else None
-    if intrinsics is None or coefficients is None:
+    count = 6 if model == "eucm" else 4
+    intrinsics = numbers(entry["intrinsics"], (count,))
+    coefficients = numbers(d, (len(d),)) if isinstance(d, list) and d else () if isinstance(d, list) else None
+    if intrinsics is None or coefficients is None or (distortion == "fov" and len(coefficients) != 1):
         fault = f"{name}: intrinsics or distortion_coeffs do not fit {model} with {distortion}"
         got = f"{entry['intrinsics']}, {d}"[:80]
-        raise InputError(fault, where=where, expected=f"{6 if model == 'eucm' else 4} and {count} numbers", got=got)
+        raise InputError(fault, where=where, expected=f"{count} numbers, and the coefficients of the model", got=got)
     resolution = numbers(entry.get("resolution"), (2,))
     width, height = (None, None) if resolution is None else resolution.tolist()
     size = size_of(width, height, reading, where)
-    values = tuple(float(value) for value in intrinsics)
+    *projection, fx, fy, cx, cy = (float(value) for value in intrinsics)
     if model == "eucm":
-        return Camera("EUCM", *size, (*values[2:], *values[:2]))
-    words = {"radtan": "OPENCV", "equidistant": "OPENCV_FISHEYE", "fov": "FOV", "none": "PINHOLE"}
-    if distortion == "radtan" and not any(coefficients):
-        return Camera("PINHOLE", *size, values)
-    return Camera(words[distortion], *size, (*values, *(float(value) for value in coefficients)))
+        return Camera("EUCM", *size, (fx, fy, cx, cy, *projection))
+    if distortion == "fov":
+        return Camera("FOV", *size, (fx, fy, cx, cy, float(sum(coefficients))))
+    model, params = colmap_model(distortion, tuple(float(value) for value in coefficients), (fx, fy, cx, cy))
+    return Camera(model, *size, params)
 
 
 FORMAT = Format(

@@ -11,17 +11,21 @@ import numpy as np
 from p2o import Camera, Float, InputError, UnknownNameError, se3
 from p2o.reading import read_text
 
+from p2o_formats.camera_entry import is_intrinsic, skew_remarks
+
 _MAX_VALUE = 1e7
 """Largest plausible value of a calibration, in pixels or pixels times metres."""
 MAX_BASELINE_M = 100.0
 """Largest plausible distance between two cameras of one vehicle."""
 _FAR_M = 10.0
 """Distance of camera and LiDAR above which a warning is given."""
+_LINE = re.compile(r"\s*(?:([^:]*?)\s*:|([A-Za-z]\w*)\s(?=[\s\d.eE+-]+$))(.*)")
+"""A line "key: numbers", or "key numbers" as in the tracking benchmark."""
 
 
 @dataclass(frozen=True)
 class KittiCalibration:
-    """Lines "key: numbers" of one calibration file; the methods check the numbers of the requested keys."""
+    """Lines "key: numbers" or "key numbers" of a calibration file; the methods check the numbers of requested keys."""
 
     path: Path
     lines: Mapping[str, str]
@@ -78,15 +82,10 @@ class KittiCalibration:
     def projection(self, key: str) -> Float:
         """Return the projection (3, 4) of a rectified camera.
 
-        Raises InputError unless its left part is an intrinsic matrix without skew and with focal lengths of at least
-        one pixel.
+        Raises InputError unless its left part is an intrinsic matrix with focal lengths of at least one pixel.
         """
         matrix = self.numbers(key, (3, 4))
-        if (
-            min(matrix[0, 0], matrix[1, 1]) < 1
-            or np.abs(matrix).max() > _MAX_VALUE
-            or np.abs(matrix[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]] - (0, 0, 0, 0, 1)).max() > 1e-9
-        ):
+        if min(matrix[0, 0], matrix[1, 1]) < 1 or np.abs(matrix).max() > _MAX_VALUE or not is_intrinsic(matrix[:, :3]):
             fault = f"{key} is not the projection of a rectified camera"
             got = self.lines[key].strip()[:120]
             raise InputError(fault, where=self.path, expected="fx 0 cx ., 0 fy cy ., 0 0 1 .", got=got)
@@ -105,12 +104,12 @@ def calibration_of(text: str, path: Path) -> KittiCalibration:
     """Return the calibration in a text; raises InputError as `read_calibration`."""
     refuse_cut_off(text, path)
     lines = [line for line in text.splitlines() if line.strip()]
-    pairs = [line.partition(":") for line in lines]
-    bad = next((line for line, (_, colon, _) in zip(lines, pairs, strict=True) if not colon), None)
-    if bad is not None or not pairs:
-        got = repr((bad or "")[:60])
+    matches = [_LINE.match(line) for line in lines]
+    pairs = {match[1] or match[2] or "": match[3] for match in matches if match is not None}
+    if not pairs or None in matches:
+        got = repr(next((line for line, match in zip(lines, matches, strict=True) if match is None), "")[:60])
         raise InputError("this is not a KITTI calibration file", where=path, expected='lines "key: numbers"', got=got)
-    return KittiCalibration(path, {key.strip(): value for key, _, value in pairs}, text.endswith(("\n", "\r")))
+    return KittiCalibration(path, pairs, text.endswith(("\n", "\r")))
 
 
 def refuse_cut_off(text: str, path: Path, words_per_line: int = 1) -> None:
@@ -131,8 +130,10 @@ def refuse_cut_off(text: str, path: Path, words_per_line: int = 1) -> None:
 def rectified_camera(projection: Float, width: int, height: int) -> Camera:
     """Return the pinhole camera of a projection (3, 4) and an image size in pixels.
 
-    Raises InputError if the principal point is outside the image, so that the image belongs to another camera.
+    Raises InputError if the principal point is outside the image, so that the image belongs to another camera, and as
+    `skew_remarks`.
     """
+    skew_remarks("the projection", projection[:, :3], height, None)
     fx, fy, cx, cy = projection[0, 0], projection[1, 1], projection[0, 2], projection[1, 2]
     if not (0 <= cx < width and 0 <= cy < height):
         expected = f"the principal point ({cx:.0f}, {cy:.0f}) inside the image"

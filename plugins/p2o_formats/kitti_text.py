@@ -3,7 +3,7 @@
 Source: Geiger et al., IJRR 2013, and the readmes of KITTI's development kits. All transforms map LiDAR coordinates to
 camera coordinates. p2o writes camera_from_lidar of the camera itself, in metres, row by row, with 17 digits. KITTI's
 own files contain the transform to camera 0 and projections P0 to P3, from which p2o composes camera_from_lidar =
-[I | K^-1 p4] R0_rect Tr_velo_to_cam.
+[I | K^-1 p4] R0_rect Tr_velo_to_cam. Files of the tracking benchmark have R_rect and Tr_velo_cam, without colon.
 """
 
 from __future__ import annotations
@@ -15,12 +15,16 @@ import numpy as np
 from p2o import Camera, Float, InputError, Options, field
 from p2o.reading import Calibration, Reading, Source
 
+from p2o_formats.camera_entry import skew_remarks
 from p2o_formats.camera_info import lens_from_matrix
 from p2o_formats.format import ONLY_EXTRINSIC, Format, size_of
 from p2o_formats.kitti_calibration import KittiCalibration, calibration_of, rectified_camera, rectified_extrinsic
 
 Layout = Literal["object", "raw", "odometry"]
-_LINE = re.compile(r"^(Tr_velo_to_cam|Tr_velo_cam|Tr|R|P[0-3]|P_rect_0[0-3]|K_0[0-3]):", re.MULTILINE)
+_LINE = re.compile(
+    r"^(?:(?:Tr_velo_to_cam|Tr_velo_cam|Tr|R|P[0-3]|P_rect_0[0-3]|K_0[0-3]):|(?:Tr_velo_cam|R_rect) +[-+\d.])",
+    re.MULTILINE,
+)
 
 
 class KittiOptions(Options):
@@ -56,16 +60,18 @@ def read(source: Source, reading: Reading) -> Calibration:
     lines = calibration_of("\n".join(source.lines) + "\n" * source.text.endswith("\n"), source.path)
     number, raw = _camera_number(reading.name, source)
     camera, lacks_size = None, False
+    remarks: tuple[str, ...] = ()
     projection = lines.projection(f"P{number}") if f"P{number}" in lines.lines else None
     if f"P_rect_0{number}" in lines.lines or f"K_0{number}" in lines.lines:
-        camera = _raw_camera(lines, number, raw, reading, source)
+        camera, remarks = _raw_camera(lines, number, raw, reading, source)
     elif projection is not None and reading.width is not None and reading.height is not None:
+        remarks = skew_remarks(f"P{number}", projection[:, :3], reading.height, source.path)
         camera = rectified_camera(projection, reading.width, reading.height)
     elif projection is not None:
         lacks_size = True
     elif reading.name:
         raise InputError(f"there is no camera {reading.name!r}", where=source.path, expected="P0 to P3, 00 to 03")
-    return Calibration(camera, _extrinsic(lines, projection), lacks_image_size=lacks_size)
+    return Calibration(camera, _extrinsic(lines, projection), remarks=remarks, lacks_image_size=lacks_size)
 
 
 def _camera_number(name: str, source: Source) -> tuple[int, bool]:
@@ -76,15 +82,20 @@ def _camera_number(name: str, source: Source) -> tuple[int, bool]:
     return int(match[1]), match[2] is not None
 
 
-def _raw_camera(lines: KittiCalibration, number: int, raw: bool, reading: Reading, source: Source) -> Camera:
+def _raw_camera(
+    lines: KittiCalibration, number: int, raw: bool, reading: Reading, source: Source
+) -> tuple[Camera, tuple[str, ...]]:
     rectified = not raw and f"P_rect_0{number}" in lines.lines
     size_key, matrix_key, d_key = f"S_{'rect_' * rectified}0{number}", f"K_0{number}", f"D_0{number}"
     width, height = lines.size(size_key) if size_key in lines.lines else (None, None)
     size = size_of(width, height, reading, source.path)
     if rectified:
-        return rectified_camera(lines.projection(f"P_rect_0{number}"), *size)
+        projection = lines.projection(f"P_rect_0{number}")
+        remarks = skew_remarks(f"P_rect_0{number}", projection[:, :3], size[1], source.path)
+        return rectified_camera(projection, *size), remarks
     matrix, d = lines.numbers(matrix_key, (3, 3)), lines.numbers(d_key, (5,))
-    return lens_from_matrix(matrix_key, matrix.tolist(), d_key, d.tolist(), "plumb_bob", size, source).camera()
+    lens = lens_from_matrix(matrix_key, matrix.tolist(), d_key, d.tolist(), "plumb_bob", size, source)
+    return lens.camera(), lens.remarks
 
 
 def _extrinsic(lines: KittiCalibration, projection: Float | None) -> Float | None:

@@ -17,7 +17,6 @@ from p2o.reading import Calibration, Reading, Source, numbers, plain, quaternion
 from p2o_formats.camera_entry import Lens, lens_of, unsupported_model
 from p2o_formats.format import BOTH, Format, size_of
 
-_MODELS = {"plumb_bob": "plumb_bob", "fisheye": "equidistant", "equidistant": "equidistant"}
 _RESULTS = ("T_lidar_camera", "init_T_lidar_camera", "init_T_lidar_camera_auto")
 """Key of the result, and the keys of the manual and automatic initial guesses, which are used without a result."""
 
@@ -72,18 +71,19 @@ def read(source: Source, reading: Reading) -> Calibration:
     if values is None:
         got = str(results[key])[:60]
         raise InputError(f"results.{key} is not a transform", where=source.path, expected="x y z qx qy qz qw", got=got)
-    pose = {"translation_m": values[:3].tolist(), "rotation_xyzw": values[3:].tolist()}
-    lidar_from_camera, remarks = read_pose(f"results.{key}", pose, source.path)
+    parts = {"translation_m": values[:3].tolist(), "rotation_xyzw": values[3:].tolist()}
+    lidar_from_camera, remarks = read_pose(f"results.{key}", parts, source.path)
     if key != _RESULTS[0]:
         remarks = (*remarks, f"{source.path}: the file has no result, so that the initial guess {key} is used")
-    return Calibration(camera, se3.inverse(lidar_from_camera), remarks=remarks, lacks_image_size=lacks_size)
+    pose = se3.inverse(lidar_from_camera)
+    return Calibration(camera, pose, remarks=remarks, lacks_image_size=lacks_size, quaternion=True)
 
 
 def _lens(entry: Mapping[str, Any], reading: Reading, source: Source) -> Lens:
     model = entry.get("camera_model")
-    if not isinstance(model, str) or model not in _MODELS:
-        expected = " or ".join(_MODELS)
-        raise InputError("camera.camera_model is not supported", where=source.path, expected=expected, got=repr(model))
+    if not isinstance(model, str):
+        expected, got = "plumb_bob or fisheye", repr(model)[:60]
+        raise InputError("camera.camera_model is not a name", where=source.path, expected=expected, got=got)
     pinhole = numbers(entry.get("intrinsics"), (4,))
     d = entry.get("distortion_coeffs", [])
     coefficients = numbers(d, (len(d),)) if isinstance(d, list) else None
@@ -92,7 +92,7 @@ def _lens(entry: Mapping[str, Any], reading: Reading, source: Source) -> Lens:
         raise InputError(fault, where=source.path, expected="fx fy cx cy, and k1 k2 p1 p2 k3 or k1 k2 k3 k4")
     size = size_of(entry.get("width"), entry.get("height"), reading, source.path)
     fx, fy, cx, cy = pinhole.tolist()
-    return Lens(*size, fx, fy, cx, cy, _MODELS[model], tuple(coefficients.tolist()))
+    return Lens(*size, fx, fy, cx, cy, model, tuple(coefficients.tolist()))
 
 
 FORMAT = Format(

@@ -105,7 +105,7 @@ def read_camera(source: Source, reading: Reading) -> Calibration:
     size = size_of(width, height, reading, source.path)
     model = "equidistant" if "fisheye" in str(entry.get("device_type", "")).lower() else None
     lens = lens_from_matrix("cam_K", matrix, "cam_dist", d, model, size, source)
-    return Calibration(lens.camera(), camera_frame=str(entry.get("sensor_name", "")))
+    return Calibration(lens.camera(), camera_frame=str(entry.get("sensor_name", "")), remarks=lens.remarks)
 
 
 def _only(entries: Mapping[str, Mapping[str, Any]], reading: Reading, source: Source) -> tuple[str, Mapping[str, Any]]:

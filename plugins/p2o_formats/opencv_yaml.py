@@ -73,7 +73,8 @@ def read(source: Source, reading: Reading) -> Calibration:
         width, height = sizes if isinstance(sizes, list) and len(sizes) == 2 else (None, None)
         size = size_of(tree.get("image_width", width), tree.get("image_height", height), reading, where)
         model = tree.get("distortion_model", tree.get("DistModel"))
-        camera = lens_from_matrix(key, tree[key], d_key, tree.get(d_key), model, size, source).camera()
+        lens = lens_from_matrix(key, tree[key], d_key, tree.get(d_key), model, size, source)
+        camera, remarks = lens.camera(), remarks + lens.remarks
     return Calibration(camera, pose, remarks=remarks)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from p2o import Float, Options, se3
 from p2o.reading import Calibration, Reading, Source, listed, quaternion_xyzw, read_pose, rpy_of
 
-from p2o_formats.camera_entry import read_camera
+from p2o_formats.camera_entry import read_camera_entry
 from p2o_formats.format import Format, comment_lines
 from p2o_formats.frame_names import CAMERA_FROM_LIDAR, LIDAR_FROM_CAMERA, check_same, named_transform
 
@@ -78,8 +78,17 @@ def read(source: Source, reading: Reading) -> Calibration:
             tree[key], more = _pose(key, source.tree[key], source)
             remarks += more
     entry = _camera(source)
-    camera = None if entry is None else read_camera(entry, source.path)
-    return Calibration(camera, named_transform(tree, source.path)[0], remarks=remarks)
+    camera, more = (None, ()) if entry is None else read_camera_entry(entry, source.path)
+    pose = named_transform(tree, source.path)[0]
+    quaternion = any(states_quaternion(source.tree[key]) for key in tree)
+    return Calibration(camera, pose, remarks=remarks + more, quaternion=quaternion)
+
+
+def states_quaternion(value: Any) -> bool:
+    """Return whether a pose of YAML, also below the key of a direction, has a quaternion, but no matrix."""
+    if not isinstance(value, Mapping):
+        return False
+    return ("rotation_xyzw" in value and "matrix" not in value) or any(map(states_quaternion, value.values()))
 
 
 def _pose(name: str, value: Any, source: Source) -> tuple[list[list[float]], tuple[str, ...]]:

@@ -153,7 +153,8 @@ def _publisher(words: Sequence[str], path: Path) -> Iterator[Edge]:
         raise InputError(
             "a transform has no frames", where=path, expected=" and ".join(missing), got=" ".join(words)[:200]
         )
-    yield Edge(arguments[FRAMES[0]], arguments[FRAMES[1]], partial(_posed, arguments, path))
+    pose = partial(_posed, arguments, path)
+    yield Edge(arguments[FRAMES[0]], arguments[FRAMES[1]], pose, quaternion=QUATERNION[0] in arguments)
 
 
 def _named(words: Sequence[str], path: Path) -> dict[str, str]:

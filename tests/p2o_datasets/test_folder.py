@@ -6,6 +6,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import PIL.Image
 import pytest
 import yaml
 from p2o import Box, Camera, Checkerboard, HoleBoard, InputError, Sphere, UnknownNameError, se3
@@ -15,6 +16,8 @@ from p2o.geometry.pose_text import read_extrinsic
 from p2o_datasets.folder import FolderOptions, build, read_frame_file
 from p2o_formats.formats import FORMATS
 from scipy.spatial.transform import Rotation
+
+from tests.toolkit.frames.test_direction import street
 
 from .kitti_files import HEIGHT, VELO_TO_CAM, WIDTH, sweep, write_image, write_sweep
 
@@ -223,7 +226,14 @@ def test_python_objects_in_yaml_are_refused_and_never_built(tmp_path: Path, text
         ("camera: [1, 2", "the frame file is not YAML"),
         ("just words", "the frame file has no keys"),
         ("", "the frame file is empty"),
-        ("image: a.png", "camera is missing"),
+        (
+            "image: a.png",
+            "camera is missing; expected camera: model, width, .* or FILE; without a calibration, use model",
+        ),
+        (
+            "camera:",
+            r"camera is missing; .*field of view / 2\), and calibrate several frames .*pipeline\.camera=refine",
+        ),
         (
             "camera: {model: PINHOLE, width: wide, height: 3, params: [1]}",
             r"camera\.width is not valid; .*got wide",
@@ -625,3 +635,59 @@ def test_a_calibration_file_in_the_wrong_direction_is_noticed(tmp_path: Path) ->
         dataset(tmp_path)[0]
     write_frame(tmp_path, start="pose.npy?direction=lidar_from_camera")
     np.testing.assert_allclose(dataset(tmp_path)[0].start, VELO_TO_CAM, atol=1e-9)
+
+
+def test_16_bit_images_of_cameras_are_read_with_a_remark(tmp_path: Path) -> None:
+    write_frame(tmp_path, start=VELO_TO_CAM.tolist())
+    grey = np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH) * 4095 // (HEIGHT * WIDTH - 1)
+    cv2.imwrite(str(tmp_path / "image.png"), grey.astype(np.uint16))
+    frame = dataset(tmp_path)[0]
+    assert np.array_equal(frame.image.rgb[:, :, 1], grey >> 4)
+    assert "image.png: 16 bit image, divided by 16" in frame.warnings
+
+
+@pytest.mark.parametrize("stored", [True, False])
+def test_an_image_with_a_rotation_tag_fits_the_camera(tmp_path: Path, stored: bool) -> None:
+    write_frame(tmp_path)
+    pixels = np.random.default_rng(0).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
+    exif = PIL.Image.Exif()
+    exif[0x0112] = 6
+    PIL.Image.fromarray(pixels if stored else np.rot90(pixels)).save(tmp_path / "image.png", exif=exif)
+    frame = dataset(tmp_path)[0]
+    assert np.array_equal(frame.image.rgb, pixels)
+    (remark,) = (warning for warning in frame.warnings if "EXIF" in warning)
+    assert ("is ignored" if stored else "rotated by its EXIF tag") in remark
+
+
+@pytest.mark.parametrize("form", ["entry", "file"])
+def test_the_skew_of_a_camera_is_a_warning_of_the_frame(tmp_path: Path, form: str) -> None:
+    camera = {"width": WIDTH, "height": HEIGHT, "K": [[50.0, 0.5, 31.0], [0, 50.0, 15.5], [0, 0, 1]]}
+    if form == "file":
+        (tmp_path / "camera.yaml").write_text(yaml.safe_dump(camera))
+    write_frame(tmp_path, camera="camera.yaml" if form == "file" else camera)
+    (warning,) = (text for text in dataset(tmp_path)[0].warnings if "skew" in text)
+    assert "the skew 0.5 of camera.K is neglected; its largest effect in the image is 0.1" in warning
+
+
+@pytest.mark.parametrize("form", ["matrix", "quaternion", "npy", "koide"])
+def test_only_quaternions_are_doubted_for_their_order(tmp_path: Path, form: str) -> None:
+    """The start is upright only if the numbers of its quaternion are read as w x y z."""
+    body = Rotation.from_euler("zyx", [60, 2, -3], degrees=True)
+    x, y, z, w = (Rotation.from_matrix(VELO_TO_CAM[:3, :3]) * body.inv()).as_quat().tolist()
+    swapped = [w, x, y, z]
+    pose = se3.make(Rotation.from_quat(swapped).as_matrix(), VELO_TO_CAM[:3, 3])
+    start: Any = pose.tolist()
+    if form == "quaternion":
+        start = {"rotation_xyzw": swapped, "translation_m": VELO_TO_CAM[:3, 3].tolist()}
+    elif form in ("npy", "koide"):
+        start = "start.npy" if form == "npy" else "start.json"
+        given = Calibration(Camera.pinhole(50, 50, 31, 15.5, WIDTH, HEIGHT), pose)
+        (tmp_path / start).write_bytes(FORMATS[form].written(given))
+    write_frame(tmp_path, start=start)
+    np.save(tmp_path / "cloud.npy", street().xyz.astype(np.float32))
+    (tmp_path / "cloud.bin").unlink()
+    try:
+        text = " ".join(dataset(tmp_path)[0].warnings)
+    except InputError as problem:
+        text = str(problem)
+    assert ("w x y z" in text) == (form in ("quaternion", "koide"))

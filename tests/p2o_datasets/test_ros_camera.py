@@ -35,6 +35,11 @@ def camera_of(rectified: bool = False, **change: Any) -> Camera:
         ("equidistant", [0.1, 0.2, 0.3, 0.4], ("OPENCV_FISHEYE", (0.1, 0.2, 0.3, 0.4))),
         ("fisheye", [0.1, 0.2, 0.3, 0.4], ("OPENCV_FISHEYE", (0.1, 0.2, 0.3, 0.4))),
         ("equidistant", [], ("OPENCV_FISHEYE", (0, 0, 0, 0))),
+        ("none", [0, 0, 0, 0, 0], ("PINHOLE", ())),
+        ("rational", [], ("PINHOLE", ())),
+        ("Brown-Conrady", [0.1, 0.2, 0.003, 0.004, 0], ("OPENCV", (0.1, 0.2, 0.003, 0.004))),
+        ("KB4", [0.1, 0.2, 0.3, 0.4], ("OPENCV_FISHEYE", (0.1, 0.2, 0.3, 0.4))),
+        ("inverse_brown_conrady", [0, 0, 0, 0, 0], ("PINHOLE", ())),
     ],
 )
 def test_the_models_of_ros_become_those_of_p2o(model: str, d: list[float], expected: tuple[str, Any]) -> None:
@@ -49,6 +54,13 @@ def test_rectified_pictures_have_p_without_distortion_and_are_turned_by_r() -> N
     assert np.allclose(found.rotation, turn)
     assert found.warnings == ()
     assert np.array_equal(camera_of_info(replace(INFO, R=turn), WHERE, rectified=False).rotation, np.eye(3))
+
+
+def test_the_skew_of_a_message_is_stated() -> None:
+    skewed = K.copy()
+    skewed[0, 1] = 1.0
+    (warning,) = camera_of_info(replace(INFO, K=skewed), WHERE, rectified=False).warnings
+    assert "the skew 1 of camera.K is neglected; its largest effect in the image is 0.34 px" in warning
 
 
 def test_the_second_camera_of_a_pair_says_what_is_taken() -> None:
@@ -75,8 +87,9 @@ def test_a_part_of_the_picture_that_is_binned_sees_the_same_rays() -> None:
     [
         ({"K": np.zeros((3, 3))}, False, r"not calibrated: K is zero.*--set data.camera=FILE"),
         ({"P": np.zeros((3, 4))}, True, "not calibrated: P is zero"),
-        ({"distortion_model": "double_sphere", "D": np.ones(2)}, False, "distortion_model"),
+        ({"distortion_model": "double_sphere", "D": np.ones(2)}, False, "double_sphere.* is unknown"),
         ({"D": np.ones(3)}, False, "does not fit plumb_bob"),
+        ({"distortion_model": "inverse_brown_conrady", "D": np.ones(5)}, False, "maps image pixels to rays"),
         ({"K": np.full((3, 3), np.nan)}, False, "K is not an intrinsic matrix|finite"),
         ({"width": 0}, False, "width|pixels|ROI"),
         ({"R": -np.eye(3)}, True, "mirrors space"),

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from p2o import Camera, InputError, Result, Status, se3
 from p2o.calibration_files.calibration import Calibration, Source
 from p2o.host.calibration_file import read_calibration, read_calibration_file, read_camera_file, recognised
@@ -97,6 +98,66 @@ TREE = """<?xml version="1.0"?>
   </joint>
 </robot>
 """
+LIVO_CONFIG = """
+extrin_calib:
+  extrinsic_T: [0.04165, 0.02326, -0.0284]
+  extrinsic_R: [1, 0, 0, 0, 1, 0, 0, 0, 1]
+  Rcl: [0.0, -1.0, 0.0,
+        0.0, 0.0, -1.0,
+        1.0, 0.0, 0.0]
+  Pcl: [0.06, -0.08, -0.27]
+"""
+LIVO_RESULT = """# FAST-LIVO2 calibration format
+cam_model: Pinhole
+cam_width: 1280
+cam_height: 1024
+scale: 0.5
+cam_fx: 1293.56944
+cam_fy: 1293.3155
+cam_cx: 626.91359
+cam_cy: 522.799224
+cam_d0: -0.076160
+cam_d1: 0.123001
+cam_d2: -0.00113
+cam_d3: 0.000251
+
+Rcl: [ 0.000000, -1.000000,  0.000000,
+       0.000000,  0.000000, -1.000000,
+       1.000000,  0.000000,  0.000000]
+Pcl: [ 0.060000, -0.080000, -0.270000]
+"""
+LIVO_FISHEYE = """
+cam_model: EquidistantCamera
+cam_width: 720
+cam_height: 540
+scale: 1.0
+cam_fx: 351.3
+cam_fy: 351.4
+cam_cx: 367.8
+cam_cy: 253.8
+k1: -0.037
+k2: -0.009
+k3: 0.009
+k4: -0.004
+"""
+CALIB_ANYTHING = """{
+  "cam_K": {"rows": 3, "cols": 3, "data": [[1200.0, 0, 960.5], [0, 1201.0, 540.25], [0, 0, 1]]},
+  "cam_dist": {"cols": 5, "data": [-0.1, 0.02, 0.001, -0.002, 0.0]},
+  "T_lidar_to_cam": {"rows": 4, "cols": 4,
+                     "data": [[0, -1, 0, 0.06], [0, 0, -1, -0.08], [1, 0, 0, -0.27], [0, 0, 0, 1]]},
+  "T_lidar_to_cam_gt": {"available": false, "rows": 0, "cols": 0, "data": []},
+  "img_folder": "images", "pc_folder": "pc", "img_format": ".png", "pc_format": ".pcd", "file_name": ["000000"],
+  "params": {"search_num": 4000}
+}"""
+TRACKING = """P0: 721.5377 0 609.5593 0 0 721.5377 172.854 0 0 0 1 0
+P2: 721.5377 0 609.5593 44.85728 0 721.5377 172.854 0.2163791 0 0 1 0.002745884
+R_rect 0.9999239 0.00983776 -0.007445048 -0.009869795 0.9999421 -0.004278459 0.007402527 0.004351614 0.9999631
+Tr_velo_cam 7.533745e-03 -0.9999714 -0.000616602 -0.004069766 0.01480249 0.0007280733 -0.9998902 -0.07631618 \
+0.9998621 0.00752379 0.01480755 -0.2717806
+Tr_imu_velo 0.9999976 0.0007553071 -0.002035826 -0.8086759 -0.0007854027 0.9998898 -0.01482298 0.3195559 \
+0.002024406 0.01482454 0.9998881 -0.7997231
+""".replace("\\\n", "")
+LIVO_POSE = se3.make([[0, -1, 0], [0, 0, -1], [1, 0, 0]], [0.06, -0.08, -0.27])
 AHEAD = se3.make([[0, -1, 0], [0, 0, -1], [1, 0, 0]], [0, 0, -0.3])
 
 
@@ -341,7 +402,7 @@ def test_what_is_no_rigid_transform_is_refused(name: str, fault: str) -> None:
         ("<robot><joint>", "not XML"),
         (CAMERA_INFO.replace("700.,", ".nan,"), "not an intrinsic matrix"),
         (CAMERA_INFO.replace("-0.28, 0.08, ", ""), "does not fit plumb_bob"),
-        (CAMERA_INFO.replace("data: [700., 0.", "data: [700., 3."), "not an intrinsic matrix"),
+        (CAMERA_INFO.replace("data: [700., 0.", "data: [700., 3."), "K has a skew of 3, .* up to 1.5 px"),
         (CAMERA_INFO.replace("image_width: 1280", "image_width: 1e9"), "image size|too many pixels"),
         (CAMERA_INFO.replace("plumb_bob", "thin_plate"), "distortion 'thin_plate' is unknown"),
         (KIT.replace("yaw: 1.575", "yaw: .inf").replace("camera1/camera_link", "radar_link"), "rpy_rad"),
@@ -390,3 +451,115 @@ def test_names_of_frames_cannot_hold_commands() -> None:
     for name in ("a; rm -rf /", "a b", '"', "$(x)", "a\nb", "", "-x"):
         with pytest.raises(ValueError, match="camera_frame"):
             FORMATS["ros2"].options(camera_frame=name)
+
+
+@pytest.mark.parametrize("sections", [["extrin_calib"], ["camera"], ["/**", "ros__parameters", "extrin_calib"], []])
+def test_rcl_and_pcl_of_fast_livo_are_camera_from_lidar_in_every_section(sections: list[str]) -> None:
+    tree = yaml.safe_load(LIVO_CONFIG)["extrin_calib"]
+    for section in reversed(sections):
+        tree = {section: tree, "common": {"img_en": 1}}
+    found = read_text(yaml.safe_dump(tree))
+    np.testing.assert_allclose(found.extrinsic(), LIVO_POSE, atol=1e-12)
+    assert found.camera is None
+
+
+def test_a_result_of_fast_calib_has_the_camera_of_the_whole_image() -> None:
+    found = read_text(LIVO_RESULT)
+    params = (1293.56944, 1293.3155, 626.91359, 522.799224, -0.076160, 0.123001, -0.00113, 0.000251)
+    assert found.camera == Camera("OPENCV", 1280, 1024, params)
+    np.testing.assert_allclose(found.extrinsic(), LIVO_POSE, atol=1e-12)
+    several = (
+        "# FAST-LIVO2 calibration format\n" + LIVO_RESULT.partition("\n\n")[2] + "RMSE: 0.0041 m\nScenes_used: 3\n"
+    )
+    np.testing.assert_allclose(read_text(several).extrinsic(), LIVO_POSE, atol=1e-12)
+
+
+def test_a_fisheye_of_fast_livo() -> None:
+    params = (351.3, 351.4, 367.8, 253.8, -0.037, -0.009, 0.009, -0.004)
+    assert read_text(LIVO_FISHEYE).camera == Camera("OPENCV_FISHEYE", 720, 540, params)
+    without_size = LIVO_FISHEYE.replace("cam_width: 720\ncam_height: 540\n", "")
+    assert read_text(without_size, width=720, height=540).camera == Camera("OPENCV_FISHEYE", 720, 540, params)
+    assert read_text(without_size + LIVO_CONFIG).lacks_image_size
+
+
+def test_one_of_several_sections_of_fast_livo_is_chosen() -> None:
+    two = LIVO_CONFIG.replace("extrin_calib", "left") + LIVO_CONFIG.replace("extrin_calib", "right").replace(
+        "0.06", "0.5"
+    )
+    assert read_text(two, name="right").extrinsic()[0, 3] == 0.5
+    with pytest.raises(InputError, match=r"several cameras; expected FILE#SECTION with one of left, right"):
+        read_text(two)
+
+
+def test_calib_anything_has_camera_from_lidar_and_a_camera_without_its_size() -> None:
+    found = read_text(CALIB_ANYTHING, width=1920, height=1080)
+    assert found.camera == Camera("OPENCV", 1920, 1080, (1200, 1201, 960.5, 540.25, -0.1, 0.02, 0.001, -0.002))
+    np.testing.assert_allclose(found.extrinsic(), LIVO_POSE, atol=1e-12)
+    assert read_text(CALIB_ANYTHING).lacks_image_size
+    with pytest.raises(InputError, match="T_lidar_to_cam_gt is not available"):
+        read_text(CALIB_ANYTHING, name="gt")
+    result = "Estimate extrinsic Matrix: \n" + ",\n".join(f"[{','.join(map(str, row))}]" for row in LIVO_POSE)
+    np.testing.assert_allclose(read_text(f"{result}]".replace(": \n[", ": \n[[")).extrinsic(), LIVO_POSE, atol=1e-12)
+
+
+def test_the_keys_of_kitti_tracking_have_no_colon() -> None:
+    found = read_text(TRACKING, name="P2", width=1242, height=375)
+    position = se3.inverse(found.extrinsic())[:3, 3]
+    np.testing.assert_allclose(position, [0.270, 0.058, -0.072], atol=5e-4)
+    assert found.camera == Camera.pinhole(721.5377, 721.5377, 609.5593, 172.854, 1242, 375)
+    with_colons = TRACKING.replace("R_rect", "R0_rect:").replace("Tr_velo_cam", "Tr_velo_to_cam:")
+    with_colons = with_colons.replace("Tr_imu_velo", "Tr_imu_to_velo:")
+    np.testing.assert_array_equal(read_text(with_colons).extrinsic(), found.extrinsic())
+
+
+@pytest.mark.parametrize(("skew", "said"), [("-0.2359", "0.066 px"), ("2.0", "0.56 px")])
+def test_the_skew_of_a_projection_of_kitti_is_stated(skew: str, said: str) -> None:
+    text = TRACKING.replace("721.5377 0 609.5593 44", f"721.5377 {skew} 609.5593 44")
+    (remark,) = read_text(text, name="P2", width=1242, height=375).remarks
+    assert f"the skew {float(skew):g} of P2 is neglected; its largest effect in the image is {said}" in remark
+    with pytest.raises(InputError, match=r"skew of 8, which shifts pixels by up to 2\.2 px"):
+        read_text(text.replace(skew, "8.0"), name="P2", width=1242, height=375)
+
+
+@pytest.mark.parametrize("rows", [LIVO_POSE.T, KITTI_LIKE.T])
+def test_a_transposed_transform_of_matlab_is_named(rows: np.ndarray) -> None:
+    text = "\n".join(" ".join(map(str, row)) for row in rows)
+    with pytest.raises(InputError, match=r"last row .* is wrong; expected 0 0 0 1; .*transpose the matrix.*rigid3d"):
+        read_text(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (LIVO_RESULT.replace("Pinhole", "ATANCamera"), "cam_model is not supported; expected Pinhole or Equidistant"),
+        (LIVO_RESULT.replace("1293.3155", ".nan"), "cam_fy .* are not numbers"),
+        (LIVO_CONFIG.replace("-0.27", ".inf"), "translation_m is not valid"),
+        (LIVO_CONFIG.replace("1.0, 0.0, 0.0]", "1.0, 0.5, 0.0]"), "not orthonormal"),
+        (CALIB_ANYTHING.replace("[1, 0, 0, -0.27]", "[1, 0, -0.27]"), "T_lidar_to_cam is not a pose"),
+        ("Estimate extrinsic Matrix: \n[[1, 2], [3, 4]]", "the extrinsic is not a pose"),
+        (TRACKING.replace("R_rect 0.9999239", "R_rect x"), "this is not a KITTI calibration file"),
+    ],
+)
+def test_what_is_wrong_in_files_of_livox_users_is_stated(text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        read_text(text, width=1920, height=1080)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["radtan", "Brown-Conrady", "modified_brown_conrady", "opencv"])
+def test_readers_of_files_know_the_names_of_distortion_models(name: str) -> None:
+    expected = read_text(CAMERA_INFO).camera
+    assert read_text(CAMERA_INFO.replace("plumb_bob", name)).camera == expected
+    with pytest.raises(InputError, match="maps image pixels to rays"):
+        read_text(CAMERA_INFO.replace("plumb_bob", "inverse_brown_conrady"))
+    fisheye = read_text(ECHO).camera
+    for other in ("equi", "kannala_brandt", "KannalaBrandt4", "KB4", "fisheye"):
+        assert read_text(ECHO.replace("equidistant", other)).camera == fisheye
+        assert read_text(CAMCHAIN.replace("equidistant", other), name="cam1").camera.model == "OPENCV_FISHEYE"
+
+
+def test_the_skew_of_a_message_is_stated_or_refused() -> None:
+    (remark,) = read_text(ECHO.replace("[700.0, 0.0,", "[700.0, 1.0,", 1)).remarks
+    assert "the skew 1 of K is neglected; its largest effect in the image is 0.51 px" in remark
+    with pytest.raises(InputError, match=r"K has a skew of 4\.26, which shifts pixels by up to 2\.2 px"):
+        read_text(ECHO.replace("[700.0, 0.0,", "[700.0, 4.26,", 1))

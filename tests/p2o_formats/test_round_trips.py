@@ -29,6 +29,7 @@ TRANSFORMS = [
     ("autoware", {"camera_frame": "camera3/camera_optical_link", "lidar_frame": "livox_front"}),
     *(("kitti", {"layout": layout}) for layout in ("object", "raw", "odometry")),
     ("matrix", {"direction": "lidar_from_camera"}),
+    ("fast-livo", {"layout": "config"}),
 ]
 OPENCV = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 FISHEYES = ("SIMPLE_FISHEYE", "FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "OPENCV_FISHEYE")
@@ -37,6 +38,7 @@ HELD = {
     "camera-info": (*OPENCV, "FULL_OPENCV", *FISHEYES),
     "opencv": (*OPENCV, "FULL_OPENCV", *FISHEYES),
     "koide": (*OPENCV, *FISHEYES),
+    "fast-livo": (*OPENCV, *FISHEYES),
     "kalibr": (*OPENCV, *FISHEYES, "FOV", "EUCM"),
     "opencalib-camera": OPENCV,
     "colmap": ALL,

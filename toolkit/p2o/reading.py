@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from p2o.files.whole_file import write_whole as write_whole
     from p2o.frames.direction import check_direction as check_direction
     from p2o.frames.image_file import MAX_PIXELS as MAX_PIXELS, decode_rgb as decode_rgb, read_rgb as read_rgb
-    from p2o.frames.image_file import read_uint16 as read_uint16
+    from p2o.frames.image_file import eight_bit as eight_bit, read_uint16 as read_uint16
     from p2o.frames.frame import LazyFrames as LazyFrames
     from p2o.frames.rings import RingsUnknownError as RingsUnknownError, neighbour_gap as neighbour_gap
     from p2o.frames.rings import told_rings as told_rings

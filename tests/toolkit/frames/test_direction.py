@@ -160,3 +160,85 @@ def test_points_in_another_unit_than_metres_are_named(range_m: float, texts: lis
 @pytest.mark.parametrize("range_m", [0.3, 2.0, 8.0, 60.0, 140.0])
 def test_ranges_of_scenes_give_no_remark(range_m: float) -> None:
     assert range_remark(Cloud([[range_m, 0, 0], [0, range_m, 0]])) == ()
+
+
+def narrow(half_deg: float, axes: np.ndarray | None = None) -> Cloud:
+    """Return a sweep with a circular field of view about the x axis of the LiDAR: walls and a ground."""
+    rng = np.random.default_rng(3)
+    angle, about = np.radians(half_deg) * np.sqrt(rng.random(6000)), rng.uniform(-np.pi, np.pi, 6000)
+    rays = np.column_stack([np.cos(angle), np.sin(angle) * np.cos(about), np.sin(angle) * np.sin(about)])
+    ground = np.where(rays[:, 2] < 0, -1.5 / np.minimum(rays[:, 2], -1e-6), np.inf)
+    xyz = np.minimum(rng.choice([8.0, 15.0], 6000), ground)[:, None] * rays
+    return Cloud(xyz if axes is None else se3.apply(axes, xyz))
+
+
+@pytest.mark.parametrize("half_deg", [19, 35, 50])
+@pytest.mark.parametrize("focal_px", [350, 600, 1200])
+@pytest.mark.parametrize("axes", [np.eye(4), NUSCENES, HANGING])
+def test_the_inverse_is_refused_for_narrow_lidars(half_deg: float, focal_px: float, axes: np.ndarray) -> None:
+    """A Livox Mid-40, an Avia and a wider LiDAR: starts with an error of 20 degrees pass, inverses do not."""
+    camera = Camera.pinhole(focal_px, focal_px, 480, 360, 960, 720)
+    sweep, right = narrow(half_deg, axes), VELO_TO_CAM @ se3.inverse(axes)
+    rng = np.random.default_rng(4)
+    for angle_deg in (0.0, 5.0, 20.0):
+        turn = rng.normal(size=3)
+        turn *= np.radians(angle_deg) / np.linalg.norm(turn)
+        start = se3.exp(np.concatenate([turn, rng.normal(size=3) * 0.05])) @ right
+        assert not any("lidar_from_camera" in warning for warning in check_direction(sweep, camera, start))
+        if half_deg < 50 and angle_deg < 20:  # a wider sweep is in the image at the inverse, too
+            with pytest.raises(InputError, match="start looks like lidar_from_camera"):
+                check_direction(sweep, camera, se3.inverse(start))
+
+
+def room(above_deg: float, below_deg: float, axes: np.ndarray | None = None) -> Cloud:
+    """Return a sweep in a room of 6 x 8 m: a ceiling 1.6 m above, furniture before walls, a floor 0.9 m below."""
+    rng = np.random.default_rng(6)
+    azimuth, elevation = rng.uniform(-np.pi, np.pi, 12_000), np.radians(rng.uniform(-below_deg, above_deg, 12_000))
+    wall = np.minimum(3 / np.maximum(np.abs(np.sin(azimuth)), 1e-6), 4 / np.maximum(np.abs(np.cos(azimuth)), 1e-6))
+    wall = np.where(elevation < 0, wall * rng.uniform(0.4, 1.0, 12_000), wall)
+    height = np.where(elevation < 0, 0.9, 1.6) / np.maximum(np.abs(np.tan(elevation)), 1e-6)
+    flat = np.minimum(wall, height)
+    xyz = np.column_stack([flat * np.cos(azimuth), flat * np.sin(azimuth), flat * np.tan(elevation)])
+    return Cloud(xyz if axes is None else se3.apply(axes, xyz))
+
+
+@pytest.mark.parametrize(("above_deg", "below_deg"), [(22.5, 22.5), (45, 45), (15, 15), (40, 10), (11, 30)])
+@pytest.mark.parametrize("axes", [np.eye(4), NUSCENES, HANGING])
+def test_a_right_pose_in_a_room_gives_no_remark(above_deg: float, below_deg: float, axes: np.ndarray) -> None:
+    """The ceiling may be sharper than the ground; the sign of the vertical is then unknown, and never wrong."""
+    sweep, right = room(above_deg, below_deg, axes), VELO_TO_CAM @ se3.inverse(axes)
+    up = vertical(sweep)
+    assert up is None or not up.points_up or up.axis @ axes[:3, 2] > 0.98
+    for angle_deg in (0, 10, 20):
+        start = se3.exp(np.array([0, 0, np.radians(angle_deg), 0, 0, 0])) @ right
+        assert check_direction(sweep, CAMERA, start) == ()
+
+
+def test_a_sweep_that_looks_up_has_no_wrong_vertical() -> None:
+    """A Livox Mid-360 observes 52 degrees above and 7 below: more points above are no sign of an upside-down LiDAR."""
+    rng = np.random.default_rng(7)
+    azimuth, elevation = rng.uniform(-np.pi, np.pi, 8000), np.radians(rng.uniform(-7, 35, 8000))
+    reach = rng.choice([12.0, 18.0, 25.0], 8000)
+    road = np.where(elevation < 0, 1.7 / np.maximum(np.tan(-elevation), 1e-6), np.inf)
+    flat = np.where(rng.random(8000) < elevation / 0.7, np.nan, np.minimum(reach, road))
+    xyz = np.column_stack([flat * np.cos(azimuth), flat * np.sin(azimuth), flat * np.tan(elevation)])
+    up = vertical(Cloud(xyz[np.isfinite(flat)]))
+    assert up is not None
+    assert not up.points_up or up.axis[2] > 0.98
+
+
+@pytest.mark.parametrize("yaw_deg", [60, 90, -45])
+def test_a_matrix_has_no_order_of_a_quaternion(yaw_deg: float) -> None:
+    from scipy.spatial.transform import Rotation
+
+    good = VELO_TO_CAM @ se3.inverse(se3.make(Rotation.from_euler("zyx", [yaw_deg, 2, -3], degrees=True).as_matrix()))
+    x, y, z, w = Rotation.from_matrix(good[:3, :3]).as_quat()
+    bad = se3.make(Rotation.from_quat([w, x, y, z]).as_matrix(), good[:3, 3])
+    texts = []
+    for quaternion in (True, False):
+        try:
+            texts.append(" ".join(check_direction(street(), CAMERA, bad, quaternion=quaternion)))
+        except InputError as problem:
+            texts.append(str(problem))
+    assert "quaternion" in texts[0]
+    assert "quaternion" not in texts[1]

@@ -87,11 +87,83 @@ def test_a_file_that_is_no_picture_is_refused_by_name(tmp_path: Path, content: b
         read_rgb(tmp_path / "a.png")
 
 
-def test_sixteen_bits_are_refused_as_a_picture_and_read_as_disparity(tmp_path: Path) -> None:
+@pytest.mark.parametrize("suffix", ["png", "tif"])
+@pytest.mark.parametrize("channels", [1, 3, 4])
+@pytest.mark.parametrize("bits", [8, 10, 12, 16])
+def test_sixteen_bits_are_scaled_to_eight_with_a_remark(tmp_path: Path, suffix: str, channels: int, bits: int) -> None:
+    stored = np.arange(6 * 8 * channels).reshape(6, 8, channels) * ((1 << bits) - 1) // (48 * channels - 1)
+    path = tmp_path / f"d.{suffix}"
+    cv2.imwrite(str(path), stored.astype(np.uint16))
+    read, warnings = read_rgb(path, (8, 6))
+    expected = (stored >> (bits - 8)).astype(np.uint8)[:, :, [2, 1, 0] if channels > 1 else [0, 0, 0]]
+    if channels == 4:  # the largest value is that of the transparency
+        expected = expected >> max(int(stored[:, :, :3].max()).bit_length() - bits, 0)
+    assert read.dtype == np.uint8
+    assert np.array_equal(read, expected)
+    assert warnings[-1] == f"d.{suffix}: 16 bit image, divided by {1 << (bits - 8)}"
+    assert len(warnings) == (2 if channels == 1 else 1)
+
+
+def test_a_truncated_image_of_16_bit_colours_is_refused_and_prints_nothing(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    pixels = np.random.default_rng(0).integers(0, 4096, (40, 60, 3)).astype(np.uint16)
+    for name in ("a.png", "a.tif"):
+        data = cv2.imencode(Path(name).suffix, pixels)[1].tobytes()
+        (tmp_path / name).write_bytes(data[: len(data) // 2])
+        with pytest.raises(InputError, match=r"the image is (truncated|damaged)"):
+            read_rgb(tmp_path / name)
+    assert capfd.readouterr() == ("", "")
+
+
+TURNED = {5: "TRANSPOSE", 6: "ROTATE_270", 7: "TRANSVERSE", 8: "ROTATE_90"}
+
+
+@pytest.mark.parametrize("tag", TURNED)
+@pytest.mark.parametrize("kind", ["JPEG", "PNG", "WEBP"])
+def test_the_size_of_the_camera_decides_about_a_rotation_tag(tmp_path: Path, tag: int, kind: str) -> None:
+    exif = PIL.Image.Exif()
+    exif[0x0112] = tag
+    (tmp_path / "a.img").write_bytes(encoded(scene(48, 32), kind, exif=exif))
+    (tmp_path / "b.img").write_bytes(encoded(scene(48, 32), kind))
+    stored, no_remarks = read_rgb(tmp_path / "b.img", (48, 32))
+    assert no_remarks == ()
+    read, (remark,) = read_rgb(tmp_path / "a.img", (48, 32))
+    assert np.array_equal(read, stored)
+    assert remark.startswith("a.img: its EXIF tag of rotation is ignored")
+    read, (remark,) = read_rgb(tmp_path / "a.img", (32, 48))
+    assert np.array_equal(read, PIL.Image.fromarray(stored).transpose(getattr(PIL.Image.Transpose, TURNED[tag])))
+    assert remark == "a.img: rotated by its EXIF tag to 32x48 px"
+    with pytest.raises(InputError, match="has a rotation tag"):
+        read_rgb(tmp_path / "a.img", (40, 40))
+    with pytest.raises(InputError, match="does not fit the camera; expected 40x41 px; got 48x32 px"):
+        read_rgb(tmp_path / "a.img", (40, 41))
+
+
+@pytest.mark.parametrize("tag", [2, 3, 4, 6])
+def test_a_rotation_tag_about_which_the_size_does_not_decide_is_refused(tmp_path: Path, tag: int) -> None:
+    exif = PIL.Image.Exif()
+    exif[0x0112] = tag
+    (tmp_path / "a.jpg").write_bytes(encoded(scene(48, 48), "JPEG", exif=exif))
+    (tmp_path / "a.tif").write_bytes(encoded(scene(48, 32), "TIFF", exif=exif))
+    with pytest.raises(InputError, match=rf"a\.tif: the image has a rotation tag; .*got EXIF {tag}"):
+        read_rgb(tmp_path / "a.tif", (48, 32))
+    for size in (None, (48, 48)):
+        with pytest.raises(InputError, match=rf"rotation tag; .*got EXIF {tag}; .*auto-orient\), or remove the tag"):
+            read_rgb(tmp_path / "a.jpg", size)
+
+
+@pytest.mark.parametrize("tag", [0, 1, 9])
+def test_a_tag_of_no_rotation_changes_nothing(tmp_path: Path, tag: int) -> None:
+    exif = PIL.Image.Exif()
+    exif[0x0112] = tag
+    (tmp_path / "a.png").write_bytes(encoded(scene(48, 32), "PNG", exif=exif))
+    assert read_rgb(tmp_path / "a.png", (48, 32))[1] == ()
+
+
+def test_sixteen_bits_are_read_as_disparity(tmp_path: Path) -> None:
     stored = np.array([[0, 256, 300], [65535, 1, 0]], np.uint16)
     cv2.imwrite(str(tmp_path / "d.png"), stored)
-    with pytest.raises(InputError, match=r"d\.png: the image is not 8 bit; expected uint8; got uint16"):
-        read_rgb(tmp_path / "d.png")
     disparity = read_uint16(tmp_path / "d.png", "disparity")
     assert np.array_equal(np.isnan(disparity), stored == 0)
     assert np.array_equal(disparity[stored > 0], stored[stored > 0] / 256)
@@ -281,10 +353,8 @@ def test_pictures_whose_pixels_are_not_those_of_a_camera_are_refused(tmp_path: P
             encoded(scene(48, 32), "TIFF", compression="jpeg"),
             "a TIFF with an unsupported compression.*got jpeg",
         ),
-        ("b.tif", encoded(scene(48, 32), "TIFF", tiffinfo={274: 6}), "stored rotated"),
         ("c.jpg", cmyk(), "not RGB; .*got (CMYK|YCCK)"),
-        ("d.png", cv2.imencode(".png", np.zeros((4, 4, 3), np.uint16))[1].tobytes(), "not 8 bit; .*got uint16"),
-        ("e.tif", encoded(np.zeros((4, 4), np.float32), "TIFF"), "not 8 bit"),
+        ("e.tif", encoded(np.zeros((4, 4), np.float32), "TIFF"), "not 8 or 16 bit"),
     ):
         (tmp_path / name).write_bytes(data)
         with pytest.raises(InputError, match=rf"{name}: the image is {why}"):

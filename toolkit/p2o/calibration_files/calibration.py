@@ -32,7 +32,8 @@ class Calibration:
     Camera axes are x right, y down, z forward. `lidar_frame` and `camera_frame` are the frame names in the file, or
     empty. `remarks` are warnings about the file in sentences. `lacks_image_size` states that the file holds a camera
     without the size of its image, which is therefore left out. `comment` is one line about the origin, which formats
-    with comments write. Raises InputError for a transform that is not rigid.
+    with comments write. `quaternion` states that the file holds the rotation as a quaternion. Raises InputError for a
+    transform that is not rigid.
     """
 
     camera: Camera | None = None
@@ -42,6 +43,7 @@ class Calibration:
     remarks: tuple[str, ...] = ()
     lacks_image_size: bool = False
     comment: str = ""
+    quaternion: bool = False
 
     def __post_init__(self) -> None:
         if self.camera_from_lidar is not None:
@@ -66,6 +68,9 @@ class Calibration:
 
     def intrinsics(self, where: object = None) -> Camera:
         """Return the camera; raises InputError if there is none."""
+        if self.camera is None and self.lacks_image_size:
+            expected, hint = "intrinsics and the size of the image", "give the size: FILE?width=W&height=H"
+            raise InputError("there is no camera in it", where=where, expected=expected, hint=hint)
         if self.camera is None:
             raise InputError("the file has no camera", where=where, expected="intrinsics of a camera")
         return self.camera

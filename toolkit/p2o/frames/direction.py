@@ -24,16 +24,22 @@ _MILLIMETRES = "if it is in millimetres, divide it by 1000"
 # Estimate of the vertical: maximum and minimum number of points, minimum ratio of the scatter along other axes to that
 # along the vertical, and maximum range, which excludes hills and towers.
 _SAMPLE, _FEW, _FLATTER, _NEAR_M = 20_000, 100, 2.0, 30.0
-# Sign of the vertical: minimum width of the percentile ranges, weight of the mean elevation, and minimum evidence. On
-# 117 sweeps of ten rigs the evidence is at least 1.06 and its sign always correct.
-_SHARPEST_M, _LOOKS_DOWN, _SURE = 0.01, 10.0, 0.5
+# Sign of the vertical: minimum width of the percentile ranges and minimum evidence. The mean elevation is no criterion,
+# because some sensors observe more points above (Livox Mid-360).
+_SHARPEST_M, _SURE = 0.01, 0.5
+# A ceiling ends the scene as abruptly as the ground. A scene without one ends gradually on one side, within more than
+# this width, or has at least this share of its points beyond this range.
+_GRADUAL_M, _OPEN_SHARE, _OPEN_M = 1.0, 0.25, 10.0
 # Angles of the camera to the vertical: a correct initial guess may have an error of 20 deg and tilted sensors; a camera
 # on its side is at 90 deg.
 _UPRIGHT_DEG, _NOT_UPRIGHT_DEG, _START_OFF_DEG = 45.0, 52.0, 25.0
 # A random reordered quaternion is rarely within this limit, which is narrower than that of the inverse.
 _REORDERED_UPRIGHT_DEG = 25.0
-# Shares of the points that have to be in the image, and their minimum number, to say what is wrong with a pose.
+# Share of the points that have to be in the image, and their minimum number, to say what is wrong with a pose.
 _SEEN_SHARE, _SEEN = 0.01, 20
+_AROUND_SHARE = 0.5
+"""A correct pose has at least this ratio of points around its image, within the error of a guess, to those in the image
+at its inverse."""
 _LONG_M = 30.0
 _NEAREST_MEDIAN_M, _FARTHEST_MEDIAN_M = 0.15, 150.0
 """Length of a translation from which it is probably in millimetres: rigs are smaller."""
@@ -68,10 +74,16 @@ class Vertical:
 
 
 def check_direction(
-    cloud: Cloud, camera: Camera, camera_from_lidar: Float, *, name: str = "start", where: object = None
+    cloud: Cloud,
+    camera: Camera,
+    camera_from_lidar: Float,
+    *,
+    name: str = "start",
+    where: object = None,
+    quaternion: bool = True,
 ) -> tuple[str, ...]:
     """Return the outcomes of `pose_direction` and `unit_remark` as warnings; raises as `pose_direction`."""
-    direction = pose_direction(cloud, camera, camera_from_lidar, name=name, where=where)
+    direction = pose_direction(cloud, camera, camera_from_lidar, name=name, where=where, quaternion=quaternion)
     return (*direction.warnings(name, where), *unit_remark(camera_from_lidar, name, where))
 
 
@@ -103,14 +115,21 @@ def range_remark(cloud: Cloud) -> tuple[str, ...]:
 
 
 def pose_direction(
-    cloud: Cloud, camera: Camera, camera_from_lidar: Float, *, name: str = "start", where: object = None
+    cloud: Cloud,
+    camera: Camera,
+    camera_from_lidar: Float,
+    *,
+    name: str = "start",
+    where: object = None,
+    quaternion: bool = True,
 ) -> Direction:
     """Check whether a pose (4, 4) is lidar_from_camera instead of camera_from_lidar, or projects no point.
 
-    Raises InputError if (nearly) no point projects into the image, also with a rotation error of 25 deg, but many do at
-    the inverse. A sweep of 360 deg projects into the image at both poses: then a scene that is upright only at the
-    inverse is POSSIBLY_INVERSE, because a rolled camera gives the same observation. A pose at which the scene is
-    upright and visible only if the numbers of its quaternion are read in the other order is POSSIBLY_REORDERED.
+    Raises InputError if (nearly) no point projects into the image, and more do at the inverse than any pose within a
+    rotation error of 25 deg could show. A sweep of 360 deg projects into the image at both poses: then a scene that is
+    upright only at the inverse is POSSIBLY_INVERSE, because a rolled camera gives the same observation. A pose at which
+    the scene is upright and visible only if the numbers of its quaternion are read in the other order is
+    POSSIBLY_REORDERED, unless its rotation was not given as a `quaternion`.
     """
     lidar_from_camera = se3.inverse(camera_from_lidar)
     up = vertical(cloud)
@@ -120,8 +139,9 @@ def pose_direction(
     seen_inverse, _ = _seen(cloud, camera, lidar_from_camera)
     few = _SEEN_SHARE * seen_inverse
     enough = max(_SEEN, _SEEN_SHARE * len(cloud))
-    reordered = up is not None and (leans or not seen) and _is_reordered(cloud, camera, camera_from_lidar, up, enough)
-    if seen_inverse >= enough and seen < few and (falls or seen_around < few):
+    doubted = quaternion and (leans or not seen)
+    reordered = doubted and up is not None and _is_reordered(cloud, camera, camera_from_lidar, up, enough)
+    if seen_inverse >= enough and seen < few and (falls or seen_around < _AROUND_SHARE * seen_inverse):
         text = f"{name} looks like lidar_from_camera"
         got = f"{seen} points in the image, {seen_inverse} with the inverse"
         hint = f"{_HINT}; or {_REORDERED}" if reordered else _HINT
@@ -154,8 +174,8 @@ def vertical(cloud: Cloud) -> Vertical | None:
     """Estimate the vertical of the scene in the LiDAR frame, for any axes of the LiDAR; None if not observable.
 
     The directions of beams scatter least along the vertical. Upwards the scene ends gradually, downwards abruptly (the
-    ground), and most sensors observe more points below; the sign is unknown if these two criteria contradict each
-    other.
+    ground). The sign is unknown if both ends are similar, and in rooms, where the ceiling may be sharper than the
+    ground.
     """
     xyz = cloud.xyz[:: max(1, len(cloud) // _SAMPLE)]
     largest = np.abs(xyz).max(axis=1)
@@ -175,9 +195,11 @@ def vertical(cloud: Cloud) -> Vertical | None:
     if np.count_nonzero(near) < _FEW:
         return Vertical(axis, points_up=False)
     low, lower, high, higher = np.percentile(elevation[near] * range_m[near], [[1, 2], [5, 10], [90, 95], [98, 99]])
-    top, bottom = (np.maximum(edge, _SHARPEST_M) for edge in (np.flip(higher - high), lower - low))
-    evidence = 0.5 * float(np.log(top / bottom).sum()) - _LOOKS_DOWN * float(elevation.mean())
-    return Vertical(axis * (1 if evidence >= 0 else -1), points_up=abs(evidence) > _SURE)
+    widths = [np.maximum(edge, _SHARPEST_M) for edge in (np.flip(higher - high), lower - low)]
+    top, bottom = (float(np.log(width).mean()) for width in widths)
+    enclosed = max(top, bottom) < np.log(_GRADUAL_M) and np.mean(range_m > _OPEN_M) < _OPEN_SHARE
+    sure = abs(top - bottom) > _SURE and not enclosed
+    return Vertical(axis * (1 if top >= bottom else -1), points_up=bool(sure))
 
 
 def _lean_deg(camera_from_lidar: Float, up: Vertical) -> float:

@@ -8,7 +8,7 @@ import os
 import threading
 import warnings
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from functools import cache
 from pathlib import Path
@@ -32,14 +32,26 @@ _GREY = ("1", "L", "LA")
 _COLOUR = ("P", "PA", "RGB", "RGBA", "RGBX", "YCbCr")
 _TIFF_PACKINGS = ("raw", "packbits", "tiff_lzw", "tiff_deflate", "tiff_adobe_deflate")
 _WORDS = ("I;16", "I;16B", "I;16L", "I;16N")
+_TIFF, _EXIF = (b"II", b"MM"), (b"Exif\0\0", b"eXIf", b"EXIF")
+"""Marks of TIFF, whose tags include the rotation, and of the EXIF data of JPEG, PNG and WebP."""
+_ORIENTATION = 0x0112
+"""EXIF tag. 1 is upright; up to 4 the size is that of the stored pixels, above width and height are exchanged."""
+_ROTATIONS: dict[int, Callable[[Any], Any]] = {
+    5: lambda pixels: pixels.swapaxes(0, 1),
+    6: lambda pixels: np.rot90(pixels, -1),
+    7: lambda pixels: np.rot90(pixels.swapaxes(0, 1), 2),
+    8: np.rot90,
+}  # fmt: skip
 
 
 def read_rgb(path: Path, size: tuple[int, int] | None = None) -> tuple[UInt8, tuple[str, ...]]:
-    """Read an image as (H, W, 3) uint8 RGB, with warnings (a grey image is repeated on three channels).
+    """Read an image as (H, W, 3) uint8 RGB, with warnings.
 
-    `size` is the (width, height) of the camera in px, if known. Rotation tags (EXIF) are ignored, because cameras are
-    calibrated on stored pixels. Raises InputError if the file is missing, a folder, empty, unreadable, damaged,
-    truncated, not an image, not 8 bit or of another size. The size is read from the header and checked before decoding.
+    A grey image is repeated on three channels, and 16 bit values are scaled to 8 bit (`eight_bit`). `size` is the
+    (width, height) of the camera in px, if known. It decides whether an image with a rotation tag (EXIF) is rotated:
+    programs differ in whether they calibrate on stored or on rotated pixels. Raises InputError if the file is missing,
+    a folder, empty, unreadable, damaged, truncated, not an image, of another number of bits or of another size, and if
+    the size does not decide about a rotation tag. The size is read from the header and checked before decoding.
     """
     return decode_rgb(read_bytes(path, "image", MAX_BYTES), path, path.name, size)
 
@@ -48,12 +60,20 @@ def decode_rgb(
     data: bytes, where: object, name: str, size: tuple[int, int] | None = None
 ) -> tuple[UInt8, tuple[str, ...]]:
     """Decode the bytes of an image file; warnings begin with `name`. See `read_rgb`."""
-    pixels = _decode(data, where, "image", size)
-    if pixels.dtype != np.uint8:
-        raise InputError("the image is not 8 bit", where=where, expected="uint8", got=pixels.dtype)
+    pixels, remarks = _decode(data, where, "image", size)
     if pixels.ndim == 2:
-        return np.repeat(pixels[:, :, None], 3, axis=2), (f"{name}: grey image, repeated on three channels",)
-    return pixels, ()
+        pixels = np.repeat(pixels[:, :, None], 3, axis=2)
+        remarks = (*remarks, "grey image, repeated on three channels")
+    if pixels.dtype == np.uint16:
+        pixels, divisor = eight_bit(pixels)
+        remarks = (*remarks, f"16 bit image, divided by {divisor}")
+    return pixels, tuple(f"{name}: {remark}" for remark in remarks)
+
+
+def eight_bit(values: Any) -> tuple[UInt8, int]:
+    """Divide 16 bit values by the power of two that leaves 8 bit for the largest one; also return the divisor."""
+    shift = max(int(values.max(initial=0)).bit_length() - 8, 0)
+    return (values >> shift).astype(np.uint8), 1 << shift
 
 
 def read_uint16(path: Path, what: str, size: tuple[int, int] | None = None) -> Float:
@@ -61,7 +81,7 @@ def read_uint16(path: Path, what: str, size: tuple[int, int] | None = None) -> F
 
     This is the KITTI format of disparity (px) and depth (m). Raises InputError as `read_rgb`.
     """
-    pixels = _decode(read_bytes(path, what, MAX_BYTES), path, what, size)
+    pixels, _ = _decode(read_bytes(path, what, MAX_BYTES), path, what, size)
     if pixels.dtype != np.uint16 or pixels.ndim != 2:
         text = f"the {what} is not a 16 bit image of one channel"
         raise InputError(text, where=path, expected="(H, W) uint16", got=f"{pixels.shape} {pixels.dtype}")
@@ -70,8 +90,42 @@ def read_uint16(path: Path, what: str, size: tuple[int, int] | None = None) -> F
     return values
 
 
-def _decode(data: bytes, path: object, what: str, size: tuple[int, int] | None) -> Any:
-    """Decode the stored pixels, (H, W) or (H, W, 3), uint8 or uint16; raises InputError for incomplete files."""
+def _decode(data: bytes, path: object, what: str, size: tuple[int, int] | None) -> tuple[Any, tuple[str, ...]]:
+    """Decode the pixels, (H, W) or (H, W, 3), uint8 or uint16, and return remarks on their rotation.
+
+    Raises InputError for incomplete files, and for a rotation tag of TIFF or about which the size does not decide.
+    """
+    tag = _orientation(data)
+    if tag == 1:
+        return _decode_stored(data, path, what, size), ()
+    # Decoders of TIFF differ in whether they apply the tag.
+    if tag not in _ROTATIONS or size is None or size[0] == size[1] or data.startswith(_TIFF):
+        expected = "upright pixels, without this tag (1)"
+        hint = "store it as the camera was calibrated: apply the rotation (mogrify -auto-orient), or remove the tag"
+        raise InputError(f"the {what} has a rotation tag", where=path, expected=expected, got=f"EXIF {tag}", hint=hint)
+    pixels = _decode_stored(data, path, what, None)
+    stored = pixels.shape[1::-1]
+    if stored == size[::-1]:
+        return np.ascontiguousarray(_ROTATIONS[tag](pixels)), (f"rotated by its EXIF tag to {size[0]}x{size[1]} px",)
+    _check_size(stored, path, what, size)
+    return pixels, ("its EXIF tag of rotation is ignored, because the camera has the size of the stored pixels",)
+
+
+def _orientation(data: bytes) -> int:
+    """Return the rotation tag of an image file; 1 (upright) without a readable tag."""
+    if not (data.startswith(_TIFF) or any(mark in data for mark in _EXIF)):
+        return 1
+    pillow = _pillow()
+    try:
+        with pillow.Image.open(io.BytesIO(data), formats=("JPEG", "PNG", "TIFF", "WEBP")) as image:
+            tag = int(image.getexif().get(_ORIENTATION, 1))
+    except Exception:  # decoders raise any exception for damaged bytes; the pixels decide whether the file is refused
+        return 1
+    return tag if 1 <= tag <= 8 else 1
+
+
+def _decode_stored(data: bytes, path: object, what: str, size: tuple[int, int] | None) -> Any:
+    """Decode the stored pixels; raises InputError for incomplete files."""
     if data.startswith(_JPEG):
         return _decode_jpeg(data, path, what, size)
     if data.startswith(_PNG):
@@ -124,16 +178,20 @@ def _decode_other(data: bytes, path: object, what: str, size: tuple[int, int] | 
     try:
         with pillow.Image.open(io.BytesIO(data), formats=("PNG", "BMP", "TIFF", "WEBP")) as image:
             _check_size(image.size, path, what, size)
-            rotated = image.format == "TIFF" and image.getexif().get(0x0112, 1) != 1
             wide = image.mode not in _WORDS and ";16" in str([tile[3] for tile in image.tile])
             mode, packing = image.mode, image.info.get("compression", "raw")
             if image.format == "TIFF" and packing not in _TIFF_PACKINGS:
                 text, expected = f"the {what} is a TIFF with an unsupported compression", " ".join(_TIFF_PACKINGS)
                 raise InputError(text, where=path, expected=expected, got=packing, hint="store it as .png")
-            if not rotated and not wide and mode in (*_GREY, *_COLOUR, *_WORDS):
+            if wide and mode in (*_GREY, *_COLOUR):
+                with _stderr_silenced():
+                    image.load()
+                    return _decode_wide(data)
+            if not wide and mode in (*_GREY, *_COLOUR, *_WORDS):
                 kept = mode if mode in _WORDS else "L" if mode in _GREY else "RGB"
                 with _stderr_silenced() if image.format == "TIFF" else nullcontext():
-                    return np.array(image if mode == kept else image.convert(kept))
+                    pixels = np.array(image if mode == kept else image.convert(kept))
+                return pixels.astype(np.uint16) if kept in _WORDS else pixels
     except InputError:
         raise
     except pillow.UnidentifiedImageError as problem:
@@ -144,12 +202,17 @@ def _decode_other(data: bytes, path: object, what: str, size: tuple[int, int] | 
     except Exception as problem:  # decoders raise any exception for damaged bytes
         message = f"the {what} is damaged"
         raise InputError(message, where=path, expected="a decodable image", got=str(problem)[:200]) from problem
-    if rotated:
-        message = f"the {what} is stored rotated"
-        raise InputError(message, where=path, expected="orientation 1 (upright)", hint="store it upright")
-    if wide or mode in ("I", "F"):
-        raise InputError(f"the {what} is not 8 bit", where=path, expected="uint8", got="uint16" if wide else mode)
+    if mode in ("I", "F"):
+        raise InputError(f"the {what} is not 8 or 16 bit", where=path, expected="uint8 or uint16", got=mode)
     raise InputError(f"the {what} is not RGB", where=path, expected="1, 3 or 4 channels", got=mode)
+
+
+def _decode_wide(data: bytes) -> Any:
+    """Decode 16 bit colours, (H, W, 3) uint16, and grey values with transparency, of which Pillow keeps 8 bit."""
+    import cv2
+
+    pixels: Any = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    return pixels if pixels.ndim == 2 else np.ascontiguousarray(pixels[:, :, 2::-1])
 
 
 _stderr_lock = threading.Lock()

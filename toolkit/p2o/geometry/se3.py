@@ -16,6 +16,9 @@ from p2o.errors import InputError
 
 _FARTHEST_M = 1e9
 """Maximum coordinate in m: above geocentric coordinates, and products are finite."""
+_TRANSPOSED = (
+    "its last column is 0 0 0 1: transpose the matrix (row vectors, as T of MATLAB's rigid3d, or column order)"
+)
 
 
 def skew(vectors: Float) -> Float:
@@ -151,7 +154,8 @@ def check_rigid(name: str, value: Any, *, where: object = None, tolerance: float
         raise InputError(problem.what, where=where, expected=problem.expected, got=problem.got) from problem
     if not np.allclose(matrix[3], [0, 0, 0, 1], rtol=0, atol=1e-9):
         got = " ".join(f"{v:g}" for v in matrix[3])
-        raise InputError(f"the last row of {name} is wrong", where=where, expected="0 0 0 1", got=got)
+        hint = _TRANSPOSED if np.allclose(matrix[:, 3], [0, 0, 0, 1], rtol=0, atol=1e-9) else None
+        raise InputError(f"the last row of {name} is wrong", where=where, expected="0 0 0 1", got=got, hint=hint)
     farthest = float(np.abs(matrix[:3, 3]).max())
     if farthest > _FARTHEST_M:
         expected = f"at most {_FARTHEST_M:g} m along each axis"

@@ -113,11 +113,7 @@ def read_camera_file(
     reference: str, where: object = None, place: Place = expanded, registry: Registry | None = None
 ) -> Camera:
     """Return the camera of a calibration file; raises as `read_calibration`, and InputError if it holds no camera."""
-    calibration = read_calibration(reference, where, place, registry=registry)
-    if calibration.camera is None and calibration.lacks_image_size:
-        expected, hint = "intrinsics and the size of the image", "give the size: FILE?width=W&height=H"
-        raise InputError("there is no camera in it", where=reference, expected=expected, hint=hint)
-    return calibration.intrinsics(reference)
+    return read_calibration(reference, where, place, registry=registry).intrinsics(reference)
 
 
 def read_extrinsic_file(
@@ -141,6 +137,11 @@ def read_initial_guess(
     if names_file(text):
         return read_extrinsic_file(text, where, place, registry)
     return rough_start(text, where), ()
+
+
+def states_quaternion(text: str, registry: Registry | None = None) -> bool:
+    """Return whether a text names a calibration file that holds its rotation as a quaternion."""
+    return names_file(text) and read_calibration(text, registry=registry).quaternion
 
 
 def names_file(text: str) -> bool:

@@ -18,7 +18,7 @@ from p2o.frames.frame import Dataset, Frame
 from p2o.geometry import se3
 from p2o.geometry.perturb import parse_accuracy
 from p2o.geometry.rough_start import is_rough_start
-from p2o.host.calibration_file import read_extrinsic_file, read_initial_guess
+from p2o.host.calibration_file import read_extrinsic_file, read_initial_guess, states_quaternion
 from p2o.host.registry import Registry
 from p2o.results.check import Check, CheckStatus, Slip, Watch
 from p2o.run.pipeline import Pipeline
@@ -201,7 +201,8 @@ class _Given:
             pose, remarks = given_extrinsic(extrinsic, frames, registry)
         else:
             pose, remarks = se3.check_rigid("the extrinsic", extrinsic), ()
-        direction = pose_direction(frames[0].cloud, frames[0].camera, pose, name="the extrinsic", where=name)
+        given: dict[str, Any] = {"where": name, "quaternion": name is not None and states_quaternion(name)}
+        direction = pose_direction(frames[0].cloud, frames[0].camera, pose, name="the extrinsic", **given)
         remarks = (*remarks, *direction.warnings("the extrinsic", name), *unit_remark(pose, "the extrinsic", name))
         return cls(pose, name, direction, remarks)
 

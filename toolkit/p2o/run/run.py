@@ -22,7 +22,7 @@ from p2o.geometry import se3
 from p2o.geometry.camera import Camera
 from p2o.geometry.pose_error import PoseError, pose_error, summarise
 from p2o.geometry.start_list import StartList, parse_starts
-from p2o.host.calibration_file import names_file, read_initial_guess
+from p2o.host.calibration_file import names_file, read_initial_guess, states_quaternion
 from p2o.host.registry import Registry
 from p2o.results.result import Result, RigResult, Status
 from p2o.results.result_json import result_to_dict, rig_to_dict
@@ -531,7 +531,8 @@ def start_of(
         # Files of other tools often contain the inverse transform.
         frame = frames[0]
         assert frame.cloud is not None  # that of the first frame is kept
-        return start, check_direction(frame.cloud, frame.camera, start, name="the start", where=recipe.start)
+        given: dict[str, Any] = {"where": recipe.start, "quaternion": states_quaternion(recipe.start)}
+        return start, check_direction(frame.cloud, frame.camera, start, name="the start", **given)
     if recipe.perturb is not None:
         if truth is None:
             hint = "leave out --perturb to begin at the start that the data give"

@@ -250,7 +250,9 @@ def the_example_is_solved(subject: Subject) -> None:
         require(near, f"{name}: {size} from the truth, within {example.within} is promised")
         doubts = {reason.doubt for reason in result.verdict.reasons}
         many = result.agreement is not None and result.agreement.places >= JudgeBase.min_cells
-        require(not (many and Doubt.TOO_FEW_PLACES in doubts), f"{name}: edges agree in many places, and trust is refused")
+        require(
+            not (many and Doubt.TOO_FEW_PLACES in doubts), f"{name}: edges agree in many places, and trust is refused"
+        )
 
 
 INITIALIZERS = Checks(Kind.INITIALIZER)
