@@ -12,11 +12,12 @@ from p2o.calibration.options import PipelineOptions
 from p2o.calibration.rounds import counts, mean_residuals_px
 from p2o.confidence.accuracy import (
     ErrorBudget,
+    ErrorModel,
     accuracy_of,
     likely_accuracy,
     likely_covariance,
-    or_other_cameras,
     or_rival,
+    predicted_covariance,
     with_start,
 )
 from p2o.confidence.agreement import standing_still, view_count
@@ -37,7 +38,7 @@ from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.geometry.pose_error import pose_error
 from p2o.results.check import CheckStatus
-from p2o.results.evidence import Accuracy, Agreement, Judged, StartWeight
+from p2o.results.evidence import Accuracy, Judged, StartWeight
 from p2o.results.result import DIRECTED, INTERVALS, Result, Round, Status
 from p2o.results.verdict import Doubt, Reason, Verdict
 
@@ -61,6 +62,9 @@ def assess(
     agreement = agreement_of(estimate.views, end.pose, intervals=isinstance(judge, IntervalJudge))
     places, min_places = None if judge.name not in (DIRECTED, INTERVALS) else final.places, MIN_PLACES
     pose, accuracy, weight, warnings = end.pose, None, None, remarks_of(views)
+    covariance = final.covariance
+    if covariance is None and end.solution is not None:
+        covariance = end.solution.covariance
     if final.covariance is not None and agreement is not None and end.problem is not None:
         different = view_count(end.problem.xyz, end.problem.side, end.problem.frame)
         warnings = (*warnings, *standing_still(different, len(views)))
@@ -70,18 +74,18 @@ def assess(
             by_intervals = final.judge.likelihood.covariance(end.pose)
             budget = ErrorBudget.of_intervals(by_intervals * len(views) / max(different, 1.0), different)
         if final.intrinsics is not None:
-            budget = replace(budget, cameras=final.intrinsics.covariance)
-        accuracy = likely_accuracy(budget, end.pose, agreement)
-        weighted = _with_prior(estimate, budget, agreement, accuracy, start_sigma)
+            budget = replace(budget, cameras=final.intrinsics.covariance, absorbed=final.intrinsics.absorbed)
+        likely, accuracy = (
+            likely_covariance(budget, pose, agreement.odds_ratio),
+            likely_accuracy(budget, pose, agreement),
+        )
+        weighted = _with_prior(estimate, likely, budget.model, accuracy, start_sigma)
         if weighted is not None:
-            pose, accuracy, judged, weight = weighted
-    covariance = final.covariance
-    if covariance is None and end.solution is not None:
-        covariance = end.solution.covariance
+            pose, likely, judged, weight = weighted
+            accuracy = accuracy_of(likely, agreement, budget.model)
+        covariance = predicted_covariance(likely, pose, budget.model)
     cameras = checks_of(final, [view.camera for view in views])
     left_box = None if estimate.refined.within(pose) else estimate.refined.box
-    if accuracy is not None:
-        accuracy = or_other_cameras(accuracy, pose, final.intrinsics)
     return Result(
         frames=tuple(view.name for view in views),
         start=start,
@@ -126,22 +130,23 @@ def remarks_of(views: Sequence[View]) -> tuple[str, ...]:
 
 
 def _with_prior(
-    estimate: Estimate, budget: ErrorBudget, agreement: Agreement, accuracy: Accuracy, start_sigma: StartSigma | None
-) -> tuple[Float, Accuracy, Judged, StartWeight] | None:
-    """Return pose, accuracy, costs and weight with the initial extrinsic as a prior, None if it is no valid prior."""
+    estimate: Estimate, likely: Float, model: ErrorModel, accuracy: Accuracy, start_sigma: StartSigma | None
+) -> tuple[Float, Float, Judged, StartWeight] | None:
+    """Return pose, covariance, costs and weight with the initial extrinsic as a prior, None if it is no valid prior.
+
+    `likely` (6, 6) and `accuracy` are those without it.
+    """
     if start_sigma is None:
         return None
     pose = estimate.final.end.pose
-    likely = likely_covariance(budget, pose, agreement.odds_ratio)
-    mean = with_start(pose, likely, estimate.start, start_sigma, budget.model)
+    mean = with_start(pose, likely, estimate.start, start_sigma, model)
     if mean is None:
         return None
     judged = judged_of(estimate, mean[0])
     if not judged.estimate < judged.start:
         return None
     step = se3.inverse(pose) @ mean[0]
-    weight = StartWeight(*start_sigma, pose, accuracy, se3.angle_deg(step), se3.distance_m(step))
-    return mean[0], accuracy_of(mean[1], agreement, budget.model), judged, weight
+    return *mean, judged, StartWeight(*start_sigma, pose, accuracy, se3.angle_deg(step), se3.distance_m(step))
 
 
 def _no_improvement(judged: Judged) -> str:

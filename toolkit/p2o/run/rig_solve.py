@@ -14,7 +14,6 @@ import numpy as np
 
 from p2o.arrays import Float
 from p2o.calibration.algorithm import EDGES, Estimate, Refined, VisibleViews
-from p2o.calibration.intrinsics import estimate_intrinsics
 from p2o.calibration.judge import SIGMA_PX, DirectedJudge, IntervalJudge, is_sparse, judge_of
 from p2o.calibration.nuisance import NuisanceEstimate, enough_pairs
 from p2o.calibration.options import PipelineOptions
@@ -124,7 +123,7 @@ class _Camera:
             final = replace(final, covariance=fit.covariance, places=fit.places)
             if options.camera == "check":
                 asked = (True,) * 3 + (isinstance(judge, DirectedJudge),)
-                final = replace(final, intrinsics=estimate_intrinsics(self.corrected, pose, asked))
+                final = replace(final, intrinsics=nuisance.intrinsics(raw, pose, asked))
         refined = Refined(self.visible, self.start, [end], judge)
         return assess(Estimate(refined, final), self.views, options, None)
 
