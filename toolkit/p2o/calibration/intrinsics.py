@@ -340,7 +340,7 @@ class _Field:
                 damped = hessian.copy()
                 # A parameter without influence keeps its value.
                 damped.flat[:: count + 1] += damping * hessian.diagonal() + np.finfo(float).tiny
-                next_state = state.moved(-np.linalg.solve(damped, gradient))
+                next_state = state.moved(-np.asarray(np.linalg.solve(damped, gradient), np.float64))
                 next_seen = self.seen(next_state)
                 next_distances = self.distances(next_seen)
                 next_cost, next_away = self._cost(next_distances, next_state, expected, precision)

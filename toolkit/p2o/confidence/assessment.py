@@ -167,13 +167,17 @@ def witnessed(
 
     The views are those of extractors that had no part in the calibration. The result is doubtful also if its method
     predicts a large error, or if the edges, by the stages of `algorithm`, ask for a significant correction of more than
-    0.3 deg or 0.1 m. Results that are not solved, or already have an agreement, are returned unchanged.
+    0.3 deg or 0.1 m. The agreement of the method's own edges, if any, is replaced together with the doubts that follow
+    from it. Results that are not solved, and those with an own agreement where `views` have no edges, are unchanged.
     """
-    if not result.status.solved or result.agreement is not None:
+    if not result.status.solved:
         return result
     pose = result.camera_from_lidar
     agreement = agreement_of([view.as_seen_from(pose).without_hidden(pose) for view in views], pose)
-    kept = tuple(reason for reason in result.verdict.reasons if reason.doubt is not Doubt.NOT_CHECKED)
+    if agreement is None and result.agreement is not None:
+        return result
+    replaced = (Doubt.NOT_CHECKED, Doubt.LITTLE_AGREEMENT)
+    kept = tuple(reason for reason in result.verdict.reasons if reason.doubt not in replaced)
     known = {reason.doubt for reason in kept}
     own = [reason for reason in accuracy_doubts(result.accuracy, options) if reason.doubt not in known]
     verdict = Verdict((*kept, *agreement_doubts(agreement, options), *own))
