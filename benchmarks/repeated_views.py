@@ -95,9 +95,7 @@ def main() -> None:
     parser.add_argument("--root", default="build/data", help="folder of the real frames")
     parser.add_argument("--kept", type=Path, default=Path("build/repeated-views"), help="folder of extracted features")
     parser.add_argument("--splits", default="../shared/data/splits.json", help="file of the splits")
-    parser.add_argument(
-        "--only", default="", help="calculate the groups whose names contain this, such as 16-rings kitti"
-    )
+    parser.add_argument("--only", default="", help="only groups whose names contain this: 16-rings kitti")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     print(f"{'case':38}{'alone: deg':>11}{'cm':>6}{'trust':>6}{'added: deg':>11}{'cm':>6}{'trust':>6}", end="")

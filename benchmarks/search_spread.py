@@ -62,7 +62,7 @@ def main() -> None:
         quantiles = np.quantile(table[:, :2], [0.5, 0.95], axis=0) * [1, 100]
         (deg_50, cm_50), (deg_95, cm_95) = quantiles
         print(
-            f"{name:16} {len(table):3} frames, within {LIMIT_DEG} deg and {100 * LIMIT_M:.0f} cm: {100 * within:.0f} %, "
+            f"{name:16} {len(table):3} frames, within {LIMIT_DEG} deg, {100 * LIMIT_M:.0f} cm: {100 * within:.0f} %; "
             f"median {deg_50:.3f} deg {cm_50:.1f} cm, 95 % {deg_95:.3f} deg {cm_95:.1f} cm; "
             f"error {np.median(table[:, 2]):.3f} deg {100 * np.median(table[:, 3]):.1f} cm",
             flush=True,

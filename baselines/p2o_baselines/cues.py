@@ -35,7 +35,7 @@ class CuesOptions(p2o.Options):
     extractor: str = field("p2ornet/rings", help="IMAGE/CLOUD that find directed edges.")
     weights: str = field("", help="Weights of p2ornet, as its option of that name; empty: its default.")
     alike: float = field(200.0, gt=0, help="Points of a sweep per independent observation.")
-    widen: float = field(5.0, gt=0, help="Ratio of the errors of edges to those of their pairs.")
+    widen: float = field(1.0, gt=0, help="Ratio of the errors of edges to the predicted ones.")
     bins: int = field(32, ge=2, le=1024, help="Levels of grey, and of reflectance.")
 
     @field_validator("weights")

@@ -341,7 +341,7 @@ def _read(entry: tuple[_Source, _MessageRef, _MessageRef]) -> Frame:
         warnings += check_direction(cloud, camera, pose, name=f"TF ({options.tf})", where=bag.path)
     extrinsic: dict[str, Any] = {"camera_from_lidar" if options.tf == "truth" else "start": pose}
     drive = in_drive(bag.name, source.camera_name, (image_ref.stamp_ns - source.first_ns) / _SECOND, None)
-    notes = {"warnings": warnings, "advice": source.camera.advice, "unused_fields": unused}
+    notes: dict[str, Any] = {"warnings": warnings, "advice": source.camera.advice, "unused_fields": unused}
     return Frame(name, image, cloud, **notes, **extrinsic, **drive)
 
 

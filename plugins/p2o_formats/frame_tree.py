@@ -37,7 +37,7 @@ class Edge:
     """The transform between two frames of a source.
 
     `pose` returns parent_from_child (4, 4) and remarks, or raises InputError. It is called only for transforms between
-    LiDAR and camera: the others may be expressions or joints that move. `quaternion`: a person wrote its rotation as one.
+    LiDAR and camera: the others may be expressions or joints that move. `quaternion`: its rotation was written as one.
     """
 
     parent: str

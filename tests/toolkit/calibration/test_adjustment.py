@@ -44,6 +44,16 @@ def test_exact_pairs_tell_motions_and_pose() -> None:
     assert found.cameras == ()
 
 
+def test_sweeps_of_one_drive_may_all_differ_from_the_expected_speed_but_one_alone_is_as_stated() -> None:
+    assert PRIOR.covariance_of(1) == pytest.approx(PRIOR.covariance)
+    many = PRIOR.covariance_of(50)
+    assert np.diag(many) == pytest.approx(np.tile(np.diag(PRIOR.covariance), 50))
+    mean = np.kron(np.full((1, 50), 1 / 50), np.eye(2))
+    speed, turn = np.sqrt(np.diag(mean @ many @ mean.T))
+    assert speed > 0.5 * PRIOR.speed_sigma
+    assert turn == pytest.approx(PRIOR.turn_sigma / np.sqrt(50))
+
+
 def test_motion_that_nobody_asks_for_spoils_the_pose() -> None:
     found = fit_with_nuisances(as_measured(pairs(count=1500)), NEAR, fits_cameras=False)
     assert found.motions == ()

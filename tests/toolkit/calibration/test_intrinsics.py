@@ -10,6 +10,7 @@ import pytest
 from p2o import se3
 from p2o.calibration.intrinsics import IntrinsicsEstimate, estimate_intrinsics
 from p2o.features.view import View
+from p2o.geometry.motion import EgoMotion, MotionPrior, moved
 from p2o.geometry.pose_error import pose_error
 from p2o.reading import RadialError
 
@@ -54,6 +55,59 @@ def test_an_error_is_named_and_its_size_is_within_its_interval(error: RadialErro
     after = pose_error(estimate(error).camera_from_lidar, TRUTH)
     assert after.rotation_deg < 0.2
     assert after.translation_m < 0.03
+
+
+PRIOR = MotionPrior(EgoMotion(8.0), 8.0, 0.1)
+
+
+@cache
+def drive(error: RadialError, speed_m_s: float, count: int = 4) -> tuple[View, ...]:
+    """Raw sweeps of a straight drive, compensated for the expected speed of 8 m/s."""
+    seen = []
+    for seed in range(count):
+        view = edge_scene.view(error.corrected(PINHOLE), seed=seed, boxes=60, noise_px=0.5)
+        edges = view.cloud_edges
+        time_s = -np.arctan2(edges.xyz[:, 1], edges.xyz[:, 0]) / (2 * np.pi) * 0.1 - 0.004
+        xyz = moved(EgoMotion(speed_m_s).twist, -time_s, edges.xyz)
+        raw = replace(view, camera=PINHOLE, cloud=view.cloud.having(replace(edges, xyz=xyz, time_s=time_s)))
+        seen.append(raw.untwisted(PRIOR.expected.twist))
+    return tuple(seen)
+
+
+def doubted(views: tuple[View, ...], prior: MotionPrior | None) -> list[int]:
+    """The parameters that are in doubt."""
+    motions = [] if prior is None else [prior.expected] * len(views)
+    found = estimate_intrinsics(views, AWAY, prior=prior, motions=motions)
+    assert found is not None
+    return [number for number, wrong in enumerate(found.fits[0].significant) if wrong]
+
+
+def test_the_speed_of_a_straight_drive_is_no_error_of_the_principal_point() -> None:
+    fast = drive(RadialError(), 25.0)
+    assert doubted(fast, None) == [2]  # which is what a wrong speed looks like where motions are taken as known
+    assert doubted(fast, PRIOR) == []
+
+
+@pytest.mark.parametrize(
+    ("error", "wrong"), [(RadialError(focal=0.03), 0), (RadialError(radial=0.06), 1), (RadialError(x_px=30.0), 2)]
+)
+def test_a_wrong_camera_is_named_although_the_motions_are_unknown_too(error: RadialError, wrong: int) -> None:
+    assert wrong in doubted(drive(error, 15.0), PRIOR)
+
+
+def test_the_same_view_again_makes_no_error_of_the_camera_more_certain() -> None:
+    error = RadialError(focal=0.01)
+    [once], [often] = (estimate_intrinsics(views(error)[:1] * count, AWAY).fits for count in (1, 5))
+    assert often.evidence < 1.1 * once.evidence
+    assert np.all(np.diag(often.covariance) > 0.9 * np.diag(once.covariance))
+
+
+def test_a_significant_error_of_the_camera_is_part_of_the_covariance_of_the_pose() -> None:
+    """The covariance of the step by which the pose has absorbed it; none without a significant error."""
+    wrong, correct = estimate(RadialError(focal=0.03)), estimate(RadialError())
+    step = se3.log(wrong.camera_from_lidar @ se3.inverse(AWAY))
+    assert np.sqrt(np.diag(wrong.absorbed)) == pytest.approx(np.abs(step))
+    assert not correct.absorbed.any()
 
 
 def test_a_correct_camera_is_not_in_doubt() -> None:

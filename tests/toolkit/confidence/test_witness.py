@@ -47,13 +47,40 @@ def test_a_method_that_says_itself_how_far_off_it_may_be_is_doubtful_whatever_th
     assert [reason.text for reason in witnessed(told, views, OPTIONS).verdict.reasons] == ["own words"]
 
 
-def test_what_is_refused_or_has_its_own_agreement_is_left_alone() -> None:
-    views = [edge_scene.view()]
+def test_what_is_refused_is_left_alone_and_so_is_an_own_agreement_without_other_edges() -> None:
     refused = claimed(TRUTH, Status.NOT_OBSERVABLE)
-    own = replace(claimed(TRUTH), agreement=POOR)
-    assert witnessed(refused, views, OPTIONS) is refused
-    assert witnessed(own, views, OPTIONS) is own
+    own = replace(claimed(TRUTH), agreement=POOR, verdict=Verdict((Reason(Doubt.LITTLE_AGREEMENT, "own edges"),)))
+    assert witnessed(refused, [edge_scene.view()], OPTIONS) is refused
+    assert witnessed(own, [], OPTIONS) is own
     assert refused.verdict.trust is Trust.REFUSED
+
+
+def test_directed_edges_overrule_the_agreement_of_own_edges_without_directions_and_nothing_else() -> None:
+    views = [edge_scene.view(seed=i) for i in range(2)]
+    rival, poor = Reason(Doubt.RIVAL_POSE, "two"), Reason(Doubt.LITTLE_AGREEMENT, "own edges")
+    away = se3.exp(np.array([0.05, 0.05, 0.05, 0, 0, 0])) @ TRUTH
+    for pose, own, doubts in (
+        (TRUTH, (poor,), []),
+        (TRUTH, (poor, rival), [Doubt.RIVAL_POSE]),
+        (away, (), [Doubt.LITTLE_AGREEMENT]),
+    ):
+        result = witnessed(replace(claimed(pose), agreement=POOR, verdict=Verdict(own)), views, OPTIONS)
+        assert [reason.doubt for reason in result.verdict.reasons] == doubts
+        assert result.agreement != POOR
+
+
+@pytest.mark.parametrize(
+    ("words", "checked"),
+    [
+        ({}, False),
+        ({"matcher": "nearest"}, True),
+        ({"extractor": "canny/rings", "matcher": "nearest"}, True),
+        ({"extractor": "canny/rings", "matcher": "nearest", "witness": "none"}, False),
+    ],
+)
+def test_only_edges_matched_by_their_directions_check_their_own_result(words: dict[str, str], checked: bool) -> None:
+    plan = p2o.Recipe.of(data="synthetic:", **words).resolve(p2o.Registry.load())
+    assert ("witness" in plan.parts) == checked
 
 
 @pytest.fixture(scope="module")

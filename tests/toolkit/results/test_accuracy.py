@@ -7,7 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import se3
-from p2o.confidence.accuracy import DEFAULT_ERROR_MODEL, ErrorBudget, likely_accuracy, or_rival
+from p2o.confidence.accuracy import (
+    DEFAULT_ERROR_MODEL,
+    INTERVAL_ERROR_MODEL,
+    ErrorBudget,
+    ErrorModel,
+    likely_accuracy,
+    likely_covariance,
+    or_rival,
+    predicted_covariance,
+)
 from p2o.geometry.pose_error import deviations, pose_error
 from p2o.solving import Accuracy, Agreement, Rival
 
@@ -84,6 +93,39 @@ def test_a_direction_that_nothing_determines_widens_its_own_axis_only() -> None:
                     assert getattr(found, other) > 3 * getattr(usual, other)
                 else:
                     assert getattr(found, other) == pytest.approx(getattr(usual, other))
+
+
+def by_axis(accuracy: Accuracy) -> tuple[list[float], list[float]]:
+    """The 67 % bounds by axis, of rotation in deg and translation in m."""
+    rotation = [accuracy.roll_deg, accuracy.pitch_deg, accuracy.yaw_deg]
+    return rotation, [accuracy.x_m, accuracy.y_m, accuracy.z_m]
+
+
+@pytest.mark.parametrize("model", [DEFAULT_ERROR_MODEL, INTERVAL_ERROR_MODEL])
+@pytest.mark.parametrize("part", ["pairs", "cameras", "absorbed"])
+def test_total_axes_and_covariance_state_one_predicted_error(model: ErrorModel, part: str) -> None:
+    budget = replace(spread(covariance(), covariance(0.1), 0.01), **{part: covariance(4.0)})
+    found = likely_accuracy(budget, TRUTH, met(0.25), model)
+    rotation, translation = by_axis(found)
+    assert found.rotation_deg == pytest.approx(np.linalg.norm(rotation))
+    assert found.translation_m == pytest.approx(np.linalg.norm(translation))
+    whole = predicted_covariance(likely_covariance(budget, TRUTH, met(0.25).odds_ratio, model), TRUTH, model)
+    assert deviations(whole, TRUTH) == pytest.approx((found.rotation_deg, found.translation_m))
+
+
+def test_what_the_pose_absorbed_of_a_wrong_camera_is_on_its_axis_and_in_the_total() -> None:
+    """A focal length that is 3 % wrong puts the pose 0.3 m along the optical axis."""
+    pose = np.array(TRUTH)
+    pose[:3, 3] = 0.0  # so that turns do not move the LiDAR
+    step = np.array([0.0, 0.005, 0.0, 0.0, 0.0, 0.3])
+    usual = spread(covariance(0.01))
+    before, after = (
+        likely_accuracy(its, pose, met(0.25)) for its in (usual, replace(usual, absorbed=np.outer(step, step)))
+    )
+    assert after.z_m == pytest.approx(np.hypot(before.z_m, 0.3))
+    assert after.yaw_deg == pytest.approx(np.hypot(before.yaw_deg, np.degrees(0.005)))
+    assert (after.x_m, after.y_m, after.roll_deg) == pytest.approx((before.x_m, before.y_m, before.roll_deg))
+    assert after.translation_m == pytest.approx(np.hypot(before.translation_m, 0.3))
 
 
 def test_nineteen_of_twenty_lie_within_more_than_two_of_three() -> None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from p2o.arrays import Float, Int
 from p2o.errors import InputError
@@ -106,10 +108,10 @@ def fit_with_nuisances(
     for _ in range(_ITERATIONS):
         weight = problem.weight * problem.huber_px / np.maximum(np.abs(residuals), problem.huber_px)
         precision = model.precision(weight, residuals)
-        hessian = _normal(rows, own, weight) + np.diag(precision)
+        hessian = _normal(rows, own, weight) + precision
         pull = weight * residuals
         gradient = np.concatenate([rows.T @ pull, np.asarray(own.T @ pull)])
-        gradient[6:] += precision[6:] * (state - model.expected)
+        gradient[6:] += precision[6:, 6:] @ (state - model.expected)
         step = -np.asarray(np.linalg.lstsq(hessian, gradient, rcond=None)[0], np.float64)
         pose, state = se3.exp(step[:6]) @ pose, model.within(state + step[6:])
         rows, own, residuals = model.linearised(pose, state)
@@ -118,7 +120,7 @@ def fit_with_nuisances(
     inverse = np.asarray(np.linalg.pinv(hessian))
     clustered, places = _clustered(problem, rows, own, residuals, scenes)
     covariance = inverse @ clustered @ inverse
-    expected = np.diag(model.prior_score(precision))
+    expected = model.prior_score(precision)
     surely = inverse @ (_SIGMA_INFLATION**2 * clustered + expected) @ inverse
     variance = surely.diagonal()
     if time is not None:
@@ -263,28 +265,33 @@ class _Model:
         return sparse.csr_array(at, shape=(count, self.motions.size))
 
     def precision(self, weight: Float, residuals: Float) -> Float:
-        """Return what is known beforehand of pose and state, as the diagonal (6 + N,) of a Hessian."""
-        out = np.zeros(6 + self.shared + self.motions.size)
-        out[6 : 6 + 2 * len(self.asked)] = np.tile(1 / _CAMERA_SIGMA**2, len(self.asked))
+        """Return what is known beforehand of pose and state, as a Hessian (6 + N, 6 + N)."""
+        first = np.zeros(6 + self.shared)
+        first[6 : 6 + 2 * len(self.asked)] = np.tile(1 / _CAMERA_SIGMA**2, len(self.asked))
         variance = float(weight @ residuals**2) / max(float(weight.sum()), np.finfo(float).tiny)
         outline_variance = _PAIRS_PER_OUTLINE * max(variance, _MIN_VARIANCE_PX2)
         if self.time is not None:
-            out[5 + self.shared] = outline_variance / TIME_SIGMA_S**2
-        if self.prior is not None:
-            sigma = np.array([self.prior.speed_sigma, self.prior.turn_sigma])
-            out[6 + self.shared :] = np.outer(self.weights, outline_variance / sigma**2).ravel()
-        return out
+            first[-1] = outline_variance / TIME_SIGMA_S**2
+        of_motions = outline_variance * self.motion_information
+        root = np.sqrt(np.repeat(self.weights, 2))
+        return block_diag(np.diag(first), root[:, None] * of_motions * root if of_motions.size else of_motions)
 
     def prior_score(self, precision: Float) -> Float:
-        """Return the variances (6 + N,) of the gradient because expected motions and times are not the true ones."""
-        out = np.zeros(len(precision))
+        """Return the covariance (6 + N, 6 + N) of the gradient because expected motions and times are not the true."""
+        at, out = 6 + self.shared, np.zeros_like(precision)
         if self.time is not None:
-            out[5 + self.shared] = (precision[5 + self.shared] * TIME_SIGMA_S) ** 2
+            out[at - 1, at - 1] = (precision[at - 1, at - 1] * TIME_SIGMA_S) ** 2
         if self.prior is not None:
-            variance = np.array([self.prior.speed_sigma, self.prior.turn_sigma]) ** 2
-            at = 6 + self.shared
-            out[at:] = precision[at:] ** 2 * np.tile(variance, len(self.motions))
+            of_motions = precision[at:, at:]
+            out[at:, at:] = of_motions @ self.prior.covariance_of(len(self.motions)) @ of_motions
         return out
+
+    @cached_property
+    def motion_information(self) -> Float:
+        """The inverse (2 F, 2 F) of the covariance of the motions before any pair is evaluated."""
+        if self.prior is None:
+            return np.zeros((0, 0))
+        return np.asarray(np.linalg.inv(self.prior.covariance_of(len(self.motions))))
 
     def within(self, state: Float) -> Float:
         """Return the state (N,) with errors of cameras and the offset in time kept within bounds."""

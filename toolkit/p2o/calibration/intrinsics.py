@@ -7,17 +7,19 @@ point by a rotation. Pairs that were matched at such a pose confirm it; the dist
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from p2o.arrays import Float, Int
+from p2o.arrays import Float, Int, Int8
 from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
+from p2o.geometry.motion import EgoMotion, MotionPrior
 from p2o.geometry.radial_error import RadialError, is_correctable, slopes
 from p2o.problems.directed_cost import DirectedCost
 from p2o.problems.point_to_line import OUTLINE_CELL_PX
@@ -85,16 +87,22 @@ class IntrinsicsEstimate:
     """The fits of all cameras, the pose (4, 4) with their errors corrected, and what they mean for the pose.
 
     `covariance` (6, 6) is that of a left update in rad and m by the errors of the cameras: those of usual calibrations,
-    which the edges do not reveal, and insignificant estimates as far as their scatter does not explain them.
+    which the edges do not reveal, and insignificant estimates as far as their scatter does not explain them. `absorbed`
+    (6, 6) is that by significant errors, which the pose has absorbed: the square of the step to the corrected pose.
     """
 
     fits: tuple[IntrinsicFit, ...]
     camera_from_lidar: Float
     covariance: Float
+    absorbed: Float = field(default_factory=lambda: np.zeros((6, 6)))
 
 
 def estimate_intrinsics(
-    views: Sequence[View], camera_from_lidar: Float, parameters: Sequence[bool] = (True,) * 4
+    views: Sequence[View],
+    camera_from_lidar: Float,
+    parameters: Sequence[bool] = (True,) * 4,
+    prior: MotionPrior | None = None,
+    motions: Sequence[EgoMotion] = (),
 ) -> IntrinsicsEstimate | None:
     """Estimate the errors of the cameras of views at a pose (4, 4); None where there are no edges or no such cameras.
 
@@ -103,38 +111,62 @@ def estimate_intrinsics(
     the scatter of the gradient over image cells. The fit starts from the given cameras, and from the best of fits on
     coarse maps that start from other focal lengths and radial distortions: its result is used where it is significantly
     better. `parameters` (4,) are those that are fitted: focal length, radial coefficient, principal point x and y.
+
+    With a `prior`, the motions of all sweeps are fitted, too: in raw sweeps a forward motion displaces edges much as an
+    error of the principal point in x does. The views are compensated for `motions`, one a view.
     """
     cameras = tuple(camera for camera in dict.fromkeys(view.camera for view in views) if is_correctable(camera))
     if not cameras:
         return None
-    fine = _Field.of(views, camera_from_lidar, cameras, _MAX_POINTS, *_FINE)
+    sweeps = None if prior is None else _Sweeps(prior, motions)
+    fine = _Field.of(views, camera_from_lidar, cameras, sweeps, _MAX_POINTS, *_FINE)
     if fine is None:
         return None
-    coarse = _Field.of(views, camera_from_lidar, cameras, _MAX_POINTS // 3, *_COARSE)
-    fixed = fine.fit(_State(camera_from_lidar, np.zeros((len(cameras), 4))), free=False)
-    prior = np.where(parameters, fine.noise(fixed) / _PRIOR**2, _FIXED)
-    best = fine.fit(fixed, prior=prior)
+    coarse = _Field.of(views, camera_from_lidar, cameras, sweeps, _MAX_POINTS // 3, *_COARSE)
+    given = _State(camera_from_lidar, np.zeros(fine.moving), np.zeros((len(cameras), 4)))
+    given = fine.fit(given, count=6)
+    noise = fine.noise(given)
+    precision = fine.precision(noise, np.where(parameters, noise / _PRIOR**2, _FIXED))
+    fixed = fine.fit(given, precision, count=6 + fine.moving)
+    best = fine.fit(fixed, precision)
     cells = fine.cells(best.pose)
     if coarse is not None:
         starts = [fixed]
         for error in _COARSE_STARTS[np.any(_COARSE_STARTS[:, np.asarray(parameters, np.bool_)], axis=1)]:
             start = replace(fixed, errors=fixed.errors + error)
-            starts.append(coarse.fit(start, free=False, iterations=_COARSE_ITERATIONS))
-        ends = [coarse.fit(start, prior=prior, iterations=_COARSE_ITERATIONS) for start in starts]
-        other = fine.fit(min(ends, key=lambda end: end.cost), prior=prior)
+            starts.append(coarse.fit(start, precision, count=6 + fine.moving, iterations=_COARSE_ITERATIONS))
+        ends = [coarse.fit(start, precision, iterations=_COARSE_ITERATIONS) for start in starts]
+        other = fine.fit(min(ends, key=lambda end: end.cost), precision)
         if fine.evidence(best, other, cells) > _LEAD:
             best = other
-    return fine.estimate(fixed, best, prior, cells)
+    return fine.estimate(camera_from_lidar, fixed, best, precision, cells)
+
+
+class _Sweeps(NamedTuple):
+    """The prior of the motions during raw sweeps, and the motions that the views are compensated for, one a view."""
+
+    prior: MotionPrior
+    motions: Sequence[EgoMotion]
 
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """A pose (4, 4) with the errors (C, 4) of the cameras; distances (K,) of all points, and the cost after a fit."""
+    """A pose (4, 4), changes (2 P,) of the motions of the parts, speed and turning, and errors (C, 4) of the cameras.
+
+    `distances` (K,) are those of all points, and `cost` is that after a fit.
+    """
 
     pose: Float
+    motions: Float
     errors: Float
     distances: Float | None = None
     cost: float = np.inf
+
+    def moved(self, step: Float) -> _State:
+        """Return the state after a step (N,) of its first N parameters."""
+        step = np.concatenate([step, np.zeros(6 + self.motions.size + self.errors.size - len(step))])
+        errors = self.errors + step[6 + self.motions.size :].reshape(-1, 4)
+        return _State(se3.exp(step[:6]) @ self.pose, self.motions + step[6 : 6 + self.motions.size], _bounded(errors))
 
 
 class _Seen(NamedTuple):
@@ -147,10 +179,19 @@ class _Seen(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Field:
-    """The distances of all points to the image edges of their direction, as a function of pose and cameras."""
+    """The distances of all points to the image edges of their direction, as a function of pose, motions and cameras.
+
+    `by_motion` (2, K, 3) are the derivatives of the points, as `xyz`, by speed and turning of their sweeps; `expected`
+    (2 P,) are the changes of the motions before any edge is seen, and `spread` (2 P, 2 P) is their covariance. P is
+    the number of parts, 0 where motions are not fitted. `side` (K,) are the directions.
+    """
 
     cost: DirectedCost
     cameras: tuple[Camera, ...]
+    side: Int8
+    by_motion: Float
+    expected: Float
+    spread: Float
 
     @classmethod
     def of(
@@ -158,6 +199,7 @@ class _Field:
         views: Sequence[View],
         pose: Float,
         cameras: tuple[Camera, ...],
+        sweeps: _Sweeps | None,
         points: int,
         truncate_px: float,
         scale: int,
@@ -168,7 +210,38 @@ class _Field:
         )
         order = [view.camera for view in views]
         parts = tuple(sorted(cost.parts, key=lambda part: order.index(part.camera)))
-        return cls(replace(cost, parts=parts), cameras) if cost.edges > 0 else None
+        if not cost.edges > 0:
+            return None
+        cost = replace(cost, parts=parts)
+        seen = [views[part.view].cloud_edges.select(part.rows) for part in parts]
+        side = np.concatenate([edges.side for edges in seen])
+        if sweeps is None:
+            return cls(cost, cameras, side, np.zeros((2, 0, 3)), np.zeros(0), np.zeros((0, 0)))
+        prior, by_motion, expected = sweeps.prior, [], []
+        by_speed, by_turn = prior.expected.by_speed[3:], prior.expected.by_turn[:3]
+        for part, edges in zip(parts, seen, strict=True):
+            motion = sweeps.motions[part.view]
+            shift = edges.time_s[:, None] * np.stack([np.tile(by_speed, (len(edges), 1)), np.cross(by_turn, edges.xyz)])
+            by_motion.append(shift @ pose[:3, :3].T)
+            change = (prior.expected.speed_m_s - motion.speed_m_s, prior.expected.turn_rad_s - motion.turn_rad_s)
+            expected.append(change)
+        spread = prior.covariance_of(len(parts))
+        return cls(cost, cameras, side, np.concatenate(by_motion, axis=1), np.ravel(expected), spread)
+
+    @property
+    def moving(self) -> int:
+        """The number of parameters of motions."""
+        return len(self.expected)
+
+    @cached_property
+    def part_of(self) -> Int:
+        """The part (K,) of every point."""
+        return np.repeat(np.arange(len(self.rows)), [rows.stop - rows.start for rows in self.rows])
+
+    def precision(self, noise: float, of_errors: Float) -> Float:
+        """Return the precision (N, N) in px of the priors of pose, motions and errors (4,) of every camera."""
+        motions = noise * np.linalg.inv(self.spread)
+        return np.asarray(block_diag(np.zeros((6, 6)), motions, np.diag(np.tile(of_errors, len(self.cameras)))))
 
     @cached_property
     def weight(self) -> Float:
@@ -196,9 +269,13 @@ class _Field:
         numbers = {camera: number for number, camera in enumerate(self.cameras)}
         return tuple((camera, numbers.get(camera), rows) for camera, rows in its.items())
 
-    def seen(self, pose: Float, errors: Float) -> _Seen:
-        """Return what cameras with errors (C, 4) see at a pose (4, 4)."""
-        xyz = se3.apply(pose @ self.cost.lidar_from_around, self.xyz)
+    def seen(self, state: _State) -> _Seen:
+        """Return what the cameras see in a state."""
+        errors, xyz = state.errors, self.xyz
+        if self.moving:
+            change = state.motions.reshape(-1, 2)[self.part_of]
+            xyz = xyz + change[:, :1] * self.by_motion[0] + change[:, 1:] * self.by_motion[1]
+        xyz = se3.apply(state.pose @ self.cost.lidar_from_around, xyz)
         uv, cameras = np.empty((len(xyz), 2)), []
         for given, number, rows in self.rows_of_cameras:
             camera = given if number is None else _error(errors[number], given).corrected(given)
@@ -210,9 +287,10 @@ class _Field:
         """Return the truncated distances (K,) in px."""
         return np.concatenate([self.cost.sampled(number, seen.uv[rows]) for number, rows in enumerate(self.rows)])
 
-    def linearised(self, seen: _Seen, errors: Float) -> Float:
-        """Return the derivatives (6 + 4 C, K) of the distances by a left update of the pose and by the errors."""
-        out = np.zeros((6 + 4 * len(self.cameras), len(seen.xyz)))
+    def linearised(self, seen: _Seen, state: _State) -> Float:
+        """Return the derivatives (N, K) of the distances by a left update of the pose, by motions and by errors."""
+        first, errors = 6 + self.moving, state.errors
+        out = np.zeros((first + 4 * len(self.cameras), len(seen.xyz)))
         slope = np.hstack([self.cost.slopes(number, seen.uv[rows]) for number, rows in enumerate(self.rows)])
         for (given, number, rows), camera in zip(self.rows_of_cameras, seen.cameras, strict=True):
             xyz, uv, by_u, by_v = seen.xyz[rows], seen.uv[rows], *slope[:, rows]
@@ -220,64 +298,74 @@ class _Field:
             out[3:6, rows] = by_u * by_xyz[:, 0].T + by_v * by_xyz[:, 1].T
             if number is not None:
                 by_error = slopes(given, _error(errors[number], given), xyz, uv)
-                at = 6 + 4 * number
+                at = first + 4 * number
                 out[at : at + 2, rows] = by_u * by_error[:, 0].T + by_v * by_error[:, 1].T
                 out[at + 2 : at + 4, rows] = given.focal_px * slope[:, rows]
         np.copyto(out, 0.0, where=np.isnan(out))
         (x, y, z), (by_x, by_y, by_z) = seen.xyz.T, out[3:6]
         out[:3] = y * by_z - z * by_y, z * by_x - x * by_z, x * by_y - y * by_x
+        if self.moving:
+            rotation = (state.pose @ self.cost.lidar_from_around)[:3, :3]
+            by_motion = np.einsum("mkj,jk->mk", self.by_motion @ rotation.T, out[3:6])
+            for part, rows in enumerate(self.rows):
+                out[6 + 2 * part : 8 + 2 * part, rows] = by_motion[:, rows]
         return out
 
     def fit(
-        self, start: _State, *, free: bool = True, prior: Float | None = None, iterations: int = _ITERATIONS
+        self,
+        start: _State,
+        precision: Float | None = None,
+        *,
+        count: int | None = None,
+        iterations: int = _ITERATIONS,
     ) -> _State:
-        """Return the state of the smallest mean distance near another one; without `free` the cameras stay fixed.
+        """Return the state of the smallest mean distance near another one.
 
-        `prior` (4,) are the precisions of errors of cameras around zero, in px.
+        `count` is the number of parameters that are fitted, from the first one: 6 for the pose only, by default all.
+        `precision` (N, N) is that of the priors in px.
         """
-        count = 6 + (4 * len(self.cameras) if free else 0)
-        precision = np.tile(np.zeros(4) if prior is None else prior, len(self.cameras))
-        pose, errors, damping = start.pose, start.errors, 1e-3
-        seen = self.seen(pose, errors)
+        if precision is None:
+            precision = self.precision(0.0, np.zeros(4))
+        count = len(precision) if count is None else count
+        precision, damping = precision[:count, :count], 1e-3
+        state, expected = start, np.concatenate([np.zeros(6), self.expected, np.zeros(start.errors.size)])[:count]
+        seen = self.seen(state)
         distances = self.distances(seen)
-        cost = self._cost(distances, errors, precision)
+        cost, away = self._cost(distances, state, expected, precision)
         for _ in range(iterations):
-            by = self.linearised(seen, errors)[:count]
+            by = self.linearised(seen, state)[:count]
             weight = self.weight / np.maximum(distances, _MIN_DISTANCE_PX)
-            hessian, gradient = (by * weight) @ by.T, by @ (weight * distances)
-            if free:
-                hessian[6:, 6:] += np.diag(precision)
-                gradient[6:] += precision * errors.ravel()
+            hessian, gradient = (by * weight) @ by.T + precision, by @ (weight * distances) + precision @ away
             for _ in range(_MAX_HALVINGS):
                 damped = hessian.copy()
                 # A parameter without influence keeps its value.
                 damped.flat[:: count + 1] += damping * hessian.diagonal() + np.finfo(float).tiny
-                step = np.zeros(6 + errors.size)
-                step[:count] = -np.linalg.solve(damped, gradient)
-                next_pose, next_errors = se3.exp(step[:6]) @ pose, _bounded(errors + step[6:].reshape(-1, 4))
-                next_seen = self.seen(next_pose, next_errors)
+                next_state = state.moved(-np.asarray(np.linalg.solve(damped, gradient), np.float64))
+                next_seen = self.seen(next_state)
                 next_distances = self.distances(next_seen)
-                next_cost = self._cost(next_distances, next_errors, precision)
+                next_cost, next_away = self._cost(next_distances, next_state, expected, precision)
                 if next_cost < cost:
                     break
                 damping *= 5
             else:
                 break
-            gain, pose, errors, distances, cost = cost - next_cost, next_pose, next_errors, next_distances, next_cost
+            gain, state, distances, cost, away = cost - next_cost, next_state, next_distances, next_cost, next_away
             seen = next_seen
             damping /= 5
             if gain < _CONVERGED_PX:
                 break
-        return _State(pose, errors, distances, cost)
+        return replace(state, distances=distances, cost=cost)
 
     def cells(self, pose: Float) -> Int:
-        """Return the number (K,) of the scene, direction and cell of the image that each point belongs to."""
-        keys = []
-        for part in self.cost.parts:
-            uv = np.nan_to_num(part.camera.project(se3.apply(pose @ self.cost.lidar_from_around, part.xyz)), nan=-1.0)
-            cell = np.floor(uv / OUTLINE_CELL_PX).astype(np.int64)
-            scene = np.full(len(cell), self.cost.scenes[part.view])
-            keys.append(np.column_stack([scene, part.side_index, cell]))
+        """Return the number (K,) of the camera, direction and cell of the image that each point belongs to.
+
+        Errors in one cell of several views are not independent: a drive straight on, or a rig at rest, shows the same
+        outlines there again.
+        """
+        xyz, keys = se3.apply(pose @ self.cost.lidar_from_around, self.xyz), []
+        for number, (camera, _, rows) in enumerate(self.rows_of_cameras):
+            cell = np.floor(np.nan_to_num(camera.project(xyz[rows]), nan=-1.0) / OUTLINE_CELL_PX).astype(np.int64)
+            keys.append(np.column_stack([np.full(len(cell), number), self.side[rows], cell]))
         return np.asarray(np.unique(np.concatenate(keys), axis=0, return_inverse=True)[1].reshape(-1))
 
     def evidence(self, before: _State, after: _State, cells: Int) -> float:
@@ -292,37 +380,50 @@ class _Field:
         hessian, score = self._information(state, self.cells(state.pose))
         return float(np.trace(np.linalg.pinv(hessian[:6, :6]) @ score[:6, :6]) / 6)
 
-    def estimate(self, fixed: _State, best: _State, prior: Float, cells: Int) -> IntrinsicsEstimate:
-        """Return the estimate at a fitted state; `fixed` is the one with the cameras as given."""
+    def estimate(self, given: Float, fixed: _State, best: _State, precision: Float, cells: Int) -> IntrinsicsEstimate:
+        """Return the estimate at a fitted state; `fixed` is the one with the cameras as given.
+
+        `given` (4, 4) is the pose of the result, which is estimated with the cameras as given.
+        """
         hessian, score = self._information(best, cells)
-        precision = np.concatenate([np.zeros(6), np.tile(prior, len(self.cameras))])
-        inverse = np.linalg.pinv(hessian + np.diag(precision))
-        scatter = _SIGMA_INFLATION**2 * inverse @ score @ inverse
+        first = 6 + self.moving
+        hessian += precision
+        score *= _SIGMA_INFLATION**2
+        # Expected motions are not the true ones.
+        score[6:first, 6:first] += precision[6:first, 6:first] @ self.spread @ precision[6:first, 6:first]
+        inverse = np.linalg.pinv(hessian)
+        scatter = inverse @ score @ inverse
         evidence = self.evidence(fixed, best, cells)
+        prior = np.diag(precision)[first:].reshape(-1, 4)
         fits, errors = [], np.where(prior < _FIXED, best.errors, 0.0)
         for index, camera in enumerate(self.cameras):
-            its = slice(6 + 4 * index, 10 + 4 * index)
+            its = slice(first + 4 * index, first + 4 * (index + 1))
             covariance = scatter[its, its] + np.diag(_SYSTEMATIC**2)
             fits.append(IntrinsicFit(camera, _error(errors[index], camera), covariance, evidence))
         # The pose follows unnoticed errors of the cameras: those of a usual calibration, as far as edges allow them,
         # and estimated ones that exceed their scatter but are too small to be significant.
-        by_errors = np.linalg.pinv(hessian[:6, :6]) @ hessian[:6, 6:]
-        usual = 1 / (np.tile(1 / _CALIBRATED**2, len(self.cameras)) + 1 / np.diag(scatter)[6:])
+        by_errors = np.linalg.pinv(hessian[:6, :6]) @ hessian[:6, first:]
+        usual = 1 / (np.tile(1 / _CALIBRATED**2, len(self.cameras)) + 1 / np.diag(scatter)[first:])
         expected = np.concatenate([np.diag(fit.covariance) for fit in fits])
         unexpected = np.maximum(errors.ravel() ** 2 - np.tile(_UNEXPECTED, len(self.cameras)) * expected, 0.0)
-        unexpected[np.concatenate([fit.significant for fit in fits])] = 0.0  # these make the camera doubtful
-        return IntrinsicsEstimate(tuple(fits), best.pose, (by_errors * (usual + unexpected)) @ by_errors.T)
+        significant = np.concatenate([fit.significant for fit in fits])
+        unexpected[significant] = 0.0
+        step = se3.log(best.pose @ se3.inverse(given)) if significant.any() else np.zeros(6)
+        covariance = (by_errors * (usual + unexpected)) @ by_errors.T
+        return IntrinsicsEstimate(tuple(fits), best.pose, covariance, np.outer(step, step))
 
     def _information(self, state: _State, cells: Int) -> tuple[Float, Float]:
-        """Return the curvature of the cost and the covariance of its gradient over cells, each (6 + 4 C, 6 + 4 C)."""
+        """Return the curvature of the mean distance and the covariance of its gradient over cells, each (N, N)."""
         assert state.distances is not None
-        by = self.linearised(self.seen(state.pose, state.errors), state.errors)
+        by = self.linearised(self.seen(state), state)
         weight = self.weight / np.maximum(state.distances, _MIN_DISTANCE_PX)
         gradient = np.array([np.bincount(cells, row) for row in by * (weight * state.distances)])
         return (by * weight) @ by.T, gradient @ gradient.T
 
-    def _cost(self, distances: Float, errors: Float, precision: Float) -> float:
-        return float(self.weight @ distances + 0.5 * precision @ errors.ravel() ** 2)
+    def _cost(self, distances: Float, state: _State, expected: Float, precision: Float) -> tuple[float, Float]:
+        """Return the cost of a state, and by how much its first parameters differ from the expected ones."""
+        away = np.concatenate([np.zeros(6), state.motions, state.errors.ravel()])[: len(expected)] - expected
+        return float(self.weight @ distances + 0.5 * away @ precision @ away), away
 
 
 def _error(values: Float, camera: Camera) -> RadialError:

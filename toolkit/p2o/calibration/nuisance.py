@@ -123,6 +123,13 @@ class Nuisance:
         cameras = [self.errors.get(view.camera, RadialError()).corrected(view.camera) for view in raw]
         return [replace(view, camera=camera) for view, camera in zip(raw, cameras, strict=True)]
 
+    def intrinsics(
+        self, raw: Sequence[View], camera_from_lidar: Float, parameters: Sequence[bool]
+    ) -> IntrinsicsEstimate | None:
+        """Estimate errors of the cameras of raw views at a pose (4, 4), together with the motions of their sweeps."""
+        motions = [fit.motion for fit in self.motions]
+        return estimate_intrinsics(self.views(raw), camera_from_lidar, parameters, self.prior, motions)
+
     def sweep_motions(self, views: Sequence[View]) -> tuple[SweepMotion, ...]:
         """Return the motions of those views whose sweeps are raw."""
         motions = []
@@ -202,7 +209,7 @@ def estimate_nuisances(
         fit = nuisance.fit(best.pairs, cameras, best.pose, fits_cameras=fits_cameras)
     checked = None
     if fits_cameras and not corrected and any(judge.camera_errors):
-        checked = estimate_intrinsics(nuisance.views(raw), best.pose, judge.camera_errors)
+        checked = nuisance.intrinsics(raw, best.pose, judge.camera_errors)
     return NuisanceEstimate(best, judge, nuisance, fit.cameras, corrected, fit.covariance, fit.places, time, checked)
 
 
@@ -215,13 +222,12 @@ def _cameras_corrected(
     raw: Sequence[View], start: Float, best: End, judge: JudgeBase, nuisance: Nuisance, rounds: Rounds
 ) -> tuple[End, JudgeBase, Nuisance] | None:
     """Return the end with significant errors of the cameras corrected, its judge and nuisances; None without any."""
-    views = nuisance.views(raw)
-    estimate = estimate_intrinsics(views, best.pose, judge.camera_errors)
+    estimate = nuisance.intrinsics(raw, best.pose, judge.camera_errors)
     wrong = (
         np.any([fit.significant for fit in estimate.fits], axis=0) if estimate is not None else np.zeros(4, np.bool_)
     )
     if wrong.any():
-        estimate = estimate_intrinsics(views, best.pose, wrong.tolist())
+        estimate = nuisance.intrinsics(raw, best.pose, wrong.tolist())
     if estimate is None or not wrong.any():
         return None
     nuisance = replace(nuisance, errors={fit.camera: fit.error for fit in estimate.fits})

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 @click.option(
     "--witness",
     metavar="IMAGE/CLOUD",
-    help="Extractors for an independent check of methods without edges (default: p2ornet/rings; none: no check).",
+    help="Extractors for an independent check of methods that use no directed edges (default: p2ornet/rings; none).",
 )
 @click.option(
     "--perturb",

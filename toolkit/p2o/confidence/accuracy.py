@@ -8,10 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from p2o.arrays import Float
-from p2o.calibration.intrinsics import IntrinsicsEstimate
 from p2o.confidence.fusion import OWN_SHARE, Fusion, Opinion
 from p2o.features.side import SIDES, Side
-from p2o.geometry.pose_error import place_by_update, pose_error
+from p2o.geometry.pose_error import place_by_update
 from p2o.problems.point_to_line import PointToLine
 from p2o.results.evidence import Accuracy, Agreement, Rival
 
@@ -22,14 +21,16 @@ _MIN_DEPTH_M = 0.1
 class ErrorBudget:
     """Components of the error of a pose: `pairs` (6, 6), the covariance of a left update in rad and m from the scatter
     of pairs (`p2o.calibration.adjustment`), `beams` (6, 6) as of `beam_covariance`, and `rings` (6,) as of `ring_gaps`.
-    `cameras` (6, 6) is the covariance by unnoticed errors of the intrinsics (`p2o.calibration.intrinsics`), `views` the
-    number of different views. `intervals` states that the pose is that of the interval likelihood: another error model.
+    `cameras` (6, 6) is the covariance by unnoticed errors of the intrinsics, `absorbed` (6, 6) that by significant ones
+    (`p2o.calibration.intrinsics`), of which no factor is needed. `views` is the number of different views. `intervals`
+    states that the pose is that of the interval likelihood: another error model.
     """
 
     pairs: Float
     beams: Float
     rings: Float
     cameras: Float = field(default_factory=lambda: np.zeros((6, 6)))
+    absorbed: Float = field(default_factory=lambda: np.zeros((6, 6)))
     views: float = 1.0
     intervals: bool = False
 
@@ -110,8 +111,9 @@ class ErrorModel(NamedTuple):
     `by_odds` of it. `beams` scales the deviation by a common shift of all edges, `rings` the error of half a gap
     between beams (`ring_gaps`). `view_deg` and `view_m` are the error of one view that pairs do not show (mismatches
     of a scene), which falls with the root of the number of views; `floor_deg` and `floor_m` that of any number.
-    `rotation` and `translation` are the factors of the 67 % and 95 % bounds, `axis` that of the 67 % bound of each
-    axis. Where the strength of the agreement is below `strong`, the 95 % bounds are wider (`outlier_inflation`).
+    `rotation` and `translation` are the factors of the 67 % and 95 % bounds, in total and by axis; `axis` is the one
+    that suits the errors of all axes together, for sums with other estimates. Where the strength of the agreement is
+    below `strong`, the 95 % bounds are wider (`outlier_inflation`).
     """
 
     pairs: float
@@ -177,7 +179,10 @@ def likely_accuracy(
 
 
 def accuracy_of(covariance: Float, agreement: Agreement, model: ErrorModel) -> Accuracy:
-    """Return the predicted error of a pose from the covariance (6, 6) of its errors (`likely_covariance`)."""
+    """Return the predicted error of a pose from the covariance (6, 6) of its errors (`likely_covariance`).
+
+    The square of the total (67 %) is the sum of the squares of its axes.
+    """
     axes = np.sqrt(np.diag(covariance))
     rotation_deg, translation_m = float(np.degrees(np.linalg.norm(axes[:3]))), float(np.linalg.norm(axes[3:]))
     inflations = (1.0, outlier_inflation(agreement, model))
@@ -185,9 +190,20 @@ def accuracy_of(covariance: Float, agreement: Agreement, model: ErrorModel) -> A
         (more * factor * rotation_deg, more * other * translation_m)
         for more, factor, other in zip(inflations, model.rotation, model.translation, strict=True)
     ]
-    pitch, yaw, roll = (model.axis * np.degrees(axes[:3])).tolist()
-    x, y, z = (model.axis * axes[3:]).tolist()
+    pitch, yaw, roll = (model.rotation[0] * np.degrees(axes[:3])).tolist()
+    x, y, z = (model.translation[0] * axes[3:]).tolist()
     return Accuracy(*bounds[0], *bounds[1], roll, pitch, yaw, x, y, z)
+
+
+def predicted_covariance(likely: Float, camera_from_lidar: Float, model: ErrorModel) -> Float:
+    """Return the covariance (6, 6) of a left update in rad and m whose deviations are the predicted errors (67 %).
+
+    `likely` (6, 6) is that of `likely_covariance` at a pose (4, 4).
+    """
+    scale = np.repeat([model.rotation[0], model.translation[0]], 3)
+    by_place = np.linalg.inv(place_by_update(camera_from_lidar)) * scale
+    covariance = by_place @ likely @ by_place.T
+    return np.asarray(0.5 * (covariance + covariance.T))
 
 
 def likely_covariance(
@@ -206,7 +222,9 @@ def likely_covariance(
     scatter = scale**2 * budget.pairs + model.beams**2 * budget.beams
     scatter = scatter + budget.cameras
     by_update = place_by_update(camera_from_lidar)
-    return np.asarray(by_update @ scatter @ by_update.T + np.diag(own))
+    bounds = np.repeat([model.rotation[0], model.translation[0]], 3)
+    absorbed = by_update @ budget.absorbed @ by_update.T / np.outer(bounds, bounds)
+    return np.asarray(by_update @ scatter @ by_update.T + absorbed + np.diag(own))
 
 
 def or_rival(accuracy: Accuracy, rival: Rival | None, min_lead_edges: float) -> Accuracy:
@@ -216,20 +234,6 @@ def or_rival(accuracy: Accuracy, rival: Rival | None, min_lead_edges: float) -> 
     rotation_deg = max(accuracy.rotation_deg_95, rival.rotation_deg)
     return replace(
         accuracy, rotation_deg_95=rotation_deg, translation_m_95=max(accuracy.translation_m_95, rival.translation_m)
-    )
-
-
-def or_other_cameras(accuracy: Accuracy, camera_from_lidar: Float, intrinsics: IntrinsicsEstimate | None) -> Accuracy:
-    """Return the accuracy of a pose (4, 4) with bounds that include the pose for other intrinsics, if significant."""
-    if intrinsics is None or not any(any(fit.significant) for fit in intrinsics.fits):
-        return accuracy
-    error = pose_error(intrinsics.camera_from_lidar, camera_from_lidar)
-    return replace(
-        accuracy,
-        rotation_deg=max(accuracy.rotation_deg, error.rotation_deg),
-        translation_m=max(accuracy.translation_m, error.translation_m),
-        rotation_deg_95=max(accuracy.rotation_deg_95, 2 * error.rotation_deg),
-        translation_m_95=max(accuracy.translation_m_95, 2 * error.translation_m),
     )
 
 

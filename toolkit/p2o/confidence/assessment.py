@@ -13,11 +13,12 @@ from p2o.calibration.options import PipelineOptions
 from p2o.calibration.rounds import counts, mean_residuals_px
 from p2o.confidence.accuracy import (
     ErrorBudget,
+    ErrorModel,
     accuracy_of,
     likely_accuracy,
     likely_covariance,
-    or_other_cameras,
     or_rival,
+    predicted_covariance,
     with_start,
 )
 from p2o.confidence.audit import Evidence, Rates, audit
@@ -63,19 +64,21 @@ def assess(
     agreement = judge.agreement(estimate.views, end.pose)
     scatter = None if agreement is None else _Scatter.of(estimate, agreement, options)
     pose, accuracy, weight, warnings = end.pose, None, None, remarks_of(views)
-    if agreement is not None and scatter is not None and scatter.budget is not None:
-        warnings = (*warnings, *standing_still(scatter.budget.views, len(views)))
-        accuracy = likely_accuracy(scatter.budget, end.pose, agreement)
-        weighted = _with_prior(estimate, scatter.budget, agreement, accuracy, start_sigma)
-        if weighted is not None:
-            pose, accuracy, judged, weight = weighted
     covariance = final.covariance
     if covariance is None and end.solution is not None:
         covariance = end.solution.covariance
+    if agreement is not None and scatter is not None and scatter.budget is not None:
+        budget = scatter.budget
+        warnings = (*warnings, *standing_still(budget.views, len(views)))
+        likely = likely_covariance(budget, pose, agreement.odds_ratio)
+        accuracy = likely_accuracy(budget, pose, agreement)
+        weighted = _with_prior(estimate, likely, budget.model, accuracy, start_sigma)
+        if weighted is not None:
+            pose, likely, judged, weight = weighted
+            accuracy = accuracy_of(likely, agreement, budget.model)
+        covariance = predicted_covariance(likely, pose, budget.model)
     cameras = checks_of(final, [view.camera for view in views])
     left_box = None if estimate.refined.within(pose) else estimate.refined.box
-    if accuracy is not None:
-        accuracy = or_other_cameras(accuracy, pose, final.intrinsics)
     places = {} if scatter is None else {"places": scatter.cells, "min_places": scatter.min_cells}
     return Result(
         frames=tuple(view.name for view in views),
@@ -135,7 +138,7 @@ class _Scatter:
             budget = ErrorBudget.of(own, pairs, end.pose, different)
             cells, min_cells = agreement.places, judge.min_cells
         if final.intrinsics is not None:
-            budget = replace(budget, cameras=final.intrinsics.covariance)
+            budget = replace(budget, cameras=final.intrinsics.covariance, absorbed=final.intrinsics.absorbed)
         return cls(budget, cells, min_cells)
 
 
@@ -170,22 +173,23 @@ def remarks_of(views: Sequence[View]) -> tuple[str, ...]:
 
 
 def _with_prior(
-    estimate: Estimate, budget: ErrorBudget, agreement: Agreement, accuracy: Accuracy, start_sigma: StartSigma | None
-) -> tuple[Float, Accuracy, Judged, StartWeight] | None:
-    """Return pose, accuracy, costs and weight with the initial extrinsic as a prior, None if it is no valid prior."""
+    estimate: Estimate, likely: Float, model: ErrorModel, accuracy: Accuracy, start_sigma: StartSigma | None
+) -> tuple[Float, Float, Judged, StartWeight] | None:
+    """Return pose, covariance, costs and weight with the initial extrinsic as a prior, None if it is no valid prior.
+
+    `likely` (6, 6) and `accuracy` are those without it.
+    """
     if start_sigma is None:
         return None
     pose = estimate.final.end.pose
-    likely = likely_covariance(budget, pose, agreement.odds_ratio)
-    mean = with_start(pose, likely, estimate.start, start_sigma, budget.model)
+    mean = with_start(pose, likely, estimate.start, start_sigma, model)
     if mean is None:
         return None
     judged = judged_of(estimate, mean[0])
     if not judged.estimate < judged.start:
         return None
     step = se3.inverse(pose) @ mean[0]
-    weight = StartWeight(*start_sigma, pose, accuracy, se3.angle_deg(step), se3.distance_m(step))
-    return mean[0], accuracy_of(mean[1], agreement, budget.model), judged, weight
+    return *mean, judged, StartWeight(*start_sigma, pose, accuracy, se3.angle_deg(step), se3.distance_m(step))
 
 
 def _no_improvement(judged: Judged) -> str:
@@ -206,13 +210,17 @@ def witnessed(
 
     The views are those of extractors that had no part in the calibration. The result is doubtful also if its method
     predicts a large error, or if the edges, by the stages of `algorithm`, ask for a significant correction of more than
-    0.3 deg or 0.1 m. Results that are not solved, or already have an agreement, are returned unchanged.
+    0.3 deg or 0.1 m. The agreement of the method's own edges, if any, is replaced together with the doubts that follow
+    from it. Results that are not solved, and those with an own agreement where `views` have no edges, are unchanged.
     """
-    if not result.status.solved or result.agreement is not None:
+    if not result.status.solved:
         return result
     pose = result.camera_from_lidar
     agreement = agreement_of([view.as_seen_from(pose).without_hidden(pose) for view in views], pose)
-    kept = tuple(reason for reason in result.verdict.reasons if reason.doubt is not Doubt.NOT_CHECKED)
+    if agreement is None and result.agreement is not None:
+        return result
+    replaced = (Doubt.NOT_CHECKED, Doubt.LITTLE_AGREEMENT)
+    kept = tuple(reason for reason in result.verdict.reasons if reason.doubt not in replaced)
     known = {reason.doubt for reason in kept}
     own = [reason for reason in accuracy_doubts(result.accuracy, options) if reason.doubt not in known]
     verdict = Verdict((*kept, *agreement_doubts(agreement, options), *own))

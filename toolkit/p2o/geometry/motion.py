@@ -88,6 +88,10 @@ class EgoMotion:
         return np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 
+_COMMON = 0.3
+"""Share of the variance of the speed that is common to all sweeps of a joint calibration."""
+
+
 @dataclass(frozen=True)
 class MotionPrior:
     """Prior of the motion: `expected`, with standard deviations in m/s and rad/s."""
@@ -105,3 +109,13 @@ class MotionPrior:
     def covariance(self) -> Float:
         """The covariance (2, 2) of speed in m/s and turning in rad/s."""
         return np.diag([self.speed_sigma**2, self.turn_sigma**2])
+
+    def covariance_of(self, sweeps: int) -> Float:
+        """Return the covariance (2 N, 2 N) of speed and turning of N sweeps, sweep by sweep.
+
+        Sweeps that are calibrated jointly are often of one drive at one speed: a share `_COMMON` of the variance of the
+        speed is common to all of them, and does not average out.
+        """
+        common = _COMMON * np.array([self.speed_sigma**2, 0.0])
+        own = np.diag(self.covariance) - common
+        return np.kron(np.eye(sweeps), np.diag(own)) + np.kron(np.ones((sweeps, sweeps)), np.diag(common))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,7 +13,7 @@ from p2o.features.side import Side
 from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
-from p2o.problems.distinct_views import evenly_chosen, scenes_of
+from p2o.problems.distinct_views import evenly_chosen
 from p2o.runtime.native import for_each, ipp_disabled
 
 Float32 = np.ndarray
@@ -168,8 +168,7 @@ class DirectedCost:
     that the pose `around` brings into the image or near it), so costs of different poses compare. A point that leaves
     the image costs what a point at a random place would cost: leaving neither adds nor removes cost.
     Points count with their weight over one plus their variance in px^2, times the weight of their view. `smooth`
-    interpolates between the cells of the maps; without it the nearest cell counts, which is quicker. `scenes` (F,) are
-    those of the views.
+    interpolates between the cells of the maps; without it the nearest cell counts, which is quicker.
     """
 
     parts: tuple[_Part, ...]
@@ -177,7 +176,6 @@ class DirectedCost:
     scale: int
     lidar_from_around: Float
     smooth: bool = True
-    scenes: Int = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @classmethod
     def of(
@@ -235,7 +233,7 @@ class DirectedCost:
 
         having = [number for number, mask in enumerate(masks) if mask.any()]
         parts = for_each(part_of, having, parallel=True)
-        return cls(tuple(parts), truncate_px, scale, se3.inverse(around), smooth, scenes_of(views))
+        return cls(tuple(parts), truncate_px, scale, se3.inverse(around), smooth)
 
     def truncated(self, truncate_px: float) -> DirectedCost:
         """Return the same cost with distances cut off earlier, at `truncate_px`; the maps are shared."""

@@ -156,12 +156,13 @@ class Assembly:
     def checked(
         self, result: Result, frames: Sequence[FrameInfo], extract: Callable[[int], Mapping[str, Any]]
     ) -> Result:
-        """Return a result of a method without edges with the verdict by the edges of the independent check.
+        """Return a result of a method without directed edges with the verdict by those of the independent check.
 
         `extract` gives the features of the independent check by stage, for a frame by its number; it is called only if
         the result needs the check.
         """
-        if not result.status.solved or result.agreement is not None:
+        directed = isinstance(self.calibrator, Pipeline) and self.calibrator.directed
+        if not result.status.solved or (directed and result.agreement is not None):
             return result
         clock = Clock()
         with clock.of("witness"):

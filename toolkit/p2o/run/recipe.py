@@ -48,8 +48,8 @@ class Recipe(BaseModel):
     result of `search` is not trusted), or names a calibration file; `joint` gives one result for all frames. `rig`
     gives one for each camera: True where frames name their camera, else a rig file or its content (`p2o.run.rig`).
     `accumulate` names a method that joins sweeps of a sequence. `witness` is IMAGE/CLOUD, extractors whose edges check
-    results of methods without edges of their own: None takes those of the default recipe where frames allow it, "none"
-    goes without.
+    results of methods without directed edges of their own: None takes those of the default recipe where frames allow
+    it, "none" goes without.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -121,9 +121,12 @@ class Recipe(BaseModel):
         return Plan(self, parts, pipeline, registry, rig)
 
     def _witness(self, parts: Mapping[str, Part], registry: Registry) -> dict[str, Part]:
-        """Return the extractors of the independent check; default ones only if they are installed and fit the data."""
-        gives = {word for stage in ("extractor", "cloud") if stage in parts for word in parts[stage].offer.method.gives}
-        if self.witness == "none" or (self.witness is None and {"image-edges", "cloud-edges"} <= gives):
+        """Return the extractors of the independent check; default ones only if they are installed and fit the data.
+
+        Only edges with directions check the result of the method that uses them: edges without are so dense that they
+        agree little more than under random alignment even at a correct pose.
+        """
+        if self.witness == "none" or (self.witness is None and checks_itself(parts)):
             return {}
         names = _pair("--witness", self.witness or Recipe().extractor)
         extractors: dict[str, Part] = {}
@@ -283,6 +286,12 @@ class Plan:
                 continue
         out.update({part.offer.dist: part.offer.version for part in self.parts.values() if part.offer.version})
         return out
+
+
+def checks_itself(parts: Mapping[str, Part]) -> bool:
+    """Return whether the edges of a pipeline check its results: those of both sensors, matched by their directions."""
+    gives = {word for stage in ("extractor", "cloud") if stage in parts for word in parts[stage].offer.method.gives}
+    return {"image-edges", "cloud-edges"} <= gives and "side" in parts["matcher"].offer.method.needs
 
 
 def open_dataset(data: str, registry: Registry, options: Mapping[str, Any] | None = None) -> GuardedDataset:

@@ -14,7 +14,6 @@ import numpy as np
 
 from p2o.arrays import Float
 from p2o.calibration.algorithm import EDGES, Estimate, Refined, VisibleViews
-from p2o.calibration.intrinsics import estimate_intrinsics
 from p2o.calibration.judge import SIGMA_PX, is_sparse, judge_of
 from p2o.calibration.nuisance import NuisanceEstimate, enough_pairs
 from p2o.calibration.options import PipelineOptions
@@ -122,7 +121,7 @@ class _Camera:
             fit = nuisance.fit(end.pairs, cameras, pose, fits_cameras=options.camera != "trust")
             final = replace(final, covariance=fit.covariance, places=fit.places)
             if options.camera == "check":
-                final = replace(final, intrinsics=estimate_intrinsics(self.corrected, pose, judge.camera_errors))
+                final = replace(final, intrinsics=nuisance.intrinsics(raw, pose, judge.camera_errors))
         refined = Refined(self.visible, self.start, [end], judge)
         return assess(Estimate(refined, final), self.views, options, None)
 

@@ -217,8 +217,8 @@ def costs_are_those_of_the_residuals(subject: Subject) -> None:
 def the_example_is_solved(subject: Subject) -> None:
     """A calibration of the frames of the example, with the methods it names, comes as near as it promises.
 
-    Trust is not refused for the kind of its problem: where its edges agree in enough cells of the image, it is no reason
-    for doubt that the problem has no pairs.
+    Trust is not refused for the kind of its problem: where its edges agree in enough cells of the image, a problem
+    without pairs is no reason for doubt.
     """
     from p2o.run.run import calibrate
     from p2o.run.words import parse_settings
