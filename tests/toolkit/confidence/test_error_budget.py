@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import Camera, Side
-from p2o.confidence.accuracy import ErrorBudget, beam_covariance, ring_gaps
+from p2o.confidence.accuracy import ErrorBudget, ring_gaps, shift_covariance
 from p2o.problems.problem import LeastSquares
 from p2o.solving import PointToLine
 
@@ -34,7 +34,7 @@ def solved(pairs: LeastSquares) -> np.ndarray:
 
 
 def test_where_beams_leave_nothing_open_nothing_shifts() -> None:
-    assert not beam_covariance(problem(), POSE).any()
+    assert not shift_covariance(problem(), POSE, problem().sigma_px).any()
 
 
 def test_it_is_what_least_squares_makes_of_edges_that_are_all_off_alike() -> None:
@@ -44,7 +44,7 @@ def test_it_is_what_least_squares_makes_of_edges_that_are_all_off_alike() -> Non
         off = np.where(pairs.side == side, sigma_px, 0.0)[:, None] * np.array(Side(side).background)
         steps.append(solved(replace(pairs, centre=pairs.centre + off)))
     expected = np.stack(steps).T @ np.stack(steps)
-    found = beam_covariance(replace(pairs, sigma_px=sigma_px), POSE)
+    found = shift_covariance(pairs, POSE, sigma_px)
     assert found == pytest.approx(expected, rel=1e-6, abs=1e-12)
 
 
@@ -52,7 +52,7 @@ def test_it_is_what_least_squares_makes_of_edges_that_are_all_off_alike() -> Non
 def test_rows_far_apart_leave_pitch_open_and_not_yaw(sides: bool) -> None:
     pairs = problem(sides=sides)
     level = np.abs(pairs.normal[:, 1]) > 0.5
-    deviation = np.sqrt(np.diag(beam_covariance(replace(pairs, sigma_px=np.where(level, 3.0, 0.0)), POSE)))
+    deviation = np.sqrt(np.diag(shift_covariance(pairs, POSE, np.where(level, 3.0, 0.0))))
     pitch, yaw = deviation[:2]
     assert pitch > 5 * yaw
 
@@ -61,15 +61,26 @@ def test_more_pairs_of_the_same_rows_do_not_make_it_smaller() -> None:
     pairs = replace(problem(), sigma_px=np.full(200, 2.0))
     fields = ("xyz", "centre", "normal", "weight", "side", "frame", "time_s", "sigma_px")
     thrice = replace(pairs, **{name: np.concatenate([getattr(pairs, name)] * 3) for name in fields})
-    assert beam_covariance(thrice, POSE) == pytest.approx(beam_covariance(pairs, POSE))
+    of_all, of_one = (shift_covariance(its, POSE, its.sigma_px) for its in (thrice, pairs))
+    assert of_all == pytest.approx(of_one)
 
 
 def test_unseen_points_do_not_count() -> None:
     pairs = replace(problem(), sigma_px=np.full(200, 2.0))
     behind = np.array(pairs.xyz)
     behind[:20, 2] = -1.0
-    found = beam_covariance(replace(pairs, xyz=behind), POSE)
+    found = shift_covariance(replace(pairs, xyz=behind), POSE, pairs.sigma_px)
     assert np.isfinite(found).all()
+
+
+def test_outlines_that_are_wider_by_a_length_move_the_pose_as_least_squares_says() -> None:
+    """All outlines of one direction are displaced by 1 mm in space: near ones by more pixels."""
+    pairs, steps = problem(), []
+    for side in range(4):
+        off_m = np.where(pairs.side == side, 1e-3, 0.0)[:, None] * np.array([*Side(side).background, 0.0])
+        steps.append(solved(replace(pairs, xyz=pairs.xyz + off_m)))
+    found = ErrorBudget.of(np.eye(6), pairs, POSE, 25.0).objects
+    assert 1e-6 * found == pytest.approx(np.stack(steps).T @ np.stack(steps), rel=1e-3, abs=1e-12)
 
 
 def test_gaps_between_rings_are_pitch_roll_and_height_however_little_they_weigh() -> None:

@@ -50,7 +50,7 @@ NOTHING = np.zeros((6, 6))
 
 
 def spread(pairs: np.ndarray, beams: np.ndarray = NOTHING, rings: float = 0.0) -> ErrorBudget:
-    return ErrorBudget(pairs, beams, np.full(6, rings))
+    return ErrorBudget(pairs, beams, NOTHING, np.full(6, rings))
 
 
 def test_better_pairs_better_beams_and_better_agreement_promise_smaller_errors() -> None:
@@ -147,10 +147,10 @@ def test_no_number_of_frames_promises_what_the_sensors_calibrations_do_not_give(
 
 
 def test_the_error_of_intervals_does_not_depend_on_their_odds_and_falls_with_the_number_of_views() -> None:
-    budget = ErrorBudget.of_intervals(covariance(), 1.0)
+    budget = replace(spread(covariance()), intervals=True)
     weak, strong = (likely_accuracy(budget, TRUTH, met(near, 400)) for near in (0.1, 0.5))
     assert weak == strong
-    more = likely_accuracy(ErrorBudget.of_intervals(covariance() / 4, 4.0), TRUTH, met(0.1, 400))
+    more = likely_accuracy(replace(spread(covariance() / 4), views=4.0, intervals=True), TRUTH, met(0.1, 400))
     assert 0.45 < more.rotation_deg / weak.rotation_deg < 0.65
     assert 0.45 < more.translation_m / weak.translation_m < 0.65
 

@@ -20,14 +20,15 @@ _MIN_DEPTH_M = 0.1
 @dataclass(frozen=True, eq=False)
 class ErrorBudget:
     """Components of the error of a pose: `pairs` (6, 6), the covariance of a left update in rad and m from the scatter
-    of pairs (`p2o.calibration.adjustment`), `beams` (6, 6) as of `beam_covariance`, and `rings` (6,) as of `ring_gaps`.
-    `cameras` (6, 6) is the covariance by unnoticed errors of the intrinsics, `absorbed` (6, 6) that by significant ones
+    of pairs (`p2o.calibration.adjustment`), `beams` (6, 6) for a shift of the edges of a direction by their gap between
+    beams, `objects` (6, 6) for a shift by 1 m (`shift_covariance`), and `rings` (6,) as of `ring_gaps`. `cameras` (6, 6) is the covariance by unnoticed errors of the intrinsics, `absorbed` (6, 6) that by significant ones
     (`p2o.calibration.intrinsics`), of which no factor is needed. `views` is the number of different views. `intervals`
     states that the pose is that of the interval likelihood: another error model.
     """
 
     pairs: Float
     beams: Float
+    objects: Float
     rings: Float
     cameras: Float = field(default_factory=lambda: np.zeros((6, 6)))
     absorbed: Float = field(default_factory=lambda: np.zeros((6, 6)))
@@ -43,15 +44,19 @@ class ErrorBudget:
         """
         views = max(views, 1.0)
         rings = ring_gaps(problem, camera_from_lidar) / np.sqrt(views)
-        return cls(pairs, beam_covariance(problem, camera_from_lidar), rings, views=views)
+        beams = shift_covariance(problem, camera_from_lidar, problem.sigma_px)
+        return cls(pairs, beams, _object_covariance(problem, camera_from_lidar), rings, views=views)
 
     @classmethod
-    def of_intervals(cls, covariance: Float, views: float) -> ErrorBudget:
-        """Return the budget of a pose by its interval likelihood, from the scatter of outlines (6, 6).
+    def of_intervals(
+        cls, covariance: Float, problem: PointToLine, camera_from_lidar: Float, views: float
+    ) -> ErrorBudget:
+        """Return the budget of a pose (4, 4) by its interval likelihood, from the scatter of outlines (6, 6).
 
-        It contains the error by the position of outlines between beams.
+        It contains the error by the position of outlines between beams. `problem` holds the pairs at the pose.
         """
-        return cls(covariance, np.zeros((6, 6)), np.zeros(6), views=max(views, 1.0), intervals=True)
+        objects = _object_covariance(problem, camera_from_lidar)
+        return cls(covariance, np.zeros((6, 6)), objects, np.zeros(6), views=max(views, 1.0), intervals=True)
 
     @property
     def model(self) -> ErrorModel:
@@ -63,7 +68,7 @@ def ring_gaps(problem: PointToLine, camera_from_lidar: Float) -> Float:
     """Return the rotation in rad and shift in m (6,) of a pose for an edge error of half a gap between beams.
 
     Pitch and y by horizontal edges, yaw and x by vertical ones, roll by the worse of both; x and y at the harmonic mean
-    of the depths. Unlike in `beam_covariance` the weight of such edges does not matter. It is that of one view.
+    of the depths. Unlike in `shift_covariance` the weight of such edges does not matter. It is that of one view.
     """
     depth_m = (problem.xyz @ camera_from_lidar[:3, :3].T + camera_from_lidar[:3, 3])[:, 2]
     focal_px = np.array([camera.focal_px for camera in problem.cameras])[problem.frame]
@@ -81,19 +86,31 @@ def ring_gaps(problem: PointToLine, camera_from_lidar: Float) -> Float:
     return np.asarray(gaps)
 
 
-def beam_covariance(problem: PointToLine, camera_from_lidar: Float) -> Float:
-    """Return the covariance (6, 6) of a left update in rad and m for an equal shift of all edges of a direction.
+def _object_covariance(problem: PointToLine, camera_from_lidar: Float) -> Float:
+    """Return the covariance (6, 6) for a shift of the edges of a direction by 1 m, whatever their distance.
 
-    The position of an outline between two beams is unknown, with the same error for all edges of one direction: a
-    shift of all of them by one `sigma_px` moves the pose by its least-squares solution; directions are independent.
-    Pairs without a direction are shifted sideways, and up or down.
+    Outlines of near objects dominate it: beams of a finite width widen them by the same length in every frame.
     """
+    depth_m = (problem.xyz @ camera_from_lidar[:3, :3].T + camera_from_lidar[:3, 3])[:, 2]
+    focal_px = np.array([camera.focal_px for camera in problem.cameras])[problem.frame]
+    return shift_covariance(problem, camera_from_lidar, focal_px / np.maximum(depth_m, _MIN_DEPTH_M))
+
+
+def shift_covariance(problem: PointToLine, camera_from_lidar: Float, shift_px: Float) -> Float:
+    """Return the covariance (6, 6) of a left update in rad and m for a common shift of the edges of a direction.
+
+    A shift of all edges of one direction by `shift_px` (K,) moves the pose by its least-squares solution; directions are
+    independent. Pairs without a direction are shifted sideways, and up or down. The position of an outline between two
+    beams is such a shift: it has the same error for all edges of one direction.
+    """
+    if not len(problem):
+        return np.zeros((6, 6))
     residuals, rows = problem.residuals_with_jacobian(camera_from_lidar)
     seen = np.isfinite(residuals) & np.isfinite(rows).all(axis=1)
     residuals, rows = np.where(seen, residuals, 0.0), np.where(seen[:, None], rows, 0.0)
     weight = problem.weight * problem.huber_px / np.maximum(np.abs(residuals), problem.huber_px)
     inverse = np.linalg.pinv((rows * weight[:, None]).T @ rows)
-    shift = (weight * problem.sigma_px)[:, None] * rows
+    shift = (weight * shift_px)[:, None] * rows
     shifts = [(Side.NONE, (1, 0)), (Side.NONE, (0, 1)), *((side, side.background) for side in SIDES)]
     gradients = [np.where(problem.side == side, problem.normal @ np.array(to), 0.0) @ shift for side, to in shifts]
     moved = np.stack(gradients) @ inverse
@@ -109,7 +126,7 @@ class ErrorModel(NamedTuple):
 
     `pairs` scales the standard deviation from the scatter of pairs, at an odds ratio of 10, and falls with the power
     `by_odds` of it. `beams` scales the deviation by a common shift of all edges, `rings` the error of half a gap
-    between beams (`ring_gaps`). `view_deg` and `view_m` are the error of one view that pairs do not show (mismatches
+    between beams (`ring_gaps`); `object_m` is the deviation of a common shift of all outlines of a direction. `view_deg` and `view_m` are the error of one view that pairs do not show (mismatches
     of a scene), which falls with the root of the number of views; `floor_deg` and `floor_m` that of any number.
     `rotation` and `translation` are the factors of the 67 % and 95 % bounds, in total and by axis; `axis` is the one
     that suits the errors of all axes together, for sums with other estimates. Where the strength of the agreement is
@@ -120,6 +137,7 @@ class ErrorModel(NamedTuple):
     by_odds: float
     beams: float
     rings: float
+    object_m: float
     view_deg: float
     view_m: float
     floor_deg: float
@@ -135,6 +153,7 @@ DEFAULT_ERROR_MODEL = ErrorModel(
     by_odds=0.25,
     beams=0.51,
     rings=0.36,
+    object_m=0.01,
     view_deg=0.019,
     view_m=0.005,
     floor_deg=0.011,
@@ -149,6 +168,7 @@ INTERVAL_ERROR_MODEL = ErrorModel(
     by_odds=0.0,
     beams=0.0,
     rings=0.0,
+    object_m=0.01,
     view_deg=0.044,
     view_m=0.0073,
     floor_deg=0.017,
@@ -220,7 +240,7 @@ def likely_covariance(
     own = np.repeat(floor + view, 3) + (model.rings * budget.rings) ** 2
     scale = model.pairs * (odds / 10.0) ** -model.by_odds
     scatter = scale**2 * budget.pairs + model.beams**2 * budget.beams
-    scatter = scatter + budget.cameras
+    scatter = scatter + model.object_m**2 * budget.objects + budget.cameras
     by_update = place_by_update(camera_from_lidar)
     bounds = np.repeat([model.rotation[0], model.translation[0]], 3)
     absorbed = by_update @ budget.absorbed @ by_update.T / np.outer(bounds, bounds)

@@ -124,7 +124,9 @@ class _Scatter:
         by_judge = judge.covariance(end.pose)
         if by_judge is not None:
             scenes = len(np.unique(scenes_of(estimate.views)))
-            budget = ErrorBudget.of_intervals(by_judge * max(1.0, scenes / max(different, 1.0)), different)
+            budget = ErrorBudget.of_intervals(
+                by_judge * max(1.0, scenes / max(different, 1.0)), pairs, end.pose, different
+            )
             cells, min_cells = agreement.places, judge.min_cells
         elif end.pairs is not None:
             if final.covariance is None:

@@ -153,7 +153,8 @@ def _interval_step(
         return _NO_COVARIANCE
     different = view_count(problem.xyz, problem.side, problem.frame)
     scenes = len(np.unique(scenes_of(raw)))
-    budget = ErrorBudget.of_intervals(judge.covariance(pose) * max(1.0, scenes / max(different, 1.0)), different)
+    covariance = judge.covariance(pose) * max(1.0, scenes / max(different, 1.0))
+    budget = ErrorBudget.of_intervals(covariance, problem, pose, different)
     return _step(given, pose, budget, budget.model, agreed, agreed.places)
 
 
