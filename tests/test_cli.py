@@ -522,7 +522,7 @@ DIGITS = 5000 * "9"
         (["run", "--data", "kitti-raw:/no/such/folder"], "/no/such/folder"),
         (
             ["run", "--data", "/no/such/folder"],
-            "/no/such/folder: no such dataset, file or folder; expected DATASET:PATH",
+            "/no/such/folder: no such folder; expected DATASET:PATH",
         ),
         (["run", "a:", "--data", "b:"], "the data are given twice, as DATA and as --data"),
         (["check", "--extrinsic", "truth"], "Missing argument '[DATASET:]PATH'"),

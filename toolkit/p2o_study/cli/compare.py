@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import click
+from p2o.cli.completion import complete_methods
+from p2o.cli.json_output import json_option, print_json
 from p2o.cli.plugin_options import data_argument, plugin_options
 from p2o.cli.pose_options import StartCommand
 
@@ -15,7 +17,13 @@ from p2o_study.cli.ablate import at_most_option, jobs_option, progress_shown
 
 @click.command("compare", cls=StartCommand)
 @data_argument("The data.")
-@click.option("--methods", required=True, metavar="NAME,...", help="The methods: ours,ours-without-prior,nid,gmm,...")
+@click.option(
+    "--methods",
+    required=True,
+    metavar="NAME,...",
+    shell_complete=complete_methods("calibrator", "matcher", published=True, many=True),
+    help="The methods: ours,ours-without-prior,nid,gmm,...",
+)
 @click.option("--frames", default="all", show_default=True, metavar="SPEC", help="Which frames, as in `p2o run`.")
 @click.option("--groups", default=6, show_default=True, metavar="N", help="Number of disjoint groups of frames.")
 @click.option("--seeds", default="3", show_default=True, metavar="N|LIST", help="Initial guesses for each group.")
@@ -30,7 +38,7 @@ from p2o_study.cli.ablate import at_most_option, jobs_option, progress_shown
 @at_most_option
 @click.option("--out", default="p2o-out/compare", show_default=True, metavar="DIR", help="Folder of rows and page.")
 @jobs_option
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else on stdout.")
+@json_option
 @click.option("--quiet", is_flag=True, help="No progress.")
 @plugin_options
 def command(
@@ -58,7 +66,7 @@ def command(
 
     Exit status 1 if a calibration crashed or a method gives no estimate, 2 for wrong input, 130 if interrupted.
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
-    from p2o.files.whole_file import json_text, write_json, write_whole
+    from p2o.files.whole_file import write_json, write_whole
 
     from p2o_study.ablate import parse_seeds
     from p2o_study.compare import BLIND, compare, contenders_of
@@ -86,8 +94,10 @@ def command(
     plain = {**asdict(comparison), "not_observable": BLIND}
     write_json(Path(out) / "compare.json", plain)
     write_whole(Path(out) / "compare.html", comparison_page(comparison).encode())
-    click.echo(json_text(plain) if as_json else comparison_text(comparison), nl=False)
-    if not as_json:
+    if as_json:
+        print_json(plain)
+    else:
+        click.echo(comparison_text(comparison), nl=False)
         click.echo(f"wrote {Path(out) / 'compare.html'}; single calibrations: p2o report {out}")
     crashed = any(outcome.crashed for outcome in comparison.outcomes.values())
     return 1 if crashed or comparison.unranked else 0
