@@ -144,5 +144,5 @@ def test_a_mistyped_folder_names_the_nearest(tmp_path: Path, name: str) -> None:
     (tmp_path / "other").mkdir()
     with pytest.raises(InputError, match=rf"{name}: no such folder; .*; nearest: {tmp_path}/scenes$"):
         existing_folder(tmp_path / name, "frames")
-    with pytest.raises(InputError, match="no such folder; expected the folder of frames$"):
+    with pytest.raises(InputError, match=r"no such folder; expected the folder of frames$"):
         existing_folder(tmp_path / "qqqqqq", "frames")

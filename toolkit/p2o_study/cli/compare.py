@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from p2o.cli import INTERRUPTED
 from p2o.cli.completion import complete_methods
 from p2o.cli.json_output import json_option, print_json
 from p2o.cli.plugin_options import data_argument, plugin_options
@@ -57,8 +58,8 @@ def command(
 
     Each method calibrates disjoint groups of frames from several initial guesses. It is ranked by the spread of its
     poses, by their cost on the other groups, and by their distance from methods of other families. Methods that cannot
-    be distinguished from the best at 95 % form the top group. Started again, it continues with the missing rows. Writes
-    compare.html, compare.json and the rows (study.sqlite) to DIR.
+    be distinguished from the best at 95 % form the top group. Interrupted, it ranks what is finished; started again, it
+    continues with the missing rows. Writes compare.html, compare.json and the rows (study.sqlite) to DIR.
 
     \b
     p2o compare kitti-raw:PATH --frames 0-23 --methods ours,nid,gmm
@@ -88,9 +89,10 @@ def command(
             on_warning=warn,
             **words,
         )
-    if comparison is None:
+    if done.interrupted or done.missing:
         click.echo(f"p2o: interrupted; {len(done.rows)} rows are kept in {out}; the same command continues", err=True)
-        return 130
+    if comparison is None:
+        return INTERRUPTED
     plain = {**asdict(comparison), "not_observable": BLIND}
     write_json(Path(out) / "compare.json", plain)
     write_whole(Path(out) / "compare.html", comparison_page(comparison).encode())
@@ -99,5 +101,7 @@ def command(
     else:
         click.echo(comparison_text(comparison), nl=False)
         click.echo(f"wrote {Path(out) / 'compare.html'}; single calibrations: p2o report {out}")
+    if comparison.interrupted:
+        return INTERRUPTED
     crashed = any(outcome.crashed for outcome in comparison.outcomes.values())
     return 1 if crashed or comparison.unranked else 0
