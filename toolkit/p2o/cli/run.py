@@ -129,6 +129,7 @@ if TYPE_CHECKING:
     help="Exit status 1 unless every result is trusted and, with a size, its predicted error is at most this.",
 )
 @json_option
+@click.option("--verbose", "-v", is_flag=True, help="Print every figure of each result.")
 @click.option(
     "--out",
     type=click.Path(),
@@ -154,6 +155,7 @@ def command(
     settings: tuple[str, ...],
     require: str | None,
     as_json: bool,
+    verbose: bool,
     out: str | None,
     exports: tuple[str, ...],
     export_anyway: bool,
@@ -172,6 +174,8 @@ def command(
     p2o run folder:PATH --rig rig.yaml
     p2o run folder:PATH --start roughly "x forward, z up; camera looks 45 deg left"
 
+    At most eight lines are printed about a result, with --verbose every figure.
+
     For several results, PATH of --export contains {frame}, or {camera} with --rig. A result that is not trusted or does
     not meet --require is not exported, except as json, which stores the verdict. Exit status 1 if a result was not
     exported, a calibration was refused (see its status) or does not meet --require: without --require trusted, doubtful
@@ -188,7 +192,7 @@ def command(
         folder = OutDir.prepared(out)
     write = (lambda text: None) if as_json else click.echo
     opened = [Export.of(text, registry) for text in exports]
-    output = _Output(write, plan.recipe.joint, folder, opened, required, export_anyway)
+    output = _Output(write, verbose, plan.recipe.joint, folder, opened, required, export_anyway)
     done, problem = _calibrated(plan, output, protocol, (block, plugin) if isolate else None)
     page: Path | None = None
     if output.folder is not None:
@@ -247,6 +251,7 @@ class _Output:
     """
 
     write: Callable[[str], object]
+    verbose: bool
     joint: bool
     folder: OutDir | None
     exports: list[Export]
@@ -272,7 +277,7 @@ class _Output:
 
     def add(self, progress: Progress) -> None:
         """Print and write a result or a failed frame."""
-        from p2o.cli.summary import describe, describe_failed
+        from p2o.cli.summary import MOST_LINES, describe, describe_briefly, describe_failed
 
         if progress.failed is not None:
             self.failed.append(progress.failed)
@@ -280,7 +285,9 @@ class _Output:
         elif progress.row is not None:
             # Printed first, so that a result is not lost if the disk is full.
             self.rows.append(progress.row)
-            self.write(describe(progress.row))
+            others = len(self.exports) + (self.folder is not None)
+            row = progress.row
+            self.write(describe(row) if self.verbose else describe_briefly(row, MOST_LINES - others))
             if self.folder is not None:
                 self.folder.write(progress)
                 self.cameras += [progress] if progress.camera else []

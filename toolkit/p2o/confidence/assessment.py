@@ -148,7 +148,7 @@ def _no_improvement(judged: Judged) -> str:
     what = "the directed edge distance" if judged.unit == "px" else "the cost"
     unit = f" {judged.unit}" if judged.unit == "px" else ""
     costs = f"({judged.estimate:.3f}{unit} against {judged.start:.3f}{unit})"
-    return f"{what} did not fall below that of the start {costs}: the start is returned"
+    return f"{what} did not fall below that of the initial guess {costs}, which is returned"
 
 
 _LITTLE_DEG, _LITTLE_M = 0.3, 0.1
@@ -185,6 +185,6 @@ def _position_doubts(result: Result, views: Sequence[View], algorithm: Algorithm
     step = pose_error(result.camera_from_lidar, check.estimate)
     if step.rotation_deg <= _LITTLE_DEG and step.translation_m <= _LITTLE_M:
         return []
-    distance = f"{step.rotation_deg:.2f} deg and {step.translation_m:.2f} m from here"
-    text = f"edges that had no part in it put the pose {distance}: it is {check.reason}"
+    distance = f"{step.rotation_deg:.2f} deg and {step.translation_m:.2f} m"
+    text = f"edges of the independent check put the pose at a distance of {distance}: the result is {check.reason}"
     return [Reason(Doubt.LED_AWAY, text)]
