@@ -357,6 +357,7 @@ def _calibrated(
             output.add(progress)
 
         try:
+            work("reading the data")
             calls: dict[str, Any] = {} if apart is None else {"calibration": apart, "rig_calibration": apart.rig}
             common = run(plan, on_progress=on_progress, on_names=output.plan_files, **calls).rig
         except KeyboardInterrupt:
