@@ -53,9 +53,7 @@ def test_paths_follow_the_name_of_a_data_set(tmp_path: Path) -> None:
     assert completions("run", word=f"folder:{tmp_path}/fr") == expected
 
 
-@pytest.mark.parametrize(
-    ("instruction", "status"), [("bash_source", 0), ("zsh_source", 0), ("fish_source", 0), ("x", 2)]
-)
+@pytest.mark.parametrize(("text", "status"), [("bash_source", 0), ("zsh_source", 0), ("fish_source", 0), ("x", 2)])
 def test_the_script_of_a_shell_is_printed(
     text: str, status: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
