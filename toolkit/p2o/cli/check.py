@@ -155,13 +155,15 @@ def _of_check(check: Check) -> list[str]:
         lines.append(f"  {'axis':<12} {'':<12} {'error':>10}  {'+-':>8}  {'detectable':>12}")
         lines += [_axis(axis) for axis in check.axes]
         lines.append(
-            f"  {'all axes':<12} p-value of a correct extrinsic: {percent(check.p_value or 0)} %; "
-            f"limits: {100 * check.power:g} % detected, {100 * check.alarm_rate:g} % false alarms"
+            f"  {'all axes':<12} a correct extrinsic deviates this much or more with a probability of "
+            f"{percent(check.p_value or 0)} %; limits: {100 * check.power:g} % detected, "
+            f"{100 * check.alarm_rate:g} % false alarms"
         )
     if check.agreement is not None:
         agreement = check.agreement
-        ratio = f"odds ratio {agreement.odds_ratio:.1f} in {agreement.places} cells"
-        lines.append(f"  {'agreement':<12} {ratio}: evidence {agreement.strength:.1f}")
+        cells = f"{agreement.places} independent cells"
+        text = f"odds ratio {agreement.odds_ratio:.1f}, {cells}, evidence {agreement.strength:.1f}"
+        lines.append(f"  {'agreement':<12} {text}")
     return [*lines, *(f"  {'warning':<12} {text}" for text in check.warnings)]
 
 

@@ -110,13 +110,14 @@ def _completer(names: Callable[[Registry, str], Iterable[str]], separator: str, 
     """Return a completer of the last part of a word; with `paths` a part after a separator is a file or folder."""
 
     def complete(context: click.Context, parameter: click.Parameter, word: str) -> list[str]:
-        from p2o.cli.plugin_options import load
+        from p2o.host.registry import Registry
 
         before, split, last = word.rpartition(separator) if separator else ("", "", word)
         if paths and (split or last.startswith((".", "~", os.sep))):
             return _paths(before + split, last)
         try:
-            registry = load(context.params.get("plugin") or (), context.params.get("block") or ())
+            plugin, block = (context.params.get(name) or () for name in ("plugin", "block"))
+            registry = Registry.load(block=block, extra_files=plugin)
             known = list(dict.fromkeys(names(registry, before)))
         except P2OError:
             known = []
@@ -126,8 +127,8 @@ def _completer(names: Callable[[Registry, str], Iterable[str]], separator: str, 
 
 
 def _paths(before: str, start: str) -> list[str]:
-    found = sorted(glob.glob(f"{glob.escape(os.path.expanduser(start))}*"))
-    return [f"{before}{path}{os.sep if os.path.isdir(path) else ''}" for path in found]
+    paths = sorted(glob.glob(f"{glob.escape(os.path.expanduser(start))}*"))
+    return [f"{before}{path}{os.sep if os.path.isdir(path) else ''}" for path in paths]
 
 
 complete_extractors = _completer(_extractors, "/")

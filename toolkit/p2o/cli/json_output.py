@@ -15,7 +15,7 @@ import click
 STDOUT, _STDERR = 1, 2
 OPTION = "--json"
 
-_writers: list[Callable[[str], None]] = []
+_writers: list[Callable[[str], object]] = []
 """Writes to the standard output that is reserved; at most one."""
 
 

@@ -84,7 +84,7 @@ def _rival_doubts(rival: Rival | None, min_lead_edges: float) -> list[Reason]:
     if rival is None or rival.unit != "edges" or rival.lead >= min_lead_edges:
         return []
     fewer = f"{rival.lead:.1f}"
-    edges = "as many edges or more" if float(fewer) <= 0 else f"almost as many edges, {fewer} fewer"
+    edges = "no fewer edges" if float(fewer) <= 0 else f"only {fewer} fewer edges"
     distance = f"{rival.rotation_deg:.2f} deg and {rival.translation_m:.2f} m"
     return [Reason(Doubt.RIVAL_POSE, f"another pose at a distance of {distance} matches {edges}")]
 

@@ -287,15 +287,17 @@ def _overlays(root: Path, folder: str, frame: str, *, common: bool) -> Iterator[
         (what, [name.format(time) for time in ("before", "after")], ("before", "after")) for name, what in OVERLAYS
     ]
     asked[1:1] = [(OVERLAYS[0][1], ["after.png", COMMON], ("own result", "common result"))] if common else []
-    pairs, sizes = [], []
+    pairs: list[Pair] = []
+    sizes: list[tuple[int, int]] = []
     for what, names, ends in asked:
         paths = [f"{folder}/{name}" for name in names if (root / folder / name).is_file()]
         size = {_size(root / path) for path in paths}
         if len(paths) == 2 and len(size) == 1:
-            pairs.append(Pair(what, *paths, ends))
+            pairs.append(Pair(what, paths[0], paths[1], ends))
             sizes += size
     if pairs:
-        yield FrameOverlays(frame, *sizes[0], pairs)
+        width, height = sizes[0]
+        yield FrameOverlays(frame, width, height, pairs)
 
 
 def _size(path: Path) -> tuple[int, int]:
