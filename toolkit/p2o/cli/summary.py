@@ -41,7 +41,10 @@ def describe(row: Row) -> str:
 
 
 def describe_briefly(row: Row, most: int = MOST_LINES) -> str:
-    """Return at most `most` lines about one result: verdict, pose, error, predicted error, remarks and next step."""
+    """Return at most eight lines about one result: verdict, pose, error, predicted error, remarks and next step.
+
+    The next step is left out if there would be more than `most` lines.
+    """
     result, solved = row.result, row.result.status.solved
     lines = [result_name(result, row.camera)]
     if not solved:
@@ -53,12 +56,10 @@ def describe_briefly(row: Row, most: int = MOST_LINES) -> str:
             before, after = (f"{e.rotation_deg:.3f} deg {e.translation_m:.3f} m" for e in (row.start_error, row.error))
             lines.append(f"  {'error':<9} {after} ({before} of the initial guess)")
         lines.append(f"  {'predicted':<9} {accuracy_text(result.accuracy)}")
-    further = {
-        "warning": "; ".join(warnings_of(result)),
-        "next": "" if result.verdict.trusted else " ".join(next_steps(result)[:1]),
-        "weights": dict(result_lines(result)).get("weights", ""),
-    }
-    lines += [f"  {label:<9} {text}" for label, text in further.items() if text][: max(0, most - len(lines))]
+    remarks = {"warning": "; ".join(warnings_of(result)), "weights": dict(result_lines(result)).get("weights", "")}
+    lines += [f"  {label:<9} {text}" for label, text in remarks.items() if text][: MOST_LINES - len(lines)]
+    if not result.verdict.trusted and len(lines) < most and (steps := next_steps(result)):
+        lines.append(f"  {'next':<9} {steps[0]}")
     return "\n".join(map(printable, lines))
 
 
