@@ -54,7 +54,9 @@ def assess(
     not cost less than the initial extrinsic is refused.
     """
     final, start, end, judge = estimate.final, estimate.start, estimate.final.end, estimate.refined.judge
-    rival = rival_of([*estimate.refined.solved, *estimate.refined.rivals], estimate.refined.best, judge)
+    # Where the camera was corrected, other poses that fit the given camera better are no rivals.
+    best = (end, final.judge) if final.cameras_corrected else (estimate.refined.best, judge)
+    rival = rival_of([*estimate.refined.solved, *estimate.refined.rivals], *best)
     judged = judged_of(estimate, end.pose)
     if not judged.estimate < judged.start:
         return replace(refused(views, start, Status.NO_IMPROVEMENT, _no_improvement(judged), end.rounds), judged=judged)

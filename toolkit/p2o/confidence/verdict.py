@@ -114,11 +114,12 @@ def accuracy_doubts(accuracy: Accuracy | None, options: PipelineOptions) -> list
     """Return a reason for doubt where the 95 % bound of the predicted error exceeds the limits of the options."""
     if accuracy is None:
         return []
-    if accuracy.rotation_deg_95 <= options.most_deg and accuracy.translation_m_95 <= options.most_m:
-        return []
-    bound = f"{accuracy.rotation_deg_95:.2f} deg and {accuracy.translation_m_95:.2f} m"
-    text = f"the predicted error (95 %) of {bound} exceeds {options.most_deg:g} deg or {options.most_m:g} m"
-    return [Reason(Doubt.TOO_UNSURE, text)]
+    bounds = (
+        (accuracy.rotation_deg_95, options.most_deg, "deg"),
+        (accuracy.translation_m_95, options.most_m, "m"),
+    )
+    wide = [f"{value:.2f} {unit} exceeds {most:g} {unit}" for value, most, unit in bounds if value > most]
+    return [Reason(Doubt.TOO_UNSURE, f"the predicted error (95 %) of {' and of '.join(wide)}")] if wide else []
 
 
 _SIDE_WORDS = {"L": "left", "R": "right", "U": "above", "B": "below"}
