@@ -57,7 +57,7 @@ OUTSIDE = {"__init__", "__main__", "reading", "solving"}
 """Modules outside the rooms: the author API with its lazy imports, and `python -m p2o`."""
 AUTHOR_API = ("p2o", "p2o.solving", "p2o.reading")
 """The author API: the modules of p2o that plugins import, ours included."""
-FOR_COMMANDS = {"p2o.cli.plugin_options", "p2o.run.recipe", "p2o.run.words"}
+FOR_COMMANDS = {"p2o.cli.json_output", "p2o.cli.plugin_options", "p2o.run.recipe", "p2o.run.words"}
 """Further modules that the commands of a package (its folder `cli`) may import."""
 
 HEAVY = {

@@ -12,7 +12,7 @@ import p2o
 import pytest
 from p2o import se3
 from p2o.cli import main
-from p2o.cli.check import percent
+from p2o.cli.check import describe_check, percent
 from p2o.frames.direction import Direction, pose_direction
 from p2o.results.check import CheckStatus
 from p2o.results.result_json import check_from_dict, check_to_dict, watch_from_dict
@@ -110,6 +110,8 @@ def test_python_says_the_same_of_frames(frames: list[p2o.Frame], truth: np.ndarr
     found = p2o.check(frames, truth)
     assert found.holding is not CheckStatus.OFF
     assert [axis.axis for axis in found.axes] == ["roll", "pitch", "yaw", "x", "y", "z"]
+    words = f"a correct extrinsic deviates this much or more with a probability of {percent(found.p_value)} %;"
+    assert words in describe_check(found)
     assert check_to_dict(check_from_dict(check_to_dict(found))) == check_to_dict(found)
 
 

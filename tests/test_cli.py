@@ -18,7 +18,7 @@ import yaml
 from p2o import Result, Status
 from p2o.cli import _COMMANDS, main
 from p2o.cli.run import Required
-from p2o.cli.summary import describe, describe_run
+from p2o.cli.summary import describe, describe_briefly, describe_run
 from p2o.results.result_json import result_from_json
 from p2o.results.verdict import Doubt, Reason, Verdict
 from p2o.run.run import Row, Run
@@ -145,7 +145,7 @@ def test_the_list_of_commands_begins_as_their_own_help_does(capsys: pytest.Captu
 
 
 def test_without_any_words_a_made_up_scene_is_calibrated(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["run", "--perturb", "1deg 0.05m"]) == 0
+    assert main(["run", "--perturb", "1deg 0.05m", "--verbose"]) == 0
     out = capsys.readouterr().out
     assert out.startswith("scene-0000\n  status ")
     for label in ("initial", "result", "moved", "error", "seconds"):
@@ -159,7 +159,7 @@ def test_without_any_words_a_made_up_scene_is_calibrated(capsys: pytest.CaptureF
 
 
 def test_a_solved_run_reports_errors_matches_and_residuals_by_direction(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["run", *QUICK, "--perturb", "0.5deg 0.02m"]) == 0
+    assert main(["run", *QUICK, "--perturb", "0.5deg 0.02m", "-v"]) == 0
     out = capsys.readouterr().out
     [matches] = [line for line in out.splitlines() if line.startswith("  matches")]
     total, _, parts = matches.removeprefix("  matches").strip().partition(": ")
@@ -293,6 +293,32 @@ def test_the_verdict_is_a_line_with_its_reasons() -> None:
     )
 
 
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("doubts", [(), (Doubt.NOT_SOLVED,), (Doubt.CAMERA,), (Doubt.RIVAL_POSE, Doubt.TOO_UNSURE)])
+def test_at_most_eight_lines_are_printed_about_a_result(doubts: tuple[Doubt, ...], known: bool) -> None:
+    row = judged(*doubts, warnings=("a: one", "two"), licences={"extractor": "research only"})
+    error = p2o.pose_error(np.eye(4), np.eye(4)) if known else None
+    row = Row(row.result, None, error, error)
+    lines = describe_briefly(row).splitlines()
+    labels = [line[2:12].strip() for line in lines[1:] if line[2] != " "]
+    assert len(lines) <= 8
+    assert lines[0] == "a"
+    assert labels[0] == ("status" if Doubt.NOT_SOLVED in doubts else "verdict")
+    assert "warning" in labels
+    assert "next" not in labels or doubts
+    assert ("next" in labels) == (Doubt.NOT_SOLVED in doubts), "remarks come first"
+    assert all(f"{doubt} is said" in describe_briefly(row) for doubt in doubts)
+    assert len(describe(row).splitlines()) > len(lines)
+
+
+def test_run_prints_eight_lines_and_more_with_verbose(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["run", *QUICK, "--perturb", "0.5deg 0.02m", "--out", str(tmp_path)]
+    assert main(words) == 0
+    assert len(capsys.readouterr().out.splitlines()) <= 8
+    assert main([*words, "-v"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) > 16
+
+
 def test_solved_results_of_a_run_are_counted_by_their_verdict() -> None:
     rows = (judged(), judged(), judged(Doubt.RIVAL_POSE), judged(Doubt.CAMERA), judged())
     run = Run((*rows, judged(Doubt.NOT_SOLVED)))
@@ -392,7 +418,7 @@ def test_out_holds_result_overlays_and_convergence_of_every_frame(tmp_path: Path
 
 def test_the_motion_that_the_edges_tell_is_said_and_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["run", "--data", "synthetic:?deskew=false&speed_m_s=16&right=false", "--extractor", "depth/rings"]
-    words += ["--init", "given", "--perturb", "0.5deg 0.02m"]
+    words += ["--init", "given", "--perturb", "0.5deg 0.02m", "-v"]
     assert main([*words, "--out", str(tmp_path / "found")]) == 0
     assert re.search(r"motion    \d+\.\d m/s \(sigma \d+\.\d\) forward, .* deg/s", capsys.readouterr().out)
     assert main([*words, "--set", "pipeline.motion=trust", "--out", str(tmp_path / "trusted")]) == 0
@@ -507,7 +533,7 @@ DIGITS = 5000 * "9"
         (["run", "--frames", "@/dev/zero"], "/dev/zero: the file of splits is a device"),
         (["run", "--data", "synthetic:?seed=1&seed=2"], "the option seed is said twice"),
         (["run", "--data", "synthetic:?seed=%00"], r"data.seed is not valid; expected a valid integer"),
-        (["run", "--data", "folder:/a\x1b[31m"], r"/a\x1b[31m: the folder of "),
+        (["run", "--data", "folder:/a\x1b[31m"], r"/a\x1b[31m: no such folder"),
         (["run", "--data", "folder:~nosuch/x"], "~nosuch/x: the home folder of an unknown user"),
         (["run", "--plugin", "~nosuch/x.py"], "~nosuch/x.py: the home folder of an unknown user"),
         (["run", "--plugin", 300 * "x" + ".py"], "File name too long"),
@@ -525,7 +551,7 @@ DIGITS = 5000 * "9"
         (["run", "--data", "kitti-raw:/no/such/folder"], "/no/such/folder"),
         (
             ["run", "--data", "/no/such/folder"],
-            "/no/such/folder: no such dataset, file or folder; expected DATASET:PATH",
+            "/no/such/folder: no such folder; expected DATASET:PATH",
         ),
         (["run", "a:", "--data", "b:"], "the data are given twice, as DATA and as --data"),
         (["check", "--extrinsic", "truth"], "Missing argument '[DATASET:]PATH'"),

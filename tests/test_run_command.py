@@ -109,9 +109,9 @@ def test_a_bad_frame_is_a_row_with_its_reason_and_the_others_are_calibrated(
 ) -> None:
     assert main(spy("fake:?frames=3&bad=1", "--out", str(tmp_path / "out"))) == 2
     captured = capsys.readouterr()
-    lines = [line for line in captured.out.splitlines() if line.startswith(("drive/", "  status", "  failed"))]
+    lines = [line for line in captured.out.splitlines() if line.startswith(("drive/", "  predicted", "  failed"))]
     assert lines[1:4] == [
-        "  status    solved: because it is a test",
+        "  predicted unknown",
         "drive/0001",
         "  failed    a.png: the image is cut short",
     ]

@@ -6,6 +6,7 @@ import json
 import re
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import cv2
 import numpy as np
@@ -79,7 +80,7 @@ def test_the_page_holds_its_pictures_and_asks_for_nothing(quick: Path) -> None:
     html = (quick / "result.html").read_text()
     sources = re.findall(r'(?:src|href)="([^"]{0,40})', html)
     assert all(text.startswith(("data:", "#")) for text in sources)
-    assert sum(text.startswith("data:image/jpeg") for text in sources) == 6, "edges, range, reflectance: twice each"
+    assert sum(text.startswith("data:image/webp") for text in sources) == 6, "edges, range, reflectance: twice each"
 
 
 def test_names_of_frames_are_text_on_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -99,11 +100,40 @@ def test_json_on_stdout_stays_json_beside_a_page(tmp_path: Path, capsys: pytest.
 
 
 def test_a_page_of_many_frames_is_of_bounded_size_and_says_where_the_others_are(tmp_path: Path) -> None:
-    assert main(spy("fake:?frames=11", "--out", str(tmp_path))) == 0
+    assert main(spy("fake:?frames=25", "--out", str(tmp_path))) == 0
     html = (tmp_path / "result.html").read_text()
-    assert html.count('<figure class="slides">') == 8 * 3
-    assert html.count("<article") == 11
-    assert "Overlays of 1 frames are in the folder of this page: drive_0010" in html
+    assert html.count('<figure class="slides">') == 24 * 3
+    assert html.count("<article") == 25
+    assert "Overlays of 1 frames are in the folder of this page: drive_0024" in html
+
+
+def test_overlays_beyond_the_limit_are_files_of_full_size_beside_the_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "a run" / "out"
+    assert main(spy("fake:?frames=2", "--joint", "--out", str(out))) == 0
+    embedded = (out / "result.html").read_text()
+    monkeypatch.setattr("p2o.draw.run_page._MOST_CHARS", len(embedded) // 3)
+    for folder in (out, tmp_path / "elsewhere"):
+        assert main(["report", str(out), "--out", str(folder)]) == 0
+        html = (folder / "result.html").read_text()
+        sources = re.findall(r'<img src="([^"]*)', html)
+        files = [unquote(text) for text in sources if not text.startswith("data:")]
+        assert 0 < len(files) < len(sources) == 12
+        assert all((folder / name).is_file() for name in files)
+        assert sources[0].startswith("data:image/webp"), "edges before sweeps"
+        assert html.count(' loading="lazy"') == len(files)
+        assert "img-src data: blob: 'self' file:;" in html
+    assert "file:" not in embedded
+
+
+def test_overlays_of_a_large_image_have_its_size_and_the_page_is_small(tmp_path: Path) -> None:
+    """Edges of images of long focal lengths are extracted from smaller images."""
+    words = ["synthetic:?scenes=1&width_px=2484&height_px=750", "--init", "given", "--extractor", "depth/rings"]
+    assert main(["run", *words, "--out", str(tmp_path)]) in (0, 1)
+    drawn = cv2.imread(str(tmp_path / "scene-0000" / "after.png"))
+    assert drawn.shape == (750, 2484, 3)
+    assert (tmp_path / "result.html").stat().st_size < 3_000_000
 
 
 def test_a_joint_result_shows_its_frames_and_a_failed_frame_its_reason(tmp_path: Path) -> None:

@@ -109,6 +109,8 @@ def test_the_first_day(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
     doubted = next(o for t, o in outputs.items() if "--out doubt" in t)
     assert "intrinsics are in doubt" in doubted
     assert "not exported: wrong.txt" in doubted
+    refined = next(o for t, o in outputs.items() if "pipeline.camera=refine" in t)
+    assert "cost lower by" not in refined, "rivals are compared with the corrected camera"
     assert "wrote extrinsic.txt (matrix, trusted)" in next(o for t, o in outputs.items() if "--out bag" in t)
     assert "off by about z -" in next(o for t, o in outputs.items() if "--extrinsic wrong.txt" in t)
     assert Path("compared/compare.html").is_file()

@@ -109,7 +109,7 @@ class HandEyeCalibration(MotionCalibration):
         summary, listed = _summary(runs, hand_eye), ", and ".join(map(str, openings))
         if openings and not options.fill:
             raise RefusedError(Status.NOT_OBSERVABLE, f"not observable from motion: {listed}; {summary}")
-        kept = (f"not observable from motion: {listed}; kept from the start",) if openings else ()
+        kept = (f"not observable from motion, kept from the initial guess: {listed}",) if openings else ()
         warnings = (*kept, *_contradictions(off_px if options.joint else 0.0, drift))
         filled = hand_eye.filled(start, openings)
         delay = delay_between(runs, motions, filled.camera_from_lidar, options.longest_s)
@@ -117,7 +117,7 @@ class HandEyeCalibration(MotionCalibration):
             result,
             camera_from_lidar=filled.camera_from_lidar,
             status=status,
-            reason="; ".join((summary, *warnings)),
+            reason=summary,
             covariance=hand_eye.covariance,
             accuracy=None if openings else moments.accuracy(hand_eye.covariance),
             # No measurement supports a direction that is kept from the start, even if edges agree there.

@@ -109,7 +109,7 @@ def _rivalry(solved: PickedPose) -> dict[str, object]:
     step = p2o.se3.inverse(pose) @ solved.camera_from_lidar
     away = p2o.se3.angle_deg(step), p2o.se3.distance_m(step)
     rival = Rival(rms_px - solved.rms_px, "px", *away)
-    text = f"another pose, {away[0]:.2f} deg and {away[1]:.2f} m away, fits the picks nearly as well; pick more points"
+    text = f"another pose, {away[0]:.2f} deg and {away[1]:.2f} m away, fits the picks nearly as well"
     return {"rival": rival, "verdict": Verdict((solving.Reason(solving.Doubt.RIVAL_POSE, text),))}
 
 

@@ -193,8 +193,8 @@ def test_an_open_direction_is_said_and_taken_from_the_start_or_refused(drive: li
     filled = method(**options).solve(moments, start)
     assert filled.status.solved
     assert p2o.se3.angle_deg(filled.camera_from_lidar @ p2o.se3.inverse(start)) < 0.05
-    assert "kept from the start" in filled.reason
-    assert filled.warnings
+    assert "kept from the initial guess" in filled.verdict.why
+    assert not set(filled.warnings) - {filled.verdict.why}, "the line of the verdict is not repeated"
     assert filled.accuracy is None
     # A witness adds its agreement to this reason, and does not take it away.
     assert [reason.doubt for reason in filled.verdict.reasons] == [Doubt.TOO_UNSURE]

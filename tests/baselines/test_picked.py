@@ -124,7 +124,7 @@ def test_a_missing_file_is_told_before_any_frame_is_read(tmp_path: Path) -> None
 
 def test_the_example_runs_from_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert EXAMPLE.is_file()
-    assert main(["run", "--calibrator", "picked", "--perturb", "20deg 1m", "--witness", "none"]) == 0
+    assert main(["run", "--calibrator", "picked", "--perturb", "20deg 1m", "--witness", "none", "-v"]) == 0
     said = capsys.readouterr().out
     assert "10 of 12 picks agree" in said
     assert "pick 4 at (253.8, 257.3)" in said

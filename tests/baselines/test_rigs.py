@@ -69,5 +69,5 @@ def test_parts_are_left_out_one_at_a_time_and_nothing_else_changes(tmp_path: Pat
 def test_a_study_without_any_data_says_how_to_give_them() -> None:
     with pytest.raises(InputError, match=r"no data are given; expected --root DIR or --data NAME=DATASET:PATH .*waymo"):
         check_study(STUDY, REGISTRY)
-    with pytest.raises(InputError, match="folder of the data of studies is missing"):
+    with pytest.raises(InputError, match="no such folder; expected the folder of the data of studies"):
         STUDY.overridden(root="not/there")

@@ -57,8 +57,8 @@ def judged(reason: str, axis: int | None, holding: CheckStatus = CheckStatus.OFF
     [
         ("off by about yaw +0.52 deg", "only"),
         ("off by about yaw +0.52 deg or x -9.1 cm: not distinguishable on these frames", "among"),
-        ("off by about x -9.1 cm; a search found edges to meet far better there", "other"),
-        ("off, but these frames do not tell on which axis", "none"),
+        ("off by about x -9.1 cm, and a search found that edges agree far better there", "other"),
+        ("off, on axes that cannot be distinguished on these frames", "none"),
     ],
 )
 def test_the_axes_that_a_report_names_are_read_from_its_reason(reason: str, named: str) -> None:

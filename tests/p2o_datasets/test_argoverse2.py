@@ -199,7 +199,7 @@ def test_a_missing_table_and_a_missing_folder_are_one_line_and_status_2(
     root = log.write()
     (log.folder / "calibration/intrinsics.feather").unlink()
     assert main(["data", "check", f"argoverse2:{tmp_path / 'gone'}"]) == 2
-    assert "the folder of Argoverse 2 is missing" in capsys.readouterr().err
+    assert "no such folder; expected the folder of Argoverse 2" in capsys.readouterr().err
     assert main(["data", "check", f"argoverse2:{root}"]) == 2
     said = capsys.readouterr()
     assert "the table of intrinsics is missing" in said.out + said.err

@@ -220,7 +220,7 @@ def test_folders_that_are_none_are_one_line_and_status_2(tmp_path: Path, capsys:
     (tmp_path / "empty").mkdir()
     (tmp_path / "bare/data_2d_raw" / DRIVE).mkdir(parents=True)
     for folder, words in (
-        ("gone", "the folder of KITTI-360 is missing"),
+        ("gone", "no such folder; expected the folder of KITTI-360"),
         ("empty", "there are no drives of KITTI-360"),
         ("bare", "no KITTI-360 frames"),
     ):

@@ -299,7 +299,7 @@ def test_a_synchronised_drive_wins_over_its_extract(tmp_path: Path) -> None:
 def test_a_folder_without_frames_says_what_it_should_hold(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no KITTI raw frames; expected DATE/DATE_drive_NNNN_sync .*; got no drive"):
         dataset(tmp_path)
-    with pytest.raises(InputError, match="nowhere: the folder of KITTI raw drives is missing"):
+    with pytest.raises(InputError, match="nowhere: no such folder; expected the folder of KITTI raw drives"):
         dataset(tmp_path / "nowhere")
 
 

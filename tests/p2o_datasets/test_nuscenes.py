@@ -193,7 +193,7 @@ def test_folders_that_are_none_are_one_line_and_status_2(tmp_path: Path, capsys:
     (tmp_path / "empty").mkdir()
     (tmp_path / "part" / "v1.0-mini").mkdir(parents=True)
     for folder, words in (
-        ("gone", "the folder of nuScenes is missing"),
+        ("gone", "no such folder; expected the folder of nuScenes"),
         ("empty", "there are no tables of nuScenes"),
         ("part", "a table is missing; expected scene.json"),
     ):

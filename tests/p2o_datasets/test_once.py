@@ -158,7 +158,10 @@ def test_links_that_leave_the_folder_and_sweeps_that_are_cut_off_are_refused(tmp
 
 def test_folders_that_are_none_are_one_line_and_status_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "empty").mkdir()
-    for folder, words in (("gone", "the folder of ONCE is missing"), ("empty", "there are no sequences of ONCE")):
+    for folder, words in (
+        ("gone", "expected the folder of ONCE"),
+        ("empty", "there are no sequences of ONCE"),
+    ):
         assert main(["data", "check", f"once:{tmp_path / folder}"]) == 2
         said = capsys.readouterr().err.strip()
         assert words in said

@@ -211,7 +211,7 @@ def test_sweeps_that_are_not_packed_are_read(tmp_path: Path) -> None:
 def test_folders_that_are_none_are_one_line_and_status_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "empty").mkdir()
     for folder, words in (
-        ("gone", "the folder of PandaSet is missing"),
+        ("gone", "no such folder; expected the folder of PandaSet"),
         ("empty", "there are no sequences of PandaSet"),
     ):
         assert main(["data", "check", f"pandaset:{tmp_path / folder}"]) == 2

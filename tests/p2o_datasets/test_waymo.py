@@ -235,7 +235,7 @@ def test_every_frame_is_good_for_data_check(tmp_path: Path, capsys: pytest.Captu
     assert main(["data", "check", f"waymo:{root}", "--set", "data.cameras=FRONT,SIDE_LEFT"]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == "6 of 6 frames are good"
     assert main(["data", "check", f"waymo:{root / 'gone'}"]) == 2
-    assert "the folder of Waymo is missing" in capsys.readouterr().err
+    assert "no such folder; expected the folder of Waymo" in capsys.readouterr().err
 
 
 def test_the_dataset_keeps_the_contract_of_its_slot(tmp_path: Path) -> None:

@@ -49,6 +49,6 @@ class Board(Bench):
         """Return label and state of the calibrations without a fresh row."""
         capsys.readouterr()
         code = self.command("status", "--json")
-        [state] = json.loads(capsys.readouterr().out)
+        [state] = json.loads(capsys.readouterr().out)["suites"]
         assert code == (1 if state["outdated"] else 0)
         return [(entry["row"], entry["state"]) for entry in state["outdated"]]

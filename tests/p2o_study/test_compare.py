@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 from dataclasses import asdict
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from p2o import InputError, UnknownNameError, se3
 from p2o.cache import FeatureCache
-from p2o.cli import main
+from p2o.cli import INTERRUPTED, main
 from p2o.run.presets import Preset
 from p2o_study import compare as module
 from p2o_study import comparison as figures
@@ -18,6 +21,7 @@ from p2o_study.compare import Comparison, compare, contenders_of, family_of, spl
 from p2o_study.comparison import Samples, Standing
 from p2o_study.report.bootstrap import Interval
 from p2o_study.report.comparison_page import comparison_page, comparison_text
+from p2o_study.store import Store
 from p2o_study.worker import Plugins
 
 from tests.study_bench import PLUGIN, Bench
@@ -226,6 +230,46 @@ def test_a_restarted_comparison_computes_what_is_missing(bench: Bench, monkeypat
     assert asdict(same) == asdict(comparison)
 
 
+def test_an_interrupted_comparison_ranks_what_is_finished(bench: Bench) -> None:
+    finished = contenders_of(["sharp", "loose"], PLUGINS.registry())
+    tired = Preset("tired", {"calibrator": "quick"}, {"calibrator": {"interrupt_after": 3}})
+    words: dict[str, Any] = {"groups": 5, "judges": {"edges": EDGES}, "plugins": PLUGINS}
+    words |= {"cache": FeatureCache(bench.root / "c"), "seeds": 2}
+    done, comparison = compare([*finished, tired], "tiny:?frames=10", bench.root / "o", **words)
+    assert (done.interrupted, len(done.rows)) == (True, 12), "one seed of all methods before the next"
+    assert isinstance(comparison, Comparison)
+    assert comparison.interrupted
+    assert [standing.name for standing in comparison.ranking] == ["sharp", "loose"]
+    assert comparison.remarks[0].startswith(
+        "interrupted: 12 of 30 calibrations are finished; 2 methods, 5 groups and 1 "
+    )
+    done, comparison = compare([*finished, tired], "tiny:?frames=10", bench.root / "o", **words)
+    assert done.computed == 30 - 12
+    assert isinstance(comparison, Comparison)
+    assert (comparison.interrupted, len(comparison.ranking), [*comparison.shares]) == (False, 3, ["edges"])
+
+
+@pytest.mark.parametrize(
+    ("finished", "methods", "count"),
+    [
+        ({"a": 10, "b": 10, "c": 4}, {"a", "b"}, 20),
+        ({"a": 10, "b": 7}, {"a", "b"}, 10),
+        ({"a": 5, "b": 5, "c": 5}, {"a", "b", "c"}, 15),
+        ({"a": 4, "b": 3}, set(), 0),
+    ],
+)
+def test_the_finished_rows_that_are_ranked_have_the_same_groups_and_seeds(
+    finished: dict[str, int], methods: set[str], count: int
+) -> None:
+    rows: Any = [
+        SimpleNamespace(section=name, dataset=f"g{i % 5}", seed=i // 5)
+        for name, n in finished.items()
+        for i in range(n)
+    ]
+    chosen = module._complete(rows)
+    assert ({row.section for row in chosen}, len(chosen)) == (methods, count)
+
+
 def test_guesses_that_do_not_differ_and_several_rigs_are_refused(bench: Bench) -> None:
     with pytest.raises(InputError, match="would repeat perfectly"):
         run(bench, "sharp", perturb="1deg")
@@ -283,6 +327,32 @@ def test_the_command_prints_the_ranking_and_writes_page_and_json(
     assert "did you mean loose" in capsys.readouterr().err
     assert main(["compare", "--methods", "sharp"]) == 2
     assert "Missing argument '[DATASET:]PATH'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_command_with_the_ranking_of_what_is_finished(
+    bench: Bench, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    put, rows = Store.put, []
+
+    def interrupted(store: Store, row: Any) -> None:
+        put(store, row)
+        rows.append(row)
+        if len(rows) == 12:
+            os.kill(os.getpid(), number)
+
+    monkeypatch.setattr(Store, "put", interrupted)
+    monkeypatch.setenv("P2O_CACHE", str(bench.root / "cache"))
+    words = ["compare", "tiny:?frames=10", "--groups", "5", "--seeds", "2", "--out", str(bench.root / "out"), "--json"]
+    words += ["--plugin", str(PLUGIN), "--plugin", str(OWN), "--methods", "sharp,loose,stuck"]
+    assert main(words) == INTERRUPTED
+    captured = capsys.readouterr()
+    ranking = json.loads(captured.out)
+    assert ranking["interrupted"]
+    assert [method["name"] for method in ranking["ranking"]] == ["sharp", "loose"]
+    assert captured.err.splitlines() == [
+        f"p2o: interrupted; 12 rows are kept in {bench.root / 'out'}; the same command continues"
+    ]
 
 
 def test_names_in_the_page_are_text(bench: Bench) -> None:

@@ -48,3 +48,13 @@ def test_an_error_has_a_bound_and_keeps_both_ends_of_what_is_too_long() -> None:
 def test_a_number_of_more_digits_than_python_writes_is_told_in_words() -> None:
     assert str(InputError("too large", got=10**10000)) == "too large; got a number of too many digits to write"
     assert one_line(10**10000) == "a number of too many digits to write"
+
+
+@pytest.mark.parametrize("raised", [RuntimeError, SystemExit, RecursionError])
+def test_an_exception_whose_text_raises_is_named(raised: type[BaseException]) -> None:
+    class TextlessError(Exception):
+        def __str__(self) -> str:
+            raise raised
+
+    assert one_line(TextlessError()) == f"no text, because TextlessError.__str__ raises {raised.__name__}"
+    assert str(InputError("failed", got=TextlessError())).endswith(f"raises {raised.__name__}")

@@ -35,10 +35,13 @@ def one_line(text: object, longest: int | None = None) -> str:
 
 
 def _text(value: object) -> str:
+    """Return the text of any object: an exception of a plugin may raise while it is converted."""
     try:
         return str(value)
     except ValueError:  # more digits than Python writes
         return "a number of too many digits to write"
+    except (Exception, SystemExit) as problem:
+        return f"no text, because {type(value).__name__}.__str__ raises {type(problem).__name__}"
 
 
 class P2OError(Exception):

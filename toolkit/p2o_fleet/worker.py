@@ -78,7 +78,7 @@ def check_drive(job: DriveJob) -> CheckEvidence:
     except P2OError as problem:
         evidence = unreadable(job, problem)
     except Exception as problem:  # damaged logs raise anything in readers and codecs; a fleet continues
-        evidence = unreadable(job, P2OError(f"{type(problem).__name__}: {problem}"))
+        evidence = unreadable(job, P2OError(f"{type(problem).__name__}: {one_line(problem)}"))
     return replace(evidence, seconds=time.perf_counter() - began, version=version("p2o-calib"))
 
 

@@ -98,6 +98,7 @@ def ablate(
     at_most: int | None = None,
     initial_guess: InitialGuess | None = None,
     wanted: Callable[[Cell], bool] | None = None,
+    seeds_first: bool = False,
     on_progress: OnProgress | None = None,
     on_warning: OnWarning | None = None,
 ) -> Ablation:
@@ -107,7 +108,8 @@ def ablate(
     if the study uses plugins of other distributions), `cache` the user's cache of
     features. `overrides` are recorded in the store as the differences from the study file. `at_most` confirms a number
     of calibrations above MAX_CALIBRATIONS. `initial_guess` replaces the initial guesses of the rows. `wanted` selects
-    the calibrations that the study consists of (default: all). Ctrl-C ends the study with `interrupted`; finished rows
+    the calibrations that the study consists of (default: all). With `seeds_first` all rows are computed with one seed
+    before the next, so that an interrupted study has all rows. Ctrl-C ends the study with `interrupted`; finished rows
     are kept.
     `on_warning` (default: `warnings.warn`) receives the datasets that are left out because they have no path, and one
     message if the cache cannot be written, which costs time only.
@@ -129,7 +131,10 @@ def ablate(
             cells = Cells(its, records, initial_guess)
             chosen = range(len(cells)) if wanted is None else [i for i in range(len(cells)) if wanted(cells[i])]
             begun = store.begin(_stored_study(study, rows, overrides), (cells[i].planned for i in chosen))
-            pending = array("q", (chosen[place] for place in (begun.pending if forward else begun.pending[::-1])))
+            pending = array("q", (chosen[place] for place in begun.pending))
+            if seeds_first:
+                pending = array("q", sorted(pending, key=lambda position: cells.place(position)[2]))
+            pending = pending if forward else pending[::-1]
             _compute(work, store, cells, pending, begun.kept, pace)
         except KeyboardInterrupt:
             interrupted = True

@@ -7,8 +7,9 @@ The calibrations are rows of a study with a dataset per group, so they are store
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -167,7 +168,7 @@ class Comparison:
     """The comparison of methods: `ranking` is best first, `unranked` are methods without a single estimate.
 
     `shares` states by judge and method whether they share features; `distances` are pairs of methods with the distance
-    of their mean poses in deg and m.
+    of their mean poses in deg and m. `interrupted`: this is the ranking of what was finished.
     """
 
     sentence: str
@@ -180,6 +181,7 @@ class Comparison:
     outcomes: Mapping[str, Outcome]
     shares: Mapping[str, Mapping[str, bool]]
     distances: Sequence[tuple[str, str, float, float]]
+    interrupted: bool = False
 
 
 def compare(
@@ -198,7 +200,10 @@ def compare(
     cache: FeatureCache | None = None,
     **words: Any,
 ) -> tuple[Ablation, Comparison | None]:
-    """Calibrate disjoint groups of frames by each method and compare the poses; no comparison if it is interrupted.
+    """Calibrate disjoint groups of frames by each method and compare the poses.
+
+    An interrupted comparison is one of the methods, groups and seeds that are finished, without costs on other groups;
+    None if they are too few for a ranking.
 
     `start` is a calibration file or words as in `p2o run`, `perturb` the distance of the initial guesses from it (or
     from the initial guess of the data, or from their known calibration). `judges` are the methods whose cost evaluates
@@ -212,11 +217,22 @@ def compare(
     guesses = Guesses.of(start, perturb, registry)
     parts = split_frames(data, frames, groups, registry)
     file = compare_study(contenders, data, parts, seeds if isinstance(seeds, int) else list(seeds))
-    words |= {"plugins": plugins, "workers": workers, "cache": cache, "initial_guess": guesses}
+    words |= {"plugins": plugins, "workers": workers, "cache": cache, "initial_guess": guesses, "seeds_first": True}
     done = studies.ablate(file, folder, **words)
-    if done.interrupted or done.missing:
-        return done, None
+    plans = {row.section: row.resolve(registry, row.seeds[0]) for row in file.study.rows()}
     readable = [n for n in range(groups) if all(r.start is not None for r in done.rows if r.dataset == _group(n))]
+    rows = [row for row in done.rows if row.dataset in set(map(_group, readable))]
+    if done.interrupted or done.missing:
+        rows = _complete(rows)
+        plans = {name: plan for name, plan in plans.items() if any(row.section == name for row in rows)}
+        if not any(row.solved for row in rows):
+            return done, None
+        comparison = _compared(rows, plans, {}, workers, cache, str(guesses.size))
+        left = f"interrupted: {len(done.rows)} of {len(done.rows) + len(done.missing)} calibrations are finished"
+        seeds_done = len({row.seed for row in rows})
+        used = f"{len(plans)} methods, {comparison.groups} groups and {seeds_done} initial guesses are ranked"
+        remarks = (f"{left}; {used}, without held-out agreement", *comparison.remarks)
+        return done, replace(comparison, remarks=remarks, interrupted=True)
     if len(readable) < MIN_GROUPS:
         reason = next(row.reason for row in done.rows if row.start is None)
         raise InputError("too few groups of frames can be read", expected=f"at least {MIN_GROUPS}", got=reason)
@@ -227,9 +243,28 @@ def compare(
     for judge, contender in judges.items():
         study = compare_study([contender], data, [parts[n] for n in readable], 1).study
         judging[judge] = open_rows(check_study(study, registry), plugins, MAX_CALIBRATIONS)
-    plans = {row.section: row.resolve(registry, row.seeds[0]) for row in file.study.rows()}
-    rows = [row for row in done.rows if row.dataset in set(map(_group, readable))]
     return done, _compared(rows, plans, judging, workers, cache, str(guesses.size))
+
+
+def _complete(rows: Sequence[StoredRow]) -> list[StoredRow]:
+    """Return the rows of most methods, then most calibrations, that have the same groups and seeds; none if too few."""
+    finished = {(row.section, row.dataset, row.seed) for row in rows}
+    counts = Counter(row.section for row in rows)
+    methods = sorted(counts, key=lambda name: -counts[name])
+    groups, seeds = {row.dataset for row in rows}, {row.seed for row in rows}
+    while methods:
+        common = {(g, s) for g in groups for s in seeds if all((name, g, s) in finished for name in methods)}
+        by_seed = Counter(seed for _, seed in common)
+        best: set[tuple[str, int]] = set()
+        for count in range(1, len(by_seed) + 1):
+            chosen = [seed for seed, _ in by_seed.most_common(count)]
+            whole = [g for g in groups if all((g, seed) in common for seed in chosen)]
+            if len(whole) >= MIN_GROUPS and len(whole) * count > len(best):
+                best = {(g, seed) for g in whole for seed in chosen}
+        if best:
+            return [row for row in rows if row.section in methods and (row.dataset, row.seed) in best]
+        methods.pop()
+    return []
 
 
 def _compared(
@@ -256,7 +291,7 @@ def _compared(
         for judge, each in judging.items()
         for number, row in enumerate(each)
     ]
-    costs, absent = _judged(jobs, workers, shape)
+    costs, absent = _judged(jobs, workers, shape) if jobs else ({}, [])
     features = {judge: _features(judging[judge][0].first.plan) for judge in costs}
     shares = {judge: {n: bool(_features(plans[n]) & own) for n in names} for judge, own in features.items()}
     samples = figures.Samples(

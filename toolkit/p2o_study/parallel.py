@@ -121,7 +121,7 @@ class Workers:
         except Exception as problem:
             text = f"the workers of --backend {self.backend} were lost"
             hint = "finished rows are kept: run the same command, with fewer --jobs if memory was exhausted"
-            got = f"{type(problem).__name__}: {problem}"
+            got = f"{type(problem).__name__}: {one_line(problem)}"
             if self.address is not None:
                 hint = "finished rows are kept: start scheduler and workers again, then run the same command"
             if type(problem).__name__ in ("FutureCancelledError", "TimeoutError"):

@@ -22,7 +22,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from p2o.arrays import Float, leaves
 from p2o.cache import FeatureCache, content_hash
-from p2o.errors import InputError, P2OError
+from p2o.errors import InputError, P2OError, one_line
 from p2o.frames.frame import Frame
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
@@ -569,5 +569,5 @@ def _prepare(cache: FeatureCache, key: str, source: Source, part: Part, stage: s
 
 
 def _one_line(problem: BaseException) -> str:
-    text = " ".join(str(problem).split())
+    text = one_line(problem)
     return text if isinstance(problem, P2OError) else f"{type(problem).__name__}: {text}"

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import click
+from p2o.cli.json_output import json_option, print_json
 from p2o.reading import printable
 
 
 @click.command("topics")
 @click.argument("path", metavar="BAG")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@json_option
 def command(path: str, as_json: bool) -> int:
     """Print the topics of a ROS bag, and the topics that the data set `ros` selects automatically."""
-    import json
     from dataclasses import asdict
 
     from p2o_datasets.bags.bag import Bag
@@ -20,7 +20,7 @@ def command(path: str, as_json: bool) -> int:
     bag = Bag(path.removeprefix("ros:"))
     topics, chosen = overview(bag), chosen_words(bag)
     if as_json:
-        click.echo(json.dumps({"topics": [asdict(topic) for topic in topics], "ros": chosen}))
+        print_json({"topics": [asdict(topic) for topic in topics], "ros": chosen})
         return 0
     rows: list[tuple[str, ...]] = [("topic", "type", "count", "Hz", "frame", "first s", "last s", "")]
     for topic in topics:

@@ -155,7 +155,7 @@ def test_a_solver_that_walks_away_is_not_believed() -> None:
 
     result = replace(pipeline(initializer=given), solver=away).solve([edge_scene.view()], begin)
     assert result.status is Status.NO_IMPROVEMENT
-    assert "start is returned" in result.reason
+    assert "initial guess" in result.reason
     np.testing.assert_array_equal(result.camera_from_lidar, result.start)
     np.testing.assert_allclose(result.start, begin, atol=1e-12)
 

@@ -8,6 +8,7 @@ import time
 import pytest
 from p2o.cli import progress
 from p2o.cli.progress import long_work
+from p2o.runtime.stages import counted, report_stage
 
 
 @pytest.fixture(autouse=True)
@@ -39,3 +40,22 @@ def test_an_error_in_the_work_ends_the_lines() -> None:
     with pytest.raises(ValueError, match="no"), long_work(lambda text: None):
         raise ValueError("no")
     assert not [thread for thread in threading.enumerate() if thread.name == "p2o-progress"]
+
+
+def test_lines_name_the_stage_that_the_work_reports_and_its_progress(capsys: pytest.CaptureFixture[str]) -> None:
+    monitor: list[str] = []
+    with long_work(monitor.append) as work:
+        work("38 frames jointly")
+        read = counted("reading frames", lambda item: time.sleep(0.06), 12)
+        for item in range(12):
+            read(item)
+        report_stage("refining poses")
+        time.sleep(0.5)
+        work("next")
+    report_stage("ignored")
+    lines = capsys.readouterr().err.splitlines()
+    assert all(line.startswith("p2o: 38 frames jointly: ") for line in lines)
+    assert any(": reading frames, " in line and " of 12, for 1 s" in line for line in lines)
+    assert lines[-1] == "p2o: 38 frames jointly: refining poses, for 1 s"
+    assert monitor[1:3] == [f"38 frames jointly: reading frames, {number} of 12" for number in (1, 2)]
+    assert monitor[-1] == "next"

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from p2o.calibration.options import PipelineOptions
+from p2o.calibration.search_box import SearchBox
 from p2o.confidence.verdict import verdict_of
+from p2o.geometry.camera import Camera
+from p2o.results.result import CameraCheck
 from p2o.solving import Accuracy, Agreement, Doubt, Reason, Rival, Trust, Verdict
 
 GOOD, POOR = Agreement(0.3, 0.03, 500, 60), Agreement(0.05, 0.03, 500, 60)
@@ -71,6 +76,37 @@ def test_what_may_be_far_off_by_its_own_word_is_doubtful() -> None:
         verdict = verdict_of(GOOD, None, (), OPTIONS, unsure)
         assert (verdict.trust, verdict.reasons[0].doubt) == (Trust.DOUBTFUL, Doubt.TOO_UNSURE)
         assert verdict_of(GOOD, None, (), PipelineOptions(most_deg=2, most_m=1), unsure).trusted
+
+
+CAMERA = Camera.pinhole(500, 500, 300, 100, 600, 200)
+FIT = CameraCheck(3, CAMERA, CAMERA, 0.033, 0.003, 0.0, 0.01, 5.0, 1.0, False, evidence=10.5, wrong=("focal length",))
+
+
+@pytest.mark.parametrize(
+    ("lead", "edges"),
+    [(-3.0, "no fewer edges"), (-0.04, "no fewer edges"), (0.04, "no fewer edges"), (1.2, "only 1.2 fewer edges")],
+)
+def test_every_reason_is_one_sentence_without_advice_or_negative_counts(lead: float, edges: str) -> None:
+    """One reason is separated from the next by a semicolon, so none contains one."""
+    unsure = Accuracy(2.0, 0.5, 4.0, 1.0)
+    box = SearchBox(2.0, 0.1)
+    verdicts = [
+        verdict_of(POOR, rival(lead), (FIT,), OPTIONS, unsure, places=3, box=box),
+        verdict_of(None, None, (), OPTIONS),
+        verdict_of(Agreement(0.0, 0.0, 0), None, (), OPTIONS),
+        verdict_of(replace(GOOD, least_odds=1.4, least_side="U"), None, (), OPTIONS),
+    ]
+    assert [len(verdict.reasons) for verdict in verdicts] == [6, 1, 1, 1]
+    for reason in (reason for verdict in verdicts for reason in verdict.reasons):
+        assert not set(";") & set(reason.text)
+        assert not re.search(r"-\d|nan|start\b|strength|\bplaces\b|meet\b|take more|look at", reason.text)
+        assert verdicts[0].why.count(reason.text) <= 1
+    assert f"at a distance of 1.00 deg and 0.10 m matches {edges};" in verdicts[0].why
+
+
+def test_a_reason_that_is_given_twice_is_stated_once() -> None:
+    twice = Reason(Doubt.TOO_UNSURE, "yaw is not observable")
+    assert Verdict((twice, twice)).having(twice).why == "yaw is not observable"
 
 
 def test_leads_in_another_unit_than_edges_have_no_bound() -> None:

@@ -105,7 +105,7 @@ def test_naming_adds_a_place_only_where_none_is_given() -> None:
 
 def test_the_folder_of_a_dataset_must_exist_and_be_a_folder(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(InputError, match="nowhere: the folder of frames is missing"):
+    with pytest.raises(InputError, match="nowhere: no such folder; expected the folder of frames"):
         existing_folder(tmp_path / "nowhere", "frames")
     with pytest.raises(InputError, match="file: the folder of frames is a file"):
         existing_folder(tmp_path / "file", "frames")
@@ -136,3 +136,13 @@ def test_the_start_of_a_file_of_any_size_is_read_and_what_is_no_file_is_refused(
     ):
         with pytest.raises(InputError, match=words):
             read_start(path, "bag", 8)
+
+
+@pytest.mark.parametrize("name", ["scnes", "scnes/0001", "Scenes"])
+def test_a_mistyped_folder_names_the_nearest(tmp_path: Path, name: str) -> None:
+    (tmp_path / "scenes").mkdir()
+    (tmp_path / "other").mkdir()
+    with pytest.raises(InputError, match=rf"{name}: no such folder; .*; nearest: {tmp_path}/scenes$"):
+        existing_folder(tmp_path / name, "frames")
+    with pytest.raises(InputError, match=r"no such folder; expected the folder of frames$"):
+        existing_folder(tmp_path / "qqqqqq", "frames")

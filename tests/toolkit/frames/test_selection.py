@@ -156,3 +156,28 @@ def test_ranges_and_slices_may_begin_at_zero_whatever_the_names_are() -> None:
     assert select(names, "0:6:2") == [0, 2, 4]
     assert select(names, "0") == [0]
     assert select(names, "0000000003") == [3]
+
+
+@pytest.mark.parametrize(
+    ("spec", "chosen"),
+    [
+        ("*/0005/*", [0, 1, 2]),
+        ("0011/000000010?", [3, 4, 5, 6, 7, 8, 9, 10, 11]),
+        ("*[57]9", [2]),
+        ("m*", [12]),
+        ("*0103,0-1,*/0005/*", [6, 0, 1, 2]),
+    ],
+)
+def test_wildcards_choose_names_or_their_ends_beside_lists_and_ranges(spec: str, chosen: list[int]) -> None:
+    assert select(NAMES, spec) == chosen
+
+
+def test_a_name_that_contains_brackets_is_no_wildcard() -> None:
+    assert select(["a[1]", "a1"], "a[1]") == [0]
+
+
+def test_wildcards_without_a_match_name_the_nearest() -> None:
+    with pytest.raises(InputError, match=rf"--frames: no frame matches '\*_0012/0\*'; expected nearest {DAY}/"):
+        select(NAMES, "*_0012/0*", where="--frames")
+    with pytest.raises(InputError, match=r"left out of the dataset; got no sweep"):
+        select(NAMES, "gone*", skipped={"gone-7": "no sweep"})

@@ -66,6 +66,14 @@ def test_names_of_figures_are_columns_of_their_own() -> None:
     assert {name: type_of(name) for name in names} == {figure.name: types[figure.kind] for figure in FIGURES}
 
 
+def test_a_negative_difference_is_worded_without_a_sign() -> None:
+    lower = line("next best", rival=Rival(-3.04, "edges", 1.0, 0.1))
+    assert lower.endswith("cost lower by 3.0 edges")
+    assert line("next best", rival=Rival(3.04, "edges", 1.0, 0.1)).endswith("cost higher by 3.0 edges")
+    costs = line("cost", judged=Judged("directed-distance", "px", 4.0, 2.0, -0.25))
+    assert "0.25 px less at the truth" in costs
+
+
 def test_every_figure_is_worded_by_itself_or_by_another_one() -> None:
     for figure in FIGURES:
         others = " ".join(other.text for other in FIGURES if other is not figure)

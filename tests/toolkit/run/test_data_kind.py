@@ -70,5 +70,5 @@ def test_a_path_of_two_datasets_or_none_is_refused_with_the_next_step(tmp_path: 
         laid_out(tmp_path, LAYOUTS[kind])
     with pytest.raises(InputError, match="could be of several datasets: folder, ros; name it: DATASET:PATH"):
         data_kind(tmp_path)
-    with pytest.raises(InputError, match="no such dataset, file or folder"):
+    with pytest.raises(InputError, match="no such folder"):
         named_data("/no/such/folder")

@@ -257,7 +257,7 @@ def test_a_dataset_with_and_without_a_path() -> None:
         resolved(data="synthetic:/a")
     with pytest.raises(InputError, match=r"options follow a question mark: synthetic:\?scenes=2"):
         resolved(data="synthetic:scenes=2")
-    with pytest.raises(InputError, match=r"/a/b: no such dataset, file or folder; expected DATASET:PATH"):
+    with pytest.raises(InputError, match=r"/a/b: no such folder; expected DATASET:PATH"):
         resolved(data="/a/b")
     with pytest.raises(UnknownNameError, match=r"unknown dataset 'fils'.*did you mean files\?"):
         resolved(data="fils:/a")

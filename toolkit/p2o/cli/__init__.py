@@ -17,6 +17,8 @@ from typing import Any
 
 import click
 
+from p2o.cli.completion import VARIABLE, answer_shell
+from p2o.cli.json_output import STDOUT, reserved_stdout, wants_json
 from p2o.errors import LONGEST, InputError, P2OError, one_line
 from p2o.runtime.native import keep_freed_memory
 
@@ -150,10 +152,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         _set_up_process(debug)
     words = sys.argv[1:] if argv is None else list(argv)
     try:
+        if instruction := os.environ.get(VARIABLE):
+            return answer_shell(group, instruction)
         _check_readable(words)
-        with _terminated_as_interrupted():
+        reserved = reserved_stdout(restored=argv is not None) if wants_json(words) else contextlib.nullcontext()
+        with reserved, _terminated_as_interrupted():
             status = group.main(words, prog_name="p2o", standalone_mode=False)
-        sys.stdout.flush()
+        if sys.stdout is not None:
+            sys.stdout.flush()
     except (click.Abort, KeyboardInterrupt):
         click.echo("p2o: interrupted", err=True)
         return INTERRUPTED
@@ -162,7 +168,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     except (BrokenPipeError, _ClosedPipeError):
         # The reader (head, less) has closed the pipe; Python would raise again when it closes stdout.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        os.dup2(os.open(os.devnull, os.O_WRONLY), STDOUT)
         return 0
     except BaseException as problem:  # SystemExit of a plugin would look like success
         if debug and isinstance(problem, Exception):
@@ -242,7 +248,9 @@ def _report(problem: BaseException) -> int:
     elif isinstance(problem, MemoryError):
         text, status = "not enough memory; use fewer or smaller frames", 2
     else:
-        text = f"unexpected {type(problem).__name__}: {problem}; set P2O_DEBUG=1 for a traceback, and report it"
+        text = (
+            f"unexpected {type(problem).__name__}: {one_line(problem)}; set P2O_DEBUG=1 for a traceback, and report it"
+        )
         status = CRASHED
     click.echo("p2o: error: " + one_line(text, LONGEST), err=True)
     return status

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from p2o.cli.completion import complete_extractors, complete_methods, complete_settings
+from p2o.cli.json_output import json_option, print_json
 from p2o.cli.plugin_options import data_argument, load, plugin_options
 from p2o.cli.progress import long_work, status_line
 from p2o.errors import InputError, printable
@@ -50,11 +50,28 @@ if TYPE_CHECKING:
     metavar="N",
     help="With --watch: number of first frames that define the normal level (default: 20).",
 )
-@click.option("--extractor", metavar="IMAGE/CLOUD", help="The two extractors (default: p2ornet/rings).")
-@click.option("--matcher", metavar="NAME", help="The matcher (default: ogm).")
-@click.option("--set", "settings", multiple=True, metavar="STAGE.FIELD=VALUE", help="An option.")
+@click.option(
+    "--extractor",
+    metavar="IMAGE/CLOUD",
+    shell_complete=complete_extractors,
+    help="The two extractors (default: p2ornet/rings).",
+)
+@click.option(
+    "--matcher",
+    metavar="NAME",
+    shell_complete=complete_methods("matcher"),
+    help="The matcher (default: ogm).",
+)
+@click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="STAGE.FIELD=VALUE",
+    shell_complete=complete_settings,
+    help="An option.",
+)
 @click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Seed of all random numbers (default: 0).")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else on stdout.")
+@json_option
 @plugin_options
 def command(
     data: str,
@@ -77,20 +94,13 @@ def command(
     The extrinsic is not changed. The output states for each axis the smallest error that is detectable on these frames.
     Exit status 0 if no axis is off, 1 if any is (with --require also for cannot-tell), 2 for wrong input.
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
-    import contextlib
-
     from p2o.results.check import CheckStatus
     from p2o.results.result_json import check_to_dict
     from p2o.run.check import check, watch
 
     of_watch = {name: words.pop(name) for name in ("alarms_per_hour", "rate_hz", "settle")}
     _check_words(watching, words["notice"], of_watch)
-    stdout = sys.stdout
-    with (
-        contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext(),
-        status_line("checking", quiet=as_json) as show,
-        long_work(show) as work,
-    ):
+    with status_line("checking", quiet=as_json) as show, long_work(show) as work:
         work("checking the extrinsic")
         words |= {"options": settings or None, "registry": load(plugin, block)}
         check_result: Check | Watch
@@ -101,9 +111,9 @@ def command(
         else:
             check_result = check(data, extrinsic, **words)
     if as_json:
-        stdout.write(json.dumps(check_to_dict(check_result), indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+        print_json(check_to_dict(check_result))
     else:
-        stdout.write(describe_check(check_result) + "\n")
+        click.echo(describe_check(check_result))
     bad = {CheckStatus.OFF, CheckStatus.CANNOT_TELL} if require else {CheckStatus.OFF}
     return 1 if check_result.holding in bad else 0
 
@@ -145,13 +155,15 @@ def _of_check(check: Check) -> list[str]:
         lines.append(f"  {'axis':<12} {'':<12} {'error':>10}  {'+-':>8}  {'detectable':>12}")
         lines += [_axis(axis) for axis in check.axes]
         lines.append(
-            f"  {'all axes':<12} p-value of a correct extrinsic: {percent(check.p_value or 0)} %; "
-            f"limits: {100 * check.power:g} % detected, {100 * check.alarm_rate:g} % false alarms"
+            f"  {'all axes':<12} a correct extrinsic deviates this much or more with a probability of "
+            f"{percent(check.p_value or 0)} %; limits: {100 * check.power:g} % detected, "
+            f"{100 * check.alarm_rate:g} % false alarms"
         )
     if check.agreement is not None:
         agreement = check.agreement
-        ratio = f"odds ratio {agreement.odds_ratio:.1f} in {agreement.places} cells"
-        lines.append(f"  {'agreement':<12} {ratio}: evidence {agreement.strength:.1f}")
+        cells = f"{agreement.places} independent cells"
+        text = f"odds ratio {agreement.odds_ratio:.1f}, {cells}, evidence {agreement.strength:.1f}"
+        lines.append(f"  {'agreement':<12} {text}")
     return [*lines, *(f"  {'warning':<12} {text}" for text in check.warnings)]
 
 

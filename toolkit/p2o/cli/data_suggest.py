@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from p2o.cli.completion import complete_extractors, complete_settings
+from p2o.cli.json_output import json_option, print_json
 from p2o.cli.plugin_options import data_argument, load, plugin_options
 from p2o.cli.pose_options import StartCommand, most_option, pose_options
 from p2o.errors import InputError, printable
@@ -35,11 +36,23 @@ _REACH_PX = 12.0
 @click.option(
     "--require", metavar='"0.2deg 0.05m"', help="Required accuracy of the result; exit status 1 if it is not reached."
 )
-@click.option("--extractor", metavar="IMAGE/CLOUD", help="The two extractors (default: p2ornet/rings).")
+@click.option(
+    "--extractor",
+    metavar="IMAGE/CLOUD",
+    shell_complete=complete_extractors,
+    help="The two extractors (default: p2ornet/rings).",
+)
 @click.option("--perturb", metavar='"2deg 0.15m"', help="Error of the initial guess against the ground truth.")
 @pose_options
-@click.option("--set", "settings", multiple=True, metavar="STAGE.FIELD=VALUE", help="An option.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="STAGE.FIELD=VALUE",
+    shell_complete=complete_settings,
+    help="An option.",
+)
+@json_option
 @plugin_options
 def command(
     data: str,
@@ -86,7 +99,7 @@ def command(
     if as_json:
         plain = [_plain(step, by_name[step.name][0]) for step in steps]
         report = {"frames": spec, "steps": plain, "enough": enough, "open": still, "why": why}
-        click.echo(json.dumps({**report, "looked_at": len(evaluated), "of": total}, allow_nan=False))
+        print_json({**report, "looked_at": len(evaluated), "of": total})
         return 0 if enough is not False else 1
     click.echo(f"{len(evaluated)} of {total} frames evaluated; predicted errors (67 %) after each:")
     for step in steps:

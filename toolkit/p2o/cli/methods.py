@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from p2o.cli.completion import complete_methods
 from p2o.cli.plugin_options import load, plugin_options
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ _PIPELINE = "pipeline"
 
 
 @click.command("methods")
-@click.argument("name", required=False)
+@click.argument("name", required=False, shell_complete=complete_methods(published=True))
 @click.option("--matrix", is_flag=True, help="Show which extractors, matchers and solvers are compatible.")
 @plugin_options
 def command(name: str | None, matrix: bool, plugin: tuple[str, ...], block: tuple[str, ...]) -> int:

@@ -8,11 +8,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from p2o.draw.run_page import IN_ROOT, PAGE, RESULT, ROUNDS, RUN, run_page
 from p2o.errors import InputError
 from p2o.files.input_file import expanded
 from p2o.files.whole_file import make_writable, write_errors, write_json, write_whole
-from p2o.frames.scale import camera_at_scale, image_at_scale
+from p2o.frames.scale import image_at_scale
 from p2o.results.result import Status
 
 if TYPE_CHECKING:
@@ -164,11 +166,11 @@ class _Drawn:
         if view is None or not (len(view.image_edges) or len(view.cloud_edges)):
             return overlay.draw_cloud(self.frame.image.rgb, self.seen.cloud, self.camera, self.pose)
         view = view.as_seen_from(self.pose)
-        small, camera = image_at_scale(self.frame.image).rgb, camera_at_scale(self.camera)
-        if small.shape[1::-1] != (camera.width, camera.height):
-            # A corrected focal length may cross the limit of downsampling.
-            camera = camera.resized(*small.shape[1::-1])
-        return overlay.draw(small, view.image_edges, view.cloud_edges, camera, self.pose)
+        small, full = image_at_scale(self.frame.image).camera, self.frame.image.camera
+        size = np.array([full.width / small.width, full.height / small.height])
+        edges = replace(view.image_edges, uv=(view.image_edges.uv + 0.5) * size - 0.5)
+        rgb = self.frame.image.rgb
+        return overlay.draw(rgb, edges, view.cloud_edges, self.camera, self.pose, size=float(size.mean()))
 
 
 def _write_errors(folder: Path) -> AbstractContextManager[None]:

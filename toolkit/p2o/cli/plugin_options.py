@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from p2o.cli.completion import complete_data
+
 if TYPE_CHECKING:
     from p2o.host.registry import Registry
 
@@ -47,7 +49,7 @@ def data_argument(text: str, default: str | None = None) -> Callable[[Callable[.
                 raise click.UsageError(f"Missing argument '{DATA}'")
             return command(data=data or default or None, **words)
 
-        option = click.option("--data", "data_option", metavar=DATA, help=text)(with_data)
-        return click.argument("data_argument", required=False, metavar=DATA)(option)
+        option = click.option("--data", "data_option", metavar=DATA, shell_complete=complete_data, help=text)(with_data)
+        return click.argument("data_argument", required=False, metavar=DATA, shell_complete=complete_data)(option)
 
     return decorate

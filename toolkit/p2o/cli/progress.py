@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 
 from p2o.errors import printable
+from p2o.runtime.stages import reported_stages
 
 LINE_INTERVAL_S = 5.0
 """Interval of progress lines if stderr is no terminal."""
@@ -32,18 +33,26 @@ def status_line(initial: str, *, quiet: bool = False) -> Iterator[Callable[[str]
 
 @contextlib.contextmanager
 def long_work(show: Callable[[str], None], rest: str = "") -> Iterator[Callable[[str], None]]:
-    """Yield a function that names the current piece of work, whose duration is shown if it takes long.
+    """Yield a function that names the current piece of work, whose stage and duration are shown if it takes long.
 
-    On a terminal the duration is part of the status line, written by `show`. Elsewhere a line is written to stderr
-    after 20 s, and again after twice that time, at least every 5 min. `rest` ends the lines.
+    On a terminal they are part of the status line, written by `show`. Elsewhere a line is written to stderr after 20 s,
+    and again after twice that time, at least every 5 min. `rest` ends the lines. The stages are those that the work
+    reports (`p2o.runtime.stages`).
     """
     changed, ended = threading.Event(), threading.Event()
-    name, terminal = [""], sys.stderr.isatty()
+    name, stage, terminal = [""], [""], sys.stderr.isatty()
+
+    def text() -> str:
+        return ": ".join(filter(None, (name[0], stage[0])))
 
     def work(text: str) -> None:
-        name[0] = text
+        name[0], stage[0] = text, ""
         show(text)
         changed.set()
+
+    def on_stage(now: str) -> None:
+        stage[0] = now
+        show(text())
 
     def watch() -> None:
         since, pause = time.monotonic(), LONG_WORK_S
@@ -53,7 +62,7 @@ def long_work(show: Callable[[str], None], rest: str = "") -> Iterator[Callable[
                 since, pause = time.monotonic(), LONG_WORK_S
                 continue
             took = time.monotonic() - since
-            line = f"{name[0]}, for {duration_text(took)}{rest}"
+            line = f"{text()}, for {duration_text(took)}{rest}"
             if terminal:
                 show(line)
             elif name[0]:
@@ -63,7 +72,8 @@ def long_work(show: Callable[[str], None], rest: str = "") -> Iterator[Callable[
     thread = threading.Thread(target=watch, name="p2o-progress", daemon=True)
     thread.start()
     try:
-        yield work
+        with reported_stages(on_stage):
+            yield work
     finally:
         ended.set()
         changed.set()

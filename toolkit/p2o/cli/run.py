@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,6 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from p2o.cli.completion import (
+    complete_exports,
+    complete_extractors,
+    complete_methods,
+    complete_protocols,
+    complete_settings,
+)
+from p2o.cli.json_output import json_option, print_json
 from p2o.cli.plugin_options import data_argument, load, plugin_options
 from p2o.cli.pose_options import StartCommand
 from p2o.cli.progress import long_work, status_line
@@ -37,20 +43,52 @@ if TYPE_CHECKING:
     "--recipe",
     "method",
     metavar="NAME",
+    shell_complete=complete_methods("calibrator", "matcher", published=True),
     help="A published method, calibrator or matcher with all its parts (`p2o methods`); other options override them.",
 )
-@click.option("--extractor", metavar="IMAGE/CLOUD", help="The two extractors (default: p2ornet/rings).")
-@click.option("--matcher", metavar="NAME", help="The matcher (default: ogm).")
-@click.option("--solver", metavar="NAME", help="The solver (default: lm).")
-@click.option("--init", metavar="NAME", help="The initializer, which proposes poses (default: search).")
-@click.option("--calibrator", metavar="NAME", help="A complete method instead of extractor, matcher, solver and init.")
 @click.option(
-    "--set", "settings", multiple=True, metavar="STAGE.FIELD=VALUE", help="An option (`p2o methods NAME` lists them)."
+    "--extractor",
+    metavar="IMAGE/CLOUD",
+    shell_complete=complete_extractors,
+    help="The two extractors (default: p2ornet/rings).",
 )
-@click.option("--accumulate", metavar="NAME", help="Accumulate sweeps of a sequence with this method.")
+@click.option(
+    "--matcher",
+    metavar="NAME",
+    shell_complete=complete_methods("matcher"),
+    help="The matcher (default: ogm).",
+)
+@click.option("--solver", metavar="NAME", shell_complete=complete_methods("solver"), help="The solver (default: lm).")
+@click.option(
+    "--init",
+    metavar="NAME",
+    shell_complete=complete_methods("initializer"),
+    help="The initializer, which proposes poses (default: search).",
+)
+@click.option(
+    "--calibrator",
+    metavar="NAME",
+    shell_complete=complete_methods("calibrator"),
+    help="A complete method instead of extractor, matcher, solver and init.",
+)
+@click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="STAGE.FIELD=VALUE",
+    shell_complete=complete_settings,
+    help="An option (`p2o methods NAME` lists them).",
+)
+@click.option(
+    "--accumulate",
+    metavar="NAME",
+    shell_complete=complete_methods("accumulator"),
+    help="Accumulate sweeps of a sequence with this method.",
+)
 @click.option(
     "--witness",
     metavar="IMAGE/CLOUD",
+    shell_complete=complete_extractors,
     help="Extractors for an independent check of methods that use no directed edges (default: p2ornet/rings; none).",
 )
 @click.option(
@@ -69,7 +107,12 @@ if TYPE_CHECKING:
     metavar='"2deg 0.1m"',
     help="Standard deviation of the initial guess per axis: then a prior of the result (default: unknown).",
 )
-@click.option("--protocol", metavar="NAME", help="Draw initial guesses and report errors as in a publication.")
+@click.option(
+    "--protocol",
+    metavar="NAME",
+    shell_complete=complete_protocols,
+    help="Draw initial guesses and report errors as in a publication.",
+)
 @click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Seed of all random numbers (default: 0).")
 @click.option("--joint", is_flag=True, default=None, help="Calibrate all frames jointly, with one result.")
 @click.option(
@@ -85,14 +128,22 @@ if TYPE_CHECKING:
     metavar='"[trusted] [0.3deg 0.1m]"',
     help="Exit status 1 unless every result is trusted and, with a size, its predicted error is at most this.",
 )
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else on stdout.")
+@json_option
+@click.option("--verbose", "-v", is_flag=True, help="Print every figure of each result.")
 @click.option(
     "--out",
     type=click.Path(),
     metavar="DIR",
     help="Folder of a page (result.html), result JSON, overlays and convergence plots.",
 )
-@click.option("--export", "exports", multiple=True, metavar="NAME:PATH", help="Write a trusted result to a file.")
+@click.option(
+    "--export",
+    "exports",
+    multiple=True,
+    metavar="NAME:PATH",
+    shell_complete=complete_exports,
+    help="Write a trusted result to a file.",
+)
 @click.option("--export-anyway", is_flag=True, help="Export doubtful and ambiguous results, too.")
 @click.option(
     "--isolate",
@@ -104,6 +155,7 @@ def command(
     settings: tuple[str, ...],
     require: str | None,
     as_json: bool,
+    verbose: bool,
     out: str | None,
     exports: tuple[str, ...],
     export_anyway: bool,
@@ -122,38 +174,36 @@ def command(
     p2o run folder:PATH --rig rig.yaml
     p2o run folder:PATH --start roughly "x forward, z up; camera looks 45 deg left"
 
+    At most eight lines are printed about a result, with --verbose every figure.
+
     For several results, PATH of --export contains {frame}, or {camera} with --rig. A result that is not trusted or does
     not meet --require is not exported, except as json, which stores the verdict. Exit status 1 if a result was not
     exported, a calibration was refused (see its status) or does not meet --require: without --require trusted, doubtful
     and ambiguous results count as solved. Exit status 2 if a frame cannot be read; it is listed with the reason.
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
-    stdout = sys.stdout
-    # With --json, stdout is reserved for the object: output of plugins is redirected.
-    with contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext():
-        registry, required = load(plugin, block), None if require is None else Required.of(require)
-        protocol = words.get("protocol")
-        plan = _plan(words, settings, registry)
-        folder: OutDir | None = None
-        if out is not None:
-            # Imported here, because drawing needs packages that are slow to import.
-            from p2o.cli.out_dir import OutDir
+    registry, required = load(plugin, block), None if require is None else Required.of(require)
+    protocol = words.get("protocol")
+    plan = _plan(words, settings, registry)
+    folder: OutDir | None = None
+    if out is not None:
+        # Imported here, because drawing needs packages that are slow to import.
+        from p2o.cli.out_dir import OutDir
 
-            folder = OutDir.prepared(out)
-        write = (lambda text: None) if as_json else stdout.write
-        opened = [Export.of(text, registry) for text in exports]
-        output = _Output(write, plan.recipe.joint, folder, opened, required, export_anyway)
-        done, problem = _calibrated(plan, output, protocol, (block, plugin) if isolate else None)
-        page: Path | None = None
-        if output.folder is not None:
-            try:
-                if done.rig is not None:
-                    output.folder.write_common(output.cameras, done.rig)
-                page = output.folder.finish(done)
-            except P2OError as error:
-                problem = problem or error
+        folder = OutDir.prepared(out)
+    write = (lambda text: None) if as_json else click.echo
+    opened = [Export.of(text, registry) for text in exports]
+    output = _Output(write, verbose, plan.recipe.joint, folder, opened, required, export_anyway)
+    done, problem = _calibrated(plan, output, protocol, (block, plugin) if isolate else None)
+    page: Path | None = None
+    if output.folder is not None:
+        try:
+            if done.rig is not None:
+                output.folder.write_common(output.cameras, done.rig)
+            page = output.folder.finish(done)
+        except P2OError as error:
+            problem = problem or error
     if as_json:
-        shown = done.as_dict() | ({"exports": output.exported} if exports else {})
-        stdout.write(json.dumps(shown, allow_nan=False) + "\n")
+        print_json(done.as_dict() | ({"exports": output.exported} if exports else {}))
     else:
         output.summarise(done, page)
     if done.interrupted:
@@ -201,6 +251,7 @@ class _Output:
     """
 
     write: Callable[[str], object]
+    verbose: bool
     joint: bool
     folder: OutDir | None
     exports: list[Export]
@@ -226,15 +277,17 @@ class _Output:
 
     def add(self, progress: Progress) -> None:
         """Print and write a result or a failed frame."""
-        from p2o.cli.summary import describe, describe_failed
+        from p2o.cli.summary import MOST_LINES, describe, describe_briefly, describe_failed
 
         if progress.failed is not None:
             self.failed.append(progress.failed)
-            self.write(describe_failed(progress.failed) + "\n")
+            self.write(describe_failed(progress.failed))
         elif progress.row is not None:
             # Printed first, so that a result is not lost if the disk is full.
             self.rows.append(progress.row)
-            self.write(describe(progress.row) + "\n")
+            others = len(self.exports) + (self.folder is not None)
+            row = progress.row
+            self.write(describe(row) if self.verbose else describe_briefly(row, MOST_LINES - others))
             if self.folder is not None:
                 self.folder.write(progress)
                 self.cameras += [progress] if progress.camera else []
@@ -249,7 +302,7 @@ class _Output:
             click.echo(printable(f"p2o: not exported: {file}: {reason}"), err=True)
         else:
             export.write(result, name)
-            self.write(printable(f"wrote {file} ({form}, {trust})") + "\n")
+            self.write(printable(f"wrote {file} ({form}, {trust})"))
         written = {"frame": name, "form": form, "path": file, "trust": trust, "written": not reason}
         self.exported.append({**written, "reason": reason})
 
@@ -269,11 +322,11 @@ class _Output:
         from p2o.cli.summary import describe_rig, describe_run
 
         if len(run.rows) + len(run.failed) > 1 or run.protocol is not None:
-            self.write(describe_run(run) + "\n")
+            self.write(describe_run(run))
         if run.rig is not None:
-            self.write(describe_rig(run.rig, run.rig_errors) + "\n")
+            self.write(describe_rig(run.rig, run.rig_errors))
         if self.folder is not None and page is not None:
-            self.write(f"wrote {page} (open it in a browser), {self.folder.content_text()}\n")
+            self.write(f"wrote {page} (open it in a browser), {self.folder.content_text()}")
 
 
 _SLOW = ("matcher", "solver", "calibrator")
@@ -304,6 +357,7 @@ def _calibrated(
             output.add(progress)
 
         try:
+            work("reading the data")
             calls: dict[str, Any] = {} if apart is None else {"calibration": apart, "rig_calibration": apart.rig}
             common = run(plan, on_progress=on_progress, on_names=output.plan_files, **calls).rig
         except KeyboardInterrupt:

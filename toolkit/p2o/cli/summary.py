@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 from p2o.errors import printable
 from p2o.geometry.pose_error import AXES
-from p2o.results.figures import accuracy_text, result_lines, result_name, status_text
+from p2o.results.advice import next_steps
+from p2o.results.figures import accuracy_text, result_lines, result_name, status_text, warnings_of
 from p2o.results.verdict import Trust
 from p2o.run.protocol import figures_text
 
@@ -18,6 +19,10 @@ if TYPE_CHECKING:
     from p2o.geometry.pose_error import PoseError
     from p2o.results.result import Result, RigResult
     from p2o.run.run import FailedFrame, Row, Run
+
+
+MOST_LINES = 8
+"""Lines about a result without --verbose."""
 
 
 def describe(row: Row) -> str:
@@ -32,6 +37,29 @@ def describe(row: Row) -> str:
     if row.start_error is not None and row.error is not None:
         lines += _errors(row.start_error, row.error)
     lines += [f"  {label:<9} {text}" for label, text in result_lines(result)]
+    return "\n".join(map(printable, lines))
+
+
+def describe_briefly(row: Row, most: int = MOST_LINES) -> str:
+    """Return at most eight lines about one result: verdict, pose, error, predicted error, remarks and next step.
+
+    The next step is left out if there would be more than `most` lines.
+    """
+    result, solved = row.result, row.result.status.solved
+    lines = [result_name(result, row.camera)]
+    if not solved:
+        lines.append(f"  {'status':<9} {status_text(result.status)}: {result.reason}")
+    lines += _verdict(result)
+    if solved:
+        lines += _pose("result", result.camera_from_lidar)
+        if row.start_error is not None and row.error is not None:
+            before, after = (f"{e.rotation_deg:.3f} deg {e.translation_m:.3f} m" for e in (row.start_error, row.error))
+            lines.append(f"  {'error':<9} {after} ({before} of the initial guess)")
+        lines.append(f"  {'predicted':<9} {accuracy_text(result.accuracy)}")
+    remarks = {"warning": "; ".join(warnings_of(result)), "weights": dict(result_lines(result)).get("weights", "")}
+    lines += [f"  {label:<9} {text}" for label, text in remarks.items() if text][: MOST_LINES - len(lines)]
+    if not result.verdict.trusted and len(lines) < most and (steps := next_steps(result)):
+        lines.append(f"  {'next':<9} {steps[0]}")
     return "\n".join(map(printable, lines))
 
 

@@ -19,9 +19,11 @@ _MIN_DEPTH_M = 0.1
 
 @dataclass(frozen=True, eq=False)
 class ErrorBudget:
-    """Components of the error of a pose: `pairs` (6, 6), the covariance of a left update in rad and m from the scatter
-    of pairs (`p2o.calibration.adjustment`), `beams` (6, 6) for a shift of the edges of a direction by their gap between
-    beams, `objects` (6, 6) for a shift by 1 m (`shift_covariance`), and `rings` (6,) as of `ring_gaps`. `cameras` (6, 6) is the covariance by unnoticed errors of the intrinsics, `absorbed` (6, 6) that by significant ones
+    """Components of the error of a pose, covariances (6, 6) of a left update in rad and m unless stated otherwise.
+
+    `pairs` is that of the scatter of pairs (`p2o.calibration.adjustment`). `beams` is for a common shift of the edges of
+    a direction by their gap between beams, `objects` for one by 1 m (`shift_covariance`), `rings` (6,) as of
+    `ring_gaps`. `cameras` is the covariance by unnoticed errors of the intrinsics, `absorbed` that by significant ones
     (`p2o.calibration.intrinsics`), of which no factor is needed. `views` is the number of different views. `intervals`
     states that the pose is that of the interval likelihood: another error model.
     """
@@ -99,9 +101,9 @@ def _object_covariance(problem: PointToLine, camera_from_lidar: Float) -> Float:
 def shift_covariance(problem: PointToLine, camera_from_lidar: Float, shift_px: Float) -> Float:
     """Return the covariance (6, 6) of a left update in rad and m for a common shift of the edges of a direction.
 
-    A shift of all edges of one direction by `shift_px` (K,) moves the pose by its least-squares solution; directions are
-    independent. Pairs without a direction are shifted sideways, and up or down. The position of an outline between two
-    beams is such a shift: it has the same error for all edges of one direction.
+    A shift of all edges of one direction by `shift_px` (K,) moves the pose by its least-squares solution; directions
+    are independent. Pairs without a direction are shifted sideways, and up or down. The position of an outline between
+    two beams is such a shift: it has the same error for all edges of one direction.
     """
     if not len(problem):
         return np.zeros((6, 6))
@@ -126,9 +128,9 @@ class ErrorModel(NamedTuple):
 
     `pairs` scales the standard deviation from the scatter of pairs, at an odds ratio of 10, and falls with the power
     `by_odds` of it. `beams` scales the deviation by a common shift of all edges, `rings` the error of half a gap
-    between beams (`ring_gaps`); `object_m` is the deviation of a common shift of all outlines of a direction. `view_deg` and `view_m` are the error of one view that pairs do not show (mismatches
-    of a scene), which falls with the root of the number of views; `floor_deg` and `floor_m` that of any number.
-    `rotation` and `translation` are the factors of the 67 % and 95 % bounds, in total and by axis; `axis` is the one
+    between beams (`ring_gaps`); `object_m` is the deviation of a common shift of all outlines of a direction.
+    `view_deg` and `view_m` are the error of one view that pairs do not show (mismatches of a scene), which falls with
+    the root of the number of views; `floor_deg` and `floor_m` that of any number. `rotation` and `translation` are the factors of the 67 % and 95 % bounds, in total and by axis; `axis` is the one
     that suits the errors of all axes together, for sums with other estimates. Where the strength of the agreement is
     below `strong`, the 95 % bounds are wider (`outlier_inflation`).
     """

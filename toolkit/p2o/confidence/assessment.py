@@ -57,7 +57,9 @@ def assess(
     not cost less than the initial extrinsic is refused.
     """
     final, start, end, judge = estimate.final, estimate.start, estimate.final.end, estimate.refined.judge
-    rival = rival_of([*estimate.refined.solved, *estimate.refined.rivals], estimate.refined.best, judge)
+    # Where the camera was corrected, other poses that fit the given camera better are no rivals.
+    best = (end, final.judge) if final.cameras_corrected else (estimate.refined.best, judge)
+    rival = rival_of([*estimate.refined.solved, *estimate.refined.rivals], *best)
     judged = judged_of(estimate, end.pose)
     if not judged.estimate < judged.start:
         return replace(refused(views, start, Status.NO_IMPROVEMENT, _no_improvement(judged), end.rounds), judged=judged)
@@ -198,7 +200,7 @@ def _no_improvement(judged: Judged) -> str:
     what = "the directed edge distance" if judged.unit == "px" else "the cost"
     unit = f" {judged.unit}" if judged.unit == "px" else ""
     costs = f"({judged.estimate:.3f}{unit} against {judged.start:.3f}{unit})"
-    return f"{what} did not fall below that of the start {costs}: the start is returned"
+    return f"{what} did not fall below that of the initial guess {costs}, which is returned"
 
 
 _LITTLE_DEG, _LITTLE_M = 0.3, 0.1
@@ -239,6 +241,6 @@ def _position_doubts(result: Result, views: Sequence[View], algorithm: Algorithm
     step = pose_error(result.camera_from_lidar, check.estimate)
     if step.rotation_deg <= _LITTLE_DEG and step.translation_m <= _LITTLE_M:
         return []
-    distance = f"{step.rotation_deg:.2f} deg and {step.translation_m:.2f} m from here"
-    text = f"edges that had no part in it put the pose {distance}: it is {check.reason}"
+    distance = f"{step.rotation_deg:.2f} deg and {step.translation_m:.2f} m"
+    text = f"edges of the independent check put the pose at a distance of {distance}: the result is {check.reason}"
     return [Reason(Doubt.LED_AWAY, text)]

@@ -24,6 +24,7 @@ from p2o.confidence.accuracy import (
 )
 from p2o.confidence.explanation import Explanation, explanations, single_axis_pose
 from p2o.confidence.fusion import OWN_SHARE
+from p2o.confidence.verdict import little_agreement
 from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.geometry.pose_error import is_distinct, pose_error
@@ -293,12 +294,8 @@ def audit(evidence: Evidence, options: PipelineOptions, rates: Rates) -> Check:
         return undecided
     met = step.agreement
     if met.odds_ratio < options.min_odds_ratio or met.strength < options.min_strength:
-        text = (
-            f"image and LiDAR edges meet in too few places, or little more often than under random alignment (odds "
-            f"ratio {met.odds_ratio:.1f}, strength {met.strength:.1f}; {options.min_odds_ratio:g} and "
-            f"{options.min_strength:g} are needed): take more frames"
-        )
-        return replace(undecided, reason=text, agreement=met)
+        text = little_agreement(met, options)
+        return replace(undecided, reason=f"{text}; take more frames", agreement=met)
     return _decided(undecided, evidence.led_away, step, rates)
 
 
@@ -342,22 +339,22 @@ def _in_all(
 ) -> tuple[CheckStatus, str]:
     """Return the status of all axes together, and the reason; `possible` are the explanations of an error, if any."""
     if possible:
-        searched = "; a search found edges to meet far better there" if far else ""
+        searched = ", and a search found that edges agree far better there" if far else ""
         if len(possible) > _MOST_ALTERNATIVES or not (
             len(possible) > 1 or any(a.holding is CheckStatus.OFF for a in axes)
         ):
-            return CheckStatus.OFF, "off, but these frames do not tell on which axis" + searched
+            return CheckStatus.OFF, "off, on axes that cannot be distinguished on these frames" + searched
         amounts = [", ".join(map(_amount, each.axes, each.sizes.tolist())) for each in possible]
         which = ": not distinguishable on these frames" if len(possible) > 1 else ""
         return CheckStatus.OFF, "off by about " + " or ".join(amounts) + which + searched
     unclear = [a for a, is_doubtful in zip(axes, doubtful, strict=True) if is_doubtful]
     if unclear:
         text = ", ".join(f"{a.axis} differs by {abs((a.off or 0) / (a.sigma or 1)):.1f} sigma" for a in unclear)
-        return CheckStatus.CANNOT_TELL, f"{text}: too much to hold, too little to be off; take more frames"
+        return CheckStatus.CANNOT_TELL, f"{text}, too much for holds and too little for off; take more frames"
     undecided = [a for a in axes if a.holding is CheckStatus.CANNOT_TELL]
     if undecided:
         names = ", ".join(a.axis for a in undecided)
-        return CheckStatus.CANNOT_TELL, f"an error of {names} as large as asked might go unnoticed: take more frames"
+        return CheckStatus.CANNOT_TELL, f"an error of {names} at the limit may not be detected; take more frames"
     return CheckStatus.HOLDS, "no axis is off by more than its limit"
 
 

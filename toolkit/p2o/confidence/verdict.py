@@ -60,11 +60,13 @@ def verdict_of(
     reasons = [*_rival_doubts(rival, options.min_lead_edges), *agreement_doubts(agreed, options)]
     reasons += accuracy_doubts(accuracy, options)
     if places is not None and places < min_places:
-        text = f"pairs come from only {places} places of the image, too few to predict the error; take more frames"
-        reasons.append(Reason(Doubt.TOO_FEW_PLACES, f"{text} jointly"))
+        text = (
+            f"the pairs are in only {places} independent cells of the image, and a predicted error needs {min_places}"
+        )
+        reasons.append(Reason(Doubt.TOO_FEW_PLACES, text))
     if box is not None:
         text = f"the pose is outside the searched box, {box.text} around the initial guess"
-        reasons.append(Reason(Doubt.OUTSIDE_BOX, f"{text}; enlarge the box if the guess may be that far off"))
+        reasons.append(Reason(Doubt.OUTSIDE_BOX, text))
     return Verdict((*reasons, *filter(None, map(camera_doubt, cameras))))
 
 
@@ -72,36 +74,43 @@ def _rival_doubts(rival: Rival | None, min_lead_edges: float) -> list[Reason]:
     """Return a reason for doubt where another pose fits as well; only leads in edges have a bound."""
     if rival is None or rival.unit != "edges" or rival.lead >= min_lead_edges:
         return []
-    away = f"{rival.rotation_deg:.2f} deg and {rival.translation_m:.2f} m away"
-    text = f"another pose, {away}, fits as well but for {rival.lead:.1f} edges; take more frames jointly, or a nearer"
-    return [Reason(Doubt.RIVAL_POSE, f"{text} start")]
+    fewer = f"{rival.lead:.1f}"
+    edges = "no fewer edges" if float(fewer) <= 0 else f"only {fewer} fewer edges"
+    distance = f"{rival.rotation_deg:.2f} deg and {rival.translation_m:.2f} m"
+    return [Reason(Doubt.RIVAL_POSE, f"another pose at a distance of {distance} matches {edges}")]
 
 
 def agreement_doubts(agreed: Agreement | None, options: PipelineOptions) -> list[Reason]:
     """Return a reason for doubt where edges agree little more than under random alignment, or there are none."""
     if agreed is None:
-        text = "nothing could check that image and sweep meet at this pose: there are no edges of both sensors"
+        text = "no independent check of this pose was possible, because there are no edges of both sensors"
         return [Reason(Doubt.NOT_CHECKED, text)]
     if agreed.odds_ratio >= options.min_odds_ratio and agreed.strength >= options.min_strength:
         return _direction_doubts(agreed, options)
-    text = (
-        f"image and LiDAR edges meet little more often than under random alignment, or in too few places (odds ratio "
-        f"{agreed.odds_ratio:.1f} in {agreed.places} places, strength {agreed.strength:.1f}; "
-        f"{options.min_odds_ratio:g} and {options.min_strength:g} or more are usual at a right pose); look at the "
-        "overlay, check that image and sweep belong to the same moment, or take more frames jointly"
+    return [Reason(Doubt.LITTLE_AGREEMENT, little_agreement(agreed, options))]
+
+
+def little_agreement(agreed: Agreement, options: PipelineOptions) -> str:
+    """Return the sentence about edges that agree little more often than under random alignment, or in few cells."""
+    if not agreed.points:
+        return "no LiDAR edge is inside the image at this pose"
+    return (
+        f"edges of image and LiDAR agree little more often than under random alignment: odds ratio "
+        f"{agreed.odds_ratio:.1f} and evidence {agreed.strength:.1f} in {agreed.places} independent cells, where a "
+        f"correct pose has at least {options.min_odds_ratio:g} and {options.min_strength:g}"
     )
-    return [Reason(Doubt.LITTLE_AGREEMENT, text)]
 
 
 def accuracy_doubts(accuracy: Accuracy | None, options: PipelineOptions) -> list[Reason]:
     """Return a reason for doubt where the 95 % bound of the predicted error exceeds the limits of the options."""
     if accuracy is None:
         return []
-    if accuracy.rotation_deg_95 <= options.most_deg and accuracy.translation_m_95 <= options.most_m:
-        return []
-    may = f"{accuracy.rotation_deg_95:.2f} deg or {accuracy.translation_m_95:.2f} m"
-    text = f"one of twenty such results is {may} off, or more; take more frames jointly"
-    return [Reason(Doubt.TOO_UNSURE, text)]
+    bounds = (
+        (accuracy.rotation_deg_95, options.most_deg, "deg"),
+        (accuracy.translation_m_95, options.most_m, "m"),
+    )
+    wide = [f"{value:.2f} {unit} exceeds {most:g} {unit}" for value, most, unit in bounds if value > most]
+    return [Reason(Doubt.TOO_UNSURE, f"the predicted error (95 %) of {' and of '.join(wide)}")] if wide else []
 
 
 _SIDE_WORDS = {"L": "left", "R": "right", "U": "above", "B": "below"}
@@ -113,9 +122,9 @@ def _direction_doubts(agreed: Agreement, options: PipelineOptions) -> list[Reaso
         return []
     side = _SIDE_WORDS[agreed.least_side]
     text = (
-        f"LiDAR edges with the background {side} meet image edges little more often than under random alignment (odds "
-        f"ratio {agreed.least_odds:.1f}; {options.min_side_odds:g} or more is usual), those of other directions do; "
-        "check the axes of the sweep and the intrinsics, and look at the overlay"
+        f"LiDAR edges with the background {side}, unlike those of other directions, agree with image edges little more "
+        f"often than under random alignment: odds ratio {agreed.least_odds:.1f}, where a correct pose has at least "
+        f"{options.min_side_odds:g}"
     )
     return [Reason(Doubt.LITTLE_AGREEMENT, text)]
 
@@ -194,6 +203,5 @@ def camera_doubt(check: CameraCheck) -> Reason | None:
     errors = ", ".join(f"{name} {values[name]}" for name in check.wrong)
     return Reason(
         Doubt.CAMERA,
-        f"the camera's intrinsics are in doubt: the edges fit {check.evidence:.1f} sigma better with another {errors}; "
-        "calibrate the intrinsics again, or correct them here with --set pipeline.camera=refine",
+        f"the camera's intrinsics are in doubt: the edges fit {check.evidence:.1f} sigma better with another {errors}",
     )

@@ -28,18 +28,27 @@ def part(name: str) -> str:
 
 
 def rendered(
-    template: str, *, style: str, scripts: Sequence[str] = (), script_files: bool = False, **values: Any
+    template: str,
+    *,
+    style: str,
+    scripts: Sequence[str] = (),
+    script_files: bool = False,
+    image_files: bool = False,
+    **values: Any,
 ) -> str:
     """Return the page of a template and a style sheet, PACKAGE/FILE each; only `scripts` may run.
 
-    With `script_files` these may load further scripts from the folder of the page, and from nowhere else.
+    With `script_files` these may load further scripts from the folder of the page, and from nowhere else; with
+    `image_files` the page may load images from there.
 
     The template extends "p2o.draw/shell.html"; `values` contain the `title` of the page. Texts are escaped, and their
     control characters written out.
     """
-    policy = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'; "
     # A file has no origin in all browsers: 'self' is that of a server, file: that of a page that is opened from disk.
-    policy += " ".join(["script-src", *map(_source_hash, scripts), *(["'self'", "file:"] if script_files else [])])
+    files = ("'self'", "file:")
+    images = " ".join(["img-src", "data:", "blob:", *(files if image_files else ())])
+    policy = f"default-src 'none'; {images}; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'; "
+    policy += " ".join(["script-src", *map(_source_hash, scripts), *(files if script_files else ())])
     css = part("p2o.draw/shell.css") + part(style)
     own = {"policy": Markup(policy), "style": Markup(css), "scripts": [Markup(script) for script in scripts]}
     return _templates().get_template(template).render(values, **own)  # type: ignore[no-any-return]
@@ -86,8 +95,20 @@ def jpeg_uri(image: UInt8) -> str:
         size = (max(1, round(width * WIDEST_PX / longest)), max(1, round(height * WIDEST_PX / longest)))
         image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
     _, data = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    return _data_uri("jpeg", data)
+
+
+def webp_uri(image: UInt8) -> str:
+    """Return an image (H, W, 3) of at most 16383 px per side as a data URI of WebP, at its full size."""
+    import cv2
+
+    _, data = cv2.imencode(".webp", image[..., ::-1], [cv2.IMWRITE_WEBP_QUALITY, _QUALITY])
+    return _data_uri("webp", data)
+
+
+def _data_uri(kind: str, data: UInt8) -> str:
     # Base64 needs no escapes.
-    return Markup("data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode())
+    return Markup(f"data:image/{kind};base64,") + Markup(base64.b64encode(data.tobytes()).decode())
 
 
 def _source_hash(script: str) -> str:

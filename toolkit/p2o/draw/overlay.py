@@ -50,8 +50,11 @@ def draw(
     camera_from_lidar: Float,
     *,
     legend: bool = True,
+    size: float = 1.0,
 ) -> UInt8:
     """Return (H, W, 3): image edges as pixels and LiDAR edges, projected at a pose (4, 4), as rings.
+
+    `size` enlarges both, for images of more pixels than the edges were extracted from.
 
     The opacity of image edges is their confidence. The colour is the direction (`COLOURS`). At a correct pose, rings
     have a line of the same colour through their centre. LiDAR edges outside of the image are left out.
@@ -59,11 +62,11 @@ def draw(
     Raises InputError if the image does not fit the camera.
     """
     canvas = dimmed(rgb, camera)
-    _stamp_faded(canvas, image_edges)
+    _stamp_faded(canvas, image_edges, max(1, math.ceil(size - 0.1)))
     uv = camera.project(se3.apply(camera_from_lidar, cloud_edges.xyz))
     seen = camera.in_image(uv)
     centre, colours = np.rint(uv[seen]).astype(np.int64), _colours(cloud_edges.side[seen], CLOUD_NONE)
-    stamp(canvas, centre, _ring(_RADIUS_PX), colours)
+    stamp(canvas, centre, _ring(_RADIUS_PX * size, max(1.0, size)), colours)
     if legend:
         _write_legend(canvas)
     return canvas
@@ -154,11 +157,11 @@ def _colours(side: Int8, none: tuple[int, int, int]) -> UInt8:
     return np.asarray(table[side])
 
 
-def _ring(radius_px: float) -> Int:
+def _ring(radius_px: float, line_px: float = 1.0) -> Int:
     """Return the pixel offsets (K, 2) of a circle."""
-    reach = int(np.ceil(radius_px))
+    reach = int(np.ceil(radius_px + line_px / 2))
     offset = np.stack(np.meshgrid(np.arange(-reach, reach + 1), np.arange(-reach, reach + 1)), -1).reshape(-1, 2)
-    return np.asarray(offset[np.abs(np.hypot(*offset.T) - radius_px) < 0.5])
+    return np.asarray(offset[np.abs(np.hypot(*offset.T) - radius_px) < line_px / 2])
 
 
 def stamp(canvas: UInt8, centre: Int, offsets: Int, colours: UInt8) -> None:
@@ -170,10 +173,11 @@ def stamp(canvas: UInt8, centre: Int, offsets: Int, colours: UInt8) -> None:
     canvas[v[inside], u[inside]] = colours[rows]
 
 
-def _stamp_faded(canvas: UInt8, edges: ImageEdges) -> None:
-    """Paint image edges as pixels with their confidence as opacity; at one pixel the most confident edge wins."""
-    order = np.argsort(edges.weight, kind="stable")
-    u, v = np.rint(edges.uv[order]).astype(np.int64).T
+def _stamp_faded(canvas: UInt8, edges: ImageEdges, side_px: int) -> None:
+    """Paint image edges as squares with their confidence as opacity; at one pixel the most confident edge wins."""
+    order = np.repeat(np.argsort(edges.weight, kind="stable"), side_px**2)
+    square = np.stack(np.meshgrid(np.arange(side_px), np.arange(side_px)), -1).reshape(-1, 2) - (side_px - 1) // 2
+    u, v = (np.rint(edges.uv[order]).astype(np.int64) + np.tile(square, (len(edges), 1))).T
     inside = (u >= 0) & (v >= 0) & (u < canvas.shape[1]) & (v < canvas.shape[0])
     u, v, order = u[inside], v[inside], order[inside]
     strength = np.clip(edges.weight[order], 0, 1)[:, None]

@@ -6,19 +6,21 @@ It is made from the folder of `p2o run --out`, run.json and the overlays in it, 
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 
 from p2o.arrays import Float, UInt8
 from p2o.calibration_files.number_text import digits, listed, matrix_rows, plain, quaternion_xyzw, spaced
-from p2o.draw.one_file import jpeg_uri, number_text, part, rendered
+from p2o.draw.one_file import number_text, part, rendered, webp_uri
 from p2o.errors import InputError
 from p2o.files.file_names import distinct_names
-from p2o.files.input_file import MAX_TEXT_BYTES, read_bytes, read_text
+from p2o.files.input_file import MAX_TEXT_BYTES, read_bytes, read_start, read_text
 from p2o.files.parsed_text import parse_json
 from p2o.files.whole_file import write_errors, write_whole
 from p2o.geometry import se3
@@ -42,8 +44,9 @@ OVERLAYS = (
 """Files of a frame's folder, with "before" or "after" in the name, and what they show."""
 COMMON = "common.png"
 """The file with the edges of both sensors at the common result of a rig."""
-_MOST_FRAMES, _MOST_CHARS = 8, 24_000_000
-"""At most this number of frames is shown, and none once the overlays exceed this number of characters."""
+_MOST_FRAMES, _MOST_CHARS = 24, 2_500_000
+"""At most this number of frames is shown; overlays beyond this number of characters are files beside the page."""
+_PNG = b"\x89PNG\r\n\x1a\n"
 _MOST_PIXELS = 100_000_000
 _DECIMALS = 9
 """Decimals of poses on the page, in metres or as elements of rotations; result.json contains all digits."""
@@ -52,7 +55,7 @@ _ROS_KEYS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 @dataclass(frozen=True)
 class Pair:
-    """Two overlays `left` and `right` as data URIs, what they show, and of which poses (`ends`)."""
+    """Two overlays `left` and `right` as data URIs or paths, what they show, and of which poses (`ends`)."""
 
     what: str
     left: str
@@ -147,11 +150,15 @@ class Shown:
         return json.dumps(content, indent=1, ensure_ascii=False, default=str)
 
 
-def run_page(root: Path, run: Mapping[str, Any], folders: Mapping[str, str] | None = None) -> str:
+def run_page(
+    root: Path, run: Mapping[str, Any], folders: Mapping[str, str] | None = None, home: Path | None = None
+) -> str:
     """Return the page of a run, `run` being the object of its run.json; overlays are read from `root`.
 
-    `folders` are the names of the folders by frame (default: those that names of frames give). At most
-    8 frames are shown, the least trusted results first. Raises InputError for what is no object of `p2o run`.
+    `folders` are the names of the folders by frame (default: those that names of frames give), `home` is the folder of
+    the page (default: `root`). At most 24 frames are shown, the least trusted results first. Overlays have the full
+    size of the image; those that would make the page larger than 3 MB are loaded from their files, on demand. Raises
+    InputError for what is no object of `p2o run`.
     """
     shown, failed = _read(run)
     if folders is None:
@@ -160,12 +167,15 @@ def run_page(root: Path, run: Mapping[str, Any], folders: Mapping[str, str] | No
         names = list(dict.fromkeys([*cameras, *frames, *(frame for frame, _ in failed)]))
         folders = distinct_names(names, taken=IN_ROOT)
     rig = _rig(run["rig"]) if "rig" in run else None
-    _add_overlays(root, shown, folders, common=rig is not None and rig["body_from_lidar"] is not None)
+    common = rig is not None and rig["body_from_lidar"] is not None
+    files = _Files(root, root if home is None else home)
+    _add_overlays(files, shown, folders, common=common)
     title = shown[0].name if len(shown) == 1 else f"{len(shown)} calibrations"
     return rendered(
         "p2o.draw/run_page.html",
         style="p2o.draw/run_page.css",
         scripts=(part("p2o.draw/run_page.js"),),
+        image_files=files.referenced,
         title=f"{title}: p2o result",
         results=shown,
         failed=failed,
@@ -179,14 +189,14 @@ def run_page(root: Path, run: Mapping[str, Any], folders: Mapping[str, str] | No
     )
 
 
-def page_of_folder(root: Path) -> str:
-    """Return the page of a folder of `p2o run --out`; raises InputError for any other folder."""
+def page_of_folder(root: Path, home: Path | None = None) -> str:
+    """Return the page of a folder of `p2o run --out` for the folder `home`; raises InputError for any other folder."""
     path = root / RUN
     run = parse_json(read_text(path, "run"), "run", path)
     if not isinstance(run, Mapping):
         raise InputError("this is no object of p2o run", where=path, expected="results, failed, summary")
     try:
-        return run_page(root, run)
+        return run_page(root, run, home=home)
     except InputError as problem:
         raise InputError(f"the run cannot be shown: {problem.what}", where=path, got=problem.got) from problem
 
@@ -196,8 +206,8 @@ def write_page_of_folder(root: Path, out: Path | None = None) -> Path:
 
     Raises InputError as `page_of_folder`, and where it cannot be written.
     """
-    page = page_of_folder(root)
     home = root if out is None else out
+    page = page_of_folder(root, home)
     with write_errors("the page", home):
         home.mkdir(parents=True, exist_ok=True)
     write_whole(home / PAGE, page.encode())
@@ -225,51 +235,92 @@ def _error(value: Any) -> Mapping[str, Any] | None:
     return {**value, **(by_axis if isinstance(by_axis, Mapping) else {})}
 
 
-def _add_overlays(root: Path, shown: Sequence[Shown], folders: Mapping[str, str], *, common: bool) -> None:
+@dataclass(eq=False)
+class _Files:
+    """Overlays in the folder `root` as sources of images on a page in `home`: embedded up to a limit, then paths."""
+
+    root: Path
+    home: Path
+    embedded: int = 0
+    referenced: bool = False
+
+    def pair(self, pair: Pair) -> Pair:
+        """Return a pair of files as a pair of sources."""
+        paths = [self.root / name for name in (pair.left, pair.right)]
+        uris: list[str] = []
+        if self.embedded < _MOST_CHARS:
+            uris = [webp_uri(_image(path)) for path in paths]
+        size = sum(map(len, uris))
+        if not uris or self.embedded + size > _MOST_CHARS:
+            self.referenced = True
+            folder = Path(os.path.relpath(self.root, self.home))
+            uris = [quote((folder / name).as_posix()) for name in (pair.left, pair.right)]
+            size = 0
+        self.embedded += size
+        return replace(pair, left=uris[0], right=uris[1])
+
+
+def _add_overlays(files: _Files, shown: Sequence[Shown], folders: Mapping[str, str], *, common: bool) -> None:
     """Add the overlays of results: one frame of each result in turn, the least trusted result first.
 
-    With `common`, frames also have the overlay of the common result of the rig.
+    With `common`, frames also have the overlay of the common result of the rig. The edges of all frames are embedded
+    before the sweeps.
     """
     order = sorted(shown, key=lambda one: -list(Trust).index(one.result.verdict.trust))
     depth = max((len(one.result.frames) for one in shown), default=0)
-    turns = [(one, turn) for turn in range(depth) for one in order if turn < len(one.result.frames)]
-    drawn, size = 0, 0
-    for one, turn in turns:
-        if drawn == _MOST_FRAMES or size > _MOST_CHARS:
+    turns = [(one, one.result.frames[turn]) for turn in range(depth) for one in order if turn < len(one.result.frames)]
+    for one, frame in turns:
+        if sum(len(each.overlays) for each in shown) == _MOST_FRAMES:
             break
-        frame = one.result.frames[turn]
-        for overlays in _overlays(root / folders[frame], frame, common=common) if frame in folders else ():
-            one.overlays.append(overlays)
-            drawn, size = drawn + 1, size + sum(len(pair.left) + len(pair.right) for pair in overlays.pairs)
+        one.overlays.extend(_overlays(files.root, folders[frame], frame, common=common) if frame in folders else ())
+    drawn = [(one, number) for number in range(depth) for one in order if number < len(one.overlays)]
+    for what in dict.fromkeys(what for _, what in OVERLAYS):
+        for one, number in drawn:
+            overlays = one.overlays[number]
+            pairs = [files.pair(pair) if pair.what == what else pair for pair in overlays.pairs]
+            one.overlays[number] = replace(overlays, pairs=pairs)
 
 
-def _overlays(folder: Path, frame: str, *, common: bool) -> Iterator[FrameOverlays]:
-    """Yield the overlays in the folder of a frame, if there are any before and after."""
+def _overlays(root: Path, folder: str, frame: str, *, common: bool) -> Iterator[FrameOverlays]:
+    """Yield the overlays in the folder of a frame, if there are any before and after, as paths from `root`."""
     asked = [
         (what, [name.format(time) for time in ("before", "after")], ("before", "after")) for name, what in OVERLAYS
     ]
     asked[1:1] = [(OVERLAYS[0][1], ["after.png", COMMON], ("own result", "common result"))] if common else []
-    pairs, shapes = [], []
+    pairs: list[Pair] = []
+    sizes: list[tuple[int, int]] = []
     for what, names, ends in asked:
-        images = [_image(folder / name) for name in names if (folder / name).is_file()]
-        if len(images) == 2 and images[0].shape == images[1].shape:
-            pairs.append(Pair(what, jpeg_uri(images[0]), jpeg_uri(images[1]), ends))
-            shapes.append(images[0].shape)
+        paths = [f"{folder}/{name}" for name in names if (root / folder / name).is_file()]
+        size = {_size(root / path) for path in paths}
+        if len(paths) == 2 and len(size) == 1:
+            pairs.append(Pair(what, paths[0], paths[1], ends))
+            sizes += size
     if pairs:
-        height, width = shapes[0][:2]
+        width, height = sizes[0]
         yield FrameOverlays(frame, width, height, pairs)
+
+
+def _size(path: Path) -> tuple[int, int]:
+    """Return width and height of a PNG file in px."""
+    head = read_start(path, "overlay", 24)
+    width, height = (int.from_bytes(head[at : at + 4], "big") for at in (16, 20))
+    # A small PNG file may declare a huge image in its header.
+    if not (head.startswith(_PNG) and 0 < width * height <= _MOST_PIXELS):
+        raise _no_png(path)
+    return width, height
 
 
 def _image(path: Path) -> UInt8:
     import cv2
 
-    data = np.frombuffer(read_bytes(path, "overlay", MAX_TEXT_BYTES), np.uint8)
-    # A small PNG file may declare a huge image in its header.
-    width, height = (int.from_bytes(data[at : at + 4].tobytes(), "big") for at in (16, 20))
-    pixels = cv2.imdecode(data, cv2.IMREAD_COLOR) if 0 < width * height <= _MOST_PIXELS else None
+    pixels = cv2.imdecode(np.frombuffer(read_bytes(path, "overlay", MAX_TEXT_BYTES), np.uint8), cv2.IMREAD_COLOR)
     if pixels is None:
-        raise InputError("the overlay is not a PNG image", where=path, expected="a file that p2o run has written")
+        raise _no_png(path)
     return np.ascontiguousarray(pixels[..., ::-1])
+
+
+def _no_png(path: Path) -> InputError:
+    return InputError("the overlay is not a PNG image", where=path, expected="a file that p2o run has written")
 
 
 def _rig(rig: Mapping[str, Any]) -> dict[str, Any]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import difflib
 import os
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from itertools import islice, pairwise
 from pathlib import Path
 
 from p2o.errors import InputError
@@ -13,6 +15,8 @@ from p2o.errors import InputError
 MAX_BYTES = 4 << 30
 """Maximum size of a file, above that of sweeps and images: a sparse file could exhaust memory."""
 MAX_TEXT_BYTES = 64 << 20
+_MOST_NAMES, _LONGEST_NAME = 5000, 200
+"""Limits of the search for similar names, whose time grows with both."""
 
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
@@ -71,7 +75,7 @@ def _explained(path: Path, what: str) -> Iterator[None]:
     try:
         yield
     except FileNotFoundError as problem:
-        raise InputError(f"the {what} is missing", where=path, expected="a file") from problem
+        raise InputError(f"the {what} is missing", where=path, expected="a file", hint=nearest(path)) from problem
     except OSError as problem:
         raise InputError(f"the {what} cannot be read", where=path, got=problem.strerror or problem) from problem
     except ValueError as problem:  # a null byte in the name, or characters that file names cannot contain
@@ -116,13 +120,30 @@ def listing(folder: Path, what: str) -> list[Path]:
         raise InputError(text, where=folder, got=problem.strerror or problem) from problem
 
 
+def nearest(path: Path) -> str | None:
+    """Return "nearest: PATH" for a missing path: similar names in its deepest folder that exists; None without any."""
+    parts = [path, *path.parents]
+    for missing, folder in pairwise(parts):
+        if folder.is_dir():
+            with suppress(OSError):
+                names = [entry.name for entry in islice(os.scandir(folder), _MOST_NAMES)]
+                similar = difflib.get_close_matches(missing.name[:_LONGEST_NAME], names, n=2, cutoff=0.6)
+                return f"nearest: {', '.join(str(folder / name) for name in similar)}" if similar else None
+    return None
+
+
+def no_such_folder(path: Path, expected: str) -> InputError:
+    """Return the error about a missing folder, with the nearest that exists."""
+    return InputError("no such folder", where=path, expected=expected, hint=nearest(path))
+
+
 def existing_folder(root: Path, what: str) -> Path:
     """Return the folder with ~ expanded; raises InputError if it is missing or a file."""
     root = expanded(root)
     try:
         about = os.stat(root)
     except FileNotFoundError as problem:
-        raise InputError(f"the folder of {what} is missing", where=root, expected="a folder") from problem
+        raise no_such_folder(root, f"the folder of {what}") from problem
     except OSError as problem:
         raise InputError(f"the folder of {what} cannot be read", where=root, got=problem.strerror) from problem
     except ValueError as problem:

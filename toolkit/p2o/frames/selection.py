@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 from p2o.errors import InputError, UnknownNameError
@@ -14,7 +16,10 @@ from p2o.files.parsed_text import parse_json
 _INDEX = re.compile(r"-?\d{1,18}")
 _RANGE = re.compile(r"(\d{1,18})-(\d{1,18})")
 _SLICE = re.compile(r"(-?\d{1,18})?:(-?\d{1,18})?(?::(-?\d{1,18})?)?")
-_SYNTAX = "all, indices (0,3,-1), ranges (5-9, ends included), slices (10:20:2), names, or @splits.json#SPLIT"
+_SYNTAX = (
+    "all, indices (0,3,-1), ranges (5-9, ends included), slices (10:20:2), names, wildcards (*_0005*), or "
+    "@splits.json#SPLIT"
+)
 
 
 def select(
@@ -23,8 +28,9 @@ def select(
     """Return the indices of the selected frames, in the order of `spec`, without duplicates.
 
     `spec` is a list, separated by commas, of `all`; an index, negative from the end; a range `5-9` with both ends; a
-    Python slice `10:20:2`; a name or the unique end of one after a `/`; `@FILE.json#SPLIT`, a list of names in a JSON
-    file (`#SPLIT` is optional if the file is a list or has one split). Names have priority over indices, and numbers
+    Python slice `10:20:2`; a name or the unique end of one after a `/`; wildcards `*`, `?` and `[seq]` (`fnmatch`) for
+    names or their ends; `@FILE.json#SPLIT`, a list of names in a JSON file (`#SPLIT` is optional if the file is a list
+    or has one split). Names have priority over indices, and numbers
     with a leading zero are names. `where` is the place in errors; `skipped` maps names of frames that the dataset left
     out to the reason. Raises UnknownNameError for an unknown frame or split, InputError for indices out of range, wrong
     syntax, an ambiguous name, a JSON file that is missing or invalid, and split entries that the dataset lacks.
@@ -72,7 +78,7 @@ def _chosen(
         if step == 0:
             raise InputError(f"the slice '{word}' has step 0", where=where, expected=_SYNTAX)
         return range(len(names))[slice(start, stop, step)]
-    return [_named(names, word, where, skipped)]
+    return _named(names, word, where, skipped)
 
 
 def _checked(index: int, names: Sequence[str], where: object) -> int:
@@ -82,17 +88,29 @@ def _checked(index: int, names: Sequence[str], where: object) -> int:
     return index % len(names)
 
 
-def _named(names: Sequence[str], word: str, where: object, skipped: Mapping[str, str]) -> int:
+def _named(names: Sequence[str], word: str, where: object, skipped: Mapping[str, str]) -> Sequence[int]:
     tails = [index for index, name in enumerate(names) if name.endswith(f"/{word}")]
     if len(tails) == 1:
-        return tails[0]
+        return tails
+    if not tails and (matching := [index for index, name in enumerate(names) if _matches(name, word)]):
+        return matching
     if tails:
         got = " or ".join(names[index] for index in tails[:3])
         raise InputError(f"'{word}' is the end of {len(tails)} names", where=where, expected="a name", got=got)
     for name, reason in skipped.items():
-        if name == word or name.endswith(f"/{word}"):
+        if _matches(name, word):
             raise InputError(f"frame '{name}' is left out of the dataset", where=where, got=reason)
-    raise UnknownNameError("frame", word, names, where=where, hint=f"frames are selected by {_SYNTAX}")
+    letters = re.sub(r"[*?\[\]]", "", word)
+    hint = f"frames are selected by {_SYNTAX}"
+    if letters != word:
+        near = difflib.get_close_matches(letters[:200], names[:5000], n=3, cutoff=0.0)
+        raise InputError(f"no frame matches '{word}'", where=where, expected=f"nearest {', '.join(near)}", hint=hint)
+    raise UnknownNameError("frame", word, names, where=where, hint=hint)
+
+
+def _matches(name: str, word: str) -> bool:
+    """Return whether a word, in which wildcards are allowed, is a name or its end after a `/`."""
+    return name == word or name.endswith(f"/{word}") or fnmatchcase(name, word) or fnmatchcase(name, f"*/{word}")
 
 
 def _split(index_of: Mapping[str, int], word: str, where: object) -> list[int]:

@@ -10,6 +10,7 @@ import hashlib
 import importlib.util
 import os
 import re
+import signal
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -274,7 +275,7 @@ def _slug(name: str) -> str:
 
 def _one_line(problem: BaseException) -> str:
     text = one_line(problem, LONGEST)
-    return text if isinstance(problem, P2OError) else f"{type(problem).__name__}: {text}" if text else repr(problem)
+    return text if isinstance(problem, P2OError) else f"{type(problem).__name__}{': ' * bool(text)}{text}"
 
 
 def _repair_hint(source: _Source) -> str:
@@ -402,14 +403,19 @@ def watch(offer: Offer, doing: str) -> Iterator[None]:
             _reported(f"plugin {offer.dist}: {offer.kind} '{offer.name}' ended its process while {doing}"),
         ):
             yield
-    except (P2OError, KeyboardInterrupt):
+    except P2OError:
         raise
+    except KeyboardInterrupt as problem:
+        if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+            raise
+        # This process ignores Ctrl-C: the plugin has raised it.
+        raise _raised(offer, doing, problem) from problem
     except ModuleNotFoundError as problem:
         raise _unavailable(offer, problem) from problem
     except OSError as problem:
         if offer.kind in (Kind.DATASET, Kind.EXPORTER):
             text = f"{offer.kind} '{offer.name}' failed while {doing}"
-            raise InputError(text, where=problem.filename, got=problem.strerror or str(problem)) from problem
+            raise InputError(text, where=problem.filename, got=problem.strerror or one_line(problem)) from problem
         raise _raised(offer, doing, problem) from problem
     except BaseException as problem:
         raise _raised(offer, doing, problem) from problem
@@ -417,7 +423,11 @@ def watch(offer: Offer, doing: str) -> Iterator[None]:
 
 @contextmanager
 def _same_process() -> Iterator[None]:
-    """Restore working directory and recursion limit: paths that a user gives are relative to the directory."""
+    """Restore working directory and recursion limit: paths that a user gives are relative to the directory.
+
+    A process that a plugin has forked and that returns from the call ends here: it would repeat the rest of the work.
+    """
+    process = os.getpid()
     limit = sys.getrecursionlimit()
     try:
         folder = os.getcwd()
@@ -426,6 +436,9 @@ def _same_process() -> Iterator[None]:
     try:
         yield
     finally:
+        if os.getpid() != process:
+            os.write(2, b"p2o: warning: ended a process that a plugin had forked and that returned from its call\n")
+            os._exit(1)
         if sys.getrecursionlimit() != limit:
             sys.setrecursionlimit(limit)
         if folder and os.getcwd() != folder:
@@ -490,7 +503,7 @@ def requirements(dist: str, extra: str = "") -> list[Requirement]:
 
 def _raised(offer: Offer, doing: str, problem: BaseException) -> PluginError:
     text = f"plugin {offer.dist}: {offer.kind} '{offer.name}' raised {type(problem).__name__} while {doing}"
-    return PluginError(text, got=str(problem) or None, hint="P2O_DEBUG=1 shows where")
+    return PluginError(text, got=one_line(problem) or None, hint="P2O_DEBUG=1 shows where")
 
 
 def _unavailable(offer: Offer, problem: ModuleNotFoundError) -> P2OError:

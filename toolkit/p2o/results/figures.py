@@ -28,7 +28,8 @@ class Figure:
 
     `name` is its key in JSON and its column in stores, `kind` its type (float, int or str). Figures of one `label`
     share one line. `text` is the wording around the formatted number, `{}`, with other figures by name
-    (`{rival_unit}`), or empty. The number is multiplied by `scale`, formatted with `digits` (such as ".2f") and
+    (`{rival_unit}`), or empty; `below` is the wording of a negative number, without its sign. The number is multiplied
+    by `scale`, formatted with `digits` (such as ".2f") and
     followed by `unit`.
     """
 
@@ -40,16 +41,22 @@ class Figure:
     digits: str = ".2f"
     scale: float = 1.0
     kind: type = float
+    below: str = ""
 
     def worded(self, values: Mapping[str, Value]) -> str:
         """Return the wording of the figure, empty where the figure or another one in its text is unknown."""
         value = values.get(self.name)
         if value is None or not self.text:
             return ""
-        number = value if isinstance(value, str) else f"{self.scale * value:{self.digits}} {self.unit}".rstrip()
+        text, number = self.text, value
+        if not isinstance(value, str):
+            number = f"{self.scale * value:{self.digits}}"
+            if self.below and number.startswith("-"):
+                text, number = self.below, number[1:]
+            number = f"{number} {self.unit}".rstrip()
         known = {name: other for name, other in values.items() if other is not None}
         try:
-            return " ".join(self.text.format(number, **known).split())
+            return " ".join(text.format(number, **known).split())
         except KeyError:
             return ""
 
@@ -93,7 +100,14 @@ FIGURES: tuple[Figure, ...] = (
     Figure("moved_m", lambda result: se3.distance_m(_moved(result)), "moved", "{} from the initial guess", "m", ".3f"),
     Figure("cost_initial", _of("judged.start"), "cost", "{} {cost_unit} at the initial guess", digits=".4g"),
     Figure("cost_result", _of("judged.estimate"), "cost", "{} {cost_unit} at the result", digits=".4g"),
-    Figure("cost_excess_truth", _of("judged.excess_truth"), "cost", "{} {cost_unit} more at the truth", digits=".4g"),
+    Figure(
+        "cost_excess_truth",
+        _of("judged.excess_truth"),
+        "cost",
+        "{} {cost_unit} more at the truth",
+        digits=".4g",
+        below="{} {cost_unit} less at the truth",
+    ),
     Figure("cost_unit", _of("judged.unit"), "cost", "", kind=str),
     Figure("judge", _of("judged.judge"), "cost", "by {}", kind=str),
     Figure("near", _of("agreement.near"), _AGREED, "{} of LiDAR edges at an image edge", "%", ".0f", 100),
@@ -114,7 +128,14 @@ FIGURES: tuple[Figure, ...] = (
     Figure("prior_step_m", _of("start_weight.step_m"), _PRIOR, "{}", "m", ".3f"),
     Figure("rival_rotation_deg", _of("rival.rotation_deg"), _RIVAL, "pose at a distance of {}", "deg"),
     Figure("rival_translation_m", _of("rival.translation_m"), _RIVAL, "{}", "m"),
-    Figure("rival_lead", _of("rival.lead"), _RIVAL, "cost higher by {} {rival_unit}", digits=".1f"),
+    Figure(
+        "rival_lead",
+        _of("rival.lead"),
+        _RIVAL,
+        "cost higher by {} {rival_unit}",
+        digits=".1f",
+        below="cost lower by {} {rival_unit}",
+    ),
     Figure("rival_unit", _of("rival.unit"), _RIVAL, "", kind=str),
     Figure("time_offset_s", _of("time.offset_s"), _TIME, "images later than their timestamps by {}", "ms", "+.1f", 1e3),
     Figure("time_sigma_s", _of("time.sigma_s"), _TIME, "sigma {}", "ms", ".1f", 1e3),
@@ -222,10 +243,11 @@ def _licences(result: Result) -> Iterator[str]:
         yield text if "extractor" in stages else f"{text} ({', '.join(stages)})"
 
 
-def _warnings(result: Result) -> list[str]:
-    """Return each warning once: a warning of several frames with their number."""
+def warnings_of(result: Result) -> list[str]:
+    """Return each warning once, a warning of several frames with their number, and none that is in the verdict."""
     by_text: dict[str, list[str]] = {}
-    for warning in result.warnings:
+    reasons = {reason.text for reason in result.verdict.reasons}
+    for warning in (text for text in result.warnings if text not in reasons):
         name, colon, text = warning.partition(": ")
         frame = name if colon and name in result.frames else ""
         by_text.setdefault(text if frame else warning, []).append(frame)
@@ -243,5 +265,5 @@ NOTES: tuple[Note, ...] = (
     Note("motion", lambda result: _motion(result.motions)),
     Note("seconds", _seconds),
     Note("weights", _licences),
-    Note("warning", _warnings),
+    Note("warning", warnings_of),
 )

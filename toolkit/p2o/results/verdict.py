@@ -60,6 +60,9 @@ class Verdict:
 
     reasons: tuple[Reason, ...] = ()
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "reasons", tuple(dict.fromkeys(self.reasons)))  # each once
+
     @property
     def trust(self) -> Trust:
         """The verdict in one word."""

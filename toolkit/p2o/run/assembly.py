@@ -23,10 +23,11 @@ from p2o.host.slots import WIDE, WITNESS, WITNESS_STAGES
 from p2o.host.stages import Initializer, InitializerBase
 from p2o.options import Options
 from p2o.results.result import Result
-from p2o.run.pipeline import Clock, Pipeline, Remarks, with_remarks
+from p2o.run.pipeline import STAGES, Clock, Pipeline, Remarks, with_remarks
 from p2o.run.read_again import FrameInfo, cache_key, without_truth
 from p2o.run.wide import solve_widely
 from p2o.runtime.native import for_each
+from p2o.runtime.stages import counted
 
 if TYPE_CHECKING:
     from p2o.host.guard import GuardedCalibrator
@@ -112,7 +113,8 @@ class Assembly:
         clock = Clock()
         with clock.of("extract"):
             # One access a frame: large sets of frames are read again at each.
-            prepared = for_each(self._prepare, frames, parallel=self.parallel)
+            prepare = counted(STAGES["extract"], self._prepare, len(frames))
+            prepared = for_each(prepare, frames, parallel=self.parallel)
         infos, own_pieces, remarks = zip(*prepared, strict=True)
         pieces = without_truth(frames) if self.reads_frames else own_pieces
         result = self.calibrated(infos, pieces, camera_from_lidar)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from p2o.errors import InputError
+from p2o.files.input_file import nearest, no_such_folder
 
 _BAGS = (".bag", ".mcap", ".db3")
 _SIGNS = {
@@ -27,7 +28,10 @@ _SIGNS = {
 def data_kind(path: Path) -> str:
     """Return the dataset of a file or folder; raises InputError if none or several are possible."""
     if not path.exists():
-        raise InputError("no such dataset, file or folder", where=path, expected="DATASET:PATH, or an existing path")
+        expected = "DATASET:PATH, or an existing path"
+        if path.suffix in _BAGS:
+            raise InputError("no such file", where=path, expected=expected, hint=nearest(path))
+        raise no_such_folder(path, expected)
     if path.is_file():
         kinds = ["ros"] if path.suffix in _BAGS else []
     else:

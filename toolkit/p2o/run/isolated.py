@@ -7,7 +7,6 @@ import faulthandler
 import json
 import multiprocessing
 import signal
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -110,12 +109,7 @@ def _serve(connection: Any, words: str, block: tuple[str, ...], files: tuple[str
     faulthandler.disable()  # the error names the signal
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C signals all processes; the command terminates this one
     assembly: Assembly | None = None
-    # The stdout of the command may be reserved for JSON.
-    with (
-        contextlib.redirect_stdout(sys.stderr),
-        contextlib.suppress(EOFError, BrokenPipeError),
-        reported_calls(connection.send),
-    ):
+    with contextlib.suppress(EOFError, BrokenPipeError), reported_calls(connection.send):
         while True:
             work, given, options, twists = connection.recv()
             outcome: Any

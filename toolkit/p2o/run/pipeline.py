@@ -19,6 +19,7 @@ from p2o.geometry import se3
 from p2o.geometry.camera import Camera
 from p2o.host.stages import CloudExtractor, ImageExtractor, InitializerBase
 from p2o.results.result import Result
+from p2o.runtime.stages import counted, report_stage
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class Pipeline(Algorithm):
         """Calibrate the frames jointly; a single frame is the common case."""
         clock = Clock()
         with clock.of("extract"):
-            views = [self.prepare(frame) for frame in frames]
+            views = [*map(counted(STAGES["extract"], self.prepare, len(frames)), frames)]
         result = self.solve(views, camera_from_lidar)
         return with_remarks(replace(result, seconds={**clock.seconds, **result.seconds}), map(Remarks.of, frames))
 
@@ -119,6 +120,17 @@ class Pipeline(Algorithm):
         return view if self.directed else view.without_sides()
 
 
+STAGES = {
+    "extract": "extracting features",
+    "initialize": "searching poses",
+    "refine": "refining poses",
+    "adjust": "estimating motion, camera and time",
+    "agree": "assessing the result",
+    "witness": "independent check",
+}
+"""What stages do, in progress."""
+
+
 @dataclass
 class Clock:
     """Seconds by stage."""
@@ -127,7 +139,8 @@ class Clock:
 
     @contextmanager
     def of(self, stage: str) -> Iterator[None]:
-        """Add the duration of the block to the seconds of a stage."""
+        """Report the stage and add the duration of the block to its seconds."""
+        report_stage(STAGES.get(stage, stage))
         began = time.perf_counter()
         try:
             yield

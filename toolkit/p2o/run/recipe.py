@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import BaseModel, ConfigDict, Field, StrictBool
 
 from p2o.errors import InputError, UnknownNameError
+from p2o.files.input_file import nearest, no_such_folder
 from p2o.geometry.rough_start import is_rough_start
 from p2o.host.method import Kind, Method
 from p2o.host.registry import Offer, Registry, watch
@@ -102,7 +103,8 @@ class Recipe(BaseModel):
         parts: dict[str, Part] = {}
         for stage, name in names.items():
             values = {**values_of.get(stage, {}), **self.options.get(stage, {})}
-            parts[stage] = part_of(registry.find(KIND_OF[stage], name), stage, values, self.seed)
+            offer = _dataset(name, self.data, registry) if stage == "data" else registry.find(KIND_OF[stage], name)
+            parts[stage] = part_of(offer, stage, values, self.seed)
         parts |= self._witness(parts, registry) | self._wide(registry)
         for stage in self.options:
             if stage not in parts and stage != "pipeline":
@@ -306,7 +308,17 @@ def dataset_part(data: str, registry: Registry, options: Mapping[str, Any] | Non
     Raises as `Recipe.resolve`.
     """
     name, values = split_data(data)
-    return part_of(registry.find(Kind.DATASET, name), "data", {**values, **(options or {})}, Recipe().seed)
+    return part_of(_dataset(name, data, registry), "data", {**values, **(options or {})}, Recipe().seed)
+
+
+def _dataset(name: str, data: str | None, registry: Registry) -> Offer:
+    """Return the dataset of a text; a text of one word may be the mistyped name of a folder."""
+    try:
+        return registry.find(Kind.DATASET, name)
+    except UnknownNameError as problem:
+        if name == data and nearest(Path(name)):
+            raise no_such_folder(Path(name), "DATASET:PATH, or an existing path") from problem
+        raise
 
 
 def open_exporter(text: str, registry: Registry) -> tuple[Exporter, Path]:

@@ -35,6 +35,7 @@ from p2o.run.rig_motion import CameraSweeps, with_common_motions
 from p2o.run.rig_solve import RigCameraFrames, solve_rig
 from p2o.run.words import parse_settings
 from p2o.runtime.native import for_each
+from p2o.runtime.stages import counted
 
 _T = TypeVar("_T")
 
@@ -420,7 +421,7 @@ class _Begin:
         read = partial(_usable, plan, dataset, names=names)
         frames: Sequence[Frame] = ReadAgain(read, list(names))
         if len(names) <= in_memory:
-            frames = tuple(for_each(read, list(names), parallel=parallel))
+            frames = tuple(for_each(counted("reading frames", read, len(names)), list(names), parallel=parallel))
         infos = frame_infos(frames)
         camera = infos[0].camera_name if plan.rig is not None else one_camera(infos)
         truth = common_pose(infos, "camera_from_lidar")

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from p2o.cli.json_output import json_option, print_json
 from p2o.cli.plugin_options import load, plugin_options
 from p2o.cli.progress import LINE_INTERVAL_S
 from p2o.errors import MethodUnavailable, printable
@@ -35,7 +36,6 @@ def command() -> None:
 _store = click.option(
     "--store", default="p2o-out/fleet", show_default=True, metavar="DIR", help="Folder of the stored evidence."
 )
-_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else on stdout.")
 
 
 @command.command("run")
@@ -54,7 +54,7 @@ _json = click.option("--json", "as_json", is_flag=True, help="Print one JSON obj
     "--extractor", default="p2ornet/rings", show_default=True, metavar="IMAGE/CLOUD", help="The two extractors."
 )
 @click.option("--set", "options", multiple=True, metavar="STAGE.FIELD=VALUE", help="An option of a method.")
-@_json
+@json_option
 @click.option("--quiet", is_flag=True, help="No progress.")
 @plugin_options
 def run(
@@ -105,7 +105,7 @@ def run(
     unreadable = done.verdicts[Verdict.UNREADABLE.value]
     if as_json:
         counts = {verdict.value: done.verdicts[verdict.value] for verdict in Verdict}
-        click.echo(json.dumps({"checked": done.checked, "kept": done.kept, "seconds": done.seconds, **counts}))
+        print_json({"checked": done.checked, "kept": done.kept, "seconds": done.seconds, **counts})
     else:
         parts = ", ".join(f"{count} {verdict}" for verdict, count in sorted(done.verdicts.items()))
         click.echo(f"{done.checked} drives checked{f' ({parts})' if parts else ''}, {done.kept} stored before; {store}")
@@ -158,7 +158,7 @@ class _Lines:
     "--overlays", default=20, show_default=True, metavar="N", help="Draw frames of N alarms, where their logs are."
 )
 @click.option("--require", is_flag=True, help="Exit status 1 also if the state of an extrinsic is unknown.")
-@_json
+@json_option
 @plugin_options
 def report(
     store: str,
@@ -186,7 +186,7 @@ def report(
     from p2o_study.parallel import Workers
 
     from p2o_fleet.fleet_state import FleetRules, FleetStatus, fleet_state
-    from p2o_fleet.outputs import dumps, summary_lines, write_outputs
+    from p2o_fleet.outputs import summary_lines, write_outputs
     from p2o_fleet.overlays import Overlays
     from p2o_fleet.page import write_page
     from p2o_fleet.store import Store
@@ -196,7 +196,7 @@ def report(
     plain = write_outputs(state, folder)
     write_page(state, folder, Overlays(load(plugin, block), overlays))
     if as_json:
-        click.echo(dumps(plain))
+        print_json(plain)
     else:
         click.echo("\n".join(printable(line) for line in summary_lines(state)))
         click.echo(f"wrote {folder / 'index.html'}, fleet.json, fleet.prom, webhook.json")

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import click
+from p2o.cli.json_output import json_option, print_json
 from p2o.cli.plugin_options import load, plugin_options
 from p2o.errors import InputError, printable
 from p2o.files.input_file import expanded
@@ -14,7 +14,7 @@ from p2o.files.input_file import expanded
 @click.command("rig")
 @click.argument("sensors", metavar="FILE")
 @click.option("--out", type=click.Path(), metavar="DIR", help="Folder for rig.json, extrinsics.yaml and a figure.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else on stdout.")
+@json_option
 @plugin_options
 def command(sensors: str, out: str | None, as_json: bool, plugin: tuple[str, ...], block: tuple[str, ...]) -> int:
     """Combine results, sweeps of several LiDARs and known transforms to consistent extrinsics.
@@ -37,7 +37,7 @@ def command(sensors: str, out: str | None, as_json: bool, plugin: tuple[str, ...
 
     folder = None if out is None else _made(expanded(out))
     rig = estimate_extrinsics(read_sensors(sensors), load(plugin, block))
-    click.echo(json.dumps(as_dict(rig), allow_nan=False) if as_json else as_text(rig))
+    print_json(as_dict(rig)) if as_json else click.echo(as_text(rig))
     if folder is not None:
         for path in write_folder(rig, folder):
             click.echo(printable(f"wrote {path}"), err=as_json)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from p2o.cli.json_output import json_option, print_json
 from p2o.cli.plugin_options import plugin_options
 from p2o.errors import printable
 
@@ -42,7 +43,6 @@ _suites = click.option(
 _cards = click.option(
     "--cards", default="benchmarks/cards", show_default=True, metavar="DIR", help="Folder of the cards of data."
 )
-_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else on stdout.")
 _quiet = click.option("--quiet", is_flag=True, help="No progress.")
 _by = click.option("--by", default="anonymous", show_default=True, metavar="NAME", help="Who measures.")
 _workers = click.option(
@@ -165,7 +165,7 @@ def run(
 @_workers
 @_results
 @_suites
-@_json
+@json_option
 @_quiet
 @plugin_options
 def status(
@@ -203,7 +203,7 @@ def status(
             )
             states.append(status_of(file, known, options))
     if as_json:
-        click.echo(json.dumps([state.as_dict() for state in states], indent=1, ensure_ascii=False, allow_nan=False))
+        print_json({"suites": [state.as_dict() for state in states]})
     else:
         click.echo("\n".join(map(_status_text, states)) or f"no suites in {suites}")
     return 1 if any(state.outdated for state in states) else 0
@@ -236,7 +236,7 @@ def _status_text(status: SuiteStatus) -> str:
 @_workers
 @_results
 @_suites
-@_json
+@json_option
 @_quiet
 @plugin_options
 def prune(
@@ -280,7 +280,7 @@ def prune(
     if as_json:
         removable = {"rows": [one.as_dict() for one in rows], "methods": sorted(unused)}
         content = {"suite": file.name, "dry_run": dry_run, **removable}
-        click.echo(json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False))
+        print_json(content)
         return 0
     lines = [f"  {f.why.value}: {f.row.row}, {f.row.place}, {f.row.protocol}, seed {f.row.seed}" for f in rows[:_SHOWN]]
     lines += [f"  and {len(rows) - _SHOWN} more (--json lists all)"] if len(rows) > _SHOWN else []

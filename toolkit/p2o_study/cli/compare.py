@@ -7,6 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import click
+from p2o.cli import INTERRUPTED
+from p2o.cli.completion import complete_methods
+from p2o.cli.json_output import json_option, print_json
 from p2o.cli.plugin_options import data_argument, plugin_options
 from p2o.cli.pose_options import StartCommand
 
@@ -15,7 +18,13 @@ from p2o_study.cli.ablate import at_most_option, jobs_option, progress_shown
 
 @click.command("compare", cls=StartCommand)
 @data_argument("The data.")
-@click.option("--methods", required=True, metavar="NAME,...", help="The methods: ours,ours-without-prior,nid,gmm,...")
+@click.option(
+    "--methods",
+    required=True,
+    metavar="NAME,...",
+    shell_complete=complete_methods("calibrator", "matcher", published=True, many=True),
+    help="The methods: ours,ours-without-prior,nid,gmm,...",
+)
 @click.option("--frames", default="all", show_default=True, metavar="SPEC", help="Which frames, as in `p2o run`.")
 @click.option("--groups", default=6, show_default=True, metavar="N", help="Number of disjoint groups of frames.")
 @click.option("--seeds", default="3", show_default=True, metavar="N|LIST", help="Initial guesses for each group.")
@@ -30,7 +39,7 @@ from p2o_study.cli.ablate import at_most_option, jobs_option, progress_shown
 @at_most_option
 @click.option("--out", default="p2o-out/compare", show_default=True, metavar="DIR", help="Folder of rows and page.")
 @jobs_option
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else on stdout.")
+@json_option
 @click.option("--quiet", is_flag=True, help="No progress.")
 @plugin_options
 def command(
@@ -49,8 +58,8 @@ def command(
 
     Each method calibrates disjoint groups of frames from several initial guesses. It is ranked by the spread of its
     poses, by their cost on the other groups, and by their distance from methods of other families. Methods that cannot
-    be distinguished from the best at 95 % form the top group. Started again, it continues with the missing rows. Writes
-    compare.html, compare.json and the rows (study.sqlite) to DIR.
+    be distinguished from the best at 95 % form the top group. Interrupted, it ranks what is finished; started again, it
+    continues with the missing rows. Writes compare.html, compare.json and the rows (study.sqlite) to DIR.
 
     \b
     p2o compare kitti-raw:PATH --frames 0-23 --methods ours,nid,gmm
@@ -58,7 +67,7 @@ def command(
 
     Exit status 1 if a calibration crashed or a method gives no estimate, 2 for wrong input, 130 if interrupted.
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
-    from p2o.files.whole_file import json_text, write_json, write_whole
+    from p2o.files.whole_file import write_json, write_whole
 
     from p2o_study.ablate import parse_seeds
     from p2o_study.compare import BLIND, compare, contenders_of
@@ -80,14 +89,19 @@ def command(
             on_warning=warn,
             **words,
         )
-    if comparison is None:
+    if done.interrupted or done.missing:
         click.echo(f"p2o: interrupted; {len(done.rows)} rows are kept in {out}; the same command continues", err=True)
-        return 130
+    if comparison is None:
+        return INTERRUPTED
     plain = {**asdict(comparison), "not_observable": BLIND}
     write_json(Path(out) / "compare.json", plain)
     write_whole(Path(out) / "compare.html", comparison_page(comparison).encode())
-    click.echo(json_text(plain) if as_json else comparison_text(comparison), nl=False)
-    if not as_json:
+    if as_json:
+        print_json(plain)
+    else:
+        click.echo(comparison_text(comparison), nl=False)
         click.echo(f"wrote {Path(out) / 'compare.html'}; single calibrations: p2o report {out}")
+    if comparison.interrupted:
+        return INTERRUPTED
     crashed = any(outcome.crashed for outcome in comparison.outcomes.values())
     return 1 if crashed or comparison.unranked else 0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import json
 import os
 import platform
 import sys
@@ -15,6 +14,7 @@ from importlib import metadata
 from typing import TYPE_CHECKING
 
 import click
+from p2o.cli.json_output import json_option, print_json
 from p2o.errors import InputError, P2OError, one_line
 from p2o.host.registry import DISTRIBUTION, Registry, requirements
 from p2o.runtime.native import available_cores
@@ -53,7 +53,7 @@ _Outcome = tuple[str, State, str] | tuple[str, State, str, str]
 
 
 @click.command("doctor")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object instead of lines: ok and findings.")
+@json_option
 @click.option(
     "--quick", is_flag=True, help="Leave out the calibration of a small synthetic street, which takes some seconds."
 )
@@ -72,7 +72,7 @@ def command(as_json: bool, quick: bool) -> int:
                 click.echo(f"{'':7}{finding.advice}")
     bad = [finding for finding in results if finding.state is State.BAD]
     if as_json:
-        click.echo(json.dumps({"ok": not bad, "findings": [asdict(each) for each in results]}, indent=2))
+        print_json({"ok": not bad, "findings": [asdict(each) for each in results]})
     else:
         names = ", ".join(f"{each.group} {each.name}" for each in bad)
         click.echo(f"\nthis installation does not work: {names}" if bad else "\nthis installation works")

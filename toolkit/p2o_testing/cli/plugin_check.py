@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 from p2o.cli.plugin_options import load, plugin_options
-from p2o.errors import P2OError, UnknownNameError, printable
+from p2o.errors import P2OError, UnknownNameError, one_line, printable
 
 if TYPE_CHECKING:
     from p2o.host.registry import Offer, Registry
@@ -78,7 +78,7 @@ def _ran(case: Case) -> Outcome:
             click.echo(f"{Outcome.EXPECTED:<5} {title} ({reason})")
             return Outcome.EXPECTED
         own = isinstance(problem, P2OError | AssertionError)
-        text = printable(problem if own else f"{type(problem).__name__}: {problem}")
+        text = printable(problem if own else f"{type(problem).__name__}: {one_line(problem)}")
         click.echo(f"{Outcome.FAILED:<5} {title}\n      promised: {case.check.promise}\n      but: {text}")
         if os.environ.get("P2O_DEBUG", "") not in ("", "0"):
             click.echo(traceback.format_exc())
