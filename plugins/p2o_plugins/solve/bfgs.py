@@ -13,6 +13,8 @@ import p2o
 
 from p2o_plugins.solve.scalar_cost import ScalarCost, StepOptions, scalar_solver
 
+_HIGHEST = 1e3  # the scaled cost of poses without one, from which the line search can interpolate
+
 
 class BfgsOptions(StepOptions):
     """Options of `bfgs`."""
@@ -23,7 +25,11 @@ class BfgsOptions(StepOptions):
     unit_m: float = p2o.field(0.02, gt=0, le=100, help="Translation equivalent to `unit_deg` in the first step.")
     max_iterations: int = p2o.field(100, ge=1, help="Largest number of steps over all restarts.")
     restarts: int = p2o.field(1, ge=0, help="Restarts without the previous curvature, as long as they lower the cost.")
-    tolerance: float = p2o.field(1e-6, gt=0, help="Stop if a step lowers the cost by less than this share.")
+    tolerance: float = p2o.field(
+        1e-9,
+        gt=0,
+        help="Stop if a step lowers the cost by less than this share of the gain that the first slope predicts.",
+    )
 
 
 def build(options: BfgsOptions) -> p2o.Solver:
@@ -32,18 +38,24 @@ def build(options: BfgsOptions) -> p2o.Solver:
     from scipy.optimize import minimize
 
     def minimise(cost: ScalarCost) -> p2o.Solution:
-        # SciPy's tolerances are absolute for costs below one: costs are scaled by the cost at the initial pose.
-        scale = max(abs(cost.one(np.zeros(6))), np.finfo(float).tiny)
         reach = np.repeat([options.box_deg / options.unit_deg, options.box_m / options.unit_m], 3)
-        best, spent, converged = np.zeros(6), 0, False
+        reach[reach == 0] = np.inf
+        best, spent, converged = np.zeros(6), 0, True
         lowest = cost.one(best)
         for _ in range(options.restarts + 1):
+            slope = cost.gradient(best, options)
+            # The first step of L-BFGS-B in a box is the gradient, and its tolerance is absolute for costs below one.
+            # With a gradient of one the first step is one unit, and the tolerance a share of the gain that it predicts.
+            scale = float(np.linalg.norm(slope[np.sign(slope) * best > -reach]))
+            if not scale:
+                break
+            base = lowest
             fit: Any = minimize(
-                lambda x: cost.one(x) / scale,
+                lambda x, base=base, scale=scale: min((cost.one(x) - base) / scale, _HIGHEST),
                 best,
-                jac=lambda x: cost.gradient(x, options) / scale,
+                jac=lambda x, scale=scale: cost.gradient(x, options) / scale,
                 method="L-BFGS-B",
-                bounds=[(-r, r) if r else (None, None) for r in reach],
+                bounds=list(zip(-reach, reach, strict=True)),
                 options={"maxiter": max(options.max_iterations - spent, 1), "ftol": options.tolerance, "gtol": 1e-12},
             )
             spent += int(fit.nit)

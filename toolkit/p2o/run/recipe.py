@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +26,7 @@ from p2o.run.words import split_name
 from p2o.run.words import value_of as value_of
 
 if TYPE_CHECKING:
+    from p2o.arrays import Float
     from p2o.frames.frame import Frame
     from p2o.host.guard import GuardedCalibrator, GuardedDataset
     from p2o.host.stages import Exporter
@@ -91,8 +92,9 @@ class Recipe(BaseModel):
 
         if self.perturb is not None:
             parse_starts(self.perturb)
+        guess: tuple[Float, tuple[str, ...]] | None = None
         if self.start is not None:
-            read_initial_guess(self.start, registry=registry)
+            guess = read_initial_guess(self.start, registry=registry)
             if self.perturb is not None:
                 raise InputError("both a start and a perturbation are given", expected="one of them")
         names, values_of = self._names()
@@ -118,7 +120,7 @@ class Recipe(BaseModel):
         if rig is not None and self.joint:
             expected = "no --joint beside it: the frames of a camera are solved together in any case"
             raise InputError("a rig has one result for each camera", where="--rig", expected=expected)
-        return Plan(self, parts, pipeline, registry, rig)
+        return Plan(self, parts, pipeline, registry, rig, guess)
 
     def _witness(self, parts: Mapping[str, Part], registry: Registry) -> dict[str, Part]:
         """Return the extractors of the independent check; default ones only if they are installed and fit the data."""
@@ -205,13 +207,17 @@ def _pair(what: str, text: str) -> tuple[str, str]:
 
 @dataclass(frozen=True)
 class Plan:
-    """A resolved recipe: every method found, every option validated, every stage fitting the next."""
+    """A resolved recipe: every method found, every option validated, every stage fitting the next.
+
+    `initial_guess` is the camera_from_lidar (4, 4) of the recipe's `start`, which is read once, and the remarks on it.
+    """
 
     recipe: Recipe
     parts: Mapping[str, Part]
     pipeline: Options | None
     registry: Registry
     rig: Rig | None = None
+    initial_guess: tuple[Float, tuple[str, ...]] | None = field(default=None, compare=False)
 
     def dataset(self) -> GuardedDataset | JoinedFrames:
         """Return the dataset, with accumulated sweeps if the recipe selects them; frames are read on access."""

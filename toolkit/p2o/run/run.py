@@ -22,7 +22,7 @@ from p2o.geometry import se3
 from p2o.geometry.camera import Camera
 from p2o.geometry.pose_error import PoseError, pose_error, summarise
 from p2o.geometry.start_list import StartList, parse_starts
-from p2o.host.calibration_file import names_file, read_initial_guess
+from p2o.host.calibration_file import names_file
 from p2o.host.registry import Registry
 from p2o.results.result import Result, RigResult, Status
 from p2o.results.result_json import result_to_dict, rig_to_dict
@@ -341,10 +341,10 @@ def _common_result(
 def _initial_guess(plan: Plan, start: Float | None) -> tuple[Float | None, tuple[str, ...]]:
     """Return the initial extrinsic (4, 4) given as a pose or in words, or None, and remarks on it."""
     recipe, remarks = plan.recipe, tuple[str, ...]()
-    if recipe.start is not None:
+    if plan.initial_guess is not None:
         if start is not None:
             raise InputError("a start is given twice, as a pose and in words", expected="one of them")
-        start, remarks = read_initial_guess(recipe.start, "--start", registry=plan.registry)
+        start, remarks = plan.initial_guess
     if start is None:
         return None, remarks
     if plan.rig is not None:
