@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import p2o
+from p2o import Float
 
 from p2o_plugins.solve.scalar_cost import ScalarCost, StepOptions, scalar_solver
 
@@ -37,37 +38,45 @@ def build(options: BfgsOptions) -> p2o.Solver:
     # Imported here: every run lists this method, few use it.
     from scipy.optimize import minimize
 
+    reach = np.repeat([options.box_deg / options.unit_deg, options.box_m / options.unit_m], 3)
+    reach[reach == 0] = np.inf
+
     def minimise(cost: ScalarCost) -> p2o.Solution:
-        reach = np.repeat([options.box_deg / options.unit_deg, options.box_m / options.unit_m], 3)
-        reach[reach == 0] = np.inf
         best, spent, converged = np.zeros(6), 0, True
-        lowest = cost.one(best)
         for _ in range(options.restarts + 1):
-            slope = cost.gradient(best, options)
-            # The first step of L-BFGS-B in a box is the gradient, and its tolerance is absolute for costs below one.
-            # With a gradient of one the first step is one unit, and the tolerance a share of the gain that it predicts.
-            scale = float(np.linalg.norm(slope[np.sign(slope) * best > -reach]))
-            if not scale:
-                break
-            base = lowest
-            fit: Any = minimize(
-                lambda x, base=base, scale=scale: min((cost.one(x) - base) / scale, _HIGHEST),
-                best,
-                jac=lambda x, scale=scale: cost.gradient(x, options) / scale,
-                method="L-BFGS-B",
-                bounds=list(zip(-reach, reach, strict=True)),
-                options={"maxiter": max(options.max_iterations - spent, 1), "ftol": options.tolerance, "gtol": 1e-12},
-            )
-            spent += int(fit.nit)
-            reached = cost.one(fit.x)
-            gained = lowest - reached
+            reached, steps, gained = descend(cost, best, max(options.max_iterations - spent, 1))
+            spent += steps
             if gained > 0:
-                best, lowest = fit.x, reached
+                best = reached
             # A failed line search means that rounding errors or the sampling of an image limit further progress.
             converged = spent < options.max_iterations
-            if not converged or gained <= options.tolerance * scale:
+            if not converged or gained <= options.tolerance:
                 break
         return cost.solution(best, spent, converged=converged)
+
+    def descend(cost: ScalarCost, begin: Float, most: int) -> tuple[Float, int, float]:
+        """Return where a descent of at most so many steps ends, their number, and the gain over that of one unit.
+
+        The first step of L-BFGS-B in a box is the gradient, and its tolerance is absolute for costs below one. Costs
+        are scaled so that the gradient is one: the first step is one unit, and the tolerance a share of its gain.
+        """
+        lowest, slope = cost.one(begin), cost.gradient(begin, options)
+        scale = float(np.linalg.norm(slope[np.sign(slope) * begin > -reach]))  # without those that lead out of the box
+        if not scale:
+            return begin, 0, 0.0
+
+        def scaled(x: Float) -> float:
+            return min((cost.one(x) - lowest) / scale, _HIGHEST)
+
+        fit: Any = minimize(
+            scaled,
+            begin,
+            jac=lambda x: cost.gradient(x, options) / scale,
+            method="L-BFGS-B",
+            bounds=[(-r, r) for r in reach],
+            options={"maxiter": most, "ftol": options.tolerance, "gtol": 1e-12},
+        )
+        return fit.x, int(fit.nit), -scaled(fit.x)
 
     return scalar_solver(minimise, options.unit_deg, options.unit_m)
 
