@@ -55,7 +55,7 @@ def build(options: BfgsOptions) -> p2o.Solver:
         return cost.solution(best, spent, converged=converged)
 
     def descend(cost: ScalarCost, begin: Float, most: int) -> tuple[Float, int, float]:
-        """Return where a descent of at most so many steps ends, their number, and the gain over that of one unit.
+        """Return where a descent of at most `most` steps ends, its steps, and the gain over that of one unit.
 
         The first step of L-BFGS-B in a box is the gradient, and its tolerance is absolute for costs below one. Costs
         are scaled so that the gradient is one: the first step is one unit, and the tolerance a share of its gain.
