@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -222,7 +222,7 @@ def compare(
         raise InputError("too few groups of frames can be read", expected=f"at least {MIN_GROUPS}", got=reason)
     if judges is None:
         published = presets(registry)
-        judges = {judge: published[name] for judge, name in JUDGES.items() if name in published}
+        judges = {judge: _evaluating(published[name]) for judge, name in JUDGES.items() if name in published}
     judging = {}
     for judge, contender in judges.items():
         study = compare_study([contender], data, [parts[n] for n in readable], 1).study
@@ -230,6 +230,12 @@ def compare(
     plans = {row.section: row.resolve(registry, row.seeds[0]) for row in file.study.rows()}
     rows = [row for row in done.rows if row.dataset in set(map(_group, readable))]
     return done, _compared(rows, plans, judging, workers, cache, str(guesses.size))
+
+
+def _evaluating(method: Preset) -> Preset:
+    """Return a method that only evaluates poses: its solver is not called, and must not need an extra."""
+    words = method.merged({"solver": "nelder-mead"})
+    return replace(method, options=words.pop("options", {}), words=words)
 
 
 def _compared(
