@@ -2,8 +2,9 @@
 
 Gradients of reflectance (or of the steepness of surfaces, `by=normals`) and of the image are parallel if they are
 aligned. The cost is - sum |g . h| / sum |g| |h|, with g the gradient of the image at a point and h that of the points,
-rotated into the image; -1 if all are parallel, -2/pi on average if they are unrelated. Intended for `--solver
-particle-swarm` with `--set pipeline.rounds=1`.
+rotated into the image; -1 if all are parallel, -2/pi on average if they are unrelated. The paper searches by `--solver
+particle-swarm` with `--set pipeline.rounds=1`; `--method gom` by `cma-es` in the box of `mi`, with reflectances ranked
+in each ring (`cloud.equalise=auto`).
 
 As in the paper, the gradient of a point uses its eight nearest neighbours by direction; the fit (least squares in the
 plane across the beam), the width of the blur, the number of points, and a weight that decreases over the last 10 px to

@@ -3,9 +3,11 @@
 Reflectance and grey, both equalised, in 16 levels; every point is distributed over 4x4 pixels by cubic B-splines, each
 of which counts in the level of its grey; the cost is (H(X, Y) - MI) / H(X, Y), its mean over frames, with analytic
 derivatives. Occluded points (more than 0.1 m behind the nearest one of their pixel) are determined again in every
-round. Intended for `--solver bfgs`, whose box of 2 deg and 0.2 m is the paper's, with `--set pipeline.reach_px=5 --set
-pipeline.tolerance_deg=0.5 --set pipeline.tolerance_m=0.1`: the outer loop of the paper, at most ten rounds. The paper
-accumulates sweeps first: use `--accumulate poses` for the frames of a drive.
+round. The paper descends by `--solver bfgs`, whose box of 2 deg and 0.2 m is the paper's, with `--set
+pipeline.reach_px=5 --set pipeline.tolerance_deg=0.5 --set pipeline.tolerance_m=0.1`: its outer loop, at most ten
+rounds. `--method nid` searches the same box by `cma-es` in one round, with reflectances ranked in each ring
+(`cloud.equalise=auto`), because the descent ends at local minima, as in `mi`. The paper accumulates sweeps first: use
+`--accumulate poses` for the frames of a drive.
 
 Points that are outside the image at the pose of a round are left out of it, as in the code of the authors.
 

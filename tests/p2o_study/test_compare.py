@@ -5,16 +5,17 @@ from __future__ import annotations
 import json
 import os
 import signal
+import sys
 from dataclasses import asdict
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from p2o import InputError, UnknownNameError, se3
+from p2o import InputError, Recipe, Registry, UnknownNameError, se3
 from p2o.cache import FeatureCache
 from p2o.cli import INTERRUPTED, main
-from p2o.run.presets import Preset
+from p2o.run.presets import Preset, preset_of
 from p2o_study import compare as module
 from p2o_study import comparison as figures
 from p2o_study.compare import Comparison, compare, contenders_of, family_of, split_frames
@@ -155,7 +156,7 @@ def test_names_are_presets_with_the_options_of_their_study_and_families() -> Non
     names = ["ours", "ours-without-prior", "nid", "canny", "hand-eye", "koo", "lccnet", "mask-consistency"]
     contenders = contenders_of(names, registry)
     assert contenders[2].words["extractor"] == "grey/reflectance"
-    assert contenders[2].options["pipeline"]["reach_px"] == 5.0
+    assert contenders[2].options["pipeline"]["rounds"] == 1
     assert contenders[1].options == {"init": {"prior": 0.0}}
     file = module.compare_study(contenders, "synthetic:?scenes=5", [[0, 5], [1]], 2)
     assert file.study.dataset[0].frames == "0:1,5:6"
@@ -165,6 +166,14 @@ def test_names_are_presets_with_the_options_of_their_study_and_families() -> Non
         contenders_of(["ours", "hand-eyes"], registry)
     with pytest.raises(InputError, match="named twice"):
         contenders_of(["ours", "ours"], registry)
+
+
+def test_judges_need_no_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "cma", None)
+    registry = Registry.load(plugins=["p2o-calib"])
+    for name in module.JUDGES.values():
+        method = module._evaluating(preset_of(name, registry))
+        assert Recipe.of(**method.merged({"data": "synthetic:"})).resolve(registry).calibrator()
 
 
 def test_groups_are_interleaved_and_too_few_frames_are_refused() -> None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from math import isnan
 
+import numpy as np
 import pytest
+from p2o import se3
 from p2o.geometry.perturb import parse_perturbation
 from p2o.solving import Trust
 from p2o_study.store import StoredRow
-from p2o_study.tally import is_worse, tallies
+from p2o_study.tally import is_unmoved, is_worse, tallies
 
 ROW = StoredRow("k", "s", "a", frames=("f",), status="converged", trust=Trust.TRUSTED)
 
@@ -60,3 +62,14 @@ def test_limits_and_the_initial_guess_bound_rotation_and_translation_each(
     assert (tally.within, tally.worse) == (within, worse)
     assert is_worse(row) == bool(worse)
     assert not is_worse(replace(row, status="no-edges"))
+
+
+@pytest.mark.parametrize(
+    ("moved_m", "status", "unmoved"),
+    [(0.0, "converged", True), (5e-5, "rounds-spent", True)]
+    + [(0.01, "converged", False), (0.0, "no-improvement", False)],
+)
+def test_a_result_that_is_its_initial_guess_is_recognised(moved_m: float, status: str, unmoved: bool) -> None:
+    start = np.eye(4)
+    estimate = None if status == "no-improvement" else se3.make(translation=[moved_m, 0, 0])
+    assert is_unmoved(replace(ROW, status=status, start=start, estimate=estimate)) is unmoved

@@ -36,7 +36,7 @@ class Overlays:
             with local_data(alarm.proof[-1]) as data:
                 dataset = open_dataset(data, self.registry)
                 frames = [dataset[index] for index in spread(range(len(dataset)), _FRAMES)]
-                in_use, _ = given_extrinsic(state.extrinsic, frames, self.registry, "extrinsic")
+                in_use = given_extrinsic(state.extrinsic, frames, self.registry, "extrinsic").camera_from_lidar
                 shown = []
                 for frame in frames:
                     images = (

@@ -97,7 +97,7 @@ def _checked(job: DriveJob, data: str) -> CheckEvidence:
     if len(frames) < min(len(indices), max(1, len(indices) // 2)):
         raise problems[0] if problems else InputError("the log contains no frames", where=data)
     one_camera(frames)
-    pose, _ = given_extrinsic(job.drive.extrinsic, frames, plan.registry, "extrinsic")
+    pose = given_extrinsic(job.drive.extrinsic, frames, plan.registry, "extrinsic").camera_from_lidar
     log = hashlib.sha256(json.dumps([content_digests(frame) for frame in frames], sort_keys=True).encode()).hexdigest()
     direction = pose_direction(frames[0].cloud, frames[0].camera, pose, name="the extrinsic")
     views = [pipeline.prepare(frame.without_truth()) for frame in frames]

@@ -238,7 +238,7 @@ def compare(
         raise InputError("too few groups of frames can be read", expected=f"at least {MIN_GROUPS}", got=reason)
     if judges is None:
         published = presets(registry)
-        judges = {judge: published[name] for judge, name in JUDGES.items() if name in published}
+        judges = {judge: _evaluating(published[name]) for judge, name in JUDGES.items() if name in published}
     judging = {}
     for judge, contender in judges.items():
         study = compare_study([contender], data, [parts[n] for n in readable], 1).study
@@ -265,6 +265,12 @@ def _complete(rows: Sequence[StoredRow]) -> list[StoredRow]:
             return [row for row in rows if row.section in methods and (row.dataset, row.seed) in best]
         methods.pop()
     return []
+
+
+def _evaluating(method: Preset) -> Preset:
+    """Return a method that only evaluates poses: its solver is not called, and must not need an extra."""
+    words = method.merged({"solver": "nelder-mead"})
+    return replace(method, options=words.pop("options", {}), words=words)
 
 
 def _compared(

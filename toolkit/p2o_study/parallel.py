@@ -27,6 +27,7 @@ from functools import cache, partial
 from typing import Any, Literal
 
 from p2o.errors import InputError, MethodUnavailable, P2OError, one_line
+from p2o.runtime.native import keep_freed_memory
 
 Backend = Literal["loky", "dask", "ray"]
 BACKENDS: tuple[Backend, ...] = ("loky", "dask", "ray")
@@ -441,6 +442,8 @@ def _set_up_worker() -> None:
         os.environ[name] = "1"
     _limits.on = True
     limit_threads()
+    # The nanny of dask sets MALLOC_TRIM_THRESHOLD_ so that memory is returned to the system at every free.
+    keep_freed_memory()
     # The row of a job whose worker dies reports the signal: loky would print the stack of every thread, too.
     if not _debugging():
         faulthandler.disable()

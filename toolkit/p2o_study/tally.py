@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from p2o.geometry.perturb import Perturbation
+from p2o.results.result import SolverStatus
 from p2o.results.verdict import Trust
 from p2o.run.protocol import figures_text as protocol_told
 from p2o.run.protocol import protocol_of
@@ -200,8 +201,28 @@ def table(study: Study, rows: Sequence[StoredRow]) -> str:
         lines += [_published(study, p, len(counted), stacked) for p in apart]
     widths = [max((len(line[i]) for line in [head, *lines] if len(line) > i > 0), default=0) for i in range(len(head))]
     widths[0] = max((len(line[0]) for line in lines), default=0)
-    below = (*pooled(rows), *_by_protocol(study, rows))
+    below = (*pooled(rows), *_unmoved(rows), *_by_protocol(study, rows))
     return "\n".join([*(_line(cells, widths) for cells in (head, *lines)), *below])
+
+
+def is_unmoved(row: StoredRow) -> bool:
+    """Return whether the estimate of a calibration is its initial guess: its solver did not move."""
+    if not row.solved or row.start is None or row.estimate is None:
+        return False
+    status = SolverStatus.of(np.asarray(row.start), np.asarray(row.estimate), converged=True)
+    return status is SolverStatus.NOT_MOVED
+
+
+def _unmoved(rows: Sequence[StoredRow]) -> list[str]:
+    """Return a line for each row of the table with results that are the initial guess, without being refused."""
+    lines = []
+    for label, known in by_row(rows).items():
+        count = sum(map(is_unmoved, known))
+        if count:
+            lines.append(
+                f"{label}: {count} of {len(known)} results are the initial guess, which the solver did not move"
+            )
+    return lines
 
 
 def _by_protocol(study: Study, rows: Sequence[StoredRow]) -> list[str]:

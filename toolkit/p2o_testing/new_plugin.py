@@ -21,19 +21,20 @@ TEMPLATE = Path(__file__).parent / "plugin_template"
 """The files of the package as text: @NAME@ and other words between two @ are filled in."""
 
 _LONGEST = 60
+_SCENE = ' --data "synthetic:?right=false&megapixels=0.2"'
 _TRIES = {
-    Kind.IMAGE_EXTRACTOR: "p2o run --plugin {file} --extractor {name}/rings --matcher nearest",
-    Kind.CLOUD_EXTRACTOR: "p2o run --plugin {file} --extractor canny/{name} --matcher nearest",
-    Kind.MATCHER: "p2o run --plugin {file} --matcher {name} --solver nelder-mead",
-    Kind.SOLVER: "p2o run --plugin {file} --solver {name}",
-    Kind.INITIALIZER: "p2o run --plugin {file} --init {name}",
-    Kind.CALIBRATOR: "p2o run --plugin {file} --calibrator {name}",
-    Kind.ACCUMULATOR: 'p2o run --plugin {file} --accumulate {name} --data "synthetic:?frames_per_scene=3" --frames 0',
+    Kind.IMAGE_EXTRACTOR: "p2o run --plugin {file} --extractor {name}/rings --matcher nearest" + _SCENE,
+    Kind.CLOUD_EXTRACTOR: "p2o run --plugin {file} --extractor canny/{name} --matcher nearest" + _SCENE,
+    Kind.MATCHER: "p2o run --plugin {file} --matcher {name} --solver coordinate" + _SCENE,
+    Kind.SOLVER: "p2o run --plugin {file} --solver {name}" + _SCENE,
+    Kind.INITIALIZER: "p2o run --plugin {file} --init {name}" + _SCENE,
+    Kind.CALIBRATOR: "p2o run --plugin {file} --calibrator {name}" + _SCENE,
+    Kind.ACCUMULATOR: "p2o run --plugin {file} --accumulate {name} --frames 0" + _SCENE[:-1] + '&frames_per_scene=2"',
     Kind.DATASET: "p2o data check {name}:FOLDER --plugin {file}",
-    Kind.EXPORTER: "p2o run --plugin {file} --export {name}:pose.csv",
+    Kind.EXPORTER: "p2o run --plugin {file} --export {name}:pose.csv" + _SCENE,
     Kind.CALIBRATION_READER: "p2o convert pose.csv pose.yaml --plugin {file} --to text",
 }
-"""How a method of each kind is tried from its file, before it is installed."""
+"""How a method of each kind is tried from its file, before it is installed: on a scene that is quickly rendered."""
 
 
 def slot_word(kind: Kind) -> str:

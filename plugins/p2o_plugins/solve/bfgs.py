@@ -10,8 +10,11 @@ from typing import Any
 
 import numpy as np
 import p2o
+from p2o import Float
 
 from p2o_plugins.solve.scalar_cost import ScalarCost, StepOptions, scalar_solver
+
+_HIGHEST = 1e3  # the scaled cost of poses without one, from which the line search can interpolate
 
 
 class BfgsOptions(StepOptions):
@@ -23,7 +26,11 @@ class BfgsOptions(StepOptions):
     unit_m: float = p2o.field(0.02, gt=0, le=100, help="Translation equivalent to `unit_deg` in the first step.")
     max_iterations: int = p2o.field(100, ge=1, help="Largest number of steps over all restarts.")
     restarts: int = p2o.field(1, ge=0, help="Restarts without the previous curvature, as long as they lower the cost.")
-    tolerance: float = p2o.field(1e-6, gt=0, help="Stop if a step lowers the cost by less than this share.")
+    tolerance: float = p2o.field(
+        1e-9,
+        gt=0,
+        help="Stop if a step lowers the cost by less than this share of the gain that the first slope predicts.",
+    )
 
 
 def build(options: BfgsOptions) -> p2o.Solver:
@@ -31,31 +38,45 @@ def build(options: BfgsOptions) -> p2o.Solver:
     # Imported here: every run lists this method, few use it.
     from scipy.optimize import minimize
 
+    reach = np.repeat([options.box_deg / options.unit_deg, options.box_m / options.unit_m], 3)
+    reach[reach == 0] = np.inf
+
     def minimise(cost: ScalarCost) -> p2o.Solution:
-        # SciPy's tolerances are absolute for costs below one: costs are scaled by the cost at the initial pose.
-        scale = max(abs(cost.one(np.zeros(6))), np.finfo(float).tiny)
-        reach = np.repeat([options.box_deg / options.unit_deg, options.box_m / options.unit_m], 3)
-        best, spent, converged = np.zeros(6), 0, False
-        lowest = cost.one(best)
+        best, spent, converged = np.zeros(6), 0, True
         for _ in range(options.restarts + 1):
-            fit: Any = minimize(
-                lambda x: cost.one(x) / scale,
-                best,
-                jac=lambda x: cost.gradient(x, options) / scale,
-                method="L-BFGS-B",
-                bounds=[(-r, r) if r else (None, None) for r in reach],
-                options={"maxiter": max(options.max_iterations - spent, 1), "ftol": options.tolerance, "gtol": 1e-12},
-            )
-            spent += int(fit.nit)
-            reached = cost.one(fit.x)
-            gained = lowest - reached
+            reached, steps, gained = descend(cost, best, max(options.max_iterations - spent, 1))
+            spent += steps
             if gained > 0:
-                best, lowest = fit.x, reached
+                best = reached
             # A failed line search means that rounding errors or the sampling of an image limit further progress.
             converged = spent < options.max_iterations
-            if not converged or gained <= options.tolerance * scale:
+            if not converged or gained <= options.tolerance:
                 break
         return cost.solution(best, spent, converged=converged)
+
+    def descend(cost: ScalarCost, begin: Float, most: int) -> tuple[Float, int, float]:
+        """Return where a descent of at most `most` steps ends, its steps, and the gain over that of one unit.
+
+        The first step of L-BFGS-B in a box is the gradient, and its tolerance is absolute for costs below one. Costs
+        are scaled so that the gradient is one: the first step is one unit, and the tolerance a share of its gain.
+        """
+        lowest, slope = cost.one(begin), cost.gradient(begin, options)
+        scale = float(np.linalg.norm(slope[np.sign(slope) * begin > -reach]))  # without those that lead out of the box
+        if not scale:
+            return begin, 0, 0.0
+
+        def scaled(x: Float) -> float:
+            return min((cost.one(x) - lowest) / scale, _HIGHEST)
+
+        fit: Any = minimize(
+            scaled,
+            begin,
+            jac=lambda x: cost.gradient(x, options) / scale,
+            method="L-BFGS-B",
+            bounds=[(-r, r) for r in reach],
+            options={"maxiter": most, "ftol": options.tolerance, "gtol": 1e-12},
+        )
+        return fit.x, int(fit.nit), -scaled(fit.x)
 
     return scalar_solver(minimise, options.unit_deg, options.unit_m)
 

@@ -15,7 +15,7 @@ import p2o
 from p2o import Float
 from p2o.solving import Problem, pose_from_chart
 
-from p2o_plugins.solve.scalar_cost import unsolvable
+from p2o_plugins.solve.scalar_cost import ended, unsolvable
 
 NEIGHBOURS = np.array(list(product((-1.0, 0.0, 1.0), repeat=6)))
 """The changes (729, 6) in steps; number 364, the middle one, is zero."""
@@ -36,7 +36,7 @@ def build(options: Grid729Options) -> p2o.Solver:
     first = np.repeat([np.radians(options.step_deg), options.step_m], 3)
 
     def solve(problem: Problem, camera_from_lidar: Float) -> p2o.Solution:
-        pose = np.asarray(camera_from_lidar, np.float64)
+        start = pose = np.asarray(camera_from_lidar, np.float64)
         least = float(problem.cost(pose[None])[0])
         refused = unsolvable(problem, pose, least)
         if refused is not None:
@@ -52,10 +52,9 @@ def build(options: Grid729Options) -> p2o.Solver:
                 if not costs[best] < least:
                     break
                 pose, least, moves = around[best], float(costs[best]), moves + 1
-        spent = moves >= options.max_moves
-        status = p2o.SolverStatus.ITERATIONS_SPENT if spent else p2o.SolverStatus.CONVERGED
         # A cost in a batch may differ from that of the pose alone by rounding.
-        return p2o.Solution(pose, float(problem.cost(pose[None])[0]), looks, status)
+        cost = float(problem.cost(pose[None])[0])
+        return ended(start, pose, cost, looks, converged=moves < options.max_moves)
 
     return solve
 

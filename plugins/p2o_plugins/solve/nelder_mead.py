@@ -9,6 +9,8 @@ import p2o
 
 from p2o_plugins.solve.scalar_cost import ScalarCost, scalar_solver
 
+_LEAST_GAIN = 1e-9  # share of the whole decrease of the cost below which a restart is the last one
+
 
 class NelderMeadOptions(p2o.Options):
     """Options of `nelder-mead`."""
@@ -31,6 +33,7 @@ def build(options: NelderMeadOptions) -> p2o.Solver:
 
     def minimise(cost: ScalarCost) -> p2o.Solution:
         best, spent, converged = np.zeros(6), 0, False
+        first = lowest = cost.one(best)
         for restart in range(options.restarts + 1):
             fit: Any = minimize(
                 cost.one,
@@ -45,7 +48,8 @@ def build(options: NelderMeadOptions) -> p2o.Solver:
                 },
             )
             best, spent, converged = fit.x, spent + int(fit.nfev), bool(fit.success)
-            if spent >= options.max_evaluations:
+            gained, lowest = lowest - float(fit.fun), float(fit.fun)
+            if spent >= options.max_evaluations or gained <= _LEAST_GAIN * (first - lowest):
                 break
         return cost.solution(best, spent, converged=converged, covariance=False)
 

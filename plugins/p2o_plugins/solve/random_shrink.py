@@ -20,7 +20,7 @@ import p2o
 from p2o import Float
 from p2o.solving import Problem, pose_from_chart
 
-from p2o_plugins.solve.scalar_cost import unsolvable
+from p2o_plugins.solve.scalar_cost import ended, unsolvable
 
 _AT_ONCE = 256  # Number of poses whose costs are evaluated in one call.
 
@@ -67,7 +67,7 @@ def build(options: RandomShrinkOptions) -> p2o.Solver:
             if costs[lowest] < least:
                 best, least = tries[lowest], float(costs[lowest])
             turns, shifts = turns / options.shrink_turns, shifts / options.shrink_shifts
-        return p2o.Solution(pose_from_chart(start, best), least, tried, p2o.SolverStatus.CONVERGED)
+        return ended(start, pose_from_chart(start, best), least, tried, converged=True)
 
     return solve
 

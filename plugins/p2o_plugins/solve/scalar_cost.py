@@ -69,8 +69,17 @@ class ScalarCost:
         """Return the solution at x (6,), with the covariance of the problem if it has one and it is asked for."""
         pose = self.pose(x)
         of_problem = self.problem.covariance if covariance and isinstance(self.problem, Objective) else None
-        status = p2o.SolverStatus.CONVERGED if converged else p2o.SolverStatus.ITERATIONS_SPENT
-        return p2o.Solution(pose, self.one(x), iterations, status, None if of_problem is None else of_problem(pose))
+        by_problem = None if of_problem is None else of_problem(pose)
+        return ended(self.start, pose, self.one(x), iterations, converged=converged, covariance=by_problem)
+
+
+def ended(
+    start: Float, pose: Float, cost: float, iterations: int, *, converged: bool, covariance: Float | None = None
+) -> p2o.Solution:
+    """Return the solution at a pose (4, 4), with the status that it did not move where it is the `start` (4, 4)."""
+    status = p2o.SolverStatus.of(start, pose, converged=converged)
+    reason = "no pose of lower cost was found" if status is p2o.SolverStatus.NOT_MOVED else ""
+    return p2o.Solution(pose, cost, iterations, status, covariance, reason)
 
 
 def unsolvable(problem: Problem, start: Float, cost: float) -> p2o.Solution | None:

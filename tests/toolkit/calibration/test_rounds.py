@@ -73,3 +73,11 @@ def test_rounds_end_where_the_pose_stays_within_the_smallest_cutting_distance() 
     end = ended((1.0, 1.0, 1.0, 1.0), rounds=10, shrink=0.2, min_reach_px=5.0)
     # 50, 10 and 5 px: the pose stays from the second round on, and the third is the first at 5 px.
     assert (end.status, len(end.rounds)) == (Status.CONVERGED, 3)
+
+
+@pytest.mark.parametrize("moves_m", [(0.0, 0.0), (5e-5, -5e-5)])
+def test_an_initial_guess_that_no_round_moves_is_no_result(moves_m: tuple[float, ...]) -> None:
+    end = ended([3.0 + move for move in moves_m])
+    assert end.status is Status.NO_IMPROVEMENT
+    assert end.pose[0, 3] == 3.0
+    assert "no pose of lower cost" in end.reason

@@ -45,9 +45,20 @@ def test_other_words_and_options_override_those_of_the_method() -> None:
         {"solver": "nelder-mead", "options": {"pipeline": {"reach_px": 9.0}, "matcher": {"bins": 20}}}
     )
     assert (words["matcher"], words["solver"]) == ("nid", "nelder-mead")
-    assert words["options"]["pipeline"] == {"reach_px": 9.0, "tolerance_deg": 0.5, "tolerance_m": 0.1}
+    assert words["options"]["pipeline"] == {"reach_px": 9.0, "rounds": 1}
     assert words["options"]["matcher"] == {"bins": 20}
-    assert presets(REGISTRY)["nid"].options["pipeline"]["reach_px"] == 5.0
+    assert presets(REGISTRY)["nid"].options["pipeline"] == {"rounds": 1}
+
+
+@pytest.mark.parametrize(
+    ("word", "name", "stage"),
+    [("solver", "bfgs", "solver"), ("extractor", "grey/rings", "cloud"), ("extractor", "hed/reflectance", None)],
+)
+def test_options_of_a_replaced_method_are_left_out(word: str, name: str, stage: str | None) -> None:
+    options = preset_of("nid", REGISTRY).options
+    merged = preset_of("nid", REGISTRY).merged({word: name})
+    assert merged[word] == name
+    assert merged["options"] == {at: values for at, values in options.items() if at != stage}
 
 
 def test_an_unknown_method_is_refused_with_similar_names() -> None:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import p2o
 import pytest
 from p2o import Frame, InputError, Kind, Method, PluginError, Recipe, Registry, Result, Status, UnknownNameError
+from p2o.host import calibration_file
+from p2o.run.isolated import isolated
 from p2o.run.recipe import open_exporter, parse_settings, split_data
 from p2o.run.run import Run
+from p2o_formats import hooks as formats
 from p2o_testing import stage
 
 
@@ -387,6 +391,25 @@ def test_without_any_start_there_is_nothing_to_do() -> None:
         Spy([framed("a")]).run()
     with pytest.raises(InputError, match="a: the truth is not known, so it cannot be perturbed"):
         Spy([framed("a", start=OTHER)]).run(perturb="1deg")
+
+
+def test_the_file_of_a_start_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    reads, read = [], calibration_file.read_calibration
+
+    def counted(*words: Any, **more: Any) -> Any:
+        reads.append(words)
+        return read(*words, **more)
+
+    file = tmp_path / "start.txt"
+    file.write_text("\n".join(" ".join(map(str, row)) for row in OTHER.tolist()))
+    monkeypatch.setattr(calibration_file, "read_calibration", counted)
+    spy = Spy([framed("a", TRUTH), framed("b", TRUTH)])
+    registry = Registry.of(formats, acme=spy)
+    p2o.calibrate("listed:", calibrator="spy", start=str(file), registry=registry)
+    assert [start for _, start in spy.seen] == [pytest.approx(OTHER), pytest.approx(OTHER)]
+    with isolated(Recipe.of(data="listed:", calibrator="spy", start=str(file)), (), ()) as apart:
+        Recipe.of(**apart.words).resolve(registry)
+    assert len(reads) == 1
 
 
 def test_a_start_may_be_given_in_python_but_not_with_a_perturbation() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -87,3 +88,31 @@ def test_a_blur_without_ipp_does_not_depend_on_the_memory_address() -> None:
             memory[:] = values
             blurred.add(cv2.GaussianBlur(memory, (0, 0), 3.0).tobytes())
     assert len(blurred) == 1
+
+
+PAGES = """
+import resource, numpy
+{setup}
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+for _ in range(50):
+    numpy.ones(1 << 20)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+_PAGES_OF_ARRAY = (8 << 20) // 4096
+SETUPS = {
+    "a calibration in Python": "import p2o; p2o.Recipe.of().resolve(p2o.Registry.load()).assembly()",
+    "a worker of a study": "from p2o_study import parallel; parallel._set_up_worker()",
+}
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="mallopt is of glibc")
+@pytest.mark.parametrize("name", SETUPS)
+def test_freed_memory_is_kept_although_dask_asks_malloc_to_return_it(name: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", PAGES.format(setup=SETUPS[name])],
+        env={**os.environ, "MALLOC_TRIM_THRESHOLD_": "65536"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert int(done.stdout) < 5 * _PAGES_OF_ARRAY

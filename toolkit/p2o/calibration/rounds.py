@@ -57,13 +57,13 @@ class Rounds:
         Each round matches within the cutting distance (d_c, first `reach_px`), minimises the robust sum of residuals
         (Eq. 1) and shrinks the cutting distance. Unlike in the paper, a pose is kept only where the judge gives it a
         lower cost than the best one so far, and rounds end when a round does not change the pose. `found_by` is the
-        stage that proposed the pose; empty where it is the `start` itself.
+        stage that proposed the pose; empty where it is the `start` itself, which is refused where no round moves it.
         """
         options, rounds = self.options, []
         if found_by:
             rounds.append(_round_record(found_by, 0.0, None, start, pose, judge.costs([pose])[0], accepted=True))
         best, status, reason = pose, Status.ROUNDS_SPENT, "without rounds"
-        solution, improved, stopped, reach = None, False, None, reach_px
+        solution, improved, moved, stopped, reach = None, False, False, None, reach_px
         for _ in range(options.rounds):
             problem = self.matcher(views, pose, reach)
             few = self._too_few(problem, reach)
@@ -75,6 +75,7 @@ class Rounds:
                 stopped, reason = Status.NOT_OBSERVABLE, solution.reason
                 break
             before, pose = pose, solution.camera_from_lidar
+            moved = moved or _moved(start, pose)
             cost_of_best, cost = judge.costs([best, pose])
             better = cost < cost_of_best
             if better:
@@ -95,6 +96,9 @@ class Rounds:
             better = cost < cost_of_best
             rounds.append(_round_record("likelihood", 0.0, None, best, likeliest, cost, accepted=better))
             best, improved = likeliest if better else best, improved or better
+        if solution is not None and stopped is None and not (found_by or moved or _moved(start, best)):
+            reason = "the solver found no pose of lower cost than the initial guess"
+            return End(start, Status.NO_IMPROVEMENT, reason, tuple(rounds))
         if stopped is not None and not improved:
             return End(start, stopped, reason, tuple(rounds))
         if found_by and not improved:
@@ -125,6 +129,10 @@ class Rounds:
         least, what = (self.options.min_matches, "pairs") if pairs else (MIN_PAIRS, "residuals")
         few = f"{len(problem)} {what} within {reach_px:.0f} px, at least {least} are needed"
         return few if len(problem) < least else ""
+
+
+def _moved(start: Float, pose: Float) -> bool:
+    return SolverStatus.of(start, pose, converged=True) is not SolverStatus.NOT_MOVED
 
 
 def _round_record(

@@ -21,8 +21,8 @@ _MIN_DEPTH_M = 0.1
 class ErrorBudget:
     """Components of the error of a pose, covariances (6, 6) of a left update in rad and m unless stated otherwise.
 
-    `pairs` is that of the scatter of pairs (`p2o.calibration.adjustment`). `beams` is for a common shift of the edges of
-    a direction by their gap between beams, `objects` for one by 1 m (`shift_covariance`), `rings` (6,) as of
+    `pairs` is that of the scatter of pairs (`p2o.calibration.adjustment`). `beams` is for a common shift of the edges
+    of a direction by their gap between beams, `objects` for one by 1 m (`shift_covariance`), `rings` (6,) as of
     `ring_gaps`. `cameras` is the covariance by unnoticed errors of the intrinsics, `absorbed` that by significant ones
     (`p2o.calibration.intrinsics`), of which no factor is needed. `views` is the number of different views. `intervals`
     states that the pose is that of the interval likelihood: another error model.
@@ -130,9 +130,10 @@ class ErrorModel(NamedTuple):
     `by_odds` of it. `beams` scales the deviation by a common shift of all edges, `rings` the error of half a gap
     between beams (`ring_gaps`); `object_m` is the deviation of a common shift of all outlines of a direction.
     `view_deg` and `view_m` are the error of one view that pairs do not show (mismatches of a scene), which falls with
-    the root of the number of views; `floor_deg` and `floor_m` that of any number. `rotation` and `translation` are the factors of the 67 % and 95 % bounds, in total and by axis; `axis` is the one
-    that suits the errors of all axes together, for sums with other estimates. Where the strength of the agreement is
-    below `strong`, the 95 % bounds are wider (`outlier_inflation`).
+    the root of the number of views; `floor_deg` and `floor_m` that of any number. `rotation` and `translation` are the
+    factors of the 67 % and 95 % bounds, in total and by axis; `axis` is the one that suits the errors of all axes
+    together, for sums with other estimates. Where the strength of the agreement is below `strong`, the 95 % bounds are
+    wider (`outlier_inflation`).
     """
 
     pairs: float

@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import parse_qsl
 
 from p2o.arrays import Float
@@ -127,21 +127,32 @@ def read_extrinsic_file(
     return calibration.extrinsic(reference), calibration.remarks
 
 
+class InitialGuess(NamedTuple):
+    """An initial camera_from_lidar (4, 4), remarks on it, and whether its rotation was given as a quaternion."""
+
+    camera_from_lidar: Float
+    remarks: tuple[str, ...] = ()
+    quaternion: bool = False
+
+    @classmethod
+    def read(
+        cls, text: str, where: object = "start", place: Place = expanded, registry: Registry | None = None
+    ) -> InitialGuess:
+        """Return the initial guess of a description ("roughly x forward, ...") or a calibration file.
+
+        Raises InputError as `rough_start` or `read_extrinsic_file`.
+        """
+        if not names_file(text):
+            return cls(rough_start(text, where))
+        calibration = read_calibration(text, where, place, registry)
+        return cls(calibration.extrinsic(text), calibration.remarks, calibration.quaternion)
+
+
 def read_initial_guess(
     text: str, where: object = "start", place: Place = expanded, registry: Registry | None = None
 ) -> tuple[Float, tuple[str, ...]]:
-    """Return the initial camera_from_lidar (4, 4) of a description ("roughly x forward, ...") or a file, and warnings.
-
-    Raises InputError as `rough_start` or `read_extrinsic_file`.
-    """
-    if names_file(text):
-        return read_extrinsic_file(text, where, place, registry)
-    return rough_start(text, where), ()
-
-
-def states_quaternion(text: str, registry: Registry | None = None) -> bool:
-    """Return whether a text names a calibration file that holds its rotation as a quaternion."""
-    return names_file(text) and read_calibration(text, registry=registry).quaternion
+    """Return the initial camera_from_lidar (4, 4) of a text and remarks, as `InitialGuess.read`."""
+    return InitialGuess.read(text, where, place, registry)[:2]
 
 
 def names_file(text: str) -> bool:

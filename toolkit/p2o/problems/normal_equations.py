@@ -144,4 +144,6 @@ def checked_solution(
             start, float(problem.loss(problem.residuals(start))), iterations, SolverStatus.SINGULAR, None, reason
         )
     cost = float(problem.loss(residuals))
+    if status is SolverStatus.CONVERGED:
+        status = SolverStatus.of(start, camera_from_lidar, converged=True)
     return Solution(camera_from_lidar, cost, iterations, status, covariance(problem, residuals, jacobian))

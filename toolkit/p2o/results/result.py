@@ -12,11 +12,14 @@ from pydantic import Field
 
 from p2o.arrays import Float
 from p2o.errors import InputError
+from p2o.geometry import se3
 from p2o.geometry.camera import Camera
 from p2o.results.evidence import Accuracy, Agreement, Judged, Rival, StartWeight
 from p2o.results.json_types import Count, Covariance, Derived, Flag, Number, Pose, Tree
 from p2o.results.verdict import Doubt, Reason, Verdict
 
+_NO_STEP_DEG, _NO_STEP_M = 1e-3, 1e-4
+"""Changes of a pose that no data resolve."""
 DIRECTED, INTERVALS = "directed-distance", "interval-likelihood"
 """Name of the judge of methods that match directed edges."""
 
@@ -40,11 +43,25 @@ class Status(StrEnum):
 
 
 class SolverStatus(StrEnum):
-    """How a call of a solver ended; SINGULAR means that the problem does not determine the pose."""
+    """How a call of a solver ended.
+
+    NOT_MOVED means that no pose of lower cost was found near the start, SINGULAR that the problem does not determine
+    the pose.
+    """
 
     CONVERGED = "converged"
+    NOT_MOVED = "not-moved"
     ITERATIONS_SPENT = "iterations-spent"
     SINGULAR = "singular"
+
+    @classmethod
+    def of(cls, start: Float, pose: Float, *, converged: bool) -> SolverStatus:
+        """Return how a solver ended that began at `start` (4, 4); less than 0.001 deg and 0.1 mm is no motion."""
+        if not converged:
+            return cls.ITERATIONS_SPENT
+        step = pose @ se3.inverse(start)
+        still = se3.angle_deg(step) < _NO_STEP_DEG and se3.distance_m(step) < _NO_STEP_M
+        return cls.NOT_MOVED if still else cls.CONVERGED
 
 
 @dataclass(frozen=True, eq=False)

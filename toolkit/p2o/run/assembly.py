@@ -26,7 +26,7 @@ from p2o.results.result import Result
 from p2o.run.pipeline import STAGES, Clock, Pipeline, Remarks, with_remarks
 from p2o.run.read_again import FrameInfo, cache_key, without_truth
 from p2o.run.wide import solve_widely
-from p2o.runtime.native import for_each
+from p2o.runtime.native import for_each, keep_freed_memory
 from p2o.runtime.stages import counted
 
 if TYPE_CHECKING:
@@ -75,6 +75,7 @@ class Assembly:
 
         `options` are those of the pipeline; a whole method takes the defaults for what is judged of its results.
         """
+        keep_freed_memory()
         make = build if build is not None else lambda part: part.build()
         built = {stage: make(part) for stage, part in parts.items() if stage not in ("data", "accumulate")}
         options = options if isinstance(options, PipelineOptions) else PipelineOptions()

@@ -18,7 +18,7 @@ from p2o.frames.frame import Dataset, Frame
 from p2o.geometry import se3
 from p2o.geometry.perturb import parse_accuracy
 from p2o.geometry.rough_start import is_rough_start
-from p2o.host.calibration_file import read_extrinsic_file, read_initial_guess, states_quaternion
+from p2o.host.calibration_file import InitialGuess, read_calibration
 from p2o.host.registry import Registry
 from p2o.results.check import Check, CheckStatus, Slip, Watch
 from p2o.run.pipeline import Pipeline
@@ -198,10 +198,10 @@ class _Given:
         """Return the extrinsic, compared with the sweep of the first frame."""
         name = extrinsic if isinstance(extrinsic, str) else None
         if isinstance(extrinsic, str):
-            pose, remarks = given_extrinsic(extrinsic, frames, registry)
+            pose, remarks, quaternion = given_extrinsic(extrinsic, frames, registry)
         else:
-            pose, remarks = se3.check_rigid("the extrinsic", extrinsic), ()
-        given: dict[str, Any] = {"where": name, "quaternion": name is not None and states_quaternion(name)}
+            pose, remarks, quaternion = InitialGuess(se3.check_rigid("the extrinsic", extrinsic))
+        given: dict[str, Any] = {"where": name, "quaternion": quaternion}
         direction = pose_direction(frames[0].cloud, frames[0].camera, pose, name="the extrinsic", **given)
         remarks = (*remarks, *direction.warnings("the extrinsic", name), *unit_remark(pose, "the extrinsic", name))
         return cls(pose, name, direction, remarks)
@@ -237,10 +237,8 @@ OF_DATA = {"truth": "camera_from_lidar", "start": "start"}
 """Names of the poses of a frame, and the attributes of `Frame` that hold them."""
 
 
-def given_extrinsic(
-    text: str, frames: Sequence[Frame], registry: Registry, where: str = "--extrinsic"
-) -> tuple[Float, tuple[str, ...]]:
-    """Return camera_from_lidar (4, 4), and warnings, of `truth`, `start`, "roughly ..." or a calibration file.
+def given_extrinsic(text: str, frames: Sequence[Frame], registry: Registry, where: str = "--extrinsic") -> InitialGuess:
+    """Return camera_from_lidar (4, 4) and remarks of `truth`, `start`, "roughly ..." or a calibration file.
 
     The readers of `registry` read the file. Raises InputError for a file that is missing or holds no extrinsic, and if
     the frames hold no such pose.
@@ -250,7 +248,8 @@ def given_extrinsic(
         if pose is None:
             message = f"the data hold no {'true extrinsic' if text == 'truth' else 'start'}"
             raise InputError(message, where=where, expected="a file with the extrinsic", got=text)
-        return pose, ()
+        return InitialGuess(pose)
     if is_rough_start(text):
-        return read_initial_guess(text, where, registry=registry)
-    return read_extrinsic_file(text, where, registry=registry)
+        return InitialGuess.read(text, where, registry=registry)
+    calibration = read_calibration(text, where, registry=registry)
+    return InitialGuess(calibration.extrinsic(text), calibration.remarks, calibration.quaternion)

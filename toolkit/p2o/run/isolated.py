@@ -14,6 +14,7 @@ from typing import Any
 from p2o.arrays import Float
 from p2o.errors import P2OError, PluginError
 from p2o.frames.frame import Frame
+from p2o.host.calibration_file import names_file
 from p2o.host.registry import Registry, reported_calls
 from p2o.results.result import Result, RigResult
 from p2o.run.assembly import Assembly
@@ -134,7 +135,9 @@ def _with(assembly: Assembly, options: Any, twists: Any) -> Assembly:
 @contextlib.contextmanager
 def isolated(recipe: Recipe, block: Sequence[str], files: Sequence[str]) -> Iterator[IsolatedCalibration]:
     """Yield the calibration of a recipe in a worker process, which is terminated in the end."""
-    words = recipe.model_dump(mode="json", exclude_unset=True)
+    # The worker receives the initial guess of each calibration: it need not read the file again.
+    start = {"start"} if recipe.start is not None and names_file(recipe.start) else set()
+    words = recipe.model_dump(mode="json", exclude_unset=True, exclude=start)
     calibration = IsolatedCalibration(words, tuple(block), tuple(files))
     try:
         yield calibration

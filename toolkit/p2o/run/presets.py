@@ -33,8 +33,12 @@ class Preset:
     label: str = ""
 
     def merged(self, words: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the words of a recipe with those of this method where `words` has no others."""
-        options = {stage: dict(values) for stage, values in self.options.items()}
+        """Return the words of a recipe with those of this method where `words` has no others.
+
+        Options of a stage whose method `words` replaces are left out: another method does not have them.
+        """
+        ours, given = _stages(self.words), _stages({**self.words, **words})
+        options = {stage: dict(v) for stage, v in self.options.items() if ours.get(stage) == given.get(stage)}
         for stage, values in words.get("options", {}).items():
             options[stage] = {**options.get(stage, {}), **values}
         return {**self.words, **words, **({"options": options} if options else {})}
@@ -45,6 +49,12 @@ class Preset:
         for stage, values in self.options.items():
             words += [f"--set {stage}.{name}={str(value).lower()}" for name, value in values.items()]
         return " ".join(words)
+
+
+def _stages(words: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the method of each stage that words name; an extractor names two."""
+    image, _, cloud = str(words.get("extractor", "")).partition("/")
+    return {**words, "extractor": image, "cloud": cloud}
 
 
 class _Table(BaseModel):

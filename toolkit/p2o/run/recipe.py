@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -88,12 +88,13 @@ class Recipe(BaseModel):
         """
         from p2o.calibration.options import PipelineOptions
         from p2o.geometry.start_list import parse_starts
-        from p2o.host.calibration_file import read_initial_guess
+        from p2o.host.calibration_file import InitialGuess
 
         if self.perturb is not None:
             parse_starts(self.perturb)
+        guess: InitialGuess | None = None
         if self.start is not None:
-            read_initial_guess(self.start, registry=registry)
+            guess = InitialGuess.read(self.start, registry=registry)
             if self.perturb is not None:
                 raise InputError("both a start and a perturbation are given", expected="one of them")
         names, values_of = self._names()
@@ -120,7 +121,7 @@ class Recipe(BaseModel):
         if rig is not None and self.joint:
             expected = "no --joint beside it: the frames of a camera are solved together in any case"
             raise InputError("a rig has one result for each camera", where="--rig", expected=expected)
-        return Plan(self, parts, pipeline, registry, rig)
+        return Plan(self, parts, pipeline, registry, rig, guess)
 
     def _witness(self, parts: Mapping[str, Part], registry: Registry) -> dict[str, Part]:
         """Return the extractors of the independent check; default ones only if they are installed and fit the data.
@@ -210,13 +211,17 @@ def _pair(what: str, text: str) -> tuple[str, str]:
 
 @dataclass(frozen=True)
 class Plan:
-    """A resolved recipe: every method found, every option validated, every stage fitting the next."""
+    """A resolved recipe: every method found, every option validated, every stage fitting the next.
+
+    `initial_guess` is that of the recipe's `start`, which is read once.
+    """
 
     recipe: Recipe
     parts: Mapping[str, Part]
     pipeline: Options | None
     registry: Registry
     rig: Rig | None = None
+    initial_guess: InitialGuess | None = field(default=None, compare=False)
 
     def dataset(self) -> GuardedDataset | JoinedFrames:
         """Return the dataset, with accumulated sweeps if the recipe selects them; frames are read on access."""

@@ -22,7 +22,7 @@ from p2o.geometry import se3
 from p2o.geometry.camera import Camera
 from p2o.geometry.pose_error import PoseError, pose_error, summarise
 from p2o.geometry.start_list import StartList, parse_starts
-from p2o.host.calibration_file import names_file, read_initial_guess, states_quaternion
+from p2o.host.calibration_file import names_file
 from p2o.host.registry import Registry
 from p2o.results.result import Result, RigResult, Status
 from p2o.results.result_json import result_to_dict, rig_to_dict
@@ -342,10 +342,10 @@ def _common_result(
 def _initial_guess(plan: Plan, start: Float | None) -> tuple[Float | None, tuple[str, ...]]:
     """Return the initial extrinsic (4, 4) given as a pose or in words, or None, and remarks on it."""
     recipe, remarks = plan.recipe, tuple[str, ...]()
-    if recipe.start is not None:
+    if plan.initial_guess is not None:
         if start is not None:
             raise InputError("a start is given twice, as a pose and in words", expected="one of them")
-        start, remarks = read_initial_guess(recipe.start, "--start", registry=plan.registry)
+        start, remarks, _ = plan.initial_guess
     if start is None:
         return None, remarks
     if plan.rig is not None:
@@ -425,7 +425,8 @@ class _Begin:
         infos = frame_infos(frames)
         camera = infos[0].camera_name if plan.rig is not None else one_camera(infos)
         truth = common_pose(infos, "camera_from_lidar")
-        begin = start_of(infos, truth, plan.recipe, start, chosen[0][0], listed)
+        quaternion = plan.initial_guess is not None and plan.initial_guess.quaternion
+        begin = start_of(infos, truth, plan.recipe, start, chosen[0][0], listed, quaternion=quaternion)
         return cls(frames, frozenset(info.camera for info in infos), truth, *begin, camera)
 
 
@@ -524,15 +525,20 @@ def start_of(
     start: Float | None,
     index: int,
     listed: Mapping[int, Float],
+    *,
+    quaternion: bool = False,
 ) -> tuple[Float, tuple[str, ...]]:
-    """Return the initial guess and remarks on it; `listed` are the `listed_errors` by index."""
+    """Return the initial guess and remarks on it; `listed` are the `listed_errors` by index.
+
+    `quaternion` states whether the rotation of `start` was given as a quaternion, whose order may be wrong.
+    """
     if start is not None:
         if recipe.start is None or not names_file(recipe.start):
             return start, ()
         # Files of other tools often contain the inverse transform.
         frame = frames[0]
         assert frame.cloud is not None  # that of the first frame is kept
-        given: dict[str, Any] = {"where": recipe.start, "quaternion": states_quaternion(recipe.start)}
+        given: dict[str, Any] = {"where": recipe.start, "quaternion": quaternion}
         return start, check_direction(frame.cloud, frame.camera, start, name="the start", **given)
     if recipe.perturb is not None:
         if truth is None:
