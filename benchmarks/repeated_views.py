@@ -118,7 +118,7 @@ def main() -> None:
             line += f"{'yes' if one.result.verdict.trusted else 'no':>6}"
         line += f"{moved.rotation_deg:11.3f}{100 * moved.translation_m:6.1f}{limits[0]:10.3f}{100 * limits[1]:6.1f}"
         print(line, flush=True)
-    print(f"{within} of {count} moved by less than the 95 % bound; {wrong} became trusted and wrong")
+    print(f"{within} of {count} moved by less than the 95 % bound; {wrong} became false accepts")
 
 
 if __name__ == "__main__":

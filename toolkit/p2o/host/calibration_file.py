@@ -144,7 +144,7 @@ class InitialGuess(NamedTuple):
         """
         if not names_file(text):
             return cls(rough_start(text, where))
-        calibration = read_calibration(text, where, place, registry)
+        calibration = read_calibration(text, where, place, registry=registry)
         return cls(calibration.extrinsic(text), calibration.remarks, calibration.quaternion)
 
 

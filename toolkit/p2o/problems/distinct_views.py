@@ -19,7 +19,7 @@ _MOST_LOOKED_UP, _LEAST_ASKED = 2_000_000, 20
 """Maximum number of nearest-neighbour queries, and the fewest edges of each frame that are looked up in all others."""
 _SAME_EDGES, _SAME_POINTS = 0.5, 0.85
 """Share of the edges, or of the points, of a frame that another one contains from which both show one scene: points of
-a flat road are alike in all frames.
+a flat road are the same in all frames.
 """
 _MARGIN_PX = 30.0
 """Edges this far outside the image take part: the initial guess has an error."""

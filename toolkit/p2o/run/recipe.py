@@ -28,6 +28,7 @@ from p2o.run.words import value_of as value_of
 
 if TYPE_CHECKING:
     from p2o.frames.frame import Frame
+    from p2o.host.calibration_file import InitialGuess
     from p2o.host.guard import GuardedCalibrator, GuardedDataset
     from p2o.host.stages import Exporter
     from p2o.run.assembly import Assembly
