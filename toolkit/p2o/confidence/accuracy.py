@@ -23,9 +23,10 @@ class ErrorBudget:
 
     `pairs` is that of the scatter of pairs (`p2o.calibration.adjustment`). `beams` is for a common shift of the edges
     of a direction by their gap between beams, `objects` for one by 1 m (`shift_covariance`), `rings` (6,) as of
-    `ring_gaps`. `cameras` is the covariance by unnoticed errors of the intrinsics, `absorbed` that by significant ones
-    (`p2o.calibration.intrinsics`), of which no factor is needed. `views` is the number of different views. `intervals`
-    states that the pose is that of the interval likelihood: another error model.
+    `ring_gaps`. `cameras` is the covariance by unnoticed errors of the intrinsics. `absorbed` is that by significant
+    ones (`p2o.calibration.intrinsics`), and `rivals` that by other poses of about the same cost; both need no factor.
+    `views` is the number of different views. `intervals` states that the pose is that of the interval likelihood:
+    another error model.
     """
 
     pairs: Float
@@ -34,6 +35,7 @@ class ErrorBudget:
     rings: Float
     cameras: Float = field(default_factory=lambda: np.zeros((6, 6)))
     absorbed: Float = field(default_factory=lambda: np.zeros((6, 6)))
+    rivals: Float = field(default_factory=lambda: np.zeros((6, 6)))
     views: float = 1.0
     intervals: bool = False
 
@@ -246,8 +248,8 @@ def likely_covariance(
     scatter = scatter + model.object_m**2 * budget.objects + budget.cameras
     by_update = place_by_update(camera_from_lidar)
     bounds = np.repeat([model.rotation[0], model.translation[0]], 3)
-    absorbed = by_update @ budget.absorbed @ by_update.T / np.outer(bounds, bounds)
-    return np.asarray(by_update @ scatter @ by_update.T + absorbed + np.diag(own))
+    as_they_are = by_update @ (budget.absorbed + budget.rivals) @ by_update.T / np.outer(bounds, bounds)
+    return np.asarray(by_update @ scatter @ by_update.T + as_they_are + np.diag(own))
 
 
 def or_rival(accuracy: Accuracy, rival: Rival | None, min_lead_edges: float) -> Accuracy:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from p2o.arrays import Float
-from p2o.calibration.algorithm import Algorithm, Estimate
+from p2o.calibration.algorithm import Algorithm, Estimate, Refined
 from p2o.calibration.options import PipelineOptions
 from p2o.calibration.rounds import counts, mean_residuals_px
 from p2o.confidence.accuracy import (
@@ -143,7 +143,27 @@ class _Scatter:
             cells, min_cells = agreement.places, judge.min_cells
         if final.intrinsics is not None:
             budget = replace(budget, cameras=final.intrinsics.covariance, absorbed=final.intrinsics.absorbed)
+        if not final.cameras_corrected:
+            budget = replace(budget, rivals=_rival_covariance(estimate.refined, options.min_lead_edges))
         return cls(budget, cells, min_cells)
+
+
+def _rival_covariance(refined: Refined, min_lead_edges: float) -> Float:
+    """Return the covariance (6, 6) of a left update by poses of about the same cost as the best one.
+
+    Which of them has the lowest cost depends on the noise of the edges, and on the seed of the search. A pose that
+    loses L edges has the probability exp(-L) of the best one; poses that lose `min_lead_edges` or more are left out.
+    """
+    ends = [end for end in (*refined.solved, *refined.rivals) if end.solved and end is not refined.best]
+    cost_of_best, *costs = refined.judge.costs([refined.best.pose, *(end.pose for end in ends)])
+    total, probability = np.zeros((6, 6)), 1.0
+    for end, cost in zip(ends, costs, strict=True):
+        lead, unit = refined.judge.lead(cost_of_best, cost)
+        if unit == "edges" and lead < min_lead_edges:
+            step = se3.log(end.pose @ se3.inverse(refined.best.pose))
+            share = float(np.exp(-max(lead, 0.0)))
+            total, probability = total + share * np.outer(step, step), probability + share
+    return total / probability
 
 
 _FEW = 0.5
