@@ -66,7 +66,8 @@ def _line(name: str, rows: Float) -> str:
         return f"{name:24}   0 frames"
     near = np.mean((rows[:, 0] < LIMIT_DEG) & (rows[:, 1] < LIMIT_M))
     (deg_50, cm_50), (deg_95, cm_95) = np.quantile(rows[:, :2], [0.5, 0.95], axis=0) * [1, 100]
-    share = f"{LIMIT_DEG} deg and {100 * LIMIT_M:.0f} cm {100 * near:.0f} %, their 95 % bound {100 * rows[:, 3].mean():.0f} %"
+    share = f"{LIMIT_DEG} deg and {100 * LIMIT_M:.0f} cm {100 * near:.0f} %"
+    share += f", their 95 % bound {100 * rows[:, 3].mean():.0f} %"
     sizes = f"median {deg_50:.3f} deg {cm_50:.1f} cm, 95 % {deg_95:.3f} deg {cm_95:.1f} cm"
     return f"{name:24} {len(rows):3} frames; within {share}; {sizes}"
 

@@ -611,7 +611,7 @@ def test_rings_that_are_far_apart_are_calibrated_by_their_intervals() -> None:
     assert error.rotation_deg < 0.15
     assert error.translation_m < 0.04
     assert error.rotation_deg < 0.5 * pose_error(by_middle.camera_from_lidar, TRUTH).rotation_deg
-    assert any(record.stage == "likelihood" for record in result.rounds)
+    assert any(record.stage == "interval-likelihood" for record in result.rounds)
 
 
 def test_a_result_by_intervals_is_trusted_and_within_its_predicted_error() -> None:

@@ -13,6 +13,7 @@ from p2o.geometry import se3
 from p2o.host.stages import JudgeBase, LogLikelihood, Matcher, MatcherBase
 from p2o.problems.agreement import agreement_of
 from p2o.problems.directed_cost import DirectedCost
+from p2o.problems.directed_fit import nearest_minimum
 from p2o.problems.interval_likelihood import IntervalLikelihood, ring_step_deg
 from p2o.problems.problem import LeastSquares, Problem
 from p2o.problems.rivals import rival_poses
@@ -53,6 +54,10 @@ class DirectedJudge(JudgeBase):
     def on(self, views: Sequence[View]) -> DirectedJudge:
         """Return the judge of the same points and weights where `views` put them."""
         return replace(self, cost=self.cost.on(views), _known={})
+
+    def maximised(self, pose: Float) -> Float:
+        """Return the pose (4, 4) of the local minimum of the directed distance near a pose."""
+        return nearest_minimum(self.cost, pose)
 
     def rivals(self, pose: Float, count: int) -> list[Float]:
         """Return up to `count` poses (4, 4) of low cost near a pose."""

@@ -94,7 +94,7 @@ class Rounds:
         if likeliest is not best:
             cost_of_best, cost = judge.costs([best, likeliest])
             better = cost < cost_of_best
-            rounds.append(_round_record("likelihood", 0.0, None, best, likeliest, cost, accepted=better))
+            rounds.append(_round_record(judge.name, 0.0, None, best, likeliest, cost, accepted=better))
             best, improved = likeliest if better else best, improved or better
         if solution is not None and stopped is None and not (found_by or moved or _moved(start, best)):
             reason = "the solver found no pose of lower cost than the initial guess"
