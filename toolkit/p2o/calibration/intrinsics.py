@@ -394,8 +394,8 @@ class _Field:
         `given` (4, 4) is the pose of the result, which is estimated with the cameras as given.
         """
         first, scatters = 6 + self.moving, []
-        for its in cells:
-            hessian, score = self._information(best, its)
+        for numbers in cells:
+            hessian, score = self._information(best, numbers)
             hessian += precision
             score *= _SIGMA_INFLATION**2
             # Expected motions are not the true ones.
