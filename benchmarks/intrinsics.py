@@ -1,6 +1,7 @@
 """Measure whether wrong intrinsics are noticed: false accepts, false accusations, and how well the error is named.
 
     python benchmarks/intrinsics.py [--rigs street:hdl-64e ...] [--seeds 1 2] [--frames 10] [--out FILE.json]
+    python benchmarks/intrinsics.py --data kitti-raw:PATH ... [--seeds 1 2] [--frames 10]
 
 Every rig is a simulated drive with exact ground truth (scenes of the place with the LiDAR), calibrated jointly from an
 initial error of 1 deg and 10 cm, with the true camera and with wrong ones: the focal length 1, 3 and 5 % too long or
@@ -9,6 +10,9 @@ once. Printed by kind of error: n, results that are trusted although the error e
 the bound) or 1 deg or 30 cm, results in which the camera is in doubt, in which the wrong parameter is named, and in
 which all four parameters are within 1.96 of their standard deviations; the median errors as given and with
 `pipeline.camera=refine`.
+
+With `--data`, the rigs are real drives whose camera is taken as correct: successive frames of one folder, without
+overlap, at most `--frames` and at least five jointly, with the camera as given and with the errors in `REAL_CASES`.
 """
 
 from __future__ import annotations
@@ -17,7 +21,7 @@ import argparse
 import json
 import sys
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -25,6 +29,7 @@ import numpy as np
 from p2o import Registry
 from p2o.arrays import Float
 from p2o.calibration.options import PipelineOptions
+from p2o.frames.frame import Frame
 from p2o.geometry.perturb import parse_perturbation
 from p2o.geometry.pose_error import pose_error
 from p2o.geometry.radial_error import RadialError
@@ -47,6 +52,8 @@ CASES: dict[str, tuple[RadialError, ...]] = {
     "radial distortion 0.05": (RadialError(radial=0.05), RadialError(radial=-0.05)),
     "radial distortion 0.19": (RadialError(radial=0.19), RadialError(radial=-0.19)),
 }
+REAL_CASES = ("correct", "focal length 3 %", "principal point x 10 px")
+LEAST_FRAMES = 5
 INITIAL = parse_perturbation("1deg 0.1m")
 
 
@@ -84,15 +91,37 @@ def rows_of(rig: str, seed: int, frames: int) -> Iterator[Row]:
     place, lidar = rig.split(":")
     registry = Registry.load()
     dataset = open_dataset(f"synthetic:?scenes={frames}&place={place}&lidar={lidar}&seed={seed}&right=false", registry)
+    yield from _rows(rig, seed, _pipeline(registry), [dataset[number] for number in range(frames)], CASES)
+
+
+def rows_of_drives(data: str, seed: int, frames: int) -> Iterator[Row]:
+    """Yield the rows of all groups of successive frames of one folder of a data set."""
+    registry = Registry.load()
+    dataset, pipeline, drives = open_dataset(data, registry), _pipeline(registry), defaultdict(list)
+    for number, name in enumerate(dataset.names):
+        drives[name.rpartition("/")[0]].append(number)
+    for drive, numbers in drives.items():
+        for first in range(0, len(numbers), frames):
+            group = numbers[first : first + frames]
+            if len(group) >= LEAST_FRAMES:
+                its = [dataset[number] for number in group]
+                yield from _rows(f"{drive}:{len(group)}", seed, pipeline, its, REAL_CASES)
+
+
+def _pipeline(registry: Registry) -> Pipeline:
     assembly = Assembly.of(Recipe.of(data=None, joint=True).resolve(registry).parts, PipelineOptions())
     assert isinstance(assembly.calibrator, Pipeline)
-    pipeline = assembly.calibrator
-    truth = dataset[0].camera_from_lidar
+    return assembly.calibrator
+
+
+def _rows(rig: str, seed: int, pipeline: Pipeline, frames: Sequence[Frame], cases: Iterable[str]) -> Iterator[Row]:
+    """Yield the rows of frames that are calibrated jointly."""
+    truth = frames[0].camera_from_lidar
     assert truth is not None
-    views = [pipeline.prepare(dataset[number]) for number in range(frames)]
+    views = [pipeline.prepare(frame) for frame in frames]
     start = INITIAL.start(truth, np.random.default_rng([seed, 0]))
-    for case, errors in CASES.items():
-        for error in errors:
+    for case in cases:
+        for error in CASES[case]:
             wrong = [replace(view, camera=error.corrected(view.camera)) for view in views]
             result = pipeline.solve(wrong, start)
             refine = replace(pipeline, options=pipeline.options.model_copy(update={"camera": "refine"}))
@@ -158,14 +187,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Calibrate all rigs and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rigs", nargs="+", default=list(RIGS), metavar="PLACE:LIDAR")
+    parser.add_argument("--data", nargs="+", metavar="DATASET:PATH", help="real drives instead of the rigs")
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2])
     parser.add_argument("--frames", type=int, default=10)
     parser.add_argument("--out", type=Path, help="write the rows as JSON")
     options = parser.parse_args(arguments)
     rows = []
-    for rig in options.rigs:
+    for rig in options.data or options.rigs:
         for seed in options.seeds:
-            rows += list(rows_of(rig, seed, options.frames))
+            rows += list((rows_of_drives if options.data else rows_of)(rig, seed, options.frames))
             print(f"{rig} {seed}: {len(rows)} results", file=sys.stderr, flush=True)
             if options.out is not None:
                 options.out.write_text(json.dumps([asdict(row) for row in rows], indent=1))

@@ -18,6 +18,7 @@ def test_an_initializer_counts_where_it_prepares_frames() -> None:
         extractor="canny/rings",
         matcher="nearest",
         init="hand-eye",
+        witness="none",
         options={"init": {"lidar": "given"}},
     ).resolve(Registry.load())
     assert set(prepared_stages(plan)) == {"extractor", "cloud", "init"}

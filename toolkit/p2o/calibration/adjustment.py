@@ -131,6 +131,11 @@ def fit_with_nuisances(
     pose_covariance: Float | None = None
     if spare is not None:
         pose_covariance = (inverse @ (spare * clustered + expected) @ inverse)[:6, :6]
+        # What the pose owes to the motions has their larger errors.
+        at = 6 + model.shared
+        by_motion = np.linalg.pinv(hessian[:6, :6]) @ hessian[:6, at:]
+        more = (_SIGMA_INFLATION**2 - 1) * covariance[at:, at:]
+        pose_covariance = pose_covariance + by_motion @ more @ by_motion.T
         pose_covariance = np.asarray(0.5 * (pose_covariance + pose_covariance.T))
     return Adjustment(
         pose,

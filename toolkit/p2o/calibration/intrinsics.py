@@ -356,43 +356,55 @@ class _Field:
                 break
         return replace(state, distances=distances, cost=cost)
 
-    def cells(self, pose: Float) -> Int:
-        """Return the number (K,) of the camera, direction and cell of the image that each point belongs to.
+    def cells(self, pose: Float) -> tuple[Int, Int]:
+        """Return the number (K,) of the cell that each point belongs to, twice: of its view, and of all views.
 
-        Errors in one cell of several views are not independent: a drive straight on, or a rig at rest, shows the same
-        outlines there again.
+        A cell is one of a direction and a part of the image. Errors in one cell of several views are not independent
+        where a drive straight on, or a rig at rest, shows the same outlines there again.
         """
         xyz, keys = se3.apply(pose @ self.cost.lidar_from_around, self.xyz), []
         for number, (camera, _, rows) in enumerate(self.rows_of_cameras):
             cell = np.floor(np.nan_to_num(camera.project(xyz[rows]), nan=-1.0) / OUTLINE_CELL_PX).astype(np.int64)
-            keys.append(np.column_stack([np.full(len(cell), number), self.side[rows], cell]))
-        return np.asarray(np.unique(np.concatenate(keys), axis=0, return_inverse=True)[1].reshape(-1))
+            keys.append(np.column_stack([self.part_of[rows], np.full(len(cell), number), self.side[rows], cell]))
+        key = np.concatenate(keys)
+        own, common = (np.unique(its, axis=0, return_inverse=True)[1].reshape(-1) for its in (key, key[:, 1:]))
+        return own, common
 
-    def evidence(self, before: _State, after: _State, cells: Int) -> float:
-        """Return by how many standard deviations over image cells the mean distance is smaller after than before."""
+    def evidence(self, before: _State, after: _State, cells: tuple[Int, Int]) -> float:
+        """Return by how many standard deviations over image cells the mean distance is smaller after than before.
+
+        The cells are those with the larger deviation.
+        """
         assert before.distances is not None
         assert after.distances is not None
-        gain = np.bincount(cells, self.weight * (before.distances - after.distances))
-        return float(gain.sum() / max(np.sqrt(gain @ gain), np.finfo(float).tiny))
+        gain = self.weight * (before.distances - after.distances)
+        deviation = max(float(np.linalg.norm(np.bincount(its, gain))) for its in cells)
+        return float(gain.sum() / max(deviation, np.finfo(float).tiny))
 
     def noise(self, state: _State) -> float:
         """Return the scatter of the gradient over image cells per curvature, in px: the mean over the pose."""
-        hessian, score = self._information(state, self.cells(state.pose))
+        hessian, score = self._information(state, self.cells(state.pose)[0])
         return float(np.trace(np.linalg.pinv(hessian[:6, :6]) @ score[:6, :6]) / 6)
 
-    def estimate(self, given: Float, fixed: _State, best: _State, precision: Float, cells: Int) -> IntrinsicsEstimate:
+    def estimate(
+        self, given: Float, fixed: _State, best: _State, precision: Float, cells: tuple[Int, Int]
+    ) -> IntrinsicsEstimate:
         """Return the estimate at a fitted state; `fixed` is the one with the cameras as given.
 
         `given` (4, 4) is the pose of the result, which is estimated with the cameras as given.
         """
-        hessian, score = self._information(best, cells)
-        first = 6 + self.moving
-        hessian += precision
-        score *= _SIGMA_INFLATION**2
-        # Expected motions are not the true ones.
-        score[6:first, 6:first] += precision[6:first, 6:first] @ self.spread @ precision[6:first, 6:first]
-        inverse = np.linalg.pinv(hessian)
-        scatter = inverse @ score @ inverse
+        first, scatters = 6 + self.moving, []
+        for numbers in cells:
+            hessian, score = self._information(best, numbers)
+            hessian += precision
+            score *= _SIGMA_INFLATION**2
+            # Expected motions are not the true ones.
+            score[6:first, 6:first] += precision[6:first, 6:first] @ self.spread @ precision[6:first, 6:first]
+            inverse = np.linalg.pinv(hessian)
+            scatters.append(inverse @ score @ inverse)
+        own, common = scatters
+        wider = np.sqrt(np.maximum(1.0, np.diag(own) / np.maximum(np.diag(common), np.finfo(float).tiny)))
+        scatter = wider[:, None] * common * wider
         evidence = self.evidence(fixed, best, cells)
         prior = np.diag(precision)[first:].reshape(-1, 4)
         fits, errors = [], np.where(prior < _FIXED, best.errors, 0.0)
