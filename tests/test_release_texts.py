@@ -27,7 +27,7 @@ def citation() -> dict[str, Any]:
 
 def test_the_first_section_of_the_changelog_is_that_of_the_version(project: dict[str, Any]) -> None:
     headings = re.findall(r"^## (.+)$", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
-    assert headings[0].split()[0] == project["version"]
+    assert next(heading for heading in headings if heading != "Unreleased").split()[0] == project["version"]
 
 
 def test_the_citation_is_that_of_the_version(citation: dict[str, Any], project: dict[str, Any]) -> None:
