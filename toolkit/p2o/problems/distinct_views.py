@@ -15,7 +15,7 @@ from p2o.geometry import se3
 _SAME_BEARING, _SAME_RANGE = 0.02, 0.04
 """Differences in bearing (about 1 deg) and range (4 %) up to which edges of one direction are of one outline."""
 _LEAST_M = 0.1
-_MOST_LOOKED_UP, _LEAST_ASKED = 2_000_000, 20
+_MOST_LOOKED_UP, _LEAST_ASKED = 2_000_000, 8
 """Maximum number of nearest-neighbour queries, and the fewest edges of each frame that are looked up in all others."""
 _SAME_EDGES, _SAME_POINTS = 0.5, 0.85
 """Share of the edges, or of the points, of a frame that another one contains from which both show one scene: points of
@@ -45,23 +45,23 @@ class DistinctViews:
         many frames, a random subset of the edges of each frame is looked up. Frames that share `same_scene` of their
         edges show one scene.
         """
-        rng, seen_in, frame_of, shares = np.random.default_rng(0), [], [], np.eye(frames)
-        place = _places(xyz, side)
+        rng, place = np.random.default_rng(0), _places(xyz, side)
         rows = [np.flatnonzero(frame == number) for number in range(frames)]
         most = max(_LEAST_ASKED, _MOST_LOOKED_UP // max(frames, 1) ** 2)
         asked = [its if len(its) <= most else rng.permutation(its)[:most] for its in rows]
-        trees = [KDTree(place[its]) if len(its) else None for its in rows]
-        for number, its in enumerate(asked):
-            count = np.ones(len(its))
-            for other, tree in enumerate(trees):
-                if other == number or tree is None or not len(its):
-                    continue
-                contained = np.isfinite(tree.query(place[its], distance_upper_bound=1.0)[0])
-                count += contained
-                shares[number, other] = contained.mean()
-            seen_in.append(count)
-            frame_of.append(np.full(len(its), number))
-        weights = np.array([float(np.mean(1.0 / count)) if len(count) else 1.0 for count in seen_in])
+        index = np.concatenate([np.zeros(0, np.int64), *asked])
+        owner = np.repeat(np.arange(frames), [len(its) for its in asked])
+        number_of = np.maximum(np.bincount(owner, minlength=frames), 1)
+        seen_in, shares = np.ones(len(index)), np.eye(frames)
+        for other, its in enumerate(rows):
+            others = np.flatnonzero(owner != other)
+            if len(its) and len(others):
+                contained = np.isfinite(KDTree(place[its]).query(place[index[others]], distance_upper_bound=1.0)[0])
+                seen_in[others] += contained
+                of_others = np.bincount(owner[others], contained, frames) / number_of
+                shares[:, other] = np.where(np.arange(frames) == other, 1.0, of_others)
+        weights = np.bincount(owner, 1.0 / seen_in, frames) / number_of
+        weights = np.where(np.bincount(owner, minlength=frames) > 0, weights, 1.0)
         return cls(weights, _scenes(shares, same_scene))
 
 
