@@ -94,7 +94,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--root", default="build/data", help="folder of the real frames")
     parser.add_argument("--kept", type=Path, default=Path("build/repeated-views"), help="folder of extracted features")
-    parser.add_argument("--splits", default="../shared/data/splits.json", help="file of the splits")
+    parser.add_argument("--splits", default="benchmarks/splits.json", help="file of the splits")
     parser.add_argument("--only", default="", help="only groups whose names contain this: 16-rings kitti")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()

@@ -27,7 +27,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--root", default="build/data", help="folder of the real frames")
     parser.add_argument("--kept", type=Path, default=Path("build/search-spread"), help="folder of extracted features")
-    parser.add_argument("--splits", default="../shared/data/splits.json", help="file of the splits")
+    parser.add_argument("--splits", default="benchmarks/splits.json", help="file of the splits")
     parser.add_argument("--rigs", nargs="+", default=["kitti-raw", "kitti-odometry", "waymo", "hitsz", "pjlab"])
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--most", type=int, help="frames of each rig, evenly chosen")

@@ -137,8 +137,10 @@ def planned(**words: Any) -> Any:
     return Recipe.of(data=None, **words).resolve(Registry.load())
 
 
-def test_methods_without_weights_name_no_licence() -> None:
-    assert planned(extractor="canny/rings", matcher="nearest").licences() == {}
+def test_methods_without_weights_name_the_licence_of_their_check_only() -> None:
+    words = {"extractor": "canny/rings", "matcher": "nearest"}
+    assert planned(**words, witness="none").licences() == {}
+    assert set(planned(**words).licences()) == {"witness"}
 
 
 def test_the_independent_check_uses_and_names_the_same_default(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -136,7 +136,7 @@ def test_a_folder_that_is_there_is_left_alone(tmp_path: Path, capsys: pytest.Cap
 
 def test_a_missing_parent_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["plugin", "new", "acme-edges", "--out", str(tmp_path / "none")]) == 2
-    assert "is missing" in capsys.readouterr().err
+    assert "no such folder" in capsys.readouterr().err
 
 
 def test_it_says_what_it_wrote_and_what_to_do_next(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -85,6 +85,8 @@ def full_frame() -> Frame:
         targets=(Checkerboard(7, 5, 0.1, 1.0, 0.8), HoleBoard(1.0, 1.0, ((0.0, 0.0, 0.1),))),
         sweep=Cloud(np.zeros((1, 3))),
         camera_name="front",
+        advice=("a",),
+        unused_fields=("f",),
     )
 
 

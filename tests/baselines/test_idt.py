@@ -61,7 +61,8 @@ def test_only_the_near_side_of_a_jump_counts() -> None:
 
 
 def test_a_missing_return_makes_no_jump_and_rings_are_closed() -> None:
-    assert len(ring_jumps(ring_of([9.0, 5.0], step_deg=0.7), 0.3, 0.6)[0]) == 0
+    gap = ring_of([9.0] * 20 + [7.0] * 5 + [5.0] * 20).select(np.r_[0:20, 25:45])
+    assert len(ring_jumps(gap, 0.3, 0.6)[0]) == 0
     ring = ring_of([5.0] * 1799 + [9.0])
     assert sorted(ring_jumps(ring, 0.3, 0.6)[0]) == [0, 1798]
 

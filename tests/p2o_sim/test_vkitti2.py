@@ -171,7 +171,7 @@ def test_missing_scenes_and_folders_without_frames_are_refused(tmp_path: Path) -
         opened(tmp_path, variation="rain")
     with pytest.raises(InputError, match="no scene"):
         opened(tmp_path / "Scene01" / "clone")
-    with pytest.raises(InputError, match="is missing"):
+    with pytest.raises(InputError, match="no such folder"):
         opened(tmp_path / "nowhere")
 
 

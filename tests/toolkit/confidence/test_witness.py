@@ -107,7 +107,7 @@ def test_a_pose_at_which_edges_meet_is_doubtful_where_they_would_meet_better_bes
     assert witnessed(beside, views, all_sides).verdict.trusted
     found = witnessed(beside, views, all_sides, pipeline).verdict
     assert (found.trust, [reason.doubt for reason in found.reasons]) == (Trust.DOUBTFUL, [Doubt.LED_AWAY])
-    assert "it is off by about" in found.why
+    assert "is off by about" in found.why
     for deg in (0.0, 0.15):
         near = claimed(se3.exp(np.array([0.0, np.radians(deg), 0, 0, 0, 0])) @ TRUTH)
         assert witnessed(near, views, OPTIONS, pipeline).verdict.trusted

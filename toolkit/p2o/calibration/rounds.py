@@ -90,12 +90,13 @@ class Rounds:
             step = f"{record.step_deg:.2g} deg and {record.step_m:.2g} m"
             reason = f"the last of {options.rounds} rounds moved the pose by {step}"
             reach = max(options.min_reach_px, reach * options.shrink)
-        likeliest = judge.maximised(best)
-        if likeliest is not best:
-            cost_of_best, cost = judge.costs([best, likeliest])
-            better = cost < cost_of_best
-            rounds.append(_round_record(judge.name, 0.0, None, best, likeliest, cost, accepted=better))
-            best, improved = likeliest if better else best, improved or better
+        # A solver that only walked away from the initial guess is not rescued.
+        refined = judge.maximised(best) if improved or found_by else best
+        if refined is not best:
+            cost_before, cost = judge.costs([best, refined])
+            lower = cost < cost_before
+            rounds.append(_round_record(judge.name, 0.0, None, best, refined, cost, accepted=lower))
+            best, improved = refined if lower else best, improved or lower
         if solution is not None and stopped is None and not (found_by or moved or _moved(start, best)):
             reason = "the solver found no pose of lower cost than the initial guess"
             return End(start, Status.NO_IMPROVEMENT, reason, tuple(rounds))
