@@ -23,10 +23,9 @@ class ErrorBudget:
 
     `pairs` is that of the scatter of pairs (`p2o.calibration.adjustment`). `beams` is for a common shift of the edges
     of a direction by their gap between beams, `objects` for one by 1 m (`shift_covariance`), `rings` (6,) as of
-    `ring_gaps`. `cameras` is the covariance by unnoticed errors of the intrinsics. `absorbed` is that by significant
-    ones (`p2o.calibration.intrinsics`), and `rivals` that by other poses of about the same cost; both need no factor.
-    `views` is the number of different views. `intervals` states that the pose is that of the interval likelihood:
-    another error model.
+    `ring_gaps`. `cameras` is the covariance by unnoticed errors of the intrinsics, `absorbed` that by significant ones
+    (`p2o.calibration.intrinsics`), of which no factor is needed. `views` is the number of different views. `intervals`
+    states that the pose is that of the interval likelihood: another error model.
     """
 
     pairs: Float
@@ -35,7 +34,6 @@ class ErrorBudget:
     rings: Float
     cameras: Float = field(default_factory=lambda: np.zeros((6, 6)))
     absorbed: Float = field(default_factory=lambda: np.zeros((6, 6)))
-    rivals: Float = field(default_factory=lambda: np.zeros((6, 6)))
     views: float = 1.0
     intervals: bool = False
 
@@ -247,9 +245,18 @@ def likely_covariance(
     scatter = scale**2 * budget.pairs + model.beams**2 * budget.beams
     scatter = scatter + model.object_m**2 * budget.objects + budget.cameras
     by_update = place_by_update(camera_from_lidar)
+    likely = np.asarray(by_update @ scatter @ by_update.T + np.diag(own))
+    return plus_known(likely, budget.absorbed, camera_from_lidar, model)
+
+
+def plus_known(likely: Float, known: Float, camera_from_lidar: Float, model: ErrorModel) -> Float:
+    """Return a predicted covariance (6, 6) with that of errors of a known size: `known` (6, 6), of a left update.
+
+    Bounds are factors times deviations; errors of a known size need none.
+    """
     bounds = np.repeat([model.rotation[0], model.translation[0]], 3)
-    as_they_are = by_update @ (budget.absorbed + budget.rivals) @ by_update.T / np.outer(bounds, bounds)
-    return np.asarray(by_update @ scatter @ by_update.T + as_they_are + np.diag(own))
+    by_update = place_by_update(camera_from_lidar)
+    return np.asarray(likely + by_update @ known @ by_update.T / np.outer(bounds, bounds))
 
 
 def or_rival(accuracy: Accuracy, rival: Rival | None, min_lead_edges: float) -> Accuracy:

@@ -18,6 +18,7 @@ from p2o.confidence.accuracy import (
     likely_accuracy,
     likely_covariance,
     or_rival,
+    plus_known,
     predicted_covariance,
     with_start,
 )
@@ -65,7 +66,7 @@ def assess(
         return replace(refused(views, start, Status.NO_IMPROVEMENT, _no_improvement(judged), end.rounds), judged=judged)
     agreement = judge.agreement(estimate.views, end.pose)
     scatter = None if agreement is None else _Scatter.of(estimate, agreement, options)
-    pose, accuracy, weight, warnings = end.pose, None, None, remarks_of(views)
+    pose, accuracy, doubted, weight, warnings = end.pose, None, None, None, remarks_of(views)
     covariance = final.covariance
     if covariance is None and end.solution is not None:
         covariance = end.solution.covariance
@@ -77,6 +78,11 @@ def assess(
         weighted = _with_prior(estimate, likely, budget.model, accuracy, start_sigma)
         if weighted is not None:
             pose, likely, judged, weight = weighted
+            accuracy = accuracy_of(likely, agreement, budget.model)
+        doubted = accuracy
+        if not final.cameras_corrected:
+            rivals = _rival_covariance(estimate.refined, options.min_lead_edges)
+            likely = plus_known(likely, rivals, pose, budget.model)
             accuracy = accuracy_of(likely, agreement, budget.model)
         covariance = predicted_covariance(likely, pose, budget.model)
     cameras = checks_of(final, [view.camera for view in views])
@@ -96,7 +102,7 @@ def assess(
         judged=judged,
         agreement=agreement,
         rival=rival,
-        verdict=verdict_of(agreement, rival, cameras, options, accuracy, box=left_box, **places),
+        verdict=verdict_of(agreement, rival, cameras, options, doubted, box=left_box, **places),
         cameras=at_full_size(cameras, views),
         motions=final.nuisance.sweep_motions(views),
         time=final.time,
@@ -143,8 +149,6 @@ class _Scatter:
             cells, min_cells = agreement.places, judge.min_cells
         if final.intrinsics is not None:
             budget = replace(budget, cameras=final.intrinsics.covariance, absorbed=final.intrinsics.absorbed)
-        if not final.cameras_corrected:
-            budget = replace(budget, rivals=_rival_covariance(estimate.refined, options.min_lead_edges))
         return cls(budget, cells, min_cells)
 
 
