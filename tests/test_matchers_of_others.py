@@ -92,7 +92,7 @@ def _run(source: str, folder: Path) -> Run:
     [offer] = [
         offer for offer in registry.of_kind(Kind.MATCHER) if offer.dist == "tried_plugin" or "tried" in offer.name
     ]
-    solver = "lm" if "objective" not in offer.method.gives else "nelder-mead"
+    solver = "lm" if "objective" not in offer.method.gives else "coordinate"
     return p2o.calibrate(
         STREETS,
         extractor="depth/rings",
