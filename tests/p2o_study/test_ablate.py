@@ -615,7 +615,9 @@ def test_the_gate_of_the_how_to_works_with_the_example_plugin(
     assert main([*words, "--update"]) == 0
     assert main(words) == 0
     assert "gate: open" in capsys.readouterr().out
-    file.write_text(study + "options.pipeline.rounds = 1\noptions.solver.iterations = 1\n")
+    # A judge that hardly sees beyond the edges does not refine what the solver left.
+    worse = "options.pipeline = { rounds = 1, reach_px = 4, judge_px = 1.01 }\noptions.solver.iterations = 1\n"
+    file.write_text(study + worse)
     assert main(words) == 1
     out = capsys.readouterr().out
     assert "FAIL  gauss-newton: mean rotation_deg" in out

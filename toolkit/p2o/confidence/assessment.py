@@ -128,13 +128,12 @@ class _Scatter:
         """
         final, end, judge = estimate.final, estimate.final.end, estimate.final.judge
         pairs = edge_pairs(estimate.views, end.pose, options.min_reach_px) if end.pairs is None else end.pairs
-        different = view_count(pairs.xyz, pairs.side, pairs.frame) if len(pairs) else 1.0
+        scenes = len(np.unique(scenes_of(estimate.views)))
+        # What moves in a scene makes edges of other views, and leaves the errors of the scene as they are.
+        different = min(view_count(pairs.xyz, pairs.side, pairs.frame), scenes) if len(pairs) else 1.0
         by_judge = judge.covariance(end.pose)
         if by_judge is not None:
-            scenes = len(np.unique(scenes_of(estimate.views)))
-            budget = ErrorBudget.of_intervals(
-                by_judge * max(1.0, scenes / max(different, 1.0)), pairs, end.pose, different
-            )
+            budget = ErrorBudget.of_intervals(by_judge * scenes / max(different, 1.0), pairs, end.pose, different)
             cells, min_cells = agreement.places, judge.min_cells
         elif end.pairs is not None:
             if final.covariance is None:
