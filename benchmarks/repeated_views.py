@@ -99,7 +99,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     print(f"{'case':38}{'alone: deg':>11}{'cm':>6}{'trust':>6}{'added: deg':>11}{'cm':>6}{'trust':>6}", end="")
-    print(f"{'moved: deg':>11}{'cm':>6}{'95 %: deg':>10}{'cm':>6}{'views':>7}")
+    print(f"{'moved: deg':>11}{'cm':>6}{'95 %: deg':>10}{'cm':>6}")
     before: dict[tuple[str, str], Outcome] = {}
     within, wrong, count = 0, 0, 0
     for case in cases(options.root, options.kept, options.splits, options.only):
