@@ -73,7 +73,7 @@ def assess(
     if agreement is not None and scatter is not None and scatter.budget is not None:
         budget = scatter.budget
         warnings = (*warnings, *standing_still(budget.views, len(views)))
-        likely = likely_covariance(budget, pose, agreement.odds_ratio)
+        likely = by_edges = likely_covariance(budget, pose, agreement.odds_ratio)
         accuracy = likely_accuracy(budget, pose, agreement)
         weighted = _with_prior(estimate, likely, budget.model, accuracy, start_sigma)
         if weighted is not None:
@@ -82,6 +82,9 @@ def assess(
         doubted = accuracy
         if not final.cameras_corrected:
             rivals = _rival_covariance(estimate.refined, options.min_lead_edges)
+            if weight is not None:
+                by_edges = plus_known(by_edges, rivals, weight.camera_from_lidar, budget.model)
+                weight = replace(weight, accuracy=accuracy_of(by_edges, agreement, budget.model))
             likely = plus_known(likely, rivals, pose, budget.model)
             accuracy = accuracy_of(likely, agreement, budget.model)
         covariance = predicted_covariance(likely, pose, budget.model)
