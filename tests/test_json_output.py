@@ -75,7 +75,7 @@ def test_a_closed_pipe_ends_the_command_quietly() -> None:
 
 
 def test_every_command_with_json_reserves_standard_output() -> None:
-    """The mechanism is that of the option: no command prints its object by itself."""
+    """The mechanism is that of the option: no command prints its object without it."""
 
     def commands(command: click.Command, name: str) -> Iterator[tuple[str, click.Command]]:
         if not isinstance(command, click.Group):

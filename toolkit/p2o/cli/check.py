@@ -6,9 +6,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from p2o.cli.completion import complete_extractors, complete_methods, complete_settings
 from p2o.cli.json_output import json_option, print_json
-from p2o.cli.plugin_options import data_argument, load, plugin_options
+from p2o.cli.plugin_options import (
+    data_argument,
+    extractor_option,
+    load,
+    matcher_option,
+    plugin_options,
+    settings_option,
+)
 from p2o.cli.progress import long_work, status_line
 from p2o.errors import InputError, printable
 
@@ -50,26 +56,9 @@ if TYPE_CHECKING:
     metavar="N",
     help="With --watch: number of first frames that define the normal level (default: 20).",
 )
-@click.option(
-    "--extractor",
-    metavar="IMAGE/CLOUD",
-    shell_complete=complete_extractors,
-    help="The two extractors (default: p2ornet/rings).",
-)
-@click.option(
-    "--matcher",
-    metavar="NAME",
-    shell_complete=complete_methods("matcher"),
-    help="The matcher (default: ogm).",
-)
-@click.option(
-    "--set",
-    "settings",
-    multiple=True,
-    metavar="STAGE.FIELD=VALUE",
-    shell_complete=complete_settings,
-    help="An option.",
-)
+@extractor_option
+@matcher_option
+@settings_option()
 @click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Seed of all random numbers (default: 0).")
 @json_option
 @plugin_options

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from p2o.cli.completion import complete_extractors, complete_settings
 from p2o.cli.json_output import json_option, print_json
-from p2o.cli.plugin_options import data_argument, load, plugin_options
+from p2o.cli.plugin_options import data_argument, extractor_option, load, plugin_options, settings_option
 from p2o.cli.pose_options import StartCommand, most_option, pose_options
 from p2o.errors import InputError, printable
 
@@ -36,22 +35,10 @@ _REACH_PX = 12.0
 @click.option(
     "--require", metavar='"0.2deg 0.05m"', help="Required accuracy of the result; exit status 1 if it is not reached."
 )
-@click.option(
-    "--extractor",
-    metavar="IMAGE/CLOUD",
-    shell_complete=complete_extractors,
-    help="The two extractors (default: p2ornet/rings).",
-)
+@extractor_option
 @click.option("--perturb", metavar='"2deg 0.15m"', help="Error of the initial guess against the ground truth.")
 @pose_options
-@click.option(
-    "--set",
-    "settings",
-    multiple=True,
-    metavar="STAGE.FIELD=VALUE",
-    shell_complete=complete_settings,
-    help="An option.",
-)
+@settings_option()
 @json_option
 @plugin_options
 def command(

@@ -1,4 +1,4 @@
-"""The argument DATA, and the options --plugin and --block of all commands that load plugins."""
+"""The argument DATA, and the options that several commands have: --plugin, --block, and those that name methods."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from p2o.cli.completion import complete_data
+from p2o.cli.completion import complete_data, complete_extractors, complete_methods, complete_settings
 
 if TYPE_CHECKING:
     from p2o.host.registry import Registry
@@ -53,3 +53,20 @@ def data_argument(text: str, default: str | None = None) -> Callable[[Callable[.
         return click.argument("data_argument", required=False, metavar=DATA, shell_complete=complete_data)(option)
 
     return decorate
+
+
+extractor_option = click.option(
+    "--extractor",
+    metavar="IMAGE/CLOUD",
+    shell_complete=complete_extractors,
+    help="The two extractors (default: p2ornet/rings).",
+)
+matcher_option = click.option(
+    "--matcher", metavar="NAME", shell_complete=complete_methods("matcher"), help="The matcher (default: ogm)."
+)
+
+
+def settings_option(text: str = "An option.") -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return the option --set, repeatable, as the parameter `settings`."""
+    words: dict[str, Any] = {"metavar": "STAGE.FIELD=VALUE", "shell_complete": complete_settings, "help": text}
+    return click.option("--set", "settings", multiple=True, **words)

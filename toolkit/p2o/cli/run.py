@@ -15,10 +15,16 @@ from p2o.cli.completion import (
     complete_extractors,
     complete_methods,
     complete_protocols,
-    complete_settings,
 )
 from p2o.cli.json_output import json_option, print_json
-from p2o.cli.plugin_options import data_argument, load, plugin_options
+from p2o.cli.plugin_options import (
+    data_argument,
+    extractor_option,
+    load,
+    matcher_option,
+    plugin_options,
+    settings_option,
+)
 from p2o.cli.pose_options import StartCommand
 from p2o.cli.progress import long_work, status_line
 from p2o.errors import InputError, P2OError, printable
@@ -46,18 +52,8 @@ if TYPE_CHECKING:
     shell_complete=complete_methods("calibrator", "matcher", published=True),
     help="A published method, calibrator or matcher with all its parts (`p2o methods`); other options override them.",
 )
-@click.option(
-    "--extractor",
-    metavar="IMAGE/CLOUD",
-    shell_complete=complete_extractors,
-    help="The two extractors (default: p2ornet/rings).",
-)
-@click.option(
-    "--matcher",
-    metavar="NAME",
-    shell_complete=complete_methods("matcher"),
-    help="The matcher (default: ogm).",
-)
+@extractor_option
+@matcher_option
 @click.option("--solver", metavar="NAME", shell_complete=complete_methods("solver"), help="The solver (default: lm).")
 @click.option(
     "--init",
@@ -71,14 +67,7 @@ if TYPE_CHECKING:
     shell_complete=complete_methods("calibrator"),
     help="A complete method instead of extractor, matcher, solver and init.",
 )
-@click.option(
-    "--set",
-    "settings",
-    multiple=True,
-    metavar="STAGE.FIELD=VALUE",
-    shell_complete=complete_settings,
-    help="An option (`p2o methods NAME` lists them).",
-)
+@settings_option("An option (`p2o methods NAME` lists them).")
 @click.option(
     "--accumulate",
     metavar="NAME",
