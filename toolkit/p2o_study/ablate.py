@@ -12,7 +12,7 @@ import time
 import warnings
 from array import array
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,7 +23,8 @@ from p2o.host.registry import DISTRIBUTION
 from p2o_study import frame_records, worker
 from p2o_study.cells import Cell, Cells, FeatureKeys, InitialGuess, OpenRow, open_rows
 from p2o_study.parallel import Run, Workers
-from p2o_study.store import Planned, Store, StoredRow, StoredStudy
+from p2o_study.row import Row
+from p2o_study.rows import PlanRow, Rows, StoredStudy, plan_of
 from p2o_study.study import BY_RIG, LARGEST_SEED, MAX_ROWS, MAX_SEEDS, Study, StudyFile, StudyRow, check_study
 from p2o_study.worker import CalibrateJob, ExtractJob, FrameRecord, Plugins, ReadJob, Source
 
@@ -60,29 +61,16 @@ def _warn(text: str) -> None:
     warnings.warn(text, stacklevel=2)
 
 
-@dataclass(frozen=True, kw_only=True)
-class ReadOptions:
-    """How `read_cells` reads the frames of a study: with which plugins and workers, and who receives its messages.
-
-    The defaults are those of `ablate`.
-    """
-
-    plugins: Plugins = field(default_factory=Plugins.of)
-    workers: Workers = field(default_factory=Workers)
-    on_progress: OnProgress = _silent
-    on_warning: OnWarning = _warn
-
-
 @dataclass(frozen=True, eq=False)
 class Ablation:
     """The outcome of a study: `rows` finished, `missing` planned but not computed, `computed` in this call.
 
-    With more than MAX_CALIBRATIONS rows, the sequences read the store on each access instead of memory.
+    More than MAX_CALIBRATIONS rows have no rounds, to save memory.
     """
 
     study: StudyFile
-    rows: Sequence[StoredRow]
-    missing: Sequence[Planned]
+    rows: Sequence[Row]
+    missing: Sequence[PlanRow]
     computed: int
     interrupted: bool = False
 
@@ -97,7 +85,6 @@ def ablate(
     overrides: Mapping[str, Any] | None = None,
     at_most: int | None = None,
     initial_guess: InitialGuess | None = None,
-    wanted: Callable[[Cell], bool] | None = None,
     seeds_first: bool = False,
     on_progress: OnProgress | None = None,
     on_warning: OnWarning | None = None,
@@ -107,80 +94,134 @@ def ablate(
     `plugins` are those of this process by default, `workers` one job in this process (with `isolate` None in a worker
     if the study uses plugins of other distributions), `cache` the user's cache of
     features. `overrides` are recorded in the store as the differences from the study file. `at_most` confirms a number
-    of calibrations above MAX_CALIBRATIONS. `initial_guess` replaces the initial guesses of the rows. `wanted` selects
-    the calibrations that the study consists of (default: all). With `seeds_first` all rows are computed with one seed
-    before the next, so that an interrupted study has all rows. Ctrl-C ends the study with `interrupted`; finished rows
-    are kept.
+    of calibrations above MAX_CALIBRATIONS. `initial_guess` replaces the initial guesses of the rows. With `seeds_first`
+    all rows are computed with one seed before the next, so that an interrupted study has all rows. Ctrl-C ends the
+    study with `interrupted`; finished rows are kept.
     `on_warning` (default: `warnings.warn`) receives the datasets that are left out because they have no path, and one
     message if the cache cannot be written, which costs time only.
 
     Raises a P2OError before any work if the study, its data or the plugins are invalid, and later if the store cannot
     be written. A calibration that raises is a row with status stage-failed; it is repeated the next time.
     """
-    cache = FeatureCache.of_user() if cache is None else cache
-    warn_user = on_warning or _warn
-    rows, its = _opened(study.study, Plugins.of() if plugins is None else plugins, at_most, warn_user)
-    workers = _isolated(Workers() if workers is None else workers, its)
-    name = study.study.name
-    with Store.open(folder) as store, _first_process_lock(store.path.parent) as forward, workers.start() as run:
-        work = _Work(run, cache, on_progress or _silent, _Once(warn_user))
-        pace, interrupted = _RunProgress(work.say), False
+    begun = study.study.name in (stored := Rows(folder)).studies
+    stored.make_folder()
+    with (
+        open_session(study.study, plugins, workers, cache, at_most, on_progress, on_warning) as session,
+        _first_process_lock(stored.folder) as forward,
+    ):
+        interrupted = False
         try:
             # If rows exist already, the missing ones may need no features: extract only on demand.
-            records = _read(work, its, extract=wanted is None and not store.count(name))
-            cells = Cells(its, records, initial_guess)
-            chosen = range(len(cells)) if wanted is None else [i for i in range(len(cells)) if wanted(cells[i])]
-            begun = store.begin(_stored_study(study, rows, overrides), (cells[i].planned for i in chosen))
-            pending = array("q", (chosen[place] for place in begun.pending))
+            cells = session.cells(extract=not begun, initial_guess=initial_guess)
+            plan = plan_of(cell.planned for cell in cells)
+            stored.begin(_stored_study(study, session.rows, overrides, plan))
+            pending = _pending([key for row in plan for key in row.keys], stored)
+            kept = len({key for row in plan for key in row.keys}) - len(pending)
             if seeds_first:
                 pending = array("q", sorted(pending, key=lambda position: cells.place(position)[2]))
-            pending = pending if forward else pending[::-1]
-            _compute(work, store, cells, pending, begun.kept, pace)
+            session.compute(cells, pending if forward else pending[::-1], stored, study.study.name, kept=kept)
         except KeyboardInterrupt:
             interrupted = True
-        finished, missing = store.all_rows(name), store.all_missing(name)
-        if len(finished) + len(missing) <= MAX_CALIBRATIONS:
-            finished, missing = tuple(finished), tuple(missing)
-        return Ablation(study, finished, missing, pace.computed, interrupted)
+        return _outcome(study, stored, session.computed, interrupted)
 
 
-def read_cells(study: StudyFile, options: ReadOptions) -> Cells:
-    """Read the frames of a study and return its calibrations, of which none is computed."""
-    _, its = _opened(study.study, options.plugins, None, options.on_warning)
-    with _isolated(options.workers, its).start() as run:
-        work = _Work(run, FeatureCache.of_user(), options.on_progress, _Once(options.on_warning))
-        return Cells(its, _read(work, its, extract=False))
+def _pending(keys: Sequence[str], stored: Rows) -> array[int]:
+    """Return the positions of the keys that are not finished; two rows of the table may be the same calibration."""
+    stored.refresh()
+    first = {key: position for position, key in reversed(list(enumerate(keys)))}
+    return array("q", sorted(position for key, position in first.items() if not stored.finished(key)))
 
 
-def calibrated(cells: Iterable[Cell], run: Run, cache: FeatureCache) -> Generator[StoredRow, None, None]:
+def _outcome(study: StudyFile, stored: Rows, computed: int, interrupted: bool) -> Ablation:
+    name = study.study.name
+    if name not in stored.studies:  # interrupted before its plan was written
+        return Ablation(study, (), (), 0, interrupted)
+    count = sum(len(row.keys) for row in stored.study(name).plan)
+    rows = stored.planned(name, rounds=count <= MAX_CALIBRATIONS)
+    return Ablation(study, rows, stored.missing(name), computed, interrupted)
+
+
+@contextlib.contextmanager
+def open_session(
+    study: Study,
+    plugins: Plugins | None = None,
+    workers: Workers | None = None,
+    cache: FeatureCache | None = None,
+    at_most: int | None = None,
+    on_progress: OnProgress | None = None,
+    on_warning: OnWarning | None = None,
+) -> Iterator[Session]:
+    """Yield a session that reads the frames of a study and computes its calibrations; the words are those of `ablate`.
+
+    Raises a P2OError if the study, its data or the plugins are invalid.
+    """
+    plugins, warn_user = Plugins.of() if plugins is None else plugins, on_warning or _warn
+    rows = check_study(study, plugins.registry(), MAX_ROWS if at_most is None else max(at_most, MAX_ROWS))
+    if absent := [table.name for table in study.dataset if table.left_out]:
+        warn_user(f"datasets without a path are left out: {', '.join(absent)} (--root DIR or --data NAME=DATASET:PATH)")
+    opened = open_rows(rows, plugins, MAX_CALIBRATIONS if at_most is None else at_most)
+    cache = FeatureCache.of_user() if cache is None else cache
+    with _isolated(Workers() if workers is None else workers, opened).start() as run:
+        yield Session(rows, opened, run, cache, on_progress or _silent, _Once(warn_user))
+
+
+@dataclass(eq=False)
+class Session:
+    """The open rows of a study and the workers that compute them; `computed` counts finished calibrations."""
+
+    rows: Sequence[StudyRow]
+    opened: Sequence[OpenRow]
+    run: Run
+    cache: FeatureCache
+    say: OnProgress
+    warn: _Once
+    computed: int = 0
+
+    def cells(self, *, extract: bool = False, initial_guess: InitialGuess | None = None) -> Cells:
+        """Read every frame once and return all calibrations; with `extract` features of all rows are cached."""
+        return Cells(self.opened, _read(self, self.opened, extract=extract), initial_guess)
+
+    def compute(
+        self,
+        cells: Cells,
+        pending: Sequence[int],
+        stored: Rows,
+        study: str,
+        *,
+        kept: int = 0,
+        as_stored: Callable[[Row], Row] = lambda row: row,
+    ) -> None:
+        """Compute the cells at these positions and store each row, as `as_stored` returns it, when it is finished."""
+        pace = _RunProgress(self.say)
+        try:
+            with contextlib.closing(_computed(self, stored, cells, pending, kept, pace)) as rows:
+                for row in rows:
+                    stored.put(study, as_stored(row))
+                    pace.one(row)
+        finally:
+            self.computed += pace.computed
+        pace.finish()
+
+
+def calibrated(cells: Iterable[Cell], session: Session) -> Generator[Row, None, None]:
     """Yield the row of each calibration as it is finished; no store is read or written, features may be cached.
 
     The frames of all cells are readable.
     """
     keys = FeatureKeys()
-    jobs = (_calibrate_job(cell, _keys_of(cell, keys), cache) for cell in cells)
-    with contextlib.closing(run(worker.compute, jobs, worker.calibration_failed)) as rows:
+    jobs = (_calibrate_job(cell, _keys_of(cell, keys), session.cache) for cell in cells)
+    with contextlib.closing(session.run(worker.compute, jobs, worker.calibration_failed)) as rows:
         yield from rows
 
 
 def _calibrate_job(cell: Cell, keys: tuple[Mapping[str, str], ...], cache: FeatureCache) -> CalibrateJob:
-    job = CalibrateJob(cell.stored, cell.method.recipe, cell.group.records, cache.root, keys, cell.method.damage)
+    job = CalibrateJob(cell.row, cell.method.recipe, cell.group.records, cache.root, keys, cell.method.damage)
     return worker.RigJob(**vars(job), cameras=cell.group.cameras) if cell.group.rig else job
 
 
 def _keys_of(cell: Cell, keys: FeatureKeys) -> tuple[Mapping[str, str], ...]:
     """Return the cache keys of the features of each frame by stage; none of a rig, which extracts its own."""
     return () if cell.group.rig else tuple(keys.of(cell.method, record) for record in cell.group.records)
-
-
-def _opened(
-    study: Study, plugins: Plugins, at_most: int | None, warn_user: OnWarning
-) -> tuple[list[StudyRow], list[OpenRow]]:
-    """Return the rows of a study that have data, before and after their datasets are opened."""
-    rows = check_study(study, plugins.registry(), MAX_ROWS if at_most is None else max(at_most, MAX_ROWS))
-    if absent := [table.name for table in study.dataset if table.left_out]:
-        warn_user(f"datasets without a path are left out: {', '.join(absent)} (--root DIR or --data NAME=DATASET:PATH)")
-    return rows, open_rows(rows, plugins, MAX_CALIBRATIONS if at_most is None else at_most)
 
 
 def _isolated(workers: Workers, rows: Sequence[OpenRow]) -> Workers:
@@ -203,25 +244,17 @@ class _Once:
             self._warn = None
 
 
-@dataclass(frozen=True)
-class _Work:
-    """What every phase of a study uses."""
-
-    run: Run
-    cache: FeatureCache
-    say: OnProgress
-    warn: _Once
-
-
-def _stored_study(study: StudyFile, rows: Sequence[StudyRow], overrides: Mapping[str, Any] | None) -> StoredStudy:
+def _stored_study(
+    study: StudyFile, rows: Sequence[StudyRow], overrides: Mapping[str, Any] | None, plan: tuple[PlanRow, ...]
+) -> StoredStudy:
     # Published rows whose row is left out are not part of the table.
     shown = {label for row in rows for label in (row.label, row.label.rpartition(" @ ")[0])}
     tables = [table for table in study.study.published if table.beside is None or table.beside in shown]
     published = [table.model_dump(mode="json", exclude_none=True) for table in tables]
-    return StoredStudy(study.study.name, study.text, dict(overrides or {}), tuple(published))
+    return StoredStudy(study.study.name, study.text, dict(overrides or {}), tuple(published), plan)
 
 
-def _read(work: _Work, rows: Sequence[OpenRow], *, extract: bool) -> dict[Source, FrameRecord]:
+def _read(work: Session, rows: Sequence[OpenRow], *, extract: bool) -> dict[Source, FrameRecord]:
     """Read every frame once and return its record; with `extract` also extract the features of all rows.
 
     Raises InputError if the first frame of a row lacks an input of the row's methods.
@@ -255,8 +288,10 @@ def _read(work: _Work, rows: Sequence[OpenRow], *, extract: bool) -> dict[Source
     return records
 
 
-def _compute(work: _Work, store: Store, cells: Cells, pending: Sequence[int], kept: int, pace: _RunProgress) -> None:
-    """Compute the cells at these positions and store each row when it is finished; `kept` rows exist already."""
+def _computed(
+    work: Session, stored: Rows, cells: Cells, pending: Sequence[int], kept: int, pace: _RunProgress
+) -> Generator[Row, None, None]:
+    """Yield the row of each cell at these positions when it is finished; `kept` rows exist already."""
     pace.begin(kept=kept, total=kept + len(pending))
     if not pending:
         return
@@ -269,7 +304,7 @@ def _compute(work: _Work, store: Store, cells: Cells, pending: Sequence[int], ke
                     worker.built(part)  # reports a missing package before any work
     keys = FeatureKeys()
     failures = _extracted(work, cells, pending, keys)
-    refused: list[StoredRow] = []
+    refused: list[Row] = []
 
     def jobs() -> Iterator[CalibrateJob]:
         for position in pending:
@@ -280,20 +315,19 @@ def _compute(work: _Work, store: Store, cells: Cells, pending: Sequence[int], ke
                 own = _keys_of(cell, keys)
                 failure = next((failures[key] for stages in own for key in stages.values() if key in failures), None)
             if failure is not None:
-                refused.append(replace(cell.stored, reason=failure[0], exception=failure[1], finished=worker.now()))
+                refused.append(replace(cell.row, reason=failure[0], exception=failure[1], finished=worker.now()))
+                continue
+            stored.refresh()
             # Another process may have finished this cell in the meantime.
-            elif not store.finished([cell.planned.key]):
+            if not stored.finished(cell.planned.key):
                 yield _calibrate_job(cell, own, work.cache)
 
     pace.begin(kept=kept, total=kept + len(pending))
     with contextlib.closing(work.run(worker.compute, jobs(), worker.calibration_failed)) as rows:
-        for row in _with_refused(rows, refused):
-            store.put(row)
-            pace.one(row)
-    pace.finish()
+        yield from _with_refused(rows, refused)
 
 
-def _with_refused(rows: Iterable[StoredRow], refused: list[StoredRow]) -> Iterator[StoredRow]:
+def _with_refused(rows: Iterable[Row], refused: list[Row]) -> Iterator[Row]:
     """Yield the rows of workers, interleaved with rows that were refused without a job."""
     for row in rows:
         yield row
@@ -302,7 +336,7 @@ def _with_refused(rows: Iterable[StoredRow], refused: list[StoredRow]) -> Iterat
     yield from refused
 
 
-def _extracted(work: _Work, cells: Cells, pending: Sequence[int], keys: FeatureKeys) -> dict[str, tuple[str, str]]:
+def _extracted(work: Session, cells: Cells, pending: Sequence[int], keys: FeatureKeys) -> dict[str, tuple[str, str]]:
     """Extract the features that are not cached, once each; return reason and traceback of failures by key."""
     wanted: dict[Source, dict[str, tuple[str, str, str]]] = {}
     looked: set[str] = set()
@@ -343,7 +377,7 @@ class _RunProgress:
         self.kept, self.total, self.began = kept, total, time.monotonic()
         self.tell()
 
-    def one(self, row: StoredRow) -> None:
+    def one(self, row: Row) -> None:
         self.computed += 1
         self.failed += row.crashed
         self.name = f"{row.row}, {row.place}, seed {row.seed}"

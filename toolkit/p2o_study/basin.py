@@ -20,9 +20,9 @@ from p2o.host.slots import METHOD_WORDS
 from p2o.results.verdict import Trust
 from p2o.run.presets import Preset, preset_of
 
-from p2o_study.store import StoredRow
+from p2o_study.row import Row
+from p2o_study.statistics import by_label, is_within
 from p2o_study.study import Study, StudyFile, parse_study
-from p2o_study.tally import by_row, is_within
 
 
 def contender_of(text: str, study: Study | None, registry: Registry) -> Preset:
@@ -118,13 +118,13 @@ class Basin:
         return {"name": self.name, **plain}
 
 
-def basin_of(contender: Preset, grid: Grid, rows: Sequence[StoredRow]) -> Basin:
+def basin_of(contender: Preset, grid: Grid, rows: Sequence[Row]) -> Basin:
     """Return the basin of one method from the finished rows of the study."""
-    by_label = by_row(rows)
+    known = by_label(rows)
     shape = (len(grid.rotations_deg), len(grid.translations_m))
     shares_of_cells = []
     for cell in grid.cells:
-        runs = by_label.get(label(contender, cell), [])
+        runs = known.get(label(contender, cell), [])
         arrived = [is_within(row, grid.within) for row in runs]
         wrong = [row.trust is Trust.TRUSTED and not good for row, good in zip(runs, arrived, strict=True)]
         count = len(runs)

@@ -6,7 +6,7 @@ import json
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from itertools import accumulate
 from typing import Any
@@ -16,7 +16,6 @@ from p2o.cache import content_hash
 from p2o.errors import InputError, P2OError
 from p2o.frames.frame import Frame
 from p2o.frames.selection import select
-from p2o.geometry.pose_error import pose_error
 from p2o.host import guard
 from p2o.host.guard import GuardedDataset
 from p2o.host.registry import Registry
@@ -29,13 +28,19 @@ from p2o_study import worker
 from p2o_study.damage import STAGE as DAMAGE
 from p2o_study.damage import Damage
 from p2o_study.keys import features_key, method_content
+from p2o_study.row import GIVEN, UNREADABLE, Case, Environment, Planned, Row, frame_digest, rounded_pose
+from p2o_study.row import Frame as FrameOfCase
+from p2o_study.row import Method as MethodOfRow
 from p2o_study.sources import Code, code_of
-from p2o_study.store import Planned, StoredRow
 from p2o_study.study import ALL_JOINT, BY_CAMERA, BY_RIG, MAX_SEEDS, StudyRow, with_place
 from p2o_study.worker import FrameRecord, Plugins, Source
 
+_KEY_LENGTH = 20
 _INPUT_STAGES = ("data", "accumulate")
 """Stages that affect a result only through the content of the frames."""
+
+_OF_CASE = ("data", "frames", "perturb", "options")
+"""Words of a recipe that describe what is calibrated, not the method."""
 
 CANNOT_ALTER_A_POSE = (
     # They resolve methods and read frames: the outcome is in the key by its content.
@@ -55,11 +60,12 @@ CANNOT_ALTER_A_POSE = (
     "p2o_formats",
     "p2o_pages",
     "p2o_sim",
-    "p2o_study.columns",
     "p2o_study.machine",
     "p2o_study.parallel",
     "p2o_study.report",
-    "p2o_study.store",
+    "p2o_study.row",
+    "p2o_study.rows",
+    "p2o_study.statistics",
 )
 """Modules that are not part of the key of a row, unless a method uses them itself."""
 
@@ -115,6 +121,13 @@ class Method:
         parts = self.plan.parts
         stages = worker.prepared_stages(self.plan)
         return tuple((stage, worker.part_name(parts[stage]), parts[stage]) for stage in stages)
+
+    @cached_property
+    def of_row(self) -> MethodOfRow:
+        """The method as rows name it: without data, frames, seed and initial guess."""
+        words = {w: str(v) for w, v in self.described.items() if v and w not in _OF_CASE and isinstance(v, str)}
+        options = {stage: values for stage, values in self.described["options"].items() if stage != "data"}
+        return MethodOfRow(self.digest, words, options)
 
     @property
     def extractors(self) -> dict[str, tuple[str, str]]:
@@ -316,10 +329,9 @@ class Group:
 
     @cached_property
     def content(self) -> str:
-        """The hash of everything of the frames that a result depends on."""
-        frames = [{"name": record.name, **record.inputs} for record in self.records]
-        cameras = {"cameras": [r.camera_from_lidar for r in self.records]} if self.rig else {}
-        return content_hash({"joint": bool(self.joint), "frames": frames, "truth": self.truth, **cameras})
+        """The hash of everything of the frames that a result depends on, the same on all machines."""
+        frames = [[frame.name, frame.content] for frame in map(frame_of, self.records)]
+        return content_hash({"joint": bool(self.joint), "frames": frames, "rig": self.rig})
 
     @property
     def failure(self) -> tuple[str, str] | None:
@@ -332,46 +344,31 @@ class Group:
         return None
 
 
+@lru_cache(maxsize=20_000)
+def frame_of(record: FrameRecord) -> FrameOfCase:
+    """Return content and ground truth of a frame that was read."""
+    content = frame_digest(record.digests, record.camera_from_lidar) if record.digests else UNREADABLE
+    return FrameOfCase("", record.name, content, record.camera_from_lidar)
+
+
 InitialGuess = Callable[[str, Sequence[FrameRecord], Float | None, int], Float]
 """`(dataset, records of the frames, ground truth (4, 4) or None, seed) -> camera_from_lidar (4, 4)`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """One calibration: a row of the table, a seed, frames, and the initial guess `start` (4, 4) if it is known."""
+    """One calibration: a row of the table on the frames of a group, and the methods that compute it."""
 
     planned: Planned
-    seed: int
     method: Method
     group: Group
-    start: Float | None
 
     @property
-    def stored(self) -> StoredRow:
-        """The stored row with all values that are known before the calibration."""
-        records, truth = self.group.records, self.group.truth
-        names = tuple(record.name for record in records)
-        before: dict[str, Any] = {}
-        if truth is not None and self.start is not None:
-            error = pose_error(self.start, truth)
-            before = {"start_rotation_deg": error.rotation_deg, "start_translation_m": error.translation_m}
-        return StoredRow(
-            **{name: getattr(self.planned, name) for name in Planned.__dataclass_fields__},
-            frames=names,
-            joint=self.group.joint,
-            seed=self.seed,
-            perturb=self.method.described["perturb"],
-            start=self.start,
-            truth=truth,
-            recipe={
-                **self.method.described,
-                "frames": ",".join(names),
-                "joint": bool(self.group.joint) and not self.group.rig,
-            },
-            versions=self.method.versions,
-            inputs={record.name: dict(record.inputs) for record in records},
-            **before,
-        )
+    def row(self) -> Row:
+        """The row with all values that are known before the calibration."""
+        planned = self.planned
+        known = {name: getattr(planned, name) for name in Planned.__dataclass_fields__}
+        return Row(**known, environment=Environment(versions=self.method.versions))
 
 
 class Cells(Sequence[Cell]):
@@ -411,15 +408,21 @@ class Cells(Sequence[Cell]):
             first = group.records[0].source.index
             start, _ = start_of(group.poses, group.truth, method.plan.recipe, None, first, entry.listed)
         row = entry.row
-        planned = Planned(
-            key=content_hash([method.key, group.content, start]),
-            study=row.where.removeprefix("study "),
-            row=row.label,
-            section=row.section,
-            dataset=row.dataset.name,
-            **row.method_words,
+        source = group.records[0].source
+        case = Case(
+            row.dataset.name,
+            tuple(replace(frame_of(record), dataset=row.dataset.name) for record in group.records),
+            seed,
+            start,
+            protocol=method.described["perturb"] or GIVEN,
+            joint=group.joint,
+            rig=group.rig,
+            data=source.data.partition(":")[0],
+            options=json.loads(source.options),
         )
-        return Cell(planned, seed, method, group, start)
+        guess = None if start is None else rounded_pose(start)
+        key = content_hash([method.digest, seed, group.content, guess])[:_KEY_LENGTH]
+        return Cell(Planned(key, row.label, case, method.of_row, row.section), method, group)
 
     def place(self, position: int) -> tuple[OpenRow, Group, int]:
         """Return row, frames and seed of a calibration without building the cell."""

@@ -39,7 +39,8 @@ from p2o_study.cells import OpenRow, open_rows
 from p2o_study.comparison import MIN_GROUPS
 from p2o_study.keys import features_key
 from p2o_study.parallel import Workers
-from p2o_study.store import StoredRow
+from p2o_study.row import NORMS, Row
+from p2o_study.statistics import Statistics
 from p2o_study.study import StudyFile, check_study
 from p2o_study.worker import FrameRecord, Plugins, ReadJob, Source
 
@@ -150,16 +151,12 @@ class Outcome:
     error_m: float | None = None
 
     @classmethod
-    def of(cls, rows: Sequence[StoredRow]) -> Outcome:
+    def of(cls, rows: Sequence[Row]) -> Outcome:
         """Return the counts of the rows of a method."""
-        errors = [(row.rotation_deg, row.translation_m) for row in rows if row.rotation_deg is not None]
-        seconds = [row.total_s for row in rows if row.total_s is not None]
+        known = Statistics(rows)
+        errors = [known.average(norm) for norm in NORMS if len(known.errors(norm))]
         return cls(
-            len(rows),
-            sum(row.solved for row in rows),
-            sum(row.crashed for row in rows),
-            float(np.median(seconds)) if seconds else None,
-            *(np.mean(np.array(errors, np.float64), axis=0).tolist() if errors else ()),
+            known.count, known.solved, known.crashed, None if np.isnan(known.seconds) else known.seconds, *errors
         )
 
 
@@ -246,7 +243,7 @@ def compare(
     return done, _compared(rows, plans, judging, workers, cache, str(guesses.size))
 
 
-def _complete(rows: Sequence[StoredRow]) -> list[StoredRow]:
+def _complete(rows: Sequence[Row]) -> list[Row]:
     """Return the rows of most methods, then most calibrations, that have the same groups and seeds; none if too few."""
     finished = {(row.section, row.dataset, row.seed) for row in rows}
     counts = Counter(row.section for row in rows)
@@ -274,7 +271,7 @@ def _evaluating(method: Preset) -> Preset:
 
 
 def _compared(
-    rows: Sequence[StoredRow],
+    rows: Sequence[Row],
     plans: Mapping[str, Plan],
     judging: Mapping[str, Sequence[OpenRow]],
     workers: Workers,
@@ -290,7 +287,7 @@ def _compared(
     shape = len(names), groups, len(rows) // len(plans) // groups
     # The result of a refused calibration is its initial guess.
     ranked = [row for name in names for row in by_name[name]]
-    estimates = np.array([row.estimate if row.solved else row.start for row in ranked], np.float64)
+    estimates = np.array([row.pose for row in ranked], np.float64)
     reference = figures.reference_pose(estimates)
     jobs = [
         JudgeJob(judge, number, row.first.recipe, row.sources, cache.root, reference, estimates)

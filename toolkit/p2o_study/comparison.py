@@ -15,8 +15,7 @@ import numpy as np
 from p2o.arrays import Bool, Float, Int
 from p2o.geometry import se3
 
-from p2o_study.coverage import WRONG
-from p2o_study.report.bootstrap import MIN_FRAMES, SHARE, Interval, draws_of
+from p2o_study.statistics import MIN_FRAMES, SHARE, WRONG, Interval, draws_of
 
 MIN_GROUPS = MIN_FRAMES
 """With fewer groups there are too few distinct bootstrap samples."""

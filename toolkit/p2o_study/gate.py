@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,9 +18,10 @@ from p2o.options import Options, validated
 from p2o.results.verdict import Trust
 from pydantic import Field, model_validator
 
-from p2o_study.store import Planned, StoredRow
+from p2o_study.row import Row
+from p2o_study.rows import PlanRow
+from p2o_study.statistics import Statistics, by_label, trust_text
 from p2o_study.study import MetricName, Study
-from p2o_study.tally import Tally, by_row, tallies, trust_text
 
 TOLERANCE = {"deg": 0.05, "m": 0.01}
 """Tolerance of a mean by unit, in a reference that is written for the first time."""
@@ -93,106 +94,115 @@ class Ruling:
         return "\n".join(map(printable, lines))
 
 
-def make_reference(study: Study, rows: Sequence[StoredRow], old: Reference | None = None) -> Reference:
+def make_reference(study: Study, rows: Sequence[Row], old: Reference | None = None) -> Reference:
     """Return the reference of finished rows; tolerances of the old reference are kept."""
     tolerance = old.tolerance if old is not None else Tolerance(mean={}, run={})
     usual: dict[str, float] = {metric: TOLERANCE[metric.rpartition("_")[2]] for metric in study.metrics}
-    stored = by_row(rows)
     references = {
-        tally.row: RowReference(
-            count=tally.count,
-            failures=tally.count - tally.solved,
-            trust=dict(tally.trust),
-            mean={metric: None if np.isnan(value) else value for metric, value in tally.mean.items()},
-            runs={_name(row): _errors(row, study.metrics) for row in stored[tally.row]},
+        label: RowReference(
+            count=len(own),
+            failures=sum(not row.solved for row in own),
+            trust=dict(Statistics(own).trust),
+            mean={metric: None if np.isnan(value) else value for metric, value in _means(own, study.metrics).items()},
+            runs={_name(row): _errors(row, study.metrics) for row in own},
         )
-        for tally in tallies(rows, study.metrics)
+        for label, own in by_label(rows).items()
     }
     exceptions = {label: values for label, values in tolerance.rows.items() if label in references}
     changes = {"mean": {**usual, **tolerance.mean}, "rows": exceptions, "run": {**usual, **tolerance.run}}
     return Reference(study=study.name, tolerance=tolerance.model_copy(update=changes), rows=references)
 
 
-def judge(study: Study, rows: Sequence[StoredRow], missing: Sequence[Planned], reference: Reference) -> Ruling:
+def judge(study: Study, rows: Sequence[Row], missing: Sequence[PlanRow], reference: Reference) -> Ruling:
     """Compare finished rows with the reference, within its tolerances.
 
     The gate is closed by crashed or missing calibrations, a worse mean, too many refused calibrations, a row or
     calibration of the reference that the study lacks, and a row that the reference lacks. A refusal improves no mean.
     """
-    by_label = {tally.row: tally for tally in tallies(rows, study.metrics)}
-    stored = by_row(rows)
+    stored = by_label(rows)
     absent_rows = Counter(p.row for p in missing)
     failures = [f"{label}: {number} calibrations are missing" for label, number in absent_rows.items()]
     moved: list[str] = []
     if reference.study != study.name:
         failures.append(f"the reference is of study {reference.study}, not of {study.name}")
-    for label, tally in by_label.items():
-        if tally.crashed:
-            reasons = [row.reason for row in stored[label] if row.crashed]
-            failures.append(f"{label}: {tally.crashed} of {tally.count} crashed, such as: {reasons[0]}")
+    for label, own in stored.items():
+        if reasons := [row.reason for row in own if row.crashed]:
+            failures.append(f"{label}: {len(reasons)} of {len(own)} crashed, such as: {reasons[0]}")
         if label not in reference.rows:
             failures.append(f"{label}: not in the reference (write it with --update)")
     for label, expected in reference.rows.items():
-        if label not in by_label:
+        if label not in stored:
             if label not in absent_rows:
                 failures.append(f"{label}: in the reference, but not in the study")
             continue
-        tally = _unimproved(by_label[label], stored[label], expected)
-        failures += _worse(tally, expected, reference.tolerance)
-        runs = {_name(row): _errors(row, study.metrics) for row in stored[label]}
+        own = stored[label]
+        means = _unimproved(own, expected, study.metrics)
+        failures += _worse(label, Statistics(own), means, expected, reference.tolerance)
+        runs = {_name(row): _errors(row, study.metrics) for row in own}
         absent = [name for name in expected.runs if name not in runs]
         if absent:
             failures.append(f"{label}: {len(absent)} calibrations of the reference are missing, such as {absent[0]}")
-        moved += _moved(tally, runs, expected, reference.tolerance)
+        moved += _moved(label, Statistics(own), means, runs, expected, reference.tolerance)
     return Ruling(tuple(failures), tuple(moved))
 
 
-def _unimproved(tally: Tally, rows: Sequence[StoredRow], expected: RowReference) -> Tally:
-    """Return the tally with means in which a refusal is no improvement.
+def _means(rows: Sequence[Row], metrics: Sequence[str]) -> dict[str, float]:
+    """Return the mean absolute error by metric, NaN where no error is known."""
+    statistics = Statistics(rows)
+    return {metric: statistics.average(metric) for metric in metrics}
+
+
+def _unimproved(rows: Sequence[Row], expected: RowReference, metrics: Sequence[str]) -> dict[str, float]:
+    """Return means in which a refusal is no improvement.
 
     A refused calibration has the error of its initial guess. If the reference has an estimate with a larger error, the
     larger one counts: otherwise a method would become better by refusing its worst frames.
     """
     means: dict[str, float] = {}
-    for metric in tally.mean:
+    for metric in metrics:
         errors = []
         for row in rows:
             before = None if row.solved else (expected.runs.get(_name(row)) or {}).get(metric)
-            if (error := getattr(row, metric)) is not None:
+            if (error := row.error_of(metric)) is not None:
                 errors.append(max(abs(error), before or 0.0))
         means[metric] = float(np.mean(errors)) if errors else float("nan")
-    return replace(tally, mean=means)
+    return means
 
 
-def _worse(tally: Tally, expected: RowReference, tolerance: Tolerance) -> list[str]:
+def _worse(
+    label: str, statistics: Statistics, means: Mapping[str, float], expected: RowReference, tolerance: Tolerance
+) -> list[str]:
     out = []
     for metric, before in expected.mean.items():
-        now = tally.mean.get(metric)
+        now = means.get(metric)
         if before is not None and now is None:
-            out.append(f"{tally.row}: mean {metric} is not measured, was {before:.4f}")
-        allowed = tolerance.rows.get(tally.row, {}).get(metric, tolerance.mean.get(metric, 0.0))
+            out.append(f"{label}: mean {metric} is not measured, was {before:.4f}")
+        allowed = tolerance.rows.get(label, {}).get(metric, tolerance.mean.get(metric, 0.0))
         # The negated comparison also fails for NaN.
         if before is not None and now is not None and not now <= before + allowed:
-            out.append(f"{tally.row}: mean {metric} {now:.4f}, was {before:.4f} and may be {before + allowed:.4f}")
-    if tally.refused > expected.failures + tolerance.failures:
-        out.append(f"{tally.row}: {tally.refused} of {tally.count} calibrations were refused, was {expected.failures}")
+            out.append(f"{label}: mean {metric} {now:.4f}, was {before:.4f} and may be {before + allowed:.4f}")
+    if statistics.refused > expected.failures + tolerance.failures:
+        count = f"{statistics.refused} of {statistics.count}"
+        out.append(f"{label}: {count} calibrations were refused, was {expected.failures}")
     return out
 
 
 def _moved(
-    tally: Tally,
+    label: str,
+    statistics: Statistics,
+    means: Mapping[str, float],
     runs: Mapping[str, Mapping[str, float | None] | None],
     expected: RowReference,
     tolerance: Tolerance,
 ) -> list[str]:
     """Return lines on changed verdicts and means of the row, and on the calibrations that changed most."""
     lines = []
-    if expected.trust and expected.trust != tally.trust:
-        lines.append(f"{tally.row}: {trust_text(expected.trust)} -> {trust_text(tally.trust)}")
+    if expected.trust and expected.trust != statistics.trust:
+        lines.append(f"{label}: {trust_text(expected.trust)} -> {trust_text(statistics.trust)}")
     for metric, before in expected.mean.items():
-        now = tally.mean.get(metric)
+        now = means.get(metric)
         if before is not None and now is not None and abs(now - before) > 1e-9 * max(1.0, abs(before)):
-            lines.append(f"{tally.row}: mean {metric} {before:.4f} -> {now:.4f}")
+            lines.append(f"{label}: mean {metric} {before:.4f} -> {now:.4f}")
     changes: list[tuple[float, str]] = []
     for name, before_run in expected.runs.items():
         if name not in runs:
@@ -201,13 +211,13 @@ def _moved(
         if before_run is None or now_run is None:
             if (before_run is None) != (now_run is None):
                 words = ("was refused, now solved", "was solved, now refused or crashed")[before_run is not None]
-                changes.append((float("inf"), f"{tally.row}, {name}: {words}"))
+                changes.append((float("inf"), f"{label}, {name}: {words}"))
             continue
         for metric, value in before_run.items():
             later, allowed = now_run.get(metric), tolerance.run.get(metric, 0.0)
             if value is not None and later is not None and abs(later - value) > allowed:
                 size = abs(later - value) / max(allowed, 1e-9)
-                changes.append((size, f"{tally.row}, {name}: {metric} {value:.4f} -> {later:.4f}"))
+                changes.append((size, f"{label}, {name}: {metric} {value:.4f} -> {later:.4f}"))
     changes.sort(key=lambda change: -change[0])
     lines += [f"  {text}" for _, text in changes[:_SHOWN]]
     if len(changes) > _SHOWN:
@@ -239,13 +249,13 @@ def _json(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False, allow_nan=False)
 
 
-def _name(row: StoredRow) -> str:
+def _name(row: Row) -> str:
     return f"{row.place}, seed {row.seed}"
 
 
-def _errors(row: StoredRow, metrics: Sequence[str]) -> dict[str, float | None] | None:
+def _errors(row: Row, metrics: Sequence[str]) -> dict[str, float | None] | None:
     """Return the absolute errors of a calibration, rounded to 6 decimals; None where it was refused."""
     if not row.solved:
         return None
-    values = {metric: getattr(row, metric) for metric in metrics}
+    values = {metric: row.error_of(metric) for metric in metrics}
     return {metric: None if value is None else round(abs(value), 6) for metric, value in values.items()}

@@ -26,7 +26,6 @@ from p2o.errors import InputError, P2OError, one_line
 from p2o.frames.frame import Frame
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
-from p2o.geometry.pose_error import AXES, pose_error
 from p2o.host.method import Kind
 from p2o.host.registry import Registry
 from p2o.host.slots import WITNESS
@@ -45,7 +44,7 @@ from p2o_study.damage import Damage
 from p2o_study.keys import features_key
 from p2o_study.machine import machine_info
 from p2o_study.parallel import limit_threads
-from p2o_study.store import StoredRow
+from p2o_study.row import Row, brief_figures
 
 _Key = TypeVar("_Key", bound=Hashable)
 _Value = TypeVar("_Value")
@@ -164,7 +163,7 @@ class CalibrateJob:
     `damage` is applied to image features between extraction and calibration.
     """
 
-    row: StoredRow
+    row: Row
     recipe: str
     records: tuple[FrameRecord, ...]
     cache: Path
@@ -288,17 +287,17 @@ def extraction_failed(job: ExtractJob, problem: P2OError) -> Extracted:
     return Extracted({key: (str(problem), str(problem)) for key, _, _ in job.wanted})
 
 
-def calibrate(job: CalibrateJob) -> StoredRow:
+def calibrate(job: CalibrateJob) -> Row:
     """Calibrate and return the complete row; an exception of a method is part of the row."""
     return _complete(job, lambda: _result(job))
 
 
-def calibrate_rig(job: RigJob) -> StoredRow:
+def calibrate_rig(job: RigJob) -> Row:
     """Calibrate all cameras of a rig in one problem and return the complete row, as `calibrate`."""
     return _complete(job, lambda: _rig_result(job))
 
 
-def _complete(job: CalibrateJob, calibrated: Callable[[], Result]) -> StoredRow:
+def _complete(job: CalibrateJob, calibrated: Callable[[], Result]) -> Row:
     """Return the row of a job with its result, or with the exception of the method."""
     try:
         row = _filled(job.row, calibrated())
@@ -306,15 +305,17 @@ def _complete(job: CalibrateJob, calibrated: Callable[[], Result]) -> StoredRow:
         raise
     except BaseException as problem:
         row = replace(job.row, reason=_one_line(problem), exception=traceback.format_exc())
-    return replace(row, machine=machine_info(), finished=now())
+    machine = machine_info()
+    environment = replace(row.environment, machine={name: v for name, v in machine.items() if name != "load"})
+    return replace(row, environment=environment, load=float(machine["load"]), finished=now())
 
 
-def compute(job: CalibrateJob) -> StoredRow:
+def compute(job: CalibrateJob) -> Row:
     """Return the complete row of frames of one camera, or of a rig."""
     return calibrate_rig(job) if isinstance(job, RigJob) else calibrate(job)
 
 
-def calibration_failed(job: CalibrateJob, problem: P2OError) -> StoredRow:
+def calibration_failed(job: CalibrateJob, problem: P2OError) -> Row:
     """Return the row of a calibration that terminated every worker."""
     return replace(job.row, reason=str(problem), exception=str(problem), finished=now())
 
@@ -330,26 +331,22 @@ def prepared_stages(plan: Plan) -> tuple[str, ...]:
     return tuple(s for s in stages if s not in ("calibrator", "init") or built(plan.parts[s]).prepares)
 
 
-def _filled(row: StoredRow, result: Result) -> StoredRow:
+def _filled(row: Row, result: Result) -> Row:
     row = replace(
         row,
-        status=result.status.value,
+        status=result.status,
         reason=result.reason,
         trust=result.verdict.trust,
-        why=result.verdict.why,
-        figures=figure_values(result),
-        estimate=result.camera_from_lidar,
+        why=result.verdict.why or None,
+        figures=brief_figures(figure_values(result)),
+        estimate=result.camera_from_lidar if result.status.solved else None,
         rounds=result.rounds,
         matches=result.matches,
         seconds=result.seconds,
     )
-    if row.truth is None or result.status is Status.STAGE_FAILED:
-        return row
-    error = pose_error(result.camera_from_lidar, row.truth)
-    if not np.isfinite([error.rotation_deg, error.translation_m]).all():
+    if row.error is not None and not np.isfinite([row.error.rotation_deg, row.error.translation_m]).all():
         raise InputError("the error of the estimate is not finite", got=f"camera_from_lidar {row.estimate}")
-    axes: dict[str, Any] = {axis: error.per_axis[axis] for axis in AXES}
-    return replace(row, rotation_deg=error.rotation_deg, translation_m=error.translation_m, **axes)
+    return row
 
 
 def _result(job: CalibrateJob) -> Result:

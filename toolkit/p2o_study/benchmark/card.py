@@ -20,10 +20,9 @@ from p2o.options import validated
 from p2o.run.recipe import open_dataset
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
-from p2o_study.benchmark.plan import frame_data
-from p2o_study.benchmark.row import Digest, Name
-from p2o_study.report.tables import md_text
+from p2o_study.cells import frame_of
 from p2o_study.study import DatasetTable, Label
+from p2o_study.tables import md_text
 from p2o_study.worker import Plugins, ReadJob, Source, read
 
 FOLDER = Path("benchmarks/cards")
@@ -31,6 +30,8 @@ _FACTS = ("sensor", "camera", "place", "frames", "licence", "source", "truth", "
 _HEAD = "<!-- cards -->\n"
 _PART = re.compile(r"(?<=^<!-- cards -->\n).*?(?=^<!-- /cards -->$)", re.DOTALL | re.MULTILINE)
 
+Digest = Annotated[str, StringConstraints(pattern="^[0-9a-f]{64}$")]
+Name = Annotated[str, StringConstraints(min_length=1, max_length=500)]
 Text = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, max_length=4000)]
 
 
@@ -40,7 +41,7 @@ class Card(BaseModel):
     `frames` states their number, `shown` whether images may be published, `truth` the accuracy of the ground truth and
     how it is known, `learned` which of our methods were trained, tuned or chosen on it. `lists` are the lists of
     benchmarks/splits.json and the datasets of suites that it describes. `digests` are those of rows
-    (`FrameData.digest`) by frame, empty if none is recorded.
+    (`p2o_study.row.frame_digest`) by frame, empty if none is recorded.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -119,7 +120,7 @@ def with_cards(text: str, where: str, cards: Callable[[], Mapping[str, Card]]) -
 
 
 def frame_digests(data: str, frames: str, plugins: Plugins) -> dict[str, str]:
-    """Return the digest (`FrameData.digest`) of each frame of DATASET:PATH that `frames` selects.
+    """Return the digest (`p2o_study.row.frame_digest`) of each frame of DATASET:PATH that `frames` selects.
 
     Raises as `open_dataset` and `select`, and InputError for a frame that cannot be read.
     """
@@ -130,7 +131,7 @@ def frame_digests(data: str, frames: str, plugins: Plugins) -> dict[str, str]:
         record = read(ReadJob(source, FeatureCache.of_user().root))
         if record.failure is not None:
             raise InputError(record.reason, where=f"{data}, frame {record.name}")
-        digests[record.name] = frame_data("card", record).digest
+        digests[record.name] = frame_of(record).content
     return digests
 
 

@@ -1,32 +1,142 @@
-"""Measure what the results of a suite lack, by a study of the missing and stale rows, and add the rows."""
+"""Measure a suite, state which of its rows are missing or stale, and compute a random sample of its rows again."""
 
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from array import array
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from enum import StrEnum
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
+from math import isclose
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import p2o
 from p2o.errors import UnknownNameError
-from p2o.results.result import Status
+from p2o.geometry.pose_error import pose_error
 
-from p2o_study.ablate import OnProgress, OnWarning, ablate
-from p2o_study.benchmark.outcomes import Outcomes
-from p2o_study.benchmark.plan import GIVEN, State, Task, state_of
-from p2o_study.benchmark.results import Results
-from p2o_study.benchmark.row import FrameOfRow, Machine, Method, Predicted, Row
+from p2o_study.ablate import OnProgress, OnWarning, Progress, calibrated, open_session
 from p2o_study.benchmark.suite import SuiteFile
-from p2o_study.cells import Cell
+from p2o_study.cells import Cell, Method
 from p2o_study.parallel import Workers
-from p2o_study.store import StoredRow
+from p2o_study.row import Row
+from p2o_study.rows import Rows
 from p2o_study.worker import Plugins
 
-WORDS = ("extractor", "matcher", "solver", "init", "calibrator", "accumulate", "witness")
-_BOUNDS = ("rotation_deg", "translation_m", "rotation_deg_95", "translation_m_95")
+SAMPLE = 30
+SAME_DEG, SAME_M, SAME_PREDICTED = 1e-6, 1e-6, 1e-3
+"""Largest difference of a pose that is computed again, and largest relative difference of a predicted error."""
+OTHER_DEG, OTHER_M, OTHER_PREDICTED = 0.02, 0.005, 0.1
+"""The same for rows of another processor."""
+
+
+class State(StrEnum):
+    """Whether there is a row of a calibration, and whether it is a measurement of the current version."""
+
+    FRESH = "fresh"
+    MISSING = "missing"
+    CRASHED = "crashed"
+    METHOD = "method changed"
+    DATA = "data changed"
+    START = "initial guess changed"
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One calibration of a suite and the state of its row."""
+
+    dataset: str
+    section: str
+    row: str
+    place: str
+    protocol: str
+    seed: int
+    state: State
+
+    @classmethod
+    def of(cls, planned: Any, state: State) -> Entry:
+        """Return the entry of a planned or finished calibration."""
+        names = (planned.dataset, planned.section, planned.row, planned.place, planned.protocol, planned.seed)
+        return cls(*names, state)
+
+
+@dataclass(frozen=True)
+class SuiteStatus:
+    """The state of every calibration of a suite.
+
+    `unchecked` are datasets without a path: their existing rows are compared by method only, and missing ones are
+    unknown. `surplus` counts rows that the suite does not ask for, or that a later row replaces, `unreadable`
+    calibrations with a frame that cannot be read.
+    """
+
+    suite: str
+    entries: tuple[Entry, ...]
+    unchecked: tuple[str, ...]
+    surplus: int
+    unreadable: int
+
+    def count(self, state: State) -> int:
+        """Return the number of calibrations in a state."""
+        return sum(entry.state is state for entry in self.entries)
+
+    @property
+    def outdated(self) -> tuple[Entry, ...]:
+        """The calibrations without a fresh row."""
+        return tuple(entry for entry in self.entries if entry.state is not State.FRESH)
+
+    def as_dict(self) -> dict[str, object]:
+        """Return the status for JSON."""
+        return {
+            "suite": self.suite,
+            "counts": {state.value: self.count(state) for state in State},
+            "outdated": [asdict(entry) for entry in self.outdated],
+            "unchecked_datasets": list(self.unchecked),
+            "surplus_rows": self.surplus,
+            "unreadable": self.unreadable,
+        }
+
+
+class _Known:
+    """The rows of a suite by key, with and without their labels, and by identity."""
+
+    def __init__(self, rows: Iterable[Row]) -> None:
+        self.by_key: dict[str, Row] = {}
+        self.by_label: dict[Any, Row] = {}
+        self.by_identity: dict[Any, Row] = {}
+        for row in rows:
+            if not row.crashed:
+                self.by_key.setdefault(row.key, row)
+                self.by_label.setdefault((row.key, row.identity), row)
+            self.by_identity[row.identity] = row
+
+    def state(self, cell: Cell) -> tuple[State, Row | None]:
+        """Return the state of a calibration and its row, the last measured one unless there is a fresh one."""
+        planned = cell.planned
+        if (fresh := self.by_label.get((planned.key, planned.identity))) is not None:
+            return State.FRESH, fresh
+        row = self.by_identity.get(planned.identity)
+        if row is None:
+            return State.MISSING, None
+        return _why_stale(cell, row), row
+
+
+def _why_stale(cell: Cell, row: Row) -> State:
+    if row.crashed:
+        return State.CRASHED
+    if [f.content for f in row.case.frames] != [f.content for f in cell.planned.case.frames]:
+        return State.DATA
+    if row.method.revision != cell.planned.method.revision and not row.method.external:
+        return State.METHOD
+    return State.FRESH if row.method.external and _same_start(cell, row) else State.START
+
+
+def _same_start(cell: Cell, row: Row) -> bool:
+    starts = cell.planned.start, row.start
+    return all(start is not None for start in starts) and np.allclose(*starts, rtol=0, atol=1e-6)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
@@ -48,8 +158,7 @@ class Measured:
 
 def measure(
     suite: SuiteFile,
-    results: Results,
-    store: Path,
+    results: Rows,
     *,
     measured_by: str,
     sections: Collection[str] = (),
@@ -59,127 +168,283 @@ def measure(
     on_progress: OnProgress | None = None,
     on_warning: OnWarning | None = None,
 ) -> Measured:
-    """Compute the missing and stale rows of a suite, or of some of its `sections`, and add them to the results.
+    """Compute the missing and stale rows of a suite, or of some of its `sections`, and append them to the results.
 
-    A calibration that another suite has measured with this version of the method is not computed again, unless the
-    suite has `share = false`. `store`
-    is the folder of the study's store, from which an interrupted measurement continues. Raises UnknownNameError for an
-    unknown section, and as `ablate`.
+    Each row is appended when it is finished, so that an interrupted measurement continues. A calibration that another
+    suite has measured with this version of the method is not computed again, unless the suite has `share = false`.
+    Raises UnknownNameError for an unknown section, and as `p2o_study.ablate.ablate`.
     """
     names = list(dict.fromkeys(row.section for row in suite.rows))
     for section in sections:
         if section not in names:
             raise UnknownNameError("section", section, names, where=suite.source)
-    outcomes, equivalences = Outcomes.read(results, suite.name), results.equivalences
-    others = [Outcomes.read(results, name) for name in results.suites if suite.suite.share and name != suite.name]
-    # Equal frames of two data sets have one key.
-    tasks: dict[tuple[str, str], Task] = {}
-    shared: list[tuple[Row, Task]] = []
-    fresh = unreadable = 0
+    results.make_folder()
+    known, before, commit = _Known(results.each(suite.name)), _crashed(results, suite.name), source_version()
+    from_others = [] if not suite.suite.share else [name for name in results.studies if name != suite.name]
+    same = {**_Known(row for name in from_others for row in results.each(name)).by_key, **known.by_key}
+    pending = array("q")
+    fresh = shared = unreadable = 0
+    interrupted = False
 
-    def wanted(cell: Cell) -> bool:
-        nonlocal fresh, unreadable
-        if sections and cell.planned.section not in sections:
-            return False
-        task = Task.of(suite.name, cell)
-        if task is None:
+    def as_stored(row: Row) -> Row:
+        environment = replace(row.environment, commit=commit, measured_by=measured_by)
+        return replace(row.brief(), environment=environment)
+
+    with open_session(suite.study.study, plugins, workers, None, at_most, on_progress, on_warning) as session:
+        try:
+            cells = session.cells()
+            for position, cell in enumerate(cells):
+                if sections and cell.planned.section not in sections:
+                    continue
+                if not cell.group.readable:
+                    unreadable += 1
+                elif known.state(cell)[0] is State.FRESH:
+                    fresh += 1
+                elif cell.planned.key in same:
+                    results.put(suite.name, _labelled(same[cell.planned.key], cell))
+                    shared += 1
+                else:
+                    pending.append(position)
+            session.compute(cells, pending, results, suite.name, kept=fresh + shared, as_stored=as_stored)
+        except KeyboardInterrupt:
+            interrupted = True
+        known, missing = _Known(results.each(suite.name)), 0
+        for cell in (cells[position] for position in pending):
+            # Two rows of the suite may be the same calibration, which is computed once.
+            if cell.planned.key in known.by_key and (cell.planned.key, cell.planned.identity) not in known.by_label:
+                results.put(suite.name, _labelled(known.by_key[cell.planned.key], cell))
+            missing += cell.planned.identity not in known.by_identity and cell.planned.key not in known.by_key
+    crashed = _crashed(results, suite.name) - before
+    return Measured(fresh, shared + len(pending) - missing, shared, crashed, missing, unreadable, interrupted)
+
+
+def _labelled(row: Row, cell: Cell) -> Row:
+    """Return a row under the labels of another calibration with the same key."""
+    return replace(row, **{name: getattr(cell.planned, name) for name in ("row", "section", "case", "method")})
+
+
+def _crashed(results: Rows, suite: str) -> int:
+    return sum(row.crashed for row in results.each(suite))
+
+
+def status_of(
+    suite: SuiteFile,
+    results: Rows,
+    *,
+    plugins: Plugins | None = None,
+    workers: Workers | None = None,
+    on_progress: OnProgress | None = None,
+) -> SuiteStatus:
+    """Return the status of a suite; frames of datasets with a path are read, nothing is computed."""
+    rows = list(results.each(suite.name))
+    known, unchecked = _Known(rows), _unchecked(suite)
+    entries: list[Entry] = []
+    asked: dict[Any, Cell] = {}
+    unreadable = 0
+    for cell in _cells(suite, plugins, workers, on_progress):
+        if not cell.group.readable:
             unreadable += 1
-            return False
-        if state_of(task, outcomes.measured(task.identity), equivalences) is State.FRESH:
-            fresh += 1
-            return False
-        known = measured_elsewhere(task, others)
-        if known is not None:
-            shared.append((known, task))
-            return False
-        tasks[cell.planned.key, cell.planned.row] = task
-        return True
-
-    done = ablate(
-        suite.study,
-        store,
-        plugins=plugins,
-        workers=workers,
-        at_most=at_most,
-        wanted=wanted,
-        on_progress=on_progress,
-        on_warning=on_warning,
-    )
-    commit = source_version()
-    new = list(shared)
-    crashed = 0
-    for stored in done.rows:
-        task = tasks[stored.key, stored.row]
-        row = row_of(task, stored, commit, measured_by)
-        crashed += row.crashed
-        # A calibration that raises again is the same outcome, not a further one.
-        if not (row.crashed and any(known.crashed for known in outcomes.measured(task.identity))):
-            new.append((row, task))
-    frames = {frame.line: frame for _, task in new for frame in task.frames}
-    added = results.add(suite.name, [row for row, _ in new], frames.values())
-    return Measured(fresh, added, len(shared), crashed, len(done.missing), unreadable, done.interrupted)
-
-
-def measured_elsewhere(task: Task, others: Sequence[Outcomes]) -> Row | None:
-    """Return the row of another suite that is a measurement of the same calibration, under the names of the task.
-
-    Method, content and truth of the frames, initial guess and seed are equal; labels and the name of the dataset may
-    differ. None if no suite has one.
-    """
-    for outcomes in others:
-        number = outcomes.runs["method"]
-        same = np.array([digest == task.cell.method.digest for _, digest in outcomes.methods], bool)
-        if not same.any():
             continue
-        named = np.array([place == task.names for place in outcomes.places], bool)
-        runs = outcomes.runs
-        for place in np.flatnonzero(same[number] & named[runs["place"]] & (runs["seed"] == task.cell.seed)):
-            row = outcomes.row(int(place))
-            same_draw = row.protocol == task.protocol and row.joint == task.joint
-            if same_draw and task.state_of(row) is State.FRESH:
-                own = task.cell.planned
-                names = {"suite": task.suite, "row": own.row, "section": own.section, "dataset": own.dataset}
-                return Row.model_validate({**row.model_dump(mode="json"), **names})
-    return None
+        asked[cell.planned.identity] = cell
+        asked.setdefault(_any_method(cell.planned.identity), cell)
+        entries.append(Entry.of(cell.planned, known.state(cell)[0]))
+    revisions = _revisions(suite, plugins) if unchecked else {}
+    surplus = len(rows) - len(known.by_identity)
+    for identity, row in known.by_identity.items():
+        if identity in asked:
+            continue
+        if row.method.external and (same := asked.get(_any_method(identity))) is not None:
+            entries.append(Entry.of(row, _why_stale(same, row)))
+        elif row.dataset in unchecked and (row.method.external or (row.section, row.row) in revisions):
+            current = row.method.external or row.method.revision in revisions[row.section, row.row]
+            entries.append(Entry.of(row, State.CRASHED if row.crashed else State.FRESH if current else State.METHOD))
+        else:
+            surplus += 1
+    return SuiteStatus(suite.name, tuple(entries), tuple(sorted(unchecked)), surplus, unreadable)
 
 
-def row_of(task: Task, stored: StoredRow, commit: str, measured_by: str) -> Row:
-    """Return the row of a finished calibration."""
-    bounds: Mapping[str, object] = {name: stored.figures.get(f"predicted_{name}") for name in _BOUNDS}
-    seconds = [value for value in stored.seconds.values() if value is not None]
-    return Row(
-        suite=task.suite,
-        row=stored.row,
-        section=stored.section,
-        dataset=stored.dataset,
-        frames=tuple(FrameOfRow(name=frame.name, digest=frame.digest) for frame in task.frames),
-        joint="rig" if task.cell.group.rig else bool(stored.joint),
-        protocol=stored.perturb or GIVEN,
-        seed=stored.seed,
-        start=task.start.tolist(),
-        method=method_of(task),
-        digest=task.cell.method.digest,
-        commit=commit,
-        estimate=stored.estimate.tolist() if stored.solved and stored.estimate is not None else None,
-        status=Status(stored.status),
-        reason=stored.reason[:2000],
-        verdict=stored.trust,
-        predicted=None if None in bounds.values() else Predicted.model_validate(bounds),
-        seconds=float(sum(seconds)) if seconds else None,
-        machine=Machine.model_validate(dict(stored.machine)),
-        versions=dict(stored.versions),
-        measured_by=measured_by,
-        finished=stored.finished,
+def _unchecked(suite: SuiteFile) -> set[str]:
+    return {table.name for table in suite.study.study.dataset if table.left_out}
+
+
+def _cells(
+    suite: SuiteFile, plugins: Plugins | None, workers: Workers | None, on_progress: OnProgress | None
+) -> Sequence[Cell]:
+    """Return the calibrations of a suite on the data of this machine; frames are read."""
+    if len(_unchecked(suite)) == len(suite.study.study.dataset):
+        return ()
+    with open_session(
+        suite.study.study, plugins, workers, on_progress=on_progress, on_warning=lambda text: None
+    ) as session:
+        return session.cells()
+
+
+def _any_method(identity: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Return an identity for external methods, whose labels the suite does not have."""
+    section, dataset, _, *draw = identity
+    return (section, dataset, None, *draw)
+
+
+def _revisions(suite: SuiteFile, plugins: Plugins | None) -> Mapping[tuple[str, str], set[str]]:
+    """Return the revisions of the methods of each row, by section and label; no data are needed."""
+    registry = (Plugins.of() if plugins is None else plugins).registry()
+    return {
+        (row.section, row.label): {Method.of(row, seed, "{}", {}, registry).digest for seed in row.seeds}
+        for row in suite.rows
+    }
+
+
+def prunable(
+    suite: SuiteFile,
+    results: Rows,
+    *,
+    plugins: Plugins | None = None,
+    workers: Workers | None = None,
+    on_progress: OnProgress | None = None,
+) -> tuple[list[Row], list[Row]]:
+    """Return the rows of a suite to keep and those that can be removed; nothing is computed.
+
+    A row can be removed if a later one replaces it, or if the suite does not ask for it. Of datasets without a path or
+    with a frame that cannot be read, only replaced rows can be removed.
+    """
+    rows, incomplete = list(results.each(suite.name)), _unchecked(suite)
+    asked: set[Any] = set()
+    fresh: set[str] = set()
+    for cell in _cells(suite, plugins, workers, on_progress):
+        if not cell.group.readable:
+            incomplete.add(cell.planned.dataset)
+        asked |= {cell.planned.identity, _any_method(cell.planned.identity)}
+        fresh.add(cell.planned.key)
+    kept: dict[Any, Row] = {}
+    for row in rows:
+        identity = _any_method(row.identity) if row.method.external else row.identity
+        before = kept.get(row.identity)
+        replaces = (
+            before is None or before.crashed or not (row.crashed or (before.key in fresh and row.key not in fresh))
+        )
+        if replaces and (identity in asked or row.dataset in incomplete):
+            kept[row.identity] = row
+    chosen = set(map(id, kept.values()))
+    return list(kept.values()), [row for row in rows if id(row) not in chosen]
+
+
+@dataclass(frozen=True)
+class Recheck:
+    """The outcome of computing a random sample of the rows of a suite again.
+
+    `sampled` rows were compared, drawn with `seed` from `fresh` ones; `different` states each difference in one line,
+    `doubled` names calibrations with two fresh rows whose outcomes differ. `missing` and `stale` count calibrations
+    without a fresh row, `external` rows of methods that are not installed here.
+    """
+
+    suite: str
+    sampled: int
+    fresh: int
+    seed: int
+    different: tuple[str, ...]
+    doubled: tuple[str, ...]
+    missing: tuple[str, ...]
+    stale: int
+    external: int
+
+    @property
+    def clean(self) -> bool:
+        """True if all sampled rows agree, and none is doubled."""
+        return not self.different and not self.doubled
+
+    def __str__(self) -> str:
+        """Return the outcome as lines, with the 95 % upper bound of the share of rows that could differ."""
+        bound = f": at most {min(300 / self.sampled, 100):.3g} % of the rows differ (95 %, 3/n)" if self.sampled else ""
+        counts = f"{self.sampled} of {self.fresh} fresh rows computed again (seed {self.seed})"
+        head = f"{counts}, none differs{bound}" if not self.different else f"{counts}, {len(self.different)} differ"
+        lines = [f"{self.suite}: {head}", *(f"  {line}" for line in (*self.different, *self.doubled))]
+        left = [(len(self.missing), "missing"), (self.stale, "stale"), (self.external, "of external methods")]
+        if told := [f"{count} {what}" for count, what in left if count]:
+            lines.append(f"  not checked: {', '.join(told)}" + (f", such as {self.missing[0]}" if self.missing else ""))
+        return "\n".join(lines)
+
+
+def recheck(
+    suite: SuiteFile,
+    results: Rows,
+    *,
+    sample: int = SAMPLE,
+    seed: int,
+    plugins: Plugins | None = None,
+    workers: Workers | None = None,
+    on_progress: OnProgress | None = None,
+    on_warning: OnWarning | None = None,
+) -> Recheck:
+    """Compute a random sample of the fresh rows of a suite again; compare status, verdict, pose and predicted errors.
+
+    Rows of this processor have to agree to 1e-6 deg and m, those of others to 0.02 deg and 5 mm. No outcome is taken
+    from a store.
+    """
+    rows = list(results.each(suite.name))
+    known = _Known(rows)
+    states: Counter[State] = Counter()
+    fresh: list[tuple[Cell, Row]] = []
+    missing = []
+    with open_session(suite.study.study, plugins, workers, None, None, on_progress, on_warning) as session:
+        for cell in session.cells():
+            state, row = known.state(cell)
+            states[state] += 1
+            if state is State.MISSING and cell.group.readable:
+                missing.append(_name(cell.planned))
+            if row is not None and state is State.FRESH:
+                fresh.append((cell, row))
+        chosen = [fresh[i] for i in sorted(np.random.default_rng(seed).permutation(len(fresh))[:sample])]
+        before = {cell.planned.key: row for cell, row in chosen}
+        different: list[str] = []
+        say = on_progress or (lambda progress: None)
+        for done, row in enumerate(calibrated((cell for cell, _ in chosen), session), start=1):
+            if difference := _difference(before[row.key], row):
+                different.append(f"{_name(row)}: {difference}")
+            say(Progress("calibrate", done, len(chosen), failed=len(different), name=_name(row)))
+    stale = sum(count for state, count in states.items() if state not in (State.FRESH, State.MISSING))
+    external = sum(row.method.external for row in rows)
+    doubled = tuple(_doubled(rows, known))
+    return Recheck(
+        suite.name, len(chosen), len(fresh), seed, tuple(different), doubled, tuple(missing), stale, external
     )
 
 
-def method_of(task: Task) -> Method:
-    """Return the words and options of the method of a task."""
-    described = task.cell.method.described
-    return Method(
-        words={word: described[word] for word in WORDS if described.get(word)},
-        options={stage: options for stage, options in described["options"].items() if stage != "data"},
-    )
+def _doubled(rows: Iterable[Row], known: _Known) -> Iterator[str]:
+    """Yield a line for each further row of a key whose outcome differs from the first."""
+    for row in rows:
+        first = known.by_key.get(row.key)
+        if row.crashed or first is None or first is row or first.identity != row.identity:
+            continue
+        if difference := _difference(first, row):
+            yield f"{_name(row)}: measured twice: {difference}"
+
+
+def _difference(before: Row, after: Row) -> str:
+    """Return how the outcome of a calibration differs from that of its row, empty if they agree."""
+    processors = [row.environment.machine.get("processor") for row in (before, after)]
+    same = processors[0] == processors[1]
+    most_deg, most_m, most = (SAME_DEG, SAME_M, SAME_PREDICTED) if same else (OTHER_DEG, OTHER_M, OTHER_PREDICTED)
+    parts = []
+    if before.status.solved != after.status.solved:
+        parts.append(f"status {after.status.value} instead of {before.status.value}")
+    if before.trust is not after.trust:
+        parts.append(f"verdict {after.trust or 'none'} instead of {before.trust or 'none'}")
+    if before.estimate is not None and after.estimate is not None:
+        step = pose_error(before.estimate, after.estimate)
+        if step.rotation_deg > most_deg or step.translation_m > most_m:
+            parts.append(f"pose {step.rotation_deg:.3g} deg and {step.translation_m:.3g} m apart")
+    for name in sorted({*before.brief().figures, *after.brief().figures}):
+        old, new = before.figures.get(name), after.figures.get(name)
+        numbers = isinstance(old, float | int) and isinstance(new, float | int)
+        if not numbers or not isclose(float(old), float(new), rel_tol=most):  # type: ignore[arg-type]
+            parts.append(f"{name} {new} instead of {old}")
+    if parts and not same:
+        parts.append(f"the row is of another processor ({processors[0]})")
+    return ", ".join(parts)
+
+
+def _name(planned: Any) -> str:
+    return f"{planned.section}, {planned.row}, {planned.dataset} {planned.place}, seed {planned.seed}"
 
 
 @cache

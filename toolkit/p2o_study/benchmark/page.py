@@ -12,31 +12,28 @@ from typing import Any
 
 import numpy as np
 from markupsafe import Markup
-from p2o.arrays import Int
 from p2o.draw.one_file import part, rendered
 from p2o.errors import InputError, P2OError
 from p2o.files.whole_file import write_whole
 from p2o.host.registry import Registry
 from p2o.host.slots import KIND_OF
+from p2o.results.result import Status
+from p2o.results.verdict import Trust
 from p2o.run.fit import FRAME_CONTENT
 from p2o.run.recipe import Recipe
 
-from p2o_study.benchmark.outcomes import STATUSES, TRUSTS, Outcomes, Runs, split_by
 from p2o_study.benchmark.overlays import Overlays
-from p2o_study.benchmark.results import Results
-from p2o_study.benchmark.row import Method, place_of
 from p2o_study.benchmark.suite import SuiteFile
-from p2o_study.benchmark.summary import RowSummary, clusters_of, dataset_clusters, summarised, top_groups
 from p2o_study.benchmark.tables import NOTE
 from p2o_study.compare import family_of
-from p2o_study.coverage import WRONG, WRONG_TEXT
-from p2o_study.report.bootstrap import Interval
 from p2o_study.report.figures import COLOURS
 from p2o_study.report.page import brief, script_json, shown_texts
-from p2o_study.report.summary import NORMS
+from p2o_study.row import NORMS, PREDICTED, Method, Row, place_of
+from p2o_study.rows import Rows
+from p2o_study.statistics import BOUNDS, WRONG, WRONG_TEXT, Interval, Statistics, brief_seconds, top_groups
 from p2o_study.study import DatasetTable
-from p2o_study.tally import brief_seconds
 
+STATUSES, TRUSTS = tuple(Status), tuple(Trust)
 INDEX, DATA = "index.html", "data"
 MAX_BYTES = 4_000_000
 """Maximum size of the rows on the page, as JSON: the page stays below 5 MB."""
@@ -70,34 +67,32 @@ class _Line:
     """One row of the page: the runs of a label on one dataset from one initial error."""
 
     suite: SuiteFile
-    outcomes: Outcomes
-    runs: Runs
-    clusters: Int
+    summary: Statistics
 
-    @cached_property
-    def summary(self) -> RowSummary:
-        return summarised(self.runs, dataset_clusters(self.runs, self.clusters))
+    @property
+    def rows(self) -> Sequence[Row]:
+        return self.summary.rows
 
     @property
     def method(self) -> Method:
-        return self.outcomes.methods[int(self.runs["method"][-1])][0]
+        return self.rows[-1].method
 
     @property
     def label(self) -> str:
-        return self.outcomes.rows[int(self.runs["row"][0])]
+        return self.summary.label
 
     @property
     def dataset(self) -> str:
-        return self.outcomes.datasets[int(self.runs["dataset"][0])]
+        return self.rows[0].dataset
 
     @property
     def protocol(self) -> str:
-        return self.outcomes.protocols[int(self.runs["protocol"][0])]
+        return self.rows[0].protocol
 
     @cached_property
     def frames(self) -> tuple[int, int]:
         """Minimum and maximum number of frames of a calibration."""
-        counts = [len(self.outcomes.places[number]) for number in np.unique(self.runs["place"])]
+        counts = {len(row.frames) for row in self.rows}
         return min(counts), max(counts)
 
     @property
@@ -121,7 +116,7 @@ class _Line:
 
 def write_page(
     suites: Sequence[SuiteFile],
-    results: Results,
+    results: Rows,
     folder: Path,
     registry: Registry,
     *,
@@ -133,20 +128,19 @@ def write_page(
 
     The page needs no server and loads nothing but these files. It stays below 5 MB: rows beyond `MAX_BYTES` or
     `MAX_ROWS` are left out, which it states. `cards` returns the data cards of a dataset of a suite by title,
-    `overlays` draws images. Raises InputError as `Outcomes.read`, and if the folder cannot be written.
+    `overlays` draws images. Raises InputError if the folder cannot be written.
     """
     _prepare(folder)
     lines: list[dict[str, Any]] = []
     size = left_out = runs = 0
     names = _Names(registry)
-    frames = results.frames
     described: dict[str, Card] = {}
     for suite in suites:
         on_suite(suite.name)
         own = {table.name: cards(table) for table in suite.study.study.dataset}
-        for compared in _compared(suite, Outcomes.read(results, suite.name, frames)):
+        for compared in _compared(suite, results):
             chosen = compared[: MAX_ROWS - len(lines)] if size < MAX_BYTES else []
-            groups = {norm: top_groups([line.summary.mean.get(norm) for line in chosen]) for norm in NORMS}
+            groups = {norm: top_groups([line.summary.mean(norm) for line in chosen]) for norm in NORMS}
             for number, line in enumerate(chosen):
                 shown = _shown_line(line, names) | {"group": {norm: groups[norm][number] for norm in NORMS}}
                 shown["cards"] = list(own.get(line.dataset, ()))
@@ -157,7 +151,7 @@ def write_page(
                 shown["parts"] = _write_runs(folder / DATA, shown["file"], line, overlays)
                 described |= own.get(line.dataset, {})
                 lines.append(shown)
-                runs += len(line.runs)
+                runs += len(line.rows)
                 left_out -= 1
             left_out += len(compared)
     _name_methods(lines)
@@ -197,12 +191,14 @@ def _prepare(folder: Path) -> None:
         raise InputError("cannot write the folder of the page", where=folder, got=got, hint="--out FOLDER") from problem
 
 
-def _compared(suite: SuiteFile, outcomes: Outcomes) -> list[list[_Line]]:
+def _compared(suite: SuiteFile, results: Rows) -> list[list[_Line]]:
     """Return the rows of a suite, one list for all that are compared with each other."""
-    clusters = clusters_of(outcomes, suite.suite.groups)
     order = {row.label: number for number, row in enumerate(suite.rows)}
-    latest = outcomes.runs[outcomes.latest]
-    lines = [_Line(suite, outcomes, runs, clusters) for runs in split_by(latest, "row", "dataset", "protocol")]
+    rows: dict[tuple[str, str, str, str], list[Row]] = {}
+    for row in results.latest(suite.name):
+        rows.setdefault((row.section, row.row, row.dataset, row.protocol), []).append(row)
+    group_of = suite.suite.group_of
+    lines = [_Line(suite, Statistics(own, label, group_of)) for (_, label, _, _), own in rows.items()]
     lines.sort(key=lambda line: (line.comparable, order.get(line.label, len(order)), line.label))
     return [list(some) for _, some in groupby(lines, key=lambda line: line.comparable)]
 
@@ -237,8 +233,7 @@ def _shown_line(line: _Line, names: _Names) -> dict[str, Any]:
     summary, (least, most) = line.summary, line.frames
     family, needs = names.of(line.method)
     coverage = summary.coverage
-    counts = (coverage.rotation, coverage.translation, coverage.rotation_95, coverage.translation_95)
-    starts = [line.runs[f"start_{norm}"] for norm in NORMS]
+    starts = [[row.start_error_of(norm) or 0.0 for row in line.rows if row.case.start_error] for norm in NORMS]
     return {
         "label": line.label,
         "method": line.same_method,
@@ -254,16 +249,17 @@ def _shown_line(line: _Line, names: _Names) -> dict[str, Any]:
         "count": summary.count,
         "groups": summary.groups,
         "refused": summary.refused,
-        "mean": {norm: _interval(value) for norm, value in summary.mean.items()},
-        "median": {norm: brief(value) for norm, value in summary.median.items()},
-        "solvedOnly": {norm: brief(value) for norm, value in summary.solved_only.items()},
-        "trusted": summary.trusted,
-        "falseAccepts": summary.false_accepts,
-        "coverage": [brief(number / coverage.count) for number in counts] if coverage.count else None,
+        "mean": {norm: _interval(value) for norm in NORMS if (value := summary.mean(norm))},
+        "median": {norm: brief(value.value) for norm in NORMS if (value := summary.median(norm))},
+        "solvedOnly": {norm: brief(summary.solved_only.average(norm)) for norm in NORMS if summary.solved},
+        "trusted": summary.trusted if summary.judged else None,
+        "falseAccepts": summary.false_accepts if summary.judged else None,
+        "outside": summary.outside_95 if summary.judged else None,
+        "coverage": [brief(coverage.within[name] / coverage.count) for name in BOUNDS] if coverage.count else None,
         "covered": coverage.count,
         "seconds": brief(summary.seconds),
         "time": brief_seconds(summary.seconds),
-        "start": [None if np.isnan(values).all() else brief(float(np.nanmean(values))) for values in starts],
+        "start": [brief(float(np.mean(values))) if values else None for values in starts],
     }
 
 
@@ -297,32 +293,43 @@ def common_name(labels: Sequence[str]) -> str:
 
 def _write_runs(folder: Path, name: str, line: _Line, overlays: Overlays | None) -> int:
     """Write the runs of a row, those with the largest errors first, and return the number of files."""
-    runs = line.runs
-    size = np.nan_to_num(runs["rotation_deg"] / WRONG.angle_deg + runs["translation_m"] / WRONG.distance_m, nan=np.inf)
-    runs = runs[np.argsort(-size, kind="stable")]
-    starts = range(0, len(runs), _AT_ONCE)
+    rows = sorted(line.rows, key=_size, reverse=True)
+    starts = range(0, len(rows), _AT_ONCE)
     for number, first in enumerate(starts):
-        own = runs[first : first + _AT_ONCE]
-        shown = _shown_runs(own, line.outcomes)
-        shown["overlays"] = [] if overlays is None or number else overlays.of(line.suite, line.outcomes, runs)
+        shown = _shown_runs(rows[first : first + _AT_ONCE])
+        shown["overlays"] = [] if overlays is None or number else overlays.of(line.suite, rows)
         text = json.dumps([name, number, shown], separators=(",", ":"))
         # NaN and Infinity are values of a script.
         write_whole(folder / f"{name}-{number}.js", f"receiveRuns(...{text});\n".encode())
     return len(starts)
 
 
-def _shown_runs(runs: Runs, outcomes: Outcomes) -> dict[str, Any]:
+def _size(row: Row) -> float:
+    """Return a size of the error by which runs are sorted; those without an error come first."""
+    error = row.error
+    return np.inf if error is None else error.rotation_deg / WRONG.angle_deg + error.translation_m / WRONG.distance_m
+
+
+def _shown_runs(rows: Sequence[Row]) -> dict[str, Any]:
     """Return runs by column; "places" are the distinct frames, "frames" those of groups of several."""
-    places, numbers = np.unique(runs["place"], return_inverse=True)
-    names = [outcomes.places[place] for place in places]
-    bounds = [f"predicted_{norm}{suffix}" for suffix in ("", "_95") for norm in NORMS]
-    columns = [*NORMS, *(f"start_{norm}" for norm in NORMS), *bounds, "seconds"]
-    return {
-        "places": shown_texts([place_of(list(place)) for place in names]),
-        "frames": shown_texts([list(place) if len(place) > 1 else [] for place in names]),
-        "place": numbers.tolist(),
-        "seed": runs["seed"].tolist(),
-        "status": runs["status"].tolist(),
-        "verdict": runs["verdict"].tolist(),
-        **{name: np.round(runs[name], 5).tolist() for name in columns},
+    names = sorted({row.frames for row in rows})
+    numbers = {place: number for number, place in enumerate(names)}
+    columns: dict[str, Callable[[Row], float | None]] = {
+        **{norm: (lambda row, norm=norm: row.error_of(norm)) for norm in NORMS},  # type: ignore[misc]
+        **{f"start_{norm}": (lambda row, norm=norm: row.start_error_of(norm)) for norm in NORMS},  # type: ignore[misc]
+        **{name: (lambda row, name=name: row.predicted(name.removeprefix("predicted_"))) for name in PREDICTED},  # type: ignore[misc]
+        "seconds": lambda row: row.total_s,
     }
+    return {
+        "places": shown_texts([place_of(place) for place in names]),
+        "frames": shown_texts([list(place) if len(place) > 1 else [] for place in names]),
+        "place": [numbers[row.frames] for row in rows],
+        "seed": [row.seed for row in rows],
+        "status": [STATUSES.index(row.status) for row in rows],
+        "verdict": [-1 if row.trust is None else TRUSTS.index(row.trust) for row in rows],
+        **{name: [_rounded(value(row)) for row in rows] for name, value in columns.items()},
+    }
+
+
+def _rounded(value: float | None) -> float:
+    return float("nan") if value is None else round(value, 5)

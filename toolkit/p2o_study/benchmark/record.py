@@ -24,7 +24,6 @@ from p2o.options import validated
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
 from p2o_study.benchmark.measure import source_version
-from p2o_study.benchmark.row import Machine
 from p2o_study.machine import machine_info
 from p2o_study.study import Line, Slug
 
@@ -48,7 +47,7 @@ class Record(BaseModel):
     output: Annotated[str, StringConstraints(min_length=1, max_length=MAX_CHARACTERS)]
     seconds: Annotated[float, Field(ge=0, le=1e9)]
     commit: Line
-    machine: Machine
+    machine: dict[Line, Line | int | float]
     measured_by: Line
     finished: Line
 
@@ -60,7 +59,7 @@ class Record(BaseModel):
         tables = [all(line.startswith("|") for line in block) for block in blocks]
         is_markdown = any(tables) and all(table or len(block) == 1 for table, block in zip(tables, blocks, strict=True))
         shown = lines if is_markdown else ["```text", *lines, "```"]
-        machine = f"{self.machine.processor}, {self.machine.cores} cores"
+        machine = f"{self.machine['processor']}, {self.machine['cores']} cores"
         commit, changed, _ = self.commit.partition("+changes")
         version = commit if commit.startswith("version") else f"commit {commit[:10]}{changed}"
         origin = f"Measured on {self.finished[:10]} with {version} in {self.seconds:.0f} s ({machine})."

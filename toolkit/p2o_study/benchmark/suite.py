@@ -18,6 +18,7 @@ from p2o.options import validated
 from p2o.run.protocol import PROTOCOLS
 from pydantic import BaseModel, ConfigDict
 
+from p2o_study.statistics import GroupOf, by_drive, by_frames
 from p2o_study.study import (
     DatasetTable,
     Line,
@@ -65,6 +66,11 @@ class Suite(BaseModel):
     variant: tuple[Variant, ...] = ()
     product: tuple[Product, ...] = ()
     row: tuple[RowTable, ...] = ()
+
+    @property
+    def group_of(self) -> GroupOf:
+        """The function that names the independent group of a row."""
+        return by_drive if self.groups == "drive" else by_frames
 
     def applied_to(self, study: Study) -> Study:
         """Return the study with the tables of the suite."""

@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-import numpy as np
 from p2o.errors import InputError, UnknownNameError
 from p2o.files.input_file import read_text
 
-from p2o_study.benchmark.outcomes import Outcomes, split_by
-from p2o_study.benchmark.results import Results
 from p2o_study.benchmark.suite import SuiteFile
-from p2o_study.benchmark.summary import RowSummary, clusters_of, dataset_clusters, summarised
-from p2o_study.report.bootstrap import MIN_FRAMES, Interval
-from p2o_study.report.summary import NORMS
-from p2o_study.report.tables import NONE, md_text, shown
-from p2o_study.tally import brief_seconds
+from p2o_study.row import GIVEN, Row
+from p2o_study.rows import Rows
+from p2o_study.statistics import MIN_FRAMES, WRONG_TEXT, Statistics
+from p2o_study.tables import columns_of, error_table, markdown_table, md_text
 
 _WORDS = {"data": None, "methods": None, "columns": ("all", "brief"), "sections": ("apart", "together")}
 """Words of a mark and their values, None for names of the suite."""
@@ -28,11 +24,10 @@ _PART = re.compile(
     r"(?:(?!^<!-- rows:).)*?(?P<tail>^<!-- /rows -->$)",
     re.DOTALL | re.MULTILINE,
 )
-_VALUE = re.compile(r"(?P<head>(?<!`)<!-- value: (?P<named>[^>\n]+?) -->)[^\n]*?(?P<tail><!-- /value -->)")
-_HEAD = re.compile(r"^<!-- rows:|(?<!`)<!-- value:", re.MULTILINE)
-_MARK = re.compile(r"^<!-- (?:rows:|record:|cards -->)|(?<!`)<!-- value:", re.MULTILINE)
-VALUES = ("n", "groups", "refused", "trusted", "false accepts", "within 67 %", "within 95 %", "time")
-"""Names of the values of a row, beside mean, median and interval of a norm (`rotation mean`)."""
+_HEAD = re.compile(r"^<!-- rows:", re.MULTILINE)
+_MARK = re.compile(r"^<!-- (?:rows:|record:|cards -->)", re.MULTILINE)
+_BRIEF = {"coverage 67 %", "coverage 95 %", "predicted 67 %"}
+"""Columns that brief tables leave out."""
 
 
 class Key(NamedTuple):
@@ -72,43 +67,30 @@ class SuiteTables:
     """The last measured rows of a suite with their errors, from which its tables are rendered; no data are read.
 
     `lines` are the figures by section, label and data set, in the order of the suite, with those of external methods
-    last; `protocols` the draws of their initial guesses. `asked` are the rows of the suite. Labels are without
-    "@ DATA SET".
+    last. `asked` are the rows of the suite. Labels are without "@ DATA SET".
     """
 
     suite: SuiteFile
-    lines: Mapping[Key, RowSummary]
-    protocols: Mapping[Key, frozenset[str]]
+    lines: Mapping[Key, Statistics]
     asked: Sequence[Key]
 
     @classmethod
-    def read(cls, suite: SuiteFile, results: Results) -> SuiteTables:
-        """Return the tables of a suite; raises InputError for a row whose frame is not listed."""
-        outcomes = Outcomes.read(results, suite.name, results.frames)
-        clusters = clusters_of(outcomes, suite.suite.groups)
-        asked = {(row.label, row.dataset.name): _key(row.section, row.label, row.dataset.name) for row in suite.rows}
-        figures: dict[Key, RowSummary] = {}
-        protocols: dict[Key, frozenset[str]] = {}
-        for runs in split_by(outcomes.runs[outcomes.latest], "row", "dataset"):
-            label, dataset = outcomes.rows[runs["row"][0]], outcomes.datasets[runs["dataset"][0]]
-            # The rows of an external method are those of all sections together, in the first one.
-            external = outcomes.methods[runs["method"][0]][0].external
-            key = (
-                Key(outcomes.sections[runs["section"][0]], label, dataset) if external else asked.get((label, dataset))
-            )
-            if key is not None:
-                figures[key] = summarised(runs, dataset_clusters(runs, clusters))
-                protocols[key] = frozenset(outcomes.protocols[number] for number in np.unique(runs["protocol"]))
-        keys = [key for key in asked.values() if key in figures]
-        keys += [key for key in figures if key not in set(keys)]
-        data = list(dict.fromkeys(key.dataset for key in keys))
-        keys.sort(key=lambda key: data.index(key.dataset))
-        return cls(suite, {key: figures[key] for key in keys}, protocols, list(asked.values()))
+    def read(cls, suite: SuiteFile, results: Rows) -> SuiteTables:
+        """Return the tables of a suite; rows that it does not ask for are left out."""
+        asked = [_key(row.section, row.label, row.dataset.name) for row in suite.rows]
+        rows: dict[Key, list[Row]] = {key: [] for key in asked}
+        for row in results.latest(suite.name):
+            key = _key(row.section, row.row, row.dataset)
+            if row.method.external or key in rows:
+                rows.setdefault(key, []).append(row)
+        data = list(dict.fromkeys(key.dataset for key, own in rows.items() if own))
+        keys = sorted((key for key, own in rows.items() if own), key=lambda key: data.index(key.dataset))
+        return cls(suite, {key: Statistics(rows[key], key.label, suite.suite.group_of) for key in keys}, asked)
 
     def markdown(self, choice: Choice) -> str:
         """Return the tables in Markdown, one for each section; raises InputError for a name that the suite lacks."""
         self._check(choice)
-        keys = [key for key in (*self.asked, *self.lines) if choice.has(key)]
+        keys = [key for key in dict.fromkeys((*self.asked, *self.lines)) if choice.has(key)]
         if choice.sections == "together":
             return self._table(self.suite.suite.name, keys, choice)
         sections = dict.fromkeys(key.section for key in keys if choice.section in (None, key.section))
@@ -141,107 +123,31 @@ class SuiteTables:
         """Return the table of some rows with its caption."""
         wanted = set(keys)
         lines = {key: row for key, row in self.lines.items() if key in wanted}
-        drawn = frozenset[str]().union(*(self.protocols[key] for key in lines)) - {""}
+        drawn = {protocol for row in lines.values() for protocol in row.protocols} - {GIVEN}
         start = f", initial error {next(iter(drawn))}" if len(drawn) == 1 else ""
         text = [f"**{md_text(caption or 'all rows')}{md_text(start)}**", ""]
-        datasets = {key.dataset for key in lines}
-        form = _Form(
-            refused=any(row.refused for row in lines.values()),
-            judged=any(row.trusted is not None for row in lines.values()),
-            brief=choice.columns == "brief",
-        )
+        several = len({key.dataset for key in lines}) > 1
         if lines:
-            header = [*(["data"] if len(datasets) > 1 else []), "method", *form.header]
-            text += [_line(header), _line([":--", *["--:"] * (len(header) - 1)])]
-            for key, row in lines.items():
-                cells = [key.dataset, key.label][len(datasets) < 2 :]
-                text.append(_line([*map(md_text, cells), *form.cells(row)]))
+            left_out = {"within", "worse", "ambiguous", "doubtful", *(_BRIEF if choice.columns == "brief" else ())}
+            columns = columns_of(list(lines.values()), left_out | ({"start"} if len(drawn) < 2 else set()))
+            rows = [
+                Statistics(row.rows, f"{key.label} @ {key.dataset}" if several else key.label, row.group_of)
+                for key, row in lines.items()
+            ]
+            table = error_table(caption, rows, columns=columns, solved_only=choice.columns == "all", comparable=False)
+            text.append(markdown_table(table).rstrip("\n"))
         missing = sum(key in wanted and key not in lines for key in self.asked)
         if missing:
             text += [*([""] if lines else []), f"Rows not measured: {missing}."]
         return "\n".join([*text, ""])
 
-    def value(self, section: str, label: str, dataset: str, name: str) -> str:
-        """Return one figure of a row as text with its unit, "not measured" without the row.
-
-        `name` is one of `VALUES`, or "rotation" or "translation" with "mean", "median" or "interval". Raises
-        InputError for a name that the suite lacks.
-        """
-        self._check(Choice(self.suite.name, section, (dataset,), (label,)))
-        row = self.lines.get(Key(section, label, dataset))
-        return "not measured" if row is None else _named_value(row, name, str(self.suite.source))
-
-
-def _line(cells: Iterable[str]) -> str:
-    return f"| {' | '.join(cells)} |"
-
-
-@dataclass(frozen=True)
-class _Form:
-    """The columns of a table: some have no entries without `refused` or `judged` runs."""
-
-    refused: bool
-    judged: bool
-    brief: bool
-
-    @property
-    def header(self) -> list[str]:
-        """The columns behind the method."""
-        header = ["n (groups)", *(["refused"] if self.refused else [])]
-        for name, unit in (("rotation", "deg"), ("translation", "cm")):
-            header += [f"{name} mean [{unit}]", "median"]
-            header += ["solved only"] if self.refused and not self.brief else []
-        header += ["trusted", "false accepts"] if self.judged else []
-        header += ["within 67 %", "within 95 %"] if self.judged and not self.brief else []
-        return [*header, "time [s]"]
-
-    def cells(self, row: RowSummary) -> list[str]:
-        """Return the cells of a row behind its label."""
-        cells = [f"{row.count} ({row.groups})", *([str(row.refused)] if self.refused else [])]
-        for norm in NORMS:
-            cells += [shown(row.mean.get(norm), norm), _value(norm, row.median.get(norm))]
-            cells += [_value(norm, row.solved_only.get(norm))] if self.refused and not self.brief else []
-        counts = (row.trusted, row.false_accepts) if self.judged else ()
-        cells += [NONE if count is None else str(count) for count in counts]
-        cells += [row.coverage.text_67, row.coverage.text_95] if self.judged and not self.brief else []
-        return [*cells, brief_seconds(row.seconds)]
-
-
-def _value(norm: str, value: float | None) -> str:
-    return shown(None if value is None else Interval(value), norm)
-
-
-def _named_value(row: RowSummary, name: str, where: str) -> str:
-    """Return a figure of a row by its name, with its unit."""
-    plain: dict[str, object] = {
-        "n": row.count,
-        "groups": row.groups,
-        "refused": row.refused,
-        "trusted": NONE if row.trusted is None else row.trusted,
-        "false accepts": NONE if row.false_accepts is None else row.false_accepts,
-        "within 67 %": row.coverage.text_67,
-        "within 95 %": row.coverage.text_95,
-        "time": f"{brief_seconds(row.seconds)} s",
-    }
-    if name in plain:
-        return str(plain[name])
-    for norm, unit in zip(NORMS, ("deg", "cm"), strict=True):
-        average = row.mean.get(norm)
-        mean = _value(norm, None if average is None else average.value)
-        texts = {"mean": mean, "median": _value(norm, row.median.get(norm)), "interval": shown(average, norm)}
-        word, _, statistic = name.partition(" ")
-        if norm.startswith(word) and statistic in texts:
-            return f"{texts[statistic]} {unit}"
-    kinds = [f"{word} {kind}" for word in ("rotation", "translation") for kind in ("mean", "median", "interval")]
-    raise UnknownNameError("value", name, [*VALUES, *kinds], where=where)
-
 
 NOTE = (
-    "n is the number of calibrations, in parentheses that of independent groups (frames or drives). In brackets: 95 % "
+    "Runs are calibrations, frames distinct frames, groups independent ones (frames or drives). In brackets: 95 % "
     f"interval by bootstrap over groups, none for fewer than {MIN_FRAMES}. Means and medians contain refused "
-    "calibrations with the error of their initial guess; solved only: the mean without them. Within 67 % and 95 %: "
-    "rotation errors, then translation errors, within the predicted ones. Methods whose intervals overlap have no "
-    "order."
+    "calibrations with the error of their initial guess; solved only: the mean without them. False accepts: trusted "
+    f"results {WRONG_TEXT}; outside 95 %: trusted results whose error exceeds their own 95 % bound. Coverage: rotation "
+    "errors, then translation errors, within the predicted ones. Methods whose intervals overlap have no order."
 )
 """How to read the tables."""
 
@@ -251,11 +157,9 @@ def rendered(text: str, where: str, tables: Callable[[str], SuiteTables]) -> str
 
     A table is between `<!-- rows: SUITE -->` and `<!-- /rows -->`. The mark may name a section and choose data sets and
     methods: `<!-- rows: SUITE, SECTION; data: A, B; methods: X, Y; columns: brief -->`, and
-    `sections: together` makes one table of all. One figure is between
-    `<!-- value: SUITE; SECTION; METHOD; DATA; NAME -->` and `<!-- /value -->` in a line. Raises InputError for a mark
-    that is not valid or not closed.
+    `sections: together` makes one table of all. Raises InputError for a mark that is not valid or not closed.
     """
-    starts = {part.start() for pattern in (_PART, _VALUE) for part in pattern.finditer(text)}
+    starts = {part.start() for part in _PART.finditer(text)}
     for head in _HEAD.finditer(text):
         if head.start() not in starts:
             raise InputError("a marked part is not valid", where=_place(text, where, head), expected=_EXPECTED)
@@ -272,19 +176,12 @@ def rendered(text: str, where: str, tables: Callable[[str], SuiteTables]) -> str
         choice = Choice(part["suite"], part["section"], **filters)
         return f"{part['head']}{tables(choice.suite).markdown(choice)}{part['tail']}"
 
-    def value(part: re.Match[str]) -> str:
-        words = part["named"].split("; ")
-        if len(words) != 5:
-            raise InputError("a marked part is not valid", where=_place(text, where, part), expected=_EXPECTED)
-        suite, section, label, dataset, name = words
-        return f"{part['head']}{tables(suite).value(section, label, dataset, name)}{part['tail']}"
-
-    return _VALUE.sub(value, _PART.sub(table, text))
+    return _PART.sub(table, text)
 
 
 _EXPECTED = (
     "<!-- rows: SUITE, SECTION; data: A, B; methods: X, Y --> on its own line (all but SUITE optional) and "
-    "<!-- /rows --> after it, or <!-- value: SUITE; SECTION; METHOD; DATA; NAME --> and <!-- /value --> in one line"
+    "<!-- /rows --> after it"
 )
 
 

@@ -117,7 +117,8 @@ def command(
     from p2o_study.ablate import ablate, parse_seeds
     from p2o_study.parallel import Workers
     from p2o_study.study import StudyFile, find_study
-    from p2o_study.tally import table
+    from p2o_study.summary import summarised
+    from p2o_study.tables import terminal_text
 
     shipped = find_study(study, plugins.registry())
     overridden = shipped.study.overridden(data, frames, None if seeds is None else parse_seeds(seeds), root)
@@ -136,7 +137,8 @@ def command(
             on_progress=say,
             on_warning=warn,
         )
-    click.echo(f"{file.study.title}\n{table(file.study, done.rows)}")
+    if done.rows:
+        click.echo(f"{file.study.title}\n{terminal_text(summarised(file.study, done.rows, done.missing))}")
     if not quiet:
         click.echo(_outcome_text(done, folder), err=True)
     if done.interrupted:
@@ -161,8 +163,9 @@ def _gated(gate: str, study: Study, done: Ablation, reference: Reference | None,
 @contextlib.contextmanager
 def _progress_or_kept_rows(study: Study, folder: Path, quiet: bool) -> Iterator[tuple[Say, Warn]]:
     """Show progress as `progress_shown`; print the finished rows if an error ends a study that was computing."""
-    from p2o_study.store import Store
-    from p2o_study.tally import table
+    from p2o_study.rows import Rows
+    from p2o_study.summary import summarised
+    from p2o_study.tables import terminal_text
 
     computing = False
     try:
@@ -176,11 +179,9 @@ def _progress_or_kept_rows(study: Study, folder: Path, quiet: bool) -> Iterator[
             yield on_progress, warn
     except (P2OError, OSError):
         with contextlib.suppress(P2OError, OSError):
-            if computing:
-                with Store.open(folder) as store:
-                    if rows := store.all_rows(study.name):
-                        click.echo(f"{study.title}\n{table(study, rows)}")
-                        click.echo(f"p2o: {len(rows)} rows are kept in {printable(folder)}", err=True)
+            if computing and (rows := (stored := Rows(folder)).planned(study.name)):
+                click.echo(f"{study.title}\n{terminal_text(summarised(study, rows, stored.missing(study.name)))}")
+                click.echo(f"p2o: {len(rows)} rows are kept in {printable(folder)}", err=True)
         raise
 
 

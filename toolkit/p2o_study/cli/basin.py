@@ -64,7 +64,7 @@ def command(
     """Measure the share of successes over rotation and translation errors of the initial guess.
 
     METHOD is a published method (`p2o methods`), a calibrator, a matcher, or the label of a row of --study.
-    Started again, it continues with the missing rows. Writes basin.png, basin.json and the rows (study.sqlite) to DIR.
+    Started again, it continues with the missing rows. Writes basin.png, basin.json and the rows (JSON lines) to DIR.
     """
     from p2o.files.whole_file import write_json
     from p2o.geometry.perturb import parse_perturbation

@@ -1,4 +1,4 @@
-"""`p2o benchmark`: measure suites, list and confirm stale rows, score other methods, verify bundles, write tables."""
+"""`p2o benchmark`: measure suites, list stale rows, compute rows again, score other methods, write tables."""
 
 from __future__ import annotations
 
@@ -16,18 +16,19 @@ from p2o.errors import printable
 from p2o_study.cli.ablate import at_most_option, progress_shown
 
 if TYPE_CHECKING:
-    from p2o_study.benchmark.status import SuiteStatus
+    from p2o_study.benchmark.measure import SuiteStatus
     from p2o_study.benchmark.suite import SuiteFile
     from p2o_study.benchmark.tables import SuiteTables
     from p2o_study.worker import Plugins
 
 _SHOWN = 20
+_NAMES = ("row", "section", "dataset", "place", "protocol", "seed", "finished")
 _MAX_SEED = 2**32 - 1
 
 
 @click.group("benchmark")
 def command() -> None:
-    """Measure suites as rows of data, score external methods, verify bundles, write tables and a page.
+    """Measure suites as rows of data, compute rows again, score external methods, write tables and a page.
 
     A suite is a file in benchmarks/suites, its rows are lines of JSON in benchmarks/results. docs/how-to/benchmark.md
     explains how to run a suite and how to enter a method.
@@ -90,7 +91,6 @@ def _names(suite: str | None, suites: str, data: tuple[str, ...]) -> list[str]:
 )
 @click.option("--address", metavar="ADDRESS", help="Scheduler of an existing dask or ray cluster.")
 @_by
-@click.option("--store", metavar="DIR", help="Folder of unfinished work (default: p2o-out/benchmark/SUITE).")
 @_results
 @_suites
 @at_most_option
@@ -105,7 +105,6 @@ def run(
     backend: Any,
     address: str | None,
     by: str,
-    store: str | None,
     results: str,
     suites: str,
     at_most: int | None,
@@ -116,8 +115,7 @@ def run(
     """Measure the missing and stale rows of a suite and add them to the results.
 
     Rows that are measurements of the current code, weights, options and data are not computed again. Started again
-    after an interruption, it continues. After a change of code that cannot alter results, run p2o benchmark confirm
-    first.
+    after an interruption, it continues.
 
     \b
     p2o benchmark run smoke
@@ -126,16 +124,15 @@ def run(
     Exit status 1 if a calibration raised or is missing, 130 if interrupted.
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     from p2o_study.benchmark.measure import measure
-    from p2o_study.benchmark.results import Results
     from p2o_study.parallel import Workers
+    from p2o_study.rows import Rows
 
     file, plugins = _opened(suite, suites, data, root, plugin, block)
-    folder = Path("p2o-out") / "benchmark" / file.name if store is None else Path(store)
+    rows = Rows(results)
     with progress_shown(quiet) as (say, warn):
         done = measure(
             file,
-            Results(Path(results)),
-            folder,
+            rows,
             measured_by=by,
             sections=sections,
             plugins=plugins,
@@ -152,7 +149,7 @@ def run(
         f"{done.missing} missing",
     ]
     parts += [f"{done.unreadable} with unreadable frames"] if done.unreadable else []
-    click.echo(f"{file.name}: {', '.join(parts)}; {Results(Path(results)).path(file.name)}")
+    click.echo(f"{file.name}: {', '.join(parts)}; {rows.path(file.name)}")
     if done.interrupted:
         click.echo("p2o: interrupted: the same command continues", err=True)
         return 130
@@ -182,26 +179,19 @@ def status(
 ) -> int:
     """List the rows of a suite, or of all, that are missing or whose method or data changed since.
 
-    Nothing is computed. Datasets without a path are not compared: their rows are compared by method only. Rows of an
-    earlier version of their method are fresh if a sample confirmed that the outcomes are the same (p2o benchmark
-    confirm); their number is stated.
+    Nothing is computed. Datasets without a path are not compared: their rows are compared by method only.
 
     Exit status 1 if a row is missing or stale.
     """
-    from p2o_study.ablate import ReadOptions
-    from p2o_study.benchmark.results import Results
-    from p2o_study.benchmark.status import status_of
+    from p2o_study.benchmark.measure import status_of
     from p2o_study.parallel import Workers
+    from p2o_study.rows import Rows
 
     states = []
     with progress_shown(quiet or as_json) as (say, _):
         for name in _names(suite, suites, data):
             file, plugins = _opened(name, suites, data, root, plugin, block)
-            known = Results(Path(results))
-            options = ReadOptions(
-                plugins=plugins, workers=Workers(workers), on_progress=say, on_warning=lambda text: None
-            )
-            states.append(status_of(file, known, options))
+            states.append(status_of(file, Rows(results), plugins=plugins, workers=Workers(workers), on_progress=say))
     if as_json:
         print_json({"suites": [state.as_dict() for state in states]})
     else:
@@ -211,13 +201,9 @@ def status(
 
 def _status_text(status: SuiteStatus) -> str:
     """Return the counts of a suite, and its missing and stale rows."""
-    from p2o_study.benchmark.plan import State
+    from p2o_study.benchmark.measure import State
 
     counts = [f"{status.count(state)} {state.value}" for state in State if status.count(state)]
-    if status.samples:
-        low, high = min(status.samples), max(status.samples)
-        size = f"a sample of {low}" if low == high else f"samples of {low} to {high}"
-        counts[0] += f" (of them {len(status.samples)} confirmed by {size} rows)"
     counts += [f"{status.surplus} surplus rows"] if status.surplus else []
     counts += [f"{status.unreadable} with unreadable frames"] if status.unreadable else []
     lines = [f"{status.suite}: {', '.join(counts) or 'no rows'}"]
@@ -252,127 +238,115 @@ def prune(
     plugin: tuple[str, ...],
     block: tuple[str, ...],
 ) -> int:
-    """Remove the rows that a suite no longer asks for, stale ones that were measured again, and unused methods.
+    """Remove the rows that a suite no longer asks for, and those that a later row replaces; sort the others.
 
-    Nothing is computed, and fresh rows are never removed. A stale or crashed row is removed only if a later row of the
-    same calibration did not crash. Without their data, rows are compared by label, initial error, seed and method:
-    whether the suite has their frames is unknown. Methods that no row of any suite names are removed from
-    methods.jsonl.
+    Nothing is computed. Without their data, whether the suite has the frames of a row is unknown: only replaced rows
+    are removed. Frames, cases, methods and environments that no row of any suite names are removed, too.
 
     \b
     p2o benchmark prune rigs --root DIR --dry-run
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
-    from p2o_study.ablate import ReadOptions
-    from p2o_study.benchmark.prune import prunable
-    from p2o_study.benchmark.results import Results
+    from p2o_study.benchmark.measure import prunable
     from p2o_study.parallel import Workers
+    from p2o_study.rows import Rows
 
     file, plugins = _opened(suite, suites, data, root, plugin, block)
-    known = Results(Path(results))
-    with progress_shown(quiet or as_json) as (say, warn):
-        options = ReadOptions(plugins=plugins, workers=Workers(workers), on_progress=say, on_warning=warn)
-        rows = prunable(file, known, options)
-    unused = known.unused_methods(one.row for one in rows)
-    if rows and not dry_run:
-        known.remove(file.name, (one.row for one in rows))
-    if unused and not dry_run:
-        known.remove_methods(unused)
+    known, unused = Rows(results), 0
+    with progress_shown(quiet or as_json) as (say, _):
+        kept, rows = prunable(file, known, plugins=plugins, workers=Workers(workers), on_progress=say)
+    if not dry_run:
+        known.rewrite(file.name, kept)
+        unused = known.remove_unused()
     if as_json:
-        removable = {"rows": [one.as_dict() for one in rows], "methods": sorted(unused)}
-        content = {"suite": file.name, "dry_run": dry_run, **removable}
-        print_json(content)
+        removable = [{name: getattr(row, name) for name in _NAMES} for row in rows]
+        print_json({"suite": file.name, "dry_run": dry_run, "rows": removable, "unused": unused})
         return 0
-    lines = [f"  {f.why.value}: {f.row.row}, {f.row.place}, {f.row.protocol}, seed {f.row.seed}" for f in rows[:_SHOWN]]
+    lines = [f"  {row.row}, {row.dataset} {row.place}, {row.protocol}, seed {row.seed}" for row in rows[:_SHOWN]]
     lines += [f"  and {len(rows) - _SHOWN} more (--json lists all)"] if len(rows) > _SHOWN else []
-    counts = f"{len(rows)} rows" + (f" and {len(unused)} unused methods" if unused else "")
+    counts = f"{len(rows)} rows" + (f" and {unused} unused frames, cases, methods and environments" if unused else "")
     done = "would be removed" if dry_run else "removed"
     click.echo("\n".join(map(printable, [*lines, f"{file.name}: {counts} {done}; {known.path(file.name)}"])))
     return 0
 
 
-@command.command("confirm")
+@command.command("recheck")
 @click.argument("suite", required=False)
 @click.option(
-    "--sample", type=click.IntRange(min=1), default=30, show_default=True, metavar="N", help="Rows of each method."
+    "--sample", type=click.IntRange(min=0), default=30, show_default=True, metavar="N", help="Rows of each suite."
 )
 @click.option(
     "--seed", type=click.IntRange(0, _MAX_SEED), metavar="N", help="Seed of the sample (default: drawn at random)."
 )
 @_data_options
 @_workers
-@_by
 @_results
 @_suites
 @_quiet
 @plugin_options
-def confirm(
+def recheck(
     suite: str | None,
     sample: int,
     seed: int | None,
     data: tuple[str, ...],
     root: str | None,
     workers: int,
-    by: str,
     results: str,
     suites: str,
     quiet: bool,
     plugin: tuple[str, ...],
     block: tuple[str, ...],
 ) -> int:
-    """Confirm by samples that changed code of methods alters no result, so that their rows need no new measurement.
+    """Compute a random sample of the rows of a suite, or of all, again, and compare the outcomes.
 
-    For each method whose rows are stale only because its code changed, a random sample of its rows, spread over suites,
-    data sets and sections, is computed again. If every outcome is the same (status, verdict, pose within 1e-6 rad and
-    1e-6 m, predicted errors within 1e-6), the equivalence of the two versions is recorded, and the rows of the method
-    on these suites and data sets are fresh. With no difference among n rows, at most 3/n of the rows differ (95 %).
+    Status, verdict, pose and predicted errors have to agree: rows of this processor to 1e-6 deg and m, those of another
+    processor to 0.02 deg and 5 mm. Calibrations that were measured twice with different outcomes, and missing ones, are
+    named. With no difference among n rows, at most 3/n of the rows differ (95 %).
 
     \b
-    p2o benchmark confirm smoke
-    p2o benchmark confirm --root DIR --sample 60 --workers 4
+    p2o benchmark recheck smoke
+    p2o benchmark recheck --root DIR --sample 50 --workers 4
 
-    Exit status 1 if a row differs, which is named: p2o benchmark run measures the rows of its method again. 130 if
-    interrupted; the same command continues.
+    Exit status 1 if a row differs, 130 if interrupted.
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     import secrets
 
-    from p2o_study.ablate import ReadOptions
-    from p2o_study.benchmark.confirm import confirmations
-    from p2o_study.benchmark.results import Results
+    from p2o_study.benchmark.measure import recheck as rechecked
     from p2o_study.parallel import Workers
-    from p2o_study.worker import Plugins
+    from p2o_study.rows import Rows
 
-    files = [_opened(name, suites, data, root, plugin, block)[0] for name in _names(suite, suites, data)]
-    confirmed = different = rows = 0
+    drawn, clean = secrets.randbelow(_MAX_SEED) if seed is None else seed, True
     try:
         with progress_shown(quiet) as (say, warn):
-            options = ReadOptions(
-                plugins=Plugins.of(block, plugin), workers=Workers(workers), on_progress=say, on_warning=warn
-            )
-            drawn = secrets.randbelow(_MAX_SEED) if seed is None else seed
-            known = Results(Path(results))
-            for outcome in confirmations(files, known, options, sample=sample, seed=drawn, measured_by=by):
+            for name in _names(suite, suites, data):
+                file, plugins = _opened(name, suites, data, root, plugin, block)
+                outcome = rechecked(
+                    file,
+                    Rows(results),
+                    sample=sample,
+                    seed=drawn,
+                    plugins=plugins,
+                    workers=Workers(workers),
+                    on_progress=say,
+                    on_warning=warn,
+                )
                 click.echo("\n".join(map(printable, str(outcome).splitlines())))
-                different += bool(outcome.difference)
-                confirmed += not outcome.difference
-                rows += 0 if outcome.difference else outcome.of
+                clean &= outcome.clean
     except KeyboardInterrupt:
-        click.echo("p2o: interrupted: confirmed methods are kept, and the same command continues", err=True)
+        click.echo("p2o: interrupted", err=True)
         return 130
-    click.echo(f"{confirmed} methods with {rows} rows confirmed, {different} differ")
-    return 1 if different else 0
+    return 0 if clean else 1
 
 
 def _starts(file: SuiteFile, plugins: Plugins, quiet: bool) -> Any:
     """Return the initial guesses of a suite by group, protocol and seed; frames are read."""
-    from p2o_study.ablate import ReadOptions, read_cells
-    from p2o_study.benchmark.entry import starts_of
-    from p2o_study.benchmark.plan import Task
+    from p2o_study.ablate import open_session
+    from p2o_study.benchmark.score import starts_of
 
-    with progress_shown(quiet) as (say, warn):
-        cells = read_cells(file.study, ReadOptions(plugins=plugins, on_progress=say, on_warning=warn))
-        # Poses of a rig need the transforms between its cameras.
-        tasks = (Task.of(file.name, cell) for cell in cells if not cell.group.rig)
-        return starts_of(task for task in tasks if task is not None)
+    with (
+        progress_shown(quiet) as (say, warn),
+        open_session(file.study.study, plugins, on_progress=say, on_warning=warn) as session,
+    ):
+        return starts_of(session.cells())
 
 
 @command.command("starts")
@@ -402,7 +376,7 @@ def starts(
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     from p2o.files.whole_file import write_whole
 
-    from p2o_study.benchmark.entry import starts_csv
+    from p2o_study.benchmark.score import starts_csv
 
     file, plugins = _opened(suite, suites, data, root, plugin, block)
     known = _starts(file, plugins, quiet)
@@ -445,111 +419,31 @@ def score(
     \b
     p2o benchmark score poses.csv --suite smoke --name "PnP on boards"
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
-    from p2o_study.benchmark import entry
-    from p2o_study.benchmark.results import Results
+    from p2o_study.benchmark import score as external
+    from p2o_study.rows import Rows
 
     file, plugins = _opened(suite, suites, data, root, plugin, block)
     known = _starts(file, plugins, quiet)
     labels = [row.label for row in file.rows]
-    rows = entry.score(Path(poses), known, name, source=source, measured_by=by, known=labels)
-    frames = {frame.line: frame for start in known.values() for frame in start.task.frames}
-    Results(Path(results)).add(file.name, rows, frames.values())
+    rows = external.score(Path(poses), known, name, source=source, measured_by=by, known=labels)
+    stored = Rows(results)
+    stored.make_folder()
+    for row in rows:
+        stored.put(file.name, row)
     refused = sum(row.estimate is None for row in rows)
     click.echo(f"{file.name}: {len(rows)} rows of '{name}' added, {refused} refused")
     return 0
 
 
-@command.command("bundle")
-@click.argument("suite")
-@click.option("--out", metavar="FILE.zip", help="The file to write (default: SUITE.zip).")
-@_results
-@_suites
-@_quiet
-@plugin_options
-def bundle(
-    suite: str, out: str | None, results: str, suites: str, quiet: bool, plugin: tuple[str, ...], block: tuple[str, ...]
-) -> int:
-    """Pack the last measured rows of a suite: poses, frame digests, errors and environment in one zip file.
-
-    Equivalences of earlier versions of the methods (p2o benchmark confirm) are packed with the rows that need them.
-    """
-    from p2o_study.benchmark.bundle import pack
-    from p2o_study.benchmark.results import Results
-
-    file, _ = _opened(suite, suites, (), None, plugin, block)
-    path = Path(f"{file.name}.zip" if out is None else out)
-    count = pack(Results(Path(results)), file.name, path)
-    if not quiet:
-        click.echo(f"wrote {path}: {count} rows")
-    return 0
-
-
-@command.command("verify")
-@click.argument("bundle")
-@click.option("--suite", metavar="SUITE", help="The suite (default: that of the bundle, if it is in --suites).")
-@click.option(
-    "--sample", type=click.IntRange(min=0), default=5, show_default=True, metavar="N", help="Rows to compute."
-)
-@_data_options
-@_workers
-@_suites
-@_quiet
-@plugin_options
-def verify(
-    bundle: str,
-    suite: str | None,
-    sample: int,
-    data: tuple[str, ...],
-    root: str | None,
-    workers: int,
-    suites: str,
-    quiet: bool,
-    plugin: tuple[str, ...],
-    block: tuple[str, ...],
-) -> int:
-    """Verify a bundle and print its certificate.
-
-    Every error is computed again from its pose. Where the data are on this machine, frame digests and initial guesses
-    are compared with them, and a random sample of rows is computed again. Rows of earlier versions of a method that the
-    bundle declares equal to the version here are part of the sample.
-
-    \b
-    p2o benchmark verify smoke.zip --sample 10
-
-    Exit status 1 if the bundle is refused, 2 if it is not a bundle.
-    """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
-    from p2o_study.benchmark import bundle as bundles
-    from p2o_study.benchmark.suite import suite_names
-    from p2o_study.parallel import Workers
-    from p2o_study.worker import Plugins
-
-    name = bundles.read_bundle(Path(bundle)).manifest.suite if suite is None else suite
-    file, plugins = None, Plugins.of(block, plugin)
-    if suite is not None or name in suite_names(Path(suites)):
-        file, plugins = _opened(name, suites, data, root, plugin, block)
-    with progress_shown(quiet) as (say, warn):
-        certificate = bundles.verify(
-            Path(bundle),
-            file,
-            sample=sample,
-            plugins=plugins,
-            workers=Workers(workers),
-            on_progress=say,
-            on_warning=warn,
-        )
-    click.echo("\n".join(map(printable, str(certificate).splitlines())))
-    return 1 if certificate.failures else 0
-
-
 def _tables(suites: str, results: str, plugins: Plugins) -> Callable[[str], SuiteTables]:
     """Return the function that reads the tables of a suite, once each."""
-    from p2o_study.benchmark.results import Results
     from p2o_study.benchmark.suite import find_suite
     from p2o_study.benchmark.tables import SuiteTables
+    from p2o_study.rows import Rows
 
     @cache
     def tables(suite: str) -> SuiteTables:
-        return SuiteTables.read(find_suite(suite, plugins.registry(), Path(suites)), Results(Path(results)))
+        return SuiteTables.read(find_suite(suite, plugins.registry(), Path(suites)), Rows(results))
 
     return tables
 
@@ -606,8 +500,8 @@ def page(
     from p2o_study.benchmark.card import read_cards
     from p2o_study.benchmark.overlays import Overlays
     from p2o_study.benchmark.page import write_page
-    from p2o_study.benchmark.results import Results
     from p2o_study.benchmark.suite import find_suite, suite_names
+    from p2o_study.rows import Rows
     from p2o_study.worker import Plugins
 
     registry = Plugins.of(block, plugin).registry()
@@ -617,7 +511,7 @@ def page(
     known = read_cards(Path(cards)).values()
     written = write_page(
         files,
-        Results(Path(results)),
+        Rows(results),
         Path(out),
         registry,
         cards=lambda table: {card.title: card.facts for card in known if card.covers(table)},
@@ -719,9 +613,8 @@ def docs(
     """Write the tables of marked parts of pages from rows and cards of data (default: README.md and docs).
 
     A table is marked by the lines `<!-- rows: SUITE -->`, or
-    `<!-- rows: SUITE, SECTION; data: A, B; methods: X, Y -->`, and `<!-- /rows -->`; one figure by
-    `<!-- value: SUITE; SECTION; METHOD; DATA; NAME -->` and `<!-- /value -->`; a record by `<!-- record: NAME -->` and
-    `<!-- /record -->`; the cards by `<!-- cards -->` and `<!-- /cards -->`.
+    `<!-- rows: SUITE, SECTION; data: A, B; methods: X, Y -->`, and `<!-- /rows -->`; a record by
+    `<!-- record: NAME -->` and `<!-- /record -->`; the cards by `<!-- cards -->` and `<!-- /cards -->`.
     """
     from p2o.files.whole_file import write_whole
 

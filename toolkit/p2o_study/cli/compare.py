@@ -59,7 +59,7 @@ def command(
     Each method calibrates disjoint groups of frames from several initial guesses. It is ranked by the spread of its
     poses, by their cost on the other groups, and by their distance from methods of other families. Methods that cannot
     be distinguished from the best at 95 % form the top group. Interrupted, it ranks what is finished; started again, it
-    continues with the missing rows. Writes compare.html, compare.json and the rows (study.sqlite) to DIR.
+    continues with the missing rows. Writes compare.html, compare.json and the rows (JSON lines) to DIR.
 
     \b
     p2o compare kitti-raw:PATH --frames 0-23 --methods ours,nid,gmm

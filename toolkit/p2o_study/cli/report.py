@@ -54,10 +54,10 @@ def command(
     from p2o.files.input_file import expanded
 
     from p2o_study.report import write_report
-    from p2o_study.store import FILE
+    from p2o_study.rows import Rows
 
     root = expanded(folder)
-    if (root / RUN).exists() and not (root / FILE).exists():
+    if (root / RUN).exists() and not Rows(root).studies:
         if studies or data:
             option = "--study" if studies else "--data"
             raise InputError("the folder contains a run without studies", where=folder, expected=f"no {option}")

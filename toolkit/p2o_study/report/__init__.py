@@ -7,19 +7,18 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
 
-from p2o.errors import InputError, UnknownNameError, printable
+from p2o.errors import InputError, UnknownNameError
 from p2o.files.input_file import expanded
 from p2o.files.whole_file import make_writable, write_errors, write_whole
 from p2o.host.registry import Registry
 
+from p2o_study.rows import Rows
+
 if TYPE_CHECKING:
-    from p2o_study.report.summary import Summary
-    from p2o_study.store import Store
+    from p2o_study.summary import Summary
 
 Tell = Callable[[str, int, int], None]
 """Callback with the name of the current image or figure, the number of finished ones and their total."""
-_LONGEST_NAME = 100
-"""Maximum length of the name of a study in errors: a foreign store may contain any text."""
 
 
 def write_report(
@@ -43,22 +42,20 @@ def write_report(
     Raises InputError if there is no store or no finished run, or `out` cannot be written; UnknownNameError for an
     unknown study or dataset; and as `p2o_study.report.overlays.draw_all`.
     """
-    from p2o_study.report import figures, page, tables
+    from p2o_study import tables
+    from p2o_study.report import figures, page
     from p2o_study.report.overlays import OverlayImages, draw_all
-    from p2o_study.store import Store
 
     folder = expanded(folder)
     images, library = OverlayImages(), page.plot_library()
     home = folder / "report" if out is None else expanded(out)
     tell = on_progress or (lambda what, done, total: None)
-    # Most fields of a run are read from the store for the runs on the page only.
-    with Store.open(folder, create=False) as store:
-        summaries = _summaries(store, studies)
-        with write_errors("the report", home, "choose another --out"):
-            make_writable(home)
-        if data:
-            images = draw_all(summaries, data, overlays, registry or Registry.load(), tell)
-        html = page.page(summaries, images, library).encode()
+    summaries = _summaries(Rows.existing(folder), studies)
+    with write_errors("the report", home, "choose another --out"):
+        make_writable(home)
+    if data:
+        images = draw_all(summaries, data, overlays, registry or Registry.load(), tell)
+    html = page.page(summaries, images, library).encode()
     files: dict[str, bytes] = {}
     drawn: dict[str, list[tuple[str, str]]] = {}
     # An upper limit: groups without rounds or errors have fewer figures.
@@ -69,8 +66,8 @@ def write_report(
             done += 1
             drawn.setdefault(summary.name, []).append((title, f"{name}.png"))
             files |= {f"{name}.{form}": content for form, content in figures.rendered(figure).items()}
-    files["report.md"] = tables.markdown(summaries, lambda summary: drawn.get(summary.name, ())).encode()
-    files["report.tex"] = tables.latex(summaries).encode()
+    files["report.md"] = tables.report_markdown(summaries, lambda summary: drawn.get(summary.name, ())).encode()
+    files["report.tex"] = tables.report_latex(summaries).encode()
     if not library and on_warning is not None:
         on_warning(page.NO_PLOTS)
     files["report.html"] = html
@@ -79,21 +76,17 @@ def write_report(
     return [home / name for name in reversed(files)]
 
 
-def _summaries(store: Store, names: Sequence[str]) -> list[Summary]:
+def _summaries(rows: Rows, names: Sequence[str]) -> list[Summary]:
     """Return the summaries of studies with runs; raises InputError if a study selected by name has none."""
-    from p2o_study.report.summary import summarise_stored
+    from p2o_study.summary import summary_of_stored
 
-    known = {study.name: study for study in store.studies()}
     for name in names:
-        if name not in known:
-            raise UnknownNameError("study", name, known, where=store.path)
-    parts = {name: summarise_stored(store, known[name]) for name in dict.fromkeys(names or known)}
+        if name not in rows.studies:
+            raise UnknownNameError("study", name, rows.studies, where=rows.folder)
+    parts = {name: summary_of_stored(rows, rows.study(name)) for name in dict.fromkeys(names or rows.studies)}
     finished = [summary for summary in parts.values() if summary is not None]
     if not finished or (names and len(finished) < len(parts)):
-        empty = next((name for name, summary in parts.items() if summary is None), None)
-        what, word = "the store has no study with a finished run", "STUDY"
-        if empty:
-            what = f"study '{printable(empty, _LONGEST_NAME)}' has no finished run yet"
-            word = quote(empty) if len(empty) <= _LONGEST_NAME else word
-        raise InputError(what, where=store.path, hint=f"run: p2o ablate {word} --out {quote(str(store.path.parent))}")
+        empty = next((name for name, summary in parts.items() if summary is None), "STUDY")
+        what = f"study '{empty}' has no finished run yet"
+        raise InputError(what, where=rows.folder, hint=f"run: p2o ablate {empty} --out {quote(str(rows.folder))}")
     return finished

@@ -6,9 +6,8 @@ from p2o.draw.one_file import rendered
 from p2o.errors import printable
 
 from p2o_study.compare import BLIND, Comparison
-from p2o_study.report.bootstrap import Interval
-from p2o_study.report.tables import NONE, shown
-from p2o_study.tally import brief_seconds
+from p2o_study.statistics import Interval, brief_seconds
+from p2o_study.tables import NONE, shown
 
 _LENGTHS = {
     "repeatability": "repeatability",

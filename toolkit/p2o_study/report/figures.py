@@ -13,10 +13,10 @@ from p2o.arrays import Float
 from p2o.errors import printable
 from p2o.files.file_names import distinct_names
 
-from p2o_study.report.series import differ_much, lifted, rounds_differ_much
-from p2o_study.report.summary import Group, Summary, error_of
-from p2o_study.report.tables import name_of, unit_of
-from p2o_study.store import StoredRow
+from p2o_study.report.series import convergence_of, differ_much, lifted, rounds_differ_much
+from p2o_study.row import Row
+from p2o_study.summary import Group, Summary
+from p2o_study.tables import name_of, unit_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -99,7 +99,7 @@ def rendered(figure: Figure) -> dict[str, bytes]:
 
 def _boxes(group: Group, summary: Summary) -> Figure | None:
     """Draw the errors by axis as box plots, one box per row; on a logarithmic axis if `differ_much`."""
-    rows = [row for row in group.measured if any(axis in row.mean for axis in summary.axes)]
+    rows = [row for row in group.measured if len(row.errors(summary.axes[0]))]
     if not rows:
         return None
     angles = [axis for axis in summary.axes if axis.endswith("_deg")]
@@ -110,7 +110,7 @@ def _boxes(group: Group, summary: Summary) -> Figure | None:
     grid = figure.subplots(len(panels), across, squeeze=False, sharey=True)
     for line, axes in zip(grid, panels, strict=True):
         factor = unit_of(axes[0])[1]
-        values = [[factor * _values(group.runs[row.label], axis) for row in rows] for axis in axes]
+        values = [[factor * row.signed(axis) for row in rows] for axis in axes]
         logarithmic = differ_much([np.concatenate(row) for row in zip(*values, strict=True)])
         reach = _whisker_reach([v for boxes in values for v in boxes])
         for panel, axis, boxes in zip(line, axes, values, strict=False):
@@ -195,7 +195,7 @@ def _convergence(group: Group, _: Summary) -> Figure | None:
 
     An axis is logarithmic if the medians in the last round `differ_much`.
     """
-    histories = [(row.label, group.convergence[row.label]) for row in group.measured]
+    histories = [(row.label, convergence_of(row.rows)) for row in group.measured]
     if not any(history for _, history in histories):
         return None
     from matplotlib.ticker import MaxNLocator
@@ -226,7 +226,7 @@ def _convergence(group: Group, _: Summary) -> Figure | None:
 
 def _by_frame(group: Group, summary: Summary) -> Figure | None:
     """Draw median and range of the error over the seeds of each frame; many frames as a cumulative curve."""
-    rows = [row for row in group.measured if any(metric in row.mean for metric in summary.norms)]
+    rows = [row for row in group.measured if len(row.errors(summary.norms[0]))]
     if not rows:
         return None
     places = list(dict.fromkeys(place for row in rows for place in row.places))
@@ -237,7 +237,7 @@ def _by_frame(group: Group, summary: Summary) -> Figure | None:
     for panel, metric in zip(panels[0], summary.norms, strict=True):
         unit, factor, _ = unit_of(metric)
         for number, row in enumerate(rows):
-            spread = factor * _spread(group.runs[row.label], places, metric)
+            spread = factor * _spread(row.rows, places, metric)
             if ranked:
                 middle = np.sort(spread[1][np.isfinite(spread[1])])
                 panel.plot(middle, np.arange(1, len(middle) + 1), lw=1.4, label=_short(row.label), **_style(number, ""))
@@ -258,19 +258,15 @@ def _by_frame(group: Group, summary: Summary) -> Figure | None:
     return figure
 
 
-def _spread(runs: Sequence[StoredRow], places: Sequence[str], metric: str) -> Float:
+def _spread(runs: Sequence[Row], places: Sequence[str], metric: str) -> Float:
     """Return minimum, median and maximum error (3, places) over the seeds; NaN for a place without errors."""
     by_place: dict[str, list[float]] = {place: [] for place in places}
     for run in runs:
-        value = error_of(run, metric)
+        value = run.error_of(metric)
         if value is not None:
-            by_place[run.place].append(value)
+            by_place[run.place].append(abs(value))
     none = (np.nan, np.nan, np.nan)
     return np.array([np.quantile(v, (0, 0.5, 1)) if v else none for v in by_place.values()]).T
-
-
-def _values(runs: Sequence[StoredRow], axis: str) -> Float:
-    return np.array([v for run in runs if (v := getattr(run, axis)) is not None], dtype=np.float64)
 
 
 def _figure(width: float, height: float) -> Figure:

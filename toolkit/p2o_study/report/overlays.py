@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -22,9 +21,10 @@ from p2o.run.words import data_by_name, split_data
 
 from p2o_study.damage import Damage, split_options
 from p2o_study.keys import features_key
-from p2o_study.report.summary import Summary
 from p2o_study.report.worst import error_rank
-from p2o_study.store import StoredRow
+from p2o_study.row import Row, frame_digest
+from p2o_study.summary import Summary
+from p2o_study.worker import content_digests
 
 if TYPE_CHECKING:
     from p2o.frames.frame import Frame
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 class Wanted(NamedTuple):
     """One frame of one run to draw."""
 
-    run: StoredRow
+    run: Row
     frame: str
 
 
@@ -66,18 +66,16 @@ def chosen(summary: Summary, most: int) -> list[Wanted]:
     """Select for each row at most `most` frames, the worst first, each with its worst seed."""
     requests = []
     for group in summary.groups:
-        for runs in group.runs.values():
+        for runs in (measured.rows for measured in group.measured):
             # The sort is stable: the first is that of `worst_run`.
-            worst: dict[str, StoredRow] = {}
+            worst: dict[str, Row] = {}
             for run in sorted(runs, key=error_rank, reverse=True):
                 if len(worst) >= most:
                     break
-                if not worst.keys() >= set(run.frames):
-                    [complete] = summary.completed([run])
-                    # The estimate of a rig is the pose of the camera of the first frame.
-                shown = run.frames[:1] if complete.recipe.get("rig") else run.frames
-                for frame in shown if complete.estimate is not None else ():
-                    worst.setdefault(frame, complete)
+                # The estimate of a rig is the pose of the camera of the first frame.
+                shown = run.frames[:1] if run.case.rig else run.frames
+                for frame in shown if run.pose is not None else ():
+                    worst.setdefault(frame, run)
             requests += [Wanted(run, frame) for frame, run in list(worst.items())[:most]]
     return requests
 
@@ -95,7 +93,7 @@ def draw_all(
     number of finished overlays and their total. Raises UnknownNameError for an unknown dataset, InputError if NAME is
     missing but needed, or if frames are missing or differ from those of the study.
     """
-    runs = [run for s in summaries for group in s.groups for some in group.runs.values() for run in some]
+    runs = [run for summary in summaries for run in summary.rows]
     text_of = data_by_name(data, sorted({run.dataset for run in runs}), "the studies")
     wanted = [w for summary in summaries for w in chosen(summary, most) if w.run.dataset in text_of]
     for name, text in text_of.items():
@@ -120,7 +118,7 @@ def draw_all(
     return images
 
 
-def drawn_run(run: StoredRow, text: str, registry: Registry) -> tuple[Frame, UInt8, UInt8]:
+def drawn_run(run: Row, text: str, registry: Registry) -> tuple[Frame, UInt8, UInt8]:
     """Return the first frame of a run with an estimate, and its overlays (H, W, 3) before and after the calibration.
 
     `text` is the data, such as "synthetic:". Raises InputError if they lack the frame, and as `Recipe.resolve`.
@@ -128,15 +126,15 @@ def drawn_run(run: StoredRow, text: str, registry: Registry) -> tuple[Frame, UIn
     source = _opened(text, run, registry)
     _check_names([Wanted(run, run.frames[0])], text, source.dataset.names)
     frame = source.frame(run.frames[0])
+    _check_content(Wanted(run, run.frames[0]), frame)
     return frame, *source.drawn(run, frame)
 
 
 def _by_recipe(wanted: Sequence[Wanted]) -> Iterable[list[Wanted]]:
     """Group requests by dataset and recipe, ignoring frames and initial guesses."""
-    by_recipe: dict[str, list[Wanted]] = {}
+    by_recipe: dict[tuple[str, int], list[Wanted]] = {}
     for w in wanted:
-        recipe = {key: value for key, value in w.run.recipe.items() if key not in ("seed", "perturb", "frames")}
-        by_recipe.setdefault(json.dumps([w.run.dataset, recipe], sort_keys=True), []).append(w)
+        by_recipe.setdefault((w.run.dataset, id(w.run.method)), []).append(w)
     return by_recipe.values()
 
 
@@ -152,11 +150,11 @@ class _Source:
         frame: Frame = self.dataset[self.dataset.names.index(name)]
         return frame
 
-    def drawn(self, run: StoredRow, frame: Frame) -> tuple[UInt8, UInt8]:
+    def drawn(self, run: Row, frame: Frame) -> tuple[UInt8, UInt8]:
         """Return the overlays at the initial guess and at the estimate of a run."""
-        assert run.estimate is not None
-        start = run.estimate if run.start is None else run.start
-        return self._at(frame, start), self._at(frame, run.estimate)
+        assert run.pose is not None
+        assert run.start is not None
+        return self._at(frame, run.start), self._at(frame, run.pose)
 
     def _at(self, frame: Frame, camera_from_lidar: Float) -> UInt8:
         """Draw edges of both sensors at a pose, or the sweep if there are none or an extractor raises."""
@@ -173,16 +171,15 @@ class _Source:
         return overlay.draw_cloud(frame.image.rgb, frame.cloud, frame.camera, camera_from_lidar)
 
 
-def _opened(text: str, run: StoredRow, registry: Registry) -> _Source:
+def _opened(text: str, run: Row, registry: Registry) -> _Source:
     """Return the dataset and the methods of a run, reading frames from the data in `text`."""
-    recipe = dict(run.recipe)
     name, data_options = split_data(text)
-    options, damage = split_options(recipe.get("options", {}), recipe.get("seed", 0))
-    if name == split_data(recipe.get("data") or text)[0]:
+    options, damage = split_options(run.method.options, run.seed)
+    if name == run.case.data:
         # The dataset of the study, possibly at another path.
-        data_options = {**options.get("data", {}), **data_options}
-    options["data"] = data_options
-    plan = Recipe.of(**{**recipe, "data": f"{name}:", "options": options}).resolve(registry)
+        data_options = {**run.case.options, **data_options}
+    words = {**run.method.words, "data": f"{name}:", "options": {**options, "data": data_options}}
+    plan = Recipe.of(**words).resolve(registry)
     return _Source(plan.dataset(), Assembly.of(plan.parts, plan.pipeline, _kept), damage)
 
 
@@ -213,11 +210,10 @@ def _check_names(wanted: Sequence[Wanted], text: str, names: Sequence[str]) -> N
 
 
 def _check_content(wanted: Wanted, frame: Frame) -> None:
-    known: Any = wanted.run.inputs.get(wanted.frame, {})
-    for part, value in (("image", frame.image), ("cloud", frame.cloud)):
-        if part in known and known[part] != content_hash(value):
-            raise InputError(
-                f"the {part} of this frame differs from that of the study",
-                where=wanted.frame,
-                hint="give the data of the study, run the study again, or leave out --data",
-            )
+    known = next(known for known in wanted.run.case.frames if known.name == wanted.frame)
+    if known.content != frame_digest(content_digests(frame), frame.camera_from_lidar):
+        raise InputError(
+            "this frame differs from that of the study",
+            where=wanted.frame,
+            hint="give the data of the study, run the study again, or leave out --data",
+        )

@@ -22,17 +22,23 @@ from p2o.geometry.pose_error import AXES
 from p2o.results.figures import figure_lines
 from p2o.results.verdict import Trust
 
-from p2o_study.columns import METRICS
-from p2o_study.report.bootstrap import Interval
 from p2o_study.report.figures import COLOURS
 from p2o_study.report.overlays import OverlayImages
-from p2o_study.report.series import QUARTILES, RULE, Convergence, differ_much, lifted, rounds_differ_much
-from p2o_study.report.summary import NORMS, Comparison, Group, Measured, Summary, best, error_of
-from p2o_study.report.tables import DIGITS, NOTES, failures_of, predicted_text, starts_of
+from p2o_study.report.series import (
+    QUARTILES,
+    RULE,
+    Convergence,
+    convergence_of,
+    differ_much,
+    lifted,
+    rounds_differ_much,
+)
 from p2o_study.report.worst import error_rank, outcome_text, worst_run
-from p2o_study.store import StoredRow
+from p2o_study.row import METRICS, NORMS, Row
+from p2o_study.statistics import Comparison, Interval, Statistics, brief_seconds, trust_text
 from p2o_study.study import Published
-from p2o_study.tally import brief_seconds, trust_text
+from p2o_study.summary import Group, Summary
+from p2o_study.tables import DIGITS, NONE, NOTES, best, predicted_text
 
 _SIGNIFICANT = 6
 _RUN_BYTES = 1_500_000
@@ -103,14 +109,13 @@ def _with_first_rows(summaries: Sequence[Summary]) -> list[Summary]:
     for summary in summaries:
         groups = []
         for group in summary.groups:
-            labels = list(group.runs)[:left]
-            left -= len(labels)
-            if labels:
-                kept = {label: group.runs[label] for label in labels}
-                rows = [row for row in group.rows if isinstance(row, Published) or row.label in kept]
-                pairs = tuple(pair for pair in group.comparisons if {pair.row, pair.against} <= kept.keys())
-                groups.append(replace(group, rows=tuple(rows), comparisons=pairs, runs=kept))
-        shown, every = (sum(len(group.runs) for group in some) for some in (groups, summary.groups))
+            kept = group.measured[:left]
+            left -= len(kept)
+            if kept:
+                groups.append(
+                    Group(group.heading, tuple(r for r in group.rows if isinstance(r, Published) or r in kept))
+                )
+        shown, every = (sum(len(group.measured) for group in some) for some in (groups, summary.groups))
         note = f"{summary.note} This page has the first {shown} of {every} rows; report.md has all."
         out.append(replace(summary, groups=tuple(groups), note=summary.note if shown == every else note.strip()))
     return [summary for summary in out if summary.groups]
@@ -123,15 +128,14 @@ def _chosen_runs(summaries: Sequence[Summary], images: OverlayImages) -> list[_R
     queues = []
     for runs, summary in zip(chosen, summaries, strict=True):
         for taken, group in zip(runs.groups, summary.groups, strict=True):
-            for row, some in enumerate(group.runs.values()):
+            for row, some in enumerate(measured.rows for measured in group.measured):
                 order = sorted(range(len(some)), key=lambda i: error_rank(some[i]), reverse=True)
                 # The worst run of a row is always its first, those with overlays are next.
                 order[1:] = sorted(order[1:], key=lambda i: some[i].key not in drawn)
-                queues.append([(runs, taken, summary, row, place, some[place]) for place in order])
+                queues.append([(runs, taken, row, place, some[place]) for place in order])
     left = _RUN_BYTES
     turns = (entry for turn in itertools.zip_longest(*queues) for entry in turn if entry is not None)
-    for runs, taken, summary, row, place, brief in turns:
-        [run] = summary.completed([brief])
+    for runs, taken, row, place, run in turns:
         before = runs.recipes.size
         shown = _run(run, row, runs.recipes, images)
         left -= len(json.dumps(shown)) + runs.recipes.size - before
@@ -145,12 +149,13 @@ class _Runs(NamedTuple):
     """The runs of a study on the page, by group: (row, place in the row) to the run and its JSON."""
 
     recipes: _Numbered
-    groups: list[dict[tuple[int, int], tuple[StoredRow, dict[str, Any]]]]
+    groups: list[dict[tuple[int, int], tuple[Row, dict[str, Any]]]]
 
 
 def _study(summary: Summary, runs: _Runs) -> dict[str, Any]:
     return {
-        **{name: getattr(summary, name) for name in ("name", "title", "norms", "within", "axes")},
+        **{name: getattr(summary, name) for name in ("name", "title", "norms", "axes")},
+        "within": "" if summary.within is None else str(summary.within),
         "note": " ".join([summary.note, *(f"{line}." for line in summary.pooled)]).strip(),
         "groups": [_group(group, summary.norms, own) for group, own in zip(summary.groups, runs.groups, strict=True)],
         "recipes": runs.recipes.values,
@@ -176,13 +181,14 @@ class _Numbered:
 
 
 def _group(
-    group: Group, norms: Sequence[str], chosen: Mapping[tuple[int, int], tuple[StoredRow, dict[str, Any]]]
+    group: Group, norms: Sequence[str], chosen: Mapping[tuple[int, int], tuple[Row, dict[str, Any]]]
 ) -> dict[str, Any]:
-    labels = list(group.runs)
+    every = [row.rows for row in group.measured]
+    labels = [row.label for row in group.measured]
     numbers = {place: number for number, place in enumerate(sorted(chosen))}
-    worst = [(row, runs.index(worst_run(runs))) for row, runs in enumerate(group.runs.values()) if runs]
-    histories = [group.convergence[label] for label in labels]
-    errors = {metric: _values(group, metric) for metric in METRICS}
+    worst = [(row, runs.index(worst_run(runs))) for row, runs in enumerate(every) if runs]
+    histories = [convergence_of(runs) for runs in every]
+    errors = {metric: [row.signed(metric) for row in group.measured] for metric in METRICS}
     return {
         "heading": group.heading,
         "rows": [_row(row, group, norms) for row in group.rows],
@@ -196,7 +202,7 @@ def _group(
         **_by_frame(group, numbers),
         "pairs": [_pair(pair) for pair in group.comparisons],
         "runs": [chosen[place][1] for place in numbers],
-        "total": sum(map(len, group.runs.values())),
+        "total": sum(map(len, every)),
     }
 
 
@@ -213,13 +219,13 @@ def _box(values: Float) -> list[float | None] | None:
 def _by_frame(group: Group, numbers: Mapping[tuple[int, int], int]) -> dict[str, Any]:
     """Return the frames with the largest errors, and by row and frame the range of each metric and its worst run."""
     largest: dict[str, float] = {}
-    for run in itertools.chain(*group.runs.values()):
+    for run in itertools.chain(*(row.rows for row in group.measured)):
         largest[run.place] = max(largest.get(run.place, -1.0), error_rank(run)[0])
-    most = max(1, _MOST_POINTS // max(1, len(group.runs)))
+    most = max(1, _MOST_POINTS // max(1, len(group.measured)))
     kept = set(sorted(largest, key=lambda place: -largest[place])[:most])
     places = [place for place in largest if place in kept]
     rows = []
-    for row, runs in enumerate(group.runs.values()):
+    for row, runs in enumerate(measured.rows for measured in group.measured):
         members: dict[str, list[int]] = {place: [] for place in places}
         for number, run in enumerate(runs):
             if run.place in members:
@@ -229,12 +235,12 @@ def _by_frame(group: Group, numbers: Mapping[tuple[int, int], int]) -> dict[str,
 
 
 def _ranges(
-    row: int, runs: Sequence[StoredRow], members: Sequence[int], numbers: Mapping[tuple[int, int], int]
+    row: int, runs: Sequence[Row], members: Sequence[int], numbers: Mapping[tuple[int, int], int]
 ) -> dict[str, list[float | int | None]]:
     """Return by metric minimum, median and maximum error, and the number of the worst run if it is on the page."""
     ranges: dict[str, list[float | int | None]] = {}
     for metric in METRICS:
-        sizes = sorted((size, i) for i in members if (size := error_of(runs[i], metric)) is not None)
+        sizes = sorted((abs(size), i) for i in members if (size := runs[i].error_of(metric)) is not None)
         if sizes:
             values = [size for size, _ in sizes]
             three = (values[0], statistics.median(values), values[-1])
@@ -242,60 +248,57 @@ def _ranges(
     return ranges
 
 
-def _values(group: Group, metric: str) -> list[Float]:
-    """Return the errors of each row in a metric."""
-    values = ([getattr(run, metric) for run in runs] for runs in group.runs.values())
-    return [np.array([value for value in row if value is not None], np.float64) for row in values]
-
-
-def _row(row: Measured | Published, group: Group, norms: Sequence[str]) -> dict[str, Any]:
+def _row(row: Statistics | Published, group: Group, norms: Sequence[str]) -> dict[str, Any]:
     if isinstance(row, Published):
         means = {metric: [brief(value), None, None] for metric, value in row.values.items()}
-        texts = {"label": row.label, "published": row.source, "note": row.note, "start": starts_of(row)}
+        texts = {"label": row.label, "published": row.source, "note": row.note, "start": row.start or NONE}
         return {**texts, "mean": means, "median": {}}
+    coverage = row.coverage
     out: dict[str, Any] = {
         "label": row.label,
-        "start": starts_of(row),
-        "runs": row.runs,
-        "frames": len(row.places),
-        "failures": failures_of(row),
+        "start": ", ".join(row.protocols) or NONE,
+        "runs": row.count,
+        "frames": row.frames,
+        "failures": ", ".join(f"{count} {status}" for status, count in row.failures.items()) or "0",
         "failed": sum(row.failures.values()),
         "trust": trust_text(row.trust) if row.trust else None,
-        "trusted": row.trust.get(Trust.TRUSTED, 0) if row.trust else None,
-        "falseAccepts": row.false_accepts if row.trust else None,
-        "predicted": predicted_text(row, norms) if row.predicted else None,
+        "trusted": row.trusted if row.judged else None,
+        "falseAccepts": row.false_accepts if row.judged else None,
+        "outside": row.outside_95 if row.judged else None,
+        "unmoved": row.unmoved,
+        "predicted": predicted_text(row) if row.predicted else None,
         "predictedSize": None if not row.predicted else brief(next(iter(row.predicted.values()))),
-        "coverage": [row.coverage.text_67, row.coverage.text_95] if row.coverage.count else None,
-        "coverageRotations": [row.coverage.rotation, row.coverage.rotation_95] if row.coverage.count else None,
+        "coverage": [coverage.text_67, coverage.text_95] if coverage.count else None,
+        "coverageRotations": [coverage.within[f"rotation_deg{s}"] for s in ("", "_95")] if coverage.count else None,
         "seconds": None if math.isnan(row.seconds) else row.seconds,
         "time": brief_seconds(row.seconds),
-        "within": row.within,
+        "within": row.reached,
         "worse": row.worse,
         "best": [],
     }
     for statistic in ("mean", "median"):
-        values: Mapping[str, Interval] = getattr(row, statistic)
-        out[statistic] = {metric: _interval(value) for metric, value in values.items()}
-        for metric, value in values.items():
-            first = best(group.measured, metric, statistic, DIGITS)
+        values = {metric: getattr(row, statistic)(metric) for metric in METRICS}
+        known = {metric: value for metric, value in values.items() if value is not None}
+        out[statistic] = {metric: _interval(value) for metric, value in known.items()}
+        for metric, value in known.items():
+            first = best(group.measured, metric, statistic)
             if row.complete and first is not None and round(value.value, DIGITS) == first:
                 out["best"].append(f"{metric} {statistic}")
     return out
 
 
-def _run(run: StoredRow, row: int, recipes: _Numbered, images: OverlayImages) -> dict[str, Any]:
+def _run(run: Row, row: int, recipes: _Numbered, images: OverlayImages) -> dict[str, Any]:
     shown = [
         {"frame": frame, "before": images.of[run.key, frame][0], "after": images.of[run.key, frame][1]}
         for frame in run.frames
         if (run.key, frame) in images.of
     ]
-    unseeded = {key: value for key, value in run.recipe.items() if key != "seed"}
     return {
         "row": row,
         "place": run.place,
         "frames": run.frames if len(run.frames) > 1 else [],
         "seed": run.seed,
-        "perturb": run.perturb or "",
+        "perturb": run.protocol,
         "status": run.status,
         "solved": run.solved,
         "reason": run.reason,
@@ -303,8 +306,8 @@ def _run(run: StoredRow, row: int, recipes: _Numbered, images: OverlayImages) ->
         "why": run.why or "",
         "evidence": figure_lines(run.figures),
         "costUnit": run.figures.get("cost_unit") or "",
-        "errors": [brief(getattr(run, metric)) for metric in METRICS],
-        "start": [brief(run.start_rotation_deg), brief(run.start_translation_m)],
+        "errors": [brief(run.error_of(metric)) for metric in METRICS],
+        "start": [brief(run.start_error_of(norm)) for norm in NORMS],
         "matches": dict(run.matches),
         "seconds": {stage: brief(value) for stage, value in run.seconds.items()},
         "rounds": [
@@ -312,8 +315,10 @@ def _run(run: StoredRow, row: int, recipes: _Numbered, images: OverlayImages) ->
             for r in run.rounds
             for numbers in [map(brief, (r.mean_residual, r.cost, r.step_deg, r.step_m))]
         ],
-        "estimate": None if run.estimate is None else np.round(run.estimate, 9).tolist(),
-        "recipe": recipes.number({"recipe": unseeded, "versions": dict(run.versions)}),
+        "estimate": None if run.pose is None else np.round(run.pose, 9).tolist(),
+        "recipe": recipes.number(
+            {"recipe": {**run.method.words, "options": run.method.options}, "versions": dict(run.environment.versions)}
+        ),
         "exception": run.exception or "",
         "finished": run.finished,
         "overlays": shown,

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from array import array
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from p2o.arrays import Float
-from p2o.results.result import Round
 
-from p2o_study.store import StoredRow
+from p2o_study.row import Row
 
 QUARTILES = (0.25, 0.5, 0.75)
 MUCH = 20.0
@@ -28,42 +26,21 @@ class Convergence:
     residual_px: Float
 
 
-class Histories:
-    """The rounds of the runs of one row, stored as plain numbers, because there may be 100,000 runs."""
+def convergence_of(runs: Iterable[Row]) -> Convergence | None:
+    """Return the convergence of runs; None if no run has rounds of matching and solving.
 
-    def __init__(self) -> None:
-        self._values, self._lengths = array("d"), array("q")
-
-    @classmethod
-    def of(cls, runs: Iterable[StoredRow]) -> Histories:
-        """Return the rounds of runs."""
-        histories = cls()
-        for run in runs:
-            histories.add(run.rounds)
-        return histories
-
-    def add(self, rounds: Iterable[Round]) -> None:
-        """Add the rounds of a run."""
-        # The round of an initializer has no matches.
-        solved = [r for r in rounds if math.isfinite(r.mean_residual) and r.matches]
-        if solved:
-            self._lengths.append(len(solved))
-            self._values.extend(x for r in solved for x in (sum(r.matches.values()), r.mean_residual))
-
-    def convergence(self) -> Convergence | None:
-        """Return the convergence of the runs; None if no run has rounds of matching and solving.
-
-        A run that has ended is continued with the values of its last round; otherwise the last rounds would represent
-        the slowest runs only.
-        """
-        if not self._lengths:
-            return None
-        lengths, values = np.array(self._lengths), np.array(self._values).reshape(-1, 2)
-        first = np.cumsum(lengths) - lengths
-        places = (first + np.minimum(number, lengths - 1) for number in range(lengths.max()))
-        quartiles = np.array([np.quantile(values[place], QUARTILES, axis=0) for place in places])
-        matches, residual_px = np.moveaxis(quartiles, (2, 1), (0, 1))
-        return Convergence(len(lengths), matches, residual_px)
+    A run that has ended is continued with the values of its last round; otherwise the last rounds would represent the
+    slowest runs only.
+    """
+    # The round of an initializer has no matches.
+    solved = [[r for r in run.rounds if math.isfinite(r.mean_residual) and r.matches] for run in runs]
+    values = [np.array([[sum(r.matches.values()), r.mean_residual] for r in rounds]) for rounds in solved if rounds]
+    if not values:
+        return None
+    last = range(max(map(len, values)))
+    quartiles = np.array([np.quantile([v[min(i, len(v) - 1)] for v in values], QUARTILES, axis=0) for i in last])
+    matches, residual_px = np.moveaxis(quartiles, (2, 1), (0, 1))
+    return Convergence(len(values), matches, residual_px)
 
 
 def rounds_differ_much(histories: Iterable[Convergence | None]) -> tuple[bool, bool]:

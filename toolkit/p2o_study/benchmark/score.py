@@ -19,8 +19,8 @@ from p2o.geometry import se3
 from p2o.results.result import Status
 from p2o.results.verdict import Trust
 
-from p2o_study.benchmark.plan import Task
-from p2o_study.benchmark.row import FrameOfRow, Machine, Method, Row, place_of
+from p2o_study.cells import Cell
+from p2o_study.row import Case, Environment, Method, Row, content_id
 from p2o_study.worker import now
 
 KEY = ("group", "protocol", "seed")
@@ -38,25 +38,33 @@ Key = tuple[str, str, int]
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """One calibration that every method of a suite makes: a group of frames and an initial guess."""
+    """A calibration that every method of a suite makes, and the sections in which it occurs."""
 
-    key: Key
-    task: Task
+    case: Case
+    sections: tuple[str, ...]
 
 
-def starts_of(tasks: Iterable[Task]) -> dict[Key, Start]:
+def starts_of(cells: Iterable[Cell]) -> dict[Key, Start]:
     """Return the calibrations of a suite by group, protocol and seed; each is the same for all methods.
 
-    Raises InputError if two methods have different initial guesses or frames for one of them.
+    Those of rigs are left out: their poses need the transforms between the cameras. Raises InputError if two methods
+    have different initial guesses or frames for one of them.
     """
     starts: dict[Key, Start] = {}
-    for task in tasks:
-        dataset = task.cell.planned.dataset
-        key = f"{dataset}: {place_of(list(task.names))}", task.protocol, task.cell.seed
-        known = starts.setdefault(key, Start(key, task)).task
-        if not np.array_equal(known.start, task.start) or known.names != task.names:
-            text = f"rows '{known.cell.planned.row}' and '{task.cell.planned.row}' differ in frames or initial guess"
-            raise InputError(text, where=f"suite {task.suite}, {key[0]}, seed {key[2]}", expected="the same for all")
+    first: dict[Key, str] = {}
+    for cell in cells:
+        planned, case = cell.planned, cell.planned.case
+        if cell.group.rig or case.start is None or not cell.group.readable:
+            continue
+        key = f"{case.dataset}: {case.place}", case.protocol, case.seed
+        known = starts.setdefault(key, Start(case, ()))
+        label = first.setdefault(key, planned.row)
+        assert known.case.start is not None
+        if not np.array_equal(known.case.start, case.start) or known.case.names != case.names:
+            text = f"rows '{label}' and '{planned.row}' differ in frames or initial guess"
+            raise InputError(text, where=f"{key[0]}, {key[1]}, seed {key[2]}", expected="the same for all")
+        if planned.section not in known.sections:
+            starts[key] = Start(known.case, (*known.sections, planned.section))
     return starts
 
 
@@ -66,14 +74,15 @@ def starts_csv(starts: Mapping[Key, Start]) -> str:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow((*KEY, "frames", *MATRIX))
     for key, start in starts.items():
-        writer.writerow((*key, ";".join(start.task.names), *(repr(float(x)) for x in start.task.start.ravel())))
+        assert start.case.start is not None
+        writer.writerow((*key, ";".join(start.case.names), *(repr(float(x)) for x in start.case.start.ravel())))
     return text.getvalue()
 
 
 def score(
     path: Path, starts: Mapping[Key, Start], name: str, *, source: str, measured_by: str, known: Iterable[str] = ()
 ) -> list[Row]:
-    """Return the rows of an external method from its file of poses.
+    """Return the rows of an external method from its file of poses, one for each section of a calibration.
 
     The file is CSV with a header: group, protocol and seed as in `starts_csv`, then camera_from_lidar as m00 to m33, or
     as qx, qy, qz, qw, tx, ty, tz (quaternion with the scalar last, translation in metres), and optionally seconds.
@@ -84,63 +93,44 @@ def score(
     if name in known:
         raise InputError(f"'{name}' is a row of the suite", where="--name", expected="another name")
     digest = hashlib.sha256(read_bytes(path, "file of poses", MAX_TEXT_BYTES)).hexdigest()
-    rows: dict[Key, Row] = {}
+    method = Method(digest, external=True, source=source)
+    environment = Environment(commit="external", measured_by=measured_by)
+    rows: list[Row] = []
     lines: dict[Key, int] = {}
     for number, values in _records(path):
         where = f"{path}:{number}"
         key = values["group"], values["protocol"], _seed(values["seed"], where)
         if key not in starts:
             _raise_unknown(key, starts, where)
-        if key in rows:
+        if key in lines:
             text = f"a second pose for {key[0]}, {key[1]}, seed {key[2]}"
             raise InputError(text, where=where, expected="one line each", got=f"the first in line {lines[key]}")
         lines[key] = number
-        seconds = values.get("seconds", "").strip()
-        rows[key] = _row(
-            starts[key].task,
-            _pose(values, where),
-            _finite(seconds, "seconds", where) if seconds else None,
-            name=name,
-            source=source,
-            digest=digest,
-            measured_by=measured_by,
-        )
-    missing = [key for key in starts if key not in rows]
+        pose, seconds = _pose(values, where), values.get("seconds", "").strip()
+        rows += [
+            Row(
+                content_id([name, digest, section, *key]),
+                name,
+                starts[key].case,
+                method,
+                section,
+                status=Status.NO_IMPROVEMENT if pose is None else Status.CONVERGED,
+                reason="no pose in the file" if pose is None else "",
+                estimate=pose,
+                trust=Trust.REFUSED if pose is None else None,
+                seconds={"total": _finite(seconds, "seconds", where)} if seconds else {},
+                environment=environment,
+                finished=now(),
+            )
+            for section in starts[key].sections
+        ]
+    missing = [key for key in starts if key not in lines]
     if missing:
         shown = "; ".join(f"{group}, {protocol}, seed {seed}" for group, protocol, seed in missing[:_SHOWN])
         hint = "write a line with an empty pose where the method refuses"
         text = f"{len(missing)} of {len(starts)} poses are missing"
         raise InputError(text, where=path, expected="a line for each initial guess of the suite", got=shown, hint=hint)
-    return list(rows.values())
-
-
-def _row(
-    task: Task, pose: Float | None, seconds: float | None, *, name: str, source: str, digest: str, measured_by: str
-) -> Row:
-    planned = task.cell.planned
-    return Row(
-        suite=task.suite,
-        row=name,
-        section=planned.section,
-        dataset=planned.dataset,
-        frames=tuple(FrameOfRow(name=frame.name, digest=frame.digest) for frame in task.frames),
-        joint=bool(task.cell.group.joint),
-        protocol=task.protocol,
-        seed=task.cell.seed,
-        start=task.start.tolist(),
-        method=Method(external=True, source=source),
-        digest=digest,
-        commit="external",
-        estimate=None if pose is None else pose.tolist(),
-        status=Status.NO_IMPROVEMENT if pose is None else Status.CONVERGED,
-        reason="no pose in the file" if pose is None else "pose of an external method",
-        verdict=Trust.REFUSED if pose is None else None,
-        predicted=None,
-        seconds=seconds,
-        machine=Machine(),
-        measured_by=measured_by,
-        finished=now(),
-    )
+    return rows
 
 
 def _records(path: Path) -> Iterable[tuple[int, dict[str, str]]]:
