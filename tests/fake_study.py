@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 import p2o
 from p2o import se3
-from p2o.cache import content_hash
-from p2o.geometry.pose_error import pose_error
+from p2o.results.result import Status
 from p2o.results.verdict import Trust
 from p2o.solving import Round
-from p2o_study.store import Planned, Store, StoredRow, StoredStudy
+from p2o_study.row import Case, Environment, Frame, Method, Row, frame_digest
+from p2o_study.rows import PlanRow, Rows, StoredStudy, plan_of
+from p2o_study.worker import content_digests
 from p2o_testing import stage
 
 TRUTH = se3.make(np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]), [0.0, -0.1, -0.3])
@@ -26,6 +27,12 @@ TOML = """
 name = "table2"
 title = "Table 2: KITTI & <others>"
 note = "Starts are 2 deg and 0.15 m wrong."
+[[dataset]]
+name = "kitti"
+data = "kitti:"
+[[row]]
+label = "ours"
+calibrator = "spy"
 """
 
 PUBLISHED = (
@@ -40,42 +47,44 @@ PUBLISHED = (
 )
 
 
-def planned(run: StoredRow) -> Planned:
-    """Return what the study asked for."""
-    return Planned(**{name: getattr(run, name) for name in Planned.__dataclass_fields__})
+def run_of(row: str, frame: str, seed: int, rotation_deg: float, shift_m: float, **values: Any) -> Row:
+    """Return a run whose estimate is off by this turn and shift, each along an axis of its own.
 
-
-def run_of(
-    row: str, frame: str, seed: int, rotation_deg: float, shift_m: float, *, study: str = "table2", **values: Any
-) -> StoredRow:
-    """Return a run whose estimate is off by this turn and shift, each along an axis of its own."""
-    turn = se3.exp(np.array([*(np.radians(rotation_deg) * AXIS), 0, 0, 0]))
-    estimate = TRUTH @ se3.make(turn[:3, :3], shift_m * AXIS[::-1])
-    error = pose_error(estimate, TRUTH)
-    start = TRUTH @ se3.exp(np.array([0, np.radians(2), 0, 0, 0.15, 0]))
-    common: dict[str, Any] = {
+    `values` are fields of the row, its case and its method.
+    """
+    turn, truth = se3.exp(np.array([*(np.radians(rotation_deg) * AXIS), 0, 0, 0])), values.get("truth")
+    centre = TRUTH if truth is None else truth
+    known: dict[str, Any] = {
+        "section": "",
         "dataset": "kitti",
-        "frames": (frame,),
-        "seed": seed,
-        "perturb": "2deg 0.15m",
-        "status": "converged",
-        "reason": "the last round moved the pose by less than the tolerance",
-        "rotation_deg": error.rotation_deg,
-        "translation_m": error.translation_m,
-        **error.per_axis,
-        "start_rotation_deg": 2.0,
-        "start_translation_m": 0.15,
-        "estimate": estimate,
-        "start": start,
+        "joint": 0,
+        "protocol": "2deg 0.15m",
+        "start": TRUTH @ se3.exp(np.array([0, np.radians(2), 0, 0, 0.15, 0])),
         "truth": TRUTH,
+        "contents": {},
+        "data": "",
+        "words": {"matcher": "ogm"},
+        "options": {},
+        "status": Status.CONVERGED,
+        "reason": "the last round moved the pose by less than the tolerance",
+        "estimate": centre @ se3.make(turn[:3, :3], shift_m * AXIS[::-1]),
         "rounds": rounds((900, 18.0), (400, 4.0), (380, 2.0)),
         "matches": {"L": 200, "R": 180},
         "seconds": {"extract": 0.5, "refine": 0.25},
-        "recipe": {"matcher": "ogm", "seed": seed},
-        "versions": {"numpy": "2"},
         "finished": "2026-01-01T00:00:00+00:00",
+        **values,
     }
-    return StoredRow(f"{study} {row} {frame} {seed}", study, row, **{**common, **values})
+    names = known.pop("frames", (frame,))
+    dataset, truth, contents = (known.pop(name) for name in ("dataset", "truth", "contents"))
+    frames = tuple(Frame(dataset, name, contents.get(name, f"content of {name}"), truth) for name in names)
+    case = Case(dataset, frames, seed, *(known.pop(name) for name in ("start", "protocol", "joint")))
+    case = replace(case, data=known.pop("data"))
+    method = Method("revision", known.pop("words"), known.pop("options"))
+    known["status"] = Status(known["status"])
+    if not known["status"].solved:
+        known["estimate"] = None
+    environment = Environment(versions={"numpy": "2"})
+    return Row(f"{row} {names[0]} {seed}", row, case, method, environment=environment, **known)
 
 
 def rounds(*history: tuple[int, float]) -> tuple[Round, ...]:
@@ -87,7 +96,7 @@ def rounds(*history: tuple[int, float]) -> tuple[Round, ...]:
     )
 
 
-def table2(frames: int = 12, seeds: int = 3) -> list[StoredRow]:
+def table2(frames: int = 12, seeds: int = 3) -> list[Row]:
     """Return the runs of a study of three rows and a joint one; errors are of a seeded generator."""
     rng = np.random.default_rng(5)
     runs = []
@@ -129,39 +138,51 @@ def _judged(turn: float) -> dict[str, Any]:
     return found
 
 
-def staged(**values: Any) -> list[StoredRow]:
+def staged(**values: Any) -> list[Row]:
     """Return runs on the frames of the stage that tests draw, by the staged pipeline and by a whole method."""
     frame = stage.frame()
     truth = frame.camera_from_lidar
+    assert truth is not None
+    words = {"edges": {"extractor": "depth/rings"}, "whole": {"calibrator": "spy"}}
     registry = p2o.Registry.load(extra_files=[PLUGIN], environ={})
-    words = {"data": "fake:?frames=3"}
-    recipes = {
-        "edges": p2o.Recipe.of(**words, extractor="depth/rings").resolve(registry).described(),
-        "whole": p2o.Recipe.of(**words, calibrator="spy").resolve(registry).described(),
-    }
-    inputs = {"image": content_hash(frame.image), "cloud": content_hash(frame.cloud)}
+    names = ("drive/0000", "drive/0001", "drive/0002")
+    content = frame_digest(content_digests(frame), truth)
     start = truth @ np.array([[1.0, 0, 0, 0.3], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
-    common = {"truth": truth, "start": start, "estimate": truth, "dataset": "fake", **values}
-    return [
-        run_of(row, name, 0, 1.0 + i, 0.1, recipe=recipe, inputs={name: inputs}, **common)
-        for row, recipe in recipes.items()
-        for i, name in enumerate(("drive/0000", "drive/0001", "drive/0002"))
-    ]
+    common = {"truth": truth, "start": start, "dataset": "fake", "data": "fake", **values}
+    common = {"contents": dict.fromkeys(names, content), **common}
+    runs = []
+    for row, own in words.items():
+        options = p2o.Recipe.of(data="fake:?frames=3", **own).resolve(registry).described()["options"]
+        options = {stage: values for stage, values in options.items() if stage != "data"}
+        runs += [
+            run_of(row, name, 0, 1.0 + i, 0.1, words=own, options=options, **common) for i, name in enumerate(names)
+        ]
+    return runs
+
+
+def toml_of(published: Sequence[Mapping[str, Any]]) -> str:
+    """Return the tables of published figures of a study file."""
+    text = ""
+    for table in published:
+        values = ", ".join(f"{name} = {value}" for name, value in table["values"].items())
+        text += "[[published]]\n" + "".join(f'{k} = "{v}"\n' for k, v in table.items() if k != "values")
+        text += f"values = {{ {values} }}\n"
+    return text
 
 
 def write_store(
     folder: Path,
-    runs: Sequence[StoredRow],
+    runs: Sequence[Row],
     *,
-    missing: Sequence[Planned] = (),
+    study: str = "table2",
+    missing: Sequence[PlanRow] = (),
     toml: str = TOML,
     published: Sequence[Mapping[str, Any]] = PUBLISHED,
 ) -> Path:
-    """Write runs as one study, and return the folder."""
-    name = (*runs, *missing)[0].study
-    study = StoredStudy(name, toml, {}, tuple(published))
-    with Store.open(folder) as store:
-        store.begin(study, [*map(planned, runs), *missing])
-        for run in runs:
-            store.put(run)
+    """Write runs as one study, and return the folder; `published` are tables of its file."""
+    text = toml.replace('name = "table2"', f'name = "{study}"') + toml_of(published)
+    rows = Rows(folder)
+    rows.begin(StoredStudy(study, text, {}, tuple(published), (*plan_of(runs), *missing)))
+    for run in runs:
+        rows.put(study, run)
     return folder

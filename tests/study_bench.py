@@ -13,7 +13,7 @@ from pathlib import Path
 from p2o.cache import FeatureCache
 from p2o_study.ablate import Ablation, ablate
 from p2o_study.parallel import Workers
-from p2o_study.store import StoredRow
+from p2o_study.row import Row, rounded_pose
 from p2o_study.study import StudyFile, parse_study
 from p2o_study.worker import Plugins
 
@@ -72,21 +72,10 @@ class Bench:
         return subprocess.run([*command, *words], capture_output=True, text=True, check=False, env=environ)
 
 
-def bits(rows: Sequence[StoredRow]) -> list[tuple[object, ...]]:
-    """Return all that a row says, except for the time it took."""
+def bits(rows: Sequence[Row]) -> list[tuple[object, ...]]:
+    """Return all that a row states, except for the time it took."""
     return [
-        (
-            r.key,
-            r.row,
-            r.seed,
-            r.frames,
-            r.status,
-            r.reason,
-            repr(r.rounds),
-            r.matches,
-            json.dumps(r.recipe),
-            r.rotation_deg,
-        )
-        + tuple(None if pose is None else pose.tobytes() for pose in (r.estimate, r.start, r.truth))
+        (r.key, r.row, r.seed, r.frames, r.status, r.reason, repr(r.rounds), r.matches, json.dumps(r.method.options, sort_keys=True))
+        + tuple(None if pose is None else tuple(rounded_pose(pose)) for pose in (r.estimate, r.start, r.truth))
         for r in rows
     ]

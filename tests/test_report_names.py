@@ -10,15 +10,16 @@ from pathlib import Path
 
 import pytest
 from p2o.cli import main
+from p2o.errors import printable
 from p2o_study.report import write_report
 from p2o_study.report.figures import figure_names, figures_of
-from p2o_study.report.summary import summarise_study
-from p2o_study.report.tables import latex, markdown
-from p2o_study.store import Planned, StoredStudy
+from p2o_study.study import parse_study
+from p2o_study.summary import summarised
+from p2o_study.tables import report_latex, report_markdown
 
 from tests.fake_study import TOML, run_of, write_store
 
-STUDY = StoredStudy("table2", 'title = "T"', {}, ())
+STUDY = parse_study(TOML)
 HOSTILE = (
     "../../X",
     "/etc/passwd",
@@ -30,16 +31,17 @@ HOSTILE = (
 
 
 def hostile_store(folder: Path, names: Sequence[str] = HOSTILE) -> Path:
-    """Write one study for each hostile name: it names the study, its row, section, dataset and frame."""
+    """Write one study for each hostile name: that of its row, section, data set and frame, and of its messages."""
     for number, name in enumerate(names):
         runs = [
-            run_of(name, f"{name}{frame}", 0, 1.0 + frame, 0.1, study=name or "empty", section=name, dataset=name)
+            run_of(name, f"{name}{frame}", 0, 1.0 + frame, 0.1, section=name, dataset=name, reason=name, why=name)
             for frame in range(2)
         ]
+        title = name if name and printable(name) == name and len(name) <= 120 else "T"
         # JSON is one of TOML's texts.
-        toml = f"title = {json.dumps(name)}\nnote = {json.dumps(name)}\n" if number % 2 else TOML
-        published = ({"label": name, "source": name, "values": {"rotation_deg": 1.0}, "beside": name, "note": name},)
-        write_store(folder, [replace(run, reason=name, why=name) for run in runs], toml=toml, published=published)
+        toml = TOML.replace('"Table 2: KITTI & <others>"', json.dumps(title))
+        published = ({"label": title.replace('"', ""), "source": "x", "values": {"rotation_deg": 1.0}},)
+        write_store(folder, runs, study=f"study-{number}", toml=toml, published=() if "\\" in title else published)
     return folder
 
 
@@ -56,8 +58,10 @@ def test_every_file_of_a_report_lies_in_its_folder_whatever_studies_are_called(
 ) -> None:
     folder, files = hostile
     assert {file.parent for file in files} == {folder / "report"}
-    there = {path for path in folder.parents[1].rglob("*") if path.is_file()}
-    assert there == {*files, folder / "study.sqlite"}
+    present = {
+        path for path in folder.parents[1].rglob("*") if path.is_file() and path.suffix not in (".json", ".jsonl")
+    }
+    assert present == set(files)
     assert all(re.fullmatch(r"[A-Za-z0-9._-]{1,160}", file.name) for file in files)
     # Three figures a study, each of them twice; that of convergence too.
     assert len(files) == 3 + 6 * len(HOSTILE)
@@ -114,9 +118,7 @@ def test_figures_of_two_studies_never_share_a_file() -> None:
     """The second group of "a" would be called like the study "a-2", and "A" like "a" where case does not count."""
     sections = [run_of("x", "f", 0, 1.0, 0.1), run_of("y", "f", 0, 1.0, 0.1, section="other")]
     names = ("a", "a-2", "A", "a_b", "a b", "ж", "ц")
-    summaries = [
-        summarise_study(replace(STUDY, name=name), sections if name == "a" else sections[:1]) for name in names
-    ]
+    summaries = [replace(summarised(STUDY, sections if name == "a" else sections[:1]), name=name) for name in names]
     found = [name for names in figure_names(summaries) for name in names]
     assert len({name.lower() for name in found}) == len(found) == 8
     assert figure_names(summaries[:1]) == [("a-1", "a-2")]
@@ -126,7 +128,7 @@ def test_figures_of_two_studies_never_share_a_file() -> None:
 def test_a_study_of_very_many_rows_has_figures_of_the_first() -> None:
     """A picture may be 65535 px high, which boxes of some 800 rows would not fit into."""
     runs = [run_of(f"row {i}", "f", 0, 1.0, 0.1) for i in range(250)]
-    drawn = {name: (title, figure) for name, title, figure in figures_of(summarise_study(STUDY, runs))}
+    drawn = {name: (title, figure) for name, title, figure in figures_of(summarised(STUDY, runs))}
     title, figure = drawn["table2-boxplot"]
     assert "(the first 200 rows of 250)" in title
     assert figure.get_figheight() * 130 < 2**15
@@ -134,14 +136,6 @@ def test_a_study_of_very_many_rows_has_figures_of_the_first() -> None:
 
 def test_markdown_and_latex_are_one_line_a_name() -> None:
     runs = [run_of("a\nb\r\n| c |", f"f{i}", 0, 1.0, 0.1) for i in range(2)]
-    summary = summarise_study(replace(STUDY, name="x\n\\input{y}"), runs)
-    assert "a b \\| c \\|" in markdown([summary], lambda _: ())
-    assert "\n% x \\input{y}\n" in latex([summary]), "a comment to its end"
-
-
-def test_a_very_long_name_does_not_fill_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("plotly")
-    name = "x" * 5000
-    write_store(tmp_path, [], missing=[Planned("k", name, "row")])
-    assert main(["report", str(tmp_path)]) == 2
-    assert len(capsys.readouterr().err) < 700
+    summary = replace(summarised(STUDY, runs), name="x\n\\input{y}")
+    assert "a b \\| c \\|" in report_markdown([summary], lambda _: ())
+    assert "\n% x \\input{y}\n" in report_latex([summary]), "a comment to its end"

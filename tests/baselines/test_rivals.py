@@ -9,7 +9,7 @@ from p2o import Registry
 from p2o.cli import main
 from p2o.run.presets import presets
 from p2o_study.report import write_report
-from p2o_study.store import Store
+from p2o_study.rows import Rows
 from p2o_study.study import check_study, find_study
 
 STUDIES = ("rivals", "rivals-00", "rivals-drive")
@@ -82,8 +82,7 @@ def test_all_of_them_run_on_a_synthetic_frame_and_make_a_page(
     told = capsys.readouterr().out
     assert "within" in told
     study = find_study("rivals", registry).study
-    with Store.open(tmp_path, create=False) as store:
-        rows = store.rows("rivals")
+    rows = Rows(tmp_path).planned("rivals")
     assert {row.row for row in rows} == {row.label for row in study.rows()}
     assert all(row.seconds for row in rows)
     page, *_ = (path for path in write_report(tmp_path, registry=registry) if path.suffix == ".html")

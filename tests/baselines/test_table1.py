@@ -10,7 +10,7 @@ from p2o import Registry, pose_error
 from p2o.cli import main
 from p2o.geometry.pose_error import AXES
 from p2o_sim.write import vkitti2 as write_vkitti2
-from p2o_study.store import Store
+from p2o_study.rows import Rows
 from p2o_study.study import check_study, find_study
 from p2o_testing import stage
 
@@ -63,8 +63,7 @@ def test_it_prints_means_and_medians_beside_the_papers_and_refused_frames_count(
     words = ["ablate", str(file), "--data", f"vkitti2:{tmp_path / 'data'}?mount=camera", "--jobs", "1", "--quiet"]
     assert main([*words, "--out", str(tmp_path / "out")]) == 0
     lines = capsys.readouterr().out.splitlines()
-    with Store.open(tmp_path / "out", create=False) as store:
-        rows = store.rows("table1")
+    rows = Rows(tmp_path / "out").planned("table1")
     assert len(rows) == 5 * 3 + 5 * 3, "three frames alone, and three starts of them together"
     for label in [*NAMES, *(f"{name}, joint" for name in NAMES)]:
         own = [row for row in rows if row.row == label]

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 from p2o.cli import main
-from p2o_study.benchmark.results import Results
-from p2o_study.benchmark.row import Row
+from p2o_study.row import Row
+from p2o_study.rows import Rows
 
 from tests.study_bench import HEAD, PLUGIN, TRUSTED, Bench
 
@@ -22,7 +22,7 @@ class Board(Bench):
 
     def __init__(self, root: Path) -> None:
         super().__init__(root)
-        self.results = Results(root / "results")
+        self.results = Rows(root / "results")
         self.write()
 
     def write(self, study: str = STUDY, suite: str = SUITE) -> None:
@@ -32,18 +32,21 @@ class Board(Bench):
     def command(self, word: str, *words: str) -> int:
         """Run a command that takes the suite as its argument, or as an option."""
         suite = str(self.root / "tiny.toml")
-        named = ["--suite", suite] if word in ("score", "verify") else [suite]
-        folders = [] if word in ("starts", "verify") else ["--results", str(self.results.folder)]
-        folders += ["--store", str(self.root / "store")] if word == "run" else []
+        named = ["--suite", suite] if word == "score" else [suite]
+        folders = [] if word == "starts" else ["--results", str(self.results.folder)]
         quiet = [] if word == "table" else ["--quiet"]
         plugin = ["--plugin", str(PLUGIN)]
         return main(["benchmark", word, *words, *named, *plugin, *folders, *quiet])
 
     def measured(self, *words: str) -> list[Row]:
         """Run the suite, and return the rows that are new."""
-        before = {known.line for known in self.results.rows("tiny")}
+        before = len(self.rows())
         assert self.command("run", *words) == 0
-        return [new for new in self.results.rows("tiny") if new.line not in before]
+        return self.rows()[before:]
+
+    def rows(self, suite: str = "tiny") -> list[Row]:
+        """Return the rows of the suite in the order of the file."""
+        return list(Rows(self.results.folder).each(suite))
 
     def outdated(self, capsys: pytest.CaptureFixture[str]) -> list[tuple[str, str]]:
         """Return label and state of the calibrations without a fresh row."""

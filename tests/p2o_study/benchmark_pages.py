@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import p2o
+from p2o.arrays import Float
 from p2o.cli import main
-from p2o_study.benchmark.results import Results
-from p2o_study.benchmark.row import FrameData, Row
+from p2o.results.result import Status
+from p2o.results.verdict import Trust
+from p2o_study.row import PREDICTED, Case, Frame, Method, Row
+from p2o_study.rows import Rows
 
 PLUGIN = Path(__file__).parents[1] / "study_plugin.py"
 HOSTILE = "</script><script>window.stolen = 1</script> <b>$x$</b>"
@@ -34,54 +38,42 @@ witness = "none"
 """
 
 
-def frame(dataset: str, number: int) -> FrameData:
-    """Return a frame with the identity as ground truth."""
-    plain = {"dataset": dataset, "name": f"drive/{number:03d}", "truth": np.eye(4).tolist()}
-    return FrameData.model_validate(plain | dict.fromkeys(("image", "sweep", "calibration"), f"{number:064x}"))
-
-
 def rows_of(
-    label: str, errors: Sequence[float], *, dataset: str = "first", joint: int = 1, start: float = 2.0, **values: Any
+    label: str, errors: Sequence[float], *, dataset: str = "first", joint: int = 1, start: float = 2.0, **method: Any
 ) -> list[Row]:
-    """Return rows of `FRAMES` calibrations with five seeds, with these rotation errors in degrees by calibration."""
+    """Return rows of `FRAMES` calibrations with five seeds, with these rotation errors in degrees by calibration.
+
+    `method` are fields of the method.
+    """
+    its = Method("1" * 64, **{"words": {"calibrator": "quick"}, **method})
+    figures = dict(zip(PREDICTED, (0.4, math.inf, 0.8, 1.0), strict=True))
     out = []
     for group, error in enumerate(errors):
-        frames = [frame(dataset, group * joint + number) for number in range(joint)]
+        names = [f"drive/{group * joint + number:03d}" for number in range(joint)]
+        frames = tuple(Frame(dataset, name, f"content of {name}", np.eye(4)) for name in names)
         for seed in range(5):
-            plain = {
-                "suite": "tiny",
-                "row": label,
-                "dataset": dataset,
-                "frames": [{"name": known.name, "digest": known.digest} for known in frames],
-                "joint": joint > 1,
-                "protocol": f"{start:g}deg 0.05m",
-                "seed": seed,
-                "start": turned(start),
-                "method": {"words": {"calibrator": "quick"}},
-                "digest": "1" * 64,
-                "commit": "abc",
-                "estimate": turned(error),
-                "status": "converged",
-                "verdict": "trusted",
-                "predicted": {
-                    "rotation_deg": 0.4,
-                    "translation_m": "inf",
-                    "rotation_deg_95": 0.8,
-                    "translation_m_95": 1,
-                },
-                "seconds": 0.5,
-                "machine": {},
-                "measured_by": "tests",
-                "finished": "2026-01-01T00:00:00+00:00",
-            }
-            out.append(Row.model_validate(plain | values))
+            case = Case(dataset, frames, seed, turned(start), f"{start:g}deg 0.05m", joint if joint > 1 else 0)
+            out.append(
+                Row(
+                    f"{label} {dataset} {start} {joint} {group} {seed}",
+                    label,
+                    case,
+                    its,
+                    status=Status.CONVERGED,
+                    estimate=turned(error),
+                    trust=Trust.TRUSTED,
+                    figures=figures,
+                    seconds={"total": 0.5},
+                    finished="2026-01-01T00:00:00+00:00",
+                )
+            )
     return out
 
 
-def turned(angle_deg: float) -> list[list[float]]:
+def turned(angle_deg: float) -> Float:
     """Return a pose with this rotation error against the identity, and a translation error of 1 cm per degree."""
     pose = p2o.se3.exp(np.array([0, 0, np.radians(angle_deg), 0, 0, 0]))
-    return p2o.se3.make(pose[:3, :3], [0.01 * angle_deg, 0, 0]).tolist()  # type: ignore[no-any-return]
+    return p2o.se3.make(pose[:3, :3], [0.01 * angle_deg, 0, 0])
 
 
 def spread(middle: float, half: float) -> list[float]:
@@ -94,10 +86,10 @@ def written(folder: Path, rows: Sequence[Row], suite: str = SUITE) -> Path:
     (folder / "suites").mkdir(parents=True, exist_ok=True)
     (folder / "suites/tiny.toml").write_text(suite)
     (folder / "study.toml").write_text(STUDY)
-    frames = {
-        (row.dataset, known.name): frame(row.dataset, int(known.name[-3:])) for row in rows for known in row.frames
-    }
-    Results(folder / "results").add("tiny", rows, frames.values())
+    results = Rows(folder / "results")
+    results.make_folder()
+    for row in rows:
+        results.put("tiny", row)
     assert main(command(folder)) == 0
     return folder / "page/index.html"
 

@@ -62,12 +62,12 @@ def test_a_name_that_is_no_method_is_told_with_the_nearest() -> None:
 def test_shares_count_what_arrives_what_is_refused_and_what_deceives() -> None:
     contender = Preset("ours", {"matcher": "ogm"}, {})
     first, second = GRID.cells[:2]
-    common = {"study": "basin", "trust": Trust.TRUSTED}
+    common = {"trust": Trust.TRUSTED}
     rows = [
         run_of(label(contender, first), "a", 0, 0.1, 0.05, **common),  # type: ignore[arg-type]
         run_of(label(contender, first), "b", 0, 0.1, 0.25, **common),  # type: ignore[arg-type]
-        run_of(label(contender, first), "c", 0, 0.6, 0.05, study="basin", trust=Trust.DOUBTFUL),
-        run_of(label(contender, first), "d", 0, 0.1, 0.05, study="basin", status="no-edges", trust=Trust.REFUSED),
+        run_of(label(contender, first), "c", 0, 0.6, 0.05, trust=Trust.DOUBTFUL),
+        run_of(label(contender, first), "d", 0, 0.1, 0.05, status="no-edges", trust=Trust.REFUSED),
         run_of(label(contender, second), "a", 0, 0.1, 0.05, **common),  # type: ignore[arg-type]
     ]
     basin = basin_of(contender, GRID, rows)

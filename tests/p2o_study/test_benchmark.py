@@ -1,20 +1,18 @@
-"""Rows of the benchmark, suites, and what is measured again when."""
+"""Suites of the benchmark: which of their rows are measured, stale, removed and computed again."""
 
 from __future__ import annotations
 
-import itertools
 import json
+from collections import Counter
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import p2o
 import pytest
-from p2o.errors import InputError
-from p2o_study.benchmark.outcomes import Outcomes
-from p2o_study.benchmark.results import Results
-from p2o_study.benchmark.row import MAX_LINE_BYTES, METHODS_FILE, FrameData, Row, latest, parsed_line, read_records
+from p2o.results.verdict import Trust
 from p2o_study.benchmark.suite import FOLDER, find_suite, suite_names
+from p2o_study.row import Environment, frame_digest
 
 from tests.p2o_study.benchmark_board import QUICK_ROW, STUDY, SUITE, Board
 from tests.p2o_study.source_edits import Edit
@@ -23,227 +21,22 @@ ROOT = Path(__file__).parents[2]
 OWN_ROW = '[[row]]\nlabel = "a"\nextractor = "p2ornet/rings"\n'
 
 
-def row(**values: Any) -> Row:
-    """Return a row of a fixed calibration with other values."""
-    pose = np.eye(4).tolist()
-    plain = {
-        "suite": "tiny",
-        "row": "quick",
-        "dataset": "tiny",
-        "frames": [{"name": "tiny/000", "digest": "0" * 64}],
-        "joint": False,
-        "protocol": "1deg 0.05m",
-        "seed": 0,
-        "start": pose,
-        "method": {"words": {"calibrator": "quick"}},
-        "digest": "1" * 64,
-        "commit": "abc",
-        "estimate": pose,
-        "status": "converged",
-        "verdict": "trusted",
-        "predicted": {"rotation_deg": 0.1, "translation_m": "inf", "rotation_deg_95": 0.3, "translation_m_95": "inf"},
-        "seconds": 0.5,
-        "machine": {"processor": "p", "cores": 2, "load": 0.5},
-        "measured_by": "tests",
-        "finished": "2026-01-01T00:00:00+00:00",
-    }
-    return Row.model_validate(plain | values)
+# ---- suites
 
 
-# ---- rows
-
-
-def test_a_row_is_one_line_that_reads_back_bit_by_bit() -> None:
-    turned = p2o.se3.exp(np.array([0.1, 0.2, -0.3, 1e-17, 2, 3]))
-    before = row(estimate=turned.tolist(), row="ä | b")
-    after = parsed_line(Row, before.line.encode(), "x:1")
-    assert "\n" not in before.line
-    assert after.line == before.line
-    assert np.array_equal(np.asarray(after.estimate), turned)
-
-
-def frame(truth: Any) -> FrameData:
-    """Return the frame of `row`; its content is not that of any image."""
-    plain = {"dataset": "tiny", "name": "tiny/000", "image": "0" * 64, "sweep": "1" * 64, "calibration": "2" * 64}
-    return FrameData.model_validate(plain | {"truth": truth.tolist()})
-
-
-def outcomes(folder: Path, rows: list[Row], truth: Any) -> Outcomes:
-    """Return the arrays of rows that are written to a folder of results."""
-    known = frame(truth)
-    named = [{"name": known.name, "digest": known.digest}]
-    Results(folder).add(
-        "tiny", [Row.model_validate(r.model_dump(mode="json") | {"frames": named}) for r in rows], [known]
-    )
-    return Outcomes.read(Results(folder), "tiny", Results(folder).frames)
-
-
-def test_errors_are_those_of_the_pose_and_never_of_the_file(tmp_path: Path) -> None:
-    truth = p2o.se3.make(p2o.se3.exp(np.array([0, 0, np.radians(2), 0, 0, 0]))[:3, :3], [0.3, 0, 0])
-    refused = row(row="refused", estimate=None, status="no-edges", verdict="refused", start=truth.tolist())
-    raised = row(row="raised", estimate=None, status="stage-failed", verdict=None)
-    runs = outcomes(tmp_path, [row(), refused, raised], truth).runs
-    assert runs["rotation_deg"] == pytest.approx([2.0, np.nan, 0.0], abs=1e-6, nan_ok=True)
-    assert runs["translation_m"] == pytest.approx([0.3, np.nan, 0.0], nan_ok=True)
-
-
-def test_arrays_hold_the_rows_in_the_order_of_the_file_whatever_the_order_of_the_lines(tmp_path: Path) -> None:
-    random = np.random.default_rng(0)
-    days = ("2026-01-02T00:00:00+00:00", "2026-01-01T00:00:00+00:00")
-    truth, rows = p2o.se3.exp(np.array([0.1, 0, 0, 0, 0, 0])), []
-    for label, seed, finished, commit in itertools.product(("b", "a"), (10, 9), days, ("x", "y")):
-        estimate = p2o.se3.exp(random.normal(size=6))
-        rows.append(row(row=label, seed=seed, finished=finished, commit=commit, estimate=estimate.tolist()))
-    its = outcomes(tmp_path, rows, truth)
-    path = its.path
-    path.write_text("".join(path.read_text().splitlines(keepends=True)[::-1] * 2))
-    its = Outcomes.read(Results(tmp_path), "tiny", Results(tmp_path).frames)
-    last = latest(Results(tmp_path).rows("tiny"))
-    runs = its.runs[its.latest]
-    errors = [Results(tmp_path).frames.error_of(known) for known in last]
-    assert runs["rotation_deg"] == pytest.approx([error.rotation_deg for error in errors if error is not None])
-    assert runs["translation_m"] == pytest.approx([error.translation_m for error in errors if error is not None])
-    assert [known.line for known in map(its.row, np.flatnonzero(its.latest))] == [known.line for known in last]
-    assert its.measured(last[0].identity)[0].line == last[0].line
-    assert its.measured(("tiny", "tiny", "c", *last[0].identity[3:])) == []
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ('"seed":0', '"seed":0,"rotation_deg":0.01', "rows:2: the line states an error: rotation_deg"),
-        ('"seed":0', '"seed":0,"__class__":"os"', "rows:2: unknown key '__class__'"),
-        ('"seed":0', '"seed":-1', "rows:2: seed is out of bounds"),
-        ('"version":1', '"version":2', "rows:2: version is not valid; expected 1"),
-        ('"estimate":[[1.0', '"estimate":[[1.1', "rows:2: estimate is not valid; expected a rigid transform"),
-        ('"estimate":[[1.0', '"estimate":[[NaN', "rows:2: "),
-        ('"estimate":[[1.0', '"estimate":[["1.0"', "rows:2: estimate"),
-        ('"start":[[1.0', '"start":[[-1.0', "rows:2: start is not valid; expected a rigid transform"),
-        ('"seed":0', '"seed":"\\ud800"', "rows:2: "),
-        ('"options":{}', '"options":{"a":' + "[" * 80 + "]" * 80 + "}", "rows:2: the line is nested too deeply"),
-        ('"status":"converged"', '"status":"no-edges"', "an estimate if, and only if"),
-        ('"digest":"1', '"digest":"x', "rows:2: digest is not valid"),
-        ("{", "[", "rows:2: the line is not JSON"),
-        ('"reason":""', f'"reason":"{"x" * MAX_LINE_BYTES}"', "rows:2: the line is too long"),
-    ],
-)
-def test_an_invalid_line_is_refused_in_one_line_with_its_place(
-    tmp_path: Path, old: str, new: str, message: str
-) -> None:
-    file = tmp_path / "tiny.jsonl"
-    assert old in row().line
-    file.write_text(f"{row(row='first').line}\n{row().line.replace(old, new, 1)}\n")
-    for read in (lambda: read_records(Row, file), lambda: Outcomes.read(Results(tmp_path), "tiny")):
-        with pytest.raises(InputError) as problem:
-            read()
-        assert message.replace("rows:", "tiny.jsonl:") in str(problem.value)
-        assert len(str(problem.value)) < 4000
-
-
-def test_files_merge_to_the_same_bytes_in_any_order(tmp_path: Path) -> None:
-    another = row(seed=0, row="another", method={"external": True})
-    parts = [[row(seed=2), row(seed=0)], [row(seed=1), row(seed=0)], [another]]
-    contents = set()
-    for number, order in enumerate(itertools.permutations(parts)):
-        results = Results(tmp_path / str(number))
-        added = sum(results.add("tiny", part, []) for part in order)
-        assert added == 4
-        contents.add((results.path("tiny").read_bytes(), (results.folder / METHODS_FILE).read_bytes()))
-    assert len(contents) == 1
-
-
-# ---- methods
-
-
-OTHER = {"external": True, "source": "a paper"}
-"""The method of some rows."""
-
-
-def test_a_file_of_rows_names_methods_by_their_digest_and_each_is_stored_once(tmp_path: Path) -> None:
-    results = Results(tmp_path)
-    rows = [row(seed=seed, row=label, **its) for seed in (0, 1) for label, its in (("a", {}), ("b", {"method": OTHER}))]
-    results.add("tiny", rows, [])
-    results.add("other", [row(suite="other")], [])
-    assert results.suites == ["other", "tiny"]
-    listed = [json.loads(line)["method"] for line in (tmp_path / METHODS_FILE).read_text().splitlines()]
-    assert sorted(listed, key=str) == sorted((rows[n].method.model_dump() for n in (0, 1)), key=str)
-    for known, text in zip(results.rows("tiny"), results.path("tiny").read_text().splitlines(), strict=True):
-        plain = json.loads(known.line)
-        assert json.loads(text) == plain | {"method": known.method.digest}
-        assert plain["method"] in listed
-    after = results.rows("tiny")
-    assert {known.line for known in after} == {known.line for known in rows}
-    assert len({id(known.method) for known in after}) == 2
-
-
-def test_a_row_that_contains_its_method_equals_one_that_names_it(tmp_path: Path) -> None:
-    results, named, old = Results(tmp_path), row(), row(seed=1, method=OTHER)
-    results.add("tiny", [named], [])
-    path = results.path("tiny")
-    path.write_text(f"{old.line}\n{path.read_text()}{named.line}\n")
-    assert [known.line for known in results.rows("tiny")] == [named.line, old.line]
-    its = Outcomes.read(results, "tiny")
-    assert [its.row(number).line for number in np.flatnonzero(its.latest)] == [named.line, old.line]
-    assert results.add("tiny", [old, named], []) == 0
-    assert results.add("tiny", [row(seed=2)], []) == 1
-    assert old.line not in path.read_text()
-    assert [known.line for known in results.rows("tiny")] == [named.line, old.line, row(seed=2).line]
-
-
-def test_joined_files_of_two_machines_contain_the_rows_of_both(tmp_path: Path) -> None:
-    here, there, both = (Results(tmp_path / name) for name in ("here", "there", "both"))
-    here.add("tiny", [row(), row(seed=1)], [])
-    there.add("tiny", [row(), row(seed=1, method=OTHER)], [])
-    both.folder.mkdir()
-    for name in ("tiny.jsonl", METHODS_FILE):
-        (both.folder / name).write_text("".join((part.folder / name).read_text() for part in (there, here)))
-    expected = {known.line for part in (here, there) for known in part.rows("tiny")}
-    assert len(both.rows("tiny")) == len(expected) == 3
-    assert {known.line for known in both.rows("tiny")} == expected
-
-
-@pytest.mark.parametrize(
-    ("file", "old", "new", "message"),
-    [
-        ("methods.jsonl", '"quick"', '"slow"', "tiny.jsonl:1: the row names a method that is not listed; expected a "),
-        ("tiny.jsonl", '"method":"', '"method":"0', "a line of methods.jsonl with this digest; got 0"),
-        ("tiny.jsonl", '"method":"', '"method":7,"x":"', "tiny.jsonl:1: method is not valid; expected a valid dict"),
-        ("methods.jsonl", '"quick"', "7", "methods.jsonl:1: method.words.calibrator is not valid; expected a valid st"),
-        ("methods.jsonl", '"external"', '"outside"', "methods.jsonl:1: unknown key 'outside'"),
-        ("methods.jsonl", "{", "[", "methods.jsonl:1: the line is not JSON"),
-        ("methods.jsonl", '"options":{}', '"options":{"a":' + "[" * 80 + "]" * 80 + "}", "is nested too deeply"),
-    ],
-)
-def test_a_method_that_is_not_listed_or_not_valid_is_refused_in_one_line_with_its_place(
-    tmp_path: Path, file: str, old: str, new: str, message: str
-) -> None:
-    results = Results(tmp_path)
-    results.add("tiny", [row()], [])
-    text = (tmp_path / file).read_text()
-    assert old in text
-    (tmp_path / file).write_text(text.replace(old, new, 1))
-    for read in (results.rows, lambda suite: Outcomes.read(results, suite)):
-        with pytest.raises(InputError) as problem:
-            read("tiny")
-        assert message in str(problem.value)
-        assert "\n" not in str(problem.value)
-
-
-def test_the_last_measured_row_of_a_calibration_counts() -> None:
-    rows = [row(finished=f"2026-01-0{day}T00:00:00+00:00", commit=str(day)) for day in (2, 3, 1)]
-    assert [known.commit for known in latest([*rows, row(seed=1)])] == ["3", "abc"]
+NEAREST = ("p2o_baselines/nearest.py", "-weight, *place.T", "-2 * weight, *place.T")
+FEWER = STUDY.replace("frames = 3 }", "frames = 2 }")
+RENAMED = ('"quick"\ncalibrator', '"renamed"\ncalibrator')
 
 
 def test_the_digest_of_a_frame_covers_content_and_truth() -> None:
-    plain = {"dataset": "d", "name": "n", "image": "0" * 64, "sweep": "1" * 64, "calibration": "2" * 64}
-    base = FrameData.model_validate(plain | {"truth": np.eye(4).tolist()})
-    moved = p2o.se3.make(np.eye(3), [0.01, 0, 0]).tolist()
-    others = [{"image": "3" * 64}, {"sweep": "3" * 64}, {"calibration": "3" * 64}, {"truth": moved}, {"truth": None}]
-    digests = {FrameData.model_validate(base.model_dump(mode="json") | other).digest for other in others}
-    assert len(digests | {base.digest}) == 6
-
-
-# ---- suites
+    digests = {"image": "0", "sweep": "1", "calibration": "2"}
+    moved = p2o.se3.make(np.eye(3), [0.01, 0, 0])
+    others = [{**digests, name: "3"} for name in digests]
+    known = {frame_digest(digests, np.eye(4)), frame_digest(digests, moved), frame_digest(digests, None)}
+    known |= {frame_digest(other, np.eye(4)) for other in others}
+    assert len(known) == 6
+    assert frame_digest(digests, np.eye(4)) == frame_digest(digests, np.eye(4) + 1e-12)
 
 
 def test_every_suite_of_the_repository_is_valid(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -284,7 +77,7 @@ def test_rows_of_a_suite_have_the_same_initial_guesses(board: Board) -> None:
     by_label: dict[str, dict[tuple[str, int], bytes]] = {}
     for known in board.measured():
         starts = by_label.setdefault(known.row, {})
-        starts[known.frames[0].name, known.seed] = np.asarray(known.start).tobytes()
+        starts[known.frames[0], known.seed] = np.asarray(known.start).tobytes()
     assert set(by_label) == {"quick", "nearest"}
     assert by_label["quick"] == by_label["nearest"]
     assert len(set(by_label["quick"].values())) == 15
@@ -299,11 +92,14 @@ def test_a_suite_is_measured_once_and_its_rows_state_how(board: Board, capsys: p
     assert len(rows) == 30
     assert board.calls()["quick"] == 15
     first = rows[-1]
-    assert (first.measured_by, first.protocol, first.row) == ("A. Name", "1deg 0.05m", "quick")
+    assert (first.environment.measured_by, first.protocol, first.row) == ("A. Name", "1deg 0.05m", "nearest")
+    first = rows[0]
+    assert first.row == "quick"
     assert first.method.words["calibrator"] == "quick"
     assert first.method.options["calibrator"]["gain"] == 0.5
-    assert first.machine.cores > 0
-    assert board.results.frames.truth_of(first) is not None
+    assert first.environment.machine["cores"] > 0
+    assert first.truth is not None
+    assert (first.rounds, first.matches) == ((), {}), "rows of suites are brief"
     assert board.outdated(capsys) == []
     assert board.measured() == []
     assert board.calls()["quick"] == 0
@@ -312,9 +108,7 @@ def test_a_suite_is_measured_once_and_its_rows_state_how(board: Board, capsys: p
 def test_only_what_is_missing_is_computed_and_the_rest_kept(board: Board) -> None:
     rows = board.measured()
     kept = [known for known in rows if not (known.row == "quick" and known.seed in (1, 3))]
-    board.results.path("tiny").write_text("".join(f"{known.line}\n" for known in kept))
-    for file in (board.root / "store").iterdir():
-        file.unlink()
+    board.results.rewrite("tiny", kept)
     board.calls()
     again = board.measured()
     assert {(known.row, known.seed) for known in again} == {("quick", 1), ("quick", 3)}
@@ -324,18 +118,16 @@ def test_only_what_is_missing_is_computed_and_the_rest_kept(board: Board) -> Non
 def test_a_calibration_that_another_suite_has_measured_is_not_computed_again(
     board: Board, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    known = {(row.row, row.frames[0].name, row.seed): row for row in board.measured()}
-    first = board.root / "results" / "tiny.jsonl"
-    first.write_text(first.read_text().replace('"suite":"tiny"', '"suite":"earlier"'))
-    first.rename(first.with_name("earlier.jsonl"))
+    known = {(row.row, row.frames[0], row.seed): row for row in board.measured()}
+    board.results.path("tiny").rename(board.results.path("earlier"))
     board.write(study=STUDY.replace('label = "quick"', 'label = "renamed"'))
     board.calls()
     again = board.measured()
     assert board.calls()["quick"] == 0
     assert "30 rows added (30 measured for other suites)" in capsys.readouterr().out
     for row in again:
-        before = known[row.row.replace("renamed", "quick"), row.frames[0].name, row.seed]
-        assert np.array_equal(np.asarray(row.estimate), np.asarray(before.estimate))
+        before = known[row.row.replace("renamed", "quick"), row.frames[0], row.seed]
+        assert np.allclose(row.estimate, before.estimate, rtol=0, atol=1e-9)
         assert (row.finished, row.seconds) == (before.finished, before.seconds)
     board.write(study=STUDY.replace('label = "quick"', 'label = "alone"'), suite=SUITE + "share = false\n")
     assert {row.row for row in board.measured()} == {"alone"}
@@ -359,7 +151,7 @@ def test_an_interrupted_run_continues(board: Board) -> None:
     label = 'label = "quick"\n'
     board.write(study=STUDY.replace(label, f"{label}options.calibrator.interrupt_after = 4\n"))
     assert board.command("run") == 130
-    assert len([known for known in board.results.rows("tiny") if known.row == "quick"]) == 3
+    assert len([known for known in board.rows() if known.row == "quick"]) == 3
     assert len(board.measured()) == 27
 
 
@@ -367,10 +159,10 @@ def test_a_changed_constant_of_one_method_makes_exactly_its_rows_stale(
     board: Board, edit: Edit, capsys: pytest.CaptureFixture[str]
 ) -> None:
     board.measured()
-    edit("p2o_baselines/nearest.py", "-weight, *place.T", "-2 * weight, *place.T")
+    edit(*NEAREST)
     assert board.outdated(capsys) == [("nearest", "method changed")] * 15
     assert {known.row for known in board.measured()} == {"nearest"}
-    assert len(board.results.rows("tiny")) == 45
+    assert len(board.rows()) == 45
 
 
 def test_changed_data_make_the_rows_of_these_frames_stale(board: Board, capsys: pytest.CaptureFixture[str]) -> None:
@@ -384,9 +176,159 @@ def test_a_calibration_that_raises_is_one_row_and_is_tried_again(
 ) -> None:
     failing = STUDY.replace('label = "quick"\n', 'label = "quick"\noptions.calibrator.fail_on = "tiny/001"\n')
     board.write(study=failing)
-    for _ in range(2):
+    for number in (1, 2):
         assert board.command("run") == 1
-        crashed = [known for known in board.results.rows("tiny") if known.crashed]
-        assert len(crashed) == 5
+        crashed = [known for known in board.rows() if known.crashed]
+        assert len(crashed) == 5 * number
         assert "raised ValueError" in crashed[0].reason
     assert board.outdated(capsys) == [("quick", "crashed")] * 5
+
+
+def test_two_rows_of_a_suite_that_are_one_calibration_are_computed_once(board: Board) -> None:
+    board.write(study=STUDY + QUICK_ROW.replace('"quick"', '"same"', 1))
+    rows = board.measured()
+    assert Counter(row.row for row in rows) == {"quick": 15, "nearest": 15, "same": 15}
+    assert board.calls()["quick"] == 15
+    assert board.measured() == []
+
+
+# ---- pruning
+
+
+def pruned(board: Board, capsys: pytest.CaptureFixture[str], *words: str) -> Counter[str]:
+    """Prune, and return the number of removed rows by label; the file loses as many rows."""
+    before = len(board.rows())
+    capsys.readouterr()
+    assert board.command("prune", "--json", *words) == 0
+    removed = json.loads(capsys.readouterr().out)["rows"]
+    assert len(board.rows()) == before - (0 if "--dry-run" in words else len(removed))
+    return Counter(entry["row"] for entry in removed)
+
+
+def test_rows_of_labels_and_frames_that_the_suite_no_longer_asks_for_are_removed(
+    board: Board, capsys: pytest.CaptureFixture[str]
+) -> None:
+    board.measured()
+    assert pruned(board, capsys) == {}
+    board.write(study=FEWER.replace(*RENAMED))
+    expected = {"nearest": 5, "quick": 15}
+    assert pruned(board, capsys, "--dry-run") == expected
+    assert board.command("prune", "--dry-run") == 0
+    assert "tiny: 20 rows would be removed" in capsys.readouterr().out
+    assert pruned(board, capsys) == expected
+    assert {(row.row, row.frames[0]) for row in board.rows()} == {("nearest", "tiny/000"), ("nearest", "tiny/001")}
+    methods = (board.results.folder / "_methods.jsonl").read_text().splitlines()
+    assert len(methods) == 1, "what no row names is removed"
+
+
+def test_a_stale_row_is_removed_when_a_later_one_of_its_calibration_is_there(
+    board: Board, edit: Edit, capsys: pytest.CaptureFixture[str]
+) -> None:
+    board.measured()
+    edit(*NEAREST)
+    assert pruned(board, capsys) == {}
+    new = {row.key for row in board.measured()}
+    assert pruned(board, capsys) == {"nearest": 15}
+    assert new <= {row.key for row in board.rows()}
+    assert board.outdated(capsys) == []
+
+
+def test_a_fresh_row_is_kept_beside_a_later_stale_one_and_a_row_beside_a_crash(
+    board: Board, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for row in board.measured():
+        board.results.put("tiny", replace(row, key=f"other {row.key}", method=replace(row.method, revision="other")))
+        board.results.put("tiny", replace(row, key=f"crash {row.key}", status=p2o.Status.STAGE_FAILED, estimate=None))
+    assert sum(pruned(board, capsys).values()) == 60
+    assert board.outdated(capsys) == []
+
+
+@pytest.mark.parametrize(
+    "study",
+    [FEWER.replace('data = "tiny:"', 'data = "tiny:"\noptional = true'), STUDY.replace("= 3 }", "= 3, bad = 1 }")],
+    ids=["no data", "a frame that cannot be read"],
+)
+def test_rows_whose_frames_are_not_at_hand_are_kept(
+    board: Board, capsys: pytest.CaptureFixture[str], study: str
+) -> None:
+    board.measured()
+    board.write(study=study)
+    assert pruned(board, capsys) == {}
+
+
+# ---- computing again
+
+
+def rechecked(board: Board, capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
+    capsys.readouterr()
+    code = board.command("recheck", *words)
+    return code, capsys.readouterr().out
+
+
+def test_rows_that_are_computed_again_with_the_same_outcome_are_confirmed_with_a_bound(
+    board: Board, capsys: pytest.CaptureFixture[str]
+) -> None:
+    board.measured()
+    board.calls()
+    code, text = rechecked(board, capsys, "--sample", "30", "--seed", "1")
+    assert code == 0
+    assert "tiny: 30 of 30 fresh rows computed again (seed 1), none differs: at most 10 % of the rows differ" in text
+    assert board.calls()["quick"] == 15, "nothing is taken from the results"
+    assert len(board.rows()) == 30, "nothing is added"
+
+
+def with_first(board: Board, change: dict[str, object]) -> None:
+    """Change the first row of the results."""
+    first, *others = board.rows()
+    board.results.rewrite("tiny", [replace(first, **change), *others])  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"trust": Trust.TRUSTED}, "verdict doubtful instead of trusted"),
+        ({"estimate": p2o.se3.make(translation=[1e-4, 0, 0])}, "deg and"),
+        ({"figures": {"predicted_rotation_deg": 0.5}}, "predicted_rotation_deg None instead of 0.5"),
+        ({"status": p2o.Status.NO_EDGES, "estimate": None}, "status converged instead of no-edges"),
+    ],
+)
+def test_a_row_that_was_changed_is_found_and_named(
+    board: Board, capsys: pytest.CaptureFixture[str], change: dict[str, object], message: str
+) -> None:
+    board.write(study=STUDY.partition('[[row]]\nlabel = "nearest"')[0])
+    board.measured()
+    with_first(board, change)
+    code, text = rechecked(board, capsys)
+    assert code == 1
+    assert "15 of 15 fresh rows computed again" in text
+    assert "1 differ" in text
+    assert message in text
+    assert "quick, tiny tiny/00" in text
+
+
+def test_rows_of_another_processor_may_differ_in_the_last_digits(
+    board: Board, capsys: pytest.CaptureFixture[str]
+) -> None:
+    board.write(study=STUDY.partition('[[row]]\nlabel = "nearest"')[0])
+    [first, *_] = board.measured()
+    there = Environment({"processor": "another"})
+    near = p2o.se3.make(translation=[1e-3, 0, 0]) @ first.estimate
+    with_first(board, {"environment": there, "estimate": near})
+    assert rechecked(board, capsys)[0] == 0
+    with_first(board, {"environment": there, "estimate": p2o.se3.make(translation=[0.01, 0, 0]) @ first.estimate})
+    code, text = rechecked(board, capsys)
+    assert code == 1
+    assert "the row is of another processor (another)" in text
+
+
+def test_doubled_and_missing_calibrations_are_named(board: Board, capsys: pytest.CaptureFixture[str]) -> None:
+    board.write(study=STUDY.partition('[[row]]\nlabel = "nearest"')[0])
+    [first, *others] = board.measured()
+    board.results.rewrite("tiny", others[:-1])
+    for x_m in (0.0, 0.1):
+        moved = p2o.se3.make(translation=[x_m, 0, 0]) @ others[0].estimate
+        board.results.put("tiny", replace(others[0], estimate=moved))
+    code, text = rechecked(board, capsys, "--sample", "0")
+    assert code == 1
+    assert "measured twice: pose 0 deg and 0.1 m apart" in text
+    assert f"not checked: 2 missing, such as , quick, tiny {first.place}" in text

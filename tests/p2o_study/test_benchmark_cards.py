@@ -9,11 +9,10 @@ import p2o
 import pytest
 from p2o.cli import main
 from p2o.run.words import split_data
-from p2o_study.ablate import ReadOptions
 from p2o_study.benchmark.card import FOLDER, cards_text, read_cards
-from p2o_study.benchmark.results import Results
-from p2o_study.benchmark.status import status_of
+from p2o_study.benchmark.measure import status_of
 from p2o_study.benchmark.suite import SuiteFile, find_suite, suite_names
+from p2o_study.rows import Rows
 from p2o_study.study import DatasetTable, StudyFile
 from p2o_study.worker import Plugins
 
@@ -100,7 +99,7 @@ def test_every_suite_is_planned_without_data(name: str, tmp_path: Path) -> None:
     real = {table.name for table in study.dataset if not table.data.startswith("synthetic:")}
     study = study.model_copy(update={"dataset": tuple(map(small, study.dataset))})
     reduced = SuiteFile(file.suite, StudyFile(study, file.study.text, file.study.source), file.source)
-    status = status_of(reduced, Results(tmp_path), ReadOptions(plugins=Plugins(), on_warning=lambda text: None))
+    status = status_of(reduced, Rows(tmp_path), plugins=Plugins())
     assert set(status.unchecked) == real
     assert status.unreadable == status.surplus == 0
     planned = {(row.dataset.name, row.label) for row in file.rows if row.dataset.name not in real}

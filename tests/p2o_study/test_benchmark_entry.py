@@ -6,13 +6,15 @@ import csv
 import re
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.p2o_study.benchmark_board import Board
+from tests.p2o_study.benchmark_board import QUICK_ROW, Board
+from tests.study_bench import HEAD
 from tests.study_plugin import TRUTH
 
 FOREIGN = """
@@ -52,26 +54,43 @@ def test_the_initial_guesses_are_those_of_the_measured_rows(board: Board, poses:
         for line in lines
     }
     for row in board.measured():
-        assert np.array_equal(np.ravel(row.start), written[row.frames[0].name, row.seed])
+        assert np.allclose(np.ravel(row.start), written[row.frames[0], row.seed], rtol=0, atol=1e-9)
 
 
 def test_a_foreign_method_is_scored(board: Board, poses: Path, capsys: pytest.CaptureFixture[str]) -> None:
     board.measured()
     assert board.command("score", str(poses), "--name", "PnP", "--source", "https://example.org/pnp", "--by", "me") == 0
     assert "15 rows of 'PnP' added, 3 refused" in capsys.readouterr().out
-    rows = [row for row in board.results.rows("tiny") if row.row == "PnP"]
+    rows = [row for row in board.rows() if row.row == "PnP"]
     assert len(rows) == 15
-    frames = board.results.frames
     for row in rows:
-        error = frames.error_of(row)
+        error = row.error
         assert error is not None
         assert (row.estimate is None) == (row.seed == 4)
         # Orientation of the initial guess (1 deg), position of the truth; a refused one keeps the initial guess.
         assert error.rotation_deg == pytest.approx(1.0, abs=1e-6)
         assert error.translation_m == pytest.approx(0.05 if row.seed == 4 else 0.0, abs=1e-6)
-    assert rows[0].seconds == 0.25
+    assert rows[0].total_s == 0.25
     assert rows[0].method.source == "https://example.org/pnp"
     assert board.outdated(capsys) == []
+
+
+def test_a_foreign_method_is_in_every_section_that_makes_its_calibrations(
+    board: Board, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Single and joint calibrations of one section, and the same single ones of another, are rows of their own."""
+    row = QUICK_ROW.replace("witness", 'section = "{0}"\n{1}witness').replace('label = "quick"', 'label = "{2}"')
+    rows = (("one", "", "a"), ("one", "joint = true\n", "b"), ("two", "", "c"))
+    board.write(study=HEAD + "".join(row.format(*words) for words in rows))
+    starts = board.root / "starts.csv"
+    assert board.command("starts", "--out", str(starts)) == 0
+    assert board.command("score", str(starts), "--name", "foreign") == 0
+    counts = Counter((row.section, row.joint > 0) for row in board.rows())
+    assert counts == {("one", False): 15, ("one", True): 5, ("two", False): 15}
+    capsys.readouterr()
+    assert board.command("table", "--section", "two") == 0
+    [line] = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| foreign")]
+    assert line.split(" | ")[1:3] == ["15", "3"]
 
 
 def test_rows_of_a_foreign_method_are_stale_where_the_data_changed(
@@ -110,7 +129,7 @@ def test_a_wrong_file_of_poses_is_refused_and_changes_nothing(
     poses.write_text(edit(poses.read_text().replace("\r\n", "\n")))
     assert board.command("score", str(poses), "--name", "PnP") == 2
     assert message in capsys.readouterr().err
-    assert board.results.rows("tiny") == []
+    assert board.rows() == []
 
 
 def test_matrices_are_read_and_a_mirror_image_is_refused(
@@ -118,7 +137,7 @@ def test_matrices_are_read_and_a_mirror_image_is_refused(
 ) -> None:
     starts = board.root / "starts.csv"
     assert board.command("score", str(starts), "--name", "nothing") == 0
-    rows = board.results.rows("tiny")
+    rows = board.rows()
     assert all(np.allclose(row.estimate, row.start, rtol=0, atol=1e-9) for row in rows if row.estimate is not None)
     with starts.open(newline="") as file:
         lines = list(csv.reader(file))

@@ -3,24 +3,17 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from p2o.cli import main
 from p2o_study.benchmark import page as pages
-from p2o_study.benchmark.results import Results
-from p2o_study.benchmark.row import FrameData, Row
-from p2o_study.benchmark.summary import top_groups
-from p2o_study.report.bootstrap import Interval
+from p2o_study.rows import Rows
 
 from tests.p2o_study.benchmark_pages import command, rows_of, written
 
 ROOT = Path(__file__).parents[2]
-
-
-def test_intervals_that_overlap_share_a_group_also_through_a_third_one() -> None:
-    means = [Interval(3.0, 2.5, 3.5), Interval(1.0, 0.5, 1.5), Interval(1.8, 1.4, 2.2), Interval(2.1, 1.9, 2.3)]
-    assert top_groups([*means, Interval(0.1), None]) == [2, 1, 1, 1, None, None]
 
 
 def test_the_common_name_of_a_method_is_that_of_its_labels_in_whole_words() -> None:
@@ -60,14 +53,15 @@ def test_rows_beyond_the_size_of_the_page_are_left_out_and_counted(
 def test_overlays_are_drawn_on_the_frames_of_the_rows_and_on_no_others(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    smoke = Results(ROOT / "benchmarks/results")
-    rows = [row for row in smoke.rows("smoke") if (row.row, row.place) == ("edges without directions", "scene-0000")]
-    [known] = smoke.frames.of(rows[0])
-    other = FrameData.model_validate(known.model_dump(mode="json") | {"image": "0" * 64})
-    for folder, frame in (("same", known), ("other", other)):
-        named = {"frames": [{"name": frame.name, "digest": frame.digest}]}
-        own = [Row.model_validate(row.model_dump(mode="json") | named) for row in rows]
-        Results(tmp_path / folder).add("smoke", own, [frame])
+    smoke = Rows(ROOT / "benchmarks/results")
+    rows = [row for row in smoke.each("smoke") if (row.row, row.place) == ("edges without directions", "scene-0000")]
+    for folder in ("same", "other"):
+        results = Rows(tmp_path / folder)
+        results.make_folder()
+        for row in rows:
+            [frame] = row.case.frames
+            changed = replace(frame, content="0" * 64) if folder == "other" else frame
+            results.put("smoke", replace(row, case=replace(row.case, frames=(changed,))))
         places = ["--suites", str(ROOT / "benchmarks/suites"), "--out", str(tmp_path / "page" / folder)]
         assert main(["benchmark", "page", "--results", str(tmp_path / folder), *places, "--overlays", "--quiet"]) == 0
         drawn = (tmp_path / "page" / folder / "data/smoke-0-0.js").read_text().count("data:image/jpeg")

@@ -41,8 +41,8 @@ def test_a_million_calibrations_are_known_and_none_of_them_is_held() -> None:
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert (first.seed, first.group.records[0].name) == (0, "tiny/000")
-    assert (last.seed, last.group.records[0].name) == (999, "tiny/999")
+    assert (first.planned.seed, first.group.records[0].name) == (0, "tiny/000")
+    assert (last.planned.seed, last.group.records[0].name) == (999, "tiny/999")
     assert len(set(some)) == len(some)
     assert peak < 50 * 2**20, "50 bytes for each of them"
 
@@ -53,12 +53,12 @@ def test_a_calibration_is_the_same_in_turn_and_by_its_place() -> None:
     )
     cells = cells_of(5, 2, rows)
     assert len(cells) == 5 * 2 + 3 * 3
-    in_turn = [(cell.planned, cell.seed, [fact.name for fact in cell.group.records]) for cell in cells]
-    assert len({planned.key for planned, _, _ in in_turn}) == len(cells)
+    in_turn = [(cell.planned.key, cell.planned.seed, [fact.name for fact in cell.group.records]) for cell in cells]
+    assert len({key for key, _, _ in in_turn}) == len(cells)
     for position in (18, 3, 11, 0, 10, 9, -1):
         cell = cells[position]
-        assert (cell.planned, cell.seed, [fact.name for fact in cell.group.records]) == in_turn[position]
-    assert [cell.planned for cell in cells[8:12]] == [planned for planned, _, _ in in_turn[8:12]]
+        assert (cell.planned.key, cell.planned.seed, [fact.name for fact in cell.group.records]) == in_turn[position]
+    assert [cell.planned.key for cell in cells[8:12]] == [key for key, _, _ in in_turn[8:12]]
     assert [(group.joint, seed) for _, group, seed in map(cells.place, (9, 10, 18))] == [(0, 1), (2, 0), (1, 2)]
     with pytest.raises(IndexError):
         cells[len(cells)]

@@ -20,9 +20,9 @@ from p2o_study import compare as module
 from p2o_study import comparison as figures
 from p2o_study.compare import Comparison, compare, contenders_of, family_of, split_frames
 from p2o_study.comparison import Samples, Standing
-from p2o_study.report.bootstrap import Interval
 from p2o_study.report.comparison_page import comparison_page, comparison_text
-from p2o_study.store import Store
+from p2o_study.rows import Rows
+from p2o_study.statistics import Interval
 from p2o_study.worker import Plugins
 
 from tests.study_bench import PLUGIN, Bench
@@ -342,15 +342,15 @@ def test_the_command_prints_the_ranking_and_writes_page_and_json(
 def test_a_signal_ends_the_command_with_the_ranking_of_what_is_finished(
     bench: Bench, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
-    put, rows = Store.put, []
+    put, rows = Rows.put, []
 
-    def interrupted(store: Store, row: Any) -> None:
-        put(store, row)
+    def interrupted(stored: Rows, study: str, row: Any) -> None:
+        put(stored, study, row)
         rows.append(row)
         if len(rows) == 12:
             os.kill(os.getpid(), number)
 
-    monkeypatch.setattr(Store, "put", interrupted)
+    monkeypatch.setattr(Rows, "put", interrupted)
     monkeypatch.setenv("P2O_CACHE", str(bench.root / "cache"))
     words = ["compare", "tiny:?frames=10", "--groups", "5", "--seeds", "2", "--out", str(bench.root / "out"), "--json"]
     words += ["--plugin", str(PLUGIN), "--plugin", str(OWN), "--methods", "sharp,loose,stuck"]

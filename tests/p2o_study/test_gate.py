@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-import numpy as np
 import pytest
 from p2o import InputError
 from p2o.cli import main
 from p2o.results.verdict import Trust
 from p2o_study.gate import judge, make_reference, read_reference, write_reference
-from p2o_study.store import Planned, StoredRow
-from p2o_study.study import parse_study
-from p2o_study.tally import table, tallies
+from p2o_study.row import Row
+from p2o_study.rows import PlanRow
+from p2o_study.study import Study, parse_study
+from p2o_study.summary import summarised
+from p2o_study.tables import terminal_text
+
+from tests.fake_study import run_of
 
 PLUGIN = Path(__file__).parents[1] / "study_plugin.py"
 TEXT = """name = "s"
@@ -33,19 +38,17 @@ calibrator = "quick"
 STUDY = parse_study(TEXT)
 
 
-def rows(**changes: object) -> list[StoredRow]:
+def run(label: str, frame: int, rotation_deg: float = 0.1, translation_m: float = 0.02, **values: Any) -> Row:
+    values = {"trust": None, "dataset": "tiny", "figures": {}, "section": {"b": "more"}.get(label, ""), **values}
+    return run_of(label, f"f/{frame}", 0, rotation_deg, translation_m, **values)
+
+
+def rows(**changes: Any) -> list[Row]:
     """Return two calibrations of each row; `changes` are of the first."""
-    found = [
-        StoredRow(
-            f"{label}{frame}", "s", label, frames=(f"f/{frame}",), status="converged",
-            rotation_deg=0.1 * (frame + 1), translation_m=0.02, section={"b": "more"}.get(label, ""),
-        )
-        for label in "ab"
-        for frame in (0, 1)
-    ]  # fmt: skip
-    return [replace(found[0], **changes), *found[1:]]
+    return [run("a", 0, **changes), run("a", 1, 0.2), run("b", 0), run("b", 1, 0.2)]
 
 
+MISSING = PlanRow("a", "", "tiny", ("a0",))
 REFERENCE = make_reference(STUDY, rows())
 
 
@@ -66,9 +69,9 @@ def test_better_passes_and_is_shown() -> None:
 
 
 def test_a_row_that_crashed_is_missing_or_new_closes_it() -> None:
-    crashed = rows(status="stage-failed", reason="no such luck", exception="Traceback", rotation_deg=None)
+    crashed = rows(status="stage-failed", reason="no such luck", exception="Traceback")
     assert "a: 1 of 2 crashed, such as: no such luck" in judge(STUDY, crashed, [], REFERENCE).failures
-    absent = judge(STUDY, rows()[1:], [Planned("a0", "s", "a")], REFERENCE).failures
+    absent = judge(STUDY, rows()[1:], [MISSING], REFERENCE).failures
     assert "a: 1 calibrations are missing" in absent
     assert "a: 1 calibrations of the reference are missing, such as f/0, seed 0" in absent
     assert judge(STUDY, rows()[:2], [], REFERENCE).failures == ("b: in the reference, but not in the study",)
@@ -76,16 +79,16 @@ def test_a_row_that_crashed_is_missing_or_new_closes_it() -> None:
     assert "c: not in the reference (write it with --update)" in judge(STUDY, renamed, [], REFERENCE).failures
     other = REFERENCE.model_copy(update={"study": "t"})
     assert "the reference is of study t, not of s" in judge(STUDY, rows(), [], other).failures
-    assert not judge(STUDY, [], [Planned("a0", "s", "a")], REFERENCE).open
+    assert not judge(STUDY, [], [MISSING], REFERENCE).open
 
 
 def test_errors_that_are_no_numbers_close_it() -> None:
-    unknown = [replace(row, rotation_deg=None) for row in rows()]
+    unknown = [run(row.row, int(row.frames[0][-1]), truth=None) for row in rows()]
     assert any("mean rotation_deg nan" in line for line in judge(STUDY, unknown, [], REFERENCE).failures)
 
 
 def test_more_refused_calibrations_than_may_be_close_it() -> None:
-    refused = rows(status="too-few-matches")
+    refused = rows(status="too-few-matches", start=run("a", 0).estimate)
     ruling = judge(STUDY, refused, [], REFERENCE)
     assert ruling.failures == ("a: 1 of 2 calibrations were refused, was 0",)
     assert ruling.moved == ("  a, f/0, seed 0: was solved, now refused or crashed",)
@@ -98,14 +101,14 @@ def test_a_refusal_is_no_improvement_and_cannot_hide_a_loss() -> None:
     # The initial guess of the second calibration has an error of 0.05 deg, its estimate in the reference 0.2 deg.
     tolerance = REFERENCE.tolerance.model_copy(update={"failures": 1})
     reference = REFERENCE.model_copy(update={"tolerance": tolerance})
-    first, second, *others = rows()
-    refused = replace(second, status="no-improvement", rotation_deg=0.05)
+    first, _, *others = rows()
+    refused = run("a", 1, status="no-improvement", start=run("a", 1, 0.05).estimate)
     ruling = judge(STUDY, [first, refused, *others], [], reference)
     assert ruling.open
     assert ruling.moved == ("  a, f/1, seed 0: was solved, now refused or crashed",)
-    worse = judge(STUDY, [replace(first, rotation_deg=0.25), refused, *others], [], reference)
+    worse = judge(STUDY, [run("a", 0, 0.25), refused, *others], [], reference)
     assert worse.failures == ("a: mean rotation_deg 0.2250, was 0.1500 and may be 0.2000",)
-    bad_guess = replace(second, status="no-improvement", rotation_deg=2.0)
+    bad_guess = run("a", 1, status="no-improvement")
     assert not judge(STUDY, [first, bad_guess, *others], [], reference).open
 
 
@@ -220,7 +223,7 @@ def test_a_row_may_have_a_tolerance_of_its_own() -> None:
     assert judge(STUDY, rows(rotation_deg=0.499), [], reference).open
     assert not judge(STUDY, rows(rotation_deg=0.501), [], reference).open
     assert not judge(STUDY, rows(rotation_deg=0.499, translation_m=0.041), [], reference).open, "others hold on"
-    assert not judge(STUDY, [replace(row, rotation_deg=0.21) for row in rows()], [], reference).open, "of row b, too"
+    assert not judge(STUDY, [run(row.row, int(row.frames[0][-1]), 0.21) for row in rows()], [], reference).open, "of row b, too"
     again = make_reference(STUDY, rows(), reference)
     assert again.tolerance.rows == own.rows
     assert make_reference(STUDY, rows()[2:], reference).tolerance.rows == {}, "it goes with its row"
@@ -244,47 +247,35 @@ def test_another_file_is_no_reference(tmp_path: Path, content: str) -> None:
         read_reference(tmp_path / "gone.json")
 
 
-def test_means_and_medians_are_of_absolute_errors_and_refused_ones_count() -> None:
-    errors = [-1.0, 2.0, 6.0, None]
-    statuses = ["converged", "rounds-spent", "no-improvement", "stage-failed"]
-    made = [
-        StoredRow(str(i), "s", "a", yaw_deg=error, status=status)
-        for i, (error, status) in enumerate(zip(errors, statuses, strict=True))
-    ]
-    [tally] = tallies(made, ["yaw_deg"])
-    assert (tally.count, tally.solved, tally.crashed, tally.refused) == (4, 2, 1, 1)
-    assert (tally.mean["yaw_deg"], tally.median["yaw_deg"]) == (3.0, 2.0)
-    [nothing] = tallies([made[3]], ["yaw_deg"])
-    assert np.isnan(nothing.mean["yaw_deg"])
+def text_of(study: Study, made: Sequence[Row]) -> str:
+    return terminal_text(summarised(study, made))
 
 
 def test_the_table_counts_verdicts_where_there_are_any() -> None:
-    """Row a: one ambiguous, one refused; row b is of a store that knew nothing of verdicts."""
+    """Row a: one ambiguous, one refused; row b has no verdicts."""
     made = rows(trust=Trust.AMBIGUOUS)
-    made[1] = replace(made[1], trust=Trust.REFUSED, status="no-edges")
-    [tally, unknown] = tallies(made, STUDY.metrics)
-    assert (tally.trust, unknown.trust) == ({"ambiguous": 1, "refused": 1}, {})
-    for text in (
-        TEXT,
-        TEXT.replace('title = "S"', 'title = "S"\nmetrics = ["roll_deg", "pitch_deg", "yaw_deg", "x_m"]'),
-    ):
-        lines = table(parse_study(text), made).splitlines()
-        assert lines[0].split()[:3] == ["runs", "failed", "ambiguous"]
-        [a, b] = [line.split() for line in lines if line.split()[0] in "ab"]
-        assert a[1:4] == ["2", "1", "1"]
-        assert b[1:4] == ["2", "0", "-"]
-        end = lines[0].index("ambiguous") + len("ambiguous")
-        assert [line[end - 1] for line in lines if line.split()[0] in "ab"] == ["1", "-"], "below its head"
-    assert "ambiguous" not in table(STUDY, rows())
+    made[1] = run("a", 1, trust=Trust.REFUSED, status="no-edges")
+    lines = text_of(STUDY, made).splitlines()
+    end = lines[0].index("ambiguous") + len("ambiguous")
+    assert [line[end - 1] for line in lines if line.split()[0] in "ab"] == ["1", "-"], "below its head"
+    assert [line.split()[1:4] for line in lines if line.split()[0] in "ab"] == [["2", "2", "1"], ["2", "2", "0"]]
+    assert "ambiguous" not in text_of(STUDY, rows())
+
+
+def test_a_study_of_errors_by_axis_prints_them_below() -> None:
+    study = parse_study(TEXT.replace('title = "S"', 'title = "S"\nmetrics = ["yaw_deg", "x_m"]'))
+    lines = [line.split() for line in text_of(study, rows()).splitlines()]
+    assert ["yaw", "[deg]", "x", "[cm]"] in lines
+    assert [line[0] for line in lines if "mean" in line[1:2]] == ["a", "b"]
 
 
 def test_the_table_shows_published_figures_beside_the_row_they_belong_to() -> None:
     text = TEXT + '[[published]]\nlabel = "theirs"\nsource = "x"\nbeside = "a"\nvalues = { translation_m = 0.5 }\n'
     text += '[[published]]\nlabel = "others"\nsource = "x"\nvalues = { rotation_deg = 1.18 }\n'
-    lines = [line.split() for line in table(parse_study(text), rows()).splitlines()]
-    assert [line[0] for line in lines[1:]] == ["a", "theirs", "[more]", "b", "[published]", "others"]
-    assert lines[1][1:] == ["2", "0", "-", "0.150", "0.150", "0.020", "0.020", "measured"], "no seconds are known"
-    assert lines[2][1:] == ["-", "0.500", "published"]
+    lines = [line.split() for line in text_of(parse_study(text), rows()).splitlines()]
+    assert [line[0] for line in lines[1:]] == ["a", "theirs", "others", "[more]", "b"]
+    assert lines[1][-5:] == ["0.75", "0.150", "0.150", "2.0", "2.0"]
+    assert lines[2][1:] == ["(published:", "x)", *["-"] * 5, "50.0", "-"]
 
 
 def test_the_command_writes_the_reference_passes_it_and_fails_when_a_method_gets_worse(

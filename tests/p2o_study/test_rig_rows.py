@@ -8,7 +8,7 @@ import pytest
 from p2o import se3
 from p2o.errors import InputError
 from p2o_study.cells import Group, calibration_code, rig_code
-from p2o_study.store import StoredRow
+from p2o_study.row import Row
 from p2o_study.worker import FrameRecord, Plugins, Source
 
 from tests.p2o_study.benchmark_board import SUITE, Board
@@ -22,8 +22,8 @@ ROWS = f'[[row]]\nlabel = "rig"\njoint = "rig"\n{TRUSTED}{EACH}'
 OPTIONS = {"pipeline": {"camera": "trust"}}
 
 
-def stored(bench: Bench, text: str = RIG + ROWS) -> dict[str, list[StoredRow]]:
-    rows: dict[str, list[StoredRow]] = {}
+def stored(bench: Bench, text: str = RIG + ROWS) -> dict[str, list[Row]]:
+    rows: dict[str, list[Row]] = {}
     for row in bench.run(text).rows:
         rows.setdefault(row.row, []).append(row)
     return rows
@@ -60,14 +60,14 @@ def test_a_row_has_the_pose_of_a_run_and_its_error_which_is_that_of_every_camera
         np.testing.assert_allclose(row.estimate, run.rig.body_from_lidar, atol=1e-9)
         assert row.trust == run.rig.verdict.trust
         assert run.rig.accuracy is not None
-        assert row.figures["predicted_rotation_deg"] == pytest.approx(run.rig.accuracy.rotation_deg)
+        assert row.figures["predicted_rotation_deg"] == pytest.approx(run.rig.accuracy.rotation_deg, rel=1e-6)
         for camera, place in enumerate(places):
             error = p2o.pose_error(place @ row.estimate, truth_of(camera))
-            errors = row.rotation_deg, row.translation_m
+            errors = row.error_of("rotation_deg"), row.error_of("translation_m")
             assert (error.rotation_deg, error.translation_m) == pytest.approx(errors, abs=1e-6)
-        assert row.start_rotation_deg == pytest.approx(1.0)
-        assert row.rotation_deg is not None
-        assert row.rotation_deg < 0.1
+        assert row.start_error_of("rotation_deg") == pytest.approx(1.0)
+        assert row.error is not None
+        assert row.error.rotation_deg < 0.1
 
 
 def test_a_suite_measures_and_states_rigs_and_external_methods_have_no_poses_of_them(
@@ -75,7 +75,10 @@ def test_a_suite_measures_and_states_rigs_and_external_methods_have_no_poses_of_
 ) -> None:
     board.write(study=RIG + ROWS, suite=SUITE)
     rows = board.measured()
-    assert {(row.row, row.joint, len(row.frames)) for row in rows} == {("rig", "rig", 4), ("each", True, 2)}
+    assert {(row.row, row.case.rig, row.joint, len(row.frames)) for row in rows} == {
+        ("rig", True, 4, 4),
+        ("each", False, 2, 2),
+    }
     assert board.outdated(capsys) == []
     assert board.measured() == []
     starts = board.root / "starts.csv"

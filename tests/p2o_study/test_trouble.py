@@ -6,7 +6,6 @@ import os
 import re
 import resource
 import signal
-import sqlite3
 import subprocess
 import sys
 import time
@@ -18,7 +17,8 @@ from p2o import InputError
 from p2o.cache import FeatureCache
 from p2o.cli import main
 from p2o_study import worker
-from p2o_study.store import Store, StoredRow
+from p2o_study.row import Row
+from p2o_study.rows import Rows
 
 from tests.study_bench import HEAD, PLUGIN, QUICK, Bench, bits
 
@@ -146,48 +146,25 @@ def test_features_of_another_kind_in_the_cache_are_extracted_again(bench: Bench)
 # ---- the store
 
 
-def test_a_store_that_grows_no_more_ends_the_study_and_keeps_its_rows(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_is_full_ends_the_study_and_keeps_its_rows(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The line under way is written in part; the next start has the finished rows and computes the others."""
     text = QUICK.replace("seeds = 2", "seeds = 20")
-    put, kept = Store.put, []
+    write, lines = os.write, []
 
-    def put_until_full(store: Store, row: object) -> None:
-        if len(kept) == 4:
-            [(pages,)] = store._connection.execute("pragma page_count").fetchall()
-            store._connection.execute(f"pragma max_page_count = {pages}")
-        put(store, row)
-        kept.append(row)
+    def write_until_full(handle: int, data: bytes) -> int:
+        if b'"key"' not in data:
+            return write(handle, data)
+        lines.append(data)
+        return write(handle, data[:40] if len(lines) == 5 else data)
 
-    monkeypatch.setattr(Store, "put", put_until_full)
-    with pytest.raises(InputError, match=r"study\.sqlite: the results cannot be written.*full.*free some space"):
+    monkeypatch.setattr(os, "write", write_until_full)
+    with pytest.raises(InputError, match=r"tiny\.jsonl: the results cannot be written.*full.*free some space"):
         bench.run(text)
     monkeypatch.undo()
-    with Store.open(bench.root / "out") as store:
-        assert [row.key for row in store.rows("tiny")] == [row.key for row in kept]
+    assert len(list(Rows(bench.root / "out").each("tiny"))) == 4
     done = bench.run(text)
-    assert done.computed == 60 - len(kept)
+    assert done.computed == 60 - 4
     assert bits(done.rows) == bits(bench.run(text, out="alone").rows)
-
-
-def test_a_store_that_is_damaged_meanwhile_ends_the_study_with_its_name(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    put, kept = Store.put, []
-
-    def put_into_ruins(store: Store, row: object) -> None:
-        if len(kept) == 2:
-            # What it remembers of the file it would not read again.
-            store._connection.execute("pragma wal_checkpoint(truncate)")
-            store._connection.execute("pragma cache_size = 1")
-            store._connection.execute("pragma shrink_memory")
-            store.path.write_bytes(b"ruins" * 9999)
-        put(store, row)
-        kept.append(row)
-
-    monkeypatch.setattr(Store, "put", put_into_ruins)
-    with pytest.raises(InputError, match=r"study\.sqlite: .*move the file to another folder and run again"):
-        bench.run(QUICK)
 
 
 def test_a_full_disk_is_one_line_and_exit_2(bench: Bench) -> None:
@@ -199,15 +176,14 @@ def test_a_full_disk_is_one_line_and_exit_2(bench: Bench) -> None:
 
     def small() -> None:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, 150_000))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (25_000, 25_000))
 
     environ = {**os.environ, "P2O_CACHE": str(bench.root / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
     full = subprocess.run(command, capture_output=True, text=True, check=False, env=environ, preexec_fn=small)
     assert full.returncode == 2, full.stderr
     line = full.stderr.splitlines()[-1]
-    assert line.startswith(f"p2o: error: {bench.root / 'out' / 'study.sqlite'}: the results cannot be written")
-    with Store.open(bench.root / "out") as store:
-        kept = store.rows("tiny")
+    assert line.startswith(f"p2o: error: {bench.root / 'out' / 'tiny.jsonl'}: the results cannot be written")
+    kept = Rows(bench.root / "out").planned("tiny")
     assert 0 < len(kept) < 180
     done = bench.run(text)
     assert (len(done.rows), done.computed) == (180, 180 - len(kept))
@@ -269,16 +245,8 @@ def start(bench: Bench, *words: str) -> subprocess.Popen[str]:
 
 
 def there(folder: Path) -> set[str]:
-    """Return the keys of the rows that are in a store which somebody else writes."""
-    if not (folder / "study.sqlite").exists():
-        return set()
-    connection = sqlite3.connect(folder / "study.sqlite")
-    try:
-        return {key for (key,) in connection.execute("select key from runs")}
-    except sqlite3.OperationalError:  # its tables are not made yet
-        return set()
-    finally:
-        connection.close()
+    """Return the keys of the rows in a folder to which another process writes."""
+    return {row.key for row in Rows(folder).each("tiny")}
 
 
 def alive(session: int) -> list[str]:
@@ -360,14 +328,14 @@ def test_a_second_request_to_end_while_the_first_is_obeyed_loses_nothing(
 def test_an_error_of_the_system_prints_the_table_of_the_kept_rows_and_the_next_step(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    put, rows = Store.put, iter(range(2))
+    put, finished = Rows.put, iter(range(2))
 
-    def limited(store: Store, row: StoredRow) -> None:
-        if next(rows, None) is None:
+    def limited(rows: Rows, study: str, row: Row) -> None:
+        if next(finished, None) is None:
             raise OSError(24, "Too many open files")
-        put(store, row)
+        put(rows, study, row)
 
-    monkeypatch.setattr(Store, "put", limited)
+    monkeypatch.setattr(Rows, "put", limited)
     (bench.root / "s.toml").write_text(QUICK)
     words = ["ablate", str(bench.root / "s.toml"), "--plugin", str(PLUGIN), "--out", str(bench.root / "out")]
     assert main([*words, "--jobs", "1", "--no-isolate", "--quiet"]) == 2

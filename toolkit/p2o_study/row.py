@@ -59,8 +59,8 @@ def rounded_pose(pose: Float) -> list[float]:
 
 StoredPose = Annotated[Float, PlainValidator(_read_pose), PlainSerializer(rounded_pose, when_used="json")]
 """A rigid transform (4, 4), the twelve numbers of its first three rows in JSON."""
-Text = Annotated[str, Field(max_length=100_000)]
-Name = Annotated[str, Field(max_length=1000)]
+Text = Annotated[str, Strict()]
+"""A text, which may contain lone surrogates: names of files that are not valid UTF-8."""
 Seed = Annotated[int, Strict(), Field(ge=0, le=2**32 - 1)]
 Figure = Number | str | None
 
@@ -73,9 +73,9 @@ class Frame:
     that of their recipe.
     """
 
-    dataset: Name
-    name: Name
-    content: Name
+    dataset: Text
+    name: Text
+    content: Text
     truth: StoredPose | None = None
 
 
@@ -89,14 +89,14 @@ class Case:
     None where a frame cannot be read.
     """
 
-    dataset: Name
+    dataset: Text
     frames: Annotated[tuple[Frame, ...], Field(min_length=1, max_length=10_000)]
     seed: Seed
     start: StoredPose | None
-    protocol: Name = GIVEN
+    protocol: Text = GIVEN
     joint: Annotated[int, Strict(), Field(ge=0, le=10_000)] = 0
     rig: Annotated[bool, Strict()] = False
-    data: Name = ""
+    data: Text = ""
     options: Tree = field(default_factory=dict)
 
     @cached_property
@@ -127,7 +127,7 @@ class Method:
     `revision` is the hash of its code, weights and options, for an external method that of its file of poses.
     """
 
-    revision: Name
+    revision: Text
     words: Mapping[str, Text] = field(default_factory=dict)
     options: Tree = field(default_factory=dict)
     external: Annotated[bool, Strict()] = False
@@ -139,9 +139,9 @@ class Environment:
     """Where a row was computed: machine, packages, commit of the sources, and who measured."""
 
     machine: Tree = field(default_factory=dict)
-    versions: Mapping[str, Name] = field(default_factory=dict)
-    commit: Name = ""
-    measured_by: Name = ""
+    versions: Mapping[str, Text] = field(default_factory=dict)
+    commit: Text = ""
+    measured_by: Text = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,11 +151,11 @@ class Planned:
     `key` identifies the computation: content of the frames, initial guess, seed and revision of the method.
     """
 
-    key: Name
-    row: Name
+    key: Text
+    row: Text
     case: Case
     method: Method
-    section: Name = ""
+    section: Text = ""
 
     @property
     def dataset(self) -> str:
@@ -226,7 +226,7 @@ class Row(Planned):
     seconds: Mapping[str, Number] = field(default_factory=dict)
     environment: Environment = field(default_factory=Environment)
     load: Number | None = None
-    finished: Name = ""
+    finished: Text = ""
 
     @property
     def solved(self) -> bool:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
@@ -24,7 +24,7 @@ from p2o.results.json_types import Schema, Tree
 from p2o.results.result import Status
 from pydantic import ConfigDict, Field, TypeAdapter
 
-from p2o_study.row import PREDICTED, Case, Environment, Frame, Method, Name, Planned, Row, canonical, content_id
+from p2o_study.row import PREDICTED, Case, Environment, Frame, Method, Planned, Row, Text, canonical, content_id
 
 MAX_LINE_BYTES = 4 << 20
 """Maximum length of a line: a joint calibration of 10,000 frames needs 200 kB."""
@@ -39,10 +39,10 @@ _MOVE_HINT = "move the file to another folder and run again; cached features are
 class PlanRow:
     """A row of the table of a study on one data set, with the keys of its calibrations in order."""
 
-    row: Name
-    section: Name
-    dataset: Name
-    keys: tuple[Name, ...]
+    row: Text
+    section: Text
+    dataset: Text
+    keys: tuple[Text, ...]
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class StoredStudy:
     `published` are the `[[published]]` tables of the file as mappings with label, source, values by metric, etc.
     """
 
-    name: Name
+    name: Text
     toml: Annotated[str, Field(max_length=10_000_000)]
     data: Tree
     published: tuple[Tree, ...]
@@ -146,7 +146,7 @@ class Rows:
         path = self.folder / f"{name}.json"
         plain = parse_json(read_bytes(path, "plan of the study"), "plan of the study", path)
         try:
-            stored: StoredStudy = _STUDY.read(plain)
+            stored: StoredStudy = replace(_STUDY.read(plain), name=name)
         except InputError as problem:
             text = "the plan of the study is not valid"
             raise InputError(text, where=path, got=problem, hint=_MOVE_HINT) from problem
@@ -309,7 +309,10 @@ class Rows:
         name = content_id(plain)
         if name not in self.shared(kind):
             self._append(self._shared_path(kind), plain)
-            self.shared(kind)[name] = part
+            joined = self._joined(plain)
+            assert joined is not None
+            # As it is read again: poses are rounded.
+            self.shared(kind)[name] = _read(_SCHEMAS[kind], joined, kind)
         return name
 
     def _append(self, path: Path, plain: Mapping[str, Any]) -> None:
@@ -361,14 +364,14 @@ _SCHEMAS: Mapping[str, Any] = {kind: TypeAdapter(tuple[part], config=_STRICT) fo
 
 
 def _plain(schema: Any, part: Any, without: set[str]) -> dict[str, Any]:
-    """Return a record as plain values for JSON, without unknown and empty values."""
+    """Return a record as plain values for JSON, without those that are empty or their default."""
     values = schema.dump_python((part,), mode="json", exclude={0: without}, warnings=False)[0]
+    required = {f.name for f in fields(part) if f.default is MISSING and f.default_factory is MISSING}
     defaults = {f.name: f.default for f in fields(part)}
-    return {k: v for k, v in values.items() if v not in (None, {}, [], "") and not _is(v, defaults.get(k))}
+    return {k: v for k, v in values.items() if k in required or not (v in _EMPTY or v == defaults[k])}
 
 
-def _is(value: Any, default: Any) -> bool:
-    return type(value) is type(default) and bool(value == default)
+_EMPTY = (None, {}, [], "")
 
 
 def _read(schema: Any, plain: Mapping[str, Any], where: str) -> Any:

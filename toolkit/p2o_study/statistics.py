@@ -148,14 +148,13 @@ def is_worse(row: Row) -> bool:
 
 
 def is_covered(row: Row) -> dict[str, bool]:
-    """Return for each of `BOUNDS` whether the error is within it; empty unless errors and all bounds are known."""
-    bounds = {name: row.predicted(name) for name in BOUNDS}
+    """Return for each of `BOUNDS` that is known whether the error is within it; empty if the error is unknown."""
     if not row.solved or row.error is None:
         return {}
+    bounds = {name: row.predicted(name) for name in BOUNDS}
     errors = {name: row.error_of(name.removesuffix("_95")) for name in BOUNDS}
     pairs = [(name, errors[name], bound) for name, bound in bounds.items()]
-    known = {name: error <= bound for name, error, bound in pairs if error is not None and bound is not None}
-    return known if len(known) == len(BOUNDS) else {}
+    return {name: error <= bound for name, error, bound in pairs if error is not None and bound is not None}
 
 
 @dataclass(frozen=True)
@@ -274,7 +273,7 @@ class Statistics:
     def outside_95(self) -> int:
         """Number of trusted results whose rotation or translation error exceeds their own 95 % bound."""
         covered = (is_covered(row) for row in self.rows if row.trust is Trust.TRUSTED)
-        return sum(not (known[BOUNDS[2]] and known[BOUNDS[3]]) for known in covered if known)
+        return sum(not all(known.get(name, True) for name in BOUNDS[2:]) for known in covered)
 
     @cached_property
     def unmoved(self) -> int:
@@ -284,7 +283,7 @@ class Statistics:
     @cached_property
     def coverage(self) -> Coverage:
         """The coverage of the predicted errors."""
-        known = [covered for row in self.rows if (covered := is_covered(row))]
+        known = [covered for row in self.rows if len(covered := is_covered(row)) == len(BOUNDS)]
         return Coverage(len(known), {name: sum(covered[name] for covered in known) for name in BOUNDS})
 
     @cached_property

@@ -79,7 +79,7 @@ def _judged(row: Statistics) -> bool:
 
 
 COLUMNS: tuple[Column, ...] = (
-    Column("start", lambda row: ", ".join(row.protocols) or NONE, lambda row: set(row.protocols) > {GIVEN}),
+    Column("start", lambda row: ", ".join(row.protocols) or NONE, lambda row: set(row.protocols) != {GIVEN}),
     Column("runs", lambda row: str(row.count)),
     Column("frames", lambda row: str(row.frames)),
     Column("groups", lambda row: str(row.groups)),

@@ -19,7 +19,8 @@ from p2o.results.result_json import result_from_json, result_to_json
 from p2o.run.run import Row
 from p2o.solving import Accuracy
 from p2o_study.columns import METRICS, type_of
-from p2o_study.store import Planned, Store, StoredRow, StoredStudy
+from p2o_study.row import METRICS
+from p2o_study.rows import Rows
 from p2o_study.worker import _filled
 from p2o_testing.same import difference
 
@@ -35,8 +36,6 @@ def line(label: str, **values: object) -> str:
 def test_a_figure_that_is_described_in_one_place_is_in_json_terminal_page_and_store(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    with Store.open(tmp_path):
-        pass  # a store from before the figure was described
     glare = Figure("glare_px", lambda result: len(result.frames) / 8, "glare", "blinded {} of the image", "px", ".3f")
     monkeypatch.setattr(figures, "FIGURES", (*FIGURES, glare))
     calibrated = result(matches={"L": 3})
@@ -47,23 +46,17 @@ def test_a_figure_that_is_described_in_one_place_is_in_json_terminal_page_and_st
     assert "\n  glare     blinded 0.125 px of the image\n" in describe(row)
     html = run_page(tmp_path, {"results": [row.as_dict()]})
     assert '<td class="text">glare</td><td class="text">blinded 0.125 px of the image</td>' in html
-    with Store.open(tmp_path) as store:
-        store.begin(StoredStudy("s", "", {}, ()), [Planned("k", "s", "ours")])
-        store.put(_filled(StoredRow("k", "s", "ours"), calibrated))
-        [stored] = store.rows("s")
-    assert stored.figures == figure_values(calibrated)
+    rows = Rows(tmp_path)
+    rows.put("s", _filled(replace(run_of("ours", "f", 0, 1.0, 0.1), figures={}), calibrated))
+    [stored] = rows.each("s")
+    assert stored.figures == {name: value for name, value in figure_values(calibrated).items() if value is not None}
     assert ("glare", "blinded 0.125 px of the image") in figure_lines(stored.figures)
-    with sqlite3.connect(tmp_path / "study.sqlite") as connection:
-        assert connection.execute("select glare_px, typeof(glare_px) from rows").fetchall() == [(0.125, "real")]
-    connection.close()
 
 
-def test_names_of_figures_are_columns_of_their_own() -> None:
+def test_names_of_figures_are_their_own_and_no_fields_of_rows() -> None:
     names = [figure.name for figure in FIGURES]
     assert len(set(names)) == len(names)
-    assert not set(names) & ({*StoredRow.__dataclass_fields__, *METRICS} - {"figures"})
-    types = {float: "REAL", int: "INTEGER", str: "TEXT"}
-    assert {name: type_of(name) for name in names} == {figure.name: types[figure.kind] for figure in FIGURES}
+    assert not set(names) & {"predicted", *METRICS}
 
 
 def test_a_negative_difference_is_worded_without_a_sign() -> None:

@@ -15,7 +15,8 @@ from p2o.geometry.pose_error import pose_metrics
 from p2o.run.protocol import PROTOCOLS, protocol_of
 from p2o.run.run import starts_of
 from p2o_study.study import parse_study
-from p2o_study.tally import table
+from p2o_study.summary import summarised
+from p2o_study.tables import terminal_text
 
 from tests.fake_study import run_of
 
@@ -113,10 +114,9 @@ def test_a_study_draws_the_starts_of_its_protocol_and_tells_its_figures_below_th
     study = parse_study(text)
     [row] = study.rows()
     assert row.words["perturb"] == "fibonacci 2deg"
-    rows = [run_of("ours", "a", 0, 0.2, 0.1, study="s"), run_of("ours", "b", 0, 0.9, 0.1, study="s")]
-    assert "ours: protocol borer-2: rotation_deg_mean 0.550, rotation_deg_median 0.550, hit_rate 50 %" in table(
-        study, rows
-    )
+    rows = [run_of("ours", "a", 0, 0.2, 0.1), run_of("ours", "b", 0, 0.9, 0.1)]
+    line = "ours: protocol borer-2: rotation_deg_mean 0.550, rotation_deg_median 0.550, hit_rate 50 %"
+    assert line in terminal_text(summarised(study, rows))
     with pytest.raises(UnknownNameError, match="protocol"):
         parse_study(text.replace("borer-2", "borer-3")).rows()
     with pytest.raises(InputError, match="study s, protocol: a protocol draws its own starts"):
