@@ -75,7 +75,8 @@ class Bench:
 def bits(rows: Sequence[Row]) -> list[tuple[object, ...]]:
     """Return all that a row states, except for the time it took."""
     return [
-        (r.key, r.row, r.seed, r.frames, r.status, r.reason, repr(r.rounds), r.matches, json.dumps(r.method.options, sort_keys=True))
+        (r.key, r.row, r.seed, r.frames, r.status, r.reason, repr(r.rounds), r.matches)
+        + (json.dumps(r.method.options, sort_keys=True),)
         + tuple(None if pose is None else tuple(rounded_pose(pose)) for pose in (r.estimate, r.start, r.truth))
         for r in rows
     ]

@@ -203,7 +203,7 @@ def test_a_study_is_computed_once_and_takes_its_features_from_the_cache(
 ) -> None:
     bench = Bench(tmp_path, family)
     first = bench.study()
-    assert (first.computed, len(first.rows), first.missing) == (2, 2, ())
+    assert (first.computed, len(first.rows), first.missing) == (2, 2, [])
     for row in first.rows:
         assert row.solved, row.exception or row.reason
         assert row.rotation_deg is not None

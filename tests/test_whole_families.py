@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import io
 import json
-import sqlite3
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import closing, redirect_stdout
+from contextlib import redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,6 +26,7 @@ from p2o.run.words import split_data
 from p2o_study import worker
 from p2o_study.ablate import Ablation, ablate
 from p2o_study.parallel import Workers
+from p2o_study.rows import Rows
 from p2o_study.study import StudyFile, parse_study
 from p2o_study.worker import Plugins
 from p2o_testing import checks_for, stage
@@ -204,9 +204,11 @@ class Bench:
 
     def forget(self, seed: int) -> None:
         """Delete the rows of one start."""
-        with closing(sqlite3.connect(self.root / "out" / "study.sqlite")) as store:
-            assert store.execute("DELETE FROM runs WHERE seed = ?", (seed,)).rowcount == 1
-            store.commit()
+        rows = Rows(self.root / "out")
+        [study] = rows.studies
+        kept = [row for row in rows.each(study) if row.seed != seed]
+        assert len(kept) == len(list(rows.each(study))) - 1
+        rows.rewrite(study, kept)
 
 
 def test_a_study_resumes_and_prepares_every_frame_once(
@@ -218,7 +220,7 @@ def test_a_study_resumes_and_prepares_every_frame_once(
         GuardedCalibrator, "prepare", lambda self, frame: prepared.append(frame.name) or prepare(self, frame)
     )
     first = bench.start()
-    assert (first.computed, len(first.rows), first.missing) == (2, 2, ())
+    assert (first.computed, len(first.rows), first.missing) == (2, 2, [])
     assert sorted(prepared) == sorted(path.name for path in family.frames.iterdir())
     within = parse_perturbation(family.example.within)
     for row in first.rows:

@@ -1,4 +1,4 @@
-"""The right inputs that cases begin with: small frames in every layout, a study, its store, a result, a cache."""
+"""The right inputs that cases begin with: small frames in every layout, a study, its rows, a result, a cache."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class Bases:
 
     @property
     def study(self) -> Path:
-        """A folder with study.toml, the finished store (out), its reference.json and the cache of its features."""
+        """A folder with study.toml, the finished rows (out), its reference.json and the cache of its features."""
         return self.root / "study"
 
     @property
@@ -141,7 +141,7 @@ def _board(root: Path) -> None:
     (root / "tiny.toml").write_text('name = "tiny"\nquestion = "Which is better?"\nstudy = "study.toml"\n')
     suite, more = root / "tiny.toml", ("--plugin", PLUGIN, "--quiet")
     results = ("--results", root / "results")
-    _p2o("benchmark", "run", suite, *results, "--store", root / "store", "--workers", 1, *more)
+    _p2o("benchmark", "run", suite, *results, "--workers", 1, *more)
     _p2o("benchmark", "bundle", suite, *results, "--out", root / "tiny.zip", *more)
     _p2o("benchmark", "starts", suite, "--out", root / "poses.csv", *more)
 

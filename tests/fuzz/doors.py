@@ -20,7 +20,7 @@ SURFACES: Mapping[str, tuple[int, Draw]] = {
     "calibration": (4, surfaces.calibration),
     "words": (16, surfaces.words),
     "study": (7, surfaces.study),
-    "store": (6, surfaces.store),
+    "rows": (6, surfaces.rows),
     "cache": (3, surfaces.cache),
     "result": (4, surfaces.result),
     "gate": (3, surfaces.gate),
@@ -43,7 +43,7 @@ def draw(rng: Random, bases: Bases, home: Path, names: Sequence[str]) -> tuple[s
     (home / "in").mkdir(parents=True)
     (home / OUT).mkdir()
     name = rng.choices(names, [SURFACES[name][0] for name in names])[0]
-    if name in ("store", "gate"):
+    if name in ("rows", "gate"):
         (home / OUT).rmdir()
     if name == "layout":
         (home / "in").rmdir()

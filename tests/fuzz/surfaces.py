@@ -7,7 +7,6 @@ import math
 import os
 import re
 import shutil
-import sqlite3
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,7 +20,7 @@ from p2o.cli import main
 
 from tests.fuzz import files
 from tests.fuzz.bases import RUN, Bases
-from tests.fuzz.mutate import NUMBERS, VALUES, WORDS, bytes_of, tree_of
+from tests.fuzz.mutate import NUMBERS, WORDS, bytes_of, tree_of
 
 OUT = "out"
 """What commands are given as --out; it lies in the folder of the case."""
@@ -445,58 +444,24 @@ def _toml_of(rng: Random, text: str) -> str:
     return "\n".join(lines)
 
 
-def store(rng: Random, bases: Bases, home: Path) -> Case:
-    """The store of a study: wrong bytes, or right SQL with wrong content."""
+def rows(rng: Random, bases: Bases, home: Path) -> Case:
+    """The rows of a study: wrong bytes, or JSON with wrong content."""
     shutil.copytree(bases.study / "out", home / OUT)
-    path = home / OUT / "study.sqlite"
+    path = rng.choice(sorted((home / OUT).glob("*.json*")))
     how = rng.random()
     if how < 0.35:
         path.write_bytes(bytes_of(rng, path.read_bytes()))
     elif how < 0.4:
         _swap(rng, path)
     else:
-        _sql(rng, path)
+        lines = path.read_bytes().splitlines()
+        at = rng.randrange(len(lines))
+        lines[at] = json.dumps(tree_of(rng, json.loads(lines[at]))).encode("utf-8", "surrogatepass")
+        path.write_bytes(b"\n".join(lines) + b"\n")
     shutil.copytree(bases.study / "cache", home / "cache", copy_function=os.link, dirs_exist_ok=True)
     if rng.random() < 0.6:
         return Case(("report", OUT, "--out", f"{OUT}/report"))
     return Case(("ablate", str(bases.study / "study.toml"), "--out", OUT, "--jobs", "1"))
-
-
-def _sql(rng: Random, path: Path) -> None:
-    with sqlite3.connect(path) as base:
-        tables = [name for (name,) in base.execute("select name from sqlite_master where type = 'table'")]
-        for _ in range(rng.choice((1, 1, 2))):
-            table = rng.choice(tables)
-            columns = [row[1] for row in base.execute(f'pragma table_info("{table}")')]
-            if not columns:
-                continue
-            column = rng.choice(columns)
-            value: Any = rng.choice((*VALUES, b"\xff\x00", '{"a": 1}', "[1, 2]", '{"x": NaN}', "[" * 5000))
-            if isinstance(value, list | dict | bool):
-                value = json.dumps(value)
-            if isinstance(value, str):
-                value = value.encode("utf-8", "surrogatepass").decode("utf-8", "replace")
-            if isinstance(value, int) and abs(value) >= 2**63:
-                value = float(value)
-            change = rng.choice(
-                (
-                    f'update "{table}" set "{column}" = ?1',
-                    f'update "{table}" set "{column}" = ?1 where rowid = 1',
-                    f'delete from "{table}" where ?1 = ?1',
-                    f'alter table "{table}" rename column "{column}" to "other"',
-                    f'drop table "{table}"',
-                    'create view "extra" as select 1 as a',
-                    f'create trigger "t" after insert on "{table}" begin delete from "{table}"; end',
-                    f"pragma user_version = {rng.choice((0, 1, 99, 2**31 - 1))}",
-                )
-            )
-            try:
-                base.execute(change, (value,) if "?1" in change else ())
-            except sqlite3.Error:
-                continue
-            if "drop" in change or "rename" in change:
-                break
-    base.close()
 
 
 def cache(rng: Random, bases: Bases, home: Path) -> Case:
@@ -511,20 +476,19 @@ def cache(rng: Random, bases: Bases, home: Path) -> Case:
             _swap(rng, path)
         elif how < 4:
             path.write_bytes(bytes_of(rng, data))
-    expected = _estimates(bases.study / "out/study.sqlite")
+    expected = _estimates(next((bases.study / "out").glob("[!_]*.jsonl")))
     return Case(
         ("ablate", str(bases.study / "study.toml"), "--out", OUT, "--jobs", "1", "--quiet"),
         same={
-            f"{OUT}/study.sqlite": lambda path: "" if _estimates(path) == expected else "other results than undisturbed"
+            f"{OUT}/{path.name}": lambda path: "" if _estimates(path) == expected else "other results than undisturbed"
+            for path in (bases.study / "out").glob("[!_]*.jsonl")
         },
     )
 
 
 def _estimates(path: Path) -> list[Any]:
-    with sqlite3.connect(f"file:{path}?mode=ro", uri=True) as base:
-        rows = base.execute("select key, status, estimate, start from runs order by key").fetchall()
-    base.close()
-    return rows
+    lines = map(json.loads, path.read_text(encoding="utf-8").splitlines())
+    return sorted((line["key"], line["status"], line.get("estimate"), line["case"]) for line in lines)
 
 
 def result(rng: Random, bases: Bases, home: Path) -> Case:

@@ -6,7 +6,6 @@ import contextlib
 import importlib.util
 import os
 import socket
-import sqlite3
 import subprocess
 import sys
 import threading
@@ -15,6 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from p2o_study.rows import Rows
 
 from tests.study_bench import PLUGIN, QUICK, Bench
 
@@ -46,11 +46,7 @@ def _started(bench: Bench, *words: str) -> subprocess.Popen[str]:
 
 
 def _rows(bench: Bench) -> int:
-    with contextlib.suppress(sqlite3.Error):
-        if (bench.root / "out/study.sqlite").exists():
-            with contextlib.closing(sqlite3.connect(bench.root / "out/study.sqlite")) as connection:
-                return int(connection.execute("select count(*) from runs").fetchone()[0])
-    return 0
+    return len(list(Rows(bench.root / "out").each("tiny")))
 
 
 def _workers_of(process: subprocess.Popen[str]) -> list[int]:

@@ -223,7 +223,8 @@ def test_a_row_may_have_a_tolerance_of_its_own() -> None:
     assert judge(STUDY, rows(rotation_deg=0.499), [], reference).open
     assert not judge(STUDY, rows(rotation_deg=0.501), [], reference).open
     assert not judge(STUDY, rows(rotation_deg=0.499, translation_m=0.041), [], reference).open, "others hold on"
-    assert not judge(STUDY, [run(row.row, int(row.frames[0][-1]), 0.21) for row in rows()], [], reference).open, "of row b, too"
+    both = [run(label, frame, 0.21) for label in "ab" for frame in (0, 1)]
+    assert not judge(STUDY, both, [], reference).open, "of row b, too"
     again = make_reference(STUDY, rows(), reference)
     assert again.tolerance.rows == own.rows
     assert make_reference(STUDY, rows()[2:], reference).tolerance.rows == {}, "it goes with its row"

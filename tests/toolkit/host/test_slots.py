@@ -11,7 +11,6 @@ from p2o.cli.run import command
 from p2o.frames.frame import Frame
 from p2o.host import hookspecs, method
 from p2o.host.slots import KIND_OF, METHOD_WORDS, SLOT_OF, SLOTS, STAGE_OF, STAGED_WORDS, STAGES, Slot
-from p2o_study.store import Planned
 from p2o_study.study import Product, RowTable, Words
 from p2o_testing import stage
 
@@ -47,7 +46,6 @@ def test_recipe_call_and_command_line_take_the_word_of_each_slot(slot: Slot) -> 
 def test_study_files_and_stored_rows_take_the_word_of_each_slot(word: str) -> None:
     for table in (Words, RowTable, Product):
         assert word in table.model_fields
-    assert word in Planned.__dataclass_fields__
 
 
 def test_extractors_look_at_parts_of_a_frame() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-import sqlite3
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,11 +18,12 @@ from p2o.results.result import Result, Status, TimeOffset
 from p2o.results.result_json import result_from_json, result_to_json
 from p2o.run.run import Row
 from p2o.solving import Accuracy
-from p2o_study.columns import METRICS, type_of
 from p2o_study.row import METRICS
 from p2o_study.rows import Rows
 from p2o_study.worker import _filled
 from p2o_testing.same import difference
+
+from tests.fake_study import run_of
 
 
 def result(**values: object) -> Result:
