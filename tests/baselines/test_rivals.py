@@ -30,14 +30,6 @@ def test_every_row_fits_together(name: str, registry: Registry) -> None:
     assert check_study(find_study(name, registry).study, registry)
 
 
-def test_a_rival_is_the_same_in_every_study(registry: Registry) -> None:
-    first, *others = (variants(name, registry) for name in STUDIES)
-    for other in others:
-        common = first.keys() & other.keys()
-        assert len(common) > 5
-        assert {name: first[name] for name in common} == {name: other[name] for name in common}
-
-
 @pytest.mark.parametrize("name", [*STUDIES, "families"])
 def test_rows_have_the_label_of_their_method_which_names_what_is_missing(name: str, registry: Registry) -> None:
     by_matcher = {preset.words["matcher"]: preset.label for preset in presets(registry).values() if preset.label}

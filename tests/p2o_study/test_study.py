@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from p2o import InputError, Registry, UnknownNameError
+from p2o.run.presets import presets
 from p2o_study.study import ALL_JOINT, check_study, find_study, parse_study, shipped_studies
 
 PLUGIN = Path(__file__).parents[1] / "study_plugin.py"
@@ -345,3 +346,19 @@ def test_every_study_that_is_shipped_can_be_run(name: str, registry: Registry) -
         assert published["RGGNet"] == {"rotation_deg": 1.180, "translation_m": 0.088}
         assert published["line-based"] == {"rotation_deg": 0.388}
         assert {p.beside for p in study.published} >= {"w/o OGM", "w/o UB", "ours", "MBS"}
+
+
+def test_a_row_names_a_published_method_and_changes_some_of_its_words_and_options() -> None:
+    registry = Registry.load(environ={})
+    head = 'name = "s"\ntitle = "S"\n[[dataset]]\nname = "d"\ndata = "synthetic:"\n'
+    text = head + '[[variant]]\nname = "koide"\nmethod = "nid"\noptions.matcher.bins = 8\n'
+    text += '[[row]]\nlabel = "a"\nuse = ["koide"]\n[[row]]\nlabel = "b"\nmethod = "nid"\nsolver = "lm"\n'
+    changed, other = check_study(parse_study(text), registry)
+    nid = presets(registry)["nid"]
+    assert changed.words["matcher"] == "nid"
+    assert changed.words["options"]["matcher"] == {"bins": 8}
+    assert changed.words["options"]["solver"] == nid.options["solver"]
+    assert other.words["solver"] == "lm"
+    assert "solver" not in other.words["options"], "another solver does not have them"
+    with pytest.raises(UnknownNameError, match=r"unknown method 'nyd'.*did you mean nid"):
+        check_study(parse_study(text.replace('method = "nid"', 'method = "nyd"', 1)), registry)

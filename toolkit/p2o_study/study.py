@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from datetime import date, time
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 from p2o.errors import InputError, P2OError, UnknownNameError, printable
 from p2o.files.input_file import existing_folder, expanded, read_text
@@ -27,6 +27,7 @@ from p2o.host.registry import Registry
 from p2o.host.shipped import shipped_files
 from p2o.host.slots import METHOD_WORDS, SLOTS, STAGED_WORDS, STAGES
 from p2o.options import fault_of
+from p2o.run.presets import preset_of
 from p2o.run.recipe import Plan, Recipe
 from p2o.run.run import starts_of
 from p2o.run.words import data_by_name
@@ -97,8 +98,13 @@ class _Table(BaseModel):
 
 
 class Words(_Table):
-    """Words of a recipe; missing ones are set by other tables or take the default of `Recipe`."""
+    """Words of a recipe; missing ones are set by other tables or take the default of `Recipe`.
 
+    `method` names a published method (`p2o methods --published`, methods.toml), which sets all words and options that
+    are not set beside it.
+    """
+
+    method: str | None = None
     extractor: str | None = None
     matcher: str | None = None
     solver: str | None = None
@@ -181,6 +187,18 @@ class Product(_Scope):
     perturb: tuple[str, ...] = ()
 
 
+_Words = TypeVar("_Words", bound=Words)
+
+
+def _with_method(table: _Words, registry: Registry, where: str) -> _Words:
+    """Return a table with the words and options of its published method."""
+    if table.method is None:
+        return table
+    options = {"options": table.options} if table.options else {}
+    merged = preset_of(table.method, registry, where).merged({**_words_of(table), **options})
+    return table.model_copy(update={**merged, "method": None})
+
+
 class Published(_Table):
     """Figures of a publication as printed, in degrees and metres; `beside` is the label of the row to compare with."""
 
@@ -224,6 +242,18 @@ class Study(_Table):
     joint: Joint = False
     seeds: Seeds = 1
     metrics: tuple[Metric, ...] = Field(default=("rotation_deg", "translation_m"), min_length=1, max_length=8)
+
+    def with_methods(self, registry: Registry) -> Study:
+        """Return the study with words and options of published methods in place of their names.
+
+        Raises UnknownNameError for an unknown method.
+        """
+        if not any(table.method for table in (*self.variant, *self.row, self.defaults)):
+            return self
+        variants = tuple(_with_method(table, registry, f"study {self.name}, [[variant]]") for table in self.variant)
+        rows = tuple(_with_method(table, registry, f"study {self.name}, [[row]]") for table in self.row)
+        defaults = _with_method(self.defaults, registry, f"study {self.name}, [defaults]")
+        return self.model_copy(update={"variant": variants, "row": rows, "defaults": defaults})
 
     @property
     def limits(self) -> Perturbation | None:
@@ -517,6 +547,7 @@ def check_study(study: Study, registry: Registry, at_most: int = MAX_ROWS) -> li
     Raises a P2OError that names the row for unknown names, invalid options, incompatible stages (with compatible
     ones), a variant with the name of a method and an invalid perturbation; and as `Study.rows`.
     """
+    study = study.with_methods(registry)
     for variant in study.variant:
         for word, kind in _KIND_OF_WORD.items():
             if getattr(variant, word) is not None and any(o.name == variant.name for o in registry.of_kind(kind)):
@@ -572,11 +603,11 @@ class StudyFile:
     source: str
 
     @classmethod
-    def read(cls, file: Traversable | Path) -> StudyFile:
+    def read(cls, file: Traversable | Path, registry: Registry) -> StudyFile:
         """Read a study file; raises as `find_study`."""
         with importlib.resources.as_file(file) as path:
             text = read_text(path, "study file")
-        return cls(parse_study(text, str(file)), text, str(file))
+        return cls(parse_study(text, str(file)).with_methods(registry), text, str(file))
 
 
 def find_study(word: str, registry: Registry) -> StudyFile:
@@ -592,7 +623,7 @@ def find_study(word: str, registry: Registry) -> StudyFile:
     if word.endswith(".toml") or "/" in word or "\\" in word:
         if not path.exists():
             raise InputError("the study file is missing", where=word, expected="a TOML file, or the name of a study")
-        return StudyFile.read(path)
+        return StudyFile.read(path, registry)
     name, at, dist = word.partition("@")
     shipped = shipped_studies(registry)
     matches = [(owner, file) for owner, file in shipped.get(name, []) if not at or owner == dist]
@@ -603,7 +634,7 @@ def find_study(word: str, registry: Registry) -> StudyFile:
             f"study '{name}' is shipped by several plugins: {' and '.join(owner for owner, _ in matches)}",
             hint="write " + " or ".join(f"{name}@{owner}" for owner, _ in matches),
         )
-    return StudyFile.read(matches[0][1])
+    return StudyFile.read(matches[0][1], registry)
 
 
 def shipped_studies(registry: Registry) -> dict[str, list[tuple[str, Traversable]]]:

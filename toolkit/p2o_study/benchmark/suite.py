@@ -126,7 +126,7 @@ def find_suite(word: str, registry: Registry, folder: Path = FOLDER) -> SuiteFil
     suite = validated(Suite, parse_toml(read_text(path, "suite"), "suite", path), where=path)
     named = path.parent / suite.study if suite.study.endswith(".toml") else suite.study
     base = find_study(str(named), registry)
-    study = suite.applied_to(base.study)
+    study = suite.applied_to(base.study).with_methods(registry)
     if suite.splits:
         spec = f"@{path.parent / suite.splits}"
         study = study.overridden(frames=[f"{table.name}={spec}" for table in study.dataset if table.split])
