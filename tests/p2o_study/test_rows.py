@@ -74,6 +74,7 @@ def test_a_row_comes_back_with_every_field(tmp_path: Path) -> None:
     )
     Rows(tmp_path).put("table2", row)
     [read] = Rows(tmp_path).each("table2")
+    assert type(read.figures["cells"]) is int
     for field in fields(Row):
         assert same(getattr(row, field.name), getattr(read, field.name)), field.name
     assert se3.check_rigid("the estimate", read.estimate, tolerance=1e-14) is not None

@@ -352,13 +352,13 @@ def test_a_row_names_a_published_method_and_changes_some_of_its_words_and_option
     registry = Registry.load(environ={})
     head = 'name = "s"\ntitle = "S"\n[[dataset]]\nname = "d"\ndata = "synthetic:"\n'
     text = head + '[[variant]]\nname = "koide"\nmethod = "nid"\noptions.matcher.bins = 8\n'
-    text += '[[row]]\nlabel = "a"\nuse = ["koide"]\n[[row]]\nlabel = "b"\nmethod = "nid"\nsolver = "lm"\n'
+    text += '[[row]]\nlabel = "a"\nuse = ["koide"]\n[[row]]\nlabel = "b"\nmethod = "nid"\nsolver = "nelder-mead"\n'
     changed, other = check_study(parse_study(text), registry)
     nid = presets(registry)["nid"]
     assert changed.words["matcher"] == "nid"
     assert changed.words["options"]["matcher"] == {"bins": 8}
     assert changed.words["options"]["solver"] == nid.options["solver"]
-    assert other.words["solver"] == "lm"
+    assert other.words["solver"] == "nelder-mead"
     assert "solver" not in other.words["options"], "another solver does not have them"
     with pytest.raises(UnknownNameError, match=r"unknown method 'nyd'.*did you mean nid"):
         check_study(parse_study(text.replace('method = "nid"', 'method = "nyd"', 1)), registry)

@@ -18,7 +18,7 @@ from p2o.errors import InputError
 from p2o.geometry import se3
 from p2o.geometry.pose_error import AXES, PoseError, pose_error
 from p2o.results.figures import Value
-from p2o.results.json_types import Count, Number, Tree
+from p2o.results.json_types import Count, Number, Tree, json_tree
 from p2o.results.result import Round, SolverStatus, Status
 from p2o.results.verdict import Trust
 from pydantic import Field, PlainSerializer, PlainValidator, Strict
@@ -62,7 +62,20 @@ StoredPose = Annotated[Float, PlainValidator(_read_pose), PlainSerializer(rounde
 Text = Annotated[str, Strict()]
 """A text, which may contain lone surrogates: names of files that are not valid UTF-8."""
 Seed = Annotated[int, Strict(), Field(ge=0, le=2**32 - 1)]
-Figure = Number | str | None
+
+
+def _read_figure(value: Any) -> Value:
+    """Return a figure of JSON: a number, a text, or an infinity written as text."""
+    if value is not None and (isinstance(value, bool) or not isinstance(value, int | float | str)):
+        raise PydanticCustomError("figure", "a number or a text")
+    return float(value) if value in ("inf", "-inf") else value
+
+
+Figure = Annotated[
+    float | int | str | None,
+    PlainValidator(_read_figure),
+    PlainSerializer(lambda value: json_tree("a figure", value), when_used="json"),
+]
 
 
 @dataclass(frozen=True, eq=False)
