@@ -273,7 +273,7 @@ def _check_p2o(command: Command, words: list[str], monkeypatch: pytest.MonkeyPat
         benchmark: Any = group.get_command(click.Context(group), words[0])
         context = benchmark.get_command(click.Context(benchmark), words[1]).make_context(words[1], words[2:])
         suite = context.params.get("suite")
-        assert suite is None or (ROOT / f"benchmarks/suites/{suite}.toml").is_file(), command
+        assert suite is None or (ROOT / f"baselines/p2o_baselines/suites/{suite}.toml").is_file(), command
         return
     words = ["synthetic:" if word == "DATA" else word for word in words if word not in ("COMMAND", "...")]
     real_build = guard.build
@@ -343,7 +343,11 @@ class _NoFrames:
     """Names of as many frames as pages speak of; reading one ends the line."""
 
     names = (
-        *(name for frames in json.loads((ROOT / "benchmarks/splits.json").read_text()).values() for name in frames),
+        *(
+            name
+            for frames in json.loads((ROOT / "baselines/p2o_baselines/suites/splits.json").read_text()).values()
+            for name in frames
+        ),
         *(f"scene-{number:04}/000{frame}" for number in range(45) for frame in range(10)),
     )
     skipped: Mapping[str, str] = types.MappingProxyType({})

@@ -526,7 +526,7 @@ def test_shipped_weights_are_small_and_say_what_may_be_done_with_them() -> None:
 def test_shipped_networks_come_nearer_on_frames_of_their_rig_that_they_have_not_seen(
     kitti_raw: Path, which: ModuleType
 ) -> None:
-    test = json.loads((Path(__file__).parents[2] / "benchmarks/splits.json").read_text())["test"]
+    test = json.loads((Path(__file__).parents[2] / "baselines/p2o_baselines/suites/splits.json").read_text())["test"]
     ran = p2o.calibrate(
         f"kitti-raw:{kitti_raw}",
         frames=",".join(test[::6]),

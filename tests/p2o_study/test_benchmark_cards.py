@@ -11,7 +11,7 @@ from p2o.cli import main
 from p2o.run.words import split_data
 from p2o_study.benchmark.card import FOLDER, cards_text, read_cards
 from p2o_study.benchmark.measure import status_of
-from p2o_study.benchmark.suite import SuiteFile, find_suite, suite_names
+from p2o_study.benchmark.suite import SuiteFile, find_suite, suites
 from p2o_study.rows import Rows
 from p2o_study.study import DatasetTable, StudyFile
 from p2o_study.worker import Plugins
@@ -19,7 +19,7 @@ from p2o_study.worker import Plugins
 from tests.study_bench import PLUGIN
 
 ROOT = Path(__file__).parents[2]
-SUITES = ROOT / "benchmarks/suites"
+SUITES = ROOT / "baselines/p2o_baselines/suites"
 SIZE = {"scenes": 1, "width_px": 128, "height_px": 64}
 CARD = """title: Tiny frames
 sensor: none
@@ -47,7 +47,7 @@ def folder(tmp_path: Path, text: str = CARD) -> str:
 # ---- the cards of the repository
 
 
-@pytest.mark.parametrize("name", suite_names(SUITES))
+@pytest.mark.parametrize("name", suites(p2o.Registry.load(environ={})))
 def test_every_data_set_of_a_suite_has_one_card(name: str) -> None:
     suite = find_suite(name, p2o.Registry.load(environ={}), SUITES)
     cards = read_cards(ROOT / FOLDER)
@@ -58,7 +58,7 @@ def test_every_data_set_of_a_suite_has_one_card(name: str) -> None:
 
 
 def test_cards_have_the_digests_of_exactly_the_frames_of_their_lists() -> None:
-    splits = json.loads((ROOT / "benchmarks/splits.json").read_text())
+    splits = json.loads((SUITES / "splits.json").read_text())
     cards = read_cards(ROOT / FOLDER)
     for name, card in cards.items():
         assert set(card.digests) == {frame for label in card.lists for frame in splits.get(label, ())}, name
@@ -92,7 +92,7 @@ def small(table: DatasetTable) -> DatasetTable:
 
 
 @pytest.mark.system
-@pytest.mark.parametrize("name", [name for name in suite_names(SUITES) if name != "smoke"])
+@pytest.mark.parametrize("name", [name for name in suites(p2o.Registry.load(environ={})) if name != "smoke"])
 def test_every_suite_is_planned_without_data(name: str, tmp_path: Path) -> None:
     file = find_suite(name, p2o.Registry.load(environ={}), SUITES)
     study = file.study.study

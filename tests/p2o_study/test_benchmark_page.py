@@ -62,7 +62,7 @@ def test_overlays_are_drawn_on_the_frames_of_the_rows_and_on_no_others(
             [frame] = row.case.frames
             changed = replace(frame, content="0" * 64) if folder == "other" else frame
             results.put("smoke", replace(row, case=replace(row.case, frames=(changed,))))
-        places = ["--suites", str(ROOT / "benchmarks/suites"), "--out", str(tmp_path / "page" / folder)]
+        places = ["--suites", str(ROOT / "baselines/p2o_baselines/suites"), "--out", str(tmp_path / "page" / folder)]
         assert main(["benchmark", "page", "--results", str(tmp_path / folder), *places, "--overlays", "--quiet"]) == 0
         drawn = (tmp_path / "page" / folder / "data/smoke-0-0.js").read_text().count("data:image/jpeg")
         assert drawn == (4 if folder == "same" else 0)

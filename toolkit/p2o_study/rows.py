@@ -371,7 +371,7 @@ def _plain(schema: Any, part: Any, without: set[str]) -> dict[str, Any]:
     return {k: v for k, v in values.items() if k in required or not (v in _EMPTY or v == defaults[k])}
 
 
-_EMPTY = (None, {}, [], "")
+_EMPTY: tuple[Any, ...] = (None, {}, [], "")
 
 
 def _read(schema: Any, plain: Mapping[str, Any], where: str) -> Any:

@@ -40,7 +40,7 @@ class Card(BaseModel):
 
     `frames` states their number, `shown` whether images may be published, `truth` the accuracy of the ground truth and
     how it is known, `learned` which of our methods were trained, tuned or chosen on it. `lists` are the lists of
-    benchmarks/splits.json and the datasets of suites that it describes. `digests` are those of rows
+    splits.json of the suites and the datasets of suites that it describes. `digests` are those of rows
     (`p2o_study.row.frame_digest`) by frame, empty if none is recorded.
     """
 

@@ -359,8 +359,10 @@ class Recheck:
         head = f"{counts}, none differs{bound}" if not self.different else f"{counts}, {len(self.different)} differ"
         lines = [f"{self.suite}: {head}", *(f"  {line}" for line in (*self.different, *self.doubled))]
         left = [(len(self.missing), "missing"), (self.stale, "stale"), (self.external, "of external methods")]
-        if told := [f"{count} {what}" for count, what in left if count]:
-            lines.append(f"  not checked: {', '.join(told)}" + (f", such as {self.missing[0]}" if self.missing else ""))
+        if unchecked := [f"{count} {what}" for count, what in left if count]:
+            lines.append(
+                f"  not checked: {', '.join(unchecked)}" + (f", such as {self.missing[0]}" if self.missing else "")
+            )
         return "\n".join(lines)
 
 

@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from p2o.errors import InputError, UnknownNameError
-from p2o.files.input_file import expanded, read_text
+from p2o.files.input_file import existing_folder, expanded, read_text
 from p2o.files.parsed_text import parse_toml
 from p2o.host.registry import Registry
+from p2o.host.shipped import shipped_files
 from p2o.options import validated
 from p2o.run.protocol import PROTOCOLS
 from pydantic import BaseModel, ConfigDict
@@ -33,7 +34,8 @@ from p2o_study.study import (
     find_study,
 )
 
-FOLDER = Path("benchmarks/suites")
+FOLDER = "suites"
+"""Folder of suites in a package: PACKAGE/suites/NAME.toml."""
 MIN_SEEDS = 5
 """Minimum number of initial guesses of each frame or group."""
 _OWN_IMAGE_SIDE = "p2ornet"
@@ -111,18 +113,27 @@ class SuiteFile:
         return SuiteFile(self.suite, StudyFile(study, self.study.text, self.study.source), self.source)
 
 
-def find_suite(word: str, registry: Registry, folder: Path = FOLDER) -> SuiteFile:
-    """Return the suite of a path, or of a name in a folder of suites.
+def suites(registry: Registry, folder: str | Path | None = None) -> dict[str, Path]:
+    """Return the files of suites by name: those in a folder, or those that loaded plugins ship (PACKAGE/suites)."""
+    if folder is None:
+        shipped = [Path(str(file)) for _, file in shipped_files(registry, FOLDER)]
+    else:
+        shipped = list(existing_folder(Path(folder), "suites").iterdir())
+    return {path.stem: path for path in sorted(shipped) if path.suffix == ".toml"}
+
+
+def find_suite(word: str, registry: Registry, folder: str | Path | None = None) -> SuiteFile:
+    """Return the suite of a path, or of a name in `suites`.
 
     Raises UnknownNameError for an unknown name or key, InputError for a file that cannot be read, is not valid, or
     whose rows are not comparable (`check_rows`).
     """
     path = expanded(word)
     if not word.endswith(".toml"):
-        known = suite_names(folder)
+        known = suites(registry, folder)
         if word not in known:
             raise UnknownNameError("suite", word, known, where=folder, hint="or give the path of a TOML file")
-        path = folder / f"{word}.toml"
+        path = known[word]
     suite = validated(Suite, parse_toml(read_text(path, "suite"), "suite", path), where=path)
     named = path.parent / suite.study if suite.study.endswith(".toml") else suite.study
     base = find_study(str(named), registry)
@@ -133,11 +144,6 @@ def find_suite(word: str, registry: Registry, folder: Path = FOLDER) -> SuiteFil
     file = SuiteFile(suite, StudyFile(study, base.text, base.source), path)
     check_rows(file.rows, str(path))
     return file
-
-
-def suite_names(folder: Path = FOLDER) -> list[str]:
-    """Return the names of the suites in a folder."""
-    return sorted(path.stem for path in folder.glob("*.toml"))
 
 
 def check_rows(rows: Sequence[StudyRow], where: str) -> None:

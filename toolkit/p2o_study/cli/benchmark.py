@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Callable
-from functools import cache
+from dataclasses import dataclass
+from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,25 +32,65 @@ _MAX_SEED = 2**32 - 1
 def command() -> None:
     """Measure suites as rows of data, compute rows again, score external methods, write tables and a page.
 
-    A suite is a file in benchmarks/suites, its rows are lines of JSON in benchmarks/results. docs/how-to/benchmark.md
+    A suite is a TOML file of a plugin, its rows are lines of JSON in benchmarks/results. docs/how-to/benchmark.md
     explains how to run a suite and how to enter a method.
     """
 
 
-_results = click.option(
-    "--results", default="benchmarks/results", show_default=True, metavar="DIR", help="Folder of the rows."
-)
-_suites = click.option(
-    "--suites", default="benchmarks/suites", show_default=True, metavar="DIR", help="Folder of the suites."
-)
-_cards = click.option(
-    "--cards", default="benchmarks/cards", show_default=True, metavar="DIR", help="Folder of the cards of data."
-)
 _quiet = click.option("--quiet", is_flag=True, help="No progress.")
 _by = click.option("--by", default="anonymous", show_default=True, metavar="NAME", help="Who measures.")
 _workers = click.option(
     "--workers", type=click.IntRange(min=1), default=1, show_default=True, metavar="N", help="Number of processes."
 )
+_results = click.option(
+    "--results", default="benchmarks/results", show_default=True, metavar="DIR", help="Folder of the rows."
+)
+_cards = click.option(
+    "--cards", default="benchmarks/cards", show_default=True, metavar="DIR", help="Folder of the cards of data."
+)
+
+
+@dataclass(frozen=True)
+class _Bench:
+    """What the options that commands share name: suites on their data, plugins, and the folder of rows."""
+
+    suites: str | None
+    data: tuple[str, ...]
+    root: str | None
+    plugin: tuple[str, ...]
+    block: tuple[str, ...]
+
+    @cached_property
+    def plugins(self) -> Plugins:
+        from p2o_study.worker import Plugins
+
+        return Plugins.of(self.block, self.plugin)
+
+    def open(self, name: str) -> SuiteFile:
+        """Return a suite on its data."""
+        from p2o_study.benchmark.suite import find_suite
+
+        return find_suite(name, self.plugins.registry(), self.suites).on(self.data, self.root)
+
+    def names(self, suite: str | None = None) -> list[str]:
+        """Return the name of a suite, or those of all."""
+        from p2o_study.benchmark.suite import suites
+
+        if suite is None and self.data:
+            raise click.UsageError("--data needs the name of a suite; --root is for all")
+        return list(suites(self.plugins.registry(), self.suites)) if suite is None else [suite]
+
+
+def _suites(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of suites and plugins, which the command takes as `bench`, with those of `_data_options`."""
+
+    @functools.wraps(function)
+    def command(suites: str | None, plugin: tuple[str, ...], block: tuple[str, ...], **words: Any) -> Any:
+        bench = _Bench(suites, words.pop("data", ()), words.pop("root", None), plugin, block)
+        return function(bench=bench, **words)
+
+    text = "Folder of the suites (default: those of the installed plugins)."
+    return plugin_options(click.option("--suites", metavar="DIR", help=text)(command))
 
 
 def _data_options(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -59,32 +101,11 @@ def _data_options(function: Callable[..., Any]) -> Callable[..., Any]:
     return click.option("--root", metavar="DIR", help=text)(function)
 
 
-def _opened(
-    name: str, suites: str, data: tuple[str, ...], root: str | None, plugin: tuple[str, ...], block: tuple[str, ...]
-) -> tuple[SuiteFile, Plugins]:
-    """Return a suite on its data, and the plugins."""
-    from p2o_study.benchmark.suite import find_suite
-    from p2o_study.worker import Plugins
-
-    plugins = Plugins.of(block, plugin)
-    return find_suite(name, plugins.registry(), Path(suites)).on(data, root), plugins
-
-
-def _names(suite: str | None, suites: str, data: tuple[str, ...]) -> list[str]:
-    """Return the name of a suite, or those of all."""
-    from p2o_study.benchmark.suite import suite_names
-
-    if suite is None and data:
-        raise click.UsageError("--data needs the name of a suite; --root is for all")
-    return suite_names(Path(suites)) if suite is None else [suite]
-
-
 @command.command("run")
 @click.argument("suite")
 @click.option(
     "--section", "sections", multiple=True, metavar="NAME", help="Measure one section; repeat it for several."
 )
-@_data_options
 @_workers
 @click.option(
     "--backend", type=click.Choice(["loky", "dask", "ray"]), default="loky", help="Backend that runs the jobs."
@@ -92,25 +113,21 @@ def _names(suite: str | None, suites: str, data: tuple[str, ...]) -> list[str]:
 @click.option("--address", metavar="ADDRESS", help="Scheduler of an existing dask or ray cluster.")
 @_by
 @_results
+@_data_options
 @_suites
 @at_most_option
 @_quiet
-@plugin_options
 def run(
+    bench: _Bench,
     suite: str,
     sections: tuple[str, ...],
-    data: tuple[str, ...],
-    root: str | None,
     workers: int,
     backend: Any,
     address: str | None,
     by: str,
     results: str,
-    suites: str,
     at_most: int | None,
     quiet: bool,
-    plugin: tuple[str, ...],
-    block: tuple[str, ...],
 ) -> int:
     """Measure the missing and stale rows of a suite and add them to the results.
 
@@ -127,7 +144,7 @@ def run(
     from p2o_study.parallel import Workers
     from p2o_study.rows import Rows
 
-    file, plugins = _opened(suite, suites, data, root, plugin, block)
+    file = bench.open(suite)
     rows = Rows(results)
     with progress_shown(quiet) as (say, warn):
         done = measure(
@@ -135,7 +152,7 @@ def run(
             rows,
             measured_by=by,
             sections=sections,
-            plugins=plugins,
+            plugins=bench.plugins,
             workers=Workers(workers, backend, address),
             at_most=at_most,
             on_progress=say,
@@ -158,24 +175,19 @@ def run(
 
 @command.command("status")
 @click.argument("suite", required=False)
-@_data_options
 @_workers
 @_results
+@_data_options
 @_suites
 @json_option
 @_quiet
-@plugin_options
 def status(
+    bench: _Bench,
     suite: str | None,
-    data: tuple[str, ...],
-    root: str | None,
     workers: int,
     results: str,
-    suites: str,
     as_json: bool,
     quiet: bool,
-    plugin: tuple[str, ...],
-    block: tuple[str, ...],
 ) -> int:
     """List the rows of a suite, or of all, that are missing or whose method or data changed since.
 
@@ -189,13 +201,15 @@ def status(
 
     states = []
     with progress_shown(quiet or as_json) as (say, _):
-        for name in _names(suite, suites, data):
-            file, plugins = _opened(name, suites, data, root, plugin, block)
-            states.append(status_of(file, Rows(results), plugins=plugins, workers=Workers(workers), on_progress=say))
+        for name in bench.names(suite):
+            file = bench.open(name)
+            states.append(
+                status_of(file, Rows(results), plugins=bench.plugins, workers=Workers(workers), on_progress=say)
+            )
     if as_json:
         print_json({"suites": [state.as_dict() for state in states]})
     else:
-        click.echo("\n".join(map(_status_text, states)) or f"no suites in {suites}")
+        click.echo("\n".join(map(_status_text, states)) or "no suites")
     return 1 if any(state.outdated for state in states) else 0
 
 
@@ -218,25 +232,20 @@ def _status_text(status: SuiteStatus) -> str:
 @command.command("prune")
 @click.argument("suite")
 @click.option("--dry-run", is_flag=True, help="List the rows and remove none.")
-@_data_options
 @_workers
 @_results
+@_data_options
 @_suites
 @json_option
 @_quiet
-@plugin_options
 def prune(
+    bench: _Bench,
     suite: str,
     dry_run: bool,
-    data: tuple[str, ...],
-    root: str | None,
     workers: int,
     results: str,
-    suites: str,
     as_json: bool,
     quiet: bool,
-    plugin: tuple[str, ...],
-    block: tuple[str, ...],
 ) -> int:
     """Remove the rows that a suite no longer asks for, and those that a later row replaces; sort the others.
 
@@ -250,10 +259,10 @@ def prune(
     from p2o_study.parallel import Workers
     from p2o_study.rows import Rows
 
-    file, plugins = _opened(suite, suites, data, root, plugin, block)
+    file = bench.open(suite)
     known, unused = Rows(results), 0
     with progress_shown(quiet or as_json) as (say, _):
-        kept, rows = prunable(file, known, plugins=plugins, workers=Workers(workers), on_progress=say)
+        kept, rows = prunable(file, known, plugins=bench.plugins, workers=Workers(workers), on_progress=say)
     if not dry_run:
         known.rewrite(file.name, kept)
         unused = known.remove_unused()
@@ -277,24 +286,19 @@ def prune(
 @click.option(
     "--seed", type=click.IntRange(0, _MAX_SEED), metavar="N", help="Seed of the sample (default: drawn at random)."
 )
-@_data_options
 @_workers
 @_results
+@_data_options
 @_suites
 @_quiet
-@plugin_options
 def recheck(
+    bench: _Bench,
     suite: str | None,
     sample: int,
     seed: int | None,
-    data: tuple[str, ...],
-    root: str | None,
     workers: int,
     results: str,
-    suites: str,
     quiet: bool,
-    plugin: tuple[str, ...],
-    block: tuple[str, ...],
 ) -> int:
     """Compute a random sample of the rows of a suite, or of all, again, and compare the outcomes.
 
@@ -317,14 +321,14 @@ def recheck(
     drawn, clean = secrets.randbelow(_MAX_SEED) if seed is None else seed, True
     try:
         with progress_shown(quiet) as (say, warn):
-            for name in _names(suite, suites, data):
-                file, plugins = _opened(name, suites, data, root, plugin, block)
+            for name in bench.names(suite):
+                file = bench.open(name)
                 outcome = rechecked(
                     file,
                     Rows(results),
                     sample=sample,
                     seed=drawn,
-                    plugins=plugins,
+                    plugins=bench.plugins,
                     workers=Workers(workers),
                     on_progress=say,
                     on_warning=warn,
@@ -355,16 +359,11 @@ def _starts(file: SuiteFile, plugins: Plugins, quiet: bool) -> Any:
 @_data_options
 @_suites
 @_quiet
-@plugin_options
 def starts(
+    bench: _Bench,
     suite: str,
     out: str,
-    data: tuple[str, ...],
-    root: str | None,
-    suites: str,
     quiet: bool,
-    plugin: tuple[str, ...],
-    block: tuple[str, ...],
 ) -> int:
     """Write the initial guesses of a suite as CSV, for a method outside p2o.
 
@@ -378,8 +377,8 @@ def starts(
 
     from p2o_study.benchmark.score import starts_csv
 
-    file, plugins = _opened(suite, suites, data, root, plugin, block)
-    known = _starts(file, plugins, quiet)
+    file = bench.open(suite)
+    known = _starts(file, bench.plugins, quiet)
     write_whole(out, starts_csv(known).encode())
     click.echo(f"wrote {out}: {len(known)} initial guesses")
     return 0
@@ -391,24 +390,19 @@ def starts(
 @click.option("--name", required=True, metavar="NAME", help="The name of the method in tables.")
 @click.option("--source", default="", metavar="TEXT", help="Where the method is described: a paper or an address.")
 @click.option("--by", default="anonymous", show_default=True, metavar="NAME", help="Who measured; part of each row.")
-@_data_options
 @_results
+@_data_options
 @_suites
 @_quiet
-@plugin_options
 def score(
+    bench: _Bench,
     poses: str,
     suite: str,
     name: str,
     source: str,
     by: str,
-    data: tuple[str, ...],
-    root: str | None,
     results: str,
-    suites: str,
     quiet: bool,
-    plugin: tuple[str, ...],
-    block: tuple[str, ...],
 ) -> int:
     """Add the poses of a method outside p2o to the results of a suite.
 
@@ -422,8 +416,8 @@ def score(
     from p2o_study.benchmark import score as external
     from p2o_study.rows import Rows
 
-    file, plugins = _opened(suite, suites, data, root, plugin, block)
-    known = _starts(file, plugins, quiet)
+    file = bench.open(suite)
+    known = _starts(file, bench.plugins, quiet)
     labels = [row.label for row in file.rows]
     rows = external.score(Path(poses), known, name, source=source, measured_by=by, known=labels)
     stored = Rows(results)
@@ -435,15 +429,14 @@ def score(
     return 0
 
 
-def _tables(suites: str, results: str, plugins: Plugins) -> Callable[[str], SuiteTables]:
+def _tables(bench: _Bench, results: str) -> Callable[[str], SuiteTables]:
     """Return the function that reads the tables of a suite, once each."""
-    from p2o_study.benchmark.suite import find_suite
     from p2o_study.benchmark.tables import SuiteTables
     from p2o_study.rows import Rows
 
     @cache
     def tables(suite: str) -> SuiteTables:
-        return SuiteTables.read(find_suite(suite, plugins.registry(), Path(suites)), Rows(results))
+        return SuiteTables.read(bench.open(suite), Rows(results))
 
     return tables
 
@@ -453,9 +446,11 @@ def _tables(suites: str, results: str, plugins: Plugins) -> Callable[[str], Suit
 @click.option("--section", metavar="NAME", help="One section of the suite (default: all).")
 @_results
 @_suites
-@plugin_options
 def table(
-    suite: str, section: str | None, results: str, suites: str, plugin: tuple[str, ...], block: tuple[str, ...]
+    bench: _Bench,
+    suite: str,
+    section: str | None,
+    results: str,
 ) -> int:
     """Print the tables of a suite in Markdown, from its rows; no data are needed.
 
@@ -463,9 +458,8 @@ def table(
     coverage of the predicted errors.
     """
     from p2o_study.benchmark.tables import NOTE, Choice
-    from p2o_study.worker import Plugins
 
-    tables = _tables(suites, results, Plugins.of(block, plugin))(suite)
+    tables = _tables(bench, results)(suite)
     click.echo(tables.markdown(Choice(tables.suite.name, section)))
     click.echo(NOTE)
     return 0
@@ -478,16 +472,13 @@ def table(
 @_suites
 @_cards
 @_quiet
-@plugin_options
 def page(
+    bench: _Bench,
     out: str,
     overlays: bool,
     results: str,
-    suites: str,
     cards: str,
     quiet: bool,
-    plugin: tuple[str, ...],
-    block: tuple[str, ...],
 ) -> int:
     """Write one page of all suites: tables with top groups, plots, and the runs of each row; no data are needed.
 
@@ -500,12 +491,10 @@ def page(
     from p2o_study.benchmark.card import read_cards
     from p2o_study.benchmark.overlays import Overlays
     from p2o_study.benchmark.page import write_page
-    from p2o_study.benchmark.suite import find_suite, suite_names
     from p2o_study.rows import Rows
-    from p2o_study.worker import Plugins
 
-    registry = Plugins.of(block, plugin).registry()
-    files = [find_suite(name, registry, Path(suites)) for name in suite_names(Path(suites))]
+    registry = bench.plugins.registry()
+    files = list(map(bench.open, bench.names()))
     tell = (lambda name: None) if quiet else (lambda name: click.echo(f"suite {name}", err=True))
     drawing = Overlays(registry) if overlays else None
     known = read_cards(Path(cards)).values()
@@ -600,15 +589,12 @@ def record(name: str, measuring: tuple[str, ...], by: str, results: str) -> int:
 @_results
 @_suites
 @_cards
-@plugin_options
 def docs(
+    bench: _Bench,
     pages: tuple[str, ...],
     check: bool,
     results: str,
-    suites: str,
     cards: str,
-    plugin: tuple[str, ...],
-    block: tuple[str, ...],
 ) -> int:
     """Write the tables of marked parts of pages from rows and cards of data (default: README.md and docs).
 
@@ -621,10 +607,9 @@ def docs(
     from p2o_study.benchmark.card import read_cards, with_cards
     from p2o_study.benchmark.record import with_records
     from p2o_study.benchmark.tables import pages_with_marks, rendered
-    from p2o_study.worker import Plugins
 
     paths = [Path(page) for page in pages] or [Path("README.md"), *sorted(Path("docs").rglob("*.md"))]
-    tables = _tables(suites, results, Plugins.of(block, plugin))
+    tables = _tables(bench, results)
     different = 0
     for path, before in pages_with_marks(paths).items():
         after = with_cards(rendered(before, str(path), tables), str(path), lambda: read_cards(Path(cards)))
