@@ -1,17 +1,18 @@
-"""Rigs for `verdicts.py`: real ones and simulated ones, each with how good its truth is."""
+"""Real and simulated rigs with the accuracy of their ground truth, and the features of their frames."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
-import numpy as np
+from common import SPLITS, cached
 from p2o.arrays import Float
 from p2o.cache import FeatureCache, content_hash
 from p2o.features.view import View
 from p2o.frames.frame import Frame
-from p2o.frames.selection import select
+from p2o.frames.selection import select, spread
 from p2o.host.registry import Registry
 from p2o.run.recipe import Plan, Recipe
 from p2o_study.keys import features_key
@@ -48,17 +49,39 @@ class Rig:
         options = {**self.options, "extractor": {"weights": self.weights}}
         return Recipe.of(data=self.data, extractor=self.extractor, options=options).resolve(Registry.load())
 
+    def under(self, root: str) -> Rig:
+        """Return the rig with its real frames in another folder than build/data."""
+        return replace(self, data=self.data.replace("build/data", root))
+
     def groups(self, names: Sequence[str]) -> list[list[int]]:
         """Return the numbers of frames that may be solved together."""
         if self.apart:
             return []
         words = ["" if self.camera_at is None else name[self.camera_at] for name in names]
-        return [[at for at, word in enumerate(words) if word == its] for its in sorted(set(words))]
+        return [[at for at, word in enumerate(words) if word == camera] for camera in sorted(set(words))]
+
+    def samples(self, features: Path, most: int | None = None) -> list[Sample]:
+        """Return at most `most` of its frames, evenly spaced; `features` is a folder of extracted features."""
+        plan = self.plan
+        dataset, pipeline = plan.dataset(), plan.calibrator()
+        numbers = select(dataset.names, self.frames.format(splits=SPLITS), skipped=dataset.skipped)
+        parts = [features_key(plan.parts[stage], self.data) for stage in ("extractor", "cloud")]
+
+        def extracted(number: int) -> tuple[View, Float | None]:
+            frame = cropped(dataset[number], self.crop)
+            return pipeline.prepare(frame), frame.camera_from_lidar
+
+        return [
+            Sample(
+                *cached(FeatureCache(features), content_hash([*parts, self.crop, number]), partial(extracted, number))
+            )
+            for number in spread(numbers, most or len(numbers))
+        ]
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """What was found in one frame, and its truth camera_from_lidar (4, 4)."""
+class Sample:
+    """The features of one frame, and its ground truth camera_from_lidar (4, 4)."""
 
     view: View
     truth: Float
@@ -154,6 +177,11 @@ RIGS: Sequence[Rig] = (
 )
 
 
+def rig_of(name: str) -> Rig:
+    """Return a rig by its name."""
+    return next(rig for rig in RIGS if rig.name == name)
+
+
 def cropped(frame: Frame, crop: tuple[int, int] | None) -> Frame:
     """Return the frame with the middle of its image alone."""
     if crop is None:
@@ -162,24 +190,5 @@ def cropped(frame: Frame, crop: tuple[int, int] | None) -> Frame:
     left, top = (camera.width - width) // 2, (camera.height - height) // 2
     fx, fy, cx, cy, *rest = camera.params
     smaller = replace(camera, width=width, height=height, params=(fx, fy, cx - left, cy - top, *rest))
-    picture = frame.image.rgb[top : top + height, left : left + width]
-    return replace(frame, image=type(frame.image)(picture, smaller))
-
-
-def seen(rig: Rig, kept: Path, splits: str, most: int | None = None) -> Iterator[Seen]:
-    """Give what is found in the frames of a rig, one by one; `kept` is a folder for it (deleting it is safe)."""
-    plan = rig.plan
-    dataset, pipeline = plan.dataset(), plan.calibrator()
-    numbers = select(dataset.names, rig.frames.format(splits=splits), skipped=dataset.skipped)
-    if most is not None and len(numbers) > most:
-        numbers = [numbers[at] for at in np.linspace(0, len(numbers) - 1, most).round().astype(int)]
-    cache, parts = FeatureCache(kept), [features_key(plan.parts[stage], rig.data) for stage in ("extractor", "cloud")]
-    for number in numbers:
-        key = content_hash([*parts, rig.crop, number])
-        found = cache.get(key)
-        if found is None:
-            frame = cropped(dataset[number], rig.crop)
-            cache.put(key, (pipeline.prepare(frame), frame.camera_from_lidar), 0.0)
-            found = cache.get(key)
-        assert found is not None
-        yield Seen(*found.features)
+    rgb = frame.image.rgb[top : top + height, left : left + width]
+    return replace(frame, image=type(frame.image)(rgb, smaller))
