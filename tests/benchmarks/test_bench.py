@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from bench import Cost, differences, kept, machine, middle, table, to_keep
+from bench import Cost, differences, machine, middle, read_reference, reference_text, table
 
 
 def test_of_several_repeats_the_median_of_each_number_counts() -> None:
@@ -28,14 +28,14 @@ def test_without_a_reference_there_are_no_ratios() -> None:
 
 def test_what_is_kept_comes_back_with_the_machine_it_is_of() -> None:
     rows = {"`p2o run`": Cost(4.5, 3.25, 512.0)}
-    assert kept(to_keep(rows)) == (machine(), rows)
+    assert read_reference(reference_text(rows)) == (machine(), rows)
 
 
 def test_differences_of_poses_are_told_with_whose_are_nearer_the_truth() -> None:
     moved = np.eye(4)
     moved[0, 3] = 0.0015
-    ours = {"a": {"pose": moved.tolist(), "said": ["converged", "trusted"], "error": [0.1, 0.01]}}
-    theirs = {"a": {"pose": np.eye(4).tolist(), "said": ["converged", "doubtful"], "error": [0.2, 0.02]}}
+    ours = {"a": {"pose": moved.tolist(), "verdict": ["converged", "trusted"], "error": [0.1, 0.01]}}
+    theirs = {"a": {"pose": np.eye(4).tolist(), "verdict": ["converged", "doubtful"], "error": [0.2, 0.02]}}
     line = differences(ours, theirs)
     assert "1 poses, apart at most 0.00000 deg and 1.500 mm; 1 with another status or verdict" in line
     assert "mean error 0.1000 deg and 10.00 mm, before 0.2000 deg and 20.00 mm" in line
