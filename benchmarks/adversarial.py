@@ -2,13 +2,12 @@
 
     python benchmarks/adversarial.py run --out rows.jsonl [--sources NAME ...] [--kinds KIND ...]
     python benchmarks/adversarial.py table rows.jsonl
-    python benchmarks/adversarial.py worst rows.jsonl --out FOLDER     # overlays of the ten worst false accepts
 
 Frames of simulated and real rigs (`adversarial_cases.py`) are calibrated one at a time and four together from 2 deg and
 15 cm, as they are and with every change that their source allows. A false accept is a trusted result where no pose is
 right (another moment or camera, a mirrored image, wrong axes or units), and elsewhere one that is over 1 deg or 30 cm
 from the truth. A false refusal is a result within 0.5 deg and 15 cm that is not trusted. `run` continues where it was
-stopped; images may not be shown for all sources (KITTI and others), see docs/data-cards.md.
+stopped.
 """
 
 from __future__ import annotations
@@ -27,8 +26,6 @@ from common import (
     SPLITS,
     START_DEG,
     START_M,
-    WRONG_DEG,
-    WRONG_M,
     add_row,
     cached,
     grouped,
@@ -40,7 +37,6 @@ from common import (
 )
 from p2o import Frame, InputError, Registry
 from p2o.cache import FeatureCache, content_hash
-from p2o.draw.overlay import draw, write_png
 from p2o.features.view import View
 from p2o.frames.scale import image_at_scale
 from p2o.frames.selection import select, spread
@@ -70,7 +66,6 @@ class Row:
     translation_m: float = np.inf
     bound_deg: float = np.inf
     bound_m: float = np.inf
-    pose: tuple[tuple[float, ...], ...] = ()
 
     @property
     def key(self) -> tuple[str, str, str, tuple[str, ...]]:
@@ -171,7 +166,6 @@ class Bench:
             translation_m=round(error.translation_m, 5),
             bound_deg=np.inf if accuracy is None else round(accuracy.rotation_deg_95, 4),
             bound_m=np.inf if accuracy is None else round(accuracy.translation_m_95, 5),
-            pose=tuple(tuple(line) for line in np.round(result.camera_from_lidar, 7).tolist()),
         )
 
 
@@ -225,24 +219,6 @@ def _line(kind: str, rows: Sequence[Row]) -> tuple[object, ...]:
     )
 
 
-def draw_worst(rows: Sequence[Row], out: Path, features: Path | None, count: int = 10) -> None:
-    """Write overlays of the false accepts with the largest errors to a folder, and print what they show."""
-    false = [row for row in rows if row.trusted and row.wrong]
-    worst = sorted(false, key=lambda row: -row.rotation_deg / WRONG_DEG - row.translation_m / WRONG_M)
-    registry, sources = Registry.load(), {source.name: source for source in SOURCES}
-    out.mkdir(parents=True, exist_ok=True)
-    for number, row in enumerate(worst[:count]):
-        bench = Bench(sources[row.source], registry, features)
-        names = [frame.name for frame in bench.frames]
-        frame = bench.changes[row.kind][row.variant](bench.frames, names.index(row.frames[0]))
-        view = bench.view(frame)
-        path = out / f"{number}-{row.source}-{row.kind.replace(' ', '-')}.png"
-        rgb = image_at_scale(frame.image).rgb
-        write_png(path, draw(rgb, view.image_edges, view.cloud_edges, view.camera, np.array(row.pose)))
-        error = size(row.rotation_deg, row.translation_m)
-        print(f"{path.name}: {row.kind} {row.variant}, {len(row.frames)} frames, {error}")
-
-
 def main() -> None:
     """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -251,17 +227,10 @@ def main() -> None:
     running.add_argument("--out", type=Path, required=True, help="file of rows, JSON lines")
     running.add_argument("--sources", nargs="+", choices=[source.name for source in SOURCES], metavar="NAME")
     running.add_argument("--kinds", nargs="+", choices=KINDS, metavar="KIND")
+    running.add_argument("--features", type=Path, help="folder of extracted features (deleting it is safe)")
     tabling = commands.add_parser("table", help="print the tables")
     tabling.add_argument("rows", type=Path)
-    drawing = commands.add_parser("worst", help="draw the ten worst false accepts")
-    drawing.add_argument("rows", type=Path)
-    drawing.add_argument("--out", type=Path, required=True)
-    for command in (running, drawing):
-        command.add_argument("--features", type=Path, help="folder of extracted features (deleting it is safe)")
     options = parser.parse_args()
-    if options.command == "worst":
-        draw_worst(read(options.rows), options.out, options.features)
-        return
     if options.command == "run":
         registry, done = Registry.load(), {row.key for row in read(options.out)}
         for source in SOURCES:

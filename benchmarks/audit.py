@@ -252,7 +252,7 @@ def tables(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return the tables of all cases: by rig, by error, and the detection limits."""
     cases = [Judged.of(row) for row in rows]
     trusted = [case for case in cases if case.rig not in IN_QUESTION]
-    parts = (_by_rig(cases, trusted), _target(trusted), _by_error(trusted), _limits(cases))
+    parts = (_by_rig(cases, trusted), _by_error(trusted), _limits(cases))
     return "\n\n".join(table(next(part), part) for part in parts)
 
 
@@ -268,16 +268,6 @@ def _by_rig(cases: Sequence[Judged], trusted: Sequence[Judged]) -> Table:
                 above = [case for case in wrong if case.above_limit]
                 unclear = sum(case.check.holding is CheckStatus.CANNOT_TELL for case in right)
                 yield rig, frames, len(right), _off(right), unclear, len(wrong), _off(wrong), len(above), _off(above)
-
-
-def _target(cases: Sequence[Judged]) -> Table:
-    """Yield the detected errors of 0.5 deg and 5 cm on 20 frames, by rig and axis."""
-    size_deg, size_m = ANGLES_DEG[TARGET], SHIFTS_M[TARGET]
-    yield f"20 frames, {size_deg:g} deg or {100 * size_m:g} cm", *AXIS_NAMES, "all"
-    group = [case for case in _where(cases, frames=COLUMNS[0]) if case.size in (size_deg, size_m)]
-    for rig in [*dict.fromkeys(case.rig for case in group), "all"]:
-        own = group if rig == "all" else _where(group, rig=rig)
-        yield rig, *(_share(_where(own, axis=axis)) for axis in range(len(AXES))), _share(own)
 
 
 def _by_error(cases: Sequence[Judged]) -> Table:

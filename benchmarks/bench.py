@@ -1,8 +1,7 @@
-"""Measure the run time of each step of a calibration against a reference on the same machine: `make bench`.
+"""Measure the run time of each step of a calibration, also against another commit: `make bench`.
 
-    python benchmarks/bench.py --keep build/bench/reference.json     # measure, and store the measurement
-    python benchmarks/bench.py --against build/bench/reference.json  # measure, with ratios to the stored measurement
-    python benchmarks/bench.py --against-commit REV                  # both commits in turns, ratios within one run
+    python benchmarks/bench.py                          # this tree
+    python benchmarks/bench.py --against-commit REV     # both commits in turns, ratios within one run
     python benchmarks/bench.py --against-commit REV --poses folder:build/data/rigs/waymo --poses ...
 
 Steps of a frame are measured in one process with one thread (except the simulator's), the first frame of a process
@@ -11,8 +10,8 @@ Processor seconds are user and system time of a process and its children, peaks 
 where it has children. Rows `joint-N` calibrate N frames jointly; of more than 25, images and sweeps repeat under other
 names, but p2o reads, keeps and solves each of them.
 
-With `--poses` nothing is timed: the same frames are calibrated by both commits, and the largest differences of their
-poses are reported.
+With `--poses` nothing is timed: the same frames are calibrated by both commits; reported are the number of poses that
+are equal to the last digit, and the largest differences.
 """
 
 from __future__ import annotations
@@ -33,6 +32,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
 from typing import Any
+
+from common import table
 
 ROOT = Path(__file__).resolve().parents[1]
 HOME = ROOT / "build" / "bench"
@@ -72,11 +73,11 @@ def middle(costs: Sequence[Cost]) -> Cost:
     return Cost(*(median(column) for column in columns))
 
 
-def table(costs: Mapping[str, Cost], reference: Mapping[str, Cost], name: str = "") -> str:
+def compared(costs: Mapping[str, Cost], reference: Mapping[str, Cost], name: str = "") -> str:
     """Return rows as a Markdown table, with ratios to a reference of this name where that has them."""
     head = ["", "processor s", "wall s", "peak MiB"]
     head += [f"processor s, {name}", "ratio", f"wall s, {name}", "ratio"] if reference else []
-    lines = [head, ["---"] * len(head)]
+    lines = []
     for row, cost in costs.items():
         cells = [row, _seconds(cost.cpu_s), _seconds(cost.wall_s), f"{cost.peak_mib:.0f}" if cost.peak_mib else ""]
         if reference:
@@ -85,22 +86,11 @@ def table(costs: Mapping[str, Cost], reference: Mapping[str, Cost], name: str = 
             ratios = [(_seconds(before), f"{now / before:.2f}" if before > 0 else "") for now, before in pairs]
             cells += [cell for pair in ratios or [("", ""), ("", "")] for cell in pair]
         lines.append(cells)
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    return table(head, lines)
 
 
 def _seconds(value: float) -> str:
     return f"{value:.3f}" if value < 1 else f"{value:.2f}"
-
-
-def read_reference(text: str) -> tuple[str, dict[str, Cost]]:
-    """Return machine and rows of the content of a reference file."""
-    content = json.loads(text)
-    return content["machine"], {name: Cost(**cost) for name, cost in content["rows"].items()}
-
-
-def reference_text(costs: Mapping[str, Cost]) -> str:
-    """Return the content of a reference file."""
-    return json.dumps({"machine": machine(), "rows": {name: asdict(cost) for name, cost in costs.items()}}, indent=1)
 
 
 def machine() -> str:
@@ -363,9 +353,10 @@ def differences(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> str:
     from p2o.geometry.pose_error import pose_error
 
     apart = [pose_error(np.array(ours[name]["pose"]), np.array(theirs[name]["pose"])) for name in theirs]
+    equal = sum(ours[name]["pose"] == theirs[name]["pose"] for name in theirs)
     changed = sum(ours[name]["verdict"] != theirs[name]["verdict"] for name in theirs)
     line = (
-        f"{len(apart)} poses, apart at most {max(e.rotation_deg for e in apart):.5f} deg and "
+        f"{equal} of {len(apart)} poses are equal, apart at most {max(e.rotation_deg for e in apart):.5f} deg and "
         f"{1000 * max(e.translation_m for e in apart):.3f} mm; {changed} with another status or verdict"
     )
     known = [name for name in theirs if theirs[name]["error"] is not None]
@@ -382,8 +373,6 @@ def main() -> None:
     rows = (*STEPS, *COMMANDS, *LONG)
     parser.add_argument("--rows", nargs="+", choices=rows, default=rows[: -len(LONG)], help="what is measured")
     parser.add_argument("--repeats", type=int, default=3, help="the median counts (default: 3)")
-    parser.add_argument("--keep", type=Path, metavar="FILE", help="store the measurement here")
-    parser.add_argument("--against", type=Path, metavar="FILE", help="show ratios to the measurement stored here")
     parser.add_argument("--against-commit", metavar="REV", help="measure this commit too, in turns")
     parser.add_argument(
         "--poses", action="append", metavar="DATASET:PATH[#FRAMES]", help="compare poses instead; +joint at the end"
@@ -410,16 +399,10 @@ def main() -> None:
                 print(f"{text}: {differences(ours, theirs)}", flush=True)
             return
         measurements = measured(trees, options.rows, options.repeats)
-    reference, name = (measurements[1], options.against_commit) if len(trees) > 1 else ({}, "")
-    if options.against is not None:
-        other, reference = read_reference(options.against.read_text())
-        name = options.against.stem
-        if other != machine():
-            print(f"the reference was made on another machine: {other}", file=sys.stderr)
-    print(f"{machine()}, load {os.getloadavg()[0]:.1f}\n\n{table(measurements[0], reference, name)}")
-    if options.keep is not None:
-        options.keep.parent.mkdir(parents=True, exist_ok=True)
-        options.keep.write_text(reference_text(measurements[0]))
+    reference = measurements[1] if len(trees) > 1 else {}
+    print(
+        f"{machine()}, load {os.getloadavg()[0]:.1f}\n\n{compared(measurements[0], reference, options.against_commit)}"
+    )
 
 
 if __name__ == "__main__":

@@ -6,9 +6,10 @@ import json
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from p2o.cache import FeatureCache
+if TYPE_CHECKING:  # bench.py measures the time of imports
+    from p2o.cache import FeatureCache
 
 _Key, _Item = TypeVar("_Key", bound=Hashable), TypeVar("_Item")
 START_DEG, START_M = 2.0, 0.15
