@@ -1,6 +1,6 @@
 """Count trusted results among inputs whose result is wrong, or may be, and refusals among unchanged ones.
 
-    python benchmarks/adversarial.py run --out rows.jsonl [--sources NAME ...] [--kinds KIND ...]
+    python benchmarks/adversarial.py run --out rows.jsonl
     python benchmarks/adversarial.py table rows.jsonl
 
 Frames of simulated and real rigs (`adversarial_cases.py`) are calibrated one at a time and four together from 2 deg and
@@ -21,7 +21,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from adversarial_cases import KINDS, NO_POSE, NOT_OBSERVABLE, SOURCES, Change, Source, changes_of
+from adversarial_cases import NO_POSE, NOT_OBSERVABLE, SOURCES, Change, Source, changes_of
 from common import (
     SPLITS,
     START_DEG,
@@ -138,12 +138,11 @@ class Bench:
         step = len(self.frames) // TOGETHER
         return alone + [[first + step * n for n in range(TOGETHER)] for first in range(step)]
 
-    def jobs(self, kinds: Sequence[str] | None) -> list[tuple[Row, Change, list[int]]]:
+    def jobs(self) -> list[tuple[Row, Change, list[int]]]:
         """Return the rows to measure, each with its change and the numbers of its frames."""
         return [
             (Row(self.source.name, kind, variant, tuple(self.frames[n].name for n in group), ""), change, group)
             for kind, variants in self.changes.items()
-            if not kinds or kind in kinds
             for variant, change in variants.items()
             for group in self.groups(kind)
         ]
@@ -170,15 +169,9 @@ class Bench:
 
 
 HEAD = (
-    "kind",
-    "n (sources)",
-    "trusted",
-    "false accepts",
-    "trusted, outside the 95 % bound",
-    "good, not trusted",
-    "median error of trusted",
-    "reasons of the others",
-)
+    "kind", "n (sources)", "trusted", "false accepts", "trusted, outside the 95 % bound", "good, not trusted",
+    "median error of trusted", "reasons of the others"
+)  # fmt: skip
 
 
 def tables(rows: Sequence[Row]) -> str:
@@ -225,8 +218,6 @@ def main() -> None:
     commands = parser.add_subparsers(dest="command", required=True)
     running = commands.add_parser("run", help="calibrate what has no row yet")
     running.add_argument("--out", type=Path, required=True, help="file of rows, JSON lines")
-    running.add_argument("--sources", nargs="+", choices=[source.name for source in SOURCES], metavar="NAME")
-    running.add_argument("--kinds", nargs="+", choices=KINDS, metavar="KIND")
     running.add_argument("--features", type=Path, help="folder of extracted features (deleting it is safe)")
     tabling = commands.add_parser("table", help="print the tables")
     tabling.add_argument("rows", type=Path)
@@ -234,12 +225,11 @@ def main() -> None:
     if options.command == "run":
         registry, done = Registry.load(), {row.key for row in read(options.out)}
         for source in SOURCES:
-            if not options.sources or source.name in options.sources:
-                bench = Bench(source, registry, options.features)
-                jobs = [job for job in bench.jobs(options.kinds) if job[0].key not in done]
-                for job in jobs:
-                    add_row(options.out, asdict(bench.measured(*job)))
-                print(f"{source.name}: {len(jobs)} results", file=sys.stderr, flush=True)
+            bench = Bench(source, registry, options.features)
+            jobs = [job for job in bench.jobs() if job[0].key not in done]
+            for job in jobs:
+                add_row(options.out, asdict(bench.measured(*job)))
+            print(f"{source.name}: {len(jobs)} results", file=sys.stderr, flush=True)
     print(tables(read(options.out if options.command == "run" else options.rows)))
 
 

@@ -176,12 +176,6 @@ CHANGES: Mapping[str, Mapping[str, Change]] = {
 """Changes by kind and variant that every source allows; `changes_of` gives all of a source."""
 
 
-KINDS = tuple(
-    dict.fromkeys([*(source.kind for source in SOURCES), *CHANGES, *NO_POSE, "unsynchronised", "duplicated frames"])
-)
-"""All kinds of inputs."""
-
-
 def changes_of(source: Source, following: Mapping[str, Frame]) -> dict[str, dict[str, Change]]:
     """Return the changes for a source by kind and variant; `following` are the frames after those taken, by name."""
     same: dict[str, Change] = {"": lambda frames, n: frames[n]}

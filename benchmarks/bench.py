@@ -20,7 +20,6 @@ import argparse
 import contextlib
 import json
 import os
-import platform
 import resource
 import shutil
 import subprocess
@@ -33,7 +32,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from common import table
+from common import STUDY, table
 
 ROOT = Path(__file__).resolve().parents[1]
 HOME = ROOT / "build" / "bench"
@@ -42,16 +41,6 @@ COMMANDS = ("help", "run", "out", "folder", "check", "simulate", "joint-24", "st
 LONG = ("joint-50", "joint-125", "joint-500", "show", "train")
 """Rows that are measured only if they are asked for."""
 FRAMES, DISTINCT, STUDY_FRAMES, STUDY_SEEDS = 24, 25, 4, 20
-STUDY = f"""name = "rows"
-title = "Rows"
-perturb = "1deg 0.05m"
-seeds = {STUDY_SEEDS}
-[[dataset]]
-name = "streets"
-data = "DATA"
-[[row]]
-label = "ours"
-"""
 START = "2deg 0.15m"
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENCV_FOR_THREADS_NUM": "1"}
 MAXRSS_PER_MIB = 1024 if sys.platform != "darwin" else 1 << 20
@@ -95,13 +84,9 @@ def _seconds(value: float) -> str:
 
 def machine() -> str:
     """Return a description of this machine: seconds of different machines do not compare."""
-    model = platform.processor() or platform.machine()
-    with contextlib.suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                model = line.partition(":")[2].strip()
-                break
-    return f"{model}, {os.cpu_count()} cores, {platform.system()}"
+    from p2o_study.machine import machine_info
+
+    return "{processor}, {cores} cores, {system}, load {load}".format(**machine_info())
 
 
 # --- steps: these run in a process of their own, with the packages of either commit --------------------------------
@@ -225,7 +210,6 @@ def step_poses(data: str) -> dict[str, Any]:
         "+".join(row.result.frames): {
             "pose": row.result.camera_from_lidar.tolist(),
             "verdict": [row.result.status.value, row.result.verdict.trust.value],
-            "error": None if row.error is None else [row.error.rotation_deg, row.error.translation_m],
         }
         for row in run.rows
     }
@@ -283,7 +267,8 @@ def command(name: str, data: str, out: str) -> tuple[str, list[str]]:
         return f"`p2o run --joint`, {number} frames", words
     if kind == "study":
         study = Path(out) / "rows.toml"
-        study.write_text(STUDY.replace("DATA", frames_on_disk(STUDY_FRAMES)))
+        text = STUDY.format(name="rows", seeds=STUDY_SEEDS, data=frames_on_disk(STUDY_FRAMES))
+        study.write_text(f'{text}[[row]]\nlabel = "ours"\n')
         label = f"`p2o ablate`, {STUDY_FRAMES * STUDY_SEEDS} rows, {number} workers"
         return label, ["ablate", str(study), "--out", out, "--quiet", "--jobs", number]
     training = ["train", "p2ornet", "--data", "synthetic:?scenes=2&width_px=621&height_px=188", "--out", out]
@@ -348,23 +333,17 @@ def measured(trees: Sequence[Path], names: Sequence[str], repeats: int) -> list[
 
 
 def differences(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> str:
-    """Return in a line the largest distances of poses of two commits, and the mean errors of both."""
+    """Return in a line how many poses of two commits are equal, and their largest distances."""
     import numpy as np
     from p2o.geometry.pose_error import pose_error
 
     apart = [pose_error(np.array(ours[name]["pose"]), np.array(theirs[name]["pose"])) for name in theirs]
     equal = sum(ours[name]["pose"] == theirs[name]["pose"] for name in theirs)
     changed = sum(ours[name]["verdict"] != theirs[name]["verdict"] for name in theirs)
-    line = (
+    return (
         f"{equal} of {len(apart)} poses are equal, apart at most {max(e.rotation_deg for e in apart):.5f} deg and "
         f"{1000 * max(e.translation_m for e in apart):.3f} mm; {changed} with another status or verdict"
     )
-    known = [name for name in theirs if theirs[name]["error"] is not None]
-    if known:
-        means = [np.mean([poses[name]["error"] for name in known], axis=0) for poses in (ours, theirs)]
-        now, then = (f"{deg:.4f} deg and {1000 * m:.2f} mm" for deg, m in means)
-        line += f"; mean error {now}, before {then}"
-    return line
 
 
 def main() -> None:

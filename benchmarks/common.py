@@ -20,6 +20,17 @@ WRONG_DEG, WRONG_M = 1.0, 0.3
 SPLITS = Path(__file__).with_name("splits.json")
 
 
+STUDY = """name = "{name}"
+title = "{name}"
+perturb = "1deg 0.05m"
+seeds = {seeds}
+[[dataset]]
+name = "streets"
+data = "{data}"
+"""
+"""A study file without its rows."""
+
+
 def is_good(rotation_deg: float, translation_m: float) -> bool:
     """Return whether the error of a pose is small."""
     return rotation_deg < GOOD_DEG and translation_m < GOOD_M
@@ -70,3 +81,12 @@ def cached(cache: FeatureCache | None, key: str, extract: Callable[[], Any]) -> 
         entry = cache.get(key)
     assert entry is not None
     return entry.features
+
+
+def write_webp(path: str, images: Sequence[Any], **options: Any) -> None:
+    """Write images (H, W, 3) as a figure, several as an animation; `options` are those of Pillow."""
+    from PIL import Image
+
+    first, *others = map(Image.fromarray, images)
+    more = {"save_all": True, "append_images": others} if others else {}
+    first.save(path, "webp", method=6, **more, **options)

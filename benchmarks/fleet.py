@@ -3,38 +3,30 @@
     python benchmarks/fleet.py real --out DIR              # 200 drives of real and simulated rigs, some with a slip
     python benchmarks/fleet.py detect                      # resampled fleets: slips, drifts, wrong types, false alarms
     python benchmarks/fleet.py store                       # queries over 1,000 vehicles and a year: seconds and memory
-    python benchmarks/fleet.py capacity                    # checks per minute of 1, 2, 4 workers, and of 1000 simulated
     python benchmarks/fleet.py bank --store DIR --out FILE # evidence of `real` as noise of a simulation
 
-Noise is resampled from measured evidence (`p2o_fleet/noise.json`). Each command prints a table; `kills.py` kills runs.
+Noise is resampled from measured evidence (`p2o_fleet/noise.json`). Each command prints tables; `kills.py` kills runs.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import resource
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
-from common import SPLITS, table
+from common import table
 from fleet_detection import detect
-from fleet_drives import consecutive, real, seconds_of_checks
+from fleet_drives import real
 from p2o_fleet.fleet_state import fleet_state
 from p2o_fleet.simulation import Fault, NoiseBank, Scenario, simulated_fleet, write_fleet
 from p2o_fleet.store import Store
 from p2o_study.parallel import Workers
-from scaling import simulated
 
 VEHICLES, DAYS, PER_DAY, JOBS = 1000, 365, 10, 2
-CHECKS, SCHEDULED_S = 40, 1e-3
-"""Checks of `capacity`, and the assumed time of a scheduler for each."""
 
 
 def store() -> Iterator[str]:
@@ -79,42 +71,6 @@ def _core_seconds() -> float:
     return sum(usage.ru_utime + usage.ru_stime for usage in usages)
 
 
-def capacity(root: Path) -> Iterator[str]:
-    """Yield the throughput of `p2o fleet run` with several numbers of local workers, and that of a simulated cluster.
-
-    A check reads 12 frames of KITTI, pieces of drive 0005, and uses eight. The wall time contains the start of the
-    command and its workers. The link to the logs is not simulated.
-    """
-    parts = [part[:12] for part in consecutive(json.loads(SPLITS.read_text())["drive_0005_later"], 12)]
-    lines, durations = [], np.zeros(0)
-    with tempfile.TemporaryDirectory() as folder:
-        drives = Path(folder) / "drives.csv"
-        with drives.open("w", encoding="utf-8", newline="") as file:
-            rows = csv.writer(file)
-            rows.writerow(["vehicle", "camera", "lidar", "data", "extrinsic", "time", "frames"])
-            for number in range(CHECKS):
-                data, frames = f"kitti-raw:{root / 'kitti_raw'}", ",".join(parts[number % len(parts)])
-                rows.writerow([f"v{number}", "front", "top", data, "truth", number, frames])
-        for count in (1, 2, 4):
-            words = ["fleet", "run", str(drives), "--store", f"{folder}/{count}", "--json", "--jobs", str(count)]
-            began = time.monotonic()
-            done = subprocess.run([sys.executable, "-m", "p2o", *words], capture_output=True, text=True, check=True)
-            wall, counts = time.monotonic() - began, json.loads(done.stdout)
-            if count == 1:
-                durations = seconds_of_checks(Store(Path(f"{folder}/{count}")))
-            rate, work = 60 * counts["checked"] / wall, counts["seconds"] / counts["checked"]
-            cells = (f"{wall:.0f}", f"{rate:.1f}", f"{rate / count:.1f}", f"{work:.2f}")
-            lines.append((count, counts["checked"], *cells))
-    yield table(("workers", "checks", "wall, s", "checks per minute", "per worker", "s of work per check"), lines)
-    figures = [f"{value:.1f}" for value in np.quantile(durations, [0.5, 0.95, 1.0])]
-    hours = f"{10_000 * durations.mean() / 3600:.1f}"
-    head = ("s of a check: median", "95 %", "longest", "core hours for 1,000 vehicles, ten checks each")
-    yield table(head, [(*figures, hours)])
-    outcomes = {count: simulated(10_000, count, durations.tolist(), SCHEDULED_S) for count in (1, 10, 100, 1000)}
-    clusters = [(n, f"{60 * o.rows_a_minute:,.0f}", f"{o.workers_busy:.0%}") for n, o in outcomes.items()]
-    yield table(("workers, simulated", "checks per hour", "busy with work"), clusters)
-
-
 def bank(source: Path, out: Path) -> Iterator[str]:
     """Write the usable evidence of the vehicles without a slip in the store of `real` as the noise of a simulation."""
     own, rigs = Store.existing(source), ("kitti", "sim-hdl-64e")
@@ -130,13 +86,10 @@ def main() -> None:
     """Print the tables of a command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
-    detecting = commands.add_parser("detect")
-    detecting.add_argument("--vehicles", type=int, default=1000)
-    detecting.add_argument("--checks", type=int, default=125)
-    detecting.add_argument("--fleets", type=int, default=100, help="number of fleets with a wrong nominal extrinsic")
+    commands.add_parser("detect")
     commands.add_parser("store")
-    for command in (drives := commands.add_parser("real"), commands.add_parser("capacity")):
-        command.add_argument("--root", type=Path, default=Path("build/data"), help="folder of the real frames")
+    drives = commands.add_parser("real")
+    drives.add_argument("--root", type=Path, default=Path("build/data"), help="folder of the real frames")
     drives.add_argument("--out", type=Path, required=True, help="folder of the table, the store and the report")
     writing = commands.add_parser("bank")
     writing.add_argument("--store", type=Path, required=True, help="store of `real`")
@@ -144,9 +97,8 @@ def main() -> None:
     options = parser.parse_args()
     tables = {
         "real": lambda: real(options.root, options.out),
-        "detect": lambda: detect(options.vehicles, options.checks, options.fleets),
+        "detect": detect,
         "store": store,
-        "capacity": lambda: capacity(options.root),
         "bank": lambda: bank(options.store, options.out),
     }[options.command]()
     print("\n\n".join(tables))

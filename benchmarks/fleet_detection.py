@@ -26,7 +26,7 @@ _LONG = 8
 """The fleets without a fault and with drifts have the number of checks times this factor."""
 
 
-def detect(vehicles: int, checks: int, fleets: int) -> Iterator[str]:
+def detect(vehicles: int = 1000, checks: int = 125, fleets: int = 100) -> Iterator[str]:
     """Yield tables of the noise, of faults and false alarms of single vehicles, and of errors of a type."""
     bank, lines = NoiseBank.shipped(), []
     for rig in RIGS:

@@ -19,7 +19,6 @@ from pathlib import Path
 
 import numpy as np
 from common import SPLITS, size, table
-from p2o.arrays import Float
 from p2o.confidence.audit import AXES
 from p2o.confidence.explanation import corrected
 from p2o.errors import InputError
@@ -70,9 +69,9 @@ class Vehicle:
             yield self.name, self.type, self.camera, "top", data, "truth", time, piece.frames
 
 
-def consecutive(names: Sequence[str], least: int = FRAMES) -> list[list[str]]:
-    """Split frames into consecutive pieces of `least` or more."""
-    return [part.tolist() for part in np.array_split(np.array(names), max(1, len(names) // least))]
+def consecutive(names: Sequence[str]) -> list[list[str]]:
+    """Split frames into consecutive pieces of `FRAMES` or more."""
+    return [part.tolist() for part in np.array_split(np.array(names), max(1, len(names) // FRAMES))]
 
 
 def spread_out(names: Sequence[str]) -> list[list[str]]:
@@ -137,6 +136,8 @@ def real(root: Path, out: Path) -> Iterator[str]:
 
     Everything is written to `out`; what is stored there from an earlier call is kept.
     """
+    import pyarrow.dataset
+
     for name, seed in _SIMULATED.items():
         if not (out / "simulated" / name).exists():
             settings = ["right=false", f"scenes={_SCENES}", "lidar=hdl-64e", "width_px=800", "height_px=300"]
@@ -161,7 +162,8 @@ def real(root: Path, out: Path) -> Iterator[str]:
         if kind.errors
     ]
     yield table(("mean error of", "vehicles", *(name for name, _ in AXES)), means)
-    seconds = seconds_of_checks(Store(out / "store"))
+    stored = pyarrow.dataset.dataset(Store(out / "store").checks_folder, format="parquet")
+    seconds = np.array(stored.to_table(columns=["seconds"])["seconds"].to_pylist())
     figures = [f"{value:.0f}" for value in (seconds.sum(), *np.quantile(seconds, [0.5, 0.95, 1.0]))]
     yield table(("checks", "s in total", "median", "95 %", "longest"), [(len(seconds), *figures)])
 
@@ -188,14 +190,6 @@ def _overview(fleet: Sequence[Vehicle], state: FleetState) -> str:
                 lines.append((kind, "yes" if slip else "no", len(states), drives, frames, drives - usable, *counts))
     head = ("type", "slip", "extrinsics", "drives", "frames", "no estimate", "holds", "slipped", "wrong", "cannot tell")
     return table(head, lines)
-
-
-def seconds_of_checks(store: Store) -> Float:
-    """Return the durations (N,) of the checks of all runs on a store."""
-    import pyarrow.dataset
-
-    data = pyarrow.dataset.dataset(store.checks_folder, format="parquet")
-    return np.array(data.to_table(columns=["seconds"])["seconds"].to_pylist())
 
 
 def _slips(fleet: Sequence[Vehicle], state: FleetState) -> str:

@@ -1,6 +1,6 @@
 """Measure whether wrong intrinsics are detected: false accepts, false alarms, and whether the error is named.
 
-    python benchmarks/intrinsics.py [--rigs street:hdl-64e ...] [--seeds 1 2]
+    python benchmarks/intrinsics.py [--seeds 1 2]
     python benchmarks/intrinsics.py --data kitti-raw:PATH ... [--seeds 1 2]
 
 Every rig is a simulated drive with exact ground truth (ten scenes of the place with the LiDAR), calibrated jointly from
@@ -51,17 +51,9 @@ REAL_CASES = ("correct", "focal length 3 %", "principal point x 10 px")
 LEAST_FRAMES, FRAMES = 5, 10
 INITIAL = parse_perturbation("1deg 0.1m")
 HEAD = (
-    "error of the intrinsics",
-    "n",
-    "trusted",
-    "trusted, over 1 deg or 30 cm",
-    "trusted, outside the 95 % bound",
-    "camera in doubt",
-    "parameter named",
-    "all within 1.96 sigma",
-    "median error",
-    "with `camera=refine`",
-)
+    "error of the intrinsics", "n", "trusted", "trusted, over 1 deg or 30 cm", "trusted, outside the 95 % bound",
+    "camera in doubt", "parameter named", "all within 1.96 sigma", "median error", "with `camera=refine`"
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,14 +147,13 @@ def tables(rows: Sequence[Row]) -> str:
 def main() -> None:
     """Calibrate all rigs and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rigs", nargs="+", default=list(RIGS), metavar="PLACE:LIDAR")
     parser.add_argument("--data", nargs="+", metavar="DATASET:PATH", help="real drives instead of the rigs")
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2])
     options = parser.parse_args()
     registry, rows = Registry.load(), list[Row]()
     pipeline = Recipe.of(data=None, joint=True).resolve(registry).calibrator()
     assert isinstance(pipeline, Pipeline)
-    for rig in options.data or options.rigs:
+    for rig in options.data or RIGS:
         for seed in options.seeds:
             groups = real(rig, registry) if options.data else [simulated(rig, seed, registry)]
             for frames in groups:

@@ -31,9 +31,10 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
+from common import STUDY
 from p2o_fleet.drive import drives_of
 from p2o_fleet.evidence import Verdict
 from p2o_fleet.run import run_fleet
@@ -42,10 +43,13 @@ from p2o_fleet.worker import CheckSettings
 from p2o_study.parallel import Workers
 from p2o_study.worker import Plugins
 
-_SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 _LEAVE_S = 30.0
 """Time that processes may need to end on a busy machine; workers look for their parent every half second."""
 _STUCK_S = 300.0
+
+
+Process = Any
+"""A process that leads a group of its own: with `pid`, `poll` and `wait` as of `subprocess.Popen`."""
 
 
 @dataclass
@@ -67,33 +71,20 @@ class Tally:
         return "\n".join([head, *(f"  {line}" for line in self.broken)])
 
 
-class Process(Protocol):
-    """A process that leads a group of its own."""
+class Subject:
+    """What is killed: `count` rows or checks, the first after `start_s`, each in `row_s`, compared with `expected`."""
 
-    pid: int
+    SIGNALS: ClassVar[tuple[signal.Signals, ...]] = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
+    expected: Mapping[str, object] | None = None
+    start_s, row_s = 0.0, 0.12
+    is_command, count = False, 0
 
-    def poll(self) -> int | None: ...
-    def wait(self, timeout: float | None = None) -> int: ...
-
-
-class Subject(Protocol):
-    """What is killed: `count` rows or checks; None for `expected` if their content is not compared.
-
-    `start_s` is the time until the first one, `row_s` that of each; `handles_signals` states that it is a command.
-    """
-
-    count: int
-    expected: Mapping[str, object] | None
-    start_s: float
-    row_s: float
-    handles_signals: bool
-
-    def start(self, folder: Path, number: int) -> list[Process]: ...
-    def finished(self, folder: Path) -> Mapping[str, object]: ...
-    def faults(self, folder: Path) -> list[str]: ...
+    def victims(self, processes: list[Process], rng: random.Random) -> dict[str, Process]:
+        """Return the processes to kill by name."""
+        return {f"run {n}": process for n, process in enumerate(processes) if process.poll() is None}
 
 
-def campaign(subject: Subject, kills: int, seed: int, home: Path) -> Tally:
+def campaign(subject: StudyOfStreets | Fleet, kills: int, seed: int, home: Path) -> Tally:
     """Kill a subject at random moments until `kills` kills, in folders of `home`."""
     rng, tally = random.Random(seed), Tally(count=subject.count)
     while tally.kills.total() < kills:
@@ -105,9 +96,9 @@ def campaign(subject: Subject, kills: int, seed: int, home: Path) -> Tally:
     return tally
 
 
-def disturbed(subject: Subject, folder: Path, rng: random.Random, tally: Tally, kills: int) -> bool:
+def disturbed(subject: StudyOfStreets | Fleet, folder: Path, rng: random.Random, tally: Tally, kills: int) -> bool:
     """Start the subject, kill it, and check the conditions; return whether it is incomplete."""
-    before, number, group = subject.finished(folder), rng.choice(_SIGNALS), rng.random() < 0.5
+    before, number, group = subject.finished(folder), rng.choice(subject.SIGNALS), rng.random() < 0.5
     processes = subject.start(folder, tally.folders)
     if tally.kills.total() >= kills:
         for process in processes:
@@ -118,28 +109,30 @@ def disturbed(subject: Subject, folder: Path, rng: random.Random, tally: Tally, 
         _until(_STUCK_S, lambda: _ended(processes) or len(subject.finished(folder)) > len(before))
         _until(rng.uniform(0.0, 4 * subject.row_s), lambda: _ended(processes))
     where = f"{folder.name}, kill {tally.kills.total() + 1} ({number.name} to {'all' if group else 'one'})"
-    running, known = [process for process in processes if process.poll() is None], subject.finished(folder)
-    for process in processes:
+    known, victims = subject.finished(folder), subject.victims(processes, rng)
+    for name, process in victims.items():
         # Shells also report 130 for SIGINT: Python ends with it if it is interrupted while it compiles a text.
-        expected = {0, 130, -signal.SIGINT} if process in running else {0}
-        if process in running:
-            if number is signal.SIGKILL or not _handles_signals(process.pid):
-                expected.add(-number)
-            kill(process, number, group=group)
-            tally.kills[f"by {number.name}"] += 1
-            tally.among_rows += 0 < len(known) < subject.count
-        if subject.handles_signals and process.wait() not in expected:
+        expected = {0, 130, -signal.SIGINT}
+        if number is signal.SIGKILL or not _handles_signals(process.pid):
+            expected.add(-number)
+        kill(process, number, group=group)
+        tally.kills[f"{name.split()[0]} by {number.name}"] += 1
+        tally.among_rows += 0 < len(known) < subject.count
+        if subject.is_command and process.wait() not in expected:
             tally.broken.append(f"{where}: exit status {process.wait()}")
+    for process in (process for process in processes if process.poll() is not None):
+        if subject.is_command and process not in victims.values() and process.poll():
+            tally.broken.append(f"{where}: ended without a kill with status {process.poll()}")
         if left := _left(process.pid):
             tally.broken.append(f"{where}: {len(left)} processes are left")
             os.killpg(process.pid, signal.SIGKILL)
     now = subject.finished(folder)
-    lost = [key for key in known if key not in now]
+    lost = [key for key in before.keys() | known.keys() if key not in now]
     changed = [key for key in now if subject.expected is not None and now[key] != subject.expected.get(key)]
     for keys, problem in ((lost, "lost"), (changed, "changed")):
         if keys:
             tally.broken.append(f"{where}: {len(keys)} rows {problem}, such as {keys[0]}")
-    return len(now) < subject.count and bool(running)
+    return len(now) < subject.count and bool(victims)
 
 
 def kill(process: Process, number: signal.Signals = signal.SIGKILL, *, group: bool = True) -> None:
@@ -192,18 +185,10 @@ def _alive(session: int) -> list[str]:
 # --- studies -------------------------------------------------------------------------------------------------------
 
 
-class StudyOfStreets:
+class StudyOfStreets(Subject):
     """A small study of synthetic streets, with the rows of an undisturbed run in `home`."""
 
-    TOML: ClassVar[str] = """name = "kills"
-title = "A study that is killed"
-perturb = "1deg 0.05m"
-seeds = {seeds}
-[[dataset]]
-name = "streets"
-data = "synthetic:"
-options = {{ scenes = {scenes}, width_px = 320, height_px = 96, lidar = "vlp-16", right = false }}
-[defaults]
+    ROWS: ClassVar[str] = """[defaults]
 extractor = "depth/rings"
 init = "given"
 solver = "lm"
@@ -216,11 +201,12 @@ joint = 2
 """
     RUN_TIME: ClassVar[frozenset[str]] = frozenset({"seconds", "finished", "machine"})
     """Columns that differ between runs."""
-    handles_signals = True
+    is_command = True
 
     def __init__(self, home: Path, scenes: int = 3, seeds: int = 4) -> None:
         self.file, folder = home / "kills.toml", home / "undisturbed"
-        self.file.write_text(self.TOML.format(scenes=scenes, seeds=seeds), encoding="utf-8")
+        data = f"synthetic:?scenes={scenes}&width_px=320&height_px=96&lidar=vlp-16&right=false"
+        self.file.write_text(STUDY.format(name="kills", seeds=seeds, data=data) + self.ROWS, encoding="utf-8")
         began = time.monotonic()
         [process] = self.start(folder, 0)
         while process.poll() is None and not self.finished(folder):
@@ -338,10 +324,8 @@ def write_drives(folder: Path, count: int) -> Path:
     return table
 
 
-class Fleet:
-    """A fleet of five vehicles with small drives in `home`."""
-
-    expected, start_s, row_s, handles_signals = None, 0.0, 0.12, False
+class Fleet(Subject):
+    """A fleet of five vehicles with `count` small drives in `home`."""
 
     def __init__(self, home: Path, count: int = 40) -> None:
         self.count, self.table = count, write_drives(home, count)
@@ -375,35 +359,51 @@ class Fleet:
         return [fault for fault, exists in faults.items() if exists]
 
 
-class Cluster:
-    """A dask scheduler and two workers."""
+class FleetOnCluster(Fleet):
+    """A fleet that is checked on a dask cluster: a scheduler and two workers are killed, and the run."""
 
-    def __init__(self) -> None:
+    SIGNALS: ClassVar = (signal.SIGKILL,)
+
+    def __init__(self, home: Path, count: int = 40) -> None:
+        super().__init__(home, count)
         self.address, self.processes = "", dict[str, Fork]()
 
-    def complete(self) -> None:
+    def start(self, folder: Path, number: int) -> list[Process]:
         """Start the missing processes; without a scheduler all of them."""
-        if "scheduler" not in self.processes:
-            self.close()
+        running = {name: process for name, process in self.processes.items() if process.poll() is None}
+        if "scheduler" not in running:
+            for process in running.values():
+                kill(process)
             with socket.socket() as free:
                 free.bind(("127.0.0.1", 0))
                 port = free.getsockname()[1]
             self.address = f"tcp://127.0.0.1:{port}"
             words = ["--host", "127.0.0.1", "--port", str(port), "--no-dashboard"]
-            self.processes["scheduler"] = Fork.start(_dask, "scheduler", words)
+            running = {"scheduler": Fork.start(_dask, "scheduler", words)}
         for name in ("worker 1", "worker 2"):
-            if name not in self.processes:
+            if name not in running:
                 words = [self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
-                self.processes[name] = Fork.start(_dask, "worker", words)
+                running[name] = Fork.start(_dask, "worker", words)
+        if "run" not in running:
+            running["run"] = self.run(folder, Workers(1, "dask", self.address))
+        self.processes = running
+        return [running["run"]]
 
-    def kill(self, name: str) -> None:
-        """Kill a process."""
-        kill(self.processes.pop(name))
+    def victims(self, processes: list[Process], rng: random.Random) -> dict[str, Process]:
+        """Return one process; a run whose scheduler is killed ends with an error, or is killed by the next start."""
+        name = rng.choice(("worker 1", "worker 2", "scheduler", "run"))
+        return {} if _ended(processes) else {name: self.processes[name]}
+
+    def faults(self, folder: Path) -> list[str]:
+        """Return what is wrong with a folder after a last run that is not disturbed."""
+        self.close()
+        return super().faults(folder)
 
     def close(self) -> None:
         """Kill all processes."""
-        for name in list(self.processes):
-            self.kill(name)
+        for process in self.processes.values():
+            kill(process)
+        self.processes = {}
 
 
 def _dask(kind: str, words: list[str]) -> None:
@@ -413,59 +413,18 @@ def _dask(kind: str, words: list[str]) -> None:
     {"scheduler": dask_scheduler, "worker": dask_worker}[kind].main(words, standalone_mode=False)
 
 
-def campaign_of_cluster(fleet: Fleet, kills: int, seed: int, home: Path) -> Tally:
-    """Kill scheduler, workers and runs by SIGKILL at random moments until `kills` kills.
-
-    A run whose scheduler was killed ends with an error; after 20 s it is also killed.
-    """
-    rng, tally = random.Random(seed), Tally(count=fleet.count)
-    with contextlib.closing(Cluster()) as cluster:
-        while tally.kills.total() < kills:
-            tally.folders += 1
-            folder, known, run = home / f"run-{tally.folders}", dict[str, object](), None
-            while tally.kills.total() < kills and len(known) < fleet.count:
-                cluster.complete()
-                if run is None or run.poll() is not None:
-                    run = fleet.run(folder, Workers(1, "dask", cluster.address))
-                processes, least = [run], len(known) + rng.randrange(3)
-                _until(_STUCK_S, lambda: _ended(processes) or len(fleet.finished(folder)) > least)  # noqa: B023
-                time.sleep(rng.random() * 0.5)
-                if run.poll() is None:
-                    victim = rng.choice(("worker", "scheduler", "run"))
-                    tally.kills[victim] += 1
-                    tally.among_rows += 1
-                    if victim == "run":
-                        kill(run)
-                    else:
-                        cluster.kill(rng.choice(("worker 1", "worker 2")) if victim == "worker" else victim)
-                    if victim == "scheduler":
-                        run.process.join(20)
-                        tally.kills["run"] += run.poll() is None
-                        kill(run)
-                now = fleet.finished(folder)
-                tally.broken += [f"{folder.name}: check {key} is lost" for key in known if key not in now]
-                known = now
-            if run is not None:
-                kill(run)
-            tally.broken += [f"{folder.name}: {fault}" for fault in fleet.faults(folder)]
-            print(f"{tally.kills.total()} kills, {len(tally.broken)} conditions violated", file=sys.stderr, flush=True)
-    return tally
+SUBJECTS = {"study": StudyOfStreets, "fleet": Fleet, "cluster": FleetOnCluster}
 
 
 def main() -> int:
     """Kill, and print the outcome."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("subject", choices=("study", "fleet", "cluster"))
+    parser.add_argument("subject", choices=SUBJECTS)
     parser.add_argument("--kills", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    with tempfile.TemporaryDirectory() as name:
-        home = Path(name)
-        if options.subject == "cluster":
-            tally = campaign_of_cluster(Fleet(home), options.kills, options.seed, home)
-        else:
-            subject = StudyOfStreets(home) if options.subject == "study" else Fleet(home)
-            tally = campaign(subject, options.kills, options.seed, home)
+    with tempfile.TemporaryDirectory() as home:
+        tally = campaign(SUBJECTS[options.subject](Path(home)), options.kills, options.seed, Path(home))
     print(tally)
     return 1 if tally.broken else 0
 

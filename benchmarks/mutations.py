@@ -1,6 +1,6 @@
 """The share of deliberate faults that `make test` catches.
 
-    python benchmarks/mutations.py --out build/mutations.json
+    python benchmarks/mutations.py --out build/mutations.jsonl
     python benchmarks/mutations.py --check                    # only whether every fault can be injected
 
 Each fault of `faults.toml` replaces one text in a copy of the tree: a flipped sign, swapped axes, a dropped guard,
@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import argparse
 import ast
-import json
 import os
 import re
 import shutil
@@ -32,19 +31,11 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
+from common import add_row, table
+
 _SOURCES = ("toolkit", "plugins", "baselines")
 _MOST_IMPORTERS, _FEW = 8, 3
 """Most test files of stage 1 beside those named after the module; below `_FEW` in all, files of its room fill up."""
-_SLOW = frozenset(
-    {
-        "ablate", "basin", "conformance", "distribution", "docs_site", "example_plugin", "example_workflow",
-        "fuzz", "gate", "in_browser", "kills", "notebook", "pages", "pick_page", "plugin_command",
-        "real_accuracy", "real_motion", "report_page", "rivals", "ros_bag_page", "run_page", "simulate_command",
-        "staged_families", "synthetic", "table1", "train_command", "trouble", "tutorials", "view_page",
-        "whole_families",
-    }
-)  # fmt: skip
-"""Test files that take minutes, or are no part of `make test`: in stage 1 only if named after the module."""
 _LIMITS_S = (1800.0, 4 * 3600.0)
 """Time limits of the two stages: a fault that makes the tests hang is caught."""
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (tests/\S+?\.py(?:::.+?)?)(?: - .*)?$", re.MULTILINE)
@@ -117,11 +108,7 @@ def nearest_tests(tree: Path, path: str) -> list[str]:
     stem = module.rpartition(".")[2]
     files = test_files(tree)
     named = [file for name in (f"test_{stem}", f"test_{stem}_command") for file in files if Path(file).stem == name]
-    counts = {
-        file: imported((tree / file).read_text(encoding="utf-8"))[module]
-        for file in files
-        if file not in named and Path(file).stem.removeprefix("test_") not in _SLOW
-    }
+    counts = {file: imported((tree / file).read_text(encoding="utf-8"))[module] for file in files if file not in named}
     importers = sorted((file for file, count in counts.items() if count), key=lambda file: (-counts[file], file))
     near = named + importers[:_MOST_IMPORTERS]
     folders = set(Path(path).parent.parts[-1:])
@@ -183,12 +170,6 @@ class Tree:
         if done.returncode in (1, 2) or (done.returncode < 0 or done.returncode > 5):
             return "failed", failures
         return f"pytest: exit status {done.returncode}: {(done.stderr or done.stdout).strip()[-300:]}", []
-
-    def origin(self) -> str:
-        """Return where the interpreter of the tests finds the package p2o."""
-        command = [sys.executable, "-c", "import p2o; print(p2o.__file__)"]
-        environ = environment(self.root, self.folder)
-        return subprocess.run(command, cwd=self.root, env=environ, capture_output=True, text=True).stdout.strip()
 
 
 class Sound:
@@ -254,14 +235,14 @@ def _judged(tree: Tree, sound: Sound, files: Sequence[str], limit_s: float) -> t
         without += also
 
 
-def table(outcomes: Sequence[Outcome]) -> str:
+def report(outcomes: Sequence[Outcome]) -> str:
     """Return the outcomes as a table, and the share of caught faults."""
-    lines = [f"{'fault':<24} {'kind':<20} {'outcome':<9} {'stage':>5} {'s':>7}  test"]
-    lines += [f"{o.name:<24} {o.kind:<20} {o.outcome:<9} {o.stage:>5} {o.seconds:>7.1f}  {o.test}" for o in outcomes]
+    lines = [(o.name, o.kind, o.outcome, o.stage, f"{o.seconds:.1f}", o.test) for o in outcomes]
     counts = Counter(o.outcome for o in outcomes)
     share = 100 * counts["caught"] / max(1, len(outcomes) - counts["void"])
     summary = f"{counts['caught']} of {len(outcomes)} faults are caught, {counts['survived']} survive"
-    return "\n".join([*lines, f"{summary}, {counts['void']} are void: {share:.1f} %"])
+    head = ("fault", "kind", "outcome", "stage", "s", "test")
+    return f"{table(head, lines)}\n\n{summary}, {counts['void']} are void: {share:.1f} %"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -272,7 +253,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=1, help="Number of copies of the tree that work at a time.")
     parser.add_argument("--stage", type=int, choices=(1, 2), default=2, help="The last stage to run.")
     parser.add_argument("--check", action="store_true", help="Only check that every text is there once.")
-    parser.add_argument("--out", type=Path, metavar="FILE.json", help="Where to write the outcomes.")
+    parser.add_argument("--out", type=Path, metavar="FILE.jsonl", help="Append the outcomes to this file.")
     options = parser.parse_args(argv)
     tree = options.tree.resolve()
     unknown = set(options.only or ()) - {mutation.name for mutation in MUTATIONS}
@@ -287,9 +268,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2 if reasons else 0
     with tempfile.TemporaryDirectory(prefix="p2o-mutations-") as folder:
         copies = [Tree(tree, Path(folder) / str(number)) for number in range(options.jobs + 1)]
-        if not Path(copies[0].origin()).is_relative_to(copies[0].root):
-            print(f"{sys.executable} takes p2o from {copies[0].origin()}, not from the copy", file=sys.stderr)
-            return 2
         sound, outcomes = Sound(copies.pop()), list[Outcome]()
 
         def one(mutation: Mutation) -> None:
@@ -301,20 +279,12 @@ def main(argv: Sequence[str] | None = None) -> int:
             print(f"{outcome.name}: {outcome.outcome}, {outcome.seconds:.0f} s  {outcome.test}", flush=True)
             outcomes.append(outcome)
             if options.out is not None:
-                _write(options.out, tree, options.stage, outcomes)
+                add_row(options.out, asdict(outcome))
 
         with ThreadPoolExecutor(options.jobs) as pool:
             list(pool.map(one, chosen))
-    print(table(outcomes))
+    print(report(outcomes))
     return 0
-
-
-def _write(path: Path, tree: Path, stage: int, outcomes: Sequence[Outcome]) -> None:
-    commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=tree, capture_output=True, text=True).stdout.strip()
-    counts = Counter(outcome.outcome for outcome in outcomes)
-    content = {"commit": commit, "last_stage": stage, **counts, "faults": [asdict(outcome) for outcome in outcomes]}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Joint calibrations to which frames of one view are added: how far the pose moves, and whether a wrong one is trusted.
 
-    python benchmarks/repeated_views.py --root build/data --kept build/repeated-views
+    python benchmarks/repeated_views.py
 
 Distinct frames of a drive are calibrated jointly, and again with many frames of one view added, as of a vehicle that
 waits: copies of one real frame (KITTI raw, drive 0005 later, every 1st, 2nd and 4th ring), or frames of a simulated rig
@@ -9,7 +9,6 @@ at rest, with noise of their own. The pose should move by less than its predicte
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,6 +21,7 @@ from p2o.results.result import Result
 from rigs import Rig, Sample, rig_of
 
 COPIES = 25
+FEATURES = Path("build/repeated-views")
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,26 +51,24 @@ class Outcome:
         return f"{self.error.rotation_deg:11.3f}{100 * self.error.translation_m:6.1f}{trusted:>6}"
 
 
-def cases(root: str, features: Path, only: str) -> Iterator[Case]:
-    """Yield the cases of groups whose names contain `only`."""
+def cases() -> Iterator[Case]:
+    """Yield the cases."""
     for name in ("drive-hdl64", "drive-32-rings", "drive-16-rings"):
         for weights in ("kitti", "synthetic"):
-            if only in f"{name} {weights}":
-                rig = replace(rig_of(name).under(root), weights=weights)
-                frames = rig.samples(features, most=14)
-                for at in (2, 7, 12):
-                    yield Case(f"{name} {weights} frame {at}", rig, frames, [frames[at]] * COPIES)
+            rig = replace(rig_of(name), weights=weights)
+            frames = rig.samples(FEATURES, most=14)
+            for at in (2, 7, 12):
+                yield Case(f"{name} {weights} frame {at}", rig, frames, [frames[at]] * COPIES)
     for lidar in ("vlp-16", "hdl-32e", "hdl-64e"):
         for place in ("street", "traffic"):
             data = f"synthetic:?right=false&lidar={lidar}&place={place}&width_px=800&height_px=300"
             for weights in ("kitti", "synthetic"):
-                if only in f"{lidar} {place} {weights}":
-                    moving = Rig("moving", f"{data}&scenes=10&seed=11", weights=weights)
-                    frames = moving.samples(features)
-                    for seed in (1, 2, 3):
-                        still = f"{data}&scenes=1&frames_per_scene=12&period_s=1&speed_m_s=0&seed={seed}"
-                        stop = replace(moving, data=still).samples(features)
-                        yield Case(f"{lidar} {place} {weights} stop {seed}", moving, frames, stop)
+                moving = Rig("moving", f"{data}&scenes=10&seed=11", weights=weights)
+                frames = moving.samples(FEATURES)
+                for seed in (1, 2, 3):
+                    still = f"{data}&scenes=1&frames_per_scene=12&period_s=1&speed_m_s=0&seed={seed}"
+                    stop = replace(moving, data=still).samples(FEATURES)
+                    yield Case(f"{lidar} {place} {weights} stop {seed}", moving, frames, stop)
 
 
 def solved(rig: Rig, frames: Sequence[Sample]) -> Outcome:
@@ -84,16 +82,11 @@ def solved(rig: Rig, frames: Sequence[Sample]) -> Outcome:
 
 def main() -> None:
     """Print one line for each case, and the counts."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--root", default="build/data", help="folder of the real frames")
-    parser.add_argument("--kept", type=Path, default=Path("build/repeated-views"), help="folder of extracted features")
-    parser.add_argument("--only", default="", help="only groups whose names contain this: 16-rings kitti")
-    options = parser.parse_args()
     print(f"{'case':38}{'alone: deg':>11}{'cm':>6}{'trust':>6}{'added: deg':>11}{'cm':>6}{'trust':>6}", end="")
     print(f"{'moved: deg':>11}{'cm':>6}{'95 %: deg':>10}{'cm':>6}")
     before: dict[tuple[str, str], Outcome] = {}
     within, false, count = 0, 0, 0
-    for case in cases(options.root, options.kept, options.only):
+    for case in cases():
         key = (case.rig.data, case.rig.weights)
         if key not in before:
             before[key] = solved(case.rig, case.distinct)

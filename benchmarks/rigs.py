@@ -17,6 +17,9 @@ from p2o.host.registry import Registry
 from p2o.run.recipe import Plan, Recipe
 from p2o_study.keys import features_key
 
+KITTI_RAW = "kitti-raw:build/data/kitti_raw"
+DDAD = {"cloud": {"origin_m": [1.65, 0, 1.35]}}
+
 
 @dataclass(frozen=True)
 class Rig:
@@ -48,10 +51,6 @@ class Rig:
         """What to run on it."""
         options = {**self.options, "extractor": {"weights": self.weights}}
         return Recipe.of(data=self.data, extractor=self.extractor, options=options).resolve(Registry.load())
-
-    def under(self, root: str) -> Rig:
-        """Return the rig with its real frames in another folder than build/data."""
-        return replace(self, data=self.data.replace("build/data", root))
 
     def groups(self, names: Sequence[str]) -> list[list[int]]:
         """Return the numbers of frames that may be solved together."""
@@ -98,7 +97,7 @@ def _folder(name: str, **rest: object) -> Rig:
 
 
 def _drive(name: str, words: str) -> Rig:
-    data = f"kitti-raw:build/data/kitti_raw?{words}".rstrip("?")
+    data = f"{KITTI_RAW}?{words}".rstrip("?")
     return Rig(f"drive-{name}", data, "@{splits}#drive_0005_later", truth_deg=0.1, truth_m=0.01)
 
 
@@ -132,25 +131,11 @@ RIGS: Sequence[Rig] = (
     _folder("hitsz", truth_deg=0.1, truth_m=0.05, seeds=2, one_place=True),
     _folder("hitsz_sim", truth_deg=0.2, truth_m=0.011, one_place=True),
     _folder("boards_sim", one_place=True),
-    Rig(
-        "ddad",
-        "folder:build/data/rigs/ddad",
-        extractor="p2ornet/range-view",
-        options={"cloud": {"origin_m": [1.65, 0, 1.35]}},
-        truth_deg=0.15,
-        truth_m=0.05,
-        one_place=True,
-        camera_at=-1,
+    _folder(
+        "ddad", extractor="p2ornet/range-view", options=DDAD, truth_deg=0.15, truth_m=0.05, one_place=True, camera_at=-1
     ),
     Rig("kitti-odometry", "kitti-odometry:build/data/kitti_odometry", truth_deg=0.1, truth_m=0.01),
-    Rig(
-        "kitti-raw",
-        "kitti-raw:build/data/kitti_raw",
-        "@{splits}#train",
-        weights="synthetic",
-        truth_deg=0.1,
-        truth_m=0.01,
-    ),
+    Rig("kitti-raw", KITTI_RAW, "@{splits}#train", weights="synthetic", truth_deg=0.1, truth_m=0.01),
     _drive("hdl64", ""),
     _drive("32-rings", "keep_rings=2"),
     _drive("16-rings", "keep_rings=4"),

@@ -25,7 +25,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from common import table
+from common import STUDY, table
 from p2o import P2OError, Registry
 from p2o.cache import FeatureCache
 from p2o_study.ablate import ablate
@@ -33,25 +33,13 @@ from p2o_study.parallel import Workers
 from p2o_study.study import find_study
 
 FRAMES = 4
-STUDY = """
-name = "scaling"
-title = "Rows a minute"
-perturb = "1deg 0.05m"
-seeds = {seeds}
-
-[[dataset]]
-name = "streets"
-data = "synthetic:"
-options = {{ scenes = {frames}, width_px = 621, height_px = 188, right = false }}
-
-[defaults]
+DATA = f"synthetic:?scenes={FRAMES}&width_px=621&height_px=188&right=false"
+ROW = """[[row]]
+label = "ogm"
 extractor = "depth/rings"
 matcher = "ogm"
 solver = "lm"
 init = "search"
-
-[[row]]
-label = "ogm"
 """
 LINK_BYTES_PER_S = 1.25e9
 """A file server on a link of ten gigabit a second, which `plan` assumes for features and rows."""
@@ -126,7 +114,7 @@ def speed(name: str, workers: Workers, rows: int, cache: FeatureCache) -> tuple[
     arrived: list[tuple[float, float]] = []
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "scaling.toml"
-        file.write_text(STUDY.format(frames=FRAMES, seeds=rows // FRAMES))
+        file.write_text(STUDY.format(name="scaling", seeds=rows // FRAMES, data=DATA) + ROW)
 
         def on_progress(progress: object) -> None:
             if getattr(progress, "phase", "") == "calibrate":

@@ -1,6 +1,6 @@
 """Spread of single-frame results over seeds of the search: a result should not depend on random numbers.
 
-    python benchmarks/search_spread.py --root build/data --kept build/search-spread --seeds 10
+    python benchmarks/search_spread.py --seeds 10 --most 24
 
 Each frame is calibrated from one initial guess (2 deg, 15 cm) with several seeds of the initializer. The spread of a
 frame is the largest distance of its poses from their mean. KITTI raw frames are those of `train`.
@@ -21,29 +21,27 @@ from p2o.run.rig_solve import mean_pose
 from rigs import Rig, rig_of
 
 LIMIT_DEG, LIMIT_M = 0.03, 0.01
+FEATURES = Path("build/search-spread")
 RIGS = ("kitti-raw", "kitti-odometry", "waymo", "hitsz", "pjlab")
 
 
 def main() -> None:
     """Print the quantiles of the spread of the frames of each rig."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--root", default="build/data", help="folder of the real frames")
-    parser.add_argument("--kept", type=Path, default=Path("build/search-spread"), help="folder of extracted features")
-    parser.add_argument("--rigs", nargs="+", default=RIGS)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--most", type=int, help="frames of each rig, evenly chosen")
     options = parser.parse_args()
-    for name in options.rigs:
-        rows = spreads(rig_of(name).under(options.root), options.kept, options.seeds, options.most)
+    for name in RIGS:
+        rows = spreads(rig_of(name), options.seeds, options.most)
         print(_line(f"{name}, all", rows))
         print(_line(f"{name}, trusted", rows[rows[:, 2] > 0]), flush=True)
 
 
-def spreads(rig: Rig, features: Path, seeds: int, most: int | None) -> Float:
+def spreads(rig: Rig, seeds: int, most: int | None) -> Float:
     """Return for each frame (N, 4) the largest distances in deg and m, share of trusted results, all within 95 %."""
     plans = [replace(rig, options={**rig.options, "init": {"seed": seed}}).plan for seed in range(seeds)]
     pipelines, rows = [plan.calibrator() for plan in plans], []
-    for number, frame in enumerate(rig.samples(features, most)):
+    for number, frame in enumerate(rig.samples(FEATURES, most)):
         start = wrong_start(frame.truth, START_DEG, START_M, np.random.default_rng(number))
         results = [pipeline.solve([frame.view], start) for pipeline in pipelines]
         mean = mean_pose([result.camera_from_lidar for result in results])

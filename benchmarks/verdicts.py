@@ -42,16 +42,8 @@ SHARES = (0.70, 0.95)
 """Shares of the errors that the 67 % and the 95 % bounds of a fit contain, where a rig with few results has a higher
 weight than its number of results: of all results on rigs left out they contain 0.72 and 0.97.
 """
-USUAL = {
-    "pairs": 1.1,
-    "by_odds": 0.5,
-    "beams": 1.2,
-    "rings": 0.65,
-    "view_deg": 0.05,
-    "view_m": 0.01,
-    "floor_deg": 0.019,
-    "floor_m": 0.007,
-}
+USUAL = {"pairs": 1.1, "by_odds": 0.5, "beams": 1.2, "rings": 0.65}
+USUAL |= {"view_deg": 0.05, "view_m": 0.01, "floor_deg": 0.019, "floor_m": 0.007}
 """The parameters of a model at which a fit begins, and towards which it is drawn slightly."""
 OBJECT_M = DEFAULT_ERROR_MODEL.object_m
 """The error of outlines of near objects; it is not fitted."""

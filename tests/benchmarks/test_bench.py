@@ -26,11 +26,11 @@ def test_without_a_reference_there_are_no_ratios() -> None:
     assert compared({"rings": Cost(0.02, 0.03)}, {}).splitlines()[2] == "| rings | 0.020 | 0.030 |  |"
 
 
-def test_differences_of_poses_are_told_with_whose_are_nearer_the_truth() -> None:
-    moved = np.eye(4)
-    moved[0, 3] = 0.0015
-    ours = {"a": {"pose": moved.tolist(), "verdict": ["converged", "trusted"], "error": [0.1, 0.01]}}
-    theirs = {"a": {"pose": np.eye(4).tolist(), "verdict": ["converged", "doubtful"], "error": [0.2, 0.02]}}
-    line = differences(ours, theirs)
-    assert "0 of 1 poses are equal, apart at most 0.00000 deg and 1.500 mm; 1 with another status or verdict" in line
-    assert "mean error 0.1000 deg and 10.00 mm, before 0.2000 deg and 20.00 mm" in line
+def test_poses_of_commits_are_counted_that_are_equal_to_the_last_digit() -> None:
+    moved, nearly = np.eye(4), np.eye(4)
+    moved[0, 3], nearly[0, 3] = 0.0015, 1e-16
+    ours = {name: {"pose": pose.tolist(), "verdict": "trusted"} for name, pose in (("a", moved), ("b", nearly))}
+    theirs = {name: {"pose": np.eye(4).tolist(), "verdict": "doubtful"} for name in ("a", "b")}
+    line = "0 of 2 poses are equal, apart at most 0.00000 deg and 1.500 mm; 2 with another status or verdict"
+    assert differences(ours, theirs) == line
+    assert differences(ours, ours).startswith("2 of 2 poses are equal")

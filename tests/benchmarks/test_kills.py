@@ -9,7 +9,7 @@ import sqlite3
 from pathlib import Path
 
 import pytest
-from kills import Fleet, StudyOfStreets, Tally, campaign, campaign_of_cluster, disturbed
+from kills import Fleet, FleetOnCluster, StudyOfStreets, Tally, campaign, disturbed
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs signals to groups of processes")
 
@@ -61,4 +61,4 @@ def test_a_fleet_that_is_killed_loses_no_finished_check_and_counts_none_twice(tm
 
 @pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason='needs pip install ".[dask]"')
 def test_a_cluster_whose_scheduler_workers_and_runs_are_killed_loses_no_finished_check(tmp_path: Path) -> None:
-    assert campaign_of_cluster(Fleet(tmp_path, 20), 6, 2, tmp_path).broken == []
+    assert campaign(FleetOnCluster(tmp_path, 20), 6, 2, tmp_path).broken == []
