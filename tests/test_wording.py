@@ -16,7 +16,7 @@ LEFT = {
     "CONTRIBUTING.md": 0,
     "README.md": 0,
     "baselines": 5,
-    "benchmarks": 134,
+    "benchmarks": 0,
     "docs": 6,
     "plugins/p2o_datasets": 0,
     "plugins/p2o_formats": 0,
