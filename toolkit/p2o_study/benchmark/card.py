@@ -85,23 +85,17 @@ def read_cards(folder: Path = FOLDER) -> dict[str, Card]:
 
 
 def cards_text(cards: Mapping[str, Card]) -> str:
-    """Return cards in Markdown: a table of all, then a section for each."""
+    """Return cards in Markdown: a table of all, then a section for each with what the table lacks."""
     lines = ["| card | data | LiDAR | camera | images may be shown | digests |", "|:--|:--|:--|:--|:--|--:|"]
     for name, card in cards.items():
         facts = [md_text(text) for text in (card.title, card.sensor, card.camera)]
-        cells = [f"[{name}](#{name})", *facts, _yes(card.shown), str(len(card.digests) or "-")]
+        cells = [f"[{name}](#{name})", *facts, "yes" if card.shown else "no", str(len(card.digests) or "-")]
         lines.append(f"| {' | '.join(cells)} |")
     for name, card in cards.items():
-        lines += ["", f"## {name}", "", f"{md_text(card.title)}.", "", "| | |", "|:--|:--|"]
-        recorded = f"of {len(card.digests)} frames" if card.digests else "none recorded"
-        content = card.facts
-        content |= {"images may be shown": _yes(card.shown), "digests": recorded}
-        lines += [f"| {fact} | {md_text(text)} |" for fact, text in content.items()]
+        lines += ["", f"## {name}", "", f"{md_text(card.title)}.", ""]
+        content = {fact: text for fact, text in card.facts.items() if fact not in ("sensor", "camera")}
+        lines += [f"- **{fact}**: {md_text(text)}" for fact, text in content.items()]
     return "\n".join([*lines, ""])
-
-
-def _yes(value: bool) -> str:
-    return "yes" if value else "no"
 
 
 def with_cards(text: str, where: str, cards: Callable[[], Mapping[str, Card]]) -> str:
