@@ -54,7 +54,7 @@ class Record(BaseModel):
 
     @property
     def markdown(self) -> str:
-        """Command, output and origin; an output of Markdown tables, with single lines of text around, is not quoted."""
+        """The output, then its origin in one line; Markdown tables, with single lines of text around, are not quoted."""
         lines = [line.rstrip() for line in self.output.strip("\n").splitlines()]
         blocks = [list(block) for filled, block in groupby(lines, key=bool) if filled]
         tables = [all(line.startswith("|") for line in block) for block in blocks]
@@ -63,8 +63,8 @@ class Record(BaseModel):
         machine = f"{self.machine.processor}, {self.machine.cores} cores"
         commit, changed, _ = self.commit.partition("+changes")
         version = commit if commit.startswith("version") else f"commit {commit[:10]}{changed}"
-        origin = f"Measured on {self.finished[:10]} with {version} in {self.seconds:.0f} s ({machine})."
-        return "\n".join([f"    {self.command}", "", *shown, "", origin, ""])
+        origin = f"{self.finished[:10]}, {version}, {self.seconds:.0f} s ({machine})"
+        return "\n".join([*shown, "", f"Output of `{self.command.removeprefix('python ')}`: {origin}.", ""])
 
 
 def recorded(name: str, command: Sequence[str], measured_by: str) -> Record:
