@@ -10,7 +10,7 @@ import pytest
 from p2o.cli import main
 from p2o.run.words import split_data
 from p2o_study.ablate import ReadOptions
-from p2o_study.benchmark.card import FOLDER, cards_text, read_cards
+from p2o_study.benchmark.card import FOLDER, OF_PAGE, cards_text, read_cards
 from p2o_study.benchmark.results import Results
 from p2o_study.benchmark.status import status_of
 from p2o_study.benchmark.suite import SuiteFile, find_suite, suite_names
@@ -68,7 +68,7 @@ def test_cards_have_the_digests_of_exactly_the_frames_of_their_lists() -> None:
 
 def test_the_page_of_cards_equals_the_cards() -> None:
     page = (ROOT / "docs/data-cards.md").read_text(encoding="utf-8")
-    assert page.endswith(f"<!-- cards -->\n{cards_text(read_cards(ROOT / FOLDER))}<!-- /cards -->\n")
+    assert page.endswith(f"<!-- cards -->\n{cards_text(read_cards(ROOT / FOLDER), OF_PAGE)}<!-- /cards -->\n")
 
 
 @pytest.mark.real

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -28,6 +28,8 @@ from p2o_study.worker import Plugins, ReadJob, Source, read
 
 FOLDER = Path("benchmarks/cards")
 _FACTS = ("sensor", "camera", "place", "frames", "licence", "source", "truth", "faults", "learned")
+OF_PAGE = ("frames", "truth", "faults", "learned")
+"""What the page of all cards contains of each beside the table; the command prints all facts."""
 _HEAD = "<!-- cards -->\n"
 _PART = re.compile(r"(?<=^<!-- cards -->\n).*?(?=^<!-- /cards -->$)", re.DOTALL | re.MULTILINE)
 
@@ -84,17 +86,16 @@ def read_cards(folder: Path = FOLDER) -> dict[str, Card]:
     return dict(sorted(cards.items()))
 
 
-def cards_text(cards: Mapping[str, Card]) -> str:
-    """Return cards in Markdown: a table of all, then a section for each with what the table lacks."""
+def cards_text(cards: Mapping[str, Card], facts: Sequence[str] = _FACTS) -> str:
+    """Return cards in Markdown: a table of all, then a section for each with some of its facts."""
     lines = ["| card | data | LiDAR | camera | images may be shown | digests |", "|:--|:--|:--|:--|:--|--:|"]
     for name, card in cards.items():
-        facts = [md_text(text) for text in (card.title, card.sensor, card.camera)]
-        cells = [f"[{name}](#{name})", *facts, "yes" if card.shown else "no", str(len(card.digests) or "-")]
+        columns = [md_text(text) for text in (card.title, card.sensor, card.camera)]
+        cells = [f"[{name}](#{name})", *columns, "yes" if card.shown else "no", str(len(card.digests) or "-")]
         lines.append(f"| {' | '.join(cells)} |")
     for name, card in cards.items():
         lines += ["", f"## {name}", "", f"{md_text(card.title)}.", ""]
-        content = {fact: text for fact, text in card.facts.items() if fact not in ("sensor", "camera")}
-        lines += [f"- **{fact}**: {md_text(text)}" for fact, text in content.items()]
+        lines += [f"- **{fact}**: {md_text(card.facts[fact])}" for fact in facts]
     return "\n".join([*lines, ""])
 
 
@@ -109,7 +110,7 @@ def with_cards(text: str, where: str, cards: Callable[[], Mapping[str, Card]]) -
     if len(parts) != 1 or text.count(_HEAD) != 1:
         expected = "<!-- cards --> on its own line once, and <!-- /cards --> after it"
         raise InputError("the marked part of the cards is not valid", where=where, expected=expected)
-    return text[: parts[0].start()] + cards_text(cards()) + text[parts[0].end() :]
+    return text[: parts[0].start()] + cards_text(cards(), OF_PAGE) + text[parts[0].end() :]
 
 
 def frame_digests(data: str, frames: str, plugins: Plugins) -> dict[str, str]:
