@@ -17,7 +17,7 @@ LEFT = {
     "README.md": 0,
     "baselines": 5,
     "benchmarks": 0,
-    "docs": 6,
+    "docs": 0,
     "plugins/p2o_datasets": 0,
     "plugins/p2o_formats": 0,
     "plugins/p2o_plugins": 1,
